@@ -126,6 +126,10 @@ class AugmentedSimulation(Simulation):
         base = self.base.knowing(flight)
         return self if base is self.base else replace(self, base=base)
 
+    def answering(self, flight: Flight, corrected: Flight) -> AugmentedSimulation:
+        """See :class:`Simulation`; the base."""
+        return replace(self, base=self.base.answering(flight, corrected)) if self.own_inputs else self
+
     def explained(self, flight: Flight) -> Array:
         """See :class:`Simulation`; the base's part without noise."""
         if not self.own_inputs:
@@ -134,7 +138,8 @@ class AugmentedSimulation(Simulation):
 
     def states(self, flight: Flight) -> npt.NDArray[np.void]:
         """See :class:`Simulation`; with the effects in the wrench."""
-        return self._physics(self.corrected(flight))
+        corrected = self.corrected(flight)
+        return self.answering(flight, corrected)._physics(corrected)
 
     def recorded(self, flight: Flight, wrench: Array) -> Array:
         """See :class:`Simulation`; the base's."""
@@ -186,8 +191,13 @@ class AugmentedSimulation(Simulation):
             states["wrench"] += base.explained(moved) - base.explained(flight)
         flight = moved
         if self.adjusted:
-            for column in base.uncertain(flight):
-                states["wrench"] += self.adjusted.get(column.name, 0.0) * column.wrench
+            columns = {column.name: column.wrench for column in base.uncertain(flight)}
+            for name, multiple in self.adjusted.items():
+                if name not in columns:
+                    raise DiscrepancyError(
+                        f"{self.name}: no coefficient is named `{name}`: make the addition anew"
+                    )
+                states["wrench"] += multiple * columns[name]
         record = self.record()
         for effect in self._of("wrench"):
             own = self._remembering(effect, flight, states) if effect.at_rest else states

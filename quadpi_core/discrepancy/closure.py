@@ -195,7 +195,8 @@ class Closing:
             after += np.square(columns.combined(place, left)).sum(axis=1)
             floor += noise[:, columns.bands[place]].sum(axis=1)
             samples += len(columns.flights[place].thinned)
-        floor = np.maximum(floor, stated * samples)
+        # Of numbers that were made up, without any noise, too.
+        floor = np.maximum(floor, stated * samples + np.finfo(float).eps * before + np.finfo(float).tiny)
         before, after, floor = (np.sqrt(squares / samples) for squares in (before, after, floor))
         gap = Gap(before, after, floor, reduction=0.0)
         counted = ~self.regression.weighting.held
@@ -246,6 +247,7 @@ def _even_grams(regression: Regression, chosen: Sequence[int]) -> Array:
     columns = np.concatenate(parts)
     grams = np.zeros_like(regression.weighting.per_flight)
     for place in range(len(regression.flights)):
-        rows = regression.columns.rows(place, columns) / np.sqrt(regression.noise[:, -1])[:, None, None]
+        rows = regression.columns.rows(place, columns)
+        rows *= np.sqrt(regression.weighting.precision[:, -1])[:, None, None]
         grams[place][np.ix_(columns, columns)] = cross_gram(rows, rows)
     return grams

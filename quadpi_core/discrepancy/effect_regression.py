@@ -234,7 +234,7 @@ class Regression:
         for place, band in enumerate(self.columns.bands):
             squares += np.square(self._added(place, (index,), found)).sum(axis=1)
             noise += self.noise[:, band].sum(axis=1)
-        return float(np.sqrt(np.max(squares / noise)))
+        return float(np.sqrt(np.max((squares / noise)[~self.weighting.held], initial=0.0)))
 
     def energy(self, chosen: Sequence[int], found: Fit) -> float:
         """Evidence of candidates in a fit: half of the squares that they add, in variances of the noise."""

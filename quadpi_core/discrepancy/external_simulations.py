@@ -225,6 +225,7 @@ def _moving(flight: Flight, airspeed: float, rates: float) -> Flight:
     """The flight with shares, negative ones too, of its airspeed and of its rates."""
     return replace(
         flight,
+        name=f"{flight.name} with its airspeed times {airspeed:g} and its rates times {rates:g}",
         velocity=airspeed * flight.velocity,
         wind=airspeed * flight.wind,
         rates=rates * flight.rates,

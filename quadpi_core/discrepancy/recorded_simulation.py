@@ -141,6 +141,13 @@ class RecordedSimulation(Simulation):
         """See :class:`Simulation`."""
         return self if flight.source in self.weights else self.learned([(flight, flight)])
 
+    def answering(self, flight: Flight, corrected: Flight) -> RecordedSimulation:
+        """See :class:`Simulation`; what it recorded, and what the learned functions say of the difference."""
+        known = self.knowing(flight)
+        wrench = known.wrench(flight) + known.explained(corrected) - known.explained(flight)
+        stamps = flight.start_ns + np.round(1e9 * flight.time).astype(np.int64)
+        return replace(known, wrenches={**known.wrenches, flight.source: Recorded(stamps, wrench)})
+
     def explained(self, flight: Flight) -> Array:
         """See :class:`Simulation`."""
         return self._rotors(flight) + self._instruments(flight).values @ self._weights(flight)

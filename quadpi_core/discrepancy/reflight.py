@@ -116,8 +116,9 @@ def rollout(flight: Flight, simulation: Simulation, horizon_s: float = HORIZON_S
         DiscrepancyError: for a flight shorter than the horizon.
     """
     if isinstance(simulation, AugmentedSimulation):
-        flight = simulation.corrected(flight)
-        simulation = simulation.physical.departing_from(flight)
+        corrected = simulation.corrected(flight)
+        simulation = simulation.answering(flight, corrected).physical.departing_from(corrected)
+        flight = corrected
     return _rolled_out(flight, simulation.vehicle, _simulated(flight, simulation), horizon_s)
 
 

@@ -354,7 +354,7 @@ def _drawn_energy(found: Found, cells: Cells, seed: int) -> Array:
     projected = gram @ off
     allowed = [columns.rows(place, tolerances) for place in range(len(regression.flights))]
     for place, rows in enumerate(allowed):
-        weighted = rows / regression.noise[:, columns.bands[place]][:, :, None]
+        weighted = rows * regression.weighting.precision[:, columns.bands[place]][:, :, None]
         projected += np.einsum("abk,abd->kd", weighted, noise(place), optimize=True)
     left = off - within_tolerance(gram, projected)
     energy = np.zeros((len(cells.samples), len(AXES), draws))

@@ -151,6 +151,10 @@ class Simulation(ABC):
         """The simulation, for one with own inputs that learned nothing of this flight with what it tells."""
         return self
 
+    def answering(self: Own, flight: Flight, corrected: Flight) -> Own:  # noqa: ARG002 - for own inputs
+        """The simulation, for one with own inputs as it would have answered to a corrected flight."""
+        return self
+
     def explained(self, flight: Flight) -> Array:
         """The wrench (N, 6), without the noise of own inputs; see :mod:`.instruments`."""
         return self.wrench(flight)

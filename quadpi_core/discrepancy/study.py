@@ -202,7 +202,7 @@ def discover(
         found = search(compared, sought, seed, held)
     rows = sum(len(band) for band in found.regression.columns.bands)
     left = np.where(held, 0.0, predictable(found.left.gain, rows))
-    named = np.maximum(found.named, 0.0)
+    named = np.where(held, 0.0, np.maximum(found.named, 0.0))
     share, worst = unexplained_share(left, named, rows), unexplained_axis(left, named, rows)
     law, whole = found.closing.fits()
     effects = [_effect(found, index, law, whole) for index in found.chosen]

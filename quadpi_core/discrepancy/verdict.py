@@ -11,11 +11,11 @@ from quadpi_core.thresholds import Threshold
 
 @dataclass(frozen=True)
 class Verdict:
-    """Outcome of one test of one candidate.
+    """Outcome of one test of a candidate, or of the whole result.
 
     Attributes:
         test: name of the test.
-        passed: whether the candidate passed.
+        passed: whether it was passed.
         value: compared value.
         threshold: threshold it was compared with.
         unit: unit of both.

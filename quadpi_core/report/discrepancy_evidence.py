@@ -43,6 +43,8 @@ _REMEDIES = {
     "(docs/effects.md).",
     "coefficients": "Measure that coefficient again. If it is right, something without a name acts in its "
     "place; if it is hardly known, state a wider tolerance in the vehicle file.",
+    "coefficients together": "Measure the coefficients again. If they are right, something without a name "
+    "acts in their place; if they are hardly known, state wider tolerances in the vehicle file.",
     "colour": "Fly in still air, and look at the sensors with `quadpi info`: gusts, or a sensor that drifts, "
     "cannot be told from a missing effect.",
     "closed": "Look for what else is missing in the conditions where the error stays large; more flights of "

@@ -75,7 +75,7 @@ def mean_map(flights: Sequence[Residual], axis: int, x: str, y: str) -> tuple[Ar
 
 
 def gap_figure(gap: Gap) -> Figure:
-    """Root mean square error of each axis before and after, and the floor from noise."""
+    """Root mean square error of each axis before and after, and the floor."""
     panels = []
     for column in range(2):
         own = slice(3 * column, 3 * column + 3)
@@ -87,7 +87,7 @@ def gap_figure(gap: Gap) -> Figure:
         ):
             bottom = np.zeros(3)
             layers.append(Boxes(name, colour, places + left, places + left + 0.3, bottom, values[own]))
-        layers.append(Points("floor: noise", MEASURED, places, gap.floor[own], symbol=4))
+        layers.append(Points("floor", MEASURED, places, gap.floor[own], symbol=4))
         x = Scale("", -0.5, 2.5, ticks=[(float(k), axis) for k, axis in enumerate(axes)])
         panels.append(Panel(layers, x, Scale(f"RMSE [{unit(axes[0])}]", low=0.0), column=column))
     return Figure("Error of each axis before and after", panels, [230.0])
@@ -98,14 +98,14 @@ def residual_figure(flight: Residual, floor: Array, bins: int) -> Figure:
 
     Args:
         flight: its residuals.
-        floor: (6,) root mean square of the noise; twice the floor is drawn as a band.
+        floor: (6,) root mean square, see `Gap`; twice the floor is drawn as a band.
         bins: number of parts that the flight is cut into, of which the extremes are drawn.
     """
     panels = []
     whole = np.array([np.nan])
     for k, axis in enumerate(AXES):
         band = np.array([2.0 * float(floor[k])])
-        layers: list[Layer] = [Boxes("twice the noise", MEASURED, whole, whole, -band, band, 0.18)]
+        layers: list[Layer] = [Boxes("twice the floor", MEASURED, whole, whole, -band, band, 0.18)]
         layers += [
             thinned_line(flight.time, values[:, k], bins, name=name, colour=colour, width=1.2, dash=dash)
             for name, values, colour, dash in (

@@ -15,6 +15,7 @@ from quadpi_core.discrepancy.augmented_simulation import AugmentedSimulation
 from quadpi_core.discrepancy.effect_response import Compared, explained_wrench
 from quadpi_core.discrepancy.quiet_flight import quiet
 from quadpi_core.discrepancy.recorded_simulation import Recorded, RecordedSimulation
+from quadpi_core.discrepancy.reflight import rollout
 from quadpi_core.discrepancy.simulations import VehicleSimulation, airspeed
 from quadpi_core.discrepancy.study import read_flights
 from quadpi_core.errors import DiscrepancyError, QuadpiError
@@ -380,6 +381,28 @@ def test_an_addition_corrects_rotor_speeds_that_are_reported_too_high(known, fli
     changed = AugmentedSimulation(simulation, scale).wrench(flown[0]) - simulation.wrench(flown[0])
     expected = truth(flights[0]) - truth(flown[0])
     assert missed(changed[:, :3], expected[:, :3]) < 0.2
+
+
+def test_roll_outs_have_the_wrench_of_sensors_without_the_error(flights):
+    """Also where what was recorded is of rotor speeds as they were reported."""
+    flown = [replace(flight, rotor_speeds=1.05 * flight.rotor_speeds) for flight in flights]
+    simulation = recorded(flown, [truth(flight) for flight in flown]).learned([(own, own) for own in flown])
+    added = AugmentedSimulation(simulation, read_effects({"rotor_speed_scale": {"change": 0.05}}, "test"))
+    corrected = added.corrected(flown[0])
+    answered = added.answering(flown[0], corrected).base.wrench(corrected) - simulation.wrench(flown[0])
+    expected = truth(flights[0]) - truth(flown[0])
+    assert missed(answered[:, :3], expected[:, :3]) < 0.2
+    np.testing.assert_allclose(added.states(flown[0])["wrench"], answered + simulation.wrench(flown[0]))
+    before, after = rollout(flown[0], simulation), rollout(flown[0], added)
+    assert after.velocity_m_s < before.velocity_m_s
+    assert after.attitude_deg < before.attitude_deg
+    assert after.rates_rad_s < before.rates_rad_s
+
+
+def test_an_addition_of_other_coefficients_is_refused(learned, flights):
+    added = AugmentedSimulation(learned, {}, {"Fx of the rest": 1.0})
+    with pytest.raises(DiscrepancyError, match="no coefficient is named `Fx of the rest`"):
+        added.wrench(flights[0])
 
 
 def test_noise_of_a_recorded_simulation_does_not_shrink_it(flown, moved_tolerances):

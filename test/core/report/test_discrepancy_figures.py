@@ -91,7 +91,7 @@ def test_a_gap_is_drawn_before_after_and_as_the_floor():
         own = slice(3 * k, 3 * k + 3)
         assert tuple(label for _, label in panel.x.ticks) == AXES[own]
         left, right, noise = panel.layers
-        assert (left.name, right.name, noise.name) == ("before", "after", "floor: noise")
+        assert (left.name, right.name, noise.name) == ("before", "after", "floor")
         np.testing.assert_array_equal(left.top, before[own])
         np.testing.assert_array_equal(right.top, after[own])
         np.testing.assert_array_equal(noise.y, floor[own])

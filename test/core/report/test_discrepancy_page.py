@@ -90,7 +90,7 @@ def test_figures_of_every_flight(page_file, read_page, found):
     assert {layer["name"] for panel in gap for layer in panel["layers"]} == {
         "before",
         "after",
-        "floor: noise",
+        "floor",
     }
 
 
