@@ -29,7 +29,7 @@ FLIGHTS = 10
 VEHICLE = "bebop2"
 # Two rounds, as in most searches: one finds it, one finds no more.
 HIDDEN = {"body_drag": None}
-GOAL_S = 20.0
+GOAL_S = 10.0
 
 
 def run() -> list[Result]:
