@@ -19,7 +19,8 @@ from quadpi_core.simulation.truth import STEP_HZ
 
 NAMES = ("simulation_realtime",)
 
-SCENARIO, FLIGHT = "validation", "x_yaw_sines"
+# A flight that the controller holds in the air with every effect at once.
+SCENARIO, FLIGHT = "validation", "y_height_sines"
 REPETITIONS = 9
 
 
