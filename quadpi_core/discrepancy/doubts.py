@@ -59,8 +59,7 @@ def checks(
             noise in them is doubted.
         axis: the axis that `unexplained` is of; empty for all together.
     """
-    sensors = found.sensors
-    sensors[held] = np.inf
+    sensors = np.where(held[:, None], np.inf, found.sensors)
     named = _named(found, sensors)
     verdicts = [
         judge_unexplained(unexplained, axis),

@@ -113,10 +113,10 @@ class CallableSimulation(Simulation):
         """See :class:`Simulation`; by :func:`part_columns`."""
         still, turning = self.wrench(_moving(flight, 0.0, 0.0)), self.wrench(_moving(flight, 0.0, 1.0))
         parts = [Part(OF_ROTORS, still, OF_ROTORS), Part("rates", turning - still, LINEAR)]
-        return part_columns(parts + self._by_airspeed(flight), self.tolerances)
+        return part_columns(parts + self._by_airspeed(flight, turning), self.tolerances)
 
-    def _by_airspeed(self, flight: Flight) -> list[Part]:
-        """What the airspeed adds, by order and parity in the motion.
+    def _by_airspeed(self, flight: Flight, turning: Array) -> list[Part]:
+        """What the airspeed adds to the wrench (N, 6) of a turning body, by order and parity in the motion.
 
         Drag of rotors is of the first order, lift is even, and drag of the airframe reverses with its square:
         coefficients of different laws, of which one may be wrong alone. As the motion is halved, the first
@@ -127,7 +127,7 @@ class CallableSimulation(Simulation):
         def added(share: float) -> Array:
             return self.wrench(_moving(flight, share, share)) - self.wrench(_moving(flight, 0.0, share))
 
-        ahead, back = added(1.0), added(-1.0)
+        ahead, back = self.wrench(flight) - turning, added(-1.0)
         odd, odd_of_half = 0.5 * (ahead - back), 0.5 * (added(0.5) - added(-0.5))
         return [
             Part("airspeed", 4.0 * odd_of_half - odd, LINEAR),
@@ -193,9 +193,9 @@ class ModelSimulation(CallableSimulation):
         rows = np.arange(len(wrench))
         return np.column_stack([np.interp(rows, rows[finite], axis[finite]) for axis in wrench.T])
 
-    def _by_airspeed(self, flight: Flight) -> list[Part]:
+    def _by_airspeed(self, flight: Flight, turning: Array) -> list[Part]:
         """See :class:`CallableSimulation`; as a whole, as a model knows nothing of a motion reversed."""
-        return [Part("airspeed", self.wrench(flight) - self.wrench(_moving(flight, 0.0, 1.0)), LINEAR)]
+        return [Part("airspeed", self.wrench(flight) - turning, LINEAR)]
 
     def intervals(self, flight: Flight) -> tuple[Array, Array]:
         """Lower and upper bounds (N, 6) at the confidence of the model."""

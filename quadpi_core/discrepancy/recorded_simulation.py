@@ -45,7 +45,7 @@ class Recorded(NamedTuple):
 class RecordedSimulation(Simulation):
     """Wrench of each flight that a simulation of any kind recorded on the topic `simulation/wrench`.
 
-    It cannot be evaluated for other wind or rotor speeds. What those would change is told by functions of
+    It cannot be evaluated for other wind or rotor speeds. What those would change follows from functions of
     the motion that were learned from flights, see :mod:`.instruments`. The part in proportion to the squared
     rotor speeds counts as thrust and torque.
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -89,7 +89,7 @@ class Found:
     judgements: tuple[Judgement, ...]
     disputed: tuple[str, ...] = ()
 
-    @property
+    @cached_property
     def sensors(self) -> Array:
         """Variance (6, C) of the noise that sensors and the errors of states make, in C bands.
 
@@ -101,8 +101,13 @@ class Found:
 
     def gap(self, *, adjusted: bool = True) -> Gap:
         """The gap of flights left out, see :meth:`Closing.gap`; what sensors do not explain is no floor."""
-        stated = stated_squares(self.regression.flights)
-        return self.closing.gap(np.minimum(self.regression.noise, self.sensors), stated, adjusted=adjusted)
+        noise = np.minimum(self.regression.noise, self.sensors)
+        return self.closing.gap(noise, self._stated, adjusted=adjusted)
+
+    @cached_property
+    def _stated(self) -> Array:
+        """Mean squares (6,) that the simulation's own intervals state."""
+        return stated_squares(self.regression.flights)
 
 
 @dataclass(frozen=True)
