@@ -203,6 +203,29 @@ class Closing:
         removable, kept = float(gap.removable[counted].sum()), float(gap.kept[counted].sum())
         return gap._replace(reduction=1.0 - kept / removable if removable > 0.0 else 0.0)
 
+    def disagreement(self, index: int, posterior: Array) -> Array:
+        """Spread (k,) between flights of the parameters of a candidate, over what one fit to all leaves open.
+
+        The spread is the jackknife's, of fits without each flight in turn. A flight that alone shows an
+        effect spreads it, too, but then the fit without it says that it knows less: the spread is compared
+        with that, where it is more. A ratio of 1 is expected where the law holds; see Birge, The calculation
+        of errors by the method of least squares (1932).
+
+        Args:
+            index: index of the candidate.
+            posterior: (k,) standard deviation of its parameters in prior ones, 0 for those at a bound.
+        """
+        columns, law = self.regression.block(index).parameters, self._law(None)
+        without = [self._law(place) for place in range(len(self.regression.flights))]
+        values = np.array([fit.of(columns) for fit in without])
+        lost = [np.square(fit.deviation(columns)) - np.square(law.deviation(columns)) for fit in without]
+        share = (len(without) - 1) / len(without)
+        spread = share * np.sum(np.square(values - values.mean(axis=0)), axis=0)
+        expected = np.maximum(np.square(posterior), share * np.sum(np.maximum(lost, 0.0), axis=0))
+        estimated = posterior > 0.0
+        ratio: Array = np.sqrt(np.divide(spread, expected, out=np.zeros(len(posterior)), where=estimated))
+        return ratio
+
     def shape(self, index: int, law: Fit, found: Fit) -> dict[str, float]:
         """Parameters of `effect_definition.SHAPE` by which the flights shape the law of a candidate.
 

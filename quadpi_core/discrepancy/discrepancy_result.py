@@ -28,7 +28,10 @@ ERROR_NAMES = {
 
 @dataclass(frozen=True)
 class FoundParameter:
-    """A parameter of an effect, with the 95 % interval of its posterior."""
+    """A parameter of an effect, with its interval of 95 %.
+
+    It is that of the posterior, or a wider one where flights that are left out in turn disagree more.
+    """
 
     name: str
     unit: str

@@ -4,8 +4,8 @@
 
 A search can only choose among the effects of its library. What is missing may be something else, which then
 shows in one of four ways: a residual that other flights predict; noise that no sensor has; coefficients that
-move, alone or together, far beyond their tolerances; or effects that do not close the gap, or whose
-parameters may be zero.
+move, alone or together, far beyond their tolerances; or effects that do not close the gap, on whose
+parameters flights disagree, or whose parameters may be zero.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from quadpi_core.discrepancy.discrepancy_result import ERROR_NAMES, Discovery, F
 from quadpi_core.discrepancy.result_verdicts import (
     FAR_COEFFICIENT,
     allowed_squares,
+    judge_agreement,
     judge_closed,
     judge_coefficients,
     judge_coefficients_together,
@@ -69,6 +70,7 @@ def checks(
     if effects:
         verdicts.append(judge_closed(gap.reduction))
     verdicts += [judge_not_zero(effect.name, may_be_zero(effect)) for effect in effects]
+    verdicts += [_agreement(found, index, gap.reduction) for index in found.chosen]
     return (*verdicts, *map(judge_disputed, found.disputed))
 
 
@@ -140,6 +142,14 @@ def _coefficients(found: Found, sensors: Array, named: float) -> tuple[Verdict, 
     squares, allowed = float(values @ values), allowed_squares(sum(judged))
     beyond = 1.0 - np.sqrt(min(1.0, allowed / squares)) if squares > 0.0 else 0.0
     return each, judge_coefficients_together(squares, sum(judged), share(beyond * values))
+
+
+def _agreement(found: Found, index: int, closed: float) -> Verdict:
+    """Whether flights agree on the parameters of a named effect, or a closed share of the gap excuses it."""
+    candidate = found.regression.candidates[index]
+    names = [candidate.effect.parameters[own].name for own in candidate.free]
+    ratios = dict(zip(names, found.disagreement(index).tolist(), strict=True))
+    return judge_agreement(candidate.label, ratios, closed)
 
 
 def _noise(found: Found, sensors: Array, named: float) -> Verdict:

@@ -69,6 +69,14 @@ CLOSED = Threshold(
     "a model of real flights is not exact; right names close 97 % and more of simulated flights",
     CONVENTION,
 )
+DISAGREEMENT = Threshold(
+    "spread of a parameter between flights",
+    3.0,
+    "of what one fit to all leaves open, as a standard deviation",
+    "1 where the law holds, and at most 2 where an effect has its right name; one that imitates something "
+    "else has another parameter in each flight, and 3.5 to 6 times the spread",
+    DEVELOPMENT,
+)
 WORSE_ROLLOUTS = Threshold(
     "growth of the error of roll-outs",
     0.02,
@@ -166,6 +174,8 @@ def judge_coefficients_together(squares: float, count: int, share: float) -> Ver
     )
     if far and share <= UNEXPLAINED.value:
         sentence += f", but explain no more than {_percent(share)} by that"
+    if squares == 0.0:
+        sentence = "no coefficient has to be wrong"
     passed = not far or share <= UNEXPLAINED.value
     return Verdict("coefficients together", passed, off, most, "tolerances", sentence)
 
@@ -204,6 +214,26 @@ def judge_not_zero(effect: str, may_be_zero: bool) -> Verdict:
     return Verdict(
         "not zero", not may_be_zero, float(not may_be_zero), 1.0, "", f"{told} of {effect} may be zero"
     )
+
+
+def judge_agreement(effect: str, disagreements: Mapping[str, float], closed: float) -> Verdict:
+    """Whether flights agree on every parameter of a named effect, or all but close the gap with one for all.
+
+    Args:
+        effect: name of the effect.
+        disagreements: by parameter, see :meth:`.closure.Closing.disagreement`.
+        closed: closed share of the gap.
+    """
+    name, most = max(disagreements.items(), key=lambda item: item[1])
+    far, left = most > DISAGREEMENT.value, max(1.0 - closed, 0.0)
+    sentence = (
+        f"flights differ in {name} of {effect} by {most:.1f} times what one fit to all leaves open, "
+        f"{DISAGREEMENT.value:g} allowed"
+    )
+    if far:
+        sentence += f", and {_percent(left)} of the gap stays"
+    passed = not far or left <= UNEXPLAINED.value
+    return Verdict.of(DISAGREEMENT, "agreement", most, passed, sentence)
 
 
 def judge_disputed(sentence: str) -> Verdict:

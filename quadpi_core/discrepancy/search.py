@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.discrepancy.acceptance import (
+    FEW_FLIGHTS,
     NAMED_ALONE,
     Judgement,
     evidence_beside,
@@ -98,6 +99,19 @@ class Found:
         """
         noise = self.left.noise
         return noise[:, -1:] + slow_state_noise(self.regression.flights, noise.shape[1])
+
+    def posterior(self, index: int) -> Array:
+        """Standard deviation (k,) of the parameters of a chosen candidate; 0 for those at a bound."""
+        return self._deviation(index) * self.regression.candidates[index].scale
+
+    def disagreement(self, index: int) -> Array:
+        """See :meth:`Closing.disagreement`; 0 (k,) for flights so few that they do not predict each other."""
+        deviation = self._deviation(index)
+        few = len(self.regression.flights) < FEW_FLIGHTS.value
+        return np.zeros(len(deviation)) if few else self.closing.disagreement(index, deviation)
+
+    def _deviation(self, index: int) -> Array:
+        return self.fit.deviation(self.regression.block(index).parameters)
 
     def gap(self, *, adjusted: bool = True) -> Gap:
         """The gap of flights left out, see :meth:`Closing.gap`; what sensors do not explain is no floor."""

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy.special import ndtri, stdtrit
 from threadpoolctl import threadpool_limits
 
 from quadpi_core.discrepancy.acceptance import LEAST_EVIDENCE
@@ -72,8 +73,8 @@ TAIL = Threshold(
 FEWEST_FLIGHTS = Threshold(
     "fewest flights", 2, "flights", "what is found on some flights is tested on others", CONVENTION
 )
-# Standard deviations to either side of an interval of 95 %.
-_INTERVAL = 1.96
+# Probability that a stated interval of a parameter holds it.
+_CONFIDENCE = 0.95
 
 
 def read_flights(
@@ -255,9 +256,8 @@ def require_flights(count: int) -> None:
 def _effect(found: Found, index: int, law: Fit, whole: Fit) -> FoundEffect:
     regression, candidate = found.regression, found.regression.candidates[index]
     values = candidate.values(regression.parameters(index, law))
-    deviation = np.zeros(len(values))
-    own = found.fit.deviation(regression.block(index).parameters)
-    deviation[list(candidate.free)] = own * candidate.scale
+    half = np.zeros(len(values))
+    half[list(candidate.free)] = _half_widths(found, index)
     rivals = found.rivals[index]
     odds = sum(against for _, against in rivals)
     names = tuple(dict.fromkeys(regression.candidates[rival].name for rival, _ in rivals))
@@ -266,14 +266,26 @@ def _effect(found: Found, index: int, law: Fit, whole: Fit) -> FoundEffect:
         name=candidate.name,
         probability=float(1.0 / (1.0 + odds)),
         parameters=tuple(
-            FoundParameter(p.name, p.unit, float(v), float(v - _INTERVAL * d), float(v + _INTERVAL * d))
-            for p, v, d in zip(candidate.effect.parameters, values, deviation, strict=True)
+            FoundParameter(p.name, p.unit, float(v), float(v - h), float(v + h))
+            for p, v, h in zip(candidate.effect.parameters, values, half, strict=True)
         ),
         shape=found.closing.shape(index, law, whole),
         axes=candidate.effect.axes,
         rivals=names,
         shown_by=tuple(dict.fromkeys(manoeuvres)),
     )
+
+
+def _half_widths(found: Found, index: int) -> Array:
+    """Half of the intervals (k,) of the fitted parameters of a candidate: of the posterior, or wider.
+
+    The posterior holds what tolerances, noise and the form of a law leave open, as if flights differed by
+    nothing else. Where they do, the interval is Student's, of as many flights as disagree.
+    """
+    tail = 0.5 + 0.5 * _CONFIDENCE
+    few = float(stdtrit(len(found.regression.flights) - 1, tail))
+    half: Array = found.posterior(index) * np.maximum(ndtri(tail), few * found.disagreement(index))
+    return half
 
 
 def require_excitation(flights: Sequence[Flight], vehicle: Vehicle) -> tuple[str, ...]:

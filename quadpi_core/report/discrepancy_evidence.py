@@ -50,6 +50,8 @@ _REMEDIES = {
     "closed": "Look for what else is missing in the conditions where the error stays large; more flights of "
     "those conditions help.",
     "not zero": "Fly more of what shows the effect, until an interval of its parameters excludes zero.",
+    "agreement": "Compare what the flights that differ have of their own (payload, place, wind). If they are "
+    "alike, something without a name acts, which this effect imitates on each flight in another way.",
     "disputed": "Fly what shows the one effect and not the other.",
     "roll-outs": "Check the coefficients that moved with the effect, and the delays of the sensors: what "
     "fits a step ahead but not half a second is not the physics.",

@@ -80,8 +80,9 @@ def discrepancy_summary(study: Study) -> Group:
             parts.append(Text(note, style="dim"))
     if discovery.verdict != "none":
         parts.append(Text(_unexplained_sentence(discovery)))
-    parts.append(Text("What would change the verdict", style="bold"))
-    parts += [Text(f"- {change.now} {change.then}") for change in verdict_changes(study)]
+    if changes := verdict_changes(study):
+        parts.append(Text("What would change the verdict", style="bold"))
+        parts += [Text(f"- {change.now} {change.then}") for change in changes]
     return Group(*parts)
 
 

@@ -422,6 +422,7 @@ EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
             ).passed
         ),
     ),
+    "DISAGREEMENT": (3.0, lambda x: result_verdicts.judge_agreement("payload", {"mass_kg": x}, 0.9).passed),
     "CLOSED": (0.8, lambda x: result_verdicts.judge_closed(x).passed),
     # The others of the room, file by file.
     "LOST": (2.0, no_loss),

@@ -86,7 +86,7 @@ def rate_damping(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:  # 
     Parameter("north_m", "m", 0.0, -1000.0, 1000.0),
     Parameter("east_m", "m", 0.0, -1000.0, 1000.0),
     Parameter("height_m", "m", 0.0, 0.0, 1000.0),
-    Parameter("hook_m", "m", 0.01, -1.0, 1.0),
+    Parameter("hook_m", "m", 0.01, 0.0, 1.0),
     shown_by="flights outward in every direction",
     composable=False,
     form=AERODYNAMIC,

@@ -55,6 +55,23 @@ def test_a_flight_is_left_after_the_fit_of_all_others(closing):
         np.testing.assert_allclose(law.coefficients, alone.coefficients, rtol=1e-5, atol=1e-8)
 
 
+def test_disagreement_is_the_jackknife_of_flights_over_what_a_fit_leaves_open(closing):
+    """Or over what the fits without a flight say that they know less, where that is more."""
+    (index,), count = closing.chosen, len(closing.regression.flights)
+    columns = closing.regression.block(index).parameters
+    laws = [closing.fits(without=place)[0] for place in range(count)]
+    spread = np.sqrt((count - 1) * np.var([law.of(columns) for law in laws], axis=0))
+    assert (spread > 0.0).all()
+    wide = np.array([10.0, 0.0, 20.0])
+    ratio = closing.disagreement(index, wide)
+    np.testing.assert_allclose(ratio[[0, 2]], spread[[0, 2]] / wide[[0, 2]], rtol=1e-9)
+    assert ratio[1] == 0.0
+    lost = [law.deviation(columns) ** 2 - closing.fits()[0].deviation(columns) ** 2 for law in laws]
+    known_less = np.sqrt((count - 1) / count * np.sum(lost, axis=0))
+    narrow = closing.disagreement(index, np.full(3, 1e-9))
+    np.testing.assert_allclose(narrow, spread / known_less, rtol=1e-6)
+
+
 def test_squares_left_are_in_variances_of_the_noise(closing):
     regression, squares = closing.regression, np.zeros(6)
     for place, (fit, band) in enumerate(zip(closing.left_out, regression.columns.bands, strict=True)):

@@ -12,6 +12,7 @@ import pytest
 
 from quadpi_core.discrepancy import CallableSimulation, discover
 from quadpi_core.discrepancy.augmented_simulation import write_addition
+from quadpi_core.discrepancy.closure import Closing
 from quadpi_core.discrepancy.discrepancy_result import BeforeAfter, FoundParameter, Rollouts
 from quadpi_core.discrepancy.doubts import checks, judged_by_rollouts, may_be_zero
 from quadpi_core.rotations import rotate_world_to_body
@@ -140,6 +141,23 @@ def test_an_effect_whose_intervals_hold_zero_is_doubted(found):
     assert doubted(found, effects=[replace(effect, parameters=tuple(near))]) == (
         "every parameter of body_drag may be zero",
     )
+
+
+def test_an_effect_on_which_flights_disagree_is_doubted(found, monkeypatch):
+    assert [check.passed for check in found.discovery.checks if check.test == "agreement"] == [True]
+    differs = np.array([0.5, 4.0, 1.0])
+    monkeypatch.setattr(Closing, "disagreement", lambda *_: differs)
+    (sentence,) = doubted(found, gap=found.discovery.gap._replace(reduction=0.94))
+    assert sentence == (
+        "flights differ in y_n_s2_m2 of body_drag by 4.0 times what one fit to all leaves open, 3 allowed, "
+        "and 6 % of the gap stays"
+    )
+    # What closes the gap all the same describes all flights.
+    assert doubted(found, gap=found.discovery.gap._replace(reduction=0.96)) == ()
+    # Of three flights, each that is left out shows something of its own.
+    own = found.discovery.found
+    few = replace(own.regression.columns, flights=own.regression.flights[:3])
+    assert not replace(own, regression=replace(own.regression, columns=few)).disagreement(own.chosen[0]).any()
 
 
 @pytest.mark.parametrize(

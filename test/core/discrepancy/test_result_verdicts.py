@@ -55,6 +55,7 @@ def test_coefficients_together_are_judged_as_one_alone():
     far = judge_coefficients_together(30 * 1.68**2, 30, 1.0)
     assert not far.passed
     assert far.sentence.endswith("wrong by 1.7 of their tolerances, root mean square, 1.7 allowed")
+    assert judge_coefficients_together(0.0, 30, 0.0).sentence == "no coefficient has to be wrong"
     little = judge_coefficients_together(270.0, 30, 0.02)
     assert little.passed
     assert little.sentence.endswith("but explain no more than 2 % by that")

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.stats import t as student
 
 from quadpi_core.discrepancy import discover, load_simulation
 from quadpi_core.discrepancy.augmented_simulation import augmented
@@ -164,15 +165,32 @@ def test_a_strong_law_that_each_flight_shows_differently_is_kept(simulation, fli
     assert [effect.name for effect in found.effects] == ["body_drag"]
 
 
-def test_an_interval_is_that_of_95_percent(found):
-    """1.96 standard deviations of the posterior to either side."""
+def widths(effect):
+    """Half of the width of the interval of each parameter."""
+    for own in effect.parameters:
+        assert own.upper - own.value == pytest.approx(own.value - own.lower, rel=1e-6)
+    return [own.upper - own.value for own in effect.parameters]
+
+
+def test_an_interval_is_that_of_95_percent_of_the_posterior_or_wider_where_flights_disagree(found):
+    """1.96 standard deviations to either side, or Student's quantile times the disagreement."""
     search, (effect,) = found.discovery.found, found.discovery.effects
     (index,) = search.chosen
-    candidate = search.regression.candidates[index]
-    deviation = search.fit.deviation(search.regression.block(index).parameters) * candidate.scale
-    for parameter, own in zip(effect.parameters, deviation, strict=True):
-        assert parameter.upper - parameter.value == pytest.approx(1.96 * own, rel=1e-6)
-        assert parameter.value - parameter.lower == pytest.approx(1.96 * own, rel=1e-6)
+    few = student.ppf(0.975, len(search.regression.flights) - 1)
+    times = np.maximum(1.96, few * search.disagreement(index))
+    np.testing.assert_allclose(widths(effect), times * search.posterior(index), rtol=1e-4)
+
+
+def test_flights_that_differ_widen_an_interval(simulation, flights, pushed):
+    """One flight of all has half of the force, which the posterior of one fit to all does not know."""
+    made = []
+    for place, flight in enumerate(flights):
+        wrench = np.zeros((len(flight), 6))
+        wrench[:, 0] = 0.1 if place == 0 else 0.2
+        made.append(pushed(flight, simulation.vehicle, wrench))
+    discovery = discover(simulation, made, names=["force_bias"])
+    (effect,), (index,) = discovery.effects, discovery.found.chosen
+    assert widths(effect)[0] > 3.0 * discovery.found.posterior(index)[0]
 
 
 @pytest.mark.slow
