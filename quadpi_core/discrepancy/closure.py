@@ -18,7 +18,15 @@ import numpy as np
 
 from quadpi_core.discrepancy.adjustment import Adjustment, LeftOut
 from quadpi_core.discrepancy.effect_regression import Regression
-from quadpi_core.discrepancy.evidence import Block, Fit, Indices, fit_forms, form_precisions, residual_weights
+from quadpi_core.discrepancy.evidence import (
+    Block,
+    Fit,
+    Indices,
+    fit_forms,
+    form_precisions,
+    refit,
+    residual_weights,
+)
 from quadpi_core.discrepancy.linearisation import AXES_OVER_FORM
 from quadpi_core.discrepancy.whitening import cross_gram
 from quadpi_core.flight import AXES
@@ -203,7 +211,7 @@ class Closing:
         removable, kept = float(gap.removable[counted].sum()), float(gap.kept[counted].sum())
         return gap._replace(reduction=1.0 - kept / removable if removable > 0.0 else 0.0)
 
-    def disagreement(self, index: int, posterior: Array) -> Array:
+    def disagreement(self, index: int, deviation: Array) -> Array:
         """Spread (k,) between flights of the parameters of a candidate, over what one fit to all leaves open.
 
         The spread is the jackknife's, of fits without each flight in turn. A flight that alone shows an
@@ -213,17 +221,18 @@ class Closing:
 
         Args:
             index: index of the candidate.
-            posterior: (k,) standard deviation of its parameters in prior ones, 0 for those at a bound.
+            deviation: (k,) of its parameters in the fit to all, in prior ones; 0 for those at a bound.
         """
         columns, law = self.regression.block(index).parameters, self._law(None)
-        without = [self._law(place) for place in range(len(self.regression.flights))]
+        # Bounds would hold what a fit without a flight knows least, and call it known.
+        without = [refit(self.regression.gram - own, law, self._blocks) for own in self._per_flight]
         values = np.array([fit.of(columns) for fit in without])
         lost = [np.square(fit.deviation(columns)) - np.square(law.deviation(columns)) for fit in without]
         share = (len(without) - 1) / len(without)
         spread = share * np.sum(np.square(values - values.mean(axis=0)), axis=0)
-        expected = np.maximum(np.square(posterior), share * np.sum(np.maximum(lost, 0.0), axis=0))
-        estimated = posterior > 0.0
-        ratio: Array = np.sqrt(np.divide(spread, expected, out=np.zeros(len(posterior)), where=estimated))
+        expected = np.maximum(np.square(deviation), share * np.sum(np.maximum(lost, 0.0), axis=0))
+        estimated = deviation > 0.0
+        ratio: Array = np.sqrt(np.divide(spread, expected, out=np.zeros(len(deviation)), where=estimated))
         return ratio
 
     def shape(self, index: int, law: Fit, found: Fit) -> dict[str, float]:

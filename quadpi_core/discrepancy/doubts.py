@@ -16,6 +16,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from quadpi_core.discrepancy.acceptance import FEW_FLIGHTS
 from quadpi_core.discrepancy.closure import Gap
 from quadpi_core.discrepancy.discrepancy_result import ERROR_NAMES, Discovery, FoundEffect, Rollouts
 from quadpi_core.discrepancy.result_verdicts import (
@@ -67,11 +68,15 @@ def checks(
         *_coefficients(found, sensors, named),
         _noise(found, sensors, named),
     ]
-    if effects:
-        verdicts.append(judge_closed(gap.reduction))
     verdicts += [judge_not_zero(effect.name, may_be_zero(effect)) for effect in effects]
-    verdicts += [_agreement(found, index, gap.reduction) for index in found.chosen]
-    return (*verdicts, *map(judge_disputed, found.disputed))
+    return (*verdicts, *map(judge_disputed, found.disputed), *(_closing(found, gap) if effects else ()))
+
+
+def judged_by_gap(discovery: Discovery, gap: Gap) -> tuple[Verdict, ...]:
+    """The tests of a discovery of named effects, with those on the gap made of another one."""
+    of_gap = _closing(discovery.found, gap)
+    tests = {check.test for check in of_gap}
+    return (*(check for check in discovery.checks if check.test not in tests), *of_gap)
 
 
 def judged_by_rollouts(discovery: Discovery, rollouts: Rollouts) -> Discovery:
@@ -144,12 +149,18 @@ def _coefficients(found: Found, sensors: Array, named: float) -> tuple[Verdict, 
     return each, judge_coefficients_together(squares, sum(judged), share(beyond * values))
 
 
-def _agreement(found: Found, index: int, closed: float) -> Verdict:
-    """Whether flights agree on the parameters of a named effect, or a closed share of the gap excuses it."""
-    candidate = found.regression.candidates[index]
-    names = [candidate.effect.parameters[own].name for own in candidate.free]
-    ratios = dict(zip(names, found.disagreement(index).tolist(), strict=True))
-    return judge_agreement(candidate.label, ratios, closed)
+def _closing(found: Found, gap: Gap) -> tuple[Verdict, ...]:
+    """Whether the named effects close the gap, and flights agree on them or close it all the same.
+
+    Flights so few that they do not predict each other do not disagree either.
+    """
+    verdicts = [judge_closed(gap.reduction)]
+    for index in found.chosen if len(found.regression.flights) >= FEW_FLIGHTS.value else ():
+        candidate = found.regression.candidates[index]
+        names = [candidate.effect.parameters[own].name for own in candidate.free]
+        ratios = dict(zip(names, found.disagreement(index).tolist(), strict=True))
+        verdicts.append(judge_agreement(candidate.label, ratios, gap.reduction))
+    return tuple(verdicts)
 
 
 def _noise(found: Found, sensors: Array, named: float) -> Verdict:

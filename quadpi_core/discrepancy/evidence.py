@@ -121,6 +121,17 @@ def fit(gram: Array, tolerances: Indices, blocks: Sequence[Block]) -> Fit | None
         form = [np.full(len(block.form), _form_precision(found, block)) for block in blocks]
 
 
+def refit(gram: Array, found: Fit, blocks: Sequence[Block]) -> Fit:
+    """Fit the columns of a fit without forms anew, to another Gram matrix and whatever their bounds are.
+
+    Args:
+        gram: (K, K); column 0 is the residual.
+        found: fit whose columns are fitted.
+        blocks: columns of each effect.
+    """
+    return _evidence(gram, found.columns, residual_weights(len(gram), blocks), np.ones(len(found.columns)))
+
+
 def fit_forms(
     gram: Array, tolerances: Indices, blocks: Sequence[Block], fixed: Fit, formed: Sequence[Block]
 ) -> Fit:

@@ -105,7 +105,7 @@ class Found:
         return self._deviation(index) * self.regression.candidates[index].scale
 
     def disagreement(self, index: int) -> Array:
-        """See :meth:`Closing.disagreement`; 0 (k,) for flights so few that they do not predict each other."""
+        """See :meth:`Closing.disagreement`; 0 (k,) of flights so few that they do not predict each other."""
         deviation = self._deviation(index)
         few = len(self.regression.flights) < FEW_FLIGHTS.value
         return np.zeros(len(deviation)) if few else self.closing.disagreement(index, deviation)

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from scipy.special import ndtri, stdtrit
+from scipy.special import ndtri
 from threadpoolctl import threadpool_limits
 
 from quadpi_core.discrepancy.acceptance import LEAST_EVIDENCE
@@ -22,13 +22,12 @@ from quadpi_core.discrepancy.discrepancy_result import (
     Reflights,
     Study,
 )
-from quadpi_core.discrepancy.doubts import checks, judged_by_rollouts
+from quadpi_core.discrepancy.doubts import checks, judged_by_gap, judged_by_rollouts
 from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.evidence import Fit
 from quadpi_core.discrepancy.ranked_evidence import ranked_candidates
 from quadpi_core.discrepancy.reflight import reflights
 from quadpi_core.discrepancy.result_verdicts import (
-    judge_closed,
     predictable,
     unexplained_axis,
     unexplained_share,
@@ -156,8 +155,7 @@ def _flown_again(discovery: Discovery) -> tuple[Discovery, Reflights]:
     if not judged.rejected or not len(discovery.found.closing.adjusted):
         return judged, flown
     gap = discovery.found.gap(adjusted=False)
-    closed = judge_closed(gap.reduction)
-    tests = tuple(closed if check.test == closed.test else check for check in discovery.checks)
+    tests = judged_by_gap(discovery, gap)
     verdict = "effects" if all(check.passed for check in tests) else "unknown"
     stated = replace(discovery, gap=gap, checks=tests, verdict=verdict, adjusted=False)
     again = reflights(stated)
@@ -280,11 +278,10 @@ def _half_widths(found: Found, index: int) -> Array:
     """Half of the intervals (k,) of the fitted parameters of a candidate: of the posterior, or wider.
 
     The posterior holds what tolerances, noise and the form of a law leave open, as if flights differed by
-    nothing else. Where they do, the interval is Student's, of as many flights as disagree.
+    nothing else. Where they do, it is as much wider, as is usual for measurements that disagree.
     """
-    tail = 0.5 + 0.5 * _CONFIDENCE
-    few = float(stdtrit(len(found.regression.flights) - 1, tail))
-    half: Array = found.posterior(index) * np.maximum(ndtri(tail), few * found.disagreement(index))
+    wider = np.maximum(1.0, found.disagreement(index))
+    half: Array = float(ndtri(0.5 + 0.5 * _CONFIDENCE)) * found.posterior(index) * wider
     return half
 
 

@@ -423,6 +423,10 @@ EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
         ),
     ),
     "DISAGREEMENT": (3.0, lambda x: result_verdicts.judge_agreement("payload", {"mass_kg": x}, 0.9).passed),
+    "ALL_BUT_CLOSED": (
+        0.05,
+        lambda x: result_verdicts.judge_agreement("payload", {"mass_kg": 9.0}, 1.0 - x + 1e-9).passed,
+    ),
     "CLOSED": (0.8, lambda x: result_verdicts.judge_closed(x).passed),
     # The others of the room, file by file.
     "LOST": (2.0, no_loss),

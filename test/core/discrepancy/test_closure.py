@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -59,17 +61,31 @@ def test_disagreement_is_the_jackknife_of_flights_over_what_a_fit_leaves_open(cl
     """Or over what the fits without a flight say that they know less, where that is more."""
     (index,), count = closing.chosen, len(closing.regression.flights)
     columns = closing.regression.block(index).parameters
+    # No bound holds one of these fits.
     laws = [closing.fits(without=place)[0] for place in range(count)]
     spread = np.sqrt((count - 1) * np.var([law.of(columns) for law in laws], axis=0))
     assert (spread > 0.0).all()
-    wide = np.array([10.0, 0.0, 20.0])
-    ratio = closing.disagreement(index, wide)
-    np.testing.assert_allclose(ratio[[0, 2]], spread[[0, 2]] / wide[[0, 2]], rtol=1e-9)
-    assert ratio[1] == 0.0
+    ratio = closing.disagreement(index, np.array([10.0, 0.0, 20.0]))
+    np.testing.assert_allclose(ratio, spread / [10.0, np.inf, 20.0], rtol=1e-6)
     lost = [law.deviation(columns) ** 2 - closing.fits()[0].deviation(columns) ** 2 for law in laws]
     known_less = np.sqrt((count - 1) / count * np.sum(lost, axis=0))
     narrow = closing.disagreement(index, np.full(3, 1e-9))
-    np.testing.assert_allclose(narrow, spread / known_less, rtol=1e-6)
+    np.testing.assert_allclose(narrow, spread / known_less, rtol=1e-5)
+
+
+def test_a_bound_makes_no_flight_disagree(closing):
+    """As where the flight that alone shows an effect is left out, and noise would turn its sign."""
+    (index,) = closing.chosen
+    block, deviation = closing.regression.block(index), np.full(3, 1e-9)
+    law = closing.fits()[0].of(block.parameters)
+    free = closing.disagreement(index, deviation)
+    # Each bound is so near that every fit without a flight which pulls upwards would leave it.
+    blocks = list(closing.regression.columns.blocks)
+    blocks[index] = replace(block, lowest=law - 1e-9, highest=law + 1e-9)
+    columns = replace(closing.regression.columns, blocks=tuple(blocks))
+    held = replace(closing, regression=replace(closing.regression, columns=columns))
+    assert any(fit.columns.size < closing.fits()[0].columns.size for fit, _ in map(held.fits, range(4)))
+    np.testing.assert_allclose(held.disagreement(index, deviation), free, rtol=1e-9)
 
 
 def test_squares_left_are_in_variances_of_the_noise(closing):

@@ -14,7 +14,7 @@ from quadpi_core.discrepancy import CallableSimulation, discover
 from quadpi_core.discrepancy.augmented_simulation import write_addition
 from quadpi_core.discrepancy.closure import Closing
 from quadpi_core.discrepancy.discrepancy_result import BeforeAfter, FoundParameter, Rollouts
-from quadpi_core.discrepancy.doubts import checks, judged_by_rollouts, may_be_zero
+from quadpi_core.discrepancy.doubts import checks, judged_by_gap, judged_by_rollouts, may_be_zero
 from quadpi_core.rotations import rotate_world_to_body
 
 GUST_N = 0.15
@@ -154,8 +154,11 @@ def test_an_effect_on_which_flights_disagree_is_doubted(found, monkeypatch):
     )
     # What closes the gap all the same describes all flights.
     assert doubted(found, gap=found.discovery.gap._replace(reduction=0.96)) == ()
-    # Of three flights, each that is left out shows something of its own.
     own = found.discovery.found
+    open_gap = found.discovery.gap._replace(reduction=0.94)
+    anew = judged_by_gap(found.discovery, open_gap)
+    assert [check.passed for check in anew if check.test == "agreement"] == [False]
+    # Of three flights, each that is left out shows something of its own.
     few = replace(own.regression.columns, flights=own.regression.flights[:3])
     assert not replace(own, regression=replace(own.regression, columns=few)).disagreement(own.chosen[0]).any()
 

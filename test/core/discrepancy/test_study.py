@@ -9,10 +9,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.stats import t as student
 
 from quadpi_core.discrepancy import discover, load_simulation
 from quadpi_core.discrepancy.augmented_simulation import augmented
+from quadpi_core.discrepancy.closure import Closing
 from quadpi_core.discrepancy.discrepancy_result import (
     BeforeAfter,
     ClosedLoops,
@@ -172,25 +172,30 @@ def widths(effect):
     return [own.upper - own.value for own in effect.parameters]
 
 
-def test_an_interval_is_that_of_95_percent_of_the_posterior_or_wider_where_flights_disagree(found):
-    """1.96 standard deviations to either side, or Student's quantile times the disagreement."""
-    search, (effect,) = found.discovery.found, found.discovery.effects
-    (index,) = search.chosen
-    few = student.ppf(0.975, len(search.regression.flights) - 1)
-    times = np.maximum(1.96, few * search.disagreement(index))
-    np.testing.assert_allclose(widths(effect), times * search.posterior(index), rtol=1e-4)
+@pytest.mark.parametrize("differs", [[0.5, 0.9, 0.0], [0.5, 4.0, 1.5]])
+def test_an_interval_is_that_of_95_percent_and_wider_where_flights_disagree(
+    dragged, simulation, monkeypatch, differs
+):
+    """1.96 standard deviations of the posterior to either side, times what they differ by beyond that."""
+    monkeypatch.setattr(Closing, "disagreement", lambda *_: np.array(differs))
+    discovery = discover(simulation, dragged, names=["body_drag"])
+    (effect,), (index,) = discovery.effects, discovery.found.chosen
+    expected = 1.96 * discovery.found.posterior(index) * np.maximum(differs, 1.0)
+    np.testing.assert_allclose(widths(effect), expected, rtol=1e-4)
 
 
 def test_flights_that_differ_widen_an_interval(simulation, flights, pushed):
     """One flight of all has half of the force, which the posterior of one fit to all does not know."""
-    made = []
-    for place, flight in enumerate(flights):
-        wrench = np.zeros((len(flight), 6))
-        wrench[:, 0] = 0.1 if place == 0 else 0.2
-        made.append(pushed(flight, simulation.vehicle, wrench))
-    discovery = discover(simulation, made, names=["force_bias"])
-    (effect,), (index,) = discovery.effects, discovery.found.chosen
-    assert widths(effect)[0] > 3.0 * discovery.found.posterior(index)[0]
+    wide = {}
+    for first in (0.1, 0.2):
+        made = []
+        for place, flight in enumerate(flights):
+            wrench = np.zeros((len(flight), 6))
+            wrench[:, 0] = first if place == 0 else 0.2
+            made.append(pushed(flight, simulation.vehicle, wrench))
+        discovery = discover(simulation, made, names=["force_bias"])
+        wide[first] = widths(discovery.effects[0])[0]
+    assert wide[0.1] > 3.0 * wide[0.2]
 
 
 @pytest.mark.slow
