@@ -216,8 +216,8 @@ class Closing:
 
         The spread is the jackknife's, of fits without each flight in turn. A flight that alone shows an
         effect spreads it, too, but then the fit without it says that it knows less: the spread is compared
-        with that, where it is more. A ratio of 1 is expected where the law holds; see Birge, The calculation
-        of errors by the method of least squares (1932).
+        with that, where it is more. Where the law holds, 1 is the most to expect; see Birge, The
+        calculation of errors by the method of least squares (1932).
 
         Args:
             index: index of the candidate.

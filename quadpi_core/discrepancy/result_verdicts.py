@@ -73,15 +73,15 @@ DISAGREEMENT = Threshold(
     "spread of a parameter between flights",
     3.0,
     "of what one fit to all leaves open, as a standard deviation",
-    "1 where the law holds, and at most 2 where an effect has its right name; one that imitates something "
-    "else has another parameter in each flight, and 3.5 to 6 times the spread",
-    DEVELOPMENT,
+    "a chance of six in a million for a law that holds, on four flights, and less on more",
+    CONVENTION,
 )
 ALL_BUT_CLOSED = Threshold(
     "open share of the gap of a law that flights need not agree on",
     0.05,
     "of the squares of flights left out above the floor",
-    "right names leave less, such as a delay whose filter the law does not have",
+    "right names whose law differs from the hidden one, as wind that grows with height, differ by up to ten "
+    "times from flight to flight, and leave 1 % of the gap",
     DEVELOPMENT,
 )
 WORSE_ROLLOUTS = Threshold(

@@ -79,7 +79,7 @@ def test_a_bound_makes_no_flight_disagree(closing):
     block, deviation = closing.regression.block(index), np.full(3, 1e-9)
     law = closing.fits()[0].of(block.parameters)
     free = closing.disagreement(index, deviation)
-    # Each bound is so near that every fit without a flight which pulls upwards would leave it.
+    # Bounds so near that every fit without a flight would leave them.
     blocks = list(closing.regression.columns.blocks)
     blocks[index] = replace(block, lowest=law - 1e-9, highest=law + 1e-9)
     columns = replace(closing.regression.columns, blocks=tuple(blocks))

@@ -154,13 +154,20 @@ def test_an_effect_on_which_flights_disagree_is_doubted(found, monkeypatch):
     )
     # What closes the gap all the same describes all flights.
     assert doubted(found, gap=found.discovery.gap._replace(reduction=0.96)) == ()
-    own = found.discovery.found
-    open_gap = found.discovery.gap._replace(reduction=0.94)
-    anew = judged_by_gap(found.discovery, open_gap)
-    assert [check.passed for check in anew if check.test == "agreement"] == [False]
+    anew = judged_by_gap(found.discovery, found.discovery.gap._replace(reduction=0.94))
+    assert [check.test for check in anew if not check.passed] == ["agreement"]
+    assert sorted(check.test for check in anew) == sorted(check.test for check in found.discovery.checks)
+    (agreed,) = (
+        check
+        for check in judged_by_gap(found.discovery, found.discovery.gap._replace(reduction=0.96))
+        if check.test == "agreement"
+    )
+    assert agreed.sentence.endswith("3 allowed, but no more than 4 % of the gap stays")
     # Of three flights, each that is left out shows something of its own.
+    own = found.discovery.found
     few = replace(own.regression.columns, flights=own.regression.flights[:3])
-    assert not replace(own, regression=replace(own.regression, columns=few)).disagreement(own.chosen[0]).any()
+    three = replace(own, regression=replace(own.regression, columns=few))
+    assert not three.disagreement(own.chosen[0]).any()
 
 
 @pytest.mark.parametrize(

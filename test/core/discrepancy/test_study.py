@@ -186,7 +186,7 @@ def test_an_interval_is_that_of_95_percent_and_wider_where_flights_disagree(
 
 def test_flights_that_differ_widen_an_interval(simulation, flights, pushed):
     """One flight of all has half of the force, which the posterior of one fit to all does not know."""
-    wide = {}
+    wider = {}
     for first in (0.1, 0.2):
         made = []
         for place, flight in enumerate(flights):
@@ -194,8 +194,10 @@ def test_flights_that_differ_widen_an_interval(simulation, flights, pushed):
             wrench[:, 0] = first if place == 0 else 0.2
             made.append(pushed(flight, simulation.vehicle, wrench))
         discovery = discover(simulation, made, names=["force_bias"])
-        wide[first] = widths(discovery.effects[0])[0]
-    assert wide[0.1] > 3.0 * wide[0.2]
+        (index,) = discovery.found.chosen
+        wider[first] = widths(discovery.effects[0])[0] / (1.96 * discovery.found.posterior(index)[0])
+    assert wider[0.1] > 3.0
+    assert 1.0 <= wider[0.2] < 0.5 * wider[0.1]
 
 
 @pytest.mark.slow
