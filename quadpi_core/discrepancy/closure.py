@@ -224,8 +224,7 @@ class Closing:
             deviation: (k,) of its parameters in the fit to all, in prior ones; 0 for those at a bound.
         """
         columns, law = self.regression.block(index).parameters, self._law(None)
-        # Bounds would hold what a fit without a flight knows least, and call it known.
-        without = [refit(self.regression.gram - own, law, self._blocks) for own in self._per_flight]
+        without = self._unbounded
         values = np.array([fit.of(columns) for fit in without])
         lost = [np.square(fit.deviation(columns)) - np.square(law.deviation(columns)) for fit in without]
         share = (len(without) - 1) / len(without)
@@ -257,6 +256,15 @@ class Closing:
         shares[axes] = AXES_OVER_FORM.value * weights[: len(axes)] - slopes @ modulators.mean
         shape = zip(SHAPE, np.concatenate((shares, slopes)), strict=True)
         return {p.name: float(np.clip(value, p.lowest, p.highest)) for p, value in shape if value}
+
+    @cached_property
+    def _unbounded(self) -> list[Fit]:
+        """For each flight the fit by the laws alone on all other flights, without bounds.
+
+        Bounds would hold what a fit without a flight knows least, and call it known.
+        """
+        law = self._law(None)
+        return [refit(self.regression.gram - own, law, self._blocks) for own in self._per_flight]
 
     @property
     def _per_flight(self) -> Array:

@@ -122,7 +122,7 @@ def fit(gram: Array, tolerances: Indices, blocks: Sequence[Block]) -> Fit | None
 
 
 def refit(gram: Array, found: Fit, blocks: Sequence[Block]) -> Fit:
-    """Fit the columns of a fit without forms anew, to another Gram matrix and whatever their bounds are.
+    """Fit the same columns to another Gram matrix, without bounds; those of a fit without form columns.
 
     Args:
         gram: (K, K); column 0 is the residual.
