@@ -24,13 +24,6 @@ FALSE_ALARMS = Threshold(
     0.01,
     "share of searches without any effect",
     "half of the 2 % that the blind benchmark allows: a wrong name costs more than a missed small effect",
-    "drawn for each search: 1000 residuals within tolerances and noise, on the flights at hand",
-)
-LEAST_EVIDENCE = Threshold(
-    "least evidence",
-    5.0,
-    "nat",
-    "odds of about 150, even where the calibration by draws requires less",
     CONVENTION,
 )
 FURTHER_SHARE = Threshold(
@@ -151,14 +144,13 @@ class Judgement:
         return next(verdict for verdict in self.verdicts if verdict.test == wanted)
 
 
-def evidence_threshold(gains: Array) -> float:
-    """Evidence that a first effect has to gain, from the largest gains (D,) of draws without any effect.
+def least_evidence(candidates: int) -> float:
+    """Evidence [nat] that a first effect has to gain, given the number of candidates.
 
-    They are minus infinity where no candidate is linear, for which alone there are draws.
+    Without any effect, the odds of the data with one candidate over those without exceed x in at most one
+    search of x: their mean is 1 (Markov's inequality). For any of several candidates the chances add up.
     """
-    if not np.isfinite(gains).any():
-        return LEAST_EVIDENCE.value
-    return max(float(np.quantile(gains, 1.0 - FALSE_ALARMS.value)), LEAST_EVIDENCE.value)
+    return float(np.log(max(candidates, 1) / FALSE_ALARMS.value))
 
 
 def evidence_beside(energy: float, *, law: bool, beside_law: bool, scales: bool) -> float:

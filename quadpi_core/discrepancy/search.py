@@ -16,9 +16,9 @@ from quadpi_core.discrepancy.acceptance import (
     NAMED_ALONE,
     Judgement,
     evidence_beside,
-    evidence_threshold,
     judge_evidence,
     judge_size,
+    least_evidence,
     rival_margin,
     scales_beside_law,
 )
@@ -26,7 +26,7 @@ from quadpi_core.discrepancy.candidates import Candidate
 from quadpi_core.discrepancy.closure import Closing, Gap
 from quadpi_core.discrepancy.effect_regression import Regression, refined, settled
 from quadpi_core.discrepancy.effect_response import Compared
-from quadpi_core.discrepancy.evidence import Fit, null_gains
+from quadpi_core.discrepancy.evidence import Fit
 from quadpi_core.discrepancy.trial import Trial
 from quadpi_core.discrepancy.unexplained import (
     Left,
@@ -43,13 +43,6 @@ MOST_EFFECTS = Threshold(
     3,
     "effects",
     "more than a person would look for at once; the rest counts as unexplained",
-    CONVENTION,
-)
-CALIBRATION_DRAWS = Threshold(
-    "searches without any effect",
-    1000,
-    "draws",
-    "ten of them lie beyond the quantile that limits false alarms",
     CONVENTION,
 )
 
@@ -139,18 +132,17 @@ class Accepted:
 
 
 def search(
-    flights: Sequence[Compared], candidates: Sequence[Candidate], seed: int, held: npt.NDArray[np.bool_]
+    flights: Sequence[Compared], candidates: Sequence[Candidate], held: npt.NDArray[np.bool_]
 ) -> Found:
     """Search flights for candidates.
 
     Args:
         flights: at least two, beside their simulation.
         candidates: effects to look for.
-        seed: seed of the calibration of the threshold.
         held: see :meth:`Regression.of`.
     """
     regression = Regression.of(flights, candidates, held)
-    threshold = _calibrated_threshold(regression, seed)
+    threshold = least_evidence(len(candidates))
     none = _require(regression.fit(()))
     accepted = Accepted(settled(regression), (), none)
     idle: frozenset[int] = frozenset()
@@ -240,14 +232,6 @@ def _replaced(
         return None, judgement
     assert trial.accepted_fit is not None
     return Accepted(trial.reweighted, trial.larger, trial.accepted_fit), judgement
-
-
-def _calibrated_threshold(regression: Regression, seed: int) -> float:
-    """Evidence that a first effect has to gain, calibrated on draws without any effect."""
-    linear = [block for block in regression.columns.blocks if block.offset is None]
-    rng = np.random.default_rng(seed)
-    gains = null_gains(regression.gram, regression.columns.tolerances, linear, CALIBRATION_DRAWS.value, rng)
-    return evidence_threshold(gains)
 
 
 def _one_more(

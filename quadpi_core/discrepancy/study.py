@@ -12,7 +12,6 @@ import numpy as np
 from scipy.special import ndtri
 from threadpoolctl import threadpool_limits
 
-from quadpi_core.discrepancy.acceptance import LEAST_EVIDENCE
 from quadpi_core.discrepancy.by_condition import locate
 from quadpi_core.discrepancy.candidates import candidates
 from quadpi_core.discrepancy.discrepancy_result import (
@@ -128,7 +127,7 @@ def study(
             speeds that do not change.
     """
     missing = require_excitation(flights, simulation.vehicle)
-    discovery = discover(simulation, flights, names=names, seed=seed)
+    discovery = discover(simulation, flights, names=names)
     flown_again = None
     if discovery.effects:
         discovery, flown_again = _flown_again(discovery)
@@ -168,7 +167,6 @@ def discover(
     flights: Sequence[Flight],
     *,
     names: Sequence[str] | None = None,
-    seed: int = 0,
     highest_hz: float = BAND_HZ.value,
 ) -> Discovery:
     """Find the effects that explain where a simulation and flights disagree.
@@ -177,7 +175,6 @@ def discover(
         simulation: simulation to compare with.
         flights: at least two flights of the simulation's vehicle, fused and in the air.
         names: names of effects to look for; unless given, all.
-        seed: seed of the calibration.
         highest_hz: highest frequency at which simulation and flights are compared.
 
     Raises:
@@ -198,7 +195,7 @@ def discover(
     sought = [candidate for candidate in known if candidate.name not in inside]
     # Products are so small that two threads take twice the time of one.
     with threadpool_limits(limits=1, user_api="blas"):
-        found = search(compared, sought, seed, held)
+        found = search(compared, sought, held)
     rows = sum(len(band) for band in found.regression.columns.bands)
     left = np.where(held, 0.0, predictable(found.left.gain, rows))
     named = np.where(held, 0.0, np.maximum(found.named, 0.0))
@@ -237,7 +234,7 @@ def _without_trace(found: Found) -> tuple[str, ...]:
     shown = {
         candidate.name
         for index, candidate in enumerate(regression.candidates)
-        if 0.5 * squares[regression.block(index).parameters].sum() >= LEAST_EVIDENCE.value
+        if 0.5 * squares[regression.block(index).parameters].sum() >= found.threshold
     }
     return tuple(dict.fromkeys(c.name for c in regression.candidates if c.name not in shown))
 

@@ -386,11 +386,7 @@ def bridged(share):
 # What a value in the unit of a threshold leads to, and where that turns over. The values are those of the
 # thresholds, so that neither changes alone.
 EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
-    "FALSE_ALARMS": (
-        0.01,
-        lambda x: acceptance.evidence_threshold(np.where(np.arange(1e4) < 1e4 * x, 99.0, 6.0)) > 50.0,
-    ),
-    "LEAST_EVIDENCE": (5.0, lambda x: judge_evidence(x, acceptance.evidence_threshold(np.zeros(9))).passed),
+    "FALSE_ALARMS": (0.01, lambda x: judge_evidence(np.log(20.0 / x), acceptance.least_evidence(20)).passed),
     "FURTHER_SHARE": (0.05, lambda x: beside(1000.0 * x, energy=1000.0)),
     "FURTHER_LEAST": (20.0, lambda x: beside(x, energy=0.0) and beside(x, scales=True)),
     "FURTHER_NUMBER": (100.0, beside),
@@ -504,7 +500,6 @@ ALONE = {
         "ADJUSTED_MAX",
         "AVERAGE_HZ",
         "AXES_OVER_FORM",
-        "CALIBRATION_DRAWS",
         "CELL_DRAWS",
         "EDGES_HZ",
         "LAGS_S",
@@ -550,10 +545,9 @@ def test_an_adjustment_of_more_than_ten_tolerances_is_refused(tmp_path):
     assert not loads_with(tmp_path, 10.1)
 
 
-def test_draws_without_any_effect_resolve_the_quantiles_that_decide():
-    """Ten searches beyond the false alarms; five draws beyond the significance of a cell."""
+def test_draws_without_any_effect_resolve_the_quantile_that_decides():
+    """Five draws beyond the significance of a cell."""
     found = thresholds()
-    assert found["CALIBRATION_DRAWS"].value * found["FALSE_ALARMS"].value == pytest.approx(10.0)
     assert found["CELL_DRAWS"].value * found["SIGNIFICANCE"].value == pytest.approx(5.0)
 
 

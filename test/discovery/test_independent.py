@@ -18,10 +18,11 @@ pytest.importorskip("rotorpy")
 
 from independent import cases, flying, measures, recording
 from independent.airframes import GRAVITY_M_S2, HERE, Blades, airframes
-from independent.cases import IndependentCase, benchmark_cases
+from independent.cases import IndependentCase, NotFlownError, benchmark_cases
 from independent.hidden_effects import EFFECTS, OUTSIDE, Flown, ordinary
 from independent.hidden_physics import LAWS, Moment
 from independent.nominal import nominal_wrench
+from independent.searching import Task, searched
 
 from quadpi_core.simulation.effect_registry import EFFECTS as LIBRARY
 from quadpi_core.vehicle import Vehicle
@@ -32,6 +33,16 @@ TOOL = Path(__file__).parents[2] / "tools" / "discovery_independent.py"
 @pytest.fixture(scope="module", params=[0, 1], ids=["hummingbird", "crazyflie"])
 def airframe(request):
     return airframes()[request.param]
+
+
+@pytest.fixture
+def tool(monkeypatch):
+    """The program, which changes the path of modules."""
+    spec = importlib.util.spec_from_file_location("discovery_independent", TOOL)
+    module = importlib.util.module_from_spec(spec)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    spec.loader.exec_module(module)
+    return module
 
 
 @pytest.fixture
@@ -75,7 +86,7 @@ def test_laws_and_flights_owe_the_library_nothing():
 
 
 def test_seeds_kept_aside_are_no_others():
-    assert not set(cases.DEVELOPMENT) & set(cases.RESERVED)
+    assert not {*cases.DEVELOPMENT, *cases.OPENED} & set(cases.RESERVED)
     assert len(cases.DEVELOPMENT) == len(cases.RESERVED) >= 3
     both = [case.key for case in (*benchmark_cases(), *benchmark_cases(cases.RESERVED))]
     assert len(set(both)) == len(both)
@@ -191,6 +202,21 @@ def test_a_table_tells_nothing_but_numbers(airframe):
     assert len(table) == flying.DURATION_S * flying.RATE_HZ
 
 
+def test_a_case_that_rotorpy_cannot_fly_is_left_out_and_said(tool, tmp_path, monkeypatch):
+    def lost(*_):
+        raise RuntimeError("RotorPy loses its path after 1.00 s of turns")
+
+    monkeypatch.setattr(flying, "fly", lost)
+    case = cases.short_cases()[0]
+    with pytest.raises(NotFlownError, match="of turns"):
+        case.logs(tmp_path)
+    assert not list(tmp_path.rglob("*.parquet"))
+    task = Task(case, tmp_path, "mocap")
+    assert searched(None, task) == []
+    assert tool.not_searched([task], [[]]) == ["nothing × 0 of seed 5000"]
+    assert tool.not_searched([task], [[{}]]) == []
+
+
 def found(hidden, verdict, effects, truth):
     named = [
         {"name": name, "probability": 0.99, "parameters": {"p": {"lower": low, "upper": high}}}
@@ -232,11 +258,7 @@ def test_scoring():
 
 
 @pytest.mark.slow
-def test_a_few_cases_from_flights_to_figures(tmp_path, monkeypatch, capsys):
-    spec = importlib.util.spec_from_file_location("discovery_independent", TOOL)
-    tool = importlib.util.module_from_spec(spec)
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    spec.loader.exec_module(tool)
+def test_a_few_cases_from_flights_to_figures(tool, tmp_path, monkeypatch, capsys):
     out, store = tmp_path / "found.json", tmp_path / "store"
     arguments = ["--short", "--mappings", "mocap", "--workers", "1", "--out", str(out), "--store", str(store)]
     monkeypatch.setattr(sys, "argv", [str(TOOL), *arguments, "--work", str(tmp_path / "work")])

@@ -104,7 +104,7 @@ def blade_flapping(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
 @effect(
     "wrench",
     "Fz Mx My",
-    Parameter("lift_n_s2_m2", "N s²/m²", 0.0058, -0.1, 0.1),
+    Parameter("lift_n_s2_m2", "N s²/m²", 0.0058, 0.0, 0.1),
     shown_by="speed sweep at constant height",
     form=AERODYNAMIC,
     formula=r"\Delta T_i = \tfrac14\,k\,\min\!\left(u_i^2 + v_i^2,\ (0.6\,\omega_i R)^2\right)",

@@ -27,7 +27,7 @@ NOISE = np.array([0.03, 0.03, 0.03, 3e-3, 3e-3, 3e-3])
 
 def searched(simulation, flights, names=SOUGHT):
     compared = [Compared(flight, simulation) for flight in flights]
-    return search(compared, candidates(simulation.vehicle, names), 0, NONE_HELD)
+    return search(compared, candidates(simulation.vehicle, names), NONE_HELD)
 
 
 @pytest.fixture(scope="module")

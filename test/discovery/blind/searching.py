@@ -27,7 +27,7 @@ def searched(shared: None, case: Case) -> dict[str, Any]:  # noqa: ARG001
     began = time.perf_counter()
     left = None
     try:
-        discovery = discover(simulation, flights, seed=0)
+        discovery = discover(simulation, flights)
         result = discovery_json(discovery)
         if result["verdict"] == "effects" and checks:
             left = gap_left(simulation, augmented(discovery), checks, _floor())

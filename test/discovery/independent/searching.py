@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from independent.airframes import HERE
-from independent.cases import IndependentCase
+from independent.cases import IndependentCase, NotFlownError
 from quadpi_core.discrepancy.discrepancy_result import discovery_json
 from quadpi_core.discrepancy.loading import load_simulation
 from quadpi_core.discrepancy.search import Found
@@ -41,11 +41,17 @@ class Task(NamedTuple):
 
 
 def searched(shared: None, task: Task) -> list[dict[str, Any]]:  # noqa: ARG001
-    """Per kind of simulation what the search says, beside the seal and the true parameters."""
+    """Per kind of simulation what the search says, beside the seal and the true parameters.
+
+    Nothing of a case that RotorPy cannot fly.
+    """
     case, found = task.case, []
     # What the reader says of rows without a pose would be said of every flight.
     logging.getLogger("quadpi_core").setLevel(logging.ERROR)
-    logs = case.logs(task.store)
+    try:
+        logs = case.logs(task.store)
+    except NotFlownError:
+        return []
     truth = json.loads((logs[0].parent / "truth.json").read_text(encoding="utf-8"))
     with tempfile.TemporaryDirectory() as folder:
         bags = _imported(task, logs, Path(folder))
@@ -58,7 +64,7 @@ def searched(shared: None, task: Task) -> list[dict[str, Any]]:  # noqa: ARG001
             try:
                 simulation = load_simulation(names[mode], vehicle, bags)
                 flights = flights or read_flights(bags, simulation, workers=Workers(1))
-                discovery = discover(simulation, flights, seed=0)
+                discovery = discover(simulation, flights)
                 result, detail = discovery_json(discovery), _detail(discovery.found)
             except Exception as error:
                 # Whatever is raised on possible flights is a failure to list, not the end of the run.
