@@ -21,7 +21,7 @@ import numpy as np
 
 from quadpi_core.discrepancy.acceptance import FEW_FLIGHTS
 from quadpi_core.discrepancy.own_state import INDEPENDENT_HZ
-from quadpi_core.discrepancy.uncertain_parts import EVEN, SQUARED
+from quadpi_core.discrepancy.uncertain_parts import EVEN, LINEAR, SQUARED
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array
 from quadpi_core.inputs import relative_to_air
@@ -41,11 +41,11 @@ class Instruments(NamedTuple):
 
     Attributes:
         values: (N, J).
-        parts: name, see :class:`.uncertain_parts.Part`, and range of the functions of each part.
+        parts: name and law, see :class:`.uncertain_parts.Part`, and range of the functions of each part.
     """
 
     values: Array
-    parts: tuple[tuple[str, slice], ...]
+    parts: tuple[tuple[str, str, slice], ...]
 
     @classmethod
     def of(cls, flight: Flight, vehicle: Vehicle, hover_rotor_speed: float) -> Instruments:
@@ -69,7 +69,8 @@ class Instruments(NamedTuple):
         values, parts, first = [], [], 0
         for name, functions in groups.items():
             own = np.concatenate(functions, axis=1)
-            parts.append((name, slice(first, first + own.shape[1])))
+            law = name if name in {EVEN, SQUARED} else LINEAR
+            parts.append((name, law, slice(first, first + own.shape[1])))
             values.append(own)
             first += own.shape[1]
         return cls(np.concatenate(values, axis=1), tuple(parts))

@@ -30,9 +30,6 @@ from quadpi_core.signals.resample import (
 )
 from quadpi_core.vehicle import ROTORS, Vehicle
 
-# Law of all that is not thrust or torque: the parts of one that was learned from flights are not exact.
-_REST = "the rest"
-
 
 class Recorded(NamedTuple):
     """Wrench (N, 6) of one flight at even stamps (N,), low-passed as flights are."""
@@ -156,8 +153,8 @@ class RecordedSimulation(Simulation):
         """See :class:`Simulation`; by :func:`part_columns`."""
         found, weights = self._instruments(flight), self._weights(flight)
         parts = [Part(OF_ROTORS, self._rotors(flight), OF_ROTORS)]
-        for name, functions in found.parts:
-            parts.append(Part(name, found.values[:, functions] @ weights[functions], _REST))
+        for name, law, functions in found.parts:
+            parts.append(Part(name, found.values[:, functions] @ weights[functions], law))
         return part_columns(parts, self.tolerances)
 
     def _weights(self, flight: Flight) -> Array:

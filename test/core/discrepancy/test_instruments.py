@@ -11,7 +11,7 @@ import pytest
 
 from quadpi_core.discrepancy.instruments import Instruments, learned_weights
 from quadpi_core.discrepancy.own_state import INDEPENDENT_HZ
-from quadpi_core.discrepancy.uncertain_parts import EVEN, SQUARED
+from quadpi_core.discrepancy.uncertain_parts import EVEN, LINEAR, SQUARED
 
 # Every sample is independent.
 RATE_HZ = INDEPENDENT_HZ.value
@@ -29,7 +29,7 @@ def moving(flight, airspeed, rates):
 
 
 def part(found, name):
-    return found.values[:, dict(found.parts)[name]]
+    return found.values[:, next(own for part, _, own in found.parts if part == name)]
 
 
 # --- The functions
@@ -37,9 +37,14 @@ def part(found, name):
 
 def test_parts_divide_the_functions(flights, simulation):
     found = functions_of(flights[0], simulation)
-    ranges = [range(*own.indices(found.values.shape[1])) for _, own in found.parts]
+    ranges = [range(*own.indices(found.values.shape[1])) for *_, own in found.parts]
     assert [index for own in ranges for index in own] == list(range(found.values.shape[1]))
-    assert [name for name, _ in found.parts] == ["rates", "airspeed", EVEN, SQUARED]
+    assert [part[:2] for part in found.parts] == [
+        ("rates", LINEAR),
+        ("airspeed", LINEAR),
+        (EVEN, EVEN),
+        (SQUARED, SQUARED),
+    ]
     assert np.all(np.isfinite(found.values))
     assert np.quantile(np.abs(found.values), 0.99) < 100.0
 
