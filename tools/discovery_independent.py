@@ -68,7 +68,7 @@ def estimates_table(findings: Sequence[Finding]) -> str:
 def not_searched(tasks: Sequence[Task], found: Sequence[Sequence[Any]]) -> list[str]:
     """Cases of tasks without results, which RotorPy cannot fly; each once."""
     hidden = [task.case.hidden for task, several in zip(tasks, found, strict=True) if not several]
-    titles = [f"{' + '.join(h.effects) or 'nothing'} × {h.size:g} of seed {h.seed}" for h in hidden]
+    titles = [f"{' + '.join(own.effects) or 'nothing'} × {own.size:g} of seed {own.seed}" for own in hidden]
     return list(dict.fromkeys(titles))
 
 
@@ -141,6 +141,8 @@ def main() -> None:
     tasks = [Task(case, options.store, mapping) for mapping in options.mappings for case in cases]
     found = run(tasks, options.work / fingerprint(), options.workers, searched)
     results = [one for several in found for one in several]
+    if not results:
+        sys.exit("RotorPy cannot fly any of these cases")
     findings = [Finding.of(one) for one in results]
     parts = [
         f"{len(cases)} cases, {len(results)} searches; "

@@ -36,7 +36,7 @@ def discrepancy(
         bool,
         typer.Option("--allow-code", help="Run the function that an addition.json names; trust its author."),
     ] = False,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the draws that thresholds are set from.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the draws that ranges are tested with.")] = 0,
     workers: options.FileProcessCount = None,
     scheduler: options.Scheduler = None,
     json_file: options.JsonFile = None,

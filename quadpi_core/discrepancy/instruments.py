@@ -59,17 +59,16 @@ class Instruments(NamedTuple):
         sums = _sums(vehicle)
         summed = speeds @ sums
         by_airspeed = np.concatenate((_products(velocity), _between(velocity, rates)), axis=1)
-        groups = {
-            "rates": (np.ones_like(mean), summed, speeds**2 @ sums, rates, _between(summed, rates),
-                                _products(rates), airspeed * rates),
-            "airspeed": (velocity, _between(summed, velocity)),
-            EVEN: (by_airspeed, mean * by_airspeed),
-            SQUARED: (airspeed * velocity, airspeed**2 * velocity),
-        }  # fmt: skip
+        groups = (
+            ("rates", LINEAR, (np.ones_like(mean), summed, speeds**2 @ sums, rates, _between(summed, rates),
+                                _products(rates), airspeed * rates)),
+            ("airspeed", LINEAR, (velocity, _between(summed, velocity))),
+            (EVEN, EVEN, (by_airspeed, mean * by_airspeed)),
+            (SQUARED, SQUARED, (airspeed * velocity, airspeed**2 * velocity)),
+        )  # fmt: skip
         values, parts, first = [], [], 0
-        for name, functions in groups.items():
+        for name, law, functions in groups:
             own = np.concatenate(functions, axis=1)
-            law = name if name in {EVEN, SQUARED} else LINEAR
             parts.append((name, law, slice(first, first + own.shape[1])))
             values.append(own)
             first += own.shape[1]

@@ -9,7 +9,9 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from quadpi_core.discrepancy.acceptance import least_evidence
+from quadpi_core.discrepancy.candidates import candidates
 from quadpi_core.discrepancy.evidence import Block, fit
+from quadpi_core.vehicle import Vehicle
 
 NONE = np.array([], dtype=np.intp)
 RESIDUAL, LAW, FORM = range(3)
@@ -96,15 +98,26 @@ def test_a_parameter_beyond_its_bound_is_nothing_and_the_rest_is_fitted_again():
     np.testing.assert_allclose(bounded.of(np.array([1])), one.of(np.array([1])))
 
 
-def test_without_an_effect_the_least_evidence_is_gained_no_more_often_than_is_stated():
-    """Twelve candidates: of noise alone, at most one search of a hundred has one with that much evidence."""
+def test_without_an_effect_the_odds_of_a_candidate_are_one_on_average():
+    """What the least evidence rests on; a parameter whose bounds leave nothing of it has less."""
     rng = np.random.default_rng(3)
-    needed, alarms, searches = least_evidence(12), 0, 3000
-    blocks = [Block(np.array([i + 1]), NONE, 1.0, None, np.array([-9.0]), np.array([9.0])) for i in range(12)]
-    columns = 0.5 * rng.standard_normal((40, 12))
-    for _ in range(searches):
+    columns = 0.1 * rng.standard_normal((40, 2))
+    odds = np.zeros((4000, 2))
+    for own in odds:
         table = np.column_stack((rng.standard_normal(40), columns))
         gram = table.T @ table
         none = fit(gram, NONE, []).log_evidence
-        alarms += any(fit(gram, NONE, [block]).log_evidence - none > needed for block in blocks)
-    assert alarms <= 0.01 * searches
+        for place, lowest in enumerate((-9.0, 0.0)):
+            one = Block(np.array([1]), NONE, 1.0, None, np.array([lowest]), np.array([9.0]))
+            found = fit(gram, NONE, [one])
+            own[place] = 0.0 if found is None else np.exp(found.log_evidence - none)
+    assert odds[:, 0].mean() == pytest.approx(1.0, abs=0.03)
+    assert odds[:, 1].mean() < 0.9
+
+
+def test_the_least_evidence_counts_the_candidates():
+    """By the sum of their chances: of twelve, twelve times as great odds."""
+    assert least_evidence(12) - least_evidence(1) == pytest.approx(np.log(12.0))
+    known = candidates(Vehicle.load("bebop2"), None)
+    assert len(known) == 35
+    assert least_evidence(len(known)) == pytest.approx(8.16, abs=0.005)

@@ -84,6 +84,10 @@ def test_half_a_rotor():
             {"payload": {"mass_kg": 9}},
             "file: effect `payload`: `mass_kg` must be between 0 and 5 kg, found 9",
         ),
+        (
+            {"translational_lift": {"lift_n_s2_m2": -0.001}},
+            "file: effect `translational_lift`: `lift_n_s2_m2` must be between 0 and 0.1 N s²/m², found",
+        ),
         ({7: None}, "file: unknown effect `7`; known: body_drag, "),
     ],
 )
