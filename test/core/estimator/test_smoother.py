@@ -135,3 +135,21 @@ def test_a_pause_of_the_imu_makes_two_segments(noisy_vehicle, simulated):
     assert np.array_equal(smoothed.time_ns, trace.time_ns)
     index = np.searchsorted(imu.time_ns, smoothed.time_ns)
     assert np.max(np.abs(smoothed.velocity - simulated.truth.velocity[index])) < 0.1
+
+
+def test_a_delay_other_than_that_of_the_filter_does_not_run_away(noisy_vehicle, simulated):
+    """By 4 ms at the start, as rounding once grew to: by the end a tenth of it is left."""
+    (segment,) = Ekf(noisy_vehicle, RATE).segments(simulated.recording)
+    other = segment.initial.estimate.copy()
+    other["delay"] += 0.004
+    late = segment._replace(initial=segment.initial._replace(estimate=other))
+    inputs = Inputs(imu_records(simulated.recording.imu)[segment.samples], segment.journal, segment.noise)
+    passes = []
+    for begun in (segment, late):
+        estimate = begun.initial.estimate.copy()
+        forward(inputs, estimate, 0, len(segment.samples), 0, Tape.empty(0, 0))
+        passes.append(estimate)
+    one, two = passes
+    assert abs(one["delay"][0] - two["delay"][0]) < 4e-4
+    np.testing.assert_allclose(one["gyro_bias"], two["gyro_bias"], atol=1e-3)
+    np.testing.assert_allclose(one["position"], two["position"], atol=1e-3)
