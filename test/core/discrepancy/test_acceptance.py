@@ -5,8 +5,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
-from quadpi_core.discrepancy.acceptance import LEAST_EVIDENCE, evidence_threshold, judge_left_out
+from quadpi_core.discrepancy.acceptance import judge_left_out, least_evidence
+from quadpi_core.discrepancy.candidates import candidates
+from quadpi_core.vehicle import Vehicle
 
 SQUARES = np.full(6, 100.0)
 
@@ -22,7 +25,9 @@ def test_what_an_effect_takes_from_one_axis_may_return_in_another():
     assert judge_left_out(SQUARES, SQUARES + first_axis(140.0, -80.0), 10).passed
 
 
-def test_candidates_without_draws_need_the_least_evidence():
-    """Of wind alone, which is not linear, there are none."""
-    assert evidence_threshold(np.full(9, -np.inf)) == LEAST_EVIDENCE.value
-    assert evidence_threshold(np.full(9, 50.0)) == 50.0
+def test_the_least_evidence_counts_the_candidates():
+    """By the sum of their chances: of twelve, twelve times as great odds."""
+    assert least_evidence(12) - least_evidence(1) == pytest.approx(np.log(12.0))
+    known = candidates(Vehicle.load("bebop2"), None)
+    assert len(known) == 35
+    assert least_evidence(len(known)) == pytest.approx(8.16, abs=0.005)

@@ -8,10 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from quadpi_core.discrepancy.acceptance import least_evidence
-from quadpi_core.discrepancy.candidates import candidates
 from quadpi_core.discrepancy.evidence import Block, fit
-from quadpi_core.vehicle import Vehicle
 
 NONE = np.array([], dtype=np.intp)
 RESIDUAL, LAW, FORM = range(3)
@@ -113,11 +110,3 @@ def test_without_an_effect_the_odds_of_a_candidate_are_one_on_average():
             own[place] = 0.0 if found is None else np.exp(found.log_evidence - none)
     assert odds[:, 0].mean() == pytest.approx(1.0, abs=0.03)
     assert odds[:, 1].mean() < 0.9
-
-
-def test_the_least_evidence_counts_the_candidates():
-    """By the sum of their chances: of twelve, twelve times as great odds."""
-    assert least_evidence(12) - least_evidence(1) == pytest.approx(np.log(12.0))
-    known = candidates(Vehicle.load("bebop2"), None)
-    assert len(known) == 35
-    assert least_evidence(len(known)) == pytest.approx(8.16, abs=0.005)
