@@ -206,7 +206,7 @@ def _fuse(memory: Filter, ring: Records, measurement: Measurement) -> int:
     compared with what the motion of the nearest estimate makes of them.
     """
     newest = ring[memory.newest]
-    taken_ns = measurement.time_ns - round(1e9 * newest.delay)
+    taken_ns = corrections.taken_ns(newest, measurement)
     if taken_ns < newest.time_ns - _BUFFER_NS:
         return Outcome.TOO_LATE.value
     oldest = ring[(memory.newest - memory.filled + 1) % len(ring)]
@@ -215,8 +215,7 @@ def _fuse(memory: Filter, ring: Records, measurement: Measurement) -> int:
     if _frozen(memory, measurement):
         return Outcome.FROZEN.value
     correction = memory.correction
-    correction.time_ns, correction.lag = instant_ns, 1e-9 * (taken_ns - instant_ns)
-    correction.measurement = measurement
+    correction.time_ns, correction.measurement = instant_ns, measurement
     if not _corrected(memory, correction):
         return Outcome.REJECTED.value
     memory.sources[source_of(measurement)].refusals = 0
@@ -248,7 +247,7 @@ def _corrected(memory: Filter, correction: Correction) -> bool:
     gate = POSE_GATE if measurement.kind == POSE else VELOCITY_GATE
     widening.position, widening.velocity, widening.attitude, widening.delay = 0.0, 0.0, 0.0, 0.0
     memory.trial = memory.prior
-    correction.nis = corrections.fuse(memory.trial, noise, measurement, correction.lag, memory.scalars)
+    correction.nis = corrections.fuse(memory.trial, noise, measurement, memory.scalars)
     if correction.nis <= gate:
         return True
     if not _rejections_persist(memory, measurement):
@@ -256,7 +255,7 @@ def _corrected(memory: Filter, correction: Correction) -> bool:
     corrections.fill_widening(widening, memory.prior, noise, measurement)
     memory.trial = memory.prior
     corrections.widen(memory.trial, widening)
-    correction.nis = corrections.fuse(memory.trial, noise, measurement, correction.lag, memory.scalars)
+    correction.nis = corrections.fuse(memory.trial, noise, measurement, memory.scalars)
     return True
 
 

@@ -49,15 +49,24 @@ _SHOWS_STDS = 4.0
 
 
 @njit(cache=True)
-def fuse(estimate: Estimate, noise: Noise, measurement: Measurement, lag: float, scalars: Records) -> float:
+def taken_ns(estimate: Estimate, measurement: Measurement) -> int:
+    """Stamp of the instant at which a measurement was taken, by the delay of an estimate."""
+    return measurement.time_ns - round(1e9 * estimate.delay)
+
+
+@njit(cache=True)
+def fuse(estimate: Estimate, noise: Noise, measurement: Measurement, scalars: Records) -> float:
     """Correct an estimate by a pose or a velocity, one scalar at a time.
+
+    The measurement was taken earlier than it is stamped, by the delay of this estimate and of no other:
+    innovations that did not feel the delay that they correct would let it run away, from no more than
+    rounding. What lies between the estimate's instant and that one, where the measurement precedes a
+    correction already made or follows the newest IMU sample, is the estimate's own motion.
 
     Args:
         estimate: updated; its IMU sample is that of its instant.
         noise: of the sensors.
         measurement: to be fused.
-        lag: from the estimate's instant to that of the measurement, s; 0 unless it precedes a correction
-            already made or follows the newest IMU sample.
         scalars: (6,) :class:`Scalar`, filled for the smoother.
 
     Returns:
@@ -66,6 +75,7 @@ def fuse(estimate: Estimate, noise: Noise, measurement: Measurement, lag: float,
     for index in range(len(scalars)):
         for column in range(ERROR_STATES):
             scalars[index].jacobian[column] = 0.0
+    lag = 1e-9 * (taken_ns(estimate, measurement) - estimate.time_ns)
     if measurement.kind == POSE:
         count = 6
         _linearise_pose(estimate, noise, measurement, lag, scalars)

@@ -161,7 +161,6 @@ class Correction:
     """A measurement as it was fused."""
 
     time_ns: int  # of the estimate that it corrected
-    lag: float  # from that instant to the measurement's own, s
     nis: float  # squared innovation in units of its covariance
     measurement: Measurement
     widening: Widening

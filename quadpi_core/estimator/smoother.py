@@ -186,17 +186,11 @@ def _advance(
 
 @njit(cache=True)
 def _correct(inputs: Inputs, estimate: Estimate, correction: Correction, tape: Tape) -> None:
-    """Apply a correction as the filter did, at the filter's instant.
-
-    The lag is by the delay of this pass, not by the filter's: innovations that did not feel this delay would
-    let it run away, from no more than rounding of the instant.
-    """
+    """Apply a correction as the filter did, at the filter's instant."""
     length, measurement = tape.length[0], correction.measurement
     scalars = tape.scalars[length.scalars : length.scalars + 6]
     corrections.widen(estimate, correction.widening)
-    taken_ns = measurement.time_ns - round(1e9 * estimate.delay)
-    lag = 1e-9 * (taken_ns - estimate.time_ns)
-    corrections.fuse(estimate, inputs.noise[0], measurement, lag, scalars)
+    corrections.fuse(estimate, inputs.noise[0], measurement, scalars)
     if len(tape.events) > 0:
         for _ in range(6 if measurement.kind == POSE else 3):
             length.scalars += 1

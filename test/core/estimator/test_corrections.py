@@ -57,9 +57,13 @@ def measured(kind: int, vector: object, attitude: object = 0.0, time_ns: int = 0
 
 
 def fuse(estimate: Records, noise: Records, measurement: Records, lag: float = 0.0) -> tuple[Records, float]:
-    """The corrected estimate, and the squared innovation in units of its covariance."""
-    corrected = estimate.copy()
-    nis = corrections.fuse(corrected[0], noise[0], measurement[0], lag, np.zeros(6, SCALAR))
+    """The corrected estimate, and the squared innovation in units of its covariance.
+
+    The measurement is of a time `lag` after the estimate, and arrives late by the estimate's delay.
+    """
+    corrected, late = estimate.copy(), measurement.copy()
+    late["time_ns"] = estimate["time_ns"] + np.round(1e9 * (estimate["delay"] + lag)).astype(np.int64)
+    nis = corrections.fuse(corrected[0], noise[0], late[0], np.zeros(6, SCALAR))
     return corrected, nis
 
 
@@ -121,6 +125,18 @@ def test_a_lag_moves_what_is_expected_along_the_motion(estimate: Records, noise:
     ahead = measured(POSE, estimate["position"][0] + lag * estimate["velocity"][0], attitude)
     assert fuse(estimate, noise, ahead, lag)[1] == pytest.approx(0.0, abs=1e-9)
     assert fuse(estimate, noise, ahead)[1] > 0.01
+
+
+def test_a_measurement_is_of_the_instant_that_the_own_delay_says(estimate: Records, noise: Records) -> None:
+    """With a delay that is 20 ms longer, it was taken 20 ms earlier: along the motion, that far behind."""
+    estimate["time_ns"], estimate["delay"] = 7 * SECOND, 0.05
+    pose = measured(POSE, estimate["position"], estimate["attitude"], time_ns=7 * SECOND + SECOND // 20)
+    assert corrections.taken_ns(estimate[0], pose[0]) == 7 * SECOND
+    assert corrections.fuse(estimate.copy()[0], noise[0], pose[0], np.zeros(6, SCALAR)) < 1e-9
+    late, scalars = estimate.copy(), np.zeros(6, SCALAR)
+    late["delay"] += 0.02
+    corrections.fuse(late[0], noise[0], pose[0], scalars)
+    assert scalars["residual"][0] == pytest.approx(0.02 * estimate["velocity"][0, 0])
 
 
 def test_the_delay_is_found_in_motion_only(estimate: Records, noise: Records) -> None:
@@ -196,9 +212,9 @@ def test_an_uncertain_delay_widens_a_measurement_by_the_motion_that_it_leaves_ou
     estimate["covariance"][0, -1, -1] = delay_std**2
     left_out = (0.5 * 20.0 * delay_std**2) ** 2 * 2.0
     at_rest = measured(POSE, estimate["position"], estimate["attitude"])
-    corrections.fuse(estimate.copy()[0], noise[0], at_rest[0], 0.0, scalars)
+    corrections.fuse(estimate.copy()[0], noise[0], at_rest[0], scalars)
     np.testing.assert_allclose(scalars["variance"][3:], noise["attitude"][0] + left_out)
-    corrections.fuse(estimate.copy()[0], noise[0], measured(WORLD_VELOCITY, 0.0)[0], 0.0, scalars)
+    corrections.fuse(estimate.copy()[0], noise[0], measured(WORLD_VELOCITY, 0.0)[0], scalars)
     np.testing.assert_allclose(scalars["variance"][:3], noise["velocity"][0] + left_out)
 
 
