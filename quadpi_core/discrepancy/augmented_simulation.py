@@ -121,6 +121,10 @@ class AugmentedSimulation(Simulation):
         """See :class:`Simulation`; the base with what flights tell of it."""
         return replace(self, base=self.base.learned(flights))
 
+    def with_coefficients(self, multiples: Mapping[str, float]) -> AugmentedSimulation:
+        """See :class:`Simulation`; the base."""
+        return replace(self, base=self.base.with_coefficients(multiples))
+
     def knowing(self, flight: Flight) -> AugmentedSimulation:
         """See :class:`Simulation`; the base."""
         base = self.base.knowing(flight)
@@ -361,7 +365,7 @@ def _added(simulation: Simulation, effects: Effects, adjusted: dict[str, float])
         simulation = simulation.base
     effects = _possible(effects, simulation.vehicle)
     if isinstance(simulation, VehicleSimulation):
-        return AugmentedSimulation(simulation.adjusted(adjusted), effects)
+        return AugmentedSimulation(simulation.with_coefficients(adjusted), effects)
     both = {name: before.get(name, 0.0) + adjusted.get(name, 0.0) for name in {*before, *adjusted}}
     return AugmentedSimulation(simulation, effects, dict(sorted(both.items())))
 
@@ -383,7 +387,7 @@ def write_addition(discovery: Discovery, folder: Path) -> list[Path]:
     Raises:
         DiscrepancyError: where an effect cannot be added to one that the simulation already has.
     """
-    if not discovery.effects or discovery.rejected:
+    if not discovery.added:
         return []
     simulation = augmented(discovery)
     if isinstance(simulation.base, VehicleSimulation):

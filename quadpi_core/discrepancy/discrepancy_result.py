@@ -102,6 +102,11 @@ class Discovery:
     rejected: bool = False
 
     @property
+    def added(self) -> bool:
+        """Whether effects were named and flights left out support them, so that they can be added."""
+        return bool(self.effects) and not self.rejected
+
+    @property
     def doubts(self) -> tuple[str, ...]:
         """Sentences that say why the verdict is "unknown"; empty for any other."""
         return tuple(check.sentence for check in self.checks if not check.passed)

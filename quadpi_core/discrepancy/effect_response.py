@@ -13,6 +13,7 @@ the noise of the residual itself: a vehicle without mass in no air would fit eve
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import fields, replace
 from functools import cached_property
 from typing import Any, TypeAlias
@@ -90,6 +91,15 @@ class Compared:
             return compared
         learned = simulation.learned([(own.flight, own.quiet) for own in compared])
         return [cls(flight, learned, highest_hz) for flight in flights]
+
+    def beside(self, simulation: Simulation) -> Compared:
+        """The same flight beside another simulation of its vehicle, at the same rate."""
+        other = copy(self)
+        for name, value in vars(type(self)).items():
+            if isinstance(value, cached_property):
+                vars(other).pop(name, None)
+        other.simulation, other._started = simulation, {}
+        return other
 
     @cached_property
     def simulated(self) -> Array:

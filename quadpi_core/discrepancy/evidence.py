@@ -152,6 +152,20 @@ def fit_forms(
     return _evidence(gram, columns, residual, precisions)
 
 
+def with_forms(gram: Array, found: Fit, blocks: Sequence[Block]) -> Fit:
+    """The fit of the same columns beside those of the forms of all blocks, whether they are needed or not.
+
+    Args:
+        gram: (K, K); column 0 is the residual.
+        found: fit that columns and the sizes of the effects are taken from.
+        blocks: columns of each of its effects.
+    """
+    known = found.columns[~np.isin(found.columns, np.concatenate([block.form for block in blocks]))]
+    columns = np.concatenate((known, *(block.form for block in blocks))).astype(np.intp)
+    precisions = np.concatenate((np.ones(len(known)), form_precisions(found, blocks)))
+    return _evidence(gram, columns, residual_weights(len(gram), blocks), precisions)
+
+
 def form_precisions(found: Fit, formed: Sequence[Block]) -> Array:
     """Prior precision of the form columns of blocks, in a row, for effects of the sizes of a fit."""
     return np.concatenate(

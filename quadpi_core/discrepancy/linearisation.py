@@ -165,6 +165,13 @@ class Linearisation:
             value = moved._with_form(index)
         return value
 
+    def beside(self, flights: Sequence[Compared], chosen: Sequence[int]) -> Linearisation:
+        """The linearisation with some candidates, by index, made of the flights beside another simulation."""
+        value = replace(self, flights=tuple(flights))
+        for index in chosen:
+            value = value._with_block(index)._with_form(index)
+        return replace(value, flights=self.flights)
+
     def accelerated(self, changes: Sequence[Array]) -> Linearisation:
         """The linearisation with the columns of mass and inertia made of other accelerations.
 

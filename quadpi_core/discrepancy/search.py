@@ -26,7 +26,7 @@ from quadpi_core.discrepancy.candidates import Candidate
 from quadpi_core.discrepancy.closure import Closing, Gap
 from quadpi_core.discrepancy.effect_regression import Regression, refined, settled
 from quadpi_core.discrepancy.effect_response import Compared
-from quadpi_core.discrepancy.evidence import Fit
+from quadpi_core.discrepancy.evidence import Fit, with_forms
 from quadpi_core.discrepancy.trial import Trial
 from quadpi_core.discrepancy.unexplained import (
     Left,
@@ -93,9 +93,19 @@ class Found:
         noise = self.left.noise
         return noise[:, -1:] + slow_state_noise(self.regression.flights, noise.shape[1])
 
-    def posterior(self, index: int) -> Array:
-        """Standard deviation (k,) of the parameters of a chosen candidate; 0 for those at a bound."""
-        return self._deviation(index) * self.regression.candidates[index].scale
+    def deviation(self, index: int) -> Array:
+        """Standard deviation (k,) of the parameters of a chosen candidate; 0 for those at a bound.
+
+        The fit's own holds what tolerances and noise leave open, as if flights differed by nothing else;
+        where they do, it is as much wider, as is usual for measurements that disagree. It is no less than
+        what the laws of the effects leave open, of which each axis may be off by a share, even where no
+        flight asks for it.
+        """
+        regression = self.regression
+        laws = with_forms(regression.gram, self.fit, [regression.block(chosen) for chosen in self.chosen])
+        of_laws = laws.deviation(regression.block(index).parameters)
+        wider: Array = self._deviation(index) * np.maximum(1.0, self.disagreement(index))
+        return np.maximum(wider, of_laws) * regression.candidates[index].scale
 
     def disagreement(self, index: int) -> Array:
         """See :meth:`Closing.disagreement`; 0 (k,) of flights so few that they do not predict each other."""
@@ -160,6 +170,8 @@ def search(
         idle |= set(larger.chosen) - set(accepted.chosen)
     accepted, swapped, disputed = _exchanged(accepted, threshold)
     judgements += swapped
+    rivals = _rivals(accepted)
+    accepted = _with_adjusted_coefficients(accepted)
     names, spectra = generic_spectra(flights)
     left = predicted(accepted.regression.left(accepted.fit), spectra, names)
     return Found(
@@ -169,12 +181,19 @@ def search(
         closing=Closing.of(accepted.regression, accepted.chosen),
         gain=gain,
         threshold=threshold,
-        rivals=_rivals(accepted),
+        rivals=rivals,
         left=left,
         named=accepted.regression.reduction(accepted.chosen, accepted.fit, left.noise).credited,
         judgements=tuple(judgements),
         disputed=disputed,
     )
+
+
+def _with_adjusted_coefficients(accepted: Accepted) -> Accepted:
+    """The set fitted with columns of the simulation with its coefficients as fitted, where bounds allow."""
+    regression = accepted.regression.adjusted(accepted.chosen, accepted.fit)
+    fit = regression.fit(accepted.chosen)
+    return accepted if fit is None else Accepted(regression, accepted.chosen, fit)
 
 
 def _exchanged(accepted: Accepted, threshold: float) -> tuple[Accepted, list[Judgement], tuple[str, ...]]:

@@ -131,6 +131,13 @@ class Simulation(ABC):
     def hover_rotor_speed(self) -> float:
         """Rotor speed [rad/s] that carries the weight in still air."""
 
+    def with_coefficients(self: Own, multiples: Mapping[str, float]) -> Own:  # noqa: ARG002 - where known
+        """The simulation with other coefficients: each column of tolerances times a multiple, by its name.
+
+        One that is known by its answers alone stays as it is, and names of what is no coefficient are left.
+        """
+        return self
+
     def recorded(self, flight: Flight, wrench: Array) -> Array:  # noqa: ARG002 - for those that know more
         """A wrench (N, 6) of a flight as the measured one of its recording would have it.
 
@@ -273,9 +280,13 @@ class VehicleSimulation(Simulation):
             for name in self.model.coefficients_by_name
         ]
 
-    def adjusted(self, multiples: Mapping[str, float]) -> VehicleSimulation:
-        """The simulation with other coefficients: each column of tolerances times a multiple, by its name."""
-        shares = {name: self._tolerance(name) * multiple for name, multiple in multiples.items()}
+    def with_coefficients(self, multiples: Mapping[str, float]) -> VehicleSimulation:
+        """See :class:`Simulation`."""
+        shares = {
+            name: self._tolerance(name) * multiples[name]
+            for name in self.model.coefficients_by_name
+            if name in multiples
+        }
         return replace(self, model=self.model.scaled(shares))
 
     def _tolerance(self, name: str) -> float:

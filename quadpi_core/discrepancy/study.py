@@ -127,10 +127,7 @@ def study(
             speeds that do not change.
     """
     missing = require_excitation(flights, simulation.vehicle)
-    discovery = discover(simulation, flights, names=names)
-    flown_again = None
-    if discovery.effects:
-        discovery, flown_again = _flown_again(discovery)
+    discovery, flown = flown_again(discover(simulation, flights, names=names))
     return Study(
         simulation=simulation,
         flights=tuple(flights),
@@ -138,17 +135,19 @@ def study(
         where=locate(discovery.found, seed),
         not_flown=missing,
         seed=seed,
-        flown_again=flown_again,
+        flown_again=flown,
     )
 
 
-def _flown_again(discovery: Discovery) -> tuple[Discovery, Reflights]:
-    """The discovery judged by roll-outs of flights left out, and these.
+def flown_again(discovery: Discovery) -> tuple[Discovery, Reflights | None]:
+    """The discovery judged by roll-outs of flights left out, and these; none where nothing was named.
 
     Coefficients that are moved with the effects may be what makes roll-outs worse: moments that look like
     nothing a step ahead turn the vehicle over half a second. Then they stay as stated, if the effects alone
     do better.
     """
+    if not discovery.effects:
+        return discovery, None
     flown = reflights(discovery)
     judged = judged_by_rollouts(discovery, flown.rollout)
     if not judged.rejected or not len(discovery.found.closing.adjusted):
@@ -252,7 +251,7 @@ def _effect(found: Found, index: int, law: Fit, whole: Fit) -> FoundEffect:
     regression, candidate = found.regression, found.regression.candidates[index]
     values = candidate.values(regression.parameters(index, law))
     half = np.zeros(len(values))
-    half[list(candidate.free)] = _half_widths(found, index)
+    half[list(candidate.free)] = float(ndtri(0.5 + 0.5 * _CONFIDENCE)) * found.deviation(index)
     rivals = found.rivals[index]
     odds = sum(against for _, against in rivals)
     names = tuple(dict.fromkeys(regression.candidates[rival].name for rival, _ in rivals))
@@ -269,17 +268,6 @@ def _effect(found: Found, index: int, law: Fit, whole: Fit) -> FoundEffect:
         rivals=names,
         shown_by=tuple(dict.fromkeys(manoeuvres)),
     )
-
-
-def _half_widths(found: Found, index: int) -> Array:
-    """Half of the intervals (k,) of the fitted parameters of a candidate: of the posterior, or wider.
-
-    The posterior holds what tolerances, noise and the form of a law leave open, as if flights differed by
-    nothing else. Where they do, it is as much wider, as is usual for measurements that disagree.
-    """
-    wider = np.maximum(1.0, found.disagreement(index))
-    half: Array = float(ndtri(0.5 + 0.5 * _CONFIDENCE)) * found.posterior(index) * wider
-    return half
 
 
 def require_excitation(flights: Sequence[Flight], vehicle: Vehicle) -> tuple[str, ...]:

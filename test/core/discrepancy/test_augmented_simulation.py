@@ -134,7 +134,7 @@ def test_a_flight_left_out_has_no_say(discovery):
 def test_coefficients_move_within_their_tolerances(flown):
     """A simulation whose coefficients are off as its tolerances say, and that lacks an effect as well."""
     off = {"thrust": 1.0, "rotor_force_along": -1.0, "torque": 0.8}
-    simulation = load_simulation("bebop2").adjusted(off)
+    simulation = load_simulation("bebop2").with_coefficients(off)
     found = discover(simulation, flown(*HIDDEN), names=NAMES)
     assert [effect.name for effect in found.effects] == ["inflow_damping"]
     added = augmented(found)

@@ -76,7 +76,7 @@ def test_a_force_that_wanders_slowly_is_a_gap_that_stays(simulation, dragged, pu
 
 def test_a_coefficient_far_beyond_its_tolerance_stands_for_something_else(simulation, flights):
     """Thrust is 10 % off and its tolerance is 1 %, but no name for that is looked for."""
-    discovery = discover(simulation.adjusted({"thrust": 10.0}), flights, names=["moment_bias"])
+    discovery = discover(simulation.with_coefficients({"thrust": 10.0}), flights, names=["moment_bias"])
     assert discovery.verdict == "unknown"
     (sentence,) = [one for one in discovery.doubts if "tolerances" in one]
     assert sentence.startswith("thrust would be wrong by ")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from quadpi_core.discrepancy.evidence import Block, fit
+from quadpi_core.discrepancy.evidence import Block, fit, with_forms
 
 NONE = np.array([], dtype=np.intp)
 RESIDUAL, LAW, FORM = range(3)
@@ -82,6 +82,25 @@ def test_evidence_is_the_probability_of_the_residual_without_the_coefficients():
         np.testing.assert_allclose(found.covariance, posterior)
         np.testing.assert_allclose(table @ found.left, residual - X @ found.coefficients)
         assert found.deviation(np.array([1, 0])).tolist() == [pytest.approx(posterior[0, 0] ** 0.5), 0.0]
+
+
+def test_forms_widen_a_posterior_in_proportion_to_the_effect():
+    """Without noise worth the name, a law that may be off by 15 % leaves its one parameter as uncertain."""
+    rng = np.random.default_rng(4)
+    law = rng.standard_normal(400)
+    form = 0.15 * law
+    table = np.column_stack((0.5 * law, law, form)) * 1e3
+    block = Block(np.array([1]), np.array([2]), 1.0, None, np.array([-9.0]), np.array([9.0]))
+    found = fit(table.T @ table, NONE, [block])
+    assert found.columns.tolist() == [1]
+    assert found.deviation(np.array([1]))[0] < 1e-3
+    free = with_forms(table.T @ table, found, [block])
+    assert free.columns.tolist() == [1, 2]
+    # The form was made of an effect of size 1, and beside it stands the prior of the parameter.
+    expected = 1.0 / np.sqrt(1.0 + 1.0 / (0.15 * 0.5) ** 2)
+    assert free.deviation(np.array([1]))[0] == pytest.approx(expected, rel=1e-3)
+    again = with_forms(table.T @ table, free, [block])
+    assert sorted(again.columns.tolist()) == [1, 2]
 
 
 def test_a_parameter_beyond_its_bound_is_nothing_and_the_rest_is_fitted_again():

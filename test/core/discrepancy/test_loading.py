@@ -59,7 +59,7 @@ def test_an_addition_is_the_simulation_with_effects(tmp_path, flight):
     )
     simulation = load_simulation(str(path))
     plain = load_simulation("bebop2")
-    expected = AugmentedSimulation(plain.adjusted(adjusted), read_effects(effects, "test"))
+    expected = AugmentedSimulation(plain.with_coefficients(adjusted), read_effects(effects, "test"))
     np.testing.assert_allclose(simulation.wrench(flight), expected.wrench(flight), atol=1e-9)
     assert np.abs(simulation.wrench(flight) - plain.wrench(flight))[:, 2].max() > 0.01
 

@@ -56,7 +56,7 @@ def test_the_measured_wrench_rolls_out_along_the_flight(truth):
 def test_a_simulation_that_lacks_thrust_falls(truth):
     """Without a share of the thrust the vehicle gains that share of g downward."""
     simulation = load_simulation("bebop2")
-    weaker = replace(simulation, model=simulation.adjusted({"thrust": -5.0}).model)
+    weaker = replace(simulation, model=simulation.with_coefficients({"thrust": -5.0}).model)
     hover = truth.slice(slice(0, int(1.2 * truth.rate_hz)))
     error = rollout(hover, weaker, horizon_s=0.1)
     assert error.velocity_m_s == pytest.approx(0.05 * 9.81 * 0.1, rel=0.1)
