@@ -32,6 +32,7 @@ from blind.cases import (  # noqa: E402
     all_cases,
     development_cases,
     short_cases,
+    true_parameters,
 )
 from blind.scoring import Answer, Figure, confusion, failures, figures  # noqa: E402
 from blind.searching import searched  # noqa: E402
@@ -79,7 +80,7 @@ def run(
 
 def scored(results: Iterable[dict[str, Any]]) -> list[Answer]:
     """The seals opened."""
-    return [Answer.of(found) for found in results]
+    return [Answer.of(found, true_parameters(Hidden.opened(found["seal"]))) for found in results]
 
 
 def figures_table(some: Iterable[Figure]) -> str:
@@ -154,6 +155,8 @@ def as_json(results: Sequence[dict[str, Any]], answers: Sequence[Answer]) -> dic
                 "size": answer.hidden.size,
                 "seed": answer.hidden.seed,
                 "left": answer.left,
+                "rollouts": answer.rollouts,
+                "estimates": answer.estimates,
                 "seconds": found["seconds"],
                 "result": found["result"],
             }

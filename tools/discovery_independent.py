@@ -57,7 +57,7 @@ def estimates_table(findings: Sequence[Finding]) -> str:
     rows = []
     for finding in sorted(findings, key=order):
         hidden = finding.answer.hidden
-        for name, (true, lower, upper) in finding.estimates.items():
+        for name, (true, lower, upper) in finding.answer.estimates.items():
             inside = "yes" if lower <= true <= upper else "**no**"
             case = f"× {hidden.size:g}, seed {hidden.seed}, {finding.mapping}, {finding.mode}"
             rows.append([f"`{name}`", case, f"{true:.4g}", f"{lower:.4g} – {upper:.4g}", inside])
@@ -97,7 +97,10 @@ def as_json(results: Sequence[dict[str, Any]], findings: Sequence[Finding]) -> d
                 "seed": finding.answer.hidden.seed,
                 **{
                     key: found[key]
-                    for key in ("vehicle", "mapping", "mode", "truth", "seconds", "result", "detail")
+                    for key in (
+                        *("vehicle", "mapping", "mode", "truth", "seconds"),
+                        *("left", "rollouts", "result", "detail"),
+                    )
                 },
             }
             for found, finding in zip(results, findings, strict=True)

@@ -61,7 +61,7 @@ def named(results: Iterable[Mapping[str, Any]]) -> list[Named]:
     """Every name of results that :func:`blind.searching.searched` gives, with the seals opened."""
     found = []
     for result in results:
-        answer = Answer.of(result)
+        answer = Answer.of(result, {})
         if answer.verdict == "effects":
             found += [
                 Named(effect["probability"], effect["name"] in answer.hidden.effects)

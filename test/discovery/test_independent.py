@@ -237,6 +237,7 @@ def found(hidden, verdict, effects, truth):
             "truth": truth,
             "seconds": 1.0,
             "left": None,
+            "rollouts": None,
             "result": {"verdict": verdict, "effects": named, "ambiguous": []},
         }
     )

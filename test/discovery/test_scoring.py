@@ -11,8 +11,8 @@ from blind.scoring import Answer, confusion, failures, figures, wilson
 DRAG = Hidden(SINGLE, ("rotor_drag",), 1.0, 0)
 
 
-def answer(hidden, verdict, *named, sets=(), left=0.01):
-    return Answer(hidden, verdict, named, sets, left)
+def answer(hidden, verdict, *named, sets=(), left=0.01, **more):
+    return Answer(hidden, verdict, named, sets, left, **more)
 
 
 def test_wilson_interval():
@@ -68,5 +68,42 @@ def test_figures_count_what_they_are_about():
     assert found["under-excited: the truth among what is reported"] == (1, 1, True)
     assert found["gap left by effects rightly found: at most 2 %"] == (1, 1, True)
     assert found["gap left by delay and wind rightly found: at most 5 %"] == (1, 1, True)
+    assert found["additions that make flights or roll-outs worse that were not fitted"] == (0, 10, True)
     assert confusion(answers, 0.5) == {"wind": {"none": 1, "tether": 1}}
     assert len(failures(answers)) == 3
+
+
+def test_parameters_are_scored_where_the_effect_is_found_and_means_the_same():
+    load = Hidden(SINGLE, ("payload",), 0.5, 3)
+    interval = {"value": 0.02, "lower": 0.01, "upper": 0.03}
+
+    def found(name, truth):
+        effect = {"name": name, "parameters": {"mass_kg": interval, "rotor": dict.fromkeys(interval, 1.0)}}
+        result = {"verdict": "effects", "effects": [effect], "ambiguous": []}
+        return Answer.of(
+            {"seal": load.sealed(), "result": result, "left": None, "rollouts": None},
+            {"payload.mass_kg": truth, "payload.rotor": 1.0},
+        )
+
+    right, beside, other = found("payload", 0.025), found("payload", 0.031), found("slung_load", 0.025)
+    assert right.estimates == {"payload.mass_kg": (0.025, 0.01, 0.03)}
+    assert not other.estimates
+    shares = {figure.name: (figure.hits, figure.of) for figure in figures([right, beside, other])}
+    assert shares["parameters inside their interval of 95 %"] == (1, 2)
+
+
+def test_additions_that_make_flights_worse_are_failures():
+    name = "additions that make flights or roll-outs worse that were not fitted"
+    same = {"attitude_deg": (10.0, 10.1), "lost": (1, 1)}
+    fine = answer(DRAG, "effects", "rotor_drag", rollouts=same)
+    wider = answer(DRAG, "effects", "rotor_drag", left=1.03)
+    turned = answer(DRAG, "effects", "rotor_drag", rollouts={**same, "attitude_deg": (10.0, 10.3)})
+    lost = answer(DRAG, "unknown", "tether", rollouts={**same, "lost": (0, 1)})
+    nothing = answer(DRAG, "none", left=None)
+    assert (fine.worse, wider.worse, turned.worse) == ((), ("gap",), ("attitude_deg",))
+    shares = {f.name: (f.hits, f.of) for f in figures([fine, wider, turned, lost, nothing])}
+    assert shares[name] == (3, 4)
+    failed = failures([fine, wider, turned, lost])
+    assert fine not in failed
+    assert len(failed) == 3
+    assert wider.words == "effects: rotor_drag; worse: gap"

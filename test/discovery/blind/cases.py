@@ -7,7 +7,7 @@ from __future__ import annotations
 import hashlib
 import json
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -100,6 +100,11 @@ class Case:
         return [] if hidden.kind in {POOR, ELSE} else _flown(hidden, CHECK)
 
 
+def true_parameters(hidden: Hidden) -> Mapping[str, float]:
+    """What the library's effects should have, by `effect.parameter`, where both mean the same."""
+    return {} if hidden.kind == ELSE else _specimen(hidden).truth
+
+
 def noise_alone() -> tuple[list[Flight], Simulation]:
     """Flights to check on, of a vehicle that is exactly as its file says."""
     specimen = Specimen(SimulatedVehicle.load(VEHICLE))
@@ -108,13 +113,20 @@ def noise_alone() -> tuple[list[Flight], Simulation]:
 
 
 def _flown(hidden: Hidden, scenario: str) -> list[Flight]:
-    suite = SensorSuite.load(NOISE)
-    seed = zlib.crc32(hidden.sealed().encode())
-    rng = np.random.default_rng(seed)
+    suite, seed = SensorSuite.load(NOISE), _seed(hidden)
+    return flights_of(_specimen(hidden), _plans(scenario), suite, seed + (scenario == CHECK))
+
+
+def _seed(hidden: Hidden) -> int:
+    return zlib.crc32(hidden.sealed().encode())
+
+
+def _specimen(hidden: Hidden) -> Specimen:
+    rng = np.random.default_rng(_seed(hidden))
     specimen = ordinary(SimulatedVehicle.load(VEHICLE), rng)
     for name in hidden.effects:
         specimen = altered(specimen, name, hidden.size, rng)
-    return flights_of(specimen, _plans(scenario), suite, seed + (scenario == CHECK))
+    return specimen
 
 
 @lru_cache

@@ -13,6 +13,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from blind.rotors import WEAK_TORQUE
 from blind.sensing import filtered_late, misread, turned_imu
 from blind.specimen import Specimen
 
@@ -67,11 +68,13 @@ def rate_damping(s: Specimen, size: float, rng: np.random.Generator) -> Specimen
 
 
 def gyroscopic(s: Specimen, size: float, rng: np.random.Generator) -> Specimen:
-    return s.with_formula("gyroscopic", 8e-6 * size)
+    rotor = 8e-6 * size
+    return s.with_formula("gyroscopic", rotor).knowing(gyroscopic__rotor_inertia_kg_m2=rotor)
 
 
 def spin_up(s: Specimen, size: float, rng: np.random.Generator) -> Specimen:
-    heavy = s.with_formula("spin_up", 8e-6 * size)
+    rotor = 8e-6 * size
+    heavy = s.with_formula("spin_up", rotor).knowing(spin_up__rotor_inertia_kg_m2=rotor)
     return replace(heavy, yaw_authority=1.0 + 23.0 * size)
 
 
@@ -80,7 +83,8 @@ def thrust_coefficient(s: Specimen, size: float, rng: np.random.Generator) -> Sp
     ratio = 1.0 + 0.1 * size * _sign(rng)
     denser = s.with_vehicle(air_density_kg_m3=s.vehicle.air_density_kg_m3 * ratio)
     named = ("rotor_force_along", "rotor_force_across", "rotor_moment_along", "rotor_moment_across")
-    return denser.with_coefficients(**{name: getattr(s.coefficients, name) * ratio for name in named})
+    denser = denser.with_coefficients(**{name: getattr(s.coefficients, name) * ratio for name in named})
+    return denser.knowing(thrust_coefficient__change=ratio - 1.0)
 
 
 def payload(s: Specimen, size: float, rng: np.random.Generator) -> Specimen:
@@ -89,26 +93,41 @@ def payload(s: Specimen, size: float, rng: np.random.Generator) -> Specimen:
     turned = load * mass / (load + mass) * arm * arm
     inertia = s.vehicle.inertia + np.diag([turned, turned, 0.0])
     heavier = s.with_vehicle(mass_kg=mass + load, inertia=inertia)
-    return heavier.shifted(np.array([0.0, 0.0, arm * load / (load + mass)]))
+    return heavier.shifted(np.array([0.0, 0.0, arm * load / (load + mass)])).knowing(payload__mass_kg=load)
 
 
 def cg_offset(s: Specimen, size: float, rng: np.random.Generator) -> Specimen:
     """The rotors, the airframe and the sensors all sit elsewhere."""
-    return s.shifted(0.005 * size * np.append(_direction(rng, 1.0, 1.0), 0.0))
+    x, y = 0.005 * size * _direction(rng, 1.0, 1.0)
+    return s.shifted(np.array([x, y, 0.0])).knowing(cg_offset__x_m=x, cg_offset__y_m=y)
 
 
 def inertia(s: Specimen, size: float, rng: np.random.Generator) -> Specimen:
     """Mass that sits further out, or in, along each arm of the frame."""
-    scale = np.sqrt(1.0 + 0.2 * size * _sign(rng) * np.array([1.0, rng.uniform(0.8, 1.2), 1.0]))
-    return s.with_vehicle(inertia=s.vehicle.inertia * scale[:, None] * scale)
+    change = 0.2 * size * _sign(rng) * np.array([1.0, rng.uniform(0.8, 1.2), 1.0])
+    scale = np.sqrt(1.0 + change)
+    known = {f"inertia__{axis}_change": value for axis, value in zip("xyz", change, strict=True)}
+    return s.with_vehicle(inertia=s.vehicle.inertia * scale[:, None] * scale).knowing(**known)
 
 
 def rotor_tilt(s: Specimen, size: float, rng: np.random.Generator) -> Specimen:
-    return s.with_formula("rotor_tilt", rng.integers(4), rng.uniform(-np.pi, np.pi), np.radians(2.0 * size))
+    rotor, towards, lean = rng.integers(4), rng.uniform(-np.pi, np.pi), np.radians(2.0 * size)
+    known = {
+        "rotor_tilt__rotor": rotor + 1.0,
+        "rotor_tilt__forward_deg": np.degrees(np.arcsin(np.sin(lean) * np.cos(towards))),
+        "rotor_tilt__right_deg": np.degrees(np.arcsin(np.sin(lean) * np.sin(towards))),
+    }
+    return s.with_formula("rotor_tilt", rotor, towards, lean).knowing(**known)
 
 
 def weak_rotor(s: Specimen, size: float, rng: np.random.Generator) -> Specimen:
-    return s.with_formula("weak_rotor", rng.integers(4), 0.1 * size)
+    rotor, loss = rng.integers(4), 0.1 * size
+    known = {
+        "weak_rotor__rotor": rotor + 1.0,
+        "weak_rotor__loss": loss,
+        "weak_rotor__torque_change": -WEAK_TORQUE * loss,
+    }
+    return s.with_formula("weak_rotor", rotor, loss).knowing(**known)
 
 
 def wind(s: Specimen, size: float, rng: np.random.Generator) -> Specimen:
@@ -118,11 +137,15 @@ def wind(s: Specimen, size: float, rng: np.random.Generator) -> Specimen:
 
 
 def force_bias(s: Specimen, size: float, rng: np.random.Generator) -> Specimen:
-    return _with_constant(s, 0.1 * np.sqrt(3.0) * size * _direction(rng, 1.0, 1.0, 1.0), np.zeros(3))
+    force = 0.1 * np.sqrt(3.0) * size * _direction(rng, 1.0, 1.0, 1.0)
+    known = {f"force_bias__{axis}_n": value for axis, value in zip("xyz", force, strict=True)}
+    return _with_constant(s, force, np.zeros(3)).knowing(**known)
 
 
 def moment_bias(s: Specimen, size: float, rng: np.random.Generator) -> Specimen:
-    return _with_constant(s, np.zeros(3), size * np.sqrt(3.0) * _direction(rng, 0.005, 0.005, 0.002))
+    moment = size * np.sqrt(3.0) * _direction(rng, 0.005, 0.005, 0.002)
+    known = {f"moment_bias__{axis}_nm": value for axis, value in zip("xyz", moment, strict=True)}
+    return _with_constant(s, np.zeros(3), moment).knowing(**known)
 
 
 def _with_constant(s: Specimen, force: np.ndarray, moment: np.ndarray) -> Specimen:
@@ -131,7 +154,10 @@ def _with_constant(s: Specimen, force: np.ndarray, moment: np.ndarray) -> Specim
 
 
 def imu_misalignment(s: Specimen, size: float, rng: np.random.Generator) -> Specimen:
-    return s.with_sensor(turned_imu(np.radians(2.0 * size) * _direction(rng, 1.0, 1.0, 1.0)))
+    angles = np.radians(2.0 * size) * _direction(rng, 1.0, 1.0, 1.0)
+    degrees = zip("xyz", np.degrees(angles), strict=True)
+    known = {f"imu_misalignment__{axis}_deg": value for axis, value in degrees}
+    return s.with_sensor(turned_imu(angles)).knowing(**known)
 
 
 def sensor_delay(s: Specimen, size: float, rng: np.random.Generator) -> Specimen:
@@ -140,12 +166,15 @@ def sensor_delay(s: Specimen, size: float, rng: np.random.Generator) -> Specimen
 
 
 def rotor_speed_scale(s: Specimen, size: float, rng: np.random.Generator) -> Specimen:
-    return s.with_sensor(misread(0.02 * size * _sign(rng)))
+    change = 0.02 * size * _sign(rng)
+    return s.with_sensor(misread(change)).knowing(rotor_speed_scale__change=change)
 
 
 def tether(s: Specimen, size: float, rng: np.random.Generator) -> Specimen:
     """So soft that the flights can be flown: 0.6 N at 8 m."""
-    return s.with_formula("tether", 0.1 * size, 2.0, 0.02 * size, 0.0, 0.0, 0.01)
+    stiffness, slack = 0.1 * size, 2.0
+    line = s.with_formula("tether", stiffness, slack, 0.2 * stiffness, 0.0, 0.0, 0.01)
+    return line.knowing(tether__stiffness_n_m=stiffness, tether__length_m=slack)
 
 
 EFFECTS: dict[str, Alter] = {

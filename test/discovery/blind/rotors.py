@@ -9,6 +9,9 @@ import numpy as np
 from blind.geometry import NOTHING, force_at, induced_ratio, lift_at, plus
 from quadpi_core.compiled import njit
 
+# Share of the lost share of thrust by which the torque of a chipped blade is less.
+WEAK_TORQUE = 0.8
+
 
 @njit(cache=True)
 def rotor_drag(state, vehicle, b):
@@ -216,4 +219,4 @@ def weak_rotor(state, vehicle, b):
     drag = 0.7 * b[1] * vehicle.rotor_force_along * state.rotor_speeds[rotor]
     x, y, z = vehicle.rotor_positions[rotor]
     lost = force_at(x, y, z, -drag * u, -drag * v, b[1] * state.thrusts[rotor])
-    return plus(lost, (0.0, 0.0, 0.0, 0.0, 0.0, -0.8 * b[1] * state.torques[rotor]))
+    return plus(lost, (0.0, 0.0, 0.0, 0.0, 0.0, -WEAK_TORQUE * b[1] * state.torques[rotor]))

@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from blind.cases import ELSE, NULL, OUT, PAIR, POOR, SINGLE, Hidden
@@ -15,6 +15,8 @@ from blind.effects import LATE
 
 # Of the normal distribution, for intervals of 95 %.
 _Z = 1.959964
+# Growth of an error that counts as worse: with the noise of parameters, errors of roll-outs change by less.
+_GROWTH = 0.02
 
 
 @dataclass(frozen=True)
@@ -25,7 +27,11 @@ class Answer:
         verdict: "none", "effects" or "unknown".
         named: names of the effects, as found.
         sets: of names that the search says it cannot tell apart.
-        left: share of the removable gap that is left on flights that were not searched; None without any.
+        left: share of the removable gap that what is added leaves, on flights that were not fitted; None
+            where nothing is added, or there are no such flights.
+        rollouts: of those flights, by quantity: the error without and with what is added.
+        estimates: true value, lower and upper bound of every parameter of a hidden effect that was named,
+            where the library means the same by it.
     """
 
     hidden: Hidden
@@ -33,17 +39,31 @@ class Answer:
     named: tuple[str, ...]
     sets: tuple[tuple[str, ...], ...]
     left: float | None
+    rollouts: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    estimates: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, found: Mapping[str, Any]) -> Answer:
-        """From what :func:`blind.searching.searched` gives."""
+    def of(cls, found: Mapping[str, Any], truth: Mapping[str, float]) -> Answer:
+        """From what `searched` of a benchmark gives, and the true parameters by `effect.parameter`."""
         result = found["result"]
+        parameters = {
+            f"{effect['name']}.{name}": (own["lower"], own["upper"])
+            for effect in result["effects"]
+            for name, own in effect["parameters"].items()
+        }
         return cls(
             hidden=Hidden.opened(found["seal"]),
             verdict=result["verdict"],
             named=tuple(effect["name"] for effect in result["effects"]),
             sets=tuple(map(tuple, result["ambiguous"])),
             left=found["left"],
+            rollouts=found["rollouts"] or {},
+            # Which rotor is no estimate: it has no interval.
+            estimates={
+                name: (truth[name], lower, upper)
+                for name, (lower, upper) in parameters.items()
+                if name in truth and upper > lower
+            },
         )
 
     @property
@@ -67,6 +87,18 @@ class Answer:
         return tuple(name for name in self.named if name not in hidden | excused)
 
     @property
+    def inside(self) -> list[bool]:
+        """Of each estimate whether its interval holds the truth."""
+        return [lower <= true <= upper for true, lower, upper in self.estimates.values()]
+
+    @property
+    def worse(self) -> tuple[str, ...]:
+        """What becomes worse of flights that were not fitted with what is added: the gap, roll-outs."""
+        gap = ("gap",) if self.left is not None and self.left > 1.0 + _GROWTH else ()
+        grown = [name for name, (was, now) in self.rollouts.items() if now > was * (1.0 + _GROWTH)]
+        return (*gap, *grown)
+
+    @property
     def reported(self) -> frozenset[str]:
         """All that the search named or held for possible."""
         return frozenset((*self.named, *(name for names in self.sets for name in names)))
@@ -77,7 +109,8 @@ class Answer:
         names = ", ".join(
             " or ".join(next((s for s in self.sets if s[0] == name), (name,))) for name in self.named
         )
-        return f"{self.verdict}: {names}" if names else self.verdict
+        worse = f"; worse: {', '.join(self.worse)}" if self.worse else ""
+        return f"{self.verdict}: {names}{worse}" if names else self.verdict
 
 
 @dataclass(frozen=True)
@@ -130,6 +163,8 @@ def figures(answers: Sequence[Answer]) -> list[Figure]:
     closed = [answer for answer in (*full, *pairs) if answer.in_set and answer.left is not None]
     late = [answer for answer in closed if LATE & set(answer.hidden.effects)]
     additive = [answer for answer in closed if answer not in late]
+    estimated = [inside for answer in (*singles, *pairs) if answer.in_set for inside in answer.inside]
+    added = [answer for answer in answers if answer.left is not None]
     return [
         figure("nulls: false alarms", (not a.right for a in over(NULL)), 0.02, at_most=True),
         figure("single effects, full size: named", (a.right for a in full), 0.95),
@@ -157,6 +192,13 @@ def figures(answers: Sequence[Answer]) -> list[Figure]:
             "gap left by delay and wind rightly found: at most 5 %",
             (a.left is not None and a.left <= 0.05 for a in late),
             0.95,
+        ),
+        figure("parameters inside their interval of 95 %", estimated, 0.9),
+        figure(
+            "additions that make flights or roll-outs worse that were not fitted",
+            (bool(answer.worse) for answer in added),
+            0.0,
+            at_most=True,
         ),
     ]
 
@@ -186,6 +228,8 @@ def failures(answers: Sequence[Answer]) -> list[Answer]:
 
     def fails(answer: Answer) -> bool:
         kind, size = answer.hidden.kind, answer.hidden.size
+        if answer.worse:
+            return True
         if kind == OUT:
             return answer.verdict != "unknown"
         if kind == POOR:

@@ -14,7 +14,9 @@ import numpy as np
 from blind.cases import Case, noise_alone
 from quadpi_core.discrepancy import Simulation, discover
 from quadpi_core.discrepancy.augmented_simulation import augmented
-from quadpi_core.discrepancy.discrepancy_result import discovery_json
+from quadpi_core.discrepancy.discrepancy_result import Rollouts, discovery_json
+from quadpi_core.discrepancy.reflight import rollouts
+from quadpi_core.discrepancy.study import flown_again
 from quadpi_core.errors import one_line
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array
@@ -25,17 +27,25 @@ def searched(shared: None, case: Case) -> dict[str, Any]:  # noqa: ARG001
     """What the search says of a case, as JSON can hold it, beside the seal."""
     flights, simulation, checks = case.flights(), case.simulation(), case.checks()
     began = time.perf_counter()
-    left = None
+    left, flown = None, None
     try:
-        discovery = discover(simulation, flights)
+        discovery, _ = flown_again(discover(simulation, flights))
         result = discovery_json(discovery)
-        if result["verdict"] == "effects" and checks:
-            left = gap_left(simulation, augmented(discovery), checks, _floor())
+        if discovery.added and checks:
+            added = augmented(discovery)
+            left = gap_left(simulation, added, checks, _floor())
+            flown = rollout_changes(rollouts(checks, [simulation] * len(checks), [added] * len(checks)))
     except Exception as error:
         # Whatever is raised on possible flights is a failure to list, not the end of the run.
         result = {"verdict": f"error: {one_line(error)}", "effects": [], "ambiguous": []}
     seconds = time.perf_counter() - began
-    return {"seal": case.seal, "seconds": seconds, "left": left, "result": result}
+    return {"seal": case.seal, "seconds": seconds, "left": left, "rollouts": flown, "result": result}
+
+
+def rollout_changes(flown: Rollouts) -> dict[str, tuple[float, float]]:
+    """Errors of roll-outs without and with what was added, by quantity, and how many diverge."""
+    errors = {name: (error.before, error.after) for name, error in flown.errors.items()}
+    return {**errors, "lost": (flown.lost["before"], flown.lost["after"])}
 
 
 def gap_left(before: Simulation, after: Simulation, flights: Sequence[Flight], floor: Array) -> float:

@@ -42,6 +42,8 @@ class Specimen:
         sensors: what they do to what happened, (Truth) -> Truth, in order.
         yaw_authority: of the rotors as the controller believes, of that in the file: one that knew nothing of
             the spin-up would shake the vehicle.
+        truth: parameters that the library's effect should have, by `effect.parameter`, where both mean the
+            same.
     """
 
     flown: SimulatedVehicle
@@ -49,6 +51,7 @@ class Specimen:
     formulas: Mapping[str, Sequence[float]] = field(default_factory=dict)
     sensors: tuple[Callable[[Truth], Truth], ...] = ()
     yaw_authority: float = 1.0
+    truth: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def vehicle(self) -> Vehicle:
@@ -73,6 +76,10 @@ class Specimen:
 
     def with_sensor(self, sensor: Callable[[Truth], Truth]) -> Specimen:
         return replace(self, sensors=(*self.sensors, sensor))
+
+    def knowing(self, **truth: float) -> Specimen:
+        named = {name.replace("__", "."): float(value) for name, value in truth.items()}
+        return replace(self, truth={**self.truth, **named})
 
     def shifted(self, centre: Array) -> Specimen:
         return replace(self, centre=self.centre + centre)

@@ -26,8 +26,6 @@ class Finding:
         mapping, mode: of the flights and of the simulation.
         vehicle: that flew.
         each_coefficient: see `cases.IndependentCase.each_coefficient`.
-        estimates: true value, lower and upper bound of every parameter of a hidden effect that was named,
-            where the library means the same by it.
         probabilities: that the search gives each effect that it names.
         seconds: that the search took.
     """
@@ -37,35 +35,21 @@ class Finding:
     mode: str
     vehicle: str
     each_coefficient: bool
-    estimates: Mapping[str, tuple[float, float, float]]
     probabilities: Mapping[str, float]
     seconds: float
 
     @classmethod
     def of(cls, found: Mapping[str, Any]) -> Finding:
         """From what :func:`independent.searching.searched` gives."""
-        estimates, effects = {}, found["result"]["effects"]
-        for effect in effects:
-            for name, parameter in effect["parameters"].items():
-                key = f"{effect['name']}.{name}"
-                # Which rotor is no estimate: it has no interval.
-                if key in found["truth"] and parameter["upper"] > parameter["lower"]:
-                    estimates[key] = (found["truth"][key], parameter["lower"], parameter["upper"])
         return cls(
-            answer=Answer.of(found),
+            answer=Answer.of(found, found["truth"]),
             mapping=found["mapping"],
             mode=found["mode"],
             vehicle=found["vehicle"],
             each_coefficient=found["each_coefficient"],
-            estimates=estimates,
-            probabilities={effect["name"]: effect["probability"] for effect in effects},
+            probabilities={effect["name"]: effect["probability"] for effect in found["result"]["effects"]},
             seconds=found["seconds"],
         )
-
-    @property
-    def inside(self) -> list[bool]:
-        """Of each estimate whether its interval holds the truth."""
-        return [lower <= true <= upper for true, lower, upper in self.estimates.values()]
 
 
 def columns(findings: Sequence[Finding]) -> dict[str, list[Finding]]:
@@ -92,7 +76,7 @@ def figures(findings: Sequence[Finding]) -> list[Figure]:
         for name, probability in f.probabilities.items()
         if probability >= CONFIDENT
     ]
-    estimates = [inside for f in (*full, *half) if f.answer.in_set for inside in f.inside]
+    estimates = [inside for f in (*full, *half) if f.answer.in_set for inside in f.answer.inside]
 
     def figure(name: str, hits: Iterable[bool], goal: float, *, at_most: bool = False) -> Figure:
         found = list(hits)
@@ -119,6 +103,12 @@ def figures(findings: Sequence[Finding]) -> list[Figure]:
         figure("any size: `unknown`", (f.answer.verdict == "unknown" for f in singles), 0.1, at_most=True),
         figure("outside the library: `unknown`", (f.answer.verdict == "unknown" for f in outside), 0.9),
         figure("parameters inside their interval of 95 %", estimates, 0.9),
+        figure(
+            "additions that make flights or roll-outs worse that were not fitted",
+            (bool(f.answer.worse) for f in findings if f.answer.left is not None),
+            0.0,
+            at_most=True,
+        ),
         figure(f"named with {CONFIDENT:.0%} or more: hidden", confident, 0.9),
     ]
 

@@ -11,12 +11,14 @@ import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from blind.searching import rollout_changes
+
 from independent.airframes import HERE
 from independent.cases import IndependentCase, NotFlownError
 from quadpi_core.discrepancy.discrepancy_result import discovery_json
 from quadpi_core.discrepancy.loading import load_simulation
 from quadpi_core.discrepancy.search import Found
-from quadpi_core.discrepancy.study import discover, read_flights
+from quadpi_core.discrepancy.study import discover, flown_again, read_flights
 from quadpi_core.errors import one_line
 from quadpi_core.logs.importing import import_logs
 from quadpi_core.parallel import Workers
@@ -61,11 +63,15 @@ def searched(shared: None, task: Task) -> list[dict[str, Any]]:  # noqa: ARG001
         for mode in MODES:
             began = time.perf_counter()
             detail: dict[str, Any] = {}
+            left, changes = None, None
             try:
                 simulation = load_simulation(names[mode], vehicle, bags)
                 flights = flights or read_flights(bags, simulation, workers=Workers(1))
-                discovery = discover(simulation, flights)
+                discovery, flown = flown_again(discover(simulation, flights))
                 result, detail = discovery_json(discovery), _detail(discovery.found)
+                if discovery.added and flown:
+                    # Each flight beside the fit of all others.
+                    left, changes = 1.0 - discovery.gap.reduction, rollout_changes(flown.rollout)
             except Exception as error:
                 # Whatever is raised on possible flights is a failure to list, not the end of the run.
                 result = {"verdict": f"error: {one_line(error)}", "effects": [], "ambiguous": []}
@@ -78,7 +84,8 @@ def searched(shared: None, task: Task) -> list[dict[str, Any]]:  # noqa: ARG001
                     "each_coefficient": case.each_coefficient,
                     "truth": truth,
                     "seconds": time.perf_counter() - began,
-                    "left": None,
+                    "left": left,
+                    "rollouts": changes,
                     "result": result,
                     "detail": detail,
                 }
