@@ -123,7 +123,8 @@ class AugmentedSimulation(Simulation):
 
     def with_coefficients(self, multiples: Mapping[str, float]) -> AugmentedSimulation:
         """See :class:`Simulation`; the base."""
-        return replace(self, base=self.base.with_coefficients(multiples))
+        base = self.base.with_coefficients(multiples)
+        return self if base is self.base else replace(self, base=base)
 
     def knowing(self, flight: Flight) -> AugmentedSimulation:
         """See :class:`Simulation`; the base."""

@@ -184,7 +184,8 @@ class Closing:
     def gap(self, noise: Array, stated: Array, *, adjusted: bool = True) -> Gap:
         """The gap of each flight after the fit of all others; unchanged where no effect was chosen.
 
-        Coefficients alone are not fitted: without the missing effect they would exceed their tolerances.
+        Coefficients alone are not fitted: without the missing effect they would exceed their tolerances. Of
+        effects made of fitted coefficients, what the stated ones would change is left out.
 
         Args:
             noise: (6, C) variance in C bands, which no simulation can close.

@@ -30,7 +30,8 @@ ERROR_NAMES = {
 class FoundParameter:
     """A parameter of an effect, with its interval of 95 %.
 
-    It is that of the posterior, or a wider one where flights that are left out in turn disagree more.
+    It is that of the posterior, or a wider one where flights that are left out in turn disagree more, or the
+    law may be further off; see :meth:`.search.Found.deviation`.
     """
 
     name: str

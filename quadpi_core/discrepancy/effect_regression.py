@@ -189,19 +189,23 @@ class Regression:
         columns = self.columns.moved(points)
         return replace(self, columns=columns, weighting=self.weighting.extended(columns))
 
-    def adjusted(self, chosen: Sequence[int], found: Fit) -> Regression:
+    def with_fitted_coefficients(self, chosen: Sequence[int], found: Fit) -> Regression:
         """The regression with the chosen made of the simulation with its coefficients as a fit has them.
 
         A tilted rotor turns its true thrust, not the stated one: the product of an effect and a coefficient
         would bias what is known to less than the tolerance. Mass and inertia are made of other accelerations,
-        see :meth:`accelerated`.
+        see :meth:`accelerated`. The noise stays that of the fit, which holds that product: intervals are
+        rather too wide for it.
         """
         columns = self.columns
         fitted = zip(columns.tolerance_names, found.of(columns.tolerances).tolist(), strict=True)
-        simulation = self.flights[0].simulation.with_coefficients(dict(fitted))
-        flights = [flight.beside(simulation) for flight in self.flights]
+        stated = self.flights[0].simulation
+        simulation = stated.with_coefficients(dict(fitted))
+        if simulation is stated:
+            return self
+        flights = [flight.compared_with(simulation) for flight in self.flights]
         moving = [index for index in chosen if self.candidates[index].effect.kind != "vehicle"]
-        columns = columns.beside(flights, moving)
+        columns = columns.remade(flights, moving)
         return replace(self, columns=columns, weighting=self.weighting.extended(columns))
 
     def weighted(self, noise: Array) -> Regression:

@@ -92,12 +92,11 @@ class Compared:
         learned = simulation.learned([(own.flight, own.quiet) for own in compared])
         return [cls(flight, learned, highest_hz) for flight in flights]
 
-    def beside(self, simulation: Simulation) -> Compared:
-        """The same flight beside another simulation of its vehicle, at the same rate."""
+    def compared_with(self, simulation: Simulation) -> Compared:
+        """The same flight beside another simulation of the same vehicle, at the same rate."""
         other = copy(self)
-        for name, value in vars(type(self)).items():
-            if isinstance(value, cached_property):
-                vars(other).pop(name, None)
+        for name in _OF_THE_SIMULATION:
+            vars(other).pop(name, None)
         other.simulation, other._started = simulation, {}
         return other
 
@@ -349,5 +348,9 @@ def _delayed(time: Array, values: Array, delay_s: float) -> Array:
     return interpolate_columns(time, values, time - delay_s)
 
 
+# What a flight knows by its simulation; the rest is of flight and vehicle alone.
+_OF_THE_SIMULATION = {
+    name for name, value in vars(Compared).items() if isinstance(value, cached_property)
+} - {"measured", "bias_response"}
 _Added: TypeAlias = Callable[[Compared, Effect, Array], Array]
 _KINDS: dict[str, _Added] = {"wrench": _wrench, "vehicle": _vehicle, "wind": _wind, "sensor": _sensor}

@@ -165,8 +165,11 @@ class Linearisation:
             value = moved._with_form(index)
         return value
 
-    def beside(self, flights: Sequence[Compared], chosen: Sequence[int]) -> Linearisation:
-        """The linearisation with some candidates, by index, made of the flights beside another simulation."""
+    def remade(self, flights: Sequence[Compared], chosen: Sequence[int]) -> Linearisation:
+        """The linearisation with some candidates, by index, made of the flights beside another simulation.
+
+        Residual, tolerances, and all other candidates stay those of the first.
+        """
         value = replace(self, flights=tuple(flights))
         for index in chosen:
             value = value._with_block(index)._with_form(index)

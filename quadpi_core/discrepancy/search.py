@@ -94,17 +94,17 @@ class Found:
         return noise[:, -1:] + slow_state_noise(self.regression.flights, noise.shape[1])
 
     def deviation(self, index: int) -> Array:
-        """Standard deviation (k,) of the parameters of a chosen candidate; 0 for those at a bound.
+        """Standard deviation (k,) of the parameters of a chosen candidate, in their units; 0 at a bound.
 
         The fit's own holds what tolerances and noise leave open, as if flights differed by nothing else;
-        where they do, it is as much wider, as is usual for measurements that disagree. It is no less than
-        what the laws of the effects leave open, of which each axis may be off by a share, even where no
-        flight asks for it.
+        where they do, in any parameter of the law, it is as much wider, as is usual for measurements that
+        disagree. It is no less than what the laws of the effects leave open, of which each axis may be off by
+        a share, even where no flight asks for it.
         """
         regression = self.regression
         laws = with_forms(regression.gram, self.fit, [regression.block(chosen) for chosen in self.chosen])
         of_laws = laws.deviation(regression.block(index).parameters)
-        wider: Array = self._deviation(index) * np.maximum(1.0, self.disagreement(index))
+        wider: Array = self._deviation(index) * max(1.0, float(self.disagreement(index).max()))
         return np.maximum(wider, of_laws) * regression.candidates[index].scale
 
     def disagreement(self, index: int) -> Array:
@@ -170,8 +170,9 @@ def search(
         idle |= set(larger.chosen) - set(accepted.chosen)
     accepted, swapped, disputed = _exchanged(accepted, threshold)
     judgements += swapped
+    # First, as only the chosen get columns beside other coefficients, which no rival has.
     rivals = _rivals(accepted)
-    accepted = _with_adjusted_coefficients(accepted)
+    accepted = _with_fitted_coefficients(accepted)
     names, spectra = generic_spectra(flights)
     left = predicted(accepted.regression.left(accepted.fit), spectra, names)
     return Found(
@@ -189,9 +190,9 @@ def search(
     )
 
 
-def _with_adjusted_coefficients(accepted: Accepted) -> Accepted:
+def _with_fitted_coefficients(accepted: Accepted) -> Accepted:
     """The set fitted with columns of the simulation with its coefficients as fitted, where bounds allow."""
-    regression = accepted.regression.adjusted(accepted.chosen, accepted.fit)
+    regression = accepted.regression.with_fitted_coefficients(accepted.chosen, accepted.fit)
     fit = regression.fit(accepted.chosen)
     return accepted if fit is None else Accepted(regression, accepted.chosen, fit)
 

@@ -145,6 +145,11 @@ def flown_again(discovery: Discovery) -> tuple[Discovery, Reflights | None]:
     Coefficients that are moved with the effects may be what makes roll-outs worse: moments that look like
     nothing a step ahead turn the vehicle over half a second. Then they stay as stated, if the effects alone
     do better.
+
+    Raises:
+        DiscrepancyError: for a flight shorter than a roll-out, and an effect that cannot be added to one that
+            the simulation already has.
+        LogError: for a bag whose plan cannot be read.
     """
     if not discovery.effects:
         return discovery, None

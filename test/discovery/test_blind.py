@@ -40,16 +40,16 @@ def test_short_form(tmp_path, monkeypatch, capsys):
     ]
     assert sum(named) >= 3
     assert any(case["result"]["verdict"] == "none" for case in cases if case["kind"] == NULL)
-    # A weak rotor and a rotor's inertia mean the same to the library; two of 95 % may miss, not all.
-    estimates = [inside for case in cases for inside in case["estimates"].values()]
-    assert len(estimates) >= 3
-    assert sum(low <= true <= high for true, low, high in estimates) >= len(estimates) - 2
+    # A weak rotor and a rotor's inertia mean the same to the library; one interval of 95 % may miss.
+    singles = [case for case in cases if case["kind"] == SINGLE and case["left"] is not None]
+    estimates = [own for case in singles for own in case["estimates"].values()]
+    assert len(estimates) >= 2
+    assert sum(low <= true <= high for true, low, high in estimates) >= len(estimates) - 1
     # What is added is judged on flights that were not searched.
-    assert all(
-        case["rollouts"]["attitude_deg"][1] < case["rollouts"]["attitude_deg"][0]
-        for case in cases
-        if case["kind"] == SINGLE and case["left"] is not None
-    )
+    assert len(singles) >= 3
+    for case in singles:
+        before, after = case["rollouts"]["attitude_deg"]
+        assert after < before
     assert "nulls: false alarms" in printed
     assert tool.PAGE.read_bytes() == page
     # What was searched is kept: a second run has nothing to do.

@@ -74,22 +74,31 @@ def test_figures_count_what_they_are_about():
 
 
 def test_parameters_are_scored_where_the_effect_is_found_and_means_the_same():
-    load = Hidden(SINGLE, ("payload",), 0.5, 3)
-    interval = {"value": 0.02, "lower": 0.01, "upper": 0.03}
+    weak = Hidden(SINGLE, ("weak_rotor",), 0.5, 3)
 
-    def found(name, truth):
-        effect = {"name": name, "parameters": {"mass_kg": interval, "rotor": dict.fromkeys(interval, 1.0)}}
+    def found(rotor, loss, upper=0.03, name="weak_rotor"):
+        parameters = {
+            "rotor": {"value": rotor, "lower": rotor, "upper": rotor},
+            "loss": {"value": 0.02, "lower": 0.01, "upper": upper},
+        }
+        effect = {"name": name, "parameters": parameters}
         result = {"verdict": "effects", "effects": [effect], "ambiguous": []}
         return Answer.of(
-            {"seal": load.sealed(), "result": result, "left": None, "rollouts": None},
-            {"payload.mass_kg": truth, "payload.rotor": 1.0},
+            {"seal": weak.sealed(), "result": result, "left": None, "rollouts": None},
+            {"weak_rotor.rotor": 2.0, "weak_rotor.loss": loss},
         )
 
-    right, beside, other = found("payload", 0.025), found("payload", 0.031), found("slung_load", 0.025)
-    assert right.estimates == {"payload.mass_kg": (0.025, 0.01, 0.03)}
+    right, beside, sure = found(2.0, 0.025), found(2.0, 0.031), found(2.0, 0.02, 0.01)
+    another, other = found(3.0, 0.025), found(2.0, 0.025, name="rotor_tilt")
+    assert right.estimates == {"weak_rotor.loss": (0.025, 0.01, 0.03)}
+    assert not another.estimates
     assert not other.estimates
-    shares = {figure.name: (figure.hits, figure.of) for figure in figures([right, beside, other])}
-    assert shares["parameters inside their interval of 95 %"] == (1, 2)
+    answers = [right, beside, sure, another, other]
+    assert [answer.right for answer in answers] == [True, True, True, False, False]
+    assert another.wrong == ("weak_rotor of another rotor",)
+    # One without width, as of a parameter at its bound, is as wrong as any.
+    shares = {figure.name: (figure.hits, figure.of) for figure in figures(answers)}
+    assert shares["parameters inside their interval of 95 %"] == (1, 3)
 
 
 def test_additions_that_make_flights_worse_are_failures():

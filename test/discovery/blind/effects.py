@@ -167,14 +167,17 @@ def sensor_delay(s: Specimen, size: float, rng: np.random.Generator) -> Specimen
 
 def rotor_speed_scale(s: Specimen, size: float, rng: np.random.Generator) -> Specimen:
     change = 0.02 * size * _sign(rng)
-    return s.with_sensor(misread(change)).knowing(rotor_speed_scale__change=change)
+    return s.with_sensor(misread(change)).knowing(
+        rotor_speed_scale__rotor=0, rotor_speed_scale__change=change
+    )
 
 
 def tether(s: Specimen, size: float, rng: np.random.Generator) -> Specimen:
     """So soft that the flights can be flown: 0.6 N at 8 m."""
-    stiffness, slack = 0.1 * size, 2.0
-    line = s.with_formula("tether", stiffness, slack, 0.2 * stiffness, 0.0, 0.0, 0.01)
-    return line.knowing(tether__stiffness_n_m=stiffness, tether__length_m=slack)
+    stiffness = 0.1 * size
+    line = s.with_formula("tether", stiffness, 2.0, 0.2 * stiffness, 0.0, 0.0, 0.01)
+    # Its damping pulls before the line is as long as its length: to the library's law it is shorter.
+    return line.knowing(tether__stiffness_n_m=stiffness)
 
 
 EFFECTS: dict[str, Alter] = {

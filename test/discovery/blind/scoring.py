@@ -13,6 +13,8 @@ from typing import Any
 from blind.cases import ELSE, NULL, OUT, PAIR, POOR, SINGLE, Hidden
 from blind.effects import LATE
 
+# The parameter that says which rotor is no estimate, but another one is another answer.
+ROTOR = "rotor"
 # Of the normal distribution, for intervals of 95 %.
 _Z = 1.959964
 # Growth of an error that counts as worse: with the noise of parameters, errors of roll-outs change by less.
@@ -46,24 +48,24 @@ class Answer:
     def of(cls, found: Mapping[str, Any], truth: Mapping[str, float]) -> Answer:
         """From what `searched` of a benchmark gives, and the true parameters by `effect.parameter`."""
         result = found["result"]
-        parameters = {
-            f"{effect['name']}.{name}": (own["lower"], own["upper"])
-            for effect in result["effects"]
-            for name, own in effect["parameters"].items()
-        }
+        named, estimates = [], {}
+        for effect in result["effects"]:
+            name, parameters = effect["name"], effect["parameters"]
+            known = {p: truth[f"{name}.{p}"] for p in parameters if f"{name}.{p}" in truth}
+            if ROTOR in known and parameters[ROTOR]["value"] != known.pop(ROTOR):
+                named.append(f"{name} of another rotor")
+                continue
+            named.append(name)
+            for p in known:
+                estimates[f"{name}.{p}"] = (known[p], parameters[p]["lower"], parameters[p]["upper"])
         return cls(
             hidden=Hidden.opened(found["seal"]),
             verdict=result["verdict"],
-            named=tuple(effect["name"] for effect in result["effects"]),
+            named=tuple(named),
             sets=tuple(map(tuple, result["ambiguous"])),
             left=found["left"],
             rollouts=found["rollouts"] or {},
-            # Which rotor is no estimate: it has no interval.
-            estimates={
-                name: (truth[name], lower, upper)
-                for name, (lower, upper) in parameters.items()
-                if name in truth and upper > lower
-            },
+            estimates=dict(sorted(estimates.items())),
         )
 
     @property
@@ -224,7 +226,7 @@ def told(answer: Answer) -> str:
 
 
 def failures(answers: Sequence[Answer]) -> list[Answer]:
-    """Answers that count against a figure: not what was hidden, where it was to be found."""
+    """Answers that count against a figure: not what was hidden where it was to be found, or made worse."""
 
     def fails(answer: Answer) -> bool:
         kind, size = answer.hidden.kind, answer.hidden.size

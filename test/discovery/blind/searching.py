@@ -27,10 +27,10 @@ def searched(shared: None, case: Case) -> dict[str, Any]:  # noqa: ARG001
     """What the search says of a case, as JSON can hold it, beside the seal."""
     flights, simulation, checks = case.flights(), case.simulation(), case.checks()
     began = time.perf_counter()
-    left, flown = None, None
+    left, flown, seconds = None, None, None
     try:
         discovery, _ = flown_again(discover(simulation, flights))
-        result = discovery_json(discovery)
+        result, seconds = discovery_json(discovery), time.perf_counter() - began
         if discovery.added and checks:
             added = augmented(discovery)
             left = gap_left(simulation, added, checks, _floor())
@@ -38,7 +38,8 @@ def searched(shared: None, case: Case) -> dict[str, Any]:  # noqa: ARG001
     except Exception as error:
         # Whatever is raised on possible flights is a failure to list, not the end of the run.
         result = {"verdict": f"error: {one_line(error)}", "effects": [], "ambiguous": []}
-    seconds = time.perf_counter() - began
+        left, flown = None, None
+    seconds = seconds or time.perf_counter() - began
     return {"seal": case.seal, "seconds": seconds, "left": left, "rollouts": flown, "result": result}
 
 

@@ -27,6 +27,8 @@ SIZES = (1.0, 0.5)
 # Looked at while the search changes; kept aside until they were opened; and for the end, see README.md.
 DEVELOPMENT, OPENED, RESERVED = (1, 2, 3), (101, 102, 103, 104, 105, 106), (107, 108, 109)
 NULLS_PER_SEED = 8
+# Flights beside those searched, on which what is added is judged: the last of the paths, which are mixed.
+CHECKS = 2
 # What the flights depend on. Nothing of the library is among it.
 _SOURCES = ("airframes", "hidden_physics", "hidden_effects", "flying", "nominal", "recording")
 
@@ -89,21 +91,33 @@ class IndependentCase:
         Raises:
             NotFlownError: where RotorPy cannot fly one of them.
         """
+        flown, rng = self.flown()
         folder = store / f"{self.key}-{generation()}"
-        if not folder.exists():
-            flown, rng = self.flown()
-            folder.parent.mkdir(parents=True, exist_ok=True)
-            with whole_outputs(folder) as staging:
-                for path in flying.paths(self.airframe, rng):
-                    try:
-                        truth = flying.fly(flown, path, rng)
-                    except RuntimeError as error:
-                        if "loses its path" not in str(error):
-                            raise
-                        raise NotFlownError(str(error)) from error
-                    recording.write(flown, truth, rng, staging)
-                (staging / "truth.json").write_text(json.dumps(dict(flown.truth)), encoding="utf-8")
-        return sorted(folder.glob("*.parquet"))
+        return _kept(folder, flown, flying.paths(self.airframe, rng), rng)
+
+    def checks(self, store: Path) -> list[Path]:
+        """Tables of further flights along other paths, which no search gets; see :meth:`logs`."""
+        flown, _ = self.flown()
+        rng = np.random.default_rng(zlib.crc32(f"{self.seal} checks".encode()))
+        folder = store / f"{self.key}-checks-{generation()}"
+        return _kept(folder, flown, flying.paths(self.airframe, rng)[-CHECKS:], rng)
+
+
+def _kept(folder: Path, flown: Flown, paths: Sequence[flying.Path4], rng: np.random.Generator) -> list[Path]:
+    """Tables of flights along paths in a folder, which are flown where it does not exist."""
+    if not folder.exists():
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with whole_outputs(folder) as staging:
+            for path in paths:
+                try:
+                    truth = flying.fly(flown, path, rng)
+                except RuntimeError as error:
+                    if "loses its path" not in str(error):
+                        raise
+                    raise NotFlownError(str(error)) from error
+                recording.write(flown, truth, rng, staging)
+            (staging / "truth.json").write_text(json.dumps(dict(flown.truth)), encoding="utf-8")
+    return sorted(folder.glob("*.parquet"))
 
 
 @lru_cache

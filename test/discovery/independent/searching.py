@@ -8,16 +8,22 @@ import json
 import logging
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from blind.searching import rollout_changes
+import numpy as np
+from blind.searching import gap_left, rollout_changes
 
 from independent.airframes import HERE
 from independent.cases import IndependentCase, NotFlownError
-from quadpi_core.discrepancy.discrepancy_result import discovery_json
+from quadpi_core.discrepancy.augmented_simulation import augmented
+from quadpi_core.discrepancy.discrepancy_result import Discovery, discovery_json
 from quadpi_core.discrepancy.loading import load_simulation
+from quadpi_core.discrepancy.recorded_simulation import RecordedSimulation
+from quadpi_core.discrepancy.reflight import rollouts
 from quadpi_core.discrepancy.search import Found
+from quadpi_core.discrepancy.simulations import Simulation
 from quadpi_core.discrepancy.study import discover, flown_again, read_flights
 from quadpi_core.errors import one_line
 from quadpi_core.logs.importing import import_logs
@@ -63,18 +69,19 @@ def searched(shared: None, task: Task) -> list[dict[str, Any]]:  # noqa: ARG001
         for mode in MODES:
             began = time.perf_counter()
             detail: dict[str, Any] = {}
-            left, changes = None, None
+            left, changes, seconds = None, None, None
             try:
                 simulation = load_simulation(names[mode], vehicle, bags)
                 flights = flights or read_flights(bags, simulation, workers=Workers(1))
-                discovery, flown = flown_again(discover(simulation, flights))
+                discovery, _ = flown_again(discover(simulation, flights))
                 result, detail = discovery_json(discovery), _detail(discovery.found)
-                if discovery.added and flown:
-                    # Each flight beside the fit of all others.
-                    left, changes = 1.0 - discovery.gap.reduction, rollout_changes(flown.rollout)
+                seconds = time.perf_counter() - began
+                if discovery.added:
+                    left, changes = _checked(task, simulation, discovery, Path(folder) / f"{mode}-checks")
             except Exception as error:
                 # Whatever is raised on possible flights is a failure to list, not the end of the run.
                 result = {"verdict": f"error: {one_line(error)}", "effects": [], "ambiguous": []}
+                left, changes = None, None
             found.append(
                 {
                     "seal": case.seal,
@@ -83,7 +90,7 @@ def searched(shared: None, task: Task) -> list[dict[str, Any]]:  # noqa: ARG001
                     "mode": mode,
                     "each_coefficient": case.each_coefficient,
                     "truth": truth,
-                    "seconds": time.perf_counter() - began,
+                    "seconds": seconds or time.perf_counter() - began,
                     "left": left,
                     "rollouts": changes,
                     "result": result,
@@ -91,6 +98,26 @@ def searched(shared: None, task: Task) -> list[dict[str, Any]]:  # noqa: ARG001
                 }
             )
     return found
+
+
+def _checked(
+    task: Task, simulation: Simulation, discovery: Discovery, folder: Path
+) -> tuple[float | None, dict[str, tuple[float, float]] | None]:
+    """What is added on flights that were not searched: see `scoring.Answer.left` and `rollouts`."""
+    try:
+        logs = task.case.checks(task.store)
+    except NotFlownError:
+        return None, None
+    folder.mkdir()
+    bags, added = _imported(task, logs, folder), augmented(discovery)
+    if isinstance(simulation, RecordedSimulation) and isinstance(added.base, RecordedSimulation):
+        # What its owner's simulation recorded beside these flights; nothing that was learned changes.
+        recorded = RecordedSimulation.load(simulation.vehicle_file, bags).wrenches
+        simulation = replace(simulation, wrenches=recorded)
+        added = replace(added, base=replace(added.base, wrenches=recorded))
+    flights = read_flights(bags, simulation, workers=Workers(1))
+    left = gap_left(simulation, added, flights, np.square(discovery.gap.floor))
+    return left, rollout_changes(rollouts(flights, [simulation] * len(flights), [added] * len(flights)))
 
 
 def _imported(task: Task, logs: list[Path], folder: Path) -> list[Path]:
