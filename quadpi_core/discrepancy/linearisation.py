@@ -213,7 +213,8 @@ class Linearisation:
     def _with_block(self, index: int) -> Linearisation:
         """The linearisation with a new block of columns of a candidate about its point."""
         candidate, at, first = self.candidates[index], self.points[index], self.width
-        found = linearise(candidate, self.flights, at)
+        # One that is all but linear is so about no effect.
+        found = linearise(candidate, self.flights, np.zeros_like(at) if candidate.linear else at)
         in_time = self._in_time
         if candidate.linear and candidate.form > 0.0:
             in_time = {**in_time, index: [columns for _, columns in found]}

@@ -102,6 +102,36 @@ def test_a_candidate_that_moves_gets_a_new_block_and_leaves_the_others(columns):
     np.testing.assert_array_equal(moved.rows(0, before), columns.rows(0, before))
 
 
+def test_remade_columns_are_those_of_another_simulation_and_all_others_stay(simulation, flights):
+    """Wind and a rotor's tilt, at their points; of a payload, which is not asked for, nothing changes."""
+    chosen = {own.label: own for own in candidates(simulation.vehicle, ["rotor_tilt", "wind", "payload"])}
+    order = [chosen["rotor_tilt (rotor 2)"], chosen["wind"], chosen["payload"]]
+    compared = [Compared(flight.slice(slice(0, 1000)), simulation) for flight in flights[:2]]
+    points = {0: np.array([2.0, -1.0]), 1: np.array([1.0, 0.5, 0.2])}
+    before = Linearisation.of(compared, order).moved(points)
+    other = simulation.with_coefficients({"thrust": 5.0, "rotor_force_along": -3.0})
+    # What the first simulation was asked for before must not be what the other answers.
+    beside = [flight.compared_with(other) for flight in compared]
+    remade = before.remade(beside, (0, 1))
+    anew = [Compared(flight.slice(slice(0, 1000)), other) for flight in flights[:2]]
+    expected = Linearisation.of(anew, order).moved(points)
+    assert remade.flights == before.flights
+    assert remade.blocks[2] == before.blocks[2]
+    for place in range(2):
+        kept = np.arange(before.width)
+        np.testing.assert_array_equal(remade.rows(place, kept), before.rows(place, kept))
+        for index in (0, 1):
+            own, same = remade.blocks[index], expected.blocks[index]
+            assert own.parameters.min() >= before.width
+            for mine, theirs in ((own.parameters, same.parameters), (own.form, same.form)):
+                assert len(mine) == len(theirs)
+                np.testing.assert_allclose(remade.rows(place, mine), expected.rows(place, theirs), atol=1e-12)
+        tilt = remade.rows(place, remade.blocks[0].parameters)
+        stated = before.rows(place, before.blocks[0].parameters)
+        # Five tolerances of thrust.
+        assert np.linalg.norm(tilt) / np.linalg.norm(stated) == pytest.approx(1.05, abs=0.01)
+
+
 def test_about_its_point_a_curved_candidate_contributes_what_it_does(columns):
     """Columns at the parameters less the offset."""
     at = np.array([1.0, -0.5, 0.2])

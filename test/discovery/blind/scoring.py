@@ -56,8 +56,8 @@ class Answer:
                 named.append(f"{name} of another rotor")
                 continue
             named.append(name)
-            for p in known:
-                estimates[f"{name}.{p}"] = (known[p], parameters[p]["lower"], parameters[p]["upper"])
+            for p, true in known.items():
+                estimates[f"{name}.{p}"] = (true, parameters[p]["lower"], parameters[p]["upper"])
         return cls(
             hidden=Hidden.opened(found["seal"]),
             verdict=result["verdict"],
