@@ -26,6 +26,7 @@ sys.path.append(str(ROOT / "tools"))
 from blind import elsewhere  # noqa: E402
 from blind.cases import (  # noqa: E402
     KINDS,
+    PAIR,
     SINGLE,
     SIZES,
     Hidden,
@@ -125,6 +126,22 @@ def failures_table(answers: Sequence[Answer]) -> str:
     return markdown_table(Table([kind, effects, Column("size"), Column("seed"), words], rows))
 
 
+def missed_table(answers: Sequence[Answer]) -> str:
+    """Every parameter outside its interval, of those that the figure is about."""
+    rows = []
+    for answer in sorted(answers, key=lambda own: (own.hidden.effects, -own.hidden.size, own.hidden.seed)):
+        hidden = answer.hidden
+        if hidden.kind not in (SINGLE, PAIR) or not answer.in_set:
+            continue
+        for (name, (true, lower, upper)), inside in zip(answer.estimates.items(), answer.inside, strict=True):
+            if not inside:
+                case = [f"`{name}`", " + ".join(hidden.effects), f"{hidden.size:g}", str(hidden.seed)]
+                rows.append([*case, f"{true:.4g}", f"{lower:.4g} – {upper:.4g}"])
+    parameter, hidden_words = (Column(heading, is_text=True) for heading in ("parameter", "hidden"))
+    numbers = map(Column, ("size", "seed", "true", "interval"))
+    return markdown_table(Table([parameter, hidden_words, *numbers], rows))
+
+
 def summary(results: Sequence[dict[str, Any]]) -> str:
     """How many cases, and how long a search takes."""
     kinds = [Hidden.opened(found["seal"]).kind for found in results]
@@ -203,6 +220,7 @@ def main() -> None:
         "figures": figures_table(figures(answers)),
         "confusion": confusion_table(answers),
         "failures": failures_table(answers),
+        "parameters": missed_table(answers),
     }
     print("\n\n".join(tables.values()))
     with whole_output(options.json) as temporary:
