@@ -23,11 +23,12 @@ SVG = "{http://www.w3.org/2000/svg}"
 
 
 def result(hidden, verdict, **probabilities):
-    effects = [{"name": name, "probability": value} for name, value in probabilities.items()]
+    effects = [{"name": n, "probability": p, "parameters": {}} for n, p in probabilities.items()]
     return {
         "seal": hidden.sealed(),
         "result": {"verdict": verdict, "effects": effects, "ambiguous": []},
         "left": None,
+        "rollouts": None,
     }
 
 
