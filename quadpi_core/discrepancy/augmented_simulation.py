@@ -375,8 +375,8 @@ def write_addition(discovery: Discovery, folder: Path) -> list[Path]:
     """Write the simulation with the effects that were found, and the formulas of the effects.
 
     For a vehicle file it is a vehicle file of the same name with `simulation.effects`; for any other
-    simulation an `addition.json` that refers to it and loads in its place. Without effects, and with those
-    that flights left out do not support, nothing is written.
+    simulation an `addition.json` that refers to it and loads in its place. Nothing is written with any other
+    verdict than "effects".
 
     Args:
         discovery: result of the search.

@@ -85,8 +85,7 @@ class Discovery:
         candidates: every candidate with its evidence, best first.
         adjusted: whether coefficients are moved with the effects, where flights left out are simulated better
             so.
-        rejected: whether flights left out do not support the effects, so that nothing is added: they are
-            simulated worse, or the verdict is "unknown" and no roll-out compares.
+        rejected: whether flights left out are simulated worse with the effects.
     """
 
     verdict: str
@@ -104,8 +103,8 @@ class Discovery:
 
     @property
     def added(self) -> bool:
-        """Whether effects were named and flights left out support them, so that they can be added."""
-        return bool(self.effects) and not self.rejected
+        """Whether the effects are added to the simulation: those of the verdict "unknown" never are."""
+        return self.verdict == "effects"
 
     @property
     def doubts(self) -> tuple[str, ...]:

@@ -80,10 +80,9 @@ def judged_by_gap(discovery: Discovery, gap: Gap) -> tuple[Verdict, ...]:
 
 
 def judged_by_rollouts(discovery: Discovery, rollouts: Rollouts) -> Discovery:
-    """The discovery, rejected unless flights left out support its effects.
+    """The discovery, rejected and "unknown" where flights left out are simulated worse with its effects.
 
-    Their gap must not grow, and their roll-outs must get no worse, one by one or by those that diverge. A
-    verdict "unknown" needs roll-outs that compare: where all diverge, nothing is left that speaks for it.
+    Their gap must not grow, and their roll-outs must get no worse, one by one or by those that diverge.
     """
     errors = {ERROR_NAMES[name]: error for name, error in rollouts.errors.items()}
     verdict = judge_rollouts(
@@ -98,7 +97,7 @@ def judged_by_rollouts(discovery: Discovery, rollouts: Rollouts) -> Discovery:
         discovery,
         checks=(*discovery.checks, *judged),
         verdict="unknown" if worse else discovery.verdict,
-        rejected=worse or (discovery.verdict == "unknown" and not errors),
+        rejected=worse,
     )
 
 

@@ -27,7 +27,6 @@ from quadpi_core.discrepancy.discrepancy_result import (
     Study,
 )
 from quadpi_core.discrepancy.ranked_evidence import LEAST_ABOVE_FLOOR
-from quadpi_core.discrepancy.result_verdicts import CLOSED
 from quadpi_core.flight import AXES
 from quadpi_core.report.coverage_verdict import listing
 from quadpi_core.report.discrepancy_evidence import (
@@ -345,12 +344,7 @@ def _verdict(study: Study) -> str:
         return f"Add nothing yet: {unknown}: {doubts}."
     comes = "come" if len(discovery.effects) > 1 else "comes"
     closest = f"{named[:1].upper()}{named[1:]} {comes} closest"
-    if study.flown_again is None or discovery.rejected or discovery.gap.reduction < CLOSED.value:
-        return f"Add nothing yet: {unknown}. {closest}, but {doubts}."
-    # Such an addition is written: flights left out are simulated better with it, and roll-outs no worse.
-    gain = f"closes {percent(discovery.gap.reduction)} of the gap of flights left out"
-    rollouts = "their roll-outs get no worse on average"
-    return f"Add with care, and look further: {unknown}. {closest}: it {gain}, and {rollouts}, but {doubts}."
+    return f"Add nothing yet: {unknown}. {closest}, but {doubts}."
 
 
 def _action(discovery: Discovery) -> str:

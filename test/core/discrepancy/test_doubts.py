@@ -222,10 +222,11 @@ def diverged(before, after):
     return Rollouts(0.5, 0, {}, {"before": before, "after": after, "floor": 0})
 
 
-def test_roll_outs_that_all_diverge_support_no_doubtful_effect(found, tmp_path):
+def test_a_doubtful_effect_is_not_added_however_roll_outs_gain(found, tmp_path):
     """Without doubts, flights left out a step ahead are enough."""
     doubtful = replace(found.discovery, verdict="unknown")
-    assert write_addition(judged_by_rollouts(doubtful, diverged(209, 0)), tmp_path) == []
+    for rollouts in (rolled_out(after=9.0), diverged(209, 0)):
+        assert write_addition(judged_by_rollouts(doubtful, rollouts), tmp_path) == []
     kept = judged_by_rollouts(found.discovery, diverged(209, 0))
     assert kept.verdict == "effects"
     assert "no roll-out of flights left out can be compared" in [check.sentence for check in kept.checks]
