@@ -26,7 +26,6 @@ sys.path.append(str(ROOT / "tools"))
 from blind import elsewhere  # noqa: E402
 from blind.cases import (  # noqa: E402
     KINDS,
-    PAIR,
     SINGLE,
     SIZES,
     Hidden,
@@ -35,7 +34,7 @@ from blind.cases import (  # noqa: E402
     short_cases,
     true_parameters,
 )
-from blind.scoring import Answer, Figure, confusion, failures, figures  # noqa: E402
+from blind.scoring import Answer, Figure, confusion, estimated, failures, figures  # noqa: E402
 from blind.searching import searched  # noqa: E402
 from page_tables import renew, stamp  # noqa: E402
 from reliability_diagram import IMAGES, write_diagram  # noqa: E402
@@ -129,10 +128,9 @@ def failures_table(answers: Sequence[Answer]) -> str:
 def missed_table(answers: Sequence[Answer]) -> str:
     """Every parameter outside its interval, of those that the figure is about."""
     rows = []
-    for answer in sorted(answers, key=lambda own: (own.hidden.effects, -own.hidden.size, own.hidden.seed)):
+    counted = estimated(answers)
+    for answer in sorted(counted, key=lambda own: (own.hidden.effects, -own.hidden.size, own.hidden.seed)):
         hidden = answer.hidden
-        if hidden.kind not in (SINGLE, PAIR) or not answer.in_set:
-            continue
         for (name, (true, lower, upper)), inside in zip(answer.estimates.items(), answer.inside, strict=True):
             if not inside:
                 case = [f"`{name}`", " + ".join(hidden.effects), f"{hidden.size:g}", str(hidden.seed)]

@@ -101,11 +101,15 @@ class Found:
         disagree. It is no less than what the laws of the effects leave open, of which each axis may be off by
         a share, even where no flight asks for it.
         """
-        regression = self.regression
-        laws = with_forms(regression.gram, self.fit, [regression.block(chosen) for chosen in self.chosen])
-        of_laws = laws.deviation(regression.block(index).parameters)
+        of_laws = self._with_forms.deviation(self.regression.block(index).parameters)
         wider: Array = self._deviation(index) * max(1.0, float(self.disagreement(index).max()))
-        return np.maximum(wider, of_laws) * regression.candidates[index].scale
+        return np.maximum(wider, of_laws) * self.regression.candidates[index].scale
+
+    @cached_property
+    def _with_forms(self) -> Fit:
+        """The fit beside the forms of all laws, one for all of the chosen."""
+        blocks = [self.regression.block(index) for index in self.chosen]
+        return with_forms(self.regression.gram, self.fit, blocks)
 
     def disagreement(self, index: int) -> Array:
         """See :meth:`Closing.disagreement`; 0 (k,) of flights so few that they do not predict each other."""

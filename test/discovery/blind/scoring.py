@@ -165,7 +165,7 @@ def figures(answers: Sequence[Answer]) -> list[Figure]:
     closed = [answer for answer in (*full, *pairs) if answer.in_set and answer.left is not None]
     late = [answer for answer in closed if LATE & set(answer.hidden.effects)]
     additive = [answer for answer in closed if answer not in late]
-    estimated = [inside for answer in (*singles, *pairs) if answer.in_set for inside in answer.inside]
+    insides = [inside for answer in estimated(answers) for inside in answer.inside]
     added = [answer for answer in answers if answer.left is not None]
     return [
         figure("nulls: false alarms", (not a.right for a in over(NULL)), 0.02, at_most=True),
@@ -195,7 +195,7 @@ def figures(answers: Sequence[Answer]) -> list[Figure]:
             (a.left is not None and a.left <= 0.05 for a in late),
             0.95,
         ),
-        figure("parameters inside their interval of 95 %", estimated, 0.9),
+        figure("parameters inside their interval of 95 %", insides, 0.9),
         figure(
             "additions that make flights or roll-outs worse that were not fitted",
             (bool(answer.worse) for answer in added),
@@ -203,6 +203,11 @@ def figures(answers: Sequence[Answer]) -> list[Figure]:
             at_most=True,
         ),
     ]
+
+
+def estimated(answers: Sequence[Answer]) -> list[Answer]:
+    """Answers whose parameters count: effects that were found in flights that show them."""
+    return [answer for answer in answers if answer.hidden.kind in (SINGLE, PAIR) and answer.in_set]
 
 
 def confusion(answers: Sequence[Answer], size: float) -> dict[str, Counter[str]]:
