@@ -12,30 +12,23 @@ import heapq
 import re
 import sqlite3
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from functools import cached_property
-from pathlib import Path
+from pathlib import Path, PurePath
 from types import TracebackType
 from typing import TYPE_CHECKING, NamedTuple, cast
 from urllib.parse import quote
 
 import numpy as np
-from backports import zstd
 from rosbags import rosbag2
 from rosbags.interfaces import Connection
 from rosbags.rosbag2.reader import DirectoryReader
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
-from quadpi_core.bounded_files import read_bounded
 from quadpi_core.errors import LogError, one_line
 from quadpi_core.flight import Stamps
-from quadpi_core.logs.mcap_files import (
-    METADATA_BYTES_MAX,
-    McapFile,
-    Message,
-    batches_of,
-    log_time,
-)
+from quadpi_core.logs.bag_places import PACKED, files_of, place_to_open
+from quadpi_core.logs.mcap_files import McapFile, Message, batches_of, log_time
 from quadpi_core.logs.ros1_bags import Ros1Bag
 from quadpi_core.logs.unpacking import MESSAGE_BYTES, require_unpackable, unpacked_limit, unzstd, zstd_size
 from quadpi_core.messages.earlier_definitions import is_earlier, rewritten
@@ -44,9 +37,6 @@ from quadpi_core.messages.payloads import Payloads, Topic, join_topics
 if TYPE_CHECKING:
     from rosbags.rosbag2.reader import ReaderProtocol
 
-# A frame of Zstandard, and the frames that decompressors skip.
-_ZSTD_MAGICS = (b"\x28\xb5\x2f\xfd", *(bytes((0x50 + kind, 0x2A, 0x4D, 0x18)) for kind in range(16)))
-_METADATA_FILE = "metadata.yaml"
 # Tables of a database that rosbags reads.
 _TABLES = ("schema", "metadata", "topics", "message_definitions", "messages")
 _TABLE = re.compile(r"CREATE TABLE\b", re.IGNORECASE)
@@ -69,10 +59,13 @@ class Bag:
         self.path = path
         if not path.exists():
             raise LogError(f"{path}: no such bag")
-        with self._reading():
-            self._reader = _Reader(_bag_to_open(path))
+        self._opened, self._place = ExitStack(), path
+        with self._reading(), ExitStack() as opened:
+            self._place = opened.enter_context(place_to_open(path))
+            self._reader = _Reader(self._place)
             self._reader.open()
             self._check_connections()
+            self._opened = opened.pop_all()
 
     def _check_connections(self) -> None:
         """Refuse a damaged index or metadata.yaml with other values in the place of names and counts."""
@@ -91,7 +84,14 @@ class Bag:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        self._reader.close()
+        with self._opened:
+            self._reader.close()
+
+    @property
+    def name(self) -> str:
+        """Name of the recording: that of the file or folder, without the suffixes of its container."""
+        name = self.path.stem
+        return PurePath(name).stem if self.path.suffix == PACKED else name
 
     @property
     def connections(self) -> list[Connection]:
@@ -197,7 +197,7 @@ class Bag:
 
     def _unpacked(self, messages: Iterable[Message]) -> Iterator[Message]:
         """Messages that are each compressed by themselves."""
-        packed_bytes = sum(file.stat().st_size for file in _files_of(self.path))
+        packed_bytes = sum(file.stat().st_size for file in files_of(self.path))
         unpacked_bytes = 0
         for connection, time_ns, packed in messages:
             size = zstd_size(packed, unpacked_limit(len(packed)))
@@ -213,50 +213,11 @@ class Bag:
             yield
         except LogError as error:
             # Errors of a file in a folder name it, and so the bag.
-            named = str(error).startswith(str(self.path))
-            raise LogError(str(error) if named else f"{self.path}: {error}") from error
+            text = str(error).replace(str(self._place), str(self.path))
+            raise LogError(text if text.startswith(str(self.path)) else f"{self.path}: {text}") from error
         except Exception as error:  # rosbags and the decompressors raise many kinds on damaged bytes
-            reason = one_line(error) or type(error).__name__
+            reason = (one_line(error) or type(error).__name__).replace(str(self._place), str(self.path))
             raise LogError(f"{self.path}: cannot be read: {reason}") from error
-
-
-def _files_of(path: Path) -> list[Path]:
-    return sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path]
-
-
-def _bag_to_open(path: Path) -> Path:
-    """A file, a folder with metadata.yaml, or the one file with messages in a folder without.
-
-    Raises:
-        LogError: if metadata.yaml is too large, or absent and there is not exactly one file, or a compressed
-            file unpacks to too much.
-    """
-    if not path.is_dir():
-        return path
-    if (path / _METADATA_FILE).exists():
-        read_bounded(path / _METADATA_FILE, METADATA_BYTES_MAX)
-        for file in _files_of(path):
-            _check_packed(file)
-        return path
-    files = [file for file in _files_of(path) if file.suffix in {".mcap", ".db3"}]
-    if len(files) != 1:
-        raise LogError(
-            f"no {_METADATA_FILE}, and {len(files)} files of messages: `ros2 bag reindex` makes it, or name "
-            "one of the files"
-        )
-    return files[0]
-
-
-def _check_packed(file: Path) -> None:
-    """Refuse a compressed file that unpacks to too much; rosbags unpacks it to disk without a limit."""
-    with file.open("rb") as stream:
-        if not stream.read(max(map(len, _ZSTD_MAGICS))).startswith(_ZSTD_MAGICS):
-            return
-    packed = file.read_bytes()
-    try:
-        require_unpackable(len(packed), zstd_size(packed, unpacked_limit(len(packed))))
-    except (LogError, zstd.ZstdError) as error:
-        raise LogError(f"{file}: {error}") from error
 
 
 # Containers
@@ -277,6 +238,8 @@ class _Database(Sqlite3Reader):
                 _check_tables(database)
         except (LogError, sqlite3.Error, UnicodeDecodeError) as error:
             reason = str(error) if isinstance(error, LogError) else f"cannot be read: {one_line(error)}"
+            if "malformed" in reason:
+                reason += "; `sqlite3 FILE .recover | sqlite3 whole.db3` rebuilds what is whole of it"
             raise LogError(f"{self.path}: {reason}") from error
         super().open()
 

@@ -143,7 +143,7 @@ class BagRecording:
         if "rotor_speeds" in names:
             names.pop("erpm", None)
         self._names = names
-        self.name, self.source, self.vehicle = bag.path.stem, str(bag.path), _vehicle_name(bag, vehicle)
+        self.name, self.source, self.vehicle = bag.name, str(bag.path), _vehicle_name(bag, vehicle)
         self.streams = {field for topic in names for field in _FIELDS[topic]} | {
             _FIELDS_OF_KINDS[kind] for kind in self._adapted
         }

@@ -7,7 +7,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from quadpi_core.logs import read_recording
+from quadpi_core.vehicle import Vehicle
 
 
 @pytest.fixture
@@ -21,3 +25,16 @@ def report(shared_data: Path) -> Callable[[str], Path]:
         return path
 
     return folder
+
+
+def test_a_crazyflie_s_log_that_ends_at_power_off(report, caplog):
+    recording = read_recording(report("crazyflie_usd_power_off") / "log07", Vehicle.load("bebop2"))
+    assert len(recording.imu) == len(recording.rotor_speeds) == 1999
+    assert np.ptp(recording.imu.time_ns) == pytest.approx(1998 * 2_000_000, rel=1e-3)
+    assert "cut off in the record from byte 100071" in caplog.text
+
+
+def test_a_bag_that_was_reindexed_without_a_storage_identifier(report):
+    recording = read_recording(report("bag_reindexed_on_humble") / "bag", Vehicle.load("bebop2"))
+    assert [stream.topic for stream in recording.streams()] == ["imu", "rotor_speeds", "mocap/pose"]
+    assert np.ptp(recording.imu.time_ns) == pytest.approx(6.0e9, rel=1e-3)

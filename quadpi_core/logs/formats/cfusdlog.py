@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import struct
 import zlib
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,7 +26,7 @@ from quadpi_core.errors import LogError
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream, Stamps
 from quadpi_core.frames import Array, body_flu_to_frd, quaternion_flu_enu_to_frd_ned, world_enu_to_ned
 from quadpi_core.logs.log_format import LogFormat
-from quadpi_core.logs.reader_steps import normalised_attitude
+from quadpi_core.logs.reader_steps import normalised_attitude, note
 from quadpi_core.rotations import rotate_world_to_body
 from quadpi_core.sample_limits import STANDARD_GRAVITY
 from quadpi_core.vehicle import Vehicle
@@ -71,7 +72,7 @@ def read_cfusdlog(path: Path, vehicle: Vehicle | None, _mapping: None = None) ->
     event), `locSrv` (motion capture, position and attitude) and `pm.vbatMV`, in any event type.
 
     Raises:
-        LogError: if the file is damaged or truncated, naming the byte, or has no gyro and accelerometer.
+        LogError: as :func:`decode_events`, or if the file has no gyro and accelerometer.
     """
     source = str(path)
     events = decode_events(source, path.read_bytes())
@@ -130,7 +131,8 @@ def decode_events(source: str, data: bytes) -> dict[str, Event]:
     """All records of a log, by the name of their event type.
 
     Raises:
-        LogError: naming the byte where the log is cut off or damaged, or for a checksum that does not match.
+        LogError: naming the byte where its head is damaged, for a checksum that does not match, and for a
+            log without one whole record. What is cut off is noted.
     """
     if len(data) < 5 or data[0] != _MAGIC:
         raise LogError(f"{source}: not a Crazyflie uSD log (it must begin with the byte 0x{_MAGIC:X})")
@@ -138,15 +140,34 @@ def decode_events(source: str, data: bytes) -> dict[str, Event]:
     if version not in _STAMP_TYPE:
         raise LogError(f"{source}: uSD log version {version} is not known; known: {list(_STAMP_TYPE)}")
     layouts, names, start = _decode_header(source, data, version, event_count)
-    offsets = _record_offsets(source, data, start, layouts)
-    (expected,) = struct.unpack_from("<I", data, len(data) - _CRC_BYTES)
-    if zlib.crc32(data[:-_CRC_BYTES]) != expected:
-        raise LogError(f"{source}: the checksum does not match: the file is damaged")
+    offsets, stop = _record_offsets(data, start, layouts)
+    _check_end(source, data, stop, layouts)
+    if not any(offsets.values()):
+        raise LogError(f"{source}: byte {len(data)}: the file holds no whole record")
     tick_ns = _NANOSECONDS_PER_TICK[version]
     return {
         names[event_id]: _decode_records(data, offsets[event_id], layout, tick_ns)
         for event_id, layout in layouts.items()
     }
+
+
+def _check_end(source: str, data: bytes, stop: int, layouts: Collection[int]) -> None:
+    """Note what follows the last whole record, which ends at byte `stop`, in the place of a checksum.
+
+    Raises:
+        LogError: for a checksum that does not match.
+    """
+    rest = data[stop:]
+    undefined = len(rest) >= 2 and int.from_bytes(rest[:2], "little") not in layouts
+    if len(rest) == _CRC_BYTES and int.from_bytes(rest, "little") == zlib.crc32(data[:stop]):
+        return
+    if len(rest) == _CRC_BYTES and undefined:
+        raise LogError(f"{source}: the checksum does not match: the file is damaged")
+    if undefined:
+        wrong = f"damaged from byte {stop} on, where no event begins"
+    else:
+        wrong = f"cut off in the record from byte {stop}, without a checksum"
+    note(source, f"the file is {wrong}; the whole records before it are read")
 
 
 def _decode_header(
@@ -178,23 +199,23 @@ def _string(data: bytes, start: int) -> tuple[str, int]:
 
 
 def _record_offsets(
-    source: str, data: bytes, start: int, layouts: dict[int, np.dtype[Any]]
-) -> dict[int, list[int]]:
-    """First byte of each record per event id; records of all types are interleaved, so they are walked."""
+    data: bytes, start: int, layouts: dict[int, np.dtype[Any]]
+) -> tuple[dict[int, list[int]], int]:
+    """First byte of each whole record per event id, and the byte behind the last of them.
+
+    Records of all types are interleaved, so they are walked.
+    """
     sizes = {event_id: layout.itemsize for event_id, layout in layouts.items()}
     offsets: dict[int, list[int]] = {event_id: [] for event_id in layouts}
-    begin = position = start
-    end = len(data) - _CRC_BYTES
-    while position < end:
-        begin = position
-        event_id = data[begin] | data[begin + 1] << 8
-        if event_id not in sizes:
-            raise LogError(f"{source}: byte {begin}: event id {event_id} is not defined: the file is damaged")
-        offsets[event_id].append(begin)
-        position += sizes[event_id]
-    if position != end:
-        raise LogError(f"{source}: byte {len(data)}: the file is cut off in the record from byte {begin}")
-    return offsets
+    position = start
+    while position + 1 < len(data):
+        event_id = data[position] | data[position + 1] << 8
+        end = position + sizes.get(event_id, len(data))
+        if end > len(data):
+            break
+        offsets[event_id].append(position)
+        position = end
+    return offsets, position
 
 
 def _decode_records(data: bytes, offsets: list[int], layout: np.dtype[Any], tick_ns: int) -> Event:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from quadpi_core.logs.bags import BagRecording
     from quadpi_core.messages.adapters import AdapterSettings
 
-_SUFFIXES = (".mcap", ".db3", ".bag")
+_SUFFIXES = (".mcap", ".db3", ".bag", ".zstd")
 _MAGICS = (b"\x89MCAP0\r\n", b"SQLite format 3\0", b"#ROSBAG V")
 
 
@@ -59,7 +59,7 @@ def _topic_stamps(path: Path) -> dict[str, Stamps] | None:
 
 
 FORMAT = LogFormat(
-    description="bag (.mcap, .db3, .bag, rosbag2 folder)",
+    description="bag (.mcap, .db3, .bag, also .zstd of them, rosbag2 folder)",
     read=_read,
     begins=lambda head: head.startswith(_MAGICS),
     suffixes=_SUFFIXES,
