@@ -48,12 +48,14 @@ class Finding:
         topic: that it shows in.
         text: what it looks like and the remedy, with numbers.
         certain: whether nothing else can explain it.
+        leave_out: whether no model should learn from a flight that has it.
     """
 
     mistake: str
     topic: str
     text: str
     certain: bool = False
+    leave_out: bool = False
 
     def __str__(self) -> str:
         return f"topic {self.topic}: {self.text}"
@@ -69,6 +71,11 @@ class DataQuality:
     def sentences(self) -> Iterator[str]:
         """In plain words, the topic first."""
         yield from map(str, (*self.left_out, *self.findings))
+
+    @property
+    def flaw(self) -> Finding | None:
+        """The first finding for which a model should not learn from the flight; None without any."""
+        return next((finding for finding in self.findings if finding.leave_out), None)
 
     def to_json(self) -> dict[str, Any]:
         """As JSON holds it."""

@@ -302,6 +302,7 @@ class Flight:
         biases_estimated: whether biases of the IMU were estimated and removed; false with odometry.
         position_measured: whether the position was measured, by motion capture or as a log has it; else it
             is the integrated velocity.
+        sha256: hash of the sensor streams, the same for every copy of the flight; empty where not known.
     """
 
     name: str
@@ -320,6 +321,7 @@ class Flight:
     quality: DataQuality = NOTHING_TO_SAY
     biases_estimated: bool = True
     position_measured: bool = True
+    sha256: str = ""
 
     def __len__(self) -> int:
         return len(self.time)

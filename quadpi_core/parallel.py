@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any, TypeVar
@@ -27,8 +27,6 @@ Shared = TypeVar("Shared")
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-# Starting processes takes about as long as reading this number of flights of half a minute.
-MANY_FILES = 64
 # One task per core: threads within a task would only take cores from other tasks.
 _ONE_THREAD = {f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "MKL", "NUMBA")}
 
@@ -68,8 +66,8 @@ class Workers:
     """Where independent tasks run, and where their progress is reported.
 
     Attributes:
-        count: processes on this machine; one means this process. Default: one per core, but for fewer than
-            MANY_FILES files this process.
+        count: processes on this machine; one means this process. Default: one per core, but this process for
+            the files of fewer than 64 flights.
         scheduler: address of a Dask scheduler whose workers do the tasks instead. They must run the same
             version of quadpi; files are only found where they share the file system.
         progress: called in this process as tasks finish.
@@ -125,34 +123,6 @@ class Workers:
             with _client(str(self.scheduler), self.answer_s) as client:
                 _map_on_cluster(client, function, items, shared, finished)
         return results
-
-    def map_files(
-        self, function: Callable[[Shared, Path], Result], paths: Sequence[Path], *, shared: Shared, task: str
-    ) -> list[Result]:
-        """As :meth:`map`, for files that each take a fraction of a second: processes only if it pays.
-
-        Args:
-            function: see there.
-            paths: of files; a scheduler's workers, whose working folder is another, are given absolute ones.
-            shared: see there.
-            task: name of the work, for its progress.
-
-        Raises:
-            ParallelError: see there.
-        """
-        finished = 0
-
-        def done(_index: int, _result: Result) -> None:
-            nonlocal finished
-            finished += 1
-            self.progress(Progress(task, finished, len(paths)))
-
-        workers = self
-        if self.scheduler is not None:
-            paths = [path.absolute() for path in paths]
-        if self.count is None and len(paths) < MANY_FILES:
-            workers = replace(self, count=1)
-        return workers.map(function, paths, shared=shared, done=done)
 
 
 DEFAULT_WORKERS = Workers()

@@ -111,18 +111,20 @@ def quadpi(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) 
 def refused(quadpi: Callable[..., Outcome], tmp_path: Path) -> Callable[..., None]:
     """refused(message, command, …): one line on standard error, and the test's folder as it was.
 
-    What the flights are found to have before that is on standard output, each line with `finding`.
+    What the flights are found to have before that is on standard output, each line with `finding`; flights
+    that were `left_out` of those that are too few now have a line each before.
     """
 
     def contents() -> dict[Path, bytes | None]:
         return {path: path.read_bytes() if path.is_file() else None for path in tmp_path.rglob("*")}
 
-    def run(message: str, *arguments: object, finding: str = "") -> None:
+    def run(message: str, *arguments: object, finding: str = "", left_out: int = 0) -> None:
         before = contents()
         result = quadpi(*arguments)
         assert (result.status, bool(result.output)) == (2, bool(finding)), result
         assert all(finding in line for line in result.output.splitlines()), result.output
-        assert re.fullmatch(rf"quadpi: [^\n]*{message}[^\n]*\n", result.errors), result.errors
+        before_it = rf"(quadpi: left out [^\n]*\n){{{left_out}}}"
+        assert re.fullmatch(rf"{before_it}quadpi: [^\n]*{message}[^\n]*\n", result.errors), result.errors
         assert contents() == before
 
     return run

@@ -19,7 +19,9 @@ def test_a_row_for_each_horizon_in_the_order_of_the_quantities(tool: ModuleType)
         horizon: {name: metrics(scale * (k + 1)) for k, name in enumerate(names)}
         for horizon, scale in (("0.01", 0.1), ("0.1", 1.0), ("0.5", 10.0))
     }
-    rows = tool.rows("a flight", FlightRolloutMetrics(100, 0, True, horizons))
+    rows = tool.rows(
+        "a flight", FlightRolloutMetrics(100, 0, position_measured=True, in_sample=False, horizons=horizons)
+    )
     assert [row[:3] for row in rows] == [
         ["a flight", "0.1 s", "1.00, 2.00, 3.00, 4.00"],
         ["a flight", "0.5 s", "10.0, 20.0, 30.0, 40.0"],

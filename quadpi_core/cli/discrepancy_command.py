@@ -4,13 +4,14 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from quadpi_core.cli import options
-from quadpi_core.cli.options import check_outputs, open_console, print_quality, shown_work
+from quadpi_core.cli.options import batch_of_flights, check_outputs, open_console, print_quality, shown_work
 
 DATA, PAGE = "discrepancy.json", "discrepancy.html"
 
@@ -56,29 +57,33 @@ def discrepancy(
     check_outputs(inputs, json_file, html_file, folders=[output])
     console = open_console()
     names = None if effects is None else effects.split(",")
-    the_simulation = load_simulation(simulation, vehicle, bags, mapping=mapping, allow_code=allow_code)
-    with shown_work(console, workers, scheduler) as reading:
-        flights = read_flights(bags, the_simulation, mapping=mapping, workers=reading)
-    print_quality(console, zip(bags, (flight.quality for flight in flights), strict=True))
-    with console.status("Searching"):
-        found = study(the_simulation, flights, names=names, seed=seed)
-    for name, flight in study_json(found)["flights"].items():
-        if flight["unjudged_samples"]:
-            console.print(
-                f"{name}: {flight['unjudged_samples']} samples left out, which the simulation cannot judge",
-                soft_wrap=True,
-            )
-    read = dict(zip((flight.name for flight in flights), bags, strict=True))
-    # A simulation that is no model cannot judge: who looks at a moment names a model.
-    files = FlightFiles(read, [model_folder(simulation) or Path("MODEL")], vehicle)
-    with whole_outputs(output) as staging, console.status("Writing"):
-        added = [file.name for file in write_addition(found.discovery, staging)]
-        data: dict[str, Any] = {**study_json(found), "files": added}
-        write_json(staging / DATA, data)
-        write_discrepancy_page(staging / PAGE, found, files)
-        if json_file is not None:
-            write_json(json_file, data)
-        if html_file is not None:
-            write_discrepancy_page(html_file, found, files)
-    console.print(discrepancy_summary(found))
-    console.print(f"{output}: {', '.join([PAGE, DATA, *added])}", soft_wrap=True)
+    with batch_of_flights() as left_out:
+        the_simulation = load_simulation(
+            simulation, vehicle, bags, mapping=mapping, allow_code=allow_code, left_out=left_out
+        )
+        with shown_work(console, workers, scheduler) as reading:
+            flights = read_flights(bags, the_simulation, mapping=mapping, workers=reading, left_out=left_out)
+        print_quality(console, ((flight.name, flight.quality) for flight in flights))
+        with console.status("Searching"):
+            found = study(the_simulation, flights, names=names, seed=seed)
+        data = {**study_json(found), "left_out": list(map(asdict, left_out))}
+        for name, flight in data["flights"].items():
+            if count := flight["unjudged_samples"]:
+                console.print(
+                    f"{name}: {count} samples left out, which the simulation cannot judge", soft_wrap=True
+                )
+            if flight["in_sample"]:
+                console.print(f"{name}: the simulation was identified on this flight", soft_wrap=True)
+        # A simulation that is no model cannot judge: who looks at a moment names a model.
+        files = FlightFiles.of(bags, [model_folder(simulation) or Path("MODEL")], vehicle)
+        with whole_outputs(output) as staging, console.status("Writing"):
+            added = [file.name for file in write_addition(found.discovery, staging)]
+            data["files"] = added
+            write_json(staging / DATA, data)
+            write_discrepancy_page(staging / PAGE, found, files, left_out)
+            if json_file is not None:
+                write_json(json_file, data)
+            if html_file is not None:
+                write_discrepancy_page(html_file, found, files, left_out)
+        console.print(discrepancy_summary(found))
+        console.print(f"{output}: {', '.join([PAGE, DATA, *added])}", soft_wrap=True)

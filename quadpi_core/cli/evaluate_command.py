@@ -4,19 +4,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from quadpi_core.cli import options
-from quadpi_core.cli.options import check_outputs, open_console, print_quality, shown_work, write_result
+from quadpi_core.cli.options import (
+    batch_of_flights,
+    check_outputs,
+    open_console,
+    print_quality,
+    shown_work,
+    write_result,
+)
 from quadpi_core.errors import QuadpiError
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
+    from quadpi_core.evaluation.evaluate import ComparisonCase
     from quadpi_core.evaluation.evaluation_result import Evaluation
-    from quadpi_core.identification.prepared_flights import PreparedFlight
     from quadpi_core.models.aerodynamic import AerodynamicModel
     from quadpi_core.report.page import FlightFiles
 
@@ -47,14 +56,11 @@ def evaluate(
     html_file: options.HtmlFile = None,
 ) -> None:
     """Judge intervals on flights: coverage, width and errors of one model, or of several side by side."""
-    from quadpi_core.evaluation.evaluate import compare, given_comparison, is_model_folder
+    from quadpi_core.evaluation.evaluate import given_comparison, is_model_folder
     from quadpi_core.parallel import Workers
-    from quadpi_core.report.comparison_page import comparison_summary, write_comparison_page
-    from quadpi_core.report.evaluation_page import evaluation_summary
     from quadpi_core.report.page import FlightFiles
 
     console = open_console()
-    files = FlightFiles()
     if paths or group:
         if output is not None:
             raise QuadpiError("-o: only without models and flights, to keep those of the paper's table")
@@ -66,38 +72,60 @@ def evaluate(
             )
         folders = [path for place, path in enumerate(paths) if place == 0 or is_model_folder(path)]
         members = group_bags([path for path in paths if path not in folders], group or [])
-        check_outputs([*folders, *(path for bags in members.values() for path in bags)], json_file, html_file)
-        comparison = given_comparison(
-            folders, members, vehicle=vehicle, confidence=confidence, workers=Workers(workers, scheduler)
-        )
-        read = dict.fromkeys(path for bags in members.values() for path in bags)
-        names = (flight.name for flight in next(iter(comparison.flights.values())))
-        files = FlightFiles(dict(zip(names, read, strict=True)), folders, vehicle)
-    else:
-        from quadpi_core.paper.published import wind_tunnel
+        bags = list(dict.fromkeys(path for own in members.values() for path in own))
+        check_outputs([*folders, *bags], json_file, html_file)
+        files = FlightFiles.of(bags, folders, vehicle)
+        with batch_of_flights() as left_out:
+            comparison = given_comparison(
+                folders,
+                members,
+                vehicle=vehicle,
+                confidence=confidence,
+                workers=Workers(workers, scheduler),
+                left_out=left_out,
+            )
+            for name in members.keys() - comparison.groups.keys():
+                console.print(f"group {name}: all its flights were left out", soft_wrap=True)
+            _print_and_write(console, comparison, files, json_file, html_file, adaptive=adaptive)
+        return
 
-        if vehicle is not None:
-            raise QuadpiError(
-                "--vehicle: the paper's table is of the HDBeetle; for another vehicle name models and flights"
-            )
-        kept = (None, None) if output is None else (output / "bags", output / "models")
-        check_outputs([], json_file, html_file, folders=kept)
-        with shown_work(console, workers, scheduler) as training:
-            comparison = wind_tunnel(
-                confidence=0.95 if confidence is None else confidence,
-                device=device or "cpu",
-                folder=output,
-                workers=training,
-            )
+    from quadpi_core.paper.published import wind_tunnel
+
+    if vehicle is not None:
+        raise QuadpiError(
+            "--vehicle: the paper's table is of the HDBeetle; for another vehicle name models and flights"
+        )
+    kept = (None, None) if output is None else (output / "bags", output / "models")
+    check_outputs([], json_file, html_file, folders=kept)
+    with shown_work(console, workers, scheduler) as training:
+        comparison = wind_tunnel(
+            confidence=0.95 if confidence is None else confidence,
+            device=device or "cpu",
+            folder=output,
+            workers=training,
+        )
+    _print_and_write(console, comparison, FlightFiles(), json_file, html_file, adaptive=adaptive)
+
+
+def _print_and_write(
+    console: Console,
+    comparison: ComparisonCase,
+    files: FlightFiles,
+    json_file: Path | None,
+    html_file: Path | None,
+    *,
+    adaptive: bool,
+) -> None:
+    from quadpi_core.evaluation.evaluate import compare
+    from quadpi_core.report.comparison_page import comparison_summary, write_comparison_page
+    from quadpi_core.report.evaluation_page import evaluation_summary
+
     judged = next(iter(comparison.flights.values()))
     print_quality(console, ((flight.name, flight.quality) for flight in judged))
     models = comparison.models
     if len(models) == 1:
         (model,) = models.values()
-        flights, level = comparison.flights[model.cutoff_hz], comparison.confidence
-        evaluation = write_evaluation(
-            model, flights, comparison.groups, level, json_file, html_file, files, adaptive=adaptive
-        )
+        evaluation = write_evaluation(model, comparison, json_file, html_file, files, adaptive=adaptive)
         console.print(evaluation_summary(evaluation))
         return
     results, compared = compare(comparison, adaptive=adaptive)
@@ -127,20 +155,20 @@ def group_bags(bags: list[Path], groups: list[str]) -> dict[str, list[Path]]:
 
 def write_evaluation(
     model: AerodynamicModel,
-    flights: Sequence[PreparedFlight],
-    groups: Mapping[str, Sequence[str]],
-    confidence: float,
+    case: ComparisonCase,
     json_file: Path | None,
     html_file: Path | None,
     files: FlightFiles | None = None,
     *,
     adaptive: bool = False,
 ) -> Evaluation:
-    """Judge the intervals of one model, and write the files that are given."""
+    """Judge the intervals of one model of a case, and write the files that are given."""
     from quadpi_core.evaluation.evaluate import judge
     from quadpi_core.report.evaluation_page import write_evaluation_page
 
-    results, evaluation = judge(model, flights, groups, confidence, adaptive=adaptive)
+    flights = case.flights[model.cutoff_hz]
+    results, evaluation = judge(model, flights, case.groups, case.confidence, adaptive=adaptive)
+    evaluation = replace(evaluation, left_out=case.left_out)
     write_result(json_file, evaluation.to_json())
     if html_file is not None:
         write_evaluation_page(html_file, evaluation, results, model, files=files)

@@ -120,7 +120,7 @@ def _export_flight(path: Path, output: Path, vehicle: str | None, mapping: str |
     if not name:
         raise QuadpiError(f"{path}: names no vehicle; state the one that flew (--vehicle)")
     flown = Vehicle.load(name)
-    flight, _ = read_flight(path, flown, CUTOFF_HZ["default"], mapping)
+    flight = read_flight(path, flown, CUTOFF_HZ["default"], mapping)
     write_flight_table(output, flight, measured_wrench(flight, flown))
     console = open_console()
     print_quality(console, [(path, flight.quality)])

@@ -12,7 +12,13 @@ import typer
 from quadpi_core.cli import options
 from quadpi_core.cli.evaluate_command import write_evaluation
 from quadpi_core.cli.kind_options import choice_of_kind
-from quadpi_core.cli.options import check_outputs, open_console, print_quality, shown_work
+from quadpi_core.cli.options import (
+    batch_of_flights,
+    check_outputs,
+    open_console,
+    print_quality,
+    shown_work,
+)
 from quadpi_core.models import kinds
 from quadpi_core.plugins import names_in
 
@@ -55,6 +61,12 @@ def identify(
         float | None, typer.Option(help="Cut-off of the low-pass over all signals; default: 30, paper: 100.")
     ] = None,
     confidence: Annotated[float, typer.Option(help="Coverage of the intervals.")] = 0.95,
+    keep_flawed: Annotated[
+        bool,
+        typer.Option(
+            "--keep-flawed", help="Also learn from flights with a finding that says to leave them out."
+        ),
+    ] = False,
     false_alarms_per_hour: Annotated[
         float, typer.Option(help="False alarms per hour that the limits of the alarm are calibrated to.")
     ] = 1.0,
@@ -64,6 +76,7 @@ def identify(
     html_file: options.HtmlFile = None,
 ) -> None:
     """Identify a model on flights; every flight calibrates the intervals while it is left out."""
+    from quadpi_core.evaluation.evaluate import ComparisonCase
     from quadpi_core.identification.identify import check_options
     from quadpi_core.identification.identify import identify as identify_model
     from quadpi_core.identification.prepared_flights import prepare_flights
@@ -90,28 +103,32 @@ def identify(
         false_alarms_per_hour=false_alarms_per_hour,
     )
     check_options(chosen, pools)
-    with shown_work(console, workers, scheduler) as reading:
-        flights = prepare_flights(bags, the_vehicle, cutoff, workers=reading)
-    print_quality(console, zip(bags, (flight.quality for flight in flights), strict=True))
-    with progress_bar(console) as progress:
-        model = identify_model(flights, the_vehicle, pools, chosen, progress).save(output)
-    for axis in model.axes:
-        if model.selection[axis]:
-            console.print(terminal_table(selection_table(model.selection[axis], axis)))
-    for table in fact_tables(model):
-        console.print(terminal_table(table))
-    if choice := choice_of_kind(context):
-        console.print(choice, soft_wrap=True)
-    names = ", ".join(flight.name for flight in model.flights)
-    console.print(
-        f"{model.method} model {model.identity} of {model.vehicle} from {names}: {output}", soft_wrap=True
-    )
-    console.print(model.calibration(), soft_wrap=True)
-    console.print(model.alarm_limits.sentence(), soft_wrap=True)
-    if held_out := held_out_table(model):
-        console.print(terminal_table(held_out))
-    if json_file or html_file:
-        groups = {"identification": [flight.name for flight in flights]}
-        read = dict(zip((flight.name for flight in flights), bags, strict=True))
-        files = FlightFiles(read, [output], vehicle)
-        write_evaluation(model, flights, groups, confidence, json_file, html_file, files)
+    with batch_of_flights() as left_out:
+        with shown_work(console, workers, scheduler) as reading:
+            flights = prepare_flights(
+                bags, the_vehicle, cutoff, workers=reading, left_out=left_out, keep_flawed=keep_flawed
+            )
+        print_quality(console, ((flight.name, flight.quality) for flight in flights))
+        with progress_bar(console) as progress:
+            model = identify_model(flights, the_vehicle, pools, chosen, progress).save(output)
+        for axis in model.axes:
+            if model.selection[axis]:
+                console.print(terminal_table(selection_table(model.selection[axis], axis)))
+        for table in fact_tables(model):
+            console.print(terminal_table(table))
+        if choice := choice_of_kind(context):
+            console.print(choice, soft_wrap=True)
+        names = ", ".join(flight.name for flight in model.flights)
+        console.print(
+            f"{model.method} model {model.identity} of {model.vehicle} from {names}: {output}", soft_wrap=True
+        )
+        console.print(model.calibration(), soft_wrap=True)
+        console.print(model.alarm_limits.sentence(), soft_wrap=True)
+        if held_out := held_out_table(model):
+            console.print(terminal_table(held_out))
+        if json_file or html_file:
+            groups = {"identification": [flight.name for flight in flights]}
+            case = ComparisonCase(
+                {model.name: model}, {cutoff: flights}, groups, confidence, left_out=left_out
+            )
+            write_evaluation(model, case, json_file, html_file, FlightFiles.of(bags, [output], vehicle))

@@ -4,13 +4,21 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from quadpi_core.cli import options
-from quadpi_core.cli.options import check_outputs, open_console, print_quality, shown_work, write_result
+from quadpi_core.cli.options import (
+    batch_of_flights,
+    check_outputs,
+    open_console,
+    print_quality,
+    shown_work,
+    write_result,
+)
 
 
 def import_logs(
@@ -35,19 +43,25 @@ def import_logs(
     check_outputs(logs, json_file, folders=[output])
     console = open_console()
     the_vehicle = Vehicle.load(vehicle)
-    with shown_work(console, workers, scheduler) as reading:
-        flights = importing.import_logs(logs, the_vehicle, output, mapping, align=align, workers=reading)
-    for flight in flights:
-        console.print(
-            f"{flight.bag}: {flight.imu_samples} IMU samples; topics {', '.join(flight.topics)}",
-            soft_wrap=True,
-        )
-        if (alignment := flight.alignment) is not None:
-            console.print(
-                f"  mocap/pose moved by {alignment.offset_s * 1e3:+.1f} ms, correlation with the gyro "
-                f"{alignment.correlation:.3f} over {alignment.matches} samples"
+    with batch_of_flights() as left_out:
+        with shown_work(console, workers, scheduler) as reading:
+            flights = importing.import_logs(
+                logs, the_vehicle, output, mapping, align=align, workers=reading, left_out=left_out
             )
-        for sentence in flight.missing:
-            console.print(f"  {sentence}", soft_wrap=True)
-    print_quality(console, zip(logs, (flight.quality for flight in flights), strict=True))
-    write_result(json_file, {"bags": [flight.to_json() for flight in flights]})
+        for flight in flights:
+            console.print(
+                f"{flight.bag}: {flight.imu_samples} IMU samples; topics {', '.join(flight.topics)}",
+                soft_wrap=True,
+            )
+            if (alignment := flight.alignment) is not None:
+                console.print(
+                    f"  mocap/pose moved by {alignment.offset_s * 1e3:+.1f} ms, correlation with the gyro "
+                    f"{alignment.correlation:.3f} over {alignment.matches} samples"
+                )
+            for sentence in flight.missing:
+                console.print(f"  {sentence}", soft_wrap=True)
+        print_quality(console, ((flight.log, flight.quality) for flight in flights))
+        write_result(
+            json_file,
+            {"bags": [flight.to_json() for flight in flights], "left_out": list(map(asdict, left_out))},
+        )

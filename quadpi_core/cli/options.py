@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,7 +19,11 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from quadpi_core.findings import DataQuality
+    from quadpi_core.flight_files import FlightLeftOut
     from quadpi_core.parallel import Workers
+
+# Exit status of a command that did its work for some of the flights given.
+SOME_LEFT_OUT = 3
 
 Bags = Annotated[list[Path], typer.Argument(help="Flights: MCAP bags, or any log that `import` reads.")]
 ModelFolder = Annotated[Path, typer.Argument(help="Model folder, as written by `identify`.")]
@@ -80,6 +85,32 @@ def shown_work(console: Console, workers: int | None, scheduler: str | None) -> 
 
     with progress_bar(console) as progress:
         yield Workers(workers, scheduler, progress)
+
+
+@contextmanager
+def batch_of_flights() -> Iterator[list[FlightLeftOut]]:
+    """A list for the flights that are left out; at the end they are named, and the command ends with 3.
+
+    Raises:
+        typer.Exit: with status 3, if any was left out of a batch that was finished.
+    """
+    from quadpi_core.flight_files import NoFlightLeftError
+
+    left_out: list[FlightLeftOut] = []
+    try:
+        yield left_out
+    except QuadpiError as error:
+        if not isinstance(error, NoFlightLeftError):
+            _print_left_out(left_out)
+        raise
+    if left_out:
+        _print_left_out(left_out)
+        raise typer.Exit(SOME_LEFT_OUT)
+
+
+def _print_left_out(left_out: Iterable[FlightLeftOut]) -> None:
+    for flight in left_out:
+        print(f"quadpi: left out {flight.flight}: {flight.reason}", file=sys.stderr)
 
 
 def write_result(json_file: Path | None, data: dict[str, Any]) -> None:

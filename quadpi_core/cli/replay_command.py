@@ -10,7 +10,13 @@ from typing import Annotated
 import typer
 
 from quadpi_core.cli import options
-from quadpi_core.cli.options import check_outputs, open_console, shown_work, write_result
+from quadpi_core.cli.options import (
+    batch_of_flights,
+    check_outputs,
+    open_console,
+    shown_work,
+    write_result,
+)
 
 
 def replay(
@@ -29,32 +35,41 @@ def replay(
     """Write the bag that the live nodes would have published for a flight; the same bytes each time."""
     from dataclasses import asdict
 
+    from quadpi_core.flight_files import bags_in
     from quadpi_core.models.aerodynamic import AerodynamicModel
     from quadpi_core.monitor import MonitorSettings
     from quadpi_core.monitor.replay import replay as replay_bag
-    from quadpi_core.monitor.replay import replay_all, replay_outputs
+    from quadpi_core.monitor.replay import replay_all
 
     several = len(bags) > 1
-    check_outputs([model, *bags], *(replay_outputs(bags, output) if several else [output]), json_file)
+    check_outputs([model, *bags], *(set(bags_in(output, bags)) if several else [output]), json_file)
     the_model = AerodynamicModel.load(model)
     the_vehicle = the_model.load_vehicle(vehicle)
     settings = MonitorSettings(adaptive=adaptive)
     console = open_console()
-    if several:
-        with shown_work(console, workers, scheduler) as replaying:
-            replayed = replay_all(
-                the_model,
-                the_vehicle,
-                bags,
-                output,
-                confidence=confidence,
-                settings=settings,
-                workers=replaying,
-            )
-        summary = {"flights": {name: asdict(flight) for name, flight in replayed.items()}}
-    else:
-        summary = asdict(
-            replay_bag(the_model, the_vehicle, bags[0], output, confidence=confidence, settings=settings)
-        )
-    console.print_json(data=summary)
-    write_result(json_file, summary)
+    with batch_of_flights() as left_out:
+        if several:
+            with shown_work(console, workers, scheduler) as replaying:
+                replayed = replay_all(
+                    the_model,
+                    the_vehicle,
+                    bags,
+                    output,
+                    confidence=confidence,
+                    settings=settings,
+                    workers=replaying,
+                    left_out=left_out,
+                )
+            summary = {
+                "flights": {name: asdict(flight) for name, flight in replayed.items()},
+                "left_out": list(map(asdict, left_out)),
+            }
+        else:
+            replayed = {
+                bags[0].stem: replay_bag(
+                    the_model, the_vehicle, bags[0], output, confidence=confidence, settings=settings
+                )
+            }
+            summary = asdict(replayed[bags[0].stem])
+        console.print_json(data=summary)
+        write_result(json_file, summary)

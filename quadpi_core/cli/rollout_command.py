@@ -9,7 +9,13 @@ from typing import Annotated
 import typer
 
 from quadpi_core.cli import options
-from quadpi_core.cli.options import check_outputs, open_console, print_quality, write_result
+from quadpi_core.cli.options import (
+    batch_of_flights,
+    check_outputs,
+    open_console,
+    print_quality,
+    write_result,
+)
 
 
 def rollout(
@@ -33,13 +39,20 @@ def rollout(
     the_model = AerodynamicModel.load(model)
     the_vehicle = the_model.load_vehicle(vehicle)
     console = open_console()
-    with progress_bar(console) as progress:
-        flights, evaluation = evaluate_rollouts(
-            the_model, bags, the_vehicle, horizon_s=horizon, confidence=confidence, progress=progress
-        )
-    print_quality(console, ((flight.name, flight.quality) for flight in flights))
-    console.print(terminal_table(rollout_summary(evaluation)))
-    write_result(json_file, evaluation.to_json())
-    if html_file is not None:
-        read = dict(zip((flight.name for flight in flights), bags, strict=True))
-        write_rollout_page(html_file, flights, evaluation, FlightFiles(read, [model], vehicle))
+    with batch_of_flights() as left_out:
+        with progress_bar(console) as progress:
+            flights, evaluation = evaluate_rollouts(
+                the_model,
+                bags,
+                the_vehicle,
+                horizon_s=horizon,
+                confidence=confidence,
+                progress=progress,
+                left_out=left_out,
+            )
+        print_quality(console, evaluation.data_quality.items())
+        console.print(terminal_table(rollout_summary(evaluation)))
+        write_result(json_file, evaluation.to_json())
+        if html_file is not None:
+            files = FlightFiles.of(bags, [model], vehicle)
+            write_rollout_page(html_file, flights, evaluation, files)

@@ -158,6 +158,10 @@ class AugmentedSimulation(Simulation):
         """See :class:`Simulation`: those of the base."""
         return self.base.unjudged(flight)
 
+    def identified_on(self, flight: Flight) -> bool:
+        """See :class:`Simulation`: those of the base."""
+        return self.base.identified_on(flight)
+
     def thrusts(self, flight: Flight) -> tuple[Array, Array]:
         """See :class:`Simulation`: those of the base."""
         return self.base.thrusts(self._in_wind(flight))

@@ -209,6 +209,11 @@ class Study:
     seed: int
     flown_again: Reflights | None
 
+    @property
+    def in_sample(self) -> tuple[str, ...]:
+        """Names of the flights that the simulation was identified on, by their hashes."""
+        return tuple(flight.name for flight in self.flights if self.simulation.identified_on(flight))
+
 
 def study_json(study: Study) -> dict[str, Any]:
     """A study as JSON holds it."""
@@ -223,6 +228,8 @@ def study_json(study: Study) -> dict[str, Any]:
                 "duration_s": float(flight.time[-1] - flight.time[0]),
                 "data_quality": flight.quality.to_json(),
                 "unjudged_samples": study.simulation.unjudged(flight),
+                "sha256": flight.sha256,
+                "in_sample": flight.name in study.in_sample,
             }
             for flight in study.flights
         },

@@ -178,6 +178,10 @@ class ModelSimulation(CallableSimulation):
         """See :class:`Simulation`; those that the model gives no finite wrench for."""
         return int(np.sum(~np.isfinite(self.function(flight)).all(axis=1)))
 
+    def identified_on(self, flight: Flight) -> bool:
+        """See :class:`Simulation`."""
+        return self.model is not None and self.model.learned_from(flight.sha256)
+
     def _without_gaps(self, flight: Flight, wrench: Array, finite: npt.NDArray[np.bool_]) -> Array:
         """The wrench with the samples left out that the model cannot judge: their neighbours bridge them.
 

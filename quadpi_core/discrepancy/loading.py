@@ -18,6 +18,7 @@ from quadpi_core.discrepancy.external_simulations import CallableSimulation, Mod
 from quadpi_core.discrepancy.recorded_simulation import RecordedSimulation
 from quadpi_core.discrepancy.simulations import Simulation, VehicleSimulation, read_tolerances
 from quadpi_core.errors import DiscrepancyError, QuadpiError, one_line
+from quadpi_core.flight_files import LeftOutFlights
 from quadpi_core.paths import config_directory
 from quadpi_core.plugins import imported
 from quadpi_core.simulation.effect_registry import read_effects
@@ -63,6 +64,7 @@ def load_simulation(
     mapping: str | None = None,
     allow_code: bool = False,
     within: tuple[Path, ...] = (),
+    left_out: LeftOutFlights = None,
 ) -> Simulation:
     """Load a simulation by its name, path or function.
 
@@ -76,6 +78,8 @@ def load_simulation(
         allow_code: whether an `addition.json` may name a function. Its module is then imported, so the author
             of the file chooses what runs here. A function named by `text` itself is always allowed.
         within: files of additions that refer to this one, so that none refers to itself.
+        left_out: list to which bags without a wrench that can be used are added; without it, the first is an
+            error.
 
     Raises:
         DiscrepancyError: for a name of no simulation, a function that cannot be imported, a missing vehicle,
@@ -86,9 +90,9 @@ def load_simulation(
     if any(len(part.encode(errors="replace")) > _NAME_MAX for part in path.parts) or "\0" in text:
         raise DiscrepancyError(f"{text}: no simulation: a name that no file has")
     if text == RECORDED:
-        return RecordedSimulation.load(_required(text, vehicle), bags, mapping)
+        return RecordedSimulation.load(_required(text, vehicle), bags, mapping, left_out)
     if path.suffix == ".json":
-        return _addition(path, vehicle, bags, mapping, allow_code, within)
+        return _addition(path, vehicle, bags, mapping, allow_code, within, left_out)
     if path.is_dir():
         return _of_model(path, vehicle)
     if _names_code(text):
@@ -157,6 +161,7 @@ def _addition(
     mapping: str | None,
     allow_code: bool,
     within: tuple[Path, ...],
+    left_out: LeftOutFlights,
 ) -> AugmentedSimulation:
     try:
         data: Any = parse_json(read_bounded(path, JSON_BYTES_MAX))
@@ -181,6 +186,7 @@ def _addition(
             mapping=mapping,
             allow_code=allow_code,
             within=(*within, path.resolve()),
+            left_out=left_out,
         )
     except QuadpiError as error:
         raise DiscrepancyError(f"{path}: {error}") from error

@@ -16,10 +16,12 @@ from quadpi_core.discrepancy.simulations import Column, Simulation, Tolerances, 
 from quadpi_core.discrepancy.uncertain_parts import ROTORS as OF_ROTORS
 from quadpi_core.discrepancy.uncertain_parts import Part, part_columns
 from quadpi_core.errors import DiscrepancyError
-from quadpi_core.flight import MAX_GAP_NS, Flight, Stamps, WrenchStream
+from quadpi_core.flight import MAX_GAP_NS, Flight, RotorSpeedStream, Stamps, WrenchStream
+from quadpi_core.flight_files import FlightFile, LeftOutFlights, for_each_flight
 from quadpi_core.frames import Array
 from quadpi_core.logs import read_recording
 from quadpi_core.models.model_kind import CUTOFF_HZ
+from quadpi_core.parallel import Workers
 from quadpi_core.signals.filters import zero_phase
 from quadpi_core.signals.resample import (
     first_gap,
@@ -64,13 +66,20 @@ class RecordedSimulation(Simulation):
     own_inputs: ClassVar[bool] = True
 
     @classmethod
-    def load(cls, vehicle: str, bags: Sequence[Path], mapping: str | None = None) -> RecordedSimulation:
+    def load(
+        cls,
+        vehicle: str,
+        bags: Sequence[Path],
+        mapping: str | None = None,
+        left_out: LeftOutFlights = None,
+    ) -> RecordedSimulation:
         """Read the topic from bags, and low-pass it as flights are.
 
         Args:
             vehicle: name or path of the vehicle file.
             bags: bags or logs of the flights.
             mapping: see :func:`quadpi_core.logs.read_recording`.
+            left_out: list to which flights that cannot be used are added; without it, the first is an error.
 
         Raises:
             DiscrepancyError: for bags without the topic, or without rotor speeds.
@@ -78,15 +87,16 @@ class RecordedSimulation(Simulation):
         """
         flown, wrenches = Vehicle.load(vehicle), {}
         thrust, load, torque, turned = 0.0, 0.0, 0.0, 0.0
-        for bag in bags:
-            recording = read_recording(bag, flown, mapping)
-            if recording.simulated is None:
-                raise DiscrepancyError(f"{bag}: topic {WrenchStream.topic}: missing: no simulated wrench")
-            if recording.rotor_speeds is None:
-                raise DiscrepancyError(f"{bag}: topic rotor_speeds: missing")
-            found = _even(recording.simulated, str(bag))
-            wrenches[recording.source] = found
-            rotors = recording.rotor_speeds
+        read = for_each_flight(
+            _wrench_of_flight,
+            bags,
+            shared=(flown, mapping),
+            task="Reading wrenches",
+            workers=Workers(1),
+            left_out=left_out,
+        )
+        for _, (source, found, rotors) in read:
+            wrenches[source] = found
             squares = np.square(rotors.speeds).sum(axis=1)
             signed = np.square(rotors.speeds) @ flown.rotor_spins
             wrench = interpolate_columns(found.time_ns, found.wrench, rotors.time_ns)
@@ -171,6 +181,18 @@ class RecordedSimulation(Simulation):
         rotors[:, 2], rotors[:, 5] = -thrusts.sum(axis=1), torques.sum(axis=1)
         rotors[:, 3], rotors[:, 4] = -thrusts @ y, thrusts @ x
         return rotors
+
+
+def _wrench_of_flight(
+    task: tuple[Vehicle, str | None], file: FlightFile
+) -> tuple[str, Recorded, RotorSpeedStream]:
+    """Source, wrench and rotor speeds of a flight."""
+    recording = read_recording(file.path, *task)
+    if recording.simulated is None:
+        raise DiscrepancyError(f"{file.path}: topic {WrenchStream.topic}: missing: no simulated wrench")
+    if recording.rotor_speeds is None:
+        raise DiscrepancyError(f"{file.path}: topic rotor_speeds: missing")
+    return recording.source, _even(recording.simulated, str(file.path)), recording.rotor_speeds
 
 
 def _even(stream: WrenchStream, source: str) -> Recorded:

@@ -174,6 +174,10 @@ class Simulation(ABC):
         """Number of samples of a flight that the simulation cannot judge and leaves out."""
         return 0
 
+    def identified_on(self, flight: Flight) -> bool:  # noqa: ARG002 - for those that were
+        """Whether it was identified on this flight, by its hash, so that it is compared in sample."""
+        return False
+
     def states(self, flight: Flight) -> npt.NDArray[np.void]:
         """Records `simulation.state_records.STATE` (N,), the input of effects."""
         states = np.zeros(len(flight), dtype=STATE)
@@ -260,6 +264,10 @@ class VehicleSimulation(Simulation):
     def margins(self, flight: Flight) -> Margins | None:
         """See :class:`Simulation`."""
         return None if self.intervals_of is None else self.intervals_of.margins(flight)
+
+    def identified_on(self, flight: Flight) -> bool:
+        """See :class:`Simulation`."""
+        return self.intervals_of is not None and self.intervals_of.identified_on(flight)
 
     def thrusts(self, flight: Flight) -> tuple[Array, Array]:
         """See :class:`Simulation`."""

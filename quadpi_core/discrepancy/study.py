@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -37,9 +38,9 @@ from quadpi_core.discrepancy.unexplained import within_intervals
 from quadpi_core.discrepancy.whitening import BAND_HZ
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import AXES, Flight
+from quadpi_core.flight_files import FlightFile, LeftOutFlights, for_each_flight, once_each
 from quadpi_core.frames import Array
 from quadpi_core.identification.prepared_flights import read_flight
-from quadpi_core.logs.duplicates import refuse_duplicates
 from quadpi_core.models.model_kind import CUTOFF_HZ
 from quadpi_core.parallel import DEFAULT_WORKERS, Workers
 from quadpi_core.rotations import rotation_matrix
@@ -81,6 +82,7 @@ def read_flights(
     *,
     mapping: str | None = None,
     workers: Workers = DEFAULT_WORKERS,
+    left_out: LeftOutFlights = None,
 ) -> list[Flight]:
     """Read flights of the simulation's vehicle: fused, low-passed at the default of models, in the air.
 
@@ -89,6 +91,7 @@ def read_flights(
         simulation: simulation of the vehicle that flew.
         mapping: see :func:`quadpi_core.logs.read_recording`.
         workers: processes that read the files.
+        left_out: list to which flights that cannot be used are added; without it, the first is an error.
 
     Raises:
         LogError: for what cannot be read or used, another vehicle, and a flight present twice.
@@ -98,13 +101,16 @@ def read_flights(
     """
     require_flights(len(paths))
     shared = (simulation.vehicle, CUTOFF_HZ["default"], workers.found_by(mapping))
-    read = workers.map_files(_read, paths, shared=shared, task="Reading flights")
-    refuse_duplicates((flight.source, digest) for flight, digest in read)
-    return [flight for flight, _ in read]
+    read = for_each_flight(
+        _read, paths, shared=shared, task="Reading flights", workers=workers, left_out=left_out
+    )
+    flights = [flight for _, flight in once_each(read, attrgetter("sha256"), left_out)]
+    require_flights(len(flights))
+    return flights
 
 
-def _read(task: tuple[Vehicle, float, str | None], path: Path) -> tuple[Flight, str]:
-    return read_flight(path, *task)
+def _read(task: tuple[Vehicle, float, str | None], file: FlightFile) -> Flight:
+    return replace(read_flight(file.path, *task), name=file.name)
 
 
 def study(

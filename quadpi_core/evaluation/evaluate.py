@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,7 @@ from quadpi_core.evaluation.evaluation_result import (
     PublishedTable,
 )
 from quadpi_core.evaluation.flight_results import FlightResult, evaluate_flights
+from quadpi_core.flight_files import FlightLeftOut, LeftOutFlights, named_files, require_flights_left
 from quadpi_core.identification.prepared_flights import PreparedFlight, prepare_flights
 from quadpi_core.logs import is_log_folder
 from quadpi_core.models.aerodynamic import AerodynamicModel
@@ -64,6 +65,8 @@ def predict_flight(
         inputs=flight.inputs,
         height=flight.height,
         alarm=alarm,
+        sha256=flight.sha256,
+        in_sample=model.learned_from(flight.sha256),
     )
 
 
@@ -159,6 +162,7 @@ class ComparisonCase:
         groups: names of the flights in each group.
         confidence: nominal coverage of the intervals.
         published: numbers for comparison, as of :func:`quadpi_core.paper.published.published_table`.
+        left_out: flights that were given and cannot be used.
     """
 
     models: Mapping[str, AerodynamicModel]
@@ -166,6 +170,7 @@ class ComparisonCase:
     groups: Mapping[str, Sequence[str]]
     confidence: float
     published: PublishedTable | None = None
+    left_out: Sequence[FlightLeftOut] = field(default_factory=list)
 
 
 def given_comparison(
@@ -175,6 +180,7 @@ def given_comparison(
     vehicle: str | None = None,
     confidence: float | None = None,
     workers: Workers = DEFAULT_WORKERS,
+    left_out: LeftOutFlights = None,
 ) -> ComparisonCase:
     """Stored models and the flights in files; each flight is read once for each low-pass.
 
@@ -184,6 +190,8 @@ def given_comparison(
         vehicle: name or path of the vehicle file; default: the one that the first model names.
         confidence: of the intervals; default: the models' own.
         workers: that read the files.
+        left_out: the list to which flights that cannot be used are added, and with the last of its flights a
+            group ends; without it, the first is an error.
 
     Raises:
         ModelError: for what is no model of the vehicle, two models of one name, and confidences that differ
@@ -197,13 +205,24 @@ def given_comparison(
     level = common_confidence(models, confidence)
     files = list(dict.fromkeys(path for members in groups.values() for path in members))
     flights = {
-        cutoff: prepare_flights(files, the_vehicle, cutoff, workers=workers)
+        cutoff: prepare_flights(files, the_vehicle, cutoff, workers=workers, left_out=left_out)
         for cutoff in dict.fromkeys(model.cutoff_hz for model in models.values())
     }
-    names = (flight.name for flight in next(iter(flights.values())))
-    name_of = dict(zip(files, names, strict=True))
-    named = {name: [name_of[path] for path in members] for name, members in groups.items()}
-    return ComparisonCase(models, flights, named, level)
+    common = set.intersection(*({flight.name for flight in own} for own in flights.values()))
+    require_flights_left(len(common), left_out)
+    flights = {cutoff: [f for f in own if f.name in common] for cutoff, own in flights.items()}
+    name_of = {file.path: file.name for file in named_files(files)}
+    named = {
+        group: [name for name in map(name_of.__getitem__, members) if name in common]
+        for group, members in groups.items()
+    }
+    return ComparisonCase(
+        models,
+        flights,
+        {group: names for group, names in named.items() if names},
+        level,
+        left_out=list(left_out or ()),
+    )
 
 
 def compare(
@@ -229,7 +248,9 @@ def compare(
             model, case.flights[model.cutoff_hz], case.groups, case.confidence, adaptive=adaptive
         )
         evaluations[name] = ComparedEvaluation(
-            **vars(evaluation), settings=model.settings, cutoff_hz=model.cutoff_hz
+            **vars(evaluation) | {"left_out": case.left_out},
+            settings=model.settings,
+            cutoff_hz=model.cutoff_hz,
         )
     return results, Comparison(
         quadpi_version=__version__,
@@ -239,4 +260,5 @@ def compare(
         groups={name: list(members) for name, members in case.groups.items()},
         published=case.published,
         models=evaluations,
+        left_out=case.left_out,
     )

@@ -16,6 +16,7 @@ from quadpi_core.evaluation import metrics
 from quadpi_core.evaluation.alarm_assessment import AlarmAssessment
 from quadpi_core.evaluation.metrics import RegimeBins
 from quadpi_core.findings import DataQuality
+from quadpi_core.flight_files import FlightLeftOut
 
 
 @dataclass(frozen=True)
@@ -85,11 +86,18 @@ class GroupEvaluation:
 
 @dataclass(frozen=True)
 class FlightEvaluation:
-    """The metrics of one flight, by axis; the alarm is None where it was not run."""
+    """The metrics of one flight, by axis; the alarm is None where it was not run.
+
+    Attributes:
+        sha256: hash of the flight; empty where not known.
+        in_sample: whether the model was identified on this flight, by its hash and under whatever name.
+    """
 
     duration_s: float
     axes: Mapping[str, AxisMetrics]
     alarm: AlarmAssessment | None
+    sha256: str = ""
+    in_sample: bool = False
 
 
 @dataclass(frozen=True)
@@ -121,6 +129,7 @@ class Evaluation:
         force_bandwidth_hz: at which the measured forces end, so that predicted forces are judged smoothed
             alike; None where they are judged as they are.
         data_quality: remarks on the data, by flight.
+        left_out: flights that were given and cannot be used.
     """
 
     quadpi_version: str
@@ -138,6 +147,11 @@ class Evaluation:
     flights: Mapping[str, FlightEvaluation]
     force_bandwidth_hz: float | None = None
     data_quality: Mapping[str, DataQuality] = field(default_factory=dict)
+    left_out: Sequence[FlightLeftOut] = field(default_factory=list)
+
+    def in_sample(self, group: str) -> list[str]:
+        """Names of the flights of a group that the model was identified on."""
+        return [flight for flight in self.groups[group].flights if self.flights[flight].in_sample]
 
     def to_json(self) -> dict[str, Any]:
         """As JSON holds it."""
@@ -164,6 +178,7 @@ class Comparison:
         groups: names of the flights in each group.
         published: numbers for comparison, if any.
         models: by name.
+        left_out: flights that were given and cannot be used.
     """
 
     quadpi_version: str
@@ -173,6 +188,7 @@ class Comparison:
     groups: Mapping[str, Sequence[str]]
     published: PublishedTable | None
     models: Mapping[str, ComparedEvaluation]
+    left_out: Sequence[FlightLeftOut] = field(default_factory=list)
 
     def to_json(self) -> dict[str, Any]:
         """As JSON holds it."""

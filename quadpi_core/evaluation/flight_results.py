@@ -42,13 +42,15 @@ class FlightResult:
     """Predictions and intervals of a model on one flight; columns Fx, Fy, Fz (N), Mx, My, Mz (Nm), body axes.
 
     Attributes:
-        name: file stem of the flight.
+        name: of the flight.
         axes: axes that the model holds; predicted, lower and upper are void for the others.
         time: (N,) seconds.
         measured, predicted, lower, upper: (N, 6).
         inputs: (N, 19), columns as :data:`quadpi_core.inputs.INPUT_NAMES`.
         height: (N,) m above the origin of the world.
         alarm: the alarm at each sample; None where it was not run.
+        sha256: hash of the flight; empty where not known.
+        in_sample: whether the model was identified on this flight, by its hash.
     """
 
     name: str
@@ -61,6 +63,8 @@ class FlightResult:
     inputs: Array
     height: Array
     alarm: FlightAlarm | None = None
+    sha256: str = ""
+    in_sample: bool = False
 
     def __len__(self) -> int:
         return len(self.time)
@@ -179,7 +183,11 @@ def evaluate_flights(
         },
         flights={
             name: FlightEvaluation(
-                float(flight.time[-1] - flight.time[0]), judge([flight]), _assess([flight])
+                float(flight.time[-1] - flight.time[0]),
+                judge([flight]),
+                _assess([flight]),
+                flight.sha256,
+                flight.in_sample,
             )
             for name, flight in by_name.items()
         },

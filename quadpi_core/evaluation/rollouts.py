@@ -11,7 +11,8 @@ factor that was calibrated on flights left out.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ import numpy as np
 from quadpi_core.errors import ModelError
 from quadpi_core.findings import DataQuality
 from quadpi_core.flight import Flight
+from quadpi_core.flight_files import FlightFile, FlightLeftOut, LeftOutFlights, for_each_flight, once_each
 from quadpi_core.frames import Array
 from quadpi_core.identification.prepared_flights import read_flight
 from quadpi_core.models.aerodynamic import AerodynamicModel
@@ -39,7 +41,7 @@ from quadpi_core.models.tube_shape import (
     tube_radii,
     tube_scores,
 )
-from quadpi_core.parallel import Progress, ReportProgress, ignore_progress
+from quadpi_core.parallel import ReportProgress, Workers, ignore_progress
 from quadpi_core.vehicle import Vehicle
 from quadpi_core.version import __version__
 
@@ -86,18 +88,25 @@ class FlightRolloutMetrics:
         left_out: number of starts after which a rotor speed was not measured, or samples are missing.
         position_measured: whether errors of position are against a measured position; else they are against
             the integrated velocity.
+        in_sample: whether the model was identified on this flight, by its hash.
         horizons: by horizon in seconds and quantity, such as "0.5" and "position_m".
     """
 
     starts: int
     left_out: int
     position_measured: bool
+    in_sample: bool
     horizons: dict[str, dict[str, TubeMetrics]]
 
 
 @dataclass(frozen=True)
 class RolloutEvaluation:
-    """Roll-outs of a model on flights; the names of the attributes are the keys of the JSON file."""
+    """Roll-outs of a model on flights; the names of the attributes are the keys of the JSON file.
+
+    Attributes:
+        data_quality: remarks on the data, by flight.
+        left_out: flights that were given and cannot be predicted.
+    """
 
     quadpi_version: str
     model: str
@@ -105,6 +114,8 @@ class RolloutEvaluation:
     confidence: float
     horizon_s: float
     flights: dict[str, FlightRolloutMetrics]
+    data_quality: dict[str, DataQuality]
+    left_out: tuple[FlightLeftOut, ...]
 
     def to_json(self) -> dict[str, Any]:
         """Plain numbers."""
@@ -146,6 +157,7 @@ def evaluate_rollouts(
     horizon_s: float = 0.5,
     confidence: float | None = None,
     progress: ReportProgress = ignore_progress,
+    left_out: LeftOutFlights = None,
 ) -> tuple[list[RolledFlight], RolloutEvaluation]:
     """Predict flights ahead, open loop from every tenth sample, with the measured rotor speeds.
 
@@ -156,27 +168,40 @@ def evaluate_rollouts(
         horizon_s: to predict to.
         confidence: of the tubes; default: the model's.
         progress: called after each flight.
+        left_out: the list to which flights that cannot be predicted are added; without it, the first is an
+            error.
 
     Raises:
         ModelError: for a model that is no simulation, or of another vehicle; a horizon or confidence that is
             not calibrated; naming the flight, for one that is shorter than the horizon.
-        LogError, SignalError: for what cannot be read or used, naming the file.
+        LogError, SignalError: for what cannot be read or used, naming the file, and a flight present twice.
     """
     model.require(vehicle)
     rollouts = model.require_rollouts()
     require_horizon(horizon_s)
     level = model.confidence if confidence is None else confidence
-    flights, metrics = [], {}
-    for number, path in enumerate(paths):
-        progress(Progress("Predicting flights ahead", number, len(paths)))
-        flight, _ = read_flight(path, vehicle, model.cutoff_hz)
-        if flight.name in metrics:
-            raise ModelError(f"{path}: another flight is called {flight.name}; rename one of the files")
+
+    def ahead(_: None, file: FlightFile) -> tuple[str, RolledFlight, FlightRolloutMetrics]:
+        flight = replace(read_flight(file.path, vehicle, model.cutoff_hz), name=file.name)
         rolled, judged = judge_flight(rollouts, flight, vehicle, horizon_s=horizon_s, confidence=level)
-        flights.append(rolled)
-        metrics[flight.name] = judged
-    progress(Progress("Predicting flights ahead", len(paths), len(paths)))
-    return flights, RolloutEvaluation(__version__, model.identity, model.vehicle, level, horizon_s, metrics)
+        in_sample = model.learned_from(flight.sha256)
+        return flight.sha256, rolled, replace(judged, in_sample=in_sample)
+
+    workers = Workers(1, progress=progress)
+    task = "Predicting flights ahead"
+    done = for_each_flight(ahead, paths, shared=None, task=task, workers=workers, left_out=left_out)
+    kept = [(rolled, judged) for _, (_, rolled, judged) in once_each(done, itemgetter(0), left_out)]
+    metrics = {rolled.name: judged for rolled, judged in kept}
+    return [rolled for rolled, _ in kept], RolloutEvaluation(
+        __version__,
+        model.identity,
+        model.vehicle,
+        level,
+        horizon_s,
+        metrics,
+        {rolled.name: rolled.quality for rolled, _ in kept},
+        tuple(left_out or ()),
+    )
 
 
 def judge_flight(
@@ -248,7 +273,9 @@ def judge_flight(
         RolledFlight(
             flight.name, flight.quality, own.time[starts], times, norms, tubes * radii, own, rolled, tubes
         ),
-        FlightRolloutMetrics(len(starts), possible - len(starts), flight.position_measured, metrics),
+        FlightRolloutMetrics(
+            len(starts), possible - len(starts), flight.position_measured, in_sample=False, horizons=metrics
+        ),
     )
 
 

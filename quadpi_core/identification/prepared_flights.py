@@ -5,7 +5,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from operator import attrgetter
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,10 +19,18 @@ from quadpi_core.estimator.filter_run import Segment
 from quadpi_core.estimator.fusion import fuse_airborne, require_streams
 from quadpi_core.findings import NOTHING_TO_SAY, DataQuality
 from quadpi_core.flight import AXES, MAX_GAP_NS, Flight, Recording, Stamps
+from quadpi_core.flight_files import (
+    FlightFile,
+    LeftOutFlights,
+    for_each_flight,
+    leave_out,
+    once_each,
+    require_flights_left,
+)
 from quadpi_core.frames import Array
 from quadpi_core.inputs import DERIVATIVES, INPUT_NAMES, flight_derivatives, flight_inputs
 from quadpi_core.logs import read_recording
-from quadpi_core.logs.duplicates import recording_hash, refuse_duplicates
+from quadpi_core.logs.duplicates import recording_hash
 from quadpi_core.models.model_kind import CUTOFF_HZ
 from quadpi_core.monitor.pairing_kernel import SET_BACK
 from quadpi_core.monitor.preparation import Preparation
@@ -42,7 +51,7 @@ class PreparedFlight:
     """A flight ready for identification or evaluation.
 
     Attributes:
-        name: file stem.
+        name: file stem, with the folders above where a stem repeats.
         sha256: hash of the sensor streams, the same for every copy of the flight.
         time: (N,) s.
         inputs: (N, 19) input vectors X.
@@ -96,6 +105,8 @@ def prepare_flights(
     cutoff_hz: float = CUTOFF_HZ["default"],
     *,
     workers: Workers = DEFAULT_WORKERS,
+    left_out: LeftOutFlights = None,
+    keep_flawed: bool = True,
 ) -> list[PreparedFlight]:
     """Read, fuse and filter bags; only the part in the air is kept.
 
@@ -104,21 +115,36 @@ def prepare_flights(
         vehicle: that flew.
         cutoff_hz: of the low-pass over all signals.
         workers: that read the files; the flights do not depend on them.
+        left_out: the list to which flights that cannot be used are added; without it, the first is an error.
+        keep_flawed: keep flights with a finding for which no model should learn from them.
 
     Raises:
         LogError: for what cannot be read or used, and a flight present twice, naming the files.
         SignalError: naming the file, where the signals cannot be fused.
         ParallelError: see :meth:`quadpi_core.parallel.Workers.map`.
     """
-    files = [Path(path) for path in paths]
-    flights = workers.map_files(_prepare, files, shared=(vehicle, cutoff_hz), task="Reading flights")
-    refuse_duplicates(zip(map(str, files), (flight.sha256 for flight in flights), strict=True))
+    read = for_each_flight(
+        _prepare,
+        paths,
+        shared=(vehicle, cutoff_hz),
+        task="Reading flights",
+        workers=workers,
+        left_out=left_out,
+    )
+    flights = []
+    for file, flight in once_each(read, attrgetter("sha256"), left_out):
+        flaw = flight.quality.flaw
+        if flaw is not None and not keep_flawed:
+            leave_out(file, LogError(f"{file.path}: {flaw}"), left_out)
+        else:
+            flights.append(flight)
+    require_flights_left(len(flights), left_out)
     return flights
 
 
-def _prepare(task: tuple[Vehicle, float], path: Path) -> PreparedFlight:
+def _prepare(task: tuple[Vehicle, float], file: FlightFile) -> PreparedFlight:
     vehicle, cutoff_hz = task
-    recording = _read(path, vehicle)
+    recording = replace(_read(file.path, vehicle), name=file.name)
     require_streams(recording)
     causal = CausalPass.over(recording, vehicle)
     flight = fuse_airborne(recording, vehicle, cutoff_hz, causal.segments)
@@ -131,10 +157,8 @@ def _read(path: Path, vehicle: Vehicle, mapping: str | None = None) -> Recording
     return checked(read_recording(path, vehicle, mapping), vehicle)
 
 
-def read_flight(
-    path: Path, vehicle: Vehicle, cutoff_hz: float, mapping: str | None = None
-) -> tuple[Flight, str]:
-    """A flight read, fused and filtered, the part in the air, with the hash of its sensor streams.
+def read_flight(path: Path, vehicle: Vehicle, cutoff_hz: float, mapping: str | None = None) -> Flight:
+    """A flight read, fused and filtered, the part in the air.
 
     Args:
         path: bag or log.
@@ -147,8 +171,7 @@ def read_flight(
         SignalError: naming the file, where the signals cannot be fused.
     """
     recording = _read(path, vehicle, mapping)
-    flight = fuse_airborne(recording, vehicle, cutoff_hz)
-    return flight, recording_hash(recording)
+    return replace(fuse_airborne(recording, vehicle, cutoff_hz), sha256=recording_hash(recording))
 
 
 class LiveSamples(NamedTuple):

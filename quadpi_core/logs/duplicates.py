@@ -6,11 +6,9 @@ from __future__ import annotations
 
 import hashlib
 import tempfile
-from collections.abc import Iterable
 from contextlib import ExitStack
 from typing import IO
 
-from quadpi_core.errors import LogError
 from quadpi_core.flight import Recording, Stamps
 from quadpi_core.frames import Array
 
@@ -81,16 +79,3 @@ def _waiting() -> IO[bytes]:
 def _bytes(values: Array) -> bytes:
     # Adding zero makes -0.0, which a change of axes leaves behind, the same as 0.0.
     return (values + 0.0).astype("<f4").tobytes()
-
-
-def refuse_duplicates(flights: Iterable[tuple[str, str]]) -> None:
-    """Refuse a flight that is present twice, of flights as source and hash (see :func:`recording_hash`).
-
-    Raises:
-        LogError: naming both files.
-    """
-    seen: dict[str, str] = {}
-    for source, digest in flights:
-        if digest in seen:
-            raise LogError(f"{source}: the same flight as {seen[digest]}; give each flight once")
-        seen[digest] = source

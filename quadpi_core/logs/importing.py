@@ -7,15 +7,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
-from quadpi_core.errors import LogError
 from quadpi_core.findings import NOTHING_TO_SAY, DataQuality
 from quadpi_core.flight import STREAM_KINDS, ValueCheck, check_stamps
+from quadpi_core.flight_files import FlightFile, LeftOutFlights, bags_in, for_each_flight, once_each
 from quadpi_core.logs.alignment import Alignment, align_pose
 from quadpi_core.logs.bags import recording_topics, recording_writer, write_bag
-from quadpi_core.logs.duplicates import RunningHash, recording_hash, refuse_duplicates
+from quadpi_core.logs.duplicates import RunningHash, recording_hash
 from quadpi_core.logs.readers import blocks_of, identify_format, open_in_blocks, read_recording
 from quadpi_core.parallel import DEFAULT_WORKERS, Workers
 from quadpi_core.paths import staged, whole_outputs
@@ -29,8 +30,9 @@ from quadpi_core.vehicle import Vehicle
 
 @dataclass(frozen=True)
 class Imported:
-    """A bag that was written: what it holds and lacks, and how its poses were moved in time, if they were."""
+    """The bag of a log: what it holds and lacks, and how its poses were moved in time, if they were."""
 
+    log: Path
     bag: Path
     imu_samples: int
     topics: tuple[str, ...]
@@ -41,6 +43,7 @@ class Imported:
     def to_json(self) -> dict[str, Any]:
         """As JSON holds it."""
         return {
+            "log": str(self.log),
             "bag": str(self.bag),
             "imu_samples": self.imu_samples,
             "topics": list(self.topics),
@@ -58,8 +61,9 @@ def import_logs(
     *,
     align: bool = False,
     workers: Workers = DEFAULT_WORKERS,
+    left_out: LeftOutFlights = None,
 ) -> list[Imported]:
-    """Write one bag per log into `folder`: all of them, or none.
+    """Write one bag per log into `folder`, named as `flight_files.named_files` says; or none.
 
     All logs are read and checked before the first bag appears there.
 
@@ -70,27 +74,27 @@ def import_logs(
         mapping: see :func:`quadpi_core.logs.read_recording`.
         align: move the stamps of the poses so that the turns they show match the gyro's.
         workers: that convert the logs; the bytes do not depend on them.
+        left_out: the list to which logs that cannot be used are added; without it, the first is an error.
 
     Raises:
         LogError: naming file, topic and sample, for a log that cannot be read or is not plausible, a flight
-            present twice, two logs of the same name, and a bag that would replace its own log.
+            present twice, and a bag that would replace a log.
         SignalError: naming the log, if `align` finds no pose or no offset at which the turns match.
         OutputError: if the bags cannot be written.
         ParallelError: see :meth:`quadpi_core.parallel.Workers.map`.
     """
+    bags_in(folder, logs)
     with whole_outputs(folder) as staging:
         task = _Conversion(vehicle, workers.found_by(mapping), align, staging.absolute())
-        converted = workers.map_files(_convert, logs, shared=task, task="Importing logs")
-        sources: dict[str, Path] = {}
-        for log, (imported, _) in zip(logs, converted, strict=True):
-            name = imported.bag.name
-            if name in sources:
-                raise LogError(f"{log}: would be written to the same bag as {sources[name]}")
-            sources[name] = log
-            if (folder / name).resolve() == log.resolve():
-                raise LogError(f"{log}: its own bag would replace it; choose another folder")
-        refuse_duplicates((str(log), sha256) for log, (_, sha256) in zip(logs, converted, strict=True))
-    return [replace(imported, bag=folder / imported.bag.name) for imported, _ in converted]
+        converted = for_each_flight(
+            _convert, logs, shared=task, task="Importing logs", workers=workers, left_out=left_out
+        )
+        kept = once_each(converted, itemgetter(1), left_out)
+        names = {file.name for file, _ in kept}
+        for file, (imported, _) in converted:
+            if file.name not in names:
+                imported.bag.unlink()
+    return [replace(imported, log=file.path, bag=folder / imported.bag.name) for file, (imported, _) in kept]
 
 
 @dataclass(frozen=True)
@@ -103,27 +107,28 @@ class _Conversion:
     staging: Path
 
 
-def _convert(task: _Conversion, log: Path) -> tuple[Imported, str]:
+def _convert(task: _Conversion, file: FlightFile) -> tuple[Imported, str]:
     """The bag of a log in the temporary folder, and the hash of the flight."""
+    log = file.path
     # To align clocks takes all turns of the flight at once.
     if identify_format(log).container is not None and not task.align:
-        return _convert_in_blocks(task, log)
+        return _convert_in_blocks(task, file)
     recording = checked(read_recording(log, task.vehicle, task.mapping), task.vehicle)
     sha256 = recording_hash(recording)
     alignment = None
     if task.align:
         recording, alignment = align_pose(recording)
-    bag = staged(task.staging, f"{recording.name}.mcap")
+    bag = staged(task.staging, f"{file.name}.mcap")
     write_bag(bag, recording)
     topics = tuple(stream.topic for stream in recording.streams())
     lacking = tuple(missing_topics(recording))
-    return Imported(bag, len(recording.imu), topics, alignment, lacking, recording.quality), sha256
+    return Imported(log, bag, len(recording.imu), topics, alignment, lacking, recording.quality), sha256
 
 
-def _convert_in_blocks(task: _Conversion, log: Path) -> tuple[Imported, str]:
+def _convert_in_blocks(task: _Conversion, file: FlightFile) -> tuple[Imported, str]:
     """Like :func:`_convert`, of a bag, which is read twice and never held whole."""
     with ExitStack() as opened:
-        bag = opened.enter_context(open_in_blocks(log, task.vehicle, task.mapping))
+        bag = opened.enter_context(open_in_blocks(file.path, task.vehicle, task.mapping))
         streams = survey(blocks_of(bag), task.vehicle)
         stamps = {name: stream.usable_ns for name, stream in streams.items()}
         wheres = {name: f"{bag.source}: topic {stream.topic}" for name, stream in streams.items()}
@@ -134,7 +139,7 @@ def _convert_in_blocks(task: _Conversion, log: Path) -> tuple[Imported, str]:
         screening = {name: StreamScreening(STREAM_KINDS[name], task.vehicle) for name in streams}
         running = opened.enter_context(RunningHash(stamps["imu"], stamps.get("rotor_speeds")))
         topics = tuple(stream.topic for stream in streams.values())
-        path = staged(task.staging, f"{bag.name}.mcap")
+        path = staged(task.staging, f"{file.name}.mcap")
         with recording_writer(path, bag.vehicle, bag.source, topics) as writer:
             written = dict.fromkeys(streams, 0)
             usable = Selection({name: stream.usable for name, stream in streams.items()})
@@ -157,6 +162,12 @@ def _convert_in_blocks(task: _Conversion, log: Path) -> tuple[Imported, str]:
             beyond = {streams[name].topic: list(one.finish()) for name, one in screening.items()}
             recording = checked(replace(excerpt, quality=quality), task.vehicle, beyond)
         imported = Imported(
-            path, len(stamps["imu"]), topics, None, tuple(missing_topics(recording)), recording.quality
+            file.path,
+            path,
+            len(stamps["imu"]),
+            topics,
+            None,
+            tuple(missing_topics(recording)),
+            recording.quality,
         )
         return imported, running.hexdigest()

@@ -141,6 +141,10 @@ class AerodynamicModel:
             self.identity, self.vehicle, self.envelope.lower, self.envelope.upper, self.cutoff_hz
         )
 
+    def learned_from(self, sha256: str) -> bool:
+        """Whether a flight, by its hash, is one of those that it was identified on: it is in sample."""
+        return bool(sha256) and any(flight.sha256 == sha256 for flight in self.flights)
+
     def require(self, vehicle: Vehicle) -> None:
         """Refuse a vehicle other than the one that the model was identified for.
 

@@ -24,6 +24,7 @@ from quadpi_core.estimator.filter_state import WITHOUT_ESTIMATE, EstimatorStatus
 from quadpi_core.estimator.imu_rate import ImuRate
 from quadpi_core.estimator.output import FusedSamples, with_gyro_faults
 from quadpi_core.flight import ImuStream, OdometryStream, Recording, Stamps, WindStream
+from quadpi_core.flight_files import FlightFile, LeftOutFlights, bags_in, for_each_flight
 from quadpi_core.frames import Array
 from quadpi_core.logs import decode_recording, identify_format, open_in_blocks
 from quadpi_core.logs.bag_writer import mcap_writer
@@ -283,48 +284,36 @@ def replay_all(
     confidence: float | None = None,
     settings: MonitorSettings | None = None,
     workers: Workers = DEFAULT_WORKERS,
+    left_out: LeftOutFlights = None,
 ) -> dict[str, ReplaySummary]:
-    """Replay several flights, each into a bag of its name in a folder: all of them, or none.
+    """Replay several flights, each into a bag of its name in a folder.
 
     Args:
         model: see :func:`replay`.
         vehicle: see there.
-        bags: of different names.
+        bags: see there; `flight_files.named_files` says their names.
         folder: bags of the same names in it are replaced.
         confidence: see there.
         settings: see there.
         workers: that replay the flights; the bags are those that :func:`replay` writes.
+        left_out: the list to which flights that cannot be replayed are added; without it, the first is an
+            error, and no bag is written.
 
     Returns:
         The summary of each, by name.
 
     Raises:
-        LogError: see :func:`replay`; for two bags of the same name.
+        LogError: see :func:`replay`; for a bag in the place of a flight.
         OutputError: if the bags cannot be written.
         ParallelError: see :meth:`quadpi_core.parallel.Workers.map`.
     """
-    outputs = replay_outputs(bags, folder)
+    bags_in(folder, bags)
     with whole_outputs(folder) as staging:
         task = _Replay(model, vehicle, confidence, settings, staging.absolute())
-        summaries = workers.map_files(_replay, bags, shared=task, task="Replaying flights")
-    return {output.stem: summary for output, summary in zip(outputs, summaries, strict=True)}
-
-
-def replay_outputs(bags: Sequence[Path], folder: Path) -> list[Path]:
-    """The bags that :func:`replay_all` writes.
-
-    Raises:
-        LogError: for two flights of the same name, and a bag in the place of its flight.
-    """
-    taken: dict[Path, Path] = {}
-    for bag in bags:
-        output = folder / f"{bag.stem}.mcap"
-        if output in taken:
-            raise LogError(f"{bag}: would be replayed to the same bag as {taken[output]}")
-        if output.resolve() == bag.resolve():
-            raise LogError(f"{bag}: the output would replace the flight; choose another folder")
-        taken[output] = bag
-    return list(taken)
+        summaries = for_each_flight(
+            _replay, bags, shared=task, task="Replaying flights", workers=workers, left_out=left_out
+        )
+    return {file.name: summary for file, summary in summaries}
 
 
 @dataclass(frozen=True)
@@ -338,9 +327,11 @@ class _Replay:
     staging: Path
 
 
-def _replay(task: _Replay, bag: Path) -> ReplaySummary:
-    output = staged(task.staging, f"{bag.stem}.mcap")
-    return replay(task.model, task.vehicle, bag, output, confidence=task.confidence, settings=task.settings)
+def _replay(task: _Replay, file: FlightFile) -> ReplaySummary:
+    output = staged(task.staging, f"{file.name}.mcap")
+    return replay(
+        task.model, task.vehicle, file.path, output, confidence=task.confidence, settings=task.settings
+    )
 
 
 def _estimator_output(trace: EkfTrace, imu: ImuStream) -> tuple[_Imu, FusedSamples, Stamps]:

@@ -18,7 +18,7 @@ from quadpi_core.evaluation.evaluation_result import AxisMetrics, Comparison, Ev
 from quadpi_core.evaluation.flight_results import FlightResult
 from quadpi_core.flight import AXES
 from quadpi_core.models.aerodynamic import AerodynamicModel
-from quadpi_core.report.coverage_verdict import axis_coverages, count_verdicts
+from quadpi_core.report.coverage_verdict import axis_coverages, count_verdicts, listing
 from quadpi_core.report.evaluation_figures import time_history_figure
 from quadpi_core.report.evaluation_page import (
     alarm_sentence,
@@ -31,7 +31,7 @@ from quadpi_core.report.evaluation_page import (
 from quadpi_core.report.figure import DASHES, Figure, Layer, Limit, Line, Panel, Points, Scale
 from quadpi_core.report.figure_data import bins_within, thinned_band, thinned_line
 from quadpi_core.report.model_tables import structure_table
-from quadpi_core.report.page import FlightFiles, Page
+from quadpi_core.report.page import FlightFiles, Page, flight_remarks
 from quadpi_core.report.style import (
     INK,
     MEASURED,
@@ -213,6 +213,7 @@ def write_comparison_page(
         figures={"groups": _group_figure(comparison)},
         flight_figures=of_flight,
         files=files or FlightFiles(),
+        remarks=_remarks(comparison),
     ).write(
         path,
         "comparison.html",
@@ -232,6 +233,18 @@ def write_comparison_page(
             if any(model.selection.values())
         },
     )
+
+
+def _remarks(comparison: Comparison) -> list[tuple[str, str]]:
+    """On the data, and which groups of which models are in sample."""
+    in_sample = [
+        (name, f"was identified on {listing(known)} of group {group}: in sample")
+        for name, model in comparison.models.items()
+        for group in comparison.groups
+        if (known := model.in_sample(group))
+    ]
+    quality = next(iter(comparison.models.values())).data_quality
+    return in_sample + flight_remarks(quality, comparison.left_out)
 
 
 def _group_figure(comparison: Comparison) -> Figure:

@@ -28,6 +28,7 @@ from quadpi_core.discrepancy.discrepancy_result import (
 )
 from quadpi_core.discrepancy.ranked_evidence import LEAST_ABOVE_FLOOR
 from quadpi_core.flight import AXES
+from quadpi_core.flight_files import FlightLeftOut
 from quadpi_core.report.coverage_verdict import listing
 from quadpi_core.report.discrepancy_evidence import (
     MOST_CANDIDATES,
@@ -47,7 +48,7 @@ from quadpi_core.report.discrepancy_figures import (
 from quadpi_core.report.evaluation_page import axis_cell
 from quadpi_core.report.figure import Figure
 from quadpi_core.report.figure_data import bins_within
-from quadpi_core.report.page import FlightFiles, Page
+from quadpi_core.report.page import FlightFiles, Page, flight_remarks
 from quadpi_core.report.style import number, percent
 from quadpi_core.report.table import Column, Row, Table, terminal_table
 from quadpi_core.simulation.effect_registry import EFFECTS
@@ -85,13 +86,19 @@ def discrepancy_summary(study: Study) -> Group:
     return Group(*parts)
 
 
-def write_discrepancy_page(path: Path, study: Study, files: FlightFiles | None = None) -> None:
+def write_discrepancy_page(
+    path: Path,
+    study: Study,
+    files: FlightFiles | None = None,
+    left_out: Sequence[FlightLeftOut] = (),
+) -> None:
     """Write the page; it appears whole or not at all.
 
     Args:
         path: of the HTML file.
         study: what was found.
         files: of the flights, to look at moments in `quadpi view`.
+        left_out: flights that were given and cannot be used.
 
     Raises:
         OutputError: if `path` cannot be written.
@@ -118,6 +125,7 @@ def write_discrepancy_page(path: Path, study: Study, files: FlightFiles | None =
         figures=figures,
         flight_figures=of_flight,
         files=files or FlightFiles(),
+        remarks=flight_remarks({f.name: f.quality for f in study.flights}, left_out, study.in_sample),
     ).write(
         path,
         "discrepancy.html",

@@ -113,13 +113,13 @@ def coverage_figure(evaluation: Evaluation) -> Figure:
     return Figure("Coverage of each axis by group", [panel], [20.0 + 44.0 * len(axes)])
 
 
-def envelope_figure(groups: Groups, envelope: Envelope, training_flights: Sequence[str]) -> Figure:
+def envelope_figure(groups: Groups, envelope: Envelope) -> Figure:
     """Distributions of the main inputs by group over the range of the training flights.
 
     Shares have a logarithmic scale, as only the tails of a distribution leave the envelope. The range of the
     airspeed, which is not an input, is drawn if training flights are among those of the groups.
     """
-    training = [f for flights in groups.values() for f in flights if f.name in training_flights]
+    training = [f for flights in groups.values() for f in flights if f.in_sample]
     panels = []
     for name in ENVELOPE_INPUTS:
         values = {

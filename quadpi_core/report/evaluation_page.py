@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from rich.console import Group, RenderableType
@@ -31,7 +31,7 @@ from quadpi_core.report.figure import Figure
 from quadpi_core.report.figure_data import bins_within
 from quadpi_core.report.live_figure import LiveReplay, alarm_figure
 from quadpi_core.report.model_tables import held_out_table, selection_table
-from quadpi_core.report.page import FlightFiles, Page
+from quadpi_core.report.page import FlightFiles, Page, flight_remarks
 from quadpi_core.report.style import (
     count,
     group_colours,
@@ -165,17 +165,20 @@ def _duration(hours: float) -> str:
     return f"{number(60.0 * minutes)} s" if minutes < 2.0 else f"{number(minutes)} min"
 
 
-def evaluation_verdict(evaluation: Evaluation, training: Collection[str]) -> str:
+def evaluation_verdict(evaluation: Evaluation) -> str:
     """The page's headline: on which groups the intervals hold, are not shown to hold, and do not hold.
 
-    A group of `training` flights alone is marked "in sample": there the intervals hold by construction. The
-    axis of the lowest coverage is named with its numbers, unless all axes reach the nominal coverage.
+    A group of flights that the model was identified on is marked "in sample": there the intervals hold by
+    construction. The axis of the lowest coverage is named with its numbers, unless all axes reach the nominal
+    coverage.
     """
     confidence = evaluation.confidence
     groups: dict[Holding, list[str]] = {}
     for group, part in evaluation.groups.items():
         holding, axes = joint_verdict(axis_coverages(part.axes), confidence)
-        remarks = ["in sample"] if set(part.flights) <= set(training) else []
+        known = len(evaluation.in_sample(group))
+        of = "" if known == len(part.flights) else f"{known} of {len(part.flights)} flights "
+        remarks = [f"{of}in sample"] if known else []
         if holding is not Holding.HOLDS:
             remarks.append(f"{len(axes)} of {len(part.axes)} axes")
         if holding is not Holding.HOLDS or axes[0].estimate < confidence:
@@ -215,10 +218,9 @@ def write_evaluation_page(
     if rest := [result for result in results if result.name not in grouped]:
         groups[_UNGROUPED] = rest
     bins = bins_within(_LINES_PER_AXIS * sum(len(result.axes) for result in results))
-    training = [flight.name for flight in model.flights]
     axes = [axis for axis in AXES if all(axis in result.axes for result in results)]
     figures = {
-        "envelope": envelope_figure(groups, model.envelope, training),
+        "envelope": envelope_figure(groups, model.envelope),
         "residuals": residual_figure(groups, axes, confidence),
     }
     if evaluation.groups:
@@ -229,7 +231,7 @@ def write_evaluation_page(
     Page(
         title=f"quadpi: {evaluation.model}",
         about="how far can this model be trusted?",
-        verdict=evaluation_verdict(evaluation, training),
+        verdict=evaluation_verdict(evaluation),
         facts={
             "model": evaluation.model,
             "vehicle": evaluation.vehicle,
@@ -243,6 +245,7 @@ def write_evaluation_page(
         figures=figures,
         flight_figures={name: {"history": figure} for name, figure in histories.items()},
         files=files or FlightFiles(),
+        remarks=flight_remarks(evaluation.data_quality, evaluation.left_out),
     ).write(
         path,
         "evaluation.html",

@@ -10,13 +10,15 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from quadpi_core.findings import DataQuality
+from quadpi_core.flight_files import FlightLeftOut, named_files
 from quadpi_core.paths import whole_output
 from quadpi_core.report import ASSETS
 from quadpi_core.report.figure import Figure, Space
@@ -44,6 +46,13 @@ class FlightFiles:
     models: Sequence[Path] = ()
     vehicle: str | None = None
 
+    @classmethod
+    def of(
+        cls, flights: Sequence[Path], models: Sequence[Path] = (), vehicle: str | None = None
+    ) -> FlightFiles:
+        """The files of flights, by the names that results give them."""
+        return cls({file.name: file.path for file in named_files(flights)}, models, vehicle)
+
     def commands(self) -> dict[str, str]:
         """The command that shows each flight live, to which `--at` is added; quoted for a shell."""
         judged = [word for folder in self.models for word in ("--model", str(folder))]
@@ -65,6 +74,7 @@ class Page:
         figures: by name.
         flight_figures: those that follow the menu, by flight, then by kind.
         files: of the flights; empty where there are none to look at.
+        remarks: on the data, above all sections: subject, such as a flight, and sentence.
     """
 
     title: str
@@ -75,6 +85,7 @@ class Page:
     figures: Mapping[str, Figure | Space]
     flight_figures: Mapping[str, Mapping[str, Figure | Space]] = field(default_factory=dict)
     files: FlightFiles = FlightFiles()
+    remarks: Sequence[tuple[str, str]] = ()
 
     def write(self, path: Path, template: str, **content: Any) -> None:
         """Write the page; it appears whole or not at all.
@@ -101,6 +112,7 @@ class Page:
             verdict=self.verdict,
             facts=self.facts,
             definitions=self.definitions,
+            remarks=self.remarks,
             figures=figures_as_json(self.figures),
             flight_figures={name: figures_as_json(own) for name, own in self.flight_figures.items()},
             commands=_for_script(self.files.commands()),
@@ -111,6 +123,23 @@ class Page:
         )
         with whole_output(path) as temporary:
             temporary.write_text(page, encoding="utf-8")
+
+
+def flight_remarks(
+    quality: Mapping[str, DataQuality], left_out: Sequence[FlightLeftOut] = (), in_sample: Iterable[str] = ()
+) -> list[tuple[str, str]]:
+    """What the head of a page says of the data, each with the flight that it is about.
+
+    Args:
+        quality: remarks on the data of each flight.
+        left_out: flights that were given and cannot be used.
+        in_sample: flights that the model was identified on, where nothing else of the page says it.
+    """
+    return [
+        *((flight.flight, f"left out: {flight.reason}") for flight in left_out),
+        *((name, "the model was identified on this flight: in sample") for name in in_sample),
+        *((name, sentence) for name, own in quality.items() for sentence in own.sentences()),
+    ]
 
 
 def _asset(name: str) -> str:

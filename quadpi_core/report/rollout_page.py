@@ -12,9 +12,10 @@ import numpy as np
 from quadpi_core.evaluation.rollouts import RolledFlight, RolloutEvaluation
 from quadpi_core.frames import Array
 from quadpi_core.models.physical_rollout import ATTITUDE, POSITION, RATES, VELOCITY
+from quadpi_core.report.coverage_verdict import listing
 from quadpi_core.report.figure import Band, Figure, Layer, Line, Panel, Scale, Shapes
 from quadpi_core.report.figure_data import bins_within, thinned_line
-from quadpi_core.report.page import FlightFiles, Page
+from quadpi_core.report.page import FlightFiles, Page, flight_remarks
 from quadpi_core.report.style import GROUPS, MEASURED, nominal, number, percent
 from quadpi_core.report.table import Column, Row, Table
 from quadpi_core.rotations import rotate_body_to_world
@@ -62,16 +63,22 @@ def rollout_summary(evaluation: RolloutEvaluation) -> Table:
         for horizon, quantities in judged.horizons.items()
         for quantity, own in quantities.items()
     ]
-    inferred = [name for name, judged in evaluation.flights.items() if not judged.position_measured]
     notes = [
         f"{name}: {judged.left_out} of {judged.left_out + judged.starts} starts left out, as a rotor was not "
         "measured, or samples are missing, within the horizon."
         for name, judged in evaluation.flights.items()
         if judged.left_out
     ]
+    if known := _in_sample(evaluation):
+        notes.append(f"The model was identified on {listing(known)}: in sample.")
+    inferred = [name for name, judged in evaluation.flights.items() if not judged.position_measured]
     if inferred:
         notes.append(f"Position of {', '.join(inferred)} against integrated velocity: it was not measured.")
     return Table(columns, rows, note=" ".join(notes))
+
+
+def _in_sample(evaluation: RolloutEvaluation) -> list[str]:
+    return [name for name, judged in evaluation.flights.items() if judged.in_sample]
 
 
 def rollout_verdict(evaluation: RolloutEvaluation) -> str:
@@ -135,6 +142,7 @@ def write_rollout_page(
             for flight in flights
         },
         files=files or FlightFiles(),
+        remarks=flight_remarks(evaluation.data_quality, evaluation.left_out, _in_sample(evaluation)),
     ).write(
         path,
         "rollouts.html",

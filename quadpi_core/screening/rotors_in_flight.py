@@ -76,4 +76,5 @@ def stuck_rotors(recording: Recording, gravity_m_s2: float) -> Iterator[Finding]
             f"rotor {rotor + 1} reads {rotors.speeds[begin[longest], rotor]:.4g} rad/s from "
             f"{time_s[begin[longest]]:.2f} to {time_s[end[longest]]:.2f} s in flight, without a change, "
             f"and so for {whole:.1f} s in all: its sensor fails; leave this flight out",
+            leave_out=True,
         )

@@ -45,7 +45,7 @@ def flights() -> list[Flight]:
     """Four flights of 20 s at up to 6 m/s, fused, thinned to 125 Hz."""
     vehicle = Vehicle.load("bebop2")
     paths = [bags_directory() / f"train_{k}.mcap" for k in (1, 2, 3, 4)]
-    return [read_flight(path, vehicle, 30.0)[0].slice(slice(None, None, 4)) for path in paths]
+    return [read_flight(path, vehicle, 30.0).slice(slice(None, None, 4)) for path in paths]
 
 
 def pushed(flight: Flight, vehicle: Vehicle, wrench: Array) -> Flight:

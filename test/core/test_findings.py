@@ -36,6 +36,7 @@ def test_json_holds_every_number():
             "topic": "imu",
             "text": "looks like deg/s: multiply by 0.0175",
             "certain": True,
+            "leave_out": False,
         }
     ]
     assert NOTHING_TO_SAY.to_json() == {"left_out": [], "findings": []}

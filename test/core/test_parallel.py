@@ -10,7 +10,6 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -18,7 +17,7 @@ import pytest
 
 from quadpi_core import parallel
 from quadpi_core.errors import LogError
-from quadpi_core.parallel import ParallelError, Progress, Workers
+from quadpi_core.parallel import ParallelError, Workers
 from quadpi_core.paths import bags_directory
 
 pytestmark = pytest.mark.slow
@@ -154,29 +153,6 @@ def test_a_worker_that_dies_is_said(tasks):
         pytest.raises(ParallelError, match="a worker ended before its task did"),
     ):
         Workers(2).map(tasks.die, [1, 2], shared=None)
-
-
-class TestFiles:
-    def test_few_are_read_in_this_process_and_many_in_others(self, tasks, monkeypatch):
-        monkeypatch.setattr(parallel, "MANY_FILES", 3)
-        monkeypatch.setattr(os, "cpu_count", lambda: 2)
-        paths = [Path("a"), Path("b"), Path("c")]
-        assert Workers().map_files(tasks.process, paths[:2], shared=None, task="") == [os.getpid()] * 2
-        assert os.getpid() not in Workers().map_files(tasks.process, paths, shared=None, task="")
-        assert Workers(1).map_files(tasks.process, paths, shared=None, task="") == [os.getpid()] * 3
-
-    def test_a_cluster_is_given_absolute_paths(self, tasks, cluster, tmp_path, monkeypatch):
-        monkeypatch.chdir(tmp_path)
-        assert Workers().map_files(tasks.path, [Path("a")], shared=None, task="") == ["a"]
-        assert Workers(scheduler=cluster).map_files(tasks.path, [Path("a")], shared=None, task="") == [
-            f"{tmp_path}/a"
-        ]
-
-    def test_finished_files_are_counted(self, tasks, place):
-        seen = []
-        workers = replace(place, progress=seen.append)
-        workers.map_files(tasks.path, [Path("a"), Path("b")], shared=None, task="Reading")
-        assert seen == [Progress("Reading", 1, 2), Progress("Reading", 2, 2)]
 
 
 def test_processes_beside_open_no_port():

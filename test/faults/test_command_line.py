@@ -6,6 +6,7 @@ status 2 of that and leaves no output.
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 import subprocess
@@ -60,10 +61,7 @@ READERS = (*OFFLINE, "replay")
 
 @pytest.mark.parametrize("command", ["import", "identify", "evaluate", "replay"])
 @pytest.mark.parametrize("fault", ["file", "samples"])
-def test_every_command_refuses_a_bad_flight(
-    refused, bad, bags, model, pool, recording, tmp_path, command, fault
-):
-    """Behind a good one, where it takes several."""
+def test_every_command_refuses_a_bad_flight(refused, bad, model, pool, recording, tmp_path, command, fault):
     if fault == "file" or command == "replay":
         bad.write_bytes(b"")
         message = "the file is empty"
@@ -72,12 +70,108 @@ def test_every_command_refuses_a_bad_flight(
         message = f"topic imu: sample {SAMPLE}: .* not finite"
     vehicle = ("--vehicle", "neurobem")
     arguments = {
-        "import": (bags[1], bad, *vehicle, "-o", tmp_path / "bags"),
-        "identify": (bags[1], bad, *vehicle, "--candidates", pool, "-o", tmp_path / "model"),
-        "evaluate": (model, bags[1], bad, "--json", tmp_path / "data.json", "--html", tmp_path / "page"),
+        "import": (bad, *vehicle, "-o", tmp_path / "bags"),
+        "identify": (bad, *vehicle, "--candidates", pool, "-o", tmp_path / "model"),
+        "evaluate": (model, bad, "--json", tmp_path / "data.json", "--html", tmp_path / "page"),
         "replay": (model, bad, "-o", tmp_path / "out.mcap", "--json", tmp_path / "data.json"),
     }
     refused(f"{re.escape(str(bad))}: {message}", command, *arguments[command])
+
+
+class TestBatch:
+    """One bad flight stops no other: each is judged, and what was left out is said last, with status 3."""
+
+    @pytest.fixture
+    def commands(self, bad, model, pool, tmp_path):
+        """By command, its arguments before and after the flights, and the file with its result."""
+        bad.write_bytes(b"")
+        data, out = ("--json", tmp_path / "data.json"), tmp_path / "out"
+        vehicle = ("--vehicle", "neurobem")
+        return {
+            "import": ((), (*vehicle, "-o", out, *data)),
+            "identify": ((), (*vehicle, "--candidates", pool, "-o", out, *data)),
+            "evaluate": ((model,), data),
+            "replay": ((model,), ("-o", out, *data)),
+        }
+
+    @pytest.mark.parametrize("command", ["import", "identify", "evaluate", "replay"])
+    def test_the_others_go_on(self, quadpi, commands, bags, bad, tmp_path, command):
+        first, last = commands[command]
+        result = quadpi(command, *first, bad, *bags, *last)
+        assert (result.status, result.errors) == (3, f"quadpi: left out bad: {bad}: the file is empty\n")
+        data = json.loads((tmp_path / "data.json").read_text())
+        assert data["left_out"] == [
+            {"flight": "bad", "path": str(bad), "reason": f"{bad}: the file is empty"}
+        ]
+        (tmp_path / "data.json").unlink()
+        assert quadpi(command, *first, *bags, *last).status == 0
+        assert json.loads((tmp_path / "data.json").read_text()) == {**data, "left_out": []}
+
+    def test_all_bad_or_too_few_left(self, refused, commands, bags, bad, tmp_path):
+        other = shutil.copy(bad, tmp_path / "other.mcap")
+        for command, (first, last) in commands.items():
+            message = f"none of the flights can be used: {bad}: .*; {other}: the file is empty"
+            refused(message, command, *first, bad, other, *last)
+        first, last = commands["identify"]
+        refused("too few flights: 1 given", "identify", *first, bags[0], bad, *last, left_out=1)
+
+    def test_a_group_ends_with_its_flights(self, quadpi, model, bags, bad):
+        bad.write_bytes(b"")
+        result = quadpi("evaluate", model, bags[0], "--group", f"none={bad}")
+        assert result.status == 3
+        assert "group none: all its flights were left out" in result.output
+
+    def test_flights_of_one_name(self, quadpi, model, bags, tmp_path):
+        """They are told apart, and a model knows its flights by what they hold, under any name."""
+        seen, new = tmp_path / "seen" / "LOG00001.mcap", tmp_path / "new" / "LOG00001.mcap"
+        shutil.copytree(bags[1].parent, seen.parent)
+        bags_of_model = [seen.parent / bag.name for bag in bags[1:]]
+        bags_of_model[0].rename(seen)
+        named_as_known = tmp_path / bags[2].name
+        for path in (new, named_as_known):
+            path.parent.mkdir(exist_ok=True)
+            shutil.copy(bags[0], path)
+        new.write_bytes(bags[0].read_bytes())
+        data = tmp_path / "data.json"
+        groups = ("--group", f"a={seen}", "--group", f"b={new}")
+        assert quadpi("evaluate", model, *groups, "--json", data).status == 0
+        judged = json.loads(data.read_text())
+        assert {name: flight["in_sample"] for name, flight in judged["flights"].items()} == {
+            "seen_LOG00001": True,
+            "new_LOG00001": False,
+        }
+        assert judged["groups"]["a"]["flights"] == ["seen_LOG00001"]
+        page = tmp_path / "page.html"
+        assert quadpi("evaluate", model, named_as_known, "--json", data, "--html", page).status == 0
+        assert "in sample" not in page.read_text()
+
+    def test_a_flight_whose_sensor_fails_is_no_training(self, quadpi, recording, bags, pool, tmp_path):
+        """Whether it is one, is said by the finding and not by its words."""
+
+        def stuck(speeds):
+            speeds[400:700, 2] = 900.0
+            return speeds
+
+        flawed = tmp_path / "flawed.mcap"
+        write_bag(flawed, changed(recording, "rotor_speeds", "speeds", stuck))
+        options = ("--vehicle", "neurobem", "--candidates", pool, "-o", tmp_path / "model")
+        data, page = tmp_path / "data.json", tmp_path / "page.html"
+        files = ("--json", data, "--html", page)
+        result = quadpi("identify", *bags[1:], flawed, *options, *files)
+        assert result.status == 3
+        assert re.fullmatch(
+            rf"quadpi: left out flawed: {flawed}: topic rotor_speeds: rotor 3 reads .*\n", result.errors
+        )
+        assert list(json.loads(data.read_text())["flights"]) == [bag.stem for bag in bags[1:]]
+        above, tables = page.read_text().split("<table>", 1)
+        assert "rotor 3 reads" in above
+        assert "rotor 3 reads" not in tables
+        kept = quadpi("identify", *bags[1:], flawed, *options, *files, "--keep-flawed")
+        assert (kept.status, kept.errors) == (0, "")
+        judged = json.loads(data.read_text())
+        assert judged["flights"]["flawed"]["in_sample"]
+        assert judged["data_quality"]["flawed"]["findings"][0]["leave_out"]
+        assert "rotor 3 reads" in page.read_text().split("<table>", 1)[0]
 
 
 class TestDamagedFiles:
@@ -238,7 +332,7 @@ def test_stamps_that_do_not_rise(refused_by, followed, bad, recording, topic, sh
 
 class TestTheSameFlightTwice:
     @pytest.mark.parametrize("command", ["import", "identify", "evaluate"])
-    def test_copy(self, refused, bags, model, pool, tmp_path, command):
+    def test_copy(self, quadpi, bags, model, pool, tmp_path, command):
         copy = shutil.copy(bags[0], tmp_path / "copy.mcap")
         options = {
             "import": ("--vehicle", "neurobem", "-o", tmp_path / "out"),
@@ -246,12 +340,13 @@ class TestTheSameFlightTwice:
             "evaluate": ("--json", tmp_path / "data.json"),
         }
         first = (model,) if command == "evaluate" else ()
-        message = f"{copy}: the same flight as {bags[0]}; give each flight once"
-        refused(re.escape(message), command, *first, bags[0], bags[1], copy, *options[command])
+        result = quadpi(command, *first, bags[0], bags[1], copy, *options[command])
+        message = f"quadpi: left out copy: {copy}: the same flight as {bags[0]}; give each flight once\n"
+        assert (result.status, result.errors) == (3, message)
 
     def test_same_file(self, refused, bags, model, pool, tmp_path):
         options = ("--vehicle", "neurobem", "--candidates", pool, "-o", tmp_path / "out")
-        refused("flight0.mcap: the same flight as", "identify", bags[0], bags[1], bags[0], *options)
+        refused("too few flights: 1 given", "identify", bags[0], bags[0], *options, left_out=1)
         refused("group all: a flight is present twice", "evaluate", model, bags[0], bags[0])
 
     def test_log_and_its_bag(self, refused, quadpi, shared_data, tmp_path):
@@ -259,7 +354,7 @@ class TestTheSameFlightTwice:
         vehicle = ("--vehicle", "neurobem")
         assert quadpi("import", log, *vehicle, "-o", tmp_path / "bags").status == 0
         bag = tmp_path / "bags" / f"{log.stem}.mcap"
-        refused(f"{bag}: the same flight as {log}", "identify", log, bag, *vehicle, "-o", tmp_path / "model")
+        refused("too few flights", "identify", log, bag, *vehicle, "-o", tmp_path / "model", left_out=1)
 
 
 class TestFlightsThatDoNotExciteTheModel:
@@ -289,7 +384,7 @@ class TestFlightsThatDoNotExciteTheModel:
             steady = changed(read_recording(bag, None), "rotor_speeds", "speeds", lambda s: 0.0 * s + 1100.0)
             write_bag(path, steady)
         message = "Mx: regressor `U_p` is constant or a combination of the other fixed ones on these flights"
-        options = ("--vehicle", "neurobem", "--candidates", pool, "-o", tmp_path / "model")
+        options = ("--vehicle", "neurobem", "--candidates", pool, "-o", tmp_path / "model", "--keep-flawed")
         refused(message, "identify", *flights, *options, finding="its sensor fails; leave this flight out")
 
     def test_rotors_at_rest(self, refused_by, bad, recording):

@@ -23,7 +23,7 @@ def test_evaluate(read_json, quadpi, model, bags, tmp_path):
     for part in (evaluation["groups"]["all"], *evaluation["flights"].values()):
         assert set(part["axes"]) == {"Fx", "Fz", "Mx"}
         assert all(set(axis) == METRICS for axis in part["axes"].values())
-    assert set(evaluation["flights"]["flight0"]) == {"duration_s", "axes", "alarm"}
+    assert set(evaluation["flights"]["flight0"]) == {"duration_s", "axes", "alarm", "sha256", "in_sample"}
 
 
 class TestGroups:

@@ -50,14 +50,14 @@ def test_another_horizon_is_judged_too(model, vehicle, bags) -> None:
 
 
 def test_a_horizon_longer_than_the_flight_is_refused(model, vehicle, bags) -> None:
-    flight, _ = read_flight(bags[2], vehicle, model.cutoff_hz)
+    flight = read_flight(bags[2], vehicle, model.cutoff_hz)
     short = flight.slice(slice(0, 170))
     with pytest.raises(ModelError, match=r"0\.4\d s in the air, shorter than the horizon of 0\.5 s"):
         judge_flight(model.require_rollouts(), short, vehicle, horizon_s=0.5, confidence=0.95)
 
 
 def test_windows_without_a_rotor_are_left_out_and_counted(model, vehicle, bags) -> None:
-    flight, _ = read_flight(bags[2], vehicle, model.cutoff_hz)
+    flight = read_flight(bags[2], vehicle, model.cutoff_hz)
     speeds = flight.rotor_speeds.copy()
     speeds[1000:1100, 1] = 0.0
     _, judged = judge_flight(
@@ -90,5 +90,5 @@ def test_models_that_cannot_predict_are_refused(model, vehicle, bags) -> None:
         evaluate_rollouts(model, [bags[2]], longer)
     with pytest.raises(ModelError, match=r"calibrated from 0\.01 to 1 s"):
         evaluate_rollouts(model, [bags[2]], vehicle, horizon_s=2.0)
-    with pytest.raises(QuadpiError, match="another flight is called flight2"):
+    with pytest.raises(QuadpiError, match="the same flight as"):
         evaluate_rollouts(model, [bags[2], bags[2]], vehicle)

@@ -93,11 +93,28 @@ def test_one_bad_log_leaves_nothing(bags, vehicle, tmp_path, place, request):
     assert contents(tmp_path) == before
 
 
-def test_two_logs_of_one_name(bags, vehicle, tmp_path):
-    other = shutil.copy(bags[1], tmp_path / "flight0.mcap")
-    with pytest.raises(LogError, match=f"^{other}: would be written to the same bag as {bags[0]}$"):
-        import_logs([bags[0], other], vehicle, tmp_path / "bags")
-    assert not (tmp_path / "bags").exists()
+def test_logs_of_one_name_and_the_others_of_a_batch_with_bad_ones(bags, vehicle, tmp_path):
+    """A copy has no bag, though it was converted before it was known to be one."""
+    other, copy, bad = (tmp_path / name / "flight0.mcap" for name in ("other", "copy", "bad"))
+    for path, source in ((other, bags[1]), (copy, bags[0]), (bad, None)):
+        path.parent.mkdir()
+        path.write_bytes(b"" if source is None else source.read_bytes())
+    left_out = []
+    imported = import_logs([bags[0], bad, other, copy], vehicle, tmp_path / "bags", left_out=left_out)
+    names = [f"{path.parent.name}_flight0.mcap" for path in (bags[0], other)]
+    assert [(flight.log, flight.bag.name) for flight in imported] == list(
+        zip((bags[0], other), names, strict=True)
+    )
+    assert sorted(path.name for path in (tmp_path / "bags").iterdir()) == sorted(names)
+    assert [(flight.flight, flight.reason) for flight in left_out] == [
+        ("bad_flight0", f"{bad}: the file is empty"),
+        ("copy_flight0", f"{copy}: the same flight as {bags[0]}; give each flight once"),
+    ]
+
+
+def test_a_bag_in_the_place_of_a_log(bags, vehicle):
+    with pytest.raises(LogError, match=r"its bag would replace .*; choose another folder"):
+        import_logs(bags, vehicle, bags[0].parent)
 
 
 def test_a_folder_in_the_place_of_a_bag(bags, vehicle, tmp_path):

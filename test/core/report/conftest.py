@@ -136,7 +136,7 @@ def flight_result(name, speed, seed, samples=3000):
 @pytest.fixture
 def case():
     results = [flight_result("slow", 3, 0), flight_result("mid", 8, 1), flight_result("fast<b>", 14, 2)]
-    training = results[:2]
+    results[:2] = training = [replace(result, in_sample=True) for result in results[:2]]
     inputs = np.vstack([result.inputs for result in training])
     labels = np.repeat([0, 1], [len(result) for result in training])
     ones = np.ones((len(inputs), 6))

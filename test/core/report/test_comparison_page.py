@@ -63,7 +63,8 @@ def test_each_model_is_judged_as_if_alone(quadpi, folders, groups, read_page, tm
     assert (ran.status, ran.errors) == (0, "")
     result = json.loads(data.read_text())
     assert set(result) == {
-        *("quadpi_version", "vehicle", "confidence", "adaptive", "groups", "published", "models")
+        *("quadpi_version", "vehicle", "confidence", "adaptive", "groups", "published", "models"),
+        "left_out",
     }
     assert result["groups"] == {"known": ["flight0", "flight1"], "new": ["flight2"]}
     assert result["published"] is None

@@ -52,9 +52,9 @@ def test_cells_are_counted_and_what_does_not_hold_is_named():
 def test_headlines_of_page_and_comparison_go_by_the_same_rule(case, with_coverage):
     few = with_coverage(case.evaluation.groups["known"], "Mz", 0.834, [0.619, 0.955])
     evaluation = replace(case.evaluation, groups={"few": few})
-    assert evaluation_verdict(evaluation, []) == (
+    assert evaluation_verdict(evaluation) == (
         "95\u00a0% prediction intervals are not shown to hold on few "
-        "(1 of 6 axes; Mz 83.4 %, 95 % confidence interval 61.9 % to 95.5 %)."
+        "(in sample; 1 of 6 axes; Mz 83.4 %, 95 % confidence interval 61.9 % to 95.5 %)."
     )
     compared = Comparison("0", "v", 0.95, False, {"few": []}, None, {"m": evaluation})
     assert comparison_verdict(compared) == (

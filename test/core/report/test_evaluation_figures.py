@@ -53,7 +53,7 @@ def test_coverage_figure_shows_coverage_and_interval_in_percent(case):
 
 
 def test_envelope_figure_marks_the_training_range_of_every_input(case):
-    figure = envelope_figure(groups(case), case.model.envelope, ["slow", "mid"])
+    figure = envelope_figure(groups(case), case.model.envelope)
     assert len(figure.panels) == len(ENVELOPE_INPUTS)
     assert all(training_range(panel) for panel in figure.panels)
     panel = figure.panels[ENVELOPE_INPUTS.index("speed")]
@@ -66,7 +66,7 @@ def test_envelope_figure_marks_the_training_range_of_every_input(case):
 
 
 def test_airspeed_has_no_range_without_training_flights(case):
-    figure = envelope_figure({"new": case.results[2:]}, case.model.envelope, ["slow", "mid"])
+    figure = envelope_figure({"new": case.results[2:]}, case.model.envelope)
     assert [bool(training_range(panel)) for panel in figure.panels] == [
         name != "speed" for name in ENVELOPE_INPUTS
     ]

@@ -95,7 +95,7 @@ def test_verdict_names_where_intervals_hold_and_how_badly_they_fail(case):
     axes = case.evaluation.groups["new & fast"].axes
     worst = min(axes, key=lambda axis: axes[axis].picp)
     low, high = axes[worst].picp_ci
-    assert evaluation_verdict(case.evaluation, ["slow", "mid", "another"]) == (
+    assert evaluation_verdict(case.evaluation) == (
         "95\u00a0% prediction intervals hold on known (in sample), and do not hold on new & fast "
         f"(6 of 6 axes; {worst} {percent(axes[worst].picp)}, "
         f"95 % confidence interval {percent(low)} to {percent(high)})."
@@ -105,13 +105,23 @@ def test_verdict_names_where_intervals_hold_and_how_badly_they_fail(case):
 def test_verdict_lists_the_groups_on_which_intervals_hold(case):
     known = case.evaluation.groups["known"]
     evaluation = replace(case.evaluation, groups={"a": known, "b": known, "c": known})
-    assert evaluation_verdict(evaluation, []) == "95\u00a0% prediction intervals hold on a, b and c."
+    assert evaluation_verdict(evaluation) == (
+        "95\u00a0% prediction intervals hold on a (in sample), b (in sample) and c (in sample)."
+    )
+
+
+def test_in_sample_is_said_of_a_part_of_a_group(case):
+    flights = {**case.evaluation.flights}
+    flights["mid"] = replace(flights["mid"], in_sample=False)
+    verdict = evaluation_verdict(replace(case.evaluation, flights=flights))
+    assert "hold on known (1 of 2 flights in sample), and" in verdict
 
 
 def test_verdict_tells_the_least_coverage_that_is_still_called_holding(case, with_coverage):
     few = with_coverage(case.evaluation.groups["known"], "Mz", 0.94, [0.92, 0.96])
-    assert evaluation_verdict(replace(case.evaluation, groups={"few": few}), []) == (
-        "95\u00a0% prediction intervals hold on few (Mz 94.0 %, 95 % confidence interval 92.0 % to 96.0 %)."
+    assert evaluation_verdict(replace(case.evaluation, groups={"few": few})) == (
+        "95\u00a0% prediction intervals hold on few (in sample; Mz 94.0 %, "
+        "95 % confidence interval 92.0 % to 96.0 %)."
     )
 
 
