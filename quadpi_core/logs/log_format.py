@@ -66,6 +66,8 @@ class LogFormat(Generic[_Settings]):
         begins: whether a file with these first bytes, at most HEAD_BYTES, is of the format.
         suffixes: of files, in lower case; they count where no format knows the first bytes, so that its
             reader says what is wrong with a damaged file.
+        sure_suffixes: those of them that count before first bytes which other formats know too: a table may
+            repeat the header lines of the log that it was made of.
         is_folder: whether a folder is a log of the format.
         load_mapping: reads the file of `--mapping`, by path or name; None for a format that takes none.
         container: for a format that is read in blocks.
@@ -75,6 +77,7 @@ class LogFormat(Generic[_Settings]):
     read: Callable[[Path, Vehicle | None, _Settings | None], Recording]
     begins: Callable[[bytes], bool] = lambda _head: False
     suffixes: tuple[str, ...] = ()
+    sure_suffixes: tuple[str, ...] = ()
     is_folder: Callable[[Path], bool] = lambda _folder: False
     load_mapping: Callable[[str | Path], _Settings] | None = None
     container: Container[_Settings] | None = None

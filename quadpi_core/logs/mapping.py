@@ -1,13 +1,13 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Mapping files: what the columns of a CSV or Parquet table are, so that a data set needs no code.
+"""Mapping files: what the columns of a table, or variables of MATLAB, are, so that a data set needs no code.
 
 docs/add-a-data-set.md explains the keys; config/mappings holds those that come with quadpi.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any
@@ -15,11 +15,13 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import PlainValidator
 
+from quadpi_core.config import nearest
 from quadpi_core.config_schema import OneOf, Section, Share, load_config, unknown_key
 from quadpi_core.errors import LogError
 from quadpi_core.sample_limits import STANDARD_GRAVITY
 
 ERPM = "erpm"
+TIME = "time"
 QUATERNION_ORDERS = MappingProxyType({"wxyz": (0, 1, 2, 3), "xyzw": (3, 0, 1, 2)})
 ROLL_PITCH_YAW = "roll-pitch-yaw"
 
@@ -68,9 +70,11 @@ class Signal(Section):
     """One signal of a table; which keys it has depends on its name.
 
     Attributes:
-        columns: in the order x, y, z, or that of the vehicle's rotors.
-        unit: a key of UNITS; None for quaternions.
+        columns: in the order x, y, z, or that of the vehicle's rotors. One name that stands for a matrix of
+            several columns becomes NAME.1, NAME.2 and so on.
+        unit: a key of UNITS; None for quaternions, and for a time whose unit its intervals tell.
         missing: largest share of rows without a value between the first and the last that have one.
+        table: of those named under `tables`; None for the log itself.
         axes: in which a vector is given.
         gravity: whether an acceleration is the specific force, or gravity was removed.
         form: of an attitude.
@@ -79,6 +83,7 @@ class Signal(Section):
     columns: Annotated[tuple[str, ...], PlainValidator(_read_columns)]
     unit: str | None = None
     missing: Share = 0.0
+    table: str | None = None
     axes: Annotated[str, OneOf("body", "world")] | None = None
     gravity: Annotated[str, OneOf("included", "removed")] | None = None
     form: Annotated[str, OneOf(*QUATERNION_ORDERS, ROLL_PITCH_YAW)] | None = None
@@ -91,18 +96,37 @@ class Signal(Section):
         """
         choices = _CHOICES.get(name, ())
         units = () if self.form in QUATERNION_ORDERS else ("unit",)
-        known = ("columns", *units, *choices, "missing")
+        known = ("columns", *units, *choices, *(() if name == TIME else ("missing", "table")))
         for key in (*units, *choices):
-            if getattr(self, key) is None:
+            if getattr(self, key) is None and name != TIME:
                 raise ValueError(f"{name}: missing key `{key}`")
         for key, value in vars(self).items():
-            if key not in known and value is not None:
+            if key not in known and value:
                 raise ValueError(f"{name}: {unknown_key(key, known)}")
         if self.unit is not None and self.unit not in UNITS[name]:
             raise ValueError(f"{name}: `unit` must be one of {', '.join(UNITS[name])}, found {self.unit!r}")
         count = _COLUMN_COUNT.get(name, 3) if units else 4
+        if len(self.columns) == 1 < count:
+            several = tuple(f"{self.columns[0]}.{place + 1}" for place in range(count))
+            object.__setattr__(self, "columns", several)
         if len(self.columns) != count or len(set(self.columns)) != count:
             raise ValueError(f"{name}: `columns` must list {count} different column{'s'[: count - 1]}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class OtherTable(Section):
+    """A further table of the same flight, with a clock of its own rows.
+
+    Attributes:
+        time: as that of the log.
+        file: its place from the folder of the log; None for variables of the same MATLAB file.
+    """
+
+    time: Signal
+    file: str | None = None
+
+    def __post_init__(self) -> None:
+        self.time.require_keys_of(TIME)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,10 +148,15 @@ class _MappingFile(Section):
     battery: Signal | None = None
     simulated_force: Signal | None = None
     simulated_moment: Signal | None = None
+    tables: dict[str, OtherTable] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name, signal in self.signals.items():
             signal.require_keys_of(name)
+            if signal.table is not None and signal.table not in self.tables:
+                raise ValueError(
+                    f"{name}: no table {signal.table} under `tables`{nearest(signal.table, self.tables)}"
+                )
 
     @property
     def signals(self) -> dict[str, Signal]:
@@ -144,12 +173,14 @@ class Mapping:
         body: body axes of the table, "flu" or "frd".
         world: world axes of the table, "enu" (any z-up world) or "ned".
         signals: by name, of those in UNITS.
+        tables: further ones, by the names that signals give them.
     """
 
     path: Path
     body: str
     world: str
     signals: dict[str, Signal]
+    tables: dict[str, OtherTable]
 
     @classmethod
     def load(cls, name_or_path: str | Path) -> Mapping:
@@ -159,4 +190,4 @@ class Mapping:
             LogError: naming the file and the key that is missing, unknown or has a value that is not known.
         """
         path, content = load_config("mapping", name_or_path, _MappingFile, LogError)
-        return cls(path=path, body=content.body, world=content.world, signals=content.signals)
+        return cls(path, content.body, content.world, content.signals, content.tables)

@@ -76,6 +76,21 @@ def _rises(time_ns: Stamps) -> npt.NDArray[np.bool_]:
     return rises
 
 
+def unsigned_speeds(source: str, speeds: Array) -> Array:
+    """Rotor speeds (N, 4) without the sign of the sense of rotation that some logs give them; a note says so.
+
+    A single negative value of a rotor that reads positive is no such sign, and stays.
+    """
+    turning = np.where(np.isfinite(speeds), speeds, 0.0)
+    signed = np.sum(turning < 0.0, axis=0) > np.sum(turning > 0.0, axis=0)
+    if np.any(signed):
+        rotors = ", ".join(str(number + 1) for number in np.flatnonzero(signed))
+        note(
+            source, f"topic rotor_speeds: negative of rotor {rotors}, by the sense of rotation: without sign"
+        )
+    return np.where(signed, 0.0 - speeds, speeds)
+
+
 def require_imu(source: str, imu: ImuStream | None, needed: str) -> ImuStream:
     """The IMU stream.
 

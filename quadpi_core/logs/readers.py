@@ -59,8 +59,10 @@ def _identified(path: Path) -> LogFormat[Any] | None:
     elif path.is_file():
         with path.open("rb") as file:
             head = file.read(HEAD_BYTES)
-        matching = [one for one in log_formats() if one.begins(head)]
-        matching = matching or [one for one in log_formats() if path.suffix.lower() in one.suffixes]
+        suffix = path.suffix.lower()
+        matching = [one for one in log_formats() if head.isascii() and suffix in one.sure_suffixes]
+        matching = matching or [one for one in log_formats() if one.begins(head)]
+        matching = matching or [one for one in log_formats() if suffix in one.suffixes]
     else:  # a device or pipe
         matching = []
     return matching[0] if matching else None

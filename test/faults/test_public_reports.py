@@ -38,3 +38,15 @@ def test_a_bag_that_was_reindexed_without_a_storage_identifier(report):
     recording = read_recording(report("bag_reindexed_on_humble") / "bag", Vehicle.load("bebop2"))
     assert [stream.topic for stream in recording.streams()] == ["imu", "rotor_speeds", "mocap/pose"]
     assert np.ptp(recording.imu.time_ns) == pytest.approx(6.0e9, rel=1e-3)
+
+
+def test_a_table_with_spaces_after_the_commas_of_its_heading(report):
+    case = report("csv_space_after_comma")
+    recording = read_recording(case / "flight.csv", Vehicle.load("bebop2"), case / "mapping.yaml")
+    assert [len(stream) for stream in recording.streams()] == [1000, 1000, 1000]
+
+
+def test_a_table_with_a_state_that_lacks_its_position(report, caplog):
+    case = report("table_velocity_without_position")
+    read_recording(case / "flight.csv", Vehicle.load("bebop2"), case / "mapping.yaml")
+    assert "position is missing, so attitude and velocity are not used" in caplog.text

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Reader for CSV and Parquet tables, as a mapping file describes them: one row per sample time.
+"""Reader for tables (CSV, Parquet, MATLAB) as a mapping file describes them: one row per sample time.
 
 Signals of one topic come from the same rows. A row in which one of them has no value is dropped from that
 topic alone: at either end always, in between as far as the mapping's `missing` allows. Every drop is logged.
@@ -9,13 +9,14 @@ topic alone: at either end always, in between as far as the mapping's `missing` 
 from __future__ import annotations
 
 import logging
+from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from quadpi_core.errors import LogError, one_line
+from quadpi_core.errors import LogError
 from quadpi_core.flight import (
     ImuStream,
     OdometryStream,
@@ -23,7 +24,6 @@ from quadpi_core.flight import (
     Recording,
     RotorSpeedStream,
     Stamps,
-    Stream,
     WindStream,
     WrenchStream,
 )
@@ -36,18 +36,21 @@ from quadpi_core.frames import (
     world_enu_to_ned,
 )
 from quadpi_core.logs.log_format import LogFormat
-from quadpi_core.logs.mapping import ERPM, QUATERNION_ORDERS, UNITS, Mapping
-from quadpi_core.logs.parquet_pages import unpacked_bytes
-from quadpi_core.logs.reader_steps import normalised_attitude, stamps_ns
-from quadpi_core.logs.unpacking import require_unpackable
-from quadpi_core.rotations import rotate_world_to_body
+from quadpi_core.logs.mapping import ERPM, QUATERNION_ORDERS, TIME, UNITS, Mapping, Signal
+from quadpi_core.logs.reader_steps import normalised_attitude, note, odometry_of, unsigned_speeds
+from quadpi_core.logs.table_columns import PARQUET_MAGIC, open_columns, stamps_of
+from quadpi_core.rotations import rotate_body_to_world, rotate_world_to_body
 from quadpi_core.sample_limits import STANDARD_GRAVITY
 from quadpi_core.vehicle import Vehicle
 
-if TYPE_CHECKING:
-    import pyarrow as pa
-
-_PARQUET_MAGIC = b"PAR1"
+# Signals that are of no use without the others of the same topic.
+_TOGETHER = MappingProxyType(
+    {
+        "odometry": ("position", "attitude", "velocity"),
+        "mocap/pose": ("mocap_position", "mocap_attitude"),
+        "simulation/wrench": ("simulated_force", "simulated_moment"),
+    }
+)
 _GRAVITY_NED = np.array([0.0, 0.0, STANDARD_GRAVITY])
 
 _log = logging.getLogger(__name__)
@@ -69,35 +72,63 @@ def read_table(path: Path, vehicle: Vehicle | None, mapping: Mapping | None) -> 
     return _TableReader(path, vehicle, mapping).recording()
 
 
+class _Table:
+    """Columns (N,) of one table by their names in the mapping, and its stamps (N,)."""
+
+    def __init__(self, path: Path, time: Signal, names: Collection[str]) -> None:
+        columns = open_columns(path)
+        clock = columns.place(time.columns[0])
+        places = {name: columns.place(name) for name in dict.fromkeys(names)}
+        try:
+            found = columns.read(sorted({*places.values(), clock}), clock)
+        except LogError as error:
+            raise LogError(str(error) if str(error).startswith(str(path)) else f"{path}: {error}") from error
+        self.time_ns = stamps_of(str(path), found[clock], time.unit)
+        self.columns = {name: found[place].astype(np.float64) for name, place in places.items()}
+
+
 class _TableReader:
-    """One table, its signals converted to SI, FRD and NED on demand; rows without a value hold NaN."""
+    """The tables of one flight, their signals converted to SI, FRD and NED on demand.
+
+    Rows without a value hold NaN.
+    """
 
     def __init__(self, path: Path, vehicle: Vehicle | None, mapping: Mapping) -> None:
         self.path = path
         self.vehicle = vehicle
         self.mapping = mapping
-        self.table = _load_table(path)
-        time_unit = UNITS["time"][str(mapping.signals["time"].unit)]
-        self.time_ns = stamps_ns(str(path), self._raw("time")[:, 0], time_unit)
+        self.tables: dict[str | None, _Table] = {}
+        signals = {name: signal for name, signal in mapping.signals.items() if name != TIME}
+        for table in dict.fromkeys([None, *(signal.table for signal in signals.values())]):
+            other = mapping.tables.get(table or "")
+            file = path.parent / other.file if other and other.file else path
+            names = [name for one in signals.values() if one.table == table for name in one.columns]
+            self.tables[table] = _Table(file, other.time if other else mapping.signals[TIME], names)
 
     def recording(self) -> Recording:
+        for topic, names in _TOGETHER.items():
+            present = [name for name in names if self._has(name)]
+            missing = [name for name in names if not self._has(name)]
+            if present and missing:
+                text = f"{_listed(missing)} missing, so {_listed(present)} not used"
+                note(str(self.path), f"topic {topic}: {text}")
         return Recording(
             name=self.path.stem,
             vehicle=self.vehicle.name if self.vehicle else "",
             source=str(self.path),
             imu=self._imu(),
             rotor_speeds=self._rotor_speeds() if self._has("rotor_speeds") else None,
-            pose=self._pose() if self._has("mocap_position", "mocap_attitude") else None,
-            odometry=self._odometry() if self._has("position", "attitude", "velocity") else None,
+            pose=self._pose() if self._has(*_TOGETHER["mocap/pose"]) else None,
+            odometry=self._odometry() if self._has(*_TOGETHER["odometry"]) else None,
             wind=self._wind() if self._has("wind") else None,
-            simulated=self._simulated() if self._has("simulated_force", "simulated_moment") else None,
+            simulated=self._simulated() if self._has(*_TOGETHER["simulation/wrench"]) else None,
             battery_v=self._battery() if self._has("battery") else None,
         )
 
     def _imu(self) -> ImuStream:
-        rates, force = self._rates(), self._specific_force()
-        keep = self._complete(ImuStream, rates, force, of=("angular_velocity", "acceleration"))
-        return ImuStream(self.time_ns[keep], rates[keep], force[keep])
+        of = ("angular_velocity", "acceleration")
+        time_ns, rates, force = self._complete(ImuStream.topic, of, self._rates(), self._specific_force())
+        return ImuStream(time_ns, rates, force)
 
     def _rotor_speeds(self) -> RotorSpeedStream:
         speeds = self._scaled("rotor_speeds")
@@ -105,35 +136,36 @@ class _TableReader:
             if self.vehicle is None:
                 raise LogError(f"{self.path}: electrical rotor speeds need the vehicle (--vehicle)")
             speeds = self.vehicle.rotor_speeds_from_erpm(speeds)
-        keep = self._complete(RotorSpeedStream, speeds, of=("rotor_speeds",))
-        return RotorSpeedStream(self.time_ns[keep], speeds[keep])
+        time_ns, speeds = self._complete(RotorSpeedStream.topic, ("rotor_speeds",), speeds)
+        return RotorSpeedStream(time_ns, unsigned_speeds(str(self.path), speeds))
 
     def _pose(self) -> PoseStream:
-        position, attitude = self._position("mocap_position"), self._attitude("mocap_attitude")
-        keep = self._complete(PoseStream, position, attitude, of=("mocap_position", "mocap_attitude"))
-        return PoseStream(self.time_ns[keep], position[keep], attitude[keep])
+        of = _TOGETHER["mocap/pose"]
+        signals = self._position("mocap_position"), self._attitude("mocap_attitude")
+        return PoseStream(*self._complete(PoseStream.topic, of, *signals))
 
-    def _odometry(self) -> OdometryStream:
-        signals = (self._position("position"), self._attitude("attitude"), self._velocity(), self._rates())
-        of = ("position", "attitude", "velocity", "angular_velocity")
-        keep = self._complete(OdometryStream, *signals, of=of)
-        return OdometryStream(self.time_ns[keep], *(values[keep] for values in signals))
+    def _odometry(self) -> OdometryStream | None:
+        of = _TOGETHER["odometry"]
+        state = self._position("position"), self._attitude("attitude"), self._velocity()
+        if self._is_in_one_table((*of, "angular_velocity")):
+            signals = (*state, self._rates())
+            return OdometryStream(*self._complete(OdometryStream.topic, (*of, "angular_velocity"), *signals))
+        time_ns, position, attitude, velocity = self._complete(OdometryStream.topic, of, *state)
+        in_world = rotate_body_to_world(attitude, velocity)
+        return odometry_of(time_ns, position, in_world, (time_ns, attitude), self._imu())
 
     def _wind(self) -> WindStream:
-        wind = self._position("wind")
-        keep = self._complete(WindStream, wind, of=("wind",))
-        return WindStream(self.time_ns[keep], wind[keep])
+        return WindStream(*self._complete(WindStream.topic, ("wind",), self._position("wind")))
 
     def _simulated(self) -> WrenchStream:
-        of = ("simulated_force", "simulated_moment")
+        of = _TOGETHER["simulation/wrench"]
         wrench = np.hstack([self._to_frd(self._scaled(name)) for name in of])
-        keep = self._complete(WrenchStream, wrench, of=of)
-        return WrenchStream(self.time_ns[keep], wrench[keep])
+        return WrenchStream(*self._complete(WrenchStream.topic, of, wrench))
 
     def _battery(self) -> tuple[Stamps, Array]:
         volts = self._scaled("battery")[:, 0]
         known = np.isfinite(volts)
-        return self.time_ns[known], volts[known]
+        return self._table("battery").time_ns[known], volts[known]
 
     def _rates(self) -> Array:
         return self._to_frd(self._scaled("angular_velocity"))
@@ -144,24 +176,30 @@ class _TableReader:
         gravity = signal.gravity == "included"
         if signal.axes == "world":
             in_world = self._to_ned(values) - (0.0 if gravity else _GRAVITY_NED)
-            return rotate_world_to_body(self._attitude("attitude"), in_world)
+            return rotate_world_to_body(self._attitude_beside("acceleration"), in_world)
         in_body = self._to_frd(values)
-        return (
-            in_body if gravity else in_body - rotate_world_to_body(self._attitude("attitude"), _GRAVITY_NED)
-        )
+        if gravity:
+            return in_body
+        return in_body - rotate_world_to_body(self._attitude_beside("acceleration"), _GRAVITY_NED)
 
     def _velocity(self) -> Array:
         values = self._scaled("velocity")
         if self.mapping.signals["velocity"].axes == "body":
             return self._to_frd(values)
-        return rotate_world_to_body(self._attitude("attitude"), self._to_ned(values))
+        return rotate_world_to_body(self._attitude_beside("velocity"), self._to_ned(values))
 
     def _position(self, name: str) -> Array:
         return self._to_ned(self._scaled(name))
 
+    def _attitude_beside(self, name: str) -> Array:
+        """The attitude in the rows of another signal."""
+        if not self._has("attitude"):
+            raise LogError(f"{self.mapping.path}: world axes or gravity removed need `attitude`")
+        if not self._is_in_one_table((name, "attitude")):
+            raise LogError(f"{self.mapping.path}: {name} needs an `attitude` in the same table")
+        return self._attitude("attitude")
+
     def _attitude(self, name: str) -> Array:
-        if not self._has(name):
-            raise LogError(f"{self.mapping.path}: world axes or gravity removed need `{name}`")
         signal = self.mapping.signals[name]
         if signal.unit is None:
             order = QUATERNION_ORDERS[str(signal.form)]
@@ -186,26 +224,21 @@ class _TableReader:
 
     def _raw(self, name: str) -> Array:
         """Columns of a signal (N, C) as the table holds them; NaN where there is no value."""
-        return np.stack([self._column(column) for column in self.mapping.signals[name].columns], axis=1)
+        columns = self._table(name).columns
+        return np.stack([columns[column] for column in self.mapping.signals[name].columns], axis=1)
 
-    def _column(self, name: str) -> Array:
-        from pyarrow import types
+    def _table(self, name: str) -> _Table:
+        return self.tables[self.mapping.signals[name].table]
 
-        if name not in self.table.column_names:
-            raise LogError(f"{self.path}: no column {name}; it has {', '.join(self.table.column_names)}")
-        if self.table.column_names.count(name) > 1:
-            raise LogError(f"{self.path}: column {name} is present twice")
-        column = self.table[name]
-        numeric = (types.is_floating, types.is_integer, types.is_null)
-        if not any(test(column.type) for test in numeric):
-            raise LogError(f"{self.path}: column {name} holds {column.type}, not numbers")
-        values: Array = column.to_numpy(zero_copy_only=False).astype(np.float64)
-        return values
+    def _is_in_one_table(self, names: Collection[str]) -> bool:
+        return len({self.mapping.signals[name].table for name in names}) == 1
 
-    def _complete(self, topic: type[Stream], *signals: Array, of: tuple[str, ...]) -> npt.NDArray[np.int64]:
-        """Rows in which every signal has a value."""
+    def _complete(self, topic: str, of: Sequence[str], *signals: Array) -> list[Any]:
+        """Stamps and signals of the rows in which every signal has a value."""
+        where = f"{self.path}: topic {topic}"
+        if not self._is_in_one_table(of):
+            raise LogError(f"{where}: {', '.join(of)} must be in one table")
         complete = np.all([np.isfinite(values).all(axis=1) for values in signals], axis=0)
-        where = f"{self.path}: topic {topic.topic}"
         keep = np.flatnonzero(complete)
         if len(keep) == 0:
             raise LogError(f"{where}: no row has a value for all of {', '.join(of)}")
@@ -221,44 +254,18 @@ class _TableReader:
             _log.warning(
                 "%s: dropped %d of %d rows without a value", where, len(complete) - len(keep), len(complete)
             )
-        return keep
+        return [values[keep] for values in (self._table(of[0]).time_ns, *signals)]
 
 
-def _read_parquet(path: Path) -> pa.Table:
-    """A Parquet table, unless it unpacks to too much: one value can stand for any number of rows."""
-    from pyarrow import parquet
-
-    content = np.memmap(path, dtype=np.uint8, mode="r")
-    try:
-        require_unpackable(len(content), unpacked_bytes(content.data))
-    except LogError as error:
-        raise LogError(f"{path}: not a readable parquet table: {error}") from error
-    return parquet.read_table(path)
-
-
-def _load_table(path: Path) -> pa.Table:
-    # Slow to import, and no other format needs it.
-    import pyarrow as pa
-    from pyarrow import csv
-
-    read = csv.read_csv if path.suffix.lower() == ".csv" else _read_parquet
-    try:
-        table = read(path)
-        # Names that are not UTF-8 show only here.
-        _ = table.column_names
-    except (pa.ArrowException, UnicodeDecodeError) as error:
-        raise LogError(f"{path}: not a readable {path.suffix[1:]} table: {one_line(error)}") from error
-    if table.num_columns == 1:
-        raise LogError(f"{path}: the table has one column; a CSV file has commas between its columns")
-    if table.num_rows == 0:
-        raise LogError(f"{path}: the table has no rows")
-    return table
+def _listed(names: Sequence[str]) -> str:
+    return f"{' and '.join(names)} {'is' if len(names) == 1 else 'are'}"
 
 
 FORMAT = LogFormat(
-    description="table with a mapping file (.csv, .parquet)",
+    description="table with a mapping file (.csv, .tsv, .txt, .parquet)",
     read=read_table,
-    begins=lambda head: head.startswith(_PARQUET_MAGIC),
-    suffixes=(".csv", ".parquet"),
+    begins=lambda head: head.startswith(PARQUET_MAGIC),
+    suffixes=(".csv", ".tsv", ".txt", ".parquet"),
+    sure_suffixes=(".csv", ".tsv"),
     load_mapping=Mapping.load,
 )

@@ -39,7 +39,15 @@ def minimal_mapping() -> dict[str, Any]:
             {"time": {"columns": ["t"], "unit": "minutes"}},
             "time: `unit` must be one of s, ms, us, ns, found 'minutes'",
         ),
-        ({"time": {"columns": ["t"]}}, "time: missing key `unit`"),
+        ({"wind": {"columns": list("abc")}}, "wind: missing key `unit`"),
+        (
+            {
+                "wind": {"columns": list("abc"), "unit": "m/s", "table": "vicom"},
+                "tables": {"vicon": {"time": {"columns": ["t"]}}},
+            },
+            "wind: no table vicom under `tables`; did you mean `vicon`?",
+        ),
+        ({"tables": {"vicon": {"file": "a.csv"}}}, "tables.vicon: missing key `time`"),
         (
             {"time": {"columns": ["t"], "unit": "s", "zero": 0}},
             "time: unknown key `zero`; known: columns,",

@@ -1,0 +1,239 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Columns of a table by their names, whatever file they are in: CSV, Parquet, variables of MATLAB."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from quadpi_core.errors import LogError, one_line
+from quadpi_core.flight import Stamps
+from quadpi_core.frames import Array
+from quadpi_core.logs.csv_files import CsvDialect, dialect_of, read_columns, read_content
+from quadpi_core.logs.mapping import UNITS
+from quadpi_core.logs.matlab import read_matlab
+from quadpi_core.logs.parquet_pages import unpacked_bytes
+from quadpi_core.logs.reader_steps import note, stamps_ns
+from quadpi_core.logs.unpacking import require_unpackable
+from quadpi_core.thresholds import CONVENTION, Threshold
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+PARQUET_MAGIC = b"PAR1"
+STAMP_INTERVAL_S = Threshold(
+    "shortest and longest interval between rows by which the unit of the stamps is told",
+    (5e-4, 0.5),
+    "s",
+    "units of time are a factor of 1000 apart, so that one of them gives such an interval and no other; "
+    "2 Hz to 2 kHz has every rate of the flights in shared data, of 100 to 1010 Hz, at its middle",
+    CONVENTION,
+)
+# A unit that the mapping names is kept down to this share of the shortest interval: Blackbox has 8 kHz.
+_FAST_SHARE = 0.1
+_NANOSECONDS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
+# What a name may have beside what the mapping calls it: the mark of a comment, a unit in brackets (no index).
+_BESIDE = re.compile(r"^[#%\s]+|\s*[\[(](?!\d+[\])])[^\[\]()]*[\])]\s*$")
+_HEAD_ROWS = 1000
+
+
+@dataclass(frozen=True)
+class Columns:
+    """The columns of one table.
+
+    Attributes:
+        path: of the file.
+        names: (C,) in the order of the table.
+        units: (C,) where a row of the table gives them, else empty.
+        read: columns by their places, with the place of the stamps: numbers (N,), or date and time.
+        head: the first rows of all columns that hold numbers, by place.
+    """
+
+    path: Path
+    names: Sequence[str]
+    units: Sequence[str]
+    read: Callable[[Sequence[int], int], Mapping[int, npt.NDArray[Any]]]
+    head: Callable[[], Mapping[int, Array]]
+
+    def place(self, name: str) -> int:
+        """Place of the column of a name: exactly so, or without a unit in brackets, spaces and `#`.
+
+        Raises:
+            LogError: if there is none, or more than one.
+        """
+        found = [place for place, one in enumerate(self.names) if one == name]
+        plain = bare_name(name)
+        found = found or [place for place, one in enumerate(self.names) if bare_name(one) == plain]
+        if not found:
+            raise LogError(f"{self.path}: no column {name}; it has {', '.join(self.names)}")
+        if len(found) > 1:
+            raise LogError(f"{self.path}: column {name} is present twice")
+        return found[0]
+
+
+def bare_name(name: str) -> str:
+    """The name of a column without a unit in brackets, and what marks a comment."""
+    return _BESIDE.sub("", _BESIDE.sub("", name.strip()))
+
+
+def open_columns(path: Path) -> Columns:
+    """The columns of a table.
+
+    Raises:
+        LogError: naming the file, if it cannot be read, is no table, or has no rows.
+    """
+    suffix = path.suffix.lower()
+    try:
+        with path.open("rb") as stream:
+            is_parquet = stream.read(len(PARQUET_MAGIC)) == PARQUET_MAGIC or suffix == ".parquet"
+        return (_of_parquet if is_parquet else _of_matlab if suffix == ".mat" else _of_csv)(path)
+    except OSError as error:
+        raise LogError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except (LogError, UnicodeDecodeError) as error:
+        raise LogError(f"{path}: {one_line(error)}") from error
+
+
+def _of_csv(path: Path) -> Columns:
+    content = read_content(path)
+    dialect = dialect_of(content)
+
+    def read(places: Sequence[int], stamps: int) -> Mapping[int, npt.NDArray[Any]]:
+        table = read_columns(content, dialect, places, stamps)
+        return {int(name): _numbers(table, name, dialect.names[int(name)]) for name in table.column_names}
+
+    return Columns(path, dialect.names, dialect.units, read, lambda: _head_of(dialect))
+
+
+def _head_of(dialect: CsvDialect) -> dict[int, Array]:
+    head = {}
+    for place, column in enumerate(zip(*dialect.head[:_HEAD_ROWS], strict=True)):
+        try:
+            head[place] = np.array([float(text.replace(dialect.decimal, ".") or "nan") for text in column])
+        except ValueError:
+            continue
+    return head
+
+
+def _of_parquet(path: Path) -> Columns:
+    """A Parquet table, unless it unpacks to too much: one value can stand for any number of rows."""
+    # Slow to import, and no other format needs it.
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    content = np.memmap(path, dtype=np.uint8, mode="r")
+    try:
+        require_unpackable(len(content), unpacked_bytes(content.data))
+        table = parquet.read_table(path)
+        names = table.column_names
+    except (pa.ArrowException, LogError) as error:
+        raise LogError(f"not a readable parquet table: {one_line(error)}") from error
+    if table.num_rows == 0:
+        raise LogError("the table has no rows")
+    by_place = table.rename_columns([str(place) for place in range(len(names))])
+
+    def read(places: Sequence[int], _stamps: int) -> Mapping[int, npt.NDArray[Any]]:
+        return {place: _numbers(by_place, str(place), names[place]) for place in places}
+
+    def head() -> Mapping[int, Array]:
+        first = by_place.slice(0, _HEAD_ROWS)
+        numeric = [place for place in range(len(names)) if pa.types.is_primitive(first[str(place)].type)]
+        columns = {place: _numbers(first, str(place), names[place]) for place in numeric}
+        return {place: one.astype(np.float64) for place, one in columns.items() if one.dtype.kind in "fiu"}
+
+    return Columns(path, names, (), read, head)
+
+
+def _of_matlab(path: Path) -> Columns:
+    """Variables by their names, fields of a struct with a dot; of a matrix also NAME.1, NAME.2 and so on."""
+    columns: dict[str, npt.NDArray[Any]] = {}
+    for variable in read_matlab(path.read_bytes()):
+        if variable.values is not None and variable.values.size:
+            along = variable.values if np.argmax(variable.values.shape) == 0 else variable.values.T
+            if along.shape[1] == 1:
+                columns[variable.name] = along[:, 0]
+            else:
+                columns |= {f"{variable.name}.{k + 1}": column for k, column in enumerate(along.T)}
+    if not columns:
+        raise LogError("the file holds no numbers")
+    values = list(columns.values())
+
+    def head() -> Mapping[int, Array]:
+        return {place: column[:_HEAD_ROWS].astype(np.float64) for place, column in enumerate(values)}
+
+    def read(places: Sequence[int], stamps: int) -> Mapping[int, npt.NDArray[Any]]:
+        names = list(columns)
+        for place in places:
+            if len(values[place]) != len(values[stamps]):
+                raise LogError(
+                    f"{path}: {names[place]} has {len(values[place])} values, the time {names[stamps]} has "
+                    f"{len(values[stamps])}"
+                )
+        return {place: values[place] for place in places}
+
+    return Columns(path, list(columns), (), read, head)
+
+
+def _numbers(table: pa.Table, name: str, called: str) -> npt.NDArray[Any]:
+    """A column (N,) of a table: numbers, NaN where there is none, or date and time."""
+    import pyarrow as pa
+    from pyarrow import compute, types
+
+    column = table[name]
+    if types.is_string(column.type):
+        try:
+            text = compute.replace_substring(compute.utf8_trim_whitespace(column), ",", ".")
+            column = compute.cast(text, pa.timestamp("ns"))
+        except pa.ArrowException as error:
+            raise LogError(f"column {called} holds {column.type}, not numbers") from error
+    if types.is_timestamp(column.type):
+        return np.asarray(column.to_numpy(zero_copy_only=False)).astype("datetime64[ns]")
+    if not any(test(column.type) for test in (types.is_floating, types.is_integer, types.is_null)):
+        raise LogError(f"column {called} holds {column.type}, not numbers")
+    values = np.asarray(column.to_numpy(zero_copy_only=False))
+    return values if values.dtype.kind in "iuf" else values.astype(np.float64)
+
+
+def stamps_of(source: str, values: npt.NDArray[Any], unit: str | None) -> Stamps:
+    """Nanosecond stamps (N,) of a column of times; a note says where the unit is not that of the mapping.
+
+    Date and time (ISO 8601) need no unit. Otherwise the unit is that which gives an interval between rows
+    that a flight has, `STAMP_INTERVAL_S`, unless `unit` does.
+
+    Args:
+        source: the table, for messages.
+        values: numbers, or date and time.
+        unit: as the mapping says; None where it does not.
+
+    Raises:
+        LogError: for a time that is absent or too large, or of no unit that can be told.
+    """
+    if values.dtype.kind == "M":
+        absent = np.isnat(values)
+        if np.any(absent):
+            raise LogError(f"{source}: sample {int(np.argmax(absent))}: the time is absent")
+        return values.astype(np.int64)
+    steps = np.diff(values.astype(np.float64))
+    steps = steps[steps > 0.0]
+    interval = float(np.median(steps)) if len(steps) else 0.0
+    shortest, longest = STAMP_INTERVAL_S.value
+    fitting = [one for one, scale in UNITS["time"].items() if shortest <= interval * scale < longest]
+    keeps = unit and _FAST_SHARE * shortest <= interval * UNITS["time"][unit] < longest
+    if not keeps and interval > 0.0 and fitting:
+        rate = 1.0 / (interval * UNITS["time"][fitting[0]])
+        said = f", not in {unit} as the mapping says," if unit else ""
+        note(source, f"the stamps are taken to be in {fitting[0]}{said} which makes {rate:.4g} rows a second")
+        unit = fitting[0]
+    if unit is None:
+        raise LogError(f"{source}: the unit of the time cannot be told; `unit` in the mapping says it")
+    if values.dtype.kind in "iu" and len(values):
+        largest = max(abs(int(values.min())), abs(int(values.max())))
+        if largest * _NANOSECONDS[unit] <= np.iinfo(np.int64).max:
+            return values.astype(np.int64) * _NANOSECONDS[unit]
+    return stamps_ns(source, values.astype(np.float64), UNITS["time"][unit])

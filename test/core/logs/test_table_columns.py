@@ -1,0 +1,72 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Units of stamps, told by the rate, and columns by their names."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from quadpi_core.errors import LogError
+from quadpi_core.logs.mapping import UNITS
+
+from .formats.test_table_files import hover_table, read
+from .test_mapping import minimal_mapping
+
+
+def text_of(time_ns: np.ndarray, precision: str) -> np.ndarray:
+    return np.datetime_as_string(time_ns.astype("datetime64[ns]"), unit=precision)
+
+
+START_NS = 1_403_636_579_758_555_392
+STAMPS = {
+    "s": lambda ns: ns / 1e9,
+    "ms": lambda ns: ns // 10**6,
+    "us": lambda ns: ns // 1000,
+    "ns": lambda ns: ns,
+    "iso": lambda ns: text_of(ns, "ns"),
+    "iso, UTC": lambda ns: np.char.add(text_of(ns, "us"), "Z"),
+    "iso, decimal comma": lambda ns: np.char.replace(text_of(ns, "us"), ".", ","),
+    "date and time": lambda ns: np.char.replace(text_of(ns, "us"), "T", " "),
+}
+
+
+@pytest.mark.parametrize("stamps", STAMPS)
+@pytest.mark.parametrize("unit", ["s", "ms", "us", "ns", None])
+@pytest.mark.parametrize("rate_hz", [50, 1000])
+def test_the_rate_tells_the_unit_of_the_stamps(tmp_path: Path, stamps: str, unit: str, rate_hz: int, caplog):
+    mapping = minimal_mapping()
+    mapping["time"] = {"columns": ["t"]} | ({"unit": unit} if unit else {})
+    time_ns = START_NS + np.arange(50) * (10**9 // rate_hz)
+    imu = read(tmp_path, mapping, hover_table() | {"t": STAMPS[stamps](time_ns)}).imu
+    precision = {"s": 300, "ms": 1_000_000, "ns": 1, "iso": 1}.get(stamps, 1000)
+    assert np.abs(imu.time_ns - time_ns).max() < precision
+    expected = f"the stamps are taken to be in {stamps}"
+    assert (expected in caplog.text) == (stamps in UNITS["time"] and stamps != unit)
+
+
+@pytest.mark.parametrize(
+    ("unit", "interval", "expected_s"),
+    [
+        ("ms", 0.051, 5.1e-5),  # 20 kHz; in seconds it would be 20 Hz
+        ("ms", 0.049, 0.049),
+        ("s", 0.49, 0.49),
+        ("s", 0.51, 5.1e-4),
+        (None, 5.1e-4, 5.1e-4),
+        (None, 0.49, 0.49),
+    ],
+)
+def test_between_which_rates_the_unit_of_the_stamps_is_told(tmp_path: Path, unit, interval, expected_s):
+    mapping = minimal_mapping()
+    mapping["time"] = {"columns": ["t"], "unit": unit}
+    imu = read(tmp_path, mapping, hover_table() | {"t": np.arange(50) * interval}).imu
+    assert imu.time_ns[1] == pytest.approx(expected_s * 1e9)
+
+
+def test_a_unit_that_cannot_be_told_is_asked_for(tmp_path: Path):
+    mapping = minimal_mapping()
+    del mapping["time"]["unit"]
+    with pytest.raises(LogError, match="unit of the time cannot be told; `unit` in the mapping says it"):
+        read(tmp_path, mapping, hover_table() | {"t": np.zeros(50)})
