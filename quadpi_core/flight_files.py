@@ -47,8 +47,25 @@ class FlightLeftOut:
 LeftOutFlights = list[FlightLeftOut] | None
 
 
+def flight_in(path: Path | str) -> tuple[Path, int | None]:
+    """A file and the number of one of the flights in it, as `FILE#NUMBER` says; None for a file by itself."""
+    path = Path(path)
+    file, _, number = path.name.rpartition("#")
+    if file and number.isdecimal() and len(number) < 6 and not path.exists():
+        return path.with_name(file), int(number)
+    return path, None
+
+
+def _stem(path: Path) -> str:
+    """The name of a flight: NAME, of one among several in a file NAME_NUMBER."""
+    file, number = flight_in(path)
+    return file.stem if number is None else f"{file.stem}_{number}"
+
+
 def named_files(paths: Sequence[Path | str]) -> list[FlightFile]:
     """The files with names that differ: file stems, with the folders above where a stem repeats.
+
+    `FILE#2`, the second flight of a file, is FILE_2.
 
     As many folders as tell all files of a stem apart stand before it, joined by `_`; files of one folder that
     differ in their ending alone keep it. The same file has the same name each time.
@@ -57,7 +74,7 @@ def named_files(paths: Sequence[Path | str]) -> list[FlightFile]:
     places = {path: path.absolute() for path in files}
     alike: dict[str, set[Path]] = defaultdict(set)
     for path in files:
-        alike[path.stem].add(places[path])
+        alike[_stem(path)].add(places[path])
     names: dict[Path, str] = {}
     for stem, found in alike.items():
         endings = len({place.with_name(stem) for place in found}) < len(found)
@@ -70,7 +87,7 @@ def named_files(paths: Sequence[Path | str]) -> list[FlightFile]:
 
 def _name(place: Path, depth: int, *, endings: bool) -> str:
     folders = place.parent.parts[1:]
-    return "_".join((*folders[max(len(folders) - depth, 0) :], place.name if endings else place.stem))
+    return "_".join((*folders[max(len(folders) - depth, 0) :], place.name if endings else _stem(place)))
 
 
 def bags_in(folder: Path, paths: Sequence[Path | str]) -> list[Path]:

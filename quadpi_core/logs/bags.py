@@ -27,6 +27,7 @@ from quadpi_core.flight import (
     WindStream,
     WrenchStream,
 )
+from quadpi_core.flight_files import flight_in
 from quadpi_core.logs.adapted_bags import AdaptedReading, AdaptedTopic, find_adapted
 from quadpi_core.logs.bag_files import Bag
 from quadpi_core.logs.bag_topics import find_topic, unpacked_topic
@@ -374,10 +375,11 @@ def _vehicle_name(bag: Bag, vehicle: Vehicle | None) -> str:
 
 
 def _provenance(source: Path) -> dict[str, str]:
-    if not source.is_file():
+    file, _ = flight_in(source)
+    if not file.is_file():
         return {"source": source.name}
     digest = hashlib.sha256()
-    with source.open("rb") as stream:
+    with file.open("rb") as stream:
         while part := stream.read(_READ_AT_ONCE):
             digest.update(part)
     return {"source": source.name, "source_sha256": digest.hexdigest()}

@@ -17,7 +17,7 @@ from quadpi_core.flight_files import FlightFile, LeftOutFlights, bags_in, for_ea
 from quadpi_core.logs.alignment import Alignment, align_pose
 from quadpi_core.logs.bags import recording_topics, recording_writer, write_bag
 from quadpi_core.logs.duplicates import RunningHash, recording_hash
-from quadpi_core.logs.readers import blocks_of, identify_format, open_in_blocks, read_recording
+from quadpi_core.logs.readers import blocks_of, flights_of, identify_format, open_in_blocks, read_recording
 from quadpi_core.parallel import DEFAULT_WORKERS, Workers
 from quadpi_core.paths import staged, whole_outputs
 from quadpi_core.recording_blocks import streams_by_field
@@ -63,7 +63,9 @@ def import_logs(
     workers: Workers = DEFAULT_WORKERS,
     left_out: LeftOutFlights = None,
 ) -> list[Imported]:
-    """Write one bag per log into `folder`, named as `flight_files.named_files` says; or none.
+    """Write one bag per flight into `folder`, named as `flight_files.named_files` says; or none.
+
+    Of a file with several flights each gets its bag: NAME_1, NAME_2 and so on.
 
     All logs are read and checked before the first bag appears there.
 
@@ -83,6 +85,7 @@ def import_logs(
         OutputError: if the bags cannot be written.
         ParallelError: see :meth:`quadpi_core.parallel.Workers.map`.
     """
+    logs = [flight for log in logs for flight in flights_of(log)]
     bags_in(folder, logs)
     with whole_outputs(folder) as staging:
         task = _Conversion(vehicle, workers.found_by(mapping), align, staging.absolute())

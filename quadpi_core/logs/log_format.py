@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
@@ -53,6 +53,19 @@ class Container(Generic[_Settings]):
     topic_stamps: Callable[[Path], dict[str, Stamps] | None]
 
 
+@dataclass(frozen=True)
+class FlightsInFile(Generic[_Settings]):
+    """How a format is read whose files may hold several flights.
+
+    Attributes:
+        numbers: of the flights in a file that can be read, from 1.
+        read: gives one of them by its number; the other arguments as those of :attr:`LogFormat.read`.
+    """
+
+    numbers: Callable[[Path], Sequence[int]]
+    read: Callable[[Path, int, Vehicle | None, _Settings | None], Recording]
+
+
 @dataclass(frozen=True, kw_only=True)
 class LogFormat(Generic[_Settings]):
     """A log format: how its files are recognised, and its reader.
@@ -71,6 +84,7 @@ class LogFormat(Generic[_Settings]):
         is_folder: whether a folder is a log of the format.
         load_mapping: reads the file of `--mapping`, by path or name; None for a format that takes none.
         container: for a format that is read in blocks.
+        flights: for a format whose files may hold several flights; `read` gives one, and says which.
     """
 
     description: str
@@ -81,3 +95,4 @@ class LogFormat(Generic[_Settings]):
     is_folder: Callable[[Path], bool] = lambda _folder: False
     load_mapping: Callable[[str | Path], _Settings] | None = None
     container: Container[_Settings] | None = None
+    flights: FlightsInFile[_Settings] | None = None

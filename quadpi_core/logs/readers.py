@@ -4,14 +4,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 from quadpi_core.errors import LogError, QuadpiError, one_line
 from quadpi_core.flight import Recording
+from quadpi_core.flight_files import flight_in
 from quadpi_core.logs import formats
 from quadpi_core.logs.log_format import HEAD_BYTES, LogFormat, OpenLog
 from quadpi_core.plugins import Plugins
@@ -32,11 +33,12 @@ def log_formats() -> tuple[LogFormat[Any], ...]:
 
 
 def identify_format(path: Path) -> LogFormat[Any]:
-    """The format of a log: by its first bytes, else by its suffix.
+    """The format of a log, also of `FILE#NUMBER`: by its first bytes, else by its suffix.
 
     Raises:
         LogError: if the path does not exist, is empty, or is of no known format.
     """
+    path, number = flight_in(path)
     if not path.exists():
         raise LogError(f"{path}: no such file or folder")
     if path.is_file() and path.stat().st_size == 0:
@@ -45,7 +47,22 @@ def identify_format(path: Path) -> LogFormat[Any]:
     if found is None:
         known = ", ".join(log_format.description for log_format in log_formats())
         raise LogError(f"{path}: not a known log format; known: {known}")
+    if number is not None and found.flights is None:
+        raise LogError(f"{path}: a {found.description} holds one flight, and none of a number")
     return found
+
+
+def flights_of(path: Path) -> list[Path]:
+    """The flights in a log: `FILE#NUMBER` of each where there are several, else the same path.
+
+    What is wrong with a log is said when it is read.
+    """
+    numbers: Sequence[int] = ()
+    with suppress(LogError), _reading(path):
+        flights = identify_format(path).flights
+        if flights is not None and flight_in(path)[1] is None:
+            numbers = flights.numbers(path)
+    return [path.with_name(f"{path.name}#{number}") for number in numbers] if len(numbers) > 1 else [path]
 
 
 def is_log_folder(path: Path) -> bool:
@@ -74,7 +91,7 @@ def read_recording(path: Path | str, vehicle: Vehicle | None, mapping: Path | st
     What was left out is in the recording's `quality`.
 
     Args:
-        path: a file, or a rosbag2 folder.
+        path: a file, a rosbag2 folder, or `FILE#NUMBER` for one of the flights in a file.
         vehicle: gives the pole pairs and the largest rotor speed; a log of electrical speeds needs it.
         mapping: a file, or its name, with what the log does not say of itself: the columns of a CSV or
             Parquet table (config/mappings), how messages of other packages are read (config/adapters), or
@@ -95,8 +112,12 @@ def decode_recording(
     """Like :func:`read_recording`, but unchecked, and whole: what `quadpi info` diagnoses."""
     path = Path(path)
     log_format = identify_format(path)
+    file, number = flight_in(path)
     with _reading(path):
-        return log_format.read(path, vehicle, _settings(path, log_format, mapping))
+        settings = _settings(path, log_format, mapping)
+        if number is not None and log_format.flights is not None:
+            return log_format.flights.read(file, number, vehicle, settings)
+        return log_format.read(file, vehicle, settings)
 
 
 @contextmanager

@@ -22,7 +22,7 @@ from quadpi_core.errors import LogError
 from quadpi_core.flight import ImuStream, PoseStream, Recording, RotorSpeedStream, Stamps
 from quadpi_core.frames import Array, body_flu_to_frd, quaternion_from_roll_pitch_yaw
 from quadpi_core.logs.blackbox import BlackboxLog, decode_blackbox
-from quadpi_core.logs.log_format import LogFormat
+from quadpi_core.logs.log_format import FlightsInFile, LogFormat
 from quadpi_core.logs.reader_steps import note, require_imu, usable
 from quadpi_core.rotor_order import ERPM, RotorOrder
 from quadpi_core.sample_limits import STANDARD_GRAVITY
@@ -55,12 +55,40 @@ def read_betaflight(path: Path, vehicle: Vehicle | None, order: RotorOrder | Non
         LogError: if it holds no frame, or no gyro and accelerometer.
         VehicleError: if it holds eRPM and the vehicle file does not give the pole pairs.
     """
-    source = str(path)
-    log = _longest(source, path)
+    source, flights = str(path), _decoded(path)
+    number = max(flights, key=lambda number: len(flights[number].columns["time"]))
+    if len(flights) > 1:
+        note(
+            source,
+            f"holds {len(flights)} flights; read is the longest, number {number}: `{path.name}#1` is the "
+            "first, and `quadpi import` makes a bag of each",
+        )
+    return _recording(source, path.stem, number, flights[number], vehicle, order)
+
+
+def read_flight(path: Path, number: int, vehicle: Vehicle | None, order: RotorOrder | None) -> Recording:
+    """Read one flight of a file by its number; see :func:`read_betaflight`.
+
+    Raises:
+        LogError: as there, and if no flight of that number can be read.
+    """
+    flights = _decoded(path, number)
+    return _recording(f"{path}#{number}", f"{path.stem}_{number}", number, flights[number], vehicle, order)
+
+
+def _recording(
+    source: str,
+    name: str,
+    number: int,
+    log: BlackboxLog,
+    vehicle: Vehicle | None,
+    order: RotorOrder | None,
+) -> Recording:
+    _note_damage(source, f"flight {number}", log)
     headers, columns = log.headers, log.columns
     imu = require_imu(source, _imu(source, headers, columns), "gyroADC and accSmooth")
     return Recording(
-        name=path.stem,
+        name=name,
         vehicle=vehicle.name if vehicle else "",
         source=source,
         imu=imu,
@@ -69,35 +97,30 @@ def read_betaflight(path: Path, vehicle: Vehicle | None, order: RotorOrder | Non
     )
 
 
-def _longest(source: str, path: Path) -> BlackboxLog:
-    """The flight with the most frames."""
+def _decoded(path: Path, wanted: int | None = None) -> dict[int, BlackboxLog]:
+    """The flights of a file that hold frames, by their numbers from 1; only the wanted one if given."""
+    source = str(path)
     data = path.read_bytes()
     if not data.startswith(_MAGIC):
         raise LogError(f"{source}: byte 0: not a Blackbox log (it must begin with `{_MAGIC.decode()}`)")
-    flights = _flights(data)
-    largest = sorted(range(len(flights)), key=lambda place: -len(flights[place]))[:_FLIGHTS_MAX]
-    longest: tuple[int, BlackboxLog] | None = None
-    for place in sorted(largest):
-        try:
-            log = decode_blackbox(flights[place], _FIELDS)
-        except LogError as error:
-            note(source, f"flight {place + 1}: {error}")
-            continue
-        if longest is None or len(log.columns["time"]) > len(longest[1].columns["time"]):
-            longest = place, log
-    if longest is None or not len(longest[1].columns["time"]):
-        raise LogError(f"{source}: no frame of a flight can be read")
-    place, log = longest
-    if len(flights) > 1:
-        note(source, f"holds {len(flights)} flights; read is the longest, number {place + 1}")
-    _note_damage(source, f"flight {place + 1}", log)
-    return log
-
-
-def _flights(data: bytes) -> list[bytes]:
-    """The flights of one file: each begins with the same header line."""
+    # Each begins with the same header line.
     first_line = data[: data.find(b"\n") + 1] or data
-    return [first_line + rest for rest in data.split(first_line)[1:]]
+    flights = {number: first_line + rest for number, rest in enumerate(data.split(first_line)) if number}
+    if wanted is not None and wanted not in flights:
+        raise LogError(f"{source}: holds {len(flights)} flights, none of number {wanted}")
+    chosen = [wanted] if wanted else sorted(flights, key=lambda number: -len(flights[number]))[:_FLIGHTS_MAX]
+    found: dict[int, BlackboxLog] = {}
+    for number in sorted(chosen):
+        try:
+            log = decode_blackbox(flights[number], _FIELDS)
+        except LogError as error:
+            note(source, f"flight {number}: {error}")
+            continue
+        if len(log.columns["time"]):
+            found[number] = log
+    if not found:
+        raise LogError(f"{source}: no frame of {f'flight {wanted}' if wanted else 'a flight'} can be read")
+    return found
 
 
 def _note_damage(source: str, flight: str, log: BlackboxLog) -> None:
@@ -208,4 +231,5 @@ FORMAT = LogFormat(
     begins=lambda head: head.startswith(_MAGIC),
     suffixes=(".bbl", ".bfl"),
     load_mapping=RotorOrder.load,
+    flights=FlightsInFile(lambda path: list(_decoded(path)), read_flight),
 )

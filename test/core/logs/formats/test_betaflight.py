@@ -17,7 +17,10 @@ from quadpi_core.flight import Recording
 from quadpi_core.frames import roll_pitch_yaw_from_quaternion
 from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.inputs import INPUT_NAMES
+from quadpi_core.logs import read_recording
 from quadpi_core.logs.formats.betaflight import read_betaflight
+from quadpi_core.logs.importing import import_logs
+from quadpi_core.paths import bags_directory
 from quadpi_core.rotor_order import RotorOrder
 from quadpi_core.vehicle import Vehicle
 
@@ -85,6 +88,38 @@ def test_the_flight_with_most_frames_is_read_and_the_others_said(read, caplog):
     content = flight(*frames(3)) + flight(*frames(5)) + flight(*frames(4))
     assert len(read(content).imu) == 5
     assert "holds 3 flights; read is the longest, number 2" in caplog.text
+
+
+def test_each_flight_of_a_file_has_its_bag_and_its_number(tmp_path, vehicle, caplog):
+    path = tmp_path / "LOG00001.BBL"
+    counts = (300, 500, 0, 400)
+    parts = [frames(count, (k, *VALUES[1:6])) for k, count in enumerate(counts)]
+    path.write_bytes(b"".join(flight(*part, names=SENSORS) for part in parts))
+    imported = import_logs([path], vehicle, tmp_path / "bags")
+    assert [flight.bag.name for flight in imported] == [f"LOG00001_{n}.mcap" for n in (1, 2, 4)]
+    assert [flight.imu_samples for flight in imported] == [300, 500, 400]
+    second = path.with_name("LOG00001.BBL#2")
+    assert read_recording(second, vehicle).imu.angular_velocity[0, 0] == pytest.approx(np.radians(1.0))
+    bag = read_recording(tmp_path / "bags" / "LOG00001_2.mcap", vehicle)
+    np.testing.assert_array_equal(bag.imu.time_ns, read_recording(second, vehicle).imu.time_ns)
+    assert len(read_recording(path, vehicle).imu) == 500
+    assert "holds 3 flights; read is the longest, number 2: `LOG00001.BBL#1` is the first" in caplog.text
+    (one,) = import_logs([second], vehicle, tmp_path / "one")
+    assert one.bag.name == "LOG00001_2.mcap"
+    for number, message in (
+        (3, "no frame of flight 3 can be read"),
+        (5, "holds 4 flights, none of number 5"),
+    ):
+        with pytest.raises(LogError, match=message):
+            read_recording(f"{path}#{number}", vehicle)
+
+
+def test_a_log_of_one_flight_has_none_of_a_number(vehicle):
+    bag = bags_directory() / "interpolation.mcap"
+    with pytest.raises(
+        LogError, match=r"interpolation\.mcap: a bag .* holds one flight, and none of a number"
+    ):
+        read_recording(f"{bag}#2", vehicle)
 
 
 def test_a_flight_whose_headers_are_broken_is_passed_over(read, caplog):
