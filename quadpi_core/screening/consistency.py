@@ -9,18 +9,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from typing import TypeAlias
 
 import numpy as np
 
 from quadpi_core.errors import LogError
 from quadpi_core.findings import Finding
-from quadpi_core.flight import Recording
+from quadpi_core.flight import PoseStream, Recording
 from quadpi_core.screening.excerpt import Excerpt, Pose, RotorExcerpt, excerpt, rotor_excerpt
+from quadpi_core.screening.frozen_states import without_repeats
 from quadpi_core.screening.innovations import Innovation, cost, innovation
 from quadpi_core.screening.motion_consistency import Hypothesis, hypotheses
 from quadpi_core.screening.plausibility import check_plausible, thrust_coefficient
 from quadpi_core.screening.rotor_consistency import RotorEvidence, rotor_evidence
 from quadpi_core.screening.rotors_in_flight import stuck_rotors
+from quadpi_core.screening.small_mistakes import small_mistakes
 from quadpi_core.screening.wild_samples import Beyond
 from quadpi_core.vehicle import ROTORS, Vehicle
 
@@ -82,16 +85,19 @@ def findings(recording: Recording, vehicle: Vehicle | None) -> Iterator[Finding]
     turned: Hypothesis | None = None
     states: list[Pose] = [state for state in (recording.pose, recording.odometry) if state is not None]
     for state in states:
-        sample = excerpt(recording, state)
-        mistake = None if sample is None else _motion(sample)
-        if mistake is not None:
-            hypothesis, before, after = mistake
+        moving, frozen = without_repeats(state, recording.imu)
+        if frozen is not None:
+            yield frozen
+        sample = excerpt(recording, moving)
+        mistakes = [] if sample is None else _motion(sample, measured=isinstance(state, PoseStream))
+        for hypothesis, before, after in mistakes:
             culprit = ""
             if hypothesis.gyro is not None and rotors is not None and vehicle is not None:
                 imu_is_wrong = _rotors_follow_better(rotors, vehicle, hypothesis)
                 turned = hypothesis if imu_is_wrong else turned
                 culprit = f"; the rotor speeds agree with {state.topic if imu_is_wrong else 'the IMU'}"
             yield _finding(state.topic, hypothesis, before, after, culprit)
+        if mistakes:
             # A mistake of the IMU shows in every state.
             break
     if rotors is None or vehicle is None:
@@ -104,24 +110,29 @@ def findings(recording: Recording, vehicle: Vehicle | None) -> Iterator[Finding]
     yield from _thrust(recording, vehicle)
 
 
-def _motion(sample: Excerpt) -> tuple[Hypothesis, Innovation, Innovation] | None:
-    """The mistake that explains the innovations, with those before and after its reversal."""
+_Mistake: TypeAlias = tuple[Hypothesis, Innovation, Innovation]
+
+
+def _motion(sample: Excerpt, *, measured: bool) -> list[_Mistake]:
+    """The mistakes that explain the innovations, each with those before and after its reversal."""
     before = innovation(sample)
     motion = before.motion
     cost_before = cost(before, motion)
-    if not cost_before >= IMPLAUSIBLE_COST:
-        return None
-    tried = []
-    for hypothesis in hypotheses(sample, before):
-        after = innovation(hypothesis.undo(sample))
-        tried.append((cost(after, motion), hypothesis, after))
-    least = min(price for price, _, _ in tried)
-    price, hypothesis, after = next(one for one in tried if one[0] <= _EQUAL_FACTOR * least)
-    small = hypothesis.angle_deg is not None and hypothesis.angle_deg < _SMALLEST_ANGLE_DEG
-    near = hypothesis.scale is not None and max(hypothesis.scale, 1.0 / hypothesis.scale) < _SMALLEST_SCALE
-    if price * EXPLAINS_FACTOR > cost_before or small or near:
-        return None
-    return hypothesis, before, after
+    small = [
+        (hypothesis, before, innovation(hypothesis.undo(sample)))
+        for hypothesis in small_mistakes(sample, before, measured=measured)
+    ]
+    if cost_before >= IMPLAUSIBLE_COST:
+        tried = [(one, before, innovation(one.undo(sample))) for one in hypotheses(sample, before)] + small
+        prices = [cost(after, motion) for _, _, after in tried]
+        place = next(place for place, price in enumerate(prices) if price <= _EQUAL_FACTOR * min(prices))
+        angle, scale = tried[place][0].angle_deg, tried[place][0].scale
+        tiny = angle is not None and angle < _SMALLEST_ANGLE_DEG
+        near = scale is not None and max(scale, 1.0 / scale) < _SMALLEST_SCALE
+        if prices[place] * EXPLAINS_FACTOR <= cost_before and not tiny and not near:
+            return [tried[place]]
+    # Of motion that nothing explains, small mistakes say nothing.
+    return [one for one in small if cost(one[2], motion) < IMPLAUSIBLE_COST]
 
 
 def _finding(

@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from quadpi_core.frames import Array
 from quadpi_core.rotations import (
@@ -86,13 +87,11 @@ def innovation(sample: Excerpt) -> Innovation:
     in_world = rotate_body_to_world(middle.reshape(-1, 4), sample.force.reshape(-1, 3)).reshape(
         sample.force.shape
     )
-    at = np.arange(half, cells + 1 - half, stride)
+    at = _middles(sample)
     # The second difference of a position weights accelerations by a triangle.
     weights = (1.0 - np.abs(np.arange(-half, half) + 0.5) / half) / half
     windows = np.lib.stride_tricks.sliding_window_view(in_world, 2 * half, axis=1)[:, at - half]
-    position = sample.position
-    second = position[:, at + half] - 2.0 * position[:, at] + position[:, at - half]
-    needed = second / (half * sample.step_s) ** 2 - STANDARD_GRAVITY * _UP
+    needed = second_difference(sample, sample.position) - STANDARD_GRAVITY * _UP
     return Innovation(
         turned.reshape(-1, 3),
         turned_attitude.reshape(-1, 3),
@@ -100,6 +99,20 @@ def innovation(sample: Excerpt) -> Innovation:
         needed.reshape(-1, 3),
         sample.attitude[:, at].reshape(-1, 4),
     )
+
+
+def second_difference(sample: Excerpt, values: Array) -> Array:
+    """Second derivative (W, P, ...) over 2 FALL_S of values (W, K + 1, ...) at the borders of the cells."""
+    at, half = _middles(sample), round(FALL_S / sample.step_s)
+    second = values[:, at + half] - 2.0 * values[:, at] + values[:, at - half]
+    return np.asarray(second / (half * sample.step_s) ** 2)
+
+
+def _middles(sample: Excerpt) -> npt.NDArray[np.int64]:
+    """Borders of cells (P,) about which accelerations are measured."""
+    half = round(FALL_S / sample.step_s)
+    stride = max(1, round(TURN_S / sample.step_s) // 2)
+    return np.arange(half, sample.rates.shape[1] + 1 - half, stride)
 
 
 def cost(found: Innovation, motion: tuple[float, float]) -> float:

@@ -143,6 +143,7 @@ def hypotheses(sample: Excerpt, found: Innovation) -> Iterator[Hypothesis]:
             "making them so",
             gyro=matrix,
         )
+        yield accelerometer_axes(matrix)
         yield Hypothesis(
             "position axes",
             partial(_of_world, attitude=np.eye(3), position=matrix),
@@ -151,6 +152,17 @@ def hypotheses(sample: Excerpt, found: Innovation) -> Iterator[Hypothesis]:
             "making them so",
         )
     yield from _fitted(sample, found)
+
+
+def accelerometer_axes(matrix: Array) -> Hypothesis:
+    """An accelerometer, not the gyro, whose axes a signed permutation (3, 3) puts right."""
+    return Hypothesis(
+        "accelerometer axes",
+        partial(_of_imu, gyro=np.eye(3), accelerometer=matrix),
+        "the axes of the accelerometer look wrong, those of the gyro not: x, y, z seem to be "
+        f"{_axes(matrix)}",
+        "making them so",
+    )
 
 
 def _fitted(sample: Excerpt, found: Innovation) -> Iterator[Hypothesis]:

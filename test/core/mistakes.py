@@ -99,6 +99,30 @@ def clock(factor: float) -> Callable[[Recording, Vehicle], Any]:
     return done
 
 
+def origin(*place_m: float) -> Callable[[Recording, Vehicle], Any]:
+    def done(recording, of):
+        stream = recording.pose
+        moved = Rotation.from_quat(stream.attitude, scalar_first=True).apply(place_m)
+        return replace(recording, pose=replace(stream, position=stream.position + moved)), of
+
+    return done
+
+
+def frozen(seconds: float, share: float = 0.5) -> Callable[[Recording, Vehicle], Any]:
+    """Motion capture that repeats its pose from a share of the flight on."""
+
+    def done(recording, of):
+        stream = recording.pose
+        time_s = (stream.time_ns - stream.time_ns[0]) * 1e-9
+        first, last = np.searchsorted(time_s, share * time_s[-1] + np.array([0.0, seconds]))
+        shown = np.arange(len(stream))
+        shown[first:last] = first
+        still = replace(stream, position=stream.position[shown], attitude=stream.attitude[shown])
+        return replace(recording, pose=still), of
+
+    return done
+
+
 _EYE = np.eye(3)
 MISTAKES = {
     "quaternion conjugated": Mistake(pose(attitude=lambda q: q * [1, -1, -1, -1]), "attitude conjugated"),
@@ -121,6 +145,12 @@ MISTAKES = {
     "imu x and y swapped": Mistake(imu(XY), "imu mirrored"),
     "gyro inverted": Mistake(imu(-_EYE, _EYE), "gyro axes"),
     "gyro in other axes": Mistake(imu(FLIP, _EYE), "gyro axes"),
+    "accelerometer x and y swapped": Mistake(imu(_EYE, XY), "accelerometer axes"),
+    "accelerometer x reversed": Mistake(imu(_EYE, FRONT_REAR), "accelerometer axes"),
+    "accelerometer reads 5 % more": Mistake(imu(_EYE, 1.05 * _EYE), "accelerometer scale"),
+    "mocap origin 8 cm in front": Mistake(origin(0.08, 0.0, 0.0), "mocap origin"),
+    "mocap origin 8 cm below": Mistake(origin(0.0, 0.0, 0.08), "mocap origin"),
+    "mocap frozen": Mistake(frozen(1.5), "frozen state"),
     "mocap yawed by 20": Mistake(pose(attitude=attitude(_EYE, about("z", 20))), "body yawed"),
     "mocap yawed by 90": Mistake(pose(attitude=attitude(_EYE, about("z", 90))), "imu turned"),
     "mocap body tilted by 8": Mistake(pose(attitude=attitude(_EYE, about("x", 8))), "body tilted"),

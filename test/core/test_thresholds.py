@@ -33,8 +33,12 @@ from quadpi_core.discrepancy.residual_bins import Cells, Residual, bin_edges, la
 from quadpi_core.discrepancy.simulations import Tolerances
 from quadpi_core.discrepancy.uncertain_parts import Part, part_columns
 from quadpi_core.errors import DiscrepancyError, SimulationError
-from quadpi_core.flight import AXES, Flight, ImuStream, Recording, RotorSpeedStream
+from quadpi_core.flight import AXES, Flight, ImuStream, PoseStream, Recording, RotorSpeedStream
+from quadpi_core.screening.excerpt import Excerpt
+from quadpi_core.screening.frozen_states import without_repeats
+from quadpi_core.screening.innovations import innovation
 from quadpi_core.screening.rotors_in_flight import stuck_rotors
+from quadpi_core.screening.small_mistakes import MotionFit, judged, small_mistakes
 from quadpi_core.simulation.controller import Controls, Demand, control
 from quadpi_core.simulation.dynamics import MOTION, is_lost
 from quadpi_core.simulation.effect_definition import shaped
@@ -86,6 +90,41 @@ def stuck_for(seconds: float) -> bool:
     imu = ImuStream(time_ns, np.zeros((5000, 3)), np.full((5000, 3), [0.0, 0.0, -9.81]))
     recording = Recording("hover", "hover", "", imu, RotorSpeedStream(time_ns, speeds))
     return any(stuck_rotors(recording, 9.81))
+
+
+LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
+
+
+def frozen_for(seconds: float, turn_rad: float = 0.2) -> bool:
+    """Whether a pose is named that repeats for so long while the gyro turns by an angle."""
+    time_ns = np.arange(0, 5_000_000_000, 1_000_000)
+    held = slice(1000, 1001 + round(1000.0 * seconds))
+    position = np.cumsum(np.ones((5000, 3)), axis=0)
+    position[held] = position[1000]
+    rates = np.zeros((5000, 3))
+    rates[held, 1] = turn_rad / seconds
+    imu = ImuStream(time_ns, rates, np.full((5000, 3), [0.0, 0.0, -9.81]))
+    return without_repeats(PoseStream(time_ns, position, np.tile(LEVEL, (5000, 1))), imu)[1] is not None
+
+
+def axes_gain(gain: float) -> bool:
+    """Whether other axes of an accelerometer are named that explain so much more."""
+    still = np.zeros((1, 250, 3))
+    at_rest = Excerpt("mocap/pose", 0.01, np.tile(LEVEL, (1, 251, 1)), np.zeros((1, 251, 3)), still, still)
+    found = innovation(at_rest)
+    phase = 6.0 * np.pi * np.arange(len(found.force)) / len(found.force)
+    along, across = np.cos(phase), np.sin(phase)
+    own, other = np.sqrt(0.5 - 0.25 * gain), np.sqrt(0.5 + 0.25 * gain)
+    force = np.stack((own * along + other * across, other * along + own * across, -9.8 + 0.0 * phase), axis=1)
+    needed = np.stack((along, across, -9.8 + 0.0 * phase), axis=1)
+    swapped = small_mistakes(at_rest, replace(found, force=force, needed=needed), measured=True)
+    return "accelerometer axes" in [mistake.name for mistake in swapped]
+
+
+def off(**size: float) -> bool:
+    """Whether scale or origin are named that are off so much."""
+    sound = {"scale": 1.0, "scale_error": 1e-6, "origin_m": np.zeros(3), "origin_error_m": 1e-6}
+    return any(judged("mocap/pose", MotionFit(**{**sound, **size}), measured=True))
 
 
 def hover(seconds=10.0, rate_hz=100.0, **columns) -> Flight:
@@ -471,6 +510,12 @@ EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
         ),
     ),
     "STUCK_S": (0.5, stuck_for),
+    "FROZEN_S": (0.3, frozen_for),
+    "FROZEN_TURN_RAD": (0.05, lambda x: frozen_for(0.9, x)),
+    "AXES_GAIN": (0.3, axes_gain),
+    "SCALE_OFF": (0.025, lambda x: off(scale=1.0 - x)),
+    "ORIGIN_OFF_M": (0.045, lambda x: off(origin_m=np.array([0.6, 0.0, 0.8]) * x)),
+    "SURE": (3.0, lambda x: off(scale=1.0 + 0.1 * x, scale_error=0.1)),
     "FEWEST_FLIGHTS": (2, lambda x: refused(DiscrepancyError, lambda: study.require_flights(x))),
     "SPACING": (7.0, lambda x: seen_at_origin(x / 7.0)),
     "STAY_S": (0.25, lambda x: len(known_points(x)[0]) > 0),
