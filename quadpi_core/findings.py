@@ -8,7 +8,7 @@ It goes along with the flight.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 
@@ -40,6 +40,87 @@ class LeftOut:
 
 
 @dataclass(frozen=True)
+class Reordered:
+    """Samples of one topic that were stored out of order, and sorted by their stamps.
+
+    Attributes:
+        topic: that they came on.
+        samples: how many were sorted in.
+        of: how many the topic had.
+        first: index of the first of them, as stored.
+        first_s: its stamp, in seconds since the first IMU sample.
+    """
+
+    topic: str
+    samples: int
+    of: int
+    first: int
+    first_s: float
+
+    def __str__(self) -> str:
+        return (
+            f"topic {self.topic}: sorted {self.samples} of {self.of} samples, which are stored after later "
+            f"ones; the first is sample {self.first}, at {self.first_s:.3f} s"
+        )
+
+
+@dataclass(frozen=True)
+class Break:
+    """Where the samples of a topic do not go on: the clock falls or jumps, or the topic pauses.
+
+    Attributes:
+        topic: that breaks.
+        kind: "the clock falls", "the clock jumps" or "pauses".
+        times: how often it does so.
+        sample: index of the first sample after the first break.
+        from_s, to_s: stamps of the samples around it.
+    """
+
+    topic: str
+    kind: str
+    times: int
+    sample: int
+    from_s: float
+    to_s: float
+
+    def __str__(self) -> str:
+        digits = 1 if self.kind != PAUSES else 3
+        more = f", and {self.times - 1} times more" if self.times > 1 else ""
+        name = "IMU sample" if self.topic == "imu" else "sample"
+        return (
+            f"topic {self.topic}: {self.kind} from {self.from_s:.{digits}f} to {self.to_s:.{digits}f} s at "
+            f"{name} {self.sample}{more}"
+        )
+
+
+CLOCK_FALLS, CLOCK_JUMPS, PAUSES = "the clock falls", "the clock jumps", "pauses"
+
+
+@dataclass(frozen=True)
+class UsedPart:
+    """The part of a log that was used, where it was not the whole.
+
+    Attributes:
+        from_s, to_s: its first and last IMU sample, in seconds since the first one of the log.
+        imu_samples: in it.
+        of_s: length of the log, all its runs together.
+        reason: for the choice, in words.
+    """
+
+    from_s: float
+    to_s: float
+    imu_samples: int
+    of_s: float
+    reason: str
+
+    def __str__(self) -> str:
+        return (
+            f"topic imu: used is {self.reason}, {self.to_s - self.from_s:.1f} of {self.of_s:.1f} s: from "
+            f"{self.from_s:.3f} to {self.to_s:.3f} s, {self.imu_samples} samples; the rest is left out"
+        )
+
+
+@dataclass(frozen=True)
 class Finding:
     """A contradiction within a recording, or between it and its vehicle.
 
@@ -67,10 +148,18 @@ class DataQuality:
 
     left_out: tuple[LeftOut, ...] = ()
     findings: tuple[Finding, ...] = ()
+    reordered: tuple[Reordered, ...] = ()
+    breaks: tuple[Break, ...] = ()
+    used: tuple[UsedPart, ...] = ()
+
+    def joined(self, later: DataQuality) -> DataQuality:
+        """These problems, and those that were found later."""
+        both = {one.name: getattr(self, one.name) + getattr(later, one.name) for one in fields(self)}
+        return DataQuality(**both)
 
     def sentences(self) -> Iterator[str]:
         """In plain words, the topic first."""
-        yield from map(str, (*self.left_out, *self.findings))
+        yield from map(str, (*self.breaks, *self.used, *self.reordered, *self.left_out, *self.findings))
 
     @property
     def flaw(self) -> Finding | None:
@@ -81,6 +170,9 @@ class DataQuality:
         """As JSON holds it."""
         return {
             "left_out": [asdict(samples) for samples in self.left_out],
+            "reordered": [asdict(samples) for samples in self.reordered],
+            "breaks": [asdict(where) for where in self.breaks],
+            "used": [asdict(part) for part in self.used],
             "findings": [asdict(finding) for finding in self.findings],
         }
 

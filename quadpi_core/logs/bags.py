@@ -194,10 +194,10 @@ class _Unpacking:
             "imu": Framed(sensor_messages.unpack_imu, frames.imu),
             "rotor_speeds": sensor_messages.unpack_rotor_speeds,
             "erpm": lambda payloads: _unpack_erpm(payloads, vehicle),
-            "mocap/pose": Framed(sensor_messages.unpack_pose, frames.world),
+            "mocap/pose": Framed(sensor_messages.POSE_SAMPLES.unpack_logged, frames.world),
             "mocap/twist": Framed(sensor_messages.unpack_twist, frames.world),
-            "mocap/odometry": Framed(sensor_messages.unpack_mocap_odometry, frames.world, texts=2),
-            "odometry": Framed(sensor_messages.unpack_odometry, frames.world, texts=2),
+            "mocap/odometry": Framed(sensor_messages.unpack_logged_mocap_odometry, frames.world, texts=2),
+            "odometry": Framed(sensor_messages.ODOMETRY_SAMPLES.unpack_logged, frames.world, texts=2),
             "wind": Framed(sensor_messages.unpack_wind, frames.world),
             "simulation/wrench": sensor_messages.unpack_simulated,
         }

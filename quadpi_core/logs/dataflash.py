@@ -65,10 +65,12 @@ class Messages:
     Attributes:
         records: (N,) as packed in the log.
         factors: from each numeric column to its unit.
+        offsets: (N,) of the records in the log.
     """
 
     records: npt.NDArray[np.void]
     factors: dict[str, float]
+    offsets: npt.NDArray[np.int64]
 
     def __len__(self) -> int:
         return len(self.records)
@@ -107,7 +109,11 @@ class Messages:
         """The records with this value; all where there is no such column."""
         if column not in self:
             return self
-        return Messages(self.records[self.records[column] == value], self.factors)
+        return self.take(self.records[column] == value)
+
+    def take(self, which: npt.NDArray[np.bool_]) -> Messages:
+        """The records that a mask (N,) selects."""
+        return Messages(self.records[which], self.factors, self.offsets[which])
 
 
 @dataclass
@@ -220,6 +226,7 @@ def _gathered(data: bytes, formats: dict[int, _Format]) -> dict[str, Messages]:
     gathered = {}
     for known in formats.values():
         if known.offsets:
-            rows = np.lib.stride_tricks.sliding_window_view(content, known.layout.itemsize)[known.offsets]
-            gathered[known.name] = Messages(rows.view(known.layout)[:, 0], known.factors)
+            offsets = np.array(known.offsets, dtype=np.int64)
+            rows = np.lib.stride_tricks.sliding_window_view(content, known.layout.itemsize)[offsets]
+            gathered[known.name] = Messages(rows.view(known.layout)[:, 0], known.factors, offsets)
     return gathered

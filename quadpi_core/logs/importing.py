@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from operator import itemgetter
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,15 @@ from quadpi_core.paths import staged, whole_outputs
 from quadpi_core.recording_blocks import streams_by_field
 from quadpi_core.screening.consistency import checked
 from quadpi_core.screening.plausibility import missing_topics
-from quadpi_core.screening.survey import Excerpting, Selection, samples_left_out, survey
+from quadpi_core.screening.sample_order import require_usable
+from quadpi_core.screening.survey import (
+    Excerpting,
+    InOrder,
+    Selection,
+    judged_streams,
+    survey,
+    survey_quality,
+)
 from quadpi_core.screening.wild_samples import StreamScreening
 from quadpi_core.vehicle import Vehicle
 
@@ -115,7 +124,9 @@ def _convert(task: _Conversion, file: FlightFile) -> tuple[Imported, str]:
     log = file.path
     # To align clocks takes all turns of the flight at once.
     if identify_format(log).container is not None and not task.align:
-        return _convert_in_blocks(task, file)
+        converted = _convert_in_blocks(task, file)
+        if converted is not None:
+            return converted
     recording = checked(read_recording(log, task.vehicle, task.mapping), task.vehicle)
     sha256 = recording_hash(recording)
     alignment = None
@@ -128,11 +139,17 @@ def _convert(task: _Conversion, file: FlightFile) -> tuple[Imported, str]:
     return Imported(log, bag, len(recording.imu), topics, alignment, lacking, recording.quality), sha256
 
 
-def _convert_in_blocks(task: _Conversion, file: FlightFile) -> tuple[Imported, str]:
-    """Like :func:`_convert`, of a bag, which is read twice and never held whole."""
+def _convert_in_blocks(task: _Conversion, file: FlightFile) -> tuple[Imported, str] | None:
+    """Like :func:`_convert`, of a bag, which is read twice and never held whole; None where a clock falls.
+
+    Which samples of other topics belong to a run of the IMU, their order of arrival tells, of the whole.
+    """
     with ExitStack() as opened:
         bag = opened.enter_context(open_in_blocks(file.path, task.vehicle, task.mapping))
-        streams = survey(blocks_of(bag), task.vehicle)
+        streams = survey(partial(blocks_of, bag), task.vehicle)
+        require_usable(bag.source, judged_streams(streams))
+        if any(len(stream.order.starts) > 1 for stream in streams.values()):
+            return None
         stamps = {name: stream.usable_ns for name, stream in streams.items()}
         wheres = {name: f"{bag.source}: topic {stream.topic}" for name, stream in streams.items()}
         for name, where in wheres.items():
@@ -146,7 +163,8 @@ def _convert_in_blocks(task: _Conversion, file: FlightFile) -> tuple[Imported, s
         with recording_writer(path, bag.vehicle, bag.source, topics) as writer:
             written = dict.fromkeys(streams, 0)
             usable = Selection({name: stream.usable for name, stream in streams.items()})
-            for block in map(usable.of, blocks_of(bag)):
+            in_order = InOrder(streams)
+            for block in map(usable.of, map(in_order.of, blocks_of(bag))):
                 excerpting.add(block)
                 running.add(block)
                 for topic in recording_topics(block):
@@ -161,7 +179,7 @@ def _convert_in_blocks(task: _Conversion, file: FlightFile) -> tuple[Imported, s
             for check in values.values():
                 check.finish()
             excerpt = excerpting.finish()
-            quality = replace(excerpt.quality, left_out=tuple(samples_left_out(streams)))
+            quality = excerpt.quality.joined(survey_quality(streams))
             beyond = {streams[name].topic: list(one.finish()) for name, one in screening.items()}
             recording = checked(replace(excerpt, quality=quality), task.vehicle, beyond)
         imported = Imported(

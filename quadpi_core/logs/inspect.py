@@ -36,7 +36,14 @@ from quadpi_core.screening.plausibility import (
     missing_topics,
     thrust_coefficient,
 )
-from quadpi_core.screening.survey import Excerpting, Selection, StreamSurvey, samples_left_out, survey
+from quadpi_core.screening.survey import (
+    Excerpting,
+    InOrder,
+    Selection,
+    StreamSurvey,
+    survey,
+    survey_quality,
+)
 from quadpi_core.vehicle import ROTORS, Vehicle
 
 GAP_INTERVALS = 5.0
@@ -99,25 +106,29 @@ def inspect_blocks(blocks: Callable[[], Iterator[Recording]], vehicle: Vehicle |
 
 
 def _inspect(blocks: Callable[[], Iterator[Recording]], vehicle: Vehicle | None) -> Inspection:
-    streams = survey(blocks(), vehicle)
-    timings = {name: _timing(stream.topic, stream.time_ns) for name, stream in streams.items()}
+    streams = survey(blocks, vehicle)
+    timings = {name: _timing(stream.topic, stream.stored_ns) for name, stream in streams.items()}
     excerpting = Excerpting({name: stream.time_ns for name, stream in streams.items()})
     summaries = {name: _Summary() for name in streams}
     usable = Selection({name: stream.usable for name, stream in streams.items()})
     values = {name: ValueCheck(stream.topic) for name, stream in streams.items()}
+    in_order = InOrder(streams)
     for block in blocks():
-        excerpting.add(block)
         for name, stream in streams_by_field(block).items():
             summaries[name].add(stream)
-        for name, stream in streams_by_field(usable.of(block)).items():
+        used = in_order.of(block)
+        excerpting.add(used)
+        for name, stream in streams_by_field(usable.of(used)).items():
             values[name].add(stream)
     recording = excerpting.finish()
     topics = tuple(replace(timings[name], not_finite=summaries[name].not_finite) for name in streams)
-    start_ns = int(streams["imu"].time_ns[0]) if len(streams["imu"].time_ns) else 0
+    start_ns = int(streams["imu"].stored_ns[0]) if len(streams["imu"].stored_ns) else 0
     findings = (
         *(finding for topic in topics for finding in _timing_findings(topic)),
         *implausibilities(recording, vehicle, {stream.topic: stream.found for stream in streams.values()}),
-        *(f"{samples}; `import` and `identify` do" for samples in samples_left_out(streams)),
+        *(f"topic {one.topic}: {said}" for one in streams.values() if (said := one.order.problem())),
+        *map(str, (*recording.quality.breaks, *recording.quality.used)),
+        *(f"{said}; `import` and `identify` do" for said in survey_quality(streams).sentences()),
         *(
             finding
             for name in streams
@@ -275,11 +286,13 @@ def _timing_findings(topic: TopicReport) -> Iterator[str]:
 
 def _frozen_findings(stream: StreamSurvey, summary: _Summary, start_ns: int) -> Iterator[str]:
     """Findings on quantities that stay the same for longer than FROZEN_S, by the time since `start_ns`."""
-    if len(stream.time_ns) == 0:
+    if len(stream.stored_ns) == 0:
         return
     for name, run in summary.runs.items():
         first, last = run.longest()
-        since, seconds = (float(ns) * 1e-9 for ns in np.diff(stream.time_ns[[first, last]], prepend=start_ns))
+        since, seconds = (
+            float(ns) * 1e-9 for ns in np.diff(stream.stored_ns[[first, last]], prepend=start_ns)
+        )
         if seconds > FROZEN_S:
             yield (
                 f"topic {stream.topic}: sample {first}: {name} stays the same for {seconds:.2f} s, "

@@ -4,26 +4,21 @@
 
 from __future__ import annotations
 
-import bisect
 import logging
 from collections.abc import Sequence
-from dataclasses import fields
-from typing import TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
 from quadpi_core.errors import LogError
-from quadpi_core.flight import ImuStream, OdometryStream, RotorSpeedStream, Stamps, Stream
+from quadpi_core.flight import NO_STAMP, ImuStream, OdometryStream, RotorSpeedStream, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.rotations import rotate_world_to_body
 from quadpi_core.rotor_order import RotorOrder
 from quadpi_core.sample_limits import NORM_TOLERANCE
 from quadpi_core.screening.plausibility import finite_rows
+from quadpi_core.screening.sample_order import longest, order_of
 from quadpi_core.signals.resample import interpolate, interpolate_attitude
 from quadpi_core.vehicle import Vehicle
-
-_AnyStream = TypeVar("_AnyStream", bound=Stream)
 
 _log = logging.getLogger(__name__)
 _GAP_NS = 1_000_000_000
@@ -32,48 +27,6 @@ _GAP_NS = 1_000_000_000
 def note(source: str, text: str) -> None:
     """Warn the user of something that the import of a log did or assumed."""
     _log.warning("%s: %s", source, text)
-
-
-def usable(source: str, stream: _AnyStream) -> _AnyStream | None:
-    """The stream without samples that are not finite or whose stamp does not rise; None if none is left.
-
-    Autopilots sometimes log a sample twice, or stamp in milliseconds at more than 1 kHz. A note gives the
-    number of dropped samples.
-    """
-    finite = finite_rows(*(getattr(stream, column.name) for column in fields(stream)))
-    kept = np.flatnonzero(finite)
-    kept = kept[_rises(stream.time_ns[kept])]
-    for dropped, reason in (
-        (len(stream) - np.count_nonzero(finite), "that are not finite"),
-        (np.count_nonzero(finite) - len(kept), "whose stamp does not rise"),
-    ):
-        if dropped:
-            note(source, f"topic {stream.topic}: dropped {dropped} of {len(stream)} samples {reason}")
-    return stream.take(kept) if len(kept) else None
-
-
-def _rises(time_ns: Stamps) -> npt.NDArray[np.bool_]:
-    """Mask (N,) of the most samples with rising stamps: one stamp far ahead does not drop later ones.
-
-    Source: longest increasing subsequence, by patience sorting.
-    """
-    if np.all(time_ns[1:] > time_ns[:-1]):
-        return np.ones(len(time_ns), dtype=bool)
-    stamps = time_ns.tolist()
-    smallest: list[int] = []
-    ends: list[int] = []
-    before: list[int] = []
-    for index, stamp in enumerate(stamps):
-        place = bisect.bisect_left(smallest, stamp)
-        smallest[place : place + 1] = [stamp]
-        ends[place : place + 1] = [index]
-        before.append(ends[place - 1] if place else -1)
-    rises = np.zeros(len(stamps), dtype=bool)
-    index = ends[-1]
-    while index >= 0:
-        rises[index] = True
-        index = before[index]
-    return rises
 
 
 def unsigned_speeds(source: str, speeds: Array) -> Array:
@@ -97,7 +50,7 @@ def require_imu(source: str, imu: ImuStream | None, needed: str) -> ImuStream:
     Raises:
         LogError: for a log without one, naming the messages that would hold it.
     """
-    if imu is None:
+    if imu is None or len(imu) == 0:
         raise LogError(f"{source}: topic imu: the log holds no samples of gyro and accelerometer ({needed})")
     return imu
 
@@ -121,7 +74,8 @@ def odometry_of(
     if len(time_ns) == 0 or len(attitude[0]) == 0:
         return None
     turned = interpolate_attitude(*attitude, time_ns, _GAP_NS)
-    rates = interpolate(imu.time_ns, imu.angular_velocity, time_ns, _GAP_NS)
+    imu_ns, (gyro,) = rising(imu.time_ns, imu.angular_velocity)
+    rates = interpolate(imu_ns, gyro, time_ns, _GAP_NS)
     both = turned.valid & rates.valid
     if not np.any(both):
         return None
@@ -131,9 +85,12 @@ def odometry_of(
 
 
 def rising(time_ns: Stamps, *columns: Array) -> tuple[Stamps, tuple[Array, ...]]:
-    """Samples of auxiliary signals that are finite and whose stamp rises."""
-    kept = np.flatnonzero(finite_rows(*columns))
-    kept = kept[_rises(time_ns[kept])]
+    """The samples, by rising stamps, of signals that a stream is put together of, or that only `info` shows.
+
+    They are used or dropped by the rule of :mod:`quadpi_core.screening.sample_order`.
+    """
+    runs = order_of(time_ns, {"": ~finite_rows(*columns)}).runs()
+    kept = runs[longest(time_ns, runs)]
     return time_ns[kept], tuple(values[kept] for values in columns)
 
 
@@ -158,35 +115,23 @@ def rotors_together(
     return RotorSpeedStream(time_ns[valid], order.speeds(speeds, vehicle))
 
 
-def stamps_ns(source: str, time: Array, seconds_per_unit: float = 1.0) -> Stamps:
+def stamps_ns(time: Array, seconds_per_unit: float = 1.0) -> Stamps:
     """Integer nanosecond stamps (N,) of a clock (N,) that counts in units of `seconds_per_unit`.
 
-    Raises:
-        LogError: if a time is not finite, or too large to be held as nanoseconds.
+    NO_STAMP, which is dropped, of a time that is not finite, or too large to be held as nanoseconds.
     """
     seconds = time * seconds_per_unit
-    usable = np.isfinite(seconds) & (np.abs(seconds) < np.iinfo(np.int64).max / 1e9)
-    if not np.all(usable):
-        index = int(np.argmin(usable))
-        raise LogError(f"{source}: sample {index}: the time is not a usable number ({time[index]})")
-    return np.round(seconds * 1e9).astype(np.int64)
+    usable = np.abs(seconds) < np.iinfo(np.int64).max / 1e9
+    stamps: Stamps = np.round(np.where(usable, seconds, 0.0) * 1e9).astype(np.int64)
+    stamps[~usable] = NO_STAMP
+    return stamps
 
 
-def normalised_attitude(source: str, topic: str, attitude: Array) -> Array:
-    """Attitude quaternions (N, 4) scaled to unit length; logs store them rounded.
+def normalised_attitude(attitude: Array) -> Array:
+    """Attitude quaternions (N, 4) scaled to unit length, as logs store them rounded; others as they are.
 
-    Samples that are not finite pass as they are: they are judged with the rest of their stream.
-
-    Raises:
-        LogError: naming the sample whose norm is not near 1, for then it is not an attitude.
+    :mod:`quadpi_core.screening.sample_order` judges those with the rest of their sample.
     """
     norm = np.linalg.norm(attitude, axis=1)
-    wrong = np.abs(norm - 1.0) > NORM_TOLERANCE
-    if np.any(wrong):
-        index = int(np.argmax(wrong))
-        raise LogError(
-            f"{source}: topic {topic}: sample {index}: the attitude quaternion has norm {norm[index]:.3g}, "
-            "expected 1; are the columns or their order right?"
-        )
-    unit: Array = attitude / norm[:, np.newaxis]
+    unit: Array = attitude / np.where(np.abs(norm - 1.0) <= NORM_TOLERANCE, norm, 1.0)[:, np.newaxis]
     return unit

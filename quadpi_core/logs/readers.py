@@ -16,6 +16,7 @@ from quadpi_core.flight_files import flight_in
 from quadpi_core.logs import formats
 from quadpi_core.logs.log_format import HEAD_BYTES, LogFormat, OpenLog
 from quadpi_core.plugins import Plugins
+from quadpi_core.screening.sample_order import usable_recording
 from quadpi_core.screening.wild_samples import screened
 from quadpi_core.vehicle import Vehicle
 
@@ -86,9 +87,10 @@ def _identified(path: Path) -> LogFormat[Any] | None:
 
 
 def read_recording(path: Path | str, vehicle: Vehicle | None, mapping: Path | str | None = None) -> Recording:
-    """Read any supported log or bag in SI, FRD and NED, leave out samples beyond limits, check every stream.
+    """Read any supported log or bag in SI, FRD and NED, without the samples that no flight can have.
 
-    What was left out is in the recording's `quality`.
+    Those are the samples that :mod:`quadpi_core.screening.sample_order` drops, and those beyond limits. What
+    was left out, sorted and cut off is in the recording's `quality`.
 
     Args:
         path: a file, a rosbag2 folder, or `FILE#NUMBER` for one of the flights in a file.
@@ -100,8 +102,7 @@ def read_recording(path: Path | str, vehicle: Vehicle | None, mapping: Path | st
     Raises:
         LogError: naming the file, and topic and sample where there is one.
     """
-    recording = decode_recording(path, vehicle, mapping)
-    recording = screened(recording, vehicle)
+    recording = screened(usable_recording(decode_recording(path, vehicle, mapping)), vehicle)
     recording.check()
     return recording
 

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.errors import LogError, one_line
-from quadpi_core.flight import Stamps
+from quadpi_core.flight import NO_STAMP, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.logs.csv_files import CsvDialect, dialect_of, read_columns, read_content
 from quadpi_core.logs.mapping import UNITS
@@ -212,13 +212,10 @@ def stamps_of(source: str, values: npt.NDArray[Any], unit: str | None) -> Stamps
         unit: as the mapping says; None where it does not.
 
     Raises:
-        LogError: for a time that is absent or too large, or of no unit that can be told.
+        LogError: for times of no unit that can be told.
     """
     if values.dtype.kind == "M":
-        absent = np.isnat(values)
-        if np.any(absent):
-            raise LogError(f"{source}: sample {int(np.argmax(absent))}: the time is absent")
-        return values.astype(np.int64)
+        return np.where(np.isnat(values), NO_STAMP, values.astype(np.int64))
     steps = np.diff(values.astype(np.float64))
     steps = steps[steps > 0.0]
     interval = float(np.median(steps)) if len(steps) else 0.0
@@ -236,4 +233,4 @@ def stamps_of(source: str, values: npt.NDArray[Any], unit: str | None) -> Stamps
         largest = max(abs(int(values.min())), abs(int(values.max())))
         if largest * _NANOSECONDS[unit] <= np.iinfo(np.int64).max:
             return values.astype(np.int64) * _NANOSECONDS[unit]
-    return stamps_ns(source, values.astype(np.float64), UNITS["time"][unit])
+    return stamps_ns(values.astype(np.float64), UNITS["time"][unit])

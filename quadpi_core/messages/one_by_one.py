@@ -21,7 +21,7 @@ from quadpi_core.messages.definitions import codec
 from quadpi_core.messages.frame_ids import BodyFrames, FrameRefusedError, Judge, names_of
 from quadpi_core.messages.mounting import Mounting
 from quadpi_core.messages.payloads import Bytes
-from quadpi_core.messages.sensor_messages import SampleKind, SomeStream
+from quadpi_core.messages.sensor_messages import SampleKind, SomeStream, no_rotation
 
 _TEXTS = ORIGIN + STAMP.size
 _DOUBLE_BYTES = 8
@@ -76,7 +76,9 @@ class IncomingMessage(Generic[SomeStream]):
         self._memory[:] = payload
         stream = self._stream
         stream.time_ns[0] = seconds * NANOSECONDS + nanoseconds
-        self._kind.fill(self._values, stream)
+        wrong = self._kind.fill(self._values, stream)
+        if wrong is not None:
+            raise no_rotation(wrong, self._values)
         if self._mounting is not None:
             assert isinstance(stream, ImuStream)
             self._mounting.move(stream.time_ns, stream.angular_velocity, stream.specific_force)

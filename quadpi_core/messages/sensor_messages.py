@@ -48,6 +48,7 @@ from quadpi_core.messages.values import (
     state_values,
     world_values,
 )
+from quadpi_core.sample_limits import NORM_TOLERANCE
 from quadpi_core.vehicle import ROTORS, Vehicle
 
 IMU = "sensor_msgs/msg/Imu"
@@ -96,14 +97,15 @@ class SampleKind(Generic[SomeStream]):
     Attributes:
         type_name: of the messages.
         room: gives a stream of stamps (N,) for messages of the given frames; the rest is to be filled.
-        fill: fills them from the float64 fields (N, K) that end the messages; raises SampleError.
+        fill: fills them from the float64 fields (N, K) that end the messages; gives the first sample whose
+            orientation is no unit quaternion, or None.
         texts: how many names follow the stamp: 2 where there is a child frame.
         counts: how many numbers each sequence of numbers must hold, by name.
     """
 
     type_name: str
     room: Callable[[Stamps, tuple[str, ...]], SomeStream]
-    fill: Callable[[Array, SomeStream], None]
+    fill: Callable[[Array, SomeStream], int | None]
     texts: int = 1
     counts: Mapping[str, int] = field(default_factory=dict)
 
@@ -113,28 +115,40 @@ class SampleKind(Generic[SomeStream]):
         return codec(self.type_name).decode_stamped(Payloads.join([]), self.counts)[1]
 
     def unpack(self, payloads: Payloads | bytes) -> SomeStream:
-        """The samples of N messages whose frames do not matter."""
+        """The samples of N messages whose frames do not matter.
+
+        Raises:
+            SampleError: also for an orientation that is no unit quaternion.
+        """
+        return self._unpack(payloads, strict=True)
+
+    def unpack_logged(self, payloads: Payloads | bytes) -> SomeStream:
+        """The same, with orientations that are no unit quaternion as they are, for the reader to judge."""
+        return self._unpack(payloads, strict=False)
+
+    def _unpack(self, payloads: Payloads | bytes, *, strict: bool) -> SomeStream:
         time_ns, values = codec(self.type_name).decode_stamped(payloads, self.counts)
         stream = self.room(time_ns, ())
-        self.fill(values, stream)
+        wrong = self.fill(values, stream)
+        if strict and wrong is not None:
+            raise no_rotation(wrong, values)
         return stream
 
 
-def _fill_pose(values: Array, pose: PoseStream) -> None:
-    _require_attitude(pose_values(values, pose.position, pose.attitude), values)
+def _fill_pose(values: Array, pose: PoseStream) -> int | None:
+    wrong = pose_values(values, pose.position, pose.attitude)
+    return None if wrong < 0 else wrong
 
 
-def _fill_odometry(values: Array, odometry: OdometryStream) -> None:
-    _require_attitude(
-        state_values(values, odometry.position, odometry.attitude, odometry.velocity, odometry.rates), values
-    )
+def _fill_odometry(values: Array, odometry: OdometryStream) -> int | None:
+    wrong = state_values(values, odometry.position, odometry.attitude, odometry.velocity, odometry.rates)
+    return None if wrong < 0 else wrong
 
 
-def _require_attitude(sample: int, values: Array) -> None:
-    """Refuse a sample, if there is one, whose orientation (the numbers after the position) is none."""
-    if sample >= 0:
-        norm = math.hypot(*values[sample, 3:7])
-        raise SampleError(sample, f"the orientation is no unit quaternion (norm {norm:.3g})")
+def no_rotation(sample: int, values: Array) -> SampleError:
+    """The error of a sample whose orientation (the numbers after the position) is no unit quaternion."""
+    norm = math.hypot(*values[sample, 3:7])
+    return SampleError(sample, f"the orientation is no unit quaternion (norm {norm:.3g})")
 
 
 def _fill_rotor_speeds(values: Array, rotors: RotorSpeedStream) -> None:
@@ -329,9 +343,15 @@ def pack_twist(stream: TwistStream, body_frame: str = BODY_FRAME, world_frame: s
     return Payloads.concatenate(parts).take(np.argsort(np.concatenate(orders)))
 
 
-def unpack_mocap_odometry(payloads: Payloads | bytes) -> tuple[PoseStream, TwistStream]:
-    """Decode nav_msgs/Odometry of motion capture as the pose and the velocity that it holds."""
-    odometry = unpack_odometry(payloads)
+def unpack_logged_mocap_odometry(payloads: Payloads | bytes) -> tuple[PoseStream, TwistStream]:
+    """Decode nav_msgs/Odometry of motion capture as the pose and the velocity that it holds.
+
+    Beside an orientation that is no unit quaternion, which stays of its length, the velocity is not a number.
+    """
+    odometry = ODOMETRY_SAMPLES.unpack_logged(payloads)
+    with np.errstate(over="ignore", invalid="ignore"):
+        wrong = np.abs(np.linalg.norm(odometry.attitude, axis=1) - 1.0) > NORM_TOLERANCE
+    odometry.velocity[wrong] = np.nan
     return (
         PoseStream(odometry.time_ns, odometry.position, odometry.attitude),
         TwistStream(odometry.time_ns, odometry.velocity, np.ones(len(odometry), dtype=bool)),

@@ -13,32 +13,36 @@ from typing import Any
 import numpy as np
 
 from quadpi_core.compiled import njit
+from quadpi_core.sample_limits import NORM_TOLERANCE
 
 # How many float64 fields end nav_msgs/Odometry and quadpi/WrenchPrediction.
 ODOMETRY_VALUES, PREDICTION_VALUES = 85, 30
 # Position and orientation among those of nav_msgs/Odometry.
 POSE = slice(0, 7)
 
-_QUATERNION_NORM_TOLERANCE = 0.01
 _SQRT_HALF = float(np.sqrt(0.5))
 
 
 @njit(cache=True)
 def attitude_values(orientation_xyzw: Any, attitude: Any) -> int:
-    """Fill `attitude` (N, 4) with unit quaternions in core frames; the first that is none, else -1."""
+    """Fill `attitude` (N, 4) with quaternions in core frames; the first that is no rotation, else -1.
+
+    All others are of unit length, or not finite.
+    """
+    first = -1
     for row in range(attitude.shape[0]):
         x, y, z, w = orientation_xyzw[row]
         norm = np.sqrt(x * x + y * y + z * z + w * w)
-        # Of what is not finite, the check of the stream or the estimator says that it is not.
-        if abs(norm - 1.0) > _QUATERNION_NORM_TOLERANCE:
-            return row
+        if abs(norm - 1.0) > NORM_TOLERANCE:
+            first = row if first < 0 else first
+            norm = 1.0
         # frames.quaternion_flu_enu_to_frd_ned
         scale = _SQRT_HALF / norm
         attitude[row, 0] = scale * (w + z)
         attitude[row, 1] = scale * (x + y)
         attitude[row, 2] = scale * (x - y)
         attitude[row, 3] = scale * (w - z)
-    return -1
+    return first
 
 
 @njit(cache=True)
@@ -66,14 +70,14 @@ def imu_values(values: Any, rates: Any, force: Any) -> None:
 
 @njit(cache=True)
 def pose_values(values: Any, position: Any, attitude: Any) -> int:
-    """Fill what the numbers (N, 7) of a pose say; the first row whose attitude is none, else -1."""
+    """Fill what the numbers (N, 7) of a pose say; the first row whose attitude is no rotation, else -1."""
     world_values(values[:, :3], position)
     return attitude_values(values[:, 3:7], attitude)
 
 
 @njit(cache=True)
 def state_values(values: Any, position: Any, attitude: Any, velocity: Any, rates: Any) -> int:
-    """Fill what the numbers (N, 85) of an odometry say; the first row whose attitude is none, else -1."""
+    """Fill what the numbers (N, 85) of an odometry say; returns what :func:`pose_values` does."""
     body_values(values[:, 43:46], velocity)
     body_values(values[:, 46:49], rates)
     return pose_values(values, position, attitude)

@@ -41,6 +41,7 @@ from quadpi_core.parallel import DEFAULT_WORKERS, Workers
 from quadpi_core.paths import staged, whole_outputs
 from quadpi_core.recording_blocks import by_arrival, split_recording
 from quadpi_core.results import LEVEL_ALARM, LEVEL_WARNING, Alarms, Events, Predictions
+from quadpi_core.screening.sample_order import without_unusable_attitudes
 from quadpi_core.vehicle import Vehicle
 from quadpi_core.version import __version__
 
@@ -208,7 +209,7 @@ def _flight(name: str, source: str, streams: Collection[str], blocks: Iterator[R
         raise LogError(f"{source}: topics mocap/pose and odometry are missing: one is needed")
     if "rotor_speeds" not in streams:
         raise LogError(f"{source}: topic rotor_speeds (or erpm) is missing")
-    return RecordedFlight(name, source, has_mocap, blocks)
+    return RecordedFlight(name, source, has_mocap, map(without_unusable_attitudes, blocks))
 
 
 class Followed(NamedTuple):

@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from quadpi_core.errors import LogError
 from quadpi_core.flight import STREAM_KINDS, ImuStream, Recording, RotorSpeedStream, Stream
 from quadpi_core.screening.consistency import findings
-from quadpi_core.screening.plausibility import finite_rows, implausibilities
+from quadpi_core.screening.plausibility import implausibilities
+from quadpi_core.screening.sample_order import usable_recording
 from quadpi_core.screening.wild_samples import screened
 from quadpi_core.signals.chain import RATES, ROTOR_SPEEDS, SPECIFIC_FORCE
 from quadpi_core.vehicle import Vehicle
@@ -59,8 +61,8 @@ class FirstSeconds:
             columns: their stamps and values.
 
         Returns:
-            The stretch, once it is complete, if the vehicle moved in it. Samples that are not finite, or
-            whose stamps do not increase, are left out, and those of other topics before the first of the IMU.
+            The stretch, once it is complete, if the vehicle moved in it. Samples of other topics before the
+            first of the IMU are left out.
         """
         if self.complete:
             return None
@@ -84,11 +86,9 @@ class FirstSeconds:
             stamps, values = joined.pop(None)
             joined[ImuStream] = [stamps, values[:, RATES], values[:, SPECIFIC_FORCE]]
             joined[RotorSpeedStream] = [stamps, values[:, ROTOR_SPEEDS]]
-        streams: dict[str, Any] = {
-            _FIELDS[kind]: _cleaned(kind(*columns)) for kind, columns in joined.items() if kind
-        }
+        streams: dict[str, Any] = {_FIELDS[kind]: kind(*columns) for kind, columns in joined.items() if kind}
         stretch = Recording(name=self._source, vehicle="", source=self._source, **streams)
-        if not np.sqrt(np.mean(np.sum(stretch.imu.angular_velocity**2, axis=1))) >= MOVES_RAD_S:
+        if not np.sqrt(np.nanmean(np.sum(stretch.imu.angular_velocity**2, axis=1))) >= MOVES_RAD_S:
             return None
         self._left -= 1
         return stretch
@@ -101,14 +101,9 @@ def contradictions(stretch: Recording, vehicle: Vehicle | None) -> list[str]:
         stretch: of :class:`FirstSeconds`.
         vehicle: whose rotor speeds are in it; without one only the motion is checked.
     """
-    recording = screened(stretch, vehicle)
+    try:
+        recording = screened(usable_recording(stretch), vehicle)
+    except LogError as error:
+        return [str(error).removeprefix(f"{stretch.source}: ")]
     wrong_units = list(implausibilities(recording, vehicle))
     return wrong_units or [str(finding) for finding in findings(recording, vehicle)]
-
-
-def _cleaned(stream: Stream) -> Stream:
-    """The samples that are finite and whose stamps increase."""
-    before = np.maximum.accumulate(stream.time_ns)
-    increases = np.concatenate(([True], stream.time_ns[1:] > before[:-1]))
-    values = [values for name, values in vars(stream).items() if name != "time_ns"]
-    return stream.take(increases & finite_rows(*values))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""A first pass over a flight that comes in blocks finds stamps and outliers; a second one takes an excerpt.
+"""A first pass over a flight that comes in blocks finds stamps and outliers; a later one takes an excerpt.
 
 The checks of the flight as a whole use the excerpt: a whole flight with up to FEW_SAMPLES samples per topic,
 or parts spread over a longer one that include those of the consistency check.
@@ -8,17 +8,26 @@ or parts spread over a longer one that include those of the consistency check.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.findings import LeftOut
-from quadpi_core.flight import STREAM_KINDS, Recording, Stamps
+from quadpi_core.findings import DataQuality
+from quadpi_core.flight import STREAM_KINDS, Recording, Stamps, Stream
 from quadpi_core.recording_blocks import Column, join_blocks, streams_by_field
 from quadpi_core.screening.excerpt import needed_spans
+from quadpi_core.screening.sample_order import (
+    Judged,
+    Rows,
+    SampleOrder,
+    faults,
+    order_of,
+    order_quality,
+    used_rows,
+)
 from quadpi_core.screening.wild_samples import (
     FEW_SAMPLES,
     Beyond,
@@ -38,15 +47,24 @@ class StreamSurvey:
 
     Attributes:
         topic: its name.
-        time_ns: (N,) stamps.
-        found: samples beyond limits.
-        usable: (N,) mask of the samples that are not left out; None if none is.
+        stored_ns: (N,) stamps as stored.
+        order: which of these samples are used, and in what order.
+        rows: (M,) the samples used, in order; None for all as they are.
+        found: samples beyond limits, of those used.
+        usable: (M,) mask of the samples that are not left out; None if none is.
     """
 
     topic: str
-    time_ns: Stamps
-    found: tuple[Beyond, ...]
-    usable: npt.NDArray[np.bool_] | None
+    stored_ns: Stamps
+    order: SampleOrder
+    rows: Rows | None
+    found: tuple[Beyond, ...] = ()
+    usable: npt.NDArray[np.bool_] | None = None
+
+    @property
+    def time_ns(self) -> Stamps:
+        """(M,) stamps of the samples used."""
+        return self.stored_ns if self.rows is None else self.stored_ns[self.rows]
 
     @property
     def usable_ns(self) -> Stamps:
@@ -54,34 +72,124 @@ class StreamSurvey:
         return self.time_ns if self.usable is None else self.time_ns[self.usable]
 
 
-def survey(blocks: Iterable[Recording], vehicle: Vehicle | None) -> dict[str, StreamSurvey]:
+def survey(blocks: Callable[[], Iterator[Recording]], vehicle: Vehicle | None) -> dict[str, StreamSurvey]:
     """Survey each stream of a flight, by its field of the recording.
 
     Args:
-        blocks: of the flight.
+        blocks: gives those of the flight; they are read again if samples are dropped or sorted.
         vehicle: that flew; without one rotor speeds are not judged.
     """
-    stamps: dict[str, Column] = {}
-    screening: dict[str, StreamScreening] = {}
-    for block in blocks:
+    passes: dict[str, _FirstPass] = {}
+    for block in blocks():
         for name, stream in streams_by_field(block).items():
-            if name not in stamps:
-                stamps[name], screening[name] = Column(), StreamScreening(type(stream), vehicle)
-            stamps[name].extend(stream.time_ns)
-            screening[name].add(stream)
-    surveys = {}
-    for name in [name for name in STREAM_KINDS if name in stamps]:
+            if name not in passes:
+                passes[name] = _FirstPass(type(stream), vehicle)
+            passes[name].add(stream)
+    judged = {name: passes[name].judged() for name in STREAM_KINDS if name in passes}
+    rows = used_rows(judged, {})
+    streams = {
+        name: StreamSurvey(*topic, None if topic.order.rows is None else rows[name])
+        for name, topic in judged.items()
+    }
+    screening = {name: passes[name].screening for name in streams}
+    again = {name for name, stream in streams.items() if stream.rows is not None}
+    if again:
+        screening |= {name: StreamScreening(STREAM_KINDS[name], vehicle) for name in again}
+        in_order = InOrder(streams)
+        for block in blocks():
+            for name, stream in streams_by_field(in_order.of(block)).items():
+                if name in again:
+                    screening[name].add(stream)
+    for name, surveyed in streams.items():
         found = tuple(screening[name].finish())
-        surveys[name] = StreamSurvey(
-            STREAM_KINDS[name].topic, stamps[name].whole(), found, usable_samples(found)
-        )
-    return surveys
+        streams[name] = replace(surveyed, found=found, usable=usable_samples(found))
+    return streams
 
 
-def samples_left_out(surveys: Mapping[str, StreamSurvey]) -> Iterator[LeftOut]:
-    """A note for each kind of outlier that is left out."""
-    for stream in surveys.values():
-        yield from left_out(stream.topic, stream.found, stream.time_ns, surveys["imu"].time_ns)
+class _FirstPass:
+    """What the first pass over a topic gathers."""
+
+    def __init__(self, kind: type[Stream], vehicle: Vehicle | None) -> None:
+        self._topic = kind.topic
+        self._stamps = Column()
+        self._count = 0
+        self._faults: dict[str, list[Rows]] = {}
+        self.screening = StreamScreening(kind, vehicle)
+
+    def add(self, stream: Stream) -> None:
+        """Take the next samples."""
+        self._stamps.extend(stream.time_ns)
+        self.screening.add(stream)
+        for fault, which in faults(stream):
+            self._faults.setdefault(fault, []).append(self._count + np.flatnonzero(which))
+        self._count += len(stream)
+
+    def judged(self) -> Judged:
+        """The topic by the rule of the order of samples."""
+        masks = {}
+        for fault, parts in self._faults.items():
+            masks[fault] = np.zeros(self._count, dtype=np.bool_)
+            masks[fault][np.concatenate(parts)] = True
+        time_ns = self._stamps.whole()
+        return Judged(self._topic, time_ns, order_of(time_ns, masks))
+
+
+def judged_streams(surveys: Mapping[str, StreamSurvey]) -> dict[str, Judged]:
+    """What the rule of the order of samples says of each topic, by field."""
+    return {name: Judged(one.topic, one.stored_ns, one.order) for name, one in surveys.items()}
+
+
+def survey_quality(surveys: Mapping[str, StreamSurvey]) -> DataQuality:
+    """What is left out, sorted and cut off."""
+    beyond = tuple(
+        one
+        for stream in surveys.values()
+        for one in left_out(stream.topic, stream.found, stream.time_ns, surveys["imu"].time_ns)
+    )
+    return order_quality(judged_streams(surveys)).joined(DataQuality(left_out=beyond))
+
+
+class InOrder:
+    """Gives the samples of a flight that are used, by rising stamps, from its blocks.
+
+    Samples wait for those that were stored later and belong before them, MAX_JUMP_BACK_NS at most.
+    """
+
+    def __init__(self, surveys: Mapping[str, StreamSurvey]) -> None:
+        self._kept: dict[str, npt.NDArray[np.bool_]] = {}
+        # The earliest stamp of the samples from each one stored on.
+        self._coming: dict[str, Stamps] = {}
+        for name, stream in surveys.items():
+            if stream.rows is not None:
+                kept = np.zeros(len(stream.stored_ns), dtype=np.bool_)
+                kept[stream.rows] = True
+                self._kept[name] = kept
+                if stream.order.late is not None:
+                    stamps = np.where(kept, stream.stored_ns, np.iinfo(np.int64).max)
+                    self._coming[name] = np.minimum.accumulate(stamps[::-1])[::-1]
+        self._before = dict.fromkeys(self._kept, 0)
+        self._waiting: dict[str, Stream] = {}
+
+    def of(self, block: Recording) -> Recording:
+        """The samples in order after the next block, without arrivals."""
+        taken: dict[str, Any] = {}
+        for name, stream in streams_by_field(block).items():
+            if name in self._kept:
+                before = self._before[name]
+                self._before[name] += len(stream)
+                taken[name] = stream.take(self._kept[name][before : self._before[name]])
+                if name in self._coming:
+                    taken[name] = self._due(name, taken[name])
+        return replace(block, **taken, arrivals={})
+
+    def _due(self, name: str, stream: Stream) -> Stream:
+        waiting = self._waiting.get(name)
+        both = stream if waiting is None else type(stream).join((waiting, stream))
+        both = both.take(np.argsort(both.time_ns, kind="stable"))
+        left = self._coming[name][self._before[name] :]
+        due = len(both) if len(left) == 0 else int(np.searchsorted(both.time_ns, left[0]))
+        self._waiting[name] = both.take(slice(due, None))
+        return both.take(slice(0, due))
 
 
 class Selection:

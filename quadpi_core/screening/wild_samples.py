@@ -145,9 +145,8 @@ class StreamScreening:
 def screened(recording: Recording, vehicle: Vehicle | None) -> Recording:
     """The recording without outliers; its `quality` says how many were left out, and where.
 
-    Values that are not finite are kept, as no sensor sends them: :meth:`Recording.check` refuses them. Topics
-    with too many samples beyond a limit are kept whole: their unit is wrong, which
-    :func:`quadpi_core.screening.plausibility.check_plausible` reports.
+    Values that are not finite are none. Topics with too many samples beyond a limit are kept whole: their
+    unit is wrong, which :func:`quadpi_core.screening.plausibility.check_plausible` reports.
 
     Args:
         recording: as read.
@@ -170,7 +169,7 @@ def screened(recording: Recording, vehicle: Vehicle | None) -> Recording:
             arrivals = {topic: count - lost[count] for topic, count in arrivals.items()}
     if not kept:
         return recording
-    quality = replace(recording.quality, left_out=tuple(said))
+    quality = replace(recording.quality, left_out=(*recording.quality.left_out, *said))
     return replace(recording, quality=quality, arrivals=arrivals, **kept)
 
 

@@ -10,7 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from quadpi_core.flight import Recording
 from quadpi_core.logs import read_recording
+from quadpi_core.logs.importing import Imported, import_logs
 from quadpi_core.vehicle import Vehicle
 
 
@@ -50,3 +52,43 @@ def test_a_table_with_a_state_that_lacks_its_position(report, caplog):
     case = report("table_velocity_without_position")
     read_recording(case / "flight.csv", Vehicle.load("bebop2"), case / "mapping.yaml")
     assert "position is missing, so attitude and velocity are not used" in caplog.text
+
+
+@pytest.fixture
+def imported(report, tmp_path) -> Callable[[str], tuple[Imported, Recording]]:
+    """imported(case/file) → what `import` says of it, and the bag that it writes."""
+
+    def run(case: str) -> tuple[Imported, Recording]:
+        folder, _, file = case.partition("/")
+        (said,) = import_logs([report(folder) / file], Vehicle.load("bebop2"), tmp_path / "out")
+        return said, read_recording(said.bag, None)
+
+    return run
+
+
+def test_a_sample_stored_twice_is_dropped_and_counted(imported):
+    said, flight = imported("bag_one_duplicate_imu_sample/flight.mcap")
+    assert len(flight.imu) == said.imu_samples == 3000
+    assert [(one.samples, one.first, one.limit) for one in said.quality.left_out] == [
+        (1, 701, "whose stamp repeats")
+    ]
+
+
+def test_poses_without_a_quaternion_are_dropped_and_counted(imported):
+    said, flight = imported("bag_zero_quaternion_while_hidden/flight.mcap")
+    assert said.imu_samples == 3000
+    (one,) = said.quality.left_out
+    assert (one.topic, one.samples) == ("mocap/pose", 60)
+    seconds = 1e-9 * (flight.pose.time_ns - flight.imu.time_ns[0])
+    assert not np.any((seconds > 3.0) & (seconds < 3.49))
+    assert seconds[-1] - seconds[0] > 5.9
+
+
+def test_of_two_boots_in_one_log_the_longest_is_read(imported):
+    said, flight = imported("dataflash_clock_restarts/flight.BIN")
+    assert len(flight.imu) == 3001
+    assert 1e-9 * (flight.imu.time_ns[[0, -1]]) == pytest.approx([25.0, 37.0])
+    assert all(np.all(stream.time_ns >= flight.imu.time_ns[0]) for stream in flight.streams())
+    first, used = said.quality.sentences()
+    assert first == "topic imu: the clock falls from 28.0 to 25.0 s at IMU sample 2000"
+    assert "the longest of 2 runs, 12.0 of 20.0 s" in used

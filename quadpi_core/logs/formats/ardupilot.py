@@ -13,13 +13,15 @@ from pathlib import Path
 
 import numpy as np
 
+from quadpi_core.findings import NOTHING_TO_SAY, DataQuality
 from quadpi_core.flight import ImuStream, OdometryStream, Recording, RotorSpeedStream, Stamps
 from quadpi_core.frames import Array, quaternion_from_roll_pitch_yaw
 from quadpi_core.logs.dataflash import HEAD, Messages, decode_dataflash
 from quadpi_core.logs.log_format import LogFormat
-from quadpi_core.logs.reader_steps import note, odometry_of, require_imu, rising, rotors_together, usable
+from quadpi_core.logs.reader_steps import note, odometry_of, require_imu, rising, rotors_together
 from quadpi_core.rotor_order import RPM, RotorOrder
 from quadpi_core.sample_limits import NORM_TOLERANCE
+from quadpi_core.screening.sample_order import breaks, longest, order_of, used_run
 from quadpi_core.vehicle import ROTORS, Vehicle
 
 _GYRO, _ACCELERATION = ("GyrX", "GyrY", "GyrZ"), ("AccX", "AccY", "AccZ")
@@ -52,8 +54,8 @@ def read_ardupilot(path: Path, vehicle: Vehicle | None, order: RotorOrder | None
         note(source, f"byte {log.first_skipped}: {log.skipped} damaged bytes from here on are passed over")
     if log.cut_off is not None:
         note(source, f"byte {log.cut_off}: the file is cut off in this record; all before it is read")
-    messages = log.messages
-    imu = require_imu(source, _imu(source, messages), "IMU")
+    messages, quality = _longest_boot(log.messages)
+    imu = require_imu(source, _imu(messages), "IMU")
     battery = messages.get("BAT") or messages.get("CURR")
     return Recording(
         name=path.stem,
@@ -61,18 +63,43 @@ def read_ardupilot(path: Path, vehicle: Vehicle | None, order: RotorOrder | None
         source=source,
         imu=imu,
         rotor_speeds=_rotor_speeds(source, messages, vehicle, order),
-        odometry=_odometry(source, messages, imu),
+        odometry=_odometry(messages, imu),
         battery_v=None if battery is None else _battery(battery),
+        quality=quality,
     )
 
 
-def _imu(source: str, messages: dict[str, Messages]) -> ImuStream | None:
+def _longest_boot(messages: dict[str, Messages]) -> tuple[dict[str, Messages], DataQuality]:
+    """The records of the longest boot in a file, by the clock of the IMU, and what is left out."""
+    logged = messages.get("IMU")
+    if logged is None or not logged.holds():
+        return messages, NOTHING_TO_SAY
+    first = logged.where("I", 0)
+    time_ns = first.time_ns()
+    order = order_of(time_ns)
+    runs = order.runs()
+    if len(runs) == 1:
+        return messages, NOTHING_TO_SAY
+    chosen = longest(time_ns, runs)
+    begin = first.offsets[runs[chosen - 1].max()] if chosen else -1
+    end = first.offsets[runs[chosen + 1].min()] if chosen + 1 < len(runs) else np.iinfo(np.int64).max
+    # Parameters are logged at the start of a boot, before its first sample.
+    kept = {
+        name: logged if name == "PARM" else logged.take((logged.offsets > begin) & (logged.offsets < end))
+        for name, logged in messages.items()
+    }
+    quality = DataQuality(
+        breaks=tuple(breaks("imu", time_ns, order)), used=(used_run(time_ns, runs, chosen),)
+    )
+    return {name: logged for name, logged in kept.items() if len(logged)}, quality
+
+
+def _imu(messages: dict[str, Messages]) -> ImuStream | None:
     logged = messages.get("IMU")
     if logged is None or not logged.holds(*_GYRO, *_ACCELERATION):
         return None
     first = logged.where("I", 0)
-    stream = ImuStream(first.time_ns(), first.stack(*_GYRO), first.stack(*_ACCELERATION))
-    return usable(source, stream)
+    return ImuStream(first.time_ns(), first.stack(*_GYRO), first.stack(*_ACCELERATION))
 
 
 def _battery(logged: Messages) -> tuple[Stamps, Array] | None:
@@ -83,7 +110,7 @@ def _battery(logged: Messages) -> tuple[Stamps, Array] | None:
     return (time_ns, volts) if len(time_ns) else None
 
 
-def _odometry(source: str, messages: dict[str, Messages], imu: ImuStream) -> OdometryStream | None:
+def _odometry(messages: dict[str, Messages], imu: ImuStream) -> OdometryStream | None:
     wanted = (*_POSITION, *_VELOCITY)
     name = next((name for name in _STATES if name in messages and messages[name].holds(*wanted)), None)
     attitude = _attitude(messages)
@@ -95,8 +122,7 @@ def _odometry(source: str, messages: dict[str, Messages], imu: ImuStream) -> Odo
     time_ns, (position, velocity) = rising(
         logged.time_ns(), logged.stack(*_POSITION), logged.stack(*_VELOCITY)
     )
-    odometry = odometry_of(time_ns, position, velocity, attitude, imu)
-    return None if odometry is None else usable(source, odometry)
+    return odometry_of(time_ns, position, velocity, attitude, imu)
 
 
 def _attitude(messages: dict[str, Messages]) -> tuple[Stamps, Array] | None:
@@ -133,8 +159,7 @@ def _rotor_speeds(
         note(source, f"topic rotor_speeds: left out, speed controllers {', '.join(absent)} are not logged")
         return None
     speeds = [_speeds(controllers[number]) for number in order.controllers]
-    together = rotors_together(speeds, order, vehicle)
-    return None if together is None else usable(source, together)
+    return rotors_together(speeds, order, vehicle)
 
 
 def _speeds(logged: Messages) -> tuple[Stamps, Array]:

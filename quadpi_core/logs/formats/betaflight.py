@@ -23,7 +23,7 @@ from quadpi_core.flight import ImuStream, PoseStream, Recording, RotorSpeedStrea
 from quadpi_core.frames import Array, body_flu_to_frd, quaternion_from_roll_pitch_yaw
 from quadpi_core.logs.blackbox import BlackboxLog, decode_blackbox
 from quadpi_core.logs.log_format import FlightsInFile, LogFormat
-from quadpi_core.logs.reader_steps import note, require_imu, usable
+from quadpi_core.logs.reader_steps import note, require_imu
 from quadpi_core.rotor_order import ERPM, RotorOrder
 from quadpi_core.sample_limits import STANDARD_GRAVITY
 from quadpi_core.vehicle import Vehicle
@@ -93,7 +93,7 @@ def _recording(
         source=source,
         imu=imu,
         rotor_speeds=_rotor_speeds(source, headers, columns, vehicle, order),
-        pose=_pose(source, columns),
+        pose=_pose(columns),
     )
 
 
@@ -161,24 +161,22 @@ def _imu(source: str, headers: Mapping[str, int], columns: Mapping[str, Array]) 
         raise LogError(f"{source}: the header acc_1G is missing: nothing says how many counts are one g")
     gyro = _stacked(columns, _GYRO) * _gyro_scale(headers)
     acceleration = _stacked(columns, _ACCELERATION) / one_g
-    stream = ImuStream(
+    return ImuStream(
         _time_ns(columns),
         body_flu_to_frd(np.radians(gyro)),
         body_flu_to_frd(acceleration * STANDARD_GRAVITY),
     )
-    return usable(source, stream)
 
 
-def _pose(source: str, columns: Mapping[str, Array]) -> PoseStream | None:
+def _pose(columns: Mapping[str, Array]) -> PoseStream | None:
     """The poses of motion capture, each once: a frame repeats the one before until the next has come."""
     if not all(name in columns for name in (*_POSITION, *_ATTITUDE)):
         return None
     logged = 1e-3 * _stacked(columns, (*_POSITION, *_ATTITUDE))
     fresh = np.any(np.diff(logged, axis=0, prepend=0.0) != 0.0, axis=1)
     position, angles = logged[fresh, :3], logged[fresh, 3:]
-    return usable(
-        source, PoseStream(_time_ns(columns)[fresh], position, quaternion_from_roll_pitch_yaw(angles))
-    )
+    pose = PoseStream(_time_ns(columns)[fresh], position, quaternion_from_roll_pitch_yaw(angles))
+    return pose if len(pose) else None
 
 
 def _gyro_scale(headers: Mapping[str, int]) -> float:
@@ -200,7 +198,7 @@ def _rotor_speeds(
     if all(name in columns for name in _OMEGA):
         order = order or RotorOrder.by_layout(vehicle, "betaflight")
         speeds = np.abs(_stacked(columns, [_OMEGA[number] for number in order.controllers]))
-        return usable(source, RotorSpeedStream(_time_ns(columns), speeds))
+        return RotorSpeedStream(_time_ns(columns), speeds)
     if not all(name in columns for name in _ERPM):
         if headers.get("dshot_bidir") == 1:
             note(
@@ -222,7 +220,7 @@ def _rotor_speeds(
             "the file counts",
         )
     erpm = _stacked(columns, [_ERPM[number] for number in order.controllers]) * _ERPM_PER_COUNT
-    return usable(source, RotorSpeedStream(_time_ns(columns), order.speeds(erpm, vehicle)))
+    return RotorSpeedStream(_time_ns(columns), order.speeds(erpm, vehicle))
 
 
 FORMAT = LogFormat(

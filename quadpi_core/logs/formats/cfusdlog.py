@@ -90,8 +90,8 @@ def read_cfusdlog(path: Path, vehicle: Vehicle | None, _mapping: None = None) ->
         source=source,
         imu=_imu(inertial),
         rotor_speeds=None if rotors is None else _rotor_speeds(rotors),
-        pose=None if mocap is None else PoseStream(mocap.time_ns, *_pose(source, mocap, "locSrv")),
-        odometry=None if estimate is None else _odometry(source, estimate),
+        pose=None if mocap is None else PoseStream(mocap.time_ns, *_pose(mocap, "locSrv")),
+        odometry=None if estimate is None else _odometry(estimate),
         battery_v=None if battery is None else (battery.time_ns, battery.variables[_BATTERY_MV] * 1e-3),
     )
 
@@ -114,16 +114,16 @@ def _rotor_speeds(event: Event) -> RotorSpeedStream:
     return RotorSpeedStream(event.time_ns, event.stack(_ROTORS) * (2.0 * np.pi / 60.0))
 
 
-def _odometry(source: str, event: Event) -> OdometryStream:
-    position, attitude = _pose(source, event, "stateEstimate")
+def _odometry(event: Event) -> OdometryStream:
+    position, attitude = _pose(event, "stateEstimate")
     velocity_world = world_enu_to_ned(event.stack(tuple(f"stateEstimate.{name}" for name in _VELOCITY)))
     velocity = rotate_world_to_body(attitude, velocity_world)
     return OdometryStream(event.time_ns, position, attitude, velocity, _rates(event))
 
 
-def _pose(source: str, event: Event, group: str) -> tuple[Array, Array]:
+def _pose(event: Event, group: str) -> tuple[Array, Array]:
     position = event.stack(tuple(f"{group}.{name}" for name in _POSITION))
-    attitude = normalised_attitude(source, group, event.stack(tuple(f"{group}.{name}" for name in _ATTITUDE)))
+    attitude = normalised_attitude(event.stack(tuple(f"{group}.{name}" for name in _ATTITUDE)))
     return world_enu_to_ned(position), quaternion_flu_enu_to_frd_ned(attitude)
 
 

@@ -25,7 +25,7 @@ from quadpi_core.logs.mavlink_samples import (
     is_epoch,
     stream_of,
 )
-from quadpi_core.logs.reader_steps import note, require_imu, usable
+from quadpi_core.logs.reader_steps import note, require_imu
 from quadpi_core.rotor_order import RPM, RotorOrder
 from quadpi_core.vehicle import Vehicle
 
@@ -115,7 +115,7 @@ def read_tlog(path: Path, vehicle: Vehicle | None, order: RotorOrder | None = No
     for refusal, count in samples.refused.items():
         note(source, f"{count} messages not used, {refusal}")
     clocks = _clocks(arrived)
-    imu, rotors, pose, odometry = (_stream(source, topic, arrived, clocks) for topic in SOURCES)
+    imu, rotors, pose, odometry = (_stream(topic, arrived, clocks) for topic in SOURCES)
     return Recording(
         name=path.stem,
         vehicle=vehicle.name if vehicle else "",
@@ -186,9 +186,7 @@ def _clocks(arrived: list[_Arrived]) -> dict[tuple[int, int, bool], Line]:
     return lines
 
 
-def _stream(
-    source: str, topic: str, arrived: list[_Arrived], clocks: dict[tuple[int, int, bool], Line]
-) -> Stream | None:
+def _stream(topic: str, arrived: list[_Arrived], clocks: dict[tuple[int, int, bool], Line]) -> Stream | None:
     """The stream of a topic from the best kind of message that is there in number."""
     mine = [one for one in arrived if one.sample.topic == topic]
     counted = Counter(one.sample.source for one in mine)
@@ -207,7 +205,7 @@ def _stream(
                 if clock_us is None
                 else int(clocks[sender].to_local(np.array([clock_us * 1000]))[0])
             )
-    return usable(source, stream_of(topic, np.array(stamps, dtype=np.int64), np.array(rows)))
+    return stream_of(topic, np.array(stamps, dtype=np.int64), np.array(rows))
 
 
 FORMAT = LogFormat(

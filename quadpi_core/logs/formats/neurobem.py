@@ -42,12 +42,10 @@ def read_neurobem(path: Path, vehicle: Vehicle | None, _mapping: None = None) ->
     """
     source = str(path)
     matrix = _load_matrix(path)
-    time_ns = stamps_ns(source, matrix[:, _TIME])
+    time_ns = stamps_ns(matrix[:, _TIME])
     rates = body_flu_to_frd(matrix[:, _RATES])
     position = world_enu_to_ned(matrix[:, _POSITION])
-    attitude = quaternion_flu_enu_to_frd_ned(
-        normalised_attitude(source, PoseStream.topic, matrix[:, _ATTITUDE])
-    )
+    attitude = quaternion_flu_enu_to_frd_ned(normalised_attitude(matrix[:, _ATTITUDE]))
     velocity = body_flu_to_frd(matrix[:, _VELOCITY_BODY])
     specific_force = body_flu_to_frd(matrix[:, _SPECIFIC_FORCE])
     return Recording(

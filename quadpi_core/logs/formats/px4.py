@@ -21,7 +21,7 @@ from quadpi_core.errors import LogError, one_line, require_library
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.logs.log_format import LogFormat
-from quadpi_core.logs.reader_steps import note, odometry_of, require_imu, rising, usable
+from quadpi_core.logs.reader_steps import note, odometry_of, require_imu, rising
 from quadpi_core.rotor_order import RPM, RotorOrder
 from quadpi_core.sample_limits import NORM_TOLERANCE
 from quadpi_core.vehicle import ROTORS, Vehicle
@@ -70,7 +70,7 @@ def read_px4(path: Path, vehicle: Vehicle | None, order: RotorOrder | None = Non
     for data in log.data_list:
         if data.multi_id == 0:
             topics.setdefault(data.name, data.data)
-    imu = require_imu(source, _imu(source, topics.get("sensor_combined")), "sensor_combined")
+    imu = require_imu(source, _imu(topics.get("sensor_combined")), "sensor_combined")
     return Recording(
         name=path.stem,
         vehicle=vehicle.name if vehicle else "",
@@ -170,11 +170,10 @@ def _holds(columns: Columns | None, *names: str) -> bool:
     return columns is not None and all(name in columns for name in ("timestamp", *names))
 
 
-def _imu(source: str, columns: Columns | None) -> ImuStream | None:
+def _imu(columns: Columns | None) -> ImuStream | None:
     if columns is None or not _holds(columns, *_GYRO, *_ACCELERATION):
         return None
-    stream = ImuStream(_stamps(columns), _stack(columns, *_GYRO), _stack(columns, *_ACCELERATION))
-    return usable(source, stream)
+    return ImuStream(_stamps(columns), _stack(columns, *_GYRO), _stack(columns, *_ACCELERATION))
 
 
 def _battery(columns: Columns | None) -> tuple[Stamps, Array] | None:
@@ -204,8 +203,7 @@ def _odometry(source: str, topics: dict[str, Columns], imu: ImuStream) -> Odomet
     time_ns, (position, velocity) = rising(
         _sampled(local)[valid], _stack(local, *_LOCAL_POSITION)[valid], _stack(local, *_LOCAL_VELOCITY)[valid]
     )
-    odometry = odometry_of(time_ns, position, velocity, attitude, imu)
-    return None if odometry is None else usable(source, odometry)
+    return odometry_of(time_ns, position, velocity, attitude, imu)
 
 
 def _sampled(columns: Columns) -> Stamps:
@@ -237,8 +235,8 @@ def _pose(source: str, topics: dict[str, Columns]) -> PoseStream | None:
             _stack(columns, *names)[is_unit],
             quaternion[is_unit] / norm[is_unit, np.newaxis],
         )
-        if len(stream) and (pose := usable(source, stream)) is not None:
-            return pose
+        if len(stream):
+            return stream
     return None
 
 
@@ -262,7 +260,7 @@ def _rotor_speeds(
     if not np.any(rpm):
         note(source, "topic rotor_speeds: left out, every rpm of esc_status is zero")
         return None
-    return usable(source, RotorSpeedStream(_stamps(columns), order.speeds(rpm, vehicle)))
+    return RotorSpeedStream(_stamps(columns), order.speeds(rpm, vehicle))
 
 
 def _order(

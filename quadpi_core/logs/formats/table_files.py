@@ -3,7 +3,8 @@
 """Reader for tables (CSV, Parquet, MATLAB) as a mapping file describes them: one row per sample time.
 
 Signals of one topic come from the same rows. A row in which one of them has no value is dropped from that
-topic alone: at either end always, in between as far as the mapping's `missing` allows. Every drop is logged.
+topic alone: at either end, and in between as far as the mapping's `missing` allows, it is no sample. Beyond,
+it is one that is not finite, see :mod:`quadpi_core.screening.sample_order`.
 """
 
 from __future__ import annotations
@@ -37,10 +38,11 @@ from quadpi_core.frames import (
 )
 from quadpi_core.logs.log_format import LogFormat
 from quadpi_core.logs.mapping import ERPM, QUATERNION_ORDERS, TIME, UNITS, Mapping, Signal
-from quadpi_core.logs.reader_steps import normalised_attitude, note, odometry_of, unsigned_speeds
+from quadpi_core.logs.reader_steps import normalised_attitude, note, odometry_of, rising, unsigned_speeds
 from quadpi_core.logs.table_columns import PARQUET_MAGIC, open_columns, stamps_of
 from quadpi_core.rotations import rotate_body_to_world, rotate_world_to_body
 from quadpi_core.sample_limits import STANDARD_GRAVITY
+from quadpi_core.screening.sample_order import SHARE_MAX
 from quadpi_core.vehicle import Vehicle
 
 # Signals that are of no use without the others of the same topic.
@@ -150,7 +152,7 @@ class _TableReader:
         if self._is_in_one_table((*of, "angular_velocity")):
             signals = (*state, self._rates())
             return OdometryStream(*self._complete(OdometryStream.topic, (*of, "angular_velocity"), *signals))
-        time_ns, position, attitude, velocity = self._complete(OdometryStream.topic, of, *state)
+        time_ns, (position, attitude, velocity) = rising(*self._complete(OdometryStream.topic, of, *state))
         in_world = rotate_body_to_world(attitude, velocity)
         return odometry_of(time_ns, position, in_world, (time_ns, attitude), self._imu())
 
@@ -203,7 +205,7 @@ class _TableReader:
         signal = self.mapping.signals[name]
         if signal.unit is None:
             order = QUATERNION_ORDERS[str(signal.form)]
-            quaternion = normalised_attitude(str(self.path), name, self._raw(name)[:, order])
+            quaternion = normalised_attitude(self._raw(name)[:, order])
         else:
             quaternion = quaternion_from_roll_pitch_yaw(self._scaled(name))
         if self.mapping.body == "flu":
@@ -244,13 +246,17 @@ class _TableReader:
             raise LogError(f"{where}: no row has a value for all of {', '.join(of)}")
         inside = complete[keep[0] : keep[-1] + 1]
         share = np.mean(~inside)
-        if share > max(self.mapping.signals[name].missing for name in of):
+        allowed = max(self.mapping.signals[name].missing for name in of)
+        if share > max(allowed, SHARE_MAX.value):
             index = int(keep[0] + np.argmin(inside))
             raise LogError(
                 f"{where}: sample {index}: no value, as in {share:.2%} of the rows; "
                 f"the mapping may allow it with `missing`"
             )
-        if len(keep) < len(complete):
+        if share > allowed:
+            # Not by design, as the mapping would say: dropped and counted as of every source.
+            keep = np.arange(keep[0], keep[-1] + 1)
+        elif len(keep) < len(complete):
             _log.warning(
                 "%s: dropped %d of %d rows without a value", where, len(complete) - len(keep), len(complete)
             )
