@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any, TypeVar
@@ -21,6 +21,7 @@ import cloudpickle
 
 from quadpi_core.config import is_config_path
 from quadpi_core.errors import QuadpiError, one_line
+from quadpi_core.reading_options import MappingOrOptions, ReadingOptions, reading_options
 from quadpi_core.version import __version__
 
 Shared = TypeVar("Shared")
@@ -80,11 +81,12 @@ class Workers:
     progress: ReportProgress = ignore_progress
     answer_s: float = 30.0
 
-    def found_by(self, config: str | None) -> str | None:
-        """Name or path of a configuration file as the workers find it: a scheduler's run in other folders."""
-        if self.scheduler is None or config is None or not is_config_path(config):
-            return config
-        return str(Path(config).absolute())
+    def found_by(self, mapping: MappingOrOptions) -> ReadingOptions:
+        """The options with the mapping file as the workers find it: a scheduler's run in other folders."""
+        options = reading_options(mapping)
+        if self.scheduler is None or options.mapping is None or not is_config_path(options.mapping):
+            return options
+        return replace(options, mapping=str(Path(options.mapping).absolute()))
 
     def map(
         self,

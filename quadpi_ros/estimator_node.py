@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import PoseStamped, TwistStamped
+from geometry_msgs.msg import PoseStamped, TransformStamped, TwistStamped
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Imu
 
@@ -103,6 +103,7 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         topic, body_frame = self.parameters.mocap_topic, self.parameters.body_frame
         standard: dict[str, tuple[type, sensor_messages.SampleKind[Any], Callable[[Any], None]]] = {
             "mocap/pose": (PoseStamped, sensor_messages.POSE_SAMPLES, self._take_pose),
+            "mocap/transform": (TransformStamped, sensor_messages.TRANSFORM_SAMPLES, self._take_pose),
             "mocap/odometry": (Odometry, sensor_messages.ODOMETRY_SAMPLES, self._take_odometry),
             "mocap/twist": (TwistStamped, sensor_messages.twist_samples(body_frame), self._take_twist),
         }

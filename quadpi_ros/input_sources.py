@@ -46,7 +46,7 @@ class AdaptedSources:
         vehicle: of the flight.
 
     Raises:
-        LogError: for an invalid file.
+        LogError: for an invalid file, and one that chooses topics of bags.
     """
 
     def __init__(self, node: str, file: str, vehicle: Vehicle) -> None:
@@ -54,6 +54,11 @@ class AdaptedSources:
         self._file = file
         self._vehicle = vehicle
         self._settings = AdapterSettings.load(file) if file else AdapterSettings()
+        if self._settings.topics or self._settings.namespace:
+            raise LogError(
+                f"{file}: `topics` and `namespace` are of bags: a node's topics have launch arguments "
+                "(imu_topic:=) and remappings"
+            )
 
     def named(self, name: str) -> Source:
         """The input that an adapter reads, by the adapter's name.

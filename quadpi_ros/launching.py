@@ -22,13 +22,13 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from quadpi_core.errors import QuadpiError
+from quadpi_core.messages.topics import LIVE_SENSORS as SENSORS
 from quadpi_core.paths import config_directory
 from quadpi_core.view.view_server import ADDRESS, PORT
 from quadpi_ros.mavlink_link import is_replay
 from quadpi_ros.player import CLOCK_HZ, START_TIMEOUT_S
 from quadpi_ros.playlist import live_inputs
 
-SENSORS = ("imu", "rotor_speeds", "erpm", "mocap/pose", "mocap/odometry", "mocap/twist", "wind")
 OUTPUTS = (
     *("odometry", "prediction", "extrapolation_alarm", "alarm_log"),
     *("wrench/predicted", "wrench/measured", "wrench/residual"),

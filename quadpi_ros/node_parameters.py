@@ -12,12 +12,11 @@ from rclpy.node import Node
 
 from quadpi_core.messages.adapters import known_adapters
 from quadpi_core.messages.sensor_messages import BODY_FRAME, WORLD_FRAME
+from quadpi_core.messages.topics import MOCAP_TOPICS
 from quadpi_core.monitor import MonitorSettings
 from quadpi_core.monitor.pairing import TIMEOUT_S
 from quadpi_core.rotor_order import RPM
 
-# Standard topics of motion capture; of several in a bag, the first is used.
-MOCAP_TOPICS = ("mocap/pose", "mocap/odometry", "mocap/twist")
 # No IMU of a quadrotor is faster.
 FASTEST_IMU_HZ = 5000.0
 # Values of the parameter `frames`.

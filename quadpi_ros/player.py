@@ -36,7 +36,7 @@ _FLUSH_S = 0.2
 
 _MAY_MISS = "nodes that answer no parameter service, and so may miss the first messages"
 _TOPICS_HELP = (
-    "standard topics, and messages of other packages by the name of their adapter; "
+    "standard topics, also as in imu=/uav1/imu, and messages of other packages by the name of their adapter; "
     "without it, the standard topics, and adapters where those are missing"
 )
 
@@ -62,7 +62,7 @@ def parse_arguments(arguments: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="player", description="Play the sensor topics of a bag.")
     parser.add_argument("bag", type=Path, help="bag to play")
     parser.add_argument("-r", "--rate", type=_positive, help="speed; default 1, real time")
-    parser.add_argument("--topics", nargs="+", choices=[*SENSOR_TYPES, *known_adapters()], help=_TOPICS_HELP)
+    parser.add_argument("--topics", nargs="+", metavar="NAME", help=_TOPICS_HELP)
     parser.add_argument(
         "--clock",
         nargs="?",

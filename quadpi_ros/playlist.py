@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import rclpy
-from geometry_msgs.msg import PoseStamped, TwistStamped, Vector3Stamped
+from geometry_msgs.msg import PoseStamped, TransformStamped, TwistStamped, Vector3Stamped
 from nav_msgs.msg import Odometry
 from quadpi.msg import Erpm, RotorSpeeds
 from sensor_msgs.msg import Imu
@@ -20,10 +20,12 @@ from sensor_msgs.msg import Imu
 from quadpi_core.errors import QuadpiError
 from quadpi_core.flight import Stamps
 from quadpi_core.logs.bag_files import Bag
+from quadpi_core.logs.bag_inputs import find_inputs, named_inputs
 from quadpi_core.logs.bag_topics import find_topic
-from quadpi_core.messages.adapters import known_adapters
+from quadpi_core.messages.adapters import AdapterSettings, known_adapters
 from quadpi_core.messages.payloads import Topic
 from quadpi_core.messages.sensor_messages import unpack_stamps
+from quadpi_core.messages.topics import MOCAP_TOPICS
 from quadpi_core.paths import whole_output
 from quadpi_ros.input_sources import AdapterError, message_class
 from quadpi_ros.node_parameters import adapters_of
@@ -34,6 +36,7 @@ SENSOR_TYPES: dict[str, type] = {
     "rotor_speeds": RotorSpeeds,
     "erpm": Erpm,
     "mocap/pose": PoseStamped,
+    "mocap/transform": TransformStamped,
     "mocap/odometry": Odometry,
     "mocap/twist": TwistStamped,
     "wind": Vector3Stamped,
@@ -42,8 +45,8 @@ SENSOR_TYPES: dict[str, type] = {
 _STANDS_IN_FOR = {
     "imu": ("imu",),
     "rotor_speeds": ("rotor_speeds", "erpm"),
-    "mocap": ("mocap/pose", "mocap/odometry", "mocap/twist"),
-    "odometry": ("mocap/pose", "mocap/odometry", "mocap/twist"),
+    "mocap": MOCAP_TOPICS,
+    "odometry": MOCAP_TOPICS,
 }
 
 
@@ -90,14 +93,15 @@ class Playlist:
 
         Args:
             path: of the bag.
-            names: standard names, and names of adapters, whose topics are found by type.
+            names: standard names, as in `imu` or `imu=/uav1/imu`, and names of adapters, whose topics are
+                found by type.
 
         Raises:
             LogError: if the bag cannot be read.
             PlayerError: if it holds none of the topics, or several of an adapter's type.
         """
         with Bag(path) as bag:
-            found = {name: topic for name in names if (topic := _topic_of(bag, name))}
+            found = {plain(name): topic for name in names if (topic := _topic_of(bag, name))}
             by_name = bag.read(list(found.values()))
         if not found:
             raise PlayerError(f"{path}: holds none of the topics {', '.join(names)}")
@@ -204,7 +208,7 @@ def checked_names(path: Path, names: Sequence[str]) -> list[str]:
     """
     with Bag(path) as bag:
         for name in names:
-            if name not in SENSOR_TYPES and name not in known_adapters():
+            if plain(name) not in SENSOR_TYPES and name not in known_adapters():
                 known = ", ".join((*SENSOR_TYPES, *known_adapters()))
                 raise PlayerError(f"{path}: topic {name}: not known; known: {known}")
             if _topic_of(bag, name) is None:
@@ -241,7 +245,7 @@ def live_inputs(path: Path, topics: Sequence[str] = ()) -> LiveInputs:
 
     def first_of(standard: Sequence[str], kind: str) -> str:
         candidates = (*standard, *adapters_of(kind))
-        found = next((name for name in candidates if name in names), None)
+        found = next((name for wanted in candidates for name in names if plain(name) == wanted), None)
         if found is None:
             raise PlayerError(
                 f"{path}: topic {standard[0]}: the live nodes need it or one of {', '.join(candidates[1:])}; "
@@ -252,15 +256,26 @@ def live_inputs(path: Path, topics: Sequence[str] = ()) -> LiveInputs:
     imu = first_of(_STANDS_IN_FOR["imu"], "imu")
     rotors = first_of(_STANDS_IN_FOR["rotor_speeds"], "rotor_speeds")
     mocap = first_of(_STANDS_IN_FOR["mocap"], "mocap")
-    optional = [name for name in ("wind",) if name in names]
-    return LiveInputs(rotors, mocap, (imu, rotors, mocap, *optional))
+    optional = [name for name in names if plain(name) == "wind"]
+    return LiveInputs(plain(rotors), plain(mocap), (imu, rotors, mocap, *optional))
+
+
+def plain(name: str) -> str:
+    """The standard name in `imu=/uav1/imu`."""
+    return name.partition("=")[0]
 
 
 def _topic_of(bag: Bag, name: str) -> str | None:
-    """Full name in the bag of a topic given by its standard name or its adapter; None if it is missing."""
+    """Full name in the bag of a topic given by its standard name or its adapter; None if it is missing.
+
+    One that has no standard name is found as commands do that read bags.
+    """
+    standard, _, topic = name.partition("=")
+    if topic:
+        return named_inputs(bag, {standard: topic}).get(standard)
     if name in SENSOR_TYPES:
         connection = find_topic(bag, name)
-        return connection.topic if connection else None
+        return connection.topic if connection else find_inputs(bag, AdapterSettings()).names.get(name)
     type_name = known_adapters()[name].type_name
     topics = sorted({one.topic for one in bag.connections if one.msgcount and one.msgtype == type_name})
     if len(topics) > 1:

@@ -25,6 +25,7 @@ from quadpi_core.cli.identify_command import identify
 from quadpi_core.cli.import_command import import_logs
 from quadpi_core.cli.info_command import info
 from quadpi_core.cli.kind_options import KindCommand
+from quadpi_core.cli.options import several_topics
 from quadpi_core.cli.replay_command import replay
 from quadpi_core.cli.rollout_command import rollout
 from quadpi_core.cli.simulate_command import simulate
@@ -37,7 +38,11 @@ __all__ = ["app", "main"]
 
 
 class Interruptible(TyperGroup):
-    """Reports in one line that a command was interrupted."""
+    """Reports in one line that a command was interrupted, and takes several topics behind `--topics`."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the command line; click knows no option with any number of values."""
+        return super().parse_args(ctx, several_topics(args))
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command; click would end an interrupted one in its own words."""

@@ -33,6 +33,8 @@ def discrepancy(
         str | None, typer.Option(help="Vehicle, where the simulation does not name one.")
     ] = None,
     mapping: options.Mapping = None,
+    topics: options.Topics = None,
+    namespace: options.Namespace = "",
     allow_code: Annotated[
         bool,
         typer.Option("--allow-code", help="Run the function that an addition.json names; trust its author."),
@@ -56,13 +58,14 @@ def discrepancy(
     inputs = [*bags, *(path for path in (Path(simulation),) if path.exists())]
     check_outputs(inputs, json_file, html_file, folders=[output])
     console = open_console()
+    how = options.reading_options(topics, namespace, mapping)
     names = None if effects is None else effects.split(",")
     with batch_of_flights() as left_out:
         the_simulation = load_simulation(
-            simulation, vehicle, bags, mapping=mapping, allow_code=allow_code, left_out=left_out
+            simulation, vehicle, bags, mapping=how, allow_code=allow_code, left_out=left_out
         )
         with shown_work(console, workers, scheduler) as reading:
-            flights = read_flights(bags, the_simulation, mapping=mapping, workers=reading, left_out=left_out)
+            flights = read_flights(bags, the_simulation, mapping=how, workers=reading, left_out=left_out)
         print_quality(console, ((flight.name, flight.quality) for flight in flights))
         with console.status("Searching"):
             found = study(the_simulation, flights, names=names, seed=seed)

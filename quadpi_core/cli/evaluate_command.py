@@ -50,6 +50,8 @@ def evaluate(
     adaptive: options.Adaptive = False,
     vehicle: options.OptionalVehicle = None,
     device: options.PublishedDevice = None,
+    topics: options.Topics = None,
+    namespace: options.Namespace = "",
     workers: options.FileProcessCount = None,
     scheduler: options.Scheduler = None,
     json_file: options.JsonFile = None,
@@ -61,6 +63,7 @@ def evaluate(
     from quadpi_core.report.page import FlightFiles
 
     console = open_console()
+    how = options.reading_options(topics, namespace)
     if paths or group:
         if output is not None:
             raise QuadpiError("-o: only without models and flights, to keep those of the paper's table")
@@ -81,6 +84,7 @@ def evaluate(
                 members,
                 vehicle=vehicle,
                 confidence=confidence,
+                mapping=how,
                 workers=Workers(workers, scheduler),
                 left_out=left_out,
             )

@@ -5,19 +5,23 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from quadpi_core.cli import options
 from quadpi_core.cli.options import Confidence, Mapping, OptionalVehicle, check_outputs, open_console
 from quadpi_core.errors import QuadpiError
+
+if TYPE_CHECKING:
+    from quadpi_core.reading_options import ReadingOptions
 
 _SUFFIXES = {"vehicle": (".yaml", ".yml"), "rerun": (".rrd",), "flight": (".csv", ".parquet")}
 # Options beside the output that each form takes.
 _TAKES = {
     "vehicle": (),
-    "rerun": ("model", "vehicle", "confidence", "rate"),
-    "flight": ("vehicle", "mapping"),
+    "rerun": ("model", "vehicle", "confidence", "rate", "topics", "namespace"),
+    "flight": ("vehicle", "mapping", "topics", "namespace"),
 }
 
 
@@ -45,6 +49,8 @@ def export(
     vehicle: OptionalVehicle = None,
     confidence: Confidence = None,
     mapping: Mapping = None,
+    topics: options.Topics = None,
+    namespace: options.Namespace = "",
     rate: Annotated[
         float | None,
         typer.Option(
@@ -58,16 +64,24 @@ def export(
     """Write a model or a flight in another form: a vehicle file, a recording for Rerun, or a table."""
     if output.suffix not in _SUFFIXES[form]:
         raise QuadpiError(f"{output}: a {form} file ends in {' or '.join(_SUFFIXES[form])}")
-    given = {"model": model, "vehicle": vehicle, "confidence": confidence, "mapping": mapping, "rate": rate}
+    given: dict[str, object] = {
+        "model": model,
+        "vehicle": vehicle,
+        "confidence": confidence,
+        "mapping": mapping,
+        "rate": rate,
+    }
+    given |= {"topics": topics, "namespace": namespace or None}
     for name, value in given.items():
         if value is not None and name not in _TAKES[form]:
             raise QuadpiError(f"--{name}: is not for --format {form}")
+    how = options.reading_options(topics, namespace, mapping)
     if form == "vehicle":
         _export_vehicle(path, output)
     elif form == "rerun":
-        _export_recording(path, output, model or [], vehicle, confidence, rate)
+        _export_recording(path, output, model or [], vehicle, confidence, rate, how)
     else:
-        _export_flight(path, output, vehicle, mapping)
+        _export_flight(path, output, vehicle, how)
 
 
 def _export_vehicle(model: Path, output: Path) -> None:
@@ -85,6 +99,7 @@ def _export_recording(
     vehicle: str | None,
     confidence: float | None,
     rate: float | None,
+    how: ReadingOptions,
 ) -> None:
     from quadpi_core.models.aerodynamic import AerodynamicModel
     from quadpi_core.view.flight_parts import flight_parts
@@ -95,9 +110,11 @@ def _export_recording(
     for name, given in (("vehicle", vehicle), ("confidence", confidence)):
         if given is not None and not models:
             raise QuadpiError(f"--{name}: is that of the models, and there is no --model")
+    if (how.topics or how.namespace) and not models:
+        raise QuadpiError("--topics, --namespace: are of a flight that --model judges")
     the_vehicle = models[0].load_vehicle(vehicle) if models else None
     command = f"quadpi export {bag} --format rerun -o {output}"
-    parts = flight_parts(bag, models, the_vehicle, confidence, command)
+    parts = flight_parts(bag, models, the_vehicle, confidence, command, how)
     known = {model.identity: model.described() for model in models}
     missing = write_rerun_file(parts, output, known, RATE_HZ if rate is None else rate)
     for topic, what in missing:
@@ -105,7 +122,7 @@ def _export_recording(
     open_console().print(f"{output}: open it with: rerun {output}", soft_wrap=True)
 
 
-def _export_flight(path: Path, output: Path, vehicle: str | None, mapping: str | None) -> None:
+def _export_flight(path: Path, output: Path, vehicle: str | None, how: ReadingOptions) -> None:
     from quadpi_core.cli.options import print_quality
     from quadpi_core.identification.prepared_flights import read_flight
     from quadpi_core.logs import identify_format
@@ -120,7 +137,7 @@ def _export_flight(path: Path, output: Path, vehicle: str | None, mapping: str |
     if not name:
         raise QuadpiError(f"{path}: names no vehicle; state the one that flew (--vehicle)")
     flown = Vehicle.load(name)
-    flight = read_flight(path, flown, CUTOFF_HZ["default"], mapping)
+    flight = read_flight(path, flown, CUTOFF_HZ["default"], how)
     write_flight_table(output, flight, measured_wrench(flight, flown))
     console = open_console()
     print_quality(console, [(path, flight.quality)])

@@ -70,6 +70,8 @@ def identify(
     false_alarms_per_hour: Annotated[
         float, typer.Option(help="False alarms per hour that the limits of the alarm are calibrated to.")
     ] = 1.0,
+    topics: options.Topics = None,
+    namespace: options.Namespace = "",
     workers: options.FileProcessCount = None,
     scheduler: options.Scheduler = None,
     json_file: options.JsonFile = None,
@@ -91,6 +93,7 @@ def identify(
 
     check_outputs(bags, json_file, html_file, folders=[output])
     require_replaceable(output)
+    how = options.reading_options(topics, namespace)
     console = open_console()
     cutoff = CUTOFF_HZ[settings] if cutoff_hz is None else cutoff_hz
     the_vehicle = Vehicle.load(vehicle)
@@ -106,7 +109,13 @@ def identify(
     with batch_of_flights() as left_out:
         with shown_work(console, workers, scheduler) as reading:
             flights = prepare_flights(
-                bags, the_vehicle, cutoff, workers=reading, left_out=left_out, keep_flawed=keep_flawed
+                bags,
+                the_vehicle,
+                cutoff,
+                mapping=how,
+                workers=reading,
+                left_out=left_out,
+                keep_flawed=keep_flawed,
             )
         print_quality(console, ((flight.name, flight.quality) for flight in flights))
         with progress_bar(console) as progress:

@@ -29,6 +29,8 @@ def import_logs(
     vehicle: options.VehicleName,
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the bags.")],
     mapping: options.Mapping = None,
+    topics: options.Topics = None,
+    namespace: options.Namespace = "",
     align: Annotated[
         bool, typer.Option("--align", help="Shift motion capture in time so that its turns match the gyro.")
     ] = False,
@@ -41,12 +43,13 @@ def import_logs(
     from quadpi_core.vehicle import Vehicle
 
     check_outputs(logs, json_file, folders=[output])
+    how = options.reading_options(topics, namespace, mapping)
     console = open_console()
     the_vehicle = Vehicle.load(vehicle)
     with batch_of_flights() as left_out:
         with shown_work(console, workers, scheduler) as reading:
             flights = importing.import_logs(
-                logs, the_vehicle, output, mapping, align=align, workers=reading, left_out=left_out
+                logs, the_vehicle, output, how, align=align, workers=reading, left_out=left_out
             )
         for flight in flights:
             console.print(

@@ -9,27 +9,23 @@ from typing import Annotated
 
 import typer
 
-from quadpi_core.cli.options import (
-    JsonFile,
-    Mapping,
-    OptionalVehicle,
-    check_outputs,
-    open_console,
-    write_result,
-)
+from quadpi_core.cli import options
+from quadpi_core.cli.options import check_outputs, open_console, write_result
 
 
 def info(
     path: Annotated[Path, typer.Argument(help="A log, a bag or a model folder.")],
-    vehicle: OptionalVehicle = None,
-    mapping: Mapping = None,
-    json_file: JsonFile = None,
+    vehicle: options.OptionalVehicle = None,
+    mapping: options.Mapping = None,
+    topics: options.Topics = None,
+    namespace: options.Namespace = "",
+    json_file: options.JsonFile = None,
 ) -> None:
     """Show what a log, bag or model holds: topics, rates, gaps, envelope, suspicious sensors."""
     from quadpi_core.report.info_tables import describe
 
     check_outputs([path], json_file)
-    tables, data = describe(path, vehicle, mapping)
+    tables, data = describe(path, vehicle, options.reading_options(topics, namespace, mapping))
     console = open_console()
     for table in tables:
         console.print(table)

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -21,7 +22,9 @@ if TYPE_CHECKING:
     from quadpi_core.findings import DataQuality
     from quadpi_core.flight_files import FlightLeftOut
     from quadpi_core.parallel import Workers
+    from quadpi_core.reading_options import ReadingOptions
 
+_NAMED_TOPIC = re.compile(r"[a-z][a-z_/]*=\S")
 # Exit status of a command that did its work for some of the flights given.
 SOME_LEFT_OUT = 3
 
@@ -38,6 +41,17 @@ Mapping = Annotated[
         help="Meaning of columns of a table or messages of other packages, or an autopilot's rotor order: a "
         "name in config/mappings (tables, autopilots) or config/adapters (bags), or a file."
     ),
+]
+Topics = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="NAME=TOPIC ...",
+        help="Topics of a bag to read, such as imu=/uav1/imu mocap/pose=/vrpn/uav1/pose, by the names of the "
+        "launch arguments; of tf, mocap/transform=/tf:CHILD_FRAME. Default: by name, else by type.",
+    ),
+]
+Namespace = Annotated[
+    str, typer.Option(metavar="/NAME", help="Look only for topics of a bag with this in their names.")
 ]
 JsonFile = Annotated[Path | None, typer.Option("--json", help="Also write the result as JSON.")]
 HtmlFile = Annotated[Path | None, typer.Option("--html", help="Also write a self-contained page.")]
@@ -57,6 +71,44 @@ PublishedDevice = Annotated[
 Scheduler = Annotated[
     str | None, typer.Option(help="Address of a Dask scheduler whose workers to use instead.")
 ]
+
+
+def reading_options(topics: list[str] | None, namespace: str, mapping: str | None = None) -> ReadingOptions:
+    """How logs are to be read.
+
+    Raises:
+        QuadpiError: for a topic that is not named as NAME=TOPIC, or by no standard name, or twice.
+    """
+    from quadpi_core.config import nearest
+    from quadpi_core.messages.topics import SENSOR_KINDS
+    from quadpi_core.reading_options import ReadingOptions
+
+    chosen: dict[str, str] = {}
+    for text in topics or ():
+        name, _, topic = text.partition("=")
+        if not (name and topic.strip("/")):
+            raise QuadpiError(f"--topics {text}: expected NAME=TOPIC, such as imu=/uav1/imu")
+        if name not in SENSOR_KINDS:
+            known = ", ".join(SENSOR_KINDS)
+            raise QuadpiError(
+                f"--topics {text}: unknown name {name}; known: {known}{nearest(name, SENSOR_KINDS)}"
+            )
+        if name in chosen:
+            raise QuadpiError(f"--topics {text}: {name} is named twice, before as {chosen[name]}")
+        chosen[name] = topic
+    return ReadingOptions(mapping, chosen, namespace)
+
+
+def several_topics(arguments: Sequence[str]) -> list[str]:
+    """A command line in which `--topics A=B C=D` is written as `--topics A=B --topics C=D`."""
+    written: list[str] = []
+    follows = False
+    for argument in arguments:
+        if follows and _NAMED_TOPIC.match(argument) and written[-1] != "--topics":
+            written.append("--topics")
+        follows = argument == "--topics" or (follows and bool(_NAMED_TOPIC.match(argument)))
+        written.append(argument)
+    return written
 
 
 def check_outputs(inputs: Sequence[Path], *files: Path | None, folders: Sequence[Path | None] = ()) -> None:

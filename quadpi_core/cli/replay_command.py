@@ -28,6 +28,8 @@ def replay(
     confidence: options.Confidence = None,
     adaptive: options.Adaptive = False,
     vehicle: options.OptionalVehicle = None,
+    topics: options.Topics = None,
+    namespace: options.Namespace = "",
     workers: options.FileProcessCount = None,
     scheduler: options.Scheduler = None,
     json_file: options.JsonFile = None,
@@ -43,6 +45,7 @@ def replay(
 
     several = len(bags) > 1
     check_outputs([model, *bags], *(set(bags_in(output, bags)) if several else [output]), json_file)
+    how = options.reading_options(topics, namespace)
     the_model = AerodynamicModel.load(model)
     the_vehicle = the_model.load_vehicle(vehicle)
     settings = MonitorSettings(adaptive=adaptive)
@@ -57,6 +60,7 @@ def replay(
                     output,
                     confidence=confidence,
                     settings=settings,
+                    mapping=how,
                     workers=replaying,
                     left_out=left_out,
                 )
@@ -67,7 +71,13 @@ def replay(
         else:
             replayed = {
                 bags[0].stem: replay_bag(
-                    the_model, the_vehicle, bags[0], output, confidence=confidence, settings=settings
+                    the_model,
+                    the_vehicle,
+                    bags[0],
+                    output,
+                    confidence=confidence,
+                    settings=settings,
+                    mapping=how,
                 )
             }
             summary = asdict(replayed[bags[0].stem])

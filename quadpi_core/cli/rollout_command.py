@@ -24,6 +24,8 @@ def rollout(
     horizon: Annotated[float, typer.Option(help="Seconds to predict ahead.")] = 0.5,
     confidence: options.Confidence = None,
     vehicle: options.OptionalVehicle = None,
+    topics: options.Topics = None,
+    namespace: options.Namespace = "",
     json_file: options.JsonFile = None,
     html_file: options.HtmlFile = None,
 ) -> None:
@@ -36,6 +38,7 @@ def rollout(
     from quadpi_core.report.table import terminal_table
 
     check_outputs([model, *bags], json_file, html_file)
+    how = options.reading_options(topics, namespace)
     the_model = AerodynamicModel.load(model)
     the_vehicle = the_model.load_vehicle(vehicle)
     console = open_console()
@@ -47,6 +50,7 @@ def rollout(
                 the_vehicle,
                 horizon_s=horizon,
                 confidence=confidence,
+                mapping=how,
                 progress=progress,
                 left_out=left_out,
             )

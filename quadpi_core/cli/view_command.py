@@ -11,6 +11,7 @@ from typing import Annotated
 
 import typer
 
+from quadpi_core.cli import options
 from quadpi_core.cli.options import Confidence, OptionalVehicle, open_console
 from quadpi_core.errors import QuadpiError
 
@@ -28,6 +29,8 @@ def view(
     ] = None,
     vehicle: OptionalVehicle = None,
     confidence: Confidence = None,
+    topics: options.Topics = None,
+    namespace: options.Namespace = "",
     at: Annotated[
         float | None,
         typer.Option(
@@ -58,6 +61,9 @@ def view(
         raise QuadpiError("--at: is a moment of a bag, and none is given")
     if at is not None and not math.isfinite(at):
         raise QuadpiError(f"--at {at}: is no moment")
+    how = options.reading_options(topics, namespace)
+    if (how.topics or how.namespace) and not (bag and models):
+        raise QuadpiError("--topics, --namespace: are of a bag that --model judges")
     moment = "" if at is None else f"#t={at:g}"
 
     def say(url: str) -> None:
@@ -67,7 +73,7 @@ def view(
     with suppress(KeyboardInterrupt):
         if bag is not None:
             the_vehicle = models[0].load_vehicle(vehicle) if models else None
-            serve_page(open_bag(bag, models, the_vehicle, confidence), port, bind, say)
+            serve_page(open_bag(bag, models, the_vehicle, confidence, how), port, bind, say)
             return
         if confidence is not None:
             raise QuadpiError("--confidence: is for a bag that --model judges; live nodes have theirs")

@@ -21,6 +21,7 @@ from quadpi_core.errors import DiscrepancyError, QuadpiError, one_line
 from quadpi_core.flight_files import LeftOutFlights
 from quadpi_core.paths import config_directory
 from quadpi_core.plugins import imported
+from quadpi_core.reading_options import MappingOrOptions
 from quadpi_core.simulation.effect_registry import read_effects
 from quadpi_core.simulation.flying import own_effects
 from quadpi_core.thresholds import CONVENTION, Threshold
@@ -61,7 +62,7 @@ def load_simulation(
     vehicle: str | Path | None = None,
     bags: Sequence[Path] = (),
     *,
-    mapping: str | None = None,
+    mapping: MappingOrOptions = None,
     allow_code: bool = False,
     within: tuple[Path, ...] = (),
     left_out: LeftOutFlights = None,
@@ -158,7 +159,7 @@ def _addition(
     path: Path,
     vehicle: str | Path | None,
     bags: Sequence[Path],
-    mapping: str | None,
+    mapping: MappingOrOptions,
     allow_code: bool,
     within: tuple[Path, ...],
     left_out: LeftOutFlights,

@@ -22,6 +22,7 @@ from quadpi_core.frames import Array
 from quadpi_core.logs import read_recording
 from quadpi_core.models.model_kind import CUTOFF_HZ
 from quadpi_core.parallel import Workers
+from quadpi_core.reading_options import MappingOrOptions
 from quadpi_core.signals.filters import zero_phase
 from quadpi_core.signals.resample import (
     first_gap,
@@ -70,7 +71,7 @@ class RecordedSimulation(Simulation):
         cls,
         vehicle: str,
         bags: Sequence[Path],
-        mapping: str | None = None,
+        mapping: MappingOrOptions = None,
         left_out: LeftOutFlights = None,
     ) -> RecordedSimulation:
         """Read the topic from bags, and low-pass it as flights are.
@@ -184,7 +185,7 @@ class RecordedSimulation(Simulation):
 
 
 def _wrench_of_flight(
-    task: tuple[Vehicle, str | None], file: FlightFile
+    task: tuple[Vehicle, MappingOrOptions], file: FlightFile
 ) -> tuple[str, Recorded, RotorSpeedStream]:
     """Source, wrench and rotor speeds of a flight."""
     recording = read_recording(file.path, *task)

@@ -43,6 +43,7 @@ from quadpi_core.frames import Array
 from quadpi_core.identification.prepared_flights import read_flight
 from quadpi_core.models.model_kind import CUTOFF_HZ
 from quadpi_core.parallel import DEFAULT_WORKERS, Workers
+from quadpi_core.reading_options import MappingOrOptions
 from quadpi_core.rotations import rotation_matrix
 from quadpi_core.screening.rotors_in_flight import STUCK_RAD_S
 from quadpi_core.thresholds import CONVENTION, Threshold
@@ -80,7 +81,7 @@ def read_flights(
     paths: Sequence[Path],
     simulation: Simulation,
     *,
-    mapping: str | None = None,
+    mapping: MappingOrOptions = None,
     workers: Workers = DEFAULT_WORKERS,
     left_out: LeftOutFlights = None,
 ) -> list[Flight]:
@@ -109,7 +110,7 @@ def read_flights(
     return flights
 
 
-def _read(task: tuple[Vehicle, float, str | None], file: FlightFile) -> Flight:
+def _read(task: tuple[Vehicle, float, MappingOrOptions], file: FlightFile) -> Flight:
     return replace(read_flight(file.path, *task), name=file.name)
 
 

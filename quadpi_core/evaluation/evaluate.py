@@ -26,6 +26,7 @@ from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.model_folder import MODEL_FILE
 from quadpi_core.monitor.adaptive import AdaptiveFactor
 from quadpi_core.parallel import DEFAULT_WORKERS, Workers
+from quadpi_core.reading_options import MappingOrOptions
 from quadpi_core.version import __version__
 
 
@@ -179,6 +180,7 @@ def given_comparison(
     *,
     vehicle: str | None = None,
     confidence: float | None = None,
+    mapping: MappingOrOptions = None,
     workers: Workers = DEFAULT_WORKERS,
     left_out: LeftOutFlights = None,
 ) -> ComparisonCase:
@@ -189,6 +191,7 @@ def given_comparison(
         groups: files of the flights in each group; a flight may be in several.
         vehicle: name or path of the vehicle file; default: the one that the first model names.
         confidence: of the intervals; default: the models' own.
+        mapping: of the files, see :func:`quadpi_core.logs.read_recording`.
         workers: that read the files.
         left_out: the list to which flights that cannot be used are added, and with the last of its flights a
             group ends; without it, the first is an error.
@@ -205,7 +208,9 @@ def given_comparison(
     level = common_confidence(models, confidence)
     files = list(dict.fromkeys(path for members in groups.values() for path in members))
     flights = {
-        cutoff: prepare_flights(files, the_vehicle, cutoff, workers=workers, left_out=left_out)
+        cutoff: prepare_flights(
+            files, the_vehicle, cutoff, mapping=mapping, workers=workers, left_out=left_out
+        )
         for cutoff in dict.fromkeys(model.cutoff_hz for model in models.values())
     }
     common = set.intersection(*({flight.name for flight in own} for own in flights.values()))

@@ -42,6 +42,7 @@ from quadpi_core.models.tube_shape import (
     tube_scores,
 )
 from quadpi_core.parallel import ReportProgress, Workers, ignore_progress
+from quadpi_core.reading_options import MappingOrOptions
 from quadpi_core.vehicle import Vehicle
 from quadpi_core.version import __version__
 
@@ -156,6 +157,7 @@ def evaluate_rollouts(
     *,
     horizon_s: float = 0.5,
     confidence: float | None = None,
+    mapping: MappingOrOptions = None,
     progress: ReportProgress = ignore_progress,
     left_out: LeftOutFlights = None,
 ) -> tuple[list[RolledFlight], RolloutEvaluation]:
@@ -163,10 +165,11 @@ def evaluate_rollouts(
 
     Args:
         model: of the vehicle that flew.
-        paths: bags, or logs that need no mapping.
+        paths: bags or logs.
         vehicle: that flew.
         horizon_s: to predict to.
         confidence: of the tubes; default: the model's.
+        mapping: of the files, see :func:`quadpi_core.logs.read_recording`.
         progress: called after each flight.
         left_out: the list to which flights that cannot be predicted are added; without it, the first is an
             error.
@@ -182,7 +185,7 @@ def evaluate_rollouts(
     level = model.confidence if confidence is None else confidence
 
     def ahead(_: None, file: FlightFile) -> tuple[str, RolledFlight, FlightRolloutMetrics]:
-        flight = replace(read_flight(file.path, vehicle, model.cutoff_hz), name=file.name)
+        flight = replace(read_flight(file.path, vehicle, model.cutoff_hz, mapping), name=file.name)
         rolled, judged = judge_flight(rollouts, flight, vehicle, horizon_s=horizon_s, confidence=level)
         in_sample = model.learned_from(flight.sha256)
         return flight.sha256, rolled, replace(judged, in_sample=in_sample)

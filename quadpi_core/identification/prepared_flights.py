@@ -36,6 +36,7 @@ from quadpi_core.monitor.pairing_kernel import SET_BACK
 from quadpi_core.monitor.preparation import Preparation
 from quadpi_core.monitor.replay import Followed, follow, recorded_flight
 from quadpi_core.parallel import DEFAULT_WORKERS, Workers
+from quadpi_core.reading_options import MappingOrOptions, ReadingOptions
 from quadpi_core.records import Records
 from quadpi_core.screening.consistency import checked
 from quadpi_core.signals.resample import interpolate, nominal_rate
@@ -104,6 +105,7 @@ def prepare_flights(
     vehicle: Vehicle,
     cutoff_hz: float = CUTOFF_HZ["default"],
     *,
+    mapping: MappingOrOptions = None,
     workers: Workers = DEFAULT_WORKERS,
     left_out: LeftOutFlights = None,
     keep_flawed: bool = True,
@@ -111,9 +113,10 @@ def prepare_flights(
     """Read, fuse and filter bags; only the part in the air is kept.
 
     Args:
-        paths: bags, or logs that need no mapping.
+        paths: bags or logs.
         vehicle: that flew.
         cutoff_hz: of the low-pass over all signals.
+        mapping: see :func:`quadpi_core.logs.read_recording`.
         workers: that read the files; the flights do not depend on them.
         left_out: the list to which flights that cannot be used are added; without it, the first is an error.
         keep_flawed: keep flights with a finding for which no model should learn from them.
@@ -126,7 +129,7 @@ def prepare_flights(
     read = for_each_flight(
         _prepare,
         paths,
-        shared=(vehicle, cutoff_hz),
+        shared=(vehicle, cutoff_hz, workers.found_by(mapping)),
         task="Reading flights",
         workers=workers,
         left_out=left_out,
@@ -142,9 +145,9 @@ def prepare_flights(
     return flights
 
 
-def _prepare(task: tuple[Vehicle, float], file: FlightFile) -> PreparedFlight:
-    vehicle, cutoff_hz = task
-    recording = replace(_read(file.path, vehicle), name=file.name)
+def _prepare(task: tuple[Vehicle, float, ReadingOptions], file: FlightFile) -> PreparedFlight:
+    vehicle, cutoff_hz, mapping = task
+    recording = replace(_read(file.path, vehicle, mapping), name=file.name)
     require_streams(recording)
     causal = CausalPass.over(recording, vehicle)
     flight = fuse_airborne(recording, vehicle, cutoff_hz, causal.segments)
@@ -153,11 +156,11 @@ def _prepare(task: tuple[Vehicle, float], file: FlightFile) -> PreparedFlight:
     return PreparedFlight.of(flight, vehicle, recording_hash(recording), live)
 
 
-def _read(path: Path, vehicle: Vehicle, mapping: str | None = None) -> Recording:
+def _read(path: Path, vehicle: Vehicle, mapping: MappingOrOptions = None) -> Recording:
     return checked(read_recording(path, vehicle, mapping), vehicle)
 
 
-def read_flight(path: Path, vehicle: Vehicle, cutoff_hz: float, mapping: str | None = None) -> Flight:
+def read_flight(path: Path, vehicle: Vehicle, cutoff_hz: float, mapping: MappingOrOptions = None) -> Flight:
     """A flight read, fused and filtered, the part in the air.
 
     Args:

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,10 +17,15 @@ from quadpi_core.logs.bag_files import Bag
 from quadpi_core.messages.adapters.adapter_definition import Adapter
 from quadpi_core.messages.adapters.adapter_registry import known_adapters
 from quadpi_core.messages.adapters.adapter_settings import AdapterSettings
+from quadpi_core.messages.definitions import definition_text, typestore
 from quadpi_core.messages.payloads import Topic
+from quadpi_core.messages.topics import SENSOR_KINDS, TOPIC_TYPES
 from quadpi_core.vehicle import Vehicle
 
 _log = logging.getLogger(__name__)
+
+# Kinds of streams that messages of other packages give.
+ADAPTED_KINDS = ("imu", "rotor_speeds", "mocap", "odometry")
 
 
 class AdaptedTopic(NamedTuple):
@@ -35,43 +40,58 @@ class AdaptedTopic(NamedTuple):
         return self.connection.topic
 
 
-def find_adapted(
-    bag: Bag, settings: AdapterSettings | None, present: Collection[str]
-) -> dict[str, AdaptedTopic]:
+def find_adapted(bag: Bag, settings: AdapterSettings, within: Collection[str]) -> dict[str, AdaptedTopic]:
     """Topics that the settings configure, by kind of stream; a topic is recognised by its type.
-
-    Logs a warning for topics that could be read if they were configured.
 
     Args:
         bag: open.
-        settings: None where the user gave none.
-        present: kinds for which the bag has a standard topic.
+        settings: of the kinds.
+        within: topics that may be taken without being named.
 
     Raises:
         LogError: naming bag and topic, for a kind that no topic or several topics give.
     """
     found = {}
-    for kind in ("imu", "rotor_speeds", "mocap", "odometry"):
-        candidates = _candidates(bag, kind)
-        own = getattr(settings, kind) if settings else None
+    for kind in ADAPTED_KINDS:
+        own = getattr(settings, kind)
         if own is not None:
-            chosen = [topic for topic in candidates if own.topic in {None, topic.name}]
+            chosen = [
+                topic
+                for topic in _candidates(bag, kind)
+                if topic.name == own.topic
+                or (own.topic is None and topic.name in within and not topic.adapter.common)
+            ]
             found[kind] = _only(bag, kind, chosen, own.topic)
-        elif kind not in present:
-            for topic in candidates:
-                _log.warning(
-                    "%s: topic %s: %s is not read: --mapping must say how, with the key `%s`",
-                    *(bag.path, topic.name, topic.adapter.type_name, kind),
-                )
     return found
 
 
+def unread(bag: Bag, present: Collection[str]) -> Iterator[str]:
+    """A note for each topic that could be read if it were configured.
+
+    Args:
+        bag: open.
+        present: kinds of streams that are read already.
+    """
+    for kind in ADAPTED_KINDS:
+        for topic in _candidates(bag, kind) if kind not in present else ():
+            if not topic.adapter.common:
+                yield (
+                    f"topic {topic.name}: {topic.adapter.type_name} is not read: --mapping must say how, "
+                    f"with the key `{kind}`"
+                )
+
+
+def adapter_of(kind: str, type_name: str) -> Adapter | None:
+    """The adapter that makes a kind of stream of messages of a type."""
+    known = known_adapters().values()
+    return next((one for one in known if (one.kind, one.type_name) == (kind, type_name)), None)
+
+
 def _candidates(bag: Bag, kind: str) -> list[AdaptedTopic]:
-    adapters = {adapter.type_name: adapter for adapter in known_adapters().values() if adapter.kind == kind}
     topics = {
-        connection.topic: AdaptedTopic(adapters[connection.msgtype], connection)
+        connection.topic: AdaptedTopic(adapter, connection)
         for connection in bag.connections
-        if connection.msgcount and connection.msgtype in adapters
+        if connection.msgcount and (adapter := adapter_of(kind, connection.msgtype))
     }
     return [topics[name] for name in sorted(topics)]
 
@@ -81,7 +101,10 @@ def _only(bag: Bag, kind: str, chosen: list[AdaptedTopic], asked: str | None) ->
         names = ", ".join(topic.name for topic in chosen)
         raise LogError(f"{bag.path}: `{kind}` could be any of {names}: the mapping must name its `topic`")
     if not chosen:
-        types = ", ".join(adapter.type_name for adapter in known_adapters().values() if adapter.kind == kind)
+        known = [adapter.type_name for adapter in known_adapters().values() if adapter.kind == kind]
+        if asked:
+            known += [TOPIC_TYPES[word] for word, own in SENSOR_KINDS.items() if own == kind]
+        types = ", ".join(known)
         raise LogError(f"{bag.path}: {f'topic {asked}' if asked else f'`{kind}`'}: no messages of {types}")
     return chosen[0]
 
@@ -100,13 +123,17 @@ class AdaptedReading:
         self._where = f"{bag}: topic {topic.name}"
         self._samples = 0
         definition, type_name = topic.connection.msgdef, topic.adapter.type_name
-        if definition.format != MessageDefinitionFormat.MSG or not definition.data:
+        text = definition.data if definition.format == MessageDefinitionFormat.MSG else ""
+        if type_name in typestore().fielddefs:
+            # ROS defines it, and not every bag does.
+            text = definition_text(type_name)
+        if not text:
             raise LogError(
                 f"{self._where}: the bag does not hold the definition of {type_name} as a .msg; "
                 "`ros2 bag convert` to MCAP adds it, where the package is installed"
             )
         try:
-            self._unpacker = topic.adapter.open(definition.data, settings, vehicle)
+            self._unpacker = topic.adapter.open(text, settings, vehicle)
         except (LogError, VehicleError) as error:
             raise LogError(f"{self._where}: {error}") from error
 

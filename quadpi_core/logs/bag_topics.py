@@ -108,7 +108,7 @@ def find_topic(bag: Bag, topic: str) -> Connection | None:
     candidates = {
         connection.topic: connection
         for connection in bag.connections
-        if connection.msgcount and _is_named(connection.topic, topic)
+        if connection.msgcount and is_named(connection.topic, topic)
     }
     if len(candidates) > 1:
         raise LogError(f"{bag.path}: topic {topic}: ambiguous between {', '.join(sorted(candidates))}")
@@ -123,12 +123,18 @@ def find_topic(bag: Bag, topic: str) -> Connection | None:
     return None
 
 
-def _is_named(name: str, topic: str) -> bool:
+def is_named(name: str, topic: str) -> bool:
+    """Whether a topic of a bag has a standard name, in any namespace but that of a simulation's truth."""
     whole = f"/{name}"
     namespace = whole.removesuffix(f"/{topic}")
     parts = namespace.split("/")
     # What motion capture sends is no state that an estimator fused.
-    return namespace != whole and "truth" not in parts and not (topic == "odometry" and parts[-1] == "mocap")
+    return namespace != whole and not is_truth(name) and not (topic == "odometry" and parts[-1] == "mocap")
+
+
+def is_truth(name: str) -> bool:
+    """Whether a simulation computed what is on a topic: a level of its namespace is `truth`."""
+    return "truth" in name.split("/")[:-1]
 
 
 def unpacked_topic(

@@ -28,8 +28,9 @@ from quadpi_core.flight import (
     WrenchStream,
 )
 from quadpi_core.flight_files import flight_in
-from quadpi_core.logs.adapted_bags import AdaptedReading, AdaptedTopic, find_adapted
+from quadpi_core.logs.adapted_bags import AdaptedReading, AdaptedTopic
 from quadpi_core.logs.bag_files import Bag
+from quadpi_core.logs.bag_inputs import find_inputs, topics_of
 from quadpi_core.logs.bag_topics import find_topic, unpacked_topic
 from quadpi_core.logs.bag_writer import BagWriter, mcap_writer
 from quadpi_core.messages import sensor_messages
@@ -45,23 +46,13 @@ from quadpi_core.version import __version__
 
 _log = logging.getLogger(__name__)
 
-# Motion capture in its forms: of several in one bag the first counts, as a node listens to one of them.
-_MOCAP = ("mocap/pose", "mocap/odometry", "mocap/twist")
-_RECORDED = ("imu", "erpm", "rotor_speeds", *_MOCAP, "odometry", "wind", "simulation/wrench")
-# Kinds of streams that messages of other packages give, by the standard topics they stand in for.
-_KINDS = {
-    "imu": "imu",
-    "rotor_speeds": "rotor_speeds",
-    "erpm": "rotor_speeds",
-    **dict.fromkeys(_MOCAP, "mocap"),
-    "odometry": "odometry",
-}
 # What the messages of each topic become: fields of a recording.
 _FIELDS = {
     "imu": ("imu",),
     "erpm": ("rotor_speeds",),
     "rotor_speeds": ("rotor_speeds",),
     "mocap/pose": ("pose",),
+    "mocap/transform": ("pose",),
     "mocap/odometry": ("pose", "twist"),
     "mocap/twist": ("twist",),
     "odometry": ("odometry",),
@@ -83,7 +74,7 @@ def read_bag(
     Args:
         path: a .mcap, .db3 or ROS 1 .bag file, or a rosbag2 folder.
         vehicle: gives the pole pairs; needed where only `erpm` holds the rotor speeds.
-        adapters: how messages of other packages are read; they then stand in for the standard topics.
+        adapters: which topics are read, and how; see :func:`quadpi_core.logs.bag_inputs.find_inputs`.
 
     Raises:
         LogError: naming bag, topic and sample, for a bag that cannot be read, names another vehicle or has no
@@ -125,27 +116,16 @@ class BagRecording:
 
     def __init__(self, bag: Bag, vehicle: Vehicle | None, adapters: AdapterSettings | None) -> None:
         self._bag = bag
-        self._adapters = adapters
         self._known_vehicle = vehicle
         self._frames = _frames_of(bag)
-        names = {}
-        for topic in _RECORDED:
-            connection = find_topic(bag, topic)
-            if connection is not None:
-                names[topic] = connection.topic
-        self._adapted = find_adapted(bag, adapters, {_KINDS[topic] for topic in names if topic in _KINDS})
-        for topic in [topic for topic, kind in _KINDS.items() if kind in self._adapted]:
-            names.pop(topic, None)
-        if "imu" not in names and "imu" not in self._adapted:
-            found = ", ".join(sorted({connection.topic for connection in bag.connections})) or "none"
-            raise LogError(f"{bag.path}: topic imu: missing; topics of the bag: {found}")
-        for other in [topic for topic in _MOCAP if topic in names][1:]:
-            names.pop(other)
-        if "rotor_speeds" in names:
-            names.pop("erpm", None)
-        self._names = names
+        found = find_inputs(bag, adapters or AdapterSettings())
+        for note in found.notes:
+            _log.warning("%s: %s", bag.path, note)
+        self._names, self._adapted, self._adapters = found.names, found.adapted, found.settings
+        if "imu" not in self._names and "imu" not in self._adapted:
+            raise LogError(f"{bag.path}: topic imu: missing; topics of the bag: {topics_of(bag)}")
         self.name, self.source, self.vehicle = bag.name, str(bag.path), _vehicle_name(bag, vehicle)
-        self.streams = {field for topic in names for field in _FIELDS[topic]} | {
+        self.streams = {field for topic in self._names for field in _FIELDS[topic]} | {
             _FIELDS_OF_KINDS[kind] for kind in self._adapted
         }
 
@@ -184,7 +164,7 @@ class _Unpacking:
         path: Path,
         names: Mapping[str, str],
         adapted: Mapping[str, AdaptedTopic],
-        adapters: AdapterSettings | None,
+        adapters: AdapterSettings,
         vehicle: Vehicle | None,
         frames: BodyFrames,
     ) -> None:
@@ -195,6 +175,7 @@ class _Unpacking:
             "rotor_speeds": sensor_messages.unpack_rotor_speeds,
             "erpm": lambda payloads: _unpack_erpm(payloads, vehicle),
             "mocap/pose": Framed(sensor_messages.POSE_SAMPLES.unpack_logged, frames.world),
+            "mocap/transform": Framed(sensor_messages.TRANSFORM_SAMPLES.unpack_logged, frames.world, texts=2),
             "mocap/twist": Framed(sensor_messages.unpack_twist, frames.world),
             "mocap/odometry": Framed(sensor_messages.unpack_logged_mocap_odometry, frames.world, texts=2),
             "odometry": Framed(sensor_messages.ODOMETRY_SAMPLES.unpack_logged, frames.world, texts=2),
@@ -202,9 +183,7 @@ class _Unpacking:
             "simulation/wrench": sensor_messages.unpack_simulated,
         }
         self._adapted = {
-            kind: AdaptedReading(path, topic, adapters, vehicle)
-            for kind, topic in adapted.items()
-            if adapters is not None
+            kind: AdaptedReading(path, topic, adapters, vehicle) for kind, topic in adapted.items()
         }
         self.topics = [*names.values(), *(reading.name for reading in self._adapted.values())]
         self._read = dict.fromkeys(self.topics, 0)

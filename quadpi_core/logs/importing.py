@@ -21,6 +21,7 @@ from quadpi_core.logs.duplicates import RunningHash, recording_hash
 from quadpi_core.logs.readers import blocks_of, flights_of, identify_format, open_in_blocks, read_recording
 from quadpi_core.parallel import DEFAULT_WORKERS, Workers
 from quadpi_core.paths import staged, whole_outputs
+from quadpi_core.reading_options import MappingOrOptions, ReadingOptions
 from quadpi_core.recording_blocks import streams_by_field
 from quadpi_core.screening.consistency import checked
 from quadpi_core.screening.plausibility import missing_topics
@@ -66,7 +67,7 @@ def import_logs(
     logs: Sequence[Path],
     vehicle: Vehicle,
     folder: Path,
-    mapping: str | None = None,
+    mapping: MappingOrOptions = None,
     *,
     align: bool = False,
     workers: Workers = DEFAULT_WORKERS,
@@ -114,7 +115,7 @@ class _Conversion:
     """What the conversion of each log needs."""
 
     vehicle: Vehicle
-    mapping: str | None
+    mapping: ReadingOptions
     align: bool
     staging: Path
 

@@ -45,7 +45,7 @@ class Container(Generic[_Settings]):
     Attributes:
         open: the recording in a log; arguments as those of :attr:`LogFormat.read`.
         vehicle_name: the vehicle that a log says it is of; empty where it does not say.
-        topic_stamps: stamps (N,) by topic, of a log without topic `imu` such as results; None for others.
+        topic_stamps: stamps (N,) by topic, of a log without an IMU such as results; None for others.
     """
 
     open: Callable[[Path, Vehicle | None, _Settings | None], AbstractContextManager[OpenLog]]
@@ -83,6 +83,8 @@ class LogFormat(Generic[_Settings]):
             repeat the header lines of the log that it was made of.
         is_folder: whether a folder is a log of the format.
         load_mapping: reads the file of `--mapping`, by path or name; None for a format that takes none.
+        choose_topics: adds the values of `--topics` and `--namespace` to what `load_mapping` gave; None for a
+            format that has no topics.
         container: for a format that is read in blocks.
         flights: for a format whose files may hold several flights; `read` gives one, and says which.
     """
@@ -94,5 +96,6 @@ class LogFormat(Generic[_Settings]):
     sure_suffixes: tuple[str, ...] = ()
     is_folder: Callable[[Path], bool] = lambda _folder: False
     load_mapping: Callable[[str | Path], _Settings] | None = None
+    choose_topics: Callable[[_Settings | None, Mapping[str, str], str], _Settings] | None = None
     container: Container[_Settings] | None = None
     flights: FlightsInFile[_Settings] | None = None

@@ -16,6 +16,7 @@ from quadpi_core.flight_files import flight_in
 from quadpi_core.logs import formats
 from quadpi_core.logs.log_format import HEAD_BYTES, LogFormat, OpenLog
 from quadpi_core.plugins import Plugins
+from quadpi_core.reading_options import MappingOrOptions, reading_options
 from quadpi_core.screening.sample_order import usable_recording
 from quadpi_core.screening.wild_samples import screened
 from quadpi_core.vehicle import Vehicle
@@ -86,7 +87,7 @@ def _identified(path: Path) -> LogFormat[Any] | None:
     return matching[0] if matching else None
 
 
-def read_recording(path: Path | str, vehicle: Vehicle | None, mapping: Path | str | None = None) -> Recording:
+def read_recording(path: Path | str, vehicle: Vehicle | None, mapping: MappingOrOptions = None) -> Recording:
     """Read any supported log or bag in SI, FRD and NED, without the samples that no flight can have.
 
     Those are the samples that :mod:`quadpi_core.screening.sample_order` drops, and those beyond limits. What
@@ -97,7 +98,7 @@ def read_recording(path: Path | str, vehicle: Vehicle | None, mapping: Path | st
         vehicle: gives the pole pairs and the largest rotor speed; a log of electrical speeds needs it.
         mapping: a file, or its name, with what the log does not say of itself: the columns of a CSV or
             Parquet table (config/mappings), how messages of other packages are read (config/adapters), or
-            the rotor order of an autopilot.
+            the rotor order of an autopilot. Or :class:`.ReadingOptions`, which also choose topics of a bag.
 
     Raises:
         LogError: naming the file, and topic and sample where there is one.
@@ -108,7 +109,7 @@ def read_recording(path: Path | str, vehicle: Vehicle | None, mapping: Path | st
 
 
 def decode_recording(
-    path: Path | str, vehicle: Vehicle | None, mapping: Path | str | None = None
+    path: Path | str, vehicle: Vehicle | None, mapping: MappingOrOptions = None
 ) -> Recording:
     """Like :func:`read_recording`, but unchecked, and whole: what `quadpi info` diagnoses."""
     path = Path(path)
@@ -123,7 +124,7 @@ def decode_recording(
 
 @contextmanager
 def open_in_blocks(
-    path: Path | str, vehicle: Vehicle | None, mapping: Path | str | None = None
+    path: Path | str, vehicle: Vehicle | None, mapping: MappingOrOptions = None
 ) -> Iterator[OpenLog]:
     """Open a log whose format has a container, to read it with :func:`blocks_of`.
 
@@ -140,12 +141,17 @@ def open_in_blocks(
         yield log
 
 
-def _settings(path: Path, log_format: LogFormat[Any], mapping: Path | str | None) -> Any:
-    if mapping is None:
-        return None
-    if log_format.load_mapping is None:
-        raise LogError(f"{path}: a {log_format.description} takes no mapping file")
-    return log_format.load_mapping(mapping)
+def _settings(path: Path, log_format: LogFormat[Any], mapping: MappingOrOptions) -> Any:
+    options, settings = reading_options(mapping), None
+    if options.mapping is not None:
+        if log_format.load_mapping is None:
+            raise LogError(f"{path}: a {log_format.description} takes no mapping file")
+        settings = log_format.load_mapping(options.mapping)
+    if options.topics or options.namespace:
+        if log_format.choose_topics is None:
+            raise LogError(f"{path}: a {log_format.description} takes no --topics and no --namespace")
+        settings = log_format.choose_topics(settings, options.topics, options.namespace)
+    return settings
 
 
 @contextmanager

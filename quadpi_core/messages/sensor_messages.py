@@ -53,6 +53,7 @@ from quadpi_core.vehicle import ROTORS, Vehicle
 
 IMU = "sensor_msgs/msg/Imu"
 POSE = "geometry_msgs/msg/PoseStamped"
+TRANSFORM = "geometry_msgs/msg/TransformStamped"
 ODOMETRY = "nav_msgs/msg/Odometry"
 TWIST = "geometry_msgs/msg/TwistStamped"
 WIND = "geometry_msgs/msg/Vector3Stamped"
@@ -168,9 +169,15 @@ IMU_SAMPLES = SampleKind(
     lambda time_ns, _: ImuStream(time_ns, _rows(time_ns), _rows(time_ns)),
     lambda values, imu: imu_values(values, imu.angular_velocity, imu.specific_force),
 )
-POSE_SAMPLES = SampleKind(
-    POSE, lambda time_ns, _: PoseStream(time_ns, _rows(time_ns), _rows(time_ns, 4)), _fill_pose
-)
+
+
+def _pose_room(time_ns: Stamps, _: tuple[str, ...]) -> PoseStream:
+    return PoseStream(time_ns, _rows(time_ns), _rows(time_ns, 4))
+
+
+POSE_SAMPLES = SampleKind(POSE, _pose_room, _fill_pose)
+# The same numbers, of a transform from the world, its frame, to the body, its child frame.
+TRANSFORM_SAMPLES = SampleKind(TRANSFORM, _pose_room, _fill_pose, texts=2)
 ODOMETRY_SAMPLES = SampleKind(
     ODOMETRY,
     lambda time_ns, _: OdometryStream(

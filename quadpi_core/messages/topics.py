@@ -18,6 +18,7 @@ TOPIC_TYPES = {
     "erpm": sensor_messages.ERPM,
     "rotor_speeds": sensor_messages.ROTOR_SPEEDS,
     "mocap/pose": sensor_messages.POSE,
+    "mocap/transform": sensor_messages.TRANSFORM,
     "mocap/odometry": sensor_messages.ODOMETRY,
     "mocap/twist": sensor_messages.TWIST,
     "odometry": sensor_messages.ODOMETRY,
@@ -33,6 +34,26 @@ TOPIC_TYPES = {
     "truth/wind": sensor_messages.WIND,
     "truth/reference": sensor_messages.POSE,
 }
+
+
+# The streams that sensor topics give. The words `imu`, `mocap/pose`, … stand for them everywhere: on the
+# command line (`--topics imu=/uav1/imu`), in mapping files, and as launch arguments (`imu_topic:=`). Of
+# several topics of one kind the first counts, as a node listens to one of them.
+SENSOR_KINDS = {
+    "imu": "imu",
+    "rotor_speeds": "rotor_speeds",
+    "erpm": "rotor_speeds",
+    "mocap/pose": "mocap",
+    "mocap/transform": "mocap",
+    "mocap/odometry": "mocap",
+    "mocap/twist": "mocap",
+    "odometry": "odometry",
+    "wind": "wind",
+    "simulation/wrench": "simulation",
+}
+# Those that live nodes listen to as they come, each with a launch argument.
+LIVE_SENSORS = tuple(name for name, kind in SENSOR_KINDS.items() if kind not in {"odometry", "simulation"})
+MOCAP_TOPICS = tuple(name for name, kind in SENSOR_KINDS.items() if kind == "mocap")
 
 
 class Qos(NamedTuple):

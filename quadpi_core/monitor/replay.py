@@ -39,6 +39,7 @@ from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.pairing import PairedSamples, Pairing
 from quadpi_core.parallel import DEFAULT_WORKERS, Workers
 from quadpi_core.paths import staged, whole_outputs
+from quadpi_core.reading_options import MappingOrOptions, ReadingOptions
 from quadpi_core.recording_blocks import by_arrival, split_recording
 from quadpi_core.results import LEVEL_ALARM, LEVEL_WARNING, Alarms, Events, Predictions
 from quadpi_core.screening.sample_order import without_unusable_attitudes
@@ -81,6 +82,7 @@ def replay(
     *,
     confidence: float | None = None,
     settings: MonitorSettings | None = None,
+    mapping: MappingOrOptions = None,
 ) -> ReplaySummary:
     """Write the topics odometry, prediction and extrapolation_alarm for a flight; the same bytes each time.
 
@@ -95,10 +97,11 @@ def replay(
     Args:
         model: of this vehicle.
         vehicle: as in its vehicle file.
-        bag: a bag, or any log that needs no mapping.
+        bag: a bag, or any log.
         output: MCAP file to write; it appears whole or not at all.
         confidence: nominal coverage; the model's own unless given.
         settings: of the alarm, and whether intervals adapt.
+        mapping: see :func:`quadpi_core.logs.read_recording`.
 
     Raises:
         LogError: naming bag, topic and sample of what cannot be used.
@@ -107,7 +110,7 @@ def replay(
     """
     if Path(output).resolve() == Path(bag).resolve():
         raise LogError(f"{bag}: the output would replace the flight; choose another file")
-    with open_flight(bag, vehicle) as flight:
+    with open_flight(bag, vehicle, mapping) as flight:
         monitor = Monitor(model, vehicle, None, confidence, settings)
         return _write(flight, monitor, vehicle, Path(output))
 
@@ -177,16 +180,18 @@ class RecordedFlight:
 
 
 @contextmanager
-def open_flight(path: Path | str, vehicle: Vehicle) -> Iterator[RecordedFlight]:
-    """The flight in any log that needs no mapping; one in a bag is never held whole.
+def open_flight(
+    path: Path | str, vehicle: Vehicle, mapping: MappingOrOptions = None
+) -> Iterator[RecordedFlight]:
+    """The flight in any log; one in a bag is never held whole.
 
     Raises:
         LogError: naming what cannot be read or is missing.
     """
     if identify_format(Path(path)).container is None:
-        yield recorded_flight(decode_recording(path, vehicle))
+        yield recorded_flight(decode_recording(path, vehicle, mapping))
         return
-    with open_in_blocks(path, vehicle) as log:
+    with open_in_blocks(path, vehicle, mapping) as log:
         yield _flight(log.name, log.source, log.streams, by_arrival(log.blocks()))
 
 
@@ -284,6 +289,7 @@ def replay_all(
     *,
     confidence: float | None = None,
     settings: MonitorSettings | None = None,
+    mapping: MappingOrOptions = None,
     workers: Workers = DEFAULT_WORKERS,
     left_out: LeftOutFlights = None,
 ) -> dict[str, ReplaySummary]:
@@ -296,6 +302,7 @@ def replay_all(
         folder: bags of the same names in it are replaced.
         confidence: see there.
         settings: see there.
+        mapping: see there.
         workers: that replay the flights; the bags are those that :func:`replay` writes.
         left_out: the list to which flights that cannot be replayed are added; without it, the first is an
             error, and no bag is written.
@@ -310,7 +317,7 @@ def replay_all(
     """
     bags_in(folder, bags)
     with whole_outputs(folder) as staging:
-        task = _Replay(model, vehicle, confidence, settings, staging.absolute())
+        task = _Replay(model, vehicle, confidence, settings, workers.found_by(mapping), staging.absolute())
         summaries = for_each_flight(
             _replay, bags, shared=task, task="Replaying flights", workers=workers, left_out=left_out
         )
@@ -325,13 +332,20 @@ class _Replay:
     vehicle: Vehicle
     confidence: float | None
     settings: MonitorSettings | None
+    mapping: ReadingOptions
     staging: Path
 
 
 def _replay(task: _Replay, file: FlightFile) -> ReplaySummary:
     output = staged(task.staging, f"{file.name}.mcap")
     return replay(
-        task.model, task.vehicle, file.path, output, confidence=task.confidence, settings=task.settings
+        task.model,
+        task.vehicle,
+        file.path,
+        output,
+        confidence=task.confidence,
+        settings=task.settings,
+        mapping=task.mapping,
     )
 
 

@@ -27,6 +27,7 @@ from quadpi_core.logs.inspect import (
 )
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.model_folder import MODEL_FILE
+from quadpi_core.reading_options import MappingOrOptions, ReadingOptions, reading_options
 from quadpi_core.report.model_tables import fact_tables, term_tables
 from quadpi_core.report.style import number, percent
 from quadpi_core.report.table import Cell, Column, Mark, Row, Table, terminal_table
@@ -34,7 +35,7 @@ from quadpi_core.vehicle import Vehicle
 
 
 def describe(
-    path: Path, vehicle: str | None, mapping: str | None
+    path: Path, vehicle: str | None, mapping: MappingOrOptions = None
 ) -> tuple[Sequence[RenderableType], dict[str, Any]]:
     """Tables for a log, a bag or a model folder, and the same content as JSON.
 
@@ -50,7 +51,11 @@ def describe(
         model = AerodynamicModel.load(path)
         return model_summary(model), _model_json(model)
     container = identify_format(path).container
-    if container and mapping is None and (stamps := container.topic_stamps(path)) is not None:
+    if (
+        container
+        and reading_options(mapping) == ReadingOptions()
+        and (stamps := container.topic_stamps(path)) is not None
+    ):
         inspection = inspect_topics(path, stamps)
         tables = [_topic_table(inspection), _finding_table(inspection)]
         return list(map(terminal_table, tables)), _inspection_json(inspection)
@@ -63,7 +68,7 @@ def describe(
     return list(map(terminal_table, inspection_tables(inspection))), _inspection_json(inspection)
 
 
-def _inspect_in_blocks(path: Path, vehicle: Vehicle | None, mapping: str | None) -> Inspection:
+def _inspect_in_blocks(path: Path, vehicle: Vehicle | None, mapping: MappingOrOptions) -> Inspection:
     """Inspect a log block by block, without holding it in memory, by the names of its topics."""
     with open_in_blocks(path, vehicle, mapping) as log:
         inspection = inspect_blocks(partial(blocks_of, log), vehicle)

@@ -16,6 +16,7 @@ from quadpi_core.errors import QuadpiError
 from quadpi_core.logs.cut_off import is_cut_off, whole_part
 from quadpi_core.messages.model_description import DescribedModel
 from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.reading_options import MappingOrOptions
 from quadpi_core.vehicle import Vehicle
 from quadpi_core.view.flight_parts import Part, flight_parts, holds_only_results
 from quadpi_core.view.vehicle_view import BLOCK_NS, VehicleView
@@ -120,6 +121,7 @@ def open_bag(
     models: Sequence[AerodynamicModel],
     vehicle: Vehicle | None,
     confidence: float | None = None,
+    mapping: MappingOrOptions = None,
 ) -> BagSource:
     """The source of a flight.
 
@@ -129,13 +131,14 @@ def open_bag(
             results alone their training ranges are shown.
         vehicle: of the models.
         confidence: of the intervals; each model's own unless given.
+        mapping: of a flight that models judge, see :func:`quadpi_core.logs.read_recording`.
 
     Raises:
         QuadpiError: for a bag that cannot be read or holds no results, and models of another vehicle.
     """
     known = {model.identity: model.described() for model in models}
     command = f"quadpi view {shlex.quote(str(bag))}"
-    parts = _started(flight_parts(bag, models, vehicle, confidence, command))
+    parts = _started(flight_parts(bag, models, vehicle, confidence, command, mapping))
     with whole_part(bag) as readable:
         judges = models and not holds_only_results(readable)
     about = f"judged by {', '.join(model.name for model in models)}" if judges else "results as recorded"

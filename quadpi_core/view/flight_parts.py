@@ -15,11 +15,11 @@ from quadpi_core.errors import LogError, QuadpiError
 from quadpi_core.flight import OdometryStream, Recording, RotorSpeedStream, Stamps, WindStream
 from quadpi_core.frames import Array
 from quadpi_core.logs.bag_files import Bag
-from quadpi_core.logs.bag_topics import find_topic, unpacked_topic
+from quadpi_core.logs.bag_inputs import holds_imu
+from quadpi_core.logs.bag_topics import find_topic, has_topic, unpacked_topic
 from quadpi_core.logs.cut_off import is_cut_off, whole_part
 from quadpi_core.logs.readers import identify_format
 from quadpi_core.messages import result_messages, sensor_messages
-from quadpi_core.messages.adapters import known_adapters
 from quadpi_core.messages.definitions import codec
 from quadpi_core.messages.model_description import DescribedModel, MonitorDescription, unpack_description
 from quadpi_core.messages.payloads import Payloads, Topic
@@ -29,6 +29,7 @@ from quadpi_core.monitor.alarm_log import reasons_by_row
 from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.pairing import PairedSamples
 from quadpi_core.monitor.replay import RecordedFlight, follow, open_flight
+from quadpi_core.reading_options import MappingOrOptions
 from quadpi_core.results import AlarmEvent, Predictions, ReportedAlarms
 from quadpi_core.vehicle import Vehicle
 from quadpi_core.view.live_inputs import LiveInputs
@@ -84,6 +85,7 @@ def flight_parts(
     vehicle: Vehicle | None,
     confidence: float | None,
     command: str,
+    mapping: MappingOrOptions = None,
 ) -> Iterator[Part]:
     """Parts of a flight, judged by models or with the results that the bag holds.
 
@@ -93,13 +95,14 @@ def flight_parts(
         vehicle: see there.
         confidence: see there.
         command: to advise `--model` for, where the bag holds no results.
+        mapping: of a flight that models judge, see :func:`quadpi_core.logs.read_recording`.
 
     Raises:
         QuadpiError: see there.
     """
     if len({model.name for model in models}) < len(models):
         raise QuadpiError("--model: two models have the same name, which is how they are told apart")
-    return _parts(bag, models, vehicle, confidence, command)
+    return _parts(bag, models, vehicle, confidence, command, mapping)
 
 
 def _parts(
@@ -108,11 +111,12 @@ def _parts(
     vehicle: Vehicle | None,
     confidence: float | None,
     command: str,
+    mapping: MappingOrOptions,
 ) -> Iterator[Part]:
     with whole_part(bag) as readable:
         if models and not holds_only_results(readable):
             assert vehicle is not None
-            parts = judged(readable, models, vehicle, confidence)
+            parts = judged(readable, models, vehicle, confidence, mapping)
         elif models and confidence is not None:
             raise QuadpiError(f"--confidence: {bag} holds results, whose intervals have theirs")
         else:
@@ -127,19 +131,20 @@ def holds_only_results(bag: Path) -> bool:
     """Whether a bag holds predictions and no IMU that a model could judge, as those of `quadpi replay`."""
     if identify_format(bag).container is None:
         return False
-    with Bag(bag) as opened:
-        adapted = {one.type_name for one in known_adapters().values() if one.kind == "imu"}
-        sensed = find_topic(opened, "imu") or adapted & {one.msgtype for one in opened.connections}
-        return find_topic(opened, "prediction") is not None and not sensed
+    return has_topic(bag, "prediction") and not holds_imu(bag)
 
 
 def judged(
-    bag: Path, models: Sequence[AerodynamicModel], vehicle: Vehicle, confidence: float | None
+    bag: Path,
+    models: Sequence[AerodynamicModel],
+    vehicle: Vehicle,
+    confidence: float | None,
+    mapping: MappingOrOptions = None,
 ) -> Iterator[Part]:
     """Parts of a flight, judged as `quadpi replay` does."""
     monitors = [Monitor(model, vehicle, None, confidence) for model in models]
     held: list[OdometryStream] = []
-    with open_flight(bag, vehicle) as flight:
+    with open_flight(bag, vehicle, mapping) as flight:
         for stretch in follow(_noting_states(flight, held), vehicle):
             if stretch.begin == pairing_kernel.SET_BACK:
                 for monitor in monitors:

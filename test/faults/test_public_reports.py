@@ -92,3 +92,16 @@ def test_of_two_boots_in_one_log_the_longest_is_read(imported):
     first, used = said.quality.sentences()
     assert first == "topic imu: the clock falls from 28.0 to 25.0 s at IMU sample 2000"
     assert "the longest of 2 runs, 12.0 of 20.0 s" in used
+
+
+def test_standard_types_on_other_names_are_found(report, quadpi, tmp_path, caplog):
+    bag = report("bag_standard_types_other_names") / "flight.mcap"
+    named = ("--topics", "imu=/mavros/imu/data", "mocap/pose=/vrpn_client_node/quad/pose")
+    mapping = tmp_path / "names.yaml"
+    mapping.write_text("imu: {topic: /mavros/imu/data}\nmocap: {topic: /vrpn_client_node/quad/pose}\n")
+    for options in ((), named, ("--mapping", mapping)):
+        result = quadpi("import", bag, "--vehicle", "bebop2", "-o", tmp_path / "out", *options)
+        assert result.status == 0, result.errors
+        assert "3000 IMU samples; topics imu, rotor_speeds, mocap/pose" in result.output
+        assert ("read by its type" in caplog.text) == (options == ())
+        caplog.clear()

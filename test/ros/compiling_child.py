@@ -27,10 +27,10 @@ from quadpi_core.flight import (
     WindStream,
 )
 from quadpi_core.messages import sensor_messages
+from quadpi_core.messages.topics import MOCAP_TOPICS
 from quadpi_ros.estimator_node import EstimatorNode
 from quadpi_ros.live_process import create_nodes
 from quadpi_ros.monitor_node import MonitorNode
-from quadpi_ros.node_parameters import MOCAP_TOPICS
 from quadpi_ros.runtime import ManagedNode, start
 from quadpi_ros.sensor_node import SensorNode
 

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -32,6 +33,14 @@ def _load_adapters(name_or_path: str | Path) -> AdapterSettings:
     return AdapterSettings.load(name_or_path)
 
 
+def _choose_topics(
+    adapters: AdapterSettings | None, topics: Mapping[str, str], namespace: str
+) -> AdapterSettings:
+    from quadpi_core.messages.adapters import AdapterSettings
+
+    return (adapters or AdapterSettings()).with_topics(topics, namespace)
+
+
 def _read(path: Path, vehicle: Vehicle | None, adapters: AdapterSettings | None) -> Recording:
     from quadpi_core.logs.bags import read_bag
 
@@ -53,9 +62,10 @@ def _vehicle_name(path: Path) -> str:
 
 
 def _topic_stamps(path: Path) -> dict[str, Stamps] | None:
-    from quadpi_core.logs.bag_topics import bag_topics, has_topic
+    from quadpi_core.logs.bag_inputs import holds_imu
+    from quadpi_core.logs.bag_topics import bag_topics
 
-    return None if has_topic(path, "imu") else {topic.name: topic.stamps_ns for topic in bag_topics(path)}
+    return None if holds_imu(path) else {topic.name: topic.stamps_ns for topic in bag_topics(path)}
 
 
 FORMAT = LogFormat(
@@ -65,5 +75,6 @@ FORMAT = LogFormat(
     suffixes=_SUFFIXES,
     is_folder=_is_bag_folder,
     load_mapping=_load_adapters,
+    choose_topics=_choose_topics,
     container=Container(_open, _vehicle_name, _topic_stamps),
 )

@@ -38,6 +38,7 @@ class Adapter:
         columns: that the messages must have, those of items of arrays included: how many numbers each has per
             row, 0 for text.
         start: (settings of its kind, vehicle) begins to read the messages of one topic.
+        common: whether messages of this type hold many other things too, so that the topic must be named.
     """
 
     name: str
@@ -46,6 +47,7 @@ class Adapter:
     kind: str
     columns: dict[str, int]
     start: Callable[[Any, Vehicle | None], Reading]
+    common: bool = False
 
     def open(self, definition: str, settings: AdapterSettings, vehicle: Vehicle | None) -> Unpacker:
         """Unpacker of the messages of this type on one topic.
@@ -61,7 +63,11 @@ class Adapter:
         """
         own = getattr(settings, self.kind)
         if own is None:
-            raise LogError(f"{self.type_name} needs settings for `{self.kind}`")
+            raise LogError(f"{self.type_name} needs settings for `{self.kind}`: --mapping must say how")
+        try:
+            own.require()
+        except ValueError as error:
+            raise LogError(f"{self.type_name} needs settings for `{self.kind}`: {error}") from error
         codec = foreign_codec(self.type_name, definition, tuple(self.columns.items()))
         return Unpacker(codec, self.start(own, vehicle))
 

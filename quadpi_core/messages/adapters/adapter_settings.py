@@ -7,14 +7,16 @@ docs/adapters.md explains the keys; config/adapters holds examples.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 from pydantic import BeforeValidator, PlainValidator
 
-from quadpi_core.config_schema import OneOf, Section, Text, load_config
+from quadpi_core.config_schema import OneOf, Section, Text, load_config, unknown_key
 from quadpi_core.errors import LogError
+from quadpi_core.messages.topics import SENSOR_KINDS
 from quadpi_core.rotor_order import ERPM, LAYOUTS, RPM, RotorOrder, controller_numbers
 from quadpi_core.vehicle import Vehicle
 
@@ -37,12 +39,25 @@ class RotorSettings(Section):
         rotors: for each rotor of the vehicle file, the number from 1 of the ESC (mavros) or motor (PX4); or
             the name of a layout (`rotor_order.LAYOUTS`), which the vehicle's rotors fit by their corners.
         unit: "rpm" of the rotor, or "erpm" of the electrical field: the vehicle's pole pairs are needed.
-        topic: which, where a bag holds several that could be meant.
+        topic: which, where a bag holds several that could be meant. It may be one of the standard type, which
+            needs no other keys.
     """
 
-    rotors: Annotated[tuple[int, ...] | str, PlainValidator(_read_rotors)]
-    unit: Annotated[str, OneOf(RPM, ERPM)]
+    rotors: Annotated[tuple[int, ...] | str | None, PlainValidator(_read_rotors)] = None
+    unit: Annotated[str, OneOf(RPM, ERPM)] | None = None
     topic: Text | None = None
+
+    def __post_init__(self) -> None:
+        if self.topic is None:
+            self.require()
+
+    def require(self) -> None:
+        """Refuse settings that are not enough for messages of another package.
+
+        Raises:
+            ValueError: naming the missing key.
+        """
+        _require_keys(rotors=self.rotors, unit=self.unit)
 
     def order(self, vehicle: Vehicle | None) -> RotorOrder:
         """The order that the settings give.
@@ -50,6 +65,8 @@ class RotorSettings(Section):
         Raises:
             LogError: if they give none, or not without a vehicle.
         """
+        assert self.rotors is not None
+        assert self.unit is not None
         if not isinstance(self.rotors, str):
             return RotorOrder(tuple(number - 1 for number in self.rotors), self.unit)
         if vehicle is None:
@@ -57,6 +74,12 @@ class RotorSettings(Section):
                 f"the layout {self.rotors} needs the vehicle, whose file says where its rotors are"
             )
         return RotorOrder.by_layout(vehicle, self.rotors, self.unit)
+
+
+def _require_keys(**given: object) -> None:
+    for key, value in given.items():
+        if value is None:
+            raise ValueError(f"missing key `{key}`")
 
 
 def _read_body(data: Any) -> str:
@@ -75,9 +98,17 @@ class BodySettings(Section):
         topic: see :class:`RotorSettings`.
     """
 
-    body: Annotated[str, PlainValidator(_read_body)]
-    frames: Annotated[str, OneOf(FLU_ENU, FRD_NED, FUR_EUS)]
+    body: Annotated[str | None, PlainValidator(_read_body)] = None
+    frames: Annotated[str, OneOf(FLU_ENU, FRD_NED, FUR_EUS)] | None = None
     topic: Text | None = None
+
+    def __post_init__(self) -> None:
+        if self.topic is None:
+            self.require()
+
+    def require(self) -> None:
+        """See :meth:`RotorSettings.require`."""
+        _require_keys(body=self.body, frames=self.frames)
 
 
 @dataclass(frozen=True)
@@ -85,6 +116,20 @@ class StateSettings(Section):
     """For messages that name their frames and units themselves."""
 
     topic: Text | None = None
+
+    def require(self) -> None:
+        """See :meth:`RotorSettings.require`."""
+
+
+def _read_topics(data: Any) -> dict[str, str]:
+    if not isinstance(data, Mapping):
+        raise ValueError(f"must name topics, as in {{imu: /uav1/imu}}, found {data!r}")
+    for name, topic in data.items():
+        if name not in SENSOR_KINDS:
+            raise ValueError(unknown_key(name, SENSOR_KINDS))
+        if not isinstance(topic, str) or not topic.strip("/"):
+            raise ValueError(f"{name}: must be the name of a topic, found {topic!r}")
+    return dict(data)
 
 
 def _present(data: Any) -> Any:
@@ -96,7 +141,14 @@ def _present(data: Any) -> Any:
 
 @dataclass(frozen=True)
 class AdapterSettings(Section):
-    """Settings of every kind of stream; None: messages of other packages are not used for it."""
+    """Which topics of a bag are read, and how.
+
+    Attributes:
+        rotor_speeds, mocap, odometry, imu: settings for messages of other packages; None: not used for it.
+        topics: the topics to read, by standard names; the child frame to follow stands behind a topic of
+            tf2_msgs/TFMessage, as in `/tf:quad`.
+        namespace: only topics with these levels in their names are looked for.
+    """
 
     blank_is_absent: ClassVar[bool] = False
 
@@ -104,6 +156,8 @@ class AdapterSettings(Section):
     mocap: Annotated[BodySettings | None, BeforeValidator(_present)] = None
     odometry: Annotated[StateSettings | None, BeforeValidator(_present)] = None
     imu: Annotated[StateSettings | None, BeforeValidator(_present)] = None
+    topics: Annotated[Mapping[str, str], PlainValidator(_read_topics)] = field(default_factory=dict)
+    namespace: str = ""
 
     @classmethod
     def load(cls, name_or_path: str | Path) -> AdapterSettings:
@@ -113,3 +167,9 @@ class AdapterSettings(Section):
             LogError: naming the file and the key that is missing, unknown or has a value that is not known.
         """
         return load_config("adapter", name_or_path, cls, LogError)[1]
+
+    def with_topics(self, topics: Mapping[str, str], namespace: str) -> AdapterSettings:
+        """The settings with topics in place of those of the same kind, and another namespace if given."""
+        kinds = {SENSOR_KINDS[name] for name in topics}
+        kept = {name: topic for name, topic in self.topics.items() if SENSOR_KINDS[name] not in kinds}
+        return replace(self, topics={**kept, **topics}, namespace=namespace or self.namespace)

@@ -4,15 +4,26 @@
 
 from __future__ import annotations
 
+import inspect
 from io import StringIO
 from pathlib import Path
 
 import pytest
 from rich.console import Console
+from typer.models import CommandInfo
 
-from quadpi_core.cli.options import check_outputs, open_console, print_quality, write_result
+from quadpi_core.cli import app
+from quadpi_core.cli.options import (
+    check_outputs,
+    open_console,
+    print_quality,
+    reading_options,
+    several_topics,
+    write_result,
+)
 from quadpi_core.errors import OutputError, QuadpiError
 from quadpi_core.findings import DataQuality, Finding
+from quadpi_core.reading_options import ReadingOptions
 
 
 @pytest.fixture
@@ -85,3 +96,44 @@ def test_a_result_is_written_where_it_is_asked_for(tmp_path: Path):
     write_result(tmp_path / "data.json", {"picp": 0.95})
     assert (tmp_path / "data.json").read_text() == '{\n "picp": 0.95\n}\n'
     assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_any_number_of_topics_follows_one_option():
+    given = ["import", "a.mcap", "--topics", "imu=/a/imu", "mocap/pose=/b", "c.mcap", "-o", "x=y", "erpm=/d"]
+    assert several_topics(given) == [
+        *("import", "a.mcap", "--topics", "imu=/a/imu", "--topics", "mocap/pose=/b", "c.mcap"),
+        *("-o", "x=y", "erpm=/d"),
+    ]
+    assert several_topics(["--topics", "imu=/a", "--topics", "erpm=/b"]) == [
+        *("--topics", "imu=/a", "--topics", "erpm=/b"),
+    ]
+    options = reading_options(["imu=/a/imu", "mocap/pose=/b"], "/a", "file.yaml")
+    assert options == ReadingOptions("file.yaml", {"imu": "/a/imu", "mocap/pose": "/b"}, "/a")
+
+
+@pytest.mark.parametrize(
+    ("topics", "refusal"),
+    [
+        (["imu"], "--topics imu: expected NAME=TOPIC"),
+        (["imu=/"], "--topics imu=/: expected NAME=TOPIC"),
+        (["imus=/a"], "--topics imus=/a: unknown name imus; known: imu, rotor_speeds.*imu"),
+        (["imu=/a", "imu=/b"], "--topics imu=/b: imu is named twice, before as /a"),
+    ],
+)
+def test_a_topic_that_names_nothing_is_refused(topics: list[str], refusal: str):
+    with pytest.raises(QuadpiError, match=refusal):
+        reading_options(topics, "")
+
+
+@pytest.mark.parametrize(
+    "command",
+    ["import", "info", "identify", "evaluate", "rollout", "replay", "view", "discrepancy", "export"],
+)
+def test_every_command_that_reads_bags_takes_topics(command: str):
+    (found,) = (one for one in app.registered_commands if command_name(one) == command)
+    parameters = inspect.signature(found.callback).parameters
+    assert {"topics", "namespace"} <= set(parameters)
+
+
+def command_name(command: CommandInfo) -> str:
+    return command.name or command.callback.__name__

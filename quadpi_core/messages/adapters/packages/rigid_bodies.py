@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +31,14 @@ _WXYZ = [3, 0, 1, 2]
 _SEEN_MAX = 8
 
 
+class Members(NamedTuple):
+    """Columns of a body: its name, its position, and its orientation as a quaternion x, y, z, w."""
+
+    name: str
+    position: str = "pose.position"
+    orientation: str = "pose.orientation"
+
+
 class BodyReader:
     """Poses of the body that the settings name.
 
@@ -38,6 +47,7 @@ class BodyReader:
 
     def __init__(self, settings: BodySettings) -> None:
         self._settings = settings
+        assert settings.body is not None
         self._body = settings.body.encode()
         self._seen: set[str] = set()
         self._absent, self._untracked = 0, 0
@@ -58,37 +68,37 @@ class BodyReader:
         """Names of other bodies in the messages so far, some of them if there are many."""
         return ", ".join(sorted(self._seen)) or "none"
 
-    def read(self, time_ns: Stamps, bodies: Items, name: str) -> PoseStream:
-        """The poses at stamps (N,) among the bodies that N messages hold.
+    def read(self, time_ns: Stamps, bodies: Items, members: Members) -> PoseStream:
+        """The poses among the M bodies that N messages hold.
 
         Args:
-            time_ns: of the messages.
-            bodies: with the columns `pose.position`, `pose.orientation` (x, y, z, w) and that of the names.
-            name: of that column.
+            time_ns: (M,) stamps of the bodies.
+            bodies: with the columns of the members.
+            members: of a body.
 
         Raises:
             SampleError: if two bodies of a message have the name.
         """
-        names = bodies.columns[name]
+        names = bodies.columns[members.name]
         rows = np.flatnonzero(names == self._body)
         sample = bodies.message[rows]
         if len(rows) > 1 and np.any(np.diff(sample) == 0):
             index = int(sample[np.argmin(np.diff(sample))])
             raise SampleError(index, f"two bodies are named {self._settings.body}")
-        if absent := len(time_ns) - len(rows):
+        if absent := len(bodies.counts) - len(rows):
             self._note(names)
             self._absent += absent
-        position = bodies.columns["pose.position"][rows]
-        orientation = bodies.columns["pose.orientation"][rows][:, _WXYZ]
+        position = bodies.columns[members.position][rows]
+        orientation = bodies.columns[members.orientation][rows][:, _WXYZ]
         norm = np.sqrt(np.einsum("ni,ni->n", orientation, orientation))
         tracked = (np.abs(norm - 1.0) <= NORM_TOLERANCE) & np.isfinite(position).all(axis=1)
         if not tracked.all():
             self._untracked += int(np.sum(~tracked))
-            sample, position, orientation, norm = (
-                values[tracked] for values in (sample, position, orientation, norm)
+            rows, position, orientation, norm = (
+                values[tracked] for values in (rows, position, orientation, norm)
             )
         return PoseStream(
-            time_ns[sample], *_to_ned(self._settings, position, orientation / norm[:, np.newaxis])
+            time_ns[rows], *_to_ned(self._settings, position, orientation / norm[:, np.newaxis])
         )
 
     def _note(self, names: npt.NDArray[np.bytes_]) -> None:
@@ -107,11 +117,13 @@ def _to_ned(settings: BodySettings, position: Array, attitude: Array) -> tuple[A
     return world_enu_to_ned(position), quaternion_flu_enu_to_frd_ned(attitude)
 
 
-def _bodies(array: str, name: str) -> Callable[[BodySettings, Vehicle | None], Reading]:
+def _bodies(array: str, members: Members) -> Callable[[BodySettings, Vehicle | None], Reading]:
     def start(settings: BodySettings, _vehicle: Vehicle | None) -> Reading:
         reader = BodyReader(settings)
         return Reading(
-            lambda columns, items: reader.read(header_stamps(columns), items[array], name),
+            lambda columns, items: reader.read(
+                header_stamps(columns)[items[array].message], items[array], members
+            ),
             lambda: reader.dropped,
         )
 
@@ -125,7 +137,7 @@ MOCAP4R2 = Adapter(
     topic="rigid_bodies",
     kind="mocap",
     columns=STAMP | of_items("rigidbodies", rigid_body_name=0, **_POSE),
-    start=_bodies("rigidbodies", "rigid_body_name"),
+    start=_bodies("rigidbodies", Members("rigid_body_name")),
 )
 NAMED_POSES = Adapter(
     name="named_poses",
@@ -133,5 +145,5 @@ NAMED_POSES = Adapter(
     topic="poses",
     kind="mocap",
     columns=STAMP | of_items("poses", name=0, **_POSE),
-    start=_bodies("poses", "name"),
+    start=_bodies("poses", Members("name")),
 )

@@ -42,7 +42,7 @@ odometry: {topic: /odometry}
         ("[]", r"expected keys and values, found \[\]"),
         (
             "rotors: {}",
-            "unknown key `rotors`; known: rotor_speeds, mocap, odometry, imu; did you mean `rotor",
+            "unknown key `rotors`; known: rotor_speeds, mocap, odometry, imu, topics, namespace; did you",
         ),
         ("rotor_speeds: 4", "rotor_speeds: expected keys and values, found 4"),
         ("rotor_speeds: {rotors: quad-x}", "rotor_speeds: missing key `unit`"),

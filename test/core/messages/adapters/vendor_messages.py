@@ -9,6 +9,9 @@ mavros_msgs 2.12.0; px4_msgs v1.14.0 to v1.17.0 and, for the larger EscStatus, r
 import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from quadpi_core.messages.definitions import typestore
+from quadpi_core.messages.frame_ids import TF_TYPE
+
 HEADER = "std_msgs/Header header\n"
 DEFINITIONS = {
     "mavros_msgs/msg/ESCStatus": HEADER + "mavros_msgs/ESCStatusItem[] esc_status\n",
@@ -214,3 +217,22 @@ def px4_status(
         "px4_msgs/msg/EscStatus", timestamp=time_ns // 1000, esc_count=4, esc_online_flags=online, esc=reports
     )
     return vendor.bytes(message)
+
+
+def tf(*transforms, parent="world"):
+    """A TFMessage of (child frame, seconds, position x, y, z, quaternion x, y, z, w)."""
+    types = typestore().types
+    made = []
+    for child, second, position, orientation in transforms:
+        stamp = types["builtin_interfaces/msg/Time"](sec=second, nanosec=5)
+        made.append(
+            types["geometry_msgs/msg/TransformStamped"](
+                header=types["std_msgs/msg/Header"](stamp=stamp, frame_id=parent),
+                child_frame_id=child,
+                transform=types["geometry_msgs/msg/Transform"](
+                    translation=types["geometry_msgs/msg/Vector3"](*position),
+                    rotation=types["geometry_msgs/msg/Quaternion"](*orientation),
+                ),
+            )
+        )
+    return bytes(typestore().serialize_cdr(types[TF_TYPE](transforms=made), TF_TYPE))

@@ -1,0 +1,394 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Which topics of a bag are the sensors': those that are named, else by their standard names, else by type.
+
+By type, an IMU, rotor speeds and motion capture are found, and a fused state where there is no motion
+capture. Topics in one place (`/mavros/imu/data`, `/mavros/imu/data_raw`) are one sensor: the fastest is read,
+of equally fast ones `data`, which is calibrated where `data_raw` may not be. Topics in different places may
+belong to different vehicles: the user has to choose. Velocities and wind are not looked for by type: what has
+that type may be a command or another vector.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from rosbags.interfaces import Connection
+
+from quadpi_core.errors import LogError
+from quadpi_core.logs.adapted_bags import AdaptedTopic, adapter_of, find_adapted, unread
+from quadpi_core.logs.bag_files import Bag
+from quadpi_core.logs.bag_topics import is_named, is_truth
+from quadpi_core.messages.adapters.adapter_registry import known_adapters
+from quadpi_core.messages.adapters.adapter_settings import (
+    FLU_ENU,
+    AdapterSettings,
+    BodySettings,
+    StateSettings,
+)
+from quadpi_core.messages.definitions import typestore
+from quadpi_core.messages.frame_ids import TF_TOPIC, TF_TYPE, plain_name
+from quadpi_core.messages.topics import SENSOR_KINDS, TOPIC_TYPES
+from quadpi_core.thresholds import CONVENTION, Threshold
+
+AS_FAST = Threshold(
+    "as fast",
+    0.8,
+    "of the most messages of a topic",
+    "topics of one sensor that only lost messages are equally fast; the next slower rate is half",
+    CONVENTION,
+)
+# What is read of a kind by its type alone, in the order in which it counts.
+_BY_TYPE = {
+    "imu": ("imu",),
+    "rotor_speeds": ("rotor_speeds", "erpm"),
+    "mocap": ("mocap/pose", "mocap/transform"),
+    "odometry": ("odometry",),
+}
+_PREFERRED = ("data", "data_raw")
+# A pose is no motion capture if its name says that it is wished for, or that an autopilot estimates it.
+_NO_MOCAP = re.compile(
+    r"setpoint|goal|target|reference|desired|command|cmd|local_position|global_position|vision_pose"
+)
+
+
+class BagInputs(NamedTuple):
+    """The sensors of a bag.
+
+    Attributes:
+        names: topics of the bag by standard names.
+        adapted: topics with messages of other packages, by kind of stream.
+        settings: that those are read with.
+        notes: what was chosen that the user may want otherwise.
+    """
+
+    names: dict[str, str]
+    adapted: dict[str, AdaptedTopic]
+    settings: AdapterSettings
+    notes: tuple[str, ...]
+
+
+def find_inputs(bag: Bag, settings: AdapterSettings) -> BagInputs:
+    """Find the sensor topics of a bag.
+
+    Args:
+        bag: open.
+        settings: the topics that are named, the namespace, and how messages of other packages are read.
+
+    Raises:
+        LogError: naming bag and topic, for a name that is not in the bag, has a type that is not understood
+            or would not be used, and with the options to give, for topics of which several could be meant.
+    """
+    search = _Search(bag, settings)
+    search.take_named()
+    search.take_by_name()
+    search.take_by_type()
+    search.take_transform()
+    return search.finish()
+
+
+def named_inputs(bag: Bag, topics: Mapping[str, str]) -> dict[str, str]:
+    """Topics of a bag that are named, by the standard names of what they hold.
+
+    Raises:
+        LogError: see :func:`find_inputs`.
+    """
+    search = _Search(bag, AdapterSettings(topics=topics))
+    search.take_named()
+    return search.names
+
+
+def holds_imu(path: Path) -> bool:
+    """Whether a bag holds messages of an IMU, under whatever name.
+
+    Raises:
+        LogError: for a bag that cannot be read.
+    """
+    types = {TOPIC_TYPES["imu"], *(one.type_name for one in known_adapters().values() if one.kind == "imu")}
+    with Bag(path) as bag:
+        return any(
+            one.msgcount and one.msgtype in types and not is_truth(one.topic) for one in bag.connections
+        )
+
+
+def topics_of(bag: Bag) -> str:
+    """Names of all topics, for messages."""
+    return ", ".join(sorted({connection.topic for connection in bag.connections})) or "none"
+
+
+@dataclass(frozen=True)
+class _Several:
+    """Topics of which any could be meant.
+
+    Attributes:
+        word: standard name.
+        topics: of the bag.
+    """
+
+    word: str
+    topics: Sequence[str]
+
+
+class _Search:
+    def __init__(self, bag: Bag, settings: AdapterSettings) -> None:
+        self._bag = bag
+        self._settings = settings
+        self.names: dict[str, str] = {}
+        self._adapted: dict[str, AdaptedTopic] = {}
+        self._notes: list[str] = []
+        self._several: list[_Several] = []
+        self._with_messages = [one for one in bag.connections if one.msgcount]
+        self._counts: Counter[str] = Counter()
+        for connection in self._with_messages:
+            self._counts[connection.topic] += connection.msgcount
+        levels = _levels(settings.namespace)
+        self._within = {one.topic for one in self._with_messages if _holds(_levels(one.topic), levels)}
+        if levels and not self._within:
+            raise LogError(
+                f"{bag.path}: namespace {settings.namespace}: no topic of it; topics of the bag: "
+                f"{topics_of(bag)}"
+            )
+
+    @property
+    def _found(self) -> set[str]:
+        """Kinds of streams that have a topic, or several to choose from."""
+        names = (*self.names, *(one.word for one in self._several))
+        return {SENSOR_KINDS[name] for name in names} | set(self._adapted)
+
+    # Topics that are named.
+
+    def take_named(self) -> None:
+        """The topics that the settings name, and those that they say how to read."""
+        own = {kind: getattr(self._settings, kind) for kind in _BY_TYPE}
+        named = dict(self._settings.topics)
+        for kind, one in own.items():
+            connection = self._connection(one.topic) if one is not None and one.topic else None
+            word = next(
+                (w for w in _words(kind) if connection and TOPIC_TYPES[w] == connection.msgtype), None
+            )
+            if connection is None or word is None:
+                continue
+            if unused := [key for key, value in vars(one).items() if key != "topic" and value is not None]:
+                raise LogError(
+                    f"{self._bag.path}: topic {one.topic}: `{unused[0]}` is given but not used: "
+                    f"a {connection.msgtype} is read without it"
+                )
+            if other := next((w for w in named if SENSOR_KINDS[w] == kind), None):
+                raise self._unused(other, named[other], f"the mapping's {kind} of topic {one.topic}")
+            named[word] = one.topic
+            self._settings = replace(self._settings, **_one(kind, None))
+        by_kind: dict[str, str] = {}
+        for word, text in named.items():
+            first = by_kind.setdefault(SENSOR_KINDS[word], word)
+            if first != word:
+                raise self._unused(word, text, first)
+            self._take_named(word, text)
+        # What is named stands in for what the settings would find.
+        taken: dict[str, Any] = dict.fromkeys(self._adapted)
+        self._adapted |= find_adapted(self._bag, replace(self._settings, **taken), self._within)
+
+    def _take_named(self, word: str, text: str) -> None:
+        topic, _, frame = text.partition(":")
+        connection, kind = self._connection(topic), SENSOR_KINDS[word]
+        if connection is None:
+            raise LogError(
+                f"{self._bag.path}: topic {topic}: named for {word}, but the bag holds no such messages; "
+                f"topics of the bag: {topics_of(self._bag)}"
+            )
+        types = {one.msgtype for one in self._with_messages if one.topic == connection.topic}
+        known = {TOPIC_TYPES[other]: other for other in reversed(_words(kind))}
+        adapter = adapter_of(kind, connection.msgtype)
+        if len(types) > 1 or (connection.msgtype not in known and adapter is None):
+            raise LogError(
+                f"{self._bag.path}: topic {topic}: named for {word}, but is of type "
+                f"{', '.join(sorted(types))}; understood: {', '.join(known)}"
+            )
+        if (connection.msgtype == TF_TYPE) != bool(frame):
+            if frame:
+                raise LogError(f"{self._bag.path}: topic {text}: only a {TF_TYPE} is read by a child frame")
+            raise self._choose_frame(word, connection)
+        if adapter is None:
+            self.names[known[connection.msgtype]] = connection.topic
+            return
+        self._adapted[kind] = AdaptedTopic(adapter, connection)
+        own = getattr(self._settings, kind)
+        if frame and own is not None:
+            raise self._unused(f"the mapping's {kind}", own.topic or "", f"{word}={text}")
+        if frame:
+            own = BodySettings(body=frame, frames=FLU_ENU, topic=connection.topic)
+        elif own is None and kind in {"imu", "odometry"}:
+            own = StateSettings()
+        elif own is not None and own.topic not in {None, connection.topic}:
+            raise self._unused(f"the mapping's {kind}", own.topic, f"{word}={text}")
+        self._settings = replace(self._settings, **_one(kind, own))
+
+    def _unused(self, word: str, topic: str, first: str) -> LogError:
+        return LogError(f"{self._bag.path}: {word}={topic}: is given but not used: {first} is")
+
+    def _connection(self, topic: str) -> Connection | None:
+        """The topic of that name, with or without a leading slash, that has messages."""
+        wanted = _levels(topic)
+        return next((one for one in self._with_messages if _levels(one.topic) == wanted), None)
+
+    # Topics that are found.
+
+    def take_by_name(self) -> None:
+        """Topics of standard names, in any namespace."""
+        for kind in dict.fromkeys(SENSOR_KINDS.values()):
+            if kind in self._found:
+                continue
+            for word in _words(kind):
+                topics = sorted(topic for topic in self._within if is_named(topic, word))
+                for topic in topics:
+                    self._require_type(topic, word)
+                if topics:
+                    self._take_one_of(word, topics)
+                    break
+
+    def _require_type(self, topic: str, word: str) -> None:
+        types = {one.msgtype for one in self._bag.connections if one.topic == topic}
+        if types != {TOPIC_TYPES[word]}:
+            raise LogError(
+                f"{self._bag.path}: topic {topic}: type {', '.join(sorted(types))}, "
+                f"expected {TOPIC_TYPES[word]}"
+            )
+
+    def _take_one_of(self, word: str, topics: Sequence[str]) -> None:
+        if len(topics) == 1:
+            self.names[word] = topics[0]
+        else:
+            self._several.append(_Several(word, topics))
+
+    def take_by_type(self) -> None:
+        """Topics of other names, of kinds that have none of a standard name."""
+        for kind, words in _BY_TYPE.items():
+            if kind in self._found or (kind == "odometry" and "mocap" in self._found):
+                continue
+            word_of = {
+                topic: word for word in words for topic in self._of_type(TOPIC_TYPES[word], kind == "mocap")
+            }
+            places = {_levels(topic)[:-1] for topic in word_of}
+            if len(places) > 1:
+                self._several.append(_Several(words[0], sorted(word_of)))
+            elif word_of:
+                self._take_first(word_of)
+
+    def _of_type(self, type_name: str, mocap: bool) -> list[str]:
+        named = {one.topic for one in self._with_messages if one.msgtype == type_name}
+        return [
+            topic
+            for topic in named & self._within
+            if not is_truth(topic)
+            and not any(is_named(topic, word) for word in SENSOR_KINDS)
+            and not (mocap and _NO_MOCAP.search(topic.lower()))
+        ]
+
+    def _take_first(self, word_of: dict[str, str]) -> None:
+        most = max(self._counts[topic] for topic in word_of)
+        fast = [topic for topic in word_of if self._counts[topic] >= AS_FAST.value * most]
+        chosen = min(fast, key=_preference)
+        self.names[word_of[chosen]] = chosen
+        others = ", ".join(sorted(set(word_of) - {chosen}))
+        said = f", before {others}: the fastest, of equally fast ones `data`" if others else ""
+        self._notes.append(f"topic {word_of[chosen]}: none has this name; {chosen} is read by its type{said}")
+
+    def take_transform(self) -> None:
+        """The only child frame that moves on /tf, where nothing else says where the vehicle is."""
+        if {"mocap", "odometry"} & self._found:
+            return
+        word = "mocap/transform"
+        for connection in self._with_messages:
+            plain = connection.topic.rpartition("/")[2] != TF_TOPIC
+            if connection.msgtype != TF_TYPE or connection.topic not in self._within or not plain:
+                continue
+            frames = self._child_frames(connection.topic)
+            if len(frames) != 1:
+                self._notes.append(str(self._choose_frame(word, connection, named=False)))
+                continue
+            self._take_named(word, f"{connection.topic}:{frames[0]}")
+            self._notes.append(
+                f"topic {word}: none has this name; {connection.topic} is read for its child frame "
+                f"{frames[0]}"
+            )
+            return
+
+    def _child_frames(self, topic: str) -> list[str]:
+        """Child frames in the first messages of a topic."""
+        frames: set[str] = set()
+        for block in self._bag.blocks([topic]):
+            for message in block[topic].payloads:
+                try:
+                    decoded = typestore().deserialize_cdr(message, TF_TYPE)
+                except Exception:  # rosbags raises many kinds; who reads the topic says which message it is
+                    continue
+                frames |= {plain_name(one.child_frame_id) for one in decoded.transforms}  # type: ignore[attr-defined]
+            break
+        return sorted(frames)
+
+    def _choose_frame(self, word: str, connection: Connection, *, named: bool = True) -> LogError:
+        frames = self._child_frames(connection.topic)
+        where = f"{self._bag.path}: " if named else ""
+        lines = ", ".join(f"`--topics {word}={connection.topic}:{frame}`" for frame in frames[:8])
+        return LogError(
+            f"{where}topic {connection.topic}: is read for one child frame, and which is not said: "
+            f"{lines or 'it has none'}"
+        )
+
+    def finish(self) -> BagInputs:
+        """What was found.
+
+        Raises:
+            LogError: with the options to give, for topics of which several could be meant.
+        """
+        if self._several:
+            said = "; ".join(
+                f"topic {one.word}: ambiguous between {', '.join(one.topics)}" for one in self._several
+            )
+            raise LogError(f"{self._bag.path}: {said}; choose with {self._advice()}")
+        notes = (*self._notes, *unread(self._bag, self._found))
+        return BagInputs(self.names, self._adapted, self._settings, notes)
+
+    def _advice(self) -> str:
+        """The options that choose, ready to be pasted."""
+        # Levels that single out one topic of each: the namespaces of vehicles.
+        choices = [
+            Counter(level for topic in one.topics for level in set(_levels(topic))) for one in self._several
+        ]
+        spaces = sorted(level for level in choices[0] if all(counts[level] == 1 for counts in choices))
+        spaces = [level for level in spaces if not any(level in _levels(one.word) for one in self._several)]
+        wanted = {
+            one.word: next(
+                (topic for topic in one.topics if spaces and spaces[0] in _levels(topic)), one.topics[0]
+            )
+            for one in self._several
+        }
+        topics = "`--topics " + " ".join(f"{word}={topic}" for word, topic in wanted.items()) + "`"
+        return f"`--namespace /{spaces[0]}` or {topics}" if spaces else topics
+
+
+def _one(key: str, value: object) -> dict[str, Any]:
+    return {key: value}
+
+
+def _words(kind: str) -> list[str]:
+    """Standard names of a kind, the first of them that is there counts."""
+    return [word for word, own in SENSOR_KINDS.items() if own == kind]
+
+
+def _levels(topic: str) -> tuple[str, ...]:
+    return tuple(level for level in topic.split("/") if level)
+
+
+def _holds(levels: Sequence[str], part: Sequence[str]) -> bool:
+    """Whether levels of a name include others, one behind the other."""
+    return any(tuple(levels[at : at + len(part)]) == tuple(part) for at in range(len(levels) - len(part) + 1))
+
+
+def _preference(topic: str) -> tuple[int, str]:
+    last = _levels(topic)[-1]
+    return (_PREFERRED.index(last) if last in _PREFERRED else len(_PREFERRED), topic)
