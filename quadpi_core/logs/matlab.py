@@ -58,12 +58,18 @@ _NUMERIC_CLASSES = MappingProxyType(
         15: "u8",
     }
 )
+_STRUCT = 2
 _COMPLEX = 0x0800
+# Structs within structs; loggers write two or three.
+_DEPTH_MAX = 8
 _NAME_MAX = 63
 
 
 class Variable(NamedTuple):
-    """A variable: its name, what MATLAB calls its kind, and its numbers where it is a real matrix."""
+    """A variable: its name, what MATLAB calls its kind, and its numbers where it is a real matrix.
+
+    Fields of a struct are variables `STRUCT.FIELD`.
+    """
 
     name: str
     kind: str
@@ -86,7 +92,7 @@ def read_matlab(data: bytes) -> list[Variable]:
     order = _BYTE_ORDERS.get(data[_HEADER_BYTES - 2 : _HEADER_BYTES])
     if order is None or struct.unpack_from(f"{order}H", data, _HEADER_BYTES - 4)[0] != _LEVEL_5:
         raise LogError("not a readable MATLAB 5 file: its header is of another version")
-    variables = []
+    variables: list[Variable] = []
     unpacked_bytes = 0
     for element in _elements(memoryview(data)[_HEADER_BYTES:], order):
         matrices = [element]
@@ -99,7 +105,8 @@ def read_matlab(data: bytes) -> list[Variable]:
             unpacked_bytes += len(content)
             require_unpackable(len(data), unpacked_bytes)
             matrices = list(_elements(memoryview(content), order))
-        variables += [_variable(matrix.data, order) for matrix in matrices if matrix.kind == _MATRIX]
+        for matrix in matrices:
+            variables += _variables(matrix.data, order) if matrix.kind == _MATRIX else []
     return variables
 
 
@@ -122,8 +129,10 @@ def _elements(data: memoryview, order: str) -> Iterator[_Element]:
         position = start + length + padding
 
 
-def _variable(data: memoryview, order: str) -> Variable:
-    """A variable from the elements of its matrix: flags, dimensions, name, real part."""
+def _variables(data: memoryview, order: str, above: str = "", depth: int = 0) -> list[Variable]:
+    """A variable by the elements of its matrix: flags, dimensions, name, real part; or fields of a struct."""
+    if above and not len(data):
+        return [Variable(above, "empty matrix", None)]
     elements = _elements(data, order)
     flags, dimensions, name = (next(elements, None) for _ in range(3))
     if (
@@ -136,16 +145,42 @@ def _variable(data: memoryview, order: str) -> Variable:
         or len(name.data) > _NAME_MAX
     ):
         raise LogError("not a readable MATLAB 5 file: a variable has no whole head")
-    text = bytes(name.data).decode(errors="replace")
+    text = above or bytes(name.data).decode(errors="replace")
     (word,) = struct.unpack_from(f"{order}I", flags.data)
+    kind = word & 0xFF
+    shape = np.frombuffer(dimensions.data, f"{order}i4").tolist()
+    if kind == _STRUCT and shape == [1, 1] and depth < _DEPTH_MAX:
+        fields = zip(_field_names(text, elements, order), elements, strict=False)
+        return [
+            variable
+            for field, element in fields
+            if element.kind == _MATRIX
+            for variable in _variables(element.data, order, f"{text}.{field}", depth + 1)
+        ]
+    return [_numbers_of(text, word, shape, next(elements, None), order)]
+
+
+def _field_names(struct_name: str, elements: Iterator[_Element], order: str) -> list[str]:
+    """Names of the fields of a struct, each padded to the same number of bytes."""
+    size, names = next(elements, None), next(elements, None)
+    if size is None or names is None or size.kind != _INT32 or names.kind != _INT8 or len(size.data) != 4:
+        raise LogError(f"not a readable MATLAB 5 file: the struct {struct_name} has no names of fields")
+    (length,) = struct.unpack_from(f"{order}i", size.data)
+    if not 0 < length <= _NAME_MAX + 1:
+        raise LogError(f"not a readable MATLAB 5 file: the struct {struct_name} has no names of fields")
+    text = bytes(names.data)
+    padded = (text[start : start + length] for start in range(0, len(text), length))
+    return [one.partition(b"\0")[0].decode(errors="replace") for one in padded]
+
+
+def _numbers_of(text: str, word: int, shape: list[int], numbers: _Element | None, order: str) -> Variable:
+    """A variable that is no struct: its numbers, if it is a real matrix."""
     kind = word & 0xFF
     if kind not in _NUMERIC_CLASSES or word & _COMPLEX:
         known = "complex matrix" if kind in _NUMERIC_CLASSES else _CLASSES.get(kind, f"class {kind}")
         return Variable(text, known, None)
-    shape = np.frombuffer(dimensions.data, f"{order}i4").tolist()
     if len(shape) != 2:
         return Variable(text, f"array of {len(shape)} dimensions", None)
-    numbers = next(elements, None)
     dtype = np.dtype(f"{order}{_NUMBERS[numbers.kind]}") if numbers and numbers.kind in _NUMBERS else None
     # In Python's whole numbers, which do not overflow.
     if numbers is None or dtype is None or min(shape, default=-1) < 0:

@@ -143,9 +143,8 @@ def _of_parquet(path: Path) -> Columns:
 
     def head() -> Mapping[int, Array]:
         first = by_place.slice(0, _HEAD_ROWS)
-        numeric = [place for place in range(len(names)) if pa.types.is_primitive(first[str(place)].type)]
-        columns = {place: _numbers(first, str(place), names[place]) for place in numeric}
-        return {place: one.astype(np.float64) for place, one in columns.items() if one.dtype.kind in "fiu"}
+        numeric = [place for place in range(len(names)) if _is_numeric(first[str(place)].type)]
+        return {place: _numbers(first, str(place), names[place]).astype(np.float64) for place in numeric}
 
     return Columns(path, names, (), read, head)
 
@@ -194,10 +193,16 @@ def _numbers(table: pa.Table, name: str, called: str) -> npt.NDArray[Any]:
             raise LogError(f"column {called} holds {column.type}, not numbers") from error
     if types.is_timestamp(column.type):
         return np.asarray(column.to_numpy(zero_copy_only=False)).astype("datetime64[ns]")
-    if not any(test(column.type) for test in (types.is_floating, types.is_integer, types.is_null)):
+    if not _is_numeric(column.type):
         raise LogError(f"column {called} holds {column.type}, not numbers")
     values = np.asarray(column.to_numpy(zero_copy_only=False))
     return values if values.dtype.kind in "iuf" else values.astype(np.float64)
+
+
+def _is_numeric(kind: pa.DataType) -> bool:
+    from pyarrow import types
+
+    return any(test(kind) for test in (types.is_floating, types.is_integer, types.is_null))
 
 
 def stamps_of(source: str, values: npt.NDArray[Any], unit: str | None) -> Stamps:

@@ -15,7 +15,9 @@ import numpy as np
 from quadpi_core.errors import LogError
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream
 from quadpi_core.frames import Array, body_flu_to_frd, quaternion_flu_enu_to_frd_ned, world_enu_to_ned
+from quadpi_core.logs.formats.table_files import read_table
 from quadpi_core.logs.log_format import LogFormat
+from quadpi_core.logs.mapping import Mapping
 from quadpi_core.logs.matlab import read_matlab
 from quadpi_core.logs.reader_steps import normalised_attitude, stamps_ns
 from quadpi_core.vehicle import Vehicle
@@ -31,7 +33,16 @@ _ROTOR_SPEEDS = slice(20, 24)
 _BATTERY_DECIVOLT = 28
 
 
-def read_neurobem(path: Path, vehicle: Vehicle | None, _mapping: None = None) -> Recording:
+def read_matlab_file(path: Path, vehicle: Vehicle | None, mapping: Mapping | None = None) -> Recording:
+    """Read a .mat file: variables as a mapping says, without one a flight of NeuroBEM.
+
+    Raises:
+        LogError: see :func:`read_table` and :func:`read_neurobem`.
+    """
+    return read_neurobem(path, vehicle) if mapping is None else read_table(path, vehicle, mapping)
+
+
+def read_neurobem(path: Path, vehicle: Vehicle | None) -> Recording:
     """Read one NeuroBEM flight; every stream lies on the file's one clock.
 
     The rotor order of the file is rear right, front right, rear left, front left: that of
@@ -76,13 +87,14 @@ def _load_matrix(path: Path) -> Array:
         held = ", ".join(f"{variable.name} ({variable.kind})" for variable in variables) or "nothing"
         raise LogError(
             f"{path}: expected one NeuroBEM matrix of N samples by {_COLUMN_COUNT} columns; "
-            f"the file holds {held}"
+            f"the file holds {held}; other variables need a mapping file (--mapping)"
         )
     return np.ascontiguousarray(matrices[0], dtype=np.float64)
 
 
 FORMAT = LogFormat(
-    description="NeuroBEM flight (.mat)",
-    read=read_neurobem,
+    description="NeuroBEM flight, or variables with a mapping file (.mat)",
+    read=read_matlab_file,
     suffixes=(".mat",),
+    load_mapping=Mapping.load,
 )

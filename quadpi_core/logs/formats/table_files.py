@@ -38,6 +38,7 @@ from quadpi_core.frames import (
 )
 from quadpi_core.logs.log_format import LogFormat
 from quadpi_core.logs.mapping import ERPM, QUATERNION_ORDERS, TIME, UNITS, Mapping, Signal
+from quadpi_core.logs.mapping_draft import mapping_draft
 from quadpi_core.logs.reader_steps import normalised_attitude, note, odometry_of, rising, unsigned_speeds
 from quadpi_core.logs.table_columns import PARQUET_MAGIC, open_columns, stamps_of
 from quadpi_core.rotations import rotate_body_to_world, rotate_world_to_body
@@ -70,7 +71,12 @@ def read_table(path: Path, vehicle: Vehicle | None, mapping: Mapping | None) -> 
             numeric, and values missing beyond what the mapping allows.
     """
     if mapping is None:
-        raise LogError(f"{path}: a table needs a mapping file that says what its columns are (--mapping)")
+        columns = open_columns(path)
+        note(str(path), f"a mapping file to start from:\n{mapping_draft(columns)}")
+        raise LogError(
+            f"{path}: a table needs a mapping file that says what its columns are (--mapping), like the one "
+            f"above; it has {', '.join(columns.names)}"
+        )
     return _TableReader(path, vehicle, mapping).recording()
 
 

@@ -35,7 +35,8 @@ def test_other_variables_are_named_and_not_read():
         "t": "abc",
         "s": scipy.sparse.eye(3),
         "c": np.eye(2) * 1j,
-        "q": {"a": 1.0},
+        "q": {"a": "b"},
+        "l": np.array(["x", 1.0], dtype=object),
         "d": np.ones((2, 2, 2)),
     }
     found = {variable.name: variable.kind for variable in read_matlab(written(variables))}
@@ -43,10 +44,40 @@ def test_other_variables_are_named_and_not_read():
         "t": "text",
         "s": "sparse matrix",
         "c": "complex matrix",
-        "q": "struct",
+        "q.a": "text",
+        "l": "cell array",
         "d": "array of 3 dimensions",
     }
     assert all(variable.values is None for variable in read_matlab(written(variables)))
+
+
+def test_fields_of_structs_are_variables_with_a_dot():
+    log = {"imu": {"t": np.arange(3.0), "gyro": np.ones((3, 3)), "none": np.empty((0, 0))}, "unit_of_t": "s"}
+    found = {one.name: one for one in read_matlab(written({"log": log, "other": np.eye(2)}))}
+    assert {"log.imu.t", "log.imu.gyro", "log.imu.none", "log.unit_of_t", "other"} == set(found)
+    np.testing.assert_array_equal(found["log.imu.gyro"].values, np.ones((3, 3)))
+    assert found["log.unit_of_t"].values is None
+
+
+def test_structs_within_structs_have_an_end():
+    deep = {"v": 1.0}
+    for _ in range(30):
+        deep = {"s": deep}
+    (found,) = read_matlab(written(deep))
+    assert (found.name, found.kind) == (".".join(["s"] * 9), "struct")
+
+
+def test_a_damaged_struct_is_one_error_or_other_numbers():
+    whole = written({"s": {"t": np.arange(4.0), "gyro": {"x": np.ones((4, 3))}}})
+    refused = 0
+    for place in range(136, len(whole)):
+        data = bytearray(whole)
+        data[place] ^= 0xFF
+        try:
+            read_matlab(bytes(data))
+        except LogError:
+            refused += 1
+    assert refused > 0.2 * len(whole)
 
 
 def test_whole_numbers_of_a_matrix_of_doubles_take_fewer_bytes():

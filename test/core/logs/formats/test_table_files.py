@@ -13,6 +13,7 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet
 import pytest
+import scipy.io
 import yaml
 from scipy.spatial.transform import Rotation
 
@@ -275,9 +276,9 @@ def test_table_needs_a_mapping_and_others_take_none(tmp_path: Path):
     path, mapping_path = write(tmp_path, minimal_mapping(), hover_table())
     with pytest.raises(LogError, match=r"needs a mapping file .* \(--mapping\)"):
         read_recording(path, None)
-    (tmp_path / "flight.mat").write_bytes(b"anything")
+    (tmp_path / "log00").write_bytes(b"\xbcanything")
     with pytest.raises(LogError, match="takes no mapping file"):
-        read_recording(tmp_path / "flight.mat", None, mapping_path)
+        read_recording(tmp_path / "log00", None, mapping_path)
 
 
 @pytest.fixture(scope="module", params=[*SPIKES, "random1_20251017_run2"])
@@ -393,3 +394,33 @@ def test_a_table_that_is_absent_is_named(tmp_path: Path):
     mapping["position"]["table"] = "estimator"
     with pytest.raises(LogError, match=r"state\.csv: cannot be read: No such file"):
         read(tmp_path, mapping, tumbling()[0])
+
+
+@pytest.mark.parametrize("lies", [False, True])
+def test_variables_of_matlab(tmp_path: Path, lies: bool):
+    """Structs, columns and rows, a matrix by one name or by its columns, a second clock in the same file."""
+    columns, attitude, *_ = tumbling(40)
+    rates, force = (np.random.default_rng(k).normal(size=(40, 3)) for k in (1, 2))
+    quaternions = attitude.as_quat(scalar_first=True)[::4]
+    turned = (lambda matrix: matrix.T) if lies else (lambda matrix: matrix)
+    log = {"t": columns["t"], "gyro": turned(rates), **dict(zip(("fx", "fy", "fz"), force.T, strict=True))}
+    mocap = {"t": columns["t"][::4], "p": turned(rates[::4]), "q": turned(quaternions)}
+    scipy.io.savemat(tmp_path / "flight.mat", {"imu": log, "mocap": mocap, "note": "of Monday"})
+    mapping = minimal_mapping() | {
+        "time": {"columns": ["imu.t"]},
+        "angular_velocity": {"columns": ["imu.gyro"], "unit": "rad/s"},
+        "tables": {"mocap": {"time": {"columns": ["mocap.t"], "unit": "s"}}},
+        "mocap_position": {"table": "mocap", "columns": ["mocap.p.1", "mocap.p.2", "mocap.p.3"], "unit": "m"},
+        "mocap_attitude": {"table": "mocap", "columns": ["mocap.q"], "form": "wxyz"},
+    }
+    mapping["acceleration"]["columns"] = ["imu.fx", "imu.fy", "imu.fz"]
+    (tmp_path / "mapping.yaml").write_text(yaml.safe_dump(mapping))
+    recording = read_recording(tmp_path / "flight.mat", None, tmp_path / "mapping.yaml")
+    np.testing.assert_array_equal(recording.imu.angular_velocity, rates)
+    np.testing.assert_array_equal(recording.imu.specific_force, force)
+    np.testing.assert_array_equal(recording.pose.position, rates[::4])
+    np.testing.assert_allclose(recording.pose.attitude, quaternions)
+    mapping["mocap_position"].pop("table")
+    (tmp_path / "mapping.yaml").write_text(yaml.safe_dump(mapping))
+    with pytest.raises(LogError, match=r"mocap\.p\.1 has 10 values, the time imu\.t has 40"):
+        read_recording(tmp_path / "flight.mat", None, tmp_path / "mapping.yaml")
