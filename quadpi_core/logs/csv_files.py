@@ -78,10 +78,7 @@ def dialect_of(content: bytes) -> CsvDialect:
     places, lines = _lines(head)
     best: tuple[float, str, str, list[list[str]]] = (0.0, "", "", [])
     for delimiter, decimal in _DIALECTS:
-        try:
-            rows = [_fields(line, delimiter) for line in lines]
-        except csv.Error:
-            continue
+        rows = [_fields(line, delimiter) for line in lines]
         score = sum(_numbers(row, decimal) ** 2 / len(row) for row in rows if _holds_values(row, decimal))
         if score > best[0]:
             best = score, delimiter, decimal, rows
@@ -115,7 +112,10 @@ def _longest_run(flags: Sequence[bool]) -> tuple[int, int]:
 
 
 def _fields(line: str, delimiter: str) -> list[str]:
-    row = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
+    try:
+        row = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
+    except csv.Error:
+        row = [line]
     return [field.strip() for field in row]
 
 

@@ -20,9 +20,9 @@ from quadpi_core.sample_limits import STANDARD_GRAVITY
 _BEGIN = r"(^|[\W_])"
 _MOCAP = r"(mocap|vicon|optitrack|vrpn|locsrv|extpos|extatt)"
 # Signals, how many columns each has, and what these are called in lower case, without unit, axis or number.
-# The first group that fits is taken, so that motion capture comes before a state.
+# The first group that fits is taken: motion capture before a state. Of motors without rpm these are commands.
 _CALLED = (
-    ("rotor_speeds", 4, rf"rpm|rotor|{_BEGIN}(m|esc)$|omega$"),
+    ("rotor_speeds", 4, r"rpm|rotor|omega$|^(?!.*motor)(.*[\W_])?(m|esc)$"),
     ("wind", 3, "wind"),
     ("mocap_attitude", 4, _MOCAP),
     ("mocap_position", 3, _MOCAP),
@@ -42,6 +42,8 @@ _NAMED_PARTS = {
     **{name: ("pqr", str(place)) for place, name in enumerate("pqr")},
     **{name: ("uvw", str(place)) for place, name in enumerate("uvw")},
 }
+# The search for parts of a name takes a time that grows with the square of its length.
+_NAME_MAX = 100
 _PARTS = {3: ("xyz", "012", "123"), 4: ("wxyz", "0123", "1234")}
 # By signal: up to which number it is in the first unit, else in the second; of the median, or the largest.
 _UNITS_BY_SIZE = {
@@ -101,6 +103,8 @@ def _groups(columns: Columns, head: Mapping[int, Array]) -> dict[str, _Group]:
         last = re.split(r"[\W_]", name)[-1]
         if last in _NAMED_PARTS:
             stem, part = name.removesuffix(last) + _NAMED_PARTS[last][0], _NAMED_PARTS[last][1]
+        elif len(name) > _NAME_MAX:
+            continue
         elif found := _PART.fullmatch(name):
             stem, part = found.groups()
         else:

@@ -39,8 +39,8 @@ STAMP_INTERVAL_S = Threshold(
 # A unit that the mapping names is kept down to this share of the shortest interval: Blackbox has 8 kHz.
 _FAST_SHARE = 0.1
 _NANOSECONDS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
-# What a name may have beside what the mapping calls it: the mark of a comment, a unit in brackets (no index).
-_BESIDE = re.compile(r"^[#%\s]+|\s*[\[(](?!\d+[\])])[^\[\]()]*[\])]\s*$")
+# A unit in brackets at the end of a name, which is no index.
+_IN_BRACKETS = re.compile(r"[\[(](?!\d+[\])])[^\[\]()]*[\])]$")
 _HEAD_ROWS = 1000
 
 
@@ -80,7 +80,7 @@ class Columns:
 
 def bare_name(name: str) -> str:
     """The name of a column without a unit in brackets, and what marks a comment."""
-    return _BESIDE.sub("", _BESIDE.sub("", name.strip()))
+    return _IN_BRACKETS.sub("", name.strip("#% \t")).rstrip()
 
 
 def open_columns(path: Path) -> Columns:

@@ -228,9 +228,9 @@ def _decode_records(data: bytes, offsets: list[int], layout: np.dtype[Any], tick
         else np.empty((0, layout.itemsize), np.uint8)
     )
     records: npt.NDArray[np.void] = rows.view(layout)[:, 0]
-    values = {
-        name: records[name].astype(np.float64) for name in layout.names or () if name not in (_ID, _STAMP)
-    }
+    logged = [name for name in layout.names or () if name not in (_ID, _STAMP)]
+    with np.errstate(invalid="ignore"):  # of a damaged number that is none
+        values = {name: records[name].astype(np.float64) for name in logged}
     return Event(records[_STAMP].astype(np.int64) * tick_ns, values)
 
 

@@ -29,6 +29,8 @@ from quadpi_core.vehicle import ROTORS, Vehicle
 # The columns (N,) of one topic, by the names that pyulog gives them, such as "q[0]".
 Columns: TypeAlias = dict[str, Any]
 
+# Of the file; in front of each message, its length and kind.
+_HEADER_BYTES, _PREFIX_BYTES = 16, 3
 _MAGIC = b"ULog\x01\x12\x35"
 _TOPICS = (
     "sensor_combined",
@@ -104,10 +106,22 @@ def _load(source: str, path: Path) -> Any:
     if log.file_corruption or said.getvalue():
         detail = " ".join(said.getvalue().split()) or "pyulog found damaged messages"
         note(source, f"the file is damaged; what can be read is: {detail}")
+    elif (end := _end_of_messages(path)) is not None:
+        note(source, f"byte {end}: the file is cut off in this message; all before it is read")
     lost_s = sum(dropout.duration for dropout in log.dropouts) * 1e-3
     if lost_s > 0.0:
         note(source, f"the autopilot lost {lost_s:.2f} s of the log in {len(log.dropouts)} drop-outs")
     return log
+
+
+def _end_of_messages(path: Path) -> int | None:
+    """Where the last message begins of a file that ends within it, which pyulog does not say; else None."""
+    data = path.read_bytes()
+    begin = position = _HEADER_BYTES
+    while position < len(data):
+        begin = position
+        position += _PREFIX_BYTES + int.from_bytes(data[begin : begin + 2], "little")
+    return None if position == len(data) else begin
 
 
 class _BoundedFile(io.BufferedReader):
