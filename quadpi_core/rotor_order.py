@@ -101,18 +101,21 @@ class RotorOrder:
             raise LogError("the vehicle has not one rotor in each corner: give the order of its rotors")
         return order
 
-    def speeds(self, values: Array, vehicle: Vehicle | None) -> Array:
+    def speeds(self, values: Array, vehicle: Vehicle | None, pole_pairs: int | None = None) -> Array:
         """Magnitudes in rad/s (N, 4) of speeds as reported (N, 4), already in the vehicle's rotor order.
 
-        Controllers report a rotor that turns the other way as negative.
+        Controllers report a rotor that turns the other way as negative. A log that says the pole pairs, for
+        electrical speeds, knows them better than the vehicle's file.
 
         Raises:
-            LogError: for electrical speeds without a vehicle.
+            LogError: for electrical speeds without a vehicle and pole pairs.
             VehicleError: for electrical speeds if the vehicle file does not give the pole pairs.
         """
         magnitudes: Array = np.abs(values)
         if self.unit != ERPM:
             return magnitudes * _RAD_S_PER_RPM
+        if pole_pairs is not None:
+            return magnitudes * (_RAD_S_PER_RPM / pole_pairs)
         if vehicle is None:
             raise LogError("electrical speeds need the vehicle, whose file gives the pole pairs")
         return vehicle.rotor_speeds_from_erpm(magnitudes)

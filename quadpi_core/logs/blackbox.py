@@ -66,6 +66,7 @@ class BlackboxLog:
 
     Attributes:
         headers: those that are whole numbers, by name.
+        fields: names of all fields of the main frames.
         columns: (N,) of the main frames, in the units of the log; `time` in µs is unwrapped beyond 32 bits.
         ended: whether the log has an end event.
         damaged_at: position in the flight of the first byte outside frames; None without one.
@@ -73,6 +74,7 @@ class BlackboxLog:
     """
 
     headers: Mapping[str, int]
+    fields: Sequence[str]
     columns: Mapping[str, Array]
     ended: bool
     damaged_at: int | None
@@ -128,7 +130,7 @@ def decode_blackbox(flight: bytes, wanted: Sequence[str]) -> BlackboxLog:
     _, ended, damaged_at, damaged = _decode(data, start, rules, chosen, table)
     columns = dict(zip(read, np.ascontiguousarray(table.T), strict=True))
     columns[_TIME] = np.unwrap(columns[_TIME], period=2.0**32)
-    return BlackboxLog(headers, columns, bool(ended), damaged_at if damaged else None, damaged)
+    return BlackboxLog(headers, names, columns, bool(ended), damaged_at if damaged else None, damaged)
 
 
 class _Rules(NamedTuple):

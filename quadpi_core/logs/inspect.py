@@ -27,7 +27,8 @@ from quadpi_core.frames import Array
 from quadpi_core.logs.running_statistics import LongestRun, Range, RunningRange
 from quadpi_core.recording_blocks import streams_by_field
 from quadpi_core.rotations import rotation_matrix
-from quadpi_core.screening.consistency import findings as inconsistencies
+from quadpi_core.sample_limits import STANDARD_GRAVITY
+from quadpi_core.screening.consistency import contradictions
 from quadpi_core.screening.plausibility import (
     THRUST_COEFFICIENT_POSSIBLE,
     THRUST_COEFFICIENT_USUAL,
@@ -36,6 +37,7 @@ from quadpi_core.screening.plausibility import (
     missing_topics,
     thrust_coefficient,
 )
+from quadpi_core.screening.rotors_in_flight import Inertial, carrying
 from quadpi_core.screening.survey import (
     Excerpting,
     InOrder,
@@ -44,13 +46,15 @@ from quadpi_core.screening.survey import (
     survey,
     survey_quality,
 )
-from quadpi_core.vehicle import ROTORS, Vehicle
+from quadpi_core.vehicle import Vehicle
 
 GAP_INTERVALS = 5.0
 FROZEN_S = 0.25
 
 _JITTER_SHARE = 0.5
 _FACTOR_OF_TWO_OCTAVES = 0.15
+# The fastest rotors change their speed by less than a factor of two in this time.
+_JUMP_NS = 20_000_000
 
 
 @dataclass(frozen=True)
@@ -134,7 +138,7 @@ def _inspect(blocks: Callable[[], Iterator[Recording]], vehicle: Vehicle | None)
             for name in streams
             for finding in _frozen_findings(streams[name], summaries[name], start_ns)
         ),
-        *_rotor_findings(recording, vehicle, summaries),
+        *_rotor_findings(recording, vehicle),
         *_inconsistencies(excerpting.without(recording, streams), vehicle, streams, values),
         *_battery_findings(recording),
         *missing_topics(recording),
@@ -185,7 +189,7 @@ def _inconsistencies(
             values[name].finish()
     except LogError:
         return
-    yield from map(str, inconsistencies(excerpt, vehicle))
+    yield from map(str, contradictions(excerpt, vehicle))
 
 
 def inspect_topics(path: Path, stamps: Mapping[str, Stamps]) -> Inspection:
@@ -233,17 +237,14 @@ class _Summary:
     Attributes:
         count: of samples.
         not_finite: number of samples with a value that is not finite.
-        runs: by the name of a quantity, how long it stays the same; each rotor is a sensor of its own.
+        runs: by the name of a quantity, how long it stays the same.
         ranges: of quantities that show what was flown.
-        jumps: (4,) how often each rotor speed halves or doubles between samples; zeros of other topics.
     """
 
     def __init__(self) -> None:
         self.count = self.not_finite = 0
         self.runs: dict[str, LongestRun] = {}
         self.ranges: dict[str, RunningRange] = {}
-        self.jumps = np.zeros(ROTORS, dtype=np.int64)
-        self._last_speeds = np.empty((0, ROTORS))
 
     def add(self, stream: Stream) -> None:
         """Add the next samples."""
@@ -252,10 +253,7 @@ class _Summary:
         if len(stream):
             self.not_finite += int(np.sum(~finite_rows(*columns.values())))
         if isinstance(stream, RotorSpeedStream):
-            columns = {f"rotor {i + 1}": column[:, np.newaxis] for i, column in enumerate(stream.speeds.T)}
-            speeds = np.concatenate((self._last_speeds, _turning(stream)))
-            self.jumps += _factor_of_two(speeds[1:] / speeds[:-1]).sum(axis=0)
-            self._last_speeds = speeds[-1:]
+            columns = {}  # rotors may stand; those that read the same in flight are judged with the IMU
         for name, values in columns.items():
             self.runs.setdefault(name, LongestRun()).add(values)
         for quantity, unit, values in _quantities(stream):
@@ -300,13 +298,10 @@ def _frozen_findings(stream: StreamSurvey, summary: _Summary, start_ns: int) -> 
             )
 
 
-def _rotor_findings(
-    recording: Recording, vehicle: Vehicle | None, summaries: Mapping[str, _Summary]
-) -> Iterator[str]:
-    rotors = recording.rotor_speeds
-    if rotors is None:
+def _rotor_findings(recording: Recording, vehicle: Vehicle | None) -> Iterator[str]:
+    if recording.rotor_speeds is None:
         return
-    yield from _half_reading_findings(rotors, summaries["rotor_speeds"].jumps)
+    yield from _half_reading_findings(recording.rotor_speeds, recording)
     coefficient = thrust_coefficient(recording, vehicle) if vehicle is not None else None
     (low, high), (least, most) = THRUST_COEFFICIENT_USUAL, THRUST_COEFFICIENT_POSSIBLE
     if coefficient is not None and (least < coefficient <= low or high <= coefficient < most):
@@ -316,30 +311,34 @@ def _rotor_findings(
         )
 
 
-def _half_reading_findings(rotors: RotorSpeedStream, jumps: npt.NDArray[np.int64]) -> Iterator[str]:
-    """A rotor that reads half of the others, or whose reading halves and doubles between samples.
+def _half_reading_findings(rotors: RotorSpeedStream, recording: Recording) -> Iterator[str]:
+    """A rotor that reads half of the others, or whose reading halves and doubles between samples, in flight.
 
-    A rotor cannot change its speed by a factor of two within one interval; a sensor that misses every
+    A rotor cannot change its speed by a factor of two within one short interval; a sensor that misses every
     other pulse does.
     """
-    speeds = _turning(rotors)
-    if len(speeds) < 2:
+    inertial = Inertial.of(recording)
+    known = finite_rows(rotors.speeds) & np.all(rotors.speeds > 0.0, axis=1)
+    seen = finite_rows(inertial.lift)
+    if not np.any(known) or not np.any(seen):
         return
-    for index, column in enumerate(speeds.T):
+    time_ns, speeds = rotors.time_ns[known], rotors.speeds[known]
+    inertial = Inertial(inertial.time_ns[seen], inertial.lift[seen], inertial.rates[seen])
+    flying = carrying(speeds, inertial.lift_at(time_ns), STANDARD_GRAVITY)
+    if np.count_nonzero(flying) < 2:
+        return
+    steps = np.diff(time_ns)
+    soon = flying[1:] & flying[:-1] & (steps > 0) & (steps <= _JUMP_NS)
+    jumps = _factor_of_two(speeds[1:][soon] / speeds[:-1][soon]).sum(axis=0)
+    for index, column in enumerate(speeds[flying].T):
         where = f"topic rotor_speeds: rotor {index + 1}"
-        others = np.median(np.delete(speeds, index, axis=1), axis=1)
+        others = np.median(np.delete(speeds[flying], index, axis=1), axis=1)
         ratio = np.median(column / others)
         if _factor_of_two(ratio):
             kind = "half" if ratio < 1.0 else "double"
             yield f"{where} reads {ratio:.2f} times the others: {kind}-reading sensor?"
         elif jumps[index]:
             yield f"{where} halves or doubles within one interval, {jumps[index]} times: half-reading sensor?"
-
-
-def _turning(rotors: RotorSpeedStream) -> Array:
-    """Speeds (N, 4) of the samples in which all rotors turn."""
-    speeds = rotors.speeds[finite_rows(rotors.speeds)]
-    return np.asarray(speeds[np.all(speeds > 0.0, axis=1)])
 
 
 def _factor_of_two(ratio: npt.ArrayLike) -> npt.NDArray[np.bool_]:

@@ -27,6 +27,7 @@ from quadpi_core.frames import (
 from quadpi_core.rotations import rotate_world_to_body
 from quadpi_core.rotor_order import RotorOrder
 from quadpi_core.sample_limits import NORM_TOLERANCE, STANDARD_GRAVITY
+from quadpi_core.unusable_readings import OFFLINE
 from quadpi_core.vehicle import ROTORS, Vehicle
 
 ARDUPILOT, PX4 = 3, 12
@@ -107,12 +108,13 @@ class MavlinkSamples:
 
     Attributes:
         refused: number of refused messages by "NAME: reason".
-        autopilot: MAV_AUTOPILOT of the last heartbeat, or None.
+        autopilot, vehicle_type: MAV_AUTOPILOT and MAV_TYPE of the last heartbeat, or None.
     """
 
     def __init__(self, vehicle: Vehicle | None, order: RotorOrder) -> None:
         self.refused: Counter[str] = Counter()
         self.autopilot: int | None = None
+        self.vehicle_type: int | None = None
         self._vehicle = vehicle
         self._order = order
         self._speeds = np.zeros(ROTORS)
@@ -172,7 +174,7 @@ class MavlinkSamples:
 
     def _heartbeat(self, message: Any, _: float) -> None:
         if is_autopilot(message):
-            self.autopilot = message.autopilot
+            self.autopilot, self.vehicle_type = message.autopilot, message.type
 
     def _highres_imu(self, m: Any, _: float) -> Sample | None:
         if m.id != 0:
@@ -306,7 +308,7 @@ class MavlinkSamples:
         for rotor, controller in enumerate(self._order.controllers):
             if first <= controller < first + len(rpm):
                 if source == "ESC_STATUS" and not self._online >> controller & 1:
-                    return self._refuse(source, f"controller {controller + 1} is offline")
+                    return self._refuse(source, f"{OFFLINE}: controller {controller + 1}")
                 self._speeds[rotor] = rpm[controller - first]
                 self._speed_time[rotor] = now_s
         if not all(now_s - _ROTOR_SPREAD_S <= then <= now_s for then in self._speed_time):

@@ -8,8 +8,10 @@ import logging
 from collections.abc import Sequence
 
 import numpy as np
+import numpy.typing as npt
 
 from quadpi_core.errors import LogError
+from quadpi_core.findings import LeftOut
 from quadpi_core.flight import NO_STAMP, ImuStream, OdometryStream, RotorSpeedStream, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.rotations import rotate_world_to_body
@@ -18,6 +20,7 @@ from quadpi_core.sample_limits import NORM_TOLERANCE
 from quadpi_core.screening.plausibility import finite_rows
 from quadpi_core.screening.sample_order import longest, order_of
 from quadpi_core.signals.resample import interpolate, interpolate_attitude
+from quadpi_core.unusable_readings import REASONS, Verdict
 from quadpi_core.vehicle import Vehicle
 
 _log = logging.getLogger(__name__)
@@ -99,6 +102,8 @@ def rotors_together(
 ) -> RotorSpeedStream | None:
     """Rotor speeds of controllers that are logged separately, at the stamps of the one with most samples.
 
+    A controller reads 0 between two samples of which one does: no rotor passes through all speeds in between.
+
     Args:
         controllers: stamps (K,) and speeds (K, 1) of each, in the vehicle's rotor order; rising stamps.
         order: says the unit.
@@ -108,11 +113,38 @@ def rotors_together(
         return None
     time_ns = max((stamps for stamps, _ in controllers), key=len)
     together = [interpolate(stamps, speeds, time_ns, _GAP_NS) for stamps, speeds in controllers]
+    reads = [interpolate(stamps, (speeds != 0.0) * 1.0, time_ns, _GAP_NS) for stamps, speeds in controllers]
     valid = np.all([one.valid for one in together], axis=0)
     if not np.any(valid):
         return None
-    speeds = np.concatenate([one.values[valid] for one in together], axis=1)
+    speeds = np.concatenate(
+        [
+            np.where(own.values == 1.0, one.values, 0.0)[valid]
+            for one, own in zip(together, reads, strict=True)
+        ],
+        axis=1,
+    )
     return RotorSpeedStream(time_ns[valid], order.speeds(speeds, vehicle))
+
+
+def without(
+    stream: RotorSpeedStream, verdict: npt.NDArray[np.uint8], imu: ImuStream
+) -> tuple[RotorSpeedStream, tuple[LeftOut, ...]]:
+    """The samples of rotor speeds that the reports of speed controllers form, and those they do not, counted.
+
+    Args:
+        stream: of N samples.
+        verdict: (N,) see :class:`quadpi_core.unusable_readings.Verdict`.
+        imu: whose first stamp times count from.
+    """
+    said = []
+    start_ns = int(imu.time_ns[0]) if len(imu) else 0
+    for value in np.unique(verdict[verdict != Verdict.SAMPLE]).tolist():
+        rows = np.flatnonzero(verdict == value)
+        after_s = (int(stream.time_ns[rows[0]]) - start_ns) * 1e-9
+        words = f"in which {REASONS[Verdict(value)]}"
+        said.append(LeftOut(stream.topic, words, len(rows), len(stream), int(rows[0]), after_s))
+    return stream.take(verdict == Verdict.SAMPLE), tuple(said)
 
 
 def stamps_ns(time: Array, seconds_per_unit: float = 1.0) -> Stamps:

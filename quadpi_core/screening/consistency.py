@@ -16,6 +16,7 @@ import numpy as np
 from quadpi_core.errors import LogError
 from quadpi_core.findings import Finding
 from quadpi_core.flight import PoseStream, Recording
+from quadpi_core.sample_limits import STANDARD_GRAVITY
 from quadpi_core.screening.excerpt import Excerpt, Pose, RotorExcerpt, excerpt, rotor_excerpt
 from quadpi_core.screening.frozen_states import without_repeats
 from quadpi_core.screening.innovations import Innovation, cost, innovation
@@ -67,11 +68,26 @@ def checked(
         LogError: naming file and topic, for units and axes that cannot be right, and certain mistakes.
     """
     check_plausible(recording, vehicle, beyond)
-    found = (*findings(recording, vehicle), *stuck_rotors(recording, vehicle.gravity_m_s2))
+    found = tuple(contradictions(recording, vehicle))
     for finding in found:
         if finding.certain:
             raise LogError(f"{recording.source}: {finding}")
     return replace(recording, quality=replace(recording.quality, findings=found))
+
+
+def contradictions(recording: Recording, vehicle: Vehicle | None) -> Iterator[Finding]:
+    """Those of :func:`findings`, and rotors whose sensor fails or that stop in flight.
+
+    Speeds of a sensor that fails say nothing of the vehicle, so nothing else is made of them.
+
+    Args:
+        recording: with finite values and increasing stamps.
+        vehicle: that flew.
+    """
+    sensors = tuple(stuck_rotors(recording, vehicle.gravity_m_s2 if vehicle else STANDARD_GRAVITY))
+    fails = any(finding.leave_out for finding in sensors)
+    yield from findings(recording, None if fails else vehicle)
+    yield from sensors
 
 
 def findings(recording: Recording, vehicle: Vehicle | None) -> Iterator[Finding]:
@@ -242,7 +258,8 @@ def _low_rotor(evidence: RotorEvidence, vehicle: Vehicle) -> Iterator[Finding]:
     left = np.linalg.norm(unbalanced[:, np.newaxis] + levers * missing, axis=0)
     rotor = int(np.argmin(left))
     truly = squares[rotor] + missing[rotor]
-    if truly <= 0.0 or left[rotor] > _ROTOR_LEFT * float(np.linalg.norm(unbalanced)):
+    # One that reads 0 throughout is a finding of its own.
+    if min(truly, squares[rotor]) <= 0.0 or left[rotor] > _ROTOR_LEFT * float(np.linalg.norm(unbalanced)):
         return
     reads = float(np.sqrt(squares[rotor] / truly))
     if abs(reads - 1.0) >= _ROTOR_LOW:

@@ -46,6 +46,8 @@ def missing_topics(recording: Recording) -> Iterator[str]:
     """One sentence for each absent topic, or too slow IMU, with the uses that it rules out."""
     if recording.rotor_speeds is None:
         yield "no rotor speeds: rules out identification, prediction and replay"
+    elif not np.any(recording.rotor_speeds.speeds):
+        yield "every rotor speed reads 0, no telemetry: rules out identification, prediction and replay"
     mocap = recording.pose or recording.twist
     if mocap is None and recording.odometry is None:
         yield "neither pose nor odometry: rules out everything that needs velocity or attitude"

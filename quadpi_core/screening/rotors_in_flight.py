@@ -1,21 +1,33 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""When the rotors carry the vehicle, and whether one of them reads the same speed for long meanwhile."""
+"""When the rotors carry the vehicle, and what a rotor that reads 0 or the same speed meanwhile means.
+
+A rotor that stops takes its thrust along: the specific force falls short of what the other rotors' speeds
+squared give by its share, and the vehicle turns. Where neither is so, its sensor fails.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.findings import Finding
-from quadpi_core.flight import Recording
+from quadpi_core.flight import Recording, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.thresholds import CONVENTION, Threshold
 
 # Share of the weight from which on the rotors carry the vehicle.
 _CARRYING_SHARE = 0.5
+ZERO_RAD_S = Threshold(
+    "rotor speed that is none",
+    1.0,
+    "rad/s",
+    "below the smallest step of any telemetry, 100 eRPM of 10 pole pairs; rotors idle at 50 rad/s and more",
+    CONVENTION,
+)
 STUCK_RAD_S = Threshold(
     "extent of a stuck rotor speed",
     1e-3,
@@ -30,6 +42,65 @@ STUCK_S = Threshold(
     "sound flights read the same for 0.11 s at most, those with a sensor that fails for 0.6 s and more",
     "91 real recordings of five vehicles and the bundled bags; four of them with such a sensor",
 )
+STUCK_SAMPLES = Threshold(
+    "samples of a stuck rotor speed above 0",
+    8,
+    "1",
+    "telemetry at 4 Hz reads the same three times in a row on sound flights",
+    "real logs of PX4 with esc_status at 3 and 4 Hz",
+)
+OTHERS_STEPS = Threshold(
+    "change of the other rotors' speeds while one is stuck",
+    4.0,
+    "steps of its resolution",
+    "in a calm hover all stay within a step or two",
+    "bundled flights in steps of 100 eRPM",
+)
+LIFT_LEFT = Threshold(
+    "share of a rotor's thrust from which on it is there",
+    0.5,
+    "1",
+    "half-way between a rotor that stands and one that turns as before",
+    CONVENTION,
+)
+STOP_TURN_RAD_S = Threshold(
+    "change of roll and pitch rates within 0.3 s of a rotor's stop",
+    2.0,
+    "rad/s",
+    "a quarter of the weight turns a body of 2 kg by 5 rad/s in that time, smaller ones by more",
+    "none: rigid bodies",
+)
+# The specific force is compared over so long before a rotor slows down and while it reads 0; its thrust is
+# gone after the lag of a rotor. It slows down within _SLOWS_S, from _WHOLE_SHARE of its speed on.
+_BEFORE_S, _DURING_S, _LAG_S = 0.3, 0.3, 0.05
+_SLOWS_S, _WHOLE_SHARE = 1.0, 0.5
+
+
+class Inertial(NamedTuple):
+    """What rotors do to a body: stamps (M,), specific force upward (M,) m/s², roll and pitch rates (M, 2)."""
+
+    time_ns: Stamps
+    lift: Array
+    rates: Array
+
+    @classmethod
+    def of(cls, recording: Recording) -> Inertial:
+        """The IMU's."""
+        imu = recording.imu
+        return cls(imu.time_ns, -imu.specific_force[:, 2], imu.angular_velocity[:, :2])
+
+    def lift_at(self, time_ns: Stamps) -> Array:
+        """Specific force upward at stamps (N,)."""
+        start = self.time_ns[0]
+        lift: Array = np.interp((time_ns - start) * 1e-9, (self.time_ns - start) * 1e-9, self.lift)
+        return lift
+
+    def between(self, from_ns: int, to_ns: int) -> Inertial:
+        """The samples of a time, ends included."""
+        part = slice(
+            int(np.searchsorted(self.time_ns, from_ns)), int(np.searchsorted(self.time_ns, to_ns, "right"))
+        )
+        return Inertial(self.time_ns[part], self.lift[part], self.rates[part])
 
 
 def carrying(speeds: Array, lift: Array, gravity_m_s2: float) -> npt.NDArray[np.bool_]:
@@ -47,6 +118,59 @@ def carrying(speeds: Array, lift: Array, gravity_m_s2: float) -> npt.NDArray[np.
     return np.asarray(thrust_m_s2 > _CARRYING_SHARE * gravity_m_s2)
 
 
+def resolution(speeds: Array) -> Array:
+    """Smallest step (R,) between distinct readings of each rotor [rad/s]; infinite where there is one only.
+
+    Args:
+        speeds: (N, R) rad/s.
+    """
+    # Readings that differ by the last digits of a conversion are the same.
+    steps = (np.diff(np.unique(column)) for column in speeds.T)
+    return np.array([np.min(one[one > STUCK_RAD_S.value], initial=np.inf) for one in steps])
+
+
+def runs_of(column: npt.NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
+    """Begin and end of each run of samples that are true in a mask (N,); the end is the first that is not."""
+    edges = np.flatnonzero(np.diff(column, prepend=False, append=False))
+    yield from zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+
+
+def has_stopped(time_ns: Stamps, speeds: Array, rotor: int, begin: int, inertial: Inertial) -> bool:
+    """Whether a rotor that reads 0 truly stands: its thrust is gone, and the vehicle turns.
+
+    Args:
+        time_ns: (N,) of the speeds.
+        speeds: (N, rotors) rad/s.
+        rotor: its place.
+        begin: sample from which on it reads 0; of one that does from the beginning nothing is known.
+        inertial: of the flight.
+    """
+    if begin == 0:
+        return False
+    first = min(int(np.searchsorted(time_ns, time_ns[begin] - round(_SLOWS_S * 1e9))), begin - 1)
+    # It may slow down before it reads 0; its thrust then goes from there on.
+    reading = speeds[first:begin, rotor]
+    whole = first + int(np.flatnonzero(reading >= _WHOLE_SHARE * np.max(reading))[-1])
+    end = begin + int(np.argmax(np.append(speeds[begin:, rotor] >= ZERO_RAD_S.value, True)))
+    end = min(end, int(np.searchsorted(time_ns, time_ns[begin] + round(_DURING_S * 1e9), "right")))
+    earlier = slice(int(np.searchsorted(time_ns, time_ns[whole] - round(_BEFORE_S * 1e9))), whole + 1)
+    slows_ns, from_ns, to_ns = int(time_ns[whole]), int(time_ns[begin]), int(time_ns[end - 1])
+    before = inertial.between(int(time_ns[earlier.start]), slows_ns)
+    during = inertial.between(min(max(slows_ns + round(_LAG_S * 1e9), from_ns), to_ns), to_ns)
+    if len(before.time_ns) == 0 or len(during.time_ns) == 0:
+        return False
+    own = float(np.mean(np.square(speeds[earlier, rotor])))
+    gain = float(np.mean(before.lift)) / max(float(np.mean(np.square(speeds[earlier]).sum(axis=1))), 1.0)
+    others = np.delete(speeds[begin:end], rotor, axis=1)
+    left = float(np.mean(during.lift)) / max(gain, 1e-12) - float(np.mean(np.square(others).sum(axis=1)))
+    if own <= 0.0 or left > LIFT_LEFT.value * own:
+        return False
+    around = inertial.between(slows_ns, to_ns).rates
+    turn = float(np.linalg.norm(around - around[:1], axis=1).max(initial=0.0))
+    # All rotors that stop together turn nothing.
+    return turn > STOP_TURN_RAD_S.value or not np.any(others >= ZERO_RAD_S.value)
+
+
 def stuck_rotors(recording: Recording, gravity_m_s2: float) -> Iterator[Finding]:
     """Rotors that read the same speed, most often 0, for STUCK_S and longer while all carry the vehicle.
 
@@ -58,23 +182,49 @@ def stuck_rotors(recording: Recording, gravity_m_s2: float) -> Iterator[Finding]
     if rotors is None or len(rotors) < 2 or len(imu) == 0:
         return
     time_s = (rotors.time_ns - imu.time_ns[0]) * 1e-9
-    lift = np.interp(time_s, (imu.time_ns - imu.time_ns[0]) * 1e-9, -imu.specific_force[:, 2])
-    flying = carrying(rotors.speeds, lift, gravity_m_s2)
-    same = np.abs(np.diff(rotors.speeds, axis=0)) < STUCK_RAD_S.value
+    speeds, inertial = rotors.speeds, Inertial.of(recording)
+    flying = carrying(speeds, inertial.lift_at(rotors.time_ns), gravity_m_s2)
+    steps = resolution(speeds)
+    same = np.abs(np.diff(speeds, axis=0)) < STUCK_RAD_S.value
     same &= (flying[1:] & flying[:-1])[:, np.newaxis]
     for rotor, column in enumerate(same.T):
-        # Samples that a run of equal readings begins and ends with.
-        begin, end = np.flatnonzero(np.diff(column, prepend=False, append=False)).reshape(-1, 2).T
-        seconds = time_s[end] - time_s[begin]
-        if not np.any(seconds >= STUCK_S.value):
+        long = [
+            (begin, end)
+            for begin, end in runs_of(column)
+            if time_s[end] - time_s[begin] >= STUCK_S.value
+            and _is_stuck(speeds[begin : end + 1], rotor, steps[rotor])
+        ]
+        if not long:
             continue
-        longest = int(np.argmax(seconds))
-        whole = float(seconds[seconds >= STUCK_S.value].sum())
+        begin, end = max(long, key=lambda run: float(time_s[run[1]] - time_s[run[0]]))
+        if speeds[begin, rotor] < ZERO_RAD_S.value:
+            stops = [
+                first for first, _ in long if has_stopped(rotors.time_ns, speeds, rotor, first, inertial)
+            ]
+            if stops:
+                yield Finding(
+                    "stopped rotor",
+                    rotors.topic,
+                    f"rotor {rotor + 1} stopped at {time_s[stops[0]]:.2f} s in flight: its thrust is gone, "
+                    "and the vehicle turns; its readings stay",
+                )
+                continue
+        whole = sum(float(time_s[last] - time_s[first]) for first, last in long)
         yield Finding(
             "stuck rotor",
             rotors.topic,
-            f"rotor {rotor + 1} reads {rotors.speeds[begin[longest], rotor]:.4g} rad/s from "
-            f"{time_s[begin[longest]]:.2f} to {time_s[end[longest]]:.2f} s in flight, without a change, "
+            f"rotor {rotor + 1} reads {speeds[begin, rotor]:.4g} rad/s from "
+            f"{time_s[begin]:.2f} to {time_s[end]:.2f} s in flight, without a change, "
             f"and so for {whole:.1f} s in all: its sensor fails; leave this flight out",
             leave_out=True,
         )
+
+
+def _is_stuck(speeds: Array, rotor: int, step: float) -> bool:
+    """Whether readings (K, rotors) that do not change cannot be those of a calm flight."""
+    if speeds[0, rotor] < ZERO_RAD_S.value:
+        return True
+    others = float(np.median(np.ptp(np.delete(speeds, rotor, axis=1), axis=0)))
+    # One that reads a single speed throughout has no resolution of its own.
+    moves = others > 0.0 if np.isinf(step) else others >= OTHERS_STEPS.value * step
+    return moves and len(speeds) >= STUCK_SAMPLES.value

@@ -19,6 +19,7 @@ from quadpi_core.findings import DataQuality
 from quadpi_core.flight import STREAM_KINDS, Recording, Stamps, Stream
 from quadpi_core.recording_blocks import Column, join_blocks, streams_by_field
 from quadpi_core.screening.excerpt import needed_spans
+from quadpi_core.screening.rotor_readings import RotorScreening
 from quadpi_core.screening.sample_order import (
     Judged,
     Rows,
@@ -33,6 +34,7 @@ from quadpi_core.screening.wild_samples import (
     Beyond,
     StreamScreening,
     left_out,
+    not_measured,
     usable_samples,
 )
 from quadpi_core.vehicle import Vehicle
@@ -80,7 +82,9 @@ def survey(blocks: Callable[[], Iterator[Recording]], vehicle: Vehicle | None) -
         vehicle: that flew; without one rotor speeds are not judged.
     """
     passes: dict[str, _FirstPass] = {}
+    rotors = RotorScreening()
     for block in blocks():
+        rotors.add(block)
         for name, stream in streams_by_field(block).items():
             if name not in passes:
                 passes[name] = _FirstPass(type(stream), vehicle)
@@ -95,14 +99,18 @@ def survey(blocks: Callable[[], Iterator[Recording]], vehicle: Vehicle | None) -
     again = {name for name, stream in streams.items() if stream.rows is not None}
     if again:
         screening |= {name: StreamScreening(STREAM_KINDS[name], vehicle) for name in again}
+        rotors = RotorScreening()
         in_order = InOrder(streams)
-        for block in blocks():
-            for name, stream in streams_by_field(in_order.of(block)).items():
+        for block in map(in_order.of, blocks()):
+            rotors.add(block)
+            for name, stream in streams_by_field(block).items():
                 if name in again:
                     screening[name].add(stream)
     for name, surveyed in streams.items():
-        found = tuple(screening[name].finish())
-        streams[name] = replace(surveyed, found=found, usable=usable_samples(found))
+        found = list(screening[name].finish())
+        if name == "rotor_speeds":
+            found += not_measured(rotors, found, surveyed.time_ns, streams["imu"].time_ns)
+        streams[name] = replace(surveyed, found=tuple(found), usable=usable_samples(found))
     return streams
 
 

@@ -36,6 +36,7 @@ from quadpi_core.sample_limits import (
     RATE_MAX_RAD_S,
     SPECIFIC_FORCE_MAX_M_S2,
 )
+from quadpi_core.screening.rotor_readings import RotorScreening
 from quadpi_core.vehicle import Vehicle
 
 # If a larger share of a topic is beyond a limit, its unit is wrong: it is refused, nothing is left out.
@@ -155,8 +156,12 @@ def screened(recording: Recording, vehicle: Vehicle | None) -> Recording:
     kept: dict[str, Any] = {}
     said: list[LeftOut] = []
     arrivals = dict(recording.arrivals)
+    rotors = RotorScreening()
+    rotors.add(recording)
     for name, stream in streams_by_field(recording).items():
         found = list(beyond_limits(stream, vehicle))
+        if isinstance(stream, RotorSpeedStream):
+            found += not_measured(rotors, found, stream.time_ns, recording.imu.time_ns)
         usable = usable_samples(found)
         if usable is None:
             continue
@@ -178,6 +183,22 @@ def beyond_limits(stream: Stream, vehicle: Vehicle | None) -> Iterator[Beyond]:
     screening = StreamScreening(type(stream), vehicle)
     screening.add(stream)
     yield from screening.finish()
+
+
+def not_measured(
+    rotors: RotorScreening, found: Sequence[Beyond], rotors_ns: Stamps, imu_ns: Stamps
+) -> list[Beyond]:
+    """The samples of the rotor speeds that are no measurements, without those that are left out already.
+
+    Args:
+        rotors: that has all of the flight.
+        found: the samples of the rotor speeds beyond their limits.
+        rotors_ns: (N,) stamps of the rotor speeds.
+        imu_ns: (M,) stamps of the IMU.
+    """
+    already = _joined([beyond.samples for beyond in found if beyond.is_left_out])
+    finished = rotors.finish(rotors_ns, imu_ns, already)
+    return [Beyond(own, rotors.samples, words, None, 1.0) for own, words in finished]
 
 
 def usable_samples(found: Iterable[Beyond]) -> npt.NDArray[np.bool_] | None:

@@ -37,7 +37,9 @@ from quadpi_core.flight import AXES, Flight, ImuStream, PoseStream, Recording, R
 from quadpi_core.screening.excerpt import Excerpt
 from quadpi_core.screening.frozen_states import without_repeats
 from quadpi_core.screening.innovations import innovation
-from quadpi_core.screening.rotors_in_flight import stuck_rotors
+from quadpi_core.screening.rotor_readings import dropped_out
+from quadpi_core.screening.rotor_readings import held as held_readings
+from quadpi_core.screening.rotors_in_flight import Inertial, has_stopped, stuck_rotors
 from quadpi_core.screening.small_mistakes import MotionFit, judged, small_mistakes
 from quadpi_core.simulation.controller import Controls, Demand, control
 from quadpi_core.simulation.dynamics import MOTION, is_lost
@@ -82,14 +84,71 @@ def refused(error: type[Exception], action: Callable[[], Any]) -> bool:
     return False
 
 
-def stuck_for(seconds: float) -> bool:
-    """Whether a rotor is named that reads 0 for so long, of a hover."""
-    time_ns = np.arange(0, 5_000_000_000, 1_000_000)
+HOVER_NS = np.arange(0, 5_000_000_000, 1_000_000)
+
+
+def hover_readings(changed: slice, reading: float = 0.0) -> np.ndarray:
+    """Rotor speeds of a hover, 5 s at 1 kHz, the second rotor's changed in between."""
     speeds = np.random.default_rng(0).normal(600.0, 1.0, (5000, 4))
-    speeds[1000 : 1001 + round(1000.0 * seconds), 1] = 0.0
-    imu = ImuStream(time_ns, np.zeros((5000, 3)), np.full((5000, 3), [0.0, 0.0, -9.81]))
-    recording = Recording("hover", "hover", "", imu, RotorSpeedStream(time_ns, speeds))
-    return any(stuck_rotors(recording, 9.81))
+    speeds[changed, 1] = reading
+    return speeds
+
+
+def hover_felt(lift: float = 1.0, turn_rad_s: float = 0.0) -> Inertial:
+    """The hover, but for its share of the lift and a turn from 1 s on."""
+    late = HOVER_NS >= 1_000_000_000
+    rates = np.stack((late * turn_rad_s, 0.0 * late), axis=1)
+    return Inertial(HOVER_NS, np.where(late, 9.81 * lift, 9.81), rates)
+
+
+def drops_out(speeds: np.ndarray) -> bool:
+    """Whether readings are left out, though the body feels the rotor stop."""
+    return bool(np.any(dropped_out(HOVER_NS, speeds, hover_felt(0.75, 9.0))))
+
+
+def slow_before_drop_out(share: float) -> bool:
+    speeds = hover_readings(slice(850, 1150), 600.0 * share)
+    speeds[1000:1020, 1] = 0.0
+    return drops_out(speeds)
+
+
+def stops(left: float = 0.0, turn_rad_s: float = 9.0) -> bool:
+    felt = hover_felt(0.75 + 0.25 * left, turn_rad_s)
+    return has_stopped(HOVER_NS, hover_readings(slice(1000, None)), 1, 1000, felt)
+
+
+def named(speeds: np.ndarray, step_ns: int) -> bool:
+    time_ns = step_ns * np.arange(len(speeds))
+    none = np.zeros((len(speeds), 3))
+    imu = ImuStream(time_ns, none, none - (0.0, 0.0, 9.81))
+    return any(stuck_rotors(Recording("hover", "hover", "", imu, RotorSpeedStream(time_ns, speeds)), 9.81))
+
+
+def stuck_beside(change_rad_s: float) -> bool:
+    """A rotor in steps of 1 rad/s stays the same for a second while the others change."""
+    speeds = np.tile(600.0 + np.arange(1000)[:, np.newaxis] % 2, (1, 4))
+    speeds[200:1000] = 600.0
+    speeds[300, [0, 2, 3]] += change_rad_s
+    return named(speeds, 1_000_000)
+
+
+def stuck_samples(count: int) -> bool:
+    speeds = np.random.default_rng(0).normal(600.0, 1.0, (50, 4))
+    speeds[20 : 20 + count, 1] = 600.0
+    return named(speeds, 100_000_000)
+
+
+def repeated(share: float) -> bool:
+    """Whether a table is held in which this share of the readings comes twice."""
+    twice = np.diff(np.floor(share * np.arange(10_001))) > 0.0
+    readings = np.random.default_rng(0).normal(600.0, 9.0, (10_000, 4))
+    return bool(held_readings(np.repeat(readings, 1 + twice, axis=0)).any())
+
+
+def held_by(steps: float) -> bool:
+    column = np.repeat(np.resize([600.0, 600.0 + steps], 100), 10)
+    column[:10] = 601.0
+    return bool(held_readings(np.tile(column[:, np.newaxis], (1, 4))).any())
 
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
@@ -509,7 +568,16 @@ EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
             lambda: flown("climb and descent", rotor_speeds=600.0 + np.linspace([0.0] * 4, [x] * 4, 1000)),
         ),
     ),
-    "STUCK_S": (0.5, stuck_for),
+    "STUCK_S": (0.5, lambda x: named(hover_readings(slice(1000, 1001 + round(1000.0 * x))), 1_000_000)),
+    "STUCK_SAMPLES": (8, lambda x: stuck_samples(int(x))),
+    "OTHERS_STEPS": (4.0, stuck_beside),
+    "LIFT_LEFT": (0.5, lambda x: stops(left=x)),
+    "STOP_TURN_RAD_S": (2.0, lambda x: stops(turn_rad_s=x)),
+    "ZERO_RAD_S": (1.0, lambda x: drops_out(hover_readings(slice(1000, 1020), x))),
+    "RETURNS_S": (0.15, lambda x: drops_out(hover_readings(slice(1000, 999 + round(1000.0 * x))))),
+    "TURNS_SHARE": (0.4, slow_before_drop_out),
+    "HELD_SHARE": (0.4, repeated),
+    "HELD_STEPS": (3.0, held_by),
     "FROZEN_S": (0.3, frozen_for),
     "FROZEN_TURN_RAD": (0.05, lambda x: frozen_for(0.9, x)),
     "AXES_GAIN": (0.3, axes_gain),

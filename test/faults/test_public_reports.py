@@ -13,6 +13,7 @@ import pytest
 from quadpi_core.flight import Recording
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.importing import Imported, import_logs
+from quadpi_core.screening.consistency import checked
 from quadpi_core.vehicle import Vehicle
 
 
@@ -105,3 +106,39 @@ def test_standard_types_on_other_names_are_found(report, quadpi, tmp_path, caplo
         assert "3000 IMU samples; topics imu, rotor_speeds, mocap/pose" in result.output
         assert ("read by its type" in caplog.text) == (options == ())
         caplog.clear()
+
+
+def test_a_speed_controller_that_never_answers(report):
+    case = report("esc_without_telemetry")
+    vehicle = Vehicle.load("bebop2")
+    recording = checked(read_recording(case / "flight.csv", vehicle, case / "mapping.yaml"), vehicle)
+    (finding,) = recording.quality.sentences()
+    assert finding.startswith("topic rotor_speeds: rotor 2 reads 0 rad/s from 0.00 to 6.00 s in flight")
+    assert finding.endswith("its sensor fails; leave this flight out")
+
+
+def test_rotor_speeds_in_hundreds_of_electrical_revolutions(report):
+    case = report("erpm_in_hundreds")
+    vehicle = Vehicle.load("bebop2")
+    recording = checked(read_recording(case / "flight.csv", vehicle, case / "mapping.yaml"), vehicle)
+    assert list(recording.quality.sentences()) == []
+    assert len(recording.rotor_speeds) == 1500
+
+
+def test_a_speed_controller_of_px4_whose_telemetry_drops_out(report):
+    pytest.importorskip("pyulog", reason="pyulog is not installed")
+    recording = read_recording(report("px4_esc_drop_outs") / "flight.ulg", Vehicle.load("bebop2"))
+    (left,) = recording.quality.left_out
+    assert (left.limit, left.samples, left.of) == ("in which an ESC is offline", 48, 800)
+    assert recording.rotor_speeds.speeds.min() > 450.0
+
+
+def test_an_empty_first_instance_of_px4_s_esc_status(report, caplog):
+    pytest.importorskip("pyulog", reason="pyulog is not installed")
+    rotors = read_recording(
+        report("px4_esc_status_second_instance") / "flight.ulg", Vehicle.load("bebop2")
+    ).rotor_speeds
+    assert len(rotors) == 800
+    assert np.median(np.diff(rotors.time_ns)) == 10_000_000
+    assert rotors.speeds[0] == pytest.approx([694.7] * 4, abs=0.3)
+    assert "esc_status: instance 1 is read" in caplog.text

@@ -10,12 +10,14 @@ world; gyros are in rad/s, accelerometers in m/s² (specific force), angles in d
 from __future__ import annotations
 
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
 from quadpi_core.findings import NOTHING_TO_SAY, DataQuality
 from quadpi_core.flight import ImuStream, OdometryStream, Recording, RotorSpeedStream, Stamps
 from quadpi_core.frames import Array, quaternion_from_roll_pitch_yaw
+from quadpi_core.logs.airframes import Airframe, has_quadrotor
 from quadpi_core.logs.dataflash import HEAD, Messages, decode_dataflash
 from quadpi_core.logs.log_format import LogFormat
 from quadpi_core.logs.reader_steps import note, odometry_of, require_imu, rising, rotors_together
@@ -34,6 +36,28 @@ _ATTITUDES = ("XKQ", "XKQ1", "NKQ", "NKQ1", "AHR2", "ATT")
 # A better kind of attitude must hold at least this share of the samples of the most frequent one.
 _FEW = 0.5
 _FIRST_MOTOR_FUNCTION = 33
+# Messages of all speed controllers, and the column with the number of one.
+_NUMBERED = (("ESC", "Instance"), ("CESC", "Id"))
+NO_TELEMETRY = (
+    "no telemetry: set SERVO_BLH_AUTO 1 with the telemetry wire on a port of SERIALn_PROTOCOL 16, or "
+    "SERVO_BLH_BDMASK to the outputs of bidirectional DShot; on DroneCAN, CAN_D1_UC_ESC_BM"
+)
+# FRAME_CLASS: number of rotors, or the name of what is no multicopter.
+_FRAME_CLASSES: MappingProxyType[int, int | str] = MappingProxyType(
+    {
+        **{1: 4, 2: 6, 3: 8, 4: 8, 5: 6, 7: 3, 12: 12, 14: 10},
+        **{6: "a helicopter", 8: "a single-rotor copter", 9: "a coaxial helicopter", 10: "a bicopter"},
+        **{11: "a helicopter", 13: "a helicopter of four rotors"},
+    }
+)
+_FIRMWARES = MappingProxyType(
+    {
+        "ArduPlane": "the firmware of planes",
+        "ArduRover": "the firmware of rovers",
+        "ArduSub": "the firmware of submarines",
+        "Blimp": "the firmware of airships",
+    }
+)
 _LAYOUT_OF_FRAME_TYPE = {1: "quad-x", 3: "quad-x", 12: "betaflight"}
 
 
@@ -55,6 +79,7 @@ def read_ardupilot(path: Path, vehicle: Vehicle | None, order: RotorOrder | None
     if log.cut_off is not None:
         note(source, f"byte {log.cut_off}: the file is cut off in this record; all before it is read")
     messages, quality = _longest_boot(log.messages)
+    is_quadrotor = has_quadrotor(source, _airframe(messages))
     imu = require_imu(source, _imu(messages), "IMU")
     battery = messages.get("BAT") or messages.get("CURR")
     return Recording(
@@ -62,11 +87,30 @@ def read_ardupilot(path: Path, vehicle: Vehicle | None, order: RotorOrder | None
         vehicle=vehicle.name if vehicle else "",
         source=source,
         imu=imu,
-        rotor_speeds=_rotor_speeds(source, messages, vehicle, order),
+        rotor_speeds=_rotor_speeds(source, messages, vehicle, order) if is_quadrotor else None,
         odometry=_odometry(messages, imu),
         battery_v=None if battery is None else _battery(battery),
         quality=quality,
     )
+
+
+def _airframe(messages: dict[str, Messages]) -> Airframe | None:
+    """What the frame class, or else the name of the firmware, says of the vehicle."""
+    parameters = _parameters(messages)
+    if parameters.get("Q_ENABLE", 0.0) > 0.0:
+        return Airframe("Q_ENABLE 1", "a VTOL aircraft", False)
+    frame_class = int(parameters.get("FRAME_CLASS", 0.0))
+    known = _FRAME_CLASSES.get(frame_class)
+    if isinstance(known, int):
+        return Airframe.of_rotors(f"FRAME_CLASS {frame_class}", known)
+    if known is not None:
+        return Airframe(f"FRAME_CLASS {frame_class}", known, False)
+    told = messages["MSG"].text("Message") if "MSG" in messages else []
+    for firmware, name in _FIRMWARES.items():
+        said = next((text for text in told if text.startswith(firmware)), None)
+        if said is not None:
+            return Airframe(said, name, False)
+    return None
 
 
 def _longest_boot(messages: dict[str, Messages]) -> tuple[dict[str, Messages], DataQuality]:
@@ -159,6 +203,9 @@ def _rotor_speeds(
         note(source, f"topic rotor_speeds: left out, speed controllers {', '.join(absent)} are not logged")
         return None
     speeds = [_speeds(controllers[number]) for number in order.controllers]
+    if not any(np.any(rpm) for _, rpm in speeds):
+        note(source, f"topic rotor_speeds: left out, every rpm is zero: {NO_TELEMETRY}")
+        return None
     return rotors_together(speeds, order, vehicle)
 
 
@@ -169,23 +216,37 @@ def _speeds(logged: Messages) -> tuple[Stamps, Array]:
 
 
 def _controllers(messages: dict[str, Messages]) -> dict[int, Messages]:
-    """ESC records by number of the speed controller from 0 on; logs before 2021 have a name for each."""
-    if "ESC" in messages and messages["ESC"].holds("Instance", "RPM"):
-        logged = messages["ESC"]
-        numbers = np.unique(logged.records["Instance"]).tolist()
-        return {int(number): logged.where("Instance", number) for number in numbers}
-    return {
-        number - 1: messages[f"ESC{number}"]
-        for number in range(1, 9)
-        if f"ESC{number}" in messages and messages[f"ESC{number}"].holds("RPM")
-    }
+    """Records by number of the speed controller from 0 on; logs before 2021 have a name for each.
+
+    Those on CAN had records of their own until 2020. Of two kinds the one with speeds is taken.
+    """
+    kinds = []
+    for name, number_column in _NUMBERED:
+        if name in messages and messages[name].holds(number_column, "RPM"):
+            logged = messages[name]
+            numbers = np.unique(logged.records[number_column]).tolist()
+            kinds.append({int(number): logged.where(number_column, number) for number in numbers})
+    kinds.append(
+        {
+            number - 1: messages[f"ESC{number}"]
+            for number in range(1, 9)
+            if f"ESC{number}" in messages and messages[f"ESC{number}"].holds("RPM")
+        }
+    )
+    kinds = [kind for kind in kinds if kind]
+    live = (kind for kind in kinds if any(np.any(logged.column("RPM")) for logged in kind.values()))
+    return next(live, kinds[0] if kinds else {})
 
 
 def _parameters(messages: dict[str, Messages]) -> dict[str, float]:
+    """As the flight began: a test may change the use of an output under way."""
     logged = messages.get("PARM")
     if logged is None or "Value" not in logged:
         return {}
-    return dict(zip(logged.text("Name"), logged.column("Value").tolist(), strict=False))
+    known: dict[str, float] = {}
+    for name, value in zip(logged.text("Name"), logged.column("Value").tolist(), strict=False):
+        known.setdefault(name, value)
+    return known
 
 
 def _order(source: str, parameters: dict[str, float], vehicle: Vehicle | None) -> RotorOrder:

@@ -21,6 +21,7 @@ import numpy as np
 from quadpi_core.errors import LogError
 from quadpi_core.flight import ImuStream, PoseStream, Recording, RotorSpeedStream, Stamps
 from quadpi_core.frames import Array, body_flu_to_frd, quaternion_from_roll_pitch_yaw
+from quadpi_core.logs.airframes import Airframe, has_quadrotor
 from quadpi_core.logs.blackbox import BlackboxLog, decode_blackbox
 from quadpi_core.logs.log_format import FlightsInFile, LogFormat
 from quadpi_core.logs.reader_steps import note, require_imu
@@ -39,6 +40,9 @@ _ITERATION = "loopIteration"
 _FIELDS = (_ITERATION, "time", *_GYRO, *_ACCELERATION, *_ERPM, *_OMEGA, *_POSITION, *_ATTITUDE)
 _ERPM_PER_COUNT = 100.0
 _HIGH_RESOLUTION = 10.0
+_NO_TELEMETRY = (
+    "no telemetry: `set dshot_bidir = ON`, with speed controllers whose firmware knows bidirectional DShot"
+)
 # Of flights in one file, the largest; the flash of a flight controller holds fewer.
 _FLIGHTS_MAX = 100
 
@@ -86,15 +90,24 @@ def _recording(
 ) -> Recording:
     _note_damage(source, f"flight {number}", log)
     headers, columns = log.headers, log.columns
+    is_quadrotor = has_quadrotor(source, _airframe(log.fields))
     imu = require_imu(source, _imu(source, headers, columns), "gyroADC and accSmooth")
     return Recording(
         name=name,
         vehicle=vehicle.name if vehicle else "",
         source=source,
         imu=imu,
-        rotor_speeds=_rotor_speeds(source, headers, columns, vehicle, order),
+        rotor_speeds=_rotor_speeds(source, headers, columns, vehicle, order) if is_quadrotor else None,
         pose=_pose(columns),
     )
+
+
+def _airframe(fields: Sequence[str]) -> Airframe | None:
+    """What has as many motors as are logged; a log without any does not say."""
+    motors = sum(name.startswith("motor[") for name in fields)
+    if motors in {1, 2}:
+        return Airframe(f"a log of {motors} motors", "one of no multicopter", False)
+    return Airframe.of_rotors(f"a log of {motors} motors", motors) if motors else None
 
 
 def _decoded(path: Path, wanted: int | None = None) -> dict[int, BlackboxLog]:
@@ -208,19 +221,31 @@ def _rotor_speeds(
         return None
     if order is None:
         order = RotorOrder.by_layout(vehicle, "betaflight", ERPM)
-    if vehicle is None:
+    order = RotorOrder(order.controllers, order.unit or ERPM)
+    pole_pairs = _pole_pairs(source, headers, vehicle)
+    if vehicle is None and pole_pairs is None:
         note(source, "topic rotor_speeds: left out, electrical speeds need the vehicle's pole pairs")
         return None
-    order = RotorOrder(order.controllers, order.unit or ERPM)
-    poles = headers.get("motor_poles")
-    if poles is not None and vehicle.pole_pairs is not None and poles != 2 * vehicle.pole_pairs:
+    erpm = _stacked(columns, [_ERPM[number] for number in order.controllers]) * _ERPM_PER_COUNT
+    if not np.any(erpm):
+        note(source, f"topic rotor_speeds: left out, every eRPM is zero: {_NO_TELEMETRY}")
+        return None
+    return RotorSpeedStream(_time_ns(columns), order.speeds(erpm, vehicle, pole_pairs))
+
+
+def _pole_pairs(source: str, headers: Mapping[str, int], vehicle: Vehicle | None) -> int | None:
+    """Those that the flight controller was told; None where the log does not say."""
+    poles = headers.get("motor_poles", 0)
+    if poles <= 0 or poles % 2:
+        return None
+    known = None if vehicle is None else vehicle.pole_pairs
+    if known is not None and poles != 2 * known:
         note(
             source,
-            f"topic rotor_speeds: motor_poles is {poles}, the vehicle file says {2 * vehicle.pole_pairs}; "
-            "the file counts",
+            f"topic rotor_speeds: motor_poles is {poles}, the vehicle file says {2 * known}; the log counts. "
+            f"If the motors have {2 * known}, `set motor_poles = {2 * known}`",
         )
-    erpm = _stacked(columns, [_ERPM[number] for number in order.controllers]) * _ERPM_PER_COUNT
-    return RotorSpeedStream(_time_ns(columns), order.speeds(erpm, vehicle))
+    return poles // 2
 
 
 FORMAT = LogFormat(

@@ -15,10 +15,14 @@ import numpy as np
 from quadpi_core.errors import LogError
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream, Stream
 from quadpi_core.frames import Array
+from quadpi_core.logs.airframes import Airframe, has_quadrotor
 from quadpi_core.logs.clocks import Line, line_below
+from quadpi_core.logs.formats import ardupilot, px4
 from quadpi_core.logs.log_format import LogFormat
 from quadpi_core.logs.mavlink_frames import MARKERS, Frame, FrameCounts, Framer, MessageDecoder, frame_length
 from quadpi_core.logs.mavlink_samples import (
+    ARDUPILOT,
+    PX4,
     SOURCES,
     MavlinkSamples,
     Sample,
@@ -35,6 +39,7 @@ _YEAR_2000_US, _YEAR_2100_US = 946_684_800_000_000, 4_102_444_800_000_000
 _RESTART_US = 10_000_000
 # A worse kind of message is taken only if the best one has fewer than this share of its samples.
 _FEW = 0.5
+_NO_TELEMETRY = {ARDUPILOT: ardupilot.NO_TELEMETRY, PX4: px4.NO_TELEMETRY}
 
 
 class TlogRecord(NamedTuple):
@@ -115,16 +120,27 @@ def read_tlog(path: Path, vehicle: Vehicle | None, order: RotorOrder | None = No
     for refusal, count in samples.refused.items():
         note(source, f"{count} messages not used, {refusal}")
     clocks = _clocks(arrived)
+    mav_type = samples.vehicle_type or 0
+    is_quadrotor = has_quadrotor(source, Airframe.of_mav_type(f"MAV_TYPE {mav_type}", mav_type))
     imu, rotors, pose, odometry = (_stream(topic, arrived, clocks) for topic in SOURCES)
     return Recording(
         name=path.stem,
         vehicle=vehicle.name if vehicle else "",
         source=source,
         imu=require_imu(source, cast("ImuStream | None", imu), "HIGHRES_IMU, RAW_IMU or SCALED_IMU"),
-        rotor_speeds=cast("RotorSpeedStream | None", rotors),
+        rotor_speeds=_telling(source, rotors, samples) if is_quadrotor else None,
         pose=cast("PoseStream | None", pose),
         odometry=cast("OdometryStream | None", odometry),
     )
+
+
+def _telling(source: str, rotors: Stream | None, samples: MavlinkSamples) -> RotorSpeedStream | None:
+    """The rotor speeds, unless all of them are 0."""
+    if not isinstance(rotors, RotorSpeedStream) or np.any(rotors.speeds):
+        return cast("RotorSpeedStream | None", rotors)
+    remedy = _NO_TELEMETRY.get(samples.autopilot or 0, "no telemetry")
+    note(source, f"topic rotor_speeds: left out, every rpm is zero: {remedy}")
+    return None
 
 
 def _decode(

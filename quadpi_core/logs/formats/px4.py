@@ -10,20 +10,25 @@ from __future__ import annotations
 
 import contextlib
 import io
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
 from quadpi_core.errors import LogError, one_line, require_library
+from quadpi_core.findings import DataQuality
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream, Stamps
 from quadpi_core.frames import Array
+from quadpi_core.logs.airframes import Airframe, has_quadrotor
 from quadpi_core.logs.log_format import LogFormat
-from quadpi_core.logs.reader_steps import note, odometry_of, require_imu, rising
+from quadpi_core.logs.reader_steps import note, odometry_of, require_imu, rising, without
+from quadpi_core.messages.adapters.rotor_messages import EscReports, RotorReader
 from quadpi_core.rotor_order import RPM, RotorOrder
 from quadpi_core.sample_limits import NORM_TOLERANCE
+from quadpi_core.unusable_readings import Verdict
 from quadpi_core.vehicle import ROTORS, Vehicle
 
 # The columns (N,) of one topic, by the names that pyulog gives them, such as "q[0]".
@@ -40,6 +45,20 @@ _TOPICS = (
     "vehicle_mocap_odometry",
     "esc_status",
     "battery_status",
+)
+# What shows that an instance of a topic measures, by the ends of the names of its fields.
+_TELLING = MappingProxyType({"esc_status": ("esc_rpm",), "battery_status": ("voltage_v",)})
+NO_TELEMETRY = (
+    "no telemetry: set DSHOT_TEL_CFG to the port of the telemetry wire, or DSHOT_BIDIR_EN 1 where the speed "
+    "controllers know bidirectional DShot, or UAVCAN_ENABLE 3 with those on DroneCAN"
+)
+# What CA_AIRFRAME names, other than a multirotor of CA_ROTOR_COUNT rotors.
+_AIRFRAMES = MappingProxyType(
+    {
+        **{1: "a fixed-wing aircraft", 2: "a standard VTOL", 3: "a tiltrotor VTOL", 4: "a tailsitter VTOL"},
+        **{5: "a rover", 6: "a rover", 7: "a vehicle of motors in six directions", 8: "a tilting multirotor"},
+        **{10: "a helicopter", 11: "a helicopter", 12: "a helicopter", 13: "a rover"},
+    }
 )
 _GYRO = ("gyro_rad[0]", "gyro_rad[1]", "gyro_rad[2]")
 _ACCELERATION = ("accelerometer_m_s2[0]", "accelerometer_m_s2[1]", "accelerometer_m_s2[2]")
@@ -68,21 +87,53 @@ def read_px4(path: Path, vehicle: Vehicle | None, order: RotorOrder | None = Non
     log = _load(source, path)
     # A log that is damaged may hold bytes in the place of a number.
     parameters = {n: float(v) for n, v in log.initial_parameters.items() if isinstance(v, int | float)}
-    topics: dict[str, Columns] = {}
-    for data in log.data_list:
-        if data.multi_id == 0:
-            topics.setdefault(data.name, data.data)
+    is_quadrotor = has_quadrotor(source, _airframe(parameters))
+    topics = _live_topics(source, log.data_list)
     imu = require_imu(source, _imu(topics.get("sensor_combined")), "sensor_combined")
+    status = topics.get("esc_status") if is_quadrotor else None
+    rotors = _rotor_speeds(source, status, parameters, vehicle, order)
+    rotor_speeds, left_out = (None, ()) if rotors is None else without(*rotors, imu)
     return Recording(
         name=path.stem,
         vehicle=vehicle.name if vehicle else "",
         source=source,
         imu=imu,
-        rotor_speeds=_rotor_speeds(source, topics.get("esc_status"), parameters, vehicle, order),
+        rotor_speeds=rotor_speeds,
         pose=_pose(source, topics),
         odometry=_odometry(source, topics, imu),
         battery_v=_battery(topics.get("battery_status")),
+        quality=DataQuality(left_out=left_out),
     )
+
+
+def _airframe(parameters: Mapping[str, float]) -> Airframe | None:
+    """What the airframe, its number of rotors or else the type that PX4 announces says of the vehicle."""
+    airframe = int(parameters.get("CA_AIRFRAME", 0))
+    if airframe in _AIRFRAMES:
+        return Airframe(f"CA_AIRFRAME {airframe}", _AIRFRAMES[airframe], False)
+    rotors = int(parameters.get("CA_ROTOR_COUNT", 0))
+    if rotors > 0:
+        return Airframe.of_rotors(f"CA_ROTOR_COUNT {rotors}", rotors)
+    mav_type = int(parameters.get("MAV_TYPE", 0))
+    return Airframe.of_mav_type(f"MAV_TYPE {mav_type}", mav_type)
+
+
+def _live_topics(source: str, instances: Sequence[Any]) -> dict[str, Columns]:
+    """Of each topic the first instance that measures: drivers publish empty ones beside it."""
+    topics: dict[str, Columns] = {}
+    measured: set[str] = set()
+    for data in sorted(instances, key=lambda data: int(data.multi_id)):
+        telling = _TELLING.get(data.name, ())
+        values = [own for name, own in data.data.items() if name.endswith(telling)]
+        measures = not values or any(map(np.any, values))
+        if data.name in measured or (data.name in topics and not measures):
+            continue
+        topics[data.name] = data.data
+        if measures:
+            measured.add(data.name)
+            if data.multi_id:
+                note(source, f"{data.name}: instance {data.multi_id} is read, those before it are empty")
+    return topics
 
 
 def _load(source: str, path: Path) -> Any:
@@ -260,8 +311,11 @@ def _rotor_speeds(
     parameters: dict[str, float],
     vehicle: Vehicle | None,
     order: RotorOrder | None,
-) -> RotorSpeedStream | None:
-    """`esc_status` holds 8 reports, 12 since 1.17; which motor each is says actuator_function, since 1.12."""
+) -> tuple[RotorSpeedStream, npt.NDArray[np.uint8]] | None:
+    """Speeds of all messages, and which form a sample, as those of px4_msgs/EscStatus do.
+
+    `esc_status` holds 8 reports, 12 since 1.17; which motor each is says actuator_function, since 1.12.
+    """
     if columns is None or not _holds(columns):
         return None
     if order is None:
@@ -272,9 +326,26 @@ def _rotor_speeds(
         return None
     rpm = _stack(columns, *names)
     if not np.any(rpm):
-        note(source, "topic rotor_speeds: left out, every rpm of esc_status is zero")
+        note(source, f"topic rotor_speeds: left out, every rpm of esc_status is zero: {NO_TELEMETRY}")
         return None
-    return RotorSpeedStream(_stamps(columns), order.speeds(rpm, vehicle))
+    return RotorReader(order, vehicle).judged(_reports(columns, rpm, order))
+
+
+def _reports(columns: Columns, rpm: Array, order: RotorOrder) -> EscReports:
+    """What the messages say of the rotors' controllers; older releases, and some drivers, leave parts out."""
+    numbers = np.array(order.controllers)
+    count = len(rpm)
+    stamps = [columns.get(f"esc[{number}].timestamp", np.zeros(count)).astype(np.int64) for number in numbers]
+    told = np.stack(stamps, axis=1)
+    marks = np.where(np.any(told > 0, axis=0), told, np.arange(1, count + 1)[:, np.newaxis])
+    flags = columns.get("esc_online_flags", np.zeros(count)).astype(np.int64)
+    online = flags[:, np.newaxis] >> numbers & 1 == 1
+    # A bit that is never set, of a controller that reports, is not maintained.
+    online |= ~np.any(online, axis=0) & np.any(rpm != 0.0, axis=0)
+    verdict = np.full(count, Verdict.SAMPLE, dtype=np.uint8)
+    verdict[np.any(marks == 0, axis=1)] = Verdict.NEVER_REPORTED
+    verdict[~np.all(online, axis=1)] = Verdict.OFFLINE
+    return EscReports(_stamps(columns), rpm, marks, verdict)
 
 
 def _order(

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
@@ -26,36 +25,8 @@ from quadpi_core.messages.cdr import Columns, header_stamps
 from quadpi_core.messages.foreign_messages import Items
 from quadpi_core.messages.payloads import Indices
 from quadpi_core.rotor_order import ERPM, RotorOrder
+from quadpi_core.unusable_readings import REASONS, SILENT_NS, Verdict
 from quadpi_core.vehicle import ROTORS, Vehicle
-
-# PX4 takes an ESC that has not reported for as long for gone (MavlinkStreamESCStatus).
-SILENT_NS = 100_000_000
-
-
-class Verdict(IntEnum):
-    """Whether reports form a sample, or the reason why not."""
-
-    SAMPLE = 0
-    NONE_ANNOUNCED = 1
-    TOO_FEW = 2
-    MOTOR_MISSING = 3
-    MOTOR_TWICE = 4
-    OFFLINE = 5
-    NEVER_REPORTED = 6
-    SILENT = 7
-    REPEATED = 8
-
-
-REASONS = {
-    Verdict.NONE_ANNOUNCED: "no ESC is announced yet",
-    Verdict.TOO_FEW: "fewer ESCs than `rotors` names",
-    Verdict.MOTOR_MISSING: "no report of a motor that `rotors` names",
-    Verdict.MOTOR_TWICE: "two reports of one motor",
-    Verdict.OFFLINE: "an ESC is offline",
-    Verdict.NEVER_REPORTED: "an ESC has not reported yet",
-    Verdict.SILENT: "an ESC has fallen silent",
-    Verdict.REPEATED: "repeats the reports before it",
-}
 
 
 class EscReports(NamedTuple):
@@ -199,15 +170,19 @@ class RotorReader:
         self._heard_ns = np.zeros(ROTORS, dtype=np.int64)
         self.dropped: Counter[str] = Counter()
 
-    def read(self, reports: EscReports) -> RotorSpeedStream:
-        """The samples among the reports."""
+    def judged(self, reports: EscReports) -> tuple[RotorSpeedStream, npt.NDArray[np.uint8]]:
+        """Speeds of all reports, and which of them form a sample (N,), see :class:`Verdict`."""
         time_ns, rpm, marks, verdict = reports
         _judge_news(time_ns, marks, verdict, self._latest, self._heard_ns)
+        return RotorSpeedStream(time_ns, self._order.speeds(rpm, self._vehicle)), verdict
+
+    def read(self, reports: EscReports) -> RotorSpeedStream:
+        """The samples among the reports."""
+        stream, verdict = self.judged(reports)
         if verdict.any():
             self.dropped.update(REASONS[Verdict(value)] for value in verdict[verdict > 0].tolist())
-            kept = verdict == Verdict.SAMPLE
-            time_ns, rpm = time_ns[kept], rpm[kept]
-        return RotorSpeedStream(time_ns, self._order.speeds(rpm, self._vehicle))
+            stream = stream.take(verdict == Verdict.SAMPLE)
+        return stream
 
 
 def start_of_rotors(

@@ -116,6 +116,26 @@ def test_rotor_that_reads_half_at_times(hover: Recording, vehicle: Vehicle):
     assert "rotor 3 halves or doubles within one interval, 4 times: half-reading sensor?" in found
 
 
+def test_nothing_is_said_of_rotors_that_stand_or_idle_on_the_ground(hover: Recording):
+    """After a flight."""
+
+    def on_ground(speeds: np.ndarray) -> None:
+        speeds[500:1000] = 0.0
+        speeds[1000:] = (300.0, 300.0, 150.0, 300.0)
+
+    assert "rotor" not in findings(with_speeds(hover, on_ground), None)
+
+
+def test_rotor_speeds_that_are_all_zero_are_no_telemetry(hover: Recording, vehicle: Vehicle):
+    def silent(speeds: np.ndarray) -> None:
+        speeds[:] = 0.0
+
+    found = findings(with_speeds(hover, silent), vehicle).splitlines()
+    assert [one for one in found if "rotor" in one] == [
+        "every rotor speed reads 0, no telemetry: rules out identification, prediction and replay"
+    ]
+
+
 def test_all_rotors_reading_half_show_against_thrust(hover: Recording, vehicle: Vehicle):
     spoilt = with_speeds(hover, lambda speeds: np.divide(speeds, 2, out=speeds))
     assert "speeds too low by a constant factor" in findings(spoilt, vehicle)
@@ -123,7 +143,7 @@ def test_all_rotors_reading_half_show_against_thrust(hover: Recording, vehicle: 
 
 def test_frozen_rotor_and_frozen_pose(hover: Recording, vehicle: Vehicle):
     def freeze(speeds: np.ndarray) -> None:
-        speeds[400:600, 1] = speeds[400, 1]
+        speeds[400:800, 1] = speeds[400, 1]
 
     position, attitude = hover.pose.position.copy(), hover.pose.attitude.copy()
     position[100:150], attitude[100:150] = position[100], attitude[100]
@@ -131,9 +151,8 @@ def test_frozen_rotor_and_frozen_pose(hover: Recording, vehicle: Vehicle):
         with_speeds(hover, freeze), pose=replace(hover.pose, position=position, attitude=attitude)
     )
     found = findings(spoilt, vehicle)
-    assert (
-        "topic rotor_speeds: sample 400: rotor 2 stays the same for 0.40 s, from 0.80 s on: frozen?" in found
-    )
+    assert "topic rotor_speeds: rotor 2 reads 15" in found
+    assert "from 0.80 to 1.60 s in flight, without a change" in found
     assert "topic mocap/pose: sample 100: position stays the same for 0.49 s" in found
 
 

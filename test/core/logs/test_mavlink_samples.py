@@ -202,7 +202,7 @@ def test_an_esc_that_is_offline_gives_no_speed(
     samples.decode(mavlink_message("ESC_INFO", *info), 0.0)
     status = mavlink_message("ESC_STATUS", 0, 777, [1000, 2000, 3000, 0], [0.0] * 4, [0.0] * 4)
     assert samples.decode(status, 0.0) is None
-    assert samples.refused == {"ESC_STATUS: controller 4 is offline": 1}
+    assert samples.refused == {"ESC_STATUS: an ESC is offline: controller 4": 1}
 
 
 def test_esc_telemetry_has_no_stamp_and_counts_what_is_new(

@@ -72,7 +72,7 @@ def controllers(*periods_ns):
     found = []
     for number, period in enumerate(periods_ns):
         time_ns = np.arange(0, 3 * SECOND, period)
-        found.append((time_ns, (100.0 * number + time_ns / SECOND)[:, np.newaxis]))
+        found.append((time_ns, (100.0 * (number + 1) + time_ns / SECOND)[:, np.newaxis]))
     return found
 
 
@@ -83,7 +83,7 @@ def test_rotors_that_are_logged_apart_are_taken_at_the_stamps_of_the_most_freque
     rpm = stream.speeds * 60.0 / (2.0 * np.pi)
     seconds = stream.time_ns / SECOND
     np.testing.assert_allclose(np.diff(seconds), 0.02)
-    np.testing.assert_allclose(rpm, np.arange(4) * 100.0 + seconds[:, np.newaxis])
+    np.testing.assert_allclose(rpm, np.arange(1, 5) * 100.0 + seconds[:, np.newaxis])
     assert seconds[-1] == pytest.approx(2.8)
     assert (
         rotors_together(
@@ -108,3 +108,10 @@ def test_a_rounded_attitude_is_scaled_and_one_that_is_none_stays():
         np.testing.assert_allclose(normalised_attitude(norm * level), level)
     for norm in (0.0, 0.949, 1.051, np.nan):
         np.testing.assert_array_equal(normalised_attitude(norm * level), norm * level)
+
+
+def test_between_a_speed_and_none_a_controller_that_is_logged_apart_reads_none():
+    fast, slow = controllers(SECOND // 100, SECOND // 10)
+    slow[1][10] = 0.0
+    speeds = rotors_together([fast, slow, fast, fast], RotorOrder((0, 1, 2, 3), RPM), None).speeds
+    assert np.flatnonzero(speeds[:, 1] == 0.0).tolist() == list(range(91, 110))

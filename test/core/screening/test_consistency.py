@@ -70,7 +70,7 @@ def test_nothing_is_said_of_real_flights(shared_data, name):
 
 
 @pytest.mark.parametrize(
-    ("log", "rotor"), [("imrc_brushed/jana20", 1), ("imrc_payload/eckart52", 3)], ids=["zeros", "half"]
+    ("log", "rotor"), [("imrc_brushed/jana27", 1), ("imrc_payload/eckart52", 3)], ids=["zeros", "half"]
 )
 def test_real_rotor_sensors_that_fail_are_named(shared_data, log, rotor):
     vehicle = Vehicle.load("crazyflie_rpm")

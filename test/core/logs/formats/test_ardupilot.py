@@ -29,6 +29,7 @@ FORMATS = {
     "XKF1": ("QBffffff", "TimeUS,C,VN,VE,VD,PN,PE,PD"),
     "EKF1": ("Qffffff", "TimeUS,VN,VE,VD,PN,PE,PD"),
     "ESC": ("QBf", "TimeUS,Instance,RPM"),
+    "CESC": ("QBf", "TimeUS,Id,RPM"),
     **{f"ESC{number}": ("Qf", "TimeUS,RPM") for number in range(1, 5)},
     "BAT": ("QBf", "TimeUS,Instance,Volt"),
     "CURR": ("Qf", "TimeUS,Volt"),
@@ -140,6 +141,41 @@ def test_a_controller_that_is_not_logged_leaves_no_rotor_speeds(read, caplog):
     three = [row for row in ESCS if row[2] != 2]
     assert read(IMU, parameters(FRAME_TYPE=1.0), three).rotor_speeds is None
     assert "topic rotor_speeds: left out, speed controllers 3 are not logged" in caplog.text
+
+
+def test_controllers_on_can_had_records_of_their_own(read, vehicle):
+    """Beside empty ones of the others."""
+    can = [("CESC", now, number, rpm) for now in TIMES for number, rpm in enumerate(RPM)]
+    silent = [("ESC", now, number, 0.0) for now in TIMES for number in range(4)]
+    found = corners(vehicle, read(IMU, parameters(FRAME_TYPE=1.0), silent, can))
+    assert found == pytest.approx(dict(zip(CORNERS, RPM, strict=True)))
+
+
+def test_speeds_that_are_zero_throughout_name_the_parameter_of_telemetry(read, caplog):
+    silent = [("ESC", now, number, 0.0) for now in TIMES for number in range(4)]
+    assert read(IMU, parameters(FRAME_TYPE=1.0), silent).rotor_speeds is None
+    assert "topic rotor_speeds: left out, every rpm is zero: no telemetry: set SERVO_BLH_AUTO" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("frame", "name"), [(2.0, "a hexacopter"), (3.0, "an octocopter"), (7.0, "a tricopter")]
+)
+def test_another_multicopter_is_refused_by_name(read, frame, name):
+    with pytest.raises(LogError, match=f"FRAME_CLASS {frame:.0f} is {name}; quadpi supports quadrotors"):
+        read(IMU, parameters(FRAME_CLASS=frame), ESCS)
+
+
+def test_of_a_helicopter_the_sensors_are_read_and_the_rotors_are_not(read, caplog):
+    recording = read(IMU, parameters(FRAME_CLASS=6.0), ESCS)
+    assert (len(recording.imu) > 0, recording.rotor_speeds) == (True, None)
+    assert "FRAME_CLASS 6 is a helicopter" in caplog.text
+
+
+def test_a_function_of_an_output_that_changes_in_flight_is_that_of_the_beginning(read, vehicle):
+    """As in a test that takes a motor away."""
+    functions = {f"SERVO{output}_FUNCTION": 32.0 + output for output in range(1, 5)}
+    changed = [*parameters(FRAME_TYPE=1.0, **functions), ("PARM", 2, "SERVO3_FUNCTION", 1.0)]
+    assert corners(vehicle, read(IMU, changed, ESCS)) == pytest.approx(dict(zip(CORNERS, RPM, strict=True)))
 
 
 @pytest.mark.parametrize("rows", [[("BAT", 1, 0, 12.5), ("BAT", 2, 1, 3.3)], [("CURR", 1, 12.5)]])

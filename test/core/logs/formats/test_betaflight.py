@@ -161,8 +161,8 @@ def test_fields_that_were_not_logged(read, names, topic, caplog):
 
 def test_electrical_speeds_need_pole_pairs(read, vehicle, caplog):
     with pytest.raises(VehicleError, match="pole_pairs"):
-        read(flight(*frames(3)), replace(vehicle, pole_pairs=None))
-    assert read(flight(*frames(3)), None).rotor_speeds is None
+        read(flight(*frames(3), motor_poles=None), replace(vehicle, pole_pairs=None))
+    assert read(flight(*frames(3), motor_poles=None), None).rotor_speeds is None
     assert "topic rotor_speeds: left out, electrical speeds need the vehicle's pole pairs" in caplog.text
 
 
@@ -220,5 +220,18 @@ def test_flights_that_were_thrown_and_caught(shared_data):
 
 
 def test_other_pole_pairs_than_the_log_says_are_noted(read, vehicle, caplog):
-    read(flight(*frames(3)), replace(vehicle, pole_pairs=6))
-    assert "motor_poles is 14, the vehicle file says 12" in caplog.text
+    """The log's count."""
+    own, other = (read(flight(*frames(3)), replace(vehicle, pole_pairs=pairs)) for pairs in (7, 6))
+    assert np.array_equal(own.rotor_speeds.speeds, other.rotor_speeds.speeds)
+    assert "motor_poles is 14, the vehicle file says 12; the log counts" in caplog.text
+
+
+def test_electrical_speeds_that_are_zero_throughout_name_the_setting(read, caplog):
+    assert read(flight(*frames(3, (*VALUES[:6], 0, 0, 0, 0)))).rotor_speeds is None
+    assert "every eRPM is zero: no telemetry: `set dshot_bidir = ON`" in caplog.text
+
+
+def test_a_log_of_six_motors_is_refused_by_name(read):
+    motors = [f"motor[{number}]" for number in range(6)]
+    with pytest.raises(LogError, match="a log of 6 motors is a hexacopter; quadpi supports quadrotors"):
+        read(flight(*frames(3, (*VALUES, *[1000] * 6)), names=[*SENSORS, *ERPM, *motors]))

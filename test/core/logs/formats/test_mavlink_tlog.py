@@ -15,6 +15,7 @@ pytest.importorskip("pymavlink", reason="pymavlink is not installed")
 
 import pytest
 
+from quadpi_core.errors import LogError
 from quadpi_core.logs.formats.mavlink_tlog import TlogCounts, read_records, read_tlog
 from quadpi_core.logs.mavlink_frames import frame_length
 
@@ -106,3 +107,40 @@ def test_the_better_message_is_used_if_it_has_half_the_samples(
         imu_log(sender, 10_000 * np.arange(100), "SCALED_IMU") + imu_log(sender, 10_000 * np.arange(best))
     )
     assert len(read_tlog(path, None).imu) == used
+
+
+@pytest.mark.parametrize(
+    ("mav_type", "message"),
+    [
+        (13, "MAV_TYPE 13 is a hexacopter; quadpi supports quadrotors"),
+        (20, "MAV_TYPE 20 is a VTOL aircraft"),
+        (2, ""),
+    ],
+)
+def test_a_vehicle_that_is_no_quadrotor_is_named(
+    mavlink_sender: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture, mav_type: int, message: str
+) -> None:
+    sender, path = mavlink_sender(), tmp_path / "flight.tlog"
+    heartbeat = record(sender.packet("HEARTBEAT", mav_type, 12, 0, 0, 4, 3), 0)
+    path.write_bytes(heartbeat + imu_log(sender, 10_000 * np.arange(100)))
+    if mav_type == 13:
+        with pytest.raises(LogError, match=message):
+            read_tlog(path, None)
+        return
+    assert len(read_tlog(path, None).imu) == 100
+    assert message in caplog.text
+    assert ("quadpi supports" in caplog.text) is bool(message)
+
+
+def test_speeds_that_are_zero_throughout_name_the_parameter_of_telemetry(
+    mavlink_sender: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    sender, path = mavlink_sender(), tmp_path / "flight.tlog"
+    silent = [
+        record(sender.packet("ESC_TELEMETRY_1_TO_4", [0] * 4, [0] * 4, [0] * 4, [0] * 4, [0] * 4, [n] * 4), n)
+        for n in range(1, 50)
+    ]
+    heartbeat = record(sender.packet("HEARTBEAT", 2, 3, 0, 0, 4, 3), 0)
+    path.write_bytes(heartbeat + imu_log(sender, 10_000 * np.arange(100)) + b"".join(silent))
+    assert read_tlog(path, None).rotor_speeds is None
+    assert "every rpm is zero: no telemetry: set SERVO_BLH_AUTO" in caplog.text

@@ -201,7 +201,65 @@ def test_positions_of_motors_in_the_log_count(read, vehicle, caplog):
 
 def test_speeds_that_say_nothing_are_left_out(read, caplog):
     assert read(escs((101, 102, 103, 104), (0, 0, 0, 0))).rotor_speeds is None
-    assert "topic rotor_speeds: left out, every rpm of esc_status is zero" in caplog.text
+    assert (
+        "topic rotor_speeds: left out, every rpm of esc_status is zero: no telemetry: set DSHOT_TEL_CFG"
+        in caplog.text
+    )
+
+
+STATUS = "uint64_t timestamp;uint16_t esc_online_flags;esc_report[8] esc;", "QH" + "QiB3x" * 8
+
+
+def statuses(online: Sequence[int], rpm: Sequence[int] = RPM) -> Any:
+    """Rows of esc_status, each ESC of which has reported anew."""
+    return STATUS, [
+        (now, flags, *(n for k in range(8) for n in (now, (*rpm, 0, 0, 0, 0)[k], 101 + k if k < 4 else 0)))
+        for now, flags in zip(TIMES, online, strict=True)
+    ]
+
+
+def test_messages_of_an_esc_that_is_offline_are_left_out_and_counted(read):
+    recording = read({("esc_status", 0): statuses([15] * 40 + [7] * 3 + [15] * 57)})
+    assert len(recording.rotor_speeds) == 97
+    assert [str(left) for left in recording.quality.left_out] == [
+        "topic rotor_speeds: left out 3 of 100 samples in which an ESC is offline; the first is sample 40, "
+        "at 0.200 s"
+    ]
+
+
+def test_online_flags_that_a_driver_never_sets_say_nothing(read):
+    assert len(read({("esc_status", 0): statuses([0] * 100)}).rotor_speeds) == 100
+
+
+def test_of_instances_the_first_one_with_speeds_counts(read, vehicle, caplog):
+    topics = {("esc_status", 0): statuses([0] * 100, (0,) * 4), ("esc_status", 1): statuses([15] * 100)}
+    assert corners(vehicle, read(topics))[1, 1] == pytest.approx(1000.0)
+    assert "esc_status: instance 1 is read, those before it are empty" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("parameters", "refused"),
+    [
+        ({"CA_ROTOR_COUNT": 6.0}, "CA_ROTOR_COUNT 6 is a hexacopter; quadpi supports quadrotors"),
+        ({"MAV_TYPE": 14.0}, "MAV_TYPE 14 is an octocopter; quadpi supports quadrotors"),
+        ({"CA_ROTOR_COUNT": 4.0, "MAV_TYPE": 13.0}, None),
+    ],
+)
+def test_another_multicopter_is_refused_by_name(read, parameters, refused):
+    if refused is None:
+        assert len(read(parameters=parameters).imu) == 100
+        return
+    with pytest.raises(LogError, match=refused):
+        read(parameters=parameters)
+
+
+@pytest.mark.parametrize("parameters", [{"CA_AIRFRAME": 2.0, "CA_ROTOR_COUNT": 4.0}, {"MAV_TYPE": 22.0}])
+def test_of_a_vtol_the_sensors_are_read_and_the_rotors_are_not(read, parameters, caplog):
+    recording = read(escs((101, 102, 103, 104)), parameters=parameters)
+    assert len(recording.imu) == 100
+    assert recording.rotor_speeds is None
+    assert "VTOL" in caplog.text
+    assert "rules out identification, prediction and replay" in caplog.text
 
 
 def test_voltage(read):
