@@ -24,7 +24,10 @@ from quadpi_core.cli.options import (
 def import_logs(
     logs: Annotated[
         list[Path],
-        typer.Argument(help="Logs of any known format, tables or bags: docs/import-logs.md lists them."),
+        typer.Argument(
+            help="Logs of any known format, tables or bags: docs/import-logs.md lists them. FILE#2 is the "
+            "second flight in a file."
+        ),
     ],
     vehicle: options.VehicleName,
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the bags.")],

@@ -14,7 +14,9 @@ from quadpi_core.cli.options import check_outputs, open_console, write_result
 
 
 def info(
-    path: Annotated[Path, typer.Argument(help="A log, a bag or a model folder.")],
+    path: Annotated[
+        Path, typer.Argument(help="A log (FILE#2: the second flight in it), a bag or a model folder.")
+    ],
     vehicle: options.OptionalVehicle = None,
     mapping: options.Mapping = None,
     topics: options.Topics = None,

@@ -24,6 +24,16 @@ from quadpi_core.vehicle import Vehicle
 FORMATS = Plugins("log format", formats, "quadpi.log_formats", LogFormat, LogError)
 
 
+# What unpacks a file that a log was compressed to, by its first bytes. Compressed bags are read as they are.
+_PACKERS = {
+    b"\x1f\x8b": "gunzip",
+    b"PK\x03\x04": "unzip",
+    b"BZh": "bunzip2",
+    b"\xfd7zXZ": "unxz",
+    b"7z\xbc\xaf": "7z x",
+}
+
+
 @cache
 def log_formats() -> tuple[LogFormat[Any], ...]:
     """The known formats: those that come with quadpi by file name, then those of installed packages.
@@ -46,6 +56,12 @@ def identify_format(path: Path) -> LogFormat[Any]:
     if path.is_file() and path.stat().st_size == 0:
         raise LogError(f"{path}: the file is empty")
     found = _identified(path)
+    if found is None and path.is_file():
+        with path.open("rb") as file:
+            begin = file.read(max(map(len, _PACKERS)))
+        for magic, command in _PACKERS.items():
+            if begin.startswith(magic):
+                raise LogError(f"{path}: is compressed; `{command} {path.name}` unpacks it")
     if found is None:
         known = ", ".join(log_format.description for log_format in log_formats())
         raise LogError(f"{path}: not a known log format; known: {known}")

@@ -8,6 +8,7 @@ Body axes in the file are forward-left-up; the world is z-up and taken as east-n
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -18,8 +19,10 @@ from quadpi_core.frames import Array, body_flu_to_frd, quaternion_flu_enu_to_frd
 from quadpi_core.logs.formats.table_files import read_table
 from quadpi_core.logs.log_format import LogFormat
 from quadpi_core.logs.mapping import Mapping
+from quadpi_core.logs.mapping_draft import mapping_draft
 from quadpi_core.logs.matlab import read_matlab
-from quadpi_core.logs.reader_steps import normalised_attitude, stamps_ns
+from quadpi_core.logs.reader_steps import normalised_attitude, note, stamps_ns
+from quadpi_core.logs.table_columns import open_columns
 from quadpi_core.vehicle import Vehicle
 
 _COLUMN_COUNT = 41
@@ -84,10 +87,12 @@ def _load_matrix(path: Path) -> Array:
         and variable.values.shape[1] == _COLUMN_COUNT
     ]
     if len(matrices) != 1 or matrices[0].dtype.kind != "f":
+        with suppress(LogError):
+            note(str(path), f"a mapping file to start from:\n{mapping_draft(open_columns(path))}")
         held = ", ".join(f"{variable.name} ({variable.kind})" for variable in variables) or "nothing"
         raise LogError(
             f"{path}: expected one NeuroBEM matrix of N samples by {_COLUMN_COUNT} columns; "
-            f"the file holds {held}; other variables need a mapping file (--mapping)"
+            f"the file holds {held}; other variables need a mapping file (--mapping), like the one above"
         )
     return np.ascontiguousarray(matrices[0], dtype=np.float64)
 

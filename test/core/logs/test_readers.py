@@ -17,6 +17,8 @@ from quadpi_core.logs import identify_format, read_recording
     [
         ("absent.mat", None, "no such file or folder"),
         ("empty.mat", b"", "the file is empty"),
+        ("flight.ulg.gz", b"\x1f\x8b\x08\x00", "is compressed; `gunzip flight.ulg.gz` unpacks it"),
+        ("LOG.zip", b"PK\x03\x04\x00", "is compressed; `unzip LOG.zip` unpacks it"),
         (
             "flight.xyz",
             b"some bytes",

@@ -112,9 +112,10 @@ def test_bad_samples_are_left_out(tmp_path: Path, vehicle: Vehicle, cell, value,
     ]
 
 
-def test_other_matrices_are_refused(tmp_path: Path, vehicle: Vehicle):
+def test_other_matrices_are_refused_with_a_mapping_to_start_from(tmp_path: Path, vehicle: Vehicle, caplog):
     with pytest.raises(LogError, match="expected one NeuroBEM matrix"):
         read_recording(write_matrix(tmp_path / "flight.mat", np.zeros((5, 7))), vehicle)
+    assert "acceleration: {columns: ['?x', '?y', '?z'], unit: m/s2" in caplog.text
 
 
 def test_damaged_files_are_refused(tmp_path: Path, vehicle: Vehicle):
