@@ -18,10 +18,23 @@ LEVEL_OK, LEVEL_WARNING, LEVEL_ALARM = 0, 1, 2
 EXTRAPOLATION, MISCOVERAGE, BAD_DATA = 1, 2, 4
 CAUSES = (EXTRAPOLATION, MISCOVERAGE, BAD_DATA)
 CAUSE_NAMES = {EXTRAPOLATION: "extrapolation", MISCOVERAGE: "miscoverage", BAD_DATA: "bad data"}
-# Health of a cause. ACTIVE: judged with a stated rate of false alarms. WAITING: not judged, on the ground
-# or, for MISCOVERAGE, while the state settles. UNAVAILABLE: no usable samples. UNCALIBRATED: judged by
-# plain limits.
+# Health of a cause. ACTIVE: judged with a stated rate of false alarms. WAITING: not judged, as the vehicle
+# does not fly or, for MISCOVERAGE, while the state settles. UNAVAILABLE: no usable samples. UNCALIBRATED:
+# judged by plain limits.
 ACTIVE, WAITING, UNAVAILABLE, UNCALIBRATED = 0, 1, 2, 3
+# Why a model is not judged: the vehicle does not fly, there are no samples, or the state settles, when only
+# MISCOVERAGE is not judged.
+JUDGED, PARKED, IDLES, CARRIED, MOVED, NO_SAMPLES, SETTLES = range(7)
+WHY_NOT_JUDGED = {
+    PARKED: "on the ground, rotors at rest",
+    IDLES: "on the ground, rotors turn too slowly to fly",
+    CARRIED: "carried, or no telemetry: it moves with all rotors at 0",
+    MOVED: "moved by something else: its rotors turn too slowly to fly",
+    NO_SAMPLES: "no usable samples",
+    SETTLES: "the state settles, Fz alone is judged",
+}
+# Of a flight before the first sample that a monitor could take.
+NOT_BEGUN = "state or rotor speeds have not begun"
 # Events that the log keeps, and that a late subscriber to /alarm_log is given.
 EVENTS_KEPT = 64
 
@@ -85,6 +98,9 @@ class Alarms(AlarmRows):
         input_excess: (M, 19) how far each input lies outside its training range, in widths of that range,
             zero inside.
         faults: (M,) what is wrong with the data, bits of `monitor.data_quality`.
+        stopped: (M,) rotors that have stopped, one bit each.
+        why_not_judged: (M,) keys of `WHY_NOT_JUDGED`, or JUDGED.
+        not_judged_share: (M,) of the time since the first sample.
     """
 
     leverage_ratio: Array
@@ -92,6 +108,9 @@ class Alarms(AlarmRows):
     input_score: Array
     input_excess: Array
     faults: npt.NDArray[np.int64]
+    stopped: npt.NDArray[np.int64]
+    why_not_judged: npt.NDArray[np.int64]
+    not_judged_share: Array
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ what is outside, since the alarm uses them itself.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -73,17 +73,16 @@ def alarm_of_flight(
     evaluation = model.evaluate_recorded(time[known], inputs, derivatives, confidence)
     alarm = Alarm(
         model.envelope,
-        model.alarm_limits,
+        # The flight was in the air all the time, as the alarm takes it without a rotor speed of hover.
+        replace(model.alarm_limits, hover_rotor_speed=0.0),
         MonitorSettings(alarm_rate_hz=_EVERY_SAMPLE_HZ),
-        np.array([axis in model.axes for axis in AXES]),
-        model.interval_ratio(confidence),
+        held=np.array([axis in model.axes for axis in AXES]),
+        interval_ratio=model.interval_ratio(confidence),
     )
     samples = len(time)
     verdicts = np.zeros(samples, VERDICT)
     verdicts["time_ns"] = np.round(1e9 * time)
     verdicts["usable"], verdicts["settled"] = known, True
-    # The flight was in the air all the time: at an infinite speed the alarm never takes it for standing.
-    verdicts["velocity"] = np.inf
     prepared = Prepared(verdicts, inputs, wrench, verdicts["time_ns"][known], derivatives)
     rows = alarm.step(prepared, evaluation)
     missed = np.zeros((samples, len(AXES)), dtype=np.bool_)

@@ -19,8 +19,11 @@ MISCOVERAGE is a sequential test per axis (Page 1954): S ← max(0, S + dt (miss
 interval and k between the allowed share of misses and the alternative (`models.alarm_limits`). Its score, S
 over its limit, takes the place of the charge: full at 1, half full at ½, empty at ¼.
 
-On the ground neither EXTRAPOLATION nor MISCOVERAGE is judged, for there the wrench is not aerodynamic.
-While the state settles (`monitor.preparation.SETTLE_NS`) the sums of MISCOVERAGE do not change.
+On the ground neither EXTRAPOLATION nor MISCOVERAGE is judged, for there the wrench is not aerodynamic; what
+`monitor.ground` takes for flying is. A vehicle that moves with all rotors at 0 is half of the charge of
+BAD_DATA: it is carried, or there is no telemetry. A rotor that stops (`monitor.rotor_thrust`) is an alarm of
+MISCOVERAGE at once, and no fault of its sensor.
+While the state settles (`monitor.preparation.SETTLE_NS`) of the sums of MISCOVERAGE that of Fz alone changes.
 """
 
 from __future__ import annotations
@@ -39,8 +42,21 @@ from quadpi_core.models.envelope import Envelope
 from quadpi_core.models.model_kind import Evaluation
 from quadpi_core.monitor import alarm_kernel as kernel
 from quadpi_core.monitor.preparation import Prepared
+from quadpi_core.monitor.rotor_thrust import rotor_geometry
 from quadpi_core.records import Records
-from quadpi_core.results import ACTIVE, BAD_DATA, CAUSES, LEVEL_ALARM, UNAVAILABLE, UNCALIBRATED, Alarms
+from quadpi_core.results import (
+    ACTIVE,
+    BAD_DATA,
+    CAUSES,
+    LEVEL_ALARM,
+    NO_SAMPLES,
+    NOT_BEGUN,
+    UNAVAILABLE,
+    UNCALIBRATED,
+    WHY_NOT_JUDGED,
+    Alarms,
+)
+from quadpi_core.vehicle import Vehicle
 
 
 @dataclass(frozen=True)
@@ -84,6 +100,7 @@ class Alarm:
         held: (6,) axes that the model holds; all unless given.
         interval_ratio: (6,) width of the intervals that the limits were calibrated with over the width of
             those that :meth:`step` will be given.
+        vehicle: whose rotors may stop; without one they are not watched.
     """
 
     def __init__(
@@ -93,8 +110,9 @@ class Alarm:
         settings: MonitorSettings,
         held: npt.NDArray[np.bool_] | None = None,
         interval_ratio: Array | None = None,
+        vehicle: Vehicle | None = None,
     ) -> None:
-        near, hover_square = envelope.near, limits.hover_rotor_speed**2
+        near = envelope.near
         self._limits = np.zeros(1, kernel.LIMITS)
         for name, values in {
             "lower": envelope.lower,
@@ -111,11 +129,14 @@ class Alarm:
             else np.where(held, limits.miscoverage_s, np.inf),
             "interval_ratio": 1.0 if interval_ratio is None else interval_ratio,
             "allowance": limits.allowance,
-            "lifted_square": kernel.LIFTED * hover_square,
-            "standing_square": kernel.STANDING * hover_square,
+            "hover_square": limits.hover_rotor_speed**2,
             "health_in_flight": ACTIVE if limits.calibrated else UNCALIBRATED,
         }.items():
             self._limits[name] = values
+        if vehicle is not None:
+            geometry = rotor_geometry(vehicle, limits.hover_rotor_speed)
+            for name, number in zip(self._limits.dtype["rotors"].names or (), geometry, strict=True):
+                self._limits["rotors"][name] = number
         # Limits of leverage and width over their peaks in training: a score times this is a multiple of the
         # peak.
         self._leverage_per_peak = envelope.leverage_limit * _inverse(envelope.leverage_peak)
@@ -147,7 +168,7 @@ class Alarm:
         """A row for an instant without a sample: BAD_DATA beside the causes raised; changes nothing."""
         row = self._state["row"].copy()
         bad_data = CAUSES.index(BAD_DATA)
-        row["time_ns"], row["faults"] = time_ns, 0
+        row["time_ns"], row["faults"], row["why_not_judged"] = time_ns, 0, NO_SAMPLES
         row["level"] = row["cause_level"][:, bad_data] = LEVEL_ALARM
         row["causes"] |= BAD_DATA
         row["cause_health"] = UNAVAILABLE
@@ -162,6 +183,9 @@ class Alarm:
         return Alarms(
             time_ns=rows["time_ns"],
             faults=rows["faults"],
+            stopped=rows["stopped"],
+            why_not_judged=rows["why_not_judged"],
+            not_judged_share=rows["not_judged_share"],
             level=rows["level"].astype(np.uint8),
             causes=rows["causes"].astype(np.uint8),
             cause_level=rows["cause_level"].astype(np.uint8),
@@ -207,3 +231,44 @@ def alarm_time(
     durations = np.diff(time_ns, append=max(end_ns, int(time_ns[-1])))
     fraction = float(durations[raised].sum() / max(durations.sum(), 1))
     return AlarmTime(fraction, int(time_ns[np.argmax(raised)]) if raised.any() else None)
+
+
+@dataclass(frozen=True)
+class NotJudgedReason:
+    """Why a model was not judged, in words, and for what fraction of the flight."""
+
+    reason: str
+    fraction: float
+
+
+class NotJudged(NamedTuple):
+    """For how much of a flight the model was not judged, and why.
+
+    Attributes:
+        fraction: share of the flight without a verdict on the coverage; while the state settles,
+            EXTRAPOLATION is judged all the same.
+        reasons: that it is made of, the largest first.
+    """
+
+    fraction: float
+    reasons: tuple[NotJudgedReason, ...]
+
+
+def not_judged(time_ns: Stamps, why: npt.NDArray[np.int64], start_ns: int, end_ns: int) -> NotJudged:
+    """Sum up why alarm rows (M,) say that the model is not judged, see :func:`alarm_time`.
+
+    Args:
+        time_ns: of the rows.
+        why: keys of `results.WHY_NOT_JUDGED`, or JUDGED.
+        start_ns: of the flight; before the first row there is no state, or no rotor speeds, yet.
+        end_ns: of the flight.
+    """
+    end_ns = max(end_ns, int(time_ns[-1]))
+    durations = np.diff(time_ns, append=end_ns).astype(np.float64)
+    before = float(max(int(time_ns[0]) - start_ns, 0))
+    whole = max(before + float(durations.sum()), 1.0)
+    shares = {NOT_BEGUN: before / whole}
+    shares |= {words: float(durations[why == key].sum()) / whole for key, words in WHY_NOT_JUDGED.items()}
+    largest_first = sorted(shares.items(), key=lambda item: -item[1])
+    reasons = tuple(NotJudgedReason(words, share) for words, share in largest_first if share > 0.0)
+    return NotJudged(float(sum(reason.fraction for reason in reasons)), reasons)

@@ -12,21 +12,27 @@ import numpy.typing as npt
 from quadpi_core.compiled import njit
 from quadpi_core.flight import AXES, NO_STAMP
 from quadpi_core.frames import Array
-from quadpi_core.inputs import COSINES, INPUT_INDEX, INPUT_NAMES
+from quadpi_core.inputs import COSINES, INPUT_NAMES
 from quadpi_core.models.envelope import distance_outside
 from quadpi_core.models.model_kind import Evaluation
 from quadpi_core.monitor.data_quality import IN_FLIGHT_ONLY
+from quadpi_core.monitor.ground import Ground, follow_ground
 from quadpi_core.monitor.preparation import Verdict
+from quadpi_core.monitor.rotor_thrust import RotorGeometry, RotorThrust, follow_thrust, forget_thrust
 from quadpi_core.records import Records, record_dtype
 from quadpi_core.results import (
     ACTIVE,
     BAD_DATA,
+    CARRIED,
     CAUSES,
     EXTRAPOLATION,
+    JUDGED,
     LEVEL_ALARM,
     LEVEL_OK,
     LEVEL_WARNING,
     MISCOVERAGE,
+    NO_SAMPLES,
+    SETTLES,
     UNAVAILABLE,
     WAITING,
 )
@@ -44,14 +50,11 @@ SUM_MOST, SUM_OVER = 1.5, 0.25
 SHARE_S = 2.0
 # After this long without a usable sample [s], the model is not judged.
 SILENT_S = 0.1
-# Shares of the vehicle's weight that the rotors carry: from LIFTED on it flies. Below STANDING and slower
-# than STANDING_M_S for STANDING_S it stands on the ground: in the air 0.3 g would have made it faster
-# within that time.
-LIFTED, STANDING, STANDING_M_S, STANDING_S = 0.9, 0.7, 0.3, 0.3
 
 # Columns of the causes.
 _OF_EXTRAPOLATION, _OF_MISCOVERAGE, _OF_BAD_DATA = map(CAUSES.index, (EXTRAPOLATION, MISCOVERAGE, BAD_DATA))
-_OMEGA_AVG = INPUT_INDEX["omega_avg"]
+
+_FZ = AXES.index("Fz")
 
 _PerInput: TypeAlias = Annotated[Array, len(INPUT_NAMES)]
 _PerAxis: TypeAlias = Annotated[Array, len(AXES)]
@@ -83,8 +86,8 @@ class Limits:
     allowance: float  # share of misses at which the sum neither rises nor falls
     persistence_s: float
     release_s: float
-    lifted_square: float  # (rad/s)², mean squared rotor speed from which on the vehicle flies
-    standing_square: float  # (rad/s)², below which it may stand on the ground
+    hover_square: float  # (rad/s)², squared rotor speed in hover; 0 where unknown
+    rotors: RotorGeometry
     period_ns: int  # of the rows between changes
     health_in_flight: int  # ACTIVE, or UNCALIBRATED
 
@@ -105,6 +108,9 @@ class Row:
     input_score: _PerInput
     input_excess: _PerInput
     faults: int
+    stopped: int  # bit per rotor
+    why_not_judged: int  # of `quadpi_core.results.WHY_NOT_JUDGED`, or JUDGED
+    not_judged_share: float  # of the time since the first sample
 
 
 class State:
@@ -118,9 +124,11 @@ class State:
     miss_sum_s: _PerAxis  # cumulative sum of the sequential test
     miss_share: _PerAxis
     silent_s: float  # since the last usable sample
-    standing_s: float  # for which the vehicle has seemed to stand on the ground
+    ground: Ground
+    thrust: RotorThrust
+    since_first_s: float  # since the first sample
+    not_judged_s: float  # of that, for which the model was not judged
     previous_ns: int  # stamp of the last sample; NO_STAMP before the first
-    flying: bool
     settled: bool  # whether the misses of the last usable sample counted
     reported_inputs: int  # bits of the inputs outside that rows have reported since the level was last ok
     reported_faults: int  # the same for faults
@@ -133,6 +141,8 @@ def forget(states: Records) -> None:
     """Empty the state (1,)."""
     states[:] = np.zeros(1, STATE)
     states["previous_ns"] = NO_STAMP
+    states["ground"]["why"] = NO_SAMPLES
+    states["thrust"]["since_zero_s"] = np.inf
 
 
 @njit(cache=True)
@@ -163,20 +173,22 @@ def advance(
         before_ns, first = state.previous_ns, state.previous_ns == NO_STAMP
         step_s = 0.0 if first else min(max((sample.time_ns - before_ns) * 1e-9, 0.0), STEP_MAX_S)
         state.previous_ns = sample.time_ns
-        beyond = 0
+        beyond, faults, stopped, why = 0, sample.faults, state.thrust.stopped, state.row.why_not_judged
         if sample.usable:
             state.silent_s = 0.0
             state.settled = sample.settled
-            _follow_ground(limits, state, inputs[used, _OMEGA_AVG], sample.velocity, step_s)
-            if state.flying:
+            faults = _follow_vehicle(limits, state, sample, measured[used], step_s)
+            if state.ground.flying:
                 beyond = _judge_extrapolation(limits, state, inputs[used], evaluation, used, step_s)
                 _judge_miscoverage(limits, state, measured[used], evaluation, used, step_s)
             used += 1
         else:
             state.silent_s += step_s
-        faults = _judge_data(limits, state, sample, step_s)
+        faults = _judge_data(limits, state, sample.usable, faults, step_s)
+        _count_time(state, step_s)
 
         is_due = _set_levels(limits, state) or first
+        is_due |= state.thrust.stopped != stopped or state.row.why_not_judged != why
         is_due |= sample.time_ns // limits.period_ns != before_ns // limits.period_ns
         if state.row.level == LEVEL_OK:
             state.reported_inputs, state.reported_faults = 0, 0
@@ -191,23 +203,35 @@ def advance(
 
 
 @njit(cache=True)
-def _follow_ground(limits: Limits, state: State, omega: float, velocity: Array, step_s: float) -> None:
-    """Decide whether the vehicle flies; on the ground, forget the evidence against the model."""
-    square = omega * omega
-    if not state.flying:
-        state.flying = square >= limits.lifted_square
-        state.standing_s = 0.0
-    speed_square = velocity[0] * velocity[0] + velocity[1] * velocity[1] + velocity[2] * velocity[2]
-    if square < limits.standing_square and speed_square < STANDING_M_S * STANDING_M_S:
-        state.standing_s += step_s
+def _follow_vehicle(limits: Limits, state: State, sample: Verdict, measured: Array, step_s: float) -> int:
+    """Decide whether the vehicle flies, and with all rotors; returns the faults that count there.
+
+    On the ground the evidence against the model is forgotten.
+    """
+    follow_ground(state.ground, limits.hover_square, sample, step_s)
+    if state.ground.flying:
+        return int(follow_thrust(limits.rotors, state.thrust, sample, measured, step_s))
+    forget_thrust(state.thrust)
+    state.miss_sum_s[:] = 0.0
+    state.miss_share[:] = 0.0
+    state.charge[_OF_EXTRAPOLATION] = state.charge[_OF_MISCOVERAGE] = state.near_charge = 0.0
+    return int(sample.faults)
+
+
+@njit(cache=True)
+def _count_time(state: State, step_s: float) -> None:
+    """Note why the model is not judged, and for what share of the time."""
+    row = state.row
+    if state.silent_s >= SILENT_S:
+        row.why_not_judged = NO_SAMPLES
+    elif state.ground.why == JUDGED and not state.settled:
+        row.why_not_judged = SETTLES
     else:
-        state.standing_s = 0.0
-    if state.standing_s >= STANDING_S:
-        state.flying = False
-    if not state.flying:
-        state.miss_sum_s[:] = 0.0
-        state.miss_share[:] = 0.0
-        state.charge[_OF_EXTRAPOLATION] = state.charge[_OF_MISCOVERAGE] = state.near_charge = 0.0
+        row.why_not_judged = state.ground.why
+    state.since_first_s += step_s
+    if row.why_not_judged != JUDGED:
+        state.not_judged_s += step_s
+    row.not_judged_share = state.not_judged_s / state.since_first_s if state.since_first_s > 0.0 else 1.0
 
 
 @njit(cache=True)
@@ -246,39 +270,45 @@ def _judge_extrapolation(
 def _judge_miscoverage(
     limits: Limits, state: State, measured: Array, evaluation: Evaluation, used: int, step_s: float
 ) -> None:
-    """Advance the sequential test of each axis, unless the misses of the sample do not count."""
+    """Advance the sequential test of each axis; while the state settles, that of Fz alone."""
     row = state.row
-    if state.settled:
-        worst = 0.0
-        keep = SHARE_S / (SHARE_S + step_s)
-        for axis in range(len(AXES)):
-            limit = limits.miscoverage_s[axis]
-            if limit == np.inf:
-                continue
+    worst = 0.0
+    keep = SHARE_S / (SHARE_S + step_s)
+    for axis in range(len(AXES)):
+        limit = limits.miscoverage_s[axis]
+        if limit == np.inf:
+            continue
+        if state.settled or axis == _FZ:
             lower, upper = evaluation.lower[used, axis], evaluation.upper[used, axis]
             half = 0.5 * (upper - lower) * limits.interval_ratio[axis]
             miss = 1.0 if abs(measured[axis] - 0.5 * (upper + lower)) > half else 0.0
             total = state.miss_sum_s[axis] + step_s * (miss - limits.allowance)
             state.miss_sum_s[axis] = min(max(total, 0.0), SUM_MOST * limit)
             state.miss_share[axis] = keep * state.miss_share[axis] + (1.0 - keep) * miss
-            score = state.miss_sum_s[axis] / limit
-            worst = max(worst, score)
-            row.miscoverage[axis] = max(row.miscoverage[axis], score)
             row.miss_share[axis] = max(row.miss_share[axis], state.miss_share[axis])
-        state.charge[_OF_MISCOVERAGE] = worst
+        score = state.miss_sum_s[axis] / limit
+        worst = max(worst, score)
+        row.miscoverage[axis] = max(row.miscoverage[axis], score)
+    # A rotor without thrust contradicts every model of four.
+    state.charge[_OF_MISCOVERAGE] = worst if state.thrust.stopped == 0 else SUM_MOST
+    row.stopped |= state.thrust.stopped
     evidence = max(row.cause_evidence[_OF_MISCOVERAGE], state.charge[_OF_MISCOVERAGE])
     row.cause_evidence[_OF_MISCOVERAGE] = evidence
 
 
 @njit(cache=True)
-def _judge_data(limits: Limits, state: State, sample: Verdict, step_s: float) -> int:
+def _judge_data(limits: Limits, state: State, usable: bool, faults: int, step_s: float) -> int:
     """Charge BAD_DATA; returns the faults of the sample that count where the vehicle is."""
     row, charge = state.row, state.charge[_OF_BAD_DATA]
-    faults = sample.faults if state.flying else sample.faults & ~IN_FLIGHT_ONLY
-    bad = faults != 0 or not sample.usable
+    if not state.ground.flying:
+        faults &= ~IN_FLIGHT_ONLY
+    bad = faults != 0 or not usable
     if bad:
         charge = max(charge, WARNING_CHARGE)
-    state.charge[_OF_BAD_DATA] = charge = _charged(charge, bad, step_s, limits)
+    charge = _charged(charge, bad, step_s, limits)
+    if state.ground.why == CARRIED:
+        charge = max(charge, WARNING_CHARGE)
+    state.charge[_OF_BAD_DATA] = charge
     row.cause_evidence[_OF_BAD_DATA] = max(row.cause_evidence[_OF_BAD_DATA], charge)
     row.faults |= faults
     return faults
@@ -321,7 +351,7 @@ def _level_of_two(far: float, near: float, before: int) -> int:
 def _set_levels(limits: Limits, state: State) -> bool:
     """Set level and health of each cause, and the highest level; True if any of a cause changed."""
     row = state.row
-    health_of_model = limits.health_in_flight if state.flying else WAITING
+    health_of_model = limits.health_in_flight if state.ground.flying else WAITING
     if state.silent_s >= SILENT_S:
         health_of_model = UNAVAILABLE
     changed = False
@@ -351,7 +381,7 @@ def _begin_next_row(limits: Limits, state: State) -> None:
         if 1.0 + 2.0 * row.input_excess[k] > limits.near_distance[k]:
             state.reported_inputs |= 1 << k
     state.reported_faults |= row.faults
-    row.faults = 0
+    row.faults = row.stopped = 0
     row.cause_evidence[:] = 0.0
     row.leverage[:] = 0.0
     row.width[:] = 0.0

@@ -16,15 +16,20 @@ from quadpi_core.monitor.alarm_kernel import WARNING_CHARGE
 from quadpi_core.monitor.data_quality import fault_words
 from quadpi_core.results import (
     BAD_DATA,
+    CARRIED,
     CAUSES,
     EVENTS_KEPT,
     EXTRAPOLATION,
+    JUDGED,
     LEVEL_ALARM,
     MISCOVERAGE,
+    SETTLES,
+    WHY_NOT_JUDGED,
     AlarmEvent,
     Alarms,
     Events,
 )
+from quadpi_core.vehicle import ROTORS
 
 # Inputs or axes named of each kind of evidence, the strongest.
 _MOST = 3
@@ -76,7 +81,7 @@ class EventLog:
 
 
 def reasons(alarms: Alarms, row: int, causes: int | None = None) -> tuple[str, ...]:
-    """Why the causes are not ok in one row, in plain words, strongest evidence first; empty where all are ok.
+    """Why the causes are not ok in one row, strongest evidence first, and why the model is not judged.
 
     Inputs are given by their distance from the middle of their training range over half of that range,
     leverage and width by the multiple of their peaks in training, miscoverage by the share of recent
@@ -100,12 +105,20 @@ def reasons(alarms: Alarms, row: int, causes: int | None = None) -> tuple[str, .
             far = np.where((ratios > headroom) | (scores > 1.0), ratios, 0.0)
             words += [f"{AXES[k]} {name} {far[k]:.1f} x its peak in training" for k in _beyond(far, 0.0)]
     if wanted & MISCOVERAGE:
+        words += [f"rotor {k + 1} stopped" for k in range(ROTORS) if alarms.stopped[row] & 1 << k]
         words += [
             f"{AXES[k]} outside its interval {100.0 * alarms.miss_share[row, k]:.0f} % of the time"
             for k in _beyond(alarms.miscoverage[row], WARNING_CHARGE)
         ]
     if wanted & BAD_DATA:
         words += fault_words(int(alarms.faults[row]))
+    why = int(alarms.why_not_judged[row])
+    if causes is None and why != JUDGED:
+        of_what = "coverage not judged" if why == SETTLES else "not judged"
+        share = 100.0 * alarms.not_judged_share[row]
+        words.append(f"{of_what}: {WHY_NOT_JUDGED[why]} ({share:.0f} % of the time so far)")
+    elif wanted & BAD_DATA and why == CARRIED:
+        words.append(WHY_NOT_JUDGED[why])
     return tuple(words)
 
 

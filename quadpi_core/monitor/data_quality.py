@@ -41,8 +41,12 @@ GYRO_FROZEN, ACCELEROMETER_FROZEN = 1 << 7, 1 << 8
 ROTOR_FROZEN, ROTOR_HALF, ROTOR_JUMPS, ROTOR_DIFFERS = 1 << 9, 1 << 13, 1 << 17, 1 << 21
 # The IMU's rate: it is not the one given, is not known (any more), is too low for the model's low-pass.
 RATE_DIFFERS, RATE_UNKNOWN, RATE_LOW = 1 << 25, 1 << 26, 1 << 27
+# One bit per rotor from this on: it reads 0 while others turn. Whether it has stopped or its telemetry
+# fails, `rotor_thrust` decides.
+ROTOR_ZERO = 1 << 28
+ROTOR_FAULTS = RATE_DIFFERS - ROTOR_FROZEN | ROTOR_ZERO * 15
 # Faults that mean nothing on the ground, where motors start one after the other and sensors may rest.
-IN_FLIGHT_ONLY = RATE_DIFFERS - GYRO_FROZEN
+IN_FLIGHT_ONLY = RATE_DIFFERS - GYRO_FROZEN | ROTOR_FAULTS
 
 # An inertial sensor repeats a sample bit for bit once in a while, not for this long [s] and this many
 # samples.
@@ -62,6 +66,9 @@ _JUMP, _JUMP_PER_S = 0.15, 20.0
 _UNBALANCED, _BALANCED, _HALF_BELOW = 0.15, 0.07, 0.6
 # A speed below or above these shares of the others' differs from them.
 _DIFFERS_BELOW, _DIFFERS_ABOVE = 0.4, 1.9
+# A rotor below this share of the second fastest reads 0: rotors idle in flight at a quarter of their speed in
+# hover (indiflight), and a reading between two samples, one of which is 0, is none.
+_ZERO_BELOW = 0.1
 # Slower rotors [rad/s] are at rest or starting: nothing is said of them.
 _TURNING_RAD_S = 50.0
 
@@ -126,6 +133,7 @@ def fault_words(faults: int) -> Iterator[str]:
         (ROTOR_HALF, "reads half"),
         (ROTOR_JUMPS, "jumps"),
         (ROTOR_DIFFERS, "differs from the others"),
+        (ROTOR_ZERO, "reads 0"),
     ):
         for rotor in range(ROTORS):
             if faults & first << rotor:
@@ -233,15 +241,20 @@ def _rotor_faults(memory: Quality, speeds: Array, step_s: float, restarts: bool)
     faults = 0
     share = 1.0 if restarts else step_s / (_MEAN_S + step_s)
     total, balance = 0.0, 0.0
+    zero = _ZERO_BELOW * second_fastest(speeds)
+    others_turn = zero > _ZERO_BELOW * _TURNING_RAD_S
     for k in range(ROTORS):
         before = memory.rotor_speeds[k]
+        if others_turn and speeds[k] < zero:
+            faults |= ROTOR_ZERO << k
         turning = min(speeds[k], before) > _TURNING_RAD_S
         memory.rotor_still_s[k] = memory.rotor_still_s[k] + step_s if turning and speeds[k] == before else 0.0
         if memory.rotor_still_s[k] >= _ROTOR_FROZEN_S:
             faults |= ROTOR_FROZEN << k
         larger = max(speeds[k], before)
         most = (_JUMP + _JUMP_PER_S * step_s) * larger
-        if not restarts and larger > _TURNING_RAD_S and abs(speeds[k] - before) > most:
+        jumps = not restarts and larger > _TURNING_RAD_S and abs(speeds[k] - before) > most
+        if jumps and not faults & ROTOR_ZERO << k:
             faults |= ROTOR_JUMPS << k
         memory.rotor_speeds[k] = speeds[k]
         memory.mean_squares[k] += share * (speeds[k] * speeds[k] - memory.mean_squares[k])
@@ -251,6 +264,8 @@ def _rotor_faults(memory: Quality, speeds: Array, step_s: float, restarts: bool)
     if memory.averaged_s < 2.0 * _MEAN_S or total < 4.0 * _TURNING_RAD_S**2:
         return faults
     for k in range(ROTORS):
+        if faults & ROTOR_ZERO << k:
+            continue
         square = memory.mean_squares[k]
         relative = np.sqrt((ROTORS - 1) * square / max(total - square, 1.0))
         doubled = abs(balance + 3.0 * memory.rotor_spins[k] * square) / (total + 3.0 * square)
@@ -259,3 +274,15 @@ def _rotor_faults(memory: Quality, speeds: Array, step_s: float, restarts: bool)
         elif relative < _DIFFERS_BELOW or relative > _DIFFERS_ABOVE:
             faults |= ROTOR_DIFFERS << k
     return faults
+
+
+@njit(cache=True)
+def second_fastest(speeds: Array) -> float:
+    """The second largest of the rotors' speeds (4,)."""
+    first, second = 0.0, 0.0
+    for rotor in range(ROTORS):
+        if speeds[rotor] > first:
+            first, second = speeds[rotor], first
+        elif speeds[rotor] > second:
+            second = speeds[rotor]
+    return second

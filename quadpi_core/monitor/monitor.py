@@ -63,6 +63,7 @@ class Monitor:
             settings,
             np.array([axis in model.axes for axis in AXES]),
             model.interval_ratio(self.confidence),
+            vehicle,
         )
         self._log = EventLog()
         self._adaptive = (

@@ -30,6 +30,7 @@ from quadpi_core.monitor.data_quality import (
     quality,
 )
 from quadpi_core.records import Records, Vector3, record_dtype
+from quadpi_core.rotations import matrix
 from quadpi_core.signals.chain import (
     ATTITUDE,
     CHANNELS,
@@ -54,15 +55,19 @@ SETTLE_NS = 1_000_000_000
 class Verdict:
     """What data quality and low-pass say of one sample.
 
-    The velocity and `settled` mean something for a usable sample only. A sample has not settled in the first
-    :data:`SETTLE_NS` after the first one, or after more than `MAX_GAP_NS` without a usable one.
+    What follows `usable` means something for a usable sample only; the signals have passed the low-pass. A
+    sample has not settled in the first :data:`SETTLE_NS` after the first one, or after more than `MAX_GAP_NS`
+    without a usable one.
     """
 
     time_ns: int
     faults: int  # bits of what is wrong, see :mod:`quadpi_core.monitor.data_quality`
     usable: bool
     settled: bool
-    velocity: Vector3  # filtered, over ground, m/s, body axes
+    velocity: Vector3  # over ground, m/s, world axes
+    rates: Vector3  # rad/s
+    specific_force: Vector3  # m/s², body axes
+    rotor_speeds: Annotated[Array, ROTORS]  # rad/s
 
 
 class _VehicleConstants:
@@ -234,7 +239,14 @@ def _prepare(
             memory.begun_ns = time_ns[i]
         verdict.settled = time_ns[i] - memory.begun_ns >= SETTLE_NS
         filter_sample(memory.low_pass, chain, values[i], value[0], slope[0], curvature)
-        verdict.velocity[:] = value[0, VELOCITY]
+        turn, velocity = matrix(value[0, ATTITUDE]), value[0, VELOCITY]
+        for k in range(3):
+            verdict.velocity[k] = (
+                turn[k, 0] * velocity[0] + turn[k, 1] * velocity[1] + turn[k, 2] * velocity[2]
+            )
+        verdict.rates[:] = value[0, RATES]
+        verdict.specific_force[:] = value[0, SPECIFIC_FORCE]
+        verdict.rotor_speeds[:] = value[0, ROTOR_SPEEDS]
         attitude, rates, row = value[:, ATTITUDE], value[:, RATES], slice(used, used + 1)
         inputs_kernel(
             relative_to_air(value[:, VELOCITY], attitude, value[:, WIND]),

@@ -33,7 +33,7 @@ from quadpi_core.messages import result_messages, sensor_messages
 from quadpi_core.messages.payloads import Topic
 from quadpi_core.messages.topics import TOPIC_TYPES
 from quadpi_core.monitor import pairing_kernel
-from quadpi_core.monitor.alarm import MonitorSettings, alarm_time
+from quadpi_core.monitor.alarm import MonitorSettings, NotJudgedReason, alarm_time, not_judged
 from quadpi_core.monitor.alarm_log import reasons_by_row
 from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.pairing import PairedSamples, Pairing
@@ -63,6 +63,8 @@ class ReplaySummary:
         alarm_first_s: seconds from the first IMU sample to the first alarm; None without one.
         warning_first_s: the same to the first warning, or alarm without one before.
         events: how often a cause was raised.
+        not_judged_fraction: share of the flight in which the model was not judged.
+        not_judged_reasons: that this fraction is made of, the largest first.
     """
 
     samples_in: int
@@ -72,6 +74,8 @@ class ReplaySummary:
     alarm_first_s: float | None
     warning_first_s: float | None
     events: int
+    not_judged_fraction: float
+    not_judged_reasons: tuple[NotJudgedReason, ...]
 
 
 def replay(
@@ -417,6 +421,7 @@ class _Tally:
         self._samples = self._monitored = self._predictions = self._events = 0
         self._alarm_ns: list[Stamps] = []
         self._levels: list[npt.NDArray[np.uint8]] = []
+        self._why: list[npt.NDArray[np.int64]] = []
 
     def add(self, part: Followed, predictions: Predictions, alarms: Alarms, events: Events) -> None:
         """Count what came of a part of the flight."""
@@ -429,6 +434,7 @@ class _Tally:
         self._events = max([self._events, *(event.number for event in events)])
         self._alarm_ns.append(alarms.time_ns.copy())
         self._levels.append(alarms.level.copy())
+        self._why.append(alarms.why_not_judged.copy())
 
     def summary(self) -> ReplaySummary:
         """The summary; there was at least one sample."""
@@ -437,6 +443,7 @@ class _Tally:
         alarm, warning = (
             alarm_time(time_ns, levels, end_ns, level) for level in (LEVEL_ALARM, LEVEL_WARNING)
         )
+        unjudged = not_judged(time_ns, np.concatenate(self._why), start_ns, end_ns)
         return ReplaySummary(
             samples_in=self._samples,
             predictions_out=self._predictions,
@@ -445,4 +452,6 @@ class _Tally:
             alarm_first_s=alarm.first_s(start_ns),
             warning_first_s=warning.first_s(start_ns),
             events=self._events,
+            not_judged_fraction=unjudged.fraction,
+            not_judged_reasons=unjudged.reasons,
         )

@@ -125,9 +125,11 @@ def reasons_of(
     if alarms.level[row] < LEVEL_WARNING:
         health = alarms.cause_health[row]
         if health[CAUSES.index(EXTRAPOLATION)] not in _JUDGED:
-            return ("on the ground, or the state settles",)
+            return tuple(given) or ("on the ground, or the state settles",)
         settles = health[CAUSES.index(MISCOVERAGE)] not in (*_JUDGED, UNAVAILABLE)
-        return ("coverage is judged once the state has settled",) if settles else ()
+        if not settles:
+            return ()
+        return tuple(given) or ("coverage is judged once the state has settled",)
     words: list[str] = []
     if training is not None and alarms.causes[row] & EXTRAPOLATION:
         words = _outside(alarms.inputs_outside[row], training, low, high)

@@ -14,6 +14,8 @@ REPLAY = {
     "alarm_first_s",
     "warning_first_s",
     "events",
+    "not_judged_fraction",
+    "not_judged_reasons",
 }
 
 

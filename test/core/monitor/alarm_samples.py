@@ -19,10 +19,10 @@ from quadpi_core.results import Alarms
 RATE_HZ = 500
 STEP_NS = 1_000_000_000 // RATE_HZ
 SETTINGS = MonitorSettings(persistence_s=0.1, release_s=0.5, alarm_rate_hz=10.0)
-U, Q, OMEGA = INPUT_INDEX["u"], INPUT_INDEX["q"], INPUT_INDEX["omega_avg"]
+U, Q = INPUT_INDEX["u"], INPUT_INDEX["q"]
 ALLOWANCE = 0.128
 LIMITS = AlarmLimits(ALLOWANCE, np.full(6, 1.0), flights=20, hours=0.5)
-FX, MY = 0, 4
+FX, FZ, MY = 0, 2, 4
 
 
 class Samples:
@@ -36,6 +36,9 @@ class Samples:
         self.leverage = np.full((count, 6), 0.005)
         self.width = np.ones((count, 6))
         self.velocity = np.zeros((count, 3))
+        self.rates = np.zeros((count, 3))
+        self.specific_force = np.full((count, 3), [0.0, 0.0, -9.81])
+        self.rotor_speeds = np.zeros((count, 4))
         self.measured = np.zeros((count, 6))
         self.faults = np.zeros(count, dtype=np.int64)
         self.settled = np.ones(count, dtype=np.bool_)
@@ -49,7 +52,10 @@ class Samples:
             keep = slice(start, start + block)
             used = self.usable[keep]
             verdicts = np.zeros(len(used), VERDICT)
-            for name in ("time_ns", "usable", "faults", "settled", "velocity"):
+            for name in (
+                *("time_ns", "usable", "faults", "settled"),
+                *("velocity", "rates", "specific_force", "rotor_speeds"),
+            ):
                 verdicts[name] = getattr(self, name)[keep]
             inputs, measured = self.inputs[keep][used], self.measured[keep][used]
             still = np.zeros(len(inputs), DERIVATIVES)

@@ -27,7 +27,7 @@ from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.pairing import PairedSamples, Pairing
 from quadpi_core.monitor.replay import recorded_flight, replay, replay_all
 from quadpi_core.parallel import Workers
-from quadpi_core.results import BAD_DATA, EXTRAPOLATION, LEVEL_ALARM
+from quadpi_core.results import BAD_DATA, EXTRAPOLATION, LEVEL_ALARM, NOT_BEGUN, SETTLES, WHY_NOT_JUDGED
 
 RATE_HZ = 500.0
 START_NS = 1_700_000_000_000_000_000
@@ -120,6 +120,10 @@ def test_replay_gives_what_the_monitor_gives(model, vehicle, samples, with_odome
     assert summary.alarm_first_s is None
     assert summary.alarm_fraction == 0.0
     assert not alarms.level.any()
+    # The second in which the rate is measured, and that in which the state settles.
+    assert summary.not_judged_fraction == pytest.approx(0.2, abs=0.001)
+    reasons = {part.reason: part.fraction for part in summary.not_judged_reasons}
+    assert reasons == pytest.approx({NOT_BEGUN: 0.1, WHY_NOT_JUDGED[SETTLES]: 0.1}, abs=0.001)
 
 
 def test_the_same_bytes_each_time(each_model, vehicle, with_pose, bag_of, tmp_path):

@@ -1,0 +1,200 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Whether a rotor has stopped, or only its telemetry: the measured wrench tells whether its thrust is gone.
+
+A rotor at (x, y) that loses the thrust T changes the wrench by (Fz, Mx, My) = (T, y T, −x T). The change is
+that of the measured wrench less the sum of k ω² over the rotors, against its mean of the last half second,
+which takes drag, load and an inexact k with it. Where Fz, Mx and My each show the loss of this rotor's
+thrust, it has stopped, whatever its telemetry says. A rotor that reads 0 counts with the thrust that it had
+before: if that is still there, its telemetry fails.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+
+from quadpi_core.compiled import njit
+from quadpi_core.frames import Array
+from quadpi_core.monitor.data_quality import ROTOR_FAULTS, ROTOR_JUMPS, ROTOR_ZERO, PerRotor
+from quadpi_core.monitor.preparation import Verdict
+from quadpi_core.records import Vector3
+from quadpi_core.thresholds import Threshold
+from quadpi_core.vehicle import ROTORS, Vehicle
+
+_CUTS = "simulated motor cuts of the Bebop 2, and 70 real flights without any"
+LOST_SHARE = Threshold(
+    "least loss of a rotor that has stopped",
+    0.5,
+    "of its thrust, in each of Fz, Mx and My",
+    "the arms of a vehicle file may be a third too long, and a rotor that spins down has lost most of it",
+    _CUTS,
+)
+LOST_MOST = Threshold(
+    "largest loss of a rotor that has stopped",
+    2.0,
+    "of its thrust, in each of Fz, Mx and My",
+    "a rotor loses no more than its thrust, but inertia and arms are not exact",
+    _CUTS,
+)
+LOST_S = Threshold(
+    "time for which a rotor's thrust is gone until it is called stopped",
+    0.04,
+    "s",
+    "three times the delay of the low-pass",
+    _CUTS,
+)
+UNDECIDED_S = Threshold(
+    "time for which a rotor reads 0 until its telemetry is called wrong",
+    0.2,
+    "s",
+    "a rotor that stops is found within 0.15 s",
+    _CUTS,
+)
+_LOST_SHARE, _LOST_MOST, _LOST_S, _UNDECIDED_S = (
+    LOST_SHARE.value,
+    LOST_MOST.value,
+    LOST_S.value,
+    UNDECIDED_S.value,
+)
+# Time constant [s] of the means; a mean of less than this time in flight says nothing.
+_MEAN_S, _KNOWN_S = 0.5, 0.2
+# A reading of 0 is reported for this long [s] after it: the telemetry fails, though it may come back.
+_REPORTED_S = 0.5
+# A rotor whose thrust is back for this long [s] turns again.
+_BACK_S = 0.5
+# Rotors that carry less than this share of their part of the weight are not judged: their loss is too small.
+_LEAST_SHARE = 0.3
+# Fz, Mx, My of a wrench.
+_SHOWN = np.array([2, 3, 4])
+
+
+class RotorGeometry:
+    """What is known of the rotors."""
+
+    thrust_per_square: float  # N/(rad/s)², from hover; 0 where unknown: then no rotor is called stopped
+    least_square: float  # (rad/s)², below which a rotor's thrust is too small to be missed
+    lever: Annotated[Array, ROTORS, 3]  # change of Fz, Mx, My per newton that a rotor loses: 1, m, m
+
+
+class RotorThrust:
+    """What is remembered of the samples."""
+
+    stopped: int  # bit per rotor
+    mean_squares: PerRotor  # (rad/s)², while it reads more than 0
+    mean_rest: Vector3  # Fz, Mx, My that the rotors do not explain
+    known_s: float  # since the means began
+    lost_s: PerRotor  # for which its thrust has been gone, less the time for which it was not
+    back_s: PerRotor  # for which the thrust of a stopped rotor has been back
+    zero_s: PerRotor  # since a reading of 0 began
+    since_zero_s: PerRotor  # since the last one
+
+
+def rotor_geometry(vehicle: Vehicle, hover_rotor_speed: float) -> tuple[float, float, Array]:
+    """The fields of :class:`RotorGeometry`."""
+    square = hover_rotor_speed**2
+    thrust = vehicle.mass_kg * vehicle.gravity_m_s2 / (ROTORS * square) if square > 0.0 else 0.0
+    x, y = vehicle.rotor_positions[:, 0], vehicle.rotor_positions[:, 1]
+    return thrust, _LEAST_SHARE * square, np.stack((np.ones(ROTORS), y, -x), axis=1)
+
+
+@njit(cache=True)
+def forget_thrust(thrust: RotorThrust) -> None:
+    """Begin anew, as on the ground."""
+    thrust.stopped = 0
+    thrust.known_s = 0.0
+    thrust.mean_squares[:] = 0.0
+    thrust.lost_s[:] = 0.0
+    thrust.back_s[:] = 0.0
+    thrust.zero_s[:] = 0.0
+    thrust.since_zero_s[:] = np.inf
+
+
+@njit(cache=True)
+def follow_thrust(
+    geometry: RotorGeometry, thrust: RotorThrust, sample: Verdict, wrench: Array, step_s: float
+) -> int:
+    """Take a usable sample in flight; returns its faults, with what the readings of 0 mean.
+
+    Args:
+        geometry: of the vehicle.
+        thrust: changes.
+        sample: with filtered rotor speeds.
+        wrench: (6,) measured.
+        step_s: since the sample before.
+    """
+    faults = sample.faults
+    if faults & (ROTOR_JUMPS * 15) and thrust.stopped == 0:
+        # A reading that was wrong, or is now: what the means know is worth nothing.
+        thrust.known_s = 0.0
+    unknown = False
+    squares = np.empty(ROTORS)
+    for k in range(ROTORS):
+        squares[k] = sample.rotor_speeds[k] ** 2
+        if faults & ROTOR_ZERO << k:
+            thrust.zero_s[k] += step_s
+            thrust.since_zero_s[k] = 0.0
+            unknown |= thrust.zero_s[k] > _UNDECIDED_S
+            squares[k] = thrust.mean_squares[k]
+        else:
+            thrust.since_zero_s[k] += step_s
+            if thrust.since_zero_s[k] > _REPORTED_S:
+                thrust.zero_s[k] = 0.0
+            elif thrust.zero_s[k] > 0.0:
+                thrust.zero_s[k] += step_s
+    _find_stopped(geometry, thrust, squares, wrench, step_s if not unknown else 0.0)
+    return _named_faults(thrust, faults)
+
+
+@njit(cache=True)
+def _find_stopped(
+    geometry: RotorGeometry, thrust: RotorThrust, squares: Array, wrench: Array, step_s: float
+) -> None:
+    """Compare the wrench with squared rotor speeds (4,), or begin anew where they are not known: step 0."""
+    if step_s == 0.0 and thrust.stopped == 0:
+        thrust.known_s = 0.0
+        thrust.lost_s[:] = 0.0
+        return
+    rest = wrench[_SHOWN].copy()
+    for k in range(ROTORS):
+        rest += geometry.thrust_per_square * squares[k] * geometry.lever[k]
+    change = rest - thrust.mean_rest
+    suspected = thrust.stopped != 0
+    for k in range(ROTORS):
+        least, most = np.inf, -np.inf
+        judged = squares[k] >= geometry.least_square > 0.0 and thrust.known_s >= _KNOWN_S
+        if judged:
+            expected = geometry.thrust_per_square * squares[k]
+            for shown in range(_SHOWN.size):
+                share = change[shown] / (geometry.lever[k, shown] * expected)
+                least, most = min(least, share), max(most, share)
+        is_lost = judged and least >= _LOST_SHARE and most <= _LOST_MOST
+        thrust.lost_s[k] = max(0.0, thrust.lost_s[k] + (step_s if is_lost else -step_s))
+        if thrust.stopped & 1 << k:
+            is_back = judged and most < 0.5 * _LOST_SHARE and thrust.since_zero_s[k] > 0.0
+            thrust.back_s[k] = thrust.back_s[k] + step_s if is_back else 0.0
+            if thrust.back_s[k] >= _BACK_S:
+                forget_thrust(thrust)
+                return
+        elif thrust.stopped == 0 and thrust.lost_s[k] >= _LOST_S:
+            thrust.stopped |= 1 << k
+        suspected |= thrust.lost_s[k] > 0.0 or thrust.since_zero_s[k] == 0.0
+    if suspected:
+        return
+    share = step_s / (min(thrust.known_s, _MEAN_S) + step_s)
+    thrust.known_s += step_s
+    thrust.mean_rest += share * change
+    thrust.mean_squares += share * (squares - thrust.mean_squares)
+
+
+@njit(cache=True)
+def _named_faults(thrust: RotorThrust, faults: int) -> int:
+    """Faults with a reading of 0 reported once it is decided that the thrust is there, and for a while."""
+    faults &= ~(ROTOR_ZERO * 15)
+    if thrust.stopped != 0:
+        return faults & ~ROTOR_FAULTS
+    for k in range(ROTORS):
+        if thrust.since_zero_s[k] <= _REPORTED_S and thrust.zero_s[k] >= _UNDECIDED_S:
+            faults |= ROTOR_ZERO << k
+    return faults
