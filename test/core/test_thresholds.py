@@ -576,7 +576,7 @@ EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
     "ZERO_RAD_S": (1.0, lambda x: drops_out(hover_readings(slice(1000, 1020), x))),
     "RETURNS_S": (0.15, lambda x: drops_out(hover_readings(slice(1000, 999 + round(1000.0 * x))))),
     "TURNS_SHARE": (0.4, slow_before_drop_out),
-    "HELD_SHARE": (0.4, repeated),
+    "HELD_SHARE": (0.75, repeated),
     "HELD_STEPS": (3.0, held_by),
     "FROZEN_S": (0.3, frozen_for),
     "FROZEN_TURN_RAD": (0.05, lambda x: frozen_for(0.9, x)),
