@@ -35,6 +35,8 @@ def discrepancy(
     mapping: options.Mapping = None,
     topics: options.Topics = None,
     namespace: options.Namespace = "",
+    from_s: options.FromS = None,
+    to_s: options.ToS = None,
     allow_code: Annotated[
         bool,
         typer.Option("--allow-code", help="Run the function that an addition.json names; trust its author."),
@@ -58,7 +60,7 @@ def discrepancy(
     inputs = [*bags, *(path for path in (Path(simulation),) if path.exists())]
     check_outputs(inputs, json_file, html_file, folders=[output])
     console = open_console()
-    how = options.reading_options(topics, namespace, mapping)
+    how = options.reading_options(topics, namespace, mapping, part=options.time_range(from_s, to_s))
     names = None if effects is None else effects.split(",")
     with batch_of_flights() as left_out:
         the_simulation = load_simulation(

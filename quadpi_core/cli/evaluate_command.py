@@ -52,6 +52,9 @@ def evaluate(
     device: options.PublishedDevice = None,
     topics: options.Topics = None,
     namespace: options.Namespace = "",
+    all_parts: options.AllParts = False,
+    from_s: options.FromS = None,
+    to_s: options.ToS = None,
     workers: options.FileProcessCount = None,
     scheduler: options.Scheduler = None,
     json_file: options.JsonFile = None,
@@ -63,7 +66,9 @@ def evaluate(
     from quadpi_core.report.page import FlightFiles
 
     console = open_console()
-    how = options.reading_options(topics, namespace)
+    how = options.reading_options(
+        topics, namespace, part=options.time_range(from_s, to_s), all_parts=all_parts
+    )
     if paths or group:
         if output is not None:
             raise QuadpiError("-o: only without models and flights, to keep those of the paper's table")
@@ -95,6 +100,8 @@ def evaluate(
 
     from quadpi_core.paper.published import wind_tunnel
 
+    if all_parts or not how.part.is_whole:
+        raise QuadpiError("--from, --to, --all-parts: are for flights, and none is given")
     if vehicle is not None:
         raise QuadpiError(
             "--vehicle: the paper's table is of the HDBeetle; for another vehicle name models and flights"

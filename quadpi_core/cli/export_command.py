@@ -20,8 +20,8 @@ _SUFFIXES = {"vehicle": (".yaml", ".yml"), "rerun": (".rrd",), "flight": (".csv"
 # Options beside the output that each form takes.
 _TAKES = {
     "vehicle": (),
-    "rerun": ("model", "vehicle", "confidence", "rate", "topics", "namespace"),
-    "flight": ("vehicle", "mapping", "topics", "namespace"),
+    "rerun": ("model", "vehicle", "confidence", "rate", "topics", "namespace", "from", "to"),
+    "flight": ("vehicle", "mapping", "topics", "namespace", "from", "to"),
 }
 
 
@@ -51,6 +51,8 @@ def export(
     mapping: Mapping = None,
     topics: options.Topics = None,
     namespace: options.Namespace = "",
+    from_s: options.FromS = None,
+    to_s: options.ToS = None,
     rate: Annotated[
         float | None,
         typer.Option(
@@ -71,11 +73,11 @@ def export(
         "mapping": mapping,
         "rate": rate,
     }
-    given |= {"topics": topics, "namespace": namespace or None}
+    given |= {"topics": topics, "namespace": namespace or None, "from": from_s, "to": to_s}
     for name, value in given.items():
         if value is not None and name not in _TAKES[form]:
             raise QuadpiError(f"--{name}: is not for --format {form}")
-    how = options.reading_options(topics, namespace, mapping)
+    how = options.reading_options(topics, namespace, mapping, part=options.time_range(from_s, to_s))
     if form == "vehicle":
         _export_vehicle(path, output)
     elif form == "rerun":

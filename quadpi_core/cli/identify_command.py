@@ -72,6 +72,9 @@ def identify(
     ] = 1.0,
     topics: options.Topics = None,
     namespace: options.Namespace = "",
+    all_parts: options.AllParts = False,
+    from_s: options.FromS = None,
+    to_s: options.ToS = None,
     workers: options.FileProcessCount = None,
     scheduler: options.Scheduler = None,
     json_file: options.JsonFile = None,
@@ -93,7 +96,9 @@ def identify(
 
     check_outputs(bags, json_file, html_file, folders=[output])
     require_replaceable(output)
-    how = options.reading_options(topics, namespace)
+    how = options.reading_options(
+        topics, namespace, part=options.time_range(from_s, to_s), all_parts=all_parts
+    )
     console = open_console()
     cutoff = CUTOFF_HZ[settings] if cutoff_hz is None else cutoff_hz
     the_vehicle = Vehicle.load(vehicle)

@@ -34,6 +34,8 @@ def import_logs(
     mapping: options.Mapping = None,
     topics: options.Topics = None,
     namespace: options.Namespace = "",
+    from_s: options.FromS = None,
+    to_s: options.ToS = None,
     align: Annotated[
         bool, typer.Option("--align", help="Shift motion capture in time so that its turns match the gyro.")
     ] = False,
@@ -46,7 +48,7 @@ def import_logs(
     from quadpi_core.vehicle import Vehicle
 
     check_outputs(logs, json_file, folders=[output])
-    how = options.reading_options(topics, namespace, mapping)
+    how = options.reading_options(topics, namespace, mapping, part=options.time_range(from_s, to_s))
     console = open_console()
     the_vehicle = Vehicle.load(vehicle)
     with batch_of_flights() as left_out:

@@ -21,13 +21,19 @@ def info(
     mapping: options.Mapping = None,
     topics: options.Topics = None,
     namespace: options.Namespace = "",
+    from_s: options.FromS = None,
+    to_s: options.ToS = None,
     json_file: options.JsonFile = None,
 ) -> None:
     """Show what a log, bag or model holds: topics, rates, gaps, envelope, suspicious sensors."""
     from quadpi_core.report.info_tables import describe
 
     check_outputs([path], json_file)
-    tables, data = describe(path, vehicle, options.reading_options(topics, namespace, mapping))
+    tables, data = describe(
+        path,
+        vehicle,
+        options.reading_options(topics, namespace, mapping, part=options.time_range(from_s, to_s)),
+    )
     console = open_console()
     for table in tables:
         console.print(table)

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import sys
 from collections.abc import Iterable, Iterator, Sequence
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from quadpi_core.flight_files import FlightLeftOut
     from quadpi_core.parallel import Workers
     from quadpi_core.reading_options import ReadingOptions
+    from quadpi_core.time_range import TimeRange
 
 _NAMED_TOPIC = re.compile(r"[a-z][a-z_/]*=\S")
 # Exit status of a command that did its work for some of the flights given.
@@ -68,12 +70,46 @@ PublishedDevice = Annotated[
     Literal["cpu", "cuda"] | None,
     typer.Option(help="Device to train ensembles on, where no model is given; default: cpu."),
 ]
+FromS = Annotated[
+    float | None,
+    typer.Option("--from", metavar="SECONDS", help="Use flights from then on, since the first IMU sample."),
+]
+ToS = Annotated[
+    float | None,
+    typer.Option("--to", metavar="SECONDS", help="Use flights until then, since the first IMU sample."),
+]
+AllParts = Annotated[
+    bool,
+    typer.Option(
+        "--all-parts",
+        help="Of a flight with pauses use every part that is long enough, as a flight of its own; default: "
+        "the longest part.",
+    ),
+]
 Scheduler = Annotated[
     str | None, typer.Option(help="Address of a Dask scheduler whose workers to use instead.")
 ]
 
 
-def reading_options(topics: list[str] | None, namespace: str, mapping: str | None = None) -> ReadingOptions:
+def time_range(from_s: float | None, to_s: float | None) -> TimeRange:
+    """The part of each flight that `--from` and `--to` ask for.
+
+    Raises:
+        QuadpiError: for one that is empty or inverted.
+    """
+    from quadpi_core.time_range import TimeRange
+
+    return TimeRange(0.0 if from_s is None else from_s, math.inf if to_s is None else to_s)
+
+
+def reading_options(
+    topics: list[str] | None,
+    namespace: str,
+    mapping: str | None = None,
+    *,
+    part: TimeRange | None = None,
+    all_parts: bool = False,
+) -> ReadingOptions:
     """How logs are to be read.
 
     Raises:
@@ -82,6 +118,7 @@ def reading_options(topics: list[str] | None, namespace: str, mapping: str | Non
     from quadpi_core.config import nearest
     from quadpi_core.messages.topics import SENSOR_KINDS
     from quadpi_core.reading_options import ReadingOptions
+    from quadpi_core.time_range import WHOLE
 
     chosen: dict[str, str] = {}
     for text in topics or ():
@@ -96,7 +133,7 @@ def reading_options(topics: list[str] | None, namespace: str, mapping: str | Non
         if name in chosen:
             raise QuadpiError(f"--topics {text}: {name} is named twice, before as {chosen[name]}")
         chosen[name] = topic
-    return ReadingOptions(mapping, chosen, namespace)
+    return ReadingOptions(mapping, chosen, namespace, part or WHOLE, all_parts)
 
 
 def several_topics(arguments: Sequence[str]) -> list[str]:

@@ -30,6 +30,8 @@ def replay(
     vehicle: options.OptionalVehicle = None,
     topics: options.Topics = None,
     namespace: options.Namespace = "",
+    from_s: options.FromS = None,
+    to_s: options.ToS = None,
     workers: options.FileProcessCount = None,
     scheduler: options.Scheduler = None,
     json_file: options.JsonFile = None,
@@ -45,7 +47,7 @@ def replay(
 
     several = len(bags) > 1
     check_outputs([model, *bags], *(set(bags_in(output, bags)) if several else [output]), json_file)
-    how = options.reading_options(topics, namespace)
+    how = options.reading_options(topics, namespace, part=options.time_range(from_s, to_s))
     the_model = AerodynamicModel.load(model)
     the_vehicle = the_model.load_vehicle(vehicle)
     settings = MonitorSettings(adaptive=adaptive)

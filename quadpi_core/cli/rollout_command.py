@@ -26,6 +26,8 @@ def rollout(
     vehicle: options.OptionalVehicle = None,
     topics: options.Topics = None,
     namespace: options.Namespace = "",
+    from_s: options.FromS = None,
+    to_s: options.ToS = None,
     json_file: options.JsonFile = None,
     html_file: options.HtmlFile = None,
 ) -> None:
@@ -38,7 +40,7 @@ def rollout(
     from quadpi_core.report.table import terminal_table
 
     check_outputs([model, *bags], json_file, html_file)
-    how = options.reading_options(topics, namespace)
+    how = options.reading_options(topics, namespace, part=options.time_range(from_s, to_s))
     the_model = AerodynamicModel.load(model)
     the_vehicle = the_model.load_vehicle(vehicle)
     console = open_console()

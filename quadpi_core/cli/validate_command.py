@@ -37,6 +37,8 @@ def validate(
     confidence: options.Confidence = None,
     vehicle: options.OptionalVehicle = None,
     device: options.PublishedDevice = None,
+    from_s: options.FromS = None,
+    to_s: options.ToS = None,
     workers: options.ProcessCount = None,
     scheduler: options.Scheduler = None,
     json_file: options.JsonFile = None,
@@ -63,8 +65,13 @@ def validate(
                 raise QuadpiError(f"{option}: only without models, for the paper's own validation")
         folders = [path for path in paths if is_model_folder(path)]
         bags = [path for path in paths if path not in folders]
-        case = given_case(folders, bags, vehicle=vehicle, noise=noise, confidence=confidence, seed=seed)
+        part = options.time_range(from_s, to_s)
+        case = given_case(
+            folders, bags, vehicle=vehicle, noise=noise, confidence=confidence, seed=seed, part=part
+        )
     else:
+        if from_s is not None or to_s is not None:
+            raise QuadpiError("--from, --to: are parts of flights, and none is given")
         with progress_bar(console) as progress:
             own = published_case(
                 settings=settings or "paper",

@@ -31,6 +31,8 @@ def view(
     confidence: Confidence = None,
     topics: options.Topics = None,
     namespace: options.Namespace = "",
+    from_s: options.FromS = None,
+    to_s: options.ToS = None,
     at: Annotated[
         float | None,
         typer.Option(
@@ -61,9 +63,11 @@ def view(
         raise QuadpiError("--at: is a moment of a bag, and none is given")
     if at is not None and not math.isfinite(at):
         raise QuadpiError(f"--at {at}: is no moment")
-    how = options.reading_options(topics, namespace)
+    how = options.reading_options(topics, namespace, part=options.time_range(from_s, to_s))
     if (how.topics or how.namespace) and not (bag and models):
         raise QuadpiError("--topics, --namespace: are of a bag that --model judges")
+    if bag is None and not how.part.is_whole:
+        raise QuadpiError("--from, --to: are of a bag, and none is given")
     moment = "" if at is None else f"#t={at:g}"
 
     def say(url: str) -> None:

@@ -217,8 +217,9 @@ def given_comparison(
     require_flights_left(len(common), left_out)
     flights = {cutoff: [f for f in own if f.name in common] for cutoff, own in flights.items()}
     name_of = {file.path: file.name for file in named_files(files)}
+    parts = next(iter(flights.values()))
     named = {
-        group: [name for name in map(name_of.__getitem__, members) if name in common]
+        group: [one.name for path in members for one in parts if one.file == name_of[path]]
         for group, members in groups.items()
     }
     return ComparisonCase(

@@ -39,6 +39,7 @@ from quadpi_core.parallel import DEFAULT_WORKERS, Workers
 from quadpi_core.reading_options import MappingOrOptions, ReadingOptions
 from quadpi_core.records import Records
 from quadpi_core.screening.consistency import checked
+from quadpi_core.screening.flight_runs import long_enough, parts_without_pause
 from quadpi_core.signals.resample import interpolate, nominal_rate
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.vehicle import Vehicle
@@ -62,6 +63,7 @@ class PreparedFlight:
         live: the samples as a monitor would have had them, on which the alarm is calibrated and assessed;
             None where the states were given instead of estimated, and a monitor would have had the same.
         quality: remarks on the data.
+        file: name that the flight would have whole, where it is one of several parts.
     """
 
     name: str
@@ -73,6 +75,7 @@ class PreparedFlight:
     height: Array
     live: LiveSamples | None = None
     quality: DataQuality = NOTHING_TO_SAY
+    file: str = ""
 
     @classmethod
     def of(
@@ -112,6 +115,9 @@ def prepare_flights(
 ) -> list[PreparedFlight]:
     """Read, fuse and filter bags; only the part in the air is kept.
 
+    Of a flight that pauses, see :mod:`quadpi_core.screening.flight_runs`, the longest part is used, or each
+    that is long enough as a flight of its own, NAME_part1 and so on.
+
     Args:
         paths: bags or logs.
         vehicle: that flew.
@@ -135,7 +141,8 @@ def prepare_flights(
         left_out=left_out,
     )
     flights = []
-    for file, flight in once_each(read, attrgetter("sha256"), left_out):
+    each = [(file, flight) for file, found in read for flight in found]
+    for file, flight in once_each(each, attrgetter("sha256"), left_out):
         flaw = flight.quality.flaw
         if flaw is not None and not keep_flawed:
             leave_out(file, LogError(f"{file.path}: {flaw}"), left_out)
@@ -145,9 +152,19 @@ def prepare_flights(
     return flights
 
 
-def _prepare(task: tuple[Vehicle, float, ReadingOptions], file: FlightFile) -> PreparedFlight:
+def _prepare(task: tuple[Vehicle, float, ReadingOptions], file: FlightFile) -> list[PreparedFlight]:
     vehicle, cutoff_hz, mapping = task
-    recording = replace(_read(file.path, vehicle, mapping), name=file.name)
+    parts = parts_without_pause(read_recording(file.path, vehicle, mapping))
+    used = long_enough(parts) if mapping.all_parts else parts[:1]
+    names = [file.name] if len(used) == 1 else [f"{file.name}_part{k + 1}" for k in range(len(used))]
+    return [
+        replace(_prepared(replace(recording, name=name), vehicle, cutoff_hz), file=file.name)
+        for recording, name in zip(used, names, strict=True)
+    ]
+
+
+def _prepared(recording: Recording, vehicle: Vehicle, cutoff_hz: float) -> PreparedFlight:
+    recording = checked(recording, vehicle)
     require_streams(recording)
     causal = CausalPass.over(recording, vehicle)
     flight = fuse_airborne(recording, vehicle, cutoff_hz, causal.segments)
@@ -156,12 +173,8 @@ def _prepare(task: tuple[Vehicle, float, ReadingOptions], file: FlightFile) -> P
     return PreparedFlight.of(flight, vehicle, recording_hash(recording), live)
 
 
-def _read(path: Path, vehicle: Vehicle, mapping: MappingOrOptions = None) -> Recording:
-    return checked(read_recording(path, vehicle, mapping), vehicle)
-
-
 def read_flight(path: Path, vehicle: Vehicle, cutoff_hz: float, mapping: MappingOrOptions = None) -> Flight:
-    """A flight read, fused and filtered, the part in the air.
+    """A flight read, fused and filtered, the part in the air; of one that pauses the longest part.
 
     Args:
         path: bag or log.
@@ -173,7 +186,7 @@ def read_flight(path: Path, vehicle: Vehicle, cutoff_hz: float, mapping: Mapping
         LogError: for what cannot be read or used, naming the file.
         SignalError: naming the file, where the signals cannot be fused.
     """
-    recording = _read(path, vehicle, mapping)
+    recording = checked(parts_without_pause(read_recording(path, vehicle, mapping))[0], vehicle)
     return replace(fuse_airborne(recording, vehicle, cutoff_hz), sha256=recording_hash(recording))
 
 

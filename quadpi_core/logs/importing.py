@@ -12,6 +12,8 @@ from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from quadpi_core.findings import NOTHING_TO_SAY, DataQuality
 from quadpi_core.flight import STREAM_KINDS, ValueCheck, check_stamps
 from quadpi_core.flight_files import FlightFile, LeftOutFlights, bags_in, for_each_flight, once_each
@@ -24,6 +26,7 @@ from quadpi_core.paths import staged, whole_outputs
 from quadpi_core.reading_options import MappingOrOptions, ReadingOptions
 from quadpi_core.recording_blocks import streams_by_field
 from quadpi_core.screening.consistency import checked
+from quadpi_core.screening.flight_runs import require_imu_in
 from quadpi_core.screening.plausibility import missing_topics
 from quadpi_core.screening.sample_order import require_usable
 from quadpi_core.screening.survey import (
@@ -145,12 +148,17 @@ def _convert_in_blocks(task: _Conversion, file: FlightFile) -> tuple[Imported, s
 
     Which samples of other topics belong to a run of the IMU, their order of arrival tells, of the whole.
     """
+    part = task.mapping.part
     with ExitStack() as opened:
         bag = opened.enter_context(open_in_blocks(file.path, task.vehicle, task.mapping))
-        streams = survey(partial(blocks_of, bag), task.vehicle)
+        streams = survey(partial(blocks_of, bag), task.vehicle, part)
         require_usable(bag.source, judged_streams(streams))
         if any(len(stream.order.starts) > 1 for stream in streams.values()):
             return None
+        imu = streams["imu"]
+        require_imu_in(bag.source, part, len(imu.time_ns), 1e-9 * float(np.ptp(imu.stored_ns)))
+        quality_of_order = survey_quality(streams, part)
+        streams = {name: stream for name, stream in streams.items() if len(stream.time_ns)}
         stamps = {name: stream.usable_ns for name, stream in streams.items()}
         wheres = {name: f"{bag.source}: topic {stream.topic}" for name, stream in streams.items()}
         for name, where in wheres.items():
@@ -180,7 +188,7 @@ def _convert_in_blocks(task: _Conversion, file: FlightFile) -> tuple[Imported, s
             for check in values.values():
                 check.finish()
             excerpt = excerpting.finish()
-            quality = excerpt.quality.joined(survey_quality(streams))
+            quality = excerpt.quality.joined(quality_of_order)
             beyond = {streams[name].topic: list(one.finish()) for name, one in screening.items()}
             recording = checked(replace(excerpt, quality=quality), task.vehicle, beyond)
         imported = Imported(

@@ -17,6 +17,7 @@ from quadpi_core.logs import formats
 from quadpi_core.logs.log_format import HEAD_BYTES, LogFormat, OpenLog
 from quadpi_core.plugins import Plugins
 from quadpi_core.reading_options import MappingOrOptions, reading_options
+from quadpi_core.screening.flight_runs import in_range
 from quadpi_core.screening.sample_order import usable_recording
 from quadpi_core.screening.wild_samples import screened
 from quadpi_core.vehicle import Vehicle
@@ -114,12 +115,14 @@ def read_recording(path: Path | str, vehicle: Vehicle | None, mapping: MappingOr
         vehicle: gives the pole pairs and the largest rotor speed; a log of electrical speeds needs it.
         mapping: a file, or its name, with what the log does not say of itself: the columns of a CSV or
             Parquet table (config/mappings), how messages of other packages are read (config/adapters), or
-            the rotor order of an autopilot. Or :class:`.ReadingOptions`, which also choose topics of a bag.
+            the rotor order of an autopilot. Or :class:`.ReadingOptions`, which also choose topics of a bag,
+            and a part of the flight.
 
     Raises:
         LogError: naming the file, and topic and sample where there is one.
     """
-    recording = screened(usable_recording(decode_recording(path, vehicle, mapping)), vehicle)
+    usable = usable_recording(decode_recording(path, vehicle, mapping))
+    recording = screened(in_range(usable, reading_options(mapping).part), vehicle)
     recording.check()
     return recording
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -39,10 +39,11 @@ from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.pairing import PairedSamples, Pairing
 from quadpi_core.parallel import DEFAULT_WORKERS, Workers
 from quadpi_core.paths import staged, whole_outputs
-from quadpi_core.reading_options import MappingOrOptions, ReadingOptions
+from quadpi_core.reading_options import MappingOrOptions, ReadingOptions, reading_options
 from quadpi_core.recording_blocks import by_arrival, split_recording
 from quadpi_core.results import LEVEL_ALARM, LEVEL_WARNING, Alarms, Events, Predictions
-from quadpi_core.screening.sample_order import without_unusable_attitudes
+from quadpi_core.screening.flight_runs import in_range_of_blocks
+from quadpi_core.screening.sample_order import order_of, usable_recording, without_unusable_attitudes
 from quadpi_core.vehicle import Vehicle
 from quadpi_core.version import __version__
 
@@ -187,16 +188,23 @@ class RecordedFlight:
 def open_flight(
     path: Path | str, vehicle: Vehicle, mapping: MappingOrOptions = None
 ) -> Iterator[RecordedFlight]:
-    """The flight in any log; one in a bag is never held whole.
+    """The flight in any log, or the part of it that was asked for; one in a bag is never held whole.
 
     Raises:
         LogError: naming what cannot be read or is missing.
     """
+    part = reading_options(mapping).part
     if identify_format(Path(path)).container is None:
-        yield recorded_flight(decode_recording(path, vehicle, mapping))
+        recording = decode_recording(path, vehicle, mapping)
+        if len(order_of(recording.imu.time_ns).starts) > 1:
+            # What arrived when follows from the stamps, of one run of the clock.
+            recording = usable_recording(recording)
+        flight = recorded_flight(recording)
+        yield replace(flight, blocks=in_range_of_blocks(flight.blocks, flight.source, part))
         return
     with open_in_blocks(path, vehicle, mapping) as log:
-        yield _flight(log.name, log.source, log.streams, by_arrival(log.blocks()))
+        blocks = in_range_of_blocks(by_arrival(log.blocks()), log.source, part)
+        yield _flight(log.name, log.source, log.streams, blocks)
 
 
 def recorded_flight(recording: Recording) -> RecordedFlight:

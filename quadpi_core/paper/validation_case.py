@@ -30,6 +30,7 @@ from quadpi_core.simulation.run import fly_plan
 from quadpi_core.simulation.scenario import FlightPlan
 from quadpi_core.simulation.sensor_noise import SensorSuite, StateNoise
 from quadpi_core.simulation.simulated_bags import read_truth
+from quadpi_core.time_range import WHOLE, TimeRange
 from quadpi_core.vehicle import Vehicle
 from quadpi_core.version import __version__
 
@@ -249,6 +250,13 @@ def recorded_flight(path: Path, vehicle: Vehicle) -> Flight:
     )
 
 
+def _part_of(flight: Flight, part: TimeRange) -> Flight:
+    inside = np.flatnonzero((flight.time >= part.from_s) & (flight.time <= part.to_s))
+    if len(inside) == 0:
+        raise LogError(f"{flight.source}: has no sample {part}: it ends at {flight.time[-1]:.3f} s")
+    return flight.slice(slice(int(inside[0]), int(inside[-1]) + 1))
+
+
 def given_case(
     folders: Sequence[Path],
     bags: Sequence[Path],
@@ -257,6 +265,7 @@ def given_case(
     noise: str = "paper",
     confidence: float | None = None,
     seed: int = 0,
+    part: TimeRange = WHOLE,
 ) -> ValidationCase:
     """Validation of stored models on the truth of simulated flights.
 
@@ -267,6 +276,7 @@ def given_case(
         noise: name in config/noise, or path.
         confidence: of the intervals; default: the models' own.
         seed: of all noise.
+        part: of each flight.
 
     Raises:
         ValidationError: where models or bags are missing.
@@ -286,7 +296,7 @@ def given_case(
     return ValidationCase(
         vehicle=the_vehicle,
         models=models,
-        flights=tuple(recorded_flight(bag, the_vehicle) for bag in bags),
+        flights=tuple(_part_of(recorded_flight(bag, the_vehicle), part) for bag in bags),
         noise=SensorSuite.load(noise).states,
         confidence=level,
         seed=seed,

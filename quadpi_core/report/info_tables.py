@@ -4,9 +4,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from quadpi_core.errors import VehicleError
-from quadpi_core.flight import STREAM_KINDS
+from quadpi_core.flight import STREAM_KINDS, Recording
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.logs import blocks_of, decode_recording, identify_format, open_in_blocks
 from quadpi_core.logs.inspect import (
@@ -31,6 +30,7 @@ from quadpi_core.reading_options import MappingOrOptions, ReadingOptions, readin
 from quadpi_core.report.model_tables import fact_tables, term_tables
 from quadpi_core.report.style import number, percent
 from quadpi_core.report.table import Cell, Column, Mark, Row, Table, terminal_table
+from quadpi_core.screening.flight_runs import in_range, in_range_of_blocks
 from quadpi_core.vehicle import Vehicle
 
 
@@ -64,14 +64,19 @@ def describe(
         known = known or _named_vehicle(container.vehicle_name(path))
         inspection = _inspect_in_blocks(path, known, mapping)
     else:
-        inspection = inspect_recording(decode_recording(path, known, mapping), known)
+        recording = in_range(decode_recording(path, known, mapping), reading_options(mapping).part)
+        inspection = inspect_recording(recording, known)
     return list(map(terminal_table, inspection_tables(inspection))), _inspection_json(inspection)
 
 
 def _inspect_in_blocks(path: Path, vehicle: Vehicle | None, mapping: MappingOrOptions) -> Inspection:
     """Inspect a log block by block, without holding it in memory, by the names of its topics."""
     with open_in_blocks(path, vehicle, mapping) as log:
-        inspection = inspect_blocks(partial(blocks_of, log), vehicle)
+
+        def blocks() -> Iterator[Recording]:
+            return in_range_of_blocks(blocks_of(log), log.source, reading_options(mapping).part)
+
+        inspection = inspect_blocks(blocks, vehicle)
         names = {STREAM_KINDS[field].topic: name.lstrip("/") for field, name in log.sources.items()}
     return with_names_of_bag(inspection, names)
 

@@ -15,10 +15,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.findings import DataQuality
+from quadpi_core.findings import DataQuality, UsedPart
 from quadpi_core.flight import STREAM_KINDS, Recording, Stamps, Stream
 from quadpi_core.recording_blocks import Column, join_blocks, streams_by_field
 from quadpi_core.screening.excerpt import needed_spans
+from quadpi_core.screening.flight_runs import ASKED_FOR, used_part
 from quadpi_core.screening.rotor_readings import RotorScreening
 from quadpi_core.screening.sample_order import (
     Judged,
@@ -37,6 +38,7 @@ from quadpi_core.screening.wild_samples import (
     not_measured,
     usable_samples,
 )
+from quadpi_core.time_range import WHOLE, TimeRange
 from quadpi_core.vehicle import Vehicle
 
 # Parts of a long flight; together they have FEW_SAMPLES samples of its fastest topic.
@@ -74,12 +76,15 @@ class StreamSurvey:
         return self.time_ns if self.usable is None else self.time_ns[self.usable]
 
 
-def survey(blocks: Callable[[], Iterator[Recording]], vehicle: Vehicle | None) -> dict[str, StreamSurvey]:
+def survey(
+    blocks: Callable[[], Iterator[Recording]], vehicle: Vehicle | None, part: TimeRange = WHOLE
+) -> dict[str, StreamSurvey]:
     """Survey each stream of a flight, by its field of the recording.
 
     Args:
         blocks: gives those of the flight; they are read again if samples are dropped or sorted.
         vehicle: that flew; without one rotor speeds are not judged.
+        part: of the flight; the samples outside are not used.
     """
     passes: dict[str, _FirstPass] = {}
     rotors = RotorScreening()
@@ -95,6 +100,11 @@ def survey(blocks: Callable[[], Iterator[Recording]], vehicle: Vehicle | None) -
         name: StreamSurvey(*topic, None if topic.order.rows is None else rows[name])
         for name, topic in judged.items()
     }
+    if not part.is_whole and len(rows["imu"]):
+        first_ns, last_ns = part.stamps(int(judged["imu"].time_ns[rows["imu"][0]]))
+        for name, surveyed in streams.items():
+            time_ns = surveyed.time_ns
+            streams[name] = replace(surveyed, rows=rows[name][(time_ns >= first_ns) & (time_ns <= last_ns)])
     screening = {name: passes[name].screening for name in streams}
     again = {name for name, stream in streams.items() if stream.rows is not None}
     if again:
@@ -147,14 +157,24 @@ def judged_streams(surveys: Mapping[str, StreamSurvey]) -> dict[str, Judged]:
     return {name: Judged(one.topic, one.stored_ns, one.order) for name, one in surveys.items()}
 
 
-def survey_quality(surveys: Mapping[str, StreamSurvey]) -> DataQuality:
-    """What is left out, sorted and cut off."""
+def survey_quality(surveys: Mapping[str, StreamSurvey], part: TimeRange = WHOLE) -> DataQuality:
+    """What is left out, sorted and cut off.
+
+    Args:
+        surveys: see :func:`survey`.
+        part: see there.
+    """
     beyond = tuple(
         one
         for stream in surveys.values()
         for one in left_out(stream.topic, stream.found, stream.time_ns, surveys["imu"].time_ns)
     )
-    return order_quality(judged_streams(surveys)).joined(DataQuality(left_out=beyond))
+    judged = judged_streams(surveys)
+    used: tuple[UsedPart, ...] = ()
+    if not part.is_whole and len(surveys["imu"].time_ns):
+        whole_ns = judged["imu"].time_ns[used_rows({"imu": judged["imu"]}, {})["imu"]]
+        used = (used_part(whole_ns, surveys["imu"].time_ns, ASKED_FOR),)
+    return order_quality(judged).joined(DataQuality(left_out=beyond, used=used))
 
 
 class InOrder:

@@ -29,7 +29,7 @@ from quadpi_core.monitor.alarm_log import reasons_by_row
 from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.pairing import PairedSamples
 from quadpi_core.monitor.replay import RecordedFlight, follow, open_flight
-from quadpi_core.reading_options import MappingOrOptions
+from quadpi_core.reading_options import MappingOrOptions, reading_options
 from quadpi_core.results import AlarmEvent, Predictions, ReportedAlarms
 from quadpi_core.vehicle import Vehicle
 from quadpi_core.view.live_inputs import LiveInputs
@@ -119,6 +119,8 @@ def _parts(
             parts = judged(readable, models, vehicle, confidence, mapping)
         elif models and confidence is not None:
             raise QuadpiError(f"--confidence: {bag} holds results, whose intervals have theirs")
+        elif not reading_options(mapping).part.is_whole:
+            raise QuadpiError(f"{bag}: --from and --to cut flights that --model judges, not recorded results")
         else:
             parts = recorded(readable, command, models)
         for number, part in enumerate(parts):

@@ -35,11 +35,13 @@ from quadpi_core.discrepancy.uncertain_parts import Part, part_columns
 from quadpi_core.errors import DiscrepancyError, SimulationError
 from quadpi_core.flight import AXES, Flight, ImuStream, PoseStream, Recording, RotorSpeedStream
 from quadpi_core.screening.excerpt import Excerpt
+from quadpi_core.screening.flight_runs import long_enough
 from quadpi_core.screening.frozen_states import without_repeats
 from quadpi_core.screening.innovations import innovation
 from quadpi_core.screening.rotor_readings import dropped_out
 from quadpi_core.screening.rotor_readings import held as held_readings
 from quadpi_core.screening.rotors_in_flight import Inertial, has_stopped, stuck_rotors
+from quadpi_core.screening.sample_order import order_of
 from quadpi_core.screening.small_mistakes import MotionFit, judged, small_mistakes
 from quadpi_core.simulation.controller import Controls, Demand, control
 from quadpi_core.simulation.dynamics import MOTION, is_lost
@@ -184,6 +186,21 @@ def off(**size: float) -> bool:
     """Whether scale or origin are named that are off so much."""
     sound = {"scale": 1.0, "scale_error": 1e-6, "origin_m": np.zeros(3), "origin_error_m": 1e-6}
     return any(judged("mocap/pose", MotionFit(**{**sound, **size}), measured=True))
+
+
+def sorted_in(steps: float) -> bool:
+    """Whether a sample that was stored late is sorted into a hole of so many steps."""
+    stamps = 1_000_000 * np.arange(100)
+    after = stamps[-1] + round(1e6 * steps) + stamps
+    return (
+        order_of(np.r_[stamps, after, (stamps[-1] + after[0]) // 2, after[-1] + 1_000_000]).late is not None
+    )
+
+
+def parts_of(seconds: float) -> list[Recording]:
+    """A part of ten seconds, and one that is shorter."""
+    stamps = [np.array([0, round(1e9 * length)]) for length in (10.0, seconds)]
+    return [Recording("hover", "", "", ImuStream(time_ns, *np.zeros((2, 2, 3)))) for time_ns in stamps]
 
 
 def hover(seconds=10.0, rate_hz=100.0, **columns) -> Flight:
@@ -579,6 +596,9 @@ EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
     "HELD_SHARE": (0.75, repeated),
     "HELD_STEPS": (3.0, held_by),
     "FROZEN_S": (0.3, frozen_for),
+    "SHARE_MAX": (0.5, lambda x: order_of(np.arange(10_000), {"x": np.arange(10_000) < 1e4 * x}).problem()),
+    "HOLE_STEPS": (1.5, sorted_in),
+    "PART_S": (3.0, lambda x: len(long_enough(parts_of(x))) > 1),
     "FROZEN_TURN_RAD": (0.05, lambda x: frozen_for(0.9, x)),
     "AXES_GAIN": (0.3, axes_gain),
     "SCALE_OFF": (0.025, lambda x: off(scale=1.0 - x)),

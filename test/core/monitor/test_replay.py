@@ -222,7 +222,7 @@ def test_blocks_of_a_log_are_followed_like_those_of_its_bag(
     recording = read_bag(bag, vehicle)
 
     @contextmanager
-    def whole(_path, _vehicle):
+    def whole(_path, _vehicle, _part):
         yield recorded_flight(replace(recording, arrivals={}))
 
     monkeypatch.setattr(replay_module, "open_flight", whole)

@@ -1,0 +1,176 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The parts of a recording: those without a pause, and those that were asked for by time.
+
+Nothing is interpolated, integrated or filtered across a pause of more than MAX_GAP_NS. Of a recording with
+such pauses of the IMU, the rotor speeds or (without motion capture) the state, one part in between is used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from quadpi_core.errors import LogError
+from quadpi_core.findings import PAUSES, Break, DataQuality, UsedPart
+from quadpi_core.flight import MAX_GAP_NS, Recording, Stamps, Stream
+from quadpi_core.recording_blocks import streams_by_field
+from quadpi_core.thresholds import CONVENTION, Threshold
+from quadpi_core.time_range import TimeRange
+
+PART_S = Threshold(
+    name="shortest part of a flight that is used as a flight of its own",
+    value=3.0,
+    unit="s",
+    reason="a second starts the estimator, and the low-pass takes half a second at either end: of a shorter "
+    "part less than half is left",
+    data=CONVENTION,
+)
+
+ASKED_FOR = "the part asked for"
+
+Interval = tuple[int, int]
+
+
+def cut(recording: Recording, first_ns: int, last_ns: int) -> Recording:
+    """The samples stamped from the first instant to the last, both included."""
+    streams = streams_by_field(recording)
+    kept = {name: (one.time_ns >= first_ns) & (one.time_ns <= last_ns) for name, one in streams.items()}
+    before = np.concatenate(([0], np.cumsum(kept["imu"])))
+    arrivals = {}
+    for name, stream in streams.items():
+        came = recording.arrivals.get(stream.topic)
+        if came is not None and len(came) == len(stream):
+            arrivals[stream.topic] = before[came][kept[name]]
+    taken: dict[str, Any] = {name: stream.take(kept[name]) for name, stream in streams.items()}
+    return replace(recording, **taken, arrivals=arrivals)
+
+
+def in_range(recording: Recording, part: TimeRange) -> Recording:
+    """The part of a recording that was asked for; its `quality` says so.
+
+    Raises:
+        LogError: if the IMU has no sample in it.
+    """
+    if part.is_whole or len(recording.imu) == 0:
+        return recording
+    imu_ns = recording.imu.time_ns
+    found = cut(recording, *part.stamps(int(imu_ns[0])))
+    require_imu_in(recording.source, part, len(found.imu), float(1e-9 * (imu_ns[-1] - imu_ns[0])))
+    used = used_part(imu_ns, found.imu.time_ns, ASKED_FOR)
+    return replace(_without_empty(found), quality=found.quality.joined(DataQuality(used=(used,))))
+
+
+def _without_empty(recording: Recording) -> Recording:
+    """A part without the topics that have no sample in it."""
+    absent: dict[str, Any] = {
+        name: None for name, one in streams_by_field(recording).items() if len(one) == 0
+    }
+    return replace(recording, **absent)
+
+
+def require_imu_in(source: str, part: TimeRange, samples: int, length_s: float) -> None:
+    """Refuse a part without a sample of the IMU.
+
+    Raises:
+        LogError: saying how long the recording is.
+    """
+    if samples == 0:
+        raise LogError(f"{source}: topic imu: has no sample {part}: it ends at {length_s:.3f} s")
+
+
+def used_part(whole_ns: Stamps, part_ns: Stamps, reason: str) -> UsedPart:
+    """What a part is of a recording, by the stamps of the IMU in both."""
+    start_ns, end_ns = whole_ns[[0, -1]].tolist()
+    first_s, last_s = (1e-9 * (stamp - start_ns) for stamp in part_ns[[0, -1]].tolist())
+    return UsedPart(first_s, last_s, len(part_ns), 1e-9 * (end_ns - start_ns), reason)
+
+
+def in_range_of_blocks(blocks: Iterable[Recording], source: str, part: TimeRange) -> Iterator[Recording]:
+    """:func:`in_range` of a recording in blocks, by arrival; times count from the first IMU sample that came.
+
+    Raises:
+        LogError: see there, after the last block.
+    """
+    if part.is_whole:
+        yield from blocks
+        return
+    bounds: Interval | None = None
+    samples, start_ns, last_ns = 0, 0, 0
+    for block in blocks:
+        if len(block.imu):
+            start_ns = start_ns or int(block.imu.time_ns[0])
+            last_ns = int(block.imu.time_ns[-1])
+            bounds = bounds or part.stamps(start_ns)
+        if bounds is not None:
+            found = cut(block, *bounds)
+            samples += len(found.imu)
+            yield found
+    require_imu_in(source, part, samples, 1e-9 * (last_ns - start_ns))
+
+
+def parts_without_pause(recording: Recording) -> list[Recording]:
+    """The parts of a recording between pauses, the longest first; itself where it has none.
+
+    `quality` of each says where the topics pause, and what is used.
+    """
+    needed: list[Stream] = [recording.imu]
+    needed += [] if recording.rotor_speeds is None else [recording.rotor_speeds]
+    if recording.pose is None and recording.twist is None and recording.odometry is not None:
+        needed.append(recording.odometry)
+    breaks = [found for stream in needed if (found := _pauses(stream)) is not None]
+    if not breaks or any(len(stream) < 2 for stream in needed):
+        return [recording]
+    shared = _intervals(needed[0])
+    for stream in needed[1:]:
+        shared = list(_common(shared, _intervals(stream)))
+    shared.sort(key=lambda interval: interval[0] - interval[1])
+    parts = []
+    for place, interval in enumerate(shared):
+        part = cut(recording, *interval)
+        if len(part.imu) < 2:
+            continue
+        rank = "the longest" if place == 0 else f"number {place + 1} by length"
+        reason = f"{rank} of {len(shared)} parts without a pause"
+        used = used_part(recording.imu.time_ns, part.imu.time_ns, reason)
+        quality = part.quality.joined(DataQuality(breaks=tuple(breaks), used=(used,)))
+        parts.append(replace(_without_empty(part), quality=quality))
+    return parts or [recording]
+
+
+def long_enough(parts: Sequence[Recording]) -> list[Recording]:
+    """The parts that are flights of their own: those of PART_S and more, else the longest, by time."""
+    kept = [one for one in parts if one.imu.time_ns[-1] - one.imu.time_ns[0] >= 1e9 * PART_S.value]
+    return sorted(kept or parts[:1], key=lambda one: int(one.imu.time_ns[0]))
+
+
+def _pauses(stream: Stream) -> Break | None:
+    """The pauses of a topic; None of one that has none."""
+    late = np.flatnonzero(np.diff(stream.time_ns) > MAX_GAP_NS)
+    if len(late) == 0:
+        return None
+    before, after = (float(1e-9 * stream.time_ns[row]) for row in (late[0], late[0] + 1))
+    return Break(stream.topic, PAUSES, len(late), int(late[0]) + 1, before, after)
+
+
+def _intervals(stream: Stream) -> list[Interval]:
+    """First and last stamp of each part of a topic between pauses."""
+    late = np.flatnonzero(np.diff(stream.time_ns) > MAX_GAP_NS) + 1
+    firsts, lasts = np.r_[0, late], np.r_[late, len(stream)] - 1
+    return list(zip(stream.time_ns[firsts].tolist(), stream.time_ns[lasts].tolist(), strict=True))
+
+
+def _common(ones: Sequence[Interval], others: Sequence[Interval]) -> Iterator[Interval]:
+    """What two series of intervals share; each rises."""
+    i = j = 0
+    while i < len(ones) and j < len(others):
+        first, last = max(ones[i][0], others[j][0]), min(ones[i][1], others[j][1])
+        if first < last:
+            yield first, last
+        if ones[i][1] < others[j][1]:
+            i += 1
+        else:
+            j += 1

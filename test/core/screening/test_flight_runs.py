@@ -1,0 +1,129 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Of a flight with pauses one part is used, and of any flight the part that was asked for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from quadpi_core.errors import LogError
+from quadpi_core.findings import NOTHING_TO_SAY
+from quadpi_core.flight import Recording
+from quadpi_core.identification.prepared_flights import prepare_flights
+from quadpi_core.logs import bag_files, read_recording
+from quadpi_core.logs.bags import write_bag
+from quadpi_core.logs.importing import import_logs
+from quadpi_core.reading_options import ReadingOptions
+from quadpi_core.recording_blocks import join_blocks, split_recording
+from quadpi_core.screening.flight_runs import in_range, in_range_of_blocks, parts_without_pause
+from quadpi_core.time_range import TimeRange
+from quadpi_core.vehicle import Vehicle
+
+BAG = Path(__file__).parents[3] / "bags" / "train_1.mcap"
+SECOND = 10**9
+
+
+@pytest.fixture(scope="module")
+def vehicle() -> Vehicle:
+    return Vehicle.load("bebop2")
+
+
+@pytest.fixture(scope="module")
+def flown(vehicle) -> Recording:
+    return replace(in_range(read_recording(BAG, vehicle), TimeRange(to_s=20.0)), quality=NOTHING_TO_SAY)
+
+
+def without(recording: Recording, topic: str, *intervals: tuple[float, float]) -> Recording:
+    """A recording whose topic pauses."""
+    stream = getattr(recording, topic)
+    seconds = 1e-9 * (stream.time_ns - recording.imu.time_ns[0])
+    kept = np.ones(len(stream), dtype=bool)
+    for first, last in intervals:
+        kept &= (seconds <= first) | (seconds >= last)
+    return replace(recording, **{topic: stream.take(kept)}, arrivals={})
+
+
+def seconds_of(part: Recording, whole: Recording) -> list[float]:
+    return (1e-9 * (part.imu.time_ns[[0, -1]] - whole.imu.time_ns[0])).tolist()
+
+
+def test_a_flight_without_a_pause_is_itself(flown):
+    assert parts_without_pause(flown) == [flown]
+
+
+def test_parts_are_what_imu_and_rotor_speeds_share(flown):
+    paused = without(without(flown, "imu", (5.0, 5.2)), "rotor_speeds", (12.0, 12.3), (19.0, 19.5))
+    parts = parts_without_pause(paused)
+    assert [seconds_of(part, flown) for part in parts] == [
+        pytest.approx([first, last], abs=0.011)
+        for first, last in ((5.2, 12.0), (12.3, 19.0), (0.0, 5.0), (19.5, 20.0))
+    ]
+    for part in parts:
+        for stream in part.streams():
+            assert part.imu.time_ns[0] <= stream.time_ns[0] <= stream.time_ns[-1] <= part.imu.time_ns[-1]
+    words = [sentence.split(" from ")[0] for sentence in parts[0].quality.sentences()]
+    assert words == [
+        "topic imu: pauses",
+        "topic rotor_speeds: pauses",
+        "topic imu: used is the longest of 4 parts without a pause, 6.8 of 20.0 s:",
+    ]
+    assert parts[0].quality.breaks[1].times == 2
+
+
+def test_a_pause_of_motion_capture_ends_no_part(flown):
+    assert len(parts_without_pause(without(flown, "pose", (5.0, 6.0)))) == 1
+
+
+def test_identification_uses_the_longest_part_or_all(flown, vehicle, tmp_path):
+    paused = without(flown, "imu", (6.0, 6.2), (17.5, 18.0))
+    write_bag(tmp_path / "a.mcap", paused)
+    (longest,) = prepare_flights([tmp_path / "a.mcap"], vehicle)
+    assert (longest.name, longest.quality.breaks[0].times) == ("a", 2)
+    assert longest.time[-1] == pytest.approx(11.3 - 1.0, abs=1.0)
+    parts = prepare_flights([tmp_path / "a.mcap"], vehicle, mapping=ReadingOptions(all_parts=True))
+    assert [(part.name, part.file) for part in parts] == [("a_part1", "a"), ("a_part2", "a")]
+    assert len({part.sha256 for part in parts}) == 2
+    assert parts[1].sha256 == longest.sha256
+
+
+@pytest.mark.parametrize("size", [500, 1 << 20])
+def test_a_part_is_imported_and_read_alike(vehicle, tmp_path, monkeypatch, size):
+    part = TimeRange(3.25, 9.0)
+    write_bag(tmp_path / "whole.mcap", recording := read_recording(BAG, vehicle, ReadingOptions(part=part)))
+    assert seconds_of(recording, read_recording(BAG, vehicle)) == pytest.approx([3.25, 9.0], abs=0.002)
+    monkeypatch.setattr(bag_files, "BLOCK_MESSAGES", size)
+    (imported,) = import_logs([BAG], vehicle, tmp_path / "bags", ReadingOptions(part=part))
+    again, expected = read_recording(imported.bag, vehicle), read_recording(tmp_path / "whole.mcap", vehicle)
+    for stream, other in zip(again.streams(), expected.streams(), strict=True):
+        for column, values in vars(other).items():
+            np.testing.assert_array_equal(getattr(stream, column), values)
+    assert imported.quality.used == recording.quality.used
+    assert imported.quality.used[0].imu_samples == len(again.imu)
+
+
+@pytest.mark.parametrize("command", ["read", "import", "blocks"])
+def test_a_part_without_a_sample_is_refused(flown, vehicle, tmp_path, command):
+    part = TimeRange(100.0, 101.0)
+    write_bag(tmp_path / "a.mcap", flown)
+    commands = {
+        "read": lambda: in_range(flown, part),
+        "import": lambda: import_logs(
+            [tmp_path / "a.mcap"], vehicle, tmp_path / "bags", ReadingOptions(part=part)
+        ),
+        "blocks": lambda: list(in_range_of_blocks(split_recording(flown), "a.mcap", part)),
+    }
+    with pytest.raises(LogError, match=r"topic imu: has no sample from 100 s to 101 s: it ends at [\d.]+ s$"):
+        commands[command]()
+
+
+def test_a_part_of_blocks_is_that_of_the_whole(flown):
+    part = TimeRange(3.25, 15.0)
+    found = join_blocks(in_range_of_blocks(split_recording(flown), "a.mcap", part))
+    whole = in_range(flown, part)
+    np.testing.assert_array_equal(found.imu.time_ns, whole.imu.time_ns)
+    arrived = whole.arrivals_of(whole.pose)
+    np.testing.assert_array_equal(np.sort(found.arrivals["mocap/pose"]), np.sort(arrived))
