@@ -340,8 +340,8 @@ def _reports(columns: Columns, rpm: Array, order: RotorOrder) -> EscReports:
     marks = np.where(np.any(told > 0, axis=0), told, np.arange(1, count + 1)[:, np.newaxis])
     flags = columns.get("esc_online_flags", np.zeros(count)).astype(np.int64)
     online = flags[:, np.newaxis] >> numbers & 1 == 1
-    # A bit that is never set, of a controller that reports, is not maintained.
-    online |= ~np.any(online, axis=0) & np.any(rpm != 0.0, axis=0)
+    # A bit that is never set says nothing: drivers leave it out. One that never answers reads 0 all flight.
+    online |= ~np.any(online, axis=0)
     verdict = np.full(count, Verdict.SAMPLE, dtype=np.uint8)
     verdict[np.any(marks == 0, axis=1)] = Verdict.NEVER_REPORTED
     verdict[~np.all(online, axis=1)] = Verdict.OFFLINE

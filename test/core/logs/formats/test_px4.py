@@ -231,6 +231,13 @@ def test_online_flags_that_a_driver_never_sets_say_nothing(read):
     assert len(read({("esc_status", 0): statuses([0] * 100)}).rotor_speeds) == 100
 
 
+def test_an_esc_that_never_answers_reads_0(read):
+    """So that the check of the flight names it: nothing is left of its samples otherwise."""
+    recording = read({("esc_status", 0): statuses([13] * 100, (1000, 0, 3000, 4000))})
+    assert len(recording.rotor_speeds) == 100
+    assert np.count_nonzero(recording.rotor_speeds.speeds, axis=0).tolist().count(0) == 1
+
+
 def test_of_instances_the_first_one_with_speeds_counts(read, vehicle, caplog):
     topics = {("esc_status", 0): statuses([0] * 100, (0,) * 4), ("esc_status", 1): statuses([15] * 100)}
     assert corners(vehicle, read(topics))[1, 1] == pytest.approx(1000.0)
