@@ -29,7 +29,7 @@ _STAMP = r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d.*"
 _ABSENT = {"", "nan", "-nan", "null", "n/a", "#n/a", "na", "none"}
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 _UTF8_MARK = b"\xef\xbb\xbf"
-# What stands in a row of units: a unit by itself, in brackets or not.
+# What stands in a row of units where none is there twice: a unit by itself, in brackets or not.
 UNIT = re.compile(
     r"[\[(]?\s*(-|1|s|sec|[mµμun]s|[cm]?m|[cm]?m/s|km/h|m s\^?-1|m/s\^?2|m/s²|m s\^?-2|m?g|rad|deg|°|"
     r"(rad|deg|°)(/s| s\^?-1)|e?rpm|m?v|m?n|m?nm|counts?|raw|flags)?\s*[\])]?",
@@ -141,7 +141,10 @@ def _heading(above: Sequence[Sequence[str]], width: int) -> tuple[tuple[str, ...
     """Names and units of the columns: of the rows above the values, the last ones as wide as these."""
     fitting = [list(row) for row in above if len(row) in {width - 1, width}]
     units: tuple[str, ...] = ()
-    if len(fitting) > 1 and all(UNIT.fullmatch(field) for field in fitting[-1]):
+    if len(fitting) > 1 and (
+        all(UNIT.fullmatch(field) for field in fitting[-1])
+        or (_repeats(fitting[-1]) and not _repeats(fitting[-2]))
+    ):
         units = tuple(fitting.pop())
     if not fitting:
         return tuple(str(place + 1) for place in range(width)), units
@@ -149,6 +152,11 @@ def _heading(above: Sequence[Sequence[str]], width: int) -> tuple[tuple[str, ...
     # A heading that is a comment.
     names[0] = names[0].lstrip("#% ")
     return tuple(names), units
+
+
+def _repeats(row: Sequence[str]) -> bool:
+    """Whether a row has an entry twice, as units are and names are not."""
+    return max(Counter(field for field in row if field).values(), default=0) > 1
 
 
 def read_columns(content: bytes, dialect: CsvDialect, wanted: Collection[int], stamps: int) -> pa.Table:

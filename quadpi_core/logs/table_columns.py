@@ -229,8 +229,10 @@ def stamps_of(source: str, values: npt.NDArray[Any], unit: str | None) -> Stamps
     keeps = unit and _FAST_SHARE * shortest <= interval * UNITS["time"][unit] < longest
     if not keeps and interval > 0.0 and fitting:
         rate = 1.0 / (interval * UNITS["time"][fitting[0]])
-        said = f", not in {unit} as the mapping says," if unit else ""
-        note(source, f"the stamps are taken to be in {fitting[0]}{said} which makes {rate:.4g} rows a second")
+        said = f", not in {unit} as the mapping says" if unit else ""
+        note(
+            source, f"the stamps are taken to be in {fitting[0]}{said}, which makes {rate:.4g} rows a second"
+        )
         unit = fitting[0]
     if unit is None:
         raise LogError(f"{source}: the unit of the time cannot be told; `unit` in the mapping says it")

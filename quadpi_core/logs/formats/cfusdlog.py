@@ -140,6 +140,10 @@ def decode_events(source: str, data: bytes) -> dict[str, Event]:
     if version not in _STAMP_TYPE:
         raise LogError(f"{source}: uSD log version {version} is not known; known: {list(_STAMP_TYPE)}")
     layouts, names, start = _decode_header(source, data, version, event_count)
+    written = data.rstrip(b"\0")
+    if len(data) - len(written) > max((layout.itemsize for layout in layouts.values()), default=0):
+        # The card has reserved what was not written any more; no record is that many zeros.
+        data = written
     offsets, stop = _record_offsets(data, start, layouts)
     _check_end(source, data, stop, layouts)
     if not any(offsets.values()):

@@ -31,6 +31,7 @@ DIALECTS = {
     "last comma": lambda text: text.replace("\n", ",\n"),
     "last comma of the values": lambda text: text.replace("\n", ",\n").replace(",\n", "\n", 1),
     "units below": lambda text: text.replace("\n", "\ns,rad/s,rad/s,(rad/s),m/s^2,[m/s2],m/s²\n", 1),
+    "units in other words": lambda text: text.replace("\n", "\nsec,1/s,1/s,1/s,N/kg,N/kg,N/kg\n", 1),
     "units in brackets": lambda text: text.replace("p,q,r", "p [rad/s],q (rad s^-1),r [°/s]"),
     "comment above": lambda text: f"# of Monday, in the hall, 3 m high\n#\n{text}",
     "heading as a comment": lambda text: f"# {text}",

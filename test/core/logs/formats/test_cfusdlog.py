@@ -152,6 +152,15 @@ def test_what_is_cut_off_at_power_off_is_read_up_to_there(tmp_path: Path, caplog
     assert "log00: the file is cut off in the record from byte" in caplog.text
 
 
+def test_zeros_that_fill_the_card_behind_the_cut_are_no_records(tmp_path: Path, caplog):
+    events = {0: EVENTS[65535], 3: EVENTS[3]}
+    records = [(0 if event == 65535 else event, *values) for event, *values in RECORDS]
+    data = write_log(tmp_path / "log00", events, records).read_bytes()[:-7] + bytes(4096)
+    counts = [len(event.time_ns) for event in decode_events("log00", data).values()]
+    assert counts == [2, 1]
+    assert "cut off in the record" in caplog.text
+
+
 @pytest.mark.parametrize("length", range(1, 160, 7))
 def test_a_cut_before_the_first_record_is_one_error(tmp_path: Path, vehicle: Vehicle, length: int):
     path = write_log(tmp_path / "log00", EVENTS, RECORDS)
