@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -21,6 +21,11 @@ from quadpi_core.cli.options import (
 )
 from quadpi_core.models import kinds
 from quadpi_core.plugins import names_in
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from quadpi_core.models.aerodynamic import AerodynamicModel
 
 
 def _known_kind(name: str | None) -> str | None:
@@ -75,6 +80,9 @@ def identify(
     all_parts: options.AllParts = False,
     from_s: options.FromS = None,
     to_s: options.ToS = None,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", help="Also print every parameter or term, and the log of the fit.")
+    ] = False,
     workers: options.FileProcessCount = None,
     scheduler: options.Scheduler = None,
     json_file: options.JsonFile = None,
@@ -88,10 +96,8 @@ def identify(
     from quadpi_core.models.candidate_pool import load_pools, select_axes
     from quadpi_core.models.model_folder import require_replaceable
     from quadpi_core.models.model_kind import CUTOFF_HZ, IdentifyOptions
-    from quadpi_core.report.model_tables import fact_tables, held_out_table, selection_table
     from quadpi_core.report.page import FlightFiles
     from quadpi_core.report.progress_bar import progress_bar
-    from quadpi_core.report.table import terminal_table
     from quadpi_core.vehicle import Vehicle
 
     check_outputs(bags, json_file, html_file, folders=[output])
@@ -125,24 +131,43 @@ def identify(
         print_quality(console, ((flight.name, flight.quality) for flight in flights))
         with progress_bar(console) as progress:
             model = identify_model(flights, the_vehicle, pools, chosen, progress).save(output)
-        for axis in model.axes:
-            if model.selection[axis]:
-                console.print(terminal_table(selection_table(model.selection[axis], axis)))
-        for table in fact_tables(model):
-            console.print(terminal_table(table))
-        if choice := choice_of_kind(context):
-            console.print(choice, soft_wrap=True)
-        names = ", ".join(flight.name for flight in model.flights)
-        console.print(
-            f"{model.method} model {model.identity} of {model.vehicle} from {names}: {output}", soft_wrap=True
-        )
-        console.print(model.calibration(), soft_wrap=True)
-        console.print(model.alarm_limits.sentence(), soft_wrap=True)
-        if held_out := held_out_table(model):
-            console.print(terminal_table(held_out))
+        _print_model(console, model, verbose=verbose, choice=choice_of_kind(context))
+        console.print(f"written to {output}; quadpi info {output} shows every parameter", soft_wrap=True)
         if json_file or html_file:
             groups = {"identification": [flight.name for flight in flights]}
             case = ComparisonCase(
                 {model.name: model}, {cutoff: flights}, groups, confidence, left_out=left_out
             )
             write_evaluation(model, case, json_file, html_file, FlightFiles.of(bags, [output], vehicle))
+
+
+def _print_model(console: Console, model: AerodynamicModel, *, verbose: bool, choice: str | None) -> None:
+    """What matters first; with `verbose`, the rest as well."""
+    from quadpi_core.report.evaluation_page import support_text
+    from quadpi_core.report.model_tables import (
+        fact_tables,
+        headline_table,
+        held_out_table,
+        least_held_out,
+        selection_table,
+    )
+    from quadpi_core.report.table import terminal_table
+
+    tables = [headline_table(model)]
+    if verbose:
+        tables += [
+            selection_table(model.selection[axis], axis) for axis in model.axes if model.selection[axis]
+        ]
+        tables += [*fact_tables(model), held_out_table(model)]
+    for table in tables:
+        if table is not None:
+            console.print(terminal_table(table))
+    if choice is not None:
+        console.print(choice, soft_wrap=True)
+    names = ", ".join(flight.name for flight in model.flights)
+    console.print(f"{model.method} model {model.identity} of {model.vehicle} from {names}", soft_wrap=True)
+    console.print(model.calibration(), soft_wrap=True)
+    if least := least_held_out(model):
+        console.print(least, soft_wrap=True)
+    console.print(support_text(model.support(model.confidence)), soft_wrap=True)
+    console.print(model.alarm_limits.sentence(), soft_wrap=True)

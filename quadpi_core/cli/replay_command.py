@@ -44,6 +44,8 @@ def replay(
     from quadpi_core.monitor import MonitorSettings
     from quadpi_core.monitor.replay import replay as replay_bag
     from quadpi_core.monitor.replay import replay_all
+    from quadpi_core.report.replay_table import not_judged_sentences, replay_table
+    from quadpi_core.report.table import terminal_table
 
     several = len(bags) > 1
     check_outputs([model, *bags], *(set(bags_in(output, bags)) if several else [output]), json_file)
@@ -83,5 +85,8 @@ def replay(
                 )
             }
             summary = asdict(replayed[bags[0].stem])
-        console.print_json(data=summary)
+        console.print(terminal_table(replay_table(replayed)))
+        for sentence in not_judged_sentences(replayed):
+            console.print(sentence, soft_wrap=True)
+        console.print(f"written to {output}", soft_wrap=True)
         write_result(json_file, summary)

@@ -19,12 +19,14 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import gammaincinv
 from scipy.stats import rankdata
 
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.identification.prepared_flights import LiveSamples
 from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.models.alarm_limits import BOUND_CONFIDENCE
 from quadpi_core.models.interval_rules import inside_interval
 from quadpi_core.monitor.alarm import Alarm, MonitorSettings
 from quadpi_core.monitor.preparation import VERDICT, Prepared
@@ -181,12 +183,19 @@ def per_hour(count: float, hours: float) -> float | None:
     return count / hours if hours >= SHORTEST_HOURS else None
 
 
+def rate_bound(events: int, hours: float) -> float | None:
+    """Exact upper bound of a Poisson rate, at `BOUND_CONFIDENCE`: for no event, 3.0 over the time."""
+    return float(gammaincinv(events + 1, BOUND_CONFIDENCE.value)) / hours if hours > 0.0 else None
+
+
 @dataclass(frozen=True)
 class AlarmAssessment(Counted):
     """How good the alarm is on flights.
 
     Attributes:
         false_alarms_per_hour: inside the envelope; None for too short a time to state a rate.
+        false_alarms_per_hour_bound: upper bound of the rate that the time supports, see :func:`rate_bound`;
+            None without any time.
         flights_off: flights in which the model is off.
         flights_undetected: flights off in which no alarm followed.
         detection_delay_s: median delay in the other flights off; None without any.
@@ -195,6 +204,7 @@ class AlarmAssessment(Counted):
     """
 
     false_alarms_per_hour: float | None
+    false_alarms_per_hour_bound: float | None
     flights_off: int
     flights_undetected: int
     detection_delay_s: float | None
@@ -210,6 +220,7 @@ def assess(flights: Sequence[Assessed]) -> AlarmAssessment:
     return AlarmAssessment(
         **vars(counted),
         false_alarms_per_hour=per_hour(counted.false_alarms, counted.hours_inside),
+        false_alarms_per_hour_bound=rate_bound(counted.false_alarms, counted.hours_inside),
         flights_off=len(delays),
         flights_undetected=len(delays) - len(detected),
         detection_delay_s=float(np.median(detected)) if detected else None,

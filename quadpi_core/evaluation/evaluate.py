@@ -116,6 +116,7 @@ def judge(
         evaluation,
         force_bandwidth_hz=model.force_bandwidth_hz,
         data_quality={flight.name: flight.quality for flight in flights},
+        support=None if adaptive else model.support(confidence),
     )
 
 

@@ -17,6 +17,7 @@ from quadpi_core.evaluation.alarm_assessment import AlarmAssessment
 from quadpi_core.evaluation.metrics import RegimeBins
 from quadpi_core.findings import DataQuality
 from quadpi_core.flight_files import FlightLeftOut
+from quadpi_core.models.interval_rules import LevelSupport
 
 
 @dataclass(frozen=True)
@@ -130,6 +131,7 @@ class Evaluation:
             alike; None where they are judged as they are.
         data_quality: remarks on the data, by flight.
         left_out: flights that were given and cannot be used.
+        support: which level the flights that calibrated the intervals support; None where they adapt.
     """
 
     quadpi_version: str
@@ -148,6 +150,7 @@ class Evaluation:
     force_bandwidth_hz: float | None = None
     data_quality: Mapping[str, DataQuality] = field(default_factory=dict)
     left_out: Sequence[FlightLeftOut] = field(default_factory=list)
+    support: LevelSupport | None = None
 
     def in_sample(self, group: str) -> list[str]:
         """Names of the flights of a group that the model was identified on."""

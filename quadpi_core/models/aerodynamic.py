@@ -22,7 +22,7 @@ from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.messages.model_description import DescribedModel
 from quadpi_core.models.alarm_limits import AlarmLimits
 from quadpi_core.models.envelope import Envelope
-from quadpi_core.models.interval_rules import HeldOutRule
+from quadpi_core.models.interval_rules import HeldOutRule, LevelSupport
 from quadpi_core.models.kind_registry import kind_named
 from quadpi_core.models.model_folder import (
     MODEL_FILE,
@@ -203,6 +203,12 @@ class AerodynamicModel:
             )
         rest = "" if inside == total else f"; {total - inside} outside the envelope of the others"
         return f"intervals calibrated on {inside} of {total} flights, each left out in turn{rest}"
+
+    def support(self, confidence: float) -> LevelSupport:
+        """What a confidence means for flights to come, by the flights that calibrated the intervals."""
+        rules = [own.rule for own in self.fitted.values()]
+        inside = min(rule.flights_inside if isinstance(rule, HeldOutRule) else 0 for rule in rules)
+        return LevelSupport.of(confidence, inside)
 
     @cached_property
     def _axes(self) -> CompiledAxes:

@@ -13,6 +13,7 @@ from quadpi_core.config_schema import Each, NotNegative, Positive, Within, parse
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
+from quadpi_core.thresholds import CONVENTION, Threshold
 
 # False alarms per flight hour that limits are calibrated to by default.
 RATE_PER_HOUR = 1.0
@@ -21,6 +22,13 @@ RATE_PER_HOUR = 1.0
 FEWEST_FLIGHTS = 8
 # Ratio of the share of misses that the sequential test is to detect to the allowed share.
 ALTERNATIVE = 5.0
+BOUND_CONFIDENCE = Threshold(
+    "confidence of the bound of a rate",
+    0.95,
+    "",
+    "of a bound that a person reads; without an alarm it is 3.0 over the time",
+    CONVENTION,
+)
 # Limit [s] of the sequential test where no flights could calibrate it.
 UNCALIBRATED_S = 2.0
 
@@ -65,16 +73,33 @@ class AlarmLimits:
         """Whether a rate of false alarms can be stated."""
         return self.flights > 0
 
+    @property
+    def rate_bound_per_hour(self) -> float | None:
+        """Bound of the rate that the hours would show without a single alarm (Poisson); None without any."""
+        return float(-np.log1p(-BOUND_CONFIDENCE.value)) / self.hours if self.hours > 0.0 else None
+
+    @property
+    def rate_extrapolated(self) -> bool:
+        """Whether the rate is below what the hours could show, and follows from the form of the tails."""
+        bound = self.rate_bound_per_hour
+        return bound is not None and bound > self.rate_per_hour
+
     def sentence(self) -> str:
         """A sentence that says what the limits were calibrated on."""
-        if not self.calibrated:
+        bound = self.rate_bound_per_hour
+        if not self.calibrated or bound is None:
             return (
                 "alarm uncalibrated: its limits are plain fractions beyond training, no rate is claimed; "
                 f"that takes {FEWEST_FLIGHTS} flights within each other's ranges"
             )
+        time = f"{60.0 * self.hours:.3g} min"
+        shown = (
+            f"{time} without an alarm bound it at {bound:.3g} per hour ({100.0 * BOUND_CONFIDENCE.value:g} %)"
+        )
+        rate = f"extrapolated: {shown} only" if self.rate_extrapolated else f"within what they show: {shown}"
         return (
             f"alarm calibrated to {self.rate_per_hour:g} false alarms per flight hour on {self.flights} "
-            f"flights, each left out in turn ({60.0 * self.hours:.3g} min)"
+            f"flights, each left out in turn ({time}); the rate is {rate}"
         )
 
     def to_json(self) -> dict[str, Any]:

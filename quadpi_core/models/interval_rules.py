@@ -155,6 +155,49 @@ class HeldOutRule(Rule):
         return HeldOutRule(factors, self.flights_inside)
 
 
+@dataclass(frozen=True)
+class LevelSupport:
+    """What a confidence means that was calibrated on flights, each of which counts once.
+
+    Attributes:
+        confidence: nominal coverage.
+        flights: left out in turn that calibrated the intervals.
+        level: n / (n + 1), the chance that the next flight errs by no more than the worst of n (split
+            conformal prediction).
+        flight_share: of flights to come that the rule is to hold, its rank over n + 1.
+    """
+
+    confidence: float
+    flights: int
+    level: float
+    flight_share: float
+
+    @classmethod
+    def of(cls, confidence: float, flights: int) -> LevelSupport:
+        """What flights left out support."""
+        return cls(confidence, flights, flights / (flights + 1), conformal_rank(flights) / (flights + 1))
+
+    @property
+    def is_supported(self) -> bool:
+        """Whether as many flights could show the confidence at all."""
+        return self.confidence <= self.level
+
+    def sentence(self) -> str:
+        """In one line."""
+        asked, level, share = (
+            f"{100.0 * of:.4g} %" for of in (self.confidence, self.level, self.flight_share)
+        )
+        if self.flights == 0:
+            return f"no flight left out calibrated the intervals: they support no level, {asked} is nominal"
+        but = "" if self.is_supported else f", not {asked}"
+        several = f"{self.flights} flights, each counted once, support"
+        flights = "1 flight supports" if self.flights == 1 else several
+        return (
+            f"{flights} a level of {level} (n / (n + 1)){but}: "
+            f"about {share} of flights to come reach {asked} of their samples"
+        )
+
+
 _RULES: dict[str, type[Rule]] = {
     rule.kind: rule for rule in (ResidualRule, NormalRule, TrainedRule, HeldOutRule)
 }

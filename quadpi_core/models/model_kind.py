@@ -203,6 +203,13 @@ class Facts(NamedTuple):
     note: str = ""
 
 
+class RotorDelay(NamedTuple):
+    """Seconds that rotor speeds act after they were measured, and those that flights do not rule out."""
+
+    used_s: float
+    range_s: tuple[float, float] | None
+
+
 Self = TypeVar("Self", bound="Kind")
 
 
@@ -301,6 +308,21 @@ class Kind(Section, ABC):
     ) -> list[Facts]:
         """What there is to say of a fitted model, and of how it predicts ahead, beside its terms."""
         return []
+
+    def standard_error(
+        self,
+        fitted: Mapping[str, Any],  # noqa: ARG002 - for kinds that know it
+        axis: str,  # noqa: ARG002
+        inputs: Array,  # noqa: ARG002
+        weights: Array,  # noqa: ARG002
+        vehicle: Vehicle,  # noqa: ARG002
+    ) -> float | None:
+        """Of the sum of predictions with weights (N,) at steady inputs (N, 19); None where not known."""
+        return None
+
+    def rotor_delay(self, fitted: Mapping[str, Any]) -> RotorDelay | None:  # noqa: ARG002 - for kinds that find one
+        """The delay of the rotor speeds that was found; None for a kind that looks for none."""
+        return None
 
     def store(self, fitted: Mapping[str, FittedAxis]) -> StoredAxes:
         """What a model folder keeps; unless overridden, each axis by itself."""

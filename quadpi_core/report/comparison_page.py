@@ -134,6 +134,7 @@ def comparison_summary(comparison: Comparison) -> Group:
     )
     notes = [
         *([short_coverage_note(confidence)] if marked else []),
+        *_support_notes(comparison),
         *_alarm_notes(comparison),
         *([f"{PUBLISHED}: van Beers and de Visser, on the real vehicle"] if comparison.published else []),
     ]
@@ -142,6 +143,13 @@ def comparison_summary(comparison: Comparison) -> Group:
         terminal_table(comparison_table(comparison, by="group")),
         *(Text(note, style="dim") for note in notes),
     )
+
+
+def _support_notes(comparison: Comparison) -> Iterator[str]:
+    """Which level the flights of each model support."""
+    for name, model in comparison.models.items():
+        if model.support is not None:
+            yield f"{name}: {model.support.sentence()}"
 
 
 def _alarm_notes(comparison: Comparison) -> Iterator[str]:
@@ -244,7 +252,12 @@ def _remarks(comparison: Comparison) -> list[tuple[str, str]]:
         if (known := model.in_sample(group))
     ]
     quality = next(iter(comparison.models.values())).data_quality
-    return in_sample + flight_remarks(quality, comparison.left_out)
+    asked = [
+        (name, model.support.sentence())
+        for name, model in comparison.models.items()
+        if model.support is not None and not model.support.is_supported
+    ]
+    return in_sample + asked + flight_remarks(quality, comparison.left_out)
 
 
 def _group_figure(comparison: Comparison) -> Figure:

@@ -20,6 +20,8 @@ from quadpi_core.evaluation.evaluation_result import (
 from quadpi_core.evaluation.flight_results import FlightResult
 from quadpi_core.flight import AXES
 from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.models.alarm_limits import BOUND_CONFIDENCE
+from quadpi_core.models.interval_rules import LevelSupport
 from quadpi_core.report.coverage_verdict import Holding, axis_coverages, joint_verdict, listing
 from quadpi_core.report.evaluation_figures import (
     coverage_figure,
@@ -110,6 +112,8 @@ def evaluation_summary(evaluation: Evaluation) -> Group:
     ]
     if evaluation.force_bandwidth_hz is not None:
         shown.append(Text(force_bandwidth_note(evaluation.force_bandwidth_hz), style="dim"))
+    if evaluation.support is not None:
+        shown.append(support_text(evaluation.support))
     for name, part in evaluation.groups.items():
         table = metrics_table({name: part}, confidence, "group")
         shown.append(terminal_table(table.without("group", *_NOT_ON_TERMINAL, title=name)))
@@ -119,6 +123,11 @@ def evaluation_summary(evaluation: Evaluation) -> Group:
     if any(metrics.covers_too_little(confidence) for part in parts for metrics in part.axes.values()):
         shown.append(Text(short_coverage_note(confidence), style="dim"))
     return Group(*shown)
+
+
+def support_text(support: LevelSupport) -> Text:
+    """Which level the flights of a model support; yellow where more is asked."""
+    return Text(support.sentence(), style="dim" if support.is_supported else "yellow")
 
 
 def force_bandwidth_note(bandwidth_hz: float) -> str:
@@ -140,6 +149,8 @@ def alarm_sentence(alarm: AlarmAssessment) -> str:
     if alarm.hours_inside > 0.0:
         rate = alarm.false_alarms_per_hour
         stated = "too short for a rate" if rate is None else f"{number(rate)} per hour"
+        if (bound := alarm.false_alarms_per_hour_bound) is not None:
+            stated += f"; at most {number(bound)} per hour, at {nominal(BOUND_CONFIDENCE.value)}"
         false = _count(alarm.false_alarms, "false alarm")
         parts.append(f"{false} in {_duration(alarm.hours_inside)} inside the envelope ({stated})")
     if alarm.hours_outside > 0.0:
@@ -240,6 +251,7 @@ def write_evaluation_page(
             "identified on": f"{len(model.flights)} flights",
             "evaluated on": f"{len(evaluation.flights)} flights",
         }
+        | ({} if (support := evaluation.support) is None else {"level": support.sentence()})
         | ({} if (hz := evaluation.force_bandwidth_hz) is None else {"forces": force_bandwidth_note(hz)}),
         definitions=metric_definitions(evaluation),
         figures=figures,

@@ -170,6 +170,7 @@ def model_summary(model: AerodynamicModel) -> list[RenderableType]:
 
 
 def _model_json(model: AerodynamicModel) -> dict[str, Any]:
+    limits = model.alarm_limits
     return {
         "kind": "model",
         "name": model.name,
@@ -177,7 +178,12 @@ def _model_json(model: AerodynamicModel) -> dict[str, Any]:
         "vehicle": model.vehicle,
         "settings": model.settings,
         "cutoff_hz": model.cutoff_hz,
-        "alarm": model.alarm_limits.to_json() | {"calibrated": model.alarm_limits.calibrated},
+        "alarm": limits.to_json()
+        | {
+            "calibrated": limits.calibrated,
+            "rate_bound_per_hour": limits.rate_bound_per_hour,
+            "rate_extrapolated": limits.rate_extrapolated,
+        },
         "confidence": model.confidence,
         "axes": {axis: model.fitted[axis].terms for axis in model.axes},
         "facts": {

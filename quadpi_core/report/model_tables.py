@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from itertools import zip_longest
 from typing import TYPE_CHECKING, Any
 
+from quadpi_core.models.headlines import Headline, headlines
 from quadpi_core.report.style import number, percent
 from quadpi_core.report.table import Cell, Column, Mark, Row, Table, soft
 
@@ -97,6 +98,26 @@ def structure_table(selection: Mapping[str, SelectionLog], axes: Sequence[str]) 
     return Table(columns, rows)
 
 
+def headline_table(model: AerodynamicModel) -> Table | None:
+    """What matters first, in ten lines at most, beside the vehicle file; None if the model tells nothing."""
+    rows: list[Row] = [
+        [one.quantity, one.value, _error(one), "" if one.known is None else one.known, one.unit]
+        for one in headlines(model, model.load_vehicle())
+    ]
+    columns = [
+        Column("", is_text=True),
+        Column("found", number),
+        Column("±", is_text=True),
+        Column("vehicle file", number),
+        Column("unit", is_text=True),
+    ]
+    return Table(columns, rows, title="What the flights tell", note="±: standard error") if rows else None
+
+
+def _error(one: Headline) -> str:
+    return one.note or ("" if one.error is None else number(one.error))
+
+
 def best_known_table(model: AerodynamicModel, most: int) -> Table | None:
     """The parameters that its flights tell best, by value over standard error; None of a model without these.
 
@@ -139,6 +160,23 @@ def term_tables(model: AerodynamicModel) -> list[Table]:
         columns = [Column("axis", is_text=True), Column("inputs", is_text=True, wraps=True)]
         return [Table(columns, [[axis, ", ".join(model.fitted[axis].terms)] for axis in model.axes])]
     return [structure_table(model.selection, [axis]) for axis in model.axes]
+
+
+def least_held_out(model: AerodynamicModel) -> str:
+    """The least coverage of a training flight by a model of the others; empty if no flight was left out."""
+    coverages = [
+        (share, f"{flight.name}, {axis}")
+        for axis in model.axes
+        for flight, share in zip(model.flights, model.held_out_coverage[axis], strict=False)
+    ]
+    if not coverages:
+        return ""
+    least, where = min(coverages)
+    middle = sorted(share for share, _ in coverages)[len(coverages) // 2]
+    return (
+        f"coverage of each flight by a model of the others: {percent(least)} at least ({where}), "
+        f"median {percent(middle)}"
+    )
 
 
 def held_out_table(model: AerodynamicModel) -> Table | None:

@@ -16,6 +16,7 @@ from quadpi_core.bounded_files import parse_json
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
+from quadpi_core.inputs import DERIVATIVES
 from quadpi_core.models.fitted_physical import SHARED, CompiledPhysical, FittedPhysical, PhysicalParameters
 from quadpi_core.models.fitted_polynomial import PlacedErrors, SpreadShape, fit_shape, squared_speed
 from quadpi_core.models.interval_rules import NormalRule, calibrate, inside_range
@@ -26,6 +27,7 @@ from quadpi_core.models.model_kind import (
     IdentifyOptions,
     Kind,
     Pools,
+    RotorDelay,
     StoredAxes,
     TrainingSamples,
     option,
@@ -39,13 +41,15 @@ from quadpi_core.models.physical_fit import (
     worst_pairs,
 )
 from quadpi_core.models.physical_flight import flights_of, thinned_rows
-from quadpi_core.models.physical_regressors import acting_terms
+from quadpi_core.models.physical_kernel import motions
+from quadpi_core.models.physical_regressors import acting_terms, regressors
 from quadpi_core.models.physical_study import DELAYS_S, PhysicalStudy
-from quadpi_core.models.physical_terms import TERM_NAMES, TERMS
+from quadpi_core.models.physical_terms import TERM_INDEX, TERM_NAMES, TERMS
 from quadpi_core.models.rollout_identification import calibrated_rollouts, rollout_flights
 from quadpi_core.models.rollout_model import MOVES, RolloutModel
 from quadpi_core.parallel import Progress, ReportProgress
 from quadpi_core.signals.force_bandwidth import as_recorded
+from quadpi_core.vehicle import Vehicle
 
 FIT_FILE, TABLE_FILE = "fit.json", "parameters.csv"
 # Least variance of a direction of correlated parameters: hover leaves some that are known to 1e-13 of others.
@@ -180,6 +184,24 @@ class Physical(Kind):
                 [(step.step, step.of, step.error) for step in shared.log],
             ),
         ]
+
+    def standard_error(
+        self, fitted: Mapping[str, Any], axis: str, inputs: Array, weights: Array, vehicle: Vehicle
+    ) -> float:
+        """By the covariance of the parameters, with the thrust that differs from flight to flight."""
+        own, column, shared = fitted[axis], AXES.index(axis), _shared(fitted)
+        steady = np.zeros(len(inputs), DERIVATIVES)
+        z = regressors(motions(inputs, steady, vehicle), shared.vehicle)[:, own.acting, column]
+        # The whitening is in units of the noise: of the force or moment at rest, both errors are known.
+        rest = TERM_INDEX[f"bias_{('x', 'y', 'z', 'roll', 'pitch', 'yaw')[column]}"]
+        place = np.flatnonzero(own.acting == rest)
+        noise = shared.standard_errors[rest] / np.linalg.norm(own.whitening[place])
+        return float(noise * np.linalg.norm(weights @ z @ own.whitening))
+
+    def rotor_delay(self, fitted: Mapping[str, Any]) -> RotorDelay:
+        """As it was found."""
+        shared = _shared(fitted)
+        return RotorDelay(shared.sensing.rotor_delay_s, shared.delay_range_s)
 
     def store(self, fitted: Mapping[str, FittedAxis]) -> StoredAxes:
         """Parameters once, what belongs to an axis by axis, and a table of parameters for people."""

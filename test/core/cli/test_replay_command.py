@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-import json
-
 REPLAY = {
     "samples_in",
     "predictions_out",
@@ -30,7 +28,8 @@ def test_replay_of_several(read_json, quadpi, model, bags, tmp_path):
     replayed = quadpi("replay", model, *bags, "-o", out, "--json", data)
     assert (replayed.status, replayed.errors) == (0, "")
     flights = read_json(data)["flights"]
-    assert read_json(data) == json.loads(replayed.output) == {"flights": flights, "left_out": []}
+    assert read_json(data) == {"flights": flights, "left_out": []}
+    assert all(bag.stem in replayed.output for bag in bags)
     assert list(flights) == ["flight0", "flight1", "flight2"]
     assert sorted(path.name for path in out.iterdir()) == [bag.name for bag in bags]
     alone = tmp_path / "alone.mcap"

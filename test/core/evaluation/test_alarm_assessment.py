@@ -13,6 +13,7 @@ import pytest
 from quadpi_core.evaluation.alarm_assessment import SIGNALS, Assessed, FlightAlarm, assess
 from quadpi_core.paths import bags_directory
 from quadpi_core.report.evaluation_page import alarm_sentence
+from quadpi_core.report.style import number
 
 RATE_HZ = 50
 GOLDEN = Path(__file__).resolve().parents[2] / "golden" / "model"
@@ -51,8 +52,10 @@ def test_a_rate_takes_a_minute(duration_s, stated):
     assert found.false_alarms == 1
     assert (found.false_alarms_per_hour is not None) is stated
     sentence = alarm_sentence(found)
-    assert ("per hour" in sentence) is stated
     assert ("too short for a rate" in sentence) is not stated
+    # Exact Poisson bound of one event: 4.74 over the time.
+    assert found.false_alarms_per_hour_bound == pytest.approx(4.744 / found.hours_inside, rel=1e-3)
+    assert f"at most {number(found.false_alarms_per_hour_bound)} per hour" in sentence
 
 
 def test_flights_add_up_to_a_minute_and_what_was_not_monitored_does_not_count():

@@ -29,7 +29,7 @@ EVALUATION = {
     *("quadpi_version", "model", "vehicle", "method", "adaptive", "confidence", "training_range"),
     "force_bandwidth_hz",
     *("nmpiw_denominator", "cwc", "calibration_levels", "regime_edges", "groups", "flights"),
-    *("data_quality", "left_out"),
+    *("data_quality", "left_out", "support"),
 }
 
 

@@ -48,3 +48,16 @@ def test_the_sequential_test_looks_for_five_times_the_allowed_misses() -> None:
 def test_uncalibrated_limits_are_two_seconds_and_claim_no_rate() -> None:
     np.testing.assert_array_equal(AlarmLimits().miscoverage_s, np.full(6, 2.0))
     assert "no rate is claimed" in AlarmLimits().sentence()
+
+
+def test_the_rate_of_a_short_calibration_is_said_to_be_extrapolated() -> None:
+    """No alarm in t bounds the rate at 3.0/t (Poisson, 95 %)."""
+    short, long = (AlarmLimits(flights=15, hours=hours) for hours in (1.61 / 60.0, 4.0))
+    assert short.rate_bound_per_hour == pytest.approx(-np.log(0.05) / short.hours)
+    assert short.rate_extrapolated
+    assert short.sentence() == (
+        "alarm calibrated to 1 false alarms per flight hour on 15 flights, each left out in turn (1.61 min); "
+        "the rate is extrapolated: 1.61 min without an alarm bound it at 112 per hour (95 %) only"
+    )
+    assert not long.rate_extrapolated
+    assert "within what they show: 240 min without an alarm bound it at 0.749 per hour" in long.sentence()

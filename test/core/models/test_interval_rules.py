@@ -14,6 +14,7 @@ from quadpi_core.models.interval_rules import (
     LEVELS,
     FlightErrors,
     HeldOutRule,
+    LevelSupport,
     NormalRule,
     ResidualRule,
     Rule,
@@ -168,3 +169,35 @@ def test_a_flight_counts_from_half_inside() -> None:
 
 def test_a_thousandth_of_a_flight_is_above_its_peak() -> None:
     assert flights_peak([np.arange(1001.0), np.zeros(10)]) == pytest.approx(999.0)
+
+
+@pytest.mark.parametrize(
+    ("confidence", "flights", "sentence"),
+    [
+        (
+            0.999,
+            2,
+            "2 flights, each counted once, support a level of 66.67 % (n / (n + 1)), not 99.9 %: "
+            "about 66.67 % of flights to come reach 99.9 % of their samples",
+        ),
+        (
+            0.95,
+            20,
+            "20 flights, each counted once, support a level of 95.24 % (n / (n + 1)): "
+            "about 90.48 % of flights to come reach 95 % of their samples",
+        ),
+        (
+            0.5,
+            1,
+            "1 flight supports a level of 50 % (n / (n + 1)): "
+            "about 50 % of flights to come reach 50 % of their samples",
+        ),
+        (
+            0.95,
+            0,
+            "no flight left out calibrated the intervals: they support no level, 95 % is nominal",
+        ),
+    ],
+)
+def test_flights_support_no_level_that_none_of_them_could_show(confidence, flights, sentence) -> None:
+    assert LevelSupport.of(confidence, flights).sentence() == sentence

@@ -149,6 +149,7 @@ def test_alarms_are_counted_in_words():
         false_alarms=0,
         hours_inside=0.005,
         false_alarms_per_hour=None,
+        false_alarms_per_hour_bound=599.0,
         alarms_outside=0,
         hours_outside=0.0,
         hours_monitored=0.005,
@@ -158,7 +159,8 @@ def test_alarms_are_counted_in_words():
         auroc={"inputs": None, "width": 0.75},
     )
     assert alarm_sentence(quiet) == (
-        "0 false alarms in 18.0 s inside the envelope (too short for a rate); "
+        "0 false alarms in 18.0 s inside the envelope "
+        "(too short for a rate; at most 599 per hour, at 95\u00a0%); "
         "area under the ROC curve for misses: width 0.75"
     )
     loud = replace(
@@ -166,6 +168,7 @@ def test_alarms_are_counted_in_words():
         false_alarms=1,
         hours_inside=0.5,
         false_alarms_per_hour=2.0,
+        false_alarms_per_hour_bound=9.49,
         alarms_outside=3,
         hours_outside=0.25,
         flights_off=1,
@@ -173,7 +176,7 @@ def test_alarms_are_counted_in_words():
         auroc={},
     )
     assert alarm_sentence(loud) == (
-        "1 false alarm in 30.0 min inside the envelope (2.00 per hour); "
+        "1 false alarm in 30.0 min inside the envelope (2.00 per hour; at most 9.49 per hour, at 95\u00a0%); "
         "3 alarms in 15.0 min outside the envelope; "
         "alarm on 1 of 1 flight in which the model is off, 0.47 s late"
     )
