@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from quadpi_core.discrepancy.loading import load_simulation as load_simulation
     from quadpi_core.discrepancy.study import read_flights as read_flights
     from quadpi_core.discrepancy.study import study as study
+    from quadpi_core.errors import QuadpiError as QuadpiError
     from quadpi_core.evaluation.evaluate import judge as judge
     from quadpi_core.identification.identify import identify as identify
     from quadpi_core.identification.prepared_flights import prepare_flights as prepare_flights
@@ -36,6 +37,7 @@ _ROOMS = {
     "IdentifyOptions": "models.model_kind",
     "Monitor": "monitor.monitor",
     "MonitorSettings": "monitor.alarm",
+    "QuadpiError": "errors",
     "Vehicle": "vehicle",
     "identify": "identification.identify",
     "judge": "evaluation.evaluate",
@@ -59,5 +61,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """The public names beside those of the module."""
-    return sorted({*globals(), *_ROOMS})
+    """The public names, beside those that every module has."""
+    return sorted({*(name for name in globals() if name.startswith("__")), *_ROOMS})

@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 
 import yaml
 
+from quadpi_core import array_checks
 from quadpi_core.bounded_files import CONFIG_BYTES_MAX, read_bounded
 from quadpi_core.errors import QuadpiError, one_line
 from quadpi_core.paths import config_directory
@@ -29,7 +30,7 @@ def read_config(kind: str, name_or_path: str | Path, error: type[QuadpiError]) -
     Raises:
         QuadpiError: of that class, naming the file that does not exist or is not YAML.
     """
-    path = Path(name_or_path)
+    path = array_checks.path(kind, name_or_path)
     own = config_directory() / (kind if kind == "noise" else f"{kind}s")
     if not is_config_path(name_or_path):
         path = own / f"{name_or_path}.yaml"

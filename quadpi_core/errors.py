@@ -30,6 +30,10 @@ class QuadpiError(Exception):
         return line
 
 
+class ArgumentError(QuadpiError):
+    """A function of the library was called with what it does not take; see `quadpi_core.array_checks`."""
+
+
 class VehicleError(QuadpiError):
     """A vehicle file is missing, incomplete or physically impossible."""
 

@@ -17,7 +17,9 @@ from typing import Any, ClassVar, TypeAlias, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.errors import LogError
+from quadpi_core import array_checks
+from quadpi_core.brief_repr import brief_repr
+from quadpi_core.errors import LogError, named_in
 from quadpi_core.findings import NOTHING_TO_SAY, DataQuality
 from quadpi_core.frames import Array
 
@@ -42,9 +44,15 @@ _SomeStream = TypeVar("_SomeStream", bound="Stream")
 
 @dataclass(frozen=True)
 class Stream:
-    """Samples of one topic: `time_ns` (N,) and one array of N rows per quantity."""
+    """Samples of one topic: `time_ns` (N,) and one array of N rows per quantity.
+
+    `shapes` are those of a row of each quantity; -1 stands for any length.
+    """
+
+    __repr__ = brief_repr
 
     topic: ClassVar[str]
+    shapes: ClassVar[tuple[tuple[int, ...], ...]]
     time_ns: Stamps
 
     def __len__(self) -> int:
@@ -70,15 +78,40 @@ class Stream:
         if len(self) == 0:
             raise LogError(f"{source}: topic {self.topic}: holds no samples")
 
+    def require_shapes(self, source: str) -> None:
+        """Refuse arrays that do not belong together.
+
+        Raises:
+            LogError: naming source and topic.
+        """
+        for column, shape in zip(fields(self), ((), *self.shapes), strict=True):
+            values = getattr(self, column.name)
+            kinds = {"time_ns": "i", "in_body": "b"}.get(column.name, "fiu")
+            if not isinstance(values, np.ndarray) or values.dtype.kind not in kinds:
+                words = {"i": "an array of int64 nanoseconds", "b": "an array of true and false"}.get(
+                    kinds, "an array of numbers"
+                )
+                found = array_checks.found(values)
+                raise LogError(
+                    f"{source}: topic {self.topic}: {column.name}: expected {words}, found {found}"
+                )
+            fitting = tuple(values.shape[-1] if width == -1 else width for width in shape)
+            if values.shape != (len(self), *fitting):
+                raise LogError(
+                    f"{source}: topic {self.topic}: {column.name} has shape {values.shape}, expected "
+                    f"{(len(self), *fitting)}"
+                )
+
     def check(self, source: str) -> None:
         """Refuse what no later step can use.
 
         Raises:
-            LogError: naming source, topic and sample, for an empty stream, stamps that repeat, run backward,
-                span more than FLIGHT_MAX_NS or are none that a message can hold, and values that are not
-                finite or beyond VALUE_MAX.
+            LogError: naming source, topic and sample, for arrays that do not belong together, an empty
+                stream, stamps that repeat, run backward, span more than FLIGHT_MAX_NS or are none that a
+                message can hold, and values that are not finite or beyond VALUE_MAX.
         """
         where = f"{source}: topic {self.topic}"
+        self.require_shapes(source)
         check_stamps(where, self.time_ns)
         values = ValueCheck(where)
         values.add(self)
@@ -158,65 +191,72 @@ class ValueCheck:
                 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ImuStream(Stream):
     """angular_velocity (N, 3) rad/s and specific_force (N, 3) m/s² in body axes (hover: z near -9.8)."""
 
     topic: ClassVar[str] = "imu"
+    shapes: ClassVar = ((3,), (3,))
     angular_velocity: Array
     specific_force: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class RotorSpeedStream(Stream):
     """speeds (N, rotors) rad/s, mechanical, rotor order of the vehicle file."""
 
     topic: ClassVar[str] = "rotor_speeds"
+    shapes: ClassVar = ((-1,),)
     speeds: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class PoseStream(Stream):
     """position (N, 3) m in the world and attitude (N, 4) body to world, from motion capture."""
 
     topic: ClassVar[str] = "mocap/pose"
+    shapes: ClassVar = ((3,), (4,))
     position: Array
     attitude: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class TwistStream(Stream):
     """velocity (N, 3) m/s over ground, from motion capture: in body axes where `in_body` (N,), else world."""
 
     topic: ClassVar[str] = "mocap/twist"
+    shapes: ClassVar = ((3,), ())
     velocity: Array
     in_body: npt.NDArray[np.bool_]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class OdometryStream(Stream):
     """A fused state: position (N, 3) m world, attitude (N, 4), velocity (N, 3) m/s and rates (N, 3) body."""
 
     topic: ClassVar[str] = "odometry"
+    shapes: ClassVar = ((3,), (4,), (3,), (3,))
     position: Array
     attitude: Array
     velocity: Array
     rates: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class WindStream(Stream):
     """velocity (N, 3) m/s of the air over ground, in the world."""
 
     topic: ClassVar[str] = "wind"
+    shapes: ClassVar = ((3,),)
     velocity: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class WrenchStream(Stream):
     """wrench (N, 6) N and Nm in body axes, gravity not included, that a simulation gave for this flight."""
 
     topic: ClassVar[str] = "simulation/wrench"
+    shapes: ClassVar = ((6,),)
     wrench: Array
 
 
@@ -232,6 +272,8 @@ class Recording:
         arrivals: by topic, number of IMU samples that arrived before each sample (N,), where the log has it.
         quality: problems found in the data.
     """
+
+    __repr__ = brief_repr
 
     name: str
     vehicle: str
@@ -283,6 +325,19 @@ STREAM_KINDS: Mapping[str, type[Stream]] = {
 }
 
 
+# Numbers per sample of each quantity of a flight.
+_FLIGHT_COLUMNS = {
+    "position": 3,
+    "attitude": 4,
+    "velocity": 3,
+    "rates": 3,
+    "angular_acceleration": 3,
+    "specific_force": 3,
+    "rotor_speeds": 4,
+    "wind": 3,
+}
+
+
 @dataclass(frozen=True)
 class Flight:
     """One flight on one time grid, filtered by one low-pass so that all signals share its delay.
@@ -305,6 +360,8 @@ class Flight:
         sha256: hash of the sensor streams, the same for every copy of the flight; empty where not known.
     """
 
+    __repr__ = brief_repr
+
     name: str
     vehicle: str
     source: str
@@ -323,8 +380,30 @@ class Flight:
     position_measured: bool = True
     sha256: str = ""
 
+    def __post_init__(self) -> None:
+        """Refuse arrays that do not belong together, in the words of `quadpi_core.array_checks`."""
+        with named_in(f"flight {self.name}"):
+            time = array_checks.floats("time", self.time, finite=False)
+            object.__setattr__(self, "time", time)
+            for name, width in _FLIGHT_COLUMNS.items():
+                array = array_checks.floats(
+                    name, getattr(self, name), width, rows=len(time), of="time", finite=False
+                )
+                object.__setattr__(self, name, array)
+
     def __len__(self) -> int:
         return len(self.time)
+
+    def require_finite(self) -> None:
+        """Refuse numbers that are not finite.
+
+        Raises:
+            LogError: naming flight, quantity and sample.
+        """
+        for name in ("time", *_FLIGHT_COLUMNS):
+            finite = np.isfinite(getattr(self, name)).reshape(len(self), -1).all(axis=1)
+            if not finite.all():
+                raise LogError(f"{self.source or self.name}: {name}: sample {np.argmin(finite)}: not finite")
 
     @property
     def rate_hz(self) -> float:

@@ -5,11 +5,12 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Generic, TypeVar
 
+from quadpi_core import array_checks
 from quadpi_core.errors import LogError, OutputError, QuadpiError
 from quadpi_core.parallel import DEFAULT_WORKERS, Progress, Workers
 
@@ -62,15 +63,19 @@ def _stem(path: Path) -> str:
     return file.stem if number is None else f"{file.stem}_{number}"
 
 
-def named_files(paths: Sequence[Path | str]) -> list[FlightFile]:
+def named_files(paths: Path | str | Iterable[Path | str]) -> list[FlightFile]:
     """The files with names that differ: file stems, with the folders above where a stem repeats.
 
     `FILE#2`, the second flight of a file, is FILE_2.
 
     As many folders as tell all files of a stem apart stand before it, joined by `_`; files of one folder that
-    differ in their ending alone keep it. The same file has the same name each time.
+    differ in their ending alone keep it. The same file has the same name each time. One path alone is a list
+    of one.
+
+    Raises:
+        ArgumentError: for what are no paths.
     """
-    files = [Path(path) for path in paths]
+    files = array_checks.paths("paths", paths)
     places = {path: path.absolute() for path in files}
     alike: dict[str, set[Path]] = defaultdict(set)
     for path in files:
@@ -109,7 +114,7 @@ def bags_in(folder: Path, paths: Sequence[Path | str]) -> list[Path]:
 
 def for_each_flight(
     function: Callable[[Shared, FlightFile], Result],
-    paths: Sequence[Path | str],
+    paths: Path | str | Iterable[Path | str],
     *,
     shared: Shared,
     task: str,

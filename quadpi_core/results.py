@@ -10,6 +10,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from quadpi_core.brief_repr import brief_repr
 from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
 
@@ -47,6 +48,8 @@ class Predictions:
     model's own interval, also where `lower` and `upper` adapt.
     """
 
+    __repr__ = brief_repr
+
     time_ns: Stamps
     predicted: Array
     lower: Array
@@ -72,6 +75,8 @@ class AlarmRows:
         miss_share: (M, 6) share of recent samples outside the model's own interval.
     """
 
+    __repr__ = brief_repr
+
     time_ns: Stamps
     level: npt.NDArray[np.uint8]
     causes: npt.NDArray[np.uint8]
@@ -87,7 +92,7 @@ class AlarmRows:
         return len(self.time_ns)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Alarms(AlarmRows):
     """Alarm rows of the monitor, with the evidence behind the words of a message.
 
@@ -113,7 +118,7 @@ class Alarms(AlarmRows):
     not_judged_share: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ReportedAlarms(AlarmRows):
     """Alarm rows as messages say them.
 

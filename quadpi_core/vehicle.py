@@ -12,6 +12,8 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from quadpi_core import array_checks
+from quadpi_core.brief_repr import brief_repr
 from quadpi_core.config_schema import (
     Expected,
     OneOf,
@@ -22,7 +24,7 @@ from quadpi_core.config_schema import (
     load_config,
     parse_config,
 )
-from quadpi_core.errors import VehicleError
+from quadpi_core.errors import VehicleError, named_in
 from quadpi_core.frames import Array
 
 ROTORS = 4
@@ -30,6 +32,9 @@ _SPIKE_MARGIN = 1.1
 # Moment of inertia about z, over mass times squared distance of the rotors. Quadrotors from 27 g to 0.8 kg
 # have 0.29 to 0.7: a factor of 15 beyond is a mistake in the unit (g m² for kg m² is 1000).
 _YAW_INERTIA = (0.02, 10.0)
+_CONSTANTS = ("rotor_speed_max_rad_s", "air_density_kg_m3", "gravity_m_s2")
+# What to call for one, in refusals of anything else.
+LOAD_VEHICLE = "Vehicle.load(name_or_path) reads one"
 SPIN_SIGN = {"clockwise": 1.0, "counterclockwise": -1.0}
 
 
@@ -71,6 +76,8 @@ class Vehicle:
             compared with it.
     """
 
+    __repr__ = brief_repr
+
     name: str
     mass_kg: float
     inertia: Array
@@ -83,6 +90,22 @@ class Vehicle:
     gravity_m_s2: float = 9.80665
     noise: SensorNoise = field(default_factory=SensorNoise)
     thrust_coefficient: float | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what is no vehicle, in the words of `quadpi_core.array_checks`."""
+        with named_in(f"vehicle {self.name}"):
+            for name in ("mass_kg", "rotor_radius_m", *_CONSTANTS):
+                array_checks.number(name, getattr(self, name), above=0.0)
+            for name, shape in (
+                ("inertia", (3, 3)),
+                ("rotor_positions", (ROTORS, 3)),
+                ("rotor_spins", (ROTORS,)),
+            ):
+                checked = array_checks.floats(name, getattr(self, name), *shape[1:], rows=shape[0])
+                object.__setattr__(self, name, checked)
+            if not np.all(np.abs(self.rotor_spins) == 1.0):
+                raise VehicleError(f"rotor_spins: expected 1 or -1 each, found {self.rotor_spins.tolist()}")
+            array_checks.instance("noise", self.noise, SensorNoise)
 
     @classmethod
     def load(cls, name_or_path: str | Path) -> Vehicle:
@@ -109,7 +132,7 @@ class Vehicle:
         numbers = {
             name: getattr(self, name)
             for name in (
-                *("mass_kg", "rotor_radius_m", "rotor_speed_max_rad_s", "air_density_kg_m3", "gravity_m_s2"),
+                *("mass_kg", "rotor_radius_m", *_CONSTANTS),
                 *("pole_pairs", "thrust_coefficient"),
             )
         }
@@ -152,8 +175,10 @@ class Vehicle:
         """Convert electrical rev/min (..., 4) to mechanical rad/s.
 
         Raises:
+            ArgumentError: for what are no numbers of four rotors.
             VehicleError: if the vehicle file does not give the pole pairs.
         """
+        erpm = array_checks.by_rotor("erpm", erpm, ROTORS)
         if self.pole_pairs is None:
             raise VehicleError(
                 f"vehicle {self.name}: electrical rotor speeds need `pole_pairs` in the vehicle file"

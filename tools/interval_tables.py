@@ -42,11 +42,11 @@ def coverage(model: AerodynamicModel, flight: PreparedFlight) -> tuple[Array, Ar
     """Shares (6,) of the samples of a flight inside their interval: on smoothed states, and on live ones."""
     live = flight.judged
     shares = []
-    for inputs, wrench in (
-        (flight.inputs, flight.wrench),
-        (live.inputs[live.known], live.wrench[live.known]),
+    for inputs, derivatives, wrench in (
+        (flight.inputs, flight.derivatives, flight.wrench),
+        (live.inputs[live.known], live.derivatives[live.known], live.wrench[live.known]),
     ):
-        said = model.evaluate(inputs, CONFIDENCE)
+        said = model.evaluate(inputs, CONFIDENCE, derivatives)
         shares.append(np.mean((wrench >= said.lower) & (wrench <= said.upper), axis=0))
     return shares[0], shares[1]
 

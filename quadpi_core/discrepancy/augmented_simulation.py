@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
+from quadpi_core.brief_repr import brief_repr
 from quadpi_core.config import is_config_path
 from quadpi_core.discrepancy.bias_response import BiasResponse
 from quadpi_core.discrepancy.discrepancy_result import Discovery
@@ -49,6 +50,8 @@ class AugmentedSimulation(Simulation):
         track: state that an effect has of its own, where bodies depart from a recorded flight; unless given,
             it is followed along each flight.
     """
+
+    __repr__ = brief_repr
 
     base: Simulation
     effects: Effects

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from quadpi_core.brief_repr import brief_repr
 from quadpi_core.discrepancy.by_condition import Where
 from quadpi_core.discrepancy.closure import Gap
 from quadpi_core.discrepancy.ranked_evidence import RankedCandidate
@@ -87,6 +88,8 @@ class Discovery:
             so.
         rejected: whether flights left out are simulated worse with the effects.
     """
+
+    __repr__ = brief_repr
 
     verdict: str
     effects: tuple[FoundEffect, ...]
@@ -200,6 +203,8 @@ class Study:
         seed: seed of all draws.
         flown_again: gap in roll-outs and closed loop; None where no effect was named.
     """
+
+    __repr__ = brief_repr
 
     simulation: Simulation
     flights: tuple[Flight, ...]

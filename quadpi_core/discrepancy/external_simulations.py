@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from quadpi_core.brief_repr import brief_repr
 from quadpi_core.discrepancy.simulations import (
     Column,
     Margins,
@@ -25,7 +26,7 @@ from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import AXES, Flight
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_INDEX, flight_derivatives, flight_inputs
-from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.models.aerodynamic import AerodynamicModel, unchecked_evaluation
 from quadpi_core.models.model_kind import Evaluation
 from quadpi_core.thresholds import CONVENTION, Threshold
 from quadpi_core.vehicle import ROTORS, Vehicle
@@ -47,6 +48,8 @@ class CallableSimulation(Simulation):
     Its wrench for the same rotor speeds in still air without rotation counts as thrust and torque of the
     rotors. What body rates add, and what the airspeed adds in each order, may be wrong by itself.
     """
+
+    __repr__ = brief_repr
 
     name: str
     vehicle: Vehicle
@@ -136,7 +139,7 @@ class CallableSimulation(Simulation):
         ]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ModelSimulation(CallableSimulation):
     """The predictions of an identified model of all six axes.
 
@@ -168,8 +171,8 @@ class ModelSimulation(CallableSimulation):
             )
 
         def predict(flight: Flight) -> Array:
-            return model.evaluate(
-                flight_inputs(flight, flown), derivatives=flight_derivatives(flight)
+            return unchecked_evaluation(
+                model, flight_inputs(flight, flown), derivatives=flight_derivatives(flight)
             ).predicted
 
         return cls(str(folder), flown, predict, read_tolerances(file), file, model=model)
@@ -215,7 +218,7 @@ class ModelSimulation(CallableSimulation):
     def _evaluated(self, flight: Flight) -> Evaluation:
         assert self.model is not None  # by load
         inputs = flight_inputs(flight, self.vehicle)
-        return self.model.evaluate(inputs, derivatives=flight_derivatives(flight))
+        return unchecked_evaluation(self.model, inputs, derivatives=flight_derivatives(flight))
 
     @property
     def _about_hover(self) -> float:

@@ -5,11 +5,12 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
+from quadpi_core import array_checks
 from quadpi_core.bounded_files import JSON_BYTES_MAX, parse_json, read_bounded
 from quadpi_core.config import is_config_path, nearest
 from quadpi_core.config_schema import Section, Text, Within, parse_config
@@ -58,9 +59,9 @@ class _AdditionFile(Section):
 
 
 def load_simulation(
-    text: str,
+    text: str | Path,
     vehicle: str | Path | None = None,
-    bags: Sequence[Path] = (),
+    bags: Path | str | Iterable[Path | str] = (),
     *,
     mapping: MappingOrOptions = None,
     allow_code: bool = False,
@@ -83,10 +84,15 @@ def load_simulation(
             error.
 
     Raises:
+        ArgumentError: for what are no name or paths.
         DiscrepancyError: for a name of no simulation, a function that cannot be imported, a missing vehicle,
             and an invalid addition.
         QuadpiError: of vehicle files, models and bags that cannot be read.
     """
+    array_checks.path("simulation", text)
+    text, bags = str(text), array_checks.paths("bags", bags)
+    if vehicle is not None:
+        vehicle = array_checks.path("vehicle", vehicle)
     path = Path(text)
     if any(len(part.encode(errors="replace")) > _NAME_MAX for part in path.parts) or "\0" in text:
         raise DiscrepancyError(f"{text}: no simulation: a name that no file has")

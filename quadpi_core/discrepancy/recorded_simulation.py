@@ -11,6 +11,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
+from quadpi_core.brief_repr import brief_repr
 from quadpi_core.discrepancy.instruments import Instruments, learned_weights
 from quadpi_core.discrepancy.simulations import Column, Simulation, Tolerances, read_tolerances
 from quadpi_core.discrepancy.uncertain_parts import ROTORS as OF_ROTORS
@@ -55,6 +56,8 @@ class RecordedSimulation(Simulation):
         weights: (J, 6) by the source of the flight, of the functions of `instruments` in the rest of the
             wrench; empty before `learned`. Those of any other flight are learned from it alone.
     """
+
+    __repr__ = brief_repr
 
     vehicle: Vehicle
     wrenches: Mapping[str, Recorded]

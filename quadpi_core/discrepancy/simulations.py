@@ -18,6 +18,7 @@ from typing import ClassVar, NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from quadpi_core.brief_repr import brief_repr
 from quadpi_core.config_schema import Section, Share, parse_config
 from quadpi_core.errors import DiscrepancyError, VehicleError
 from quadpi_core.flight import Flight
@@ -213,6 +214,8 @@ class VehicleSimulation(Simulation):
     Attributes:
         intervals_of: the model whose intervals are those of the simulation; None without intervals.
     """
+
+    __repr__ = brief_repr
 
     model: SimulatedAerodynamics
     tolerances: Tolerances = field(default_factory=Tolerances)

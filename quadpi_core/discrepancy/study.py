@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from operator import attrgetter
 from pathlib import Path
@@ -13,6 +13,7 @@ import numpy as np
 from scipy.special import ndtri
 from threadpoolctl import threadpool_limits
 
+from quadpi_core import array_checks
 from quadpi_core.discrepancy.by_condition import locate
 from quadpi_core.discrepancy.candidates import candidates
 from quadpi_core.discrepancy.discrepancy_result import (
@@ -73,12 +74,14 @@ TAIL = Threshold(
 FEWEST_FLIGHTS = Threshold(
     "fewest flights", 2, "flights", "what is found on some flights is tested on others", CONVENTION
 )
+# What to call for a simulation, in refusals of anything else.
+_LOAD_SIMULATION = "load_simulation(text) reads one"
 # Probability that a stated interval of a parameter holds it.
 _CONFIDENCE = 0.95
 
 
 def read_flights(
-    paths: Sequence[Path],
+    paths: Path | str | Iterable[Path | str],
     simulation: Simulation,
     *,
     mapping: MappingOrOptions = None,
@@ -95,15 +98,19 @@ def read_flights(
         left_out: list to which flights that cannot be used are added; without it, the first is an error.
 
     Raises:
+        ArgumentError: for what are no paths, simulation or workers.
         LogError: for what cannot be read or used, another vehicle, and a flight present twice.
         SignalError: naming the file, where the signals cannot be fused.
         DiscrepancyError: for too few flights.
         ParallelError: see :meth:`quadpi_core.parallel.Workers.map`.
     """
-    require_flights(len(paths))
+    files = array_checks.paths("paths", paths)
+    array_checks.instance("simulation", simulation, Simulation, _LOAD_SIMULATION)
+    array_checks.instance("workers", workers, Workers)
+    require_flights(len(files))
     shared = (simulation.vehicle, CUTOFF_HZ["default"], workers.found_by(mapping))
     read = for_each_flight(
-        _read, paths, shared=shared, task="Reading flights", workers=workers, left_out=left_out
+        _read, files, shared=shared, task="Reading flights", workers=workers, left_out=left_out
     )
     flights = [flight for _, flight in once_each(read, attrgetter("sha256"), left_out)]
     require_flights(len(flights))
@@ -130,9 +137,18 @@ def study(
         seed: seed of all draws.
 
     Raises:
+        ArgumentError: for what are no simulation, flights, names or seed.
+        LogError: for samples of a flight that are not finite.
         DiscrepancyError: see :func:`quadpi_core.discrepancy.discover`; for flights of hover alone, and rotor
             speeds that do not change.
     """
+    array_checks.instance("simulation", simulation, Simulation, _LOAD_SIMULATION)
+    flights = array_checks.several("flights", flights, Flight, "read_flights(paths, simulation) gives them")
+    names = None if names is None else array_checks.several("names", names, str)
+    seed = array_checks.whole("seed", seed, 0, 2**32)
+    require_flights(len(flights))
+    for flight in flights:
+        flight.require_finite()
     missing = require_excitation(flights, simulation.vehicle)
     discovery, flown = flown_again(discover(simulation, flights, names=names))
     return Study(

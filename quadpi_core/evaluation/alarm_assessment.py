@@ -22,10 +22,11 @@ import numpy.typing as npt
 from scipy.special import gammaincinv
 from scipy.stats import rankdata
 
+from quadpi_core.brief_repr import brief_repr
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.identification.prepared_flights import LiveSamples
-from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.models.aerodynamic import AerodynamicModel, recorded_evaluation
 from quadpi_core.models.alarm_limits import BOUND_CONFIDENCE
 from quadpi_core.models.interval_rules import inside_interval
 from quadpi_core.monitor.alarm import Alarm, MonitorSettings
@@ -52,6 +53,8 @@ class FlightAlarm:
         outside: (N,) whether an input is outside the envelope: beyond its warning limit.
     """
 
+    __repr__ = brief_repr
+
     scores: Mapping[str, Array]
     raised: npt.NDArray[np.bool_]
     missed: npt.NDArray[np.bool_]
@@ -72,7 +75,7 @@ def alarm_of_flight(
     """
     known, wrench = live.known, live.wrench[live.known]
     inputs, derivatives = live.inputs[known], live.derivatives[known]
-    evaluation = model.evaluate_recorded(time[known], inputs, derivatives, confidence)
+    evaluation = recorded_evaluation(model, time[known], inputs, derivatives, confidence)
     alarm = Alarm(
         model.envelope,
         # The flight was in the air all the time, as the alarm takes it without a rotor speed of hover.

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from quadpi_core import array_checks
 from quadpi_core.errors import ModelError
 from quadpi_core.evaluation.alarm_assessment import alarm_of_flight
 from quadpi_core.evaluation.evaluation_result import (
@@ -20,9 +21,9 @@ from quadpi_core.evaluation.evaluation_result import (
 )
 from quadpi_core.evaluation.flight_results import FlightResult, evaluate_flights
 from quadpi_core.flight_files import FlightLeftOut, LeftOutFlights, named_files, require_flights_left
-from quadpi_core.identification.prepared_flights import PreparedFlight, prepare_flights
+from quadpi_core.identification.prepared_flights import PREPARE_FLIGHTS, PreparedFlight, prepare_flights
 from quadpi_core.logs import is_log_folder
-from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.models.aerodynamic import LOAD_MODEL, AerodynamicModel
 from quadpi_core.models.model_folder import MODEL_FILE
 from quadpi_core.monitor.adaptive import AdaptiveFactor
 from quadpi_core.parallel import DEFAULT_WORKERS, Workers
@@ -47,7 +48,7 @@ def predict_flight(
         adaptive: intervals that adapt to the measurement as the flight goes, as the monitor's may.
         with_alarm: run the alarm as well, on the model's own intervals in either case.
     """
-    evaluation = model.evaluate_recorded(flight.time, flight.inputs, flight.derivatives, confidence)
+    evaluation = model.evaluate(flight, confidence)
     lower, upper = evaluation.lower, evaluation.upper
     if adaptive:
         rate_hz = 1.0 / float(np.median(np.diff(flight.time)))
@@ -75,7 +76,7 @@ def judge(
     model: AerodynamicModel,
     flights: Sequence[PreparedFlight],
     groups: Mapping[str, Sequence[str]],
-    confidence: float,
+    confidence: float | None = None,
     *,
     adaptive: bool = False,
 ) -> tuple[list[FlightResult], Evaluation]:
@@ -85,15 +86,24 @@ def judge(
         model: of the vehicle that flew.
         flights: passed the low-pass of the model.
         groups: names of the flights in each group.
-        confidence: nominal coverage of the intervals.
+        confidence: nominal coverage of the intervals; the model's own unless given.
         adaptive: see :func:`predict_flight`.
 
     Returns:
         One result per flight, and the metrics of each flight and group.
 
     Raises:
+        ArgumentError: for what are no model, flights, groups or confidence.
         EvaluationError: for groups and flights that do not fit.
+        ModelError: for samples that are not finite, and a confidence that the model has no intervals of.
     """
+    array_checks.instance("model", model, AerodynamicModel, LOAD_MODEL)
+    flights = array_checks.several("flights", flights, PreparedFlight, PREPARE_FLIGHTS)
+    array_checks.instance("groups", groups, Mapping, "names of flights by the name of their group")
+    groups = {name: array_checks.several(f"groups, {name}", of, str) for name, of in groups.items()}
+    confidence = model.confidence if confidence is None else array_checks.number("confidence", confidence)
+    for flight in flights:
+        flight.require_finite()
 
     def at(level: float) -> Iterator[FlightResult]:
         return (predict_flight(model, flight, level, adaptive=adaptive) for flight in flights)

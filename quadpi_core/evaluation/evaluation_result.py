@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from quadpi_core.brief_repr import brief_repr
 from quadpi_core.evaluation import metrics
 from quadpi_core.evaluation.alarm_assessment import AlarmAssessment
 from quadpi_core.evaluation.metrics import RegimeBins
@@ -133,6 +134,8 @@ class Evaluation:
         left_out: flights that were given and cannot be used.
         support: which level the flights that calibrated the intervals support; None where they adapt.
     """
+
+    __repr__ = brief_repr
 
     quadpi_version: str
     model: str

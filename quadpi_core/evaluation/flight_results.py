@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from quadpi_core.brief_repr import brief_repr
 from quadpi_core.errors import ModelError, QuadpiError
 from quadpi_core.evaluation import metrics
 from quadpi_core.evaluation.alarm_assessment import AlarmAssessment, Assessed, FlightAlarm, assess
@@ -52,6 +53,8 @@ class FlightResult:
         sha256: hash of the flight; empty where not known.
         in_sample: whether the model was identified on this flight, by its hash.
     """
+
+    __repr__ = brief_repr
 
     name: str
     axes: tuple[str, ...]
@@ -140,9 +143,11 @@ def evaluate_flights(
             ModelError where there are none; without it there is no calibration curve.
 
     Raises:
-        EvaluationError: for a flight present twice, an empty group, a group with an unknown flight, a
-            training range that is not positive, and what :meth:`FlightResult.check` refuses.
+        EvaluationError: for no flights, a flight present twice, an empty group, a group with an unknown
+            flight, a training range that is not positive, and what :meth:`FlightResult.check` refuses.
     """
+    if not results:
+        raise EvaluationError("no flights to judge: at least one is needed")
     by_name: dict[str, FlightResult] = {}
     for result in results:
         if result.name in by_name:

@@ -4,12 +4,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from quadpi_core.errors import ModelError
+from quadpi_core import array_checks
+from quadpi_core.errors import ArgumentError, ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.identification.alarm_calibration import (
     calibrate_alarm,
@@ -17,14 +18,15 @@ from quadpi_core.identification.alarm_calibration import (
     left_out,
     live_errors,
 )
-from quadpi_core.identification.prepared_flights import PreparedFlight
+from quadpi_core.identification.prepared_flights import PREPARE_FLIGHTS, PreparedFlight
 from quadpi_core.models.aerodynamic import AerodynamicModel, TrainingFlight
+from quadpi_core.models.candidate_pool import CandidatePool
 from quadpi_core.models.envelope import Envelope
 from quadpi_core.models.interval_rules import HeldOutRule, require_confidence
 from quadpi_core.models.kind_registry import kind_of
 from quadpi_core.models.model_kind import IdentifyOptions, Pools, Settings, TrainingSamples, interval_factors
 from quadpi_core.parallel import ReportProgress, ignore_progress
-from quadpi_core.vehicle import Vehicle
+from quadpi_core.vehicle import LOAD_VEHICLE, Vehicle
 
 # Each flight is left out in turn to calibrate the intervals, and a model of the others must remain.
 _FEWEST_FLIGHTS = 2
@@ -47,9 +49,14 @@ def identify(
         progress: called as the fit goes on.
 
     Raises:
+        ArgumentError: for what are no flights, vehicle, pools or options.
         ModelError: see :func:`check_options`; for too few flights for the settings; naming the flight, for
             samples that are not finite; naming the axis, for what cannot be identified.
     """
+    flights = array_checks.several("flights", flights, PreparedFlight, PREPARE_FLIGHTS)
+    array_checks.instance("vehicle", vehicle, Vehicle, LOAD_VEHICLE)
+    array_checks.instance("options", options, IdentifyOptions)
+    _require_pools(pools)
     check_options(options, pools)
     _require_samples(flights, options.settings)
     kind = kind_of(options)
@@ -134,6 +141,19 @@ def joined(flights: Sequence[PreparedFlight], vehicle: Vehicle) -> TrainingSampl
     )
 
 
+def _require_pools(pools: Pools) -> None:
+    """Refuse what is no candidate pool by axis, in the words of `quadpi_core.array_checks`."""
+    hint = "load_pools(name_or_path) reads them"
+    if not array_checks.instance("pools", pools, Mapping, hint):
+        raise ArgumentError(f"pools: expected those of an axis at least, found none; {hint}")
+    for axis, pool in pools.items():
+        if axis not in AXES:
+            raise ArgumentError(
+                f"pools: expected axes of {', '.join(AXES)}, found {array_checks.found(axis)}"
+            )
+        array_checks.instance(f"pools, {axis}", pool, CandidatePool, hint)
+
+
 def _require_samples(flights: Sequence[PreparedFlight], settings: Settings) -> None:
     """Refuse flights that no kind of model can be identified on.
 
@@ -148,10 +168,4 @@ def _require_samples(flights: Sequence[PreparedFlight], settings: Settings) -> N
     if not flights:
         raise ModelError("no flights to identify on: at least one is needed")
     for flight in flights:
-        samples = np.column_stack((flight.inputs, flight.wrench))
-        finite = np.isfinite(samples).all(axis=1)
-        if not finite.all():
-            raise ModelError(
-                f"{flight.name}: {np.sum(~finite)} of {len(samples)} samples are not finite, "
-                f"the first is sample {np.argmin(finite)}"
-            )
+        flight.require_finite()

@@ -4,16 +4,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from operator import attrgetter
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.errors import LogError
+from quadpi_core import array_checks
+from quadpi_core.brief_repr import brief_repr
+from quadpi_core.errors import LogError, ModelError, named_in
 from quadpi_core.estimator.ekf import Ekf
 from quadpi_core.estimator.filter_run import Segment
 from quadpi_core.estimator.fusion import fuse_airborne, require_streams
@@ -42,8 +44,10 @@ from quadpi_core.screening.consistency import checked
 from quadpi_core.screening.flight_runs import long_enough, parts_without_pause
 from quadpi_core.signals.resample import interpolate, nominal_rate
 from quadpi_core.signals.wrench import measured_wrench
-from quadpi_core.vehicle import Vehicle
+from quadpi_core.vehicle import LOAD_VEHICLE, Vehicle
 
+# What to call for flights, in refusals of anything else.
+PREPARE_FLIGHTS = "prepare_flights(paths, vehicle) gives them"
 # Where inputs, derivatives and wrench of a live sample end in a row that is interpolated.
 _COLUMNS = np.cumsum([len(INPUT_NAMES), DERIVATIVES.itemsize // 8, len(AXES)])
 
@@ -66,6 +70,8 @@ class PreparedFlight:
         file: name that the flight would have whole, where it is one of several parts.
     """
 
+    __repr__ = brief_repr
+
     name: str
     sha256: str
     time: Array
@@ -76,6 +82,35 @@ class PreparedFlight:
     live: LiveSamples | None = None
     quality: DataQuality = NOTHING_TO_SAY
     file: str = ""
+
+    def __post_init__(self) -> None:
+        """Refuse arrays that do not belong together, in the words of `quadpi_core.array_checks`."""
+        with named_in(f"flight {self.name}"):
+            time = array_checks.floats("time", self.time, finite=False)
+            object.__setattr__(self, "time", time)
+            object.__setattr__(self, "height", _like(time, "height", self.height))
+            for name, checked in _checked(time, self.inputs, self.derivatives, self.wrench).items():
+                object.__setattr__(self, name, checked)
+            if self.live is not None:
+                inputs, derivatives, wrench, known = array_checks.instance("live", self.live, LiveSamples)
+                known = array_checks.flags("live.known", known, rows=len(time), of="time")
+                live = LiveSamples(**_checked(time, inputs, derivatives, wrench, "live."), known=known)
+                object.__setattr__(self, "live", live)
+
+    def require_finite(self) -> None:
+        """Refuse samples that no model can be fitted to or judged on.
+
+        Raises:
+            ModelError: naming the flight and the first of them.
+        """
+        moving = self.derivatives.view(np.float64).reshape(len(self.time), -1)
+        samples = np.column_stack((self.time, self.inputs, moving, self.wrench))
+        finite = np.asarray(np.isfinite(samples).all(axis=1))
+        if not finite.all():
+            raise ModelError(
+                f"{self.name}: {np.sum(~finite)} of {len(finite)} samples are not finite, "
+                f"the first is sample {np.argmin(finite)}"
+            )
 
     @classmethod
     def of(
@@ -103,8 +138,24 @@ class PreparedFlight:
         return LiveSamples(self.inputs, self.derivatives, self.wrench, known)
 
 
+def _like(time: Array, name: str, values: Any, *columns: int) -> Array:
+    return array_checks.floats(name, values, *columns, rows=len(time), of="time", finite=False)
+
+
+def _checked(time: Array, inputs: Any, derivatives: Any, wrench: Any, where: str = "") -> dict[str, Any]:
+    """The arrays that a flight and its live samples have, by name."""
+    name = f"{where}derivatives"
+    return {
+        "inputs": _like(time, f"{where}inputs", inputs, len(INPUT_NAMES)),
+        "derivatives": array_checks.records(
+            name, derivatives, DERIVATIVES, rows=len(time), of="time", finite=False
+        ),
+        "wrench": _like(time, f"{where}wrench", wrench, len(AXES)),
+    }
+
+
 def prepare_flights(
-    paths: Sequence[Path | str],
+    paths: Path | str | Iterable[Path | str],
     vehicle: Vehicle,
     cutoff_hz: float = CUTOFF_HZ["default"],
     *,
@@ -119,7 +170,7 @@ def prepare_flights(
     that is long enough as a flight of its own, NAME_part1 and so on.
 
     Args:
-        paths: bags or logs.
+        paths: bags or logs; one alone is a list of one.
         vehicle: that flew.
         cutoff_hz: of the low-pass over all signals.
         mapping: see :func:`quadpi_core.logs.read_recording`.
@@ -128,10 +179,14 @@ def prepare_flights(
         keep_flawed: keep flights with a finding for which no model should learn from them.
 
     Raises:
+        ArgumentError: for what are no paths, vehicle, frequency or workers.
         LogError: for what cannot be read or used, and a flight present twice, naming the files.
         SignalError: naming the file, where the signals cannot be fused.
         ParallelError: see :meth:`quadpi_core.parallel.Workers.map`.
     """
+    array_checks.instance("vehicle", vehicle, Vehicle, LOAD_VEHICLE)
+    cutoff_hz = array_checks.number("cutoff_hz", cutoff_hz, above=0.0)
+    array_checks.instance("workers", workers, Workers)
     read = for_each_flight(
         _prepare,
         paths,
@@ -205,6 +260,9 @@ class LiveSamples(NamedTuple):
     derivatives: Records
     wrench: Array
     known: npt.NDArray[np.bool_]
+
+    def __repr__(self) -> str:
+        return brief_repr(self)
 
 
 @dataclass(frozen=True)

@@ -274,9 +274,11 @@ def write_bag(
         metadata: further entries of the custom data.
 
     Raises:
-        LogError: if the path does not end in .mcap.
+        LogError: if the path does not end in .mcap; for arrays of a stream that do not belong together.
     """
     names = [stream.topic for stream in recording.streams()]
+    for stream in recording.streams():
+        stream.require_shapes(recording.source)
     with recording_writer(path, recording.vehicle, recording.source, names, metadata) as writer:
         writer.announce({topic.name: topic.type_name for topic in extra})
         for topic in extra:

@@ -10,6 +10,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from quadpi_core import array_checks
 from quadpi_core.errors import LogError, QuadpiError, one_line
 from quadpi_core.flight import Recording
 from quadpi_core.flight_files import flight_in
@@ -20,7 +21,7 @@ from quadpi_core.reading_options import MappingOrOptions, reading_options
 from quadpi_core.screening.flight_runs import in_range
 from quadpi_core.screening.sample_order import usable_recording
 from quadpi_core.screening.wild_samples import screened
-from quadpi_core.vehicle import Vehicle
+from quadpi_core.vehicle import LOAD_VEHICLE, Vehicle
 
 FORMATS = Plugins("log format", formats, "quadpi.log_formats", LogFormat, LogError)
 
@@ -131,7 +132,9 @@ def decode_recording(
     path: Path | str, vehicle: Vehicle | None, mapping: MappingOrOptions = None
 ) -> Recording:
     """Like :func:`read_recording`, but unchecked, and whole: what `quadpi info` diagnoses."""
-    path = Path(path)
+    path = array_checks.path("path", path)
+    if vehicle is not None:
+        array_checks.instance("vehicle", vehicle, Vehicle, LOAD_VEHICLE)
     log_format = identify_format(path)
     file, number = flight_in(path)
     with _reading(path):

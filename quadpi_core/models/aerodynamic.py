@@ -9,16 +9,17 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Protocol, runtime_checkable
 
 import numpy as np
 from pydantic import Field, PlainValidator
 
+from quadpi_core import array_checks
 from quadpi_core.config_schema import Flag, OneOf, Real, Text, Within, parse_config
-from quadpi_core.errors import ModelError, named_in
+from quadpi_core.errors import ArgumentError, ModelError, named_in
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.inputs import INPUT_NAMES
+from quadpi_core.inputs import DERIVATIVES, INPUT_NAMES
 from quadpi_core.messages.model_description import DescribedModel
 from quadpi_core.models.alarm_limits import AlarmLimits
 from quadpi_core.models.envelope import Envelope
@@ -42,9 +43,11 @@ from quadpi_core.models.model_kind import (
 from quadpi_core.models.rollout_model import RolloutModel
 from quadpi_core.records import Records
 from quadpi_core.signals.force_bandwidth import as_recorded
-from quadpi_core.vehicle import Vehicle
+from quadpi_core.vehicle import LOAD_VEHICLE, Vehicle
 from quadpi_core.version import __version__
 
+# What to call for a model, in refusals of anything else.
+LOAD_MODEL = "AerodynamicModel.load(folder) reads one"
 # Key of what predicts the state ahead in model.json, and start of its names among the arrays.
 _ROLLOUTS = "rollouts"
 
@@ -56,6 +59,29 @@ class TrainingFlight:
     name: str
     sha256: str
     samples: Annotated[int, Within(0)]
+
+
+@runtime_checkable
+class Motion(Protocol):
+    """All that a model needs to know of a flight: a `PreparedFlight` is one.
+
+    Attributes:
+        time: (N,) s.
+        inputs: (N, 19) input vectors, columns as `quadpi_core.inputs.INPUT_NAMES`.
+        derivatives: (N,) what the motion has beside them, see `quadpi_core.inputs.Derivatives`.
+    """
+
+    @property
+    def time(self) -> Array:
+        """See above."""
+
+    @property
+    def inputs(self) -> Array:
+        """See above."""
+
+    @property
+    def derivatives(self) -> Records:
+        """See above."""
 
 
 @dataclass(frozen=True)
@@ -101,6 +127,12 @@ class AerodynamicModel:
     flown: Vehicle | None = field(default=None, repr=False, compare=False)
     compiled: CompiledAxes | None = field(default=None, repr=False, compare=False)
 
+    def __repr__(self) -> str:
+        return (
+            f"<AerodynamicModel {self.name or 'not saved':.40}: {self.method} of {self.vehicle:.40}, "
+            f"{' '.join(self.axes)}, {len(self.flights)} flights, confidence {self.confidence:g}>"
+        )
+
     @cached_property
     def axes(self) -> tuple[str, ...]:
         """Names of the axes held, in the order of `AXES`."""
@@ -143,14 +175,17 @@ class AerodynamicModel:
 
     def learned_from(self, sha256: str) -> bool:
         """Whether a flight, by its hash, is one of those that it was identified on: it is in sample."""
+        array_checks.instance("sha256", sha256, str)
         return bool(sha256) and any(flight.sha256 == sha256 for flight in self.flights)
 
     def require(self, vehicle: Vehicle) -> None:
         """Refuse a vehicle other than the one that the model was identified for.
 
         Raises:
+            ArgumentError: for what is no vehicle.
             ModelError: if name or numbers differ.
         """
+        array_checks.instance("vehicle", vehicle, Vehicle, LOAD_VEHICLE)
         if vehicle.name != self.vehicle:
             raise ModelError(f"model {self.name} is of vehicle {self.vehicle}, not {vehicle.name}")
         if vehicle.fingerprint != self.vehicle_fingerprint:
@@ -224,47 +259,69 @@ class AerodynamicModel:
         return self.kind.force_bandwidth_hz(self.fitted)
 
     def evaluate(
-        self, inputs: Array, confidence: float | None = None, derivatives: Records | None = None
+        self,
+        flight: Motion | Array,
+        confidence: float | None = None,
+        derivatives: Records | None = None,
     ) -> Evaluation:
-        """Predictions, bounds and evidence for input vectors (N, 19), all axes at once.
+        """Predictions, bounds and evidence for each sample of a flight, all axes at once.
+
+        Where the measured forces of the training flights ended at a lower frequency than the other signals,
+        those predicted for a flight are what it would have recorded (`quadpi_core.signals.force_bandwidth`).
 
         Args:
-            inputs: (N, 19), columns as `quadpi_core.inputs.INPUT_NAMES`.
+            flight: one of `prepare_flights`; or input vectors (N, 19) alone, columns as
+                `quadpi_core.inputs.INPUT_NAMES`.
             confidence: of the intervals; the model's own unless given.
-            derivatives: (N,) see `quadpi_core.inputs.Derivatives`. Without them a kind that uses them takes
-                the rotor speeds as steady.
+            derivatives: (N,) of input vectors alone, see `quadpi_core.inputs.Derivatives`; a kind of model
+                that does not use them needs none.
 
         Raises:
-            ModelError: for inputs of another shape, beyond whose end the compiled code would read, or a
-                confidence that the calibration cannot support.
+            ArgumentError: for arrays of other shapes, lengths that differ, numbers that are not finite, and
+                input vectors alone where the kind of model uses their derivatives.
+            ModelError: for a confidence that the calibration cannot support, and inputs for which the model
+                gives no finite wrench.
         """
-        if inputs.ndim != 2 or inputs.shape[1] != len(INPUT_NAMES):
-            raise ModelError(f"inputs have shape {inputs.shape}, expected (N, {len(INPUT_NAMES)})")
-        if confidence is None:
-            confidence = self.confidence
-        return self._axes.evaluate(inputs, self._factors(confidence), derivatives)
-
-    def evaluate_recorded(
-        self, time: Array, inputs: Array, derivatives: Records, confidence: float | None = None
-    ) -> Evaluation:
-        """As :meth:`evaluate`, for a whole flight (N,) whose measured forces may end at a lower frequency.
-
-        Predicted forces and their bounds are then what such a recording would have, see
-        `quadpi_core.signals.force_bandwidth`.
-        """
-        said = self.evaluate(inputs, confidence, derivatives)
-        if self.force_bandwidth_hz is None:
-            return said
-        predicted = as_recorded(time, inputs, said.predicted, self.force_bandwidth_hz)
-        change = predicted - said.predicted
-        return said._replace(predicted=predicted, lower=said.lower + change, upper=said.upper + change)
+        time = None
+        if isinstance(flight, Motion):
+            if derivatives is not None:
+                raise ArgumentError("derivatives: a flight has its own: leave them out")
+            time, inputs, derivatives = flight.time, flight.inputs, flight.derivatives
+        else:
+            inputs = flight
+        inputs = array_checks.floats("inputs", inputs, len(INPUT_NAMES))
+        if derivatives is not None:
+            derivatives = array_checks.records(
+                "derivatives", derivatives, DERIVATIVES, rows=len(inputs), of="inputs"
+            )
+        elif self.kind.uses_derivatives:
+            raise ArgumentError(
+                f"inputs: a {self.kind.label} needs to know how rotor speeds and rates change: pass a flight "
+                "of prepare_flights, or derivatives=flight.derivatives beside its inputs"
+            )
+        if confidence is not None:
+            confidence = array_checks.number("confidence", confidence)
+        if time is None:
+            said = unchecked_evaluation(self, inputs, confidence, derivatives)
+        else:
+            time = array_checks.floats("time", time, rows=len(inputs), of="inputs")
+            said = recorded_evaluation(self, time, inputs, derivatives, confidence)
+        finite = np.isfinite(np.concatenate(said, axis=1)).all(axis=1)
+        if not finite.all():
+            raise ModelError(
+                f"model {self.name}: sample {np.argmin(finite)}: beyond what the model can predict: "
+                "its numbers overflow"
+            )
+        return said
 
     def interval_ratio(self, confidence: float) -> Array:
         """Width (6,) of the intervals of the model's own confidence over that of another; 1 where not held.
 
         Raises:
+            ArgumentError: for what is no number.
             ModelError: for a confidence that the calibration cannot support.
         """
+        confidence = array_checks.number("confidence", confidence)
         own, other = self._factors(self.confidence), self._factors(confidence)
         ratio: Array = np.divide(own, other, out=np.ones(len(AXES)), where=other > 0.0)
         return ratio
@@ -279,7 +336,7 @@ class AerodynamicModel:
         Raises:
             OutputError: if the folder cannot be written, or holds what is not part of a model.
         """
-        folder = Path(folder)
+        folder = array_checks.path("folder", folder)
         stored = self.kind.store(self.fitted)
         axes = {
             axis: {
@@ -322,7 +379,7 @@ class AerodynamicModel:
         Raises:
             ModelError: naming the file that is missing, altered or not understood.
         """
-        folder = Path(folder)
+        folder = array_checks.path("folder", folder)
         content, identity = read_folder(folder)
         with damage_named(folder):
             entries = content.description.get("axes", {})
@@ -354,6 +411,40 @@ class AerodynamicModel:
             for fitted in model.fitted.values():
                 fitted.rule.factor(model.confidence)
             return model
+
+
+def unchecked_evaluation(
+    model: AerodynamicModel,
+    inputs: Array,
+    confidence: float | None = None,
+    derivatives: Records | None = None,
+) -> Evaluation:
+    """As :meth:`AerodynamicModel.evaluate`, for arrays (N, 19) and (N,) that are known to fit each other.
+
+    Samples for which the model's numbers overflow are not finite.
+
+    Raises:
+        ModelError: for a confidence that the calibration cannot support.
+    """
+    if confidence is None:
+        confidence = model.confidence
+    return model._axes.evaluate(inputs, model._factors(confidence), derivatives)
+
+
+def recorded_evaluation(
+    model: AerodynamicModel,
+    time: Array,
+    inputs: Array,
+    derivatives: Records | None,
+    confidence: float | None = None,
+) -> Evaluation:
+    """As :func:`unchecked_evaluation`, with the forces of a flight (N,) as it would have recorded them."""
+    said = unchecked_evaluation(model, inputs, confidence, derivatives)
+    if model.force_bandwidth_hz is None:
+        return said
+    predicted = as_recorded(time, inputs, said.predicted, model.force_bandwidth_hz)
+    change = predicted - said.predicted
+    return said._replace(predicted=predicted, lower=said.lower + change, upper=said.upper + change)
 
 
 def _stored_rollouts(content: FolderContent) -> RolloutModel | None:

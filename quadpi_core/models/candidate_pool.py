@@ -20,6 +20,7 @@ from typing import Annotated, Any, TypeAlias
 
 from pydantic import PlainValidator
 
+from quadpi_core.brief_repr import brief_repr
 from quadpi_core.config_schema import OneOf, Section, load_config
 from quadpi_core.errors import ModelError, named_in
 from quadpi_core.flight import AXES
@@ -49,6 +50,8 @@ class CandidatePool:
     Attributes:
         inputs: of neural networks; empty where the pool is for polynomials alone.
     """
+
+    __repr__ = brief_repr
 
     fixed: tuple[Regressor, ...]
     candidates: tuple[Regressor, ...]

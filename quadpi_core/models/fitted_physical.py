@@ -16,7 +16,6 @@ from quadpi_core.config_schema import NotNegative, Positive, Real, Text, parse_c
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.inputs import DERIVATIVES
 from quadpi_core.models.fitted_polynomial import SpreadEntry, SpreadShape
 from quadpi_core.models.interval_rules import Rule
 from quadpi_core.models.model_kind import Evaluation
@@ -247,8 +246,6 @@ class CompiledPhysical:
             shared.kept,
             shared.values[shared.kept],
             shared.vehicle,
-            np.ascontiguousarray(shared.inertia),
-            np.asarray(np.linalg.inv(shared.inertia), dtype=float),
             control_signs(shared.vehicle),
             shared.sensing.rotor_delay_s,
             axes,
@@ -259,11 +256,12 @@ class CompiledPhysical:
     def evaluate(self, inputs: Array, factors: Array, derivatives: Records | None = None) -> Evaluation:
         """Evaluate input vectors (N, 19) with half widths from :func:`.model_kind.interval_factors`.
 
-        Without derivatives (N,), rotor speeds are steady and the angular acceleration is that of the model.
+        Raises:
+            ModelError: without derivatives (N,): rotor speeds act late, and their change has a torque.
         """
         check_inputs(inputs)
-        sensed = derivatives is not None
-        moving = np.zeros(len(inputs), DERIVATIVES) if derivatives is None else derivatives
+        if derivatives is None:
+            raise ModelError("the physical model needs the derivatives of the motion")
         out = np.zeros((5, len(inputs), len(AXES)))
-        evaluate_physical(inputs, moving, sensed, self._packed, factors, out)
+        evaluate_physical(inputs, derivatives, self._packed, factors, out)
         return Evaluation(out[0], out[1], out[2], out[3], out[4])

@@ -11,13 +11,15 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol, TypeAlias, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol, TypeAlias, TypeVar, get_args
 
 import numpy as np
 import numpy.typing as npt
 
+from quadpi_core import array_checks
+from quadpi_core.brief_repr import brief_repr
 from quadpi_core.config_schema import Section, Within, parse_config
-from quadpi_core.errors import ModelError, named_in
+from quadpi_core.errors import ArgumentError, ModelError, named_in
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.models.alarm_limits import RATE_PER_HOUR
@@ -50,6 +52,9 @@ class Evaluation(NamedTuple):
     upper: Array
     leverage: Array
     relative_width: Array
+
+    def __repr__(self) -> str:
+        return brief_repr(self)
 
 
 class FittedAxis(Protocol):
@@ -125,6 +130,19 @@ class IdentifyOptions:
     settings: Settings = "default"
     confidence: float = 0.95
     false_alarms_per_hour: float = RATE_PER_HOUR
+
+    def __post_init__(self) -> None:
+        """Refuse what no model takes, in the words of `quadpi_core.array_checks`."""
+        for name in ("cutoff_hz", "false_alarms_per_hour"):
+            array_checks.number(name, getattr(self, name), above=0.0)
+        array_checks.number("confidence", self.confidence)
+        if self.settings not in get_args(Settings):
+            known = " or ".join(get_args(Settings))
+            raise ArgumentError(f"settings: expected {known}, found {array_checks.found(self.settings)}")
+        if not isinstance(self.method, str | Kind | None):
+            raise ArgumentError(
+                f"method: expected a kind of model or its name, found {array_checks.found(self.method)}"
+            )
 
 
 @dataclass(frozen=True)
@@ -235,6 +253,7 @@ class Kind(Section, ABC):
         normal_errors: whether an interval is that of a normal distribution, so that CRPS is defined.
         has_paper_settings: whether it can be fitted by the paper's rules.
         chooses_candidates: whether it is made of what the pools list, which else only say the axes to hold.
+        uses_derivatives: whether its predictions need `inputs.Derivatives` beside the input vector.
         is_simulation: whether it holds beyond single samples, so that a vehicle can fly by it.
         axis_type: of the fitted axes.
         seed: of all that is drawn, such as initial weights and the parts that members are trained on.
@@ -251,6 +270,7 @@ class Kind(Section, ABC):
     has_paper_settings: ClassVar[bool] = False
     chooses_candidates: ClassVar[bool] = True
     is_simulation: ClassVar[bool] = False
+    uses_derivatives: ClassVar[bool] = False
     axis_type: ClassVar[type[FittedAxis]]
 
     def having(self: Self, **options: Any) -> Self:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from quadpi_core.compiled import njit
 from quadpi_core.frames import Array
 from quadpi_core.inputs import vehicle_constants
-from quadpi_core.models.physical_regressors import MOTION, REGRESSORS, fill_imu, fill_regressors
+from quadpi_core.models.physical_regressors import MOTION, REGRESSORS, fill_regressors
 from quadpi_core.records import Records, record_dtype
 from quadpi_core.vehicle import ROTORS, Vehicle
 
@@ -36,8 +36,6 @@ class PackedPhysical(NamedTuple):
         kept: (T,) numbers of the terms in the model.
         values: (T,) their parameters.
         vehicle: PHYSICAL_VEHICLE (1,).
-        inertia: (3, 3).
-        inverse_inertia: (3, 3).
         controls: (3, 4) signs that gave U_p, U_q and U_r of the rotor speeds.
         delay_s: that rotor speeds act after they were measured.
         axes: (6,) of AXIS.
@@ -48,8 +46,6 @@ class PackedPhysical(NamedTuple):
     kept: npt.NDArray[np.int64]
     values: Array
     vehicle: Records
-    inertia: Array
-    inverse_inertia: Array
     controls: Array
     delay_s: float
     axes: Records
@@ -102,15 +98,13 @@ def delayed(speed: Any, acceleration: Any, jerk: Any, delay_s: float) -> tuple[A
 
 @njit(cache=True)
 def evaluate_physical(
-    inputs: Array, derivatives: Records, sensed: bool, model: PackedPhysical, factors: Array, out: Array
+    inputs: Array, derivatives: Records, model: PackedPhysical, factors: Array, out: Array
 ) -> None:
     """Fill predicted, lower, upper, leverage and relative width of `out` (5, N, 6) for the axes held.
 
     Args:
         inputs: (N, 19).
         derivatives: (N,).
-        sensed: whether the angular acceleration in `derivatives` was measured; else an accelerometer off the
-            centre of gravity feels that of the predicted moments.
         model: see :class:`PackedPhysical`.
         factors: (6,) half width of the intervals per spread.
         out: to fill.
@@ -123,10 +117,6 @@ def evaluate_physical(
         _read_motion(inputs[i], derivatives[i], model.controls, model.delay_s, motion[0])
         fill_regressors(motion[0], model.vehicle[0], row[0])
         _predict(model.kept, model.values, values, wrench)
-        if not sensed:
-            _accelerate(wrench, model, motion[0])
-            fill_imu(motion[0], model.vehicle[0].mass, row[0])
-            _predict(model.kept, model.values, values, wrench)
         speed_squared = inputs[i, 0] ** 2 + inputs[i, 1] ** 2 + inputs[i, 2] ** 2
         for axis in range(6):
             fitted = model.axes[axis]
@@ -154,20 +144,3 @@ def _predict(kept: npt.NDArray[np.int64], parameters: Array, values: Array, wren
     for term in range(len(kept)):
         for axis in range(6):
             wrench[axis] += parameters[term] * values[6 * kept[term] + axis]
-
-
-@njit(cache=True)
-def _accelerate(wrench: Array, model: PackedPhysical, motion: Any) -> None:
-    """Set the angular acceleration that the moments of a wrench give: I⁻¹ (M − Ω × IΩ)."""
-    p, q, r = motion.rates[0], motion.rates[1], motion.rates[2]
-    a, b, c = 0.0, 0.0, 0.0
-    for other in range(3):
-        a += model.inertia[0, other] * motion.rates[other]
-        b += model.inertia[1, other] * motion.rates[other]
-        c += model.inertia[2, other] * motion.rates[other]
-    x = wrench[3] - (q * c - r * b)
-    y = wrench[4] - (r * a - p * c)
-    z = wrench[5] - (p * b - q * a)
-    for axis in range(3):
-        inverse = model.inverse_inertia[axis]
-        motion.angular_acceleration[axis] = inverse[0] * x + inverse[1] * y + inverse[2] * z

@@ -34,7 +34,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.errors import QuadpiError
+from quadpi_core import array_checks
 from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
 from quadpi_core.models.alarm_limits import AlarmLimits
@@ -71,7 +71,7 @@ class MonitorSettings:
             instead of the model's own. The alarm goes by the model's own either way.
 
     Raises:
-        QuadpiError: for a time or rate that is not positive.
+        ArgumentError: for a time or rate that is not positive, and what is neither true nor false.
     """
 
     persistence_s: float = 0.1
@@ -81,9 +81,8 @@ class MonitorSettings:
 
     def __post_init__(self) -> None:
         for name in ("persistence_s", "release_s", "alarm_rate_hz"):
-            value = getattr(self, name)
-            if not 0.0 < value < np.inf:
-                raise QuadpiError(f"monitor setting {name} must be positive, found {value}")
+            array_checks.number(f"monitor setting {name}", getattr(self, name), above=0.0)
+        array_checks.instance("monitor setting adaptive", self.adaptive, bool)
 
 
 class Alarm:

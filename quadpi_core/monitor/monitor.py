@@ -5,16 +5,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from quadpi_core import array_checks
 from quadpi_core.compiled import njit
 from quadpi_core.errors import ModelError, SignalError
 from quadpi_core.estimator.imu_rate import RATE_BEFORE_HZ, ImuRate
-from quadpi_core.flight import AXES, Stamps
+from quadpi_core.flight import AXES, NO_STAMP, STAMP_MAX_NS, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.inputs import DERIVATIVES, INPUT_NAMES
+from quadpi_core.models.aerodynamic import LOAD_MODEL, AerodynamicModel, unchecked_evaluation
 from quadpi_core.models.model_kind import Evaluation
 from quadpi_core.monitor.adaptive import AdaptiveFactor
 from quadpi_core.monitor.alarm import Alarm, MonitorSettings
@@ -22,10 +23,8 @@ from quadpi_core.monitor.alarm_log import EventLog
 from quadpi_core.monitor.pairing import PairedSamples
 from quadpi_core.monitor.preparation import Preparation, Prepared
 from quadpi_core.results import Alarms, Events, Predictions
+from quadpi_core.signals.chain import CHANNELS
 from quadpi_core.vehicle import Vehicle
-
-if TYPE_CHECKING:
-    from quadpi_core.models.aerodynamic import AerodynamicModel
 
 
 class Monitor:
@@ -39,6 +38,7 @@ class Monitor:
         settings: of the alarm, and whether intervals adapt.
 
     Raises:
+        ArgumentError: for what is no model, vehicle, rate, confidence or settings.
         ModelError: if the model belongs to another vehicle or cannot support the confidence.
         SignalError: if the sample rate is too low for the cut-off that the model was identified with.
     """
@@ -51,10 +51,16 @@ class Monitor:
         confidence: float | None = None,
         settings: MonitorSettings | None = None,
     ) -> None:
+        array_checks.instance("model", model, AerodynamicModel, LOAD_MODEL)
         model.require(vehicle)
         self.model = model
+        if rate_hz is not None:
+            rate_hz = array_checks.number("rate_hz", rate_hz, above=0.0)
+        if confidence is not None:
+            confidence = array_checks.number("confidence", confidence)
         self.confidence = model.confidence if confidence is None else confidence
-        settings = settings or MonitorSettings()
+        settings = MonitorSettings() if settings is None else settings
+        array_checks.instance("settings", settings, MonitorSettings)
         self.vehicle = vehicle
         self.preparation = Preparation(vehicle, rate_hz, model.cutoff_hz)
         self._alarm = Alarm(
@@ -70,7 +76,9 @@ class Monitor:
             AdaptiveFactor(self.confidence, rate_hz or RATE_BEFORE_HZ) if settings.adaptive else None
         )
         # Compiles the model before the first sample.
-        model.evaluate(np.zeros((1, len(INPUT_NAMES))), self.confidence, np.zeros(1, DERIVATIVES))
+        unchecked_evaluation(
+            model, np.zeros((1, len(INPUT_NAMES))), self.confidence, np.zeros(1, DERIVATIVES)
+        )
 
     def step(self, time_ns: Stamps, values: Array) -> tuple[Predictions, Alarms, Events]:
         """Take K samples; blocks of any length give the same rows, bit for bit.
@@ -82,13 +90,28 @@ class Monitor:
         Args:
             time_ns: (K,) stamps.
             values: (K, 20), see :class:`quadpi_core.monitor.pairing.PairedSamples`.
+
+        Raises:
+            ArgumentError: for arrays of other shapes, another number of stamps than rows, and stamps that are
+                no whole nanoseconds.
         """
+        time_ns = array_checks.stamps("time_ns", time_ns)
+        values = array_checks.floats(
+            "values", values, CHANNELS, rows=len(time_ns), of="time_ns", finite=False
+        )
         # Judge the data; from the samples that can be used, filter inputs and measured wrench.
         prepared = self.preparation.step(time_ns, values)
-        return self.judge(prepared)
+        return self._judge(prepared)
 
     def judge(self, prepared: Prepared) -> tuple[Predictions, Alarms, Events]:
-        """Take K samples as a :class:`Preparation` of the model's cut-off gives them; see :meth:`step`."""
+        """Take K samples as a :class:`Preparation` of the model's cut-off gives them; see :meth:`step`.
+
+        Raises:
+            ArgumentError: for arrays that do not fit each other.
+        """
+        return self._judge(array_checks.instance("prepared", prepared, Prepared).checked())
+
+    def _judge(self, prepared: Prepared) -> tuple[Predictions, Alarms, Events]:
         # The model's prediction, its own interval, leverage and width of each usable sample.
         predictions, prepared, evaluation = self._evaluate(prepared)
         # Evidence of the three causes, their charges and levels; rows where something changes.
@@ -99,7 +122,7 @@ class Monitor:
 
     def predict(self, prepared: Prepared) -> Predictions:
         """Predictions alone, without an alarm; see :meth:`judge`."""
-        return self._evaluate(prepared)[0]
+        return self._evaluate(array_checks.instance("prepared", prepared, Prepared).checked())[0]
 
     def _evaluate(self, prepared: Prepared) -> tuple[Predictions, Prepared, Evaluation]:
         """Predictions of the usable samples, these, and what the model says of them with its own intervals.
@@ -107,7 +130,7 @@ class Monitor:
         A sample one of whose numbers overflows is no longer usable.
         """
         inputs, measured = prepared.inputs, prepared.measured
-        evaluation = self.model.evaluate(inputs, self.confidence, prepared.derivatives)
+        evaluation = unchecked_evaluation(self.model, inputs, self.confidence, prepared.derivatives)
         predicted, lower, upper, leverage, relative_width = evaluation
         if self._adaptive is not None:
             lower, upper = self._adaptive.step(measured, lower, upper)
@@ -135,17 +158,19 @@ class Monitor:
         Raises:
             SignalError: see :meth:`Preparation.retune`.
         """
+        array_checks.instance("rate", rate, ImuRate)
         if self._adaptive is not None and rate.filter_hz > 0.0:
             self._adaptive.retune(rate.filter_hz)
         self.preparation.retune(rate)
 
     def change(self, settings: MonitorSettings) -> None:
         """Go on with other times and rates of the alarm; which intervals go out stays as it is."""
+        array_checks.instance("settings", settings, MonitorSettings)
         self._alarm.change(settings)
 
     def alarm_without_sample(self, time_ns: int) -> Alarms:
         """The alarm at an instant without a sample, see :meth:`Alarm.without_sample`; it is not logged."""
-        return self._alarm.without_sample(time_ns)
+        return self._alarm.without_sample(array_checks.whole("time_ns", time_ns, NO_STAMP, STAMP_MAX_NS))
 
     @property
     def events(self) -> Events:
@@ -223,7 +248,7 @@ class Monitors:
         """Take K samples: the results of the first monitor, see :meth:`Monitor.step`; others' predictions."""
         first, *others = self._monitors.values()
         prepared = self.prepared = first.preparation.step(*samples)
-        results = first.judge(prepared)
+        results = first._judge(prepared)
         if not others:
             return results, []
         by_preparation = {first.preparation: prepared}
@@ -231,7 +256,7 @@ class Monitors:
         for monitor in others:
             if monitor.preparation not in by_preparation:
                 by_preparation[monitor.preparation] = monitor.preparation.step(*samples)
-            predictions.append(monitor.predict(by_preparation[monitor.preparation]))
+            predictions.append(monitor._evaluate(by_preparation[monitor.preparation])[0])
         return results, predictions
 
     def _put(self, name: str, monitor: Monitor) -> None:

@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from quadpi_core.brief_repr import brief_repr
 from quadpi_core.estimator.imu_rate import ImuRate
 from quadpi_core.flight import NO_STAMP, Stamps
 from quadpi_core.frames import Array
@@ -50,6 +51,9 @@ class PairedSamples(NamedTuple):
 
     time_ns: Stamps
     values: Array
+
+    def __repr__(self) -> str:
+        return brief_repr(self)
 
     @classmethod
     def join(

@@ -9,6 +9,8 @@ from typing import Annotated, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from quadpi_core import array_checks
+from quadpi_core.brief_repr import brief_repr
 from quadpi_core.compiled import njit
 from quadpi_core.estimator.imu_rate import RATE_BEFORE_HZ, ImuRate
 from quadpi_core.flight import AXES, Stamps
@@ -91,6 +93,9 @@ class Memory:
     begun_ns: int  # stamp of the first sample since the low-pass began
 
 
+# What the rows of the other arrays go by, in the words of a refusal.
+_USABLE = "usable verdicts"
+
 VERDICT, MEMORY = record_dtype(Verdict), record_dtype(Memory)
 
 
@@ -110,6 +115,25 @@ class Prepared(NamedTuple):
     measured: Array
     usable_ns: Stamps
     derivatives: Records
+
+    def __repr__(self) -> str:
+        return brief_repr(self)
+
+    def checked(self) -> Prepared:
+        """The same, from whoever made it: arrays that fit each other, as compiled code takes them.
+
+        Raises:
+            ArgumentError: naming the array that does not.
+        """
+        verdicts = array_checks.records("verdicts", self.verdicts, VERDICT, finite=False)
+        usable = int(np.count_nonzero(verdicts["usable"]))
+        return Prepared(
+            verdicts,
+            array_checks.floats("inputs", self.inputs, len(INPUT_NAMES), rows=usable, of=_USABLE),
+            array_checks.floats("measured", self.measured, len(AXES), rows=usable, of=_USABLE),
+            array_checks.stamps("usable_ns", self.usable_ns, rows=usable, of=_USABLE),
+            array_checks.records("derivatives", self.derivatives, DERIVATIVES, rows=usable, of=_USABLE),
+        )
 
     @property
     def usable(self) -> npt.NDArray[np.bool_]:

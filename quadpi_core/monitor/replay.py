@@ -12,11 +12,12 @@ from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from quadpi_core import array_checks
 from quadpi_core.errors import LogError
 from quadpi_core.estimator.ekf import Ekf
 from quadpi_core.estimator.filter_run import EkfTrace, Spans, never_started
@@ -32,6 +33,7 @@ from quadpi_core.logs.bags import output_topic
 from quadpi_core.messages import result_messages, sensor_messages
 from quadpi_core.messages.payloads import Topic
 from quadpi_core.messages.topics import TOPIC_TYPES
+from quadpi_core.models.aerodynamic import LOAD_MODEL, AerodynamicModel
 from quadpi_core.monitor import pairing_kernel
 from quadpi_core.monitor.alarm import MonitorSettings, NotJudgedReason, alarm_time, not_judged
 from quadpi_core.monitor.alarm_log import reasons_by_row
@@ -46,9 +48,6 @@ from quadpi_core.screening.flight_runs import in_range_of_blocks
 from quadpi_core.screening.sample_order import order_of, usable_recording, without_unusable_attitudes
 from quadpi_core.vehicle import Vehicle
 from quadpi_core.version import __version__
-
-if TYPE_CHECKING:
-    from quadpi_core.models.aerodynamic import AerodynamicModel
 
 
 @dataclass(frozen=True)
@@ -109,15 +108,19 @@ def replay(
         mapping: see :func:`quadpi_core.logs.read_recording`.
 
     Raises:
+        ArgumentError: for what are no model, vehicle, paths, confidence or settings.
         LogError: naming bag, topic and sample of what cannot be used.
         ModelError: if the model belongs to another vehicle.
         SignalError: if the estimator never starts.
     """
-    if Path(output).resolve() == Path(bag).resolve():
+    bag, output = array_checks.path("bag", bag), array_checks.path("output", output)
+    array_checks.instance("model", model, AerodynamicModel, LOAD_MODEL)
+    model.require(vehicle)
+    if output.resolve() == bag.resolve():
         raise LogError(f"{bag}: the output would replace the flight; choose another file")
     with open_flight(bag, vehicle, mapping) as flight:
         monitor = Monitor(model, vehicle, None, confidence, settings)
-        return _write(flight, monitor, vehicle, Path(output))
+        return _write(flight, monitor, vehicle, output)
 
 
 def _write(flight: RecordedFlight, monitor: Monitor, vehicle: Vehicle, output: Path) -> ReplaySummary:
@@ -327,6 +330,7 @@ def replay_all(
         OutputError: if the bags cannot be written.
         ParallelError: see :meth:`quadpi_core.parallel.Workers.map`.
     """
+    bags = array_checks.paths("bags", bags)
     bags_in(folder, bags)
     with whole_outputs(folder) as staging:
         task = _Replay(model, vehicle, confidence, settings, workers.found_by(mapping), staging.absolute())

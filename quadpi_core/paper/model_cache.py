@@ -55,13 +55,14 @@ class ModelCache:
             OutputError: if it cannot be stored.
         """
         kind = kind_of(options)
+        pools = {axis: vars(pool) for axis, pool in self.pools.items()}
         origin: dict[str, object] = {
             "quadpi": __version__,
             "code": code_fingerprint(),
             **asdict(options),
             "method": [kind.name, asdict(kind)],
             "vehicle": self.vehicle.fingerprint,
-            "candidates": hashlib.sha256(repr(self.pools).encode()).hexdigest(),
+            "candidates": hashlib.sha256(repr(pools).encode()).hexdigest(),
             "flights": {flight.name: flight.sha256 for flight in flights},
         }
         folder = None if self.folder is None else self.folder / name

@@ -119,7 +119,7 @@ def spread(case: ValidationCase, flight: str, realisations: range) -> Spread:
         noisy = case.samples(noisy_flight(case, clean, realisation))
         measured = _widened(measured, noisy.wrench)
         for name, model in case.models.items():
-            said = model.evaluate(noisy.inputs, case.confidence).predicted
+            said = model.evaluate(noisy.inputs, case.confidence, noisy.derivatives).predicted
             predicted[name] = _widened(predicted.get(name), said)
     if measured is None:
         raise ValueError("no realisations given")
@@ -153,7 +153,7 @@ def _count(
     tally: Tally, where: tuple[int, int, int], case: ValidationCase, name: str, noisy: Samples
 ) -> None:
     reference = case.references[name][where[-1]]
-    said = case.models[name].evaluate(noisy.inputs, case.confidence)
+    said = case.models[name].evaluate(noisy.inputs, case.confidence, noisy.derivatives)
     counted = _Counted(*(getattr(tally, name)[where] for name in _Counted._fields))
     _count_kernel(_Bounds(reference.lower, reference.upper), noisy.wrench, said, counted)
 

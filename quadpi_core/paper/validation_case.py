@@ -18,11 +18,12 @@ from quadpi_core.errors import LogError, QuadpiError, SignalError
 from quadpi_core.evaluation.evaluate import common_confidence, load_models
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array
-from quadpi_core.inputs import flight_inputs
+from quadpi_core.inputs import flight_derivatives, flight_inputs
 from quadpi_core.logs.bag_topics import bag_vehicle
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.paper.model_cache import code_fingerprint
 from quadpi_core.parallel import Progress, ReportProgress, ignore_progress
+from quadpi_core.records import Records
 from quadpi_core.signals.chain import filter_zero_phase
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.flying import SimulatedVehicle
@@ -45,10 +46,12 @@ class Samples:
 
     Attributes:
         inputs: (N, 19) input vectors.
+        derivatives: (N,) see `quadpi_core.inputs.Derivatives`; None where no model uses them.
         wrench: (N, 6) N and Nm.
     """
 
     inputs: Array
+    derivatives: Records | None
     wrench: Array
 
 
@@ -113,7 +116,14 @@ class ValidationCase:
     def samples(self, flight: Flight) -> Samples:
         """Inputs and wrench of a flight with noise or without, after the low-pass of the models."""
         flight = low_passed(flight, next(iter(self.models.values())).cutoff_hz)
-        return Samples(flight_inputs(flight, self.vehicle), measured_wrench(flight, self.vehicle))
+        derivatives = flight_derivatives(flight) if self._uses_derivatives else None
+        return Samples(
+            flight_inputs(flight, self.vehicle), derivatives, measured_wrench(flight, self.vehicle)
+        )
+
+    @property
+    def _uses_derivatives(self) -> bool:
+        return any(model.kind.uses_derivatives for model in self.models.values())
 
     @cached_property
     def references(self) -> dict[str, tuple[Reference, ...]]:
@@ -125,7 +135,7 @@ class ValidationCase:
         }
 
     def _reference(self, model: AerodynamicModel, samples: Samples) -> Reference:
-        said = model.evaluate(samples.inputs, self.confidence)
+        said = model.evaluate(samples.inputs, self.confidence, samples.derivatives)
         return Reference(samples.wrench, said.predicted, said.lower, said.upper)
 
     @cached_property

@@ -12,6 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
+from quadpi_core import array_checks
+from quadpi_core.brief_repr import brief_repr
 from quadpi_core.errors import SimulationError, named_in
 from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
@@ -46,6 +48,8 @@ YAW_RATE_MAX_DEG_S = Threshold(
 class SimulatedFlight:
     """A flight that was flown and written as a bag."""
 
+    __repr__ = brief_repr
+
     plan: FlightPlan
     truth: Truth
     bag: Path
@@ -53,14 +57,14 @@ class SimulatedFlight:
 
 def simulate(
     plans: Sequence[FlightPlan],
-    output: Path,
+    output: Path | str,
     *,
     workers: Workers = DEFAULT_WORKERS,
 ) -> list[SimulatedFlight]:
     """Fly the plans, several at a time, and write a bag for each into a folder: all of them or none.
 
     Args:
-        plans: with different names.
+        plans: with different names, such as `load_scenario(name_or_path).flights`.
         output: folder; bags of the same names in it are replaced.
         workers: their count is the number of simultaneous flights, by default one per core. Flights fly in
             threads of this process, with any scheduler.
@@ -69,11 +73,16 @@ def simulate(
         The flights in the order of the plans.
 
     Raises:
+        ArgumentError: for what are no plans, folder or workers.
         SimulationError: naming flight, time and state, for a reference that the vehicle cannot follow and a
             vehicle out of control; and for sensors that are not possible.
         VehicleError: for a vehicle that cannot be simulated.
         OutputError: if a bag cannot be written.
     """
+    hint = "load_scenario(name_or_path).flights gives them"
+    plans = array_checks.several("plans", plans, FlightPlan, hint)
+    output = array_checks.path("output", output)
+    array_checks.instance("workers", workers, Workers)
     vehicles, suites = {}, {}
     for plan in plans:
         with named_in(f"scenario {plan.scenario}, flight {plan.name}"):

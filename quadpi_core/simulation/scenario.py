@@ -18,6 +18,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import PlainValidator
 
+from quadpi_core.brief_repr import brief_repr
 from quadpi_core.config import is_config_path, nearest
 from quadpi_core.config_schema import Expected, Section, Text, Within, load_config, parse_config, unknown_key
 from quadpi_core.errors import SimulationError, named_in
@@ -66,6 +67,8 @@ class FlightPlan(Section):
         faults: faults of the sensors.
         truth_rate_hz: rate of the truth in the bag.
     """
+
+    __repr__ = brief_repr
 
     name: Text
     scenario: Text
@@ -196,6 +199,8 @@ class _ScenarioFile(Section):
 @dataclass(frozen=True)
 class Scenario:
     """Flights that belong together."""
+
+    __repr__ = brief_repr
 
     name: str
     description: str

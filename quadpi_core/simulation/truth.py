@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from quadpi_core.brief_repr import brief_repr
 from quadpi_core.flight import Flight, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.rotations import rotate_body_to_world
@@ -80,6 +81,8 @@ class Truth:
         excursion: where the flight goes beyond those that the vehicle was identified on; None where it
             does not, and for a vehicle that was not identified.
     """
+
+    __repr__ = brief_repr
 
     name: str
     vehicle: Vehicle

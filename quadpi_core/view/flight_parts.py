@@ -31,7 +31,7 @@ from quadpi_core.monitor.pairing import PairedSamples
 from quadpi_core.monitor.replay import RecordedFlight, follow, open_flight
 from quadpi_core.reading_options import MappingOrOptions, reading_options
 from quadpi_core.results import AlarmEvent, Predictions, ReportedAlarms
-from quadpi_core.vehicle import Vehicle
+from quadpi_core.vehicle import ROTORS, Vehicle
 from quadpi_core.view.live_inputs import LiveInputs
 
 CUT_OFF = "the file is cut off, what comes before is shown; `mcap recover` rebuilds the file"
@@ -343,7 +343,7 @@ def _rotor_vehicle(
         if not name and described is None:
             raise LogError("the bag does not name its vehicle, whose file gives the pole pairs")
         vehicle = described or Vehicle.load(name)
-        vehicle.rotor_speeds_from_erpm(np.empty(0))
+        vehicle.rotor_speeds_from_erpm(np.zeros(ROTORS))
     except QuadpiError as error:
         del names["erpm"]
         return None, [*lacks, ("erpm", f"no rotor speeds: {error}")]

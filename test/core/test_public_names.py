@@ -9,14 +9,17 @@ import importlib
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import quadpi_core
+from quadpi_core.errors import VehicleError
 
 ROOT = Path(__file__).resolve().parents[2]
-NAMES = sorted(set(dir(quadpi_core)) - set(vars(quadpi_core)))
+NAMES = [name for name in dir(quadpi_core) if not name.startswith("__")]
 
 
 def test_each_is_there_and_in_the_documents():
@@ -48,3 +51,73 @@ def test_the_import_brings_nothing_heavy():
     code = "import sys, quadpi_core; print('numpy' in sys.modules, quadpi_core.Vehicle.load('bebop2').name)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["False", "bebop2"]
+
+
+def test_dir_shows_nothing_else():
+    others = [name for name in dir(quadpi_core) if name not in quadpi_core._ROOMS]
+    assert all(name.startswith("__") and name.endswith("__") for name in others)
+    assert "__version__" in others
+    assert issubclass(VehicleError, quadpi_core.QuadpiError)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda flown: quadpi_core.prepare_flights("no.mcap", flown), "no.mcap: no such file"),
+        (
+            lambda flown: quadpi_core.prepare_flights([None], flown),
+            "paths, entry 1: expected a path, found None",
+        ),
+        (
+            lambda _: quadpi_core.prepare_flights(["a.mcap"], "bebop2"),
+            "vehicle: expected Vehicle, found str 'bebop2'; Ve",
+        ),
+        (
+            lambda _: quadpi_core.simulate("bundled", "bags"),
+            "plans: expected a list of FlightPlan, found str 'bun",
+        ),
+        (
+            lambda _: quadpi_core.study("bebop2", []),
+            "simulation: expected Simulation, found str 'bebop2'; load_",
+        ),
+        (
+            lambda flown: quadpi_core.read_flights("a.mcap", flown),
+            "simulation: expected Simulation, found Vehicle",
+        ),
+        (
+            lambda _: quadpi_core.judge("model", [], {}),
+            "model: expected AerodynamicModel, found str 'model'; Aero",
+        ),
+        (
+            lambda flown: quadpi_core.Monitor(flown, "model", 500.0),
+            "model: expected AerodynamicModel, found Vehicle",
+        ),
+        (
+            lambda flown: quadpi_core.identify([], flown, "quadrotor", quadpi_core.IdentifyOptions()),
+            "pools: expected",
+        ),
+        (
+            lambda _: quadpi_core.IdentifyOptions(confidence="0.95"),
+            "confidence: expected a finite number, found str",
+        ),
+        (
+            lambda _: quadpi_core.IdentifyOptions(settings="papers"),
+            "settings: expected default or paper, found str",
+        ),
+        (lambda _: quadpi_core.MonitorSettings(adaptive=1), "adaptive: expected bool, found int 1"),
+        (lambda _: quadpi_core.Vehicle.load(None), "vehicle: expected a path, found None"),
+        (lambda _: quadpi_core.load_pools(5), "candidate: expected a path, found int 5"),
+        (
+            lambda _: quadpi_core.read_recording("a.bag", "bebop2"),
+            "vehicle: expected Vehicle, found str 'bebop2'",
+        ),
+        (
+            lambda flown: replace(flown, rotor_spins=np.ones(3)),
+            r"vehicle bebop2: rotor_spins: expected shape \(4,\)",
+        ),
+        (lambda flown: replace(flown, mass_kg=-1.0), "vehicle bebop2: mass_kg: expected a positive number"),
+    ],
+)
+def test_a_plausible_mistake_is_one_clear_line(call, message):
+    with pytest.raises(quadpi_core.QuadpiError, match=message):
+        call(quadpi_core.Vehicle.load("bebop2"))

@@ -73,6 +73,7 @@ class Physical(Kind):
     colour = "#332288"
     normal_errors = True
     is_simulation = True
+    uses_derivatives = True
     chooses_candidates = False
     axis_type = FittedPhysical
 

@@ -19,7 +19,7 @@ from quadpi_core.discrepancy.effect_response import (
 )
 from quadpi_core.discrepancy.simulations import Tolerances, VehicleSimulation
 from quadpi_core.inputs import flight_derivatives, flight_inputs
-from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.models.aerodynamic import AerodynamicModel, recorded_evaluation
 from quadpi_core.signals.force_bandwidth import band_limited
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.applied_effects import effect_wrench
@@ -76,7 +76,7 @@ def test_forces_are_compared_smoothed_as_evaluate_does(limited, flight):
     model, simulation = limited
     inputs, moving = flight_inputs(flight, simulation.vehicle), flight_derivatives(flight)
     compared = Compared(flight, simulation)
-    said = model.evaluate_recorded(flight.time, inputs, moving).predicted
+    said = recorded_evaluation(model, flight.time, inputs, moving).predicted
     plain = model.evaluate(inputs, derivatives=moving).predicted
     # The simulation has the place of the accelerometer, which the model has in its forces, as an effect.
     taken_off = said - plain

@@ -13,7 +13,7 @@ import pytest
 from benchmarks.random_ensembles import random_ensembles, simulation_inputs
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.inputs import INPUT_NAMES
+from quadpi_core.inputs import DERIVATIVES, INPUT_NAMES
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.alarm_limits import AlarmLimits
 from quadpi_core.models.envelope import Envelope
@@ -111,7 +111,7 @@ def each_model(request, model, vehicle, training_inputs) -> AerodynamicModel:
 
 def model_of(fitted: Mapping[str, FittedAxis], vehicle: Vehicle, inputs: Array) -> AerodynamicModel:
     kind = kind_named(next(iter(fitted.values())).method)
-    evidence = kind.compile(fitted).evaluate(inputs, np.ones(len(AXES)))
+    evidence = kind.compile(fitted).evaluate(inputs, np.ones(len(AXES)), np.zeros(len(inputs), DERIVATIVES))
     return AerodynamicModel(
         name="swings",
         vehicle=vehicle.name,

@@ -233,5 +233,5 @@ def test_reset_forgets(envelope):
 
 @pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf])
 def test_settings_must_be_positive(value):
-    with pytest.raises(QuadpiError, match="release_s must be positive"):
+    with pytest.raises(QuadpiError, match="release_s: expected a positive number"):
         MonitorSettings(release_s=value)

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -210,15 +210,16 @@ def test_all_samples_broken_give_alarms_and_no_predictions(monitor, samples):
 
 
 def test_prediction_that_overflows_is_bad_data(model, vehicle, samples):
-    @dataclass(frozen=True)
-    class Overflowing(type(model)):
-        def evaluate(self, inputs, confidence=None, derivatives=None) -> Evaluation:
-            evaluation = super().evaluate(inputs, confidence, derivatives)
+    axes = model.kind.compile(model.fitted)
+
+    class Overflowing:
+        def evaluate(self, inputs, factors, derivatives=None) -> Evaluation:
+            evaluation = axes.evaluate(inputs, factors, derivatives)
             far = inputs[:, INPUT_INDEX["u"]] > 2.0
             return evaluation._replace(upper=np.where(far[:, None], np.inf, evaluation.upper))
 
-    columns = {field.name: getattr(model, field.name) for field in fields(model)}
-    predictions, alarms, _ = Monitor(Overflowing(**columns), vehicle, RATE_HZ).step(*samples)
+    monitor = Monitor(replace(model, compiled=Overflowing()), vehicle, RATE_HZ)
+    predictions, alarms, _ = monitor.step(*samples)
     assert 0 < len(predictions.time_ns) < len(samples.time_ns)
     assert_finite(predictions, alarms)
     assert BAD_DATA in alarms.causes

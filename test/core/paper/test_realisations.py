@@ -11,6 +11,7 @@ import pytest
 from scipy.stats import norm
 
 from quadpi_core.inputs import flight_inputs
+from quadpi_core.models.kinds.polynomial import Polynomial
 from quadpi_core.models.model_kind import Evaluation
 from quadpi_core.paper import realisations as realisation_chunks
 from quadpi_core.paper.realisations import noise_seed, noisy_flight, realise, run_realisations, spread
@@ -87,8 +88,9 @@ class Oracle:
     truth: np.ndarray
     std: float
     cutoff_hz: float = 250.0
+    kind = Polynomial
 
-    def evaluate(self, inputs, confidence):
+    def evaluate(self, inputs, confidence, _derivatives):
         half = norm.ppf(0.5 + confidence / 2.0) * self.std
         nothing = np.zeros_like(self.truth)
         assert len(inputs) == len(self.truth)

@@ -145,7 +145,8 @@ def test_some_axes_alone_give_the_same_parameters(fit: Fit) -> None:
     alone = KIND.fit(samples, pools("Fz"), OPTIONS, ignore_progress)
     assert list(alone.axes) == ["Fz"]
     np.testing.assert_allclose(alone.axes["Fz"].parameters.values, fit.axes["Fz"].parameters.values)  # type: ignore[attr-defined]
-    result = KIND.compile(alone.axes).evaluate(samples.inputs[:5], interval_factors(alone.axes, 0.95))
+    factors = interval_factors(alone.axes, 0.95)
+    result = KIND.compile(alone.axes).evaluate(samples.inputs[:5], factors, samples.derivatives[:5])
     assert np.all(result.predicted[:, 2] < 0.0)
     assert np.all(result.predicted[:, :2] == 0.0)
 
