@@ -93,13 +93,13 @@ class RotorScreening:
         Args:
             rotors_ns: (N,) stamps of the rotor speeds.
             imu_ns: (M,) stamps of the IMU.
-            already: indices of samples that are left out for another reason.
+            already: indices of samples left out for another reason, but for those in which a rotor reads 0.
         """
         if not self.samples:
             return
         speeds = self._speeds.whole()
         usable = np.isfinite(speeds).all(axis=1)
-        usable[already] = False
+        usable[already] &= np.any(speeds[already] < ZERO_RAD_S.value, axis=1)
         repeats = usable & held(speeds)
         if np.any(repeats):
             seconds = float(np.ptp(rotors_ns)) * 1e-9

@@ -35,8 +35,8 @@ from quadpi_core.screening.wild_samples import (
     Beyond,
     StreamScreening,
     left_out,
-    not_measured,
     usable_samples,
+    with_readings,
 )
 from quadpi_core.time_range import WHOLE, TimeRange
 from quadpi_core.vehicle import Vehicle
@@ -119,7 +119,7 @@ def survey(
     for name, surveyed in streams.items():
         found = list(screening[name].finish())
         if name == "rotor_speeds":
-            found += not_measured(rotors, found, surveyed.time_ns, streams["imu"].time_ns)
+            found = with_readings(found, rotors, surveyed.time_ns, streams["imu"].time_ns)
         streams[name] = replace(surveyed, found=tuple(found), usable=usable_samples(found))
     return streams
 

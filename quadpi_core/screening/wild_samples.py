@@ -161,7 +161,7 @@ def screened(recording: Recording, vehicle: Vehicle | None) -> Recording:
     for name, stream in streams_by_field(recording).items():
         found = list(beyond_limits(stream, vehicle))
         if isinstance(stream, RotorSpeedStream):
-            found += not_measured(rotors, found, stream.time_ns, recording.imu.time_ns)
+            found = with_readings(found, rotors, stream.time_ns, recording.imu.time_ns)
         usable = usable_samples(found)
         if usable is None:
             continue
@@ -185,20 +185,22 @@ def beyond_limits(stream: Stream, vehicle: Vehicle | None) -> Iterator[Beyond]:
     yield from screening.finish()
 
 
-def not_measured(
-    rotors: RotorScreening, found: Sequence[Beyond], rotors_ns: Stamps, imu_ns: Stamps
+def with_readings(
+    found: Sequence[Beyond], rotors: RotorScreening, rotors_ns: Stamps, imu_ns: Stamps
 ) -> list[Beyond]:
-    """The samples of the rotor speeds that are no measurements, without those that are left out already.
+    """All samples of the rotor speeds that are left out: each for one reason, readings of 0 before spikes.
 
     Args:
+        found: the samples beyond their limits.
         rotors: that has all of the flight.
-        found: the samples of the rotor speeds beyond their limits.
         rotors_ns: (N,) stamps of the rotor speeds.
         imu_ns: (M,) stamps of the IMU.
     """
     already = _joined([beyond.samples for beyond in found if beyond.is_left_out])
-    finished = rotors.finish(rotors_ns, imu_ns, already)
-    return [Beyond(own, rotors.samples, words, None, 1.0) for own, words in finished]
+    own = list(rotors.finish(rotors_ns, imu_ns, already))
+    told = _joined([samples for samples, _ in own])
+    left = [beyond._replace(samples=np.setdiff1d(beyond.samples, told)) for beyond in found]
+    return left + [Beyond(samples, rotors.samples, words, None, 1.0) for samples, words in own]
 
 
 def usable_samples(found: Iterable[Beyond]) -> npt.NDArray[np.bool_] | None:
