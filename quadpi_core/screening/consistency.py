@@ -50,8 +50,18 @@ _FOLLOWS, _ORDER_GAIN, _OPPOSES = 0.35, 0.5, -0.3
 _INERTIA_RATIO = 1.35
 # A rotor that reads low leaves roll, pitch and yaw unbalanced alike. Rotors of real flights differ by 5 %.
 _ROTOR_LOW, _ROTOR_LEFT = 0.07, 0.35
-# Thrust coefficient over that of the vehicle file. Flying through air lowers it: at 16 m/s to half.
-_THRUST_RATIO = (0.4, 1.18)
+# Thrust coefficient over that of the vehicle file: in hover, and where no state tells when that is. Flying
+# through air lowers it, at 16 m/s to half. In hover sound flights have 0.97 to 1.07; a mass of 0.8 or 1.2
+# times the true one leads to 0.78 to 0.85 and to 1.17 and more.
+_HOVER_RATIO, _THRUST_RATIO = (0.88, 1.12), (0.4, 1.18)
+# Share of the fast accelerations that the squares explain: 0.38 and more in sound flights, 0.57 where they
+# are not processed; up to 0.35 in 99 of 100 with the rotor speeds of another flight of the same programme.
+_OWN_SHARE = 0.33
+# Growth of the thrust with Σω²: 0.69 to 1.43 in sound flights, and half of that where ω holds squares.
+_SQUARES_GROWTH = 0.63
+# Moment of inertia about z over mass times squared arm, where the moments look small, too: quadrotors have
+# 0.29 to 0.7; arms of 1.5 times the length or half the inertia lead to 0.19 and less.
+_YAW_INERTIA, _MOMENTS_SMALL = 0.2, 0.8
 
 
 def checked(
@@ -180,6 +190,32 @@ def _rotors_follow_better(rotors: RotorExcerpt, vehicle: Vehicle, hypothesis: Hy
 
 def _rotor_findings(evidence: RotorEvidence, vehicle: Vehicle) -> Iterator[Finding]:
     topic = "rotor_speeds"
+    if evidence.same is not None:
+        one, other = (rotor + 1 for rotor in evidence.same)
+        yield Finding(
+            "one channel",
+            topic,
+            f"rotors {one} and {other} read the same in nearly every sample: two columns of one channel; "
+            "give each rotor its own",
+        )
+        return
+    if evidence.followed is not None and evidence.followed < _OWN_SHARE:
+        yield Finding(
+            "foreign rotors",
+            topic,
+            f"the rotor speeds explain {max(evidence.followed, 0.0):.0%} of the fast accelerations where "
+            "other flights have 38 % and more: they look like those of another flight, held for long, or "
+            "stamped by a clock that is off by more than 0.3 s; take those of this flight",
+        )
+        return
+    if evidence.growth is not None and evidence.growth < _SQUARES_GROWTH:
+        yield Finding(
+            "squared speeds",
+            topic,
+            f"the thrust grows with the power {2.0 * evidence.growth:.1f} of the rotor speeds where 2 is "
+            "expected: they look squared; take the square root",
+        )
+        return
     if evidence.explained < _EXPLAINED:
         return
     if abs(evidence.lag_s) >= _LATE_S and evidence.explained - evidence.explained_now >= _LATE_GAIN:
@@ -202,6 +238,16 @@ def _rotor_findings(evidence: RotorEvidence, vehicle: Vehicle) -> Iterator[Findi
             topic,
             f"inertia times acceleration is {ratio:.2g} times arm times thrust: the vehicle's inertia looks "
             f"{ratio:.2g} times too large, or its mass or arms too small by that factor",
+        )
+    arm_squared = float(np.mean(np.sum(vehicle.rotor_positions[:, :2] ** 2, axis=1)))
+    shape = float(vehicle.inertia[2, 2]) / (vehicle.mass_kg * arm_squared)
+    if shape < _YAW_INERTIA and ratio < _MOMENTS_SMALL:
+        yield Finding(
+            "arms",
+            topic,
+            f"inertia times acceleration is {ratio:.2g} times arm times thrust, and the inertia about z is "
+            f"{shape:.2g} times mass times squared arm, where quadrotors have 0.29 to 0.7: the vehicle's "
+            f"arms look up to {np.sqrt(0.5 / shape):.1f} times too long, or its inertia too small",
         )
     yield from _low_rotor(evidence, vehicle)
 
@@ -272,18 +318,25 @@ def _low_rotor(evidence: RotorEvidence, vehicle: Vehicle) -> Iterator[Finding]:
 
 
 def _thrust(recording: Recording, vehicle: Vehicle) -> Iterator[Finding]:
-    known, flown = vehicle.thrust_coefficient, thrust_coefficient(recording, vehicle)
-    if known is None or flown is None:
+    if vehicle.thrust_coefficient is None:
         return
-    low, high = _THRUST_RATIO
-    ratio = flown / known
+    flown, (low, high), where = (
+        thrust_coefficient(recording, vehicle, in_hover=True),
+        _HOVER_RATIO,
+        "in hover ",
+    )
+    if flown is None:
+        flown, (low, high), where = thrust_coefficient(recording, vehicle), _THRUST_RATIO, ""
+    if flown is None:
+        return
+    ratio = flown / vehicle.thrust_coefficient
     if not low < ratio < high:
         yield Finding(
             "thrust",
             "rotor_speeds",
-            f"thrust over Σω² gives C_T = {flown:.3g}, {ratio:.2f} times the vehicle file's {known:.3g}: the "
-            f"mass looks {ratio:.2f} times too large, or the rotor speeds {np.sqrt(1.0 / ratio):.2f} times "
-            "what they are (pole pairs?)",
+            f"{where}thrust over Σω² gives C_T = {flown:.3g}, {ratio:.2f} times the vehicle file's "
+            f"{vehicle.thrust_coefficient:.3g}: the mass looks {ratio:.2f} times what it is, or the rotor "
+            f"speeds {np.sqrt(1.0 / ratio):.2f} times (pole pairs?), or this is another vehicle",
         )
 
 

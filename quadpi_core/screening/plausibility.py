@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.errors import LogError
-from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording
+from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.rotations import rotate_body_to_world
 from quadpi_core.sample_limits import STANDARD_GRAVITY
@@ -25,6 +25,11 @@ from quadpi_core.vehicle import Vehicle
 # Rotors of any size lie between the inner bounds; rpm or erpm taken for rad/s is off by a factor above 36.
 THRUST_COEFFICIENT_USUAL = (0.006, 0.05)
 THRUST_COEFFICIENT_POSSIBLE = (0.001, 0.3)
+
+# A vehicle hovers below this share of the speed of the blades' tips: thrust falls by 3 % up to it.
+_HOVER_ADVANCE = 0.01
+# Shortest hover that is used, and the time over which positions give a speed.
+HOVER_S, _SPEED_S = 0.5, 0.2
 
 _SPECIFIC_FORCE_M_S2 = (4.0, 60.0)
 _SPECIFIC_FORCE_G = (0.4, 2.5)
@@ -100,10 +105,15 @@ def finite_rows(*signals: Array) -> npt.NDArray[np.bool_]:
     return finite
 
 
-def thrust_coefficient(recording: Recording, vehicle: Vehicle) -> float | None:
+def thrust_coefficient(recording: Recording, vehicle: Vehicle, *, in_hover: bool = False) -> float | None:
     """Thrust coefficient C_T = thrust / (ρ π R⁴ Σω²) while the rotors turn fast; None without rotor speeds.
 
     The thrust is mass times specific force. Real rotors have about 0.01 to 0.04 in hover.
+
+    Args:
+        recording: a flight.
+        vehicle: that flew.
+        in_hover: only where the vehicle is slow; None if it is for less than HOVER_S, or no state tells.
     """
     imu, rotors = recording.imu, recording.rotor_speeds
     if rotors is None:
@@ -117,10 +127,30 @@ def thrust_coefficient(recording: Recording, vehicle: Vehicle) -> float | None:
     squares = np.sum(speeds**2, axis=1)
     order = np.argsort(imu.time_ns[known], kind="stable")
     force = np.interp(time_ns, imu.time_ns[known][order], -imu.specific_force[known, 2][order])
-    fast = squares >= 0.5 * np.percentile(squares, 95)
+    used = squares >= 0.5 * np.percentile(squares, 95)
+    if in_hover:
+        state = recording.pose or recording.odometry
+        if state is None:
+            return None
+        slow_m_s = _HOVER_ADVANCE * vehicle.rotor_radius_m * 0.5 * np.sqrt(squares)
+        used &= _speeds(state, time_ns) < slow_m_s
+        if np.sum(used) < HOVER_S * nominal_rate(time_ns):
+            return None
     disc = vehicle.air_density_kg_m3 * np.pi * vehicle.rotor_radius_m**4
-    total = disc * np.sum(squares[fast] ** 2)
-    return float(vehicle.mass_kg * np.sum(force[fast] * squares[fast]) / total) if total > 0.0 else None
+    total = disc * np.sum(squares[used] ** 2)
+    return float(vehicle.mass_kg * np.sum(force[used] * squares[used]) / total) if total > 0.0 else None
+
+
+def _speeds(state: PoseStream | OdometryStream, time_ns: Stamps) -> Array:
+    """Speed over ground (N,) [m/s] at stamps, from the positions around them; infinite beyond them."""
+    clock, half_s = (state.time_ns - state.time_ns[0]) * 1e-9, 0.5 * _SPEED_S
+    at = (time_ns - state.time_ns[0]) * 1e-9
+    moved = [
+        np.interp(at + half_s, clock, column) - np.interp(at - half_s, clock, column)
+        for column in state.position.T
+    ]
+    within = (at >= half_s) & (at <= clock[-1] - half_s)
+    return np.asarray(np.where(within, np.linalg.norm(moved, axis=0) / _SPEED_S, np.inf))
 
 
 def _specific_force(imu: ImuStream) -> Iterator[str]:

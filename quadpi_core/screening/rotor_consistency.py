@@ -10,7 +10,7 @@ inertia to mass times arm.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import permutations
+from itertools import combinations, permutations
 
 import numpy as np
 
@@ -21,6 +21,16 @@ from quadpi_core.vehicle import ROTORS, Vehicle
 # Periods of the band in which angular acceleration and squares are compared: aerodynamic damping dominates
 # below it, noise above it.
 _SLOW_S, _FAST_S = 0.25, 0.05
+# Faster than manoeuvres, which flights of one programme share, and pieces of such motion: louder than the
+# noise of the sensors by a factor, they count alike, so that no take-off or throw decides alone.
+_BUSY_SLOW_S, _BUSY_FAST_S, _PIECE_S = 0.12, 0.03, 0.25
+_LOUD, _FEWEST_PIECES = 3.0, 4
+# Median of the square of a normal deviate, and variance of the second difference of white noise.
+_MEDIAN_SQUARE, _SECOND_DIFFERENCE = 0.4549, 6.0
+# Thrust is compared with Σω² over this time and longer, in windows in which they correlate so much.
+_THRUST_S, _THRUST_FOLLOWS = 0.1, 0.6
+# Share of equal cells from which on two rotors are one.
+_SAME_SHARE = 0.9
 # Largest lag of the rotor speeds that is tried.
 _LAGS_S = 0.3
 # Windows in which the rotors' mean square is below this share of the fastest window's are on the ground.
@@ -43,6 +53,11 @@ class RotorEvidence:
         spins_inverted: whether inverted spins fit best.
         order_correlation: (3,) correlation with this order and these spins.
         mean_squares: (4,) of each rotor, over the flight.
+        followed: share of the fast accelerations about roll and pitch, and of the fast changes of thrust,
+            that the squares explain, in the median of the pieces louder than noise; None if these are few.
+        growth: relative change of the thrust over that of the sum of squares; near 1, and None where they do
+            not correlate.
+        same: two rotors whose speeds are one; None if there are none.
     """
 
     lag_s: float
@@ -54,6 +69,9 @@ class RotorEvidence:
     spins_inverted: bool
     order_correlation: Array
     mean_squares: Array
+    followed: float | None = None
+    growth: float | None = None
+    same: tuple[int, int] | None = None
 
 
 def rotor_evidence(sample: RotorExcerpt, vehicle: Vehicle) -> RotorEvidence | None:
@@ -96,7 +114,76 @@ def rotor_evidence(sample: RotorExcerpt, vehicle: Vehicle) -> RotorEvidence | No
         spins_inverted=inverted,
         order_correlation=ordered,
         mean_squares=now.reshape(-1, ROTORS).mean(axis=0),
+        followed=_followed(
+            np.concatenate((acceleration[:, 1:-1, :2], -force[:, 1:-1, 2:]), axis=2),
+            _whiteness(np.concatenate((rates[..., :2], force[..., 2:]), axis=2)),
+            squares[:, sample.margin + lags[best] :][:, :cells],
+            step,
+        ),
+        growth=_growth(-force[..., 2], totals, step),
+        same=_same_rotors(now),
     )
+
+
+def _followed(signals: Array, noise: Array, squares: Array, step: float) -> float | None:
+    """See :class:`RotorEvidence`; signals (W, K - 2, 3) with the noise (3,) of what they are made of."""
+    piece = round(_PIECE_S / step)
+
+    def pieces(values: Array) -> Array:
+        busy = _band(values, step, _BUSY_SLOW_S, _BUSY_FAST_S)
+        count = busy.shape[1] // piece
+        return np.asarray(busy[:, : count * piece].reshape(-1, piece, values.shape[2]))
+
+    shown = pieces(_smoothed(squares))
+    impulse = np.zeros((1, 2 * signals.shape[1] + 1, 2))
+    impulse[0, signals.shape[1], 0] = 1.0
+    impulse[0, signals.shape[1] + np.array([-1, 1]), 1] = np.array([-0.5, 0.5]) / step
+    direct, derived = np.linalg.norm(_band(impulse, step, _BUSY_SLOW_S, _BUSY_FAST_S)[0], axis=0)
+    shares = []
+    for signal, floor in zip(
+        np.moveaxis(pieces(signals), 2, 0), noise * (derived, derived, direct), strict=True
+    ):
+        size = np.sqrt(np.mean(signal**2, axis=1))
+        loud = size > _LOUD * floor
+        if np.sum(loud) < _FEWEST_PIECES:
+            continue
+        weight = 1.0 / np.maximum(size, _LOUD * floor)[:, np.newaxis]
+        heard, told = (signal * weight)[loud], (shown * weight[..., np.newaxis])[loud]
+        coefficients, *_ = np.linalg.lstsq(told.reshape(-1, ROTORS), heard.ravel(), rcond=None)
+        left = np.sum((heard - told @ coefficients) ** 2, axis=1) / np.sum(heard**2, axis=1)
+        shares.append(1.0 - float(np.median(left)))
+    return float(np.mean(shares)) if len(shares) > 1 else None
+
+
+def _whiteness(values: Array) -> Array:
+    """Standard deviation (C,) of the white noise of values (W, K, C), from their second differences."""
+    rough = np.median(np.diff(values, 2, axis=1) ** 2, axis=(0, 1))
+    return np.asarray(np.sqrt(rough / _MEDIAN_SQUARE / _SECOND_DIFFERENCE))
+
+
+def _growth(lift: Array, totals: Array, step: float) -> float | None:
+    """See :class:`RotorEvidence`, of lift and sums of squares (W, K), in the median window."""
+    length = 2 * round(0.5 * _THRUST_S / step) + 1
+    ratios = []
+    for thrust, total in zip(
+        *(_mean(one[..., np.newaxis], length)[..., 0] for one in (lift, totals)), strict=True
+    ):
+        turning = (total > 0.5 * np.median(total)) & (thrust > 0.0)
+        if np.sum(turning) < length:
+            continue
+        risen, more = (np.log(one[turning]) - np.log(one[turning]).mean() for one in (thrust, total))
+        power = float(np.sqrt(np.sum(risen**2) * np.sum(more**2)))
+        if risen @ more >= _THRUST_FOLLOWS * power > 0.0:
+            ratios.append(float(np.sqrt(np.sum(risen**2) / np.sum(more**2))))
+    return float(np.median(ratios)) if ratios else None
+
+
+def _same_rotors(squares: Array) -> tuple[int, int] | None:
+    """Two columns of squares (W, K, 4) that are equal in nearly every cell."""
+    for one, other in combinations(range(ROTORS), 2):
+        if np.mean(squares[..., one] == squares[..., other]) > _SAME_SHARE:
+            return one, other
+    return None
 
 
 def _best_order(moving: Array, squares: Array, levers: Array) -> tuple[tuple[int, ...], bool, Array]:
@@ -130,9 +217,12 @@ def _explained(squares: Array, signals: Array) -> float:
 
 def _shifted(squares: Array, first: int, cells: int, step: float) -> Array:
     """Squares (N, 4) from a cell on, weighted and filtered as the acceleration is."""
-    part = squares[:, first : first + cells]
-    mean = 0.25 * part[:, :-2] + 0.5 * part[:, 1:-1] + 0.25 * part[:, 2:]
-    return _band(mean, step).reshape(-1, ROTORS)
+    return _band(_smoothed(squares[:, first : first + cells]), step).reshape(-1, ROTORS)
+
+
+def _smoothed(squares: Array) -> Array:
+    """Squares (W, K, 4) weighted as a central difference weights the acceleration."""
+    return np.asarray(0.25 * squares[:, :-2] + 0.5 * squares[:, 1:-1] + 0.25 * squares[:, 2:])
 
 
 class _Projection:
@@ -145,9 +235,9 @@ class _Projection:
         return np.asarray(signals - self._basis @ (self._basis.T @ signals))
 
 
-def _band(values: Array, step: float) -> Array:
+def _band(values: Array, step: float, slow_s: float = _SLOW_S, fast_s: float = _FAST_S) -> Array:
     """Band-pass of values (W, K, C) between the two periods; shorter by the slow one."""
-    slow, fast = (2 * round(0.5 * length / step) + 1 for length in (_SLOW_S, _FAST_S))
+    slow, fast = (2 * round(0.5 * length / step) + 1 for length in (slow_s, fast_s))
     edge = (slow - fast) // 2
     return np.asarray(_mean(values, fast)[:, edge:-edge] - _mean(values, slow))
 

@@ -283,7 +283,7 @@ def _judges(kind: type[Stream], vehicle: Vehicle | None) -> Iterator[_OfQuantity
                 vehicle.rotor_speed_spike_rad_s,
                 _SPIKE_ROTOR_SHARE * highest,
                 f"above the vehicle's {highest:.0f} rad/s",
-                "rpm or erpm",
+                "rpm, erpm or squared speeds",
             ),
         )
         yield _Negative("speeds")

@@ -65,11 +65,23 @@ def imu(gyro: Array, accelerometer: Array | None = None) -> Callable[[Recording,
     return done
 
 
-def rotors(columns: Any = slice(None), factor: Any = 1.0, late_s: float = 0.0) -> Callable[..., Any]:
+def rotors(
+    columns: Any = slice(None),
+    factor: Any = 1.0,
+    late_s: float = 0.0,
+    power: float = 1.0,
+    shift: float = 0.0,
+) -> Callable[..., Any]:
+    """Other columns, scale, stamps, power (of the same median), or a later share of the flight."""
+
     def done(recording, vehicle):
         stream = recording.rotor_speeds
+        usual = np.median(stream.speeds)
+        speeds = np.roll(stream.speeds[:, columns], round(shift * len(stream)), axis=0)
         changed = replace(
-            stream, time_ns=stream.time_ns + round(late_s * 1e9), speeds=factor * stream.speeds[:, columns]
+            stream,
+            time_ns=stream.time_ns + round(late_s * 1e9),
+            speeds=factor * usual * (speeds / usual) ** power,
         )
         return replace(recording, rotor_speeds=changed), vehicle
 
@@ -169,8 +181,15 @@ MISTAKES = {
     "vehicle front to rear": Mistake(vehicle(rotor_positions=lambda p: p @ FRONT_REAR), "vehicle mirrored"),
     "all spins inverted": Mistake(vehicle(rotor_spins=np.negative), "spins inverted"),
     "one rotor low": Mistake(rotors(factor=np.array([1.0, 1.0, 0.9, 1.0])), "one rotor"),
+    "two rotors on one channel": Mistake(rotors([0, 0, 2, 3]), "one channel"),
+    "rotor speeds of another time": Mistake(rotors(shift=0.4), "foreign rotors"),
+    "squares of rotor speeds": Mistake(rotors(power=2.0), "squared speeds"),
+    "arms twice": Mistake(vehicle(rotor_positions=lambda p: 2.0 * p), "arms"),
+    "mass 20 % more": Mistake(vehicle(mass_kg=lambda m: 1.2 * m), "thrust"),
+    "mass 20 % less": Mistake(vehicle(mass_kg=lambda m: 0.8 * m), "thrust"),
     "inertia twice": Mistake(vehicle(inertia=lambda i: 2.0 * i), "inertia"),
     "mass twice": Mistake(vehicle(mass_kg=lambda m: 2.0 * m), "thrust"),
     "mass half": Mistake(vehicle(mass_kg=lambda m: 0.5 * m), "inertia"),
     "pole pairs 7 for 6": Mistake(rotors(factor=6 / 7), "thrust"),
+    "pole pairs 6 for 7": Mistake(rotors(factor=7 / 6), "thrust"),
 }

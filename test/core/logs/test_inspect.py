@@ -204,7 +204,7 @@ IMPLAUSIBLE = {
     ),
     "rpm": (
         lambda r: with_speeds(r, lambda speeds: np.multiply(speeds, 30 / np.pi, out=speeds)),
-        r"topic rotor_speeds: sample 0: 100% of the samples are above .* looks like rpm or erpm",
+        r"topic rotor_speeds: sample 0: 100% of the samples are above .* like rpm, erpm or squared speeds",
     ),
     "revolutions per second": (
         lambda r: with_speeds(r, lambda speeds: np.divide(speeds, 2 * np.pi, out=speeds)),

@@ -116,3 +116,27 @@ def test_windows_on_the_ground_do_not_count(flown, vehicle, share, counts):
 def test_rotors_that_never_turn_show_nothing(flown, vehicle):
     sample = flown()
     assert rotor_evidence(replace(sample, squares=0.0 * sample.squares), vehicle) is None
+
+
+def test_rotor_speeds_of_other_windows_are_not_followed(flown, vehicle):
+    sample = flown(noise=1e-3)
+    assert rotor_evidence(sample, vehicle).followed > 0.9
+    foreign = replace(sample, squares=np.roll(sample.squares, 1, axis=0))
+    assert rotor_evidence(foreign, vehicle).followed < 0.2
+
+
+def test_motion_below_the_noise_of_the_sensors_does_not_tell_whose_rotors_they_are(flown, vehicle):
+    assert rotor_evidence(flown(noise=3.0), vehicle).followed is None
+
+
+@pytest.mark.parametrize("power", [1.0, 2.0])
+def test_the_thrust_grows_with_the_squares_of_speeds(flown, vehicle, power):
+    sample = flown()
+    squared = replace(sample, squares=4e5 * (sample.squares / 4e5) ** power)
+    assert rotor_evidence(squared, vehicle).growth == pytest.approx(1.0 / power, abs=0.08)
+
+
+def test_two_rotors_that_read_the_same_are_one(flown, vehicle):
+    sample = flown()
+    assert rotor_evidence(sample, vehicle).same is None
+    assert rotor_evidence(replace(sample, squares=sample.squares[..., [0, 1, 2, 1]]), vehicle).same == (1, 3)
