@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 _HEAD_BYTES = 1 << 18
-_DIALECTS = ((",", "."), (";", "."), (";", ","), ("\t", "."), ("\t", ","), ("|", "."), (" ", "."))
+_DIALECTS = ((",", "."), (";", "."), (";", ","), (",", ","), ("\t", "."), ("\t", ","), ("|", "."), (" ", "."))
 _STAMP = r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d.*"
 _ABSENT = {"", "nan", "-nan", "null", "n/a", "#n/a", "na", "none"}
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")

@@ -22,6 +22,9 @@ DIALECTS = {
     "quoted values": lambda text: '"' + text.strip().replace(",", '","').replace("\n", '"\n"') + '"\n',
     "semicolon": lambda text: text.replace(",", ";"),
     "decimal comma": lambda text: text.replace(",", ";").replace(".", ","),
+    "decimal comma in quotes": lambda text: (
+        '"' + text.strip().replace(",", '","').replace(".", ",").replace("\n", '"\n"') + '"\n'
+    ),
     "tabs": lambda text: text.replace(",", "\t"),
     "tabs, decimal comma": lambda text: text.replace(",", "\t").replace(".", ","),
     "columns of text": lambda text: "\n".join(f"  {line.replace(',', '   ')} " for line in text.splitlines()),
