@@ -271,6 +271,7 @@ class Recording:
         battery_v: (time_ns, volts) where the log has it; only `quadpi info` uses it.
         arrivals: by topic, number of IMU samples that arrived before each sample (N,), where the log has it.
         quality: problems found in the data.
+        remedies: by topic, what makes the source record it more often.
     """
 
     __repr__ = brief_repr
@@ -288,6 +289,7 @@ class Recording:
     battery_v: tuple[Stamps, Array] | None = None
     arrivals: Mapping[str, Stamps] = field(default_factory=dict)
     quality: DataQuality = NOTHING_TO_SAY
+    remedies: Mapping[str, str] = field(default_factory=dict)
 
     def arrivals_of(self, stream: Stream) -> Stamps:
         """Number of IMU samples that arrived before each sample (N,): from the log, else from the stamps.

@@ -15,6 +15,7 @@ from quadpi_core.estimator.filter_run import Segment
 from quadpi_core.estimator.smoother import smooth
 from quadpi_core.flight import MAX_GAP_NS, Flight, Recording, RotorSpeedStream, Stamps, Stream, WindStream
 from quadpi_core.frames import Array
+from quadpi_core.screening.rates import seldom_topics
 from quadpi_core.screening.rotors_in_flight import carrying
 from quadpi_core.signals.chain import filter_zero_phase
 from quadpi_core.signals.resample import (
@@ -111,12 +112,14 @@ def require_streams(recording: Recording) -> RotorSpeedStream:
     """Check that a recording has the streams that :func:`fuse` needs, and return its rotor speeds.
 
     Raises:
-        LogError: naming the topic that is missing or pauses for more than 0.1 s.
+        LogError: naming the topic that is missing, comes too seldom or pauses for more than 0.1 s.
     """
     recording.check()
     rotor_speeds = recording.rotor_speeds
     if rotor_speeds is None:
         raise LogError(f"{recording.source}: topic rotor_speeds is missing, which every kind of model needs")
+    for seldom in seldom_topics(recording):
+        raise LogError(f"{recording.source}: topic {seldom}")
     for stream in (recording.imu, rotor_speeds):
         _require_no_gap(recording.source, stream)
     if recording.pose is None and recording.twist is None:

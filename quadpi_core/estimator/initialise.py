@@ -28,13 +28,14 @@ from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
 from quadpi_core.records import Records
 from quadpi_core.rotations import best_rotation, rotation_matrix
+from quadpi_core.screening.rates import START_NS, START_POSES
 from quadpi_core.vehicle import SensorNoise, Vehicle
 
 COLLECT_NS = 1_000_000_000
 # Motion capture may be this late and still start the filter: its buffer reaches so far back.
 _LATEST_NS = 400_000_000
-_VELOCITY_FIT_NS = 200_000_000
-_MIN_SAMPLES = 5
+_VELOCITY_FIT_NS = START_NS
+_MIN_SAMPLES = START_POSES
 # Samples kept of each kind: a second of the fastest IMU and more.
 _COLLECTED_MAX = 8192
 # The line fit is wrong by half the fit's span times the acceleration: 10 m/s² for a vehicle in flight.

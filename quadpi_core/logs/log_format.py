@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Generic, Protocol, TypeVar
 
@@ -86,6 +86,7 @@ class LogFormat(Generic[_Settings]):
         choose_topics: adds the values of `--topics` and `--namespace` to what `load_mapping` gave; None for a
             format that has no topics.
         container: for a format that is read in blocks.
+        remedies: by topic, what makes the source record it more often.
         flights: for a format whose files may hold several flights; `read` gives one, and says which.
     """
 
@@ -98,4 +99,5 @@ class LogFormat(Generic[_Settings]):
     load_mapping: Callable[[str | Path], _Settings] | None = None
     choose_topics: Callable[[_Settings | None, Mapping[str, str], str], _Settings] | None = None
     container: Container[_Settings] | None = None
+    remedies: Mapping[str, str] = field(default_factory=dict)
     flights: FlightsInFile[_Settings] | None = None

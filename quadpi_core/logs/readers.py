@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -140,8 +141,10 @@ def decode_recording(
     with _reading(path):
         settings = _settings(path, log_format, mapping)
         if number is not None and log_format.flights is not None:
-            return log_format.flights.read(file, number, vehicle, settings)
-        return log_format.read(file, vehicle, settings)
+            recording = log_format.flights.read(file, number, vehicle, settings)
+        else:
+            recording = log_format.read(file, vehicle, settings)
+    return replace(recording, remedies=log_format.remedies)
 
 
 @contextmanager
@@ -201,5 +204,7 @@ def blocks_of(log: OpenLog) -> Iterator[Recording]:
     Raises:
         LogError: naming the log, for every error.
     """
+    remedies = identify_format(Path(log.source)).remedies
     with _reading(Path(log.source)):
-        yield from log.blocks()
+        for block in log.blocks():
+            yield replace(block, remedies=remedies)

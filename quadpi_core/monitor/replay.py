@@ -27,7 +27,7 @@ from quadpi_core.estimator.output import FusedSamples, with_gyro_faults
 from quadpi_core.flight import ImuStream, OdometryStream, Recording, Stamps, WindStream
 from quadpi_core.flight_files import FlightFile, LeftOutFlights, bags_in, for_each_flight
 from quadpi_core.frames import Array
-from quadpi_core.logs import decode_recording, identify_format, open_in_blocks
+from quadpi_core.logs import blocks_of, decode_recording, identify_format, open_in_blocks
 from quadpi_core.logs.bag_writer import mcap_writer
 from quadpi_core.logs.bags import output_topic
 from quadpi_core.messages import result_messages, sensor_messages
@@ -45,6 +45,7 @@ from quadpi_core.reading_options import MappingOrOptions, ReadingOptions, readin
 from quadpi_core.recording_blocks import by_arrival, split_recording
 from quadpi_core.results import LEVEL_ALARM, LEVEL_WARNING, Alarms, Events, Predictions
 from quadpi_core.screening.flight_runs import in_range_of_blocks
+from quadpi_core.screening.rates import RunningRates
 from quadpi_core.screening.sample_order import order_of, usable_recording, without_unusable_attitudes
 from quadpi_core.vehicle import Vehicle
 from quadpi_core.version import __version__
@@ -206,7 +207,7 @@ def open_flight(
         yield replace(flight, blocks=in_range_of_blocks(flight.blocks, flight.source, part))
         return
     with open_in_blocks(path, vehicle, mapping) as log:
-        blocks = in_range_of_blocks(by_arrival(log.blocks()), log.source, part)
+        blocks = in_range_of_blocks(by_arrival(blocks_of(log)), log.source, part)
         yield _flight(log.name, log.source, log.streams, blocks)
 
 
@@ -260,14 +261,17 @@ def follow(flight: RecordedFlight, vehicle: Vehicle, ekf: Ekf | None = None) -> 
         ekf: fresh filter of a flight with motion capture; one is made unless given.
 
     Raises:
-        LogError: naming what cannot be read, or if IMU, rotor speeds and state share no time.
+        LogError: naming what cannot be read or comes too seldom, or if IMU, rotor speeds and state share no
+            time.
         SignalError: if the estimator never starts.
     """
     if ekf is None and flight.has_mocap:
         ekf = Ekf(vehicle)
     spans, started, measured = Spans(), False, False
+    rates = RunningRates()
     meeting = Pairing()
     for block in flight.blocks:
+        rates.add(block)
         odometry, state_of, states = block.odometry, None, None
         imu = _Imu(block.imu.time_ns, with_gyro_faults(block.imu).specific_force, np.arange(len(block.imu)))
         if ekf is not None:
@@ -288,6 +292,9 @@ def follow(flight: RecordedFlight, vehicle: Vehicle, ekf: Ekf | None = None) -> 
             measured = measured or not stretch.rate.begins
             yield Followed(stretch.begin, stretch.rate, samples, own, new, settled_ns)
             new = new[:0]
+    if (ekf is not None and not started) or meeting.counts.paired == 0:
+        for seldom in rates.seldom():
+            raise LogError(f"{flight.source}: topic {seldom}")
     if ekf is not None and not started:
         raise never_started(flight.source, spans)
     if meeting.counts.paired == 0:

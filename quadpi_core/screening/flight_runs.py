@@ -18,6 +18,7 @@ from quadpi_core.errors import LogError
 from quadpi_core.findings import PAUSES, Break, DataQuality, UsedPart
 from quadpi_core.flight import MAX_GAP_NS, Recording, Stamps, Stream
 from quadpi_core.recording_blocks import streams_by_field
+from quadpi_core.screening.rates import seldom_topics
 from quadpi_core.thresholds import CONVENTION, Threshold
 from quadpi_core.time_range import TimeRange
 
@@ -113,7 +114,7 @@ def in_range_of_blocks(blocks: Iterable[Recording], source: str, part: TimeRange
 
 
 def parts_without_pause(recording: Recording) -> list[Recording]:
-    """The parts of a recording between pauses, the longest first; itself where it has none.
+    """The parts of a recording between pauses, the longest first; itself where it has none, or nothing else.
 
     `quality` of each says where the topics pause, and what is used.
     """
@@ -122,7 +123,7 @@ def parts_without_pause(recording: Recording) -> list[Recording]:
     if recording.pose is None and recording.twist is None and recording.odometry is not None:
         needed.append(recording.odometry)
     breaks = [found for stream in needed if (found := _pauses(stream)) is not None]
-    if not breaks or any(len(stream) < 2 for stream in needed):
+    if not breaks or any(len(stream) < 2 for stream in needed) or any(seldom_topics(recording)):
         return [recording]
     shared = _intervals(needed[0])
     for stream in needed[1:]:

@@ -18,6 +18,7 @@ from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording,
 from quadpi_core.frames import Array
 from quadpi_core.rotations import rotate_body_to_world
 from quadpi_core.sample_limits import STANDARD_GRAVITY
+from quadpi_core.screening.rates import Seldom, seldom_topics
 from quadpi_core.screening.wild_samples import Beyond, beyond_limits
 from quadpi_core.signals.resample import nominal_rate
 from quadpi_core.vehicle import Vehicle
@@ -62,7 +63,10 @@ def missing_topics(recording: Recording) -> Iterator[str]:
         with np.errstate(divide="ignore"):  # stamps that all repeat are reported elsewhere
             rate_hz = nominal_rate(recording.imu.time_ns)
         if rate_hz < _RATE_MARGIN * _SLOWEST_IMU_HZ:
-            yield f"imu at {rate_hz:.3g} Hz: rules out identification, prediction and replay: too slow"
+            reason = "too slow for the dynamics of rotors and airframe"
+            remedy = recording.remedies.get("imu", "")
+            yield str(Seldom("imu", rate_hz, _SLOWEST_IMU_HZ, reason, remedy))
+    yield from map(str, seldom_topics(recording))
 
 
 def check_plausible(

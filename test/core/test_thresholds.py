@@ -38,6 +38,7 @@ from quadpi_core.screening.excerpt import Excerpt
 from quadpi_core.screening.flight_runs import long_enough
 from quadpi_core.screening.frozen_states import without_repeats
 from quadpi_core.screening.innovations import innovation
+from quadpi_core.screening.rates import seldom_topics
 from quadpi_core.screening.rotor_readings import dropped_out
 from quadpi_core.screening.rotor_readings import held as held_readings
 from quadpi_core.screening.rotors_in_flight import Inertial, has_stopped, stuck_rotors
@@ -195,6 +196,13 @@ def sorted_in(steps: float) -> bool:
     return (
         order_of(np.r_[stamps, after, (stamps[-1] + after[0]) // 2, after[-1] + 1_000_000]).late is not None
     )
+
+
+def with_rotors_at(rate_hz: float) -> Recording:
+    """A recording whose rotor speeds come at that rate, and pause once."""
+    time_ns = np.round(np.delete(np.arange(200), 100) * 1e9 / rate_hz).astype(np.int64)
+    imu = ImuStream(time_ns, *np.zeros((2, 199, 3)))
+    return Recording("hover", "", "", imu, RotorSpeedStream(time_ns, np.full((199, 4), 600.0)))
 
 
 def parts_of(seconds: float) -> list[Recording]:
@@ -596,6 +604,7 @@ EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
     "HELD_SHARE": (0.75, repeated),
     "HELD_STEPS": (3.0, held_by),
     "FROZEN_S": (0.3, frozen_for),
+    "SELDOM": (1.2, lambda x: any(seldom_topics(with_rotors_at(10.0 * x)))),
     "SHARE_MAX": (0.5, lambda x: order_of(np.arange(10_000), {"x": np.arange(10_000) < 1e4 * x}).problem()),
     "HOLE_STEPS": (1.5, sorted_in),
     "PART_S": (3.0, lambda x: len(long_enough(parts_of(x))) > 1),

@@ -274,4 +274,9 @@ FORMAT = LogFormat(
     begins=lambda head: head.startswith(HEAD),
     suffixes=(".bin",),
     load_mapping=RotorOrder.load,
+    remedies={
+        "imu": "LOG_BITMASK with Fast IMU (bit 18) logs it at the rate of the loop",
+        "rotor_speeds": "SERVO_BLH_TRATE sets how often ESCs report, LOG_FILE_RATEMAX 0 logs all",
+        "odometry": "LOG_BITMASK with Fast Attitude (bit 0) logs it at the rate of the loop",
+    },
 )

@@ -255,4 +255,9 @@ FORMAT = LogFormat(
     suffixes=(".bbl", ".bfl"),
     load_mapping=RotorOrder.load,
     flights=FlightsInFile(lambda path: list(_decoded(path)), read_flight),
+    remedies={
+        "imu": "`set blackbox_sample_rate = 1/1` logs every loop",
+        "rotor_speeds": "`set blackbox_sample_rate = 1/1` logs every loop",
+        "mocap/pose": "raise the rate at which motion capture is sent to the vehicle",
+    },
 )

@@ -242,4 +242,10 @@ FORMAT = LogFormat(
     description="Crazyflie uSD log",
     read=read_cfusdlog,
     begins=lambda head: head[0] == _MAGIC,
+    remedies={
+        "imu": "raise the frequency of its event in config.txt on the card",
+        "rotor_speeds": "raise the frequency of its event in config.txt on the card",
+        "odometry": "raise the frequency of its event in config.txt on the card",
+        "mocap/pose": "raise the rate at which motion capture is sent to the vehicle",
+    },
 )

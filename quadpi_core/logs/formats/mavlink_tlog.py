@@ -230,4 +230,10 @@ FORMAT = LogFormat(
     begins=lambda head: _is_record(head, 0),
     suffixes=(".tlog",),
     load_mapping=RotorOrder.load,
+    remedies={
+        "imu": "SRn_RAW_SENS of ArduPilot, or MAV_CMD_SET_MESSAGE_INTERVAL, sends it more often",
+        "rotor_speeds": "MAV_CMD_SET_MESSAGE_INTERVAL sends ESC_STATUS more often",
+        "odometry": "SRn_EXTRA1 and SRn_POSITION of ArduPilot, MAV_CMD_SET_MESSAGE_INTERVAL of any",
+        "mocap/pose": "raise the rate at which motion capture is sent",
+    },
 )

@@ -376,4 +376,10 @@ FORMAT = LogFormat(
     begins=lambda head: head.startswith(_MAGIC),
     suffixes=(".ulg",),
     load_mapping=RotorOrder.load,
+    remedies={
+        "imu": "SDLOG_PROFILE 25 logs it at its own rate",
+        "rotor_speeds": "DSHOT_TEL_CFG (or DroneCAN) makes ESCs report, SDLOG_PROFILE 25 logs all reports",
+        "odometry": "SDLOG_PROFILE 25 logs it at its own rate",
+        "mocap/pose": "SDLOG_PROFILE 153 (25 and computer vision) logs it as it comes",
+    },
 )

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from quadpi_core.logs.bags import BagRecording
     from quadpi_core.messages.adapters import AdapterSettings
 
+_FASTER = "its publisher sets the rate (of mavros: the service set_message_interval; of PX4: dds_topics.yaml)"
 _SUFFIXES = (".mcap", ".db3", ".bag", ".zstd")
 _MAGICS = (b"\x89MCAP0\r\n", b"SQLite format 3\0", b"#ROSBAG V")
 
@@ -77,4 +78,5 @@ FORMAT = LogFormat(
     load_mapping=_load_adapters,
     choose_topics=_choose_topics,
     container=Container(_open, _vehicle_name, _topic_stamps),
+    remedies=dict.fromkeys(("imu", "rotor_speeds", "odometry", "mocap/pose", "mocap/twist"), _FASTER),
 )
