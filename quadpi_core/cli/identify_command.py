@@ -94,6 +94,7 @@ def identify(
     from quadpi_core.identification.identify import identify as identify_model
     from quadpi_core.identification.prepared_flights import prepare_flights
     from quadpi_core.models.candidate_pool import load_pools, select_axes
+    from quadpi_core.models.kind_registry import kind_of
     from quadpi_core.models.model_folder import require_replaceable
     from quadpi_core.models.model_kind import CUTOFF_HZ, IdentifyOptions
     from quadpi_core.report.page import FlightFiles
@@ -127,6 +128,7 @@ def identify(
                 workers=reading,
                 left_out=left_out,
                 keep_flawed=keep_flawed,
+                shortest_s=kind_of(chosen).shortest_s,
             )
         print_quality(console, ((flight.name, flight.quality) for flight in flights))
         with progress_bar(console) as progress:

@@ -163,6 +163,7 @@ def prepare_flights(
     workers: Workers = DEFAULT_WORKERS,
     left_out: LeftOutFlights = None,
     keep_flawed: bool = True,
+    shortest_s: float = 0.0,
 ) -> list[PreparedFlight]:
     """Read, fuse and filter bags; only the part in the air is kept.
 
@@ -177,6 +178,7 @@ def prepare_flights(
         workers: that read the files; the flights do not depend on them.
         left_out: the list to which flights that cannot be used are added; without it, the first is an error.
         keep_flawed: keep flights with a finding for which no model should learn from them.
+        shortest_s: least time in the air of a flight.
 
     Raises:
         ArgumentError: for what are no paths, vehicle, frequency or workers.
@@ -198,9 +200,12 @@ def prepare_flights(
     flights = []
     each = [(file, flight) for file, found in read for flight in found]
     for file, flight in once_each(each, attrgetter("sha256"), left_out):
-        flaw = flight.quality.flaw
+        flaw, aloft_s = flight.quality.flaw, float(flight.time[-1] - flight.time[0])
         if flaw is not None and not keep_flawed:
             leave_out(file, LogError(f"{file.path}: {flaw}"), left_out)
+        elif aloft_s < shortest_s:
+            why = f"{aloft_s:.2g} s in the air, of {shortest_s:g} s that this kind of model needs"
+            leave_out(file, LogError(f"{file.path}: {why}"), left_out)
         else:
             flights.append(flight)
     require_flights_left(len(flights), left_out)
@@ -243,6 +248,20 @@ def read_flight(path: Path, vehicle: Vehicle, cutoff_hz: float, mapping: Mapping
     """
     recording = checked(parts_without_pause(read_recording(path, vehicle, mapping))[0], vehicle)
     return replace(fuse_airborne(recording, vehicle, cutoff_hz), sha256=recording_hash(recording))
+
+
+def flight_hash(path: Path, vehicle: Vehicle, mapping: MappingOrOptions = None) -> str:
+    """The hash by which a model knows a flight that it was identified on.
+
+    Args:
+        path: bag or log.
+        vehicle: that flew.
+        mapping: see :func:`quadpi_core.logs.read_recording`.
+
+    Raises:
+        LogError: for what cannot be read, naming the file.
+    """
+    return recording_hash(parts_without_pause(read_recording(path, vehicle, mapping))[0])
 
 
 class LiveSamples(NamedTuple):

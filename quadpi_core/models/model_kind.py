@@ -255,6 +255,7 @@ class Kind(Section, ABC):
         chooses_candidates: whether it is made of what the pools list, which else only say the axes to hold.
         uses_derivatives: whether its predictions need `inputs.Derivatives` beside the input vector.
         is_simulation: whether it holds beyond single samples, so that a vehicle can fly by it.
+        shortest_s: least time in the air of a flight that it can be identified on.
         axis_type: of the fitted axes.
         seed: of all that is drawn, such as initial weights and the parts that members are trained on.
     """
@@ -271,6 +272,7 @@ class Kind(Section, ABC):
     chooses_candidates: ClassVar[bool] = True
     is_simulation: ClassVar[bool] = False
     uses_derivatives: ClassVar[bool] = False
+    shortest_s: ClassVar[float] = 0.0
     axis_type: ClassVar[type[FittedAxis]]
 
     def having(self: Self, **options: Any) -> Self:

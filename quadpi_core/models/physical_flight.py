@@ -23,7 +23,7 @@ from quadpi_core.signals.force_bandwidth import band_limited
 # Samples that are fitted [Hz], about: signals have passed a low-pass at 30 Hz.
 _FIT_HZ = 100.0
 # Time in the air below which a flight tells no delay or bandwidth [s].
-_SHORTEST_S = 1.0
+SHORTEST_S = 1.0
 # Samples whose regressors are held at a time: 28 MB.
 _PART = 6000
 FORCE, MOMENT = slice(0, 3), slice(3, 6)
@@ -113,9 +113,9 @@ def thinned_rows(samples: TrainingSamples, flight: int) -> npt.NDArray[np.int64]
     """
     rows = np.flatnonzero(samples.flight == flight)
     time = samples.time[rows]
-    if len(rows) < 2 or time[-1] - time[0] < _SHORTEST_S:
+    if len(rows) < 2 or time[-1] - time[0] < SHORTEST_S:
         name = samples.names[flight]
-        raise ModelError(f"{name}: the physical model needs {_SHORTEST_S:g} s or more in the air")
+        raise ModelError(f"{name}: the physical model needs {SHORTEST_S:g} s or more in the air")
     rate_hz = (len(rows) - 1) / (time[-1] - time[0])
     return rows[:: max(1, round(rate_hz / _FIT_HZ))]
 

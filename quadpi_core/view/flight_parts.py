@@ -14,6 +14,7 @@ import numpy as np
 from quadpi_core.errors import LogError, QuadpiError
 from quadpi_core.flight import OdometryStream, Recording, RotorSpeedStream, Stamps, WindStream
 from quadpi_core.frames import Array
+from quadpi_core.identification.prepared_flights import flight_hash
 from quadpi_core.logs.bag_files import Bag
 from quadpi_core.logs.bag_inputs import holds_imu
 from quadpi_core.logs.bag_topics import find_topic, has_topic, unpacked_topic
@@ -69,7 +70,7 @@ class FlightTaker(Protocol):
         """Take alarms that were raised or cleared."""
 
     def take_missing(self, topics: Sequence[tuple[str, str]]) -> None:
-        """Take topics that are missing, with what is not shown for that."""
+        """Take topics that something is missing of or to be said of, with the words for it."""
 
     def learn(self, models: Mapping[str, DescribedModel]) -> None:
         """Take the training ranges of models, by identity."""
@@ -127,6 +128,24 @@ def _parts(
             yield part
             if number == 0 and is_cut_off(bag):
                 yield lambda view: view.take_missing([("bag", CUT_OFF)])
+        if vehicle is not None and not holds_only_results(readable):
+            known = _identified_on(readable, models, vehicle, mapping)
+            yield lambda view: view.take_missing([("bag", text) for text in known])
+
+
+def _identified_on(
+    bag: Path, models: Sequence[AerodynamicModel], vehicle: Vehicle, mapping: MappingOrOptions
+) -> list[str]:
+    """Which models were identified on this flight, by its hash; of a flight that `identify` refuses, none."""
+    try:
+        sha256 = flight_hash(bag, vehicle, mapping)
+    except QuadpiError:
+        return []
+    return [
+        f"in sample: {model.name} was identified on this flight"
+        for model in models
+        if model.learned_from(sha256)
+    ]
 
 
 def holds_only_results(bag: Path) -> bool:

@@ -40,7 +40,7 @@ from quadpi_core.models.physical_fit import (
     thrust_variance,
     worst_pairs,
 )
-from quadpi_core.models.physical_flight import flights_of, thinned_rows
+from quadpi_core.models.physical_flight import SHORTEST_S, flights_of, thinned_rows
 from quadpi_core.models.physical_kernel import motions
 from quadpi_core.models.physical_regressors import acting_terms, regressors
 from quadpi_core.models.physical_study import DELAYS_S, PhysicalStudy
@@ -75,6 +75,7 @@ class Physical(Kind):
     is_simulation = True
     uses_derivatives = True
     chooses_candidates = False
+    shortest_s = SHORTEST_S
     axis_type = FittedPhysical
 
     def fit(

@@ -45,6 +45,14 @@ def test_a_judged_bag_shows_what_replay_writes(judged_view, results_bag):
     assert str(int(State.ALARM)) in judged_view.timeline.codes
 
 
+def test_a_flight_of_training_is_known_by_what_it_holds(judged_view, model, vehicle, tmp_path):
+    copy = tmp_path / "renamed.mcap"
+    copy.write_bytes((BAG.parent / "train_2.mcap").read_bytes())
+    rows = read_whole(open_bag(copy, [model], vehicle)).overview()["health"]
+    assert [row[2] for row in rows] == [f"in sample: {model.name} was identified on this flight"]
+    assert judged_view.overview()["health"] == []
+
+
 def test_a_bag_of_results_shows_the_same_without_a_model(judged_view, results_bag):
     recorded = read_whole(open_bag(results_bag, [], None))
     assert recorded.timeline.codes == judged_view.timeline.codes
