@@ -327,6 +327,8 @@ def _half_reading_findings(rotors: RotorSpeedStream, recording: Recording) -> It
     flying = carrying(speeds, inertial.lift_at(time_ns), STANDARD_GRAVITY)
     if np.count_nonzero(flying) < 2:
         return
+    if inertial.stands(int(time_ns[flying].min()), int(time_ns[flying].max())):
+        return
     steps = np.diff(time_ns)
     soon = flying[1:] & flying[:-1] & (steps > 0) & (steps <= _JUMP_NS)
     jumps = _factor_of_two(speeds[1:][soon] / speeds[:-1][soon]).sum(axis=0)

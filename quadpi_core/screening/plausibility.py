@@ -19,6 +19,7 @@ from quadpi_core.frames import Array
 from quadpi_core.rotations import rotate_body_to_world
 from quadpi_core.sample_limits import STANDARD_GRAVITY
 from quadpi_core.screening.rates import Seldom, seldom_topics
+from quadpi_core.screening.rotors_in_flight import Inertial
 from quadpi_core.screening.wild_samples import Beyond, beyond_limits
 from quadpi_core.signals.resample import nominal_rate
 from quadpi_core.vehicle import Vehicle
@@ -110,7 +111,7 @@ def finite_rows(*signals: Array) -> npt.NDArray[np.bool_]:
 
 
 def thrust_coefficient(recording: Recording, vehicle: Vehicle, *, in_hover: bool = False) -> float | None:
-    """Thrust coefficient C_T = thrust / (ρ π R⁴ Σω²) while the rotors turn fast; None without rotor speeds.
+    """Thrust coefficient C_T = thrust / (ρ π R⁴ Σω²) of rotors that turn fast; None where they do not fly.
 
     The thrust is mass times specific force. Real rotors have about 0.01 to 0.04 in hover.
 
@@ -132,6 +133,8 @@ def thrust_coefficient(recording: Recording, vehicle: Vehicle, *, in_hover: bool
     order = np.argsort(imu.time_ns[known], kind="stable")
     force = np.interp(time_ns, imu.time_ns[known][order], -imu.specific_force[known, 2][order])
     used = squares >= 0.5 * np.percentile(squares, 95)
+    if Inertial.of(recording).stands(int(time_ns[used].min()), int(time_ns[used].max())):
+        return None
     if in_hover:
         state = recording.pose or recording.odometry
         if state is None:

@@ -127,6 +127,9 @@ def dropped_out(time_ns: Stamps, speeds: Array, inertial: Inertial) -> npt.NDArr
     if not np.any(standing) or np.any(np.diff(time_ns) <= 0):
         return dropped
     flying = carrying(_bridged(speeds, standing), inertial.lift_at(time_ns), STANDARD_GRAVITY)
+    turning_ns = time_ns[flying]
+    if len(turning_ns) == 0 or inertial.stands(int(turning_ns[0]), int(turning_ns[-1])):
+        return dropped
     rows = np.arange(len(speeds))
     for rotor, column in enumerate(standing.T):
         turning = speeds[flying & ~column, rotor]

@@ -120,10 +120,11 @@ def stops(left: float = 0.0, turn_rad_s: float = 9.0) -> bool:
     return has_stopped(HOVER_NS, hover_readings(slice(1000, None)), 1, 1000, felt)
 
 
-def named(speeds: np.ndarray, step_ns: int) -> bool:
+def named(speeds: np.ndarray, step_ns: int, sway_rad_s: float = 0.1) -> bool:
     time_ns = step_ns * np.arange(len(speeds))
     none = np.zeros((len(speeds), 3))
-    imu = ImuStream(time_ns, none, none - (0.0, 0.0, 9.81))
+    sways = none + sway_rad_s * np.sin(2e-9 * np.pi * time_ns)[:, np.newaxis]
+    imu = ImuStream(time_ns, sways, none - (0.0, 0.0, 9.81))
     return any(stuck_rotors(Recording("hover", "hover", "", imu, RotorSpeedStream(time_ns, speeds)), 9.81))
 
 
@@ -594,6 +595,11 @@ EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
         ),
     ),
     "STUCK_S": (0.5, lambda x: named(hover_readings(slice(1000, 1001 + round(1000.0 * x))), 1_000_000)),
+    # A sine's spread, averaged over a fifth of its period.
+    "STANDS_RAD_S": (
+        0.012,
+        lambda x: named(hover_readings(slice(1000, 2000)), 1_000_000, x * np.sqrt(2.0) / np.sinc(0.2)),
+    ),
     "STUCK_SAMPLES": (8, lambda x: stuck_samples(int(x))),
     "OTHERS_STEPS": (4.0, stuck_beside),
     "LIFT_LEFT": (0.5, lambda x: stops(left=x)),

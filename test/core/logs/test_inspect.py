@@ -126,6 +126,19 @@ def test_nothing_is_said_of_rotors_that_stand_or_idle_on_the_ground(hover: Recor
     assert "rotor" not in findings(with_speeds(hover, on_ground), None)
 
 
+def test_nothing_is_said_of_motors_that_are_tried_on_a_bench(hover: Recording, vehicle: Vehicle):
+    """One after the other, at a speed that lifts nothing, and one at half of the others' speed."""
+
+    def tried(speeds: np.ndarray) -> None:
+        speeds[:] = 0.0
+        for rotor in range(4):
+            speeds[400 * rotor : 400 * rotor + 300, rotor] = 300.0
+        speeds[1600:] = (300.0, 300.0, 150.0, 300.0)
+
+    still = with_imu(with_speeds(hover, tried), angular_velocity=0.01)
+    assert "rotor" not in findings(replace(still, pose=None), vehicle).replace("rotors and airframe", "")
+
+
 def test_rotor_speeds_that_are_all_zero_are_no_telemetry(hover: Recording, vehicle: Vehicle):
     def silent(speeds: np.ndarray) -> None:
         speeds[:] = 0.0

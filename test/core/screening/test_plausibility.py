@@ -135,7 +135,14 @@ def test_a_thrust_coefficient_of_no_rotor_is_doubted(coefficient, doubted):
     speed = np.sqrt(vehicle.mass_kg * 9.8 / (4.0 * disc * coefficient))
     vehicle = replace(vehicle, rotor_speed_max_rad_s=2.0 * speed)
     rotors = RotorSpeedStream(recording.imu.time_ns, np.full((len(recording.imu), 4), speed))
-    recording = replace(recording, rotor_speeds=rotors)
+    # A vehicle that does not turn at all stands on a bench.
+    assert thrust_coefficient(replace(recording, rotor_speeds=rotors), vehicle) is None
+    sway = 0.1 * np.sin(6.0e-9 * recording.imu.time_ns)[:, np.newaxis]
+    recording = replace(
+        recording,
+        rotor_speeds=rotors,
+        imu=replace(recording.imu, angular_velocity=recording.imu.angular_velocity + sway),
+    )
     assert thrust_coefficient(recording, vehicle) == pytest.approx(coefficient)
     assert ("wrong unit or pole pairs" in said(recording, vehicle)) == doubted
 
