@@ -13,6 +13,7 @@ from typing import NamedTuple, cast
 import numpy as np
 
 from quadpi_core.errors import LogError
+from quadpi_core.findings import CLOCK_FALLS, NOTHING_TO_SAY, Break, DataQuality, UsedPart
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream, Stream
 from quadpi_core.frames import Array
 from quadpi_core.logs.airframes import Airframe, has_quadrotor
@@ -116,7 +117,7 @@ def read_tlog(path: Path, vehicle: Vehicle | None, order: RotorOrder | None = No
         )
     if order is None:
         order = RotorOrder.by_layout(vehicle, "quad-x", RPM)
-    arrived, samples = _decode(source, records, MavlinkSamples(vehicle, order))
+    arrived, quality, samples = _decode(source, records, MavlinkSamples(vehicle, order))
     for refusal, count in samples.refused.items():
         note(source, f"{count} messages not used, {refusal}")
     clocks = _clocks(arrived)
@@ -131,6 +132,7 @@ def read_tlog(path: Path, vehicle: Vehicle | None, order: RotorOrder | None = No
         rotor_speeds=_telling(source, rotors, samples) if is_quadrotor else None,
         pose=cast("PoseStream | None", pose),
         odometry=cast("OdometryStream | None", odometry),
+        quality=quality,
     )
 
 
@@ -145,7 +147,7 @@ def _telling(source: str, rotors: Stream | None, samples: MavlinkSamples) -> Rot
 
 def _decode(
     source: str, records: list[TlogRecord], samples: MavlinkSamples
-) -> tuple[list[_Arrived], MavlinkSamples]:
+) -> tuple[list[_Arrived], DataQuality, MavlinkSamples]:
     """All samples of the vehicle with the most IMU messages."""
     decoder = MessageDecoder()
     messages = [(record, decoder.decode(record.frame)) for record in records]
@@ -153,7 +155,7 @@ def _decode(
         record.frame.system for record, message in messages if type(message).__name__ in SOURCES["imu"]
     )
     if not imus:
-        return [], samples
+        return [], NOTHING_TO_SAY, samples
     if len(imus) > 1:
         note(source, f"holds {len(imus)} vehicles; read is system {imus.most_common(1)[0][0]}")
     system = imus.most_common(1)[0][0]
@@ -170,24 +172,39 @@ def _decode(
             arrived.append(_Arrived(sample, record.arrival_ns, sender))
     for name in sorted(others.keys() & samples.names - {"HEARTBEAT"}):
         note(source, f"{others[name]} {name} of other systems not used")
-    return _longest_run(source, arrived), samples
+    longest, quality = _longest_run(arrived)
+    return longest, quality, samples
 
 
-def _longest_run(source: str, arrived: list[_Arrived]) -> list[_Arrived]:
+def _longest_run(arrived: list[_Arrived]) -> tuple[list[_Arrived], DataQuality]:
     """The samples between two restarts of the autopilot's clock, where the log has the most of them."""
     runs: list[list[_Arrived]] = [[]]
     latest_us: dict[tuple[int, int, bool], int] = {}
+    falls: list[tuple[int, float, float]] = []
+    imu_samples = 0
     for one in arrived:
         clock_us = one.sample.clock_us
         if clock_us is not None:
-            if clock_us < latest_us.get(one.sender, 0) - _RESTART_US:
+            before_us = latest_us.get(one.sender, 0)
+            if clock_us < before_us - _RESTART_US:
+                falls.append((imu_samples, 1e-6 * before_us, 1e-6 * clock_us))
                 runs.append([])
                 latest_us.clear()
             latest_us[one.sender] = clock_us
+        imu_samples += one.sample.topic == "imu"
         runs[-1].append(one)
-    if len(runs) > 1:
-        note(source, f"a clock starts again {len(runs) - 1} times; read is the longest run")
-    return max(runs, key=len)
+    longest = max(runs, key=len)
+    if not falls:
+        return longest, NOTHING_TO_SAY
+    lengths_s = [1e-9 * (run[-1].arrival_ns - run[0].arrival_ns) for run in runs]
+    used = UsedPart(
+        from_s=0.0,
+        to_s=lengths_s[runs.index(longest)],
+        imu_samples=sum(one.sample.topic == "imu" for one in longest),
+        of_s=sum(lengths_s),
+        reason=f"the longest of {len(runs)} runs",
+    )
+    return longest, DataQuality(breaks=(Break("imu", CLOCK_FALLS, len(falls), *falls[0]),), used=(used,))
 
 
 def _clocks(arrived: list[_Arrived]) -> dict[tuple[int, int, bool], Line]:
