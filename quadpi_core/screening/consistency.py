@@ -132,7 +132,7 @@ def findings(recording: Recording, vehicle: Vehicle | None) -> Iterator[Finding]
         rotors = replace(rotors, rates=rotors.rates @ turned.gyro.T)
     evidence = rotor_evidence(rotors, vehicle)
     if evidence is not None:
-        yield from _rotor_findings(evidence, vehicle)
+        yield from _rotor_findings(recording, evidence, vehicle)
     yield from _thrust(recording, vehicle)
 
 
@@ -188,7 +188,7 @@ def _rotors_follow_better(rotors: RotorExcerpt, vehicle: Vehicle, hypothesis: Hy
     return float(np.sum(after.correlation)) > float(np.sum(before.correlation))
 
 
-def _rotor_findings(evidence: RotorEvidence, vehicle: Vehicle) -> Iterator[Finding]:
+def _rotor_findings(recording: Recording, evidence: RotorEvidence, vehicle: Vehicle) -> Iterator[Finding]:
     topic = "rotor_speeds"
     if evidence.same is not None:
         one, other = (rotor + 1 for rotor in evidence.same)
@@ -208,11 +208,14 @@ def _rotor_findings(evidence: RotorEvidence, vehicle: Vehicle) -> Iterator[Findi
             "stamped by a clock that is off by more than 0.3 s; take those of this flight",
         )
         return
-    if evidence.growth is not None and evidence.growth < _SQUARES_GROWTH:
+    # Without hover, or in motion no louder than noise, the thrust is rather what the air makes of it.
+    growth = evidence.growth if evidence.followed is not None else None
+    hovers = thrust_coefficient(recording, vehicle, in_hover=True) is not None
+    if growth is not None and hovers and growth < _SQUARES_GROWTH:
         yield Finding(
             "squared speeds",
             topic,
-            f"the thrust grows with the power {2.0 * evidence.growth:.1f} of the rotor speeds where 2 is "
+            f"the thrust grows with the power {2.0 * growth:.1f} of the rotor speeds where 2 is "
             "expected: they look squared; take the square root",
         )
         return
@@ -336,7 +339,7 @@ def _thrust(recording: Recording, vehicle: Vehicle) -> Iterator[Finding]:
             "rotor_speeds",
             f"{where}thrust over Σω² gives C_T = {flown:.3g}, {ratio:.2f} times the vehicle file's "
             f"{vehicle.thrust_coefficient:.3g}: the mass looks {ratio:.2f} times what it is, or the rotor "
-            f"speeds {np.sqrt(1.0 / ratio):.2f} times (pole pairs?), or this is another vehicle",
+            f"speeds {np.sqrt(1.0 / ratio):.2f} times (pole pairs?), or another vehicle, or wind blew",
         )
 
 

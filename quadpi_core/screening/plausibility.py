@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.errors import LogError
-from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, Stamps
+from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, Stamps, WindStream
 from quadpi_core.frames import Array
 from quadpi_core.rotations import rotate_body_to_world
 from quadpi_core.sample_limits import STANDARD_GRAVITY
@@ -140,7 +140,7 @@ def thrust_coefficient(recording: Recording, vehicle: Vehicle, *, in_hover: bool
         if state is None:
             return None
         slow_m_s = _HOVER_ADVANCE * vehicle.rotor_radius_m * 0.5 * np.sqrt(squares)
-        used &= _speeds(state, time_ns) < slow_m_s
+        used &= _airspeeds(state, recording.wind, time_ns) < slow_m_s
         if np.sum(used) < HOVER_S * nominal_rate(time_ns):
             return None
     disc = vehicle.air_density_kg_m3 * np.pi * vehicle.rotor_radius_m**4
@@ -148,14 +148,18 @@ def thrust_coefficient(recording: Recording, vehicle: Vehicle, *, in_hover: bool
     return float(vehicle.mass_kg * np.sum(force[used] * squares[used]) / total) if total > 0.0 else None
 
 
-def _speeds(state: PoseStream | OdometryStream, time_ns: Stamps) -> Array:
-    """Speed over ground (N,) [m/s] at stamps, from the positions around them; infinite beyond them."""
+def _airspeeds(state: PoseStream | OdometryStream, wind: WindStream | None, time_ns: Stamps) -> Array:
+    """Speed in the air (N,) [m/s] at stamps, from the positions around them; infinite beyond them."""
     clock, half_s = (state.time_ns - state.time_ns[0]) * 1e-9, 0.5 * _SPEED_S
     at = (time_ns - state.time_ns[0]) * 1e-9
-    moved = [
-        np.interp(at + half_s, clock, column) - np.interp(at - half_s, clock, column)
-        for column in state.position.T
-    ]
+    moved = np.array(
+        [
+            np.interp(at + half_s, clock, column) - np.interp(at - half_s, clock, column)
+            for column in state.position.T
+        ]
+    )
+    if wind is not None and len(wind):
+        moved -= _SPEED_S * np.array([np.interp(time_ns, wind.time_ns, column) for column in wind.velocity.T])
     within = (at >= half_s) & (at <= clock[-1] - half_s)
     return np.asarray(np.where(within, np.linalg.norm(moved, axis=0) / _SPEED_S, np.inf))
 

@@ -48,10 +48,10 @@ ORIGIN_OFF_M = Threshold(
 )
 SURE = Threshold(
     "size of an estimate over its standard error",
-    3.0,
+    4.0,
     "1",
-    "calm flights tell neither the origin nor the scale to better than the limits",
-    "none: a convention",
+    "calm flights do not tell the origin; of motion capture 0.2 s late they err by 3.7 standard errors",
+    "neurobem, late by 0.05 to 0.3 s, early by 0.2 s",
 )
 # Columns of the regression: the origin, x and y of a bias, a lag, and the scale.
 _ORIGIN, _BIAS, _LAG, _SCALE, _COLUMNS = slice(0, 3), (3, 4), 5, 6, 7
@@ -141,7 +141,10 @@ def motion_fit(sample: Excerpt, found: Innovation) -> MotionFit:
     error = np.sqrt((len(others) - 1) * np.var(others, axis=0))
     scale = 1.0 / (1.0 + solution[_SCALE])
     return MotionFit(
-        float(scale), float(error[_SCALE]), solution[_ORIGIN], float(np.linalg.norm(error[_ORIGIN]))
+        float(scale),
+        float(error[_SCALE]),
+        solution[_ORIGIN],
+        float(np.linalg.norm(error[_ORIGIN])),
     )
 
 

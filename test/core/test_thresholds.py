@@ -618,7 +618,7 @@ EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
     "AXES_GAIN": (0.3, axes_gain),
     "SCALE_OFF": (0.025, lambda x: off(scale=1.0 - x)),
     "ORIGIN_OFF_M": (0.045, lambda x: off(origin_m=np.array([0.6, 0.0, 0.8]) * x)),
-    "SURE": (3.0, lambda x: off(scale=1.0 + 0.1 * x, scale_error=0.1)),
+    "SURE": (4.0, lambda x: off(scale=1.0 + 0.1 * x, scale_error=0.1)),
     "FEWEST_FLIGHTS": (2, lambda x: refused(DiscrepancyError, lambda: study.require_flights(x))),
     "SPACING": (7.0, lambda x: seen_at_origin(x / 7.0)),
     "STAY_S": (0.25, lambda x: len(known_points(x)[0]) > 0),

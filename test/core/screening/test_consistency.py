@@ -169,6 +169,8 @@ SOUND = RotorEvidence(
     spins_inverted=False,
     order_correlation=np.full(3, 0.8),
     mean_squares=np.ones(4),
+    followed=0.8,
+    growth=1.0,
 )
 
 
@@ -214,6 +216,7 @@ SWAPPED = {"order": (1, 0, 2, 3)}
         ),
         ("foreign rotors", {"followed": 0.34}, {"followed": 0.32}),
         ("squared speeds", {"growth": 0.64}, {"growth": 0.62}),
+        ("squared speeds", {"growth": 0.5, "followed": None}, {"growth": 0.5}),
         ("inertia", {"ratio": np.array([0.7, 1.34])}, {"ratio": np.array([0.7, 1.36])}),
         (
             "inertia",
