@@ -200,10 +200,10 @@ class TestDamagedFiles:
         refused_by(READERS, "is no MCAP file")
 
     def test_unknown_format(self, refused, tmp_path):
-        (tmp_path / "notes.txt").write_text("windy")
-        message = r"notes\.txt: not a known log format; known: ArduPilot"
-        refused(message, "import", tmp_path / "notes.txt", "--vehicle", "neurobem", "-o", tmp_path / "bags")
-        refused(message, "info", tmp_path / "notes.txt", "--json", tmp_path / "data.json")
+        (tmp_path / "notes.rtf").write_text("windy")
+        message = r"notes\.rtf: not a known log format; known: ArduPilot"
+        refused(message, "import", tmp_path / "notes.rtf", "--vehicle", "neurobem", "-o", tmp_path / "bags")
+        refused(message, "info", tmp_path / "notes.rtf", "--json", tmp_path / "data.json")
 
 
 class TestMissingTopics:

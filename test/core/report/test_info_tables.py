@@ -71,9 +71,9 @@ def test_a_log_can_be_described_without_its_vehicle(shared_data: Path):
 
 
 def test_what_is_no_log_is_one_error(tmp_path: Path):
-    (tmp_path / "notes.txt").write_text("not a log")
-    with pytest.raises(LogError, match=r"notes\.txt: not a known log format"):
-        describe(tmp_path / "notes.txt", None, None)
+    (tmp_path / "notes.rtf").write_text("not a log")
+    with pytest.raises(LogError, match=r"notes\.rtf: not a known log format"):
+        describe(tmp_path / "notes.rtf", None, None)
 
 
 def test_topics_are_named_as_in_the_bag(tmp_path: Path):
