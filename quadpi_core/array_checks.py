@@ -219,12 +219,13 @@ def _as(dtype: np.dtype[Any], kinds: str, words: str, name: str, values: Any) ->
 def _require_shape(
     name: str, array: npt.NDArray[Any], columns: tuple[int, ...], rows: int | None, of: str
 ) -> None:
-    if array.ndim and array.shape[1:] == columns and rows in {None, len(array)}:
+    shape = array.shape
+    if shape and shape[1:] == columns and (rows is None or shape[0] == rows):
         return
     count = "N" if rows is None else rows
-    shape = ", ".join(map(str, (count, *columns))) + ("" if columns else ",")
+    expected = ", ".join(map(str, (count, *columns))) + ("" if columns else ",")
     why = f" for {of} ({rows},)" if of else ""
-    raise ArgumentError(f"{name}: expected shape ({shape}){why}, found {array.shape}")
+    raise ArgumentError(f"{name}: expected shape ({expected}){why}, found {array.shape}")
 
 
 def _not_finite(name: str, finite: npt.NDArray[np.bool_]) -> ArgumentError:

@@ -241,6 +241,7 @@ class AerodynamicModel:
 
     def support(self, confidence: float) -> LevelSupport:
         """What a confidence means for flights to come, by the flights that calibrated the intervals."""
+        confidence = array_checks.number("confidence", confidence)
         rules = [own.rule for own in self.fitted.values()]
         inside = min(rule.flights_inside if isinstance(rule, HeldOutRule) else 0 for rule in rules)
         return LevelSupport.of(confidence, inside)

@@ -136,7 +136,7 @@ class IdentifyOptions:
         for name in ("cutoff_hz", "false_alarms_per_hour"):
             array_checks.number(name, getattr(self, name), above=0.0)
         array_checks.number("confidence", self.confidence)
-        if self.settings not in get_args(Settings):
+        if not isinstance(self.settings, str) or self.settings not in get_args(Settings):
             known = " or ".join(get_args(Settings))
             raise ArgumentError(f"settings: expected {known}, found {array_checks.found(self.settings)}")
         if not isinstance(self.method, str | Kind | None):
