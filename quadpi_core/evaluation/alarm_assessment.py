@@ -29,7 +29,7 @@ from quadpi_core.identification.prepared_flights import LiveSamples
 from quadpi_core.models.aerodynamic import AerodynamicModel, recorded_evaluation
 from quadpi_core.models.alarm_limits import BOUND_CONFIDENCE
 from quadpi_core.models.interval_rules import inside_interval
-from quadpi_core.monitor.alarm import Alarm, MonitorSettings
+from quadpi_core.monitor.alarm import Alarm, MonitorSettings, NotJudgedReason, not_judged_reasons
 from quadpi_core.monitor.preparation import VERDICT, Prepared
 from quadpi_core.results import LEVEL_ALARM
 
@@ -112,6 +112,8 @@ class Counted:
         false_alarms, hours_inside: inside the envelope, while the model is not off.
         alarms_outside, hours_outside: outside the envelope, whether the model is off or not.
         hours_monitored: inside, outside and off.
+        hours_flown: from lift-off to touch-down.
+        hours_recorded: with the time on the ground.
     """
 
     false_alarms: int
@@ -119,6 +121,8 @@ class Counted:
     alarms_outside: int
     hours_outside: float
     hours_monitored: float
+    hours_flown: float
+    hours_recorded: float
 
     @classmethod
     def total(cls, parts: Sequence[Counted]) -> Counted:
@@ -134,11 +138,13 @@ class Assessed:
         time: (N,) s.
         missed: (N, A) whether the measured wrench lies outside the interval, per axis held.
         alarm: of the flight.
+        recorded_s: that the recording lasts, with the time on the ground.
     """
 
     time: Array
     missed: npt.NDArray[np.bool_]
     alarm: FlightAlarm
+    recorded_s: float = 0.0
 
     def off(self) -> npt.NDArray[np.bool_]:
         """Instants (N,) at which the model is off."""
@@ -172,12 +178,15 @@ class Assessed:
         inside = (np.cumsum(bad)[:-1] <= 0.0) & ~outside
         begins = self.alarm.raised & ~np.concatenate(([False], self.alarm.raised[:-1]))
         hours = np.diff(self.time, append=self.time[-1]) * self.alarm.monitored / 3600.0
+        flown_s = float(self.time[-1] - self.time[0])
         return Counted(
             false_alarms=int(np.sum(begins & inside)),
             hours_inside=float(hours[inside].sum()),
             alarms_outside=int(np.sum(begins & outside)),
             hours_outside=float(hours[outside].sum()),
             hours_monitored=float(hours.sum()),
+            hours_flown=flown_s / 3600.0,
+            hours_recorded=max(self.recorded_s, flown_s) / 3600.0,
         )
 
 
@@ -196,6 +205,8 @@ class AlarmAssessment(Counted):
     """How good the alarm is on flights.
 
     Attributes:
+        not_judged_fraction: share of the recordings in which the model was not judged.
+        not_judged_reasons: that it is made of, the largest first.
         false_alarms_per_hour: inside the envelope; None for too short a time to state a rate.
         false_alarms_per_hour_bound: upper bound of the rate that the time supports, see :func:`rate_bound`;
             None without any time.
@@ -206,6 +217,8 @@ class AlarmAssessment(Counted):
             their interval in any axis; None where all or none do.
     """
 
+    not_judged_fraction: float
+    not_judged_reasons: tuple[NotJudgedReason, ...]
     false_alarms_per_hour: float | None
     false_alarms_per_hour_bound: float | None
     flights_off: int
@@ -220,8 +233,16 @@ def assess(flights: Sequence[Assessed]) -> AlarmAssessment:
     delays = [delay for flight in flights if (delay := flight.delay_s()) is not None]
     detected = [delay for delay in delays if np.isfinite(delay)]
     missed = np.concatenate([flight.missed.any(axis=1) for flight in flights])
+    recorded = max(counted.hours_recorded, 1e-9)
+    unjudged = {
+        "on the ground, or without a state": counted.hours_recorded - counted.hours_flown,
+        "the state settles, or no usable samples": counted.hours_flown - counted.hours_monitored,
+    }
+    reasons = not_judged_reasons({words: hours / recorded for words, hours in unjudged.items()})
     return AlarmAssessment(
         **vars(counted),
+        not_judged_fraction=sum(reason.fraction for reason in reasons),
+        not_judged_reasons=reasons,
         false_alarms_per_hour=per_hour(counted.false_alarms, counted.hours_inside),
         false_alarms_per_hour_bound=rate_bound(counted.false_alarms, counted.hours_inside),
         flights_off=len(delays),

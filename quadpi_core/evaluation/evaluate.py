@@ -69,6 +69,7 @@ def predict_flight(
         alarm=alarm,
         sha256=flight.sha256,
         in_sample=model.learned_from(flight.sha256),
+        recorded_s=flight.recorded_s,
     )
 
 

@@ -52,6 +52,7 @@ class FlightResult:
         alarm: the alarm at each sample; None where it was not run.
         sha256: hash of the flight; empty where not known.
         in_sample: whether the model was identified on this flight, by its hash.
+        recorded_s: that the recording lasts, with the time on the ground.
     """
 
     __repr__ = brief_repr
@@ -68,6 +69,7 @@ class FlightResult:
     alarm: FlightAlarm | None = None
     sha256: str = ""
     in_sample: bool = False
+    recorded_s: float = 0.0
 
     def __len__(self) -> int:
         return len(self.time)
@@ -206,7 +208,8 @@ def _assess(flights: Sequence[FlightResult]) -> AlarmAssessment | None:
         if flight.alarm is None:
             return None
         columns = [AXES.index(axis) for axis in flight.axes]
-        assessed.append(Assessed(flight.time, flight.alarm.missed[:, columns], flight.alarm))
+        missed = flight.alarm.missed[:, columns]
+        assessed.append(Assessed(flight.time, missed, flight.alarm, flight.recorded_s))
     return assess(assessed)
 
 

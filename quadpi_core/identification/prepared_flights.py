@@ -68,6 +68,7 @@ class PreparedFlight:
             None where the states were given instead of estimated, and a monitor would have had the same.
         quality: remarks on the data.
         file: name that the flight would have whole, where it is one of several parts.
+        recorded_s: that the recording lasts, with the time on the ground.
     """
 
     __repr__ = brief_repr
@@ -82,6 +83,7 @@ class PreparedFlight:
     live: LiveSamples | None = None
     quality: DataQuality = NOTHING_TO_SAY
     file: str = ""
+    recorded_s: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse arrays that do not belong together, in the words of `quadpi_core.array_checks`."""
@@ -230,7 +232,9 @@ def _prepared(recording: Recording, vehicle: Vehicle, cutoff_hz: float) -> Prepa
     flight = fuse_airborne(recording, vehicle, cutoff_hz, causal.segments)
     at_ns = flight.start_ns + np.rint(1e9 * flight.time).astype(np.int64)
     live = causal.samples(vehicle, cutoff_hz, at_ns)
-    return PreparedFlight.of(flight, vehicle, recording_hash(recording), live)
+    prepared = PreparedFlight.of(flight, vehicle, recording_hash(recording), live)
+    recorded_ns = recording.imu.time_ns[-1] - recording.imu.time_ns[0]
+    return replace(prepared, recorded_s=1e-9 * float(recorded_ns))
 
 
 def read_flight(path: Path, vehicle: Vehicle, cutoff_hz: float, mapping: MappingOrOptions = None) -> Flight:

@@ -28,6 +28,7 @@ While the state settles (`monitor.preparation.SETTLE_NS`) of the sums of MISCOVE
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -268,6 +269,11 @@ def not_judged(time_ns: Stamps, why: npt.NDArray[np.int64], start_ns: int, end_n
     whole = max(before + float(durations.sum()), 1.0)
     shares = {NOT_BEGUN: before / whole}
     shares |= {words: float(durations[why == key].sum()) / whole for key, words in WHY_NOT_JUDGED.items()}
-    largest_first = sorted(shares.items(), key=lambda item: -item[1])
-    reasons = tuple(NotJudgedReason(words, share) for words, share in largest_first if share > 0.0)
+    reasons = not_judged_reasons(shares)
     return NotJudged(float(sum(reason.fraction for reason in reasons)), reasons)
+
+
+def not_judged_reasons(shares: Mapping[str, float]) -> tuple[NotJudgedReason, ...]:
+    """Reasons in words, with their shares of a flight, those above 0, the largest first."""
+    largest_first = sorted(shares.items(), key=lambda item: -item[1])
+    return tuple(NotJudgedReason(words, share) for words, share in largest_first if share > kernel.ROUNDING)

@@ -164,6 +164,9 @@ def alarm_sentence(alarm: AlarmAssessment) -> str:
     known = [f"{name} {area:.2f}" for name, area in alarm.auroc.items() if area is not None]
     if known:
         parts.append(f"area under the ROC curve for misses: {', '.join(known)}")
+    if alarm.not_judged_reasons:
+        why = ", ".join(f"{percent(part.fraction)} {part.reason}" for part in alarm.not_judged_reasons)
+        parts.append(f"not judged for {percent(alarm.not_judged_fraction)} of the time: {why}")
     return "; ".join(parts)
 
 

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -65,6 +66,15 @@ def test_flights_add_up_to_a_minute_and_what_was_not_monitored_does_not_count():
     blind = flight(70.0, unknown=[(10.0, 50.0)])
     assert assess([blind]).false_alarms_per_hour is None
     assert 3600.0 * assess([blind]).hours_monitored == pytest.approx(30.0, abs=0.1)
+
+
+def test_what_is_not_judged_is_said_for_all_flights_together():
+    blind = replace(flight(70.0, unknown=[(10.0, 15.0)]), recorded_s=100.0)
+    found = assess([blind, flight(100.0)])
+    assert found.not_judged_fraction == pytest.approx(35.0 / 200.0, abs=1e-3)
+    assert "not judged for 17.5 % of the time: 15.0 % on the ground, or without a state, 2.5 % the state" in (
+        alarm_sentence(found)
+    )
 
 
 def test_the_bundled_flight_that_leaves_the_envelope_raises_no_false_alarm(quadpi, tmp_path):
