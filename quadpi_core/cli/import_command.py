@@ -37,7 +37,11 @@ def import_logs(
     from_s: options.FromS = None,
     to_s: options.ToS = None,
     align: Annotated[
-        bool, typer.Option("--align", help="Shift motion capture in time so that its turns match the gyro.")
+        bool,
+        typer.Option(
+            "--align",
+            help="Shift what another clock stamped so that turns match the gyro, thrust the accelerometer.",
+        ),
     ] = False,
     workers: options.FileProcessCount = None,
     scheduler: options.Scheduler = None,
@@ -61,10 +65,12 @@ def import_logs(
                 f"{flight.bag}: {flight.imu_samples} IMU samples; topics {', '.join(flight.topics)}",
                 soft_wrap=True,
             )
-            if (alignment := flight.alignment) is not None:
+            for topic, alignment in flight.alignments.items():
                 console.print(
-                    f"  mocap/pose moved by {alignment.offset_s * 1e3:+.1f} ms, correlation with the gyro "
-                    f"{alignment.correlation:.3f} over {alignment.matches} samples"
+                    f"  {topic} moved by {alignment.offset_s * 1e3:+.1f} ms, correlation with the IMU "
+                    f"{alignment.correlation:.3f} over {alignment.matches} samples, "
+                    f"{alignment.overlap_s:.1f} s",
+                    soft_wrap=True,
                 )
             for sentence in flight.missing:
                 console.print(f"  {sentence}", soft_wrap=True)

@@ -24,6 +24,7 @@ from quadpi_core.models.candidate_pool import CandidatePool
 from quadpi_core.models.envelope import Envelope
 from quadpi_core.models.interval_rules import HeldOutRule, require_confidence
 from quadpi_core.models.kind_registry import kind_of
+from quadpi_core.models.least_squares import identifiable
 from quadpi_core.models.model_kind import IdentifyOptions, Pools, Settings, TrainingSamples, interval_factors
 from quadpi_core.parallel import ReportProgress, ignore_progress
 from quadpi_core.vehicle import LOAD_VEHICLE, Vehicle
@@ -62,7 +63,8 @@ def identify(
     kind = kind_of(options)
     samples = joined(flights, vehicle)
     axes = [axis for axis in AXES if axis in pools]
-    fit = kind.fit(samples, {axis: pools[axis] for axis in axes}, options, progress)
+    with identifiable(f"a {options.method or kind.name} model"):
+        fit = kind.fit(samples, {axis: pools[axis] for axis in axes}, options, progress)
     fitted = dict(fit.axes)
     compiled = kind.compile(fitted)
     factors = interval_factors(fitted, options.confidence)

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -15,9 +15,8 @@ from typing import Any
 import numpy as np
 
 from quadpi_core.findings import NOTHING_TO_SAY, DataQuality
-from quadpi_core.flight import STREAM_KINDS, ValueCheck, check_stamps
+from quadpi_core.flight import STREAM_KINDS, PoseStream, ValueCheck, check_stamps
 from quadpi_core.flight_files import FlightFile, LeftOutFlights, bags_in, for_each_flight, once_each
-from quadpi_core.logs.alignment import Alignment, align_pose
 from quadpi_core.logs.bags import recording_topics, recording_writer, write_bag
 from quadpi_core.logs.duplicates import RunningHash, recording_hash
 from quadpi_core.logs.readers import blocks_of, flights_of, identify_format, open_in_blocks, read_recording
@@ -25,9 +24,10 @@ from quadpi_core.parallel import DEFAULT_WORKERS, Workers
 from quadpi_core.paths import staged, whole_outputs
 from quadpi_core.reading_options import MappingOrOptions, ReadingOptions
 from quadpi_core.recording_blocks import streams_by_field
+from quadpi_core.screening.clock_consistency import aligned
 from quadpi_core.screening.consistency import checked
 from quadpi_core.screening.flight_runs import require_imu_in
-from quadpi_core.screening.plausibility import missing_topics
+from quadpi_core.screening.plausibility import check_plausible, missing_topics
 from quadpi_core.screening.sample_order import require_usable
 from quadpi_core.screening.survey import (
     Excerpting,
@@ -38,29 +38,32 @@ from quadpi_core.screening.survey import (
     survey_quality,
 )
 from quadpi_core.screening.wild_samples import StreamScreening
+from quadpi_core.signals.alignment import Alignment
 from quadpi_core.vehicle import Vehicle
 
 
 @dataclass(frozen=True)
 class Imported:
-    """The bag of a log: what it holds and lacks, and how its poses were moved in time, if they were."""
+    """The bag of a log: what it holds and lacks, and how its streams were moved in time, by topic."""
 
     log: Path
     bag: Path
     imu_samples: int
     topics: tuple[str, ...]
-    alignment: Alignment | None
+    alignments: Mapping[str, Alignment]
     missing: tuple[str, ...] = ()
     quality: DataQuality = NOTHING_TO_SAY
 
     def to_json(self) -> dict[str, Any]:
         """As JSON holds it."""
+        pose = PoseStream.topic
         return {
             "log": str(self.log),
             "bag": str(self.bag),
             "imu_samples": self.imu_samples,
             "topics": list(self.topics),
-            "alignment": None if self.alignment is None else asdict(self.alignment),
+            "alignment": asdict(self.alignments[pose]) if pose in self.alignments else None,
+            "alignments": {topic: asdict(one) for topic, one in self.alignments.items()},
             "missing": list(self.missing),
             "data_quality": self.quality.to_json(),
         }
@@ -87,7 +90,7 @@ def import_logs(
         vehicle: that flew.
         folder: bags of the same names in it are replaced.
         mapping: see :func:`quadpi_core.logs.read_recording`.
-        align: move the stamps of the poses so that the turns they show match the gyro's.
+        align: move the stamps of other clocks so that what the streams tell matches the IMU.
         workers: that convert the logs; the bytes do not depend on them.
         left_out: the list to which logs that cannot be used are added; without it, the first is an error.
 
@@ -131,16 +134,19 @@ def _convert(task: _Conversion, file: FlightFile) -> tuple[Imported, str]:
         converted = _convert_in_blocks(task, file)
         if converted is not None:
             return converted
-    recording = checked(read_recording(log, task.vehicle, task.mapping), task.vehicle)
+    recording = read_recording(log, task.vehicle, task.mapping)
     sha256 = recording_hash(recording)
-    alignment = None
+    alignments: dict[str, Alignment] = {}
     if task.align:
-        recording, alignment = align_pose(recording)
+        # Of units and axes that cannot be right, no offset tells.
+        check_plausible(recording, task.vehicle)
+        recording, alignments = aligned(recording, task.vehicle)
+    recording = checked(recording, task.vehicle)
     bag = staged(task.staging, f"{file.name}.mcap")
     write_bag(bag, recording)
     topics = tuple(stream.topic for stream in recording.streams())
     lacking = tuple(missing_topics(recording))
-    return Imported(log, bag, len(recording.imu), topics, alignment, lacking, recording.quality), sha256
+    return Imported(log, bag, len(recording.imu), topics, alignments, lacking, recording.quality), sha256
 
 
 def _convert_in_blocks(task: _Conversion, file: FlightFile) -> tuple[Imported, str] | None:
@@ -196,7 +202,7 @@ def _convert_in_blocks(task: _Conversion, file: FlightFile) -> tuple[Imported, s
             path,
             len(stamps["imu"]),
             topics,
-            None,
+            {},
             tuple(missing_topics(recording)),
             recording.quality,
         )

@@ -6,8 +6,9 @@ from __future__ import annotations
 
 import operator
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import reduce
 
@@ -16,7 +17,7 @@ import numpy.typing as npt
 from scipy.linalg import solve_triangular
 
 from quadpi_core.compiled import njit
-from quadpi_core.errors import ModelError
+from quadpi_core.errors import ModelError, one_line
 from quadpi_core.frames import Array
 from quadpi_core.models.regressors import BASE_ROWS, Records, RegressorProgram, rows_kernel
 
@@ -77,6 +78,23 @@ class Gram:
 def sum_grams(grams: Sequence[Gram]) -> Gram:
     """The Gram of all flights together."""
     return reduce(operator.add, grams)
+
+
+@contextmanager
+def identifiable(what: str) -> Iterator[None]:
+    """Say what flights cannot tell where equations of a fit turn out to be singular.
+
+    Raises:
+        ModelError: in the place of numpy's error.
+    """
+    try:
+        yield
+    except np.linalg.LinAlgError as error:
+        raise ModelError(
+            f"{what} cannot be identified from these flights, as the equations have no solution "
+            f"({one_line(error)}): `quadpi info` tells of flights whose sensors disagree; else fly "
+            "manoeuvres about every axis"
+        ) from error
 
 
 def fit_coefficients(gram: Gram, active: list[int]) -> tuple[Array, Array]:

@@ -15,6 +15,7 @@ import numpy as np
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_INDEX
 from quadpi_core.models.disturbance import Disturbance
+from quadpi_core.models.least_squares import identifiable
 from quadpi_core.models.model_kind import TrainingSamples
 from quadpi_core.models.multi_step_fit import fit_multi_step
 from quadpi_core.models.physical_fit import FitStep, PhysicalFit, Problem
@@ -72,7 +73,8 @@ def calibrated_rollouts(
     final = _uncalibrated(whole, disturbance_left(bare, headed))
     log: tuple[FitStep, ...] = ()
     if multi_step:
-        found = fit_multi_step(headed, final, bare, Problem.of(whole.vehicle, whole.reference_thrust))
+        with identifiable("the parameters, from errors of predictions ahead,"):
+            found = fit_multi_step(headed, final, bare, Problem.of(whole.vehicle, whole.reference_thrust))
         final, bare, log = found.model, list(found.left_out), found.log
     variance = _measured_variance(bare, headed)
     models = [
@@ -89,15 +91,20 @@ def calibrated_rollouts(
         )
 
     with ThreadPoolExecutor(_THREADS) as threads:
-        of_flights = [own for own in threads.map(rolled, models, headed) if len(own.starts)]
+        rolled_flights = list(threads.map(rolled, models, headed))
+    of_flights = [own for own in rolled_flights if len(own.starts)]
     if not of_flights:
         return CalibratedRollouts(None, log)
-    shape = _narrowest(of_flights)
-    calibration = TubeCalibration.of_flights(
-        [tube_scores(own.errors, shape.shaped(own.covariance)) for own in of_flights],
-        [error_norms(own.errors) for own in of_flights],
-        shape,
-    )
+    for flight, own in zip(headed, rolled_flights, strict=True):
+        with identifiable(f"{flight.name}: the width of predictions ahead"):
+            tube_scores(own.errors, own.covariance)
+    with identifiable("the width of predictions ahead"):
+        shape = _narrowest(of_flights)
+        calibration = TubeCalibration.of_flights(
+            [tube_scores(own.errors, shape.shaped(own.covariance)) for own in of_flights],
+            [error_norms(own.errors) for own in of_flights],
+            shape,
+        )
     return CalibratedRollouts(replace(final, measured_variance=variance, calibration=calibration), log)
 
 

@@ -17,6 +17,7 @@ from quadpi_core.errors import LogError
 from quadpi_core.findings import Finding
 from quadpi_core.flight import PoseStream, Recording
 from quadpi_core.sample_limits import STANDARD_GRAVITY
+from quadpi_core.screening.clock_consistency import clock_mistake, rotor_clock_finding
 from quadpi_core.screening.excerpt import Excerpt, Pose, RotorExcerpt, excerpt, rotor_excerpt
 from quadpi_core.screening.frozen_states import without_repeats
 from quadpi_core.screening.innovations import Innovation, cost, innovation
@@ -115,7 +116,16 @@ def findings(recording: Recording, vehicle: Vehicle | None) -> Iterator[Finding]
         if frozen is not None:
             yield frozen
         sample = excerpt(recording, moving)
+        clock = clock_mistake(recording, moving, sample)
         mistakes = [] if sample is None else _motion(sample, measured=isinstance(state, PoseStream))
+        if clock is not None and all(
+            clock.cost < cost(after, before.motion) for _, before, after in mistakes
+        ):
+            yield clock.finding
+            # Nothing else is made of what is stamped wrong.
+            kept = replace(recording, pose=None, twist=None)
+            recording = kept if isinstance(state, PoseStream) else replace(recording, odometry=None)
+            continue
         for hypothesis, before, after in mistakes:
             culprit = ""
             if hypothesis.gyro is not None and rotors is not None and vehicle is not None:
@@ -126,6 +136,9 @@ def findings(recording: Recording, vehicle: Vehicle | None) -> Iterator[Finding]
         if mistakes:
             # A mistake of the IMU shows in every state.
             break
+    apart = rotor_clock_finding(recording, vehicle)
+    if apart is not None:
+        yield apart
     if rotors is None or vehicle is None:
         return
     if turned is not None and turned.gyro is not None:

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -142,3 +143,21 @@ def test_an_empty_first_instance_of_px4_s_esc_status(report, caplog):
     assert np.median(np.diff(rotors.time_ns)) == 10_000_000
     assert rotors.speeds[0] == pytest.approx([694.7] * 4, abs=0.3)
     assert "esc_status: instance 1 is read" in caplog.text
+
+
+def test_motion_capture_of_a_clock_5_s_ahead_is_named_and_aligned(report, quadpi, tmp_path):
+    bag = report("mocap_clock_5_s_off") / "flight.mcap"
+    said = re.compile(r"gyro and attitude disagree: the stamps look \+(5\.00|4\.99)\d s off")
+    vehicle = ("--vehicle", "bebop2")
+    for result in (quadpi("import", bag, *vehicle, "-o", tmp_path / "out"), quadpi("info", bag, *vehicle)):
+        assert result.status == 0, result.errors
+        assert said.search(" ".join(result.output.split()))
+    result = quadpi("import", bag, *vehicle, "-o", tmp_path / "aligned", "--align")
+    assert result.status == 0, result.errors
+    assert re.search(r"mocap/pose moved by -(5000|4999)\.\d ms", result.output)
+    assert "disagree" not in result.output
+    # The only flight: nothing is left to identify on.
+    result = quadpi("identify", bag, *vehicle, "-o", tmp_path / "model")
+    assert result.status == 2
+    assert said.search(result.errors)
+    assert result.errors.count("\n") == 1

@@ -34,7 +34,7 @@ def test_bags_replace_those_of_the_same_name_only(bags, vehicle, tmp_path):
     assert [one.bag for one in imported] == [tmp_path / bag.name for bag in bags]
     assert imported[0].imu_samples == 3200
     assert imported[0].topics == ("imu", "rotor_speeds", "mocap/pose")
-    assert imported[0].alignment is None
+    assert imported[0].alignments == {}
     assert sorted(path.name for path in tmp_path.iterdir()) == [*(bag.name for bag in bags), "notes.txt"]
     assert (tmp_path / "flight0.mcap").read_bytes()[:5] == b"\x89MCAP"
     assert (tmp_path / "notes.txt").read_text() == "mine"

@@ -8,7 +8,7 @@ import pytest
 from benchmarks.synthetic_inputs import smooth_inputs
 from quadpi_core.errors import ModelError
 from quadpi_core.models.candidate_pool import load_pools
-from quadpi_core.models.least_squares import Gram, fit_coefficients, flight_grams, huber
+from quadpi_core.models.least_squares import Gram, fit_coefficients, flight_grams, huber, identifiable
 from quadpi_core.models.regressors import RegressorProgram
 
 
@@ -120,3 +120,9 @@ def test_the_bound_is_six_deviations_by_the_median():
     plain = fit_coefficients(Gram(Z.T @ Z, Z.T @ y, float(y @ y), len(y)), [0])
     robust, _ = huber(Z, y, *plain)
     assert robust[0] == pytest.approx(6.0 * 1.4826 / 1000.0, rel=0.02)
+
+
+def test_a_fit_without_a_solution_says_what_cannot_be_identified():
+    refusal = r"^Fx cannot be identified .*\(Singular matrix\): `quadpi info`"
+    with pytest.raises(ModelError, match=refusal), identifiable("Fx"):
+        np.linalg.inv(np.zeros((2, 2)))

@@ -2,16 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from quadpi_core.errors import SignalError
-from quadpi_core.flight import ImuStream, PoseStream, Recording
-from quadpi_core.logs.alignment import align_pose, time_offset
+from quadpi_core.flight import ImuStream, PoseStream
 from quadpi_core.logs.formats.neurobem import read_neurobem
-from quadpi_core.vehicle import SensorNoise, Vehicle
+from quadpi_core.signals.alignment import OVERLAP, RIVAL, time_offset, turn_offset
+from quadpi_core.vehicle import Vehicle
 
 
 def chirp(time):
@@ -43,12 +41,12 @@ def test_clocks_of_unrelated_epochs():
 
 
 def test_no_overlap_prints_ranges_offset_and_matches():
-    first, later = stamps(0.0, 10.0, 100.0), stamps(100.0, 110.0, 100.0)
+    first, later = stamps(0.0, 10.0, 100.0), stamps(100.0, 101.5, 100.0)
     with pytest.raises(
         SignalError,
         match=r"A and B: no overlap: reference spans 0\.000 to 9\.990 s, other 100\.000 to .* 0 matching",
     ):
-        time_offset(first, chirp(1e-9 * first), later, chirp(1e-9 * later), max_offset_s=1.0, what="A and B")
+        time_offset(first, chirp(1e-9 * first), later, chirp(1e-9 * later), what="A and B")
 
 
 def test_signals_that_share_nothing_are_refused():
@@ -64,20 +62,10 @@ def test_a_constant_signal_is_refused():
         time_offset(time_ns, np.ones((2000, 3)), time_ns, np.ones((2000, 3)))
 
 
-def test_pose_stamps_move_to_the_imu_clock(noisy_vehicle, simulate_flight):
-    precise = replace(noisy_vehicle, noise=SensorNoise(mocap_attitude_rad=0.001))
-    recording = simulate_flight(11, vehicle=precise).recording
-    late = replace(recording, pose=replace(recording.pose, time_ns=recording.pose.time_ns + 80_000_000))
-    aligned, alignment = align_pose(late)
-    assert alignment.offset_s == pytest.approx(-0.08, abs=2e-3)
-    assert np.array_equal(aligned.pose.time_ns, late.pose.time_ns + alignment.offset_ns)
-    with pytest.raises(SignalError, match=r"simulated\.bag: topic mocap/pose is missing"):
-        align_pose(replace(recording, pose=None))
-
-
 def test_the_gyro_of_neurobem_lags_by_a_few_milliseconds(shared_data):
     path = shared_data / "neurobem" / "bemnn20210218172600seg1.mat"
-    _, alignment = align_pose(read_neurobem(path, Vehicle.load("neurobem")))
+    recording = read_neurobem(path, Vehicle.load("neurobem"))
+    alignment = turn_offset(recording.imu, recording.pose, "neurobem")
     assert 0.005 < alignment.offset_s < 0.009
     assert alignment.correlation > 0.99
 
@@ -103,9 +91,34 @@ def test_what_poses_say_beyond_eight_hertz_is_filtered_out():
     gyro[:, 2] = np.sin(2.0 * np.pi * 0.3 * time)
     half = 0.5 * shaken
     attitude = np.stack((np.cos(half), 0.0 * half, 0.0 * half, np.sin(half)), axis=1)
-    recording = Recording(
-        *("a", "v", "a.mcap"),
-        imu=ImuStream(time_ns, gyro, np.zeros_like(gyro)),
-        pose=PoseStream(time_ns, np.zeros_like(gyro), attitude),
-    )
-    assert align_pose(recording)[1].correlation > 0.95
+    imu, pose = ImuStream(time_ns, gyro, np.zeros_like(gyro)), PoseStream(time_ns, 0.0 * gyro, attitude)
+    assert turn_offset(imu, pose, "a").correlation > 0.95
+
+
+def repeating(time):
+    """Laps of 4 s, the later ones a little faster."""
+    return np.stack((np.sin(0.5 * np.pi * time), np.cos(np.pi * time)), axis=1)
+
+
+def test_a_motion_that_repeats_gives_no_offset_alone():
+    time_ns, late_ns = stamps(0.0, 24.0, 100.0), stamps(5.0, 29.0, 100.0)
+    laps = repeating(1e-9 * time_ns)
+    found = time_offset(time_ns, laps, late_ns, laps)
+    assert found.offset_s == pytest.approx(-5.0, abs=1e-3)
+    assert found.rival_s is not None
+    assert found.rival_s + 5.0 == pytest.approx(4.0 * round((found.rival_s + 5.0) / 4.0), abs=0.05)
+    # What only one lap has singles it out.
+    laps += 3.0 * np.exp(-(((1e-9 * time_ns - 9.0) / 0.3) ** 2))[:, np.newaxis]
+    assert time_offset(time_ns, laps, late_ns, laps).rival_s is None
+    assert 0.4 < RIVAL.value < 0.8
+
+
+def test_short_overlaps_count_for_nothing():
+    """The last 3 of 20 s repeat the first ones, better than noise lets the whole be alike."""
+    rng = np.random.default_rng(4)
+    time_ns = stamps(0.0, 20.0, 100.0)
+    turns = chirp(1e-9 * time_ns)
+    other = turns + rng.normal(scale=0.3, size=turns.shape)
+    other[-300:] = turns[:300]
+    assert time_offset(time_ns, turns, time_ns, other).offset_s == pytest.approx(0.0, abs=5e-3)
+    assert 3.0 / 20.0 < OVERLAP.value < 0.5
