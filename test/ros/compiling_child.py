@@ -27,6 +27,7 @@ from quadpi_core.flight import (
     WindStream,
 )
 from quadpi_core.messages import sensor_messages
+from quadpi_core.messages.definitions import codec
 from quadpi_core.messages.topics import MOCAP_TOPICS
 from quadpi_ros.estimator_node import EstimatorNode
 from quadpi_ros.live_process import create_nodes
@@ -58,6 +59,15 @@ def messages(time_ns: int) -> dict[str, bytes]:
             0
         ],
         "mocap/pose": sensor_messages.pack_pose(PoseStream(stamp, noise, level))[0],
+        "mocap/transform": codec(sensor_messages.TRANSFORM).encode(
+            1,
+            {
+                **sensor_messages.header_columns(stamp, "map"),
+                "child_frame_id": "base_link",
+                "transform.translation": noise,
+                "transform.rotation": np.array([[0.0, 0.0, 0.0, 1.0]]),
+            },
+        )[0],
         "mocap/odometry": state[0],
         "mocap/twist": sensor_messages.pack_twist(TwistStream(stamp, noise, in_body))[0],
         "odometry": state[0],
