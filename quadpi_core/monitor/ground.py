@@ -14,6 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from quadpi_core.compiled import njit
+from quadpi_core.frames import Array
 from quadpi_core.monitor.data_quality import second_fastest
 from quadpi_core.monitor.preparation import Verdict
 from quadpi_core.records import Vector3
@@ -86,6 +87,12 @@ class Ground:
 
 
 @njit(cache=True)
+def _length(vector: Array) -> float:
+    """Length of a vector (3,), without an array in between."""
+    return float(np.sqrt(vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2]))
+
+
+@njit(cache=True)
 def follow_ground(ground: Ground, hover_square: float, sample: Verdict, step_s: float) -> None:
     """Take a usable sample.
 
@@ -96,13 +103,14 @@ def follow_ground(ground: Ground, hover_square: float, sample: Verdict, step_s: 
         step_s: since the sample before.
     """
     keep = _WAY_S / (_WAY_S + step_s)
-    ground.way[:] = keep * (ground.way + step_s * sample.velocity)
-    force = np.sqrt(np.sum(sample.specific_force * sample.specific_force)) / STANDARD_GRAVITY
+    for k in range(ground.way.size):
+        ground.way[k] = keep * (ground.way[k] + step_s * sample.velocity[k])
+    force = _length(sample.specific_force) / STANDARD_GRAVITY
     moves = (
-        np.sum(sample.velocity * sample.velocity) >= _MOVES_M_S * _MOVES_M_S
-        or np.sum(sample.rates * sample.rates) >= _MOVES_RAD_S * _MOVES_RAD_S
+        _length(sample.velocity) >= _MOVES_M_S
+        or _length(sample.rates) >= _MOVES_RAD_S
         or abs(force - 1.0) >= _MOVES_G
-        or np.sum(ground.way * ground.way) >= _GONE_M * _GONE_M
+        or _length(ground.way) >= _GONE_M
     )
     ground.moving_s = min(max(ground.moving_s + (step_s if moves else -step_s), 0.0), 2.0 * _CARRIED_S)
     square = second_fastest(sample.rotor_speeds) ** 2

@@ -156,10 +156,12 @@ def _find_stopped(
         thrust.known_s = 0.0
         thrust.lost_s[:] = 0.0
         return
-    rest = wrench[_SHOWN].copy()
-    for k in range(ROTORS):
-        rest += geometry.thrust_per_square * squares[k] * geometry.lever[k]
-    change = rest - thrust.mean_rest
+    change = np.empty(_SHOWN.size)
+    for shown in range(_SHOWN.size):
+        rest = wrench[_SHOWN[shown]]
+        for k in range(ROTORS):
+            rest += geometry.thrust_per_square * squares[k] * geometry.lever[k, shown]
+        change[shown] = rest - thrust.mean_rest[shown]
     suspected = thrust.stopped != 0
     for k in range(ROTORS):
         least, most = np.inf, -np.inf
@@ -184,8 +186,10 @@ def _find_stopped(
         return
     share = step_s / (min(thrust.known_s, _MEAN_S) + step_s)
     thrust.known_s += step_s
-    thrust.mean_rest += share * change
-    thrust.mean_squares += share * (squares - thrust.mean_squares)
+    for shown in range(_SHOWN.size):
+        thrust.mean_rest[shown] += share * change[shown]
+    for k in range(ROTORS):
+        thrust.mean_squares[k] += share * (squares[k] - thrust.mean_squares[k])
 
 
 @njit(cache=True)
