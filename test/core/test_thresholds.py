@@ -652,6 +652,8 @@ ALONE = {
         "EDGES_HZ",
         "LAGS_S",
         "MOST_EFFECTS",
+        # In test_clock_consistency.
+        *("SHARED_S", "LEAST_OFFSET_S", "EXPLAINED", "NEAR_S", "EXPLAINS"),
         # In test_simulated_file.
         "MOTOR_TIME_CONSTANT",
         "NOISE_HZ",

@@ -159,7 +159,9 @@ def hover() -> Recording:
     attitude = np.stack([np.cos(roll / 2), np.sin(roll / 2), zero, zero], axis=1)
     rates = np.stack([np.gradient(roll, time), zero, zero], axis=1) + rng.normal(0.0, 0.01, (samples, 3))
     force = np.array([0.0, 0.0, -9.81]) + rng.normal(0.0, 0.1, (samples, 3))
-    position = np.stack([zero, np.sin(time), -1.0 - 0.1 * time], axis=1)
+    # As a thrust along z moves it sideways.
+    sway = -9.81 * 0.2 / (2.0 * np.pi) ** 2 * np.sin(2.0 * np.pi * time)
+    position = np.stack([zero, sway, -1.0 - 0.1 * time], axis=1)
     speeds = 1570.0 + rng.normal(0.0, 10.0, (samples, 4))
     velocity = np.gradient(position, time, axis=0)
     return Recording(

@@ -5,7 +5,9 @@
 from __future__ import annotations
 
 import re
+from contextlib import nullcontext
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,6 +20,7 @@ from quadpi_core.screening import clock_consistency
 from quadpi_core.screening.clock_consistency import aligned, clock_mistake, rotor_clock_finding
 from quadpi_core.screening.consistency import findings
 from quadpi_core.screening.excerpt import excerpt
+from quadpi_core.signals.alignment import Alignment
 from quadpi_core.vehicle import SensorNoise, Vehicle
 
 
@@ -36,6 +39,10 @@ def with_state(recording):
     rates = np.vstack((body_rates(pose.time_ns, pose.attitude), np.zeros((1, 3))))
     state = OdometryStream(pose.time_ns, pose.position, pose.attitude, 0.0 * pose.position, rates)
     return replace(recording, pose=None, odometry=state)
+
+
+def offset(seconds, rival_s=None):
+    return Alignment(seconds, correlation=0.9, overlap_s=10.0, matches=1000, rival_s=rival_s)
 
 
 @pytest.mark.parametrize("seconds", [-3.2, -0.4, 5.0, 17.0, 37.0, 1.7e9])
@@ -121,13 +128,44 @@ def test_motion_capture_moves_as_a_whole(noisy_vehicle, simulate_flight):
         aligned(replace(recording, pose=None), noisy_vehicle)
 
 
-def test_an_offset_that_the_estimator_finds_by_itself_is_none(flown, monkeypatch):
-    wrong = late(flown["train_2"], 0.08, "pose")
-    sample = excerpt(wrong, wrong.pose)
-    least = clock_consistency.LEAST_OFFSET_S
-    monkeypatch.setattr(clock_consistency, "LEAST_OFFSET_S", replace(least, value=0.2))
-    assert clock_mistake(wrong, wrong.pose, sample) is None
-    assert least.value < 0.08
+@pytest.mark.parametrize(("share", "is_found"), [(0.99, True), (1.01, False)])
+def test_streams_that_share_a_second_are_judged_by_what_they_share(flown, vehicle, share, is_found):
+    recording = flown["train_4"]
+    length = 1e-9 * float(recording.imu.time_ns[-1] - recording.rotor_speeds.time_ns[0])
+    wrong = late(recording, length - share, "rotor_speeds")
+    assert (rotor_clock_finding(wrong, vehicle) is not None) == is_found
+    assert clock_consistency.SHARED_S.value == 1.0
+
+
+@pytest.mark.parametrize(("seconds", "is_found"), [(0.049, False), (0.051, True)])
+@pytest.mark.parametrize(("price", "explains"), [(0.49, True), (0.51, False)])
+def test_a_delay_is_a_clock_of_its_own_if_it_is_large_and_explains(
+    flown, monkeypatch, seconds, is_found, price, explains
+):
+    recording = flown["train_2"]
+    prices = iter((price, 1.0))
+    monkeypatch.setattr(clock_consistency, "turn_offset", lambda *_: offset(seconds))
+    monkeypatch.setattr(clock_consistency, "cost", lambda *_: next(prices))
+    found = clock_mistake(recording, recording.pose, excerpt(recording, recording.pose))
+    assert (found is not None) == (is_found and explains)
+
+
+@pytest.mark.parametrize(("explained", "is_found"), [(0.24, False), (0.26, True)])
+def test_rotor_speeds_have_to_explain_a_quarter_where_they_are_moved(
+    flown, vehicle, monkeypatch, explained, is_found
+):
+    monkeypatch.setattr(clock_consistency, "rotor_evidence", lambda *_: SimpleNamespace(explained=explained))
+    found = rotor_clock_finding(late(flown["train_4"], 120.0, "rotor_speeds"), vehicle)
+    assert (found.mistake == "clock offset") == is_found
+
+
+@pytest.mark.parametrize(("seconds", "is_taken"), [(0.99, True), (1.01, False)])
+def test_clocks_that_agree_to_a_second_are_taken_at_their_word(
+    flown, vehicle, monkeypatch, seconds, is_taken
+):
+    monkeypatch.setattr(clock_consistency, "turn_offset", lambda *_: offset(seconds, rival_s=5.0))
+    with nullcontext() if is_taken else pytest.raises(SignalError, match="fit nearly alike"):
+        aligned(flown["train_2"], vehicle)
 
 
 @pytest.mark.slow

@@ -126,11 +126,7 @@ def test_samples_that_cannot_be_used_are_left_out(flown: Recording) -> None:
     stamps = flown.imu.time_ns.copy()
     stamps[2000] = stamps[1999]
     (stretch,) = stretches(replace(flown, imu=ImuStream(stamps, rates, flown.imu.specific_force)))
-    assert np.isfinite(stretch.imu.angular_velocity).all()
-    assert (np.diff(stretch.imu.time_ns) > 0).all()
-    assert not {int(flown.imu.time_ns[1000]), int(flown.imu.time_ns[2000])} & set(
-        stretch.imu.time_ns.tolist()
-    )
+    assert contradictions(stretch, Vehicle.load(flown.vehicle)) == []
 
 
 def test_paired_samples_are_those_of_imu_and_rotors(flown: Recording) -> None:
