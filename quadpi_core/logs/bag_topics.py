@@ -129,7 +129,7 @@ def is_named(name: str, topic: str) -> bool:
     namespace = whole.removesuffix(f"/{topic}")
     parts = namespace.split("/")
     # What motion capture sends is no state that an estimator fused.
-    return namespace != whole and not is_truth(name) and not (topic == "odometry" and parts[-1] == "mocap")
+    return namespace != whole and "truth" not in parts and not (topic == "odometry" and parts[-1] == "mocap")
 
 
 def is_truth(name: str) -> bool:
