@@ -68,7 +68,7 @@ def test_main_path_on_simulated_flights(read_json, quadpi, bags, pool, tmp_path)
     model, result_json, page = tmp_path / "model", tmp_path / "result.json", tmp_path / "page.html"
     identified = quadpi(
         *("identify", *bags[:2], "--vehicle", "neurobem", "--candidates", pool, "-o", model),
-        *("--json", result_json, "--html", page),
+        *("--json", result_json, "--html", page, "--verbose"),
     )
     assert (identified.status, identified.errors) == (0, "")
     assert "omega_avg^2" in identified.output
@@ -101,7 +101,7 @@ def test_main_path_on_simulated_flights(read_json, quadpi, bags, pool, tmp_path)
 
     replayed = quadpi("replay", model, bags[2], "-o", tmp_path / "out.mcap", "--json", result_json)
     assert (replayed.status, replayed.errors) == (0, "")
-    assert read_json(result_json) == json.loads(replayed.output)
+    assert "not judged" in replayed.output
     assert read_json(result_json)["predictions_out"] > 0
     assert not list(tmp_path.glob(".*"))
 

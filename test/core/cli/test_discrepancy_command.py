@@ -136,7 +136,7 @@ class TestRefusals:
             altered.append(tmp_path / path.name)
             write_bag(altered[-1], replace(recording, rotor_speeds=None if speeds == "absent" else constant))
         says = "is missing" if speeds == "absent" else r"rotor 1 has the same speed throughout, .* rad/s"
-        finding = "" if speeds == "absent" else "leave this flight out"
+        finding = "" if speeds == "absent" else "topic rotor_speeds"
         refused(f"train_1.mcap: topic rotor_speeds:? {says}", "bebop2", *altered, finding=finding)
 
     def test_code_that_a_file_names(self, refused, tmp_path):

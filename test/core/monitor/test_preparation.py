@@ -13,7 +13,7 @@ from quadpi_core.estimator.imu_rate import ImuRate
 from quadpi_core.inputs import aerodynamic_inputs
 from quadpi_core.monitor.data_quality import RATE_DIFFERS, RATE_LOW, RATE_UNKNOWN
 from quadpi_core.monitor.preparation import Preparation, Prepared
-from quadpi_core.rotations import rotate_world_to_body
+from quadpi_core.rotations import rotate_body_to_world, rotate_world_to_body
 from test.core.monitor.conftest import CUTOFF_HZ, RATE_HZ
 from test.core.monitor.test_monitor import changed, cut
 
@@ -53,7 +53,8 @@ def test_inputs_and_wrench_are_those_of_the_filtered_samples(vehicle, samples):
     airspeed = velocity - rotate_world_to_body(attitude, wind)
     expected = aerodynamic_inputs(airspeed, attitude, rates, rotors, vehicle)
     np.testing.assert_allclose(prepared.inputs, expected, rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(prepared.verdicts["velocity"], velocity, rtol=1e-9, atol=1e-12)
+    in_world = rotate_body_to_world(attitude, velocity)
+    np.testing.assert_allclose(prepared.verdicts["velocity"], in_world, rtol=1e-9, atol=1e-12)
     moment = slope(rates) @ vehicle.inertia + np.cross(rates, rates @ vehicle.inertia)
     measured = np.hstack((vehicle.mass_kg * force, moment))
     np.testing.assert_allclose(prepared.measured, measured, rtol=1e-7, atol=1e-9)

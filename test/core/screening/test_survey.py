@@ -27,6 +27,7 @@ from quadpi_core.screening.consistency import checked
 from quadpi_core.screening.excerpt import excerpt, rotor_excerpt
 from quadpi_core.screening.survey import Excerpting
 from quadpi_core.screening.wild_samples import StreamScreening, beyond_limits
+from quadpi_core.signals import alignment
 from quadpi_core.vehicle import Vehicle
 
 BAG = Path(__file__).parents[3] / "bags" / "train_1.mcap"
@@ -88,6 +89,8 @@ def long_bag(tmp_path) -> Path:
 def few_samples(monkeypatch, count: int) -> None:
     for module in (wild_samples, survey):
         monkeypatch.setattr(module, "FEW_SAMPLES", count)
+    # The search for another clock has a grid of its own, which does not grow beyond it.
+    monkeypatch.setattr(alignment, "_GRID_MAX", count)
 
 
 @pytest.mark.parametrize("size", [1, 3, 7, 1000])
