@@ -401,7 +401,7 @@ class TestFlightsThatDoNotExciteTheModel:
             write_bag(path, steady)
         message = "Mx: regressor `U_p` is constant or a combination of the other fixed ones on these flights"
         options = ("--vehicle", "neurobem", "--candidates", pool, "-o", tmp_path / "model", "--keep-flawed")
-        refused(message, "identify", *flights, *options, finding="its sensor fails; leave this flight out")
+        refused(message, "identify", *flights, *options, finding="two columns of one channel")
 
     def test_rotors_at_rest(self, refused_by, bad, recording):
         write_bag(bad, changed(recording, "rotor_speeds", "speeds", lambda speeds: 0.0 * speeds))

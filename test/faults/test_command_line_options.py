@@ -177,10 +177,10 @@ class TestOptions:
             (("--axes", ""), "no candidates for axis ''"),
             (("--candidates", "nothing"), "nothing.yaml: no such candidate file; known candidates: "),
             (("--confidence", "95"), "confidence 95.0 is not between 0 and 1"),
-            (("--confidence", "nan"), "confidence nan"),
-            (("--cutoff-hz", "0"), "cut-off"),
-            (("--cutoff-hz", "-3"), "cut-off"),
-            (("--cutoff-hz", "nan"), "cut-off"),
+            (("--confidence", "nan"), "confidence: expected a finite number, found float nan"),
+            (("--cutoff-hz", "0"), "cutoff_hz: expected a positive number"),
+            (("--cutoff-hz", "-3"), "cutoff_hz: expected a positive number"),
+            (("--cutoff-hz", "nan"), "cutoff_hz: expected a positive number"),
             (("--cutoff-hz", "300"), "cut-off"),
         ],
     )
@@ -280,7 +280,15 @@ class TestOutputs:
     def test_input_in_place_of_the_output(self, refused, bags, model, tmp_path):
         bag = shutil.copy(bags[0], tmp_path / "flight.mcap")
         refused("would replace or alter an input", "replay", model, bag, "-o", bag)
-        refused("its own bag would replace it", "import", bag, "--vehicle", "neurobem", "-o", tmp_path)
+        refused(
+            "its bag would replace .*; choose another folder",
+            "import",
+            bag,
+            "--vehicle",
+            "neurobem",
+            "-o",
+            tmp_path,
+        )
 
     def test_pipe_or_device_is_not_replaced(self, refused, model, tmp_path):
         pipe = tmp_path / "pipe"
@@ -294,7 +302,14 @@ class TestOutputs:
         locked.mkdir(mode=0o500)
         refused("cannot be written: Permission denied", "replay", model, bags[0], "-o", locked / "out.mcap")
 
-    def test_nothing_of_an_import_is_written_if_one_log_is_bad(self, refused, bags, bad, tmp_path):
+    def test_nothing_of_an_import_is_written_if_every_log_is_bad(self, refused, bad, tmp_path):
         bad.write_bytes(b"")
+        other = shutil.copy(bad, tmp_path / "other.mcap")
         options = ("--vehicle", "neurobem", "-o", tmp_path / "bags")
-        refused(r"bad\.mcap: the file is empty", "import", *bags, bad, *options)
+        refused(
+            "none of the flights can be used: .*bad.mcap: the file is empty; .*",
+            "import",
+            bad,
+            other,
+            *options,
+        )

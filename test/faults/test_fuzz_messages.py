@@ -24,6 +24,7 @@ from ..core.messages.adapters.vendor_messages import (
     mavros_telemetry,
     px4_odometry,
     px4_status,
+    tf,
 )
 from .damage import bounded, damaged, refusing
 
@@ -91,6 +92,7 @@ OF_OTHERS = {
     ),
     "mocap4r2": lambda made: frame(made, "mocap4r2", TIME_NS, BODIES),
     "named_poses": lambda made: frame(made, "named_poses", TIME_NS, BODIES),
+    "tf": lambda _: tf(*((name, 1_700_000_000, *rest) for name, *rest in BODIES)),
 }
 
 

@@ -42,7 +42,7 @@ def refused_flight(refused_file):
             (SHARED + f"x: {number}\n", "numbers must be from 1e-30 to 1e\\+30, or 0")
             for number in IMPOSSIBLE
         ),
-        (SHARED + 'flights: {a: {vehicle: "a\\0b"}}\n', "not a readable YAML file: embedded null"),
+        (SHARED + 'flights: {a: {vehicle: "a\\0b"}}\n', "vehicle: expected a path"),
         (SHARED + 'flights: {a: {noise: "a\\nb"}}\n', "no such noise file"),
         (SHARED + 'flights: {"a\\nb": {}}\n', "letters, digits"),
         (SHARED + "include: [own.yaml]\n", "a scenario cannot include itself"),

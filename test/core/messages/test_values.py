@@ -77,8 +77,8 @@ def test_what_is_read_of_an_odometry_is_what_was_filled(state):
     assert not np.signbit(numbers[:, places["twist.covariance"]]).any()
 
 
-@pytest.mark.parametrize(("norm", "first"), [(1.009, -1), (0.991, -1), (1.011, 2), (0.989, 2), (0.0, 2)])
-def test_an_orientation_is_scaled_to_unit_length_if_it_is_off_by_a_hundredth_at_most(state, norm, first):
+@pytest.mark.parametrize(("norm", "first"), [(1.049, -1), (0.951, -1), (1.051, 2), (0.949, 2), (0.0, 2)])
+def test_an_orientation_is_scaled_to_unit_length_if_it_is_off_by_a_twentieth_at_most(state, norm, first):
     sent = state[1].as_quat()
     sent[2] *= norm
     attitude = np.empty((N, 4))
