@@ -82,7 +82,7 @@ pictures: environment ## renew the pictures of pages in docs/images, by a headle
 golden: environment ## renew the golden trace in test/golden, saying what changed (GOLDEN_ARGS=--model: its model too)
 	@$(BIN)/python tools/golden_trace.py $(GOLDEN_ARGS)
 
-fuzz: environment ## damaged input for every reader, a million cases (FUZZ_ARGS="--minutes 2 --formats mcap px4")
+fuzz: environment ## damaged input for every reader, changed arguments for every public call (FUZZ_ARGS="--minutes 2 --formats mcap api")
 	@$(BIN)/python -m benchmarks.fuzzing $(FUZZ_ARGS)
 
 environment: ## make or update .venv (PYTHON=python3.12 to choose the interpreter)

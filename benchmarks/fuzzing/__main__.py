@@ -23,6 +23,7 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import NamedTuple
 
+from benchmarks.fuzzing import api_calls
 from benchmarks.fuzzing.cases import MEMORY_MAX, SECONDS_MAX, Outcome, judge, make, parse_case, peak_bytes
 from benchmarks.fuzzing.formats import FORMATS
 
@@ -207,14 +208,16 @@ def summary(run: Run) -> str:
     return "\n".join(lines)
 
 
-def warm_up() -> None:
+def warm_up(names: list[str]) -> None:
     """Import and compile what the readers need before forking the workers, then bound their memory."""
     logging.disable(logging.CRITICAL)
     warnings.simplefilter("ignore")
     with tempfile.TemporaryDirectory() as folder:
-        for form in FORMATS.values():
+        for form in (FORMATS[name] for name in names):
             for number in range(4):
                 judge(form, make(form, 0, number), number, Path(folder))
+    if "api" in names:
+        api_calls.warm_up(api_calls.calls())
     size = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
     resource.setrlimit(resource.RLIMIT_AS, (size + 12 * MEMORY_MAX, resource.RLIM_INFINITY))
 
@@ -241,7 +244,7 @@ def main() -> int:
             outcome = judge(form, data, number, Path(folder))
         print(f"{options.case}: {len(data)} bytes: {outcome.kind} {outcome.detail}")
         return int(outcome.is_finding)
-    warm_up()
+    warm_up(options.formats)
     run = Run(batches(options.cases, options.seed, options.formats), options.workers, 60.0 * options.minutes)
     run.go()
     print(summary(run))

@@ -10,7 +10,8 @@ import traceback
 from pathlib import Path
 from typing import NamedTuple
 
-from benchmarks.fuzzing.formats import FORMATS, Finding, Format
+from benchmarks.fuzzing.formats import FORMATS, Format
+from benchmarks.fuzzing.mutation import Finding
 from quadpi_core.errors import QuadpiError
 
 # Processor time of a case, beyond which SIGPROF ends its process: a hang.

@@ -31,8 +31,9 @@ from rosbags import rosbag1
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from benchmarks.fuzzing import flight_logs
+from benchmarks.fuzzing.api_calls import GOLDEN_MODEL, make_call, read_call
 from benchmarks.fuzzing.message_readers import UNPACKERS, sound_message
-from benchmarks.fuzzing.mutation import Split, change_bytes, mutate, mutate_json, mutate_text
+from benchmarks.fuzzing.mutation import Finding, Split, change_bytes, mutate, mutate_json, mutate_text
 from quadpi_core import cli
 from quadpi_core.discrepancy.loading import load_simulation
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream, WindStream
@@ -59,17 +60,12 @@ from quadpi_core.simulation.scenario import load_scenario
 from quadpi_core.simulation.sensor_noise import SensorSuite
 from quadpi_core.vehicle import Vehicle
 
-GOLDEN_MODEL = Path(__file__).parents[2] / "test" / "golden" / "model"
 _SAMPLES = 12
 _TABLE_ROWS = 20
 _START_NS = 1_700_000_000_000_000_000
 # What a reader lets pass: no value larger, no flight longer than two days.
 _LARGEST = 1e6
 _LONGEST_NS = 2 * 86_400 * 10**9
-
-
-class Finding(Exception):  # noqa: N818 - it is none of the program's errors
-    """Something that a reader let pass and should not have."""
 
 
 @dataclass(frozen=True)
@@ -702,6 +698,7 @@ FORMATS = {
         Format("model", 0.04, _damaged_model, _read_model, ".model"),
         Format("configuration", 0.05, _damaged_configuration, _read_configuration, ".yaml"),
         Format("addition", 0.019, _damaged_addition, _read_addition, ".json"),
+        Format("api", 0.05, make_call, read_call, ".call", names_file=False),
         Format("command", 0.001, _damaged_for_command, _read_by_command, ".command", names_file=False),
     )
 }

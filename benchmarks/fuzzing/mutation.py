@@ -74,6 +74,10 @@ _WORDS = (
 _TOKENS = re.compile(rb"[\w.+-]+|\s+|.", re.DOTALL)
 
 
+class Finding(Exception):  # noqa: N818 - it is none of the program's errors
+    """Something that a reader let pass and should not have."""
+
+
 def mutate(rng: random.Random, data: bytes, split: Split | None, others: Sequence[bytes]) -> bytes:
     """A few changes to a file.
 

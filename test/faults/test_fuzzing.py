@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ import pytest
 pytest.importorskip("pymavlink", reason="pymavlink is not installed")
 pytest.importorskip("pyulog", reason="pyulog is not installed")
 
+from benchmarks.fuzzing import api_calls
 from benchmarks.fuzzing.__main__ import Run, batches, summary
 from benchmarks.fuzzing.cases import judge, make, parse_case
 from benchmarks.fuzzing.formats import FORMATS, Format
@@ -51,6 +53,46 @@ def test_a_case_is_the_same_each_time(name):
     form, seed, number = parse_case(f"{name}:3:7")
     assert make(form, seed, number) == make(form, seed, number)
     assert len({make(form, seed, number) for number in range(20)}) > 10
+
+
+def test_every_public_call_is_fuzzed():
+    """A new name or method needs an entry, whose name may go on behind a comma."""
+    known = {name.partition(",")[0] for name in api_calls.calls()}
+    assert sorted(set(api_calls.public_calls()) - known) == []
+    assert {"Monitor.step", "AerodynamicModel.evaluate", "judge"} <= set(api_calls.public_calls())
+
+
+def run_of_calls(monkeypatch, cases):
+    make = partial(api_calls.make_call, known_calls=api_calls.array_calls)
+    form = Format("calls", 1.0, make, api_calls.read_call, ".call", names_file=False)
+    monkeypatch.setitem(FORMATS, "calls", form)
+    api_calls.warm_up(api_calls.array_calls())
+    run = Run(batches(cases, 0, ["calls"]), 1, 120.0)
+    run.go()
+    return run.tallies["calls"]
+
+
+def test_a_few_calls_of_the_library(monkeypatch):
+    tally = run_of_calls(monkeypatch, 400)
+    assert tally.findings == []
+    assert min(tally.kinds["read"], tally.kinds["refused"]) > 100
+
+
+@pytest.mark.slow
+def test_many_calls_of_the_library():
+    refused = [name for name in api_calls.calls() if api_calls.clean_result(name) is None]
+    assert refused == ["study"]
+    command = (sys.executable, "-m", "benchmarks.fuzzing", "--cases", "10000", "--formats", "api")
+    done = subprocess.run((*command, "--workers", "1"), cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "10000 cases" in done.stdout
+
+
+def test_calls_that_read_past_an_array_are_found(monkeypatch):
+    """Without the check of rows, arrays that do not fit each other give a crash, or pass."""
+    monkeypatch.setattr("quadpi_core.array_checks._require_shape", lambda *_: None)
+    kinds = {outcome.kind for _, outcome in run_of_calls(monkeypatch, 300).findings}
+    assert kinds & {"crash", "passed"}
 
 
 def crash():
