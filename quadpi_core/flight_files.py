@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import count
 from pathlib import Path
 from typing import Generic, TypeVar
 
@@ -87,6 +88,11 @@ def named_files(paths: Path | str | Iterable[Path | str]) -> list[FlightFile]:
         while len({_name(place, depth, endings=endings) for place in found}) < len(found):
             depth += 1
         names |= {place: _name(place, depth, endings=endings) for place in found}
+    # A folder before a stem may give the name of another file.
+    taken: set[str] = set()
+    for place, name in sorted(names.items()):
+        names[place] = next(own for n in count(1) if (own := name if n == 1 else f"{name}_{n}") not in taken)
+        taken.add(names[place])
     return [FlightFile(path, names[places[path]]) for path in files]
 
 

@@ -205,7 +205,9 @@ def _is_numeric(kind: pa.DataType) -> bool:
     return any(test(kind) for test in (types.is_floating, types.is_integer, types.is_null))
 
 
-def stamps_of(source: str, values: npt.NDArray[Any], unit: str | None) -> Stamps:
+def stamps_of(
+    source: str, values: npt.NDArray[Any], unit: str | None, *, may_be_slow: bool = False
+) -> Stamps:
     """Nanosecond stamps (N,) of a column of times; a note says where the unit is not that of the mapping.
 
     Date and time (ISO 8601) need no unit. Otherwise the unit is that which gives an interval between rows
@@ -215,6 +217,7 @@ def stamps_of(source: str, values: npt.NDArray[Any], unit: str | None) -> Stamps
         source: the table, for messages.
         values: numbers, or date and time.
         unit: as the mapping says; None where it does not.
+        may_be_slow: whether a unit of the mapping is kept however seldom rows are.
 
     Raises:
         LogError: for times of no unit that can be told.
@@ -226,7 +229,8 @@ def stamps_of(source: str, values: npt.NDArray[Any], unit: str | None) -> Stamps
     interval = float(np.median(steps)) if len(steps) else 0.0
     shortest, longest = STAMP_INTERVAL_S.value
     fitting = [one for one, scale in UNITS["time"].items() if shortest <= interval * scale < longest]
-    keeps = unit and _FAST_SHARE * shortest <= interval * UNITS["time"][unit] < longest
+    slowest = np.inf if may_be_slow else longest
+    keeps = unit and _FAST_SHARE * shortest <= interval * UNITS["time"][unit] < slowest
     if not keeps and interval > 0.0 and fitting:
         rate = 1.0 / (interval * UNITS["time"][fitting[0]])
         said = f", not in {unit} as the mapping says" if unit else ""

@@ -94,8 +94,10 @@ class RotorThrust:
 def rotor_geometry(vehicle: Vehicle, hover_rotor_speed: float) -> tuple[float, float, Array]:
     """The fields of :class:`RotorGeometry`."""
     square = hover_rotor_speed**2
-    thrust = vehicle.mass_kg * vehicle.gravity_m_s2 / (ROTORS * square) if square > 0.0 else 0.0
     x, y = vehicle.rotor_positions[:, 0], vehicle.rotor_positions[:, 1]
+    # A rotor on an axis shows in one moment alone.
+    tells = square > 0.0 and bool(np.all(x * y != 0.0))
+    thrust = vehicle.mass_kg * vehicle.gravity_m_s2 / (ROTORS * square) if tells else 0.0
     return thrust, _LEAST_SHARE * square, np.stack((np.ones(ROTORS), y, -x), axis=1)
 
 

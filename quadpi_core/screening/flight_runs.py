@@ -19,6 +19,7 @@ from quadpi_core.findings import PAUSES, Break, DataQuality, UsedPart
 from quadpi_core.flight import MAX_GAP_NS, Recording, Stamps, Stream
 from quadpi_core.recording_blocks import streams_by_field
 from quadpi_core.screening.rates import seldom_topics
+from quadpi_core.screening.sample_order import order_of
 from quadpi_core.thresholds import CONVENTION, Threshold
 from quadpi_core.time_range import TimeRange
 
@@ -103,7 +104,7 @@ def in_range_of_blocks(blocks: Iterable[Recording], source: str, part: TimeRange
     samples, start_ns, last_ns = 0, 0, 0
     for block in blocks:
         if len(block.imu):
-            start_ns = start_ns or int(block.imu.time_ns[0])
+            start_ns = start_ns or _first_ns(block.imu.time_ns)
             last_ns = int(block.imu.time_ns[-1])
             bounds = bounds or part.stamps(start_ns)
         if bounds is not None:
@@ -111,6 +112,12 @@ def in_range_of_blocks(blocks: Iterable[Recording], source: str, part: TimeRange
             samples += len(found.imu)
             yield found
     require_imu_in(source, part, samples, 1e-9 * (last_ns - start_ns))
+
+
+def _first_ns(imu_ns: Stamps) -> int:
+    """The first stamp that is used of those of the first block, from which a part of the flight counts."""
+    rows = order_of(imu_ns).runs()[0]
+    return int(imu_ns[rows[0]] if len(rows) else imu_ns[0])
 
 
 def parts_without_pause(recording: Recording) -> list[Recording]:

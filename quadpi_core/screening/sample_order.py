@@ -245,7 +245,10 @@ def _scan(time_ns: Stamps, hole_ns: float, kinds: npt.NDArray[np.int8], run_of: 
                 kinds[i] = _ALONE
                 continue
             falls = step < -MAX_GAP_NS and following > stamp and not alone
-            if step > FLIGHT_MAX_NS or (falls and not _one_hole(rising, held, stamp, following, hole_ns)):
+            far = step < -MAX_JUMP_BACK_NS
+            if step > FLIGHT_MAX_NS or (
+                falls and (far or not _one_hole(rising, held, stamp, following, hole_ns))
+            ):
                 if held == 1:
                     kinds[last] = _ALONE
                 else:

@@ -23,6 +23,7 @@ from quadpi_core.parallel import Progress, Workers
         (["/1/same/x.bin", "/2/same/x.bin"], ["1_same_x", "2_same_x"]),
         (["a/x.bin", "a/x.csv", "b/x.bin"], ["a_x.bin", "a_x.csv", "b_x.bin"]),
         (["x.bin", "./x.bin"], ["x", "x"]),
+        (["/b/L.bin", "/d/L.bin", "/b_L.bin"], ["b_L", "d_L", "b_L_2"]),
     ],
 )
 def test_names_differ_where_stems_do_not(paths, names):

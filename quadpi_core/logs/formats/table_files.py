@@ -83,7 +83,7 @@ def read_table(path: Path, vehicle: Vehicle | None, mapping: Mapping | None) -> 
 class _Table:
     """Columns (N,) of one table by their names in the mapping, and its stamps (N,)."""
 
-    def __init__(self, path: Path, time: Signal, names: Collection[str]) -> None:
+    def __init__(self, path: Path, time: Signal, names: Collection[str], *, may_be_slow: bool) -> None:
         columns = open_columns(path)
         clock = columns.place(time.columns[0])
         places = {name: columns.place(name) for name in dict.fromkeys(names)}
@@ -91,7 +91,7 @@ class _Table:
             found = columns.read(sorted({*places.values(), clock}), clock)
         except LogError as error:
             raise LogError(str(error) if str(error).startswith(str(path)) else f"{path}: {error}") from error
-        self.time_ns = stamps_of(str(path), found[clock], time.unit)
+        self.time_ns = stamps_of(str(path), found[clock], time.unit, may_be_slow=may_be_slow)
         self.columns = {name: found[place].astype(np.float64) for name, place in places.items()}
 
 
@@ -111,7 +111,9 @@ class _TableReader:
             other = mapping.tables.get(table or "")
             file = path.parent / other.file if other and other.file else path
             names = [name for one in signals.values() if one.table == table for name in one.columns]
-            self.tables[table] = _Table(file, other.time if other else mapping.signals[TIME], names)
+            time = other.time if other else mapping.signals[TIME]
+            # Wind or a battery may come once a second, the IMU does not.
+            self.tables[table] = _Table(file, time, names, may_be_slow=table is not None)
 
     def recording(self) -> Recording:
         for topic, names in _TOGETHER.items():

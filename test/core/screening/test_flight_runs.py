@@ -120,10 +120,19 @@ def test_a_part_without_a_sample_is_refused(flown, vehicle, tmp_path, command):
         commands[command]()
 
 
-def test_a_part_of_blocks_is_that_of_the_whole(flown):
+@pytest.mark.parametrize("stray_ns", [None, 7])
+def test_a_part_of_blocks_is_that_of_the_whole(flown, stray_ns):
+    """Which begins with the first sample that is used: a stray stamp before it counts for nothing."""
     part = TimeRange(3.25, 15.0)
-    found = join_blocks(in_range_of_blocks(split_recording(flown), "a.mcap", part))
-    whole = in_range(flown, part)
+    whole, read = in_range(flown, part), flown
+    if stray_ns is not None:
+        rows = np.concatenate(([0], np.arange(len(flown.imu))))
+        imu = flown.imu.take(rows)
+        stamps = imu.time_ns.copy()
+        stamps[0] = stray_ns
+        arrivals = {topic: came + 1 for topic, came in flown.arrivals.items()}
+        read = replace(flown, imu=replace(imu, time_ns=stamps), arrivals=arrivals)
+    found = join_blocks(in_range_of_blocks(split_recording(read), "a.mcap", part))
     np.testing.assert_array_equal(found.imu.time_ns, whole.imu.time_ns)
     arrived = whole.arrivals_of(whole.pose)
     np.testing.assert_array_equal(np.sort(found.arrivals["mocap/pose"]), np.sort(arrived))

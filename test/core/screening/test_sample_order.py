@@ -158,6 +158,16 @@ def test_of_two_boots_the_longest_is_used(arrived, shift_s, kind):
     assert part.imu_samples == 3000
 
 
+def test_a_clock_that_falls_into_a_pause_begins_a_run():
+    """20 s, a pause of 30 s, 5 s more; then the clock falls by 25 s, to within the pause."""
+    first = 10**9 + STEP * np.arange(20 * SECOND)
+    second = first[-1] + 30 * 10**9 + STEP * np.arange(5 * SECOND)
+    third = second[-1] - 25 * 10**9 + STEP * np.arange(20 * SECOND)
+    order = order_of(np.concatenate((first, second, third)))
+    assert (order.dropped, order.late) == ((), None)
+    assert order.starts == (0, 25 * SECOND)
+
+
 def test_a_stream_of_another_clock_keeps_what_arrived_with_the_longest_run():
     """Motion capture stamped by a computer that did not start again."""
     first, second = CLEAN, CLEAN[0] + STEP * np.arange(6 * SECOND)
