@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-import quadpi_core
+import quadpi_core as quadpi
 from benchmarks.fuzzing.argument_changes import Argument, Must, Number, Other, Rows
 from benchmarks.fuzzing.mutation import Finding
 from quadpi_core.errors import QuadpiError
@@ -141,7 +141,7 @@ def _physical() -> AerodynamicModel:
         columns = {name: getattr(short, name)[rows] for name in ("inputs", "derivatives", "wrench", "height")}
         flights.append(replace(short, time=_short(0.002 * np.arange(len(rows))), **columns))
     options = IdentifyOptions(method=Physical(multi_step=False))
-    return quadpi_core.identify(flights, _vehicle(), quadpi_core.load_pools("quadrotor"), options)
+    return quadpi.identify(flights, _vehicle(), quadpi.load_pools("quadrotor"), options)
 
 
 @cache
@@ -476,7 +476,7 @@ def file_calls() -> dict[str, Call]:
     model, confidence = _a(_polynomial()), _confidence()
     return {
         "identify": Call(
-            quadpi_core.identify,
+            quadpi.identify,
             {
                 "flights": _a(
                     [_flight("a", 7), _flight("b", 8)],
@@ -492,7 +492,7 @@ def file_calls() -> dict[str, Call]:
             slow=True,
         ),
         "judge": Call(
-            quadpi_core.judge,
+            quadpi.judge,
             {
                 "model": model,
                 "flights": _a(
@@ -508,11 +508,11 @@ def file_calls() -> dict[str, Call]:
             },
             slow=True,
         ),
-        "load_pools": Call(quadpi_core.load_pools, {"name_or_path": _name("quadrotor")}, slow=True),
-        "load_scenario": Call(quadpi_core.load_scenario, {"name_or_path": _name("bundled")}, slow=True),
+        "load_pools": Call(quadpi.load_pools, {"name_or_path": _name("quadrotor")}, slow=True),
+        "load_scenario": Call(quadpi.load_scenario, {"name_or_path": _name("bundled")}, slow=True),
         "load_simulation": Call(
             slow=True,
-            function=quadpi_core.load_simulation,
+            function=quadpi.load_simulation,
             arguments={
                 "text": _name("bebop2"),
                 "vehicle": _name("bebop2", None, required=False, allowed=_any(str, Path, type(None))),
@@ -526,7 +526,7 @@ def file_calls() -> dict[str, Call]:
             },
         ),
         "prepare_flights": Call(
-            quadpi_core.prepare_flights,
+            quadpi.prepare_flights,
             {
                 "paths": _paths(),
                 "vehicle": _a(_vehicle()),
@@ -536,16 +536,16 @@ def file_calls() -> dict[str, Call]:
             slow=True,
         ),
         "read_flights": Call(
-            quadpi_core.read_flights,
+            quadpi.read_flights,
             {
                 "paths": _paths(),
-                "simulation": _a(quadpi_core.load_simulation("bebop2")),
+                "simulation": _a(quadpi.load_simulation("bebop2")),
                 "workers": _a(Workers(), required=False),
             },
             slow=True,
         ),
         "read_recording": Call(
-            quadpi_core.read_recording,
+            quadpi.read_recording,
             {
                 "path": _name(str(_bag())),
                 "vehicle": _a(_vehicle(), allowed=_none),
@@ -554,7 +554,7 @@ def file_calls() -> dict[str, Call]:
             slow=True,
         ),
         "replay": Call(
-            quadpi_core.replay,
+            quadpi.replay,
             {
                 "model": model,
                 "vehicle": vehicle,
@@ -566,12 +566,12 @@ def file_calls() -> dict[str, Call]:
             slow=True,
         ),
         "simulate": Call(
-            quadpi_core.simulate,
+            quadpi.simulate,
             {
                 "plans": _a(
                     [_plan()],
                     same=(_plan(), (_plan(),)),
-                    refused=("bundled", quadpi_core.load_scenario("bundled"), [_plan(), "bundled"]),
+                    refused=("bundled", quadpi.load_scenario("bundled"), [_plan(), "bundled"]),
                     allowed=_any(list, tuple),
                 ),
                 "output": _output(""),
@@ -580,9 +580,9 @@ def file_calls() -> dict[str, Call]:
             slow=True,
         ),
         "study": Call(
-            quadpi_core.study,
+            quadpi.study,
             {
-                "simulation": _a(quadpi_core.load_simulation("bebop2")),
+                "simulation": _a(quadpi.load_simulation("bebop2")),
                 "flights": _a([flown, flown], refused=([flown], flown, [flight, flight])),
                 "names": _a(None, "names", required=False, allowed=_any(str, list, tuple, type(None))),
                 "seed": Argument(0, Number((1, 5), (-1, 0.5, float("nan"))), "number", required=False),
@@ -605,13 +605,13 @@ def _recorded(time_ns: Any, angular_velocity: Any, specific_force: Any, position
 @cache
 def _bag() -> Path:
     """A simulated flight of a second and a half."""
-    (flown,) = quadpi_core.simulate([_plan()], _folder())
+    (flown,) = quadpi.simulate([_plan()], _folder())
     return flown.bag
 
 
 @cache
 def _plan() -> Any:
-    (plan, *_) = quadpi_core.load_scenario("bundled").flights
+    (plan, *_) = quadpi.load_scenario("bundled").flights
     return plan.overridden(name="short", duration_s=2.5, motion={}, faults=[], effects={})
 
 
@@ -768,8 +768,8 @@ def warm_up(known: Mapping[str, Call]) -> None:
 
 def public_calls() -> Iterator[str]:
     """The public names that can be called, and the methods of those that are classes."""
-    for name in dir(quadpi_core):
-        public = getattr(quadpi_core, name)
+    for name in dir(quadpi):
+        public = getattr(quadpi, name)
         if name.startswith("__") or not callable(public):
             continue
         if public is not AerodynamicModel:  # which `identify` and `load` make
