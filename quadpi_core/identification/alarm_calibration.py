@@ -20,6 +20,7 @@ from quadpi_core.frames import Array
 from quadpi_core.identification.prepared_flights import LiveSamples
 from quadpi_core.identification.tail_limits import Walk, lasting_maximum, next_flight, sums_of_misses
 from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
+from quadpi_core.models.aerodynamic import Motion
 from quadpi_core.models.alarm_limits import FEWEST_FLIGHTS, AlarmLimits, allowance
 from quadpi_core.models.envelope import LEVERAGE_HEADROOM, WIDTH_HEADROOM, Envelope
 from quadpi_core.models.interval_rules import FEWEST_INSIDE, FlightErrors, HeldOutRule, inside_interval
@@ -41,20 +42,8 @@ class _Spread(NamedTuple):
 _USUAL_SPREAD = _Spread(0.15, 0.8, 1.4)
 
 
-class Judged(Protocol):
+class Judged(Motion, Protocol):
     """A flight as it was identified on and as a monitor would have had it."""
-
-    @property
-    def time(self) -> Array:
-        """(N,) s."""
-
-    @property
-    def inputs(self) -> Array:
-        """(N, 19) columns as `quadpi_core.inputs.INPUT_NAMES`."""
-
-    @property
-    def derivatives(self) -> Records:
-        """(N,) see `quadpi_core.inputs.Derivatives`."""
 
     @property
     def wrench(self) -> Array:

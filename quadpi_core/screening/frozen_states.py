@@ -9,6 +9,7 @@ import numpy as np
 from quadpi_core.findings import Finding
 from quadpi_core.flight import ImuStream
 from quadpi_core.screening.excerpt import Pose
+from quadpi_core.screening.rotors_in_flight import runs_of
 from quadpi_core.thresholds import Threshold
 
 FROZEN_S = Threshold(
@@ -37,14 +38,13 @@ def without_repeats(state: Pose, imu: ImuStream) -> tuple[Pose, Finding | None]:
     if len(state) < 2 or len(imu) < 2:
         return state, None
     same = np.all(np.diff(np.hstack((state.position, state.attitude)), axis=0) == 0.0, axis=1)
-    # Samples that a run of equal states begins and ends with.
-    begin, end = np.flatnonzero(np.diff(same, prepend=False, append=False)).reshape(-1, 2).T
     time_s, imu_s = ((stream.time_ns - imu.time_ns[0]) * 1e-9 for stream in (state, imu))
-    long = time_s[end] - time_s[begin] >= FROZEN_S.value
     angle = np.zeros_like(imu.angular_velocity)
     angle[1:] = np.cumsum(imu.angular_velocity[1:] * np.diff(imu_s)[:, np.newaxis], axis=0)
     frozen = []
-    for first, last in zip(begin[long], end[long], strict=True):
+    for first, last in runs_of(same):
+        if time_s[last] - time_s[first] < FROZEN_S.value:
+            continue
         within = angle[slice(*np.searchsorted(imu_s, time_s[[first, last]]))]
         turn = float(np.ptp(within, axis=0).max()) if len(within) else 0.0
         # A gyro that drifts turns steadily, and slowly.
