@@ -126,9 +126,12 @@ def reading_options(
         if not (name and topic.strip("/")):
             raise QuadpiError(f"--topics {text}: expected NAME=TOPIC, such as imu=/uav1/imu")
         if name not in SENSOR_KINDS:
-            known = ", ".join(SENSOR_KINDS)
+            # `imu_topic:=` is what the launch files take.
+            by_argument = {f"{word.replace('/', '_')}_topic": word for word in SENSOR_KINDS}
+            bare = name.removesuffix(":").removeprefix("/")
             raise QuadpiError(
-                f"--topics {text}: unknown name {name}; known: {known}{nearest(name, SENSOR_KINDS)}"
+                f"--topics {text}: unknown name {name}; known: {', '.join(SENSOR_KINDS)}"
+                f"{nearest(by_argument.get(bare, bare), SENSOR_KINDS)}"
             )
         if name in chosen:
             raise QuadpiError(f"--topics {text}: {name} is named twice, before as {chosen[name]}")

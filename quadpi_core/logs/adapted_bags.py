@@ -16,7 +16,7 @@ from quadpi_core.flight import Stream
 from quadpi_core.logs.bag_files import Bag
 from quadpi_core.messages.adapters.adapter_definition import Adapter
 from quadpi_core.messages.adapters.adapter_registry import known_adapters
-from quadpi_core.messages.adapters.adapter_settings import AdapterSettings
+from quadpi_core.messages.adapters.adapter_settings import EXAMPLES, AdapterSettings
 from quadpi_core.messages.definitions import definition_text, typestore
 from quadpi_core.messages.payloads import Topic
 from quadpi_core.messages.topics import SENSOR_KINDS, TOPIC_TYPES
@@ -75,10 +75,10 @@ def unread(bag: Bag, present: Collection[str]) -> Iterator[str]:
     for kind in ADAPTED_KINDS:
         for topic in _candidates(bag, kind) if kind not in present else ():
             if not topic.adapter.common:
-                yield (
-                    f"topic {topic.name}: {topic.adapter.type_name} is not read: --mapping must say how, "
-                    f"with the key `{kind}`"
-                )
+                how = f"`--topics {kind}={topic.name}` reads it"
+                if kind in EXAMPLES:
+                    how = f"--mapping must say how, with the key `{kind}`, as in `{EXAMPLES[kind]}`"
+                yield f"topic {topic.name}: {topic.adapter.type_name} is not read: {how}"
 
 
 def adapter_of(kind: str, type_name: str) -> Adapter | None:

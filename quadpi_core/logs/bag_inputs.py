@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which topics of a bag are the sensors': those that are named, else by their standard names, else by type.
 
+A standard name in a namespace does not count before a type in another: that may be of another vehicle.
+
 By type, an IMU, rotor speeds and motion capture are found, and a fused state where there is no motion
 capture. Topics in one place (`/mavros/imu/data`, `/mavros/imu/data_raw`) are one sensor: the fastest is read,
 of equally fast ones `data`, which is calibrated where `data_raw` may not be. Topics in different places may
@@ -13,7 +15,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -55,6 +57,13 @@ _PREFERRED = ("data", "data_raw")
 _NO_MOCAP = re.compile(
     r"setpoint|goal|target|reference|desired|command|cmd|local_position|global_position|vision_pose"
 )
+# What names and types of topics say that may hold what is lacking, in messages that are not understood.
+_COULD_BE = {
+    "imu": re.compile(r"imu|gyro|accel"),
+    "rotor_speeds": re.compile(r"esc|rotor|motor|actuator|joint|rpm|logdata"),
+    "mocap": re.compile(r"pose|transform|odom|mocap|rigid|vicon|vrpn"),
+    "odometry": re.compile(r"(?!)"),
+}
 
 
 class BagInputs(NamedTuple):
@@ -85,10 +94,7 @@ def find_inputs(bag: Bag, settings: AdapterSettings) -> BagInputs:
             or would not be used, and with the options to give, for topics of which several could be meant.
     """
     search = _Search(bag, settings)
-    search.take_named()
-    search.take_by_name()
-    search.take_by_type()
-    search.take_transform()
+    search.take_all()
     return search.finish()
 
 
@@ -159,6 +165,13 @@ class _Search:
         """Kinds of streams that have a topic, or several to choose from."""
         names = (*self.names, *(one.word for one in self._several))
         return {SENSOR_KINDS[name] for name in names} | set(self._adapted)
+
+    def take_all(self) -> None:
+        """The topics that are named, then those that are found."""
+        self.take_named()
+        self._take_by_name()
+        self._take_by_type()
+        self._take_transform()
 
     # Topics that are named.
 
@@ -237,7 +250,7 @@ class _Search:
 
     # Topics that are found.
 
-    def take_by_name(self) -> None:
+    def _take_by_name(self) -> None:
         """Topics of standard names, in any namespace."""
         for kind in dict.fromkeys(SENSOR_KINDS.values()):
             if kind in self._found:
@@ -248,6 +261,8 @@ class _Search:
                     self._require_type(topic, word)
                 if topics:
                     self._take_one_of(word, topics)
+                    if len(topics) == 1:
+                        self._compare_with_types(kind, word, topics[0])
                     break
 
     def _require_type(self, topic: str, word: str) -> None:
@@ -264,14 +279,32 @@ class _Search:
         else:
             self._several.append(_Several(word, topics))
 
-    def take_by_type(self) -> None:
+    def _compare_with_types(self, kind: str, word: str, topic: str) -> None:
+        """Say what a standard name is read before; refuse to choose between it and a topic in another place.
+
+        A name without a namespace is that of the only vehicle; one with may be of a camera, or of another
+        vehicle.
+        """
+        others = sorted(self._word_of(kind))
+        place = _levels(topic)[: -len(_levels(word))]
+        elsewhere = [other for other in others if place and _levels(other)[: len(place)] != place]
+        if elsewhere and kind != "odometry":
+            del self.names[word]
+            self._several.append(_Several(word, [topic, *elsewhere]))
+        elif others:
+            self._notes.append(f"topic {word}: {topic} is read by its name, before {', '.join(others)}")
+
+    def _word_of(self, kind: str) -> dict[str, str]:
+        """Topics of other names that have a type of a kind, with the standard names of the types."""
+        words = _BY_TYPE.get(kind, ())
+        return {topic: word for word in words for topic in self._of_type(TOPIC_TYPES[word], kind == "mocap")}
+
+    def _take_by_type(self) -> None:
         """Topics of other names, of kinds that have none of a standard name."""
         for kind, words in _BY_TYPE.items():
             if kind in self._found or (kind == "odometry" and "mocap" in self._found):
                 continue
-            word_of = {
-                topic: word for word in words for topic in self._of_type(TOPIC_TYPES[word], kind == "mocap")
-            }
+            word_of = self._word_of(kind)
             places = {_levels(topic)[:-1] for topic in word_of}
             if len(places) > 1:
                 self._several.append(_Several(words[0], sorted(word_of)))
@@ -297,16 +330,22 @@ class _Search:
         said = f", before {others}: the fastest, of equally fast ones `data`" if others else ""
         self._notes.append(f"topic {word_of[chosen]}: none has this name; {chosen} is read by its type{said}")
 
-    def take_transform(self) -> None:
-        """The only child frame that moves on /tf, where nothing else says where the vehicle is."""
+    def _take_transform(self) -> None:
+        """The only child frame on /tf, of the namespace, where nothing else says where the vehicle is."""
         if {"mocap", "odometry"} & self._found:
             return
         word = "mocap/transform"
         for connection in self._with_messages:
-            plain = connection.topic.rpartition("/")[2] != TF_TOPIC
-            if connection.msgtype != TF_TYPE or connection.topic not in self._within or not plain:
+            if connection.msgtype != TF_TYPE or connection.topic.rpartition("/")[2] == TF_TOPIC:
                 continue
             frames = self._child_frames(connection.topic)
+            if connection.topic not in self._within:
+                # All vehicles share /tf: their frames have the namespaces.
+                levels = _levels(self._settings.namespace)
+                frames = [frame for frame in frames if _holds(_levels(frame), levels)]
+            if len(frames) > 1 and self._several:
+                self._several.append(_Several(word, [f"{connection.topic}:{frame}" for frame in frames]))
+                return
             if len(frames) != 1:
                 self._notes.append(str(self._choose_frame(word, connection, named=False)))
                 continue
@@ -350,25 +389,55 @@ class _Search:
                 f"topic {one.word}: ambiguous between {', '.join(one.topics)}" for one in self._several
             )
             raise LogError(f"{self._bag.path}: {said}; choose with {self._advice()}")
-        notes = (*self._notes, *unread(self._bag, self._found))
+        notes = (*self._notes, *unread(self._bag, self._found), *self._passed_over())
         return BagInputs(self.names, self._adapted, self._settings, notes)
 
+    def _passed_over(self) -> Iterator[str]:
+        """A note for each kind without a topic of what in the bag could be it."""
+        for kind in _BY_TYPE:
+            lacks_place = not {"mocap", "odometry"} & self._found
+            if not (lacks_place if kind in {"mocap", "odometry"} else kind not in self._found):
+                continue
+            types = {TOPIC_TYPES[word]: word for word in reversed(_words(kind)) if word != "mocap/odometry"}
+            for one in sorted(self._with_messages, key=lambda one: one.topic):
+                if is_truth(one.topic) or one.topic in self.names.values():
+                    continue
+                if word := types.get(one.msgtype):
+                    yield f"topic {word}: not found; `--topics {word}={one.topic}` reads {one.topic} as it"
+                elif _COULD_BE[kind].search(f"{one.topic} {one.msgtype}".lower()) and not any(
+                    adapter.type_name == one.msgtype for adapter in known_adapters().values()
+                ):
+                    yield f"topic {one.topic}: {one.msgtype} is not understood, and not read"
+
     def _advice(self) -> str:
-        """The options that choose, ready to be pasted."""
-        # Levels that single out one topic of each: the namespaces of vehicles.
-        choices = [
-            Counter(level for topic in one.topics for level in set(_levels(topic))) for one in self._several
-        ]
-        spaces = sorted(level for level in choices[0] if all(counts[level] == 1 for counts in choices))
+        """The options that choose, ready to be pasted; a namespace only where it finds as much."""
+        # Levels that single out one topic of each: the namespaces of vehicles, the outermost first.
+        levels_of = [[_levels(topic.replace(":", "/")) for topic in one.topics] for one in self._several]
+        choices = [Counter(level for levels in topics for level in set(levels)) for topics in levels_of]
+        place = {level: levels.index(level) for levels in levels_of[0] for level in levels}
+        spaces = [level for level in choices[0] if all(counts[level] == 1 for counts in choices)]
         spaces = [level for level in spaces if not any(level in _levels(one.word) for one in self._several)]
-        wanted = {
+        spaces.sort(key=lambda level: (place[level], level))
+        named = {
             one.word: next(
-                (topic for topic in one.topics if spaces and spaces[0] in _levels(topic)), one.topics[0]
+                (topic for topic, levels in zip(one.topics, of, strict=True) if {*spaces[:1]} & {*levels}),
+                one.topics[0],
             )
-            for one in self._several
+            for one, of in zip(self._several, levels_of, strict=True)
         }
-        topics = "`--topics " + " ".join(f"{word}={topic}" for word, topic in wanted.items()) + "`"
-        return f"`--namespace /{spaces[0]}` or {topics}" if spaces else topics
+        topics = "`--topics " + " ".join(f"{word}={topic}" for word, topic in named.items()) + "`"
+        kinds = self._found_with(topics={**self._settings.topics, **named})
+        fit = [space for space in spaces if kinds and self._found_with(namespace=f"/{space}") == kinds]
+        return f"`--namespace /{fit[0]}` or {topics}" if fit else topics
+
+    def _found_with(self, **settings: Any) -> set[str] | None:
+        """Kinds of streams that other settings find; None where they are refused."""
+        try:
+            search = _Search(self._bag, replace(self._settings, **settings))
+            search.take_all()
+        except LogError:
+            return None
+        return None if search._several else search._found
 
 
 def _one(key: str, value: object) -> dict[str, Any]:

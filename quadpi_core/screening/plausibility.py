@@ -68,6 +68,9 @@ def missing_topics(recording: Recording) -> Iterator[str]:
             remedy = recording.remedies.get("imu", "")
             yield str(Seldom("imu", rate_hz, _SLOWEST_IMU_HZ, reason, remedy))
     yield from map(str, seldom_topics(recording))
+    for stream in recording.streams():
+        if len(stream) == 1:
+            yield f"{stream.topic} has a single sample: rules out all that needs it"
 
 
 def check_plausible(
@@ -181,7 +184,12 @@ def _specific_force(imu: ImuStream) -> Iterator[str]:
 def _rates(recording: Recording) -> Iterator[str]:
     for stream in _attitude_streams(recording):
         gyro, attitude, turning = _rotation_rates(recording.imu, stream)
-        if gyro > _TURNING_RAD_S and gyro > _LARGEST_RATIO * attitude:
+        if gyro > _TURNING_RAD_S and not np.any(stream.attitude != stream.attitude[0]):
+            yield (
+                f"topic {stream.topic}: the attitude is the same in every sample while the gyro turns at "
+                f"{gyro:.3g} rad/s: it is not measured, or of a body that does not move"
+            )
+        elif gyro > _TURNING_RAD_S and gyro > _LARGEST_RATIO * attitude:
             yield (
                 f"topic imu: the gyro turns at {gyro:.3g} rad/s while {stream.topic} turns at "
                 f"{attitude:.3g}: looks like deg/s"

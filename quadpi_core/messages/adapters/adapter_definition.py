@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from quadpi_core.errors import LogError
 from quadpi_core.flight import Stream
-from quadpi_core.messages.adapters.adapter_settings import AdapterSettings
+from quadpi_core.messages.adapters.adapter_settings import EXAMPLES, AdapterSettings
 from quadpi_core.messages.cdr import Columns
 from quadpi_core.messages.foreign_messages import ForeignCodec, Items, foreign_codec
 from quadpi_core.messages.payloads import Payloads
@@ -63,7 +63,8 @@ class Adapter:
         """
         own = getattr(settings, self.kind)
         if own is None:
-            raise LogError(f"{self.type_name} needs settings for `{self.kind}`: --mapping must say how")
+            how = f"--mapping must say how, as in `{EXAMPLES.get(self.kind, f'{self.kind}: {{}}')}`"
+            raise LogError(f"{self.type_name} needs settings for `{self.kind}`: {how}")
         try:
             own.require()
         except ValueError as error:

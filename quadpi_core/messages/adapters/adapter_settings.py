@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any, ClassVar
 
 from pydantic import BeforeValidator, PlainValidator
@@ -21,6 +22,13 @@ from quadpi_core.rotor_order import ERPM, LAYOUTS, RPM, RotorOrder, controller_n
 from quadpi_core.vehicle import Vehicle
 
 FLU_ENU, FRD_NED, FUR_EUS = "flu-enu", "frd-ned", "fur-eus"
+# What to write into a mapping file, for errors; what is not here says all of itself.
+EXAMPLES = MappingProxyType(
+    {
+        "rotor_speeds": "rotor_speeds: {rotors: [1, 2, 3, 4], unit: rpm}",
+        "mocap": f"mocap: {{body: NAME, frames: {FLU_ENU}}}",
+    }
+)
 
 
 def _read_rotors(data: Any) -> tuple[int, ...] | str:

@@ -25,6 +25,7 @@ from .bag_examples import assert_same_streams
 
 IMU, POSE, TRANSFORM = sensor_messages.IMU, sensor_messages.POSE, sensor_messages.TRANSFORM
 ODOMETRY, TF = sensor_messages.ODOMETRY, "tf2_msgs/msg/TFMessage"
+ROTORS = sensor_messages.ROTOR_SPEEDS
 IMU_ONLY = {"/imu": IMU}
 
 
@@ -75,6 +76,10 @@ def payloads_of(recording, type_name, child="quad", parent="world"):
                 for n, (one, other) in enumerate(both)
             ]
             return pose.time_ns, [bytes(store.serialize_cdr(one, TF)) for one in kinds]
+        case "sensor_msgs/msg/JointState":
+            empty = np.empty(0)
+            one = store.types[type_name](header(store, 0), [], empty, empty, empty)
+            return pose.time_ns, [bytes(store.serialize_cdr(one, type_name))] * len(pose)
     raise ValueError(type_name)
 
 
@@ -175,6 +180,55 @@ def test_two_vehicles_are_refused_with_the_line_to_paste_and_it_works(bag):
 
 
 @pytest.mark.parametrize(
+    ("topics", "advice"),
+    [
+        # A namespace is offered only where it finds as much.
+        ({"/uav1/imu": IMU, "/uav2/imu": IMU, "/vrpn/quad/pose": POSE}, "`--topics imu=/uav1/imu`"),
+        ({"/camera/imu": IMU, "/mavros/imu/data": IMU, "/motors": ROTORS}, "`--topics imu=/camera/imu`"),
+        ({"/vicon/quad/quad": TRANSFORM, "/vicon/b/b": TRANSFORM}, "`--topics mocap/pose=/vicon/b/b`"),
+        (
+            {"/uav1/imu": IMU, "/uav2/imu": IMU, "/tf": TF},
+            "`--namespace /uav1` or `--topics imu=/uav1/imu mocap/transform=/tf:uav1/base`",
+        ),
+        (
+            {"/uav1/mocap/pose": POSE, "/vrpn/uav2/pose": POSE, "/uav1/imu": IMU},
+            "`--namespace /uav1` or `--topics mocap/pose=/uav1/mocap/pose`",
+        ),
+    ],
+)
+def test_each_line_to_paste_finds_the_same(bag, topics, advice):
+    path = bag({**({} if "imu" in str(topics) else IMU_ONLY), **topics}, child="uav1/base")
+    with pytest.raises(LogError) as refusal:
+        found(path)
+    assert str(refusal.value).endswith(f"choose with {advice}")
+    kinds = set()
+    for option in re.findall("`(.*?)`", advice):
+        word, *values = option.split(" ")
+        given = (
+            {"namespace": values[0]}
+            if word == "--namespace"
+            else {"topics": dict(one.split("=") for one in values)}
+        )
+        inputs = found(path, **given)
+        kinds.add((*sorted(inputs.names), *inputs.adapted))
+    assert len(kinds) == 1
+
+
+def test_what_could_be_a_sensor_that_is_lacking_is_named(bag):
+    path = bag(
+        {**IMU_ONLY, "/mavros/local_position/pose": POSE, "/joint_states": "sensor_msgs/msg/JointState"}
+    )
+    notes = " ".join(found(path).notes)
+    line = "`--topics mocap/pose=/mavros/local_position/pose` reads"
+    assert line in notes
+    assert "topic /joint_states: sensor_msgs/msg/JointState is not understood, and not read" in notes
+    other = bag({"/uav1/imu": IMU, "/rotors": ROTORS, "/vrpn/quad/pose": POSE})
+    notes = " ".join(found(other, namespace="/uav1").notes)
+    assert "`--topics rotor_speeds=/rotors`" in notes
+    assert "`--topics mocap/pose=/vrpn/quad/pose`" in notes
+
+
+@pytest.mark.parametrize(
     ("named", "refusal"),
     [
         (
@@ -244,4 +298,6 @@ def test_standard_names_count_before_types(bag, recording):
     read = read_recording(path, None)
     kept = {"rotor_speeds": None, "odometry": None, "wind": None}
     assert_same_streams(read, type(recording)(**{**vars(recording), **kept}))
-    assert found(path).notes == ()
+    imu, mocap = found(path).notes
+    assert imu == "topic imu: /imu is read by its name, before /camera/data"
+    assert mocap == "topic mocap/pose: /mocap/pose is read by its name, before /vrpn/wand/pose"

@@ -113,6 +113,8 @@ def test_less_than_0_3_of_the_specific_force_upward_is_another_frame(share, doub
         (3.0, 0.29, "looks like deg/s"),
         (0.29, 0.01, ""),
         (0.31, 0.01, "looks like deg/s"),
+        (0.29, 0.0, ""),
+        (0.31, 0.0, "the attitude is the same in every sample"),
         (0.1, 2.9, ""),
         (0.1, 3.1, "looks like rad/s taken for deg/s"),
         (0.009, 0.29, ""),
@@ -151,3 +153,9 @@ def test_a_thrust_coefficient_of_no_rotor_is_doubted(coefficient, doubted):
 def test_an_imu_of_less_than_nine_tenths_of_50_hz_is_too_slow(rate_hz, slow):
     sentences = list(missing_topics(hover([0.0, 0.0, -9.8], rate_hz=rate_hz)))
     assert any("too slow" in sentence for sentence in sentences) == slow
+
+
+def test_a_topic_of_one_sample_is_named():
+    recording = hover([0.0, 0.0, -9.8], tilt_rad=0.0)
+    one = replace(recording, pose=PoseStream(*(column[:1] for column in vars(recording.pose).values())))
+    assert "mocap/pose has a single sample: rules out all that needs it" in list(missing_topics(one))
