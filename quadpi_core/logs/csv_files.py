@@ -12,9 +12,9 @@ from __future__ import annotations
 import csv
 import re
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import accumulate, groupby
+from itertools import accumulate, compress, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,8 +25,13 @@ if TYPE_CHECKING:
 
 _HEAD_BYTES = 1 << 18
 _DIALECTS = ((",", "."), (";", "."), (";", ","), (",", ","), ("\t", "."), ("\t", ","), ("|", "."), (" ", "."))
-_STAMP = r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d.*"
-_ABSENT = {"", "nan", "-nan", "null", "n/a", "#n/a", "na", "none"}
+_STAMP = r"(\d{4}([-/]?)\d\d\2\d\d[T ])?\d\d:?\d\d:?\d\d[.,].*"
+_ABSENT = {"", "nan", "-nan", "null", "n/a", "#n/a", "na", "none", "-", "--"}
+# As text in a column of numbers; arrow tells capitals apart.
+_NULLS = [
+    spelled for word in sorted(_ABSENT) for spelled in dict.fromkeys((word, word.upper(), word.title()))
+]
+_NULLS += ["NaN", "-NaN"]
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 _UTF8_MARK = b"\xef\xbb\xbf"
 # What stands in a row of units where none is there twice: a unit by itself, in brackets or not.
@@ -63,6 +68,13 @@ def read_content(path: Path) -> bytes:
     content = path.read_bytes()
     if content.startswith(_UTF16_MARKS):
         content = content.decode("utf-16", errors="replace").encode()
+    else:
+        try:
+            content.decode()
+        except UnicodeDecodeError:
+            content = content.decode("cp1252", errors="replace").encode()
+    if b"\n" not in content:
+        content = content.replace(b"\r", b"\n")
     return content.removeprefix(_UTF8_MARK)
 
 
@@ -89,9 +101,17 @@ def dialect_of(content: bytes) -> CsvDialect:
             "no row has numbers in two columns, with commas, semicolons, tabs or spaces between them"
         )
     width = widths[0][0]
-    first, last = _longest_run([len(row) == width and _holds_values(row, decimal) for row in rows])
-    names, units = _heading(rows[:first], width)
-    return CsvDialect(delimiter, decimal, names, units, places[first], tuple(map(tuple, rows[first:last])))
+    of_values = [len(row) == width and _holds_values(row, decimal) for row in rows]
+    first = _first_run(of_values)
+    names, units = _heading(lines[:first], delimiter, width)
+    return CsvDialect(
+        delimiter,
+        decimal,
+        names,
+        units,
+        places[first],
+        tuple(tuple(row) for row in compress(rows[first:], of_values[first:])),
+    )
 
 
 def _lines(head: bytes) -> tuple[list[int], list[str]]:
@@ -103,12 +123,9 @@ def _lines(head: bytes) -> tuple[list[int], list[str]]:
     return [start for start, _ in found], [text for _, text in found]
 
 
-def _longest_run(flags: Sequence[bool]) -> tuple[int, int]:
-    """First and behind the last place of the most flags that are set one after the other."""
-    runs = [(key, len(list(group))) for key, group in groupby(flags)]
-    ends = list(accumulate(length for _, length in runs))
-    length, end = max((length, end) for (is_set, length), end in zip(runs, ends, strict=True) if is_set)
-    return end - length, end
+def _first_run(flags: Sequence[bool]) -> int:
+    """Place of the first two flags in a row that are set, else of the first one."""
+    return next((place for place, pair in enumerate(pairwise(flags)) if all(pair)), flags.index(True))
 
 
 def _fields(line: str, delimiter: str) -> list[str]:
@@ -119,12 +136,13 @@ def _fields(line: str, delimiter: str) -> list[str]:
     return [field.strip() for field in row]
 
 
-def _number(decimal: str) -> re.Pattern[str]:
+def _number(decimal: str) -> str:
     point = re.escape(decimal)
-    return re.compile(rf"[+-]?(\d+({point}\d*)?|{point}\d+)([eE][+-]?\d+)?|[+-]?inf|{_STAMP}")
+    return rf"([+-]?(\d+({point}\d*)?|{point}\d+)([eE][+-]?\d+)?|[+-]?inf)"
 
 
-_NUMBERS = {decimal: _number(decimal) for decimal in ".,"}
+_PLAIN_NUMBERS = {decimal: _number(decimal) for decimal in ".,"}
+_NUMBERS = {decimal: re.compile(f"{_STAMP}|{number}") for decimal, number in _PLAIN_NUMBERS.items()}
 
 
 def _numbers(row: Sequence[str], decimal: str) -> int:
@@ -137,9 +155,15 @@ def _holds_values(row: Sequence[str], decimal: str) -> bool:
     return 0 < found == there or (found >= 2 and 2 * found >= there)
 
 
-def _heading(above: Sequence[Sequence[str]], width: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names and units of the columns: of the rows above the values, the last ones as wide as these."""
-    fitting = [list(row) for row in above if len(row) in {width - 1, width}]
+def _heading(above: Sequence[str], delimiter: str, width: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names and units of the columns: of the lines above the values, the last ones as wide as these.
+
+    They may be comments, and numpy's `savetxt` separates the names by commas where the values have spaces.
+    """
+    plain = [line.lstrip("#% ") for line in above]
+    fitting = _as_wide(plain, delimiter, width)
+    for other in (",", ";", "\t", " "):
+        fitting = fitting or _as_wide(plain[-1:], other, width)
     units: tuple[str, ...] = ()
     if len(fitting) > 1 and (
         all(UNIT.fullmatch(field) for field in fitting[-1])
@@ -148,10 +172,12 @@ def _heading(above: Sequence[Sequence[str]], width: int) -> tuple[tuple[str, ...
         units = tuple(fitting.pop())
     if not fitting:
         return tuple(str(place + 1) for place in range(width)), units
-    names = [*fitting[-1], ""][:width]
-    # A heading that is a comment.
-    names[0] = names[0].lstrip("#% ")
-    return tuple(names), units
+    return tuple([*fitting[-1], ""][:width]), units
+
+
+def _as_wide(lines: Sequence[str], delimiter: str, width: int) -> list[list[str]]:
+    rows = [_fields(line, delimiter) for line in lines]
+    return [row for row in rows if len(row) in {width - 1, width}]
 
 
 def _repeats(row: Sequence[str]) -> bool:
@@ -159,38 +185,120 @@ def _repeats(row: Sequence[str]) -> bool:
     return max(Counter(field for field in row if field).values(), default=0) > 1
 
 
-def read_columns(content: bytes, dialect: CsvDialect, wanted: Collection[int], stamps: int) -> pa.Table:
-    """Columns by their places, as numbers; `stamps` is the place of one that may hold date and time.
+def read_columns(
+    content: bytes, dialect: CsvDialect, wanted: Collection[int], stamps: int
+) -> tuple[pa.Table, list[str]]:
+    """Columns by their places, as numbers, and what was left out of them, in sentences.
 
-    A last row that is cut off is left out.
+    Rows of another length (comments, a last row that is cut off) are left out, and what is no number, such
+    as names that stand there again, is no value.
+
+    Args:
+        content: see :func:`read_content`.
+        dialect: of the whole file.
+        wanted: places of the columns.
+        stamps: the place of one that may hold date and time.
 
     Raises:
-        LogError: naming the column, for a value that is no number, and for rows of another length.
+        LogError: naming the column, where most values are no numbers, or most rows are of another length.
     """
     import pyarrow as pa
-    from pyarrow import csv as arrow_csv
 
     body = content[dialect.start :]
-    last = body[body.rfind(b"\n") + 1 :].decode(errors="replace").strip()
-    if last and len(_fields(last, dialect.delimiter)) != len(dialect.names):
-        body = body[: body.rfind(b"\n") + 1]
     if dialect.delimiter == " ":
         body = re.sub(rb"(?m)^ +| +(?=\r?$)", b"", re.sub(rb" +", b" ", body))
     places = [str(place) for place in sorted(wanted)]
+    numbers = {place: pa.float64() for place in places if int(place) != stamps}
     try:
-        return arrow_csv.read_csv(
-            pa.BufferReader(body),
-            read_options=arrow_csv.ReadOptions(column_names=[str(k) for k in range(len(dialect.names))]),
-            parse_options=arrow_csv.ParseOptions(delimiter=dialect.delimiter),
-            convert_options=arrow_csv.ConvertOptions(
-                include_columns=places,
-                column_types={place: pa.float64() for place in places if int(place) != stamps},
-                decimal_point=dialect.decimal,
-            ),
-        )
+        table, skipped = _read(body, dialect, places, numbers)
+        said = []
+    except pa.ArrowInvalid as error:
+        if "onversion error" not in str(error):
+            raise LogError(f"not a readable csv table: {one_line(error)}") from error
+        table, skipped = _read(body, dialect, places, dict.fromkeys(places, pa.string()))
+        columns = [
+            _numbers_of(table[place], dialect, int(place), may_be_text=int(place) == stamps)
+            for place in places
+        ]
+        table = pa.table(dict(zip(places, (column for column, _ in columns), strict=True)))
+        wrong = [sentence for _, sentence in columns if sentence]
+        more = f" (so in {len(wrong)} columns)" if len(wrong) > 1 else ""
+        said = [f"{sentence}{more}" for sentence in wrong[:1]]
     except (pa.ArrowException, UnicodeDecodeError) as error:
-        text = one_line(error)
-        if found := re.search(r"column #(\d+):.*invalid value '(.*)'", text):
-            name = dialect.names[int(found[1])]
-            raise LogError(f"column {name}: {found[2]!r} is no number") from error
-        raise LogError(f"not a readable csv table: {text}") from error
+        raise LogError(f"not a readable csv table: {one_line(error)}") from error
+    if len(skipped) > table.num_rows:
+        raise LogError(
+            f"{len(skipped)} rows have another number of columns than {len(dialect.names)}; the first is "
+            f"{skipped[0]!r}"
+        )
+    if skipped:
+        said.append(
+            f"left out {len(skipped)} of {table.num_rows + len(skipped)} rows, which have another number of "
+            f"columns; the first is {skipped[0]!r}"
+        )
+    return table, said
+
+
+def _read(
+    body: bytes, dialect: CsvDialect, places: Sequence[str], types: Mapping[str, pa.DataType]
+) -> tuple[pa.Table, list[str]]:
+    """The columns of these types, and the rows of another length, shortened."""
+    import pyarrow as pa
+    from pyarrow import csv as arrow_csv
+
+    skipped: list[str] = []
+
+    def skip(row: arrow_csv.InvalidRow) -> str:
+        skipped.append(row.text[:40])
+        return "skip"
+
+    table = arrow_csv.read_csv(
+        pa.BufferReader(body),
+        read_options=arrow_csv.ReadOptions(column_names=[str(k) for k in range(len(dialect.names))]),
+        parse_options=arrow_csv.ParseOptions(delimiter=dialect.delimiter, invalid_row_handler=skip),
+        convert_options=arrow_csv.ConvertOptions(
+            include_columns=places,
+            column_types=types,
+            decimal_point=dialect.decimal,
+            null_values=_NULLS,
+            strings_can_be_null=True,
+        ),
+    )
+    return table, skipped
+
+
+def _numbers_of(
+    column: pa.ChunkedArray, dialect: CsvDialect, place: int, *, may_be_text: bool
+) -> tuple[pa.ChunkedArray, str]:
+    """A column of text as numbers, null where it holds none, and what is to be said of it.
+
+    Numbers may have the other decimal point between thousands. What may be text stays so where few are.
+
+    Raises:
+        LogError: naming the column, where most values are no numbers.
+    """
+    import pyarrow as pa
+    from pyarrow import compute
+
+    point, other = re.escape(dialect.decimal), ",."[dialect.decimal == ","]
+    text = compute.utf8_trim_whitespace(column)
+    grouped = compute.match_substring_regex(
+        text, rf"^[+-]?[1-9]\d{{0,2}}({re.escape(other)}\d{{3}})+({point}\d*)?$"
+    )
+    text = compute.if_else(grouped, compute.replace_substring(text, other, ""), text)
+    is_number = compute.match_substring_regex(text, rf"^{_PLAIN_NUMBERS[dialect.decimal]}$")
+    absent = compute.is_in(compute.utf8_lower(text), value_set=pa.array(sorted(_ABSENT)))
+    wrong = text.filter(compute.fill_null(compute.invert(compute.or_(is_number, absent)), fill_value=False))
+    known = compute.sum(is_number).as_py() or 0
+    if len(wrong) > known:
+        if may_be_text:
+            return column, ""
+        raise LogError(f"column {dialect.names[place]}: {wrong[0].as_py()!r} is no number")
+    text = compute.replace_substring(text, dialect.decimal, ".")
+    text = compute.if_else(is_number, text, pa.scalar(None, pa.string()))
+    whole = not compute.any(compute.match_substring_regex(text, "[.eEfn]")).as_py()
+    values = compute.cast(text, pa.int64() if whole and may_be_text else pa.float64())
+    if len(wrong) == 0:
+        return values, ""
+    said = f"column {dialect.names[place]}: {wrong[0].as_py()!r} is no number"
+    return values, f"{said}, as {len(wrong)} of {len(column)} values: no value there"

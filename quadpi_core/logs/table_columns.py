@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.errors import LogError, one_line
-from quadpi_core.flight import NO_STAMP, Stamps
+from quadpi_core.flight import MAX_GAP_NS, NO_STAMP, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.logs.csv_files import CsvDialect, dialect_of, read_columns, read_content
 from quadpi_core.logs.mapping import UNITS
@@ -38,6 +38,9 @@ STAMP_INTERVAL_S = Threshold(
 )
 # A unit that the mapping names is kept down to this share of the shortest interval: Blackbox has 8 kHz.
 _FAST_SHARE = 0.1
+# Counters of 32 bits, of microseconds and of milliseconds, and the time of a day begin again at 0.
+_COUNTERS_NS = (2**32 * 1000, 2**32 * 10**6)
+_DAY_NS = 86_400 * 10**9
 _NANOSECONDS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
 # A unit in brackets at the end of a name, which is no index.
 _IN_BRACKETS = re.compile(r"[\[(](?!\d+[\])])[^\[\]()]*[\])]$")
@@ -105,7 +108,9 @@ def _of_csv(path: Path) -> Columns:
     dialect = dialect_of(content)
 
     def read(places: Sequence[int], stamps: int) -> Mapping[int, npt.NDArray[Any]]:
-        table = read_columns(content, dialect, places, stamps)
+        table, said = read_columns(content, dialect, places, stamps)
+        for sentence in said:
+            note(str(path), sentence)
         return {int(name): _numbers(table, name, dialect.names[int(name)]) for name in table.column_names}
 
     return Columns(path, dialect.names, dialect.units, read, lambda: _head_of(dialect))
@@ -186,17 +191,49 @@ def _numbers(table: pa.Table, name: str, called: str) -> npt.NDArray[Any]:
 
     column = table[name]
     if types.is_string(column.type):
-        try:
-            text = compute.replace_substring(compute.utf8_trim_whitespace(column), ",", ".")
-            column = compute.cast(text, pa.timestamp("ns"))
-        except pa.ArrowException as error:
-            raise LogError(f"column {called} holds {column.type}, not numbers") from error
+        column = _dates(column, called)
+    if types.is_time(column.type):
+        column = compute.cast(compute.cast(column, pa.time64("ns")), pa.int64()).cast(pa.timestamp("ns"))
     if types.is_timestamp(column.type):
         return np.asarray(column.to_numpy(zero_copy_only=False)).astype("datetime64[ns]")
     if not _is_numeric(column.type):
         raise LogError(f"column {called} holds {column.type}, not numbers")
     values = np.asarray(column.to_numpy(zero_copy_only=False))
     return values if values.dtype.kind in "iuf" else values.astype(np.float64)
+
+
+def _dates(column: pa.ChunkedArray, called: str) -> pa.ChunkedArray:
+    """Date and time (N,) of text by ISO 8601, or the time of a day alone; null where it is neither.
+
+    Raises:
+        LogError: where most are neither.
+    """
+    import pyarrow as pa
+    from pyarrow import compute
+
+    text = compute.replace_substring(compute.utf8_trim_whitespace(column), ",", ".")
+    text = compute.replace_substring_regex(text, r"^(\d\d?:)", r"1970-01-01T\1")
+    text = compute.replace_substring_regex(
+        text, r"^(\d{4})[-/]?(\d\d)[-/]?(\d\d)[T ]+(\d\d?):?(\d\d):?(\d\d)", r"\1-\2-\3T\4:\5:\6"
+    )
+    text = compute.replace_substring_regex(text, r"T(\d):", r"T0\1:")
+    # Arrow takes nine decimals at most.
+    text = compute.replace_substring_regex(text, r"(\.\d{9})\d+", r"\1")
+    zone = r"(Z|[+-]\d\d(:?\d\d)?)"
+    form = rf"^\d{{4}}-[01]\d-[0-3]\dT[0-2]\d:[0-5]\d:[0-5]\d(\.\d+)?{zone}?$"
+    dated = compute.fill_null(compute.match_substring_regex(text, form), fill_value=False)
+    if 2 * (compute.sum(dated).as_py() or 0) <= len(column) - column.null_count:
+        first = next((one.as_py() for one in column if one.is_valid), "")
+        raise LogError(
+            f"column {called}: {first!r} is neither a number nor date and time as 2026-11-26T12:30:00.250"
+        )
+    without_zone = compute.match_substring_regex(text, r"T[\d:]{8}(\.\d+)?$")
+    text = compute.if_else(without_zone, compute.binary_join_element_wise(text, "Z", ""), text)
+    text = compute.if_else(dated, text, pa.scalar(None, pa.string()))
+    try:
+        return compute.cast(text, pa.timestamp("ns", "UTC"))
+    except pa.ArrowException as error:
+        raise LogError(f"column {called}: {one_line(error)}") from error
 
 
 def _is_numeric(kind: pa.DataType) -> bool:
@@ -223,7 +260,7 @@ def stamps_of(
         LogError: for times of no unit that can be told.
     """
     if values.dtype.kind == "M":
-        return np.where(np.isnat(values), NO_STAMP, values.astype(np.int64))
+        return unwrapped(source, np.where(np.isnat(values), NO_STAMP, values.astype(np.int64)), _DAY_NS)
     steps = np.diff(values.astype(np.float64))
     steps = steps[steps > 0.0]
     interval = float(np.median(steps)) if len(steps) else 0.0
@@ -238,10 +275,33 @@ def stamps_of(
             source, f"the stamps are taken to be in {fitting[0]}{said}, which makes {rate:.4g} rows a second"
         )
         unit = fitting[0]
+    elif not keeps and 0.0 < interval * UNITS["time"][unit or "s"] < shortest:
+        raise LogError(
+            f"{source}: the stamps are {interval:.3g} apart, which is the interval of no flight in s, ms, us "
+            "or ns; is another column the time?"
+        )
     if unit is None:
         raise LogError(f"{source}: the unit of the time cannot be told; `unit` in the mapping says it")
     if values.dtype.kind in "iu" and len(values):
         largest = max(abs(int(values.min())), abs(int(values.max())))
         if largest * _NANOSECONDS[unit] <= np.iinfo(np.int64).max:
-            return values.astype(np.int64) * _NANOSECONDS[unit]
-    return stamps_ns(values.astype(np.float64), UNITS["time"][unit])
+            return unwrapped(source, values.astype(np.int64) * _NANOSECONDS[unit], *_COUNTERS_NS)
+    return unwrapped(source, stamps_ns(values.astype(np.float64), UNITS["time"][unit]), *_COUNTERS_NS)
+
+
+def unwrapped(source: str, time_ns: Stamps, *periods_ns: int) -> Stamps:
+    """Stamps (N,) of a clock that begins again at 0 after a period, counted on; a note says so.
+
+    Only a fall by the period, but for a usual pause, is taken for that: a clock that starts again falls by
+    any other time.
+    """
+    known = np.flatnonzero(time_ns != NO_STAMP)
+    for period in periods_ns:
+        steps = np.diff(time_ns[known])
+        turns = np.round(steps / period).astype(np.int64)
+        turns[np.abs(steps - turns * period) > MAX_GAP_NS] = 0
+        if turns.min(initial=0) < 0:
+            note(source, f"the clock begins again after {1e-9 * period:.6g} s, and is counted on")
+            time_ns = time_ns.copy()
+            time_ns[known[1:]] -= np.cumsum(turns) * period
+    return time_ns

@@ -19,6 +19,8 @@ import numpy as np
 
 from quadpi_core.errors import LogError
 from quadpi_core.flight import (
+    FLIGHT_MAX_NS,
+    NO_STAMP,
     ImuStream,
     OdometryStream,
     PoseStream,
@@ -54,6 +56,7 @@ _TOGETHER = MappingProxyType(
         "simulation/wrench": ("simulated_force", "simulated_moment"),
     }
 )
+_SECOND_NS = 10**9
 _GRAVITY_NED = np.array([0.0, 0.0, STANDARD_GRAVITY])
 
 _log = logging.getLogger(__name__)
@@ -114,6 +117,14 @@ class _TableReader:
             time = other.time if other else mapping.signals[TIME]
             # Wind or a battery may come once a second, the IMU does not.
             self.tables[table] = _Table(file, time, names, may_be_slow=table is not None)
+        stamps = [one.time_ns[one.time_ns != NO_STAMP] for one in self.tables.values()]
+        earliest_ns = min((int(known[0]) for known in stamps if len(known)), default=0)
+        if -FLIGHT_MAX_NS < earliest_ns < 0:
+            # Seconds since a take-off, or a trigger.
+            moved = -(earliest_ns // _SECOND_NS)
+            note(str(path), f"the stamps begin at {1e-9 * earliest_ns:.3f} s: {moved} s are added to all")
+            for one in self.tables.values():
+                one.time_ns = np.where(one.time_ns == NO_STAMP, NO_STAMP, one.time_ns + moved * _SECOND_NS)
 
     def recording(self) -> Recording:
         for topic, names in _TOGETHER.items():

@@ -41,6 +41,13 @@ DIALECTS = {
     "blackbox_decode": lambda text: BLACKBOX + text.replace(",", ", "),
     "blackbox viewer": lambda text: VIEWER + text,
     "cut off": lambda text: f"{text}0.5,0.1,0.",
+    "numpy": lambda text: f"# {text}".replace(",", " "),
+    "numpy, names with commas": lambda text: (
+        "# t,p,q,r,ax,ay,az\n" + text.replace(",", " ").partition("\n")[2]
+    ),
+    "old Macintosh": lambda text: text.replace("\n", "\r"),
+    "units of Windows": lambda text: text.replace("\n", "\ns,°/s,°/s,°/s,m/s²,m/s²,m/s²\n", 1),
+    "a comment between": lambda text: text.replace("\n0.25,", "\n# gedrückt\n0.25,"),
 }
 
 
@@ -54,17 +61,41 @@ def table_text() -> tuple[str, dict[str, np.ndarray]]:
 
 
 @pytest.mark.parametrize("dialect", DIALECTS)
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "cp1252"])
 def test_a_csv_file_of_any_dialect_holds_the_same(tmp_path: Path, dialect: str, encoding: str):
     text, columns = table_text()
     path, mapping_path = write(tmp_path, minimal_mapping(), hover_table())
-    path.write_bytes(DIALECTS[dialect](text).encode(encoding))
+    path.write_bytes(DIALECTS[dialect](text).encode(encoding, errors="ignore"))
     imu = read_recording(path, None, mapping_path).imu
     np.testing.assert_array_equal(imu.time_ns, np.arange(50) * 10_000_000)
     np.testing.assert_array_equal(imu.angular_velocity, np.column_stack([columns[name] for name in "pqr"]))
     np.testing.assert_array_equal(
         imu.specific_force, np.column_stack([columns[name] for name in ("ax", "ay", "az")])
     )
+
+
+@pytest.mark.parametrize(
+    ("written", "dialect"),
+    [
+        ('"6,991.125"', lambda text: text),
+        ("6,991.125", lambda text: text.replace(",", "\t").replace("6\t991", "6,991")),
+        ("6'991#125", lambda text: text.replace(",", ";").replace(".", ",").replace("6'991#", "6.991,")),
+    ],
+)
+def test_thousands_are_grouped_by_the_other_decimal_point(tmp_path: Path, written: str, dialect):
+    path, mapping_path = write(tmp_path, minimal_mapping(), hover_table() | {"p": np.full(50, 0.125)})
+    path.write_text(dialect(path.read_text().replace("0.125", written)))
+    assert np.all(read_recording(path, None, mapping_path).imu.angular_velocity[:, 0] == 6991.125)
+
+
+@pytest.mark.parametrize("absent", ["None", "-", "null", " ", "#N/A", "#REF!", "p"])
+def test_what_is_no_number_costs_its_sample_alone(tmp_path: Path, absent: str, caplog):
+    path, mapping_path = write(tmp_path, minimal_mapping(), hover_table() | {"p": np.arange(50) + 0.125})
+    path.write_text(path.read_text().replace("20.125", absent))
+    flight = read_recording(path, None, mapping_path)
+    assert sorted(set(np.arange(50) + 0.125) - set(flight.imu.angular_velocity[:, 0])) == [20.125]
+    assert [one.samples for one in flight.quality.left_out] == [1]
+    assert ("is no number, as 1 of 50 values" in caplog.text) == (absent in {"#REF!", "p"})
 
 
 def test_columns_that_are_not_mapped_may_hold_anything(tmp_path: Path):

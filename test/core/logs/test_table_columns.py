@@ -29,6 +29,10 @@ STAMPS = {
     "iso": lambda ns: text_of(ns, "ns"),
     "iso, UTC": lambda ns: np.char.add(text_of(ns, "us"), "Z"),
     "iso, decimal comma": lambda ns: np.char.replace(text_of(ns, "us"), ".", ","),
+    "iso, offset": lambda ns: np.char.add(text_of(ns + 7_200 * 10**9, "us"), "+02:00"),
+    "iso, decimal comma, UTC": lambda ns: np.char.add(np.char.replace(text_of(ns, "us"), ".", ","), "Z"),
+    "iso, basic": lambda ns: np.char.replace(np.char.replace(text_of(ns, "us"), "-", ""), ":", ""),
+    "slashes": lambda ns: np.char.replace(text_of(ns, "us"), "-", "/"),
     "date and time": lambda ns: np.char.replace(text_of(ns, "us"), "T", " "),
 }
 
@@ -70,3 +74,47 @@ def test_a_unit_that_cannot_be_told_is_asked_for(tmp_path: Path):
     del mapping["time"]["unit"]
     with pytest.raises(LogError, match="unit of the time cannot be told; `unit` in the mapping says it"):
         read(tmp_path, mapping, hover_table() | {"t": np.zeros(50)})
+
+
+@pytest.mark.parametrize(
+    ("period_ns", "written"),
+    [
+        (2**32 * 1000, lambda ns: ns // 1000),
+        (2**32 * 1000, lambda ns: ns / 1e9),
+        (2**32 * 10**6, lambda ns: ns // 10**6),
+        (86_400 * 10**9, lambda ns: np.array([one[11:] for one in text_of(ns, "ms")])),
+    ],
+)
+def test_a_clock_that_begins_again_at_its_period_is_counted_on(
+    tmp_path: Path, period_ns: int, written, caplog
+):
+    time_ns = period_ns // 10**6 * 10**6 - 10**9 + np.arange(50) * 40_000_000
+    mapping = minimal_mapping()
+    del mapping["time"]["unit"]
+    imu = read(tmp_path, mapping, hover_table() | {"t": written(time_ns % period_ns)}).imu
+    np.testing.assert_allclose(np.diff(imu.time_ns), 40_000_000, atol=1_000_000)
+    assert "the clock begins again after" in caplog.text
+
+
+def test_a_clock_that_starts_again_at_any_other_time_is_not(tmp_path: Path):
+    time_us = np.r_[4_294_000_000 + np.arange(30) * 40_000, np.arange(20) * 40_000]
+    flight = read(tmp_path, minimal_mapping(), hover_table() | {"t": time_us})
+    assert (len(flight.imu), len(flight.quality.breaks)) == (30, 1)
+
+
+def test_stamps_before_zero_are_moved(tmp_path: Path, caplog):
+    imu = read(tmp_path, minimal_mapping(), hover_table() | {"t": np.arange(50) * 0.01 - 0.2}).imu
+    np.testing.assert_array_equal(imu.time_ns, 800_000_000 + np.arange(50) * 10_000_000)
+    assert "the stamps begin at -0.200 s: 1 s are added to all" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("stamps", "said"),
+    [
+        (739_000 + np.arange(50) / 86_400 / 500, "is the interval of no flight"),
+        (np.array(["17.05.2024 23:59:55.1"] * 50), "is neither a number nor date and time"),
+    ],
+)
+def test_a_time_in_days_or_in_words_is_refused(tmp_path: Path, stamps, said):
+    with pytest.raises(LogError, match=said):
+        read(tmp_path, minimal_mapping(), hover_table() | {"t": stamps})

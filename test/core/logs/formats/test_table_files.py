@@ -264,12 +264,16 @@ def test_what_is_mapped_and_not_used_is_said(tmp_path: Path, lacking: str, caplo
     assert f"topic odometry: {lacking} is missing, so {' and '.join(others)} are not used" in caplog.text
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
-def test_damaged_tables_are_refused(tmp_path: Path, suffix: str):
-    path, mapping_path = write(tmp_path, minimal_mapping(), hover_table(), suffix)
-    path.write_bytes(path.read_bytes()[:200] + b"\xff\x00,,,,,,,,,,,,\n")
-    with pytest.raises(LogError, match="flight"):
-        read_recording(path, None, mapping_path)
+def test_a_damaged_row_is_left_out_and_a_damaged_parquet_file_refused(tmp_path: Path, caplog):
+    for suffix in (".csv", ".parquet"):
+        path, mapping_path = write(tmp_path, minimal_mapping(), hover_table(), suffix)
+        path.write_bytes(path.read_bytes()[:200] + b"\xff\x00,,,,,,,,,,,,\n")
+        if suffix == ".csv":
+            assert 5 < len(read_recording(path, None, mapping_path).imu) < 10
+            assert "left out 1 of" in caplog.text
+            continue
+        with pytest.raises(LogError, match="flight"):
+            read_recording(path, None, mapping_path)
 
 
 def test_table_needs_a_mapping_and_others_take_none(tmp_path: Path):
