@@ -340,13 +340,31 @@ _FLIGHT_COLUMNS = {
 }
 
 
+# Steps on an even grid from which on samples are left out between them.
+_HOLE_STEPS = 1.5
+
+
+def hole_ends(time: Array) -> npt.NDArray[np.int64]:
+    """The samples of an even time grid (N,) s that come after some were left out, as `fusion.fuse` does."""
+    steps = np.diff(time)
+    usual = np.median(steps) if len(steps) else 0.0
+    return np.flatnonzero(steps > _HOLE_STEPS * usual) + 1
+
+
+def mean_rate_hz(time: Array) -> float:
+    """Mean sample rate of an even time grid (N,) s, without its holes."""
+    ends = hole_ends(time)
+    holes_s = float(np.sum(time[ends] - time[ends - 1]))
+    return float((len(time) - 1 - len(ends)) / (time[-1] - time[0] - holes_s))
+
+
 @dataclass(frozen=True)
 class Flight:
     """One flight on one time grid, filtered by one low-pass so that all signals share its delay.
 
     Attributes:
         start_ns: stamp of the first sample.
-        time: (N,) seconds since the first sample.
+        time: (N,) seconds since the first sample; even but for holes where no rotor speeds are known.
         position: (N, 3) m, world.
         attitude: (N, 4) body to world.
         velocity: (N, 3) m/s over ground, body axes.
@@ -409,11 +427,11 @@ class Flight:
 
     @property
     def rate_hz(self) -> float:
-        """Mean sample rate."""
-        return float((len(self) - 1) / (self.time[-1] - self.time[0]))
+        """Mean sample rate, without what is left out in between."""
+        return mean_rate_hz(self.time)
 
-    def slice(self, keep: slice) -> Flight:
-        """The flight cut to `keep`; `time` and `start_ns` still count from the original start."""
+    def slice(self, keep: slice | npt.NDArray[np.bool_]) -> Flight:
+        """The samples of a range or mask (N,); `time` and `start_ns` still count from the original start."""
         arrays = {
             column.name: getattr(self, column.name)[keep]
             for column in fields(self)

@@ -27,7 +27,7 @@ from quadpi_core.discrepancy.doubts import checks, judged_by_gap, judged_by_roll
 from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.evidence import Fit
 from quadpi_core.discrepancy.ranked_evidence import ranked_candidates
-from quadpi_core.discrepancy.reflight import reflights
+from quadpi_core.discrepancy.reflight import HORIZON_S, reflights
 from quadpi_core.discrepancy.result_verdicts import (
     predictable,
     unexplained_axis,
@@ -38,7 +38,8 @@ from quadpi_core.discrepancy.simulations import Simulation, airspeed
 from quadpi_core.discrepancy.unexplained import within_intervals
 from quadpi_core.discrepancy.whitening import BAND_HZ
 from quadpi_core.errors import DiscrepancyError
-from quadpi_core.flight import AXES, Flight
+from quadpi_core.findings import DataQuality, UsedPart
+from quadpi_core.flight import AXES, Flight, hole_ends
 from quadpi_core.flight_files import FlightFile, LeftOutFlights, for_each_flight, once_each
 from quadpi_core.frames import Array
 from quadpi_core.identification.prepared_flights import read_flight
@@ -101,7 +102,7 @@ def read_flights(
         ArgumentError: for what are no paths, simulation or workers.
         LogError: for what cannot be read or used, another vehicle, and a flight present twice.
         SignalError: naming the file, where the signals cannot be fused.
-        DiscrepancyError: for too few flights.
+        DiscrepancyError: for too few flights, one shorter than a roll-out, and constant rotor speeds.
         ParallelError: see :meth:`quadpi_core.parallel.Workers.map`.
     """
     files = array_checks.paths("paths", paths)
@@ -118,7 +119,32 @@ def read_flights(
 
 
 def _read(task: tuple[Vehicle, float, MappingOrOptions], file: FlightFile) -> Flight:
-    return replace(read_flight(file.path, *task), name=file.name)
+    flight = replace(_longest_stretch(read_flight(file.path, *task)), name=file.name)
+    length_s = float(flight.time[-1] - flight.time[0])
+    if length_s <= HORIZON_S:
+        raise DiscrepancyError(
+            f"{file.path}: {length_s:.2g} s in the air, shorter than the {HORIZON_S:g} s of a roll-out"
+        )
+    _require_changes(flight)
+    return flight
+
+
+def _longest_stretch(flight: Flight) -> Flight:
+    """The longest part without a hole, as spectra and roll-outs need; `quality` says so."""
+    ends = hole_ends(flight.time)
+    if len(ends) == 0:
+        return flight
+    begins, lasts = np.r_[0, ends], np.r_[ends, len(flight)] - 1
+    k = int(np.argmax(flight.time[lasts] - flight.time[begins]))
+    part = flight.slice(slice(int(begins[k]), int(lasts[k]) + 1))
+    used = UsedPart(
+        float(part.time[0]),
+        float(part.time[-1]),
+        len(part),
+        float(flight.time[-1] - flight.time[0]),
+        f"the longest of {len(begins)} parts with rotor speeds",
+    )
+    return replace(part, quality=flight.quality.joined(DataQuality(used=(used,))))
 
 
 def study(
@@ -306,12 +332,7 @@ def require_excitation(flights: Sequence[Flight], vehicle: Vehicle) -> tuple[str
             speeds that do not change, as of a stuck sensor or a log that was filled in.
     """
     for flight in flights:
-        stuck = np.flatnonzero(np.ptp(flight.rotor_speeds, axis=0) < STUCK_RAD_S.value)
-        if len(stuck):
-            raise DiscrepancyError(
-                f"{flight.source}: topic rotor_speeds: rotor {stuck[0] + 1} has the same speed throughout, "
-                f"{flight.rotor_speeds[0, stuck[0]]:.4g} rad/s; speeds as measured are needed"
-            )
+        _require_changes(flight)
     flown = _flown(flights, vehicle)
     missing = tuple(name for name, there in flown.items() if not there)
     if len(missing) == len(flown):
@@ -320,6 +341,16 @@ def require_excitation(flights: Sequence[Flight], vehicle: Vehicle) -> tuple[str
             f"alike; fly {', '.join(missing)}"
         )
     return missing
+
+
+def _require_changes(flight: Flight) -> None:
+    """Refuse rotor speeds that do not change, naming the file."""
+    stuck = np.flatnonzero(np.ptp(flight.rotor_speeds, axis=0) < STUCK_RAD_S.value)
+    if len(stuck):
+        raise DiscrepancyError(
+            f"{flight.source}: topic rotor_speeds: rotor {stuck[0] + 1} has the same speed throughout, "
+            f"{flight.rotor_speeds[0, stuck[0]]:.4g} rad/s; speeds as measured are needed"
+        )
 
 
 def _flown(flights: Sequence[Flight], vehicle: Vehicle) -> dict[str, bool]:

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -13,19 +14,42 @@ from quadpi_core.errors import LogError, SignalError
 from quadpi_core.estimator.ekf import Ekf
 from quadpi_core.estimator.filter_run import Segment
 from quadpi_core.estimator.smoother import smooth
-from quadpi_core.flight import MAX_GAP_NS, Flight, Recording, RotorSpeedStream, Stamps, Stream, WindStream
+from quadpi_core.findings import Break, DataQuality, LeftOut
+from quadpi_core.flight import (
+    MAX_GAP_NS,
+    Flight,
+    Recording,
+    RotorSpeedStream,
+    Stamps,
+    Stream,
+    WindStream,
+    mean_rate_hz,
+)
 from quadpi_core.frames import Array
+from quadpi_core.screening.flight_runs import pauses
 from quadpi_core.screening.rates import seldom_topics
 from quadpi_core.screening.rotors_in_flight import carrying
 from quadpi_core.signals.chain import filter_zero_phase
 from quadpi_core.signals.resample import (
+    Mask,
     first_gap,
     interpolate,
     interpolate_attitude,
     nominal_rate,
     uniform_stamps,
 )
+from quadpi_core.thresholds import Threshold
 from quadpi_core.vehicle import Vehicle
+
+EDGE_PERIODS = Threshold(
+    "time beside a pause of the rotor speeds that is left out with it",
+    1.0,
+    "periods of the cut-off",
+    "a pause is bridged by a line before the low-pass; so far from one of up to 0.5 s it changes the "
+    "filtered speeds by 0.3 rad/s at most, beside it by 5, of a spread of 50",
+    "pauses cut into three real flights of two Crazyflies",
+)
+_TOO_FEW = "one sample is too few"
 
 
 class Estimate(NamedTuple):
@@ -49,7 +73,8 @@ def fuse(
     comes from the recorded odometry and the biases are taken as zero. The estimated biases vary over time as
     a random walk whose intensity is in the vehicle file; they are subtracted from the IMU samples.
 
-    The flight covers the time in which all streams have samples and the estimator is initialised. Wind is
+    The flight covers the time in which all streams have samples and the estimator is initialised. Where the
+    rotor speeds pause, the estimate goes on, and the flight has no samples; its `quality` says so. Wind is
     optional: still air without it, and its first and last sample hold before and after its stream.
 
     Args:
@@ -60,8 +85,8 @@ def fuse(
         segments: record of the EKF over this recording, if it has run already.
 
     Raises:
-        LogError: naming the topic that is missing or pauses for more than 0.1 s, or if the streams do not
-            overlap in time.
+        LogError: naming the topic that is missing, or pauses for more than 0.1 s and is not the rotor
+            speeds, or if the streams do not overlap in time.
         SignalError: if the estimator never starts, or the cut-off is not below half the sample rate.
     """
     imu, rotor_speeds = recording.imu, require_streams(recording)
@@ -73,6 +98,8 @@ def fuse(
     grid = grid[(grid >= start_ns) & (grid <= end_ns)]
     if len(grid) == 0:
         raise LogError(f"{recording.source}: the estimate and topic rotor_speeds share no time")
+
+    speeds, known = interpolate(rotor_speeds.time_ns, rotor_speeds.speeds, grid, MAX_GAP_NS)
 
     def on_grid(time_ns: Stamps, values: Array) -> Array:
         return interpolate(time_ns, values, grid, MAX_GAP_NS).values
@@ -87,14 +114,14 @@ def fuse(
             interpolate_attitude(estimate.time_ns, estimate.attitude, grid, MAX_GAP_NS).values,
             rates,
             specific_force,
-            on_grid(rotor_speeds.time_ns, rotor_speeds.speeds),
+            speeds,
             _wind(recording.wind, grid),
             rate_hz=nominal_rate(grid),
             cutoff_hz=cutoff_hz,
         )
     except SignalError as error:
         raise SignalError(f"{recording.source}: {error}") from error
-    return Flight(
+    flight = Flight(
         name=recording.name,
         vehicle=recording.vehicle,
         source=recording.source,
@@ -106,13 +133,39 @@ def fuse(
         position_measured=recording.pose is not None or recording.twist is None,
         **filtered._asdict(),
     )
+    pause = pauses(rotor_speeds)
+    return flight if pause is None else _without(flight, known, pause, imu.time_ns, cutoff_hz)
+
+
+def _without(flight: Flight, known: Mask, pause: Break, imu_ns: Stamps, cutoff_hz: float) -> Flight:
+    """A flight without the samples around which rotor speeds are not known; `quality` says so."""
+    # Slow to import, and most flights have no pause.
+    from scipy.ndimage import binary_erosion
+
+    edge = round(EDGE_PERIODS.value * mean_rate_hz(flight.time) / cutoff_hz)
+    known = binary_erosion(known, np.ones(2 * edge + 1), border_value=1)
+    if not np.any(known):
+        raise LogError(f"{flight.source}: topic rotor_speeds: nothing is known between its pauses")
+    unknown = np.flatnonzero(~known)
+    first_ns = flight.start_ns + round(1e9 * flight.time[unknown[0]])
+    left_out = LeftOut(
+        "imu",
+        "while the rotor speeds pause",
+        len(unknown),
+        len(known),
+        int(np.searchsorted(imu_ns, first_ns)),
+        1e-9 * float(first_ns - imu_ns[0]),
+    )
+    quality = flight.quality.joined(DataQuality(left_out=(left_out,), breaks=(pause,)))
+    return replace(flight.slice(known), quality=quality)
 
 
 def require_streams(recording: Recording) -> RotorSpeedStream:
     """Check that a recording has the streams that :func:`fuse` needs, and return its rotor speeds.
 
     Raises:
-        LogError: naming the topic that is missing, comes too seldom or pauses for more than 0.1 s.
+        LogError: naming the topic that is missing or comes too seldom, or pauses for more than 0.1 s and is
+            not the rotor speeds.
     """
     recording.check()
     rotor_speeds = recording.rotor_speeds
@@ -120,8 +173,9 @@ def require_streams(recording: Recording) -> RotorSpeedStream:
         raise LogError(f"{recording.source}: topic rotor_speeds is missing, which every kind of model needs")
     for seldom in seldom_topics(recording):
         raise LogError(f"{recording.source}: topic {seldom}")
-    for stream in (recording.imu, rotor_speeds):
-        _require_no_gap(recording.source, stream)
+    if len(rotor_speeds) < 2:
+        raise LogError(f"{recording.source}: topic {rotor_speeds.topic}: {_TOO_FEW}")
+    _require_no_gap(recording.source, recording.imu)
     if recording.pose is None and recording.twist is None:
         if recording.odometry is None:
             raise LogError(f"{recording.source}: topics mocap/pose and odometry are missing: one is needed")
@@ -177,7 +231,7 @@ def _wind(wind: WindStream | None, grid: Stamps) -> Array:
 
 def _require_no_gap(source: str, stream: Stream) -> None:
     if len(stream) < 2:
-        raise LogError(f"{source}: topic {stream.topic}: one sample is too few")
+        raise LogError(f"{source}: topic {stream.topic}: {_TOO_FEW}")
     index = first_gap(stream.time_ns, MAX_GAP_NS)
     if index is not None:
         pause = 1e-9 * float(stream.time_ns[index] - stream.time_ns[index - 1])

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.errors import ModelError
+from quadpi_core.flight import mean_rate_hz
 from quadpi_core.frames import Array
 from quadpi_core.models.model_kind import TrainingSamples
 from quadpi_core.models.physical_kernel import delayed, motions
@@ -64,8 +65,8 @@ class PhysicalFlight:
 
     @property
     def rate_hz(self) -> float:
-        """Mean sample rate."""
-        return float((len(self.time) - 1) / (self.time[-1] - self.time[0]))
+        """Mean sample rate, without holes."""
+        return mean_rate_hz(self.time)
 
     def cut(self, keep: slice) -> PhysicalFlight:
         """Some of the samples."""
@@ -116,8 +117,7 @@ def thinned_rows(samples: TrainingSamples, flight: int) -> npt.NDArray[np.int64]
     if len(rows) < 2 or time[-1] - time[0] < SHORTEST_S:
         name = samples.names[flight]
         raise ModelError(f"{name}: the physical model needs {SHORTEST_S:g} s or more in the air")
-    rate_hz = (len(rows) - 1) / (time[-1] - time[0])
-    return rows[:: max(1, round(rate_hz / _FIT_HZ))]
+    return rows[:: max(1, round(mean_rate_hz(time) / _FIT_HZ))]
 
 
 def flights_of(samples: TrainingSamples) -> list[PhysicalFlight]:

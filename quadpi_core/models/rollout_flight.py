@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.flight import Flight
+from quadpi_core.flight import Flight, hole_ends
 from quadpi_core.frames import Array
 from quadpi_core.inputs import relative_to_air
 from quadpi_core.models.physical_regressors import MOTION
@@ -85,14 +85,15 @@ class RolloutFlight:
         return replace(self, motion=motion)
 
     def starts(self, last: int, every: int) -> npt.NDArray[np.int64]:
-        """Every k-th sample, from which on rotor speeds were measured for `last` samples."""
+        """Every k-th sample, from which on rotor speeds were measured for `last` samples without a hole."""
         starts = np.arange(0, len(self.time) - last, every, dtype=np.int64)
-        gone = self.time[starts + last] - self.time[starts]
+        holes = hole_ends(self.time)
+        whole = np.searchsorted(holes, starts, "right") == np.searchsorted(holes, starts + last, "right")
         speeds = self.motion["rotor_speeds"]
         missing = np.any(speeds < _MISSING_SHARE * np.median(speeds, axis=0), axis=1)
         count = np.concatenate(([0], np.cumsum(missing)))
         measured = count[starts + last + 1] == count[starts]
-        kept: npt.NDArray[np.int64] = starts[(gone < 1.1 * last * self.step) & measured]
+        kept: npt.NDArray[np.int64] = starts[whole & measured]
         return kept
 
 

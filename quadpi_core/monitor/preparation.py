@@ -13,7 +13,7 @@ from quadpi_core import array_checks
 from quadpi_core.brief_repr import brief_repr
 from quadpi_core.compiled import njit
 from quadpi_core.estimator.imu_rate import RATE_BEFORE_HZ, ImuRate
-from quadpi_core.flight import AXES, Stamps
+from quadpi_core.flight import AXES, MAX_GAP_NS, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.inputs import (
     DERIVATIVES,
@@ -23,9 +23,14 @@ from quadpi_core.inputs import (
     vehicle_constants,
 )
 from quadpi_core.monitor.data_quality import (
+    NOT_FINITE,
+    NOT_PLAUSIBLE,
     RATE_DIFFERS,
     RATE_LOW,
     RATE_UNKNOWN,
+    STAMP_BACKWARD,
+    STAMP_REPEATED,
+    STATE_MISSING,
     Quality,
     frozen_s,
     judge,
@@ -45,21 +50,23 @@ from quadpi_core.signals.chain import (
     filter_sample,
     forget,
 )
-from quadpi_core.signals.filters import LowPass, design_low_pass
+from quadpi_core.signals.filters import SETTLING_PERIODS, LowPass, design_low_pass
 from quadpi_core.signals.wrench import newton_euler
 from quadpi_core.vehicle import ROTORS, Vehicle
 
 # When a state begins or comes back, its accelerometer bias is still being found: measured forces then leave
 # their intervals up to ten times as often (docs/alarm.md).
 SETTLE_NS = 1_000_000_000
+# Faults of samples that say nothing of the state.
+_WITHOUT_STATE = NOT_FINITE | NOT_PLAUSIBLE | STAMP_REPEATED | STAMP_BACKWARD | STATE_MISSING
 
 
 class Verdict:
     """What data quality and low-pass say of one sample.
 
     What follows `usable` means something for a usable sample only; the signals have passed the low-pass. A
-    sample has not settled in the first :data:`SETTLE_NS` after the first one, or after more than `MAX_GAP_NS`
-    without a usable one.
+    sample has not settled in the first :data:`SETTLE_NS` of a state, or after more than `MAX_GAP_NS` without
+    one, nor before the low-pass has settled. Where rotor speeds alone are missing, the state goes on.
     """
 
     time_ns: int
@@ -90,7 +97,10 @@ class Memory:
     fault_without_rate: int  # bits of the fault of a sample that has no low-pass
     quality: Quality
     chain: ChainMemory
-    begun_ns: int  # stamp of the first sample since the low-pass began
+    settling_ns: int  # of the low-pass
+    filtered_ns: int  # stamp of the first sample since the low-pass began
+    begun_ns: int  # that of the first one since the state began
+    state_ns: int  # that of the last one with a state
 
 
 # What the rows of the other arrays go by, in the words of a refusal.
@@ -185,6 +195,7 @@ class Preparation:
             strict=True,
         ):
             constants[name] = value
+        self._memory["settling_ns"] = min(SETTLE_NS, round(1e9 * SETTLING_PERIODS / cutoff_hz))
         self.retune(ImuRate(rate_hz or 0.0))
         self.reset()
 
@@ -253,15 +264,24 @@ def _prepare(
         if usable and memory.low_pass.rate_hz == 0.0:
             faults |= memory.fault_without_rate
             usable = False
+        if usable or faults & _WITHOUT_STATE == 0:
+            if not 0 < time_ns[i] - memory.state_ns <= MAX_GAP_NS:
+                memory.begun_ns = time_ns[i]
+            memory.state_ns = time_ns[i]
         verdict = verdicts[i]
         verdict.time_ns, verdict.faults, verdict.usable = time_ns[i], faults, usable
         if not usable:
             continue
+        if not chain.started:
+            memory.begun_ns = time_ns[i]
         if jump:
             forget(chain)
         if not chain.started:
-            memory.begun_ns = time_ns[i]
-        verdict.settled = time_ns[i] - memory.begun_ns >= SETTLE_NS
+            memory.filtered_ns = time_ns[i]
+        verdict.settled = (
+            time_ns[i] - memory.begun_ns >= SETTLE_NS
+            and time_ns[i] - memory.filtered_ns >= memory.settling_ns
+        )
         filter_sample(memory.low_pass, chain, values[i], value[0], slope[0], curvature)
         turn, velocity = matrix(value[0, ATTITUDE]), value[0, VELOCITY]
         for k in range(3):

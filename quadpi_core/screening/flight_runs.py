@@ -3,7 +3,8 @@
 """The parts of a recording: those without a pause, and those that were asked for by time.
 
 Nothing is interpolated, integrated or filtered across a pause of more than MAX_GAP_NS. Of a recording with
-such pauses of the IMU, the rotor speeds or (without motion capture) the state, one part in between is used.
+such pauses of the IMU or (without motion capture) the state, one part in between is used. Where the rotor
+speeds pause the state is still estimated: :func:`quadpi_core.estimator.fusion.fuse` leaves out samples alone.
 """
 
 from __future__ import annotations
@@ -126,10 +127,9 @@ def parts_without_pause(recording: Recording) -> list[Recording]:
     `quality` of each says where the topics pause, and what is used.
     """
     needed: list[Stream] = [recording.imu]
-    needed += [] if recording.rotor_speeds is None else [recording.rotor_speeds]
     if recording.pose is None and recording.twist is None and recording.odometry is not None:
         needed.append(recording.odometry)
-    breaks = [found for stream in needed if (found := _pauses(stream)) is not None]
+    breaks = [found for stream in needed if (found := pauses(stream)) is not None]
     if not breaks or any(len(stream) < 2 for stream in needed) or any(seldom_topics(recording)):
         return [recording]
     shared = _intervals(needed[0])
@@ -155,7 +155,7 @@ def long_enough(parts: Sequence[Recording]) -> list[Recording]:
     return sorted(kept or parts[:1], key=lambda one: int(one.imu.time_ns[0]))
 
 
-def _pauses(stream: Stream) -> Break | None:
+def pauses(stream: Stream) -> Break | None:
     """The pauses of a topic; None of one that has none."""
     late = np.flatnonzero(np.diff(stream.time_ns) > MAX_GAP_NS)
     if len(late) == 0:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from quadpi_core.compiled import njit
+from quadpi_core.flight import mean_rate_hz
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_INDEX
 from quadpi_core.rotations import from_rotation_vector, product, rotation_matrix
@@ -34,7 +35,7 @@ def band_limited(time: Array, rates: Array, forces: Array, bandwidth_hz: float |
     # Slow to import, and most importers of this module smooth nothing.
     from scipy.signal import butter, sosfiltfilt
 
-    rate_hz = (len(time) - 1) / (time[-1] - time[0])
+    rate_hz = mean_rate_hz(time)
     if bandwidth_hz is None or bandwidth_hz >= 0.5 * rate_hz:
         return forces
     rotation = rotation_matrix(_turned(time, np.ascontiguousarray(rates)))

@@ -90,14 +90,31 @@ def test_what_is_missing_is_named(noisy_vehicle, simulated):
         fuse(replace(recording, pose=None), noisy_vehicle, CUTOFF)
 
 
-@pytest.mark.parametrize("topic", ["imu", "rotor_speeds"])
-def test_a_pause_is_named_with_its_sample(noisy_vehicle, simulated, topic):
-    recording = simulated.recording
+def paused(recording, topic):
     keep = np.ones(len(recording.imu), dtype=bool)
     keep[2000:2100] = False
-    gappy = replace(recording, **{topic: keep_samples(getattr(recording, topic), keep)})
-    with pytest.raises(LogError, match=rf"topic {topic}: sample 2000: comes 0\.202 s after"):
-        fuse(gappy, noisy_vehicle, CUTOFF)
+    return replace(recording, **{topic: keep_samples(getattr(recording, topic), keep)})
+
+
+def test_a_pause_is_named_with_its_sample(noisy_vehicle, simulated):
+    with pytest.raises(LogError, match=r"topic imu: sample 2000: comes 0\.202 s after"):
+        fuse(paused(simulated.recording, "imu"), noisy_vehicle, CUTOFF)
+
+
+def test_a_pause_of_the_rotor_speeds_costs_its_own_samples(noisy_vehicle, simulated, flight):
+    """And one period of the cut-off on either side, beyond which nothing has changed."""
+    fused = fuse(paused(simulated.recording, "rotor_speeds"), noisy_vehicle, CUTOFF)
+    start_s = 1e-9 * (flight.start_ns - simulated.recording.imu.time_ns[0])
+    first = 2000 - round(500.0 * start_s) - 17
+    kept = np.r_[0:first, first + 100 + 2 * 17 : len(flight)]
+    np.testing.assert_array_equal(fused.time, flight.time[kept])
+    np.testing.assert_array_equal(fused.velocity, flight.velocity[kept])
+    np.testing.assert_allclose(fused.rotor_speeds, flight.rotor_speeds[kept], atol=0.1)
+    assert fused.rate_hz == pytest.approx(500.0)
+    assert [sentence.split(";")[0] for sentence in fused.quality.sentences()] == [
+        "topic rotor_speeds: pauses from 3.998 to 4.200 s at sample 2000",
+        f"topic imu: left out 134 of {len(flight)} samples while the rotor speeds pause",
+    ]
 
 
 def test_streams_that_never_meet_and_short_flights_are_refused(noisy_vehicle, simulated):

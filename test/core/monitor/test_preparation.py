@@ -64,21 +64,27 @@ def test_inputs_and_wrench_are_those_of_the_filtered_samples(vehicle, samples):
     np.testing.assert_allclose(moving["rotor_jerks"], slope(slope(rotors)), rtol=1e-6, atol=1e-2)
 
 
-@pytest.mark.parametrize(("missing_s", "anew"), [(0.08, False), (0.2, True)])
+@pytest.mark.parametrize(
+    ("topics", "missing_s", "settles_s"),
+    [
+        (("velocity", "attitude"), 0.08, 0.0),
+        (("velocity", "attitude"), 0.2, 1.0),
+        # Without rotor speeds the state goes on, and only the low-pass begins again.
+        (("rotor_speeds",), 0.2, 6.0 / CUTOFF_HZ),
+        (("rotor_speeds",), 3.0, 6.0 / CUTOFF_HZ),
+    ],
+)
 def test_a_state_settles_for_a_second_after_its_start_and_after_an_interruption(
-    vehicle, samples, missing_s, anew
+    vehicle, samples, topics, missing_s, settles_s
 ):
     seconds = 1e-9 * (samples.time_ns - samples.time_ns[0])
-    velocity, attitude = samples.velocity.copy(), samples.attitude.copy()
     missing = (seconds >= 4.0) & (seconds < 4.0 + missing_s)
-    velocity[missing], attitude[missing] = np.nan, np.nan
-    prepared = Preparation(vehicle, RATE_HZ, CUTOFF_HZ).step(
-        *changed(samples, velocity=velocity, attitude=attitude)
-    )
+    without = {topic: getattr(samples, topic).copy() for topic in topics}
+    for values in without.values():
+        values[missing] = np.nan
+    prepared = Preparation(vehicle, RATE_HZ, CUTOFF_HZ).step(*changed(samples, **without))
     used = seconds[prepared.usable]
-    expected = used >= 1.0
-    if anew:
-        expected &= (used < 4.0) | (used >= 4.0 + missing_s + 1.0)
+    expected = (used >= 1.0) & ((used < 4.0) | (used >= 4.0 + missing_s + settles_s))
     np.testing.assert_array_equal(prepared.usable, ~missing)
     np.testing.assert_array_equal(prepared.settled, expected)
 

@@ -12,7 +12,7 @@ import pytest
 
 from quadpi_core.errors import LogError
 from quadpi_core.findings import NOTHING_TO_SAY
-from quadpi_core.flight import Recording
+from quadpi_core.flight import OdometryStream, Recording
 from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs import bag_files, read_recording
 from quadpi_core.logs.bags import write_bag
@@ -55,8 +55,12 @@ def test_a_flight_without_a_pause_is_itself(flown):
     assert parts_without_pause(flown) == [flown]
 
 
-def test_parts_are_what_imu_and_rotor_speeds_share(flown):
-    paused = without(without(flown, "imu", (5.0, 5.2)), "rotor_speeds", (12.0, 12.3), (19.0, 19.5))
+def test_parts_are_what_imu_and_state_share(flown):
+    zeros = np.zeros((len(flown.imu), 3))
+    level = np.tile([1.0, 0.0, 0.0, 0.0], (len(flown.imu), 1))
+    odometry = OdometryStream(flown.imu.time_ns, zeros, level, zeros, zeros)
+    states = replace(flown, pose=None, odometry=odometry)
+    paused = without(without(states, "imu", (5.0, 5.2)), "odometry", (12.0, 12.3), (19.0, 19.5))
     parts = parts_without_pause(paused)
     assert [seconds_of(part, flown) for part in parts] == [
         pytest.approx([first, last], abs=0.011)
@@ -68,14 +72,15 @@ def test_parts_are_what_imu_and_rotor_speeds_share(flown):
     words = [sentence.split(" from ")[0] for sentence in parts[0].quality.sentences()]
     assert words == [
         "topic imu: pauses",
-        "topic rotor_speeds: pauses",
+        "topic odometry: pauses",
         "topic imu: used is the longest of 4 parts without a pause, 6.8 of 20.0 s:",
     ]
     assert parts[0].quality.breaks[1].times == 2
 
 
-def test_a_pause_of_motion_capture_ends_no_part(flown):
-    assert len(parts_without_pause(without(flown, "pose", (5.0, 6.0)))) == 1
+@pytest.mark.parametrize("topic", ["pose", "rotor_speeds"])
+def test_a_pause_of_motion_capture_or_rotor_speeds_ends_no_part(flown, topic):
+    assert len(parts_without_pause(without(flown, topic, (5.0, 6.0)))) == 1
 
 
 def test_identification_uses_the_longest_part_or_all(flown, vehicle, tmp_path):
