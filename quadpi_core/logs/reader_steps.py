@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from quadpi_core.errors import LogError
 from quadpi_core.findings import LeftOut
-from quadpi_core.flight import NO_STAMP, ImuStream, OdometryStream, RotorSpeedStream, Stamps
+from quadpi_core.flight import MAX_GAP_NS, NO_STAMP, ImuStream, OdometryStream, RotorSpeedStream, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.rotations import rotate_world_to_body
 from quadpi_core.rotor_order import RotorOrder
@@ -24,7 +24,9 @@ from quadpi_core.unusable_readings import REASONS, Verdict
 from quadpi_core.vehicle import Vehicle
 
 _log = logging.getLogger(__name__)
-_GAP_NS = 1_000_000_000
+# Signals of separate messages are not interpolated across a pause: longer than any sensor may have, and than
+# so many intervals of a slow one, or than this.
+_GAP_INTERVALS, _GAP_NS = 3, 1_000_000_000
 
 
 def note(source: str, text: str) -> None:
@@ -76,15 +78,31 @@ def odometry_of(
     """
     if len(time_ns) == 0 or len(attitude[0]) == 0:
         return None
-    turned = interpolate_attitude(*attitude, time_ns, _GAP_NS)
+    turned = interpolate_attitude(*attitude, time_ns, _longest_gap_ns(attitude[0]))
     imu_ns, (gyro,) = rising(imu.time_ns, imu.angular_velocity)
-    rates = interpolate(imu_ns, gyro, time_ns, _GAP_NS)
+    rates = interpolate(imu_ns, gyro, time_ns, _longest_gap_ns(imu_ns))
     both = turned.valid & rates.valid
     if not np.any(both):
         return None
     unit = turned.values[both]
     velocity = rotate_world_to_body(unit, velocity_world[both])
     return OdometryStream(time_ns[both], position[both], unit, velocity, rates.values[both])
+
+
+def _longest_gap_ns(time_ns: Stamps) -> int:
+    """Longest interval of a topic (N,) that is no pause."""
+    usual_ns = float(np.median(np.diff(time_ns))) if len(time_ns) > 1 else 0.0
+    return int(np.clip(_GAP_INTERVALS * usual_ns, MAX_GAP_NS, _GAP_NS))
+
+
+def unit_attitudes(source: str, topic: str, time_ns: Stamps, quaternion: Array) -> tuple[Stamps, Array]:
+    """Stamps (M,) and unit quaternions (M, 4) of those (N, 4) that are; how many are none, a note says."""
+    norm = np.linalg.norm(quaternion, axis=1)
+    is_unit = np.abs(norm - 1.0) <= NORM_TOLERANCE
+    if not np.all(is_unit):
+        note(source, f"topic {topic}: {np.count_nonzero(~is_unit)} of {len(norm)} have no attitude")
+    kept, (unit,) = rising(time_ns[is_unit], quaternion[is_unit] / norm[is_unit, np.newaxis])
+    return kept, unit
 
 
 def rising(time_ns: Stamps, *columns: Array) -> tuple[Stamps, tuple[Array, ...]]:
@@ -112,8 +130,15 @@ def rotors_together(
     if any(len(time_ns) == 0 for time_ns, _ in controllers):
         return None
     time_ns = max((stamps for stamps, _ in controllers), key=len)
-    together = [interpolate(stamps, speeds, time_ns, _GAP_NS) for stamps, speeds in controllers]
-    reads = [interpolate(stamps, (speeds != 0.0) * 1.0, time_ns, _GAP_NS) for stamps, speeds in controllers]
+    gaps_ns = [_longest_gap_ns(stamps) for stamps, _ in controllers]
+    together = [
+        interpolate(stamps, speeds, time_ns, gap)
+        for (stamps, speeds), gap in zip(controllers, gaps_ns, strict=True)
+    ]
+    reads = [
+        interpolate(stamps, (speeds != 0.0) * 1.0, time_ns, gap)
+        for (stamps, speeds), gap in zip(controllers, gaps_ns, strict=True)
+    ]
     valid = np.all([one.valid for one in together], axis=0)
     if not np.any(valid):
         return None

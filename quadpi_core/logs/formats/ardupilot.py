@@ -20,9 +20,15 @@ from quadpi_core.frames import Array, quaternion_from_roll_pitch_yaw
 from quadpi_core.logs.airframes import Airframe, has_quadrotor
 from quadpi_core.logs.dataflash import HEAD, Messages, decode_dataflash
 from quadpi_core.logs.log_format import LogFormat
-from quadpi_core.logs.reader_steps import note, odometry_of, require_imu, rising, rotors_together
+from quadpi_core.logs.reader_steps import (
+    note,
+    odometry_of,
+    require_imu,
+    rising,
+    rotors_together,
+    unit_attitudes,
+)
 from quadpi_core.rotor_order import RPM, RotorOrder
-from quadpi_core.sample_limits import NORM_TOLERANCE
 from quadpi_core.screening.sample_order import breaks, longest, order_of, used_run
 from quadpi_core.vehicle import ROTORS, Vehicle
 
@@ -88,7 +94,7 @@ def read_ardupilot(path: Path, vehicle: Vehicle | None, order: RotorOrder | None
         source=source,
         imu=imu,
         rotor_speeds=_rotor_speeds(source, messages, vehicle, order) if is_quadrotor else None,
-        odometry=_odometry(messages, imu),
+        odometry=_odometry(source, messages, imu),
         battery_v=None if battery is None else _battery(battery),
         quality=quality,
     )
@@ -154,10 +160,10 @@ def _battery(logged: Messages) -> tuple[Stamps, Array] | None:
     return (time_ns, volts) if len(time_ns) else None
 
 
-def _odometry(messages: dict[str, Messages], imu: ImuStream) -> OdometryStream | None:
+def _odometry(source: str, messages: dict[str, Messages], imu: ImuStream) -> OdometryStream | None:
     wanted = (*_POSITION, *_VELOCITY)
     name = next((name for name in _STATES if name in messages and messages[name].holds(*wanted)), None)
-    attitude = _attitude(messages)
+    attitude = _attitude(source, messages)
     if name is None or attitude is None:
         return None
     logged = messages[name]
@@ -169,7 +175,7 @@ def _odometry(messages: dict[str, Messages], imu: ImuStream) -> OdometryStream |
     return odometry_of(time_ns, position, velocity, attitude, imu)
 
 
-def _attitude(messages: dict[str, Messages]) -> tuple[Stamps, Array] | None:
+def _attitude(source: str, messages: dict[str, Messages]) -> tuple[Stamps, Array] | None:
     """Stamps and quaternions (K, 4) of the best kind of message that is there in number."""
     known = {}
     for name in _ATTITUDES:
@@ -184,10 +190,7 @@ def _attitude(messages: dict[str, Messages]) -> tuple[Stamps, Array] | None:
         quaternion = quaternion_from_roll_pitch_yaw(np.radians(logged.stack(*_ANGLES)))
     else:
         quaternion = logged.stack(*_QUATERNION)
-    norm = np.linalg.norm(quaternion, axis=1)
-    is_unit = np.abs(norm - 1.0) <= NORM_TOLERANCE
-    time_ns, (unit,) = rising(logged.time_ns()[is_unit], quaternion[is_unit] / norm[is_unit, np.newaxis])
-    return time_ns, unit
+    return unit_attitudes(source, OdometryStream.topic, logged.time_ns(), quaternion)
 
 
 def _rotor_speeds(

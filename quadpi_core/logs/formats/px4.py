@@ -24,7 +24,7 @@ from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording,
 from quadpi_core.frames import Array
 from quadpi_core.logs.airframes import Airframe, has_quadrotor
 from quadpi_core.logs.log_format import LogFormat
-from quadpi_core.logs.reader_steps import note, odometry_of, require_imu, rising, without
+from quadpi_core.logs.reader_steps import note, odometry_of, require_imu, rising, unit_attitudes, without
 from quadpi_core.messages.adapters.rotor_messages import EscReports, RotorReader
 from quadpi_core.rotor_order import RPM, RotorOrder
 from quadpi_core.sample_limits import NORM_TOLERANCE
@@ -248,20 +248,13 @@ def _battery(columns: Columns | None) -> tuple[Stamps, Array] | None:
     return (time_ns, volts) if len(time_ns) else None
 
 
-def _attitude(time_ns: Stamps, quaternion: Array) -> tuple[Stamps, Array]:
-    norm = np.linalg.norm(quaternion, axis=1)
-    is_unit = np.abs(norm - 1.0) <= NORM_TOLERANCE
-    kept, (unit,) = rising(time_ns[is_unit], quaternion[is_unit] / norm[is_unit, np.newaxis])
-    return kept, unit
-
-
 def _odometry(source: str, topics: dict[str, Columns], imu: ImuStream) -> OdometryStream | None:
     local, turned = topics.get("vehicle_local_position"), topics.get("vehicle_attitude")
     if local is None or turned is None:
         return None
     if not _holds(local, *_LOCAL_POSITION, *_LOCAL_VELOCITY, *_VALID) or not _holds(turned, *_QUATERNION):
         return None
-    attitude = _attitude(_sampled(turned), _stack(turned, *_QUATERNION))
+    attitude = unit_attitudes(source, OdometryStream.topic, _sampled(turned), _stack(turned, *_QUATERNION))
     valid = np.all([local[name].astype(bool) for name in _VALID], axis=0)
     if not np.all(valid):
         note(source, f"topic odometry: {np.count_nonzero(~valid)} of {len(valid)} positions are not valid")
@@ -287,9 +280,13 @@ def _pose(source: str, topics: dict[str, Columns]) -> PoseStream | None:
         if not _holds(columns, *names, *_QUATERNION):
             continue
         frame = next((key for key in _POSE_FRAMES if key in columns), None)
-        if frame is not None and not set(np.unique(columns[frame]).tolist()) <= _POSE_FRAMES[frame]:
-            note(source, f"topic mocap/pose: left out, {name} is in a frame that is neither NED nor FRD")
-            continue
+        if frame is not None:
+            known = np.isin(columns[frame], list(_POSE_FRAMES[frame]))
+            if not known.all():
+                share = f" {np.count_nonzero(~known)} of {len(known)}" if known.any() else ""
+                said = f"left out{share}, {name} is in a frame that is neither NED nor FRD"
+                note(source, f"topic mocap/pose: {said}")
+            columns = {key: values[known] for key, values in columns.items()}
         quaternion = _stack(columns, *_QUATERNION)
         norm = np.linalg.norm(quaternion, axis=1)
         is_unit = np.abs(norm - 1.0) <= NORM_TOLERANCE

@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 pytest.importorskip("pymavlink", reason="pymavlink is not installed")
 pytest.importorskip("pyulog", reason="pyulog is not installed")
+from benchmarks.fuzzing import flight_logs
 from quadpi_core.errors import LogError, QuadpiError
 from quadpi_core.flight import Recording
 from quadpi_core.logs import identify_format, read_recording
@@ -64,6 +65,18 @@ def test_the_autopilot_s_own_state(
     assert np.abs(np.sum(state.attitude * flown.attitude, axis=1)) == pytest.approx(1.0)
     assert state.velocity == pytest.approx(turn.inv().apply(flown.velocity_world), abs=1e-5)
     assert state.rates == pytest.approx(flown.rates, abs=1e-6)
+
+
+@pytest.mark.parametrize("write", [flight_logs.dataflash, flight_logs.ulog])
+def test_no_state_is_made_up_where_the_attitude_is_missing(write, tmp_path, flown, vehicle, caplog) -> None:
+    attitude = flown.attitude.copy()
+    attitude[80:120] = 0.0
+    path = tmp_path / "flight"
+    path.write_bytes(write(flown._replace(attitude=attitude)))
+    state = read_recording(path, vehicle).odometry
+    after = (state.time_ns - flown.time_us[0] * 1000) // 5_000_000
+    assert sorted(set(range(200)) - set(after.tolist())) == list(range(80, 120))
+    assert "topic odometry: 40 of 200 have no attitude" in caplog.text
 
 
 @pytest.mark.parametrize("suffix", [".ulg", ".tlog"])

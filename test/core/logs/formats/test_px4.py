@@ -156,6 +156,12 @@ def test_motion_capture_is_used_in_ned_and_frd_by_the_numbers_of_either_release(
     assert pose.attitude[0] == pytest.approx(TURNED)
 
 
+def test_a_pose_in_another_frame_costs_no_other(read, caplog):
+    rows = [(now, now, 1.0, 2.0, -3.0, *LEVEL, 77 if now == TIMES[9] else 1) for now in TIMES]
+    assert len(read({("vehicle_mocap_odometry", 0): (MOCAP, rows)}).pose) == 99
+    assert "left out 1 of 100, vehicle_mocap_odometry is in a frame" in caplog.text
+
+
 def test_poses_without_an_attitude_are_left_out(read, caplog):
     rows = [(now, now, 1.0, 2.0, -3.0, *(LEVEL if now > TIMES[9] else (np.nan,) * 4), 1) for now in TIMES]
     assert len(read({("vehicle_mocap_odometry", 0): (MOCAP, rows)}).pose) == 90
