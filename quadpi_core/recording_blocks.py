@@ -25,26 +25,26 @@ _ROOM_SHARE = 16
 
 
 def join_blocks(blocks: Iterable[Recording]) -> Recording:
-    """Join consecutive blocks to one recording.
+    """Join consecutive blocks to one recording; its `quality` is that of the last.
 
     Raises:
         ValueError: if there is no block.
     """
-    first: Recording | None = None
+    last: Recording | None = None
     joined: dict[str, StreamParts] = {}
     arrivals: dict[str, Column] = {}
     before = 0
     for block in blocks:
-        first = first or block
+        last = block
         for name, stream in streams_by_field(block).items():
             joined.setdefault(name, StreamParts(type(stream))).extend(stream)
         for topic, counts in block.arrivals.items():
             arrivals.setdefault(topic, Column()).extend(before + counts)
         before += len(block.imu)
-    if first is None:
+    if last is None:
         raise ValueError("a recording needs a block")
     streams: dict[str, Any] = {name: parts.whole() for name, parts in joined.items()}
-    return replace(first, **streams, arrivals={topic: column.whole() for topic, column in arrivals.items()})
+    return replace(last, **streams, arrivals={topic: column.whole() for topic, column in arrivals.items()})
 
 
 class StreamParts:

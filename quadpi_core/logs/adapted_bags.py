@@ -12,6 +12,7 @@ from typing import NamedTuple
 from rosbags.interfaces import Connection, MessageDefinitionFormat
 
 from quadpi_core.errors import LogError, SampleError, VehicleError
+from quadpi_core.findings import LeftOut
 from quadpi_core.flight import Stream
 from quadpi_core.logs.bag_files import Bag
 from quadpi_core.messages.adapters.adapter_definition import Adapter
@@ -119,7 +120,7 @@ class AdaptedReading:
     def __init__(
         self, bag: Path, topic: AdaptedTopic, settings: AdapterSettings, vehicle: Vehicle | None
     ) -> None:
-        self.name = topic.name
+        self.name, self._kind = topic.name, topic.adapter.kind
         self._where = f"{bag}: topic {topic.name}"
         self._samples = 0
         definition, type_name = topic.connection.msgdef, topic.adapter.type_name
@@ -158,8 +159,12 @@ class AdaptedReading:
         self._samples += len(stream)
         return stream
 
-    def finish(self, count: int) -> None:
-        """Log how many of all `count` messages were dropped, by reason.
+    def finish(self, count: int, start_ns: int) -> Iterator[LeftOut]:
+        """How many of all `count` messages were dropped; a warning where not each needs to hold a sample.
+
+        Args:
+            count: number of messages.
+            start_ns: stamp that times count from.
 
         Raises:
             LogError: if all were dropped.
@@ -167,5 +172,7 @@ class AdaptedReading:
         dropped = "; ".join(f"{number}: {reason}" for reason, number in self._unpacker.dropped.most_common())
         if self._samples == 0:
             raise LogError(f"{self._where}: none of {count} messages gives a sample ({dropped})")
-        if dropped:
+        if self._unpacker.left_out is not None:
+            yield from self._unpacker.left_out(self._kind, start_ns)
+        elif dropped:
             _log.warning("%s: dropped messages of %d: %s", self._where, count, dropped)

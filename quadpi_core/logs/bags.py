@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from quadpi_core.errors import LogError
+from quadpi_core.findings import DataQuality, LeftOut
 from quadpi_core.flight import (
     ImuStream,
     OdometryStream,
@@ -139,7 +140,7 @@ class BagRecording:
         """The recording in blocks; see :mod:`quadpi_core.recording_blocks`.
 
         They follow each other in log time. What messages of other packages give is absent from a block that
-        has none of them, and when it arrived is not known.
+        has none of them, and when it arrived is not known. What they do not give, the last block says.
         """
         unpacking = _Unpacking(
             self._bag.path, self._names, self._adapted, self._adapters, self._known_vehicle, self._frames
@@ -153,7 +154,9 @@ class BagRecording:
                 **{"imu": _NO_IMU, **streams},
                 arrivals=arrivals,
             )
-        unpacking.finish()
+        if left_out := unpacking.finish():
+            quality = DataQuality(left_out=left_out)
+            yield Recording(self.name, self.vehicle, self.source, _NO_IMU, quality=quality)
 
 
 class _Unpacking:
@@ -187,6 +190,7 @@ class _Unpacking:
         }
         self.topics = [*names.values(), *(reading.name for reading in self._adapted.values())]
         self._read = dict.fromkeys(self.topics, 0)
+        self._start_ns = 0
 
     def unpack(self, topics: Mapping[str, Topic]) -> tuple[dict[str, Any], dict[str, Stamps]]:
         """The streams in the messages that come next, by the names of their fields, and their arrivals."""
@@ -207,14 +211,19 @@ class _Unpacking:
             stream = reading.unpack(topics[reading.name], before=self._read[reading.name])
             if stream is not None:
                 streams[_FIELDS_OF_KINDS[kind]] = stream
+        if not self._start_ns and len(streams.get("imu", ())):
+            self._start_ns = int(streams["imu"].time_ns[0])
         for name, messages_of in topics.items():
             self._read[name] += len(messages_of.payloads)
         return streams, arrivals
 
-    def finish(self) -> None:
-        """Say what messages of other packages did not give; see :meth:`AdaptedReading.finish`."""
-        for reading in self._adapted.values():
-            reading.finish(self._read[reading.name])
+    def finish(self) -> tuple[LeftOut, ...]:
+        """What messages of other packages did not give; see :meth:`AdaptedReading.finish`."""
+        return tuple(
+            one
+            for reading in self._adapted.values()
+            for one in reading.finish(self._read[reading.name], self._start_ns)
+        )
 
 
 def _frames_of(bag: Bag) -> BodyFrames:

@@ -27,7 +27,7 @@ from quadpi_core.frames import (
 from quadpi_core.rotations import rotate_world_to_body
 from quadpi_core.rotor_order import RotorOrder
 from quadpi_core.sample_limits import NORM_TOLERANCE, STANDARD_GRAVITY
-from quadpi_core.unusable_readings import OFFLINE
+from quadpi_core.unusable_readings import REASONS, UnusableReports, Verdict
 from quadpi_core.vehicle import ROTORS, Vehicle
 
 ARDUPILOT, PX4 = 3, 12
@@ -108,11 +108,13 @@ class MavlinkSamples:
 
     Attributes:
         refused: number of refused messages by "NAME: reason".
+        unusable: those among the messages with the speed of a rotor; stamps are their arrivals.
         autopilot, vehicle_type: MAV_AUTOPILOT and MAV_TYPE of the last heartbeat, or None.
     """
 
     def __init__(self, vehicle: Vehicle | None, order: RotorOrder) -> None:
         self.refused: Counter[str] = Counter()
+        self.unusable = UnusableReports()
         self.autopilot: int | None = None
         self.vehicle_type: int | None = None
         self._vehicle = vehicle
@@ -292,8 +294,8 @@ class MavlinkSamples:
         fresh = [self._speed_count.get(first + k) != count for k, count in enumerate(m.count)]
         self._speed_count.update((first + k, count) for k, count in enumerate(m.count))
         mapped = [k for k in range(_ESCS_PER_MESSAGE) if first + k in self._order.controllers]
-        if not any(fresh[k] for k in mapped):
-            return self._refuse("ESC_TELEMETRY", "no new values in it") if mapped else None
+        if mapped and not any(fresh[k] for k in mapped):
+            return self._report("ESC_TELEMETRY", Verdict.REPEATED, arrival_s)
         return self._rotors("ESC_TELEMETRY", first, m.rpm, None, arrival_s)
 
     def _raw_rpm(self, m: Any, arrival_s: float) -> Sample | None:
@@ -305,17 +307,26 @@ class MavlinkSamples:
     ) -> Sample | None:
         """Store these speeds; a sample once every rotor has reported since the last one."""
         now_s = arrival_s if clock_us is None else clock_us * 1e-6
-        for rotor, controller in enumerate(self._order.controllers):
-            if first <= controller < first + len(rpm):
-                if source == "ESC_STATUS" and not self._online >> controller & 1:
-                    return self._refuse(source, f"{OFFLINE}: controller {controller + 1}")
-                self._speeds[rotor] = rpm[controller - first]
-                self._speed_time[rotor] = now_s
+        own = [(k, c) for k, c in enumerate(self._order.controllers) if first <= c < first + len(rpm)]
+        if not own:
+            return None
+        for _, controller in own:
+            if source == "ESC_STATUS" and not self._online >> controller & 1:
+                return self._report(source, Verdict.OFFLINE, arrival_s, f": controller {controller + 1}")
+        self._report(source, Verdict.SAMPLE, arrival_s)
+        for rotor, controller in own:
+            self._speeds[rotor] = rpm[controller - first]
+            self._speed_time[rotor] = now_s
         if not all(now_s - _ROTOR_SPREAD_S <= then <= now_s for then in self._speed_time):
             return None
         self._speed_time = [-math.inf] * ROTORS
         speeds = self._order.speeds(self._speeds[np.newaxis], self._vehicle)[0]
         return Sample("rotor_speeds", source, clock_us, speeds)
+
+    def _report(self, source: str, verdict: Verdict, arrival_s: float, more: str = "") -> Sample | None:
+        """Count a message with the speed of a rotor; returns the sample that a refused one does not give."""
+        self.unusable.add(np.array([round(1e9 * arrival_s)]), np.array([verdict], np.uint8))
+        return None if verdict == Verdict.SAMPLE else self._refuse(source, f"{REASONS[verdict]}{more}")
 
 
 def _milli_units(m: Any) -> Array:

@@ -20,7 +20,7 @@ from quadpi_core.sample_limits import NORM_TOLERANCE
 from quadpi_core.screening.plausibility import finite_rows
 from quadpi_core.screening.sample_order import longest, order_of
 from quadpi_core.signals.resample import interpolate, interpolate_attitude
-from quadpi_core.unusable_readings import REASONS, Verdict
+from quadpi_core.unusable_readings import UnusableReports, Verdict
 from quadpi_core.vehicle import Vehicle
 
 _log = logging.getLogger(__name__)
@@ -162,14 +162,10 @@ def without(
         verdict: (N,) see :class:`quadpi_core.unusable_readings.Verdict`.
         imu: whose first stamp times count from.
     """
-    said = []
+    unusable = UnusableReports()
+    unusable.add(stream.time_ns, verdict)
     start_ns = int(imu.time_ns[0]) if len(imu) else 0
-    for value in np.unique(verdict[verdict != Verdict.SAMPLE]).tolist():
-        rows = np.flatnonzero(verdict == value)
-        after_s = (int(stream.time_ns[rows[0]]) - start_ns) * 1e-9
-        words = f"in which {REASONS[Verdict(value)]}"
-        said.append(LeftOut(stream.topic, words, len(rows), len(stream), int(rows[0]), after_s))
-    return stream.take(verdict == Verdict.SAMPLE), tuple(said)
+    return stream.take(verdict == Verdict.SAMPLE), tuple(unusable.left_out(stream.topic, start_ns))
 
 
 def stamps_ns(time: Array, seconds_per_unit: float = 1.0) -> Stamps:

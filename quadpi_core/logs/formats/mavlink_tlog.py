@@ -118,21 +118,26 @@ def read_tlog(path: Path, vehicle: Vehicle | None, order: RotorOrder | None = No
     if order is None:
         order = RotorOrder.by_layout(vehicle, "quad-x", RPM)
     arrived, quality, samples = _decode(source, records, MavlinkSamples(vehicle, order))
+    unusable = samples.unusable
     for refusal, count in samples.refused.items():
+        if any(reason in refusal for reason in unusable.by_reason):
+            continue
         note(source, f"{count} messages not used, {refusal}")
     clocks = _clocks(arrived)
     mav_type = samples.vehicle_type or 0
     is_quadrotor = has_quadrotor(source, Airframe.of_mav_type(f"MAV_TYPE {mav_type}", mav_type))
     imu, rotors, pose, odometry = (_stream(topic, arrived, clocks) for topic in SOURCES)
+    imu = require_imu(source, cast("ImuStream | None", imu), "HIGHRES_IMU, RAW_IMU or SCALED_IMU")
+    left_out = tuple(unusable.left_out("rotor_speeds", int(imu.time_ns[0]))) if is_quadrotor else ()
     return Recording(
         name=path.stem,
         vehicle=vehicle.name if vehicle else "",
         source=source,
-        imu=require_imu(source, cast("ImuStream | None", imu), "HIGHRES_IMU, RAW_IMU or SCALED_IMU"),
+        imu=imu,
         rotor_speeds=_telling(source, rotors, samples) if is_quadrotor else None,
         pose=cast("PoseStream | None", pose),
         odometry=cast("OdometryStream | None", odometry),
-        quality=quality,
+        quality=quality.joined(DataQuality(left_out=left_out)),
     )
 
 

@@ -5,11 +5,12 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from quadpi_core.errors import LogError
+from quadpi_core.findings import LeftOut
 from quadpi_core.flight import Stream
 from quadpi_core.messages.adapters.adapter_settings import EXAMPLES, AdapterSettings
 from quadpi_core.messages.cdr import Columns
@@ -19,10 +20,18 @@ from quadpi_core.vehicle import Vehicle
 
 
 class Reading(NamedTuple):
-    """Converts decoded messages to a stream, and counts dropped ones."""
+    """Converts decoded messages to a stream, and counts dropped ones.
+
+    Attributes:
+        read: (columns, items of arrays) gives the samples of the next messages.
+        dropped: gives how many messages held none, by reason.
+        left_out: (topic, stamp that times count from) gives the same for a flight's `quality`, where a sample
+            was to be expected of each message.
+    """
 
     read: Callable[[Columns, dict[str, Items]], Stream]
     dropped: Callable[[], Counter[str]]
+    left_out: Callable[[str, int], Iterator[LeftOut]] | None = None
 
 
 @dataclass(frozen=True)
@@ -84,6 +93,11 @@ class Unpacker:
     def dropped(self) -> Counter[str]:
         """Number of dropped messages by reason."""
         return self._reading.dropped()
+
+    @property
+    def left_out(self) -> Callable[[str, int], Iterator[LeftOut]] | None:
+        """See :class:`Reading`."""
+        return self._reading.left_out
 
     def unpack(self, payloads: Payloads | bytes) -> Stream:
         """The samples in N messages or one; fewer than N where messages hold none that can be used.

@@ -9,7 +9,6 @@ which an ESC has been silent for SILENT_NS.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -25,7 +24,7 @@ from quadpi_core.messages.cdr import Columns, header_stamps
 from quadpi_core.messages.foreign_messages import Items
 from quadpi_core.messages.payloads import Indices
 from quadpi_core.rotor_order import ERPM, RotorOrder
-from quadpi_core.unusable_readings import REASONS, SILENT_NS, Verdict
+from quadpi_core.unusable_readings import SILENT_NS, UnusableReports, Verdict
 from quadpi_core.vehicle import ROTORS, Vehicle
 
 
@@ -158,7 +157,7 @@ class RotorReader:
     """Rotor speeds from the reports of any message; keeps the marks that distinguish new from repeated ones.
 
     Attributes:
-        dropped: how many messages gave no sample, by reason.
+        unusable: the messages that gave no sample.
     """
 
     def __init__(self, order: RotorOrder, vehicle: Vehicle | None) -> None:
@@ -168,7 +167,7 @@ class RotorReader:
         self._vehicle = vehicle
         self._latest = np.full(ROTORS, -1, dtype=np.int64)
         self._heard_ns = np.zeros(ROTORS, dtype=np.int64)
-        self.dropped: Counter[str] = Counter()
+        self.unusable = UnusableReports()
 
     def judged(self, reports: EscReports) -> tuple[RotorSpeedStream, npt.NDArray[np.uint8]]:
         """Speeds of all reports, and which of them form a sample (N,), see :class:`Verdict`."""
@@ -179,10 +178,8 @@ class RotorReader:
     def read(self, reports: EscReports) -> RotorSpeedStream:
         """The samples among the reports."""
         stream, verdict = self.judged(reports)
-        if verdict.any():
-            self.dropped.update(REASONS[Verdict(value)] for value in verdict[verdict > 0].tolist())
-            stream = stream.take(verdict == Verdict.SAMPLE)
-        return stream
+        self.unusable.add(stream.time_ns, verdict)
+        return stream.take(verdict == Verdict.SAMPLE) if verdict.any() else stream
 
 
 def start_of_rotors(
@@ -194,7 +191,9 @@ def start_of_rotors(
         order = settings.order(vehicle)
         numbers, reader = np.array(order.controllers), RotorReader(order, vehicle)
         return Reading(
-            lambda columns, items: reader.read(reports(columns, items, numbers)), lambda: reader.dropped
+            lambda columns, items: reader.read(reports(columns, items, numbers)),
+            lambda: reader.unusable.by_reason,
+            reader.unusable.left_out,
         )
 
     return start

@@ -2,9 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags with messages of other packages, as those packages' recorders write them, through the command line."""
 
+import json
 import re
 import shlex
 import shutil
+from dataclasses import astuple
 from pathlib import Path
 
 import numpy as np
@@ -210,6 +212,38 @@ def test_a_topic_that_gives_no_sample_says_why(tmp_path, vendor, topics, setting
         f"topic /mavros/esc_status/status: none of {len(payloads)} messages gives a sample" in result.errors
     )
     assert "no ESC is announced yet" in result.errors
+
+
+def test_reports_that_are_no_sample_are_counted_in_the_answer(
+    tmp_path, vendor, topics, flown, settings, quadpi
+):
+    """Messages 40 to 49: an ESC is not announced; 51 and 52: all repeat their reports."""
+    type_name, time_ns, payloads = topics["/mavros/esc_status/status"]
+    payloads[40:50] = [mavros_status(vendor.px4_1_14, int(at), [8000.0] * 3) for at in time_ns[40:50]]
+    payloads[51:53] = [payloads[50]] * 2
+    topics["/mavros/esc_status/status"] = (type_name, time_ns, payloads)
+    path = write(tmp_path / "field", vendor.px4_1_14, topics)
+    # Of the repeated report, the stamp is that of message 50.
+    after_s = 1e-9 * (time_ns[[40, 50]] - flown.imu.time_ns[0])
+    expected = [
+        (
+            "rotor_speeds",
+            "in which fewer ESCs report than `rotors` names",
+            10,
+            600,
+            40,
+            pytest.approx(after_s[0]),
+        ),
+        ("rotor_speeds", "in which no report is new", 2, 600, 51, pytest.approx(after_s[1])),
+    ]
+    quality = read_recording(path, Vehicle.load(VEHICLE), settings).quality
+    assert [astuple(one) for one in quality.left_out] == expected
+    data = tmp_path / "data.json"
+    options = ("--vehicle", VEHICLE, "--mapping", settings)
+    assert quadpi("import", path, *options, "-o", tmp_path / "bags", "--json", data).status == 0
+    (imported,) = json.loads(data.read_text())["bags"]
+    assert [tuple(one.values()) for one in imported["data_quality"]["left_out"]] == expected
+    assert "left out 10 of" in " ".join(quadpi("info", path, *options).output.split())
 
 
 def test_damaged_messages_are_named(tmp_path, vendor, topics, settings):

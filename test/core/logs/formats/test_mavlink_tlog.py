@@ -146,3 +146,25 @@ def test_speeds_that_are_zero_throughout_name_the_parameter_of_telemetry(
     path.write_bytes(heartbeat + imu_log(sender, 10_000 * np.arange(100)) + b"".join(silent))
     assert read_tlog(path, None).rotor_speeds is None
     assert "every rpm is zero: no telemetry: set SERVO_BLH_AUTO" in caplog.text
+
+
+def test_messages_of_an_esc_that_is_offline_are_left_out_and_counted(
+    mavlink_sender: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    sender, log = mavlink_sender(system=1), b""
+    for n in range(200):
+        log += record(sender.packet("HIGHRES_IMU", 10_000 * n, *[0.1] * 13, 0x3F, 0), n)
+        if n in {50, 80}:
+            online = 0b0111 if n == 50 else 0b1111
+            log += record(sender.packet("ESC_INFO", 0, 0, 0, 4, 0, online, [0] * 4, [0] * 4, [0] * 4), n)
+        log += record(sender.packet("ESC_STATUS", 0, 10_000 * n, [4000 + n] * 4, [0.0] * 4, [0.0] * 4), n)
+    path = tmp_path / "flight.tlog"
+    path.write_bytes(log)
+    with caplog.at_level(logging.INFO):
+        recording = read_tlog(path, None)
+    assert [str(one) for one in recording.quality.left_out] == [
+        "topic rotor_speeds: left out 30 of 200 samples in which an ESC is offline; the first is sample 50, "
+        "at 0.500 s"
+    ]
+    assert len(recording.rotor_speeds) == 170
+    assert "offline" not in caplog.text

@@ -19,7 +19,10 @@ def test_mavros_announces_no_esc_or_too_few(vendor, name):
     ]
     stream = unpacker.unpack(Payloads.join(payloads))
     assert stream.time_ns.tolist() == [START_NS + 3 * STEP_NS]
-    assert dict(unpacker.dropped) == {"no ESC is announced yet": 2, "fewer ESCs than `rotors` names": 1}
+    assert dict(unpacker.dropped) == {
+        "no ESC is announced yet": 2,
+        "fewer ESCs report than `rotors` names": 1,
+    }
 
 
 def test_a_stamp_that_is_none_names_the_message(vendor):

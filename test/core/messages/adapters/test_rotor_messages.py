@@ -81,8 +81,8 @@ def test_px4_motors_are_found_by_function_in_any_place_of_either_version(vendor,
 @pytest.mark.parametrize(
     ("reason", "changes"),
     [
-        ("no report of a motor", {"functions": (101, 102, 0, 104)}),
-        ("two reports of one motor", {"functions": (101, 102, 103, 104, 102), "rpm": [1, 2, 3, 4, 5]}),
+        ("no report is of a motor", {"functions": (101, 102, 0, 104)}),
+        ("two reports are of one motor", {"functions": (101, 102, 103, 104, 102), "rpm": [1, 2, 3, 4, 5]}),
         ("offline", {"online": 0b0111}),
         ("has not reported yet", {"times_ns": [START_NS, 0, START_NS, START_NS]}),
     ],
@@ -119,7 +119,7 @@ def test_repeated_reports_are_no_samples_whatever_their_stamp(vendor, name):
     together, single = opened(vendor.px4_1_14, name), opened(vendor.px4_1_14, name)
     kept = [START_NS + sample * STEP_NS for sample in (*range(10), *range(40, 50))]
     assert together.unpack(Payloads.join(payloads)).time_ns.tolist() == kept
-    assert together.dropped == {"repeats the reports before it": 30}
+    assert together.dropped == {"no report is new": 30}
     assert [time for payload in payloads for time in single.unpack(payload).time_ns.tolist()] == kept
     assert single.dropped == together.dropped
 
