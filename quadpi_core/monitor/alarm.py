@@ -36,7 +36,7 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core import array_checks
-from quadpi_core.flight import Stamps
+from quadpi_core.flight import MAX_JUMP_BACK_NS, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.models.alarm_limits import AlarmLimits
 from quadpi_core.models.envelope import Envelope
@@ -226,9 +226,9 @@ class AlarmTime(NamedTuple):
 def alarm_time(
     time_ns: Stamps, level: npt.NDArray[np.uint8], end_ns: int, at_least: int = LEVEL_ALARM
 ) -> AlarmTime:
-    """Sum up alarm rows (M,), each of which holds until the next one; the last until `end_ns`."""
+    """Sum up alarm rows (M,), each of which holds until the next one, see :func:`held_ns`."""
     raised = level >= at_least
-    durations = np.diff(time_ns, append=max(end_ns, int(time_ns[-1])))
+    durations = held_ns(time_ns, end_ns)
     fraction = float(durations[raised].sum() / max(durations.sum(), 1))
     return AlarmTime(fraction, int(time_ns[np.argmax(raised)]) if raised.any() else None)
 
@@ -254,18 +254,25 @@ class NotJudged(NamedTuple):
     reasons: tuple[NotJudgedReason, ...]
 
 
-def not_judged(time_ns: Stamps, why: npt.NDArray[np.int64], start_ns: int, end_ns: int) -> NotJudged:
+def held_ns(time_ns: Stamps, end_ns: int) -> Stamps:
+    """For how long each of the stamps (N,) holds: until the next one, the last until `end_ns`.
+
+    A pause counts for MAX_JUMP_BACK_NS at most, as nothing is known of the rest; a fall of the clock for 0.
+    """
+    return np.clip(np.diff(time_ns, append=max(end_ns, int(time_ns[-1]))), 0, MAX_JUMP_BACK_NS)
+
+
+def not_judged(time_ns: Stamps, why: npt.NDArray[np.int64], before_ns: int, end_ns: int) -> NotJudged:
     """Sum up why alarm rows (M,) say that the model is not judged, see :func:`alarm_time`.
 
     Args:
         time_ns: of the rows.
         why: keys of `results.WHY_NOT_JUDGED`, or JUDGED.
-        start_ns: of the flight; before the first row there is no state, or no rotor speeds, yet.
+        before_ns: length of the flight before the first row: no state, or no rotor speeds, yet.
         end_ns: of the flight.
     """
-    end_ns = max(end_ns, int(time_ns[-1]))
-    durations = np.diff(time_ns, append=end_ns).astype(np.float64)
-    before = float(max(int(time_ns[0]) - start_ns, 0))
+    durations = held_ns(time_ns, end_ns).astype(np.float64)
+    before = float(before_ns)
     whole = max(before + float(durations.sum()), 1.0)
     shares = {NOT_BEGUN: before / whole}
     shares |= {words: float(durations[why == key].sum()) / whole for key, words in WHY_NOT_JUDGED.items()}

@@ -24,7 +24,7 @@ from quadpi_core.estimator.filter_run import EkfTrace, Spans, never_started
 from quadpi_core.estimator.filter_state import WITHOUT_ESTIMATE, EstimatorStatus
 from quadpi_core.estimator.imu_rate import ImuRate
 from quadpi_core.estimator.output import FusedSamples, with_gyro_faults
-from quadpi_core.flight import ImuStream, OdometryStream, Recording, Stamps, WindStream
+from quadpi_core.flight import MAX_JUMP_BACK_NS, ImuStream, OdometryStream, Recording, Stamps, WindStream
 from quadpi_core.flight_files import FlightFile, LeftOutFlights, bags_in, for_each_flight
 from quadpi_core.frames import Array
 from quadpi_core.logs import blocks_of, decode_recording, identify_format, open_in_blocks
@@ -437,6 +437,8 @@ class _Tally:
 
     def __init__(self) -> None:
         self._imu_ns: tuple[int, int] | None = None
+        # Stamps of the IMU after a long pause, and by how much it is longer than counts; see `held_ns`.
+        self._pauses: list[tuple[int, int]] = []
         self._samples = self._monitored = self._predictions = self._events = 0
         self._alarm_ns: list[Stamps] = []
         self._levels: list[npt.NDArray[np.uint8]] = []
@@ -445,7 +447,12 @@ class _Tally:
     def add(self, part: Followed, predictions: Predictions, alarms: Alarms, events: Events) -> None:
         """Count what came of a part of the flight."""
         if len(part.imu_ns):
-            first_ns = int(part.imu_ns[0]) if self._imu_ns is None else self._imu_ns[0]
+            first_ns, last_ns = self._imu_ns or (int(part.imu_ns[0]),) * 2
+            stamps = np.concatenate(([last_ns], part.imu_ns))
+            self._pauses += [
+                (int(stamps[row + 1]), int(stamps[row + 1] - stamps[row]) - MAX_JUMP_BACK_NS)
+                for row in np.flatnonzero(np.diff(stamps) > MAX_JUMP_BACK_NS)
+            ]
             self._imu_ns = first_ns, int(part.imu_ns[-1])
         self._samples += len(part.imu_ns)
         self._monitored += len(part.samples.time_ns)
@@ -462,7 +469,9 @@ class _Tally:
         alarm, warning = (
             alarm_time(time_ns, levels, end_ns, level) for level in (LEVEL_ALARM, LEVEL_WARNING)
         )
-        unjudged = not_judged(time_ns, np.concatenate(self._why), start_ns, end_ns)
+        before_ns = max(int(time_ns[0]) - start_ns, 0)
+        before_ns -= sum(uncounted for after_ns, uncounted in self._pauses if after_ns <= time_ns[0])
+        unjudged = not_judged(time_ns, np.concatenate(self._why), max(before_ns, 0), end_ns)
         return ReplaySummary(
             samples_in=self._samples,
             predictions_out=self._predictions,

@@ -126,6 +126,16 @@ def test_replay_gives_what_the_monitor_gives(model, vehicle, samples, with_odome
     assert reasons == pytest.approx({NOT_BEGUN: 0.1, WHY_NOT_JUDGED[SETTLES]: 0.1}, abs=0.001)
 
 
+def test_an_hour_without_samples_is_no_flight(model, vehicle, with_odometry, bag_of, tmp_path):
+    """Three samples of the IMU stamped before its clock was set must not make the rest a thousandth."""
+    imu_ns = with_odometry.imu.time_ns.copy()
+    imu_ns[:3] -= 3600 * 10**9
+    bag = bag_of(replace(with_odometry, imu=replace(with_odometry.imu, time_ns=imu_ns)))
+    summary = replay(model, vehicle, bag, tmp_path / "out.mcap")
+    # The pause counts as one second more, of eleven.
+    assert summary.not_judged_fraction == pytest.approx(3.0 / 11.0, abs=0.005)
+
+
 def test_the_same_bytes_each_time(each_model, vehicle, with_pose, bag_of, tmp_path):
     bag = bag_of(with_pose)
     first, second = tmp_path / "first.mcap", tmp_path / "second.mcap"
