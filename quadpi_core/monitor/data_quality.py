@@ -30,7 +30,9 @@ from quadpi_core.sample_limits import (
     usable_rotor_speeds,
     within,
 )
+from quadpi_core.screening.rotors_in_flight import OTHERS_STEPS, STUCK_RAD_S, STUCK_S
 from quadpi_core.signals.chain import ATTITUDE, RATES, ROTOR_SPEEDS, SPECIFIC_FORCE, VELOCITY, WIND
+from quadpi_core.thresholds import Threshold
 from quadpi_core.vehicle import ROTORS, Vehicle
 
 NOT_FINITE, NOT_PLAUSIBLE = 1 << 0, 1 << 1
@@ -54,8 +56,18 @@ _FROZEN_S, _FROZEN_SAMPLES = 0.03, 8
 # The estimator moves its biases at every correction, so the readings of a frozen sensor less its bias still
 # creep, by at most this much per sample [rad/s, m/s²].
 _CREEP_RAD_S, _CREEP_M_S2 = 0.01, 0.05
-# Speed controllers may repeat a reading until the next one comes, for at most this long [s].
-_ROTOR_FROZEN_S = 0.5
+# Speed controllers may repeat a reading until the next one comes, for at most so long [s].
+_ROTOR_FROZEN_S = STUCK_S.value
+FINE_STEP = Threshold(
+    "resolution in which a rotor that turns changes its reading within half a second",
+    1e-3,
+    "of the speed",
+    "in half a second of flight a rotor's speed changes by 0.6 % or more, that of one of four by 1.1 %",
+    "24 real flights of five vehicles, in steps of 0 to 0.05 %",
+)
+_FINE_STEP, _OTHERS_STEPS, _SAME_RAD_S = FINE_STEP.value, OTHERS_STEPS.value, STUCK_RAD_S.value
+# A reading that is held follows another within so long [s]: from their difference the resolution is known.
+_FOLLOWS_S = 0.1
 # Time constant of the means of the squared rotor speeds [s].
 _MEAN_S = 0.3
 # Largest change of a rotor's speed between samples, as a share of it: a constant for the noise, and a rate;
@@ -89,6 +101,13 @@ class Quality:
     specific_force_still_s: float
     rotor_speeds: PerRotor
     rotor_still_s: PerRotor
+    # Of all rotors, since each of them has not changed.
+    rotors_lowest: Annotated[Array, ROTORS, ROTORS]
+    rotors_highest: Annotated[Array, ROTORS, ROTORS]
+    # The last reading that a rotor held, for how long it has not, and the smallest step between two [rad/s].
+    rotor_held: PerRotor
+    rotor_moves_s: PerRotor
+    rotor_step: float
     mean_squares: PerRotor  # of the rotor speeds, over _MEAN_S
     averaged_s: float  # since the means began
 
@@ -99,6 +118,7 @@ def quality(vehicle: Vehicle, rate_hz: float) -> Records:
     memory["rotor_speed_max"] = vehicle.rotor_speed_spike_rad_s
     memory["rotor_spins"] = vehicle.rotor_spins
     memory["frozen_after_s"] = frozen_s(rate_hz)
+    memory["rotor_step"] = np.inf
     memory["previous_ns"] = NO_STAMP
     return memory
 
@@ -247,9 +267,8 @@ def _rotor_faults(memory: Quality, speeds: Array, step_s: float, restarts: bool)
         before = memory.rotor_speeds[k]
         if others_turn and speeds[k] < zero:
             faults |= ROTOR_ZERO << k
-        turning = min(speeds[k], before) > _TURNING_RAD_S
-        memory.rotor_still_s[k] = memory.rotor_still_s[k] + step_s if turning and speeds[k] == before else 0.0
-        if memory.rotor_still_s[k] >= _ROTOR_FROZEN_S:
+        _take_reading(memory, k, speeds, step_s)
+        if memory.rotor_still_s[k] >= _ROTOR_FROZEN_S and _would_change(memory, k):
             faults |= ROTOR_FROZEN << k
         larger = max(speeds[k], before)
         most = (_JUMP + _JUMP_PER_S * step_s) * larger
@@ -274,6 +293,41 @@ def _rotor_faults(memory: Quality, speeds: Array, step_s: float, restarts: bool)
         elif relative < _DIFFERS_BELOW or relative > _DIFFERS_ABOVE:
             faults |= ROTOR_DIFFERS << k
     return faults
+
+
+@njit(cache=True)
+def _take_reading(memory: Quality, rotor: int, speeds: Array, step_s: float) -> None:
+    """Note whether a rotor's reading is the one before, and the resolution that its changes tell."""
+    speed, before = speeds[rotor], memory.rotor_speeds[rotor]
+    lowest, highest = memory.rotors_lowest[rotor], memory.rotors_highest[rotor]
+    if min(speed, before) <= _TURNING_RAD_S or speed != before:
+        memory.rotor_still_s[rotor] = 0.0
+        memory.rotor_moves_s[rotor] += step_s
+        lowest[:], highest[:] = speeds, speeds
+        return
+    step = abs(speed - memory.rotor_held[rotor])
+    if memory.rotor_moves_s[rotor] <= _FOLLOWS_S and step > _SAME_RAD_S:
+        memory.rotor_step = min(memory.rotor_step, step)
+    memory.rotor_held[rotor], memory.rotor_moves_s[rotor] = speed, 0.0
+    memory.rotor_still_s[rotor] += step_s
+    for k in range(ROTORS):
+        lowest[k], highest[k] = min(lowest[k], speeds[k]), max(highest[k], speeds[k])
+
+
+@njit(cache=True)
+def _would_change(memory: Quality, rotor: int) -> bool:
+    """Whether a rotor that turned would have changed its reading meanwhile, in the resolution of the stream.
+
+    It would in a fine one, and wherever the others change by several steps.
+    """
+    if memory.rotor_step == np.inf or memory.rotor_step < _FINE_STEP * memory.rotor_speeds[rotor]:
+        return True
+    total, least, most = 0.0, np.inf, 0.0
+    for k in range(ROTORS):
+        if k != rotor:
+            extent = memory.rotors_highest[rotor, k] - memory.rotors_lowest[rotor, k]
+            total, least, most = total + extent, min(least, extent), max(most, extent)
+    return bool(total - least - most >= _OTHERS_STEPS * memory.rotor_step)
 
 
 @njit(cache=True)

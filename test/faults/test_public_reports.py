@@ -14,8 +14,12 @@ import pytest
 from quadpi_core.flight import Recording
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.importing import Imported, import_logs
+from quadpi_core.monitor.data_quality import fault_words
+from quadpi_core.monitor.preparation import Preparation
 from quadpi_core.screening.consistency import checked
+from quadpi_core.signals.chain import ROTOR_SPEEDS
 from quadpi_core.vehicle import Vehicle
+from test.core.monitor.conftest import fly
 
 
 @pytest.fixture
@@ -124,6 +128,11 @@ def test_rotor_speeds_in_hundreds_of_electrical_revolutions(report):
     recording = checked(read_recording(case / "flight.csv", vehicle, case / "mapping.yaml"), vehicle)
     assert list(recording.quality.sentences()) == []
     assert len(recording.rotor_speeds) == 1500
+    # Nor in flight, where three rotors read the same for the first half second.
+    samples = fly(3.0, vehicle)
+    samples.values[:, ROTOR_SPEEDS] = recording.rotor_speeds.speeds[: len(samples.time_ns)]
+    faults = Preparation(vehicle, 500.0, 30.0).step(*samples).verdicts["faults"]
+    assert not any("frozen" in word for bits in set(faults.tolist()) for word in fault_words(bits))
 
 
 def test_a_speed_controller_of_px4_whose_telemetry_drops_out(report):

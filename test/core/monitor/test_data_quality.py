@@ -146,6 +146,25 @@ def test_a_speed_controller_may_repeat_a_reading_for_half_a_second(flight, secon
 
 
 @pytest.mark.parametrize(
+    ("step", "others_step", "frozen"),
+    [
+        # Without a change for 2 s: coarse readings rest, fine ones and those of a moving flight do not.
+        (1.1e-3, 0.0, False),
+        (0.9e-3, 0.0, True),
+        (1.1e-3, 3.5e-3, False),
+        (1.1e-3, 4.5e-3, True),
+    ],
+)
+def test_the_resolution_of_the_stream_decides_what_is_no_change(flight, step, others_step, frozen):
+    """Rotors at 700 rad/s that go up and down by one step; then one, or none, changes."""
+    speeds = flight["rotor_speeds"]
+    speeds[:] = 700.0 * (1.0 + step * ((np.arange(COUNT) // 10 + np.arange(4)[:, np.newaxis]) % 2).T)
+    speeds[1000:] = speeds[1000]
+    speeds[1150:, :3] += 700.0 * others_step
+    assert ("rotor 4 frozen" in said(flight.words())) == frozen
+
+
+@pytest.mark.parametrize(
     ("every", "share", "jumps"), [(1, 0.17, False), (1, 0.21, True), (5, 0.33, False), (5, 0.37, True)]
 )
 def test_a_rotor_jumps_by_more_than_15_percent_and_2_percent_a_millisecond(flight, every, share, jumps):
