@@ -39,7 +39,7 @@ def replay(
     """Write the bag that the live nodes would have published for a flight; the same bytes each time."""
     from dataclasses import asdict
 
-    from quadpi_core.flight_files import bags_in
+    from quadpi_core.flight_files import bags_in, named_files
     from quadpi_core.models.aerodynamic import AerodynamicModel
     from quadpi_core.monitor import MonitorSettings
     from quadpi_core.monitor.replay import replay as replay_bag
@@ -73,18 +73,19 @@ def replay(
                 "left_out": list(map(asdict, left_out)),
             }
         else:
+            (file,) = named_files(bags)
             replayed = {
-                bags[0].stem: replay_bag(
+                file.name: replay_bag(
                     the_model,
                     the_vehicle,
-                    bags[0],
+                    file.path,
                     output,
                     confidence=confidence,
                     settings=settings,
                     mapping=how,
                 )
             }
-            summary = asdict(replayed[bags[0].stem])
+            summary = asdict(replayed[file.name])
         console.print(terminal_table(replay_table(replayed)))
         for sentence in not_judged_sentences(replayed):
             console.print(sentence, soft_wrap=True)

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from quadpi_core import array_checks
 from quadpi_core.brief_repr import brief_repr
-from quadpi_core.errors import LogError, ModelError, named_in
+from quadpi_core.errors import LogError, ModelError, QuadpiError, named_in
 from quadpi_core.estimator.ekf import Ekf
 from quadpi_core.estimator.filter_run import Segment
 from quadpi_core.estimator.fusion import fuse_airborne, require_streams
@@ -199,8 +199,14 @@ def prepare_flights(
         workers=workers,
         left_out=left_out,
     )
-    flights = []
-    each = [(file, flight) for file, found in read for flight in found]
+    flights, each = [], []
+    for file, found in read:
+        for name, flight in found:
+            part = replace(file, name=name)
+            if isinstance(flight, QuadpiError):
+                leave_out(part, flight, left_out)
+            else:
+                each.append((part, flight))
     for file, flight in once_each(each, attrgetter("sha256"), left_out):
         flaw, aloft_s = flight.quality.flaw, float(flight.time[-1] - flight.time[0])
         if flaw is not None and not keep_flawed:
@@ -214,19 +220,30 @@ def prepare_flights(
     return flights
 
 
-def _prepare(task: tuple[Vehicle, float, ReadingOptions], file: FlightFile) -> list[PreparedFlight]:
-    vehicle, cutoff_hz, mapping = task
+def _prepare(
+    task: tuple[Vehicle, float, ReadingOptions], file: FlightFile
+) -> list[tuple[str, PreparedFlight | QuadpiError]]:
+    """The flight of a file, or each of its parts with the reason where one cannot be used, by name."""
+    vehicle, _, mapping = task
     parts = parts_without_pause(read_recording(file.path, vehicle, mapping))
     used = long_enough(parts) if mapping.all_parts else parts[:1]
-    names = [file.name] if len(used) == 1 else [f"{file.name}_part{k + 1}" for k in range(len(used))]
-    return [
-        replace(_prepared(replace(recording, name=name), vehicle, cutoff_hz), file=file.name)
-        for recording, name in zip(used, names, strict=True)
-    ]
+    if len(used) == 1:
+        return [(file.name, _prepared(used[0], file.name, file, task))]
+    found: list[tuple[str, PreparedFlight | QuadpiError]] = []
+    for number, recording in enumerate(used, 1):
+        name = f"{file.name}_part{number}"
+        try:
+            found.append((name, _prepared(recording, name, file, task)))
+        except QuadpiError as error:
+            found.append((name, error))
+    return found
 
 
-def _prepared(recording: Recording, vehicle: Vehicle, cutoff_hz: float) -> PreparedFlight:
-    recording = checked(recording, vehicle)
+def _prepared(
+    recording: Recording, name: str, file: FlightFile, task: tuple[Vehicle, float, ReadingOptions]
+) -> PreparedFlight:
+    vehicle, cutoff_hz, _ = task
+    recording = checked(replace(recording, name=name), vehicle)
     require_streams(recording)
     causal = CausalPass.over(recording, vehicle)
     flight = fuse_airborne(recording, vehicle, cutoff_hz, causal.segments)
@@ -234,7 +251,7 @@ def _prepared(recording: Recording, vehicle: Vehicle, cutoff_hz: float) -> Prepa
     live = causal.samples(vehicle, cutoff_hz, at_ns)
     prepared = PreparedFlight.of(flight, vehicle, recording_hash(recording), live)
     recorded_ns = recording.imu.time_ns[-1] - recording.imu.time_ns[0]
-    return replace(prepared, recorded_s=1e-9 * float(recorded_ns))
+    return replace(prepared, file=file.name, recorded_s=1e-9 * float(recorded_ns))
 
 
 def read_flight(path: Path, vehicle: Vehicle, cutoff_hz: float, mapping: MappingOrOptions = None) -> Flight:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Protocol
 
 from quadpi_core.errors import QuadpiError
+from quadpi_core.flight_files import named_files
 from quadpi_core.logs.cut_off import is_cut_off, whole_part
 from quadpi_core.messages.model_description import DescribedModel
 from quadpi_core.models.aerodynamic import AerodynamicModel
@@ -143,7 +144,8 @@ def open_bag(
         judges = models and not holds_only_results(readable)
     about = f"judged by {', '.join(model.name for model in models)}" if judges else "results as recorded"
     whole = ", as far as the file goes: it is cut off" if is_cut_off(bag) else ""
-    return BagSource(f"{bag.name}, {about}{whole}", bag.stem, parts, known)
+    (file,) = named_files(bag)
+    return BagSource(f"{bag.name}, {about}{whole}", file.name, parts, known)
 
 
 def _started(parts: Iterator[Part]) -> Iterator[Part]:

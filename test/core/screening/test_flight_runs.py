@@ -4,15 +4,17 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import re
+from dataclasses import astuple, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from quadpi_core.errors import LogError
+from quadpi_core.errors import LogError, QuadpiError
 from quadpi_core.findings import NOTHING_TO_SAY
 from quadpi_core.flight import OdometryStream, Recording
+from quadpi_core.flight_files import FlightLeftOut
 from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs import bag_files, read_recording
 from quadpi_core.logs.bags import write_bag
@@ -93,6 +95,20 @@ def test_identification_uses_the_longest_part_or_all(flown, vehicle, tmp_path):
     assert [(part.name, part.file) for part in parts] == [("a_part1", "a"), ("a_part2", "a")]
     assert len({part.sha256 for part in parts}) == 2
     assert parts[1].sha256 == longest.sha256
+
+
+def test_a_part_that_cannot_be_used_costs_itself_alone(flown, vehicle, tmp_path):
+    """Without motion capture its estimator never starts."""
+    path = tmp_path / "a.mcap"
+    write_bag(path, without(without(flown, "imu", (6.0, 6.2), (12.0, 12.2)), "pose", (12.0, 21.0)))
+    left_out: list[FlightLeftOut] = []
+    every = ReadingOptions(all_parts=True)
+    parts = prepare_flights([path], vehicle, mapping=every, left_out=left_out)
+    assert [part.name for part in parts] == ["a_part1", "a_part2"]
+    ((name, file, reason),) = map(astuple, left_out)
+    assert (name, file) == ("a_part3", str(path))
+    with pytest.raises(QuadpiError, match=re.escape(reason)):
+        prepare_flights([path], vehicle, mapping=every)
 
 
 @pytest.mark.parametrize("size", [500, 1 << 20])
