@@ -50,7 +50,9 @@ _FOLLOWS, _ORDER_GAIN, _OPPOSES = 0.35, 0.5, -0.3
 # Inertia times acceleration over arm times thrust is 0.3 to 1.2 on real flights; damping lowers it.
 _INERTIA_RATIO = 1.35
 # A rotor that reads low leaves roll, pitch and yaw unbalanced alike. Rotors of real flights differ by 5 %.
-_ROTOR_LOW, _ROTOR_LEFT = 0.07, 0.35
+# In fewer windows a manoeuvre looks like that, by the root of their number: rotors of a bundled flight differ
+# by 9 % over two windows.
+_ROTOR_LOW, _ROTOR_LEFT, _ROTOR_WINDOWS = 0.07, 0.35, 4
 # Thrust coefficient over that of the vehicle file: in hover, and where no state tells when that is. Flying
 # through air lowers it, at 16 m/s to half. In hover sound flights have 0.97 to 1.07; a mass of 0.8 or 1.2
 # times the true one leads to 0.78 to 0.85 and to 1.17 and more.
@@ -324,7 +326,7 @@ def _low_rotor(evidence: RotorEvidence, vehicle: Vehicle) -> Iterator[Finding]:
     if min(truly, squares[rotor]) <= 0.0 or left[rotor] > _ROTOR_LEFT * float(np.linalg.norm(unbalanced)):
         return
     reads = float(np.sqrt(squares[rotor] / truly))
-    if abs(reads - 1.0) >= _ROTOR_LOW:
+    if abs(reads - 1.0) >= _ROTOR_LOW * max(_ROTOR_WINDOWS / evidence.windows, 1.0) ** 0.5:
         yield Finding(
             "one rotor",
             "rotor_speeds",

@@ -58,6 +58,7 @@ class RotorEvidence:
         growth: relative change of the thrust over that of the sum of squares; near 1, and None where they do
             not correlate.
         same: two rotors whose speeds are one; None if there are none.
+        windows: how many windows of flight all of this is of.
     """
 
     lag_s: float
@@ -72,6 +73,7 @@ class RotorEvidence:
     followed: float | None = None
     growth: float | None = None
     same: tuple[int, int] | None = None
+    windows: int = 1
 
 
 def rotor_evidence(sample: RotorExcerpt, vehicle: Vehicle) -> RotorEvidence | None:
@@ -122,6 +124,7 @@ def rotor_evidence(sample: RotorExcerpt, vehicle: Vehicle) -> RotorEvidence | No
         ),
         growth=_growth(-force[..., 2], totals, step),
         same=_same_rotors(now),
+        windows=len(now),
     )
 
 

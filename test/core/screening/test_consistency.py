@@ -171,6 +171,7 @@ SOUND = RotorEvidence(
     mean_squares=np.ones(4),
     followed=0.8,
     growth=1.0,
+    windows=4,
 )
 
 
@@ -227,6 +228,11 @@ SWAPPED = {"order": (1, 0, 2, 3)}
             "one rotor",
             {"mean_squares": np.array([1.0, 0.94**2, 1.0, 1.0])},
             {"mean_squares": np.array([1.0, 0.92**2, 1.0, 1.0])},
+        ),
+        (
+            "one rotor",
+            {"mean_squares": np.array([1.0, 0.91**2, 1.0, 1.0]), "windows": 2},
+            {"mean_squares": np.array([1.0, 0.89**2, 1.0, 1.0]), "windows": 2},
         ),
     ],
 )
