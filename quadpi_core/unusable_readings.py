@@ -35,6 +35,7 @@ class Verdict(IntEnum):
     NEVER_REPORTED = 6
     SILENT = 7
     REPEATED = 8
+    MORE_ROTORS = 9
 
 
 REASONS = {
@@ -46,6 +47,7 @@ REASONS = {
     Verdict.NEVER_REPORTED: "an ESC has not reported yet",
     Verdict.SILENT: "an ESC has fallen silent",
     Verdict.REPEATED: "no report is new",
+    Verdict.MORE_ROTORS: "more than 4 ESCs turn, as of a hexacopter: quadpi supports quadrotors",
 }
 
 

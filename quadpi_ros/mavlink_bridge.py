@@ -241,6 +241,8 @@ class MavlinkBridge(GuardedNode):
             return diagnostics.ERROR, f"connected, but no heartbeat of an autopilot is heard{others}"
         if report.silent_s > _SILENT_S and not self._is_replay:
             return diagnostics.ERROR, f"nothing heard of system {report.system} for {report.silent_s:.0f} s"
+        if report.airframe is not None:
+            return diagnostics.ERROR, f"system {report.system}: {report.airframe}"
         lacking = [topic for topic in ("imu", "rotor_speeds") if rates[f"{topic}_hz"] == 0.0]
         if rates["mocap/pose_hz"] + rates["odometry_hz"] == 0.0:
             lacking.append("pose or velocity")

@@ -43,6 +43,9 @@ class Airframe(NamedTuple):
     name: str
     is_multicopter: bool
 
+    def __str__(self) -> str:
+        return f"{self.said} is {self.name}; quadpi supports quadrotors"
+
     @classmethod
     def of_rotors(cls, said: str, rotors: int) -> Airframe | None:
         """A multicopter of so many rotors; None for a quadrotor."""
@@ -71,12 +74,11 @@ def has_quadrotor(source: str, airframe: Airframe | None) -> bool:
     """
     if airframe is None:
         return True
-    sentence = f"{airframe.said} is {airframe.name}; quadpi supports quadrotors"
     if airframe.is_multicopter:
-        raise LogError(f"{source}: {sentence}")
+        raise LogError(f"{source}: {airframe}")
     note(
         source,
-        f"{sentence}: its sensors are read, its rotors are not, which rules out identification, prediction "
+        f"{airframe}: its sensors are read, its rotors are not, which rules out identification, prediction "
         "and replay",
     )
     return False

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from quadpi_core.frames import Array
+from quadpi_core.logs.airframes import Airframe
 from quadpi_core.logs.clocks import ClockOffset, Offset
 from quadpi_core.logs.mavlink_dialect import load_dialect
 from quadpi_core.logs.mavlink_frames import (
@@ -110,6 +111,7 @@ class SessionReport(NamedTuple):
         refused: number of refused messages by message and reason.
         clock: offset to the autopilot's clock.
         clock_restarts: number of restarts of that clock.
+        airframe: that the autopilot is of, where it is no quadrotor: its rotor speeds are not used.
     """
 
     system: int | None
@@ -123,6 +125,7 @@ class SessionReport(NamedTuple):
     refused: dict[str, int]
     clock: Offset | None
     clock_restarts: int
+    airframe: Airframe | None
 
 
 class MavlinkSession:
@@ -249,6 +252,9 @@ class MavlinkSession:
         """The sample on this computer's clock; None if its topic uses another message or the stamp falls."""
         if not self._is_chosen(sample, arrival_ns):
             return None
+        if sample.topic == "rotor_speeds" and (airframe := self._airframe()):
+            self._samples.refused[f"{sample.source}: {airframe}"] += 1
+            return None
         time_ns = arrival_ns
         if sample.clock_us is not None:
             remote_ns = sample.clock_us * 1000
@@ -265,6 +271,10 @@ class MavlinkSession:
         self._last_ns[sample.topic] = time_ns
         self._counts[sample.topic] += 1
         return Received(sample.topic, time_ns, sample.values)
+
+    def _airframe(self) -> Airframe | None:
+        mav_type = self._samples.vehicle_type or 0
+        return Airframe.of_mav_type(f"MAV_TYPE {mav_type}", mav_type)
 
     def _is_chosen(self, sample: Sample, arrival_ns: int) -> bool:
         ranks = SOURCES[sample.topic]
@@ -362,4 +372,5 @@ class MavlinkSession:
             # A sender may have two clocks: since its boot, and since 1970.
             clock=max(estimates, key=lambda one: one.exchanged, default=None),
             clock_restarts=sum(known.restarts for known in self._clocks.values()),
+            airframe=self._airframe(),
         )

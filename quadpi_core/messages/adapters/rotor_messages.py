@@ -27,6 +27,9 @@ from quadpi_core.rotor_order import ERPM, RotorOrder
 from quadpi_core.unusable_readings import SILENT_NS, UnusableReports, Verdict
 from quadpi_core.vehicle import ROTORS, Vehicle
 
+# PX4's `actuator_function` of the first motor and of the last.
+MOTORS = (101, 112)
+
 
 class EscReports(NamedTuple):
     """Reports of the vehicle's rotors in N messages, in rotor order.
@@ -78,6 +81,8 @@ def _numbered(
             verdict[n] = Verdict.NONE_ANNOUNCED
         elif counts[n] <= order.max():
             verdict[n] = Verdict.TOO_FEW
+        elif np.count_nonzero(rpm[start : start + counts[n]]) > len(order):
+            verdict[n] = Verdict.MORE_ROTORS
         else:
             for rotor in range(len(order)):
                 speeds[n, rotor] = rpm[start + order[rotor]]
@@ -104,6 +109,9 @@ def reports_of_motors(
     speeds, own_marks = np.zeros((count, len(wanted))), np.zeros((count, len(wanted)), np.int64)
     verdict = np.zeros(count, np.uint8)
     for n in range(count):
+        turning = 0
+        for place in range(n * each, (n + 1) * each):
+            turning += functions[place] >= MOTORS[0] and functions[place] <= MOTORS[1] and rpm[place] != 0.0
         for rotor in range(len(wanted)):
             found, own = -1, 0
             for place in range(each):
@@ -121,6 +129,8 @@ def reports_of_motors(
             else:
                 speeds[n, rotor] = rpm[n * each + found]
                 own_marks[n, rotor] = own
+        if turning > len(wanted) and verdict[n] != Verdict.MOTOR_TWICE:
+            verdict[n] = Verdict.MORE_ROTORS
     return speeds, own_marks, verdict
 
 

@@ -70,6 +70,27 @@ def test_stamps_are_those_of_this_computer(mavlink_sender: Any) -> None:
     assert abs(report.clock.offset_ns - START) <= report.clock.uncertainty_ns < 6 * MS
 
 
+@pytest.mark.parametrize(
+    ("mav_type", "said"),
+    [
+        (2, None),
+        (13, "MAV_TYPE 13 is a hexacopter; quadpi supports quadrotors"),
+        (20, "MAV_TYPE 20 is a VTOL aircraft; quadpi supports quadrotors"),
+    ],
+)
+def test_rotor_speeds_of_what_is_no_quadrotor_are_refused_by_its_name(
+    mavlink_sender: Any, mav_type: int, said: str | None
+) -> None:
+    autopilot = Autopilot(mavlink_sender())
+    autopilot.deliver(autopilot.sender.packet("HEARTBEAT", mav_type, PX4, 0, 0, 4, 3), START)
+    status = autopilot.sender.packet("ESC_STATUS", 0, 10_000, [4000] * 4, [0.0] * 4, [0.0] * 4)
+    assert len(autopilot.deliver(status, START + 10 * MS)) == (said is None)
+    assert len(autopilot.imu(START + 10 * MS)) == 1
+    report = autopilot.session.report(START + S)
+    assert (str(report.airframe) if report.airframe else None) == said
+    assert report.refused == ({} if said is None else {f"ESC_STATUS: {said}": 1})
+
+
 def test_without_answers_stamps_are_late_by_the_delay_and_the_report_says_so(mavlink_sender: Any) -> None:
     autopilot = Autopilot(mavlink_sender())
     autopilot.heartbeat(START)

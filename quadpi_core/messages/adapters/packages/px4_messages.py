@@ -17,7 +17,12 @@ import numpy.typing as npt
 from quadpi_core.errors import SampleError
 from quadpi_core.flight import ImuStream, OdometryStream
 from quadpi_core.messages.adapters.adapter_definition import Adapter, Reading, of_items
-from quadpi_core.messages.adapters.rotor_messages import EscReports, reports_of_motors, start_of_rotors
+from quadpi_core.messages.adapters.rotor_messages import (
+    MOTORS,
+    EscReports,
+    reports_of_motors,
+    start_of_rotors,
+)
 from quadpi_core.messages.cdr import Columns, microsecond_stamps
 from quadpi_core.messages.foreign_messages import Items
 from quadpi_core.messages.payloads import Indices
@@ -26,8 +31,6 @@ from quadpi_core.sample_limits import NORM_TOLERANCE
 from quadpi_core.vehicle import Vehicle
 
 _NED, _FRD, _BODY = 1, 2, 3
-# `actuator_function` of the first motor.
-_MOTOR_1 = 101
 
 
 class OdometryReader:
@@ -112,7 +115,7 @@ def _status(columns: Columns, items: dict[str, Items], order: Indices) -> EscRep
         array.columns["esc_rpm"].astype(np.float64),
         array.columns["timestamp"].astype(np.int64),
         columns["esc_online_flags"].astype(np.int64),
-        order + _MOTOR_1,
+        order + MOTORS[0],
     )
     return EscReports(microsecond_stamps(columns["timestamp"]), *found)
 

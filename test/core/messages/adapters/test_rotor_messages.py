@@ -96,6 +96,22 @@ def test_px4_reports_that_are_no_sample(vendor, reason, changes):
     assert [reason in found for found in unpacker.dropped] == [True]
 
 
+@pytest.mark.parametrize("name", [STATUS, TELEMETRY, PX4])
+@pytest.mark.parametrize("fifth", [0.0, 5000.0])
+def test_a_fifth_rotor_that_turns_is_of_no_quadrotor(vendor, name, fifth):
+    rpm = np.array([*RPMS[0], fifth])
+    if name == PX4:
+        functions, places = (101, 102, 103, 104, 105), (0, 1, 2, 3, 4)
+        payload = px4_status(
+            vendor.px4_1_14, START_NS, rpm, functions, places=places, times_ns=[START_NS] * 5, online=0b11111
+        )
+    else:
+        payload = make(vendor.px4_1_14, name, 0, rpm)
+    unpacker = opened(vendor.px4_1_14, name)
+    assert len(unpacker.unpack(payload)) == (fifth == 0.0)
+    assert ["as of a hexacopter" in found for found in unpacker.dropped] == [True] * (fifth != 0.0)
+
+
 def repeated(vendor, name):
     """Ten new reports, then 30 messages that repeat them, stamped anew, then new ones."""
     payloads = []
