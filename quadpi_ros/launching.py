@@ -23,6 +23,7 @@ from launch_ros.parameter_descriptions import ParameterValue
 
 from quadpi_core.errors import QuadpiError
 from quadpi_core.messages.topics import LIVE_SENSORS as SENSORS
+from quadpi_core.messages.topics import SENSOR_KINDS
 from quadpi_core.paths import config_directory
 from quadpi_core.view.view_server import ADDRESS, PORT
 from quadpi_ros.mavlink_link import is_replay
@@ -41,6 +42,8 @@ PARAMETERS = (
     *("body_frame", "world_frame", "frames", "tf_rate_hz", "publish_wrenches", "autostart", "use_sim_time"),
 )
 
+# Parameters that choose one of several topics, by the kind of stream.
+_PARAMETERS_OF_KINDS = MappingProxyType({"rotor_topic": "rotor_speeds", "mocap_topic": "mocap"})
 # Arguments that `ros2 launch` adds for its own options.
 _OF_ROS2_LAUNCH = {"launch-prefix", "launch-prefix-filter"}
 # Exit status of a program after an error that the user must correct: starting it again would fail again.
@@ -205,7 +208,7 @@ def live_nodes(launch: Launch, chosen: Mapping[str, str] = MappingProxyType({}))
         chosen: defaults for empty arguments.
     """
     instead = {name: value for name, value in chosen.items() if not launch.values[name]}
-    whole = replace(launch, values={**launch.values, **instead})
+    whole = replace(launch, values=_with_sources({**launch.values, **instead}))
     programs = ("estimator_node", "monitor_node") if launch.switch("separate") else ("live",)
     actions = [
         action
@@ -215,6 +218,24 @@ def live_nodes(launch: Launch, chosen: Mapping[str, str] = MappingProxyType({}))
     if launch.switch("markers"):
         actions += whole.program("markers", {}, OUTPUTS)
     return actions + (page(launch) if launch.switch("view") else [])
+
+
+def _with_sources(values: Mapping[str, str]) -> dict[str, str]:
+    """Values of arguments in which a topic that has been given a name is the one that is listened to.
+
+    Raises:
+        LaunchError: for a topic with a name of its own that is not listened to.
+    """
+    sources = dict(values)
+    for parameter, kind in _PARAMETERS_OF_KINDS.items():
+        words = [word for word in SENSORS if SENSOR_KINDS[word] == kind]
+        named = [word for word in words if values[argument_of(word)] != word]
+        used = sources[parameter] = values[parameter] or next(iter(named), "")
+        if unused := next((word for word in named if word != used), None):
+            raise LaunchError(
+                f"launch argument `{argument_of(unused)}` is given but not used: {parameter} is {used}"
+            )
+    return sources
 
 
 def page(launch: Launch) -> list[Any]:

@@ -16,7 +16,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
@@ -287,6 +287,37 @@ def test_arguments_of_the_replay_are_options_of_the_player(
     (player,) = started_by_replay(launching, given)["player"]
     options = parse_arguments(player.arguments)
     assert {name: getattr(options, name) for name in expected} == expected
+
+
+@pytest.mark.parametrize(
+    ("given", "expected", "refusal"),
+    [
+        ({"mocap_pose_topic": "/vrpn/quad/pose", "erpm_topic": "/motors"}, {"mocap_topic": "mocap/pose"}, ""),
+        ({"mocap_transform_topic": "/vicon/quad/quad"}, {"mocap_topic": "mocap/transform"}, ""),
+        (
+            {"mocap_pose_topic": "/vrpn/quad/pose", "mocap_topic": "mocap/odometry"},
+            {},
+            "`mocap_pose_topic` is given but not used: mocap_topic is mocap/odometry",
+        ),
+        (
+            {"rotor_speeds_topic": "/motors", "erpm_topic": "/motors"},
+            {},
+            "`erpm_topic` is given but not used: rotor_topic is rotor_speeds",
+        ),
+    ],
+)
+def test_a_topic_that_is_given_a_name_is_listened_to(
+    launching: ModuleType, given: dict[str, str], expected: dict[str, str], refusal: str
+) -> None:
+    arguments = launching.monitor_arguments(respawn=True)
+    values = {one.name: one.default for one in arguments} | {"vehicle": "bebop2", "model": "m"} | given
+    refused = pytest.raises(launching.LaunchError, match=refusal) if refusal else nullcontext()
+    with refused:
+        (live,) = (
+            one for one in launching.live_nodes(launching.Launch(values, False)) if hasattr(one, "executable")
+        )
+        chosen = {name: getattr(value, "value", value) for name, value in live.parameters[1].items()}
+        assert chosen.items() >= expected.items()
 
 
 def test_markers_are_published_where_asked(launching: ModuleType) -> None:
