@@ -116,10 +116,11 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         """As the base class, and why samples arrive but give no state."""
         lack = super().problem()
         self._without_state = 0 if lack or self._ekf.initialised else self._without_state + 1
-        if self._without_state == 0:
+        if lack:
             return lack
         imu, mocap = self._imu.topic, self._mocap.topic
         apart_s = 1e-9 * abs((self._imu_health.newest_ns or 0) - (self._mocap_health.newest_ns or 0))
+        # Of poses that are ahead there is a state as soon as the IMU comes to them: a wrong one.
         if apart_s > _APART_S:
             return f"{imu} and {mocap} are stamped {apart_s:.3g} s apart: by different clocks?"
         if self._without_state * DIAGNOSTICS_PERIOD_S <= _INITIALISING_S:

@@ -5,7 +5,9 @@
 from __future__ import annotations
 
 import gc
+import signal
 import sys
+import threading
 import traceback
 from collections.abc import Callable, Sequence
 from typing import Any, Generic
@@ -152,12 +154,25 @@ class ArgumentError(QuadpiError):
     """The arguments after `--ros-args` are invalid."""
 
 
+# Whether an executor spins, by which a Python exception of a signal would come to C++: it prints a traceback,
+# or aborts.
+_SPINNING = threading.Event()
+
+
+def _interrupted(*_: object) -> None:
+    if not _SPINNING.is_set():
+        raise KeyboardInterrupt
+
+
 def initialise() -> None:
     """Initialise ROS from the command line.
 
     Raises:
         ArgumentError: saying which argument is wrong.
     """
+    if threading.current_thread() is threading.main_thread():
+        # Before that of rclpy, which ends ROS and then calls it.
+        signal.signal(signal.SIGINT, _interrupted)
     try:
         rclpy.init()
     except UnknownROSArgsError as error:
@@ -191,16 +206,20 @@ def spin(nodes: Sequence[Node]) -> None:
     gc.collect()
     gc.freeze()
     never = Future()
-    while rclpy.ok():
-        try:
-            executor.spin_until_future_complete(never, timeout_sec=_SHUTDOWN_POLL_S)
-        except ExternalShutdownException:
-            raise
-        except Exception as error:
-            if not guarded:
+    _SPINNING.set()
+    try:
+        while rclpy.ok():
+            try:
+                executor.spin_until_future_complete(never, timeout_sec=_SHUTDOWN_POLL_S)
+            except ExternalShutdownException:
                 raise
-            for node in guarded:
-                node.exceptions.take("executor", error)
+            except Exception as error:
+                if not guarded:
+                    raise
+                for node in guarded:
+                    node.exceptions.take("executor", error)
+    finally:
+        _SPINNING.clear()
 
 
 def run(work: Callable[[], None]) -> int:

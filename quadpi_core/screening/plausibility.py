@@ -22,6 +22,7 @@ from quadpi_core.screening.rates import Seldom, seldom_topics
 from quadpi_core.screening.rotors_in_flight import Inertial
 from quadpi_core.screening.wild_samples import Beyond, beyond_limits
 from quadpi_core.signals.resample import nominal_rate
+from quadpi_core.thresholds import CONVENTION, Threshold
 from quadpi_core.vehicle import Vehicle
 
 # Rotors of any size lie between the inner bounds; rpm or erpm taken for rad/s is off by a factor above 36.
@@ -40,6 +41,13 @@ _TURNING_RAD_S = 0.3
 _LARGEST_RATIO = 10.0
 # Noise makes an attitude seem to turn at a multiple of the true rate over short steps.
 _LARGEST_RATIO_OF_ATTITUDE = 30.0
+TOGETHER = Threshold(
+    "state beside the IMU",
+    0.5,
+    "of its samples within the IMU's stamps",
+    "of a state that other clocks stamped, most is compared with another part of the flight, or with none",
+    CONVENTION,
+)
 # Over this time the mean acceleration of any vehicle is small beside gravity.
 _LONG_S = 5.0
 _MEAN_UP_G = (0.5, 1.5)
@@ -202,9 +210,14 @@ def _rates(recording: Recording) -> Iterator[str]:
 
 
 def _attitude_streams(recording: Recording) -> Iterator[PoseStream | OdometryStream]:
+    """States that are there while the IMU is; `clock_consistency` judges other stamps."""
+    imu_ns = recording.imu.time_ns
     for stream in (recording.pose, recording.odometry):
-        if stream is not None and len(stream) > 1:
-            yield stream
+        if stream is None or len(stream) < 2 or len(imu_ns) == 0:
+            continue
+        together = (stream.time_ns >= imu_ns.min()) & (stream.time_ns <= imu_ns.max())
+        if np.mean(together) >= TOGETHER.value:
+            yield stream.take(together)
 
 
 def _rotation_rates(imu: ImuStream, stream: PoseStream | OdometryStream) -> tuple[float, float, float]:

@@ -119,6 +119,8 @@ class SampleOrder:
             return None
         worst = max(self.dropped, key=lambda found: found.samples)
         hint = "; are its columns, or their order, right?" if worst.fault == NO_ROTATION else ""
+        if worst.fault == REPEATS and worst.samples == self.of - 1:
+            hint = ": all have the same stamp; does the publisher set the stamp of the header?"
         return (
             f"sample {worst.first}: the {worst.fault}, and {count} of {self.of} samples cannot be used; at "
             f"most {SHARE_MAX.value:.0%} may be left out{hint}"

@@ -109,13 +109,14 @@ def time_offset(
     step_ns = int(
         max(min(np.median(np.diff(reference_ns)), np.median(np.diff(other_ns))), longest_ns / _GRID_MAX)
     )
-    x, x_there = _on_grid(reference_ns, reference, step_ns, cutoff_hz, max_gap_ns)
-    y, y_there = _on_grid(other_ns, other, step_ns, cutoff_hz, max_gap_ns)
-
-    if above_hz is not None:
-        x, y = (
-            _quick_part(one, there, above_hz, 1e9 / step_ns) for one, there in ((x, x_there), (y, y_there))
-        )
+    try:
+        x, x_there = _on_grid(reference_ns, reference, step_ns, cutoff_hz, max_gap_ns)
+        y, y_there = _on_grid(other_ns, other, step_ns, cutoff_hz, max_gap_ns)
+        if above_hz is not None:
+            both = ((x, x_there), (y, y_there))
+            x, y = (_quick_part(one, there, above_hz, 1e9 / step_ns) for one, there in both)
+    except SignalError as error:
+        raise SignalError(f"{what}: too short to align: {error}") from error
     lags = np.arange(-(len(y) - 1), len(x))
     start_difference_s = 1e-9 * float(reference_ns[0] - other_ns[0])
     offsets_s = start_difference_s + 1e-9 * step_ns * lags

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -199,3 +200,27 @@ def test_a_message_in_the_moment_of_a_signal_is_no_error(
     else:
         with pytest.raises(RCLError, match="not by a signal"):
             runtime.run(work)
+
+
+BUSY = """
+import time
+from quadpi_ros.callbacks import GuardedNode
+from quadpi_ros.runtime import run, spin
+def work():
+    node = GuardedNode("busy")
+    node.create_timer(0.001, lambda: time.sleep(0.002))
+    node.create_timer(0.5, lambda: print("spins", flush=True))
+    spin([node])
+raise SystemExit(run(work))
+"""
+
+
+def test_a_signal_in_the_middle_of_a_callback_ends_without_a_word() -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", BUSY], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "spins\n"
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=60)
+    assert (process.returncode, errors) == (0, "")

@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadpi_core.flight import ImuStream, PoseStream, Recording, RotorSpeedStream
-from quadpi_core.screening.plausibility import implausibilities, missing_topics, thrust_coefficient
+from quadpi_core.screening.plausibility import TOGETHER, implausibilities, missing_topics, thrust_coefficient
 from quadpi_core.vehicle import Vehicle
 
 RATE_HZ, FLOWN_S = 200, 20.0
@@ -159,3 +159,13 @@ def test_a_topic_of_one_sample_is_named():
     recording = hover([0.0, 0.0, -9.8], tilt_rad=0.0)
     one = replace(recording, pose=PoseStream(*(column[:1] for column in vars(recording.pose).values())))
     assert "mocap/pose has a single sample: rules out all that needs it" in list(missing_topics(one))
+
+
+@pytest.mark.parametrize(
+    ("late_s", "judged"), [(0.0, True), (9.9, True), (10.1, False), (40.0, False), (-40.0, False)]
+)
+def test_turning_is_compared_where_most_of_a_state_is_beside_the_imu(late_s, judged):
+    recording = hover([0.0, 0.0, -9.8], tilt_rad=0.0, gyro=3.0, turning=0.1)
+    late = replace(recording.pose, time_ns=recording.pose.time_ns + round(1e9 * late_s))
+    assert bool(said(replace(recording, pose=late))) == judged
+    assert TOGETHER.value == 0.5

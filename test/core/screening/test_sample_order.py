@@ -187,3 +187,9 @@ def test_runs_rise_and_every_sample_is_used_or_counted_once(steps, unit):
     assert len(used) + sum(fault.samples for fault in found.dropped) == len(stamps)
     for run in found.runs():
         assert np.all(np.diff(stamps[run]) > 0)
+
+
+def test_stamps_that_nobody_sets_are_told_from_repeats():
+    words = "1999 of 2000 samples cannot be used.*does the publisher set the stamp of the header"
+    with pytest.raises(LogError, match=words):
+        usable_recording(recording(np.zeros_like(CLEAN)))

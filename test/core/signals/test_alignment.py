@@ -122,3 +122,11 @@ def test_short_overlaps_count_for_nothing():
     other[-300:] = turns[:300]
     assert time_offset(time_ns, turns, time_ns, other).offset_s == pytest.approx(0.0, abs=5e-3)
     assert 3.0 / 20.0 < OVERLAP.value < 0.5
+
+
+def test_what_is_too_short_to_filter_names_the_pair():
+    time_ns = np.arange(500) * 2_000_000
+    with pytest.raises(SignalError, match="A and B: too short to align: 500 samples are too few"):
+        time_offset(
+            time_ns, chirp(1e-9 * time_ns), time_ns, chirp(1e-9 * time_ns), above_hz=1.0, what="A and B"
+        )
