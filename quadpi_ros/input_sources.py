@@ -84,12 +84,22 @@ class AdaptedSources:
         """The input of the adapter of a kind if the file has settings for it, else the standard topic.
 
         Raises:
-            AdapterError: see :meth:`named`; if the messages of several adapters are installed.
+            AdapterError: see :meth:`named`; if the messages of several adapters are installed, or of none and
+                the file names a topic, which may be of the standard type.
         """
-        if getattr(self._settings, kind) is None:
+        own = getattr(self._settings, kind)
+        if own is None:
             return standard
         names = adapters_of(kind)
-        installed = [name for name in names if _is_installed(name)] or names[:1]
+        installed = [name for name in names if _is_installed(name)]
+        if own.topic is not None and not installed:
+            argument = f"{standard.topic.replace('/', '_')}_topic:={own.topic}"
+            raise AdapterError(
+                f"{self._file}: `{kind}`: topic {own.topic}: no package with messages for it is installed; "
+                f"if it is of {standard.message_type.__name__}, leave `{kind}` out of the file and give the "
+                f"launch argument {argument}, or remap {standard.topic}"
+            )
+        installed = installed or list(names[:1])
         if len(installed) > 1:
             raise AdapterError(f"{self._file}: `{kind}` could be any of {', '.join(installed)}")
         return self.named(installed[0])

@@ -23,7 +23,15 @@ from quadpi_core.errors import LogError
 from quadpi_core.messages.adapters import AdapterSettings
 from quadpi_core.messages.adapters.adapter_settings import RotorSettings
 from quadpi_core.messages.definitions import typestore
-from quadpi_ros.input_sources import AdaptedSubscription, AdapterError, definition_of, message_class
+from quadpi_core.vehicle import Vehicle
+from quadpi_ros.input_sources import (
+    AdaptedSources,
+    AdaptedSubscription,
+    AdapterError,
+    Source,
+    definition_of,
+    message_class,
+)
 
 from ..core.messages.adapters.vendor_messages import DEFINITIONS, Messages
 
@@ -95,6 +103,15 @@ def test_message_by_message_and_why_one_is_no_sample(messages):
         subscription.unpack(esc_status(messages, 3000, [60, 120, 180]))
     with pytest.raises(LogError, match="sample 0: its 4 bytes are no px4_msgs/msg/EscStatus"):
         subscription.unpack(b"\x00\x00\x00\x00")
+
+
+def test_a_standard_topic_in_the_file_is_given_as_a_launch_argument(tmp_path):
+    """Nothing tells a node the type of a topic: messages of PX4 would be expected on it."""
+    file = tmp_path / "field.yaml"
+    file.write_text("imu: {topic: /mavros/imu/data}\n")
+    sources = AdaptedSources("monitor", str(file), Vehicle.load("bebop2"))
+    with pytest.raises(AdapterError, match=r"`imu`: topic /mavros/imu/data: .*imu_topic:=/mavros/imu/data"):
+        sources.instead_of(Source(Imu, "imu", bytes), "imu")
 
 
 @pytest.fixture(scope="module")
