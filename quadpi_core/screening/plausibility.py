@@ -29,8 +29,9 @@ from quadpi_core.vehicle import Vehicle
 THRUST_COEFFICIENT_USUAL = (0.006, 0.05)
 THRUST_COEFFICIENT_POSSIBLE = (0.001, 0.3)
 
-# A vehicle hovers below this share of the speed of the blades' tips: thrust falls by 3 % up to it.
-_HOVER_ADVANCE = 0.01
+# Speeds in the air over that of the blades' tips. In hover thrust falls by 3 % up to there; it grows with Σω²
+# (by the power 0.7 at 0.09, and 0.35 at 0.12, in a simulated wind tunnel) while the vehicle is slow.
+_HOVER_ADVANCE, _SLOW_ADVANCE = 0.01, 0.07
 # Shortest hover that is used, and the time over which positions give a speed.
 HOVER_S, _SPEED_S = 0.5, 0.2
 
@@ -131,6 +132,31 @@ def thrust_coefficient(recording: Recording, vehicle: Vehicle, *, in_hover: bool
         vehicle: that flew.
         in_hover: only where the vehicle is slow; None if it is for less than HOVER_S, or no state tells.
     """
+    turning = _turning(recording, vehicle)
+    if turning is None:
+        return None
+    time_ns, squares, force = turning
+    if in_hover:
+        advance = _advance(recording, vehicle, time_ns, squares)
+        hovers = advance < _HOVER_ADVANCE
+        if np.sum(hovers) < HOVER_S * nominal_rate(time_ns):
+            return None
+        squares, force = squares[hovers], force[hovers]
+    disc = vehicle.air_density_kg_m3 * np.pi * vehicle.rotor_radius_m**4
+    total = disc * np.sum(squares**2)
+    return float(vehicle.mass_kg * np.sum(force * squares) / total) if total > 0.0 else None
+
+
+def is_slow(recording: Recording, vehicle: Vehicle) -> bool:
+    """Whether a vehicle mostly flies so slowly that its thrust grows with the squares of the rotor speeds."""
+    turning = _turning(recording, vehicle)
+    if turning is None:
+        return False
+    return float(np.median(_advance(recording, vehicle, *turning[:2]))) < _SLOW_ADVANCE
+
+
+def _turning(recording: Recording, vehicle: Vehicle) -> tuple[Stamps, Array, Array] | None:
+    """Stamps, Σω² [rad²/s²] and specific force upward [m/s²] while rotors turn fast; None on the ground."""
     imu, rotors = recording.imu, recording.rotor_speeds
     if rotors is None:
         return None
@@ -146,17 +172,16 @@ def thrust_coefficient(recording: Recording, vehicle: Vehicle, *, in_hover: bool
     used = squares >= 0.5 * np.percentile(squares, 95)
     if Inertial.of(recording).stands(int(time_ns[used].min()), int(time_ns[used].max())):
         return None
-    if in_hover:
-        state = recording.pose or recording.odometry
-        if state is None:
-            return None
-        slow_m_s = _HOVER_ADVANCE * vehicle.rotor_radius_m * 0.5 * np.sqrt(squares)
-        used &= _airspeeds(state, recording.wind, time_ns) < slow_m_s
-        if np.sum(used) < HOVER_S * nominal_rate(time_ns):
-            return None
-    disc = vehicle.air_density_kg_m3 * np.pi * vehicle.rotor_radius_m**4
-    total = disc * np.sum(squares[used] ** 2)
-    return float(vehicle.mass_kg * np.sum(force[used] * squares[used]) / total) if total > 0.0 else None
+    return time_ns[used], squares[used], force[used]
+
+
+def _advance(recording: Recording, vehicle: Vehicle, time_ns: Stamps, squares: Array) -> Array:
+    """Speed in the air over that of the blades' tips (N,); infinite where no state tells."""
+    state = recording.pose or recording.odometry
+    if state is None:
+        return np.full(len(squares), np.inf)
+    tips = vehicle.rotor_radius_m * 0.5 * np.sqrt(np.maximum(squares, 1.0))
+    return np.asarray(_airspeeds(state, recording.wind, time_ns) / tips)
 
 
 def _airspeeds(state: PoseStream | OdometryStream, wind: WindStream | None, time_ns: Stamps) -> Array:

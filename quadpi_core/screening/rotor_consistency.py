@@ -25,6 +25,8 @@ _SLOW_S, _FAST_S = 0.25, 0.05
 # noise of the sensors by a factor, they count alike, so that no take-off or throw decides alone.
 _BUSY_SLOW_S, _BUSY_FAST_S, _PIECE_S = 0.12, 0.03, 0.25
 _LOUD, _FEWEST_PIECES = 3.0, 4
+# The same speeds moved in time, in these steps, explain by chance what those of another flight do.
+_APART_S = 0.15
 # Median of the square of a normal deviate, and variance of the second difference of white noise.
 _MEDIAN_SQUARE, _SECOND_DIFFERENCE = 0.4549, 6.0
 # Thrust is compared with Σω² over this time and longer, in windows in which they correlate so much.
@@ -54,7 +56,8 @@ class RotorEvidence:
         order_correlation: (3,) correlation with this order and these spins.
         mean_squares: (4,) of each rotor, over the flight.
         followed: share of the fast accelerations about roll and pitch, and of the fast changes of thrust,
-            that the squares explain, in the median of the pieces louder than noise; None if these are few.
+            that the squares explain in the median of the pieces louder than noise, beyond what they explain
+            when moved in time, of what that leaves; None if these pieces are few.
         growth: relative change of the thrust over that of the sum of squares; near 1, and None where they do
             not correlate.
         same: two rotors whose speeds are one; None if there are none.
@@ -137,25 +140,37 @@ def _followed(signals: Array, noise: Array, squares: Array, step: float) -> floa
         count = busy.shape[1] // piece
         return np.asarray(busy[:, : count * piece].reshape(-1, piece, values.shape[2]))
 
-    shown = pieces(_smoothed(squares))
     impulse = np.zeros((1, 2 * signals.shape[1] + 1, 2))
     impulse[0, signals.shape[1], 0] = 1.0
     impulse[0, signals.shape[1] + np.array([-1, 1]), 1] = np.array([-0.5, 0.5]) / step
     direct, derived = np.linalg.norm(_band(impulse, step, _BUSY_SLOW_S, _BUSY_FAST_S)[0], axis=0)
-    shares = []
+    heard = []
     for signal, floor in zip(
         np.moveaxis(pieces(signals), 2, 0), noise * (derived, derived, direct), strict=True
     ):
-        size = np.sqrt(np.mean(signal**2, axis=1))
-        loud = size > _LOUD * floor
-        if np.sum(loud) < _FEWEST_PIECES:
-            continue
-        weight = 1.0 / np.maximum(size, _LOUD * floor)[:, np.newaxis]
-        heard, told = (signal * weight)[loud], (shown * weight[..., np.newaxis])[loud]
-        coefficients, *_ = np.linalg.lstsq(told.reshape(-1, ROTORS), heard.ravel(), rcond=None)
-        left = np.sum((heard - told @ coefficients) ** 2, axis=1) / np.sum(heard**2, axis=1)
-        shares.append(1.0 - float(np.median(left)))
-    return float(np.mean(shares)) if len(shares) > 1 else None
+        size = np.sqrt(np.mean(signal**2, axis=1, keepdims=True))
+        loud = size[:, 0] > _LOUD * floor
+        if np.sum(loud) >= _FEWEST_PIECES:
+            heard.append((loud, 1.0 / size[loud], signal[loud] / size[loud]))
+    if len(heard) < 2:
+        return None
+
+    def share(shown: Array) -> float:
+        """Of the signals, in the median piece, that any four coefficients explain."""
+        medians = []
+        for loud, weight, signal in heard:
+            told = shown[loud] * weight[..., np.newaxis]
+            coefficients, *_ = np.linalg.lstsq(told.reshape(-1, ROTORS), signal.ravel(), rcond=None)
+            medians.append(np.median(np.mean((signal - told @ coefficients) ** 2, axis=1)))
+        return 1.0 - float(np.mean(medians))
+
+    own = share(pieces(_smoothed(squares)))
+    apart, every = (round(length / step) for length in (_BUSY_SLOW_S, _APART_S))
+    chance = max(
+        share(pieces(_smoothed(np.roll(squares, shift, axis=1))))
+        for shift in range(apart, squares.shape[1] - apart, every)
+    )
+    return (own - chance) / (1.0 - chance)
 
 
 def _whiteness(values: Array) -> Array:

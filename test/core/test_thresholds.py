@@ -186,7 +186,7 @@ def axes_gain(gain: float) -> bool:
 
 def off(**size: float) -> bool:
     """Whether scale or origin are named that are off so much."""
-    sound = {"scale": 1.0, "scale_error": 1e-6, "origin_m": np.zeros(3), "origin_error_m": 1e-6}
+    sound = {"scale": 1.0, "scale_error": 1e-6, "origin_m": np.zeros(3), "origin_error_m": np.full(3, 1e-6)}
     return any(judged("mocap/pose", MotionFit(**{**sound, **size}), measured=True))
 
 
@@ -617,7 +617,8 @@ EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
     "FROZEN_TURN_RAD": (0.05, lambda x: frozen_for(0.9, x)),
     "AXES_GAIN": (0.3, axes_gain),
     "SCALE_OFF": (0.025, lambda x: off(scale=1.0 - x)),
-    "ORIGIN_OFF_M": (0.045, lambda x: off(origin_m=np.array([0.6, 0.0, 0.8]) * x)),
+    "ORIGIN_ASIDE_M": (0.038, lambda x: off(origin_m=np.array([0.6, 0.0, 0.8]) * x)),
+    "ORIGIN_ABOVE_M": (0.06, lambda x: off(origin_m=np.array([0.0, 0.0, -x]))),
     "SURE": (4.0, lambda x: off(scale=1.0 + 0.1 * x, scale_error=0.1)),
     "FEWEST_FLIGHTS": (2, lambda x: refused(DiscrepancyError, lambda: study.require_flights(x))),
     "SPACING": (7.0, lambda x: seen_at_origin(x / 7.0)),
