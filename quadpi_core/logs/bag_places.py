@@ -57,13 +57,22 @@ def place_to_open(path: Path) -> Iterator[Path]:
         elif (path / _METADATA_FILE).exists():
             yield _folder_to_open(path, made)
         else:
-            files = [file for file in files_of(path) if _is_of_messages(file)]
-            if len(files) != 1:
-                raise LogError(
-                    f"no {_METADATA_FILE}, and {len(files)} files of messages: `ros2 bag reindex` makes it, "
-                    "or name one of the files"
-                )
-            yield _file_to_open(files[0], made)
+            yield _file_to_open(_single_file(path, f"no {_METADATA_FILE}"), made)
+
+
+def _single_file(folder: Path, why: str) -> Path:
+    """The file of messages in a folder whose metadata tell nothing.
+
+    Raises:
+        LogError: saying why, if there is not exactly one.
+    """
+    files = [file for file in files_of(folder) if _is_of_messages(file)]
+    if len(files) != 1:
+        raise LogError(
+            f"{why}, and {len(files)} files of messages: `ros2 bag reindex` makes it, or name one of the "
+            "files"
+        )
+    return files[0]
 
 
 def _is_of_messages(file: Path) -> bool:
@@ -108,6 +117,12 @@ def _folder_to_open(folder: Path, made: Callable[[], Path]) -> Path:
         _require_unpackable(file)
     try:
         metadata = YAML(typ="safe").load(text)
+    except YAMLError:
+        metadata = None
+    if not isinstance(metadata, dict):
+        # Emptied when the power went, or damaged.
+        return _file_to_open(_single_file(folder, f"{_METADATA_FILE} cannot be read"), made)
+    try:
         information = metadata["rosbag2_bagfile_information"]
         corrected = {**information, **_corrections(folder, information)}
     except (YAMLError, LookupError, TypeError, AttributeError, ValueError):

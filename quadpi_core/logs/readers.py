@@ -34,6 +34,8 @@ _PACKERS = {
     b"BZh": "bunzip2",
     b"\xfd7zXZ": "unxz",
     b"7z\xbc\xaf": "7z x",
+    b"\x28\xb5\x2f\xfd": "unzstd",
+    b"\x04\x22\x4d\x18": "unlz4",
 }
 
 

@@ -143,11 +143,11 @@ def findings(recording: Recording, vehicle: Vehicle | None) -> Iterator[Finding]
     apart = rotor_clock_finding(recording, vehicle)
     if apart is not None:
         yield apart
-    if rotors is None or vehicle is None:
+    if vehicle is None:
         return
-    if turned is not None and turned.gyro is not None:
+    if rotors is not None and turned is not None and turned.gyro is not None:
         rotors = replace(rotors, rates=rotors.rates @ turned.gyro.T)
-    evidence = rotor_evidence(rotors, vehicle)
+    evidence = None if rotors is None else rotor_evidence(rotors, vehicle)
     if evidence is not None:
         yield from _rotor_findings(recording, evidence, vehicle)
     yield from _thrust(recording, vehicle)

@@ -248,7 +248,7 @@ def _attitude_streams(recording: Recording) -> Iterator[PoseStream | OdometryStr
 def _rotation_rates(imu: ImuStream, stream: PoseStream | OdometryStream) -> tuple[float, float, float]:
     """Median turn rates [rad/s] over short steps: of gyro, attitude, and attitude without noise."""
     known = finite_rows(imu.angular_velocity) & np.r_[True, np.diff(imu.time_ns) > 0]
-    seen = finite_rows(stream.attitude) & np.r_[True, np.diff(stream.time_ns) > 0]
+    seen = finite_rows(stream.attitude) & np.r_[True, np.diff(stream.time_ns) > 0] & _beside(imu, stream)
     if known.sum() < 2 or seen.sum() < 2:
         return 0.0, 0.0, 0.0
     time, rates = imu.time_ns[known] * 1e-9, imu.angular_velocity[known]
@@ -262,6 +262,11 @@ def _rotation_rates(imu: ImuStream, stream: PoseStream | OdometryStream) -> tupl
     by_short, by_long = (_median(_turned(attitude[s]) / np.diff(clock[s])) for s in (short, long))
     # Over twice the step, noise contributes half the rate, and the motion the same.
     return by_gyro, by_short, math.sqrt(max(4.0 * by_long**2 - by_short**2, 0.0) / 3.0)
+
+
+def _beside(imu: ImuStream, stream: PoseStream | OdometryStream) -> npt.NDArray[np.bool_]:
+    """The samples (N,) of a state for whose time there are samples of the IMU: clocks may be years apart."""
+    return np.asarray((stream.time_ns >= imu.time_ns[0]) & (stream.time_ns <= imu.time_ns[-1]))
 
 
 def _turned(attitude: Array) -> Array:
@@ -284,7 +289,7 @@ def _up(recording: Recording) -> Iterator[str]:
         return
     force = imu.specific_force[known]
     for stream in _attitude_streams(recording):
-        seen = finite_rows(stream.attitude)
+        seen = finite_rows(stream.attitude) & _beside(imu, stream)
         nearest = np.searchsorted(imu.time_ns[known], stream.time_ns[seen]).clip(0, len(force) - 1)
         in_world = rotate_body_to_world(stream.attitude[seen], force[nearest])
         if not np.any(seen):

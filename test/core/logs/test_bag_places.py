@@ -49,6 +49,16 @@ def test_the_storage_is_told_by_the_file(bag, same_flight, identifier):
     same_flight(bag[0])
 
 
+@pytest.mark.parametrize("content", ["", "rosbag2_bagfile_information: [", "\0" * 100])
+def test_metadata_that_were_lost_when_the_power_went(bag, same_flight, content):
+    folder, file = bag
+    (folder / "metadata.yaml").write_text(content)
+    same_flight(folder)
+    shutil.copy(file, folder / f"second{file.suffix}")
+    with pytest.raises(LogError, match=r"metadata.yaml cannot be read, and 2 files of messages: `ros2 bag"):
+        Bag(folder)
+
+
 @pytest.mark.parametrize("name", ["of_monday", "of_monday.zstd", "recorded.zstd"])
 def test_a_file_that_was_renamed_or_compressed_by_hand(bag, same_flight, name):
     folder, file = bag

@@ -18,6 +18,8 @@ from quadpi_core.logs import identify_format, read_recording
         ("absent.mat", None, "no such file or folder"),
         ("empty.mat", b"", "the file is empty"),
         ("flight.ulg.gz", b"\x1f\x8b\x08\x00", "is compressed; `gunzip flight.ulg.gz` unpacks it"),
+        ("flight.mcap.zst", b"\x28\xb5\x2f\xfd", "is compressed; `unzstd flight.mcap.zst` unpacks it"),
+        ("LOG.lz4", b"\x04\x22\x4d\x18", "is compressed; `unlz4 LOG.lz4` unpacks it"),
         ("LOG.zip", b"PK\x03\x04\x00", "is compressed; `unzip LOG.zip` unpacks it"),
         (
             "flight.xyz",

@@ -61,6 +61,23 @@ def test_nothing_is_said_of_the_bundled_bags(vehicle, bag):
     assert list(findings(read_recording(bag, vehicle), vehicle)) == []
 
 
+@pytest.mark.parametrize("rate_hz", [11, 20, 25, 50])
+def test_nothing_is_said_of_rotor_speeds_that_come_seldom(vehicle, rate_hz):
+    recording = read_recording(bags_directory() / "train_2.mcap", vehicle)
+    rotors = recording.rotor_speeds
+    due = np.arange(rotors.time_ns[0], rotors.time_ns[-1], 10**9 // rate_hz)
+    thinned = rotors.take(np.unique(np.searchsorted(rotors.time_ns, due)))
+    assert list(findings(replace(recording, rotor_speeds=thinned), vehicle)) == []
+
+
+@pytest.mark.parametrize("before_s", [60, 1_600_000_000])
+def test_motion_capture_by_another_clock_is_no_other_unit(vehicle, before_s):
+    recording = read_recording(bags_directory() / "train_2.mcap", vehicle)
+    early = replace(recording.pose, time_ns=recording.pose.time_ns - before_s * 10**9)
+    (finding,) = checked(replace(recording, pose=early), vehicle).quality.findings
+    assert finding.mistake == "clock offset"
+
+
 @pytest.mark.parametrize("name", REAL)
 def test_nothing_is_said_of_real_flights(shared_data, name):
     pattern, vehicle_name, mapping = REAL[name]
