@@ -22,8 +22,8 @@ STEP_S = 0.01
 _FEWEST_CELLS = 100
 # Poses farther apart than this do not show the motion between them.
 _POSE_GAP_NS = 300_000_000
-# Rotor speeds farther apart do not show accelerations: thinned to 25 Hz, those of bundled flights do; to 20 Hz,
-# an inertia looks 1.4 times too large, and to 11 Hz the rotors look like those of another flight.
+# Rotor speeds farther apart do not show accelerations: thinned to 25 Hz, those of bundled flights do; to 20
+# Hz, an inertia looks 1.4 times too large, and to 11 Hz the rotors look like those of another flight.
 _ROTOR_STEP_NS = 45_000_000
 # Largest delay of rotor speeds that is examined; a window includes their samples this far around it.
 _MARGIN_S = 0.4
