@@ -42,7 +42,7 @@ _TURNING_RAD_S = 0.3
 _LARGEST_RATIO = 10.0
 # Noise makes an attitude seem to turn at a multiple of the true rate over short steps.
 _LARGEST_RATIO_OF_ATTITUDE = 30.0
-TOGETHER = Threshold(
+BESIDE_IMU = Threshold(
     "state beside the IMU",
     0.5,
     "of its samples within the IMU's stamps",
@@ -241,7 +241,7 @@ def _attitude_streams(recording: Recording) -> Iterator[PoseStream | OdometryStr
         if stream is None or len(stream) < 2 or len(imu_ns) == 0:
             continue
         together = (stream.time_ns >= imu_ns.min()) & (stream.time_ns <= imu_ns.max())
-        if np.mean(together) >= TOGETHER.value:
+        if np.mean(together) >= BESIDE_IMU.value:
             yield stream.take(together)
 
 

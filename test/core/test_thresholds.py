@@ -655,6 +655,8 @@ ALONE = {
         "MOST_EFFECTS",
         # In test_clock_consistency.
         *("SHARED_S", "LEAST_OFFSET_S", "EXPLAINED", "NEAR_S", "EXPLAINS"),
+        # In test_plausibility.
+        "BESIDE_IMU",
         # In test_simulated_file.
         "MOTOR_TIME_CONSTANT",
         "NOISE_HZ",

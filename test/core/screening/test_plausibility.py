@@ -11,7 +11,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadpi_core.flight import ImuStream, PoseStream, Recording, RotorSpeedStream
-from quadpi_core.screening.plausibility import TOGETHER, implausibilities, missing_topics, thrust_coefficient
+from quadpi_core.screening.plausibility import (
+    BESIDE_IMU,
+    implausibilities,
+    missing_topics,
+    thrust_coefficient,
+)
 from quadpi_core.vehicle import Vehicle
 
 RATE_HZ, FLOWN_S = 200, 20.0
@@ -168,4 +173,4 @@ def test_turning_is_compared_where_most_of_a_state_is_beside_the_imu(late_s, jud
     recording = hover([0.0, 0.0, -9.8], tilt_rad=0.0, gyro=3.0, turning=0.1)
     late = replace(recording.pose, time_ns=recording.pose.time_ns + round(1e9 * late_s))
     assert bool(said(replace(recording, pose=late))) == judged
-    assert TOGETHER.value == 0.5
+    assert BESIDE_IMU.value == 0.5
