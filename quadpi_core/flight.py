@@ -260,7 +260,8 @@ class WrenchStream(Stream):
     wrench: Array
 
 
-@dataclass(frozen=True)
+# Compared and hashed by identity: arrays have no truth value.
+@dataclass(frozen=True, eq=False)
 class Recording:
     """What one log holds, topic by topic; None where the log has no such topic.
 

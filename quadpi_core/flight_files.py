@@ -80,10 +80,10 @@ def named_files(paths: Path | str | Iterable[Path | str]) -> list[FlightFile]:
     places = {path: path.absolute() for path in files}
     alike: dict[str, set[Path]] = defaultdict(set)
     for path in files:
-        alike[_stem(path)].add(places[path])
+        alike[_stem(places[path])].add(places[path])
     names: dict[Path, str] = {}
-    for stem, found in alike.items():
-        endings = len({place.with_name(stem) for place in found}) < len(found)
+    for found in alike.values():
+        endings = len({place.parent for place in found}) < len(found)
         depth = 0
         while len({_name(place, depth, endings=endings) for place in found}) < len(found):
             depth += 1

@@ -62,7 +62,8 @@ class SensorNoise(Section):
     mocap_delay_std_s: Annotated[float, Within(0.0, _MOCAP_DELAY_MAX_S)] = 0.05
 
 
-@dataclass(frozen=True)
+# Compared and hashed by identity: arrays have no truth value.
+@dataclass(frozen=True, eq=False)
 class Vehicle:
     """A quadrotor as the model sees it; SI units, body axes forward-right-down.
 

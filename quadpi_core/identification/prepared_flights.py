@@ -52,7 +52,8 @@ PREPARE_FLIGHTS = "prepare_flights(paths, vehicle) gives them"
 _COLUMNS = np.cumsum([len(INPUT_NAMES), DERIVATIVES.itemsize // 8, len(AXES)])
 
 
-@dataclass(frozen=True)
+# Compared and hashed by identity: arrays have no truth value.
+@dataclass(frozen=True, eq=False)
 class PreparedFlight:
     """A flight ready for identification or evaluation.
 

@@ -84,7 +84,8 @@ class Motion(Protocol):
         """See above."""
 
 
-@dataclass(frozen=True)
+# Compared and hashed by identity: arrays have no truth value.
+@dataclass(frozen=True, eq=False)
 class AerodynamicModel:
     """Wrench model of one vehicle with prediction intervals.
 

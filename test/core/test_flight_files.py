@@ -24,6 +24,7 @@ from quadpi_core.parallel import Progress, Workers
         (["a/x.bin", "a/x.csv", "b/x.bin"], ["a_x.bin", "a_x.csv", "b_x.bin"]),
         (["x.bin", "./x.bin"], ["x", "x"]),
         (["/b/L.bin", "/d/L.bin", "/b_L.bin"], ["b_L", "d_L", "b_L_2"]),
+        (["/", "x.bin", "."], ["", "x", Path.cwd().name]),
     ],
 )
 def test_names_differ_where_stems_do_not(paths, names):

@@ -179,3 +179,10 @@ def test_inertia_about_z_is_that_of_mass_at_the_rotors_within_a_factor(
 def test_a_measured_speed_a_tenth_above_the_largest_is_a_spike():
     vehicle = Vehicle.load("bebop2")
     assert vehicle.rotor_speed_spike_rad_s == pytest.approx(1.1 * vehicle.rotor_speed_max_rad_s)
+
+
+def test_records_with_arrays_can_be_looked_for_in_a_list():
+    one, other = Vehicle.load("bebop2"), Vehicle.load("bebop2")
+    assert one in [other, one]
+    assert [other, one].index(one) == 1
+    assert len({one, other}) == 2
