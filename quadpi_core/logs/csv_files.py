@@ -26,11 +26,9 @@ if TYPE_CHECKING:
 _HEAD_BYTES = 1 << 18
 _DIALECTS = ((",", "."), (";", "."), (";", ","), (",", ","), ("\t", "."), ("\t", ","), ("|", "."), (" ", "."))
 _STAMP = r"(\d{4}([-/]?)\d\d\2\d\d[T ])?\d\d:?\d\d:?\d\d[.,].*"
-_ABSENT = {"", "nan", "-nan", "null", "n/a", "#n/a", "na", "none", "-", "--"}
+ABSENT = {"", "nan", "-nan", "null", "n/a", "#n/a", "na", "none", "-", "--"}
 # As text in a column of numbers; arrow tells capitals apart.
-_NULLS = [
-    spelled for word in sorted(_ABSENT) for spelled in dict.fromkeys((word, word.upper(), word.title()))
-]
+_NULLS = [spelled for word in sorted(ABSENT) for spelled in dict.fromkeys((word, word.upper(), word.title()))]
 _NULLS += ["NaN", "-NaN"]
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 _UTF8_MARK = b"\xef\xbb\xbf"
@@ -151,7 +149,7 @@ def _numbers(row: Sequence[str], decimal: str) -> int:
 
 def _holds_values(row: Sequence[str], decimal: str) -> bool:
     """Whether a row is one of values: all that is there are numbers, or half of it and at least two."""
-    found, there = _numbers(row, decimal), sum(field.lower() not in _ABSENT for field in row)
+    found, there = _numbers(row, decimal), sum(field.lower() not in ABSENT for field in row)
     return 0 < found == there or (found >= 2 and 2 * found >= there)
 
 
@@ -287,7 +285,7 @@ def _numbers_of(
     )
     text = compute.if_else(grouped, compute.replace_substring(text, other, ""), text)
     is_number = compute.match_substring_regex(text, rf"^{_PLAIN_NUMBERS[dialect.decimal]}$")
-    absent = compute.is_in(compute.utf8_lower(text), value_set=pa.array(sorted(_ABSENT)))
+    absent = compute.is_in(compute.utf8_lower(text), value_set=pa.array(sorted(ABSENT)))
     wrong = text.filter(compute.fill_null(compute.invert(compute.or_(is_number, absent)), fill_value=False))
     known = compute.sum(is_number).as_py() or 0
     if len(wrong) > known:

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from quadpi_core.errors import LogError, one_line
 from quadpi_core.flight import MAX_GAP_NS, NO_STAMP, Stamps
 from quadpi_core.frames import Array
-from quadpi_core.logs.csv_files import CsvDialect, dialect_of, read_columns, read_content
+from quadpi_core.logs.csv_files import ABSENT, CsvDialect, dialect_of, read_columns, read_content
 from quadpi_core.logs.mapping import UNITS
 from quadpi_core.logs.matlab import read_matlab
 from quadpi_core.logs.parquet_pages import unpacked_bytes
@@ -119,11 +119,17 @@ def _of_csv(path: Path) -> Columns:
 def _head_of(dialect: CsvDialect) -> dict[int, Array]:
     head = {}
     for place, column in enumerate(zip(*dialect.head[:_HEAD_ROWS], strict=True)):
-        try:
-            head[place] = np.array([float(text.replace(dialect.decimal, ".") or "nan") for text in column])
-        except ValueError:
-            continue
+        values = np.array([_number_of(text.replace(dialect.decimal, ".")) for text in column])
+        if 2 * np.count_nonzero(np.isfinite(values)) > sum(text.lower() not in ABSENT for text in column):
+            head[place] = values
     return head
+
+
+def _number_of(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return float("nan")
 
 
 def _of_parquet(path: Path) -> Columns:

@@ -150,3 +150,13 @@ def test_tables_of_reports_are_read_by_the_draft_alone(shared_data: Path, tmp_pa
     for stream, other in zip(own.streams(), expected.streams(), strict=True):
         np.testing.assert_array_equal(stream.time_ns, other.time_ns)
     np.testing.assert_array_equal(own.imu.specific_force, expected.imu.specific_force)
+
+
+@pytest.mark.parametrize("absent", ["", "None", "-"])
+def test_a_slow_sensor_in_a_fast_table_is_drafted_with_the_share_that_it_lacks(tmp_path, drafted, absent):
+    path = table(tmp_path / "a.csv", *CASES["short names"][:1], **CASES["short names"][1])
+    rows = [line.split(",") for line in path.read_text().splitlines()]
+    for place, row in enumerate(rows[1:]):
+        row[11:] = row[11:] if place % 5 == 0 else [absent] * 7
+    path.write_text("\n".join(map(",".join, rows)))
+    assert len(decode_recording(path, BEBOP, drafted(path)).pose) == N / 5
