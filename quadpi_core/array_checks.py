@@ -51,6 +51,22 @@ def floats(
     return array
 
 
+def are_samples(time_ns: Any, values: Any, columns: int) -> bool:
+    """Whether stamps (N,) and numbers (N, columns) are as compiled code takes them: what a node hands in.
+
+    One look instead of :func:`stamps` and :func:`floats`, which take a fifteenth of the time of a sample.
+    """
+    return (
+        type(time_ns) is type(values) is np.ndarray
+        and time_ns.dtype is _INT
+        and values.dtype is _FLOAT
+        and time_ns.ndim == 1
+        and values.shape == (len(time_ns), columns)
+        and time_ns.flags.carray
+        and values.flags.carray
+    )
+
+
 def by_rotor(name: str, values: Any, rotors: int) -> Array:
     """Numbers (..., rotors) as float64, finite or not.
 

@@ -95,10 +95,11 @@ class Monitor:
             ArgumentError: for arrays of other shapes, another number of stamps than rows, and stamps that are
                 no whole nanoseconds.
         """
-        time_ns = array_checks.stamps("time_ns", time_ns)
-        values = array_checks.floats(
-            "values", values, CHANNELS, rows=len(time_ns), of="time_ns", finite=False
-        )
+        if not array_checks.are_samples(time_ns, values, CHANNELS):
+            time_ns = array_checks.stamps("time_ns", time_ns)
+            values = array_checks.floats(
+                "values", values, CHANNELS, rows=len(time_ns), of="time_ns", finite=False
+            )
         # Judge the data; from the samples that can be used, filter inputs and measured wrench.
         prepared = self.preparation.step(time_ns, values)
         return self._judge(prepared)

@@ -77,6 +77,17 @@ def test_other_numbers_are_refused(wrong, message):
         array_checks.floats("rows", wrong, 3, rows=4, of="time")
 
 
+@pytest.mark.parametrize(
+    "values",
+    [ROWS[:3], ROWS[:, :2], ROWS.astype(">f8"), np.asfortranarray(ROWS), read_only(ROWS), ROWS.tolist()],
+)
+def test_samples_that_need_a_check_or_a_copy_are_told_from_those_of_a_node(values):
+    stamps = np.arange(4)
+    assert array_checks.are_samples(stamps, ROWS, 3)
+    assert not array_checks.are_samples(stamps, values, 3)
+    assert not array_checks.are_samples(np.arange(4.0), ROWS, 3)
+
+
 @pytest.mark.parametrize("same", [[3, 7], np.array([3, 7], ">i8"), np.array([3, 7], np.uint64)])
 def test_stamps_are_whole_nanoseconds(same):
     taken = array_checks.stamps("time_ns", same)
