@@ -32,9 +32,9 @@ LIFTED = Threshold(
 )
 TURNING = Threshold(
     "share of the weight below which rotors do not carry the vehicle",
-    0.3,
+    0.2,
     "of the square of the rotor speed in hover",
-    "rotors idle at 0.07 to 0.17; a vehicle that flies with less has lost two thirds of its mass",
+    "rotors idle at 0.07 to 0.17; in hover, speeds that all read half are 0.25",
     _FLIGHTS,
 )
 RESTING = Threshold(
@@ -62,7 +62,7 @@ SUPPORTED_G = Threshold(
     "specific force of a vehicle that something else than its rotors carries",
     0.6,
     "g",
-    "a ship's deck heaves by 0.2 g; in a fall, rotors below 0.3 of the weight leave 0.3 g and some drag",
+    "a ship's deck heaves by 0.2 g; in a fall, rotors below 0.2 of the weight leave 0.2 g and some drag",
     "none: physics",
 )
 SUPPORTED_S = Threshold(
