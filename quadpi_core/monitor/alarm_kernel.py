@@ -15,10 +15,16 @@ from quadpi_core.frames import Array
 from quadpi_core.inputs import COSINES, INPUT_NAMES
 from quadpi_core.models.envelope import distance_outside
 from quadpi_core.models.model_kind import Evaluation
-from quadpi_core.monitor.data_quality import IN_FLIGHT_ONLY
+from quadpi_core.monitor.data_quality import GAP, IN_FLIGHT_ONLY, NOT_FINITE, ROTORS_MISSING
 from quadpi_core.monitor.ground import Ground, follow_ground
 from quadpi_core.monitor.preparation import Verdict
-from quadpi_core.monitor.rotor_thrust import RotorGeometry, RotorThrust, follow_thrust, forget_thrust
+from quadpi_core.monitor.rotor_thrust import (
+    RotorGeometry,
+    RotorThrust,
+    are_stopped,
+    follow_thrust,
+    forget_thrust,
+)
 from quadpi_core.records import Records, record_dtype
 from quadpi_core.results import (
     ACTIVE,
@@ -181,10 +187,14 @@ def advance(
             if state.ground.flying:
                 beyond = _judge_extrapolation(limits, state, inputs[used], evaluation, used, step_s)
                 _judge_miscoverage(limits, state, measured[used], evaluation, used, step_s)
+                _judge_rotors(state)
             used += 1
         else:
             state.silent_s += step_s
-        faults = _judge_data(limits, state, sample.usable, faults, step_s)
+            if sample.absent != 0 and state.ground.flying:
+                faults = follow_thrust(limits.rotors, state.thrust, sample, sample.wrench, step_s)
+                _judge_rotors(state)
+        faults = _judge_data(limits, state, sample, faults, step_s)
         _count_time(state, step_s)
 
         is_due = _set_levels(limits, state) or first
@@ -289,20 +299,32 @@ def _judge_miscoverage(
         score = state.miss_sum_s[axis] / limit
         worst = max(worst, score)
         row.miscoverage[axis] = max(row.miscoverage[axis], score)
-    # A rotor without thrust contradicts every model of four.
-    state.charge[_OF_MISCOVERAGE] = worst if state.thrust.stopped == 0 else SUM_MOST
-    row.stopped |= state.thrust.stopped
+    state.charge[_OF_MISCOVERAGE] = worst
+
+
+@njit(cache=True)
+def _judge_rotors(state: State) -> None:
+    """Raise MISCOVERAGE for a rotor without thrust, which contradicts every model of four."""
+    row = state.row
+    if state.thrust.stopped != 0:
+        state.charge[_OF_MISCOVERAGE] = SUM_MOST
+        row.stopped |= state.thrust.stopped
     evidence = max(row.cause_evidence[_OF_MISCOVERAGE], state.charge[_OF_MISCOVERAGE])
     row.cause_evidence[_OF_MISCOVERAGE] = evidence
 
 
 @njit(cache=True)
-def _judge_data(limits: Limits, state: State, usable: bool, faults: int, step_s: float) -> int:
+def _judge_data(limits: Limits, state: State, sample: Verdict, faults: int, step_s: float) -> int:
     """Charge BAD_DATA; returns the faults of the sample that count where the vehicle is."""
     row, charge = state.row, state.charge[_OF_BAD_DATA]
     if not state.ground.flying:
         faults &= ~IN_FLIGHT_ONLY
-    bad = faults != 0 or not usable
+    judged = sample.usable
+    if are_stopped(state.thrust, sample.absent):
+        # No reading of a rotor that has stopped is no fault: what was said of it is taken back.
+        faults &= ~(NOT_FINITE | ROTORS_MISSING | GAP)
+        judged, charge = True, 0.0
+    bad = faults != 0 or not judged
     if bad:
         charge = max(charge, WARNING_CHARGE)
     charge = _charged(charge, bad, step_s, limits)

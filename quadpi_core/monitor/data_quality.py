@@ -94,6 +94,7 @@ class Quality:
     rotor_spins: PerRotor  # ±1
     frozen_after_s: float  # for which an inertial sensor may repeat a reading
     previous_ns: int  # stamp of the last usable sample; NO_STAMP before the first
+    followed_ns: int  # of the last one that was usable but for readings of rotors
     # The last reading of each sensor, and for how long it has not changed.
     rates: Vector3
     rates_still_s: float
@@ -119,7 +120,7 @@ def quality(vehicle: Vehicle, rate_hz: float) -> Records:
     memory["rotor_spins"] = vehicle.rotor_spins
     memory["frozen_after_s"] = frozen_s(rate_hz)
     memory["rotor_step"] = np.inf
-    memory["previous_ns"] = NO_STAMP
+    memory["previous_ns"] = memory["followed_ns"] = NO_STAMP
     return memory
 
 
@@ -183,10 +184,33 @@ def judge(memory: Quality, time_ns: int, sample: Array) -> tuple[int, bool, bool
         faults |= NOT_FINITE
     usable = plausible and (first or jump or step_ns > 0)
     if usable:
-        memory.previous_ns = time_ns
+        memory.previous_ns = memory.followed_ns = time_ns
         restarts = first or jump
         faults |= _sensor_faults(memory, sample, 0.0 if restarts else step_ns * 1e-9, restarts)
     return faults, usable, jump
+
+
+@njit(cache=True)
+def with_last_readings(memory: Quality, time_ns: int, sample: Array) -> tuple[int, Array]:
+    """A sample (20,) that is not usable, with the last readings of the rotors that give none.
+
+    Returns:
+        A bit per such rotor, 0 if none gives a reading, the sample is not usable for other reasons too or
+        comes after a gap; the sample.
+    """
+    absent = 0
+    filled = sample.copy()
+    for k in range(ROTORS):
+        if not np.isfinite(filled[ROTOR_SPEEDS][k]):
+            absent |= 1 << k
+            filled[ROTOR_SPEEDS][k] = memory.rotor_speeds[k]
+    continues = memory.followed_ns != NO_STAMP and 0 < time_ns - memory.followed_ns <= MAX_GAP_NS
+    if absent in (0, (1 << ROTORS) - 1) or not continues or not np.all(np.isfinite(filled)):
+        return 0, filled
+    if not _plausible(filled, memory.rotor_speed_max):
+        return 0, filled
+    memory.followed_ns = time_ns
+    return absent, filled
 
 
 @njit(cache=True)

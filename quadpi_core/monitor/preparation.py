@@ -35,6 +35,7 @@ from quadpi_core.monitor.data_quality import (
     frozen_s,
     judge,
     quality,
+    with_last_readings,
 )
 from quadpi_core.records import Records, Vector3, record_dtype
 from quadpi_core.rotations import matrix
@@ -64,14 +65,18 @@ _WITHOUT_STATE = NOT_FINITE | NOT_PLAUSIBLE | STAMP_REPEATED | STAMP_BACKWARD | 
 class Verdict:
     """What data quality and low-pass say of one sample.
 
-    What follows `usable` means something for a usable sample only; the signals have passed the low-pass. A
-    sample has not settled in the first :data:`SETTLE_NS` of a state, or after more than `MAX_GAP_NS` without
-    one, nor before the low-pass has settled. Where rotor speeds alone are missing, the state goes on.
+    What follows `absent` means something for a sample that is usable, or but for absent rotors; the signals
+    have passed the low-pass. A sample has not settled in the first :data:`SETTLE_NS` of a state, or after
+    more than `MAX_GAP_NS` without one, nor before the low-pass has settled. Where rotor speeds alone are
+    missing, the state goes on.
     """
 
     time_ns: int
     faults: int  # bits of what is wrong, see :mod:`quadpi_core.monitor.data_quality`
     usable: bool
+    # Bit per rotor without a reading, in a sample that is usable but for these: the last ones hold.
+    absent: int
+    wrench: Annotated[Array, len(AXES)]  # measured, of such a sample alone: that of others is with `Prepared`
     settled: bool
     velocity: Vector3  # over ground, m/s, world axes
     rates: Vector3  # rad/s
@@ -226,7 +231,7 @@ class Preparation:
     def step(self, time_ns: Stamps, values: Array) -> Prepared:
         """Take K samples; see :meth:`quadpi_core.monitor.Monitor.step`."""
         count = len(time_ns)
-        verdicts = np.empty(count, VERDICT)
+        verdicts = np.zeros(count, VERDICT)
         inputs, measured = np.empty((count, len(INPUT_NAMES))), np.empty((count, len(AXES)))
         derivatives = np.empty(count, DERIVATIVES)
         used = _prepare(self._memory, time_ns, values, verdicts, inputs, measured, derivatives)
@@ -260,21 +265,26 @@ def _prepare(
     used = 0
     value, slope, curvature = np.empty((1, CHANNELS)), np.empty((1, CHANNELS)), np.empty(ROTORS)
     for i in range(values.shape[0]):
-        faults, usable, jump = judge(memory.quality, time_ns[i], values[i])
+        row = values[i]
+        faults, usable, jump = judge(memory.quality, time_ns[i], row)
         if usable and memory.low_pass.rate_hz == 0.0:
             faults |= memory.fault_without_rate
             usable = False
-        if usable or faults & _WITHOUT_STATE == 0:
+        absent = 0
+        if not usable and chain.started:
+            absent, row = with_last_readings(memory.quality, time_ns[i], row)
+        if usable or absent != 0 or faults & _WITHOUT_STATE == 0:
             if not 0 < time_ns[i] - memory.state_ns <= MAX_GAP_NS:
                 memory.begun_ns = time_ns[i]
             memory.state_ns = time_ns[i]
         verdict = verdicts[i]
         verdict.time_ns, verdict.faults, verdict.usable = time_ns[i], faults, usable
-        if not usable:
+        verdict.absent = absent
+        if not usable and absent == 0:
             continue
         if not chain.started:
             memory.begun_ns = time_ns[i]
-        if jump:
+        if usable and jump:
             forget(chain)
         if not chain.started:
             memory.filtered_ns = time_ns[i]
@@ -282,7 +292,7 @@ def _prepare(
             time_ns[i] - memory.begun_ns >= SETTLE_NS
             and time_ns[i] - memory.filtered_ns >= memory.settling_ns
         )
-        filter_sample(memory.low_pass, chain, values[i], value[0], slope[0], curvature)
+        filter_sample(memory.low_pass, chain, row, value[0], slope[0], curvature)
         turn, velocity = matrix(value[0, ATTITUDE]), value[0, VELOCITY]
         for k in range(3):
             verdict.velocity[k] = (
@@ -291,7 +301,13 @@ def _prepare(
         verdict.rates[:] = value[0, RATES]
         verdict.specific_force[:] = value[0, SPECIFIC_FORCE]
         verdict.rotor_speeds[:] = value[0, ROTOR_SPEEDS]
-        attitude, rates, row = value[:, ATTITUDE], value[:, RATES], slice(used, used + 1)
+        attitude, rates, own = value[:, ATTITUDE], value[:, RATES], slice(used, used + 1)
+        measured[own] = newton_euler(
+            value[:, SPECIFIC_FORCE], rates, slope[:, RATES], vehicle.mass, vehicle.inertia
+        )
+        if not usable:
+            verdict.wrench[:] = measured[used]
+            continue
         inputs_kernel(
             relative_to_air(value[:, VELOCITY], attitude, value[:, WIND]),
             attitude,
@@ -300,10 +316,7 @@ def _prepare(
             vehicle.control_signs,
             vehicle.rotor_radius,
             vehicle.hover_induced_velocity,
-            inputs[row],
-        )
-        measured[row] = newton_euler(
-            value[:, SPECIFIC_FORCE], rates, slope[:, RATES], vehicle.mass, vehicle.inertia
+            inputs[own],
         )
         derivatives[used].angular_acceleration[:] = slope[0, RATES]
         derivatives[used].rotor_accelerations[:] = slope[0, ROTOR_SPEEDS]

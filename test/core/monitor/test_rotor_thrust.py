@@ -64,7 +64,8 @@ def test_a_rotor_without_thrust_has_stopped(envelope, rotor: int, telemetry: str
             samples.faults[samples.between(2.05, 4.0)] |= fault << rotor
     rows = watched(envelope, samples)
     seconds, _, words = alarms(rows)[0]
-    assert seconds == pytest.approx(2.04, abs=0.01)
+    lasts = rotor_thrust.SILENT_LOST_S if telemetry == "reads 0" else rotor_thrust.LOST_S
+    assert seconds == pytest.approx(2.0 + lasts.value, abs=0.01)
     assert f"rotor {rotor + 1} stopped" in words
     assert not np.any(rows.causes[rows.time_ns > 3_060_000_000] & BAD_DATA)
     np.testing.assert_array_equal(watched(envelope, samples, 7).stopped, rows.stopped)
@@ -100,6 +101,37 @@ def test_every_axis_must_show_half_of_the_loss_and_no_more_than_twice(envelope, 
 def test_a_loss_must_last(envelope, factor: float, stopped: bool):
     samples = hovering(1.0, until_s=2.0 + factor * rotor_thrust.LOST_S.value)
     assert np.any(watched(envelope, samples).stopped) == stopped
+
+
+@pytest.mark.parametrize(("factor", "stopped"), [(0.9, True), (1.1, False)])
+def test_a_rotor_whose_speed_swings_tells_by_its_readings_alone(envelope, factor: float, stopped: bool):
+    """In fast turns it is told to slow down: without a reading, a loss of thrust is no stop."""
+    samples = hovering(1.0, until_s=2.15)
+    swing = 1.0 + factor * rotor_thrust.STEADY_SHARE.value * (-1.0) ** np.arange(len(samples.time_ns))
+    samples.rotor_speeds[:, 2] *= np.sqrt(swing)
+    assert np.any(watched(envelope, reading_zero(samples, 2, 2.0, 2.15)).stopped) == stopped
+
+
+@pytest.mark.parametrize(("factor", "stopped"), [(0.95, False), (1.05, True)])
+def test_a_rotor_without_a_reading_may_slow_down_with_the_others(envelope, factor: float, stopped: bool):
+    samples = hovering(1.0, until_s=2.15)
+    slow = samples.between(2.0, 2.15)
+    share = factor * rotor_thrust.TOGETHER_SHARE.value
+    samples.rotor_speeds[slow] *= np.sqrt(share)
+    for k in (0, 1, 3):  # what they lose is measured
+        x, y, _ = BEBOP.rotor_positions[k]
+        samples.measured[slow, 2:5] += (1.0 - share) * THRUST_N * np.array([1.0, y, -x])
+    assert np.any(watched(envelope, reading_zero(samples, 2, 2.0, 2.15)).stopped) == stopped
+
+
+@pytest.mark.parametrize("fault", [ROTOR_FROZEN, ROTOR_JUMPS])
+def test_sensors_of_other_rotors_are_judged_while_one_is_stopped(envelope, fault: int):
+    samples = hovering(1.0)
+    samples.faults[samples.between(2.5, 4.0)] |= fault << 1 | fault << 2
+    rows = watched(envelope, samples)
+    assert rows.stopped[-1] == 1 << 2
+    assert rows.faults[-1] == fault << 1
+    assert rows.causes[-1] == MISCOVERAGE | BAD_DATA
 
 
 def test_readings_that_come_back_tell_of_no_loss(envelope):
