@@ -139,9 +139,9 @@ def _entry(
             "axes": "body",
             "gravity": "included" if _holds_gravity(values, entry["unit"]) else "removed",
         }
-    there = np.isfinite(values).all(axis=1)
-    if there.any():
-        lacking = 1.0 - float(np.mean(there[np.argmax(there) : len(there) - np.argmax(there[::-1])]))
+    there = np.flatnonzero(np.all(np.isfinite(values), axis=1))
+    if len(there):
+        lacking = 1.0 - len(there) / int(there[-1] - there[0] + 1)
         if lacking > 0.0:
             # Of a slow sensor in a fast table; rows further on may lack more.
             entry["missing"] = min(math.ceil(10.0 * lacking + 0.5) / 10.0, 0.99)
