@@ -25,6 +25,8 @@ _POSE_GAP_NS = 300_000_000
 # Rotor speeds farther apart do not show accelerations: thinned to 25 Hz, those of bundled flights do; to 20
 # Hz, an inertia looks 1.4 times too large, and to 11 Hz the rotors look like those of another flight.
 _ROTOR_STEP_NS = 45_000_000
+# Some logs begin with a sample of another time, which would leave a flight of 4 s without a window.
+_STRAY_NS = 100_000_000
 # Largest delay of rotor speeds that is examined; a window includes their samples this far around it.
 _MARGIN_S = 0.4
 
@@ -132,8 +134,9 @@ def _grids(stamps: list[Stamps], margin_s: float = 0.0) -> list[Stamps]:
     """Borders (K + 1,) of the cells of each window, in ns."""
     if any(len(time_ns) < 2 for time_ns in stamps):
         return []
-    first = max(int(time_ns[0]) for time_ns in stamps) + round(margin_s * 1e9)
-    last = min(int(time_ns[-1]) for time_ns in stamps) - round(margin_s * 1e9)
+    ends = [_without_strays(time_ns) for time_ns in stamps]
+    first = max(begin for begin, _ in ends) + round(margin_s * 1e9)
+    last = min(end for _, end in ends) - round(margin_s * 1e9)
     step = round(STEP_S * 1e9)
     cells = min((last - first) // step, round(WINDOW_S / STEP_S))
     if cells < _FEWEST_CELLS:
@@ -141,6 +144,16 @@ def _grids(stamps: list[Stamps], margin_s: float = 0.0) -> list[Stamps]:
     count = min(WINDOWS, max(1, (last - first) // (cells * step)))
     starts = np.linspace(first, last - cells * step, count).astype(np.int64)
     return [start + step * np.arange(cells + 1) for start in starts]
+
+
+def _without_strays(time_ns: Stamps) -> tuple[int, int]:
+    """First and last stamp, but for samples that a pause parts from the others within _STRAY_NS of an end."""
+    pauses = np.flatnonzero(np.diff(time_ns) > MAX_GAP_NS)
+    early = pauses[time_ns[pauses] - time_ns[0] < _STRAY_NS]
+    late = pauses[time_ns[-1] - time_ns[pauses + 1] < _STRAY_NS]
+    first = early[-1] + 1 if len(early) else 0
+    last = late[0] if len(late) else -1
+    return int(time_ns[first]), int(time_ns[last])
 
 
 def _imu_means(recording: Recording, grid: Stamps) -> tuple[Array, Array] | None:

@@ -98,6 +98,12 @@ def test_a_window_in_which_a_topic_pauses_is_left_out(name, bridged_s):
         assert windows(excerpt(paused, paused.pose)) == left
 
 
+@pytest.mark.parametrize(("begin_s", "count"), [(0.05, 1), (0.15, 0)])
+def test_samples_at_an_end_that_a_pause_parts_from_the_others_cost_no_window(begin_s, count):
+    assert windows(rotor_excerpt(without(swinging(2.5), "rotor_speeds", begin_s, 0.4))) == count
+    assert windows(rotor_excerpt(without(swinging(2.5), "rotor_speeds", 2.1, 2.5 - begin_s))) == count
+
+
 def test_a_window_with_stamps_that_do_not_increase_is_left_out():
     recording = swinging(10.0)
     time_ns = recording.imu.time_ns.copy()
