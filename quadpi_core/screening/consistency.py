@@ -27,7 +27,6 @@ from quadpi_core.screening.rotor_consistency import RotorEvidence, rotor_evidenc
 from quadpi_core.screening.rotors_in_flight import stuck_rotors
 from quadpi_core.screening.small_mistakes import small_mistakes
 from quadpi_core.screening.wild_samples import Beyond
-from quadpi_core.signals.resample import nominal_rate
 from quadpi_core.vehicle import ROTORS, Vehicle
 
 # A cost of 1 is what sensors of sound flights differ by (`motion.cost`). Of 139 real flights that any mistake
@@ -60,8 +59,8 @@ _ROTOR_LOW, _ROTOR_LEFT, _ROTOR_WINDOWS = 0.07, 0.35, 4
 _HOVER_RATIO, _THRUST_RATIO = (0.88, 1.12), (0.4, 1.18)
 # Share of the fast accelerations that the squares explain beyond chance: 0.37 and more in sound flights, 0.51
 # where they are not processed; up to 0.23 with the rotor speeds of another flight of the same programme (0.37
-# in flights of less than 5 s). Speeds that come at 25 Hz do as well, those at 12 Hz do not.
-_OWN_SHARE, _TELLING_HZ = 0.3, 20.0
+# in flights of less than 5 s).
+_OWN_SHARE = 0.3
 # Growth of the thrust with Σω²: 0.69 to 1.43 in sound flights, and half of that where ω holds squares.
 _SQUARES_GROWTH = 0.63
 # Moment of inertia about z over mass times squared arm, where the moments look small, too: quadrotors have
@@ -226,9 +225,8 @@ def _rotor_findings(recording: Recording, evidence: RotorEvidence, vehicle: Vehi
             "give each rotor its own",
         )
         return
-    followed, rotors = evidence.followed, recording.rotor_speeds
-    told = followed is not None and rotors is not None and nominal_rate(rotors.time_ns) >= _TELLING_HZ
-    if followed is not None and told and followed < _OWN_SHARE:
+    followed = evidence.followed
+    if followed is not None and followed < _OWN_SHARE:
         yield Finding(
             "foreign rotors",
             topic,

@@ -265,14 +265,6 @@ def test_rotors_are_blamed_beyond_what_real_flights_have(said_of_rotors, mistake
     assert said_of_rotors(**named) == [mistake]
 
 
-@pytest.mark.parametrize(("rate_hz", "named"), [(19.0, False), (21.0, True)])
-def test_rotor_speeds_that_come_seldom_are_not_called_those_of_another_flight(
-    said_of_rotors, monkeypatch, rate_hz, named
-):
-    monkeypatch.setattr(consistency, "nominal_rate", lambda _: rate_hz)
-    assert said_of_rotors(followed=0.0) == ["foreign rotors"] * named
-
-
 @pytest.mark.parametrize(("slow", "named"), [(True, True), (False, False)])
 def test_speeds_look_squared_only_where_the_air_hardly_matters(said_of_rotors, monkeypatch, slow, named):
     monkeypatch.setattr(consistency, "is_slow", lambda *_: slow)
