@@ -6,6 +6,10 @@ A recording begins in mid-air, and nothing measures that state. Its value at the
 one given the residual of the first seconds: least squares with a normal prior, by Gauss-Newton. The strength
 of the effect, its first parameter, is free meanwhile, as the state does not depend on it: so the contribution
 of the effect stays in proportion to it.
+
+A swing has many optima, the more the longer it is seen, as a start that is off by little is off by turns of
+phase later. So the first seconds are explained first, from several states, then each longer stretch from
+there.
 """
 
 from __future__ import annotations
@@ -35,6 +39,15 @@ INDEPENDENT_HZ = Threshold(
     "what aerodynamics leave is correlated over some tenths of a second",
     CONVENTION,
 )
+STRETCHES_S = Threshold(
+    "stretches of a flight from which the state at its start is estimated, one after the other",
+    (2.5, 5.0, 10.0, SEEN_S.value),
+    "s",
+    "a swing or two of any cable up to 1.5 m; each is twice the one before, over which the phase is known",
+    CONVENTION,
+)
+# States from which the first stretch is explained, rest and others, in prior deviations from it.
+_FIRST_STATES = np.vstack((np.zeros(MEMORY), np.random.default_rng(0).standard_normal((4, MEMORY))))
 # Rate [Hz] at which the state is followed while its start is sought, several tens of samples in a swing.
 _RATE_HZ = 62.5
 _ITERATIONS, _HALVINGS = 15, 5
@@ -91,15 +104,29 @@ def started(
         step_s: seconds between the states.
     """
     stride = max(1, round(1.0 / (_RATE_HZ * step_s)))
-    shown = slice(0, max(round(SEEN_S.value / step_s), 2 * stride), stride)
-    seen = _Seen(effect, values, states[shown].copy(), vehicle, stride * step_s)
-    target = _forces(residual[shown, :, np.newaxis])[:, 0]
-    at = seen.found_from(target)
+    stretches = []
+    for seconds in STRETCHES_S.value:
+        shown = slice(0, max(round(seconds / step_s), 2 * stride), stride)
+        seen = _Seen(effect, values, states[shown].copy(), vehicle, stride * step_s)
+        stretches.append((seen, _forces(residual[shown, :, np.newaxis])[:, 0]))
+        if shown.stop >= len(states):
+            break
+    rest, spread = np.asarray(effect.at_rest, dtype=float), np.asarray(effect.start_spread)
+    seen, target = stretches[0]
+    tried = [seen.found_from(rest + away * spread, target) for away in _FIRST_STATES]
+    at = max(tried, key=lambda one: _judged(one, target, seen.step_s).explained)
+    for seen, target in stretches[1:]:
+        at = seen.found_from(at.memory, target)
+    return _judged(at, target, seen.step_s)
+
+
+def _judged(at: _Start, target: Array, step_s: float) -> Started:
+    """A state at the start with its strength, and what it explains of forces as :func:`_forces`."""
     strength = max(float(at.shape @ target) / max(float(at.shape @ at.shape), _TINY), 0.0)
     left = target - strength * at.shape
     total = max(float(target @ target), _TINY)
     variance = max(float(left @ left) / len(left), _TINY)
-    information = INDEPENDENT_HZ.value * seen.step_s * strength**2 / variance * at.slopes.T @ at.slopes
+    information = INDEPENDENT_HZ.value * step_s * strength**2 / variance * at.slopes.T @ at.slopes
     cost = 0.5 * float(np.linalg.slogdet(np.eye(MEMORY) + information)[1])
     return Started(at.memory, strength, 1.0 - float(left @ left) / total, cost)
 
@@ -127,12 +154,12 @@ class _Seen(NamedTuple):
     vehicle: npt.NDArray[np.void]
     step_s: float
 
-    def found_from(self, target: Array) -> _Start:
-        """The most probable state at the start, given forces to explain as :func:`_forces`."""
+    def found_from(self, first: Array, target: Array) -> _Start:
+        """The most probable state near a first one (6,), given forces to explain as :func:`_forces`."""
         rest, spread = np.asarray(self.effect.at_rest, dtype=float), np.asarray(self.effect.start_spread)
         independent = INDEPENDENT_HZ.value * self.step_s
         variance = max(float(target @ target) / len(target), _TINY)
-        at = self._from(rest, self._shapes(rest[np.newaxis])[:, 0], spread)
+        at = self._from(first, self._shapes(first[np.newaxis])[:, 0], spread)
         strength = _FIRST * _ratio(target, at.shape)
 
         def cost(strength: float, memory: Array, shape: Array) -> float:

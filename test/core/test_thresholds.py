@@ -661,7 +661,7 @@ ALONE = {
         "MOTOR_TIME_CONSTANT",
         "NOISE_HZ",
         # In test_own_state.
-        *("INDEPENDENT_HZ", "SEEN_S", "TRIED_LENGTHS"),
+        *("INDEPENDENT_HZ", "SEEN_S", "STRETCHES_S", "TRIED_LENGTHS"),
     ),
     "RIDGES",
 }

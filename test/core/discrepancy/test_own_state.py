@@ -9,8 +9,14 @@ import json
 import numpy as np
 import pytest
 
+from quadpi_core.discrepancy import own_state
 from quadpi_core.discrepancy.candidates import TRIED_LENGTHS
-from quadpi_core.discrepancy.own_state import INDEPENDENT_HZ, SEEN_S, started
+from quadpi_core.discrepancy.own_state import (
+    INDEPENDENT_HZ,
+    SEEN_S,
+    STRETCHES_S,
+    started,
+)
 from quadpi_core.simulation.applied_effects import effect_wrench, with_memory
 from quadpi_core.simulation.effect_registry import EFFECTS
 from quadpi_core.simulation.simulated_aerodynamics import vehicle_record
@@ -84,6 +90,31 @@ def test_a_swing_faster_than_the_samples_stays_finite(swung, record, length):
     assert np.all(np.isfinite(own["memory"]))
     start = started(LOAD, np.array([1.0, length, 0.0]), states, record, swung.pull_in_body(), STEP_S)
     assert np.all(np.isfinite([*start.memory, start.strength, start.explained, start.cost]))
+
+
+@pytest.mark.parametrize("length", [0.3, 0.5])
+@pytest.mark.parametrize("aside", [0.8, 1.2])
+def test_a_wide_swing_is_found(record, aside, length):
+    """From rest, all of its 20 seconds at once lead to an optimum that explains 3 to 60 %."""
+    wide = flown(MASS, 0.03, length, aside=aside, seconds=24.0, step_s=STEP_S)
+    assert found(wide, record, length=length).explained > 0.99
+
+
+def test_each_stretch_begins_where_the_one_before_ended(record, monkeypatch):
+    """With stretches twice as long, the first of them already holds too many swings."""
+    assert STRETCHES_S.value == (2.5, 5.0, 10.0, SEEN_S.value)
+    monkeypatch.setattr(own_state, "_FIRST_STATES", own_state._FIRST_STATES[:1])
+    wide = flown(MASS, 0.03, 0.25, aside=1.2, seconds=24.0, step_s=STEP_S)
+    assert found(wide, record, length=0.25).explained > 0.99
+
+
+def test_the_first_stretch_is_explained_from_several_states(record, monkeypatch):
+    """From rest alone, so wide a swing ends in a wrong optimum."""
+    wide = flown(MASS, 0.03, 1.0, aside=1.6, seconds=24.0, step_s=STEP_S)
+    several = found(wide, record, length=1.0).explained
+    monkeypatch.setattr(own_state, "_FIRST_STATES", own_state._FIRST_STATES[:1])
+    assert found(wide, record, length=1.0).explained < 0.1 * several
+    assert several > 0.5
 
 
 def test_the_first_seconds_decide(swung, record):
