@@ -29,6 +29,7 @@ from quadpi_core.discrepancy.result_verdicts import (
     judge_colour,
     judge_disputed,
     judge_diverged,
+    judge_intervals,
     judge_not_zero,
     judge_rollouts,
     judge_unexplained,
@@ -36,6 +37,7 @@ from quadpi_core.discrepancy.result_verdicts import (
 )
 from quadpi_core.discrepancy.search import Found
 from quadpi_core.discrepancy.uncertain_parts import of_coefficient
+from quadpi_core.discrepancy.unexplained import stated_squares
 from quadpi_core.discrepancy.verdict import Verdict
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
@@ -67,9 +69,16 @@ def checks(
         judge_unexplained(unexplained, axis),
         *_coefficients(found, sensors, named),
         _noise(found, sensors, named),
+        judge_intervals([] if effects else _broken(found, held)),
     ]
     verdicts += [judge_not_zero(effect.name, may_be_zero(effect)) for effect in effects]
     return (*verdicts, *map(judge_disputed, found.disputed), *(_closing(found, gap) if effects else ()))
+
+
+def _broken(found: Found, held: npt.NDArray[np.bool_]) -> list[str]:
+    """Axes with intervals of the simulation that the flights break; none of a simulation without any."""
+    stated = stated_squares(found.regression.flights)
+    return [axis for axis, inside, own in zip(AXES, held, stated, strict=True) if own > 0.0 and not inside]
 
 
 def judged_by_gap(discovery: Discovery, gap: Gap) -> tuple[Verdict, ...]:

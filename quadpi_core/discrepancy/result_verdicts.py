@@ -207,6 +207,14 @@ def judge_colour(colour: Array, shares: Array, axes: Sequence[str]) -> Verdict:
     return Verdict.of(COLOURED, "colour", float(slow[worst]), bool(slow[worst] <= COLOURED.value), sentence)
 
 
+def judge_intervals(broken: Sequence[str]) -> Verdict:
+    """Whether no axis is left without a name whose intervals these flights break."""
+    sentence = f"the intervals of {', '.join(broken)} hold less of these flights than they state"
+    if not broken:
+        sentence = "no axis has broken intervals that no effect explains"
+    return Verdict("intervals", not broken, float(len(broken)), 0.0, "axes", sentence)
+
+
 def judge_closed(reduction: float) -> Verdict:
     """Whether the named effects close the gap of flights left out."""
     sentence = f"{_percent(reduction)} of the gap is closed, {_percent(CLOSED.value)} needed"

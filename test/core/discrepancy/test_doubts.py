@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from quadpi_core.discrepancy import CallableSimulation, discover
+from quadpi_core.discrepancy import CallableSimulation, discover, doubts
 from quadpi_core.discrepancy.augmented_simulation import write_addition
 from quadpi_core.discrepancy.closure import Closing
 from quadpi_core.discrepancy.discrepancy_result import BeforeAfter, FoundParameter, Rollouts
@@ -54,10 +54,20 @@ def test_gusts_are_no_noise_of_sensors(simulation, flights, pushed):
     discovery = discover(simulation, blown, names=["payload", "rotor_drag"])
     assert discovery.verdict == "unknown"
     assert any("times as large at slow frequencies" in sentence for sentence in discovery.doubts)
-    # A model whose intervals hold all axes has stated as much.
+    # A model whose intervals hold all axes has stated as much; one whose intervals are broken has not.
     held = np.ones(6, dtype=bool)
     judged = checks(discovery.found, (), 0.0, discovery.gap, held)
     assert all(check.passed for check in judged)
+
+
+def test_nothing_found_is_no_answer_where_intervals_are_broken(found, monkeypatch):
+    """As `evaluate` says of the same flights; with effects that explain it, it is one."""
+    monkeypatch.setattr(doubts, "stated_squares", lambda _: np.ones(6))
+    held = np.array([True, True, False, True, True, True])
+    assert doubted(found, effects=(), held=held) == (
+        "the intervals of Fz hold less of these flights than they state",
+    )
+    assert doubted(found, held=held) == doubted(found, effects=(), held=np.ones(6, dtype=bool)) == ()
 
 
 def test_a_force_that_wanders_slowly_is_a_gap_that_stays(simulation, dragged, pushed):
