@@ -26,6 +26,8 @@ STRETCHES = 3
 # Root mean square of the turn rate above which the vehicle moves. A gyro at rest has 0.01, the calmest real
 # flights have 0.2.
 MOVES_RAD_S = 0.1
+# Share of a stretch's samples that must have a state: of fewer, as on a slow computer, nothing is said.
+PAIRED_SHARE = 0.5
 # Arrays of samples that a topic beside the IMU may send within a stretch: 1 kHz, more than motion capture or
 # speed controllers send. More come where the IMU has fallen silent; they are not kept.
 ARRAYS_MAX = 15_000
@@ -84,6 +86,11 @@ class FirstSeconds:
         joined = {kind: list(map(np.concatenate, zip(*parts, strict=True))) for kind, parts in kept.items()}
         if None in joined:
             stamps, values = joined.pop(None)
+            # Rates come with the state: one that came too late is no fault of the gyro.
+            paired = np.isfinite(values[:, RATES]).all(axis=1)
+            if np.mean(paired) < PAIRED_SHARE:
+                return None
+            stamps, values = stamps[paired], values[paired]
             joined[ImuStream] = [stamps, values[:, RATES], values[:, SPECIFIC_FORCE]]
             joined[RotorSpeedStream] = [stamps, values[:, ROTOR_SPEEDS]]
         streams: dict[str, Any] = {_FIELDS[kind]: kind(*columns) for kind, columns in joined.items() if kind}

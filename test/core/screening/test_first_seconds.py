@@ -14,6 +14,7 @@ from quadpi_core.paths import bags_directory
 from quadpi_core.screening.first_seconds import (
     ARRAYS_MAX,
     MOVES_RAD_S,
+    PAIRED_SHARE,
     STRETCH_S,
     STRETCHES,
     FirstSeconds,
@@ -129,12 +130,32 @@ def test_samples_that_cannot_be_used_are_left_out(flown: Recording) -> None:
     assert contradictions(stretch, Vehicle.load(flown.vehicle)) == []
 
 
-def test_paired_samples_are_those_of_imu_and_rotors(flown: Recording) -> None:
-    """As the monitor has them: all at the stamps of the IMU."""
-    imu = flown.imu
-    values = np.zeros((len(imu), CHANNELS))
-    values[:, RATES], values[:, SPECIFIC_FORCE] = imu.angular_velocity, imu.specific_force
+def paired(flown: Recording) -> np.ndarray:
+    """Values (N, CHANNELS) as the monitor has them: all at the stamps of the IMU."""
+    values = np.zeros((len(flown.imu), CHANNELS))
+    values[:, RATES], values[:, SPECIFIC_FORCE] = flown.imu.angular_velocity, flown.imu.specific_force
     values[:, ROTOR_SPEEDS] = 700.0
+    return values
+
+
+@pytest.mark.parametrize(("every", "judged"), [(3, True), (1, False)])
+def test_samples_whose_state_came_too_late_are_no_fault_of_the_imu(
+    every: int, judged: bool, flown: Recording
+) -> None:
+    """As on a computer that is too slow; of less than half of the samples nothing is said."""
+    assert PAIRED_SHARE == 0.5
+    values, imu = paired(flown), flown.imu
+    for late in range(0, len(values), 10 * every):
+        values[late : late + 8, RATES] = np.nan
+    kept = FirstSeconds("test")
+    found = [kept.take(None, imu.time_ns[k : k + 9], values[k : k + 9]) for k in range(0, len(imu), 9)]
+    whole = [one for one in found if one is not None]
+    assert len(whole) == judged
+    assert all(np.all(np.isfinite(one.imu.angular_velocity)) for one in whole)
+
+
+def test_paired_samples_are_those_of_imu_and_rotors(flown: Recording) -> None:
+    values, imu = paired(flown), flown.imu
     kept = FirstSeconds("test")
     found = [kept.take(None, imu.time_ns[k : k + 9], values[k : k + 9]) for k in range(0, len(imu), 9)]
     (stretch,) = [one for one in found if one is not None]
