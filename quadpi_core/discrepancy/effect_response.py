@@ -51,6 +51,8 @@ SLOW_HZ = Threshold(
     "slower ones are measured with little noise; faster ones would let another inertia explain that noise",
     "13 development flights without effects: two had an inertia named with predicted accelerations alone",
 )
+# Parameters of an effect with a state of its own that are so near, in typical sizes, start all but alike.
+_NEAR = 0.02
 _NO_NUMBERS = np.random.default_rng(0)
 
 
@@ -73,7 +75,7 @@ class Compared:
     ) -> None:
         self.simulation = simulation
         self.highest_hz = highest_hz
-        self._started: dict[tuple[str, bytes], Started] = {}
+        self._started: dict[str, list[tuple[Array, Started]]] = {}
         self._imu_rate_hz = flight.rate_hz
         step = max(1, int(flight.rate_hz / RATE_HZ.value + 0.5))
         self.thinned = _every(flight, step)
@@ -164,11 +166,16 @@ class Compared:
     def started(self, effect: Effect, values: Array) -> Started:
         """State at the start of the flight of an effect that has one of its own."""
         # The strength has no part in it, and a search asks again for what surrounds a point.
-        key = effect.name, values[1:].tobytes()
-        if key not in self._started:
-            step_s = 1.0 / self.thinned.rate_hz
-            self._started[key] = started(effect, values, self.states, self.record, self.residual, step_s)
-        return self._started[key]
+        known = self._started.setdefault(effect.name, [])
+        away = [np.max(np.abs(values - other)[1:] / _typical(effect), initial=0.0) for other, _ in known]
+        place = int(np.argmin(away)) if away else -1
+        if away and away[place] == 0.0:
+            return known[place][1]
+        near = known[place][1].memory if away and away[place] < _NEAR else None
+        step_s = 1.0 / self.thinned.rate_hz
+        found = started(effect, values, self.states, self.record, self.residual, step_s, near)
+        known.append((values.copy(), found))
+        return found
 
     def spectrum(self, columns: Array) -> Spectrum:
         """Spectrum of columns (M, ·, K) of this flight, as far as it is compared."""
@@ -195,6 +202,11 @@ class Compared:
             values: parameters in their order, within their bounds or not.
         """
         return _KINDS[effect.kind](self, effect, values)
+
+
+def _typical(effect: Effect) -> Array:
+    """Typical sizes (P - 1,) of the parameters of an effect but for its strength."""
+    return np.array([abs(parameter.default) or 1.0 for parameter in effect.parameters[1:]])
 
 
 def body_tolerances(tolerances: Tolerances) -> tuple[tuple[Effect, float], ...]:

@@ -92,6 +92,7 @@ def started(
     vehicle: npt.NDArray[np.void],
     residual: Array,
     step_s: float,
+    near: Array | None = None,
 ) -> Started:
     """Estimate the state of an effect at the start of a flight.
 
@@ -102,10 +103,11 @@ def started(
         vehicle: (1,) of `state_records.VEHICLE`.
         residual: (N, 6) measured less simulated wrench, without the effect.
         step_s: seconds between the states.
+        near: (6,) the state for all but the same parameters, from which it is found at once.
     """
     stride = max(1, round(1.0 / (_RATE_HZ * step_s)))
     stretches = []
-    for seconds in STRETCHES_S.value:
+    for seconds in STRETCHES_S.value if near is None else (SEEN_S.value,):
         shown = slice(0, max(round(seconds / step_s), 2 * stride), stride)
         seen = _Seen(effect, values, states[shown].copy(), vehicle, stride * step_s)
         stretches.append((seen, _forces(residual[shown, :, np.newaxis])[:, 0]))
@@ -113,7 +115,8 @@ def started(
             break
     rest, spread = np.asarray(effect.at_rest, dtype=float), np.asarray(effect.start_spread)
     seen, target = stretches[0]
-    tried = [seen.found_from(rest + away * spread, target) for away in _FIRST_STATES]
+    firsts = rest + _FIRST_STATES * spread if near is None else near[np.newaxis]
+    tried = [seen.found_from(first, target) for first in firsts]
     at = max(tried, key=lambda one: _judged(one, target, seen.step_s).explained)
     for seen, target in stretches[1:]:
         at = seen.found_from(at.memory, target)
