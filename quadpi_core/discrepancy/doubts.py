@@ -37,7 +37,6 @@ from quadpi_core.discrepancy.result_verdicts import (
 )
 from quadpi_core.discrepancy.search import Found
 from quadpi_core.discrepancy.uncertain_parts import of_coefficient
-from quadpi_core.discrepancy.unexplained import stated_squares
 from quadpi_core.discrepancy.verdict import Verdict
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
@@ -77,8 +76,8 @@ def checks(
 
 def _broken(found: Found, held: npt.NDArray[np.bool_]) -> list[str]:
     """Axes with intervals of the simulation that the flights break; none of a simulation without any."""
-    stated = stated_squares(found.regression.flights)
-    return [axis for axis, inside, own in zip(AXES, held, stated, strict=True) if own > 0.0 and not inside]
+    own = zip(AXES, held, found.stated, strict=True)
+    return [axis for axis, inside, stated in own if stated > 0.0 and not inside]
 
 
 def judged_by_gap(discovery: Discovery, gap: Gap) -> tuple[Verdict, ...]:

@@ -123,10 +123,10 @@ class Found:
     def gap(self, *, adjusted: bool = True) -> Gap:
         """The gap of flights left out, see :meth:`Closing.gap`; what sensors do not explain is no floor."""
         noise = np.minimum(self.regression.noise, self.sensors)
-        return self.closing.gap(noise, self._stated, adjusted=adjusted)
+        return self.closing.gap(noise, self.stated, adjusted=adjusted)
 
     @cached_property
-    def _stated(self) -> Array:
+    def stated(self) -> Array:
         """Mean squares (6,) that the simulation's own intervals state."""
         return stated_squares(self.regression.flights)
 

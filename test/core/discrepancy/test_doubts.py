@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from quadpi_core.discrepancy import CallableSimulation, discover, doubts
+from quadpi_core.discrepancy import CallableSimulation, discover, search
 from quadpi_core.discrepancy.augmented_simulation import write_addition
 from quadpi_core.discrepancy.closure import Closing
 from quadpi_core.discrepancy.discrepancy_result import BeforeAfter, FoundParameter, Rollouts
@@ -62,12 +62,13 @@ def test_gusts_are_no_noise_of_sensors(simulation, flights, pushed):
 
 def test_nothing_found_is_no_answer_where_intervals_are_broken(found, monkeypatch):
     """As `evaluate` says of the same flights; with effects that explain it, it is one."""
-    monkeypatch.setattr(doubts, "stated_squares", lambda _: np.ones(6))
-    held = np.array([True, True, False, True, True, True])
-    assert doubted(found, effects=(), held=held) == (
+    monkeypatch.setattr(search, "stated_squares", lambda _: np.ones(6))
+    own, held = replace(found.discovery.found), np.array([True, True, False, True, True, True])
+    assert doubted(found, found=own, effects=(), held=held) == (
         "the intervals of Fz hold less of these flights than they state",
     )
-    assert doubted(found, held=held) == doubted(found, effects=(), held=np.ones(6, dtype=bool)) == ()
+    assert doubted(found, found=own, held=held) == ()
+    assert doubted(found, found=own, effects=(), held=np.ones(6, dtype=bool)) == ()
 
 
 def test_a_force_that_wanders_slowly_is_a_gap_that_stays(simulation, dragged, pushed):
