@@ -24,8 +24,8 @@ from quadpi_core.unusable_readings import UnusableReports, Verdict
 from quadpi_core.vehicle import Vehicle
 
 _log = logging.getLogger(__name__)
-# Signals of separate messages are not interpolated across a pause: longer than any sensor may have, and than
-# so many intervals of a slow one, or than this.
+# Longest pause across which signals of separate messages are interpolated: three usual intervals of the
+# topic, at most a second [ns], and never less than MAX_GAP_NS.
 _GAP_INTERVALS, _GAP_NS = 3, 1_000_000_000
 
 

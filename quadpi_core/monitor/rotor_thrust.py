@@ -7,7 +7,7 @@ that of the measured wrench less the sum of k ω² over the rotors, against its 
 which takes drag, load and an inexact k with it. Where Fz, Mx and My each show the loss of this rotor's
 thrust, it has stopped, whatever its telemetry says. A rotor that reads 0, or gives no reading, counts with
 the thrust that it had before: if that is still there, its telemetry fails. So do readings that vanish while
-rotors are told to slow down, as in fast turns: the loss then proves nothing.
+a controller slows rotors down, as in fast turns: the loss then proves nothing.
 """
 
 from __future__ import annotations
@@ -58,14 +58,14 @@ SILENT_LOST_S = Threshold(
     "the same for a rotor that gives no reading",
     0.06,
     "s",
-    "rotors that are told to slow down lose their thrust too, most often for less time",
+    "rotors that the controller slows down lose their thrust too, most often for less time",
     _TAKEN_AWAY,
 )
 STEADY_SHARE = Threshold(
     "spread of a rotor's thrust up to which its loss tells without a reading",
     0.4,
     "of its mean over half a second",
-    "in fast turns rotors are told to idle; one that stops reads less for a while, which makes it 0.3",
+    "in fast turns a controller lets rotors idle; one that stops reads less for a while, which makes it 0.3",
     _TAKEN_AWAY,
 )
 TOGETHER_SHARE = Threshold(
