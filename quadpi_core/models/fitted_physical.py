@@ -21,7 +21,7 @@ from quadpi_core.models.interval_rules import Rule
 from quadpi_core.models.model_kind import Evaluation
 from quadpi_core.models.physical_fit import FitStep
 from quadpi_core.models.physical_flight import Sensing
-from quadpi_core.models.physical_kernel import AXIS, PackedPhysical, evaluate_physical
+from quadpi_core.models.physical_kernel import COMMON, KEPT, PackedPhysical, evaluate_physical
 from quadpi_core.models.physical_regressors import PHYSICAL_VEHICLE, control_signs
 from quadpi_core.models.physical_terms import TERM_INDEX, TERM_NAMES, TERMS
 from quadpi_core.models.regressors import check_inputs
@@ -234,24 +234,19 @@ class CompiledPhysical:
     @cached_property
     def _packed(self) -> PackedPhysical:
         longest = max(len(own.acting) for own in self.fitted.values())
-        axes = np.zeros(len(AXES), AXIS)
+        common = np.zeros(1, COMMON)
         acting = np.zeros((len(AXES), longest), dtype=np.int64)
         whitening = np.zeros((len(AXES), longest, longest))
         for axis, own in self.fitted.items():
             k, size = AXES.index(axis), len(own.acting)
-            axes[k] = size, own.shape.inflation, own.shape.growth, own.rms_spread
+            common["axes"][0, k] = size, own.shape.inflation, own.shape.growth, own.rms_spread
             acting[k, :size], whitening[k, :size, :size] = own.acting, own.whitening
-        shared = next(iter(self.fitted.values())).parameters
-        return PackedPhysical(
-            shared.kept,
-            shared.values[shared.kept],
-            shared.vehicle,
-            control_signs(shared.vehicle),
-            shared.sensing.rotor_delay_s,
-            axes,
-            acting,
-            whitening,
-        )
+        fit = next(iter(self.fitted.values())).parameters
+        common["vehicle"], common["controls"] = fit.vehicle, control_signs(fit.vehicle)
+        common["delay_s"] = fit.sensing.rotor_delay_s
+        kept = np.zeros(len(fit.kept), KEPT)
+        kept["number"], kept["value"] = fit.kept, fit.values[fit.kept]
+        return PackedPhysical(common, kept, acting, whitening)
 
     def evaluate(self, inputs: Array, factors: Array, derivatives: Records | None = None) -> Evaluation:
         """Evaluate input vectors (N, 19) with half widths from :func:`.model_kind.interval_factors`.
@@ -263,5 +258,5 @@ class CompiledPhysical:
         if derivatives is None:
             raise ModelError("the physical model needs the derivatives of the motion")
         out = np.zeros((5, len(inputs), len(AXES)))
-        evaluate_physical(inputs, derivatives, self._packed, factors, out)
+        evaluate_physical(inputs, derivatives, *self._packed, factors, out)
         return Evaluation(out[0], out[1], out[2], out[3], out[4])

@@ -4,15 +4,16 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.compiled import njit
+from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.inputs import vehicle_constants
-from quadpi_core.models.physical_regressors import MOTION, REGRESSORS, fill_regressors
+from quadpi_core.models.physical_regressors import MOTION, REGRESSORS, PhysicalVehicle, fill_regressors
 from quadpi_core.records import Records, record_dtype
 from quadpi_core.vehicle import ROTORS, Vehicle
 
@@ -26,29 +27,37 @@ class _Axis:
     rms_spread: float
 
 
-AXIS = record_dtype(_Axis)
+class _Common:
+    """Records of a fixed size: what the axes share, and the axes."""
+
+    vehicle: PhysicalVehicle
+    controls: Annotated[Array, 3, ROTORS]  # signs that gave U_p, U_q and U_r of the rotor speeds
+    delay_s: float  # that rotor speeds act after they were measured
+    axes: Annotated[Records, _Axis, len(AXES)]
+
+
+class _Kept:
+    """A term in the model: its number, and its parameter."""
+
+    number: int
+    value: float
+
+
+COMMON, KEPT = record_dtype(_Common), record_dtype(_Kept)
 
 
 class PackedPhysical(NamedTuple):
-    """All axes for :func:`evaluate_physical`.
+    """All axes for :func:`evaluate_physical`, which takes them one by one: a tuple costs a call 3 µs more.
 
     Attributes:
-        kept: (T,) numbers of the terms in the model.
-        values: (T,) their parameters.
-        vehicle: PHYSICAL_VEHICLE (1,).
-        controls: (3, 4) signs that gave U_p, U_q and U_r of the rotor speeds.
-        delay_s: that rotor speeds act after they were measured.
-        axes: (6,) of AXIS.
+        common: (1,) of COMMON.
+        kept: (T,) of KEPT, the terms in the model.
         acting: (6, S) numbers of the terms that act on an axis.
         whitening: (6, S, S) lower triangular Wᵀ with leverage h = |W z|².
     """
 
-    kept: npt.NDArray[np.int64]
-    values: Array
-    vehicle: Records
-    controls: Array
-    delay_s: float
-    axes: Records
+    common: Records
+    kept: Records
     acting: npt.NDArray[np.int64]
     whitening: Array
 
@@ -98,25 +107,36 @@ def delayed(speed: Any, acceleration: Any, jerk: Any, delay_s: float) -> tuple[A
 
 @njit(cache=True)
 def evaluate_physical(
-    inputs: Array, derivatives: Records, model: PackedPhysical, factors: Array, out: Array
+    inputs: Array,
+    derivatives: Records,
+    common: Records,
+    kept: Records,
+    acting: npt.NDArray[np.int64],
+    whitening: Array,
+    factors: Array,
+    out: Array,
 ) -> None:
     """Fill predicted, lower, upper, leverage and relative width of `out` (5, N, 6) for the axes held.
 
     Args:
         inputs: (N, 19).
         derivatives: (N,).
-        model: see :class:`PackedPhysical`.
+        common: as the next three, see :class:`PackedPhysical`.
+        kept: of it.
+        acting: of it.
+        whitening: of it.
         factors: (6,) half width of the intervals per spread.
         out: to fill.
     """
+    model = common[0]
     motion, row = np.zeros(1, MOTION), np.zeros(1, REGRESSORS)
     values = row.view(np.float64)
-    wrench, whitened = np.zeros(6), np.zeros(model.whitening.shape[1])
+    wrench, whitened = np.zeros(6), np.zeros(whitening.shape[1])
     for i in range(inputs.shape[0]):
         values[:] = 0.0
         _read_motion(inputs[i], derivatives[i], model.controls, model.delay_s, motion[0])
-        fill_regressors(motion[0], model.vehicle[0], row[0])
-        _predict(model.kept, model.values, values, wrench)
+        fill_regressors(motion[0], model.vehicle, row[0])
+        _predict(kept, values, wrench)
         speed_squared = inputs[i, 0] ** 2 + inputs[i, 1] ** 2 + inputs[i, 2] ** 2
         for axis in range(6):
             fitted = model.axes[axis]
@@ -124,9 +144,9 @@ def evaluate_physical(
                 continue
             whitened[:] = 0.0
             for b in range(fitted.size):
-                z = values[6 * model.acting[axis, b] + axis]
+                z = values[6 * acting[axis, b] + axis]
                 for a in range(b + 1):
-                    whitened[a] += model.whitening[axis, b, a] * z
+                    whitened[a] += whitening[axis, b, a] * z
             leverage = 0.0
             for a in range(fitted.size):
                 leverage += whitened[a] * whitened[a]
@@ -139,8 +159,8 @@ def evaluate_physical(
 
 
 @njit(cache=True)
-def _predict(kept: npt.NDArray[np.int64], parameters: Array, values: Array, wrench: Array) -> None:
+def _predict(kept: Records, values: Array, wrench: Array) -> None:
     wrench[:] = 0.0
-    for term in range(len(kept)):
+    for k in range(len(kept)):
         for axis in range(6):
-            wrench[axis] += parameters[term] * values[6 * kept[term] + axis]
+            wrench[axis] += kept[k].value * values[6 * kept[k].number + axis]

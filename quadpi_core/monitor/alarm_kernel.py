@@ -158,7 +158,7 @@ def advance(
     verdicts: Records,
     inputs: Array,
     measured: Array,
-    evaluation: Evaluation,
+    said: tuple[Array, ...],
     rows: Records,
 ) -> int:
     """Take K samples, of which U are usable; fill the rows to publish and return their number.
@@ -169,10 +169,11 @@ def advance(
         verdicts: (K,) :class:`quadpi_core.monitor.preparation.Verdict` of all samples.
         inputs: (U, 19) input vectors of the usable samples.
         measured: (U, 6) their wrench.
-        evaluation: what the model says of them, with its own intervals.
+        said: the fields of what the model says of them, with its own intervals.
         rows: (K,) :class:`Row`.
     """
     limits, state = limits_of[0], states[0]
+    evaluation = Evaluation(said[0], said[1], said[2], said[3], said[4])
     count, used = 0, 0
     for i in range(verdicts.size):
         sample = verdicts[i]

@@ -235,7 +235,9 @@ class Preparation:
         inputs, measured = np.empty((count, len(INPUT_NAMES))), np.empty((count, len(AXES)))
         derivatives = np.empty(count, DERIVATIVES)
         used = _prepare(self._memory, time_ns, values, verdicts, inputs, measured, derivatives)
-        usable_ns = time_ns if used == count else time_ns[verdicts["usable"]]
+        if used == count:
+            return Prepared(verdicts, inputs, measured, time_ns, derivatives)
+        usable_ns = time_ns[verdicts["usable"]]
         return Prepared(verdicts, inputs[:used], measured[:used], usable_ns, derivatives[:used])
 
 
