@@ -7,7 +7,7 @@ BIN := .venv/bin
 export ROS_AUTOMATIC_DISCOVERY_RANGE = LOCALHOST
 unexport AMENT_PREFIX_PATH PYTHONPATH PYTHONHOME
 
-.PHONY: help demo test test-slow lint format bench tables alarm discovery discovery-independent discovery-real models rollouts nanodrone pictures golden fuzz environment clean
+.PHONY: help demo test test-slow lint format bench tables alarm discovery discovery-independent discovery-hidden discovery-real models rollouts nanodrone pictures golden fuzz environment clean
 
 help: ## list these targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1|/p' $(MAKEFILE_LIST) | while IFS='|' read -r target text; do \
@@ -60,6 +60,9 @@ discovery: environment ## renew docs/discovery.md: searches for hidden effects, 
 discovery-independent: ## searches for effects hidden in flights of RotorPy (DISCOVERY_ARGS="--short", "--reserved")
 	@sh tools/bootstrap.sh --train --bench
 	@$(BIN)/python tools/discovery_independent.py $(DISCOVERY_ARGS)
+
+discovery-hidden: environment ## exact changes hidden in real flights of QUADPI_DATA (DISCOVERY_ARGS="--half report", "--short")
+	@$(BIN)/python tools/discovery_hidden.py $(DISCOVERY_ARGS)
 
 discovery-real: environment ## renew docs/discovery-real.md: searches on real flights, those of QUADPI_DATA
 	@$(BIN)/python tools/discovery_real.py $(DISCOVERY_ARGS)
