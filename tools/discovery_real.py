@@ -22,10 +22,10 @@ PAGE = ROOT / "docs" / "discovery-real.md"
 sys.path.append(str(ROOT / "tools"))
 
 from discovery import fingerprint  # noqa: E402
+from hidden.cases import Logs  # noqa: E402
 from page_tables import renew, stamp  # noqa: E402
 
 from quadpi_core.flight import AXES  # noqa: E402
-from quadpi_core.paths import data_directory  # noqa: E402
 from quadpi_core.report.table import Column, Row, Table, markdown_table  # noqa: E402
 
 # Rounds of the search: of the simulation, then of the simulation with what was added.
@@ -34,29 +34,9 @@ ROUNDS = 2
 _REFUSED_SHOWN = 4
 
 
-@dataclass(frozen=True)
-class Logs:
-    """Some logs in the folder of real flights: a folder, and the names in it."""
-
-    folder: str
-    names: tuple[str, ...]
-
-    @classmethod
-    def of(cls, folder: str, pattern: str, *numbers: str) -> Logs:
-        """Logs whose names differ in a number alone."""
-        return cls(folder, tuple(pattern.format(number) for number in numbers))
-
-    @property
-    def paths(self) -> list[str]:
-        """Their paths."""
-        return [str(data_directory() / self.folder / name) for name in self.names]
-
-
-CRAZYFLIE = Logs.of(
-    "imrc_brushless", "eckart{}", *("00", "02", "04", "07", "09", "12", "14", "16", "18", "20")
-)
-NEUROBEM = Logs.of("neurobem", "bemnn20210218{}.mat", "170320seg2", "172600seg1")
-INDIFLIGHT = Logs.of("indiflight", "LOG00{}.BFL", *("230", "257", "259", "264", "269", "276", "279"))
+CRAZYFLIE = Logs.of("imrc_brushless", "eckart{}", "00 02 04 07 09 12 14 16 18 20")
+NEUROBEM = Logs.of("neurobem", "bemnn20210218{}.mat", "170320seg2 172600seg1")
+INDIFLIGHT = Logs.of("indiflight", "LOG00{}.BFL", "230 257 259 264 269 276 279")
 
 
 @dataclass(frozen=True)
@@ -87,31 +67,31 @@ CASES = (
         "crazyflie",
         "crazyflie_rpm",
         CRAZYFLIE,
-        Logs.of("imrc_brushless", "eckart{}", "01", "06", "11", "15", "19"),
+        Logs.of("imrc_brushless", "eckart{}", "01 06 11 15 19"),
     ),
     Case(
         "brushed",
         "crazyflie_rpm",
         CRAZYFLIE,
-        Logs.of("imrc_brushed", "jana{}", "00", "02", "03", "10"),
+        Logs.of("imrc_brushed", "jana{}", "00 02 03 10"),
     ),
     Case(
         "brushed-drop-outs",
         "crazyflie_rpm",
         CRAZYFLIE,
-        Logs.of("imrc_brushed", "jana{}", "20", "23", "24", "27"),
+        Logs.of("imrc_brushed", "jana{}", "20 23 24 27"),
     ),
     Case(
         "slung-load",
         "crazyflie_rpm",
         CRAZYFLIE,
-        Logs.of("imrc_payload", "eckart{}", "14", "18", "20", "24", "46", "61", "68", "73"),
+        Logs.of("imrc_payload", "eckart{}", "14 18 20 24 46 61 68 73"),
     ),
     Case(
         "indiflight",
         "indiflight",
         INDIFLIGHT,
-        Logs.of("indiflight", "LOG00{}.BFL", "231", "273", "277"),
+        Logs.of("indiflight", "LOG00{}.BFL", "231 273 277"),
     ),
 )
 
@@ -126,19 +106,20 @@ def quadpi(*arguments: str) -> None:
 
 def rounds(case: Case, work: Path) -> list[dict[str, Any]]:
     """What `discrepancy` says of each round: the JSON that it wrote, now or earlier."""
-    missing = [path for path in (*case.identified.paths, *case.searched.paths) if not Path(path).exists()]
+    missing = [path for path in (*case.identified.paths, *case.searched.paths) if not path.exists()]
     if missing:
         raise SystemExit(f"no flight {missing[0]}: set QUADPI_DATA")
     simulation = work / "models" / case.identified.folder
     if not simulation.exists():
         options = ("--vehicle", case.vehicle, "--method", "physical", "--workers", "1")
         simulation.parent.mkdir(parents=True, exist_ok=True)
-        quadpi("identify", *case.identified.paths, *options, "-o", str(simulation))
+        quadpi("identify", *map(str, case.identified.paths), *options, "-o", str(simulation))
     found: list[dict[str, Any]] = []
     for number in range(1, ROUNDS + 1):
         folder = work / f"{case.name}-{number}"
         if not folder.exists():
-            quadpi("discrepancy", str(simulation), *case.searched.paths, "--workers", "1", "-o", str(folder))
+            logs = map(str, case.searched.paths)
+            quadpi("discrepancy", str(simulation), *logs, "--workers", "1", "-o", str(folder))
             print(f"{case.name}: round {number}", flush=True)
         found.append(json.loads((folder / "discrepancy.json").read_text(encoding="utf-8")))
         simulation = folder / f"{case.vehicle}.yaml"

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from blind.cases import SINGLE
+from blind.cases import PAIR
 from hidden.cases import FLEETS, HALVES, Case, all_cases, short_cases
 from hidden.changes import CHANGES, PAIRS, Given, drawn
 from hidden.measures import AMONG, ERROR, MISSED, PART, RIGHT, UNKNOWN, WRONG, Finding, figures
@@ -185,9 +185,9 @@ def test_splits_are_fair():
         assert splits[0] == fleet.split(0)
         assert len({model for model, _ in splits}) > 1
         for model, searched in splits:
-            assert len(model) == fleet.of_model
-            assert len(searched) >= fleet.searched >= 2
-            assert fleet.others is not None or not set(model) & set(searched)
+            assert len(model.names) == fleet.of_model
+            assert len(searched.names) >= fleet.searched >= 2
+            assert not set(model.paths) & set(searched.paths)
     for name in CHANGES:
         sizes = {case.size for case in cases if case.changes == (name,)}
         assert len(sizes) == 3
@@ -195,8 +195,9 @@ def test_splits_are_fair():
 
 
 def finding(verdict, *effects, ambiguous=(), name="fast rotors", seen=("Fz",)):
-    """Of a case with one change; effects are pairs of a name and parameters."""
-    case = Case("crazyflie", CHANGES[name].kind, (name,), 1.0, 0)
+    """Of a case with a change, or a pair; effects are pairs of a name and parameters."""
+    names, kind = (name, PAIR) if isinstance(name, tuple) else ((name,), CHANGES[name].kind)
+    case = Case("crazyflie", kind, names, 1.0, 0)
     result = {
         "verdict": verdict,
         "ambiguous": ambiguous,
@@ -235,14 +236,23 @@ def test_outcomes():
         (finding("none", name="gust"), MISSED),
         (finding("none", name="turned IMU", seen=()), RIGHT),
         (finding("effects", load, name="low accelerometer"), RIGHT),
+        (finding("effects", scale, name=PAIRS[0]), PART),
+        (finding("effects", scale, ("wind", {}), name=PAIRS[0]), RIGHT),
     ]
-    assert [one.outcome for one, _ in found] == [outcome for _, outcome in found]
-    by_name = {own.name: (own.hits, own.of) for own in figures([one for one, _ in found])}
+    findings = [one for one, _ in found]
+    assert [one.outcome for one in findings] == [outcome for _, outcome in found]
+    by_name = {own.name: (own.hits, own.of) for own in figures(findings)}
     assert by_name["one change, visible: right, or told among"] == (3, 9)
-    assert by_name["an interval is broken: `none`"] == (2, 13)
-    assert by_name["parameters inside their interval of 95 %"] == (1, 1)
-    assert PART == "in part"
-    assert found[0][0].case.kind == SINGLE
+    assert by_name["pairs, visible: both right, or told among"] == (1, 2)
+    assert by_name["an interval is broken: `none`"] == (2, 15)
+    rows = discovery_hidden.changes_table(findings).splitlines()
+    assert "| wind + fast rotors | 1 right, 1 in part | – | – |" in rows
+    assert "| turned IMU | (1 `none`) | – | – |" in rows
+    assert "| gust | 1 right, 1 wrong, 1 missed | – | – |" in rows
+    failures = discovery_hidden.failures_table(findings)
+    assert "| crazyflie | fast rotors × 1, split 0 | Fz | wrong: effects: payload |" in failures
+    assert "turned IMU" not in failures
+    assert f"{len(findings)} cases: 9 single" in discovery_hidden.summary(findings)
 
 
 def test_the_program_lists_its_cases_and_says_where_flights_are_missing(monkeypatch, capsys, tmp_path):

@@ -6,12 +6,14 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from blind.cases import NULL, OUT, PAIR, SINGLE, SIZES
 
 from hidden.changes import CHANGES, CONDITION, NOTHING, PAIRS, Drawn, Truth, drawn
+from quadpi_core.paths import data_directory
 from quadpi_core.vehicle import Vehicle
 
 # What differs between flights of the model and those searched is real; nothing is changed.
@@ -22,15 +24,20 @@ TUNE, REPORT = HALVES = ("tune", "report")
 
 @dataclass(frozen=True)
 class Logs:
-    """Logs in a folder of the real flights."""
+    """Some logs in the folder of real flights: a folder, and the names in it."""
 
     folder: str
     names: tuple[str, ...]
 
     @classmethod
-    def of(cls, folder: str, pattern: str, names: str) -> Logs:
-        """Logs whose names differ in a part alone."""
-        return cls(folder, tuple(pattern.format(name) for name in names.split()))
+    def of(cls, folder: str, pattern: str, numbers: str) -> Logs:
+        """Logs whose names differ in a number alone; these are parted by spaces."""
+        return cls(folder, tuple(pattern.format(number) for number in numbers.split()))
+
+    @property
+    def paths(self) -> list[Path]:
+        """Their paths."""
+        return [data_directory() / self.folder / name for name in self.names]
 
 
 @dataclass(frozen=True)
@@ -47,7 +54,7 @@ class Fleet:
         truth: right answers of the others.
         nulls: splits without a change, or of the others as they are.
         gusts: logs whose measured forces are the gusts; those of the model unless given.
-        battery: log whose battery the others' are taken to follow, where they have none.
+        battery: logs of which the first has the battery of all, where these have none.
     """
 
     half: str
@@ -62,94 +69,51 @@ class Fleet:
     gusts: Logs | None = None
     battery: Logs | None = None
 
-    def split(self, number: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Names of the model's flights, and of those to search, of which the first that import are."""
+    def split(self, number: int) -> tuple[Logs, Logs]:
+        """Logs of the model, and those to search, of which the first that import are."""
         order = np.random.default_rng((zlib.crc32(self.logs.folder.encode()), number))
         shuffled = tuple(order.permutation(self.logs.names).tolist())
-        model, rest = shuffled[: self.of_model], shuffled[self.of_model :]
+        model = replace(self.logs, names=tuple(sorted(shuffled[: self.of_model])))
         if self.others is None:
-            return tuple(sorted(model)), rest
-        return tuple(sorted(model)), tuple(order.permutation(self.others.names).tolist())
+            return model, replace(self.logs, names=shuffled[self.of_model :])
+        return model, replace(self.others, names=tuple(order.permutation(self.others.names).tolist()))
 
 
-_EIGHTS, _STEPS = (
-    "14 15 17 18 19 20 21 22 24 26 27",
-    "43 45 46 47 51 52 53 61 62 67 68 69 72 73 82 83",
-)
-_CRAZYFLIE = Logs.of(
-    "imrc_brushless", "eckart{}", "00 01 02 03 04 06 07 08 09 11 12 13 14 15 16 17 18 19 20 21"
-)
+_BARE = Logs.of("imrc_brushless", "eckart{}", "00 01 02 03 04 06 07 08 09 11 12 13 14 15 16 17 18 19 20 21")
 # The four whose rotor speeds are whole.
 _BRUSHED = Logs.of("imrc_brushed", "jana{}", "00 02 03 10")
+_NEUROBEM = Logs.of("neurobem", "bemnn202102{}.mat", "18170320seg2 18171908seg2 18172600seg1 23104803seg2")
+_INDIFLIGHT = Logs.of("indiflight", "LOG00{}.BFL", "230 231 257 258 259 262 264 267 269 273 276 277 279 340")
+_RUNS = {"multisine": 4, "random1": 4, "random2": 4, "square": 5}
+_NANODRONE = Logs(
+    "nanodrone_benchmark",
+    tuple(f"{name}_20251017_run{run + 1}.parquet" for name, runs in _RUNS.items() for run in range(runs)),
+)
+_EIGHTS = Logs.of("imrc_payload", "eckart{}", "14 15 17 18 19 20 21 22 24 26 27")
+_STEPS = Logs.of("imrc_payload", "eckart{}", "43 45 46 47 51 52 53 61 62 67 68 69 72 73 82 83")
+_ALL = replace(_EIGHTS, names=_EIGHTS.names + _STEPS.names)
 # 4.7 g on 0.52 m, and 2.7 g of hook and markers, which are rigid.
-_LOADED = Truth(
+_LOAD = Truth(
     (("slung_load",), ("slung_load", "payload")),
     parameters={"slung_load.mass_kg": 0.0047, "slung_load.length_m": 0.52, "payload.mass_kg": 0.0027},
 )
 # One file for both: 2.3 g lighter, and in hover 1.98e-8 for 3.67e-8 N s²; see docs/discovery-real.md.
-_BRUSHED_TRUTH = Truth(
+_MOTORS = Truth(
     (("thrust_coefficient",), ("rotor_speed_scale",)),
     parameters={"thrust_coefficient.change": -0.43, "rotor_speed_scale.rotor": 0},
 )
-
-
-def _loaded(half: str, numbers: str, nulls: int) -> Fleet:
-    logs = Logs.of("imrc_payload", "eckart{}", numbers)
-    return Fleet(half, "crazyflie_rpm", _CRAZYFLIE, 10, 8, others=logs, truth=_LOADED, nulls=nulls)
-
-
 FLEETS: Mapping[str, Fleet] = {
-    "crazyflie": Fleet(
-        TUNE,
-        "crazyflie_rpm",
-        _CRAZYFLIE,
-        10,
-        6,
-        nulls=20,
-        gusts=Logs.of("imrc_payload", "eckart{}", "46 53 61 68 73 82"),
-    ),
-    "neurobem": Fleet(
-        TUNE,
-        "neurobem",
-        Logs.of(
-            "neurobem",
-            "bemnn202102{}.mat",
-            "18170320seg2 18171908seg2 18172600seg1 23104803seg2",
-        ),
-        2,
-        2,
-    ),
-    "loaded-eights": _loaded(TUNE, _EIGHTS, 10),
-    "nanodrone": Fleet(
-        REPORT,
-        "nanodrone",
-        Logs.of(
-            "nanodrone_benchmark",
-            "{}.parquet",
-            " ".join(
-                f"{family}_20251017_run{run}"
-                for family, runs in {"multisine": 4, "random1": 4, "random2": 4, "square": 5}.items()
-                for run in range(1, runs + 1)
-            ),
-        ),
-        8,
-        5,
-        "nanodrone",
-    ),
-    "indiflight": Fleet(
-        REPORT,
-        "indiflight",
-        Logs.of("indiflight", "LOG00{}.BFL", "230 231 257 258 259 262 264 267 269 273 276 277 279 340"),
-        7,
-        4,
-        battery=Logs("imrc_brushless", ("eckart01",)),
-    ),
-    "brushed": Fleet(REPORT, "crazyflie_rpm", _BRUSHED, 2, 2),
+    "crazyflie": Fleet(TUNE, "crazyflie_rpm", _BARE, 10, 6, nulls=20, gusts=_STEPS),
+    "neurobem": Fleet(TUNE, "neurobem", _NEUROBEM, 2, 2, nulls=3),
+    "loaded-eights": Fleet(TUNE, "crazyflie_rpm", _BARE, 10, 8, others=_EIGHTS, truth=_LOAD, nulls=10),
+    "nanodrone": Fleet(REPORT, "nanodrone", _NANODRONE, 8, 5, "nanodrone"),
+    "indiflight": Fleet(REPORT, "indiflight", _INDIFLIGHT, 7, 4, battery=_BARE),
+    "brushed": Fleet(REPORT, "crazyflie_rpm", _BRUSHED, 2, 2, nulls=3),
     "brushed-beside-brushless": Fleet(
-        REPORT, "crazyflie_rpm", _CRAZYFLIE, 10, 3, others=_BRUSHED, truth=_BRUSHED_TRUTH, nulls=20
+        REPORT, "crazyflie_rpm", _BARE, 10, 3, others=_BRUSHED, truth=_MOTORS, nulls=20
     ),
-    "loaded-steps": _loaded(REPORT, _STEPS, 10),
-    "loaded": _loaded(REPORT, f"{_EIGHTS} {_STEPS}", 20),
+    "loaded-steps": Fleet(REPORT, "crazyflie_rpm", _BARE, 10, 8, others=_STEPS, truth=_LOAD, nulls=10),
+    "loaded": Fleet(REPORT, "crazyflie_rpm", _BARE, 10, 8, others=_ALL, truth=_LOAD, nulls=20),
 }
 
 

@@ -158,23 +158,6 @@ def _in_wind(recording: Recording, drawn: Drawn, given: Given) -> Recording:  # 
     return displaced(recording, blown)
 
 
-def _fast_rotors(recording: Recording, drawn: Drawn, given: Given) -> Recording:  # noqa: ARG001
-    return _with_speeds(recording, lambda speeds, _: speeds * (1.0 + drawn.amount))
-
-
-def _late_rotors(recording: Recording, drawn: Drawn, given: Given) -> Recording:  # noqa: ARG001
-    return replace(recording, rotor_speeds=_late(recording.rotor_speeds, drawn.amount))
-
-
-def _late_states(recording: Recording, drawn: Drawn, given: Given) -> Recording:  # noqa: ARG001
-    pose, odometry = _late(recording.pose, drawn.amount), _late(recording.odometry, drawn.amount)
-    return replace(recording, pose=pose, odometry=odometry)
-
-
-def _low_force(recording: Recording, drawn: Drawn, given: Given) -> Recording:  # noqa: ARG001
-    return _with_force(recording, recording.imu.specific_force * (1.0 - drawn.amount))
-
-
 def _off_centre(recording: Recording, drawn: Drawn, given: Given) -> Recording:
     arm = np.linalg.norm(given.vehicle.rotor_positions[:, :2], axis=1).mean()
     offset = drawn.amount * arm * drawn.direction
@@ -195,7 +178,7 @@ def _fast_rotor(recording: Recording, drawn: Drawn, given: Given) -> Recording: 
     return _with_speeds(recording, lambda speeds, _: speeds * scale)
 
 
-def _stopped_rotor(recording: Recording, drawn: Drawn, given: Given) -> Recording:  # noqa: ARG001
+def _stopped(recording: Recording, drawn: Drawn, given: Given) -> Recording:  # noqa: ARG001
     def held(speeds: Array, time_ns: Stamps) -> Array:
         stopped = (1e-9 * (time_ns - time_ns[0])) % 1.0 < drawn.amount
         last = np.maximum.accumulate(np.where(stopped, 0, np.arange(len(speeds))))
@@ -241,45 +224,42 @@ def _gust(recording: Recording, drawn: Drawn, given: Given) -> Recording:
     return displaced(pushed, lambda at_ns, *_: (at(2, at_ns), at(1, at_ns)))
 
 
-def _light(vehicle: Vehicle, drawn: Drawn) -> Vehicle:
-    return replace(vehicle, mass_kg=vehicle.mass_kg * (1.0 - drawn.amount))
-
-
-def _nimble(vehicle: Vehicle, drawn: Drawn) -> Vehicle:
-    return replace(vehicle, inertia=vehicle.inertia / (1.0 + drawn.amount))
-
-
 def _wide(vehicle: Vehicle, drawn: Drawn) -> Vehicle:
     scale = np.array([1.0 + drawn.amount, 1.0 + drawn.amount, 1.0])
     return replace(vehicle, rotor_positions=vehicle.rotor_positions * scale)
 
 
 _SCALE, _WHICH, _SHARE = ("rotor_speed_scale", "rotor_speed_scale.rotor", "rotor_speed_scale.change")
-_UNLIKELY = ("none", "unknown")
 CHANGES = {
     "wind": Change("the world moves at 2 m/s", 2.0, SINGLE, ("wind",), _in_wind,
-                   true=lambda drawn, _: {"wind.north_m_s": drawn.level[0], "wind.east_m_s": drawn.level[1]}),
+        true=lambda own, _: {"wind.north_m_s": own.level[0], "wind.east_m_s": own.level[1]}),
     # Thrust goes with k ω²: a factor on every speed is one on k, and no flight tells them apart.
-    "fast rotors": Change("rotor speeds × 1.05", 0.05, SINGLE, (_SCALE, "thrust_coefficient"), _fast_rotors,
-                          true=lambda drawn, _: {_WHICH: 0.0, _SHARE: drawn.amount}),
+    "fast rotors": Change("rotor speeds × 1.05", 0.05, SINGLE, (_SCALE, "thrust_coefficient"),
+        lambda log, own, _: _with_speeds(log, lambda speeds, _: speeds * (1.0 + own.amount)),
+        true=lambda own, _: {_WHICH: 0.0, _SHARE: own.amount}),
     # The same of one rotor.
     "fast rotor": Change("one rotor speed × 1.052", 0.052, SINGLE, (_SCALE, "weak_rotor"), _fast_rotor,
-                         true=lambda drawn, _: {_WHICH: drawn.rotor, _SHARE: drawn.amount,
-                                                "weak_rotor.rotor": drawn.rotor}),
-    "late rotors": Change("rotor speeds 24 ms late", 0.024, SINGLE, ("sensor_delay",), _late_rotors,
-                          true=lambda drawn, _: {"sensor_delay.rotor_speeds_s": drawn.amount}),
-    "light file": Change("file 12 % lighter", 0.12, SINGLE, ("payload",), file=_light,
-                         true=lambda drawn, vehicle: {"payload.mass_kg": vehicle.mass_kg * drawn.amount}),
-    "nimble file": Change("inertia of the file ÷ 1.4", 0.4, SINGLE, ("inertia",), file=_nimble,
-                          true=lambda drawn, _: {f"inertia.{axis}_change": drawn.amount for axis in "xyz"}),
+        true=lambda own, _: {_WHICH: own.rotor, _SHARE: own.amount, "weak_rotor.rotor": own.rotor}),
+    "late rotors": Change("rotor speeds 24 ms late", 0.024, SINGLE, ("sensor_delay",),
+        lambda log, own, _: replace(log, rotor_speeds=_late(log.rotor_speeds, own.amount)),
+        true=lambda own, _: {"sensor_delay.rotor_speeds_s": own.amount}),
+    "light file": Change("file 12 % lighter", 0.12, SINGLE, ("payload",),
+        file=lambda body, own: replace(body, mass_kg=body.mass_kg * (1.0 - own.amount)),
+        true=lambda own, body: {"payload.mass_kg": body.mass_kg * own.amount}),
+    "nimble file": Change("inertia of the file ÷ 1.4", 0.4, SINGLE, ("inertia",),
+        file=lambda body, own: replace(body, inertia=body.inertia / (1.0 + own.amount)),
+        true=lambda own, _: {f"inertia.{axis}_change": own.amount for axis in "xyz"}),
     # Moments of thrust grow with the arms, those of the air do not: nearly another inertia about x and y.
     "wide file": Change("arms of the file × 1.2", 0.2, SINGLE, ("inertia", "unknown"), file=_wide),
     "turned IMU": Change("IMU turned by 4°", 4.0, CONDITION, ("none", "imu_misalignment"), _turned_imu),
     # Force is mass times reading: a factor on one is one on the other.
-    "low accelerometer": Change("accelerometer × 0.92", 0.08, CONDITION, ("none", "payload"), _low_force),
-    "late states": Change("states 30 ms late", 0.03, CONDITION, ("none", "sensor_delay"), _late_states),
-    "off centre": Change("pose half an arm off", 0.5, CONDITION, _UNLIKELY, _off_centre),
-    "stopped rotor": Change("one rotor stops 0.4 s a second", 0.4, CONDITION, _UNLIKELY, _stopped_rotor),
+    "low accelerometer": Change("accelerometer × 0.92", 0.08, CONDITION, ("none", "payload"),
+        lambda log, own, _: _with_force(log, log.imu.specific_force * (1.0 - own.amount))),
+    "late states": Change("states 30 ms late", 0.03, CONDITION, ("none", "sensor_delay"),
+        lambda log, own, _: replace(
+            log, pose=_late(log.pose, own.amount), odometry=_late(log.odometry, own.amount))),
+    "off centre": Change("pose half an arm off", 0.5, CONDITION, ("none", "unknown"), _off_centre),
+    "stopped rotor": Change("a rotor stops 0.4 s a second", 0.4, CONDITION, ("none", "unknown"), _stopped),
     "gust": Change("measured gust of 10 % of the weight", 0.1, OUT, ("unknown",), _gust),
     "battery": Change("thrust follows the battery by ± 10 %", 0.05, OUT, ("unknown",), _battery),
 }  # fmt: skip

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, replace
@@ -16,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from blind.searching import rollout_changes
 
-from hidden.cases import FLEETS, Case, Fleet, Logs
+from hidden.cases import FLEETS, Case, Fleet
 from hidden.changes import CHANGES, Given
 from quadpi_core.discrepancy import (
     AugmentedSimulation,
@@ -41,7 +42,6 @@ from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.interval_rules import inside_interval
 from quadpi_core.models.model_kind import CUTOFF_HZ, IdentifyOptions
 from quadpi_core.parallel import Workers
-from quadpi_core.paths import data_directory
 from quadpi_core.rotations import rotation_matrix
 from quadpi_core.screening.consistency import checked
 from quadpi_core.screening.flight_runs import parts_without_pause
@@ -66,8 +66,7 @@ class Model(NamedTuple):
     def folder(self) -> Path:
         """By all that it depends on."""
         fleet = FLEETS[self.fleet]
-        names, _ = fleet.split(self.split)
-        key = repr((identification_code(), fleet.vehicle, fleet.mapping, fleet.logs.folder, names))
+        key = repr((identification_code(), fleet.vehicle, fleet.mapping, fleet.split(self.split)[0]))
         return self.store / hashlib.sha256(key.encode()).hexdigest()[:16]
 
 
@@ -102,7 +101,7 @@ def identified(shared: None, model: Model) -> str:  # noqa: ARG001
     """The folder of a model, which is identified unless it is there."""
     if not model.folder.exists():
         fleet = FLEETS[model.fleet]
-        vehicle, paths = Vehicle.load(fleet.vehicle), _paths(fleet.logs, fleet.split(model.split)[0])
+        vehicle, paths = Vehicle.load(fleet.vehicle), fleet.split(model.split)[0].paths
         flights = prepare_flights(
             paths, vehicle, mapping=fleet.mapping, workers=Workers(1), left_out=[], keep_flawed=False
         )
@@ -114,6 +113,8 @@ def identified(shared: None, model: Model) -> str:  # noqa: ARG001
 def searched(shared: None, task: Task) -> dict[str, Any]:  # noqa: ARG001
     """What the search says of a case, as JSON can hold it, beside the truth and what the intervals show."""
     case, began = task.case, time.perf_counter()
+    # What readers say of each flight would be said in each case.
+    logging.getLogger("quadpi_core").setLevel(logging.ERROR)
     found: dict[str, Any] = {"left": None, "rollouts": None, "seen": [], "broken": [], "coverage": {}}
     try:
         was, simulation = _as_they_were(task)
@@ -161,7 +162,7 @@ def _as_they_were(task: Task) -> tuple[list[tuple[Recording, Flight]], Simulatio
     fleet, was = FLEETS[task.case.fleet], list[tuple[Recording, Flight]]()
     vehicle = Vehicle.load(fleet.vehicle)
     simulation = load_simulation(identified(None, task.model))
-    for path in _paths(fleet.others or fleet.logs, fleet.split(task.case.split)[1]):
+    for path in fleet.split(task.case.split)[1].paths:
         try:
             recording = read(fleet, path)
             was.append((recording, fused(recording, vehicle)))
@@ -200,7 +201,7 @@ def _battery_of(fleet: Fleet, recording: Recording) -> tuple[npt.NDArray[np.int6
     if recording.battery_v is not None:
         return recording.battery_v
     assert fleet.battery is not None
-    other = read_recording(_paths(fleet.battery, fleet.battery.names)[0], Vehicle.load("crazyflie_rpm"), None)
+    other = read_recording(fleet.battery.paths[0], Vehicle.load("crazyflie_rpm"), None)
     assert other.battery_v is not None
     share = (other.battery_v[0] - other.battery_v[0][0]) / np.ptp(other.battery_v[0])
     first, last = recording.imu.time_ns[[0, -1]]
@@ -210,9 +211,8 @@ def _battery_of(fleet: Fleet, recording: Recording) -> tuple[npt.NDArray[np.int6
 def _gust_of(case: Case, place: int, simulation: Simulation) -> tuple[Array, Array]:
     """The force that another flight measured and the model lacks, over the mass, in the world."""
     fleet = FLEETS[case.fleet]
-    logs = fleet.gusts or Logs(fleet.logs.folder, fleet.split(case.split)[0])
-    path = _paths(logs, logs.names)[place % len(logs.names)]
-    flight = fused(read(fleet, path), simulation.vehicle)
+    paths = (fleet.gusts or fleet.split(case.split)[0]).paths
+    flight = fused(read(fleet, paths[place % len(paths)]), simulation.vehicle)
     lacking = residual(flight, simulation)[:, :3] / simulation.vehicle.mass_kg
     return flight.time, np.einsum("nij,nj->ni", rotation_matrix(flight.attitude), lacking)
 
@@ -243,7 +243,3 @@ def shares_inside(simulation: Simulation, flights: Sequence[Flight]) -> tuple[Ar
         shares.append(inside.mean(axis=0))
         confidence = margins.confidence
     return np.array(shares), confidence
-
-
-def _paths(logs: Logs, names: Sequence[str]) -> list[Path]:
-    return [data_directory() / logs.folder / name for name in names]
