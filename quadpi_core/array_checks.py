@@ -10,7 +10,8 @@ so already. What cannot be used is refused by the argument's name, with what was
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -171,9 +172,10 @@ def several(name: str, values: Any, kind: type[_Kind], hint: str = "") -> list[_
     """
     if isinstance(values, kind):
         return [values]
-    if isinstance(values, (str, bytes, Mapping, np.ndarray)) or not isinstance(values, Iterable):
+    if isinstance(values, (str, np.ndarray)):
         raise _another(name, f"a list of {kind.__name__}", values, hint)
-    return [instance(f"{name}, entry {place}", value, kind, hint) for place, value in enumerate(values, 1)]
+    entries = _entries(name, f"a list of {kind.__name__}", values, hint)
+    return [instance(f"{name}, entry {place}", value, kind, hint) for place, value in enumerate(entries, 1)]
 
 
 def path(name: str, value: Any) -> Path:
@@ -195,9 +197,8 @@ def paths(name: str, values: Any) -> list[Path]:
     """
     if isinstance(values, (str, Path)):
         return [path(name, values)]
-    if isinstance(values, (bytes, Mapping)) or not isinstance(values, Iterable):
-        raise _another(name, "paths", values)
-    return [path(f"{name}, entry {place}", value) for place, value in enumerate(values, 1)]
+    entries = _entries(name, "paths", values)
+    return [path(f"{name}, entry {place}", value) for place, value in enumerate(entries, 1)]
 
 
 def found(value: Any) -> str:
@@ -247,6 +248,13 @@ def _require_shape(
 def _not_finite(name: str, finite: npt.NDArray[np.bool_]) -> ArgumentError:
     by_row = finite.reshape(len(finite), -1).all(axis=1)
     return ArgumentError(f"{name}: expected finite numbers, found others first in row {np.argmin(by_row)}")
+
+
+def _entries(name: str, expected: str, values: Any, hint: str = "") -> Iterator[Any]:
+    if not isinstance(values, (bytes, Mapping)):
+        with suppress(TypeError):  # a tensor of one number says only here that it has no entries
+            return iter(values)
+    raise _another(name, expected, values, hint)
 
 
 def _another(name: str, expected: str, value: Any, hint: str = "") -> ArgumentError:

@@ -205,7 +205,7 @@ class Number:
 
 _NO_OBJECTS: Sequence[Any] = (
     *(None, "bebop2", "", 5, 1.5, b"x", True, 1j, object(), Path("a"), np.zeros(3), np.zeros((2, 2))),
-    *([], {}, (), [None], [5], {"a": 1}, len, int, "\0", [[]]),
+    *(np.array(1.5), [], {}, (), [None], [5], {"a": 1}, len, int, "\0", [[]]),
 )
 
 

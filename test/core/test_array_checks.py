@@ -27,10 +27,21 @@ def unaligned(array):
     return shifted
 
 
+class Frame:
+    """As a data frame or a tensor: an array by asking, and neither true nor false."""
+
+    def __array__(self, dtype=None, copy=None):
+        return ROWS.astype(dtype or float, copy=True)
+
+    def __bool__(self):
+        raise ValueError("ambiguous")
+
+
 @pytest.mark.parametrize(
     "same",
     [
         ROWS,
+        Frame(),
         ROWS.tolist(),
         ROWS.astype(">f8"),
         ROWS.astype(np.float32),
