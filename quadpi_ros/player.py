@@ -76,8 +76,9 @@ def parse_arguments(arguments: Sequence[str]) -> argparse.Namespace:
         "--start-offset", type=float, default=0.0, metavar="S", help="begin so far into the bag"
     )
     parser.add_argument("-p", "--start-paused", action="store_true", help="begin paused")
+    keys = KEYS_HELP.replace("%", "%%")
     parser.add_argument(
-        "--disable-keyboard-controls", action="store_true", help=f"leave the keys alone ({KEYS_HELP})"
+        "--disable-keyboard-controls", action="store_true", help=f"leave the keys alone ({keys})"
     )
     parser.add_argument(
         "--wait", type=float, default=10.0, metavar="S", help="seconds to wait for subscribers; 0: do not"

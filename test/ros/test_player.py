@@ -51,6 +51,12 @@ def test_options_are_checked(
     assert complaint in capsys.readouterr().err
 
 
+def test_help_names_every_option_and_key(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="0"):
+        parse_arguments(("--help",))
+    assert {"--clock", "--disable-keyboard-controls", "%"} <= set(capsys.readouterr().out.split())
+
+
 def test_options_that_ros2_bag_play_has_are_written_as_there() -> None:
     options = parse_arguments((str(BAG), "-r", "2", "-l", "-p", "--start-offset", "1.5", "--clock"))
     assert (options.rate, options.loop, options.start_paused) == (2.0, True, True)
