@@ -25,12 +25,13 @@ CAUSE_NAMES = {EXTRAPOLATION: "extrapolation", MISCOVERAGE: "miscoverage", BAD_D
 ACTIVE, WAITING, UNAVAILABLE, UNCALIBRATED = 0, 1, 2, 3
 # Why a model is not judged: the vehicle does not fly, there are no samples, or the state settles, when only
 # MISCOVERAGE is not judged.
-JUDGED, PARKED, IDLES, CARRIED, MOVED, NO_SAMPLES, SETTLES = range(7)
+JUDGED, PARKED, IDLES, CARRIED, MOVED, NO_SAMPLES, SETTLES, LANDS = range(8)
 WHY_NOT_JUDGED = {
     PARKED: "on the ground, rotors at rest",
     IDLES: "on the ground, rotors turn too slowly to fly",
     CARRIED: "carried, or no telemetry: it moves with all rotors at 0",
     MOVED: "moved by something else: its rotors turn too slowly to fly",
+    LANDS: "it lands: its rotors slow down, and something else carries it",
     NO_SAMPLES: "no usable samples",
     SETTLES: "the state settles, Fz alone is judged",
 }

@@ -186,8 +186,9 @@ def advance(
             state.settled = sample.settled
             faults = _follow_vehicle(limits, state, sample, measured[used], step_s)
             if state.ground.flying:
-                beyond = _judge_extrapolation(limits, state, inputs[used], evaluation, used, step_s)
-                _judge_miscoverage(limits, state, measured[used], evaluation, used, step_s)
+                if state.ground.why == JUDGED:
+                    beyond = _judge_extrapolation(limits, state, inputs[used], evaluation, used, step_s)
+                    _judge_miscoverage(limits, state, measured[used], evaluation, used, step_s)
                 _judge_rotors(state)
             used += 1
         else:
@@ -374,7 +375,7 @@ def _level_of_two(far: float, near: float, before: int) -> int:
 def _set_levels(limits: Limits, state: State) -> bool:
     """Set level and health of each cause, and the highest level; True if any of a cause changed."""
     row = state.row
-    health_of_model = limits.health_in_flight if state.ground.flying else WAITING
+    health_of_model = limits.health_in_flight if state.ground.why == JUDGED else WAITING
     if state.silent_s >= SILENT_S:
         health_of_model = UNAVAILABLE
     changed = False

@@ -6,7 +6,8 @@ The rotors count by the second fastest of them, so neither a sensor that reads 0
 decides. What they carry is known from hover on the training flights, and may be wrong: a load is dropped, a
 propeller changed. So they tell alone only at the ends: from :data:`LIFTED` of the weight on it flies, below
 :data:`TURNING` something else carries it, unless it falls. Between these it flies once it moves, and then
-until something else carries it: rotors that slow down in flight are no landing.
+until something else carries it: rotors that slow down in flight are no landing. While that is not yet sure,
+nothing is judged: at a landing rotors leave the training range.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from quadpi_core.frames import Array
 from quadpi_core.monitor.data_quality import second_fastest
 from quadpi_core.monitor.preparation import Verdict
 from quadpi_core.records import Vector3
-from quadpi_core.results import CARRIED, IDLES, JUDGED, MOVED, PARKED
+from quadpi_core.results import CARRIED, IDLES, JUDGED, LANDS, MOVED, PARKED
 from quadpi_core.sample_limits import STANDARD_GRAVITY
 from quadpi_core.thresholds import Threshold
 
@@ -80,7 +81,7 @@ class Ground:
     """What is remembered of the samples."""
 
     flying: bool
-    why: int  # why the vehicle is not judged: of `quadpi_core.results`, JUDGED while it flies
+    why: int  # why the vehicle is not judged: of `quadpi_core.results`, JUDGED while it surely flies
     supported_s: float  # for which something else than the rotors has carried it
     moving_s: float  # for which it has moved, up to a limit, less the time at rest
     way: Vector3  # m, gone in the last few seconds, world
@@ -123,7 +124,7 @@ def follow_ground(ground: Ground, hover_square: float, sample: Verdict, step_s: 
     else:
         ground.supported_s = 0.0
     if ground.flying:
-        ground.why = JUDGED
+        ground.why = LANDS if ground.supported_s > 0.0 else JUDGED
     elif square >= _RESTING * hover_square:
         ground.why = MOVED if ground.moving_s >= _CARRIED_S else IDLES
     else:

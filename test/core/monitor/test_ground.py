@@ -18,6 +18,7 @@ from quadpi_core.results import (
     CARRIED,
     IDLES,
     JUDGED,
+    LANDS,
     LEVEL_ALARM,
     LEVEL_OK,
     LEVEL_WARNING,
@@ -141,7 +142,24 @@ def test_it_has_landed_once_something_else_carries_it(envelope, share, force_g, 
     samples.rotor_speeds[slow] = HOVER_RAD_S * np.sqrt(share)
     samples.specific_force[slow, 2] = -GRAVITY * force_g
     rows = watched(envelope, samples)
-    assert np.any(rows.why_not_judged[rows.time_ns > rows.time_ns[0]] != JUDGED) == lands
+    assert np.any(np.isin(rows.why_not_judged[rows.time_ns > rows.time_ns[0]], (IDLES, MOVED))) == lands
+
+
+def test_no_landing_is_an_alarm_and_the_next_flight_is_judged_at_once(envelope):
+    """The rotors leave the training range at every landing, and the wrench its intervals."""
+    samples = vehicle_at(1.0, 9.0)
+    samples.measured[samples.between(0.0, 6.0)] = 0.0
+    for start_s, end_s in ((2.0, 4.0), (5.0, 6.0)):
+        parked = samples.between(start_s, end_s)
+        samples.rotor_speeds[parked] = HOVER_RAD_S * np.sqrt(0.1)
+        samples.inputs[parked] = 50.0
+        samples.measured[parked, FX] = 2.0
+    rows = watched(envelope, samples)
+    seconds = 1e-9 * (rows.time_ns - samples.time_ns[0])
+    raised = seconds[rows.level != LEVEL_OK]
+    assert len(raised)
+    assert 6.0 < raised[0] < 8.0
+    assert set(rows.why_not_judged[(seconds > 2.4) & (seconds < 4.0)]) == {IDLES}
 
 
 def test_a_hover_with_rotors_of_two_thirds_is_no_landing(envelope):
@@ -175,9 +193,9 @@ def test_landing_and_take_off_are_the_same_for_blocks_of_any_length(envelope):
     samples = swaying(vehicle_at(0.1, 6.0))
     samples.rotor_speeds[samples.between(2.0, 4.0)] = HOVER_RAD_S
     whole = watched(envelope, samples)
-    assert set(whole.why_not_judged) == {IDLES, MOVED, JUDGED}
+    assert set(whole.why_not_judged) == {IDLES, MOVED, LANDS, JUDGED}
     for block in (1, 7, 500):
         parts = watched(envelope, samples, block)
         for name in ("time_ns", "level", "why_not_judged", "not_judged_share"):
             np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))
-    assert whole.not_judged_share[-1] == pytest.approx(1.0 - 2.3 / 5.9, abs=1e-3)
+    assert whole.not_judged_share[-1] == pytest.approx(1.0 - 2.0 / 5.9, abs=1e-3)
