@@ -17,7 +17,6 @@ from nav_msgs.msg import Odometry
 from quadpi.msg import Erpm, RotorSpeeds
 from quadpi.srv import LoadModel
 from rclpy.clock import ROSClock
-from rclpy.timer import Timer
 
 from quadpi_core.errors import ModelError, QuadpiError
 from quadpi_core.estimator.imu_rate import ImuRate
@@ -34,7 +33,7 @@ from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.one_by_one import IncomingMessage
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor import Monitor, MonitorSettings
-from quadpi_core.monitor.health import WATCH_S, Latency, Silence
+from quadpi_core.monitor.health import SILENT_S, WATCH_S, Latency, Silence
 from quadpi_core.monitor.pairing import CAPACITY, Pairing
 from quadpi_core.paths import resolved_below
 from quadpi_core.vehicle import Vehicle
@@ -45,7 +44,8 @@ from quadpi_ros.input_sources import AdaptedSources, Source
 from quadpi_ros.node_parameters import FASTEST_IMU_HZ, MonitorParameters
 from quadpi_ros.result_publishers import Results, named, warm_up
 from quadpi_ros.runtime import run, serve
-from quadpi_ros.sensor_node import STEADY, ConsistencyWatch, SensorNode
+from quadpi_ros.sensor_node import ConsistencyWatch, SensorNode
+from quadpi_ros.watches import Watch
 
 
 class MonitorNode(SensorNode[MonitorParameters]):
@@ -65,9 +65,11 @@ class MonitorNode(SensorNode[MonitorParameters]):
         self._load_model: SlowService | None = None
         self._dropped = self._judged = 0
         self._newest_ns = NO_STAMP
-        self._watch: Timer | None = None
+        self._silence_watch: Watch | None = None
         self._silence = Silence()
         self._silence_published_s = -math.inf
+        self._clock_ns: int | None = None
+        self._clock_moved_s = time.monotonic()
         self._rate = ImuRate()
         self._rate_begins = True
         self._rate_problem = ""
@@ -100,14 +102,14 @@ class MonitorNode(SensorNode[MonitorParameters]):
         self.listen(Vector3Stamped, "wind", wind, self._take_wind, required=False)
         self.listen(*self._rotors, self._take_rotor_speeds)
         self._load_model = SlowService(self, LoadModel, "~/load_model", self._prepare_model)
-        self._watch = self.create_timer(WATCH_S, self._watch_inputs, clock=STEADY)
+        self._silence_watch = self.watch(WATCH_S, self._watch_inputs)
 
     def deactivate(self) -> None:
         """Stop listening."""
         super().deactivate()
-        if self._watch is not None:
-            self.destroy_timer(self._watch)
-            self._watch = None
+        if self._silence_watch is not None:
+            self.unwatch(self._silence_watch)
+            self._silence_watch = None
         if self._estimator is not None:
             self._estimator.listener = None
         if self._load_model is not None:
@@ -140,9 +142,10 @@ class MonitorNode(SensorNode[MonitorParameters]):
 
     def _latencies(self) -> dict[str, float | str | None]:
         """Since the last status; results that are far from their stamps tell that the clocks differ."""
-        clock = self.get_clock()
-        simulated = isinstance(clock, ROSClock) and clock.ros_time_is_active
-        ahead_ns = None if simulated else clock.now().nanoseconds - time.monotonic_ns()
+        simulated_ns = self._simulated_ns()
+        ahead_ns = None
+        if simulated_ns is None:
+            ahead_ns = self.get_clock().now().nanoseconds - time.monotonic_ns()
         latency = self._latency.report(ahead_ns)
         if latency is None:
             return {}
@@ -157,6 +160,13 @@ class MonitorNode(SensorNode[MonitorParameters]):
             other = "use_sim_time" if ahead_ns is None else "stamps are of another clock than this computer's"
             values["latency_from_stamp"] = f"unknown: {other}"
         return values
+
+    def _simulated_ns(self) -> int | None:
+        """Time of `/clock`; None where the node does not go by it."""
+        clock = self.get_clock()
+        if not (isinstance(clock, ROSClock) and clock.ros_time_is_active):
+            return None
+        return int(clock.now().nanoseconds)
 
     @guarded
     def take_imu(self, imu: ImuStream) -> None:
@@ -175,6 +185,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
         self._judge_completed()
 
     def _note_arrival(self, time_ns: int) -> None:
+        self.look_at_watches()
         if time_ns < self._newest_ns - MAX_JUMP_BACK_NS:
             self._results.monitors.reset()
             self._latency.reset()
@@ -217,16 +228,23 @@ class MonitorNode(SensorNode[MonitorParameters]):
 
     def _watch_inputs(self) -> None:
         """Raise the alarm while nothing arrives, by this process's clock, at the alarm's rate or slower."""
-        now_s = time.monotonic()
+        now_s, simulated_ns = time.monotonic(), self._simulated_ns()
+        if simulated_ns != self._clock_ns:
+            self._clock_ns, self._clock_moved_s = simulated_ns, now_s
         self._silence.follow(now_s, self._pairing.arrived)
         since_s = now_s - self._silence_published_s
         if not self._silence.reasons or since_s < 1.0 / self.parameters.alarm_rate_hz - 0.5 * WATCH_S:
             return
         self._silence_published_s = now_s
-        time_ns = self.get_clock().now().nanoseconds
+        time_ns, reasons = self.get_clock().now().nanoseconds, self._silence.reasons
         if self._newest_ns != NO_STAMP:
             time_ns = self._newest_ns + round(1e9 * self._silence.elapsed_s)
-        self._results.publish_silence(time_ns, self._silence.reasons)
+        if simulated_ns is not None:
+            # The stamps that follow a pause of the simulation go on where those before it ended.
+            time_ns = max(self._newest_ns, min(time_ns, simulated_ns))
+            if now_s - self._clock_moved_s >= SILENT_S:
+                reasons = (*reasons, "/clock stands still")
+        self._results.publish_silence(time_ns, reasons)
 
     def _follow_rate(self) -> None:
         """Design the filters for the rate of the IMU; nothing is predicted without one."""

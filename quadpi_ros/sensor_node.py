@@ -13,7 +13,6 @@ from typing import Any, TypeVar
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from numpy.typing import NDArray
-from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, qos_policy_name_from_kind
@@ -36,11 +35,10 @@ from quadpi_ros.message_batches import OutgoingBatch
 from quadpi_ros.node_parameters import STRICT
 from quadpi_ros.parameters import Parameters
 from quadpi_ros.runtime import ManagedNode
+from quadpi_ros.watches import Watch
 
 Sample = TypeVar("Sample", bound=Stream)
 
-# Timers on this clock run even when sensors and `/clock` are silent.
-STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 # How long static transforms may take to arrive after the first sample that needs one.
 _TRANSFORMS_COME_S = 1.0
 # A warning about the same thing is logged at this period.
@@ -100,7 +98,25 @@ class SensorNode(ManagedNode[Parameters]):
         self.lacking: dict[str, str] = {}
         self._diagnosed_s = time.monotonic()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self.create_timer(DIAGNOSTICS_PERIOD_S, self._diagnose, clock=STEADY)
+        self._watches: list[Watch] = []
+        self.watch(DIAGNOSTICS_PERIOD_S, self._diagnose)
+
+    def watch(self, period_s: float, work: Callable[[], None]) -> Watch:
+        """Do something once per period, whether messages come, pause or flood; until it is unwatched."""
+        watch = Watch(self, period_s, work)
+        self._watches.append(watch)
+        return watch
+
+    def unwatch(self, watch: Watch) -> None:
+        """Stop what :meth:`watch` began."""
+        self._watches.remove(watch)
+        watch.destroy()
+
+    def look_at_watches(self) -> None:
+        """Do what the timers are late with; called at every sample."""
+        now_s = time.monotonic()
+        for watch in self._watches:
+            watch.look(now_s)
 
     def listen(
         self,
@@ -122,6 +138,7 @@ class SensorNode(ManagedNode[Parameters]):
 
         def receive(payload: bytes) -> None:
             nonlocal told
+            self.look_at_watches()
             try:
                 sample = unpack(payload)
             except LogError as error:

@@ -16,7 +16,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import GetState
 from nav_msgs.msg import Odometry
-from quadpi.msg import WrenchPrediction
+from quadpi.msg import ExtrapolationAlarm, WrenchPrediction
 from quadpi.srv import LoadModel
 from rcl_interfaces.srv import GetParameters
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -309,6 +309,10 @@ def test_sim_time_is_that_of_the_clock_and_does_not_stop_the_diagnostics(rig: Ri
     rig.forget()
     rig.until(lambda: rig.latest("monitor: state") is not None)
     assert rig.diagnosed_ns == pytest.approx(span[1], abs=2e7)
+    payloads = rig.heard["extrapolation_alarm"]
+    paused = [deserialize_message(payload, ExtrapolationAlarm) for payload in list(payloads)][-1]
+    assert paused.reasons[-1] == "/clock stands still"
+    assert rig.stamps("extrapolation_alarm", 0, 2**62).max() == pytest.approx(span[1], abs=2e7)
     rig.fly(1.2)
     rig.until(lambda: float(values_of(rig.latest("estimator: imu"))["stamp_age_s"]) < 0.5)
     rig.until(

@@ -28,7 +28,7 @@ from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import write_bag
 from quadpi_core.messages import sensor_messages
 from quadpi_core.vehicle import Vehicle
-from quadpi_ros import sensor_node
+from quadpi_ros import sensor_node, watches
 from quadpi_ros.dds_profile import TRANSFORMS_QOS
 from quadpi_ros.node_parameters import parameter
 from quadpi_ros.processes import Child
@@ -176,6 +176,9 @@ def test_the_log_says_once_what_keeps_a_node_from_working(monkeypatch: pytest.Mo
             self.listen(PoseStamped, "mocap/pose", sensor_messages.unpack_pose, lambda _: None)
             self.listen(PoseStamped, "wind", sensor_messages.unpack_pose, lambda _: None, required=False)
 
+    # The diagnostics are called for below, sooner and later than once a second.
+    monkeypatch.setattr(watches, "_EARLY", 0.0)
+    monkeypatch.setattr(watches, "_LATE", np.inf)
     node, receivers = Watched("watched", NoParameters), {}
     create = node.create_subscription
 
