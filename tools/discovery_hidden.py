@@ -27,7 +27,7 @@ from discovery import figures_table, fingerprint, run  # noqa: E402
 from hidden.cases import FLEETS, HALVES, KINDS, REPORT, Case, all_cases, short_cases  # noqa: E402
 from hidden.changes import CHANGES  # noqa: E402
 from hidden.measures import SHOWN, Finding, figures, order  # noqa: E402
-from hidden.searching import Task, identified, searched  # noqa: E402
+from hidden.searching import Task, kept, searched  # noqa: E402
 from page_tables import renew, stamp  # noqa: E402
 
 from quadpi_core.parallel import Workers  # noqa: E402
@@ -160,13 +160,14 @@ def main() -> None:
     if options.list:
         print("\n".join(case.key for case in cases))
         return
-    if not (data_directory() / FLEETS["crazyflie"].logs.folder).is_dir():
-        sys.exit(f"no real flights in {data_directory()}: set QUADPI_DATA")
+    folders = [data_directory() / folder for case in cases for folder in FLEETS[case.fleet].folders]
+    if absent := [folder for folder in folders if not folder.is_dir()]:
+        sys.exit(f"no real flights in {absent[0]}: set QUADPI_DATA")
     tasks = [Task(case, options.work / "models") for case in cases]
     models = {task.model.folder: task.model for task in tasks}
     missing = [model for folder, model in models.items() if not folder.exists()]
     print(f"{len(models)} models, {len(missing)} to identify", flush=True)
-    Workers(options.workers).map(identified, missing, shared=None)
+    Workers(options.workers).map(kept, missing, shared=None)
     results = run(tasks, options.work / fingerprint(), options.workers, searched)
     findings = [Finding.of(found) for found in results]
     tables = {

@@ -261,5 +261,5 @@ def test_the_program_lists_its_cases_and_says_where_flights_are_missing(monkeypa
     discovery_hidden.main()
     assert "crazyflie-wind-1-0" in capsys.readouterr().out.splitlines()
     sys.argv.remove("--list")
-    with pytest.raises(SystemExit, match=f"no real flights in {tmp_path}: set QUADPI_DATA$"):
+    with pytest.raises(SystemExit, match=f"no real flights in {tmp_path}/imrc_brushless: set QUADPI_DATA$"):
         discovery_hidden.main()

@@ -54,6 +54,7 @@ class Fleet:
         truth: right answers of the others.
         nulls: splits without a change, or of the others as they are.
         gusts: logs whose measured forces are the gusts; those of the model unless given.
+        strength: of its changes, in full sizes of the table: more where the model's intervals are wide.
         battery: logs of which the first has the battery of all, where these have none.
     """
 
@@ -68,6 +69,13 @@ class Fleet:
     nulls: int = 6
     gusts: Logs | None = None
     battery: Logs | None = None
+    strength: float = 1.0
+
+    @property
+    def folders(self) -> list[str]:
+        """That its logs are in."""
+        several = (self.logs, self.others, self.gusts, self.battery)
+        return [logs.folder for logs in several if logs is not None]
 
     def split(self, number: int) -> tuple[Logs, Logs]:
         """Logs of the model, and those to search, of which the first that import are."""
@@ -104,10 +112,10 @@ _MOTORS = Truth(
 )
 FLEETS: Mapping[str, Fleet] = {
     "crazyflie": Fleet(TUNE, "crazyflie_rpm", _BARE, 10, 6, nulls=20, gusts=_STEPS),
-    "neurobem": Fleet(TUNE, "neurobem", _NEUROBEM, 2, 2, nulls=3),
+    "neurobem": Fleet(TUNE, "neurobem", _NEUROBEM, 2, 2, nulls=3, strength=2.0),
     "loaded-eights": Fleet(TUNE, "crazyflie_rpm", _BARE, 10, 8, others=_EIGHTS, truth=_LOAD, nulls=10),
-    "nanodrone": Fleet(REPORT, "nanodrone", _NANODRONE, 8, 5, "nanodrone"),
-    "indiflight": Fleet(REPORT, "indiflight", _INDIFLIGHT, 7, 4, battery=_BARE),
+    "nanodrone": Fleet(REPORT, "nanodrone", _NANODRONE, 8, 5, "nanodrone", strength=2.0),
+    "indiflight": Fleet(REPORT, "indiflight", _INDIFLIGHT, 7, 4, battery=_BARE, strength=2.0),
     "brushed": Fleet(REPORT, "crazyflie_rpm", _BRUSHED, 2, 2, nulls=3),
     "brushed-beside-brushless": Fleet(
         REPORT, "crazyflie_rpm", _BARE, 10, 3, others=_BRUSHED, truth=_MOTORS, nulls=20
@@ -136,8 +144,9 @@ class Case:
     @property
     def drawn(self) -> dict[str, Drawn]:
         """By name of each change what chance decides: the same for all sizes."""
+        size = self.size * FLEETS[self.fleet].strength
         return {
-            name: drawn(name, self.size, zlib.crc32(f"{self.fleet} {name} {self.split}".encode()))
+            name: drawn(name, size, zlib.crc32(f"{self.fleet} {name} {self.split}".encode()))
             for name in self.changes
         }
 

@@ -116,6 +116,7 @@ def figures(findings: Sequence[Finding]) -> list[Figure]:
     told = [f for f in loaded if f.found]
     inside = [own for f in findings if f.case.kind in {SINGLE, PAIR} and f.found for own in f.answer.inside]
     alarms = [f.answer.verdict == "effects" for f in nulls]
+    worse = [bool(f.answer.worse) for f in findings if f.answer.left is not None]
     missed = [f.answer.verdict == "none" for f in findings if f.broken]
 
     def figure(name: str, hits: Iterable[bool], goal: float, *, at_most: bool = False) -> Figure:
@@ -132,6 +133,7 @@ def figures(findings: Sequence[Finding]) -> list[Figure]:
         figure("nothing hidden: `effects`", alarms, 0.0, at_most=True),
         figure("an interval is broken: `none`", missed, 0.0, at_most=True),
         figure("parameters inside their interval of 95 %", inside, 0.9),
+        figure("additions that make flights left out or roll-outs worse", worse, 0.0, at_most=True),
         figure("real load: `slung_load`, alone or with its hook", (f.found for f in loaded), 0.9),
         figure("… its mass within 15 %", (f.within("slung_load.mass_kg", _MASS) for f in told), 0.9),
         figure("… its length within 10 %", (f.within("slung_load.length_m", _LENGTH) for f in told), 0.9),
