@@ -194,7 +194,7 @@ def test_splits_are_fair():
     assert set(PAIRS) <= {case.changes for case in cases}
 
 
-def finding(verdict, *effects, ambiguous=(), name="fast rotors", seen=("Fz",)):
+def finding(verdict, *effects, ambiguous=(), name="fast rotors", seen=("Fz",), broken=()):
     """Of a case with a change, or a pair; effects are pairs of a name and parameters."""
     names, kind = (name, PAIR) if isinstance(name, tuple) else ((name,), CHANGES[name].kind)
     case = Case("crazyflie", kind, names, 1.0, 0)
@@ -211,7 +211,7 @@ def finding(verdict, *effects, ambiguous=(), name="fast rotors", seen=("Fz",)):
         "rollouts": None,
         "coverage": {},
         "seen": list(seen),
-        "broken": list(seen),
+        "broken": [*seen, *broken],
         "seconds": 1.0,
     }
     return Finding.of({"case": asdict(case), "result": result, **rest})
@@ -235,6 +235,8 @@ def test_outcomes():
         (finding("effects", load, name="gust"), WRONG),
         (finding("none", name="gust"), MISSED),
         (finding("none", name="turned IMU", seen=()), RIGHT),
+        (finding("unknown", name="turned IMU"), UNKNOWN),
+        (finding("unknown", name="turned IMU", seen=(), broken=("Fx",)), RIGHT),
         (finding("effects", load, name="low accelerometer"), RIGHT),
         (finding("effects", scale, name=PAIRS[0]), PART),
         (finding("effects", scale, ("wind", {}), name=PAIRS[0]), RIGHT),
@@ -244,14 +246,14 @@ def test_outcomes():
     by_name = {own.name: (own.hits, own.of) for own in figures(findings)}
     assert by_name["one change, visible: right, or told among"] == (3, 9)
     assert by_name["pairs, visible: both right, or told among"] == (1, 2)
-    assert by_name["an interval is broken: `none`"] == (2, 15)
+    assert by_name["an interval is broken: `none`"] == (2, 17)
     rows = discovery_hidden.changes_table(findings).splitlines()
     assert "| wind + fast rotors | 1 right, 1 in part | – | – |" in rows
-    assert "| turned IMU | (1 `none`) | – | – |" in rows
+    assert "| turned IMU | 1 unknown, (1 `none`, 1 `unknown`) | – | – |" in rows
     assert "| gust | 1 right, 1 wrong, 1 missed | – | – |" in rows
     failures = discovery_hidden.failures_table(findings)
     assert "| crazyflie | fast rotors × 1, split 0 | Fz | wrong: effects: payload |" in failures
-    assert "turned IMU" not in failures
+    assert failures.count("turned IMU") == 1
     assert f"{len(findings)} cases: 9 single" in discovery_hidden.summary(findings)
 
 
