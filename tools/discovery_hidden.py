@@ -77,7 +77,7 @@ def failures_table(findings: Sequence[Finding]) -> str:
             f.case.fleet,
             f"{' + '.join(f.case.changes) or f.case.kind} × {f.case.size:g}, split {f.case.split}",
             " ".join(f.broken) or "–",
-            f"{f.outcome}: {f.answer.words}" if f.answer.named else f.answer.words,
+            f.answer.words.replace("effects", f.outcome, 1),
         )
         for f in sorted(failed, key=order)
     ]

@@ -18,6 +18,7 @@ from hidden.measures import AMONG, ERROR, MISSED, PART, RIGHT, UNKNOWN, WRONG, F
 sys.path.append(str(Path(__file__).parents[2] / "tools"))
 
 import discovery_hidden
+from page_tables import replaced
 
 from quadpi_core.estimator.fusion import fuse
 from quadpi_core.flight import OdometryStream
@@ -252,7 +253,7 @@ def test_outcomes():
     assert "| turned IMU | 1 unknown, (1 `none`, 1 `unknown`) | – | – |" in rows
     assert "| gust | 1 right, 1 wrong, 1 missed | – | – |" in rows
     failures = discovery_hidden.failures_table(findings)
-    assert "| crazyflie | fast rotors × 1, split 0 | Fz | wrong: effects: payload |" in failures
+    assert "| crazyflie | fast rotors × 1, split 0 | Fz | wrong: payload |" in failures
     assert failures.count("turned IMU") == 1
     assert f"{len(findings)} cases: 9 single" in discovery_hidden.summary(findings)
 
@@ -265,3 +266,10 @@ def test_the_program_lists_its_cases_and_says_where_flights_are_missing(monkeypa
     sys.argv.remove("--list")
     with pytest.raises(SystemExit, match=f"no real flights in {tmp_path}/imrc_brushless: set QUADPI_DATA$"):
         discovery_hidden.main()
+
+
+def test_the_page_has_a_place_for_each_table_and_says_what_is_hidden():
+    page = discovery_hidden.PAGE.read_text(encoding="utf-8")
+    assert page == replaced(page, "hidden", discovery_hidden.hidden_table())
+    for name in ("summary", "figures", "changes", "flights", "failures"):
+        assert "another" in replaced(page, name, "another")
