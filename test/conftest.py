@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from quadpi_core import paths
 from quadpi_core.cli import main
+from quadpi_core.discrepancy.sound_learning import learned_from
 from quadpi_core.flight import ImuStream, PoseStream, Recording, RotorSpeedStream
 from quadpi_core.frames import Array
 from quadpi_core.identification.identify import identify
@@ -259,9 +260,8 @@ def physical_folder(tmp_path_factory) -> Path:
     """Folder of a physical model of the Bebop 2, identified on four bundled bags."""
     vehicle = Vehicle.load("bebop2")
     bags = [bags_directory() / f"train_{k}.mcap" for k in (1, 2, 3, 4)]
-    model = identify(
-        prepare_flights(bags, vehicle), vehicle, load_pools("quadrotor"), IdentifyOptions(method="physical")
-    )
+    flights = prepare_flights(bags, vehicle)
+    model = identify(flights, vehicle, load_pools("quadrotor"), IdentifyOptions(method="physical"))
     folder = tmp_path_factory.mktemp("physical") / "flown"
-    model.save(folder)
+    learned_from(model, flights).save(folder)
     return folder

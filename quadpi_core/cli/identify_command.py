@@ -89,6 +89,7 @@ def identify(
     html_file: options.HtmlFile = None,
 ) -> None:
     """Identify a model on flights; every flight calibrates the intervals while it is left out."""
+    from quadpi_core.discrepancy.sound_learning import learned_from
     from quadpi_core.evaluation.evaluate import ComparisonCase
     from quadpi_core.identification.identify import check_options
     from quadpi_core.identification.identify import identify as identify_model
@@ -132,7 +133,8 @@ def identify(
             )
         print_quality(console, ((flight.name, flight.quality) for flight in flights))
         with progress_bar(console) as progress:
-            model = identify_model(flights, the_vehicle, pools, chosen, progress).save(output)
+            model = identify_model(flights, the_vehicle, pools, chosen, progress)
+            model = learned_from(model, flights, progress).save(output)
         _print_model(console, model, verbose=verbose, choice=choice_of_kind(context))
         console.print(f"written to {output}; quadpi info {output} shows every parameter", soft_wrap=True)
         if json_file or html_file:

@@ -26,6 +26,7 @@ from quadpi_core.discrepancy.simulations import Column, Margins, Simulation, Tol
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import AXES, Flight
 from quadpi_core.frames import Array
+from quadpi_core.models.sound_flights import SoundFlights
 from quadpi_core.signals.resample import interpolate_columns
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.applied_effects import added_wind, altered_vehicle, effect_wrench, with_memory
@@ -77,6 +78,11 @@ class AugmentedSimulation(Simulation):
     def tolerances(self) -> Tolerances:  # type: ignore[override]
         """Of the base."""
         return self.base.tolerances
+
+    @property
+    def sound(self) -> SoundFlights | None:  # type: ignore[override]
+        """Of the base."""
+        return self.base.sound
 
     @property
     def memoryless(self) -> bool:  # type: ignore[override]

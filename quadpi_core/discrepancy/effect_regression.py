@@ -14,11 +14,12 @@ import numpy.typing as npt
 
 from quadpi_core.discrepancy.candidates import Candidate
 from quadpi_core.discrepancy.effect_response import Compared
-from quadpi_core.discrepancy.evidence import Block, Fit, fit, residual_weights
+from quadpi_core.discrepancy.evidence import Block, Fit, evidence_at, fit, residual_weights
 from quadpi_core.discrepancy.linearisation import NO_COLUMNS, Linearisation, table_starts
 from quadpi_core.discrepancy.whitening import Spectrum, band_means, cross_gram, estimate_noise
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
+from quadpi_core.models.sound_flights import SoundFlights
 from quadpi_core.thresholds import CONVENTION, Threshold
 
 # Rounds in which the columns of mass and inertia and the accelerations that all columns explain converge.
@@ -27,11 +28,11 @@ _ACCELERATION_ROUNDS = 2
 _ROUNDS = 3
 # Axes of a simulation that states no intervals.
 NONE_HELD = np.zeros(len(AXES), dtype=np.bool_)
-STEP_LOSS = Threshold(
-    "evidence that a step may lose",
-    5.0,
-    "nat",
-    "odds of about 150: a step of a curved effect that loses more overshoots, and is halved",
+SMALL_STEP = Threshold(
+    "step to another point of linearisation",
+    0.05,
+    "prior standard deviations",
+    "a third of the smallest size that is named: columns hardly change over less",
     CONVENTION,
 )
 
@@ -94,6 +95,8 @@ class NoiseWeighting:
         for place, (band, done) in enumerate(zip(columns.bands, self._whitened, strict=True)):
             weights = np.sqrt(self.precision[:, band])
             fresh = [rows * weights[:, :, None] for rows in columns.tables[place][len(done) :]]
+            if columns.errors[place].shape[2]:
+                fresh = _beside(columns.errors[place] * weights[:, :, None], fresh)
             added = np.concatenate(fresh, axis=2)
             for first, rows in zip(table_starts(done), done, strict=True):
                 block = cross_gram(rows, added)
@@ -136,6 +139,10 @@ class Regression:
         """
         columns = Linearisation.of(flights, candidates)
         explained = tuple(_rows(flight, flight.expected_measured) for flight in flights)
+        sound = _in_bands(columns)
+        if sound is not None:
+            # Its known errors were found with columns of the accelerations that the simulation expects.
+            return cls(columns, NoiseWeighting.of(columns, sound.noise, held), explained)
         noise = _estimated_noise(columns, ())
         regression = cls(columns, NoiseWeighting.of(columns, noise, held), explained)
         for _ in range(_ACCELERATION_ROUNDS):
@@ -164,6 +171,11 @@ class Regression:
     def flights(self) -> tuple[Compared, ...]:
         """The flights, beside their simulation."""
         return self.columns.flights
+
+    @property
+    def sound(self) -> SoundFlights | None:
+        """What sound flights leave of the simulation, in the bands of the columns; None where unknown."""
+        return _in_bands(self.columns)
 
     @property
     def candidates(self) -> tuple[Candidate, ...]:
@@ -221,6 +233,8 @@ class Regression:
         left = band_means([np.square(rows) for rows in self.left(found)], self.columns.bands)
         # Nothing was fitted to axes that say nothing, so what is left of them is no noise.
         left[self.weighting.held] = 0.0
+        if self.sound is not None:
+            return self.weighted(np.maximum(self.sound.noise, left))
         accelerated = self.accelerated(found)
         noise = np.maximum(_estimated_noise(accelerated.columns, chosen), left)
         return accelerated.weighted(np.minimum(noise, _residual_squares(self.columns)))
@@ -232,6 +246,10 @@ class Regression:
         """
         blocks = [self.block(i) if form else replace(self.block(i), form=NO_COLUMNS) for i in chosen]
         return fit(self.gram if gram is None else gram, self.columns.tolerances, blocks)
+
+    def evidence_at(self, chosen: Sequence[int]) -> float:
+        """See :func:`evidence.evidence_at`, of candidates by their indices."""
+        return evidence_at(self.gram, self.columns.tolerances, [self.block(index) for index in chosen])
 
     def parameters(self, index: int, found: Fit) -> Array:
         """Free parameters (k,) of a candidate in a fit, brought within their bounds."""
@@ -293,6 +311,31 @@ class Regression:
         return self.columns.combined(place, weights)
 
 
+def _in_bands(columns: Linearisation) -> SoundFlights | None:
+    """What sound flights leave of the simulation, in the bands that are compared."""
+    sound = columns.flights[0].simulation.sound
+    bands = 1 + max(int(band.max()) for band in columns.bands)
+    if sound is None or bands == sound.noise.shape[1]:
+        return sound
+    edges, noise, left = sound.edges_hz[: bands + 1], sound.noise[:, :bands], sound.left[:, :bands]
+    return replace(sound, edges_hz=edges, noise=noise, left=left)
+
+
+def _beside(errors: Array, tables: Sequence[Array]) -> list[Array]:
+    """Whitened tables (6, B, ·) beside further noise, the sum of whitened columns (6, B, E) times N(0, 1).
+
+    With errors Q = U S Vᵀ the noise has the covariance 1 + Q Qᵀ, whose inverse root is
+    1 − U (1 − 1/√(1 + S²)) Uᵀ.
+    """
+    basis, sizes, _ = np.linalg.svd(errors.reshape(-1, errors.shape[2]), full_matrices=False)
+    lost = (1.0 - 1.0 / np.sqrt(1.0 + np.square(sizes)))[:, np.newaxis]
+    result = []
+    for table in tables:
+        flat = table.reshape(len(basis), -1)
+        result.append((flat - basis @ (lost * (basis.T @ flat))).reshape(table.shape))
+    return result
+
+
 def settled(regression: Regression) -> Regression:
     """The regression with every candidate linearised where it fits best alone."""
     best: dict[int, tuple[float, Array]] = {}
@@ -300,16 +343,24 @@ def settled(regression: Regression) -> Regression:
         last = turn == _ROUNDS
         points = {}
         for index, candidate in enumerate(regression.candidates):
-            if turn > 0 and candidate.linear:
-                continue
-            found, here = regression.fit((index,), form=False), regression.columns.points[index]
-            if found is not None and (index not in best or found.log_evidence >= best[index][0]):
-                best[index] = (found.log_evidence, here)
-                if not last:
+            here = regression.columns.points[index]
+            if candidate.linear:
+                found = regression.fit((index,), form=False) if turn == 0 else None
+                if found is not None:
                     points[index] = regression.parameters(index, found)
-            elif index in best:
+                continue
+            value = regression.evidence_at((index,))
+            if index in best and value < best[index][0]:
                 # The step overshot: take half of it, and none in the last round.
                 points[index] = best[index][1] if last else 0.5 * (best[index][1] + here)
+                continue
+            best[index] = (value, here)
+            found = None if last else regression.fit((index,), form=False)
+            if found is not None:
+                to = regression.parameters(index, found)
+                # However small the first step: what else a law depends on acts only where it is there.
+                if turn == 0 or np.max(np.abs(to - here) / candidate.scale) > SMALL_STEP.value:
+                    points[index] = to
         regression = regression.moved(points)
     return regression
 
@@ -321,25 +372,20 @@ def refined(regression: Regression, chosen: Sequence[int], found: Fit) -> tuple[
     the effects.
     """
     curved = any(not regression.candidates[index].linear for index in chosen)
-    best, at = found, [regression.columns.points[index] for index in chosen]
-    improved: Fit | None = found
+    best, value = (regression, found), regression.evidence_at(chosen)
+    at = [regression.columns.points[index] for index in chosen]
     to = [regression.parameters(index, found) for index in chosen]
     for _ in range(_ROUNDS):
-        regression = regression.moved(dict(zip(chosen, to, strict=True)))
-        improved = regression.fit(chosen)
-        if improved is not None and (
-            not curved or improved.log_evidence > best.log_evidence - STEP_LOSS.value
-        ):
-            best, at = improved, to
-            to = [regression.parameters(index, improved) for index in chosen]
+        moved = regression.moved(dict(zip(chosen, to, strict=True)))
+        improved, there = moved.fit(chosen), moved.evidence_at(chosen)
+        if improved is not None and (not curved or there >= value):
+            regression, best, value, at = moved, (moved, improved), there, to
+            to = [moved.parameters(index, improved) for index in chosen]
         elif not curved:
             return None
         else:
             to = [0.5 * (old + new) for old, new in zip(at, to, strict=True)]
-    if improved is not best:
-        regression = regression.moved(dict(zip(chosen, at, strict=True)))
-        improved = regression.fit(chosen)
-    return None if improved is None else (regression, improved)
+    return best
 
 
 def _estimated_noise(columns: Linearisation, chosen: Sequence[int]) -> Array:

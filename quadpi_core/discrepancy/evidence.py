@@ -34,6 +34,7 @@ class Block:
         form: indices of the columns for the error of its form, made for an effect of the size `formed_at`.
         formed_at: length of the coefficients that the form columns are in proportion to.
         offset: index of the column that its linearisation adds to the residual; none for a linear effect.
+        at: (k,) point that it is linearised at, in prior standard deviations from their mean.
         lowest, highest: (k,) bounds of the parameters, in prior standard deviations.
         cost: evidence [nat] that the candidate loses for what is fitted to each flight beside its columns.
     """
@@ -42,6 +43,7 @@ class Block:
     form: Indices
     formed_at: float
     offset: int | None
+    at: Array
     lowest: Array
     highest: Array
     cost: float = 0.0
@@ -119,6 +121,30 @@ def fit(gram: Array, tolerances: Indices, blocks: Sequence[Block]) -> Fit | None
         exact = found
         # The sizes of the effects, now known, scale by how much their forms may differ.
         form = [np.full(len(block.form), _form_precision(found, block)) for block in blocks]
+
+
+def evidence_at(gram: Array, tolerances: Indices, blocks: Sequence[Block]) -> float:
+    """Log evidence [nat] of a set with the parameters that are not linear at their points, where it is exact.
+
+    Far from its point a linearisation may promise what it cannot keep. Values at different points of the same
+    set can be compared with each other, not with :func:`fit`.
+
+    Args:
+        gram: (K, K); column 0 is the residual.
+        tolerances: indices of the columns of the simulation's tolerances.
+        blocks: columns of each effect.
+    """
+    residual = residual_weights(len(gram), blocks)
+    columns, cost = [tolerances], 0.0
+    for block in blocks:
+        cost += block.cost
+        if block.offset is None:
+            columns.append(block.parameters)
+        else:
+            residual[block.parameters] -= block.at
+            cost += 0.5 * float(block.at @ block.at)
+    free = np.concatenate(columns).astype(np.intp)
+    return _evidence(gram, free, residual, np.ones(len(free))).log_evidence - cost
 
 
 def refit(gram: Array, found: Fit, blocks: Sequence[Block]) -> Fit:

@@ -4,15 +4,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from quadpi_core.discrepancy.candidates import Candidate, first_point, linearise, start_cost
+from quadpi_core.discrepancy.candidates import Candidate, candidates, first_point, linearise, start_cost
 from quadpi_core.discrepancy.effect_response import Compared, body_tolerances, share_of_wrench
 from quadpi_core.discrepancy.evidence import Block, Indices
 from quadpi_core.discrepancy.simulations import Column, Tolerances
+from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.simulation.applied_effects import state_modulators
@@ -71,6 +72,8 @@ class Linearisation:
         tolerance_laws: for each the name of the one of what it shares with others; empty without.
         bands: per flight (B,) the frequency band of each row.
         tables: per flight, tables (6, B, ·) of columns.
+        errors: per flight (6, B, E) independent deviations of the known errors of the simulation, each by its
+            standard deviation. They are part of the noise, in no table.
     """
 
     flights: tuple[Compared, ...]
@@ -83,11 +86,12 @@ class Linearisation:
     bands: tuple[Indices, ...]
     tables: tuple[tuple[Array, ...], ...]
     modulators: Modulators
+    errors: tuple[Array, ...]
     # Columns in time per flight, by the index of a linear candidate whose law may be off.
     _in_time: Mapping[int, list[Array]] = field(repr=False)
 
     @classmethod
-    def of(cls, flights: Sequence[Compared], candidates: Sequence[Candidate]) -> Linearisation:
+    def of(cls, flights: Sequence[Compared], sought: Sequence[Candidate]) -> Linearisation:
         """Every candidate linearised at no effect."""
         uncertain = _felt([flight.uncertain() for flight in flights], flights[0].simulation.tolerances)
         names = tuple(column.name for column in uncertain[0])
@@ -97,8 +101,8 @@ class Linearisation:
         ]
         value = cls(
             flights=tuple(flights),
-            candidates=tuple(candidates),
-            points=tuple(first_point(candidate, flights) for candidate in candidates),
+            candidates=tuple(sought),
+            points=tuple(first_point(candidate, flights) for candidate in sought),
             blocks=(),
             tolerance_names=names,
             tolerance_laws=tuple(column.law for column in uncertain[0]),
@@ -106,11 +110,12 @@ class Linearisation:
             bands=tuple(found.band for found in first),
             tables=tuple((found.rows,) for found in first),
             modulators=Modulators.of(flights),
+            errors=tuple(found.rows[:, :, :0] for found in first),
             _in_time={},
         )
-        for index in range(len(candidates)):
+        for index in range(len(sought)):
             value = value._with_block(index)
-        return value
+        return value._beside_known_errors()
 
     @property
     def width(self) -> int:
@@ -210,6 +215,48 @@ class Linearisation:
                     shares[int(column)] = small / _VEHICLE_STEP
         return shares
 
+    def _beside_known_errors(self) -> Linearisation:
+        """The linearisation of the residual less what sound flights leave, with columns of its deviations."""
+        sound = self.flights[0].simulation.sound
+        if sound is None:
+            return self
+        rows = self._rows_of_parameters({label for label, _ in sound.names})
+        if unknown := [label for label, parameter in sound.names if (label, parameter) not in rows]:
+            raise DiscrepancyError(
+                f"{self.flights[0].simulation.name}: knows an error of {unknown[0]}, which is no effect "
+                "here: install what it came from, or identify the model again"
+            )
+        deviations = sound.deviations(len(self.flights))
+        tables, errors = [], []
+        for place, (first, *others) in enumerate(self.tables):
+            known = np.zeros((*first.shape[:2], len(sound.names)))
+            for k, name in enumerate(sound.names):
+                known[:, :, k] = rows[name][place]
+            changed = first.copy()
+            changed[:, :, 0] -= known @ sound.mean
+            tables.append((changed, *others))
+            errors.append(known @ deviations)
+        return replace(self, tables=tuple(tables), errors=tuple(errors))
+
+    def _rows_of_parameters(self, labels: Collection[str]) -> dict[tuple[str, str], list[Array]]:
+        """Rows (6, B) of each flight by candidate and parameter, per unit of it about no effect."""
+        blocks = {own.label: block for own, block in zip(self.candidates, self.blocks, strict=True)}
+        rows: dict[tuple[str, str], list[Array]] = {}
+        for candidate in candidates(self.flights[0].simulation.vehicle):
+            if candidate.label not in labels:
+                continue
+            block = blocks.get(candidate.label)
+            if block is not None:
+                each = [self.rows(place, block.parameters) for place in range(len(self.flights))]
+            else:
+                found = linearise(candidate, self.flights, np.zeros(len(candidate.free)))
+                pairs = zip(self.flights, found, strict=True)
+                each = [flight.spectrum(columns).rows for flight, (_, columns) in pairs]
+            for k, free in enumerate(candidate.free):
+                name = candidate.label, candidate.effect.parameters[free].name
+                rows[name] = [own[:, :, k] / candidate.scale[k] for own in each]
+        return rows
+
     def _with_block(self, index: int) -> Linearisation:
         """The linearisation with a new block of columns of a candidate about its point."""
         candidate, at, first = self.candidates[index], self.points[index], self.width
@@ -230,6 +277,7 @@ class Linearisation:
             form=NO_COLUMNS,
             formed_at=1.0,
             offset=None if candidate.linear else first + len(at),
+            at=(at - candidate.centre) / candidate.scale,
             lowest=(np.array([p.lowest for p in bounds]) - candidate.centre) / candidate.scale,
             highest=(np.array([p.highest for p in bounds]) - candidate.centre) / candidate.scale,
             cost=start_cost(candidate, self.flights, at),

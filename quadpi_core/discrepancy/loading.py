@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -18,13 +18,16 @@ from quadpi_core.discrepancy.augmented_simulation import AugmentedSimulation
 from quadpi_core.discrepancy.external_simulations import CallableSimulation, ModelSimulation
 from quadpi_core.discrepancy.recorded_simulation import RecordedSimulation
 from quadpi_core.discrepancy.simulations import Simulation, VehicleSimulation, read_tolerances
-from quadpi_core.errors import DiscrepancyError, QuadpiError, one_line
+from quadpi_core.discrepancy.whitening import EDGES_HZ
+from quadpi_core.errors import DiscrepancyError, ModelError, QuadpiError, one_line
 from quadpi_core.flight_files import LeftOutFlights
+from quadpi_core.models.sound_flights import SoundFlights
 from quadpi_core.paths import config_directory
 from quadpi_core.plugins import imported
 from quadpi_core.reading_options import MappingOrOptions
 from quadpi_core.simulation.effect_registry import read_effects
 from quadpi_core.simulation.flying import own_effects
+from quadpi_core.simulation.physical_aerodynamics import PhysicalAerodynamics
 from quadpi_core.thresholds import CONVENTION, Threshold
 from quadpi_core.vehicle import Vehicle
 
@@ -119,7 +122,25 @@ def _of_model(folder: Path, vehicle: str | Path | None) -> Simulation:
     assert predictions.model is not None  # by load
     if not predictions.model.kind.is_simulation:
         return predictions
-    return _with_own_effects(replace(VehicleSimulation.load(folder), intervals_of=predictions))
+    loaded = VehicleSimulation.load(folder)
+    return _with_own_effects(
+        replace(loaded, intervals_of=predictions, sound=_comparable(predictions.model.sound, folder))
+    )
+
+
+def _comparable(sound: SoundFlights | None, folder: Path) -> SoundFlights | None:
+    """What sound flights leave, in the bands in which simulation and flights are compared."""
+    if sound is not None and sound.edges_hz != EDGES_HZ.value:
+        raise ModelError(f"{folder}: its sound flights were compared by another version: identify it again")
+    return sound
+
+
+def simulation_of(section: Mapping[str, Any], vehicle: Vehicle) -> Simulation:
+    """The simulation of an identified model, by the key `simulation` that it gives for a vehicle file."""
+    name = f"model of {vehicle.name}"
+    simulation = VehicleSimulation(PhysicalAerodynamics.of(vehicle, section["physical"], name))
+    effects = read_effects(section.get("effects", {}), name)
+    return AugmentedSimulation(simulation, effects) if effects else simulation
 
 
 def _of_vehicle(text: str, vehicle: str | Path | None) -> Simulation:

@@ -35,6 +35,7 @@ from quadpi_core.discrepancy.unexplained import (
     slow_state_noise,
     stated_squares,
 )
+from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.thresholds import CONVENTION, Threshold
 
@@ -43,6 +44,14 @@ MOST_EFFECTS = Threshold(
     3,
     "effects",
     "more than a person would look for at once; the rest counts as unexplained",
+    CONVENTION,
+)
+
+MORE_THAN_SOUND = Threshold(
+    "squares that flights leave beyond those of sound flights",
+    2.0,
+    "standard deviations of their mean",
+    "the level of the intervals that are stated",
     CONVENTION,
 )
 
@@ -87,10 +96,12 @@ class Found:
     def sensors(self) -> Array:
         """Variance (6, C) of the noise that sensors and the errors of states make, in C bands.
 
-        That of sensors is what is left at the highest frequencies: white in a force, and in a moment largest
-        there.
+        It is what sound flights leave, where they are known. Else that of sensors is what is left at the
+        highest frequencies: white in a force, and in a moment largest there.
         """
-        noise = self.left.noise
+        noise, sound = self.left.noise, self.regression.sound
+        if sound is not None:
+            return sound.left
         return noise[:, -1:] + slow_state_noise(self.regression.flights, noise.shape[1])
 
     def deviation(self, index: int) -> Array:
@@ -122,8 +133,32 @@ class Found:
 
     def gap(self, *, adjusted: bool = True) -> Gap:
         """The gap of flights left out, see :meth:`Closing.gap`; what sensors do not explain is no floor."""
+        if self.regression.sound is not None:
+            return self.closing.gap(self._as_sound, np.zeros(len(AXES)), adjusted=adjusted)
         noise = np.minimum(self.regression.noise, self.sensors)
         return self.closing.gap(noise, self.stated, adjusted=adjusted)
+
+    @property
+    def _as_sound(self) -> Array:
+        """Variance (6, C) that as many sound flights leave at most; infinite where none are known."""
+        sound = self.regression.sound
+        if sound is None:
+            return np.full_like(self.regression.noise, np.inf)
+        more = 1.0 + MORE_THAN_SOUND.value * sound.differ / np.sqrt(len(self.regression.flights))
+        allowed: Array = sound.left * more[:, np.newaxis]
+        return allowed
+
+    @property
+    def beyond_sound(self) -> Array:
+        """Squares (6,) of the residual after the fit beyond those of sound flights, in variances of these.
+
+        They are infinite where no sound flights are known.
+        """
+        if self.regression.sound is None:
+            return np.full(len(AXES), np.inf)
+        columns = self.regression.columns
+        rows = sum(map(len, columns.bands))
+        return np.maximum(columns.squares(self.fit.left, self._as_sound) - rows, 0.0)
 
     @cached_property
     def stated(self) -> Array:

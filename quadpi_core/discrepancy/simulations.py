@@ -24,6 +24,7 @@ from quadpi_core.errors import DiscrepancyError, VehicleError
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array
 from quadpi_core.inputs import relative_to_air
+from quadpi_core.models.sound_flights import SoundFlights
 from quadpi_core.signals.force_bandwidth import band_limited
 from quadpi_core.simulation.simulated_aerodynamics import SimulatedAerodynamics, vehicle_record
 from quadpi_core.simulation.simulated_file import read_simulation
@@ -107,6 +108,7 @@ class Simulation(ABC):
     vehicle: Vehicle
     vehicle_file: str = ""
     tolerances: Tolerances
+    sound: SoundFlights | None = None
     code: str = ""
     memoryless: ClassVar[bool] = False
     own_inputs: ClassVar[bool] = False
@@ -126,6 +128,10 @@ class Simulation(ABC):
     @abstractmethod
     def thrusts(self, flight: Flight) -> tuple[Array, Array]:
         """Thrusts (N, 4) N along -z and torques (N, 4) Nm about z of the rotors, without effects."""
+
+    def loads(self, flight: Flight) -> tuple[Array, Array, Array]:
+        """:meth:`wrench` and :meth:`thrusts` of a flight together."""
+        return self.wrench(flight), *self.thrusts(flight)
 
     @property
     @abstractmethod
@@ -190,8 +196,8 @@ class Simulation(ABC):
         states["hub_velocity"] = velocity[:, None] + np.cross(
             flight.rates[:, None], self.vehicle.rotor_positions[None]
         )
-        states["thrusts"], states["torques"] = self.thrusts(flight)
-        states["aerodynamics"] = states["wrench"] = self.wrench(flight)
+        wrench, states["thrusts"], states["torques"] = self.loads(flight)
+        states["aerodynamics"] = states["wrench"] = wrench
         if self.own_inputs:
             states["aerodynamics"] = self.explained(flight)
         return states
@@ -221,6 +227,7 @@ class VehicleSimulation(Simulation):
     tolerances: Tolerances = field(default_factory=Tolerances)
     vehicle_file: str = ""
     intervals_of: Simulation | None = None
+    sound: SoundFlights | None = None
 
     @classmethod
     def load(cls, name_or_path: str | Path) -> VehicleSimulation:
@@ -274,8 +281,12 @@ class VehicleSimulation(Simulation):
 
     def thrusts(self, flight: Flight) -> tuple[Array, Array]:
         """See :class:`Simulation`."""
+        return self.loads(flight)[1:]
+
+    def loads(self, flight: Flight) -> tuple[Array, Array, Array]:
+        """See :class:`Simulation`; all from one evaluation."""
         states = self._states(self.model, flight)
-        return states["thrusts"].copy(), states["torques"].copy()
+        return states["wrench"].copy(), states["thrusts"].copy(), states["torques"].copy()
 
     def record(self) -> npt.NDArray[np.void]:
         """See :class:`Simulation`; with the aerodynamics, for effects on forces in the rotor plane."""
@@ -301,6 +312,8 @@ class VehicleSimulation(Simulation):
         return replace(self, model=self.model.scaled(shares))
 
     def _tolerance(self, name: str) -> float:
+        if self.model.covariance_known:
+            return 1.0
         return self.tolerances.thrust if name == "thrust" else self.tolerances.coefficient
 
     @staticmethod

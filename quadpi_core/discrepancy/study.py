@@ -24,6 +24,7 @@ from quadpi_core.discrepancy.discrepancy_result import (
     Study,
 )
 from quadpi_core.discrepancy.doubts import checks, judged_by_gap, judged_by_rollouts
+from quadpi_core.discrepancy.effect_regression import NONE_HELD
 from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.evidence import Fit
 from quadpi_core.discrepancy.ranked_evidence import ranked_candidates
@@ -119,7 +120,7 @@ def read_flights(
 
 
 def _read(task: tuple[Vehicle, float, MappingOrOptions], file: FlightFile) -> Flight:
-    flight = replace(_longest_stretch(read_flight(file.path, *task)), name=file.name)
+    flight = replace(longest_stretch(read_flight(file.path, *task)), name=file.name)
     length_s = float(flight.time[-1] - flight.time[0])
     if length_s <= HORIZON_S:
         raise DiscrepancyError(
@@ -129,7 +130,7 @@ def _read(task: tuple[Vehicle, float, MappingOrOptions], file: FlightFile) -> Fl
     return flight
 
 
-def _longest_stretch(flight: Flight) -> Flight:
+def longest_stretch(flight: Flight) -> Flight:
     """The longest part without a hole, as spectra and roll-outs need; `quality` says so."""
     ends = hole_ends(flight.time)
     if len(ends) == 0:
@@ -243,14 +244,16 @@ def discover(
     compared = Compared.together(flights, simulation, highest_hz)
     held = within_intervals(compared)
     known = candidates(simulation.vehicle, names)
-    # What acts only where the simulation's own intervals hold is nothing that it lacks.
-    inside = {c.name for c in known if all(held[AXES.index(axis)] for axis in c.effect.axes)}
+    # What acts only where the simulation's own intervals hold is nothing that it lacks. Where sound flights
+    # tell the noise of every axis, those that hold speak against an effect that spoils them.
+    silent = held if simulation.sound is None or held.all() else NONE_HELD
+    inside = {c.name for c in known if all(silent[AXES.index(axis)] for axis in c.effect.axes)}
     sought = [candidate for candidate in known if candidate.name not in inside]
     # Products are so small that two threads take twice the time of one.
     with threadpool_limits(limits=1, user_api="blas"):
-        found = search(compared, sought, held)
+        found = search(compared, sought, silent)
     rows = sum(len(band) for band in found.regression.columns.bands)
-    left = np.where(held, 0.0, predictable(found.left.gain, rows))
+    left = np.where(held, 0.0, predictable(np.minimum(found.left.gain, found.beyond_sound), rows))
     named = np.where(held, 0.0, np.maximum(found.named, 0.0))
     share, worst = unexplained_share(left, named, rows), unexplained_axis(left, named, rows)
     law, whole = found.closing.fits()

@@ -115,6 +115,7 @@ def identify(
         },
         rollouts=fit.rollouts,
         alarm_limits=limits,
+        left_out=tuple(fit.left_out),
         compiled=compiled,
     )
 

@@ -70,6 +70,7 @@ class PreparedFlight:
         quality: remarks on the data.
         file: name that the flight would have whole, where it is one of several parts.
         recorded_s: that the recording lasts, with the time on the ground.
+        flight: what it was made of, that simulations are compared with; None where it was made of arrays.
     """
 
     __repr__ = brief_repr
@@ -85,6 +86,7 @@ class PreparedFlight:
     quality: DataQuality = NOTHING_TO_SAY
     file: str = ""
     recorded_s: float = 0.0
+    flight: Flight | None = None
 
     def __post_init__(self) -> None:
         """Refuse arrays that do not belong together, in the words of `quadpi_core.array_checks`."""
@@ -130,6 +132,7 @@ class PreparedFlight:
             height=-flight.position[:, 2],
             live=live,
             quality=flight.quality,
+            flight=flight,
         )
 
     @property

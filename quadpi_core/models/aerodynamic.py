@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -41,6 +41,7 @@ from quadpi_core.models.model_kind import (
     interval_factors,
 )
 from quadpi_core.models.rollout_model import RolloutModel
+from quadpi_core.models.sound_flights import SoundFlights
 from quadpi_core.records import Records
 from quadpi_core.signals.force_bandwidth import as_recorded
 from quadpi_core.vehicle import LOAD_VEHICLE, Vehicle
@@ -50,6 +51,8 @@ from quadpi_core.version import __version__
 LOAD_MODEL = "AerodynamicModel.load(folder) reads one"
 # Key of what predicts the state ahead in model.json, and start of its names among the arrays.
 _ROLLOUTS = "rollouts"
+# Likewise of what sound flights leave.
+_SOUND = "sound_flights"
 
 
 @dataclass(frozen=True)
@@ -106,6 +109,8 @@ class AerodynamicModel:
         identity: name and the first 12 digits of the hash of the stored model; empty before it is saved.
         rollouts: predicts the state ahead; None for a model that cannot.
         alarm_limits: limits of the alarm other than those of `envelope`; uncalibrated by default.
+        sound: what flights leave of a model identified without them; None where they do not tell.
+        left_out: the fitted axes without each of `flights` in turn; empty in a model that was read.
         flown: the vehicle of the flights; None for a model of an earlier version, which knows its name.
         compiled: `fitted` packed for evaluation; packed at first use unless given.
     """
@@ -125,6 +130,8 @@ class AerodynamicModel:
     identity: str = ""
     rollouts: RolloutModel | None = None
     alarm_limits: AlarmLimits = field(default_factory=AlarmLimits)
+    sound: SoundFlights | None = None
+    left_out: tuple[Mapping[str, FittedAxis], ...] = field(default=(), repr=False, compare=False)
     flown: Vehicle | None = field(default=None, repr=False, compare=False)
     compiled: CompiledAxes | None = field(default=None, repr=False, compare=False)
 
@@ -209,6 +216,10 @@ class AerodynamicModel:
             raise ModelError(f"model {self.name}: lacks {', '.join(lacking)}; a simulation has all six axes")
         with named_in(f"model {self.name}"):
             return self.kind.simulation_section(self.fitted)
+
+    def sections_left_out(self) -> list[dict[str, Any]]:
+        """:meth:`simulation_section` of the model identified without each of its flights in turn."""
+        return [self.kind.simulation_section(fitted) for fitted in self.left_out]
 
     def require_rollouts(self) -> RolloutModel:
         """What predicts the state ahead.
@@ -371,8 +382,11 @@ class AerodynamicModel:
         if self.rollouts is not None:
             description[_ROLLOUTS] = self.rollouts.to_json()
             arrays |= {f"{_ROLLOUTS}.{name}": own for name, own in self.rollouts.arrays().items()}
+        if self.sound is not None:
+            description[_SOUND] = self.sound.to_json()
+            arrays |= {f"{_SOUND}.{name}": own for name, own in self.sound.arrays().items()}
         identity = write_folder(FolderContent(description, arrays, stored.files), folder)
-        return replace(self, name=folder.name, identity=identity)
+        return replace(self, name=folder.name, identity=identity, left_out=())
 
     @classmethod
     def load(cls, folder: str | Path) -> AerodynamicModel:
@@ -407,6 +421,7 @@ class AerodynamicModel:
                 identity=identity,
                 rollouts=_stored_rollouts(content),
                 alarm_limits=described.alarm,
+                sound=_stored_sound(content),
                 flown=described.flown(),
             )
             # A confidence that has no intervals is the fault of the file, not of whoever asks for them.
@@ -453,9 +468,20 @@ def _stored_rollouts(content: FolderContent) -> RolloutModel | None:
     """What predicts the state ahead; None where the folder holds nothing of it."""
     if _ROLLOUTS not in content.description:
         return None
-    start = f"{_ROLLOUTS}."
-    own = {name.removeprefix(start): a for name, a in content.arrays.items() if name.startswith(start)}
-    return RolloutModel.stored(content.description[_ROLLOUTS], own)
+    return RolloutModel.stored(content.description[_ROLLOUTS], _arrays_of(_ROLLOUTS, content))
+
+
+def _stored_sound(content: FolderContent) -> SoundFlights | None:
+    """What sound flights leave; None where the folder holds nothing of it."""
+    if _SOUND not in content.description:
+        return None
+    return SoundFlights.read(content.description[_SOUND], _arrays_of(_SOUND, content))
+
+
+def _arrays_of(part: str, content: FolderContent) -> dict[str, Array]:
+    """The arrays of a part of a model, by name."""
+    start = f"{part}."
+    return {name.removeprefix(start): a for name, a in content.arrays.items() if name.startswith(start)}
 
 
 # model.json is written by quadpi alone: what its types do not declare is passed over, not refused.

@@ -38,7 +38,7 @@ class PhysicalParameters:
 
     Attributes:
         values: (P,) in the order of TERMS, SI; zero where a term was left out.
-        standard_errors: (P,) of them; zero where a term was left out.
+        covariance: (P, P) of them; zero where a term was left out.
         vehicle: PHYSICAL_VEHICLE (1,).
         inertia: (3, 3) kg m².
         sensing: delay of the rotor speeds and bandwidth of the measured force.
@@ -49,7 +49,7 @@ class PhysicalParameters:
     """
 
     values: Array
-    standard_errors: Array
+    covariance: Array
     vehicle: Records
     inertia: Array
     sensing: Sensing
@@ -57,6 +57,11 @@ class PhysicalParameters:
     notes: dict[str, str]
     worst_pairs: tuple[tuple[str, str, float], ...]
     log: tuple[FitStep, ...]
+
+    @cached_property
+    def standard_errors(self) -> Array:
+        """Standard errors (P,) of the parameters; zero where a term was left out."""
+        return np.sqrt(np.diag(self.covariance))
 
     @property
     def kept(self) -> npt.NDArray[np.int64]:
@@ -67,7 +72,7 @@ class PhysicalParameters:
         """What a stored model keeps as arrays, by name."""
         return {
             "values": self.values,
-            "standard_errors": self.standard_errors,
+            "covariance": np.ascontiguousarray(self.covariance),
             "vehicle": self.vehicle.view(np.float64).copy(),
             "inertia": np.ascontiguousarray(self.inertia),
         }
@@ -161,15 +166,15 @@ class FittedPhysical:
             raise ModelError(f"parameter {unknown[0]!r} is not known to this version")
         order, size = [TERM_INDEX[name] for name in fit.parameters], len(entry.acting)
         _require_arrays(arrays, len(order), size)
-        values, errors = np.zeros(len(TERMS)), np.zeros(len(TERMS))
-        values[order], errors[order] = arrays["values"], arrays["standard_errors"]
+        values, covariance = np.zeros(len(TERMS)), np.zeros((len(TERMS), len(TERMS)))
+        values[order], covariance[np.ix_(order, order)] = arrays["values"], arrays["covariance"]
         vehicle = np.ascontiguousarray(arrays["vehicle"]).view(PHYSICAL_VEHICLE)
-        if np.any(errors < 0.0):
-            raise ModelError("standard_errors: a negative one")
+        if np.any(np.diag(covariance) < 0.0):
+            raise ModelError("covariance: a negative variance")
         require_body(vehicle, arrays["inertia"])
         parameters = PhysicalParameters(
             values,
-            errors,
+            covariance,
             vehicle,
             arrays["inertia"],
             Sensing(fit.rotor_delay_s, fit.force_bandwidth_hz),
@@ -213,7 +218,7 @@ class _Entry(SpreadEntry):
 def _require_arrays(arrays: Mapping[str, Array], parameters: int, size: int) -> None:
     expected = {
         "values": (parameters,),
-        "standard_errors": (parameters,),
+        "covariance": (parameters, parameters),
         "vehicle": (PHYSICAL_VEHICLE.itemsize // 8,),
         "inertia": (3, 3),
         "whitening": (size, size),

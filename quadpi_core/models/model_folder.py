@@ -30,7 +30,7 @@ from quadpi_core.scratch import is_being_replaced
 MODEL_FILE = "model.json"
 ARRAYS_FILE = "arrays.safetensors"
 ARRAYS_KEY, FURTHER_KEY = "arrays_sha256", "files_sha256"
-FORMAT = 5
+FORMAT = 6
 
 
 @dataclass(frozen=True)

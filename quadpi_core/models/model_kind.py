@@ -182,12 +182,14 @@ class Fit:
             not calibrated on flights. Of a flight they may be every k-th sample.
         log: the steps of a selection of terms, see `kinds.polynomial`; empty for a kind that selects none.
         rollouts: predicts the state ahead; None where the kind, or these flights, give none.
+        left_out: the fitted axes without each flight in turn, of a kind that is a simulation.
     """
 
     axes: Mapping[str, FittedAxis]
     held_out: Mapping[str, list[FlightErrors]] = field(default_factory=dict)
     log: Mapping[str, list[dict[str, Any]]] = field(default_factory=dict)
     rollouts: RolloutModel | None = None
+    left_out: Sequence[Mapping[str, FittedAxis]] = ()
 
 
 @dataclass(frozen=True)

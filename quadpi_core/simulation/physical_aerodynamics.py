@@ -10,7 +10,7 @@ the identified model.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
@@ -48,6 +48,8 @@ class PhysicalCoefficients(Section):
     Attributes:
         reference_thrust_n_s2: thrust of a rotor over ω² that the induced velocity refers to.
         parameters: by name, SI; those without a value are zero.
+        deviations: what is not known of them: by name, rows of the lower triangular L of their covariance
+            L Lᵀ without the zeros beyond its diagonal; empty where no flights tell.
         rotor_delay_s: that recorded rotor speeds act after their stamps, in the flights identified on.
         force_bandwidth_hz: of the forces measured in those flights, where it ends below that of the other
             signals. Neither changes how the vehicle flies.
@@ -55,6 +57,7 @@ class PhysicalCoefficients(Section):
 
     reference_thrust_n_s2: Positive
     parameters: dict[str, float]
+    deviations: dict[str, list[float]] = field(default_factory=dict)
     rotor_delay_s: NotNegative = 0.0
     force_bandwidth_hz: Positive | None = None
 
@@ -64,6 +67,17 @@ class PhysicalCoefficients(Section):
                 raise ValueError(f"`parameters`: unknown parameter `{name}`")
             if not np.isfinite(value):
                 raise ValueError(f"`parameters.{name}` must be a number")
+        if self.deviations and set(self.deviations) != set(self.parameters):
+            raise ValueError("`deviations` must have a row for each of `parameters`")
+        for place, name in enumerate(self.triangular):
+            row = self.deviations[name]
+            if len(row) != place + 1 or not np.all(np.isfinite(row)):
+                raise ValueError(f"`deviations.{name}` must be {place + 1} numbers")
+
+    @property
+    def triangular(self) -> tuple[str, ...]:
+        """Names of the parameters in the order of the rows of L, however a file orders them."""
+        return tuple(sorted(self.deviations, key=lambda name: len(self.deviations[name])))
 
 
 _FLYING = {term.name: term for term in TERMS if term.group != "imu position"}
@@ -99,7 +113,6 @@ class PhysicalAerodynamics(SimulatedAerodynamics):
 
     key: ClassVar[str] = "physical"
     memoryless: ClassVar[bool] = False
-    coefficients_by_name: ClassVar[tuple[str, ...]] = tuple(dict.fromkeys(_FAMILIES.values()))
     vehicle: Vehicle
     coefficients: PhysicalCoefficients
 
@@ -109,11 +122,27 @@ class PhysicalAerodynamics(SimulatedAerodynamics):
         file = read_simulation(name_or_path)
         if file.section.physical is None:
             raise VehicleError(f"{file.path}: cannot be simulated: `simulation.physical` is missing")
+        return cls.of(file.vehicle, file.section.physical, str(file.path))
+
+    @classmethod
+    def of(cls, vehicle: Vehicle, section: Any, where: str) -> PhysicalAerodynamics:
+        """The aerodynamics of a vehicle, as the key `simulation.physical` says them.
+
+        Raises:
+            VehicleError: naming where it is from, and the key that is missing, unknown or impossible.
+        """
         above = ("simulation", "physical")
-        return cls(
-            file.vehicle,
-            parse_config(PhysicalCoefficients, file.section.physical, str(file.path), VehicleError, above),
-        )
+        return cls(vehicle, parse_config(PhysicalCoefficients, section, where, VehicleError, above))
+
+    @property
+    def coefficients_by_name(self) -> tuple[str, ...]:  # type: ignore[override]
+        """See :class:`.SimulatedAerodynamics`; single parameters where their covariance is known."""
+        return self.coefficients.triangular or tuple(dict.fromkeys(_FAMILIES.values()))
+
+    @property
+    def covariance_known(self) -> bool:  # type: ignore[override]
+        """See :class:`.SimulatedAerodynamics`."""
+        return bool(self.coefficients.deviations)
 
     @property
     def rotor_delay_s(self) -> float:  # type: ignore[override]
@@ -173,10 +202,18 @@ class PhysicalAerodynamics(SimulatedAerodynamics):
 
     def scaled(self, shares: Mapping[str, float]) -> PhysicalAerodynamics:
         """See :class:`.SimulatedAerodynamics`."""
-        parameters = {
-            name: value * (1.0 + shares.get(_FAMILIES[name], 0.0))
-            for name, value in self.coefficients.parameters.items()
-        }
+        values = self.coefficients.parameters
+        if self.covariance_known:
+            moved = np.array([shares.get(name, 0.0) for name in self.coefficients.triangular])
+            rows = self.coefficients.deviations
+            parameters = {
+                name: value + float(np.dot(rows[name], moved[: len(rows[name])]))
+                for name, value in values.items()
+            }
+        else:
+            parameters = {
+                name: value * (1.0 + shares.get(_FAMILIES[name], 0.0)) for name, value in values.items()
+            }
         return replace(self, coefficients=replace(self.coefficients, parameters=parameters))
 
     def carrying(self, vehicle: Vehicle) -> PhysicalAerodynamics:
@@ -185,7 +222,7 @@ class PhysicalAerodynamics(SimulatedAerodynamics):
 
     def to_section(self) -> dict[str, Any]:
         """See :class:`.SimulatedAerodynamics`."""
-        return {name: value for name, value in vars(self.coefficients).items() if value is not None}
+        return {name: value for name, value in vars(self.coefficients).items() if value not in (None, {})}
 
 
 @njit(cache=True, nogil=True)

@@ -137,7 +137,7 @@ class RotorLocalModel(SimulatedAerodynamics):
     """The rotor-local law with the coefficients of a vehicle."""
 
     key: ClassVar[str] = "rotor_local"
-    coefficients_by_name: ClassVar[tuple[str, ...]] = tuple(_SCALED)
+    coefficients_by_name = tuple(_SCALED)
     vehicle: Vehicle
     coefficients: RotorLocalCoefficients
 

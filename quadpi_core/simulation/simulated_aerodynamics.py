@@ -41,11 +41,14 @@ class SimulatedAerodynamics(ABC):
             signals; likewise.
         coefficients_by_name: names of the groups of coefficients that :meth:`scaled` takes, the static
             thrust first.
+        covariance_known: whether flights tell the covariance of the coefficients; then :meth:`scaled` takes
+            numbers of standard deviations that are independent of each other.
     """
 
     key: ClassVar[str]
     memoryless: ClassVar[bool] = True
-    coefficients_by_name: ClassVar[tuple[str, ...]]
+    coefficients_by_name: tuple[str, ...]
+    covariance_known: bool = False
     vehicle: Vehicle
     rotor_delay_s: float = 0.0
     force_bandwidth_hz: float | None = None
@@ -87,7 +90,7 @@ class SimulatedAerodynamics(ABC):
 
     @abstractmethod
     def scaled(self: Own, shares: Mapping[str, float]) -> Own:
-        """The law with named groups of coefficients grown by a share each."""
+        """The law with named groups of coefficients grown by a share each, or by a standard deviation."""
 
     @abstractmethod
     def carrying(self: Own, vehicle: Vehicle) -> Own:

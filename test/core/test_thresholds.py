@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 from scipy.stats import chi2
 
 from quadpi_core import discrepancy, screening, simulation
@@ -22,7 +23,7 @@ from quadpi_core.discrepancy.acceptance import judge_evidence, judge_left_out, j
 from quadpi_core.discrepancy.adjustment import Adjustment, LeftOut
 from quadpi_core.discrepancy.by_condition import Range, holding_bulk
 from quadpi_core.discrepancy.candidates import candidates, typical_sizes
-from quadpi_core.discrepancy.effect_regression import refined
+from quadpi_core.discrepancy.effect_regression import settled
 from quadpi_core.discrepancy.effect_response import Compared, predicted_flight
 from quadpi_core.discrepancy.evidence import Fit
 from quadpi_core.discrepancy.external_simulations import ModelSimulation
@@ -30,8 +31,11 @@ from quadpi_core.discrepancy.loading import load_simulation
 from quadpi_core.discrepancy.quiet_flight import quiet
 from quadpi_core.discrepancy.reflight import rollout_floor
 from quadpi_core.discrepancy.residual_bins import Cells, Residual, bin_edges, largest_deviation
+from quadpi_core.discrepancy.search import Found
 from quadpi_core.discrepancy.simulations import Tolerances
+from quadpi_core.discrepancy.sound_learning import learned
 from quadpi_core.discrepancy.uncertain_parts import Part, part_columns
+from quadpi_core.discrepancy.whitening import EDGES_HZ, Spectrum
 from quadpi_core.errors import DiscrepancyError, SimulationError
 from quadpi_core.flight import AXES, Flight, ImuStream, PoseStream, Recording, RotorSpeedStream
 from quadpi_core.screening.excerpt import Excerpt
@@ -348,29 +352,48 @@ def wandering():
 
 
 class OneStep:
-    """A regression of one curved effect in which a step to the fit loses some evidence."""
+    """A regression of one curved effect that fits best some prior deviations away."""
 
-    def __init__(self, loss, moves=0):
-        self.loss, self.moves = loss, moves
-        self.candidates = [SimpleNamespace(linear=False)]
+    def __init__(self, away, moves=0):
+        self.away, self.moves = away, moves
+        self.candidates = [SimpleNamespace(linear=False, scale=np.ones(1))]
         self.columns = SimpleNamespace(points=[np.zeros(1)])
 
     def moved(self, points):
-        return OneStep(self.loss, self.moves + (points[0][0] == 1.0))
+        return OneStep(self.away, self.moves + len(points))
 
-    def fit(self, chosen):
-        lost = self.loss if self.moves else 0.0
-        return Fit(-lost, np.array(chosen), np.ones(1), np.eye(1), np.zeros(1))
+    def fit(self, chosen, **_):
+        return Fit(0.0, np.array(chosen), np.ones(1), np.eye(1), np.zeros(1))
+
+    def evidence_at(self, _):
+        return 0.0
 
     def parameters(self, *_):
-        return np.ones(1)
+        return np.array([self.away])
 
 
-def steps_on(loss):
-    """Whether a step that loses some evidence is taken: the next one then goes the whole way again."""
-    start = OneStep(loss)
-    regression, _ = refined(start, (0,), start.fit((0,)))
-    return regression.moves > 2
+def beyond_sound(deviations):
+    """Whether four flights that leave more by some deviations of their mean are beyond sound ones."""
+    sound = SimpleNamespace(left=np.ones((6, 1)), differ=np.full(6, 0.2))
+    more = 1.0 + deviations * 0.2 / np.sqrt(4.0)
+    columns = SimpleNamespace(bands=[np.zeros(10)] * 4, squares=lambda _, noise: 40.0 * more / noise[:, 0])
+    regression = SimpleNamespace(sound=sound, columns=columns, flights=[None] * 4)
+    none = SimpleNamespace(left=None)
+    return Found(regression, (), none, None, 0.0, 0.0, {}, None, np.zeros(6), ()).beyond_sound.max() > 0.0
+
+
+def known_error(evidence_nat):
+    """Whether an error of some evidence is known: ½ (r − 1 − ln r) where its square is r of the noise."""
+    ratio = brentq(lambda r: 0.5 * (r - 1.0 - np.log(r)) - evidence_nat, 2.0, 99.0)
+    band = np.repeat(np.arange(len(EDGES_HZ.value) - 1), 2000)
+    rows = np.zeros((6, len(band), 2))
+    rows[:, ::2, 0] = np.sqrt(2.0)
+    rows[:, 1::2, 1] = 0.1
+    # The residual of all axes but one is at right angles to the column.
+    rows[1:, :, 1] = 0.0
+    aligned = np.sqrt(ratio / (2.0 * np.sum(np.square(rows[0, 1::2, 1]))))
+    rows[0, 1::2, 0] = aligned * rows[0, 1::2, 1]
+    return bool(learned([Spectrum(rows, band)] * 2, [("one", "x")], np.ones(1)).names)
 
 
 def loads_with(tmp_path, multiple):
@@ -563,7 +586,9 @@ EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
         1.5,
         lambda x: x * typical_sizes(EFFECTS["payload"], BEBOP) < candidates(BEBOP, ["payload"])[0].scale,
     ),
-    "STEP_LOSS": (5.0, steps_on),
+    "SMALL_STEP": (0.05, lambda x: settled(OneStep(x)).moves > 1),
+    "MORE_THAN_SOUND": (2.0, beyond_sound),
+    "SHOWN": (5.0, known_error),
     "RATE_HZ": (
         125.0,
         lambda x: (

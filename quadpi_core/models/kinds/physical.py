@@ -142,7 +142,8 @@ class Physical(Kind):
                 final[axis], shape=shape, rule=rules[axis], rms_spread=float(np.sqrt(np.mean(squares)))
             )
         progress(Progress("Calibrating predictions ahead", 1, 1))
-        return Fit(fitted, held_out, rollouts=ahead.model)
+        without = apart if len(flights) > 1 else ()
+        return Fit(fitted, held_out, rollouts=ahead.model, left_out=without)
 
     def compile(self, fitted: Mapping[str, Any]) -> CompiledPhysical:
         """Pack the axes."""
@@ -157,10 +158,15 @@ class Physical(Kind):
         shared = _shared(fitted)
         values = {TERM_NAMES[k]: float(shared.values[k]) for k in shared.kept}
         lever_arm = {f"{axis}_m": values.pop(f"imu_{axis}", 0.0) for axis in "xyz"}
+        flying = [TERM_INDEX[name] for name in values]
+        scale = shared.standard_errors[flying]
+        correlation = shared.covariance[np.ix_(flying, flying)] / np.outer(scale, scale)
+        triangle = scale[:, np.newaxis] * _factor(correlation)
         section: dict[str, Any] = {
             "physical": {
                 "reference_thrust_n_s2": float(shared.vehicle["reference_thrust"][0]),
                 "parameters": values,
+                "deviations": {name: triangle[row, : row + 1].tolist() for row, name in enumerate(values)},
                 **asdict(shared.sensing),
             }
         }
@@ -282,7 +288,7 @@ def _axes(
     """
     parameters = PhysicalParameters(
         fit.values,
-        fit.standard_errors,
+        fit.covariance,
         fit.record,
         fit.vehicle.inertia,
         fit.sensing,

@@ -103,6 +103,25 @@ def test_twice_the_noise_is_half_the_weight(regression):
     np.testing.assert_allclose(louder.weighting.per_flight.sum(axis=0), louder.gram)
 
 
+def test_known_errors_are_part_of_the_noise(regression):
+    """Columns are weighed by the inverse of 1 + Q Qᵀ, by Woodbury 1 − Q (1 + Qᵀ Q)⁻¹ Qᵀ."""
+    rng = np.random.default_rng(0)
+    errors = tuple(
+        np.sqrt(regression.noise[:, band, None]) * rng.standard_normal((6, len(band), 3))
+        for band in regression.columns.bands
+    )
+    beside = NoiseWeighting.of(replace(regression.columns, errors=errors), regression.noise, NONE_HELD)
+    whole = np.arange(regression.columns.width)
+    for place, band in enumerate(regression.columns.bands):
+        weights = 1.0 / np.sqrt(regression.noise[:, band])[:, :, None]
+        rows = (regression.columns.rows(place, whole) * weights).reshape(-1, len(whole))
+        q = (errors[place] * weights).reshape(len(rows), -1)
+        expected = rows.T @ rows - rows.T @ q @ np.linalg.solve(np.eye(3) + q.T @ q, q.T @ rows)
+        np.testing.assert_allclose(
+            beside.per_flight[place], expected, rtol=1e-6, atol=1e-8 * np.abs(expected).max()
+        )
+
+
 @pytest.fixture(scope="module")
 def forces_alone(regression):
     """The same flights beside a simulation whose own intervals hold the moments."""

@@ -186,8 +186,8 @@ def test_every_tolerance_is_a_column(compared):
     np.testing.assert_array_equal(one, compared.added(EFFECTS["cg_offset"], values("cg_offset", x_m=3e-4)))
 
 
-def test_a_simulation_with_memory_sees_every_sample(flights, simulation):
-    """Thinned is only what is compared, and the mean of that is as before."""
+def test_a_simulation_with_memory_sees_twice_the_samples_that_are_compared(flights, simulation):
+    """It takes derivatives."""
 
     class Remembering:
         memoryless = False
@@ -207,7 +207,7 @@ def test_a_simulation_with_memory_sees_every_sample(flights, simulation):
     compared = Compared(fast, remembering)
     assert compared.thinned.rate_hz == pytest.approx(fast.rate_hz / 4.0)
     np.testing.assert_array_equal(compared.simulated, simulation.wrench(fast)[::4])
-    assert remembering.seen == 400
+    assert remembering.seen == 200
     assert len(compared.residual) == 100
 
 

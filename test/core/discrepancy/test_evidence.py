@@ -4,11 +4,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from quadpi_core.discrepancy.evidence import Block, fit, with_forms
+from quadpi_core.discrepancy.evidence import Block, evidence_at, fit, with_forms
 
 NONE = np.array([], dtype=np.intp)
 RESIDUAL, LAW, FORM = range(3)
@@ -20,6 +22,7 @@ def block(form=NONE):
         form=form,
         formed_at=1.0,
         offset=None,
+        at=np.zeros(1),
         lowest=np.array([0.0]),
         highest=np.array([5.0]),
     )
@@ -72,7 +75,7 @@ def test_evidence_is_the_probability_of_the_residual_without_the_coefficients():
     none = log_probability([1])
     for parameters in ([2], [3, 4], [2, 3, 4]):
         wide = np.full(len(parameters), 99.0)
-        effect = Block(np.array(parameters), NONE, 1.0, None, -wide, wide)
+        effect = Block(np.array(parameters), NONE, 1.0, None, 0.0 * wide, -wide, wide)
         found = fit(table.T @ table, tolerances, [effect])
         gain = found.log_evidence - fit(table.T @ table, tolerances, []).log_evidence
         assert gain == pytest.approx(log_probability([1, *parameters]) - none)
@@ -84,13 +87,35 @@ def test_evidence_is_the_probability_of_the_residual_without_the_coefficients():
         assert found.deviation(np.array([1, 0])).tolist() == [pytest.approx(posterior[0, 0] ** 0.5), 0.0]
 
 
+def test_at_its_point_the_evidence_of_a_curved_effect_is_exact():
+    """r = f(b) + X c + noise: at b the probability of r − f(b) and of b, whatever the slope of f there."""
+    rng = np.random.default_rng(5)
+    slope, linear, tolerance = rng.standard_normal((3, 30, 1))
+    residual = np.sin(3.0) * slope[:, 0] + 2.0 * linear[:, 0] + rng.standard_normal(30)
+    beside = np.eye(30) + linear @ linear.T + tolerance @ tolerance.T
+    wide = np.array([99.0])
+    found, expected = [], []
+    for at in (0.0, 0.4, 1.0, 2.5):
+        here = np.sin(3.0 * at) * slope
+        column = 3.0 * np.cos(3.0 * at) * slope
+        table = np.column_stack((residual, tolerance, linear, column, column * at - here))
+        curved = Block(np.array([3]), NONE, 1.0, 4, np.array([at]), -wide, wide)
+        other = Block(np.array([2]), NONE, 1.0, None, np.zeros(1), -wide, wide, cost=7.0)
+        found.append(evidence_at(table.T @ table, np.array([1]), [other, curved]))
+        of_point = multivariate_normal.logpdf(residual - here[:, 0], cov=beside)
+        expected.append(of_point - 0.5 * at**2 - 7.0)
+    np.testing.assert_allclose(np.diff(found), np.diff(expected))
+    alone = evidence_at(table.T @ table, np.array([1]), [replace(other, cost=0.0), curved])
+    assert alone - found[-1] == pytest.approx(7.0)
+
+
 def test_forms_widen_a_posterior_in_proportion_to_the_effect():
     """Without noise worth the name, a law that may be off by 15 % leaves its one parameter as uncertain."""
     rng = np.random.default_rng(4)
     law = rng.standard_normal(400)
     form = 0.15 * law
     table = np.column_stack((0.5 * law, law, form)) * 1e3
-    block = Block(np.array([1]), np.array([2]), 1.0, None, np.array([-9.0]), np.array([9.0]))
+    block = Block(np.array([1]), np.array([2]), 1.0, None, np.zeros(1), np.array([-9.0]), np.array([9.0]))
     found = fit(table.T @ table, NONE, [block])
     assert found.columns.tolist() == [1]
     assert found.deviation(np.array([1]))[0] < 1e-3
@@ -107,8 +132,8 @@ def test_a_parameter_beyond_its_bound_is_nothing_and_the_rest_is_fitted_again():
     rng = np.random.default_rng(2)
     columns = rng.standard_normal((200, 2))
     table = np.column_stack((columns @ [1.0, -1.0], columns))
-    both = Block(np.array([1, 2]), NONE, 1.0, None, np.array([-9.0, 0.0]), np.array([9.0, 9.0]))
-    alone = Block(np.array([1]), NONE, 1.0, None, np.array([-9.0]), np.array([9.0]))
+    both = Block(np.array([1, 2]), NONE, 1.0, None, np.zeros(2), np.array([-9.0, 0.0]), np.array([9.0, 9.0]))
+    alone = Block(np.array([1]), NONE, 1.0, None, np.zeros(1), np.array([-9.0]), np.array([9.0]))
     bounded, one = (fit(table.T @ table, NONE, [block]) for block in (both, alone))
     assert bounded.of(np.array([2])).tolist() == [0.0]
     np.testing.assert_allclose(bounded.of(np.array([1])), one.of(np.array([1])))
@@ -124,7 +149,7 @@ def test_without_an_effect_the_odds_of_a_candidate_are_one_on_average():
         gram = table.T @ table
         none = fit(gram, NONE, []).log_evidence
         for place, lowest in enumerate((-9.0, 0.0)):
-            one = Block(np.array([1]), NONE, 1.0, None, np.array([lowest]), np.array([9.0]))
+            one = Block(np.array([1]), NONE, 1.0, None, np.zeros(1), np.array([lowest]), np.array([9.0]))
             found = fit(gram, NONE, [one])
             own[place] = 0.0 if found is None else np.exp(found.log_evidence - none)
     assert odds[:, 0].mean() == pytest.approx(1.0, abs=0.03)

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -11,6 +13,10 @@ from quadpi_core.discrepancy import CallableSimulation
 from quadpi_core.discrepancy.candidates import candidates
 from quadpi_core.discrepancy.effect_response import Compared, share_of_wrench
 from quadpi_core.discrepancy.linearisation import Linearisation, Modulators, table_starts
+from quadpi_core.discrepancy.whitening import EDGES_HZ
+from quadpi_core.errors import DiscrepancyError
+from quadpi_core.flight import AXES
+from quadpi_core.models.sound_flights import SoundFlights
 
 NAMES = ["body_drag", "payload", "wind"]
 DRAG, PAYLOAD, WIND = range(3)
@@ -63,6 +69,38 @@ def test_what_no_flight_feels_is_no_column_and_what_one_feels_is_one_of_all(simu
     assert names[-len(body) :] == tuple(body)
     for law in filter(None, columns.tolerance_laws):
         assert law in names
+
+
+def of_sound_flights(simulation, name):
+    """The simulation, of which sound flights show that it lacks 0.02 ± 0.01 kg, and 0.003 of each flight."""
+    bands = np.ones((len(AXES), len(EDGES_HZ.value) - 1))
+    error = np.array([0.02]), np.array([[0.01**2]]), np.array([0.003])
+    sound = SoundFlights(EDGES_HZ.value, bands, bands, np.zeros(len(AXES)), ((name, "mass_kg"),), *error)
+    return replace(simulation, sound=sound)
+
+
+@pytest.mark.parametrize("sought", [["payload", "wind"], ["wind"]])
+def test_the_residual_is_less_what_sound_flights_leave(columns, simulation, flights, sought):
+    """Whether what they show is looked for, or not; their deviations are no columns."""
+    compared = [
+        Compared(flight.slice(slice(0, 1000)), of_sound_flights(simulation, "payload"))
+        for flight in flights[:2]
+    ]
+    less = Linearisation.of(compared, candidates(simulation.vehicle, sought))
+    for place in range(2):
+        payload = columns.rows(place, columns.blocks[PAYLOAD].parameters) / columns.candidates[PAYLOAD].scale
+        first = np.zeros(1, dtype=int)
+        np.testing.assert_allclose(
+            less.rows(place, first), columns.rows(place, first) - 0.02 * payload, atol=1e-9
+        )
+        np.testing.assert_allclose(less.errors[place], payload * [0.01 * np.sqrt(2.0), 0.003], atol=1e-9)
+    assert len(less.tolerances) == len(columns.tolerances)
+
+
+def test_an_error_of_an_effect_that_is_not_known_is_refused(simulation, flights):
+    compared = [Compared(flights[0].slice(slice(0, 1000)), of_sound_flights(simulation, "warp"))]
+    with pytest.raises(DiscrepancyError, match=r"^bebop2: knows an error of warp, which is no effect here"):
+        Linearisation.of(compared, ())
 
 
 def test_blocks_follow_each_other_and_only_curved_candidates_have_an_offset(columns):

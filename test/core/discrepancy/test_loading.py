@@ -94,7 +94,7 @@ def test_code_that_an_addition_names_is_not_even_imported(tmp_path, monkeypatch)
 
 
 def test_a_physical_model_serves_as_a_vehicle_file_does(physical_folder, flights):
-    """It flies, has groups of coefficients, intervals, and the place of its accelerometer as an effect."""
+    """It flies, has uncertain coefficients, intervals, and the place of its accelerometer as an effect."""
     simulation = load_simulation(str(physical_folder))
     assert list(simulation.effects) == ["imu_lever_arm"]
     base = simulation.base
@@ -103,7 +103,7 @@ def test_a_physical_model_serves_as_a_vehicle_file_does(physical_folder, flights
     assert np.all(lower < 0.0)
     assert np.all(upper > 0.0)
     names = [column.name for column in base.uncertain(flights[0])]
-    assert {"thrust", "rotor drag"} <= set(names)
+    assert {"thrust", "rotor_drag"} <= set(names)
     error = measured_wrench(flights[0], base.vehicle) - simulation.wrench(flights[0])
     assert np.all(np.sqrt(np.mean(error**2, axis=0)) < [0.05, 0.05, 0.2, 0.005, 0.005, 0.002])
 

@@ -31,6 +31,9 @@ class ListedEvidence:
         value = self.evidence[tuple(chosen)]
         return Fit(value, columns, np.ones(len(columns)), np.eye(len(columns)), np.zeros(3))
 
+    def evidence_at(self, chosen):
+        return self.evidence[tuple(chosen)]
+
     def parameters(self, *_):
         return np.ones(1)
 

@@ -183,7 +183,7 @@ def fitted_axis(axis: str = "Fz", delay_s: float = 0.0, **values: float) -> Fitt
     acting = np.flatnonzero(acting_terms()[:, AXES.index(axis)])
     shared = PhysicalParameters(
         parameters,
-        np.ones(len(TERMS)),
+        np.eye(len(TERMS)),
         physical_vehicle(VEHICLE, REFERENCE),
         VEHICLE.inertia,
         Sensing(delay_s),

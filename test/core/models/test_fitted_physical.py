@@ -81,7 +81,7 @@ def _vehicle(**changed: Any) -> dict[str, Any]:
         ({"whitening": np.zeros(3)}, "whitening of shape"),
         ({"vehicle": np.zeros(3)}, "vehicle of shape"),
         ({"values": np.zeros(3)}, "values of shape"),
-        ({"standard_errors": -np.ones(len(TERMS))}, "standard_errors: a negative one"),
+        ({"covariance": -np.eye(len(TERMS))}, "covariance: a negative variance"),
         ({"inertia": -np.eye(3)}, "inertia: not that of a body"),
         ({"inertia": np.eye(3) + np.eye(3, k=1)}, "inertia: not that of a body"),
         (_vehicle(mass=0.0), "vehicle: mass must be positive, is 0"),

@@ -15,7 +15,7 @@ from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.physical_regressors import MOTION, physical_vehicle, wrenches
 from quadpi_core.models.physical_terms import TERM_INDEX, TERMS
 from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight
-from quadpi_core.simulation.physical_aerodynamics import PhysicalAerodynamics
+from quadpi_core.simulation.physical_aerodynamics import PhysicalAerodynamics, PhysicalCoefficients
 from quadpi_core.simulation.scenario import load_scenario
 from quadpi_core.simulation.simulated_file import vehicle_content
 from quadpi_core.simulation.truth import STEP_HZ, Reference
@@ -73,7 +73,37 @@ def test_hover_carries_the_weight(law):
     assert -hover[0, 2] == pytest.approx(law.vehicle.mass_kg * law.vehicle.gravity_m_s2, rel=1e-9)
 
 
+def test_coefficients_move_by_the_covariance_of_their_fit(law, physical_folder):
+    fitted = AerodynamicModel.load(physical_folder).fitted["Fx"].parameters
+    names = law.coefficients_by_name
+    moved = [law.scaled({name: 1.0}).coefficients.parameters for name in names]
+    changes = np.array([[own[name] - law.coefficients.parameters[name] for name in names] for own in moved])
+    places = [TERM_INDEX[name] for name in names]
+    deviations = fitted.standard_errors[places]
+    np.testing.assert_allclose(
+        changes.T @ changes / np.outer(deviations, deviations),
+        fitted.covariance[np.ix_(places, places)] / np.outer(deviations, deviations),
+        atol=1e-6,
+    )
+
+
+@pytest.mark.parametrize(
+    ("deviations", "message"),
+    [
+        ({"thrust": [1e-9]}, "`deviations` must have a row for each of `parameters`"),
+        ({"thrust": [1e-9, 0.0], "torque": [0.0, 1e-9]}, r"deviations\.thrust` must be 1 numbers"),
+        ({"thrust": [1e-9], "torque": [0.0, float("nan")]}, r"deviations\.torque` must be 2 numbers"),
+    ],
+)
+def test_deviations_that_no_covariance_has_are_refused(deviations, message):
+    with pytest.raises(ValueError, match=message):
+        PhysicalCoefficients(
+            reference_thrust_n_s2=1e-8, parameters={"thrust": 1e-8, "torque": 1e-10}, deviations=deviations
+        )
+
+
 def test_a_share_scales_the_named_coefficients_alone(law):
+    law = replace(law, coefficients=replace(law.coefficients, deviations={}))
     grown = law.scaled({"rotor drag": 0.5})
     before, after = law.coefficients.parameters, grown.coefficients.parameters
     changed = {name for name in before if after[name] != before[name]}
@@ -134,7 +164,8 @@ def test_bad_sections_are_refused(physical_folder, tmp_path, change, message):
 
 def test_rotors_without_thrust_do_not_fly(physical_folder, tmp_path):
     _, data = vehicle_content(physical_folder)
-    data["simulation"]["physical"]["parameters"] = {"rotor_drag": 1e-5}
+    physical = data["simulation"]["physical"]
+    physical["parameters"], physical["deviations"] = {"rotor_drag": 1e-5}, {}
     file = tmp_path / "own.yaml"
     file.write_text(yaml.safe_dump(data))
     with pytest.raises(SimulationError, match="vehicle own: its rotors give no thrust at rest"):

@@ -29,6 +29,7 @@ from quadpi_core.discrepancy import (
 )
 from quadpi_core.discrepancy.discrepancy_result import discovery_json, reflights_json
 from quadpi_core.discrepancy.effect_response import residual
+from quadpi_core.discrepancy.sound_learning import learned_from
 from quadpi_core.discrepancy.study import flown_again
 from quadpi_core.discrepancy.unexplained import as_many_as_stated
 from quadpi_core.errors import QuadpiError, one_line
@@ -52,8 +53,8 @@ ROOT = Path(__file__).resolve().parents[3]
 # Share of samples that a change has to push out of an axis' intervals to count as seen there, of the same
 # flights: less would not be why the axis does not hold what it states.
 _SEEN = 0.02
-# Rooms after identification, which it does not import: `make lint` holds their order.
-_LATER = ("evaluation", "simulation", "discrepancy", "paper", "report", "view", "cli")
+# Rooms that no model comes from; what its flights leave of it is learned with the simulation and its effects.
+_LATER = ("evaluation", "paper", "report", "view", "cli")
 
 
 class Model(NamedTuple):
@@ -90,7 +91,7 @@ class Task(NamedTuple):
 
 @cache
 def identification_code() -> str:
-    """Hash of the rooms that a model comes from: a change of the search alone leaves models as they are."""
+    """Hash of the rooms that a model comes from: others leave it as it is."""
     digest, package = hashlib.sha256(), ROOT / "quadpi_core"
     rooms = [path for path in package.rglob("*.py") if path.relative_to(package).parts[0] not in _LATER]
     for path in sorted([*rooms, *(ROOT / "config").rglob("*.yaml")]):
@@ -107,7 +108,8 @@ def identified(shared: None, model: Model) -> str:  # noqa: ARG001
             paths, vehicle, mapping=fleet.mapping, workers=Workers(1), left_out=[], keep_flawed=False
         )
         options = IdentifyOptions(method="physical")
-        identify(flights, vehicle, load_pools("quadrotor"), options).save(model.folder)
+        found = identify(flights, vehicle, load_pools("quadrotor"), options)
+        learned_from(found, flights).save(model.folder)
     return str(model.folder)
 
 

@@ -1,0 +1,300 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Learn what sound flights leave of a model that was identified without them: its noise and known errors.
+
+The residual of a flight is y = X (a + c) + e. Columns X are one prior deviation of each parameter of all
+effects; a is shared by all flights and c is of one alone, both normal with a variance for each parameter that
+is zero for most; e is noise with a variance for each axis and band of frequency. The variances are those of
+the largest evidence: parameters enter one at a time (Tipping, Faul, Fast marginal likelihood maximisation for
+sparse Bayesian models, 2003), and all are estimated again by fixed-point iteration (MacKay, Bayesian
+interpolation, 1992). A search that weighs by them finds an effect where flights show more of it than these.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from threadpoolctl import threadpool_limits
+
+from quadpi_core import array_checks
+from quadpi_core.discrepancy.candidates import candidates, linearise
+from quadpi_core.discrepancy.effect_response import Compared
+from quadpi_core.discrepancy.evidence import Indices
+from quadpi_core.discrepancy.loading import simulation_of
+from quadpi_core.discrepancy.study import longest_stretch
+from quadpi_core.discrepancy.whitening import EDGES_HZ, Spectrum, band_products
+from quadpi_core.flight import AXES
+from quadpi_core.frames import Array
+from quadpi_core.identification.prepared_flights import PREPARE_FLIGHTS, PreparedFlight
+from quadpi_core.models.aerodynamic import LOAD_MODEL, AerodynamicModel
+from quadpi_core.models.sound_flights import SoundFlights
+from quadpi_core.parallel import Progress, ReportProgress, ignore_progress
+from quadpi_core.thresholds import CONVENTION, Threshold
+
+SHOWN = Threshold(
+    "evidence that an error is known",
+    5.0,
+    "nat",
+    "odds of about 150; what is weaker is found by no search, and stays part of the noise",
+    CONVENTION,
+)
+# Largest and smallest standard deviation of a known error, in prior ones: beyond what a search looks for, and
+# far below the smallest that it names.
+_LARGEST, _SMALLEST = 1.0, 1e-4
+# Share of the variance of single flights that an error that they share starts from, as it is estimated next.
+_AT_FIRST = 0.1
+_ROUNDS = 6
+_TRIED = np.geomspace(_SMALLEST**2, _LARGEST**2, 33)
+_TINY = 1e-9
+
+
+def learned_from(
+    model: AerodynamicModel, flights: Sequence[PreparedFlight], progress: ReportProgress = ignore_progress
+) -> AerodynamicModel:
+    """The model with what the flights that it was identified on leave of it, each where it was left out.
+
+    A model that is no simulation of all axes, of one flight, or of flights made of arrays knows nothing of
+    that and stays as it is.
+
+    Args:
+        model: as `identify` gives it, before it is saved.
+        flights: the flights that it was identified on, in the same order.
+        progress: called for each flight.
+
+    Raises:
+        ArgumentError: for what are no model or flights.
+        DiscrepancyError: for flights that cannot be compared with it.
+    """
+    array_checks.instance("model", model, AerodynamicModel, LOAD_MODEL)
+    flights = array_checks.several("flights", flights, PreparedFlight, PREPARE_FLIGHTS)
+    if len(model.left_out) != len(flights) or len(model.axes) < len(AXES):
+        return model
+    vehicle = model.load_vehicle()
+    whole = simulation_of(model.simulation_section(), vehicle)
+    sought = [candidate for candidate in candidates(vehicle) if not candidate.effect.at_rest]
+    spectra = []
+    with threadpool_limits(limits=1, user_api="blas"):
+        for place, (section, prepared) in enumerate(zip(model.sections_left_out(), flights, strict=True)):
+            progress(Progress("Learning what sound flights leave", place, len(flights)))
+            if prepared.flight is None:
+                return model
+            flight = longest_stretch(prepared.flight)
+            compared = Compared(flight, whole)
+            left = Compared(flight, simulation_of(section, vehicle)).residual
+            columns = [linearise(own, [compared], np.zeros(len(own.free)))[0][1] for own in sought]
+            spectra.append(compared.spectrum(np.concatenate((left[:, :, np.newaxis], *columns), axis=2)))
+        progress(Progress("Learning what sound flights leave", len(flights), len(flights)))
+        names = tuple((own.label, own.effect.parameters[k].name) for own in sought for k in own.free)
+        return replace(model, sound=learned(spectra, names, np.concatenate([own.scale for own in sought])))
+
+
+def learned(spectra: Sequence[Spectrum], names: Sequence[tuple[str, str]], scale: Array) -> SoundFlights:
+    """What flights leave, by spectra of their residual and of K columns.
+
+    Args:
+        spectra: of each of F > 1 flights, rows (6, B, 1 + K).
+        names: of K parameters: the candidate of a search, and its parameter.
+        scale: (K,) prior deviation of each, which its column is for, in its unit.
+    """
+    bands = len(EDGES_HZ.value) - 1
+    width = 1 + len(names)
+    products = np.zeros((len(spectra), len(AXES), bands, width, width))
+    for own, flight in zip(products, spectra, strict=True):
+        of_flight = band_products([flight])
+        own[:, : of_flight.shape[1]] = of_flight
+    rows = np.array([np.bincount(own.band, minlength=bands) for own in spectra])
+    found, posterior = _variances(products, np.maximum(rows.sum(axis=0), 1.0))
+    # A band that no flight is long or fast enough for has the noise of the next.
+    filled = np.flatnonzero(rows.sum(axis=0))
+    left = products[..., 0, 0].sum(axis=0)[:, filled] / rows.sum(axis=0)[filled]
+    noise, left = (
+        np.stack([np.interp(np.arange(bands), filled, own) for own in each])
+        for each in (found.noise[:, filled], left)
+    )
+    squares = np.sum(products[..., 0, 0] / left, axis=2) / rows.sum(axis=1)[:, np.newaxis]
+    known = np.flatnonzero((found.common > 0.0) | (found.of_flight > 0.0))
+    mean, covariance = np.zeros(len(scale)), np.zeros((len(scale), len(scale)))
+    mean[posterior.common] = posterior.mean
+    covariance[np.ix_(posterior.common, posterior.common)] = posterior.covariance + _jackknife(
+        products, found
+    )
+    units = scale[known]
+    return SoundFlights(
+        edges_hz=EDGES_HZ.value,
+        noise=noise,
+        left=left,
+        differ=np.std(squares, axis=0, ddof=1),
+        names=tuple(names[k] for k in known.tolist()),
+        mean=mean[known] * units,
+        covariance=_symmetric(covariance[np.ix_(known, known)] * np.outer(units, units)),
+        of_flight=np.sqrt(found.of_flight[known]) * units,
+    )
+
+
+class _Variances(NamedTuple):
+    """Variances of the noise (6, C), and of the K columns (K,): shared by all flights, and of each."""
+
+    noise: Array
+    common: Array
+    of_flight: Array
+
+
+class _OfFlight(NamedTuple):
+    """What a flight adds to the posterior.
+
+    Attributes:
+        gram: (1 + K, 1 + K) of the whitened residual and columns.
+        covariance: (m, m) of its own coefficients, given the common ones.
+        gain: (n, m) change of its own coefficients by the common ones, with the opposite sign.
+    """
+
+    gram: Array
+    covariance: Array
+    gain: Array
+
+
+class _Posterior(NamedTuple):
+    """Coefficients given variances.
+
+    Attributes:
+        common, own: columns (n,), (m,) that are shared, and that flights have of their own.
+        mean, covariance: (n,), (n, n) of the shared coefficients.
+        flights: one for each.
+    """
+
+    common: Indices
+    own: Indices
+    mean: Array
+    covariance: Array
+    flights: tuple[_OfFlight, ...]
+
+
+def _variances(products: Array, rows: Array) -> tuple[_Variances, _Posterior]:
+    """Variances of the largest evidence, and the posterior under them.
+
+    Args:
+        products: (F, 6, C, 1 + K, 1 + K) of the residual and the columns of each flight and band.
+        rows: (C,) of all flights.
+    """
+    columns = products.shape[-1] - 1
+    noise = np.maximum(products[..., 0, 0].sum(axis=0) / rows, np.finfo(float).tiny)
+    found = _Variances(noise, np.zeros(columns), np.zeros(columns))
+    tried: set[int] = set()
+    while True:
+        for _ in range(_ROUNDS):
+            posterior = _posterior(products, found)
+            found = _renewed(products, rows, found, posterior)
+        posterior = _posterior(products, found)
+        gain, start, shared = _gains(found, posterior)
+        gain[list(tried)] = -np.inf
+        best = int(np.argmax(gain))
+        if gain[best] < SHOWN.value:
+            return found, posterior
+        tried.add(best)
+        found.common[best] = max(found.common[best], start[best])
+        own = start[best] * (_AT_FIRST if shared[best] else 1.0)
+        found.of_flight[best] = max(found.of_flight[best], own)
+
+
+def _posterior(products: Array, variances: _Variances) -> _Posterior:
+    common, own = np.flatnonzero(variances.common), np.flatnonzero(variances.of_flight)
+    grams = np.tensordot(products, 1.0 / variances.noise, axes=((1, 2), (0, 1)))
+    information, projection = np.diag(1.0 / variances.common[common]), np.zeros(len(common))
+    flights = []
+    for gram in grams:
+        inner = gram[np.ix_(1 + own, 1 + own)] + np.diag(1.0 / variances.of_flight[own])
+        covariance = np.linalg.inv(inner)
+        gain = gram[np.ix_(1 + common, 1 + own)] @ covariance
+        information = information + gram[np.ix_(1 + common, 1 + common)]
+        information -= gain @ gram[np.ix_(1 + own, 1 + common)]
+        projection = projection + gram[1 + common, 0] - gain @ gram[1 + own, 0]
+        flights.append(_OfFlight(gram, covariance, gain))
+    covariance = _symmetric(np.linalg.inv(information))
+    return _Posterior(common, own, covariance @ projection, covariance, tuple(flights))
+
+
+def _renewed(products: Array, rows: Array, found: _Variances, posterior: _Posterior) -> _Variances:
+    """The variances after a step of their iteration: squares of coefficients over what flights tell."""
+    common, own, mean, covariance, flights = posterior
+    squares, told = np.zeros(len(own)), np.zeros(len(own))
+    noise = np.zeros_like(found.noise)
+    used = np.concatenate(([0], 1 + common, 1 + own))
+    for product, flight in zip(products, flights, strict=True):
+        values = flight.covariance @ flight.gram[1 + own, 0] - flight.gain.T @ mean
+        spread = flight.covariance + flight.gain.T @ covariance @ flight.gain
+        between = -covariance @ flight.gain
+        weights = np.concatenate(([1.0], -mean, -values))
+        moment = np.outer(weights, weights)
+        moment[1:, 1:] += np.block([[covariance, between], [between.T, spread]])
+        noise += np.einsum("acij,ij->ac", product[:, :, used[:, np.newaxis], used], moment)
+        squares += np.square(values)
+        told += 1.0 - np.diag(spread) / found.of_flight[own]
+    result = _Variances(
+        np.maximum(noise / rows, np.finfo(float).tiny), found.common.copy(), found.of_flight.copy()
+    )
+    known = 1.0 - np.diag(covariance) / found.common[common]
+    result.common[common] = _bounded(np.square(mean) / np.maximum(known, _TINY))
+    result.of_flight[own] = _bounded(squares / np.maximum(told, _TINY))
+    return result
+
+
+def _bounded(variance: Array) -> Array:
+    """Variances no larger than what is looked for, and 0 where they are too small to matter."""
+    return np.where(variance < _SMALLEST**2, 0.0, np.minimum(variance, _LARGEST**2))
+
+
+def _gains(found: _Variances, posterior: _Posterior) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
+    """For each column (K,) the evidence [nat] that a variance of it gains, that variance, and whether shared.
+
+    With s the square of a column and q its product with the residual, both beside what is known, a variance v
+    gains ½ q² v / (1 + v s) − ½ ln(1 + v s).
+    """
+    common, own, mean, covariance, flights = posterior
+    columns = len(found.common)
+    shared_s, shared_q = np.zeros(columns), np.zeros(columns)
+    shared_u = np.zeros((columns, len(common)))
+    of_flight = np.zeros((len(_TRIED), columns))
+    for flight in flights:
+        gram = flight.gram
+        weights = gram[1:, 1 + own] @ flight.covariance
+        square = np.diag(gram)[1:] - np.sum(weights * gram[1:, 1 + own], axis=1)
+        product = gram[1:, 0] - weights @ gram[1 + own, 0]
+        other = gram[1:, 1 + common] - weights @ gram[np.ix_(1 + own, 1 + common)]
+        shared_s, shared_q, shared_u = shared_s + square, shared_q + product, shared_u + other
+        alone = np.maximum(square - np.sum(other @ covariance * other, axis=1), _TINY)
+        of_flight += _gained(alone, product - other @ mean, _TRIED[:, np.newaxis])
+    square = np.maximum(shared_s - np.sum(shared_u @ covariance * shared_u, axis=1), _TINY)
+    product = shared_q - shared_u @ mean
+    best = np.clip((np.square(product) - square) / np.square(square), _SMALLEST**2, _LARGEST**2)
+    shared = np.where(found.common > 0.0, -np.inf, _gained(square, product, best))
+    place = np.argmax(of_flight, axis=0)
+    alone = np.where(found.of_flight > 0.0, -np.inf, np.max(of_flight, axis=0))
+    is_shared = np.asarray(shared >= alone)
+    return np.maximum(shared, alone), np.where(is_shared, best, _TRIED[place]), is_shared
+
+
+def _gained(square: Array, product: Array, variance: Array) -> Array:
+    gain: Array = 0.5 * np.square(product) * variance / (1.0 + variance * square)
+    gain -= 0.5 * np.log1p(variance * square)
+    return gain
+
+
+def _jackknife(products: Array, found: _Variances) -> Array:
+    """Covariance (n, n) of the shared coefficients by their fits without each flight in turn."""
+    flights = len(products)
+    without = np.array(
+        [_posterior(np.delete(products, place, axis=0), found).mean for place in range(flights)]
+    )
+    away = without - without.mean(axis=0)
+    covariance: Array = (flights - 1) / flights * away.T @ away
+    return covariance
+
+
+def _symmetric(matrix: npt.NDArray[np.floating]) -> Array:
+    """A matrix without what rounding makes of its symmetry."""
+    even: Array = 0.5 * (matrix + matrix.T)
+    return even

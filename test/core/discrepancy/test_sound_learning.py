@@ -1,0 +1,74 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""What sound flights leave: noise and known errors of made-up spectra, and of an identified model."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from quadpi_core.discrepancy import discover, load_simulation
+from quadpi_core.discrepancy.sound_learning import learned
+from quadpi_core.discrepancy.whitening import EDGES_HZ, Spectrum
+from quadpi_core.identification.prepared_flights import read_flight
+from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.paths import bags_directory
+
+BANDS = len(EDGES_HZ.value) - 1
+NOISE = np.geomspace(0.01, 100.0, 6 * BANDS).reshape(6, BANDS)
+FLIGHTS, COLUMNS, SHARED, OF_FLIGHT = 10, 12, 3, 7
+NAMES = [(f"effect {k}", "x") for k in range(COLUMNS)]
+SCALE = np.geomspace(1e-6, 10.0, COLUMNS)
+
+
+def spectra(shared=0.0, of_flight=0.0, bands=BANDS, seed=0):
+    """Of flights with noise, and errors in two of the columns, in prior deviations."""
+    rng = np.random.default_rng(seed)
+    band = np.repeat(np.arange(bands), 60)
+    deviation = np.sqrt(NOISE[:, band])
+    flights = []
+    for _ in range(FLIGHTS):
+        columns = 0.5 * deviation[:, :, None] * rng.standard_normal((6, len(band), COLUMNS))
+        left = deviation * rng.standard_normal(deviation.shape)
+        left += shared * columns[:, :, SHARED] + of_flight * rng.standard_normal() * columns[:, :, OF_FLIGHT]
+        flights.append(Spectrum(np.dstack((left, columns)), band))
+    return flights
+
+
+def test_an_error_of_all_flights_one_of_each_and_the_noise_are_told_apart():
+    sound = learned(spectra(shared=0.4, of_flight=0.5), NAMES, SCALE)
+    assert sound.names == (NAMES[SHARED], NAMES[OF_FLIGHT])
+    mean, of_flight = sound.mean / SCALE[[SHARED, OF_FLIGHT]], sound.of_flight / SCALE[[SHARED, OF_FLIGHT]]
+    assert mean[0] == pytest.approx(0.4, abs=0.03)
+    assert of_flight[0] < 0.05
+    assert of_flight[1] == pytest.approx(0.5, rel=0.5)
+    deviation = np.sqrt(np.diag(sound.covariance)) / SCALE[[SHARED, OF_FLIGHT]]
+    assert abs(mean[0] - 0.4) < 3.0 * deviation[0] < 0.1
+    np.testing.assert_allclose(sound.noise, NOISE, rtol=0.25)
+    assert np.mean(sound.noise / NOISE) == pytest.approx(1.0, abs=0.02)
+    # Either error adds about (0.5 · 0.45)² of the noise to what is left.
+    assert np.mean(sound.left / sound.noise) == pytest.approx(1.0 + 0.25 * (0.4**2 + 0.5**2), abs=0.06)
+    assert np.all(sound.differ > 0.0)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_noise_alone_has_no_known_errors(seed):
+    assert learned(spectra(seed=seed), NAMES, SCALE).names == ()
+
+
+def test_a_band_that_no_flight_reaches_has_the_noise_of_the_next():
+    sound = learned(spectra(bands=BANDS - 2), NAMES, SCALE)
+    for values in (sound.noise, sound.left):
+        np.testing.assert_array_equal(values[:, -2:], values[:, [-3, -3]])
+
+
+def test_a_model_knows_what_its_flights_leave_and_finds_nothing_in_further_ones(physical_folder):
+    sound = AerodynamicModel.load(physical_folder).sound
+    assert sound is not None
+    simulation = load_simulation(str(physical_folder))
+    assert simulation.sound is not None
+    further = read_flight(bags_directory() / "interpolation.mcap", simulation.vehicle, 30.0)
+    half = len(further) // 2
+    found = discover(simulation, [further.slice(slice(0, half)), further.slice(slice(half, None))])
+    assert (found.verdict, found.effects) == ("none", ())
+    np.testing.assert_array_equal(found.found.regression.sound.noise, sound.noise)
