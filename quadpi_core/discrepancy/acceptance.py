@@ -70,6 +70,14 @@ SMALLEST = Threshold(
     "a fifth of the typical size: a smaller effect is no finding, however certain it is",
     CONVENTION,
 )
+LARGEST = Threshold(
+    "largest size where another does as well",
+    5.0,
+    "prior standard deviations, 1.5 typical sizes each",
+    "a chance of one in a million by its prior; an effect of ordinary size that explains the same is named "
+    "in its place, and it is told among the rivals",
+    CONVENTION,
+)
 LOUDNESS = Threshold(
     "loudness",
     0.1,
@@ -193,6 +201,15 @@ def judge_size(sizes: Mapping[str, float], test: str = "size") -> Verdict:
     name, smallest = min(sizes.items(), key=lambda item: item[1])
     sentence = f"size of {name} {smallest:.2f}, more than {SMALLEST.value:g} needed"
     return Verdict.of(SMALLEST, test, smallest, smallest > SMALLEST.value, sentence)
+
+
+def judge_largest(effect: str, size: float, instead: str) -> Verdict:
+    """Whether an effect is no larger than is ordinary, or no other, `instead`, does about as well."""
+    passed = not instead or size <= LARGEST.value
+    sentence = f"size of {effect} {size:.1f}, at most {LARGEST.value:g} where {instead} does about as well"
+    if passed:
+        sentence = f"size of {effect} {size:.1f}; {LARGEST.value:g} is ordinary, and more where no other does"
+    return Verdict.of(LARGEST, "ordinary size", size, passed, sentence)
 
 
 def judge_loudness(loudness: float) -> Verdict:

@@ -20,7 +20,9 @@ from quadpi_core.config import is_config_path
 from quadpi_core.discrepancy.bias_response import BiasResponse
 from quadpi_core.discrepancy.discrepancy_result import Discovery
 from quadpi_core.discrepancy.effect_formulas import write_formulas
+from quadpi_core.discrepancy.effect_regression import Regression
 from quadpi_core.discrepancy.effect_response import body_tolerances, predicted_flight, without_sensor_effect
+from quadpi_core.discrepancy.evidence import Fit
 from quadpi_core.discrepancy.own_state import OwnStates, started
 from quadpi_core.discrepancy.simulations import Column, Margins, Simulation, Tolerances, VehicleSimulation
 from quadpi_core.errors import DiscrepancyError
@@ -293,12 +295,25 @@ def augmented(discovery: Discovery, without: int | None = None) -> AugmentedSimu
         values = candidate.values(regression.parameters(index, law))
         shape = found.closing.shape(index, law, fitted)
         effects = {**effects, candidate.name: _named(candidate.name, values) | shape}
+    if without is not None:
+        effects = merged(effects, _of_flight(regression, without, law))
     adjusted: dict[str, float] = {}
     if discovery.adjusted:
         multiples = dict(zip(columns.tolerance_names, fitted.of(columns.tolerances).tolist(), strict=True))
         adjusted, small = _divided(multiples, simulation.tolerances)
         effects = merged(small, effects)
     return _added(simulation, effects, adjusted)
+
+
+def _of_flight(regression: Regression, place: int, law: Fit) -> Effects:
+    """What a flight has of its own, by itself, given a fit to the others."""
+    effects: Effects = {}
+    for condition in regression.conditions:
+        candidate = regression.candidates[condition.index]
+        own, _ = regression.of_condition(condition, place, law.left)
+        values = candidate.values(own)
+        effects = {**effects, candidate.name: _named(candidate.name, values)}
+    return effects
 
 
 def _possible(effects: Effects, vehicle: Vehicle) -> Effects:

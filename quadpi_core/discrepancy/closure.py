@@ -201,7 +201,7 @@ class Closing:
             left = found.left.copy() if self.chosen else unchanged
             if self.chosen and not adjusted:
                 left[columns.tolerances] = 0.0
-            after += np.square(columns.combined(place, left)).sum(axis=1)
+            after += np.square(self.regression.left_of(place, left)).sum(axis=1)
             floor += noise[:, columns.bands[place]].sum(axis=1)
             samples += len(columns.flights[place].thinned)
         # Of numbers that were made up, without any noise, too.

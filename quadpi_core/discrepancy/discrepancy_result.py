@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 from quadpi_core.brief_repr import brief_repr
 from quadpi_core.discrepancy.by_condition import Where
@@ -14,8 +14,10 @@ from quadpi_core.discrepancy.closure import Gap
 from quadpi_core.discrepancy.ranked_evidence import RankedCandidate
 from quadpi_core.discrepancy.search import Found
 from quadpi_core.discrepancy.simulations import Simulation
+from quadpi_core.discrepancy.unexplained import Inside
 from quadpi_core.discrepancy.verdict import Verdict
 from quadpi_core.flight import AXES, Flight
+from quadpi_core.thresholds import CONVENTION, Threshold
 from quadpi_core.version import __version__
 
 # Errors of flights that are flown again, by their names in JSON: in words.
@@ -25,6 +27,14 @@ ERROR_NAMES = {
     "attitude_deg": "attitude [deg]",
     "rates_rad_s": "rates [rad/s]",
 }
+
+STANDS_OUT = Threshold(
+    "parameter of a flight that stands out",
+    3.0,
+    "of its standard deviations",
+    "a chance of three in a thousand for a flight that does not differ",
+    CONVENTION,
+)
 
 
 @dataclass(frozen=True)
@@ -66,6 +76,48 @@ class FoundEffect:
     shown_by: tuple[str, ...]
 
 
+class OfFlight(NamedTuple):
+    """A parameter of one flight, and its standard deviation."""
+
+    value: float
+    deviation: float
+
+    @property
+    def stands_out(self) -> bool:
+        """Whether it is more than what may be chance."""
+        return abs(self.value) > STANDS_OUT.value * self.deviation
+
+
+@dataclass(frozen=True)
+class FlightCondition:
+    """A parameter of an effect of which each flight has its own value: no effect that the simulation lacks.
+
+    Attributes:
+        effect: name of the effect.
+        parameter, unit: of the parameter.
+        cause: what is likely to make it, in words.
+        by_flight: by the name of the flight, what it has beside what all share.
+    """
+
+    effect: str
+    parameter: str
+    unit: str
+    cause: str
+    by_flight: Mapping[str, OfFlight]
+
+    @property
+    def sentence(self) -> str:
+        """Which flights differ by how much, most first; those of less than half of the most are left out."""
+        most = max(abs(own.value) for own in self.by_flight.values())
+        far = {name: own for name, own in self.by_flight.items() if abs(own.value) > 0.5 * most}
+        told = ", ".join(
+            f"{name} {own.value:+.2g} ± {2.0 * own.deviation:.1g}"
+            for name, own in sorted(far.items(), key=lambda item: -abs(item[1].value))
+        )
+        unit = f" {self.unit}" if self.unit else ""
+        return f"flights differ in {self.parameter} of {self.effect}: {told}{unit} ({self.cause}?)"
+
+
 @dataclass(frozen=True)
 class Discovery:
     """The effects that a simulation lacks.
@@ -87,6 +139,8 @@ class Discovery:
         adjusted: whether coefficients are moved with the effects, where flights left out are simulated better
             so.
         rejected: whether flights left out are simulated worse with the effects.
+        inside: what the intervals of the simulation hold of the flights; None without intervals.
+        conditions: what single flights have of their own.
     """
 
     __repr__ = brief_repr
@@ -103,6 +157,8 @@ class Discovery:
     candidates: tuple[RankedCandidate, ...] = ()
     adjusted: bool = True
     rejected: bool = False
+    inside: Inside | None = None
+    conditions: tuple[FlightCondition, ...] = ()
 
     @property
     def added(self) -> bool:
@@ -273,6 +329,17 @@ def discovery_json(discovery: Discovery) -> dict[str, Any]:
             },
             "reduction": gap.reduction,
         },
+        "intervals": _intervals_json(discovery.inside),
+        "conditions": [
+            {
+                "effect": own.effect,
+                "parameter": own.parameter,
+                "unit": own.unit,
+                "cause": own.cause,
+                "flights": {name: value._asdict() for name, value in own.by_flight.items()},
+            }
+            for own in discovery.conditions
+        ],
         "without_trace": list(discovery.without_trace),
         "within_intervals": list(discovery.within_intervals),
         "doubts": list(discovery.doubts),
@@ -283,6 +350,14 @@ def discovery_json(discovery: Discovery) -> dict[str, Any]:
         "candidates": [candidate.to_json() for candidate in discovery.candidates],
         "unexplained": {"share": discovery.unexplained, "by": dict(discovery.unexplained_by)},
     }
+
+
+def _intervals_json(inside: Inside | None) -> dict[str, Any] | None:
+    """What the intervals of the simulation hold by axis; None without intervals."""
+    if inside is None:
+        return None
+    each = zip(AXES, inside.shares.mean(axis=0).tolist(), inside.held.tolist(), strict=True)
+    return {axis: {"inside": share, "stated": inside.confidence, "held": held} for axis, share, held in each}
 
 
 def reflights_json(flown: Reflights) -> dict[str, Any]:

@@ -26,6 +26,8 @@ from quadpi_core.thresholds import CONVENTION, Threshold
 _ACCELERATION_ROUNDS = 2
 # Steps to the point of linearisation of candidates.
 _ROUNDS = 3
+# Rounds in which the sizes of a condition converge, and the least of them, in prior deviations.
+_CONDITION_ROUNDS, _LEAST_DIFFERENCE = 12, 1e-4
 # Axes of a simulation that states no intervals.
 NONE_HELD = np.zeros(len(AXES), dtype=np.bool_)
 SMALL_STEP = Threshold(
@@ -107,6 +109,19 @@ class NoiseWeighting:
         return replace(self, per_flight=grown, gram=grown.sum(axis=0), _whitened=tuple(whitened))
 
 
+@dataclass(frozen=True, eq=False)
+class Condition:
+    """Parameters of a candidate that each flight has of its own.
+
+    Attributes:
+        index: of the candidate.
+        sizes: (k,) standard deviation of each parameter between flights, in prior ones.
+    """
+
+    index: int
+    sizes: Array
+
+
 @dataclass(frozen=True)
 class Regression:
     """Weighted columns of residual, tolerances and candidates of all flights; changes give new values.
@@ -116,11 +131,13 @@ class Regression:
         weighting: their weights by the noise, and Gram matrices.
         explained: per flight, rows (6, B) of the wrench of the accelerations that the columns of mass and
             inertia are made of.
+        conditions: what each flight has of its own.
     """
 
     columns: Linearisation
     weighting: NoiseWeighting
     explained: tuple[Array, ...]
+    conditions: tuple[Condition, ...] = ()
 
     @classmethod
     def of(
@@ -228,16 +245,32 @@ class Regression:
         """The regression with at least the residual after a set of effects as noise, as far as there was any.
 
         An error of a law would otherwise be explained by another effect. Columns of mass and inertia are made
-        of the accelerations that the set explains.
+        of the accelerations that the set explains. What flights may have of their own is no noise.
         """
-        left = band_means([np.square(rows) for rows in self.left(found)], self.columns.bands)
-        # Nothing was fitted to axes that say nothing, so what is left of them is no noise.
-        left[self.weighting.held] = 0.0
+        varied = self
+        for index in self.conditions_to_come:
+            sizes = np.ones(len(self.block(index).parameters))
+            varied = replace(varied, columns=varied.columns.with_flights_own(index, sizes))
+        left = band_means([np.square(rows) for rows in varied.left(found)], self.columns.bands)
         if self.sound is not None:
             return self.weighted(np.maximum(self.sound.noise, left))
+        # Nothing was fitted to axes that say nothing, so what is left of them is no noise.
+        left[self.weighting.held] = 0.0
         accelerated = self.accelerated(found)
         noise = np.maximum(_estimated_noise(accelerated.columns, chosen), left)
         return accelerated.weighted(np.minimum(noise, _residual_squares(self.columns)))
+
+    @property
+    def conditions_to_come(self) -> list[int]:
+        """Candidates of which flights may have parameters of their own; none without sound flights."""
+        if self.sound is None:
+            return []
+        known = {condition.index for condition in self.conditions}
+        return [
+            index
+            for index, candidate in enumerate(self.candidates)
+            if candidate.effect.of_a_flight and index not in known
+        ]
 
     def fit(self, chosen: Sequence[int], gram: Array | None = None, *, form: bool = True) -> Fit | None:
         """Fit a set of candidates, by their indices, with or without the columns of their form.
@@ -262,8 +295,88 @@ class Regression:
         return float(np.abs(found.of(self.block(index).parameters)).max())
 
     def left(self, found: Fit) -> list[Array]:
-        """Rows (6, B) of the residual of each flight after a fit."""
-        return [self.columns.combined(place, found.left) for place in range(len(self.flights))]
+        """Rows (6, B) of the residual of each flight after a fit and what that flight has of its own."""
+        return [self.left_of(place, found.left) for place in range(len(self.flights))]
+
+    def left_of(self, place: int, weights: Array) -> Array:
+        """Rows (6, B) of a flight's columns, each times its weight, together, less what it has of its own."""
+        rows = self.columns.combined(place, weights)
+        cleaned: Array = rows - self.columns.errors[place] @ self.flights_own(place, weights)[0]
+        return cleaned
+
+    def flights_own(self, place: int, weights: Array) -> tuple[Array, Array]:
+        """Deviations of a flight from what all share, by :attr:`Linearisation.errors`, as far as known.
+
+        Returns:
+            Their posterior mean (E,) and covariance (E, E).
+        """
+        errors, band = self.columns.errors[place], self.columns.bands[place]
+        weighed = np.einsum("abe,ab->eab", errors, self.weighting.precision[:, band])
+        information = np.einsum("eab,abf->ef", weighed, errors) + np.eye(errors.shape[2])
+        covariance = np.linalg.inv(information)
+        rows = self.columns.combined(place, weights)
+        return covariance @ np.einsum("eab,ab->e", weighed, rows), covariance
+
+    def sizes_of_condition(self, index: int, chosen: Sequence[int]) -> Array:
+        """Standard deviations (k,) by which flights differ in the parameters of a candidate, in prior ones.
+
+        Those of the largest evidence beside a set and what flights share of the same parameters, by
+        expectation and maximisation: an effect that all flights have is no condition of one.
+        """
+        own = self.block(index).parameters
+        parameters = [self.block(one).parameters for one in chosen if one != index]
+        shared = np.concatenate((self.columns.tolerances, *parameters, own))
+        residual = residual_weights(len(self.gram), [self.block(one) for one in chosen])
+        sizes = np.ones(len(own))
+        for _ in range(_CONDITION_ROUNDS):
+            information, projection, inner = np.eye(len(shared)), np.zeros(len(shared)), []
+            for gram in self.weighting.per_flight:
+                solved = np.linalg.inv(gram[np.ix_(own, own)] + np.diag(1.0 / np.square(sizes)))
+                gain = gram[np.ix_(shared, own)] @ solved
+                information += gram[np.ix_(shared, shared)] - gain @ gram[np.ix_(own, shared)]
+                projection += gram[shared] @ residual - gain @ (gram[own] @ residual)
+                inner.append((solved, gain, gram[own] @ residual))
+            covariance = np.linalg.inv(information)
+            mean = covariance @ projection
+            squares = np.zeros(len(own))
+            for solved, gain, seen in inner:
+                squares += np.square(solved @ seen - gain.T @ mean)
+                squares += np.diag(solved + gain.T @ covariance @ gain)
+            sizes = np.clip(np.sqrt(squares / len(inner)), _LEAST_DIFFERENCE, 1.0)
+        return sizes
+
+    def gain_of_condition(self, index: int, sizes: Array, chosen: Sequence[int], found: Fit) -> float:
+        """Evidence [nat] that flights of their own parameters of a candidate gain beside a fitted set."""
+        own, deflated, cost = self.block(index).parameters, np.zeros_like(self.gram), 0.0
+        for gram in self.weighting.per_flight:
+            columns = gram[:, own] * sizes
+            inner = columns[own] * sizes[:, np.newaxis] + np.eye(len(own))
+            deflated += gram - columns @ np.linalg.solve(inner, columns.T)
+            cost += 0.5 * float(np.linalg.slogdet(inner)[1])
+        fit = self.fit(chosen, deflated)
+        return -np.inf if fit is None else fit.log_evidence - cost - found.log_evidence
+
+    def with_condition(self, index: int, sizes: Array) -> Regression:
+        """The regression with parameters of a candidate that each flight has of its own, as noise."""
+        columns = self.columns.with_flights_own(index, sizes)
+        weighting = NoiseWeighting.of(columns, self.noise, self.weighting.held)
+        conditions = (*self.conditions, Condition(index, sizes))
+        return replace(self, columns=columns, weighting=weighting, conditions=conditions)
+
+    def of_condition(self, condition: Condition, place: int, weights: Array) -> tuple[Array, Array]:
+        """Parameters (k,) of a candidate that a flight has of its own, and their standard deviations (k,).
+
+        Args:
+            condition: one of `conditions`.
+            place: number of the flight.
+            weights: (K,) of its columns in the residual after a fit.
+        """
+        later = self.conditions[self.conditions.index(condition) :]
+        mean, covariance = self.flights_own(place, weights)
+        first = len(mean) - sum(len(one.sizes) for one in later)
+        own = slice(first, first + len(condition.sizes))
+        units = condition.sizes * self.candidates[condition.index].scale
+        return mean[own] * units, np.sqrt(np.diag(covariance)[own]) * units
 
     def loudness(self, index: int, found: Fit) -> float:
         """Root mean square of the contribution of a candidate over that of the noise, in its loudest axis."""

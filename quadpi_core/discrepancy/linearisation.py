@@ -238,6 +238,20 @@ class Linearisation:
             errors.append(known @ deviations)
         return replace(self, tables=tuple(tables), errors=tuple(errors))
 
+    def with_flights_own(self, index: int, sizes: Array) -> Linearisation:
+        """The linearisation with the parameters of a candidate as a part of the noise that each flight has.
+
+        Args:
+            index: of the candidate.
+            sizes: (k,) standard deviation of each parameter, in prior ones.
+        """
+        columns = self.blocks[index].parameters
+        errors = [
+            np.concatenate((own, self.rows(place, columns) * sizes), axis=2)
+            for place, own in enumerate(self.errors)
+        ]
+        return replace(self, errors=tuple(errors))
+
     def _rows_of_parameters(self, labels: Collection[str]) -> dict[tuple[str, str], list[Array]]:
         """Rows (6, B) of each flight by candidate and parameter, per unit of it about no effect."""
         blocks = {own.label: block for own, block in zip(self.candidates, self.blocks, strict=True)}

@@ -13,7 +13,9 @@ import numpy.typing as npt
 
 from quadpi_core.discrepancy.acceptance import (
     FEW_FLIGHTS,
+    LARGEST,
     NAMED_ALONE,
+    SMALLEST,
     Judgement,
     evidence_beside,
     judge_evidence,
@@ -156,9 +158,10 @@ class Found:
         """
         if self.regression.sound is None:
             return np.full(len(AXES), np.inf)
-        columns = self.regression.columns
-        rows = sum(map(len, columns.bands))
-        return np.maximum(columns.squares(self.fit.left, self._as_sound) - rows, 0.0)
+        bands, squares = self.regression.columns.bands, np.zeros(len(AXES))
+        for left, band in zip(self.regression.left(self.fit), bands, strict=True):
+            squares += np.sum(np.square(left) / self._as_sound[:, band], axis=1)
+        return np.maximum(squares - sum(map(len, bands)), 0.0)
 
     @cached_property
     def stated(self) -> Array:
@@ -197,7 +200,13 @@ def search(
     idle: frozenset[int] = frozenset()
     gain = 0.0
     judgements: list[Judgement] = []
-    while len(accepted.chosen) < MOST_EFFECTS.value:
+    while True:
+        conditioned = _with_condition(accepted, threshold)
+        if conditioned is not None:
+            accepted = conditioned
+            continue
+        if len(accepted.chosen) == MOST_EFFECTS.value:
+            break
         larger, more, judged = _one_more(accepted, threshold, idle)
         judgements += judged
         if larger is None:
@@ -227,6 +236,29 @@ def search(
         judgements=tuple(judgements),
         disputed=disputed,
     )
+
+
+def _with_condition(accepted: Accepted, threshold: float) -> Accepted | None:
+    """The set with what each flight has of its own of some effect, where that gains more than another effect.
+
+    None where nothing does, and without sound flights that tell how much flights differ.
+    """
+    regression, chosen, found = accepted.regression, accepted.chosen, accepted.fit
+    best, most, sizes = None, threshold, np.zeros(0)
+    for index in regression.conditions_to_come:
+        own = regression.sizes_of_condition(index, chosen)
+        gain = regression.gain_of_condition(index, own, chosen, found)
+        if gain >= most:
+            best, most, sizes = index, gain, own
+    if best is None:
+        return None
+    if len(chosen) < MOST_EFFECTS.value:
+        rival = next((fit for _, fit in _fits_with_one_more(accepted) if fit is not None), None)
+        if rival is not None and rival.log_evidence - found.log_evidence >= most:
+            return None
+    regression = regression.with_condition(best, sizes)
+    fit = regression.fit(chosen)
+    return None if fit is None else Accepted(regression, chosen, fit)
 
 
 def _with_fitted_coefficients(accepted: Accepted) -> Accepted:
@@ -281,6 +313,7 @@ def _replaced(
         needed=_needed(regression, rival, others, regression.energy(others, rest), threshold),
         dropped=False,
         behind="",
+        instead=_ordinary(accepted, index),
         squares_before=lambda: Closing.by_laws(regression, others).left_out_squares(),
     )
     verdicts, _ = trial.judged()
@@ -308,7 +341,8 @@ def _one_more(
         return Closing.by_laws(regression, chosen).left_out_squares()
 
     judgements, behind = [], ""
-    for index, fit in _fits_with_one_more(before):
+    fits = _fits_with_one_more(before)
+    for index, fit in fits:
         candidate = regression.candidates[index]
         trial = Trial(
             regression=regression,
@@ -319,6 +353,7 @@ def _one_more(
             needed=_needed(regression, index, chosen, energy, threshold),
             dropped=index in idle,
             behind=behind,
+            instead=_about_as_well(before, index, fit, fits),
             squares_before=squares,
         )
         verdicts, ends = trial.judged()
@@ -340,6 +375,28 @@ def _fits_with_one_more(before: Accepted) -> list[tuple[int, Fit | None]]:
         if not any(map(candidate.excludes, beside)):
             fits.append((index, regression.fit(tuple(sorted((*before.chosen, index))))))
     return sorted(fits, key=lambda item: np.inf if item[1] is None else -item[1].log_evidence)
+
+
+def _about_as_well(
+    before: Accepted, index: int, fit: Fit | None, fits: Sequence[tuple[int, Fit | None]]
+) -> str:
+    """Name of the best candidate of ordinary size that does about as well as one; empty without one."""
+    if fit is None:
+        return ""
+    least = fit.log_evidence - rival_margin(fit.log_evidence - before.fit.log_evidence)
+    for other, found in fits:
+        if found is None or found.log_evidence < least:
+            break
+        smallest, largest = SMALLEST.value, LARGEST.value
+        if other != index and smallest < before.regression.size(other, found) <= largest:
+            return before.regression.candidates[other].label
+    return ""
+
+
+def _ordinary(accepted: Accepted, index: int) -> str:
+    """Name of an accepted effect whose size is ordinary; empty where it is not."""
+    ordinary = accepted.regression.size(index, accepted.fit) <= LARGEST.value
+    return accepted.regression.candidates[index].label if ordinary else ""
 
 
 def _needed(

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from operator import attrgetter
 from pathlib import Path
@@ -18,8 +18,10 @@ from quadpi_core.discrepancy.by_condition import locate
 from quadpi_core.discrepancy.candidates import candidates
 from quadpi_core.discrepancy.discrepancy_result import (
     Discovery,
+    FlightCondition,
     FoundEffect,
     FoundParameter,
+    OfFlight,
     Reflights,
     Study,
 )
@@ -36,7 +38,7 @@ from quadpi_core.discrepancy.result_verdicts import (
 )
 from quadpi_core.discrepancy.search import Found, search
 from quadpi_core.discrepancy.simulations import Simulation, airspeed
-from quadpi_core.discrepancy.unexplained import within_intervals
+from quadpi_core.discrepancy.unexplained import inside_intervals
 from quadpi_core.discrepancy.whitening import BAND_HZ
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.findings import DataQuality, UsedPart
@@ -242,13 +244,14 @@ def discover(
                 f"but the simulation {simulation.name} is of {simulation.vehicle.name}"
             )
     compared = Compared.together(flights, simulation, highest_hz)
-    held = within_intervals(compared)
+    inside = inside_intervals(compared)
+    held = NONE_HELD if inside is None else inside.held
     known = candidates(simulation.vehicle, names)
     # What acts only where the simulation's own intervals hold is nothing that it lacks. Where sound flights
     # tell the noise of every axis, those that hold speak against an effect that spoils them.
     silent = held if simulation.sound is None or held.all() else NONE_HELD
-    inside = {c.name for c in known if all(silent[AXES.index(axis)] for axis in c.effect.axes)}
-    sought = [candidate for candidate in known if candidate.name not in inside]
+    unsought = {c.name for c in known if all(silent[AXES.index(axis)] for axis in c.effect.axes)}
+    sought = [candidate for candidate in known if candidate.name not in unsought]
     # Products are so small that two threads take twice the time of one.
     with threadpool_limits(limits=1, user_api="blas"):
         found = search(compared, sought, silent)
@@ -276,8 +279,27 @@ def discover(
         checks=judged,
         candidates=ranked_candidates(found),
         without_trace=_without_trace(found),
-        within_intervals=tuple(sorted(inside)),
+        within_intervals=tuple(sorted(unsought)),
+        inside=inside,
+        conditions=tuple(_conditions(found)),
     )
+
+
+def _conditions(found: Found) -> Iterator[FlightCondition]:
+    """What single flights have of their own, of parameters in which any stands out."""
+    regression = found.regression
+    for condition in regression.conditions:
+        candidate = regression.candidates[condition.index]
+        each = {
+            flight.flight.name: regression.of_condition(condition, place, found.fit.left)
+            for place, flight in enumerate(regression.flights)
+        }
+        for k, free in enumerate(candidate.free):
+            own = {name: OfFlight(float(m[k]), float(d[k])) for name, (m, d) in each.items()}
+            if any(one.stands_out for one in own.values()):
+                parameter = candidate.effect.parameters[free]
+                cause = candidate.effect.of_a_flight
+                yield FlightCondition(candidate.label, parameter.name, parameter.unit, cause, own)
 
 
 def _without_trace(found: Found) -> tuple[str, ...]:

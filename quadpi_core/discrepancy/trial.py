@@ -17,6 +17,7 @@ import numpy as np
 from quadpi_core.discrepancy.acceptance import (
     judge_difference,
     judge_evidence,
+    judge_largest,
     judge_left_out,
     judge_loudness,
     judge_size,
@@ -43,6 +44,7 @@ class Trial:
         needed: evidence that the candidate has to gain.
         dropped: whether it was accepted earlier and dropped beside a better one.
         behind: name of a better candidate that ended the round; empty without one.
+        instead: name of a candidate of ordinary size that does about as well; empty without one.
         squares_before: gives the squares (6,) of flights left out before the candidate.
     """
 
@@ -54,6 +56,7 @@ class Trial:
     needed: float
     dropped: bool
     behind: str
+    instead: str
     squares_before: Callable[[], Array]
 
     @property
@@ -123,6 +126,11 @@ def _possible(test: str, fit: object) -> Verdict:
     return Verdict(test, bool(fit), float(bool(fit)), 1.0, "", sentence)
 
 
+def _ordinary(trial: Trial) -> Verdict:
+    size = trial.regression.size(trial.added, trial.fitted)
+    return judge_largest(trial.candidate.label, size, trial.instead)
+
+
 def _not_dropped(trial: Trial) -> Verdict:
     sentence = "became idle beside a better one" if trial.dropped else "was not dropped before"
     return Verdict("not dropped", not trial.dropped, float(trial.dropped), 0.0, "", sentence)
@@ -183,6 +191,7 @@ class AcceptanceTest:
 ACCEPTANCE_TESTS = (
     AcceptanceTest("bounds", lambda trial: _possible("bounds", trial.fit), False),
     AcceptanceTest("size", lambda trial: judge_size(trial.sizes(trial.regression, trial.fitted)), False),
+    AcceptanceTest("ordinary size", _ordinary, False),
     # Two effects could replace each other forever.
     AcceptanceTest("not dropped", _not_dropped, False),
     AcceptanceTest("evidence", lambda trial: judge_evidence(trial.gain, trial.needed), True),

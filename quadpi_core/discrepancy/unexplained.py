@@ -109,21 +109,38 @@ def slow_state_noise(flights: Sequence[Compared], bands: int) -> Array:
     return variance
 
 
-def within_intervals(flights: Sequence[Compared]) -> npt.NDArray[np.bool_]:
-    """Axes (6,) of which the intervals of the simulation hold as many samples as they say, flight by flight.
+class Inside(NamedTuple):
+    """What the simulation's own intervals hold.
 
-    An identified model states by its intervals how well it knows a wrench. What stays inside is no
-    discrepancy, even where other flights predict it.
+    Attributes:
+        shares: (F, 6) of the samples of each flight.
+        confidence: share that they state.
     """
+
+    shares: Array
+    confidence: float
+
+    @property
+    def held(self) -> npt.NDArray[np.bool_]:
+        """Axes (6,) of which they hold as many samples as they say, flight by flight.
+
+        An identified model states by its intervals how well it knows a wrench. What stays inside is no
+        discrepancy, even where other flights predict it.
+        """
+        return as_many_as_stated(self.shares, self.confidence)
+
+
+def inside_intervals(flights: Sequence[Compared]) -> Inside | None:
+    """What the intervals of the simulation hold of the flights; None without intervals."""
     shares, confidence = [], 1.0
     for own in flights:
         margins = own.simulation.margins(own.flight)
         if margins is None:
-            return np.zeros(len(AXES), dtype=np.bool_)
+            return None
         left = residual(own.flight, own.simulation)
         shares.append(inside_interval(left, margins.lower, margins.upper).mean(axis=0))
         confidence = margins.confidence
-    return as_many_as_stated(np.array(shares), confidence)
+    return Inside(np.array(shares), confidence)
 
 
 def stated_squares(flights: Sequence[Compared]) -> Array:

@@ -29,6 +29,7 @@ _REFUSED = {
     "size": "too small to matter",
     "size, refined": "too small to matter",
     "size by its law": "too small to matter",
+    "ordinary size": "larger than is ordinary, and another does as well",
     "not dropped": "no longer needed",
     "evidence": "too little evidence",
     "precedence": "behind a better one",
@@ -49,6 +50,8 @@ _REMEDIES = {
     "cannot be told from a missing effect.",
     "closed": "Look for what else is missing in the conditions where the error stays large; more flights of "
     "those conditions help.",
+    "intervals": "Look at what these flights have of their own (place, payload, air), and at their sensors "
+    "with `quadpi info`: an effect that the library lacks breaks intervals, and one too weak to be told.",
     "not zero": "Fly more of what shows the effect, until an interval of its parameters excludes zero.",
     "agreement": "Compare what the flights that differ have of their own (payload, place, wind). If they are "
     "alike, something without a name acts, which this effect imitates on each flight in another way.",

@@ -78,6 +78,7 @@ def discrepancy_summary(study: Study) -> Group:
         parts.append(terminal_table(flown_again))
         if note := _flown_again_note(study):
             parts.append(Text(note, style="dim"))
+    parts += [Text(sentence) for sentence in _conditions(discovery)]
     if discovery.verdict != "none":
         parts.append(Text(_unexplained_sentence(discovery)))
     if changes := verdict_changes(study):
@@ -144,6 +145,7 @@ def write_discrepancy_page(
         flown_again=_flown_again_table(study),
         flown_note=_flown_again_note(study),
         unexplained=_unexplained_sentence(discovery),
+        conditions=_conditions(discovery),
         flights=_loudest_first(study),
         segments=_segment_table(study) if where.segments else None,
     )
@@ -282,13 +284,17 @@ def _gap_table(discovery: Discovery) -> Table:
         *(Column(heading, number) for heading in ("RMSE before", "after", "floor")),
         Column("closed", percent),
     ]
+    inside = discovery.inside
+    if inside is not None:
+        columns.append(Column(f"inside its intervals of {percent(inside.confidence)}", percent))
     rows: list[Row] = []
-    for axis, *errors in zip(AXES, gap.before, gap.after, gap.floor, strict=True):
+    for index, (axis, *errors) in enumerate(zip(AXES, gap.before, gap.after, gap.floor, strict=True)):
         before, after, floor = map(float, errors)
         above = before**2 - floor**2
         is_known = above > LEAST_ABOVE_FLOOR * floor**2
         closed = 1.0 - max(after**2 - floor**2, 0.0) / above if is_known else None
-        rows.append([axis_cell(axis), before, after, floor, closed])
+        held = [] if inside is None else [float(inside.shares[:, index].mean())]
+        rows.append([axis_cell(axis), before, after, floor, closed, *held])
     return Table(columns, rows, title=f"Gap, flights left out in turn: {percent(gap.reduction)} closed")
 
 
@@ -392,6 +398,12 @@ def _no_range_sentence(study: Study) -> str:
             "could hide. The effect shows in the form of the residual."
         )
     return "No axis exceeds what noise and tolerances allow, in any condition."
+
+
+def _conditions(discovery: Discovery) -> list[str]:
+    """What single flights have of their own, a sentence each."""
+    sentences = [condition.sentence for condition in discovery.conditions]
+    return [f"{words(own[:1].upper() + own[1:])}." for own in sentences]
 
 
 def _flown_again_note(study: Study) -> str:

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 from scipy.stats import chi2
+from scipy.stats import t as student
 
 from quadpi_core import discrepancy, screening, simulation
 from quadpi_core.discrepancy import acceptance, residual_bins, result_verdicts, study, unexplained, whitening
@@ -23,6 +24,7 @@ from quadpi_core.discrepancy.acceptance import judge_evidence, judge_left_out, j
 from quadpi_core.discrepancy.adjustment import Adjustment, LeftOut
 from quadpi_core.discrepancy.by_condition import Range, holding_bulk
 from quadpi_core.discrepancy.candidates import candidates, typical_sizes
+from quadpi_core.discrepancy.discrepancy_result import OfFlight
 from quadpi_core.discrepancy.effect_regression import settled
 from quadpi_core.discrepancy.effect_response import Compared, predicted_flight
 from quadpi_core.discrepancy.evidence import Fit
@@ -33,7 +35,7 @@ from quadpi_core.discrepancy.reflight import rollout_floor
 from quadpi_core.discrepancy.residual_bins import Cells, Residual, bin_edges, largest_deviation
 from quadpi_core.discrepancy.search import Found
 from quadpi_core.discrepancy.simulations import Tolerances
-from quadpi_core.discrepancy.sound_learning import learned
+from quadpi_core.discrepancy.sound_learning import learned, predicts
 from quadpi_core.discrepancy.uncertain_parts import Part, part_columns
 from quadpi_core.discrepancy.whitening import EDGES_HZ, Spectrum
 from quadpi_core.errors import DiscrepancyError, SimulationError
@@ -376,10 +378,19 @@ def beyond_sound(deviations):
     """Whether four flights that leave more by some deviations of their mean are beyond sound ones."""
     sound = SimpleNamespace(left=np.ones((6, 1)), differ=np.full(6, 0.2))
     more = 1.0 + deviations * 0.2 / np.sqrt(4.0)
-    columns = SimpleNamespace(bands=[np.zeros(10)] * 4, squares=lambda _, noise: 40.0 * more / noise[:, 0])
-    regression = SimpleNamespace(sound=sound, columns=columns, flights=[None] * 4)
+    columns = SimpleNamespace(bands=[np.zeros(10, dtype=np.intp)] * 4)
+    left = [np.full((6, 10), np.sqrt(more))] * 4
+    regression = SimpleNamespace(sound=sound, columns=columns, flights=left, left=lambda _: left)
     none = SimpleNamespace(left=None)
     return Found(regression, (), none, None, 0.0, 0.0, {}, None, np.zeros(6), ()).beyond_sound.max() > 0.0
+
+
+def explained_better(probability):
+    """Whether flights left out that gain by this probability on average, by Student's t, are explained."""
+    roots = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
+    error = np.std(roots, ddof=1) / np.sqrt(len(roots))
+    roots = roots + student.ppf(probability, len(roots) - 1) * error
+    return predicts(np.sign(roots) * np.square(roots))
 
 
 def known_error(evidence_nat):
@@ -589,6 +600,9 @@ EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
     "SMALL_STEP": (0.05, lambda x: settled(OneStep(x)).moves > 1),
     "MORE_THAN_SOUND": (2.0, beyond_sound),
     "SHOWN": (5.0, known_error),
+    "BETTER": (0.95, explained_better),
+    "LARGEST": (5.0, lambda x: acceptance.judge_largest("one", x, "other").passed),
+    "STANDS_OUT": (3.0, lambda x: OfFlight(x, 1.0).stands_out),
     "RATE_HZ": (
         125.0,
         lambda x: (

@@ -119,6 +119,7 @@ def tether(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:  # noqa: 
     shown_by="throttle steps; hover in several headings",
     formula=r"F = (b_x,\ b_y,\ b_z)",
     symbols="b_x b_y b_z",
+    of_a_flight="a steady pull, or an accelerometer that is off",
 )
 @njit(cache=True)
 def force_bias(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:  # noqa: ARG001
@@ -138,6 +139,7 @@ def force_bias(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:  # no
     shown_by="throttle steps",
     formula=r"M = (b_x,\ b_y,\ b_z)",
     symbols="b_x b_y b_z",
+    of_a_flight="a battery mounted elsewhere",
 )
 @njit(cache=True)
 def moment_bias(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:  # noqa: ARG001

@@ -73,6 +73,7 @@ def spin_up(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     scales_existing=True,
     formula=r"\Delta (F,\ M) = k\,(F,\ M)_{\mathrm{aerodynamic}}",
     symbols="k",
+    of_a_flight="the air, or a battery that is low",
 )
 @njit(cache=True)
 def thrust_coefficient(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:  # noqa: ARG001

@@ -54,6 +54,7 @@ def imu_lever_arm(recording: Recording, vehicle: Vehicle, p: Array) -> Recording
         r"\delta = (\delta_x, \delta_y, \delta_z)"
     ),
     symbols=r"\delta_x \delta_y \delta_z",
+    of_a_flight="the IMU or the markers turned",
 )
 def imu_misalignment(recording: Recording, vehicle: Vehicle, p: Array) -> Recording:  # noqa: ARG001
     """The IMU is turned in the body: accelerometer and gyro alike.

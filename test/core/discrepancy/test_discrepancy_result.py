@@ -12,6 +12,8 @@ from quadpi_core.discrepancy.discrepancy_result import (
     BeforeAfter,
     ClosedLoops,
     Coverage,
+    FlightCondition,
+    OfFlight,
     Reflights,
     Rollouts,
     discovery_json,
@@ -84,3 +86,11 @@ def test_why_nothing_was_flown_again():
     assert "coverage" not in none
     reduced = ClosedLoops(1, errors={}, reduction=0.8)
     assert reflights_json(Reflights(ROLLOUT, reduced, {}))["closed_loop"]["reduction"] == 0.8
+
+
+def test_a_condition_names_the_flights_that_differ_most():
+    flights = {"a": OfFlight(-0.012, 0.001), "b": OfFlight(0.022, 0.0005), "c": OfFlight(0.001, 0.0005)}
+    condition = FlightCondition("force_bias", "y_n", "N", "a steady pull", flights)
+    assert condition.sentence == (
+        "flights differ in y_n of force_bias: b +0.022 ± 0.001, a -0.012 ± 0.002 N (a steady pull?)"
+    )

@@ -227,3 +227,61 @@ def test_energy_of_a_curved_effect_is_that_of_what_it_adds(windy):
         added = flight.spectrum(flight.added(wind.effect, wind.values(values))[:, :, None]).rows[:, :, 0]
         energy += 0.5 * np.sum(added**2 / regression.noise[:, band])
     assert regression.energy((index,), fit) == pytest.approx(energy, rel=0.02)
+
+
+def with_residual(regression, index, values):
+    """The regression with parameters (F, k) of a candidate, in prior deviations, added to each flight."""
+    columns, tables = regression.block(index).parameters, []
+    for place, (first, *others) in enumerate(regression.columns.tables):
+        moved = first.copy()
+        moved[:, :, 0] += regression.columns.rows(place, columns) @ values[place]
+        tables.append((moved, *others))
+    changed = replace(regression.columns, tables=tuple(tables))
+    weighting = NoiseWeighting.of(changed, regression.noise, NONE_HELD)
+    return replace(regression, columns=changed, weighting=weighting)
+
+
+@pytest.fixture(scope="module")
+def pulled(regression):
+    """Regression of the same flights on drag and a constant force."""
+    vehicle = regression.flights[0].simulation.vehicle
+    return Regression.of(regression.flights, candidates(vehicle, ["force_bias", "body_drag"]))
+
+
+def test_what_flights_have_of_their_own_is_told_from_what_they_share(pulled):
+    """A constant force: the same along x in all flights, and another one along y in each."""
+    drag, index = [[own.name for own in pulled.candidates].index(n) for n in ("body_drag", "force_bias")]
+    flights = len(pulled.flights)
+    values = np.zeros((flights, 3))
+    values[:, 0], values[:, 1] = 0.4, np.where(np.arange(flights) % 2, 0.5, -0.5)
+    changed = with_residual(pulled, index, values)
+    sizes = changed.sizes_of_condition(index, (drag,))
+    assert sizes[1] == pytest.approx(0.5, rel=0.3)
+    assert sizes[0] < 0.1
+    fit = changed.fit((drag,))
+    gain = changed.gain_of_condition(index, sizes, (drag,), fit)
+    assert gain > 20.0
+    conditioned = changed.with_condition(index, sizes)
+    # What the gain promised is what the noise with the condition gives, its normalisation counted.
+    (own,) = conditioned.conditions
+    after = conditioned.fit((drag,))
+    block, cost = changed.block(index).parameters, 0.0
+    for gram in changed.weighting.per_flight:
+        inner = np.eye(3) + gram[np.ix_(block, block)] * np.outer(sizes, sizes)
+        cost += 0.5 * np.linalg.slogdet(inner)[1]
+    assert gain == pytest.approx(after.log_evidence - cost - fit.log_evidence, rel=1e-6)
+    both = conditioned.fit(tuple(sorted((drag, index))))
+    for place in range(flights):
+        value, deviation = conditioned.of_condition(own, place, both.left)
+        scale = conditioned.candidates[index].scale
+        assert abs(value[1] / scale[1] - values[place, 1]) < 4.0 * deviation[1] / scale[1] + 0.05
+    # What all share stays for an effect to explain.
+    assert both.of(changed.block(index).parameters)[0] == pytest.approx(0.4, abs=0.1)
+
+
+def test_flights_that_are_alike_gain_nothing_by_parameters_of_their_own(pulled):
+    index = [own.name for own in pulled.candidates].index("force_bias")
+    alike = with_residual(pulled, index, np.full((len(pulled.flights), 3), 0.4))
+    both = tuple(range(len(pulled.candidates)))
+    sizes = alike.sizes_of_condition(index, both)
+    assert alike.gain_of_condition(index, sizes, both, alike.fit(both)) < 1.0

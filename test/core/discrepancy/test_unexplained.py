@@ -17,11 +17,11 @@ from quadpi_core.discrepancy.unexplained import (
     as_many_as_stated,
     functions_of_course,
     functions_of_place,
+    inside_intervals,
     left_out_gain,
     predicted,
     slow_state_noise,
     stated_squares,
-    within_intervals,
 )
 from quadpi_core.discrepancy.whitening import Spectrum
 
@@ -125,9 +125,11 @@ def test_an_axis_is_explained_where_intervals_hold_as_much_as_they_say(simulatio
         return Margins(np.tile(-wide, (len(flight), 1)), np.tile(wide, (len(flight), 1)), confidence)
 
     model = replace(simulation, intervals_of=SimpleNamespace(margins=margins))
-    stated = within_intervals([Compared(flight, model) for flight in flights[:2]])
-    np.testing.assert_array_equal(stated, [held, True, False, False, False, False])
-    assert not within_intervals(left).any()
+    inside = inside_intervals([Compared(flight, model) for flight in flights[:2]])
+    np.testing.assert_array_equal(inside.held, [held, True, False, False, False, False])
+    np.testing.assert_allclose(inside.shares[:, :2].mean(axis=0), [0.9, 1.0], atol=0.02)
+    assert inside.confidence == confidence
+    assert inside_intervals(left) is None
 
 
 def with_intervals(simulation, margins):
