@@ -134,6 +134,8 @@ def identify(
         print_quality(console, ((flight.name, flight.quality) for flight in flights))
         with progress_bar(console) as progress:
             model = identify_model(flights, the_vehicle, pools, chosen, progress)
+            # First without, so that nothing is lost where flights cannot be compared.
+            model.save(output)
             model = learned_from(model, flights, progress).save(output)
         _print_model(console, model, verbose=verbose, choice=choice_of_kind(context))
         console.print(f"written to {output}; quadpi info {output} shows every parameter", soft_wrap=True)

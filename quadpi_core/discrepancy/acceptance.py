@@ -74,10 +74,12 @@ LARGEST = Threshold(
     "largest size where another does as well",
     5.0,
     "prior standard deviations, 1.5 typical sizes each",
-    "a chance of one in a million by its prior; an effect of ordinary size that explains the same is named "
-    "in its place, and it is told among the rivals",
+    "a chance of one in a million by its prior; an effect of ordinary size that explains as much is judged "
+    "in its place",
     CONVENTION,
 )
+# Name of the test of it.
+ORDINARY = "ordinary size"
 LOUDNESS = Threshold(
     "loudness",
     0.1,
@@ -209,7 +211,7 @@ def judge_largest(effect: str, size: float, instead: str) -> Verdict:
     sentence = f"size of {effect} {size:.1f}, at most {LARGEST.value:g} where {instead} does about as well"
     if passed:
         sentence = f"size of {effect} {size:.1f}; {LARGEST.value:g} is ordinary, and more where no other does"
-    return Verdict.of(LARGEST, "ordinary size", size, passed, sentence)
+    return Verdict.of(LARGEST, ORDINARY, size, passed, sentence)
 
 
 def judge_loudness(loudness: float) -> Verdict:

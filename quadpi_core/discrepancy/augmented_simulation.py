@@ -305,6 +305,14 @@ def augmented(discovery: Discovery, without: int | None = None) -> AugmentedSimu
     return _added(simulation, effects, adjusted)
 
 
+def as_it_was(discovery: Discovery, place: int) -> Simulation:
+    """The simulation as it is, with what one flight has of its own."""
+    regression = discovery.found.regression
+    simulation = regression.flights[0].simulation
+    own = _of_flight(regression, place, discovery.found.closing.fits(place)[0])
+    return _added(simulation, own, {}) if own else simulation
+
+
 def _of_flight(regression: Regression, place: int, law: Fit) -> Effects:
     """What a flight has of its own, by itself, given a fit to the others."""
     effects: Effects = {}

@@ -177,7 +177,7 @@ class Closing:
         """
         regression, squares = self.regression, np.zeros(len(AXES))
         for place, (found, band) in enumerate(zip(self.left_out, regression.columns.bands, strict=True)):
-            left = np.square(regression.columns.combined(place, found.left))
+            left = np.square(regression.left_of(place, found.left))
             squares += np.sum(left * regression.weighting.precision[:, band], axis=1)
         return squares
 
@@ -185,7 +185,8 @@ class Closing:
         """The gap of each flight after the fit of all others; unchanged where no effect was chosen.
 
         Coefficients alone are not fitted: without the missing effect they would exceed their tolerances. Of
-        effects made of fitted coefficients, what the stated ones would change is left out.
+        effects made of fitted coefficients, what the stated ones would change is left out. So is, before and
+        after alike, what a flight has of its own beside them, which no effect closes.
 
         Args:
             noise: (6, C) variance in C bands, which no simulation can close.
@@ -197,11 +198,12 @@ class Closing:
         samples = 0
         unchanged = residual_weights(1, ())
         for place, found in enumerate(self.left_out):
-            before += np.square(columns.combined(place, unchanged)).sum(axis=1)
             left = found.left.copy() if self.chosen else unchanged
             if self.chosen and not adjusted:
                 left[columns.tolerances] = 0.0
-            after += np.square(self.regression.left_of(place, left)).sum(axis=1)
+            own = columns.errors[place] @ self.regression.flights_own(place, left)[0]
+            before += np.square(columns.combined(place, unchanged) - own).sum(axis=1)
+            after += np.square(columns.combined(place, left) - own).sum(axis=1)
             floor += noise[:, columns.bands[place]].sum(axis=1)
             samples += len(columns.flights[place].thinned)
         # Of numbers that were made up, without any noise, too.

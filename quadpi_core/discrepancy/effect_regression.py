@@ -28,6 +28,8 @@ _ACCELERATION_ROUNDS = 2
 _ROUNDS = 3
 # Rounds in which the sizes of a condition converge, and the least of them, in prior deviations.
 _CONDITION_ROUNDS, _LEAST_DIFFERENCE = 12, 1e-4
+# Precision of what flights share of it, in prior ones.
+_FREE = 1e-4
 # Axes of a simulation that states no intervals.
 NONE_HELD = np.zeros(len(AXES), dtype=np.bool_)
 SMALL_STEP = Threshold(
@@ -253,7 +255,7 @@ class Regression:
             varied = replace(varied, columns=varied.columns.with_flights_own(index, sizes))
         left = band_means([np.square(rows) for rows in varied.left(found)], self.columns.bands)
         if self.sound is not None:
-            return self.weighted(np.maximum(self.sound.noise, left))
+            return self.accelerated(found).weighted(np.maximum(self.sound.noise, left))
         # Nothing was fitted to axes that say nothing, so what is left of them is no noise.
         left[self.weighting.held] = 0.0
         accelerated = self.accelerated(found)
@@ -327,9 +329,11 @@ class Regression:
         parameters = [self.block(one).parameters for one in chosen if one != index]
         shared = np.concatenate((self.columns.tolerances, *parameters, own))
         residual = residual_weights(len(self.gram), [self.block(one) for one in chosen])
+        # However large what flights share is, it is no difference between them.
+        prior = np.diag(np.where(np.isin(shared, own), _FREE, 1.0))
         sizes = np.ones(len(own))
         for _ in range(_CONDITION_ROUNDS):
-            information, projection, inner = np.eye(len(shared)), np.zeros(len(shared)), []
+            information, projection, inner = prior.copy(), np.zeros(len(shared)), []
             for gram in self.weighting.per_flight:
                 solved = np.linalg.inv(gram[np.ix_(own, own)] + np.diag(1.0 / np.square(sizes)))
                 gain = gram[np.ix_(shared, own)] @ solved
@@ -359,9 +363,8 @@ class Regression:
     def with_condition(self, index: int, sizes: Array) -> Regression:
         """The regression with parameters of a candidate that each flight has of its own, as noise."""
         columns = self.columns.with_flights_own(index, sizes)
-        weighting = NoiseWeighting.of(columns, self.noise, self.weighting.held)
         conditions = (*self.conditions, Condition(index, sizes))
-        return replace(self, columns=columns, weighting=weighting, conditions=conditions)
+        return replace(self, columns=columns, conditions=conditions).weighted(self.noise)
 
     def of_condition(self, condition: Condition, place: int, weights: Array) -> tuple[Array, Array]:
         """Parameters (k,) of a candidate that a flight has of its own, and their standard deviations (k,).

@@ -72,8 +72,8 @@ class Linearisation:
         tolerance_laws: for each the name of the one of what it shares with others; empty without.
         bands: per flight (B,) the frequency band of each row.
         tables: per flight, tables (6, B, ·) of columns.
-        errors: per flight (6, B, E) independent deviations of the known errors of the simulation, each by its
-            standard deviation. They are part of the noise, in no table.
+        errors: per flight (6, B, E) independent deviations of the known errors of the simulation, and of what
+            flights have of their own, each by its standard deviation. They are noise, in no table.
     """
 
     flights: tuple[Compared, ...]

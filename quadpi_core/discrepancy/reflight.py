@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.bounded_files import parse_json
-from quadpi_core.discrepancy.augmented_simulation import AugmentedSimulation, augmented
+from quadpi_core.discrepancy.augmented_simulation import AugmentedSimulation, as_it_was, augmented
 from quadpi_core.discrepancy.discrepancy_result import (
     BeforeAfter,
     ClosedLoops,
@@ -277,7 +277,7 @@ def reflights(discovery: Discovery) -> Reflights:
     after = [augmented(discovery, without=place) for place in range(len(flights))]
     base = before.base if isinstance(before, AugmentedSimulation) else before
     return Reflights(
-        rollout=rollouts(flights, [before] * len(flights), after),
+        rollout=rollouts(flights, [as_it_was(discovery, place) for place in range(len(flights))], after),
         closed_loop=closed_loops(flights, before, after),
         coverage=coverages(flights, base, before, after),
     )

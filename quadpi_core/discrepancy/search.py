@@ -15,6 +15,7 @@ from quadpi_core.discrepancy.acceptance import (
     FEW_FLIGHTS,
     LARGEST,
     NAMED_ALONE,
+    ORDINARY,
     SMALLEST,
     Judgement,
     evidence_beside,
@@ -146,7 +147,9 @@ class Found:
         sound = self.regression.sound
         if sound is None:
             return np.full_like(self.regression.noise, np.inf)
-        more = 1.0 + MORE_THAN_SOUND.value * sound.differ / np.sqrt(len(self.regression.flights))
+        # Both means vary, of these flights and of the sound ones.
+        error = sound.differ * np.sqrt(1.0 / len(self.regression.flights) + 1.0 / sound.flights)
+        more = 1.0 + MORE_THAN_SOUND.value * error
         allowed: Array = sound.left * more[:, np.newaxis]
         return allowed
 
@@ -201,14 +204,13 @@ def search(
     gain = 0.0
     judgements: list[Judgement] = []
     while True:
-        conditioned = _with_condition(accepted, threshold)
-        if conditioned is not None:
-            accepted = conditioned
-            continue
-        if len(accepted.chosen) == MOST_EFFECTS.value:
-            break
-        larger, more, judged = _one_more(accepted, threshold, idle)
-        judgements += judged
+        larger, more = _with_condition(accepted, threshold), 0.0
+        if larger is None and len(accepted.chosen) < MOST_EFFECTS.value:
+            larger, more, judged = _one_more(accepted, threshold, idle)
+            judgements += judged
+        if larger is None:
+            # An effect with more evidence was refused.
+            larger = _with_condition(accepted, threshold, before_effects=False)
         if larger is None:
             break
         gain += more
@@ -238,10 +240,15 @@ def search(
     )
 
 
-def _with_condition(accepted: Accepted, threshold: float) -> Accepted | None:
-    """The set with what each flight has of its own of some effect, where that gains more than another effect.
+def _with_condition(accepted: Accepted, threshold: float, *, before_effects: bool = True) -> Accepted | None:
+    """The set with what each flight has of its own of some effect.
 
-    None where nothing does, and without sound flights that tell how much flights differ.
+    None where nothing gains enough, and without sound flights that tell how much flights differ.
+
+    Args:
+        accepted: effects that were accepted.
+        threshold: evidence that it has to gain [nat].
+        before_effects: whether it has to gain more than another effect, too.
     """
     regression, chosen, found = accepted.regression, accepted.chosen, accepted.fit
     best, most, sizes = None, threshold, np.zeros(0)
@@ -252,7 +259,7 @@ def _with_condition(accepted: Accepted, threshold: float) -> Accepted | None:
             best, most, sizes = index, gain, own
     if best is None:
         return None
-    if len(chosen) < MOST_EFFECTS.value:
+    if before_effects and len(chosen) < MOST_EFFECTS.value:
         rival = next((fit for _, fit in _fits_with_one_more(accepted) if fit is not None), None)
         if rival is not None and rival.log_evidence - found.log_evidence >= most:
             return None
@@ -279,15 +286,14 @@ def _exchanged(accepted: Accepted, threshold: float) -> tuple[Accepted, list[Jud
     for _ in range(MOST_EFFECTS.value):
         rivals = _rivals(accepted, of_its_name=True)
         disputed, better = [], None
-        for index, close in rivals.items():
-            rival, odds = close[0] if close else (index, 0.0)
-            if odds <= 1.0:
-                continue
+        more = [(own, rival, odds) for own, close in rivals.items() for rival, odds in close if odds > 1.0]
+        for index, rival, odds in more:
             better, judgement = _replaced(accepted, index, rival, threshold)
             judgements.append(judgement)
             if better is not None:
                 break
-            if odds > np.exp(NAMED_ALONE.value):
+            # One whose size is out of the ordinary is told among the rivals.
+            if odds > np.exp(NAMED_ALONE.value) and judgement.reason.test != ORDINARY:
                 own = accepted.regression.candidates[index].label
                 reason = judgement.reason.sentence
                 disputed.append(f"{judgement.label} has more evidence than {own} in its place, but {reason}")
@@ -415,12 +421,12 @@ def _needed(
 
 
 def without_idle(accepted: Accepted, threshold: float) -> tuple[Accepted, list[Judgement]]:
-    """The set without an effect that is no longer needed beside a better one, and its judgement."""
+    """The set without an effect that is idle beside a better one or a condition, and its judgement."""
     regression, chosen, found = accepted.regression, accepted.chosen, accepted.fit
     for index in chosen:
         fewer = tuple(other for other in chosen if other != index)
-        rest = regression.fit(fewer) if fewer else None
-        if rest is None or not _sizeable(regression, fewer, rest):
+        rest = regression.fit(fewer) if fewer or regression.conditions else None
+        if rest is None or (fewer and not _sizeable(regression, fewer, rest)):
             continue
         needed = _needed(regression, index, fewer, regression.energy(fewer, rest), threshold)
         still_needed = judge_evidence(found.log_evidence - rest.log_evidence, needed)

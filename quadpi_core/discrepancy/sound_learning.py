@@ -44,7 +44,7 @@ SHOWN = Threshold(
     CONVENTION,
 )
 BETTER = Threshold(
-    "flights left out that a known error explains better",
+    "flights that a known error explains better while its mean is of all others",
     0.95,
     "probability that they do on average, by Student's t",
     "the level of the intervals that are stated; the noise of fast flights changes as they go, and evidence "
@@ -133,6 +133,7 @@ def learned(spectra: Sequence[Spectrum], names: Sequence[tuple[str, str]], scale
     )
     units = scale[known]
     return SoundFlights(
+        flights=len(spectra),
         edges_hz=EDGES_HZ.value,
         noise=noise,
         left=left,

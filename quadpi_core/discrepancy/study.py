@@ -237,6 +237,8 @@ def discover(
         DiscrepancyError: for fewer flights, flights of another vehicle, a simulation that gives no wrench.
     """
     require_flights(len(flights))
+    if not 0.0 < highest_hz <= BAND_HZ.value:
+        raise DiscrepancyError(f"highest_hz: above 0 and up to {BAND_HZ.value:g} Hz, found {highest_hz:g}")
     for flight in flights:
         if flight.vehicle and flight.vehicle != simulation.vehicle.name:
             raise DiscrepancyError(

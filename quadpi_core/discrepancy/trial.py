@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from quadpi_core.discrepancy.acceptance import (
+    ORDINARY,
     judge_difference,
     judge_evidence,
     judge_largest,
@@ -191,7 +192,7 @@ class AcceptanceTest:
 ACCEPTANCE_TESTS = (
     AcceptanceTest("bounds", lambda trial: _possible("bounds", trial.fit), False),
     AcceptanceTest("size", lambda trial: judge_size(trial.sizes(trial.regression, trial.fitted)), False),
-    AcceptanceTest("ordinary size", _ordinary, False),
+    AcceptanceTest(ORDINARY, _ordinary, False),
     # Two effects could replace each other forever.
     AcceptanceTest("not dropped", _not_dropped, False),
     AcceptanceTest("evidence", lambda trial: judge_evidence(trial.gain, trial.needed), True),

@@ -25,6 +25,7 @@ class SoundFlights:
     A known error is a parameter of an effect that these flights show, such as the inertia of rotors.
 
     Attributes:
+        flights: number of them.
         edges_hz: edges of C bands of frequency.
         noise: (6, C) variance of the noise in these bands, N² and (Nm)², beside the known errors.
         left: (6, C) the same with the known errors in it.
@@ -35,6 +36,7 @@ class SoundFlights:
         of_flight: (E,) standard deviation of what each flight has of its own.
     """
 
+    flights: int
     edges_hz: tuple[float, ...]
     noise: Array
     left: Array
@@ -58,6 +60,8 @@ class SoundFlights:
         for name, shape in shapes.items():
             if np.shape(getattr(self, name)) != shape:
                 raise ModelError(f"sound flights: {name}: expected shape {shape}")
+        if self.flights < 1:
+            raise ModelError("sound flights: none")
         if np.any(self.noise <= 0.0) or np.any(self.left <= 0.0):
             raise ModelError("sound flights: noise without a variance")
         if np.any(self.differ < 0.0) or np.any(self.of_flight < 0.0):
@@ -86,7 +90,11 @@ class SoundFlights:
 
     def to_json(self) -> dict[str, Any]:
         """What a stored model keeps beside the arrays."""
-        return {"edges_hz": list(self.edges_hz), "known_errors": [list(name) for name in self.names]}
+        return {
+            "flights": self.flights,
+            "edges_hz": list(self.edges_hz),
+            "known_errors": [list(name) for name in self.names],
+        }
 
     def arrays(self) -> dict[str, Array]:
         """What a stored model keeps as arrays, by name."""
@@ -101,6 +109,7 @@ class SoundFlights:
             ModelError: for arrays that are missing, do not belong together, or that no flights leave.
         """
         return cls(
+            flights=int(data["flights"]),
             edges_hz=tuple(float(edge) for edge in data["edges_hz"]),
             names=tuple((str(candidate), str(parameter)) for candidate, parameter in data["known_errors"]),
             **arrays,

@@ -376,8 +376,8 @@ class OneStep:
 
 def beyond_sound(deviations):
     """Whether four flights that leave more by some deviations of their mean are beyond sound ones."""
-    sound = SimpleNamespace(left=np.ones((6, 1)), differ=np.full(6, 0.2))
-    more = 1.0 + deviations * 0.2 / np.sqrt(4.0)
+    sound = SimpleNamespace(left=np.ones((6, 1)), differ=np.full(6, 0.2), flights=12)
+    more = 1.0 + deviations * 0.2 * np.sqrt(1.0 / 4.0 + 1.0 / 12.0)
     columns = SimpleNamespace(bands=[np.zeros(10, dtype=np.intp)] * 4)
     left = [np.full((6, 10), np.sqrt(more))] * 4
     regression = SimpleNamespace(sound=sound, columns=columns, flights=left, left=lambda _: left)

@@ -19,6 +19,7 @@ COVARIANCE = np.array([[4e-10, 1e-3], [1e-3, 1e4]])
 def sound() -> SoundFlights:
     """Of two bands and two known errors, whose units differ by much."""
     return SoundFlights(
+        flights=8,
         edges_hz=(0.0, 1.0, 20.0),
         noise=np.full((6, 2), 0.5),
         left=np.full((6, 2), 0.7),
@@ -32,7 +33,7 @@ def sound() -> SoundFlights:
 
 def test_it_reads_what_it_stored(sound: SoundFlights) -> None:
     read = SoundFlights.read(sound.to_json(), sound.arrays())
-    assert (read.edges_hz, read.names) == (sound.edges_hz, sound.names)
+    assert (read.flights, read.edges_hz, read.names) == (sound.flights, sound.edges_hz, sound.names)
     for name, values in sound.arrays().items():
         np.testing.assert_array_equal(getattr(read, name), values)
 
