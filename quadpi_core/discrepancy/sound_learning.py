@@ -87,7 +87,7 @@ def learned_from(
     sought = [candidate for candidate in candidates(vehicle) if not candidate.effect.at_rest]
     spectra = []
     with threadpool_limits(limits=1, user_api="blas"):
-        for place, (section, prepared) in enumerate(zip(model.sections_left_out(), flights, strict=True)):
+        for place, (section, prepared) in enumerate(zip(model.sections_left_out, flights, strict=True)):
             progress(Progress("Learning what sound flights leave", place, len(flights)))
             if prepared.flight is None:
                 return model

@@ -217,6 +217,7 @@ class AerodynamicModel:
         with named_in(f"model {self.name}"):
             return self.kind.simulation_section(self.fitted)
 
+    @property
     def sections_left_out(self) -> list[dict[str, Any]]:
         """:meth:`simulation_section` of the model identified without each of its flights in turn."""
         return [self.kind.simulation_section(fitted) for fitted in self.left_out]

@@ -75,7 +75,7 @@ def of_sound_flights(simulation, name):
     """The simulation, of which sound flights show that it lacks 0.02 ± 0.01 kg, and 0.003 of each flight."""
     bands = np.ones((len(AXES), len(EDGES_HZ.value) - 1))
     error = np.array([0.02]), np.array([[0.01**2]]), np.array([0.003])
-    sound = SoundFlights(EDGES_HZ.value, bands, bands, np.zeros(len(AXES)), ((name, "mass_kg"),), *error)
+    sound = SoundFlights(8, EDGES_HZ.value, bands, bands, np.zeros(len(AXES)), ((name, "mass_kg"),), *error)
     return replace(simulation, sound=sound)
 
 
