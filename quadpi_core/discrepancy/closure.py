@@ -201,7 +201,7 @@ class Closing:
             left = found.left.copy() if self.chosen else unchanged
             if self.chosen and not adjusted:
                 left[columns.tolerances] = 0.0
-            own = columns.errors[place] @ self.regression.flights_own(place, left)[0]
+            own = self.regression.own_rows(place, left)
             before += np.square(columns.combined(place, unchanged) - own).sum(axis=1)
             after += np.square(columns.combined(place, left) - own).sum(axis=1)
             floor += noise[:, columns.bands[place]].sum(axis=1)

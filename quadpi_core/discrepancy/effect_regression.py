@@ -254,11 +254,11 @@ class Regression:
             sizes = np.ones(len(self.block(index).parameters))
             varied = replace(varied, columns=varied.columns.with_flights_own(index, sizes))
         left = band_means([np.square(rows) for rows in varied.left(found)], self.columns.bands)
+        accelerated = self.accelerated(found)
         if self.sound is not None:
-            return self.accelerated(found).weighted(np.maximum(self.sound.noise, left))
+            return accelerated.weighted(np.maximum(self.sound.noise, left))
         # Nothing was fitted to axes that say nothing, so what is left of them is no noise.
         left[self.weighting.held] = 0.0
-        accelerated = self.accelerated(found)
         noise = np.maximum(_estimated_noise(accelerated.columns, chosen), left)
         return accelerated.weighted(np.minimum(noise, _residual_squares(self.columns)))
 
@@ -302,9 +302,12 @@ class Regression:
 
     def left_of(self, place: int, weights: Array) -> Array:
         """Rows (6, B) of a flight's columns, each times its weight, together, less what it has of its own."""
-        rows = self.columns.combined(place, weights)
-        cleaned: Array = rows - self.columns.errors[place] @ self.flights_own(place, weights)[0]
-        return cleaned
+        return self.columns.combined(place, weights) - self.own_rows(place, weights)
+
+    def own_rows(self, place: int, weights: Array) -> Array:
+        """Rows (6, B) of what a flight has of its own, as far as its columns, each times its weight, tell."""
+        rows: Array = self.columns.errors[place] @ self.flights_own(place, weights)[0]
+        return rows
 
     def flights_own(self, place: int, weights: Array) -> tuple[Array, Array]:
         """Deviations of a flight from what all share, by :attr:`Linearisation.errors`, as far as known.
@@ -360,11 +363,10 @@ class Regression:
         fit = self.fit(chosen, deflated)
         return -np.inf if fit is None else fit.log_evidence - cost - found.log_evidence
 
-    def with_condition(self, index: int, sizes: Array) -> Regression:
+    def with_condition(self, condition: Condition) -> Regression:
         """The regression with parameters of a candidate that each flight has of its own, as noise."""
-        columns = self.columns.with_flights_own(index, sizes)
-        conditions = (*self.conditions, Condition(index, sizes))
-        return replace(self, columns=columns, conditions=conditions).weighted(self.noise)
+        columns = self.columns.with_flights_own(condition.index, condition.sizes)
+        return replace(self, columns=columns, conditions=(*self.conditions, condition)).weighted(self.noise)
 
     def of_condition(self, condition: Condition, place: int, weights: Array) -> tuple[Array, Array]:
         """Parameters (k,) of a candidate that a flight has of its own, and their standard deviations (k,).

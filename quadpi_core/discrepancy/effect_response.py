@@ -62,7 +62,7 @@ class Compared:
     Columns and residuals are thinned to about `RATE_HZ`: a flight has been low-passed far below that.
 
     Attributes:
-        flight: input of the simulation, at its own rate, or thinned where that makes no difference.
+        flight: input of the simulation, thinned as far as derivatives allow where it takes any.
         thinned: the flight at about `RATE_HZ`.
         highest_hz: highest frequency at which the two are compared.
     """

@@ -27,7 +27,7 @@ from quadpi_core.discrepancy.acceptance import (
 )
 from quadpi_core.discrepancy.candidates import Candidate
 from quadpi_core.discrepancy.closure import Closing, Gap
-from quadpi_core.discrepancy.effect_regression import Regression, refined, settled
+from quadpi_core.discrepancy.effect_regression import Condition, Regression, refined, settled
 from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.evidence import Fit, with_forms
 from quadpi_core.discrepancy.trial import Trial
@@ -136,17 +136,17 @@ class Found:
 
     def gap(self, *, adjusted: bool = True) -> Gap:
         """The gap of flights left out, see :meth:`Closing.gap`; what sensors do not explain is no floor."""
-        if self.regression.sound is not None:
+        if self._as_sound is not None:
             return self.closing.gap(self._as_sound, np.zeros(len(AXES)), adjusted=adjusted)
         noise = np.minimum(self.regression.noise, self.sensors)
         return self.closing.gap(noise, self.stated, adjusted=adjusted)
 
-    @property
-    def _as_sound(self) -> Array:
-        """Variance (6, C) that as many sound flights leave at most; infinite where none are known."""
+    @cached_property
+    def _as_sound(self) -> Array | None:
+        """Variance (6, C) that as many sound flights leave at most; None where none are known."""
         sound = self.regression.sound
         if sound is None:
-            return np.full_like(self.regression.noise, np.inf)
+            return None
         # Both means vary, of these flights and of the sound ones.
         error = sound.differ * np.sqrt(1.0 / len(self.regression.flights) + 1.0 / sound.flights)
         more = 1.0 + MORE_THAN_SOUND.value * error
@@ -159,7 +159,7 @@ class Found:
 
         They are infinite where no sound flights are known.
         """
-        if self.regression.sound is None:
+        if self._as_sound is None:
             return np.full(len(AXES), np.inf)
         bands, squares = self.regression.columns.bands, np.zeros(len(AXES))
         for left, band in zip(self.regression.left(self.fit), bands, strict=True):
@@ -204,13 +204,16 @@ def search(
     gain = 0.0
     judgements: list[Judgement] = []
     while True:
-        larger, more = _with_condition(accepted, threshold), 0.0
-        if larger is None and len(accepted.chosen) < MOST_EFFECTS.value:
-            larger, more, judged = _one_more(accepted, threshold, idle)
+        condition, gained = _best_condition(accepted, threshold)
+        fits = _fits_with_one_more(accepted) if len(accepted.chosen) < MOST_EFFECTS.value else []
+        most = max((fit.log_evidence for _, fit in fits if fit is not None), default=-np.inf)
+        larger, more = None, 0.0
+        if fits and most - accepted.fit.log_evidence >= gained:
+            larger, more, judged = _one_more(accepted, fits, threshold, idle)
             judgements += judged
-        if larger is None:
-            # An effect with more evidence was refused.
-            larger = _with_condition(accepted, threshold, before_effects=False)
+        if larger is None and condition is not None:
+            # It gains more than any effect, or those that gain more were refused.
+            larger = _with_condition(accepted, condition)
         if larger is None:
             break
         gain += more
@@ -240,32 +243,27 @@ def search(
     )
 
 
-def _with_condition(accepted: Accepted, threshold: float, *, before_effects: bool = True) -> Accepted | None:
-    """The set with what each flight has of its own of some effect.
+def _best_condition(accepted: Accepted, threshold: float) -> tuple[Condition | None, float]:
+    """What each flight may have of its own that gains the most evidence, and how much [nat].
 
-    None where nothing gains enough, and without sound flights that tell how much flights differ.
-
-    Args:
-        accepted: effects that were accepted.
-        threshold: evidence that it has to gain [nat].
-        before_effects: whether it has to gain more than another effect, too.
+    None, and negative infinity, where nothing gains as much as the threshold, and without sound flights that
+    tell how much flights differ.
     """
-    regression, chosen, found = accepted.regression, accepted.chosen, accepted.fit
-    best, most, sizes = None, threshold, np.zeros(0)
+    regression, chosen = accepted.regression, accepted.chosen
+    best, most = None, -np.inf
     for index in regression.conditions_to_come:
-        own = regression.sizes_of_condition(index, chosen)
-        gain = regression.gain_of_condition(index, own, chosen, found)
-        if gain >= most:
-            best, most, sizes = index, gain, own
-    if best is None:
-        return None
-    if before_effects and len(chosen) < MOST_EFFECTS.value:
-        rival = next((fit for _, fit in _fits_with_one_more(accepted) if fit is not None), None)
-        if rival is not None and rival.log_evidence - found.log_evidence >= most:
-            return None
-    regression = regression.with_condition(best, sizes)
-    fit = regression.fit(chosen)
-    return None if fit is None else Accepted(regression, chosen, fit)
+        sizes = regression.sizes_of_condition(index, chosen)
+        gain = regression.gain_of_condition(index, sizes, chosen, accepted.fit)
+        if gain >= max(threshold, most):
+            best, most = Condition(index, sizes), gain
+    return best, most
+
+
+def _with_condition(accepted: Accepted, condition: Condition) -> Accepted | None:
+    """The set beside what each flight has of its own; None where bounds leave nothing of it."""
+    regression = accepted.regression.with_condition(condition)
+    fit = regression.fit(accepted.chosen)
+    return None if fit is None else Accepted(regression, accepted.chosen, fit)
 
 
 def _with_fitted_coefficients(accepted: Accepted) -> Accepted:
@@ -333,7 +331,7 @@ def _replaced(
 
 
 def _one_more(
-    before: Accepted, threshold: float, idle: frozenset[int]
+    before: Accepted, fits: Sequence[tuple[int, Fit | None]], threshold: float, idle: frozenset[int]
 ) -> tuple[Accepted | None, float, list[Judgement]]:
     """One round: the set with the best candidate that passes all tests, its gain, and all judgements.
 
@@ -347,7 +345,6 @@ def _one_more(
         return Closing.by_laws(regression, chosen).left_out_squares()
 
     judgements, behind = [], ""
-    fits = _fits_with_one_more(before)
     for index, fit in fits:
         candidate = regression.candidates[index]
         trial = Trial(

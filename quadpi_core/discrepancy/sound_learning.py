@@ -13,7 +13,8 @@ interpolation, 1992). A search that weighs by them finds an effect where flights
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -128,9 +129,7 @@ def learned(spectra: Sequence[Spectrum], names: Sequence[tuple[str, str]], scale
     known = np.flatnonzero((found.common > 0.0) | (found.of_flight > 0.0))
     mean, covariance = np.zeros(len(scale)), np.zeros((len(scale), len(scale)))
     mean[posterior.common] = posterior.mean
-    covariance[np.ix_(posterior.common, posterior.common)] = posterior.covariance + _jackknife(
-        products, found
-    )
+    covariance[np.ix_(posterior.common, posterior.common)] = posterior.covariance + posterior.jackknife
     units = scale[known]
     return SoundFlights(
         flights=len(spectra),
@@ -160,27 +159,56 @@ class _OfFlight(NamedTuple):
         gram: (1 + K, 1 + K) of the whitened residual and columns.
         covariance: (m, m) of its own coefficients, given the common ones.
         gain: (n, m) change of its own coefficients by the common ones, with the opposite sign.
+        information, projection: (n, n), (n,) what it tells of the common ones.
     """
 
     gram: Array
     covariance: Array
     gain: Array
+    information: Array
+    projection: Array
 
 
-class _Posterior(NamedTuple):
+@dataclass(frozen=True)
+class _Posterior:
     """Coefficients given variances.
 
     Attributes:
         common, own: columns (n,), (m,) that are shared, and that flights have of their own.
-        mean, covariance: (n,), (n, n) of the shared coefficients.
+        information, projection: (n, n), (n,) of the shared coefficients, their prior and all flights.
         flights: one for each.
     """
 
     common: Indices
     own: Indices
-    mean: Array
-    covariance: Array
+    information: Array
+    projection: Array
     flights: tuple[_OfFlight, ...]
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Of the shared coefficients (n, n)."""
+        return _symmetric(np.linalg.inv(self.information))
+
+    @cached_property
+    def mean(self) -> Array:
+        """Of the shared coefficients (n,)."""
+        mean: Array = self.covariance @ self.projection
+        return mean
+
+    @property
+    def jackknife(self) -> Array:
+        """Covariance (n, n) of the shared coefficients by their fits without each flight in turn."""
+        flights = len(self.flights)
+        without = np.array(
+            [
+                np.linalg.solve(self.information - own.information, self.projection - own.projection)
+                for own in self.flights
+            ]
+        )
+        away = without - without.mean(axis=0)
+        covariance: Array = (flights - 1) / flights * away.T @ away
+        return covariance
 
 
 def _variances(products: Array, rows: Array) -> tuple[_Variances, _Posterior]:
@@ -229,32 +257,22 @@ def predicts(gained: Array) -> bool:
 
 def _left_out(found: _Variances, posterior: _Posterior, rows: Array) -> Array:
     """Log evidence (F,) of each flight given all others [nat]."""
-    common, own = posterior.common, posterior.own
-    prior = np.diag(1.0 / found.common[common])
-    information, projection = prior.copy(), np.zeros(len(common))
-    alone, each = [], []
-    for flight, count in zip(posterior.flights, rows, strict=True):
-        gram = flight.gram
-        inner = gram[np.ix_(1 + common, 1 + common)] - flight.gain @ gram[np.ix_(1 + own, 1 + common)]
-        seen = gram[1 + common, 0] - flight.gain @ gram[1 + own, 0]
-        left = gram[0, 0] - gram[0, 1 + own] @ flight.covariance @ gram[1 + own, 0]
-        own_prior = float(np.log(found.of_flight[own]).sum())
-        spread = 0.5 * (float(np.linalg.slogdet(flight.covariance)[1]) - own_prior)
-        alone.append(spread - 0.5 * left - 0.5 * float(np.sum(count * np.log(found.noise))))
-        each.append((inner, seen))
-        information, projection = information + inner, projection + seen
+    own, information, projection = posterior.own, posterior.information, posterior.projection
 
     def evidence(inner: Array, seen: Array) -> float:
         solved = float(seen @ np.linalg.solve(inner, seen))
         return 0.5 * (solved - float(np.linalg.slogdet(inner)[1]))
 
-    whole = evidence(information, projection)
-    return np.array(
-        [
-            own + whole - evidence(information - inner, projection - seen)
-            for own, (inner, seen) in zip(alone, each, strict=True)
-        ]
-    )
+    whole, own_prior = evidence(information, projection), float(np.log(found.of_flight[own]).sum())
+    result = []
+    for flight, count in zip(posterior.flights, rows, strict=True):
+        gram = flight.gram
+        left = gram[0, 0] - gram[0, 1 + own] @ flight.covariance @ gram[1 + own, 0]
+        spread = float(np.linalg.slogdet(flight.covariance)[1]) - own_prior
+        alone = 0.5 * (spread - left - float(np.sum(count * np.log(found.noise))))
+        others = evidence(information - flight.information, projection - flight.projection)
+        result.append(alone + whole - others)
+    return np.array(result)
 
 
 def _posterior(products: Array, variances: _Variances) -> _Posterior:
@@ -266,21 +284,20 @@ def _posterior(products: Array, variances: _Variances) -> _Posterior:
         inner = gram[np.ix_(1 + own, 1 + own)] + np.diag(1.0 / variances.of_flight[own])
         covariance = np.linalg.inv(inner)
         gain = gram[np.ix_(1 + common, 1 + own)] @ covariance
-        information = information + gram[np.ix_(1 + common, 1 + common)]
-        information -= gain @ gram[np.ix_(1 + own, 1 + common)]
-        projection = projection + gram[1 + common, 0] - gain @ gram[1 + own, 0]
-        flights.append(_OfFlight(gram, covariance, gain))
-    covariance = _symmetric(np.linalg.inv(information))
-    return _Posterior(common, own, covariance @ projection, covariance, tuple(flights))
+        told = gram[np.ix_(1 + common, 1 + common)] - gain @ gram[np.ix_(1 + own, 1 + common)]
+        seen = gram[1 + common, 0] - gain @ gram[1 + own, 0]
+        information, projection = information + told, projection + seen
+        flights.append(_OfFlight(gram, covariance, gain, told, seen))
+    return _Posterior(common, own, information, projection, tuple(flights))
 
 
 def _renewed(products: Array, rows: Array, found: _Variances, posterior: _Posterior) -> _Variances:
     """The variances after a step of their iteration: squares of coefficients over what flights tell."""
-    common, own, mean, covariance, flights = posterior
+    common, own, mean, covariance = posterior.common, posterior.own, posterior.mean, posterior.covariance
     squares, told = np.zeros(len(own)), np.zeros(len(own))
     noise = np.zeros_like(found.noise)
     used = np.concatenate(([0], 1 + common, 1 + own))
-    for product, flight in zip(products, flights, strict=True):
+    for product, flight in zip(products, posterior.flights, strict=True):
         values = flight.covariance @ flight.gram[1 + own, 0] - flight.gain.T @ mean
         spread = flight.covariance + flight.gain.T @ covariance @ flight.gain
         between = -covariance @ flight.gain
@@ -310,12 +327,12 @@ def _gains(found: _Variances, posterior: _Posterior) -> tuple[Array, Array, npt.
     With s the square of a column and q its product with the residual, both beside what is known, a variance v
     gains ½ q² v / (1 + v s) − ½ ln(1 + v s).
     """
-    common, own, mean, covariance, flights = posterior
+    common, own, mean, covariance = posterior.common, posterior.own, posterior.mean, posterior.covariance
     columns = len(found.common)
     shared_s, shared_q = np.zeros(columns), np.zeros(columns)
     shared_u = np.zeros((columns, len(common)))
     of_flight = np.zeros((len(_TRIED), columns))
-    for flight in flights:
+    for flight in posterior.flights:
         gram = flight.gram
         weights = gram[1:, 1 + own] @ flight.covariance
         square = np.diag(gram)[1:] - np.sum(weights * gram[1:, 1 + own], axis=1)
@@ -338,17 +355,6 @@ def _gained(square: Array, product: Array, variance: Array) -> Array:
     gain: Array = 0.5 * np.square(product) * variance / (1.0 + variance * square)
     gain -= 0.5 * np.log1p(variance * square)
     return gain
-
-
-def _jackknife(products: Array, found: _Variances) -> Array:
-    """Covariance (n, n) of the shared coefficients by their fits without each flight in turn."""
-    flights = len(products)
-    without = np.array(
-        [_posterior(np.delete(products, place, axis=0), found).mean for place in range(flights)]
-    )
-    away = without - without.mean(axis=0)
-    covariance: Array = (flights - 1) / flights * away.T @ away
-    return covariance
 
 
 def _symmetric(matrix: npt.NDArray[np.floating]) -> Array:

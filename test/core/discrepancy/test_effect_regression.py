@@ -10,7 +10,14 @@ import numpy as np
 import pytest
 
 from quadpi_core.discrepancy.candidates import candidates
-from quadpi_core.discrepancy.effect_regression import NONE_HELD, NoiseWeighting, Regression, refined, settled
+from quadpi_core.discrepancy.effect_regression import (
+    NONE_HELD,
+    Condition,
+    NoiseWeighting,
+    Regression,
+    refined,
+    settled,
+)
 from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.whitening import band_means
 from quadpi_core.flight import AXES
@@ -261,7 +268,7 @@ def test_what_flights_have_of_their_own_is_told_from_what_they_share(pulled):
     fit = changed.fit((drag,))
     gain = changed.gain_of_condition(index, sizes, (drag,), fit)
     assert gain > 20.0
-    conditioned = changed.with_condition(index, sizes)
+    conditioned = changed.with_condition(Condition(index, sizes))
     # What the gain promised is what the noise with the condition gives, its normalisation counted.
     (own,) = conditioned.conditions
     after = conditioned.fit((drag,))
