@@ -1,64 +1,120 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Conditions and times in which simulation and flights disagree beyond noise and tolerances."""
+"""Conditions and times in which simulation and flights disagree beyond noise and tolerances.
+
+The regression works in frequency; bins need time. A flight has as many samples here as it has rows there, and
+mean squares are the same in both.
+
+Coefficients are first fitted within their tolerances, together with the effects that were found, so that a
+residual that a coefficient explains is not located anywhere. The remaining energy in a cell, a bin of a
+variable or a second of a flight, is compared with that of draws without any effect, treated in the same way.
+P-values are adjusted for all cells by the smallest p-value of each draw (Westfall and Young), as cells share
+samples and noise is correlated over several cells.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import zip_longest
+from itertools import pairwise, zip_longest
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import cholesky, solve_triangular
+from scipy.optimize import lsq_linear
+from scipy.sparse import csc_array
+from scipy.special import rel_entr
+from scipy.stats import gamma, norm
 
-from quadpi_core.discrepancy.residual_bins import (
-    SEGMENT_S,
-    VARIABLES,
-    Cells,
-    CellTest,
-    Residual,
-    against_draws,
-    residuals,
-)
+from quadpi_core.discrepancy.effect_response import Compared
+from quadpi_core.discrepancy.evidence import Indices, residual_weights
 from quadpi_core.discrepancy.search import Found
+from quadpi_core.evaluation.metrics import round_edges
 from quadpi_core.flight import AXES
-from quadpi_core.frames import Array
+from quadpi_core.frames import Array, roll_pitch_yaw_from_quaternion
 from quadpi_core.thresholds import CONVENTION, Threshold
 
-BULK = Threshold(
-    "bulk of the energy",
-    0.8,
-    "of the energy beyond noise and tolerances",
-    "the named ranges hold most of it, in the fewest samples, without the tail that every bin has",
+FALSE_RANGE = Threshold(
+    "chance of a range where nothing is missing",
+    0.05,
+    "half each for coefficients and noise",
+    "usual",
     CONVENTION,
+)
+EFFECT_SIZE = Threshold(
+    "energy that matters",
+    4.0,
+    "mean energy of a cell in the draws",
+    "twice their root mean square: noise grows with speed and load, and a coefficient has a form",
+    "none: a convention; 20 sets of flights without a discrepancy stay below it (test_by_condition.py)",
+)
+BULK = Threshold(
+    "bulk of the energy", 0.8, "of that beyond noise", "named ranges leave the tail of every bin", CONVENTION
 )
 LEAST_SHARE = Threshold(
-    "energy of a range",
-    0.03,
-    "of the energy beyond noise and tolerances",
-    "a range with less is not worth a line",
-    CONVENTION,
+    "energy of a range", 0.03, "of that beyond noise", "a range with less is not worth a line", CONVENTION
 )
 LIFT = Threshold(
-    "lift of a range",
-    1.5,
-    "share of the energy over share of the time",
-    "an axis that disagrees alike in all conditions has the same share of both in every range",
-    CONVENTION,
+    "lift of a range", 1.5, "energy over time, as shares", "it is 1 where an axis disagrees alike", CONVENTION
 )
-WORDS = {
-    "speed": ("airspeed", "m/s"),
-    "u": ("forward airspeed", "m/s"),
-    "v": ("rightward airspeed", "m/s"),
-    "w": ("downward airspeed", "m/s"),
-    "height": ("height", "m"),
-    "rotor_speed": ("mean rotor speed", "rad/s"),
-    "rates": ("turn rate", "rad/s"),
-    "heading": ("heading", "degrees"),
-    "north": ("position north", "m"),
-    "east": ("position east", "m"),
-    "time": ("time", "s"),
+FEWEST_SAMPLES = Threshold(
+    "samples of a bin", 0.01, "of all samples", "with fewer it says nothing, and joins another", CONVENTION
+)
+SEGMENT_S = Threshold(
+    "length of a cell in time", 1.0, "s", "a manoeuvre lasts one to a few seconds", CONVENTION
+)
+MOST_BINS = 12
+# Edges of the bins of the height [m]: the air near the ground changes with powers of the height.
+_HEIGHTS_M = np.array([0.0, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0])
+# Draws without any effect: five of them lie beyond the p-value of a cell that stands out. Figures show as
+# allowed what one bin of twenty exceeds by chance.
+_DRAWS, _ALLOWED = 200, 0.95
+
+
+class Variable(NamedTuple):
+    """What a residual may depend on: in words, its unit, and its values (M,) along a flight."""
+
+    words: str
+    unit: str
+    along: Callable[[Compared], Array]
+
+
+VARIABLES = {
+    "speed": Variable("airspeed", "m/s", lambda own: np.linalg.norm(own.states["velocity_air"], axis=1)),
+    "u": Variable("forward airspeed", "m/s", lambda own: own.states["velocity_air"][:, 0]),
+    "v": Variable("rightward airspeed", "m/s", lambda own: own.states["velocity_air"][:, 1]),
+    "w": Variable("downward airspeed", "m/s", lambda own: own.states["velocity_air"][:, 2]),
+    "height": Variable("height", "m", lambda own: -own.states["position"][:, 2]),
+    "rotor_speed": Variable("mean rotor speed", "rad/s", lambda own: own.states["rotor_speeds"].mean(axis=1)),
+    "rates": Variable("turn rate", "rad/s", lambda own: np.linalg.norm(own.states["rates"], axis=1)),
+    "heading": Variable(
+        "heading",
+        "degrees",
+        lambda own: np.degrees(roll_pitch_yaw_from_quaternion(own.states["attitude"])[:, 2]),
+    ),
+    "north": Variable("position north", "m", lambda own: own.states["position"][:, 0]),
+    "east": Variable("position east", "m", lambda own: own.states["position"][:, 1]),
+    "time": Variable("time", "s", lambda own: own.thinned.time - own.thinned.time[0]),
 }
+
+
+class Residual(NamedTuple):
+    """Measured less simulated wrench (B, 6) [N, Nm] of a flight over time [s], up to the band's end.
+
+    Attributes:
+        variables: (B,) each, by names of `VARIABLES`.
+        before: residual of the simulation as it is.
+        beyond: residual with coefficients fitted within their tolerances, together with the effects.
+        after: residual with effects and coefficients as fitted on all other flights.
+    """
+
+    flight: str
+    time: Array
+    variables: dict[str, Array]
+    before: Array
+    beyond: Array
+    after: Array
 
 
 @dataclass(frozen=True)
@@ -66,13 +122,10 @@ class Range:
     """Conditions in which an axis disagrees.
 
     Attributes:
-        axis: name in `AXES`.
-        variable: name in `residual_bins.VARIABLES`; None for an axis that disagrees in all conditions
-            equally.
+        variable: name in `VARIABLES`; None for an axis that disagrees in all conditions equally.
         low, high: bounds in the unit of the variable; None where no flight went beyond the range.
-        share: share of the energy of the axis beyond noise and tolerances.
-        time_share: share of all samples.
-        p_value: p-value, adjusted for all bins, variables and axes.
+        share, time_share: shares of the energy of the axis beyond noise and tolerances, and of all samples.
+        p_value: adjusted for all bins, variables and axes.
     """
 
     axis: str
@@ -95,7 +148,7 @@ class Range:
 
     @property
     def text(self) -> str:
-        """In words."""
+        """In words, with its shares."""
         if self.variable is None:
             return f"{self.axis} {self.conditions}"
         return (
@@ -108,7 +161,7 @@ class Range:
         """The range in words."""
         if self.variable is None:
             return "everywhere alike"
-        words, unit = WORDS[self.variable]
+        words, unit, _ = VARIABLES[self.variable]
         if self.low is None and self.high is None:
             return f"any {words}"
         if self.high is None:
@@ -120,15 +173,7 @@ class Range:
 
 @dataclass(frozen=True)
 class Segment:
-    """A time in which an axis of one flight disagrees.
-
-    Attributes:
-        flight: name of the flight.
-        axis: name in `AXES`.
-        start_s, end_s: times of the flight.
-        share: share of the energy of the axis in all flights.
-        p_value: p-value, adjusted for all times, flights and axes.
-    """
+    """A time of one flight in which an axis disagrees; share and p-value as those of a :class:`Range`."""
 
     flight: str
     axis: str
@@ -138,15 +183,10 @@ class Segment:
     p_value: float
 
 
-@dataclass(frozen=True)
-class Profile:
-    """The residual of an axis over its most informative variable.
+class Profile(NamedTuple):
+    """An axis over its most informative variable: root mean square [N, Nm] in K bins, of K + 1 edges.
 
-    Attributes:
-        axis, variable: see :class:`Range`.
-        edges: (K + 1,) edges of the bins.
-        beyond, after: (K,) root mean square, N or Nm, of these of :class:`Residual`.
-        allowed: (K,) root mean square that 95 % of draws without any effect stay below.
+    It is that of these of :class:`Residual`, and what 95 % of draws without any effect stay below.
     """
 
     axis: str
@@ -157,8 +197,11 @@ class Profile:
     allowed: Array
 
 
-@dataclass(frozen=True)
-class Where:
+# First cell, the one after the last, shares of energy and time, p-value.
+_Run: TypeAlias = tuple[int, int, float, float, float]
+
+
+class Where(NamedTuple):
     """Where simulation and flights disagree.
 
     Attributes:
@@ -178,127 +221,274 @@ class Where:
     def telling(self) -> tuple[Range, ...]:
         """Of each axis the ranges of its most informative variable."""
         first: dict[str, str | None] = {}
-        for part in self.ranges:
-            first.setdefault(part.axis, part.variable)
-        return tuple(part for part in self.ranges if first[part.axis] == part.variable)
+        return tuple(own for own in self.ranges if first.setdefault(own.axis, own.variable) == own.variable)
 
 
 def locate(found: Found, seed: int = 0) -> Where:
-    """Find where the flights of a search disagree with its simulation.
-
-    Coefficients of the simulation are first fitted within their tolerances, together with the effects that
-    were found, so that a residual that a coefficient explains is not located anywhere.
-    """
+    """Find where the flights of a search disagree with its simulation."""
     flights = residuals(found)
     cells = Cells.of(flights)
-    result = against_draws(found, flights, cells, seed)
-    profiles, groups = [], []
-    for axis in range(len(AXES)):
-        order = sorted(
-            VARIABLES, key=lambda name: -_divergence(result.excess[cells.bins[name], axis], cells, name)
-        )
-        profiles.append(_profile(axis, order[0], flights, cells, result))
-        groups.append(_of_axis(axis, order, cells, result))
-    energy = result.excess[cells.bins["time"]].sum(axis=0) / found.regression.noise.sum(axis=1)
-    loudest = [groups[axis] for axis in np.argsort(-energy)]
-    ranges = tuple(part for rank in zip_longest(*loudest, fillvalue=()) for group in rank for part in group)
-    loud = {part.axis for part in ranges}
-    segments = sorted(
-        (segment for segment in _segments(flights, cells, result) if segment.axis in loud),
-        key=lambda segment: -segment.share,
-    )
-    return Where(ranges, tuple(segments), tuple(profiles), tuple(flights))
-
-
-def _of_axis(axis: int, order: Sequence[str], cells: Cells, result: CellTest) -> list[tuple[Range, ...]]:
-    """Ranges of an axis by variable, most informative first."""
-    found = [tuple(_ranges(axis, name, cells, result)) for name in order]
-    telling = [tuple(part for part in parts if part.is_informative) for parts in found]
-    if any(telling) or not any(found):
-        return [parts for parts in telling if parts]
-    smallest = min(part.p_value for parts in found for part in parts)
-    return [(Range(AXES[axis], None, None, None, 1.0, 1.0, smallest),)]
-
-
-def _divergence(excess: Array, cells: Cells, name: str) -> float:
-    """Divergence (Kullback–Leibler) of the energy over the bins of a variable from the time in them."""
-    if not excess.any():
-        return 0.0
-    samples = cells.samples[cells.bins[name]]
-    share, time_share = excess / excess.sum(), samples / samples.sum()
-    some = share > 0.0
-    return float(np.sum(share[some] * np.log(share[some] / time_share[some])))
-
-
-def _ranges(axis: int, name: str, cells: Cells, result: CellTest) -> Iterator[Range]:
-    own, edges = cells.bins[name], cells.edges[name]
-    excess, samples, p_value = result.excess[own, axis], cells.samples[own], result.p_value[own, axis]
-    last = len(excess) - 1
-    for first, end in _runs(holding_bulk(excess, samples, result.stands_out[own, axis])):
-        part = Range(
-            axis=AXES[axis],
-            variable=name,
-            low=None if first == 0 else float(edges[first]),
-            high=None if end > last else float(edges[end]),
-            share=float(excess[first:end].sum() / excess.sum()),
-            time_share=float(samples[first:end].sum() / samples.sum()),
-            p_value=float(p_value[first:end].min()),
-        )
-        if part.is_large:
-            yield part
-
-
-def _segments(flights: Sequence[Residual], cells: Cells, result: CellTest) -> Iterator[Segment]:
-    first = cells.seconds[0].start
+    test = against_draws(found, flights, cells, seed)
+    after = cells.energy(flight.after for flight in flights)
+    ranges, segments, profiles = [], [], []
     for axis, name in enumerate(AXES):
-        excess, p_value = result.excess[first:, axis], result.p_value[first:, axis]
-        kept = holding_bulk(excess, cells.samples[first:], result.stands_out[first:, axis])
-        for flight, seconds in zip(flights, cells.seconds, strict=True):
-            own = slice(seconds.start - first, seconds.stop - first)
-            for start, end in _runs(kept[own]):
-                part = slice(own.start + start, own.start + end)
-                whole = end == own.stop - own.start
-                yield Segment(
-                    flight=flight.flight,
-                    axis=name,
-                    start_s=float(flight.time[0] + start * SEGMENT_S.value),
-                    end_s=float(flight.time[-1] if whole else flight.time[0] + end * SEGMENT_S.value),
-                    share=float(excess[part].sum() / excess.sum()),
-                    p_value=float(p_value[part].min()),
-                )
+        order = sorted(VARIABLES, key=lambda variable: -_divergence(variable, axis, cells, test))
+        own = cells.families[order[0]]
+        rms = (np.sqrt(each[own, axis] / cells.samples[own]) for each in (test.energy, after, test.allowed))
+        profiles.append(Profile(name, order[0], cells.edges[order[0]], *rms))
+        ranges.append(_ranges(axis, order, cells, test))
+        if any(ranges[axis]):
+            segments += _segments(axis, flights, cells, test)
+    energy = test.excess[cells.families["time"]].sum(axis=0) / found.regression.noise.sum(axis=1)
+    loudest = [ranges[axis] for axis in np.argsort(-energy)]
+    return Where(
+        tuple(part for rank in zip_longest(*loudest, fillvalue=()) for group in rank for part in group),
+        tuple(sorted(segments, key=lambda segment: -segment.share)),
+        tuple(profiles),
+        tuple(flights),
+    )
 
 
-def holding_bulk(excess: Array, samples: Array, stands_out: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """The cells (C,) that hold the bulk of the energy in the fewest samples, of those that stand out."""
+def _divergence(variable: str, axis: int, cells: Cells, test: CellTest) -> float:
+    """Divergence (Kullback and Leibler) of the energy over the bins of a variable from the time in them."""
+    own = cells.families[variable]
+    energy, time = test.excess[own, axis], cells.samples[own]
+    return float(rel_entr(energy / max(energy.sum(), np.finfo(float).tiny), time / time.sum()).sum())
+
+
+def _ranges(axis: int, order: Sequence[str], cells: Cells, test: CellTest) -> list[list[Range]]:
+    """Ranges of an axis by variable, most informative first."""
+    found = []
+    for name in order:
+        edges = [None, *cells.edges[name][1:-1].tolist(), None]
+        parts = [
+            Range(AXES[axis], name, edges[start], edges[end], *shares)
+            for start, end, *shares in _runs(name, axis, cells, test)
+        ]
+        found.append([part for part in parts if part.is_large])
+    telling = [[part for part in parts if part.is_informative] for parts in found]
+    if any(found) and not any(telling):
+        smallest = min(part.p_value for parts in found for part in parts)
+        return [[Range(AXES[axis], None, None, None, 1.0, 1.0, smallest)]]
+    return [parts for parts in telling if parts]
+
+
+def _segments(axis: int, flights: Sequence[Residual], cells: Cells, test: CellTest) -> list[Segment]:
+    runs = _runs("second", axis, cells, test)
+    parts = ((cells.seconds[start], cells.seconds[end - 1][2], share, p) for start, end, share, _, p in runs)
+    return [
+        Segment(flights[k].flight, AXES[axis], start, end, share, p) for (k, start, _), end, share, p in parts
+    ]
+
+
+def _runs(family: str, axis: int, cells: Cells, test: CellTest) -> Iterator[_Run]:
+    """Runs of cells that stand out."""
+    own = cells.families[family]
+    energy, mean, _, excess, p_value = (each[own, axis] for each in test)
+    samples = cells.samples[own]
+    # A run of seconds ends with its flight.
+    kinds = [flight for flight, *_ in cells.seconds] if family == "second" else 0
+    marks = np.where(standing_out(energy, mean, p_value, samples), kinds, -1)
+    for start, end in pairwise(np.flatnonzero(np.diff(marks, prepend=-2, append=-2)).tolist()):
+        if marks[start] >= 0:
+            share, time_share = (float(each[start:end].sum() / each.sum()) for each in (excess, samples))
+            yield start, end, share, time_share, float(p_value[start:end].min())
+
+
+def standing_out(energy: Array, mean: Array, p_value: Array, samples: Array) -> npt.NDArray[np.bool_]:
+    """The cells (C,) that hold the bulk of the energy beyond the mean of the draws in the fewest samples.
+
+    They are of those with significantly more than that mean, and enough to matter.
+    """
+    excess = np.maximum(energy - mean, 0.0)
+    order = np.argsort(-excess / samples)
+    order = order[((p_value <= 0.5 * FALSE_RANGE.value) & (energy >= EFFECT_SIZE.value * mean))[order]]
+    denser = np.cumsum(excess[order]) - excess[order]
     kept = np.zeros(len(excess), dtype=bool)
-    energy, bulk = 0.0, BULK.value * excess.sum()
-    for cell in np.argsort(-excess / samples):
-        if energy >= bulk:
-            break
-        if stands_out[cell]:
-            kept[cell] = True
-            energy += excess[cell]
+    kept[order[denser < BULK.value * excess.sum()]] = True
     return kept
 
 
-def _runs(kept: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """First cell, and the one after the last, of each run of kept cells."""
-    steps = np.diff(np.concatenate(([0], kept.astype(int), [0])))
-    return list(zip(np.flatnonzero(steps == 1).tolist(), np.flatnonzero(steps == -1).tolist(), strict=True))
+def residuals(found: Found) -> list[Residual]:
+    """Residuals of the flights of a search, in their order."""
+    regression, columns = found.regression, found.regression.columns
+    tolerances, without = columns.tolerances, found.fit.left.copy()
+    # Together with the effects that were found: alone, coefficients would take their place.
+    without[tolerances] = 0.0
+    gram = regression.gram[tolerances]
+    before = residual_weights(len(without), ())
+    beyond = before.copy()
+    fitted = within_tolerance(gram[:, tolerances], gram[:, : len(without)] @ without[:, None])
+    beyond[tolerances] -= fitted[:, 0]
+    result = []
+    for place, (flight, held_out) in enumerate(zip(regression.flights, found.closing.left_out, strict=True)):
+        rows = [columns.combined(place, weights) for weights in (before, beyond, held_out.left)]
+        at, series = over_time(np.stack(rows, axis=2), len(flight.thinned))
+        variables = {name: variable.along(flight)[at] for name, variable in VARIABLES.items()}
+        thinned = flight.thinned
+        result.append(Residual(thinned.name, thinned.time[at], variables, *np.moveaxis(series, 2, 0)))
+    return result
 
 
-def _profile(axis: int, name: str, flights: Sequence[Residual], cells: Cells, result: CellTest) -> Profile:
-    own = cells.bins[name]
+def over_time(rows: Array, samples: int) -> tuple[Indices, Array]:
+    """Indices (B,) of samples, and series (B, 6, C) there, of rows (6, B, C) of `whitening.spectrum`."""
+    count = rows.shape[1]
+    kept = (count + 1) // 2
+    transformed = rows[:, :kept].astype(complex)
+    transformed[:, 1:] = (rows[:, 1:kept] + 1j * rows[:, kept:]) / np.sqrt(2.0)
+    series = np.fft.irfft(transformed, n=count, axis=1, norm="ortho") * np.sqrt(count / samples)
+    at = np.minimum(np.rint(np.arange(count) * (samples / count)).astype(np.intp), samples - 1)
+    return at, np.ascontiguousarray(np.moveaxis(series, 0, 1))
 
-    def rms(energy: Array) -> Array:
-        root: Array = np.sqrt(energy[own, axis] / cells.samples[own])
-        return root
 
-    return Profile(
-        axis=AXES[axis],
-        variable=name,
-        edges=cells.edges[name],
-        beyond=rms(cells.energy([flight.beyond for flight in flights])),
-        after=rms(cells.energy([flight.after for flight in flights])),
-        allowed=rms(result.allowed),
+def largest_deviation(count: int) -> float:
+    """Multiple of its tolerance that the furthest of `count` coefficients may reach."""
+    return float(norm.isf(0.25 * FALSE_RANGE.value / count))
+
+
+def within_tolerance(gram: Array, projected: Array) -> Array:
+    """Best-fitting coefficients (K, D), none further off than :func:`largest_deviation`, of D residuals.
+
+    They are fitted by the Gram matrix (K, K) of the whitened columns and projections (K, D) on these.
+    """
+    upper, most = cholesky(gram + np.eye(len(gram))), largest_deviation(len(gram))
+    goal = solve_triangular(upper, projected, trans="T")
+    best: Array = solve_triangular(upper, goal)
+    for far in np.flatnonzero((np.abs(best) > most).any(axis=0)):
+        best[:, far] = lsq_linear(upper, goal[:, far], (-most, most), method="bvls").x
+    return best
+
+
+class Cells(NamedTuple):
+    """The C cells of all flights: the bins of each variable, then the seconds of each flight.
+
+    Attributes:
+        edges: edges of the bins of each variable.
+        seconds: flight, start and end [s] of each second.
+        families: cells of each variable, and of all seconds as "second".
+        members, samples: per flight (C, B) 1 where a sample lies in a cell; (C,) number in each.
+    """
+
+    edges: dict[str, Array]
+    seconds: list[tuple[int, float, float]]
+    families: dict[str, slice]
+    members: list[csc_array]
+    samples: Array
+
+    @classmethod
+    def of(cls, flights: Sequence[Residual]) -> Cells:
+        """The cells of some flights."""
+        values = {name: np.concatenate([own.variables[name] for own in flights]) for name in VARIABLES}
+        edges = {name: bin_edges(name, own) for name, own in values.items()}
+        seconds: list[tuple[int, float, float]] = []
+        within = []
+        for place, (_, time, variables, *_) in enumerate(flights):
+            whole = max(int((time[-1] - time[0]) / SEGMENT_S.value), 1)
+            # An incomplete second at the end belongs to the one before.
+            borders = np.append(time[0] + SEGMENT_S.value * np.arange(whole), time[-1])
+            own = [bin_indices(variables[name], edges[name]) for name in VARIABLES]
+            within.append(np.stack([*own, len(seconds) + bin_indices(time, borders)]))
+            seconds += [(place, *both) for both in pairwise(borders.tolist())]
+        counts = np.array([*(len(own) - 1 for own in edges.values()), len(seconds)])
+        starts = np.cumsum(counts) - counts
+        members = [
+            csc_array(
+                (np.ones(own.size), (own.T + starts).ravel(), np.arange(0, own.size + 1, len(own))),
+                (counts.sum(), own.shape[1]),
+            )
+            for own in within
+        ]
+        slices = map(slice, starts.tolist(), np.cumsum(counts).tolist())
+        families = dict(zip((*VARIABLES, "second"), slices, strict=True))
+        return cls(edges, seconds, families, members, sum(own.sum(axis=1) for own in members))
+
+    def energy(self, series: Iterable[Array]) -> Array:
+        """Sum of squares (C, …) over the samples of each cell, of series (B, …) of each flight."""
+        total: Array = sum(
+            (own @ np.square(values).reshape(len(values), -1)).reshape(-1, *values.shape[1:])
+            for own, values in zip(self.members, series, strict=True)
+        )
+        return total
+
+
+def bin_indices(values: Array, edges: Array) -> Indices:
+    """Bin (B,) of each value; the first and the last are open."""
+    return np.digitize(values, edges[1:-1])
+
+
+def bin_edges(name: str, values: Array) -> Array:
+    """Edges (K + 1,), round numbers, of the bins of a variable with these values (N,)."""
+    if name == "height":
+        within = (values.min() < _HEIGHTS_M) & (values.max() > _HEIGHTS_M)
+        edges = np.concatenate(([min(values.min(), 0.0)], _HEIGHTS_M[within], [values.max()]))
+    else:
+        edges = round_edges(values, MOST_BINS)
+    while len(edges) > 2:
+        counts = np.bincount(bin_indices(values, edges), minlength=len(edges) - 1)
+        small = int(np.argmin(counts))
+        if counts[small] >= FEWEST_SAMPLES.value * len(values):
+            break
+        # Into the neighbour that holds fewer.
+        left = small > 0 and (small == len(counts) - 1 or counts[small - 1] <= counts[small + 1])
+        edges = np.delete(edges, small if left else small + 1)
+    return edges
+
+
+class CellTest(NamedTuple):
+    """Energy of cells beyond tolerances, each (C, 6), against draws without any effect.
+
+    It is that of the flights, the mean of the draws, what most of them stay below, what is beyond the mean,
+    and its p-value, adjusted for all bins, or for all seconds.
+    """
+
+    energy: Array
+    mean: Array
+    allowed: Array
+    excess: Array
+    p_value: Array
+
+
+def against_draws(found: Found, flights: Sequence[Residual], cells: Cells, seed: int) -> CellTest:
+    """Test the energy beyond tolerances against that of draws without any effect."""
+    energy, drawn = cells.energy(flight.beyond for flight in flights), _drawn_energy(found, cells, seed)
+    mean, variance = drawn.mean(axis=2), drawn.var(axis=2)
+    # Energies of draws are sums of squares: close to a gamma distribution of their mean and variance.
+    shape, scale = (np.square(mean) / variance)[:, :, None], (variance / mean)[:, :, None]
+    chance, chance_drawn = (gamma.sf(own, shape, scale=scale) for own in (energy[:, :, None], drawn))
+    p_value, first = np.empty_like(energy), cells.families["second"].start
+    for family in (slice(0, first), slice(first, None)):
+        smallest = np.sort(chance_drawn[family].min(axis=(0, 1)))
+        below = np.searchsorted(smallest, chance[family, :, 0], side="right")
+        p_value[family] = (1.0 + below) / (1.0 + len(smallest))
+    allowed: Array = np.quantile(drawn, _ALLOWED, axis=2)
+    return CellTest(energy, mean, allowed, np.maximum(energy - mean, 0.0), p_value)
+
+
+def _drawn_energy(found: Found, cells: Cells, seed: int) -> Array:
+    """Energy (C, 6, D) of D residuals without any effect, after the same fit of coefficients."""
+    regression, columns = found.regression, found.regression.columns
+    tolerances, draws = columns.tolerances, _DRAWS
+    gram, most = regression.gram[np.ix_(tolerances, tolerances)], largest_deviation(len(tolerances))
+    off = np.random.default_rng(seed).standard_normal((len(tolerances), draws)).clip(-most, most)
+    # What generic functions predict is not noise, even where no effect explains it.
+    spectrum = np.minimum(regression.noise, found.left.noise)[:, :, None]
+
+    def noise(place: int) -> Array:
+        rng, band = np.random.default_rng((seed, place)), columns.bands[place]
+        # Noise differs from flight to flight: its variance is known as well as its squares in a band allow.
+        count = np.maximum(np.bincount(band, minlength=spectrum.shape[1]), 1)[:, None]
+        share = rng.chisquare(count, (len(AXES), len(count), draws)) / count
+        drawn: Array = np.sqrt(spectrum / share)[:, band] * rng.standard_normal((len(AXES), len(band), draws))
+        return drawn
+
+    # Noise is made twice rather than kept: it is by far the largest of all arrays.
+    projected = gram @ off
+    allowed = [columns.rows(place, tolerances) for place in range(len(regression.flights))]
+    for place, rows in enumerate(allowed):
+        weighted = rows * regression.weighting.precision[:, columns.bands[place]][:, :, None]
+        projected += np.einsum("abk,abd->kd", weighted, noise(place), optimize=True)
+    left = off - within_tolerance(gram, projected)
+    return cells.energy(
+        over_time(rows @ left + noise(place), len(regression.flights[place].thinned))[1]
+        for place, rows in enumerate(allowed)
     )

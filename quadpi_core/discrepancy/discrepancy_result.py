@@ -5,8 +5,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from quadpi_core.brief_repr import brief_repr
 from quadpi_core.discrepancy.by_condition import Where
@@ -29,21 +32,13 @@ ERROR_NAMES = {
 }
 
 STANDS_OUT = Threshold(
-    "parameter of a flight that stands out",
-    3.0,
-    "of its standard deviations",
-    "a chance of three in a thousand for a flight that does not differ",
-    CONVENTION,
+    "parameter of a flight that stands out", 3.0, "standard deviations", "a chance of 3 in 1000", CONVENTION
 )
 
 
 @dataclass(frozen=True)
 class FoundParameter:
-    """A parameter of an effect, with its interval of 95 %.
-
-    It is that of the posterior, or a wider one where flights that are left out in turn disagree more, or the
-    law may be further off; see :meth:`.search.Found.deviation`.
-    """
+    """A parameter of an effect, with its interval of 95 %, see :meth:`.search.Found.deviation`."""
 
     name: str
     unit: str
@@ -57,12 +52,9 @@ class FoundEffect:
     """An effect that was named.
 
     Attributes:
-        name: name in the registry.
-        probability: probability against every other effect in its place, and none.
-        parameters: all parameters of the effect.
-        shape: parameters that shape its law, see `simulation.effect_definition.SHAPE`; empty for the law
-            itself.
-        axes: axes in which it shows.
+        probability: against every other effect in its place, and none.
+        shape: parameters that shape its law, see `effect_definition.SHAPE`; empty for the law itself.
+        axes: in which it shows.
         rivals: effects that do about as well in its place.
         shown_by: manoeuvres that distinguish them.
     """
@@ -88,31 +80,26 @@ class OfFlight(NamedTuple):
         return abs(self.value) > STANDS_OUT.value * self.deviation
 
 
-@dataclass(frozen=True)
-class FlightCondition:
+class FlightCondition(NamedTuple):
     """A parameter of an effect of which each flight has its own value: no effect that the simulation lacks.
 
-    Attributes:
-        effect: name of the effect.
-        parameter, unit: of the parameter.
-        cause: what is likely to make it, in words.
-        by_flight: by the name of the flight, what it has beside what all share.
+    It has a likely cause, in words, and by the name of each flight what it has beside what all share.
     """
 
     effect: str
     parameter: str
     unit: str
     cause: str
-    by_flight: Mapping[str, OfFlight]
+    flights: Mapping[str, OfFlight]
 
     @property
     def sentence(self) -> str:
         """Which flights differ by how much, most first; those of less than half of the most are left out."""
-        most = max(abs(own.value) for own in self.by_flight.values())
-        far = {name: own for name, own in self.by_flight.items() if abs(own.value) > 0.5 * most}
+        ranked = sorted(self.flights.items(), key=lambda item: -abs(item[1].value))
         told = ", ".join(
             f"{name} {own.value:+.2g} ± {2.0 * own.deviation:.1g}"
-            for name, own in sorted(far.items(), key=lambda item: -abs(item[1].value))
+            for name, own in ranked
+            if abs(own.value) > 0.5 * abs(ranked[0][1].value)
         )
         unit = f" {self.unit}" if self.unit else ""
         return f"flights differ in {self.parameter} of {self.effect}: {told}{unit} ({self.cause}?)"
@@ -125,19 +112,13 @@ class Discovery:
     Attributes:
         verdict: "none", "effects" or "unknown".
         effects: named effects, largest first.
-        unexplained: share of the predictable discrepancy that no effect explains, of all axes together or of
-            a loud axis.
+        unexplained: share of the predictable discrepancy that no effect explains, of all axes or a loud one.
         unexplained_by: generic functions that predict each axis that matters.
-        gap: gap before and after.
-        found: result of the search.
-        without_trace: effects that cannot be found: with them, these flights would hardly differ from this
-            simulation.
-        within_intervals: effects that were not looked for, as they act on axes alone that the intervals of an
-            identified model hold.
+        without_trace: effects that cannot be found: these flights would hardly differ with them.
+        within_intervals: effects that were not looked for, as intervals hold all axes that they act on.
         checks: tests of the whole result, passed or not.
         candidates: every candidate with its evidence, best first.
-        adjusted: whether coefficients are moved with the effects, where flights left out are simulated better
-            so.
+        adjusted: whether coefficients are moved with the effects, which flights left out ask for.
         rejected: whether flights left out are simulated worse with the effects.
         inside: what the intervals of the simulation hold of the flights; None without intervals.
         conditions: what single flights have of their own.
@@ -171,75 +152,61 @@ class Discovery:
         return tuple(check.sentence for check in self.checks if not check.passed)
 
 
-@dataclass(frozen=True)
-class BeforeAfter:
-    """A root-mean-square error without and with the effects.
-
-    Attributes:
-        before: error of the simulation as it is.
-        after: error with the effects.
-        floor: error of sensors and estimator, the least of any simulation.
-    """
+class BeforeAfter(NamedTuple):
+    """A root-mean-square error without and with the effects, and its floor: that of sensors and estimator."""
 
     before: float
     after: float
     floor: float
 
+    @property
+    def reduction(self) -> float:
+        """Share of the error above the floor that the effects remove; 0 without any."""
+        removable, kept = (max(error**2 - self.floor**2, 0.0) for error in (self.before, self.after))
+        return 1.0 - (kept / removable) ** 0.5 if removable else 0.0
 
-@dataclass(frozen=True)
-class Rollouts:
-    """Errors of open-loop roll-outs at their horizon.
 
-    Attributes:
-        horizon_s: duration of each.
-        starts: number of roll-outs.
-        errors: errors by quantity, with its unit in the name; none where every roll-out was lost.
-        lost: number of roll-outs that diverged, `before`, `after` and with the measured wrench, `floor`;
-            they are left out of the errors.
+class Rollouts(NamedTuple):
+    """Errors at the end of roll-outs from many starts, as `ERROR_NAMES`; none where every one was lost.
+
+    Those that diverged are left out and counted as lost, by the names of :class:`BeforeAfter`.
     """
 
     horizon_s: float
     starts: int
     errors: Mapping[str, BeforeAfter]
-    lost: Mapping[str, int] = field(default_factory=dict)
+    lost: Mapping[str, int] = MappingProxyType({})
 
 
-@dataclass(frozen=True)
-class ClosedLoops:
-    """References of flights flown again by the simulation, against the measured flights.
+class ClosedLoops(NamedTuple):
+    """References of so many flights flown again by the simulation, against the measured flights.
 
     Attributes:
-        flights: number of flights that were flown again.
         missing: reason why none could be; empty where some could.
         lost: reason for each flight that got out of control.
-        errors: errors by quantity, with its unit in the name.
-        reduction: share of the removable error that the effects remove; None without flights.
+        errors: as `ERROR_NAMES`; none without flights.
     """
 
     flights: int
     missing: str = ""
     lost: tuple[str, ...] = ()
-    errors: Mapping[str, BeforeAfter] = field(default_factory=dict)
-    reduction: float | None = None
+    errors: Mapping[str, BeforeAfter] = MappingProxyType({})
+
+    @property
+    def reduction(self) -> float | None:
+        """Share of the removable error that the effects remove; None without flights."""
+        return float(np.mean([own.reduction for own in self.errors.values()])) if self.errors else None
 
 
-@dataclass(frozen=True)
-class Coverage:
+class Coverage(NamedTuple):
     """Share of samples inside the intervals of a model, without and with the effects in its predictions."""
 
     before: float
     after: float
 
 
-@dataclass(frozen=True)
-class Reflights:
-    """The gap in flight.
-
-    Attributes:
-        rollout: open loop.
-        closed_loop: with a controller.
-        coverage: coverage of a model's intervals by axis; empty for any other simulation.
-    """
+class Reflights(NamedTuple):
+    """The gap in flight: open loop, with a controller, and coverage by axis of a model with intervals."""
 
     rollout: Rollouts
     closed_loop: ClosedLoops
@@ -251,12 +218,7 @@ class Study:
     """A simulation beside flights.
 
     Attributes:
-        simulation: compared simulation.
-        flights: flights, in the air.
-        discovery: effects that it lacks.
-        where: conditions and times in which they show.
         not_flown: manoeuvres that no flight contains.
-        seed: seed of all draws.
         flown_again: gap in roll-outs and closed loop; None where no effect was named.
     """
 
@@ -304,7 +266,12 @@ def study_json(study: Study) -> dict[str, Any]:
 
 def discovery_json(discovery: Discovery) -> dict[str, Any]:
     """What is missing, as JSON holds it."""
-    gap = discovery.gap
+    gap, inside, intervals = discovery.gap, discovery.inside, None
+    if inside is not None:
+        shares = zip(AXES, inside.shares.mean(axis=0).tolist(), inside.held.tolist(), strict=True)
+        stated = inside.confidence
+        intervals = {axis: {"inside": share, "stated": stated, "held": held} for axis, share, held in shares}
+    errors = zip(AXES, np.transpose([gap.before, gap.after, gap.floor]).tolist(), strict=True)
     return {
         "verdict": discovery.verdict,
         "effects": [
@@ -322,22 +289,10 @@ def discovery_json(discovery: Discovery) -> dict[str, Any]:
             for effect in discovery.effects
         ],
         "ambiguous": [[effect.name, *effect.rivals] for effect in discovery.effects if effect.rivals],
-        "gap": {
-            **{
-                axis: {"before": float(before), "after": float(after), "floor": float(floor)}
-                for axis, before, after, floor in zip(AXES, gap.before, gap.after, gap.floor, strict=True)
-            },
-            "reduction": gap.reduction,
-        },
-        "intervals": _intervals_json(discovery.inside),
+        "gap": {axis: BeforeAfter(*own)._asdict() for axis, own in errors} | {"reduction": gap.reduction},
+        "intervals": intervals,
         "conditions": [
-            {
-                "effect": own.effect,
-                "parameter": own.parameter,
-                "unit": own.unit,
-                "cause": own.cause,
-                "flights": {name: value._asdict() for name, value in own.by_flight.items()},
-            }
+            own._asdict() | {"flights": {name: value._asdict() for name, value in own.flights.items()}}
             for own in discovery.conditions
         ],
         "without_trace": list(discovery.without_trace),
@@ -352,33 +307,19 @@ def discovery_json(discovery: Discovery) -> dict[str, Any]:
     }
 
 
-def _intervals_json(inside: Inside | None) -> dict[str, Any] | None:
-    """What the intervals of the simulation hold by axis; None without intervals."""
-    if inside is None:
-        return None
-    each = zip(AXES, inside.shares.mean(axis=0).tolist(), inside.held.tolist(), strict=True)
-    return {axis: {"inside": share, "stated": inside.confidence, "held": held} for axis, share, held in each}
-
-
 def reflights_json(flown: Reflights) -> dict[str, Any]:
     """The gap in flight, as JSON holds it."""
+
+    def each(errors: Mapping[str, BeforeAfter] | Mapping[str, Coverage]) -> dict[str, Any]:
+        return {name: error._asdict() for name, error in errors.items()}
+
     rollout, loop = flown.rollout, flown.closed_loop
-    coverage = {axis: asdict(own) for axis, own in flown.coverage.items()}
+    open_loop: dict[str, Any] = {"horizon_s": rollout.horizon_s, "starts": rollout.starts}
+    if any(rollout.lost.values()):
+        open_loop["lost"] = dict(rollout.lost)
     closed: dict[str, Any] = {"flights": loop.flights}
-    if loop.missing:
-        closed["missing"] = loop.missing
-    else:
-        closed["lost"] = list(loop.lost)
-        closed |= {name: asdict(error) for name, error in loop.errors.items()}
+    closed |= {"missing": loop.missing} if loop.missing else {"lost": list(loop.lost)} | each(loop.errors)
     if loop.reduction is not None:
         closed["reduction"] = loop.reduction
-    return {
-        "rollout": {
-            "horizon_s": rollout.horizon_s,
-            "starts": rollout.starts,
-            **({"lost": dict(rollout.lost)} if any(rollout.lost.values()) else {}),
-            **{name: asdict(error) for name, error in rollout.errors.items()},
-        },
-        "closed_loop": closed,
-        **({"coverage": coverage} if coverage else {}),
-    }
+    coverage = {"coverage": each(flown.coverage)} if flown.coverage else {}
+    return {"rollout": open_loop | each(rollout.errors), "closed_loop": closed, **coverage}

@@ -10,17 +10,17 @@ no simulation gets below it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 from quadpi_core.bounded_files import parse_json
 from quadpi_core.discrepancy.augmented_simulation import AugmentedSimulation, as_it_was, augmented
 from quadpi_core.discrepancy.discrepancy_result import (
+    ERROR_NAMES,
     BeforeAfter,
     ClosedLoops,
     Coverage,
@@ -31,17 +31,17 @@ from quadpi_core.discrepancy.discrepancy_result import (
 from quadpi_core.discrepancy.effect_response import residual
 from quadpi_core.discrepancy.simulations import Simulation, VehicleSimulation
 from quadpi_core.errors import DiscrepancyError, LogError, SimulationError, one_line
-from quadpi_core.flight import AXES, MAX_GAP_NS, Flight, Stamps
+from quadpi_core.flight import AXES, Flight, OdometryStream, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.logs.bag_files import Bag
 from quadpi_core.models.interval_rules import inside_interval
 from quadpi_core.rotations import rotate_body_to_world, rotate_world_to_body
-from quadpi_core.signals.resample import interpolate, interpolate_attitude, interpolate_columns
+from quadpi_core.signals.resample import interpolate_columns
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight
 from quadpi_core.simulation.scenario import FlightPlan
 from quadpi_core.simulation.simulated_bags import read_truth
-from quadpi_core.simulation.truth import STEP_HZ
+from quadpi_core.simulation.truth import STEP_HZ, Truth
 from quadpi_core.thresholds import Threshold
 from quadpi_core.vehicle import Vehicle
 
@@ -49,68 +49,54 @@ from quadpi_core.vehicle import Vehicle
 HORIZON_S = 0.5
 # Time between starts [s]: the errors of neighbours are then about independent.
 _EVERY_S = 0.25
+# Steps of the integration per second.
+_ROLLOUT_HZ = 100.0
 _NO_VEHICLE_DOES = "twice what the fastest real flights reach: a roll-out beyond it has diverged"
 DIVERGED_SPEED = Threshold("speed of a lost roll-out", 50.0, "m/s", _NO_VEHICLE_DOES, "flights up to 22 m/s")
 DIVERGED_RATE = Threshold(
     "body rate of a lost roll-out", 60.0, "rad/s", _NO_VEHICLE_DOES, "flights up to 1 330 degrees/s"
 )
-# Steps of the integration per second.
-_ROLLOUT_HZ = 100.0
+_NO_REFERENCE = "the bags hold no reference that the simulation could fly again"
+_NO_VEHICLE = "only the simulation of a vehicle file can fly"
 
 
-class RolloutError(NamedTuple):
-    """Root-mean-square errors at the horizon, over all starts.
-
-    Attributes:
-        velocity_m_s: over ground.
-        attitude_deg: angle of rotation.
-        rates_rad_s: body rates.
-        starts: number of roll-outs, those lost left out.
-        lost: roll-outs that diverged, beyond which no simulation can judge.
-    """
-
-    velocity_m_s: float
-    attitude_deg: float
-    rates_rad_s: float
-    starts: int
-    lost: int = 0
-
-
-class _Motion(NamedTuple):
-    """State (K, ·) of K bodies; velocity [m/s] and position [m] in the world."""
+class Motion(NamedTuple):
+    """States (K, ·) of K bodies, or their derivatives; velocity [m/s] and position [m] in the world."""
 
     position: Array
     velocity: Array
     attitude: Array
     rates: Array
 
-    def moved(self, slope: _Motion, step: float) -> _Motion:
-        position, velocity, attitude, rates = (
-            value + step * change for value, change in zip(self, slope, strict=True)
+    @classmethod
+    def along(cls, flown: Flight | Truth | OdometryStream, time: Array | Stamps, at: Array) -> Motion:
+        """States at some times of what flew, whose samples have these times."""
+        velocity = rotate_body_to_world(flown.attitude, flown.velocity)
+        states = (flown.position, velocity, flown.attitude, flown.rates)
+        return cls(*(interpolate_columns(time, values, at) for values in states)).normalised()
+
+    def normalised(self) -> Motion:
+        """With unit quaternions."""
+        return self._replace(attitude=self.attitude / np.linalg.norm(self.attitude, axis=1, keepdims=True))
+
+    def squared_errors(self, true: Motion) -> Array:
+        """Squares (K, 4) of the distances from other states, as `ERROR_NAMES`."""
+        cosine = np.abs(np.sum(self.attitude * true.attitude, axis=1)).clip(max=1.0)
+        position, velocity, _, rates = (
+            np.square(own - other).sum(axis=1) for own, other in zip(self, true, strict=True)
         )
-        return _Motion(position, velocity, attitude / np.linalg.norm(attitude, axis=1, keepdims=True), rates)
-
-    def lost(self) -> npt.NDArray[np.bool_]:
-        """Bodies (K,) that fly or turn as no vehicle does."""
-        speed, rates = (np.linalg.norm(own, axis=1) for own in (self.velocity, self.rates))
-        with np.errstate(invalid="ignore"):
-            kept = (speed < DIVERGED_SPEED.value) & (rates < DIVERGED_RATE.value)
-        lost: npt.NDArray[np.bool_] = ~kept
-        return lost
-
-    def where(self, chosen: npt.NDArray[np.bool_], other: _Motion) -> _Motion:
-        """These bodies, but another's motion where chosen (K,)."""
-        return _Motion(*(np.where(chosen[:, None], b, a) for a, b in zip(self, other, strict=True)))
+        return np.stack((position, velocity, np.square(np.degrees(2.0 * np.arccos(cosine))), rates), axis=1)
 
 
 # Wrench (K, 6) of K bodies in their states, each at its own time [s] of the flight.
-_Wrench: TypeAlias = Callable[[Array, _Motion], Array]
+_Wrench: TypeAlias = Callable[[Array, Motion], Array]
 
 
-def rollout(flight: Flight, simulation: Simulation, horizon_s: float = HORIZON_S) -> RolloutError:
-    """Errors of roll-outs of a simulation from many instants of a flight.
+def rollout(flight: Flight, simulation: Simulation, horizon_s: float = HORIZON_S) -> Array:
+    """Squared errors (S, 4) at the end of roll-outs of a simulation from many instants of a flight.
 
-    Errors of sensors that the simulation has as effects are removed from the flight first.
+    They are of `ERROR_NAMES`, and NaN where a roll-out diverged, beyond which no simulation can judge. Errors
+    of sensors that the simulation has as effects are removed from the flight first.
 
     Raises:
         DiscrepancyError: for a flight shorter than the horizon.
@@ -119,35 +105,12 @@ def rollout(flight: Flight, simulation: Simulation, horizon_s: float = HORIZON_S
         corrected = simulation.corrected(flight)
         simulation = simulation.answering(flight, corrected).physical.departing_from(corrected)
         flight = corrected
-    return _rolled_out(flight, simulation.vehicle, _simulated(flight, simulation), horizon_s)
+    # At three instants: effects of changing rotor speeds see differences over a whole step, and these add up.
+    around = 0.5 / _ROLLOUT_HZ * np.array([-1.0, 0.0, 1.0])
 
-
-def rollout_floor(flight: Flight, vehicle: Vehicle) -> RolloutError:
-    """Errors of roll-outs of the measured wrench of a flight, which no simulation causes.
-
-    Raises:
-        DiscrepancyError: for a flight shorter than the horizon.
-    """
-    measured = measured_wrench(flight, vehicle)
-
-    def wrench(time: Array, _: _Motion) -> Array:
-        return interpolate_columns(flight.time, measured, time)
-
-    return _rolled_out(flight, vehicle, wrench, HORIZON_S)
-
-
-def _simulated(flight: Flight, simulation: Simulation) -> _Wrench:
-    """The wrench of a simulation for bodies in given states, with rotor speeds and wind of the flight.
-
-    Each is evaluated at three instants, so that effects of changing rotor speeds see differences over a whole
-    step, which add up to the change of the speeds.
-    """
-    step = 0.5 / _ROLLOUT_HZ
-
-    def wrench(time: Array, motion: _Motion) -> Array:
-        instants = (time[:, None] + step * np.array([-1.0, 0.0, 1.0])).ravel()
-        at = [np.repeat(values, 3, axis=0) for values in motion]
-        position, velocity, attitude, rates = at
+    def wrench(time: Array, motion: Motion) -> Array:
+        instants = (time[:, None] + around).ravel()
+        position, velocity, attitude, rates = (np.repeat(values, 3, axis=0) for values in motion)
         none = np.zeros((len(instants), 3))
         asked = replace(
             flight,
@@ -163,54 +126,45 @@ def _simulated(flight: Flight, simulation: Simulation) -> _Wrench:
         )
         return simulation.wrench(asked)[1::3]
 
-    return wrench
+    return _rolled_out(flight, simulation.vehicle, wrench, horizon_s)
 
 
-def _rolled_out(flight: Flight, vehicle: Vehicle, wrench: _Wrench, horizon_s: float) -> RolloutError:
+def rollout_floor(flight: Flight, vehicle: Vehicle) -> Array:
+    """As :func:`rollout`, of the measured wrench of the flight, whose errors no simulation causes."""
+    measured = measured_wrench(flight, vehicle)
+    return _rolled_out(
+        flight, vehicle, lambda at, _: interpolate_columns(flight.time, measured, at), HORIZON_S
+    )
+
+
+def _rolled_out(flight: Flight, vehicle: Vehicle, wrench: _Wrench, horizon_s: float) -> Array:
     first, last = flight.time[0], flight.time[-1] - horizon_s
     if last <= first:
         raise DiscrepancyError(f"{flight.source}: shorter than the {horizon_s:g} s of a roll-out")
     time = np.arange(first, last, _EVERY_S)
-    motion = _measured(flight, time)
     steps = max(1, round(horizon_s * _ROLLOUT_HZ))
     step = horizon_s / steps
-    begin, lost = motion, np.zeros(len(time), dtype=np.bool_)
+    begin = motion = Motion.along(flight, flight.time, time)
+    lost = np.zeros(len(time), dtype=np.bool_)
     for _ in range(steps):
-        slope = _slope(vehicle, wrench(time, motion), motion)
-        halfway = motion.moved(slope, 0.5 * step)
-        lost |= halfway.lost()
-        # A model is asked for nothing beyond numbers: what is lost waits at its start.
-        halfway = halfway.where(lost, begin)
-        slope = _slope(vehicle, wrench(time + 0.5 * step, halfway), halfway)
-        motion = motion.moved(slope, step)
-        lost |= motion.lost()
-        motion = motion.where(lost, begin)
-        time = time + step
-    if lost.all():
-        return RolloutError(0.0, 0.0, 0.0, starts=0, lost=len(lost))
-    motion, true = (_Motion(*(own[~lost] for own in both)) for both in (motion, _measured(flight, time)))
-    cosine = np.abs(np.sum(motion.attitude * true.attitude, axis=1)).clip(max=1.0)
-    return RolloutError(
-        velocity_m_s=_rms(motion.velocity - true.velocity),
-        attitude_deg=float(np.degrees(np.sqrt(np.mean(np.square(2.0 * np.arccos(cosine)))))),
-        rates_rad_s=_rms(motion.rates - true.rates),
-        starts=int(np.sum(~lost)),
-        lost=int(np.sum(lost)),
-    )
+        ahead = motion
+        # The slope half a step ahead is that of the whole step.
+        for at, span in ((time, 0.5 * step), (time + 0.5 * step, step)):
+            slope = _slope(vehicle, wrench(at, ahead), ahead)
+            moved = zip(motion, slope, strict=True)
+            ahead = Motion(*(value + span * change for value, change in moved)).normalised()
+            speed, rates = (np.linalg.norm(own, axis=1) for own in (ahead.velocity, ahead.rates))
+            lost |= ~((speed < DIVERGED_SPEED.value) & (rates < DIVERGED_RATE.value))
+            # A model is asked for nothing beyond numbers: what is lost waits at its start.
+            both = zip(begin, ahead, strict=True)
+            ahead = Motion(*(np.where(lost[:, None], start, there) for start, there in both))
+        motion, time = ahead, time + step
+    squares = motion.squared_errors(Motion.along(flight, flight.time, time))
+    squares[lost] = np.nan
+    return squares
 
 
-def _measured(flight: Flight, time: Array) -> _Motion:
-    velocity = rotate_body_to_world(flight.attitude, flight.velocity)
-    attitude = interpolate_columns(flight.time, flight.attitude, time)
-    return _Motion(
-        interpolate_columns(flight.time, flight.position, time),
-        interpolate_columns(flight.time, velocity, time),
-        attitude / np.linalg.norm(attitude, axis=1, keepdims=True),
-        interpolate_columns(flight.time, flight.rates, time),
-    )
-
-
-def _slope(vehicle: Vehicle, wrench: Array, motion: _Motion) -> _Motion:
+def _slope(vehicle: Vehicle, wrench: Array, motion: Motion) -> Motion:
     """Equations of motion: v̇ = R F/m + g, I Ω̇ = M − Ω × IΩ, q̇ = ½ q (0, Ω)."""
     acceleration = rotate_body_to_world(motion.attitude, wrench[:, :3] / vehicle.mass_kg)
     acceleration[:, 2] += vehicle.gravity_m_s2
@@ -220,66 +174,18 @@ def _slope(vehicle: Vehicle, wrench: Array, motion: _Motion) -> _Motion:
     turning = np.stack(
         (-x * p - y * q - z * r, w * p + y * r - z * q, w * q + z * p - x * r, w * r + x * q - y * p), axis=1
     )
-    return _Motion(motion.velocity, acceleration, 0.5 * turning, moment @ np.linalg.inv(vehicle.inertia).T)
-
-
-def _rms(errors: Array) -> float:
-    return float(np.sqrt(np.mean(np.sum(np.square(errors), axis=1))))
-
-
-_FLOWN = ("position_m", "velocity_m_s", "attitude_deg", "rates_rad_s")
-_NO_REFERENCE = "the bags hold no reference that the simulation could fly again"
-_NO_VEHICLE = "only the simulation of a vehicle file can fly"
-
-
-@dataclass(frozen=True)
-class Track:
-    """Motion at stamps (N,): position [m] and velocity [m/s] in the world, attitude, rates."""
-
-    time_ns: Stamps
-    position: Array
-    velocity: Array
-    attitude: Array
-    rates: Array
-
-    @classmethod
-    def of(cls, flight: Flight) -> Track:
-        """Of a flight, measured or simulated."""
-        stamps = flight.start_ns + np.round(1e9 * flight.time).astype(np.int64)
-        velocity = rotate_body_to_world(flight.attitude, flight.velocity)
-        return cls(stamps, flight.position, velocity, flight.attitude, flight.rates)
-
-    def squares(self, other: Track) -> tuple[Array, int]:
-        """Sums (4,) of the squared distances to another track, as `_FLOWN`, and over how many samples."""
-        inside = (self.time_ns >= other.time_ns[0]) & (self.time_ns <= other.time_ns[-1])
-        at = self.time_ns[inside]
-
-        def apart(own: Array, others: Array) -> float:
-            there = interpolate(other.time_ns, others, at, MAX_GAP_NS).values
-            return float(np.square(own[inside] - there).sum())
-
-        there = interpolate_attitude(other.time_ns, other.attitude, at, MAX_GAP_NS).values
-        cosine = np.abs(np.sum(self.attitude[inside] * there, axis=1)).clip(max=1.0)
-        sums = (
-            apart(self.position, other.position),
-            apart(self.velocity, other.velocity),
-            float(np.square(np.degrees(2.0 * np.arccos(cosine))).sum()),
-            apart(self.rates, other.rates),
-        )
-        return np.array(sums), len(at)
+    return Motion(motion.velocity, acceleration, 0.5 * turning, moment @ np.linalg.inv(vehicle.inertia).T)
 
 
 def reflights(discovery: Discovery) -> Reflights:
     """Roll-outs, closed loops and, for a model with intervals, their coverage."""
     compared = discovery.found.regression.flights
-    before = compared[0].simulation
-    flights = [one.flight for one in compared]
+    before, flights = compared[0].simulation, [one.flight for one in compared]
     after = [augmented(discovery, without=place) for place in range(len(flights))]
-    base = before.base if isinstance(before, AugmentedSimulation) else before
     return Reflights(
         rollout=rollouts(flights, [as_it_was(discovery, place) for place in range(len(flights))], after),
         closed_loop=closed_loops(flights, before, after),
-        coverage=coverages(flights, base, before, after),
+        coverage=coverages(flights, before, after),
     )
 
 
@@ -290,31 +196,24 @@ def rollouts(
 
     There are none where every roll-out of one of the three is lost.
     """
-    first = [rollout(flight, simulation) for flight, simulation in zip(flights, before, strict=True)]
-    then = [rollout(flight, simulation) for flight, simulation in zip(flights, after, strict=True)]
-    floor = [
-        rollout_floor(flight, simulation.vehicle) for flight, simulation in zip(flights, after, strict=True)
-    ]
-    starts = [error.starts for error in first]
-
-    def rms(errors: Sequence[RolloutError], name: str) -> float:
-        weights = [error.starts for error in errors]
-        return float(np.sqrt(np.average(np.square([getattr(e, name) for e in errors]), weights=weights)))
-
-    judged = all(any(error.starts for error in errors) for errors in (first, then, floor))
+    vehicles = [simulation.vehicle for simulation in after]
+    each = map(rollout, flights, before), map(rollout, flights, after), map(rollout_floor, flights, vehicles)
+    squares = [np.concatenate(list(own)) for own in each]
+    lost = [int(np.isnan(own[:, 0]).sum()) for own in squares]
+    starts = len(squares[0])
+    errors = _errors(squares) if max(lost) < starts else {}
     return Rollouts(
-        horizon_s=HORIZON_S,
-        starts=sum(starts),
-        lost={
-            when: sum(error.lost for error in errors)
-            for when, errors in (("before", first), ("after", then), ("floor", floor))
-        },
-        errors={
-            name: BeforeAfter(rms(first, name), rms(then, name), rms(floor, name))
-            for name in RolloutError._fields
-            if judged and name not in ("starts", "lost")
-        },
+        HORIZON_S,
+        starts - lost[0],
+        {name: error for name, error in errors.items() if name != "position_m"},
+        dict(zip(BeforeAfter._fields, lost, strict=True)),
     )
+
+
+def _errors(squares: Sequence[Array]) -> dict[str, BeforeAfter]:
+    """Root mean square before, after and at the floor, by name, of squares (S, 4) where these are numbers."""
+    rms = np.sqrt([np.nanmean(own, axis=0) for own in squares])
+    return {name: BeforeAfter(*own) for name, own in zip(ERROR_NAMES, rms.T.tolist(), strict=True)}
 
 
 def closed_loops(
@@ -332,53 +231,39 @@ def closed_loops(
     if not any(plans):
         return ClosedLoops(0, missing=_NO_REFERENCE)
     nominal = SimulatedVehicle.load(base.vehicle_file)
-    sums, samples, lost = {when: np.zeros(len(_FLOWN)) for when in ("before", "after", "floor")}, 0, []
-    flown = 0
-    for flight, plan, augmented_ in zip(flights, plans, after, strict=True):
+    squares, lost = [], []
+    for flight, plan, added in zip(flights, plans, after, strict=True):
         if plan is None:
             continue
-        assert isinstance(augmented_.base, VehicleSimulation)  # as before
-        added = replace(nominal, aerodynamics=augmented_.base.model, effects=augmented_.effects)
-        track = Track.of(flight)
+        assert isinstance(added.base, VehicleSimulation)  # as before
+        altered = replace(nominal, aerodynamics=added.base.model, effects=added.effects)
         try:
-            ways = {"before": fly_again(plan, nominal), "after": fly_again(plan, added)}
+            ways = fly_again(plan, nominal), fly_again(plan, altered), read_truth(flight.source).odometry
         except SimulationError as error:
             lost.append(str(error))
             continue
-        ways["floor"] = _true_track(flight)
-        for when, other in ways.items():
-            squares, count = track.squares(other)
-            sums[when] += squares
-        samples += count
-        flown += 1
-    if not flown:
+        squares.append([squared_distances(flight, way) for way in ways])
+    if not squares:
         return ClosedLoops(0, lost=tuple(lost))
-    rms = {when: np.sqrt(total / samples) for when, total in sums.items()}
-    errors = {
-        name: BeforeAfter(**{when: float(values[index]) for when, values in rms.items()})
-        for index, name in enumerate(_FLOWN)
-    }
-    shares = []
-    for own in errors.values():
-        removable, kept = _beyond(own.before, own.floor), _beyond(own.after, own.floor)
-        shares.append(1.0 - kept / removable if removable > 0.0 else 0.0)
-    return ClosedLoops(flown, lost=tuple(lost), errors=errors, reduction=float(np.mean(shares)))
+    errors = _errors([np.concatenate(own) for own in zip(*squares, strict=True)])
+    return ClosedLoops(len(squares), lost=tuple(lost), errors=errors)
 
 
-def _beyond(rms: float, floor: float) -> float:
-    return float(np.sqrt(max(rms * rms - floor * floor, 0.0)))
-
-
-def fly_again(plan: FlightPlan, vehicle: SimulatedVehicle) -> Track:
+def fly_again(plan: FlightPlan, vehicle: SimulatedVehicle) -> Truth:
     """The reference of a plan flown by a vehicle with its own effects, without those of the plan.
 
     Raises:
         SimulationError: if it gets out of control or to the ground.
     """
-    truth = simulate_flight(
-        plan.name, vehicle, plan.reference(STEP_HZ), known_wind=plan.known_wind, seed=plan.seed
-    )
-    return Track.of(truth.flight())
+    reference = plan.reference(STEP_HZ)
+    return simulate_flight(plan.name, vehicle, reference, known_wind=plan.known_wind, seed=plan.seed)
+
+
+def squared_distances(flight: Flight, other: Truth | OdometryStream) -> Array:
+    """Squares (S, 4) as `ERROR_NAMES` of how far a flight was from another track, where both were."""
+    time_ns, other_ns = np.rint(1e9 * flight.time), other.time_ns - flight.start_ns
+    at = time_ns[(time_ns >= other_ns[0]) & (time_ns <= other_ns[-1])]
+    return Motion.along(flight, time_ns, at).squared_errors(Motion.along(other, other_ns, at))
 
 
 def _plan(flight: Flight) -> FlightPlan | None:
@@ -391,40 +276,25 @@ def _plan(flight: Flight) -> FlightPlan | None:
             text = bag.metadata.get("plan")
     except LogError:
         return None
-    if text is None:
-        return None
     try:
-        return FlightPlan.from_dict(parse_json(text), str(path))
+        return None if text is None else FlightPlan.from_dict(parse_json(text), str(path))
     except ValueError as error:
         raise LogError(f"{path}: `plan` in its metadata: {one_line(error)}") from error
 
 
-def _true_track(flight: Flight) -> Track:
-    truth = read_truth(flight.source)
-    odometry = truth.odometry
-    velocity = rotate_body_to_world(odometry.attitude, odometry.velocity)
-    return Track(odometry.time_ns, odometry.position, velocity, odometry.attitude, odometry.rates)
-
-
 def coverages(
-    flights: Sequence[Flight], model: Simulation, before: Simulation, after: Iterable[Simulation]
+    flights: Sequence[Flight], before: Simulation, after: Sequence[Simulation]
 ) -> dict[str, Coverage]:
     """Share of samples inside a model's intervals, per axis, about its predictions before and after.
 
     Nothing for a simulation without intervals.
     """
-    inside = {"before": np.zeros(len(AXES)), "after": np.zeros(len(AXES))}
-    samples = 0
+    inside = []
     for flight, added in zip(flights, after, strict=True):
-        margins = model.margins(flight)
+        margins = before.margins(flight)
         if margins is None:
             return {}
-        lower, upper, _ = margins
-        for when, simulation in (("before", before), ("after", added)):
-            left = residual(flight, simulation)
-            inside[when] += inside_interval(left, lower, upper).sum(axis=0)
-        samples += len(flight)
-    return {
-        axis: Coverage(**{when: float(count[index]) / samples for when, count in inside.items()})
-        for index, axis in enumerate(AXES)
-    }
+        both = (residual(flight, simulation) for simulation in (before, added))
+        inside.append([inside_interval(left, margins.lower, margins.upper) for left in both])
+    shares = [np.concatenate(own).mean(axis=0) for own in zip(*inside, strict=True)]
+    return {axis: Coverage(*own) for axis, own in zip(AXES, np.transpose(shares).tolist(), strict=True)}

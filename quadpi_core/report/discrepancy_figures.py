@@ -8,9 +8,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from quadpi_core.discrepancy.by_condition import WORDS, Profile
+from quadpi_core.discrepancy.by_condition import MOST_BINS, VARIABLES, Profile, Residual
 from quadpi_core.discrepancy.closure import Gap
-from quadpi_core.discrepancy.residual_bins import Residual
 from quadpi_core.evaluation.metrics import round_edges
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
@@ -22,8 +21,8 @@ BEFORE, AFTER = GROUPS[1], GROUPS[0]
 # Lines over time of each flight: before and after for each axis.
 LINES = 2 * len(AXES)
 MAPS = (("u", "v"), ("speed", "height"), ("w", "rotor_speed"))
-# Samples that a cell of a map needs to be drawn, and bins of a variable at most.
-_FEWEST_IN_CELL, _MOST_BINS = 20, 12
+# Samples that a cell of a map needs to be drawn.
+_FEWEST_IN_CELL = 20
 _COLUMNS = 3
 
 
@@ -67,7 +66,7 @@ def mean_map(flights: Sequence[Residual], axis: int, x: str, y: str) -> tuple[Ar
     """Edges of the bins of two variables, and the mean residual in each cell (Y, X); NaN for few samples."""
     first, second = (np.concatenate([own.variables[name] for own in flights]) for name in (x, y))
     values = np.concatenate([own.beyond[:, axis] for own in flights])
-    edges = round_edges(first, _MOST_BINS), round_edges(second, _MOST_BINS)
+    edges = round_edges(first, MOST_BINS), round_edges(second, MOST_BINS)
     count, *_ = np.histogram2d(second, first, bins=(edges[1], edges[0]))
     total, *_ = np.histogram2d(second, first, bins=(edges[1], edges[0]), weights=values)
     enough = count >= _FEWEST_IN_CELL
@@ -118,5 +117,5 @@ def residual_figure(flight: Residual, floor: Array, bins: int) -> Figure:
 
 
 def _label(variable: str) -> str:
-    words, of = WORDS[variable]
+    words, of, _ = VARIABLES[variable]
     return f"{words} [{of}]"

@@ -15,14 +15,22 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.optimize import brentq
-from scipy.stats import chi2
+from scipy.stats import chi2, norm
 from scipy.stats import t as student
 
 from quadpi_core import discrepancy, screening, simulation
-from quadpi_core.discrepancy import acceptance, residual_bins, result_verdicts, study, unexplained, whitening
+from quadpi_core.discrepancy import acceptance, result_verdicts, study, unexplained, whitening
 from quadpi_core.discrepancy.acceptance import judge_evidence, judge_left_out, judge_loudness, judge_size
 from quadpi_core.discrepancy.adjustment import Adjustment, LeftOut
-from quadpi_core.discrepancy.by_condition import Range, holding_bulk
+from quadpi_core.discrepancy.by_condition import (
+    VARIABLES,
+    Cells,
+    Range,
+    Residual,
+    bin_edges,
+    largest_deviation,
+    standing_out,
+)
 from quadpi_core.discrepancy.candidates import candidates, typical_sizes
 from quadpi_core.discrepancy.discrepancy_result import OfFlight
 from quadpi_core.discrepancy.effect_regression import settled
@@ -32,7 +40,6 @@ from quadpi_core.discrepancy.external_simulations import ModelSimulation
 from quadpi_core.discrepancy.loading import load_simulation
 from quadpi_core.discrepancy.quiet_flight import quiet
 from quadpi_core.discrepancy.reflight import rollout_floor
-from quadpi_core.discrepancy.residual_bins import Cells, Residual, bin_edges, largest_deviation
 from quadpi_core.discrepancy.search import Found
 from quadpi_core.discrepancy.simulations import Tolerances
 from quadpi_core.discrepancy.sound_learning import learned, predicts
@@ -277,9 +284,13 @@ def located(seconds) -> int:
     """Cells in time of a flight of that length."""
     time = np.arange(round(seconds * 100.0) + 1) / 100.0
     none = np.zeros((len(time), 6))
-    variables = dict.fromkeys(residual_bins.VARIABLES, time)
-    cells = Cells.of([Residual("one", time, variables, none, none, none)])
-    return cells.seconds[0].stop - cells.seconds[0].start
+    variables = dict.fromkeys(VARIABLES, time)
+    return len(Cells.of([Residual("one", time, variables, none, none, none)]).seconds)
+
+
+def stands_out(energy, p_value=0.0) -> int:
+    """Cells of some energies that stand out, where a draw has 1 in each."""
+    return standing_out(np.array(energy), 1.0, np.array(p_value), np.ones(len(energy))).sum()
 
 
 def kept_bins(share_of_samples) -> int:
@@ -512,7 +523,7 @@ def steady(*, speed=0.0, yaw_rate=0.0, samples=500):
 
 
 def rolls_out(**motion):
-    return rollout_floor(steady(**motion), BEBOP).starts > 0
+    return np.isfinite(rollout_floor(steady(**motion), BEBOP)).any()
 
 
 def no_loss(deviations):
@@ -590,7 +601,7 @@ EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
     "TOGETHER": (0.5, lambda x: x < common_to_axes()),
     "WANDER_M_S": (0.03, lambda x: x**2 < wandering() * 0.5),
     "WANDER_HZ": (0.5, lambda x: x < 0.03**2 / wandering()),
-    "BULK": (0.8, lambda x: holding_bulk(np.array([x, 1.0 - x]), np.ones(2), np.full(2, True)).all()),
+    "BULK": (0.8, lambda x: stands_out([1.0 + 1e3 * x, 1.0 + 1e3 * (1.0 - x)]) == 2),
     "LEAST_SHARE": (0.03, lambda x: Range("Fx", "u", 0.0, 1.0, x, 0.1, 0.0).is_large),
     "LIFT": (1.5, lambda x: Range("Fx", "u", 0.0, 1.0, 0.1 * x, 0.1, 0.0).is_informative),
     "PRIOR": (
@@ -610,14 +621,11 @@ EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
         ),
     ),
     "SLOW_HZ": (1.0, lambda x: slow_response(x) > np.exp(-0.5)),
-    "BEYOND_TOLERANCES": (0.025, lambda x: residual_bins.norm.isf(0.5 * x) > largest_deviation(1)),
-    "SIGNIFICANCE": (0.025, lambda x: residual_bins.standing_out(np.array(x), np.array(9.0), np.array(1.0))),
-    "EFFECT_SIZE": (4.0, lambda x: residual_bins.standing_out(np.array(0.0), np.array(x), np.array(1.0))),
-    "ALLOWED": (0.95, lambda x: x < residual_bins.allowed_energy(np.linspace(0.0, 1.0, 1001))),
-    "MOST_BINS": (
-        12,
-        lambda x: len(bin_edges("u", np.linspace(0.0, np.ceil(x) - 0.5, 9999))) - 1 == np.ceil(x),
+    "FALSE_RANGE": (
+        0.05,
+        lambda x: stands_out([9.0], 0.5 * x) == 1 and norm.isf(0.25 * x) > largest_deviation(1),
     ),
+    "EFFECT_SIZE": (4.0, lambda x: stands_out([x]) == 1),
     "FEWEST_SAMPLES": (0.01, lambda x: kept_bins(x) > kept_bins(0.0)),
     "SEGMENT_S": (1.0, lambda x: located(10.0 * x) < 10),
     "FLOWN_SPEED": (0.25, lambda x: flown("forward and backward flight", velocity=at_speed(x))),
@@ -688,7 +696,6 @@ ALONE = {
         "ADJUSTED_MAX",
         "AVERAGE_HZ",
         "AXES_OVER_FORM",
-        "CELL_DRAWS",
         "EDGES_HZ",
         "LAGS_S",
         "MOST_EFFECTS",
@@ -735,12 +742,6 @@ def test_every_threshold_is_examined_and_says_why():
 def test_an_adjustment_of_more_than_ten_tolerances_is_refused(tmp_path):
     assert loads_with(tmp_path, 9.9)
     assert not loads_with(tmp_path, 10.1)
-
-
-def test_draws_without_any_effect_resolve_the_quantile_that_decides():
-    """Five draws beyond the significance of a cell."""
-    found = thresholds()
-    assert found["CELL_DRAWS"].value * found["SIGNIFICANCE"].value == pytest.approx(5.0)
 
 
 def test_noise_counts_as_white_between_edges():

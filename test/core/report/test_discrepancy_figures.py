@@ -5,9 +5,8 @@
 import numpy as np
 import pytest
 
-from quadpi_core.discrepancy.by_condition import Profile
+from quadpi_core.discrepancy.by_condition import Profile, Residual
 from quadpi_core.discrepancy.closure import Gap
-from quadpi_core.discrepancy.residual_bins import Residual
 from quadpi_core.flight import AXES
 from quadpi_core.report.discrepancy_figures import (
     LINES,
