@@ -431,6 +431,11 @@ class Flight:
         """Mean sample rate, without what is left out in between."""
         return mean_rate_hz(self.time)
 
+    @property
+    def stamps_ns(self) -> Stamps:
+        """Stamps (N,) of its samples."""
+        return self.start_ns + np.round(1e9 * self.time).astype(np.int64)
+
     def slice(self, keep: slice | npt.NDArray[np.bool_]) -> Flight:
         """The samples of a range or mask (N,); `time` and `start_ns` still count from the original start."""
         arrays = {

@@ -15,8 +15,8 @@
 
 from quadpi_core.discrepancy.augmented_simulation import AugmentedSimulation
 from quadpi_core.discrepancy.discrepancy_result import Discovery, FoundEffect, FoundParameter
-from quadpi_core.discrepancy.external_simulations import CallableSimulation
 from quadpi_core.discrepancy.loading import load_simulation
+from quadpi_core.discrepancy.other_simulations import CallableSimulation
 from quadpi_core.discrepancy.simulations import Simulation, Tolerances, VehicleSimulation
 from quadpi_core.discrepancy.study import discover
 

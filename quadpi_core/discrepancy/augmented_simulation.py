@@ -5,11 +5,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -24,11 +23,10 @@ from quadpi_core.discrepancy.effect_regression import Regression
 from quadpi_core.discrepancy.effect_response import body_tolerances, predicted_flight, without_sensor_effect
 from quadpi_core.discrepancy.evidence import Fit
 from quadpi_core.discrepancy.own_state import OwnStates, started
-from quadpi_core.discrepancy.simulations import Column, Margins, Simulation, Tolerances, VehicleSimulation
+from quadpi_core.discrepancy.simulations import Column, Simulation, VehicleSimulation, attribute_of
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import AXES, Flight
 from quadpi_core.frames import Array
-from quadpi_core.models.sound_flights import SoundFlights
 from quadpi_core.signals.resample import interpolate_columns
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.applied_effects import added_wind, altered_vehicle, effect_wrench, with_memory
@@ -61,55 +59,38 @@ class AugmentedSimulation(Simulation):
     adjusted: Mapping[str, float] = field(default_factory=dict)
     track: OwnStates | None = None
 
+    tolerances = attribute_of("base.tolerances")
+    vehicle_file = attribute_of("base.vehicle_file")
+    code = attribute_of("base.code")
+    sound = attribute_of("base.sound")
+    own_inputs = attribute_of("base.own_inputs")
+    # The coefficients of effects refer to the hover of the base.
+    hover_rotor_speed = attribute_of("base.hover_rotor_speed")
+    loads = attribute_of("base.loads")
+    recorded = attribute_of("base.recorded")
+    margins = attribute_of("base.margins")
+    unjudged = attribute_of("base.unjudged")
+    identified_on = attribute_of("base.identified_on")
+
     @property
     def name(self) -> str:  # type: ignore[override]
         """Name of the base and of the effects."""
         return " + ".join((self.base.name, *self.effects))
 
     @property
-    def code(self) -> str:  # type: ignore[override]
-        """Of the base."""
-        return self.base.code
-
-    @property
-    def vehicle_file(self) -> str:  # type: ignore[override]
-        """Of the base."""
-        return self.base.vehicle_file
-
-    @property
-    def tolerances(self) -> Tolerances:  # type: ignore[override]
-        """Of the base."""
-        return self.base.tolerances
-
-    @property
-    def sound(self) -> SoundFlights | None:  # type: ignore[override]
-        """Of the base."""
-        return self.base.sound
-
-    @property
     def memoryless(self) -> bool:  # type: ignore[override]
         """As the base, but not with effects on sensors, whose change depends on the whole flight."""
         return self.base.memoryless and not self._of("sensor")
-
-    @property
-    def own_inputs(self) -> bool:  # type: ignore[override]
-        """As the base."""
-        return self.base.own_inputs
 
     @cached_property
     def vehicle(self) -> Vehicle:  # type: ignore[override]
         """The vehicle with the effects on it."""
         return altered_vehicle(self.effects, self.base.vehicle)
 
-    @property
-    def hover_rotor_speed(self) -> float:
-        """Rotor speed of the base, to which the coefficients of effects refer."""
-        return self.base.hover_rotor_speed
-
     @cached_property
     def physical(self) -> AugmentedSimulation:
         """The simulation without effects on sensors, for flights as :meth:`corrected`."""
-        return replace(self, effects={e.name: self.effects[e.name] for e in self._of() if e.kind != "sensor"})
+        return self._without(*self._of("sensor"))
 
     def corrected(self, flight: Flight) -> Flight:
         """The flight as sensors without errors would have reported it."""
@@ -123,59 +104,14 @@ class AugmentedSimulation(Simulation):
         wrench = self._physics(flight)["wrench"]
         if not self._of("sensor"):
             return wrench
-        known = self.knowing(flight)
+        known = self.learned([(flight, flight)])
         seen = predicted_flight(flight, known.physical)
-        corrected = self.corrected(seen)
-        return wrench + known._left(seen) - known._left(corrected)
-
-    def learned(self, flights: Sequence[tuple[Flight, Flight]]) -> AugmentedSimulation:
-        """See :class:`Simulation`; the base with what flights tell of it."""
-        return replace(self, base=self.base.learned(flights))
-
-    def with_coefficients(self, multiples: Mapping[str, float]) -> AugmentedSimulation:
-        """See :class:`Simulation`; the base."""
-        base = self.base.with_coefficients(multiples)
-        return self if base is self.base else replace(self, base=base)
-
-    def knowing(self, flight: Flight) -> AugmentedSimulation:
-        """See :class:`Simulation`; the base."""
-        base = self.base.knowing(flight)
-        return self if base is self.base else replace(self, base=base)
-
-    def answering(self, flight: Flight, corrected: Flight) -> AugmentedSimulation:
-        """See :class:`Simulation`; the base."""
-        return replace(self, base=self.base.answering(flight, corrected)) if self.own_inputs else self
-
-    def explained(self, flight: Flight) -> Array:
-        """See :class:`Simulation`; the base's part without noise."""
-        if not self.own_inputs:
-            return self.wrench(flight)
-        return self.wrench(flight) - self.base.wrench(flight) + self.base.explained(flight)
+        return wrench + known._left(seen) - known._left(self.corrected(seen))
 
     def states(self, flight: Flight) -> npt.NDArray[np.void]:
         """See :class:`Simulation`; with the effects in the wrench."""
         corrected = self.corrected(flight)
         return self.answering(flight, corrected)._physics(corrected)
-
-    def recorded(self, flight: Flight, wrench: Array) -> Array:
-        """See :class:`Simulation`; the base's."""
-        return self.base.recorded(flight, wrench)
-
-    def margins(self, flight: Flight) -> Margins | None:
-        """See :class:`Simulation`: those of the base."""
-        return self.base.margins(flight)
-
-    def unjudged(self, flight: Flight) -> int:
-        """See :class:`Simulation`: those of the base."""
-        return self.base.unjudged(flight)
-
-    def identified_on(self, flight: Flight) -> bool:
-        """See :class:`Simulation`: those of the base."""
-        return self.base.identified_on(flight)
-
-    def thrusts(self, flight: Flight) -> tuple[Array, Array]:
-        """See :class:`Simulation`: those of the base."""
-        return self.base.thrusts(self._in_wind(flight))
 
     def record(self) -> npt.NDArray[np.void]:
         """See :class:`Simulation`; quantities that effects refer to stay those of the base."""
@@ -184,57 +120,70 @@ class AugmentedSimulation(Simulation):
             record[name] = super().record()[name]
         return record
 
+    def explained(self, flight: Flight) -> Array:
+        """See :class:`Simulation`; the base's part without noise."""
+        if not self.own_inputs:
+            return self.wrench(flight)
+        return self.wrench(flight) - self.base.wrench(flight) + self.base.explained(flight)
+
+    def learned(self, flights: Sequence[tuple[Flight, Flight]]) -> AugmentedSimulation:
+        """See :class:`Simulation`; the base."""
+        return self._on(self.base.learned(flights))
+
+    def answering(self, flight: Flight, corrected: Flight) -> AugmentedSimulation:
+        """See :class:`Simulation`; the base."""
+        return self._on(self.base.answering(flight, corrected))
+
+    def with_coefficients(self, multiples: Mapping[str, float]) -> AugmentedSimulation:
+        """See :class:`Simulation`; the base."""
+        return self._on(self.base.with_coefficients(multiples))
+
+    def _on(self, base: Simulation) -> AugmentedSimulation:
+        return self if base is self.base else replace(self, base=base)
+
     def uncertain(self, flight: Flight) -> list[Column]:
         """Columns of the base, and one per effect and axis for the error of its law."""
-        columns = self.base.uncertain(self._in_wind(flight))
-        whole = self.wrench(flight)
+        columns, whole = self.base.uncertain(self._in_wind(flight)), self.wrench(flight)
         for effect in self._of():
-            if effect.kind == "vehicle":
-                continue
-            others = {name: values for name, values in self.effects.items() if name != effect.name}
-            share = max(effect.form, self.tolerances.coefficient)
-            added = share * (whole - replace(self, effects=others).wrench(flight))
-            for axis, name in enumerate(AXES):
+            if effect.kind != "vehicle":
+                share = max(effect.form, self.tolerances.coefficient)
+                added = share * (whole - self._without(effect).wrench(flight))
                 # Every flight must have the same columns, even one without the effect.
-                if name in effect.axes:
-                    single = np.zeros_like(added)
-                    single[:, axis] = added[:, axis]
-                    columns.append(Column(f"{name} of {effect.name}", single))
+                for axis in effect.axes:
+                    only = added * (np.array(AXES) == axis)
+                    columns.append(Column(f"{axis} of {effect.name}", only))
         return columns
-
-    def _physics(self, flight: Flight) -> npt.NDArray[np.void]:
-        """Records STATE (N,) with the wrench of the base and all effects except those on sensors."""
-        base, moved = self.base.knowing(flight), self._in_wind(flight)
-        states = base.states(moved)
-        if self.own_inputs and self._of("wind"):
-            # What was recorded is of the wind as it was known.
-            states["wrench"] += base.explained(moved) - base.explained(flight)
-        flight = moved
-        if self.adjusted:
-            columns = {column.name: column.wrench for column in base.uncertain(flight)}
-            for name, multiple in self.adjusted.items():
-                if name not in columns:
-                    raise DiscrepancyError(
-                        f"{self.name}: no coefficient is named `{name}`: make the addition anew"
-                    )
-                states["wrench"] += multiple * columns[name]
-        record = self.record()
-        for effect in self._of("wrench"):
-            own = self._remembering(effect, flight, states) if effect.at_rest else states
-            states["wrench"] += effect_wrench(effect.name, self.effects[effect.name], own, record)
-        return states
 
     def departing_from(self, flight: Flight) -> AugmentedSimulation:
         """The simulation for bodies that start in states of a flight and go their own ways.
 
         A load swings as it did in the flight: what a body's own way changes of that is small over a second.
         """
-        effect = next((e for e in self._of("wrench") if e.at_rest), None)
-        if effect is None:
-            return self
-        others = {name: values for name, values in self.effects.items() if name != effect.name}
-        states = self._remembering(effect, flight, replace(self, effects=others)._physics(flight))
-        return replace(self, track=OwnStates(flight.time, states["memory"]))
+        for effect in self._of("wrench"):
+            if effect.at_rest:
+                states = self._remembering(effect, flight, self._without(effect)._physics(flight))
+                return replace(self, track=OwnStates(flight.time, states["memory"]))
+        return self
+
+    def _physics(self, flight: Flight) -> npt.NDArray[np.void]:
+        """Records STATE (N,) with the wrench of the base and all effects except those on sensors."""
+        base, moved = self.base.learned([(flight, flight)]), self._in_wind(flight)
+        states = base.states(moved)
+        if self.own_inputs and self._of("wind"):
+            # What was recorded is of the wind as it was known.
+            states["wrench"] += base.explained(moved) - base.explained(flight)
+        columns = {own.name: own.wrench for own in base.uncertain(moved)} if self.adjusted else {}
+        for name, multiple in self.adjusted.items():
+            if name not in columns:
+                raise DiscrepancyError(
+                    f"{self.name}: no coefficient is named `{name}`: make the addition anew"
+                )
+            states["wrench"] += multiple * columns[name]
+        record = self.record()
+        for effect in self._of("wrench"):
+            own = self._remembering(effect, moved, states) if effect.at_rest else states
+            states["wrench"] += effect_wrench(effect.name, self.effects[effect.name], own, record)
+        return states
 
     def _remembering(
         self, effect: Effect, flight: Flight, states: npt.NDArray[np.void]
@@ -242,7 +191,7 @@ class AugmentedSimulation(Simulation):
         """States (N,) with the state that an effect has of its own along the flight."""
         own = states.copy()
         if self.track is not None:
-            own["memory"] = interpolate_columns(self.track.time, self.track.memory, flight.time)
+            own["memory"] = interpolate_columns(*self.track, flight.time)
             return own
         measured = measured_wrench(flight, self.vehicle)
         own["wrench"][:, :3], own["force_is_measured"] = measured[:, :3], 1.0
@@ -253,9 +202,7 @@ class AugmentedSimulation(Simulation):
     def _left(self, flight: Flight) -> Array:
         """Measured less simulated wrench (N, 6), without the effects on sensors."""
         left: Array = measured_wrench(flight, self.vehicle) - self._physics(flight)["wrench"]
-        if self.own_inputs:
-            left += self.base.wrench(flight) - self.base.explained(flight)
-        return left
+        return left + self.base.wrench(flight) - self.base.explained(flight) if self.own_inputs else left
 
     def _in_wind(self, flight: Flight) -> Flight:
         if not self._of("wind"):
@@ -267,6 +214,11 @@ class AugmentedSimulation(Simulation):
     def _of(self, kind: str = "") -> list[Effect]:
         """The effects, or those of one kind, in the order in which they act."""
         return [e for e in EFFECTS.values() if e.name in self.effects and kind in ("", e.kind)]
+
+    def _without(self, *effects: Effect) -> AugmentedSimulation:
+        left_out = {effect.name for effect in effects}
+        kept = {name: values for name, values in self.effects.items() if name not in left_out}
+        return replace(self, effects=kept)
 
     def _values(self, effect: Effect) -> Array:
         return np.array([self.effects[effect.name][parameter.name] for parameter in effect.parameters])
@@ -292,16 +244,18 @@ def augmented(discovery: Discovery, without: int | None = None) -> AugmentedSimu
     effects: Effects = {}
     for index in found.chosen:
         candidate = regression.candidates[index]
-        values = candidate.values(regression.parameters(index, law))
-        shape = found.closing.shape(index, law, fitted)
-        effects = {**effects, candidate.name: _named(candidate.name, values) | shape}
+        own = _named(candidate.name, candidate.values(regression.parameters(index, law)))
+        effects = {**effects, candidate.name: own | found.closing.shape(index, law, fitted)}
     if without is not None:
         effects = merged(effects, _of_flight(regression, without, law))
     adjusted: dict[str, float] = {}
     if discovery.adjusted:
-        multiples = dict(zip(columns.tolerance_names, fitted.of(columns.tolerances).tolist(), strict=True))
-        adjusted, small = _divided(multiples, simulation.tolerances)
-        effects = merged(small, effects)
+        adjusted = dict(zip(columns.tolerance_names, fitted.of(columns.tolerances).tolist(), strict=True))
+        # What is uncertain in the body are small effects rather than coefficients of the simulation.
+        for effect, deviation in body_tolerances(simulation.tolerances):
+            moved = [deviation * adjusted.pop(f"{effect.name}.{p.name}") for p in effect.parameters]
+            if any(_named(effect.name, moved).values()):
+                effects = merged({effect.name: _named(effect.name, moved)}, effects)
     return _added(simulation, effects, adjusted)
 
 
@@ -319,36 +273,13 @@ def _of_flight(regression: Regression, place: int, law: Fit) -> Effects:
     for condition in regression.conditions:
         candidate = regression.candidates[condition.index]
         own, _ = regression.of_condition(condition, place, law.left)
-        values = candidate.values(own)
-        effects = {**effects, candidate.name: _named(candidate.name, values)}
+        effects = {**effects, candidate.name: _named(candidate.name, candidate.values(own))}
     return effects
 
 
-def _possible(effects: Effects, vehicle: Vehicle) -> Effects:
-    """The effects with parameters that are possible on the vehicle, which a fit to noise may exceed."""
-    possible = dict(effects)
-    for name, parameters in effects.items():
-        feasible = EFFECTS[name].feasible
-        if feasible is not None:
-            possible[name] = _named(name, feasible(vehicle, np.array(list(parameters.values()))))
-    return possible
-
-
-def _divided(multiples: Mapping[str, float], tolerances: Tolerances) -> tuple[dict[str, float], Effects]:
-    """Multiples of tolerances split into those of the simulation's own coefficients and small effects."""
-    own, small = dict(multiples), {}
-    for effect, deviation in body_tolerances(tolerances):
-        values = [deviation * own.pop(f"{effect.name}.{p.name}") for p in effect.parameters]
-        small[effect.name] = _named(effect.name, values)
-    return own, {name: values for name, values in small.items() if any(values.values())}
-
-
-def _named(name: str, values: Any) -> dict[str, float]:
-    parameters = EFFECTS[name].parameters
-    return {
-        p.name: float(min(max(value, p.lowest), p.highest))
-        for p, value in zip(parameters, values, strict=True)
-    }
+def _named(name: str, values: Iterable[float]) -> dict[str, float]:
+    pairs = zip(EFFECTS[name].parameters, values, strict=True)
+    return {p.name: float(min(max(value, p.lowest), p.highest)) for p, value in pairs}
 
 
 def merged(one: Effects, other: Effects) -> Effects:
@@ -357,54 +288,55 @@ def merged(one: Effects, other: Effects) -> Effects:
     Raises:
         DiscrepancyError: for two of a kind that do not add up: of different rotors, or tethers.
     """
-    for name in set(one) & set(other):
-        whole = [parameter.name for parameter in EFFECTS[name].parameters if parameter.whole]
-        if not EFFECTS[name].composable or any(one[name][key] != other[name][key] for key in whole):
-            raise DiscrepancyError(
-                f"effect `{name}`: the simulation has one already, and a second one cannot be added to it"
-            )
-
-    def parameters(name: str) -> Mapping[str, float]:
-        if name not in one or name not in other:
-            return one.get(name) or other[name]
-        whole = {p.name: one[name][p.name] for p in EFFECTS[name].parameters if p.whole}
-        both = [(p, one[name][p.name], other[name][p.name]) for p in EFFECTS[name].parameters]
-        # Changes of a moment of inertia are multiplied: the second refers to the result of the first.
-        shares = EFFECTS[name].kind == "vehicle"
-        sums = [a + b + (a * b if shares and not p.unit else 0.0) for p, a, b in both]
-        return _named(name, sums) | whole | _both_shapes(name, one[name], other[name])
-
-    return {name: parameters(name) for name in EFFECTS if name in one or name in other}
-
-
-def _both_shapes(name: str, one: Mapping[str, float], other: Mapping[str, float]) -> dict[str, float]:
-    """Shape of the law of the sum of two effects: the mean of theirs, weighted by their parts in the sum."""
-    free = [p for p in EFFECTS[name].parameters if not p.whole]
-    parts = np.array([[own[p.name] / (abs(p.default) or 1.0) for p in free] for own in (one, other)])
-    total = parts.sum(axis=0)
-    if not total.any():
-        return {}
-    weights = parts @ total / (total @ total)
-    shape = {
-        p.name: float(np.clip(weights @ [own.get(p.name, 0.0) for own in (one, other)], p.lowest, p.highest))
-        for p in EFFECTS[name].shape
+    return {
+        name: _sum(effect, one[name], other[name])
+        if name in one and name in other
+        else {**one, **other}[name]
+        for name, effect in EFFECTS.items()
+        if name in one or name in other
     }
-    return {key: value for key, value in shape.items() if value != 0.0}
 
 
-def _added(simulation: Simulation, effects: Effects, adjusted: dict[str, float]) -> AugmentedSimulation:
+def _sum(effect: Effect, one: Mapping[str, float], other: Mapping[str, float]) -> dict[str, float]:
+    """One effect that acts as two of a kind do."""
+    fixed = {p.name: one[p.name] for p in effect.parameters if p.whole}
+    if not effect.composable or any(other[name] != value for name, value in fixed.items()):
+        raise DiscrepancyError(
+            f"effect `{effect.name}`: the simulation has one already, and a second one cannot be added to it"
+        )
+    # Changes of a moment of inertia are multiplied: the second refers to the result of the first.
+    shares = effect.kind == "vehicle"
+    pairs = [(p, one[p.name], other[p.name]) for p in effect.parameters]
+    added = _named(effect.name, [a + b + (a * b if shares and not p.unit else 0.0) for p, a, b in pairs])
+    # The shape of its law is the mean of theirs, weighted by their parts in the sum.
+    parts = np.array([[a, b] for p, a, b in pairs if not p.whole])
+    parts /= np.array([[abs(p.default) or 1.0] for p in effect.parameters if not p.whole])
+    total = parts.sum(axis=1)
+    weights = total @ parts / max(float(total @ total), np.finfo(float).tiny)
+    shape = {p.name: weights @ [one.get(p.name, 0.0), other.get(p.name, 0.0)] for p in effect.shape}
+    within = {p.name: float(np.clip(shape[p.name], p.lowest, p.highest)) for p in effect.shape}
+    return added | fixed | {name: value for name, value in within.items() if value}
+
+
+def _added(simulation: Simulation, effects: Effects, adjusted: Mapping[str, float]) -> AugmentedSimulation:
+    """A simulation, which may have effects already, with more of them and adjusted coefficients."""
     before: Mapping[str, float] = {}
     if isinstance(simulation, AugmentedSimulation):
         # A simulation has no parameter for the error of the laws of its earlier effects.
-        own = {name for name in adjusted if not any(name.endswith(f" of {e}") for e in simulation.effects)}
-        adjusted = {name: adjusted[name] for name in own}
+        of_laws = tuple(f" of {effect}" for effect in simulation.effects)
+        adjusted = {name: value for name, value in adjusted.items() if not name.endswith(of_laws)}
         effects, before = merged(simulation.effects, effects), simulation.adjusted
         simulation = simulation.base
-    effects = _possible(effects, simulation.vehicle)
+    # A fit to noise may exceed what is possible on the vehicle.
+    for name, parameters in effects.items():
+        feasible = EFFECTS[name].feasible
+        if feasible is not None:
+            values = feasible(simulation.vehicle, np.array(list(parameters.values())))
+            effects = {**effects, name: _named(name, values)}
     if isinstance(simulation, VehicleSimulation):
         return AugmentedSimulation(simulation.with_coefficients(adjusted), effects)
-    both = {name: before.get(name, 0.0) + adjusted.get(name, 0.0) for name in {*before, *adjusted}}
-    return AugmentedSimulation(simulation, effects, dict(sorted(both.items())))
+    both = {name: before.get(name, 0.0) + adjusted.get(name, 0.0) for name in sorted({*before, *adjusted})}
+    return AugmentedSimulation(simulation, effects, both)
 
 
 def write_addition(discovery: Discovery, folder: Path) -> list[Path]:
@@ -427,15 +359,22 @@ def write_addition(discovery: Discovery, folder: Path) -> list[Path]:
     if not discovery.added:
         return []
     simulation = augmented(discovery)
-    if isinstance(simulation.base, VehicleSimulation):
+    base, effects = simulation.base, {name: dict(values) for name, values in simulation.effects.items()}
+    if isinstance(base, VehicleSimulation):
         path = folder / f"{simulation.vehicle.name}.yaml"
-        path.write_text(_vehicle_file(simulation, simulation.base))
+        name, data = vehicle_content(base.vehicle_file)
+        section = {**data["simulation"], base.model.key: base.model.to_section(), "effects": effects}
+        text = yaml.safe_dump(
+            {**data, "simulation": section}, sort_keys=False, default_flow_style=None, width=110
+        )
+        head = f"# {name} with what flights showed to be missing; coefficients moved within their tolerances."
+        path.write_text(f"{head}\n{text}")
     else:
         path = folder / "addition.json"
         data = {
-            "simulation": _absolute(simulation.base.name),
-            "vehicle": _absolute(simulation.base.vehicle_file or simulation.vehicle.name),
-            "effects": simulation.effects,
+            "simulation": _absolute(base.name),
+            "vehicle": _absolute(base.vehicle_file or simulation.vehicle.name),
+            "effects": effects,
             "adjusted": simulation.adjusted,
             "version": __version__,
         }
@@ -446,15 +385,3 @@ def write_addition(discovery: Discovery, folder: Path) -> list[Path]:
 def _absolute(text: str) -> str:
     """A name, or the absolute path of a file or folder, so that it is found from any working directory."""
     return str(Path(text).resolve()) if is_config_path(text) or Path(text).exists() else text
-
-
-def _vehicle_file(simulation: AugmentedSimulation, base: VehicleSimulation) -> str:
-    name, data = vehicle_content(base.vehicle_file)
-    section = dict(data["simulation"])
-    section[base.model.key] = base.model.to_section()
-    section["effects"] = {name: dict(values) for name, values in simulation.effects.items()}
-    text: str = yaml.safe_dump(
-        {**data, "simulation": section}, sort_keys=False, default_flow_style=None, width=110
-    )
-    head = f"# {name} with what flights showed to be missing; coefficients moved within their tolerances."
-    return f"{head}\n{text}"

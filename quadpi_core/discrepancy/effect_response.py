@@ -89,7 +89,7 @@ class Compared:
     def together(
         cls, flights: Sequence[Flight], simulation: Simulation, highest_hz: float = BAND_HZ.value
     ) -> list[Compared]:
-        """Flights that are searched together; for simulations with own inputs see :mod:`.instruments`."""
+        """Flights that are searched together; for own inputs see :mod:`.other_simulations`."""
         compared = [cls(flight, simulation, highest_hz) for flight in flights]
         if not simulation.own_inputs:
             return compared

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,13 +15,13 @@ from quadpi_core.bounded_files import JSON_BYTES_MAX, parse_json, read_bounded
 from quadpi_core.config import is_config_path, nearest
 from quadpi_core.config_schema import Section, Text, Within, parse_config
 from quadpi_core.discrepancy.augmented_simulation import AugmentedSimulation
-from quadpi_core.discrepancy.external_simulations import CallableSimulation, ModelSimulation
-from quadpi_core.discrepancy.recorded_simulation import RecordedSimulation
+from quadpi_core.discrepancy.other_simulations import CallableSimulation, ModelSimulation, RecordedSimulation
 from quadpi_core.discrepancy.simulations import Simulation, VehicleSimulation, read_tolerances
 from quadpi_core.discrepancy.whitening import EDGES_HZ
 from quadpi_core.errors import DiscrepancyError, ModelError, QuadpiError, one_line
+from quadpi_core.flight import AXES
 from quadpi_core.flight_files import LeftOutFlights
-from quadpi_core.models.sound_flights import SoundFlights
+from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.paths import config_directory
 from quadpi_core.plugins import imported
 from quadpi_core.reading_options import MappingOrOptions
@@ -95,44 +95,36 @@ def load_simulation(
     array_checks.path("simulation", text)
     text, bags = str(text), array_checks.paths("bags", bags)
     if vehicle is not None:
-        vehicle = array_checks.path("vehicle", vehicle)
+        vehicle = str(array_checks.path("vehicle", vehicle))
     path = Path(text)
     if any(len(part.encode(errors="replace")) > _NAME_MAX for part in path.parts) or "\0" in text:
         raise DiscrepancyError(f"{text}: no simulation: a name that no file has")
-    if text == RECORDED:
-        return RecordedSimulation.load(_required(text, vehicle), bags, mapping, left_out)
     if path.suffix == ".json":
-        return _addition(path, vehicle, bags, mapping, allow_code, within, left_out)
-    if path.is_dir():
-        return _of_model(path, vehicle)
-    if _names_code(text):
-        return _callable(text, _required(text, vehicle))
-    if not is_config_path(path) and not (config_directory() / "vehicles" / f"{text}.yaml").is_file():
-        known = sorted(file.stem for file in (config_directory() / "vehicles").glob("*.yaml"))
-        raise DiscrepancyError(
-            f"{text}: no simulation: neither a vehicle ({', '.join(known)}, or a .yaml file), nor the "
-            f"folder of a model, module:function, `{RECORDED}` or an addition.json{nearest(text, known)}"
-        )
-    return _of_vehicle(text, vehicle)
-
-
-def _of_model(folder: Path, vehicle: str | Path | None) -> Simulation:
-    """The model in a folder, as a simulation that flies where it is one, else as predictions."""
-    predictions = ModelSimulation.load(folder, vehicle)
-    assert predictions.model is not None  # by load
-    if not predictions.model.kind.is_simulation:
-        return predictions
-    loaded = VehicleSimulation.load(folder)
-    return _with_own_effects(
-        replace(loaded, intervals_of=predictions, sound=_comparable(predictions.model.sound, folder))
-    )
-
-
-def _comparable(sound: SoundFlights | None, folder: Path) -> SoundFlights | None:
-    """What sound flights leave, in the bands in which simulation and flights are compared."""
-    if sound is not None and sound.edges_hz != EDGES_HZ.value:
-        raise ModelError(f"{folder}: its sound flights were compared by another version: identify it again")
-    return sound
+        addition = _read_addition(path, vehicle, allow_code, within)
+        try:
+            base = load_simulation(
+                addition.simulation,
+                vehicle or addition.vehicle,
+                bags,
+                mapping=mapping,
+                allow_code=allow_code,
+                within=(*within, path.resolve()),
+                left_out=left_out,
+            )
+        except QuadpiError as error:
+            raise DiscrepancyError(f"{path}: {error}") from error
+        if isinstance(base, CallableSimulation) and base.code:
+            base = replace(base, code=f"{base.code}, named by {path}")
+        return AugmentedSimulation(base, read_effects(addition.effects, str(path)), addition.adjusted)
+    if text == RECORDED or _names_code(text):
+        if vehicle is None:
+            raise DiscrepancyError(f"{text}: names no vehicle: give it with --vehicle")
+        if text == RECORDED:
+            return RecordedSimulation.load(vehicle, bags, mapping, left_out)
+        return _callable(text, vehicle)
+    simulation = _of_model(path, vehicle) if path.is_dir() else _of_vehicle(text, vehicle)
+    effects = own_effects(simulation.vehicle_file) if isinstance(simulation, VehicleSimulation) else {}
+    return AugmentedSimulation(simulation, effects) if effects else simulation
 
 
 def simulation_of(section: Mapping[str, Any], vehicle: Vehicle) -> Simulation:
@@ -143,27 +135,38 @@ def simulation_of(section: Mapping[str, Any], vehicle: Vehicle) -> Simulation:
     return AugmentedSimulation(simulation, effects) if effects else simulation
 
 
-def _of_vehicle(text: str, vehicle: str | Path | None) -> Simulation:
+def _of_model(folder: Path, vehicle: str | None) -> Simulation:
+    """The model in a folder, as a simulation that flies where it is one, else as predictions."""
+    model = AerodynamicModel.load(folder)
+    file, flown = vehicle or str(model.vehicle), model.load_vehicle(vehicle)
+    lacking = [axis for axis in AXES if axis not in model.axes]
+    if lacking:
+        raise DiscrepancyError(f"model {folder}: lacks {', '.join(lacking)}; a simulation has all six axes")
+    predictions = ModelSimulation(str(folder), flown, model, read_tolerances(file), file)
+    if not model.kind.is_simulation:
+        return predictions
+    if model.sound is not None and model.sound.edges_hz != EDGES_HZ.value:
+        raise ModelError(f"{folder}: its sound flights were compared by another version: identify it again")
+    return replace(VehicleSimulation.load(folder), intervals_of=predictions, sound=model.sound)
+
+
+def _of_vehicle(text: str, vehicle: str | None) -> VehicleSimulation:
+    folder = config_directory() / "vehicles"
+    if not is_config_path(text) and not (folder / f"{text}.yaml").is_file():
+        known = sorted(file.stem for file in folder.glob("*.yaml"))
+        raise DiscrepancyError(
+            f"{text}: no simulation: neither a vehicle ({', '.join(known)}, or a .yaml file), nor the "
+            f"folder of a model, module:function, `{RECORDED}` or an addition.json{nearest(text, known)}"
+        )
     simulation = VehicleSimulation.load(text)
     if vehicle is not None and Vehicle.load(vehicle).fingerprint != simulation.vehicle.fingerprint:
         raise DiscrepancyError(f"{text}: another vehicle than {vehicle}: mass, inertia or rotors differ")
-    return _with_own_effects(simulation)
-
-
-def _with_own_effects(simulation: VehicleSimulation) -> Simulation:
-    effects = own_effects(simulation.vehicle_file)
-    return AugmentedSimulation(simulation, effects) if effects else simulation
+    return simulation
 
 
 def _names_code(text: str) -> bool:
     path = Path(text)
     return ":" in text and path.suffix != ".json" and not path.is_dir() and not is_config_path(path)
-
-
-def _required(text: str, vehicle: str | Path | None) -> str:
-    if vehicle is None:
-        raise DiscrepancyError(f"{text}: names no vehicle: give it with --vehicle")
-    return str(vehicle)
 
 
 def _callable(text: str, vehicle: str) -> CallableSimulation:
@@ -176,48 +179,25 @@ def _callable(text: str, vehicle: str) -> CallableSimulation:
     if not callable(function):
         raise DiscrepancyError(f"{text}: is {type(function).__name__}, not a function")
     file = getattr(sys.modules[text.partition(":")[0]], "__file__", None)
-    code = f"{text} of {file}" if file else text
-    return CallableSimulation(
-        text, Vehicle.load(vehicle), function, read_tolerances(vehicle), vehicle, code=code
-    )
+    code, tolerances = f"{text} of {file}" if file else text, read_tolerances(vehicle)
+    return CallableSimulation(text, Vehicle.load(vehicle), function, tolerances, vehicle, code)
 
 
-def _addition(
-    path: Path,
-    vehicle: str | Path | None,
-    bags: Sequence[Path],
-    mapping: MappingOrOptions,
-    allow_code: bool,
-    within: tuple[Path, ...],
-    left_out: LeftOutFlights,
-) -> AugmentedSimulation:
+def _read_addition(
+    path: Path, vehicle: str | None, allow_code: bool, within: tuple[Path, ...]
+) -> _AdditionFile:
     try:
         data: Any = parse_json(read_bounded(path, JSON_BYTES_MAX))
     except (OSError, ValueError) as error:
         raise DiscrepancyError(f"{path}: not a readable JSON file: {one_line(error)}") from error
     addition = parse_config(_AdditionFile, data, str(path), DiscrepancyError)
-    named = addition.simulation
-    if _names_code(named) and not allow_code:
+    if _names_code(addition.simulation) and not allow_code:
         raise DiscrepancyError(
-            f"{path}: names code to run, the function {named}: "
+            f"{path}: names code to run, the function {addition.simulation}: "
             "--allow-code runs it, if you trust who wrote this file"
         )
     if path.resolve() in within:
         raise DiscrepancyError(f"{path}: is an addition to itself")
     if vehicle is None and addition.vehicle is None:
         raise DiscrepancyError(f"{path}: missing key `vehicle`")
-    try:
-        base = load_simulation(
-            named,
-            vehicle or addition.vehicle,
-            bags,
-            mapping=mapping,
-            allow_code=allow_code,
-            within=(*within, path.resolve()),
-            left_out=left_out,
-        )
-    except QuadpiError as error:
-        raise DiscrepancyError(f"{path}: {error}") from error
-    if isinstance(base, CallableSimulation) and base.code:
-        base = replace(base, code=f"{base.code}, named by {path}")
-    return AugmentedSimulation(base, read_effects(addition.effects, str(path)), addition.adjusted)
+    return addition

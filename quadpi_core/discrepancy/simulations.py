@@ -12,15 +12,16 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from operator import attrgetter
 from pathlib import Path
-from typing import ClassVar, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.brief_repr import brief_repr
 from quadpi_core.config_schema import Section, Share, parse_config
-from quadpi_core.errors import DiscrepancyError, VehicleError
+from quadpi_core.errors import VehicleError
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array
 from quadpi_core.inputs import relative_to_air
@@ -49,18 +50,9 @@ class Tolerances(Section):
     inertia: Share = 0.02
     cg_m: Share = 0.0003
 
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not 0.0 <= value < np.inf:
-                raise DiscrepancyError(f"tolerance `{name}` must not be negative, found {value}")
-
 
 def read_tolerances(vehicle: str | Path) -> Tolerances:
-    """Tolerances of a vehicle file, its mapping `simulation.tolerances`; the usual ones where it has none.
-
-    Raises:
-        VehicleError: naming the file and the key that is unknown or impossible.
-    """
+    """Tolerances of a vehicle file, its mapping `simulation.tolerances`; the usual ones where it has none."""
     path, _, section = read_simulation(vehicle)
     given = {} if section.tolerances is None else section.tolerances
     return parse_config(Tolerances, given, str(path), VehicleError, ("simulation", "tolerances"))
@@ -97,21 +89,27 @@ class Simulation(ABC):
     Attributes:
         name: name for people.
         vehicle: vehicle of the simulation.
-        vehicle_file: name or path that the vehicle was read from; empty where it was not.
         tolerances: known uncertainty of its coefficients.
+        hover_rotor_speed: rotor speed [rad/s] that carries the weight in still air.
+        vehicle_file: name or path that the vehicle was read from; empty where it was not.
+        sound: what sound flights leave of it, where it was identified on some.
         code: the user's code that it runs: the function, its file, and the file that named it; empty without.
         memoryless: whether the wrench at an instant depends on that instant alone.
-        own_inputs: whether it was computed from other inputs than the flight's, with noise of their own.
+        own_inputs: whether it was computed from other inputs than the flight's, with noise of their own. Then
+            `learned`, `answering` and `explained` say what flights tell of it.
+        intervals_of: the identified model whose intervals are its own; None without intervals.
     """
 
     name: str
     vehicle: Vehicle
-    vehicle_file: str = ""
     tolerances: Tolerances
+    hover_rotor_speed: float
+    vehicle_file: str = ""
     sound: SoundFlights | None = None
     code: str = ""
-    memoryless: ClassVar[bool] = False
-    own_inputs: ClassVar[bool] = False
+    memoryless: bool = False
+    own_inputs: bool = False
+    intervals_of: Simulation | None = None
 
     @abstractmethod
     def wrench(self, flight: Flight) -> Array:
@@ -122,30 +120,21 @@ class Simulation(ABC):
         """
 
     @abstractmethod
+    def loads(self, flight: Flight) -> tuple[Array, Array, Array]:
+        """The wrench, thrusts (N, 4) N along -z and torques (N, 4) Nm about z of the rotors; no effects."""
+
+    @abstractmethod
     def uncertain(self, flight: Flight) -> list[Column]:
         """Columns of the tolerances of aerodynamic coefficients."""
 
-    @abstractmethod
-    def thrusts(self, flight: Flight) -> tuple[Array, Array]:
-        """Thrusts (N, 4) N along -z and torques (N, 4) Nm about z of the rotors, without effects."""
-
-    def loads(self, flight: Flight) -> tuple[Array, Array, Array]:
-        """:meth:`wrench` and :meth:`thrusts` of a flight together."""
-        return self.wrench(flight), *self.thrusts(flight)
-
-    @property
-    @abstractmethod
-    def hover_rotor_speed(self) -> float:
-        """Rotor speed [rad/s] that carries the weight in still air."""
-
-    def with_coefficients(self: Own, multiples: Mapping[str, float]) -> Own:  # noqa: ARG002 - where known
+    def with_coefficients(self: Own, multiples: Mapping[str, float]) -> Own:  # noqa: ARG002
         """The simulation with other coefficients: each column of tolerances times a multiple, by its name.
 
         One that is known by its answers alone stays as it is, and names of what is no coefficient are left.
         """
         return self
 
-    def recorded(self, flight: Flight, wrench: Array) -> Array:  # noqa: ARG002 - for those that know more
+    def recorded(self, flight: Flight, wrench: Array) -> Array:  # noqa: ARG002
         """A wrench (N, 6) of a flight as the measured one of its recording would have it.
 
         It is what the flight is compared by, as in `evaluate`; a body that rolls out or flies has the wrench
@@ -153,37 +142,33 @@ class Simulation(ABC):
         """
         return wrench
 
-    def learned(self: Own, flights: Sequence[tuple[Flight, Flight]]) -> Own:  # noqa: ARG002 - for own inputs
-        """The simulation, for one with own inputs with what these flights tell of it.
+    def learned(self: Own, flights: Sequence[tuple[Flight, Flight]]) -> Own:  # noqa: ARG002
+        """The simulation with what these flights tell of it, unless it learned of all of them before.
 
         Args:
             flights: flights as recorded, each with the quiet one, see :mod:`.quiet_flight`.
         """
         return self
 
-    def knowing(self: Own, flight: Flight) -> Own:  # noqa: ARG002 - for own inputs
-        """The simulation, for one with own inputs that learned nothing of this flight with what it tells."""
-        return self
-
-    def answering(self: Own, flight: Flight, corrected: Flight) -> Own:  # noqa: ARG002 - for own inputs
-        """The simulation, for one with own inputs as it would have answered to a corrected flight."""
+    def answering(self: Own, flight: Flight, corrected: Flight) -> Own:  # noqa: ARG002
+        """The simulation as it would have answered to a corrected flight."""
         return self
 
     def explained(self, flight: Flight) -> Array:
-        """The wrench (N, 6), without the noise of own inputs; see :mod:`.instruments`."""
+        """The wrench (N, 6), without the noise of own inputs; see :mod:`.other_simulations`."""
         return self.wrench(flight)
 
-    def margins(self, flight: Flight) -> Margins | None:  # noqa: ARG002 - for those that have any
+    def margins(self, flight: Flight) -> Margins | None:
         """Its intervals for a flight; None for a simulation without intervals."""
-        return None
+        return None if self.intervals_of is None else self.intervals_of.margins(flight)
 
-    def unjudged(self, flight: Flight) -> int:  # noqa: ARG002 - for those that leave samples out
+    def unjudged(self, flight: Flight) -> int:  # noqa: ARG002
         """Number of samples of a flight that the simulation cannot judge and leaves out."""
         return 0
 
-    def identified_on(self, flight: Flight) -> bool:  # noqa: ARG002 - for those that were
+    def identified_on(self, flight: Flight) -> bool:
         """Whether it was identified on this flight, by its hash, so that it is compared in sample."""
-        return False
+        return self.intervals_of is not None and self.intervals_of.identified_on(flight)
 
     def states(self, flight: Flight) -> npt.NDArray[np.void]:
         """Records `simulation.state_records.STATE` (N,), the input of effects."""
@@ -197,9 +182,8 @@ class Simulation(ABC):
             flight.rates[:, None], self.vehicle.rotor_positions[None]
         )
         wrench, states["thrusts"], states["torques"] = self.loads(flight)
-        states["aerodynamics"] = states["wrench"] = wrench
-        if self.own_inputs:
-            states["aerodynamics"] = self.explained(flight)
+        states["wrench"] = wrench
+        states["aerodynamics"] = self.explained(flight) if self.own_inputs else wrench
         return states
 
     def record(self) -> npt.NDArray[np.void]:
@@ -213,13 +197,14 @@ def airspeed(flight: Flight) -> Array:
     return velocity
 
 
+def attribute_of(path: str) -> Any:
+    """A property that is an attribute or method of a part, by its path, such as `model.vehicle`."""
+    return property(attrgetter(path))
+
+
 @dataclass(frozen=True)
 class VehicleSimulation(Simulation):
-    """quadpi's own simulation: the aerodynamics of a vehicle file or of a model folder, without effects.
-
-    Attributes:
-        intervals_of: the model whose intervals are those of the simulation; None without intervals.
-    """
+    """quadpi's own simulation: the aerodynamics of a vehicle file or of a model folder, without effects."""
 
     __repr__ = brief_repr
 
@@ -229,41 +214,35 @@ class VehicleSimulation(Simulation):
     intervals_of: Simulation | None = None
     sound: SoundFlights | None = None
 
+    name = attribute_of("model.vehicle.name")
+    vehicle = attribute_of("model.vehicle")
+    hover_rotor_speed = attribute_of("model.hover_rotor_speed")
+    memoryless = attribute_of("model.memoryless")
+    record = attribute_of("model.record")
+
     @classmethod
     def load(cls, name_or_path: str | Path) -> VehicleSimulation:
-        """Read a vehicle file with the section `simulation`, or the folder of a model that is one.
-
-        Effects in it are left to `load_simulation`.
-
-        Raises:
-            VehicleError: naming the file and the key that is missing, unknown or impossible.
-        """
-        model, tolerances = load_aerodynamics(name_or_path), read_tolerances(name_or_path)
-        return cls(model, tolerances, str(name_or_path))
-
-    @property
-    def name(self) -> str:  # type: ignore[override]
-        """Of the vehicle file."""
-        return self.model.vehicle.name
-
-    @property
-    def vehicle(self) -> Vehicle:  # type: ignore[override]
-        """As in the vehicle file."""
-        return self.model.vehicle
-
-    @property
-    def hover_rotor_speed(self) -> float:
-        """See :class:`Simulation`."""
-        return self.model.hover_rotor_speed
-
-    @property
-    def memoryless(self) -> bool:  # type: ignore[override]
-        """See :class:`Simulation`."""
-        return self.model.memoryless
+        """Read a vehicle file with the section `simulation`, or a model folder; without effects in it."""
+        return cls(load_aerodynamics(name_or_path), read_tolerances(name_or_path), str(name_or_path))
 
     def wrench(self, flight: Flight) -> Array:
         """See :class:`Simulation`."""
-        return self._wrench(self.model, flight)
+        return self.loads(flight)[0]
+
+    def loads(self, flight: Flight) -> tuple[Array, Array, Array]:
+        """See :class:`Simulation`."""
+        time, speeds, accelerations = flight.time, flight.rotor_speeds, None
+        if not self.memoryless:
+            accelerations = np.gradient(speeds, time, axis=0)
+            delay = self.model.rotor_delay_s
+            if delay > 0.0:
+                # By neighbours alone, as roll-outs give them; delays are of milliseconds.
+                jerks, slopes = np.zeros_like(speeds), np.diff(speeds, axis=0) / np.diff(time)[:, np.newaxis]
+                jerks[1:-1] = 2.0 * np.diff(slopes, axis=0) / (time[2:] - time[:-2])[:, np.newaxis]
+                speeds = np.maximum(speeds - delay * accelerations + 0.5 * delay**2 * jerks, 0.0)
+                accelerations = accelerations - delay * jerks
+        states = self.model.states(airspeed(flight), flight.rates, speeds, rotor_accelerations=accelerations)
+        return states["wrench"].copy(), states["thrusts"].copy(), states["torques"].copy()
 
     def recorded(self, flight: Flight, wrench: Array) -> Array:
         """See :class:`Simulation`; forces of the bandwidth that its flights had."""
@@ -271,73 +250,21 @@ class VehicleSimulation(Simulation):
         forces = band_limited(flight.time, flight.rates, wrench[:, :3, np.newaxis], bandwidth)
         return np.column_stack((forces[:, :, 0], wrench[:, 3:]))
 
-    def margins(self, flight: Flight) -> Margins | None:
-        """See :class:`Simulation`."""
-        return None if self.intervals_of is None else self.intervals_of.margins(flight)
-
-    def identified_on(self, flight: Flight) -> bool:
-        """See :class:`Simulation`."""
-        return self.intervals_of is not None and self.intervals_of.identified_on(flight)
-
-    def thrusts(self, flight: Flight) -> tuple[Array, Array]:
-        """See :class:`Simulation`."""
-        return self.loads(flight)[1:]
-
-    def loads(self, flight: Flight) -> tuple[Array, Array, Array]:
-        """See :class:`Simulation`; all from one evaluation."""
-        states = self._states(self.model, flight)
-        return states["wrench"].copy(), states["thrusts"].copy(), states["torques"].copy()
-
-    def record(self) -> npt.NDArray[np.void]:
-        """See :class:`Simulation`; with the aerodynamics, for effects on forces in the rotor plane."""
-        return self.model.record()
-
     def uncertain(self, flight: Flight) -> list[Column]:
         """One factor on each kind of coefficient, and separate ones on static thrust and torque."""
-        base = self.wrench(flight)
-        return [
-            Column(
-                name, (self._wrench(self.model.scaled({name: 1.0}), flight) - base) * self._tolerance(name)
-            )
-            for name in self.model.coefficients_by_name
-        ]
+        base, columns = self.wrench(flight), []
+        for name in self.model.coefficients_by_name:
+            grown = replace(self, model=self.model.scaled({name: 1.0})).wrench(flight)
+            columns.append(Column(name, (grown - base) * self._tolerance(name)))
+        return columns
 
     def with_coefficients(self, multiples: Mapping[str, float]) -> VehicleSimulation:
         """See :class:`Simulation`."""
-        shares = {
-            name: self._tolerance(name) * multiples[name]
-            for name in self.model.coefficients_by_name
-            if name in multiples
-        }
+        known = set(self.model.coefficients_by_name)
+        shares = {name: self._tolerance(name) * m for name, m in multiples.items() if name in known}
         return replace(self, model=self.model.scaled(shares))
 
     def _tolerance(self, name: str) -> float:
         if self.model.covariance_known:
             return 1.0
         return self.tolerances.thrust if name == "thrust" else self.tolerances.coefficient
-
-    @staticmethod
-    def _wrench(model: SimulatedAerodynamics, flight: Flight) -> Array:
-        return VehicleSimulation._states(model, flight)["wrench"].copy()
-
-    @staticmethod
-    def _states(model: SimulatedAerodynamics, flight: Flight) -> npt.NDArray[np.void]:
-        speeds, accelerations = flight.rotor_speeds, None
-        if not model.memoryless:
-            accelerations = np.gradient(speeds, flight.time, axis=0)
-            delay = model.rotor_delay_s
-            if delay > 0.0:
-                # By neighbours alone, as roll-outs give them; delays are of milliseconds.
-                jerks = _second_derivative(flight.time, speeds)
-                speeds = np.maximum(speeds - delay * accelerations + 0.5 * delay**2 * jerks, 0.0)
-                accelerations = accelerations - delay * jerks
-        return model.states(airspeed(flight), flight.rates, speeds, rotor_accelerations=accelerations)
-
-
-def _second_derivative(time: Array, values: Array) -> Array:
-    """Second derivative (N, K) of values (N, K) at times (N,) from the two neighbours; zero at the ends."""
-    before, after = np.diff(time)[:-1, np.newaxis], np.diff(time)[1:, np.newaxis]
-    slopes = np.diff(values, axis=0) / np.diff(time)[:, np.newaxis]
-    second = np.zeros_like(values)
-    second[1:-1] = 2.0 * (slopes[1:] - slopes[:-1]) / (before + after)
-    return second

@@ -251,8 +251,7 @@ def _prepared(
     require_streams(recording)
     causal = CausalPass.over(recording, vehicle)
     flight = fuse_airborne(recording, vehicle, cutoff_hz, causal.segments)
-    at_ns = flight.start_ns + np.rint(1e9 * flight.time).astype(np.int64)
-    live = causal.samples(vehicle, cutoff_hz, at_ns)
+    live = causal.samples(vehicle, cutoff_hz, flight.stamps_ns)
     prepared = PreparedFlight.of(flight, vehicle, recording_hash(recording), live)
     recorded_ns = recording.imu.time_ns[-1] - recording.imu.time_ns[0]
     return replace(prepared, file=file.name, recorded_s=1e-9 * float(recorded_ns))

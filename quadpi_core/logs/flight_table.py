@@ -54,7 +54,7 @@ def write_flight_table(path: Path, flight: Flight, wrench: Array) -> None:
     from pyarrow import csv, parquet
 
     require_table(path)
-    columns = {"time_ns": flight.start_ns + np.round(1e9 * flight.time).astype(np.int64)}
+    columns = {"time_ns": flight.stamps_ns}
     for name, headings in _STATES.items():
         columns |= dict(zip(headings, getattr(flight, name).T, strict=True))
     columns |= dict(zip(_WRENCH, wrench.T, strict=True))

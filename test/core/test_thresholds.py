@@ -36,8 +36,8 @@ from quadpi_core.discrepancy.discrepancy_result import OfFlight
 from quadpi_core.discrepancy.effect_regression import settled
 from quadpi_core.discrepancy.effect_response import Compared, predicted_flight
 from quadpi_core.discrepancy.evidence import Fit
-from quadpi_core.discrepancy.external_simulations import ModelSimulation
 from quadpi_core.discrepancy.loading import load_simulation
+from quadpi_core.discrepancy.other_simulations import ModelSimulation
 from quadpi_core.discrepancy.quiet_flight import quiet
 from quadpi_core.discrepancy.reflight import rollout_floor
 from quadpi_core.discrepancy.search import Found
@@ -544,12 +544,11 @@ def common_to_axes():
 
 def bridged(share):
     """Whether a model that gives nothing for a share of a flight is taken."""
-
-    def predict(flight):
-        return np.where(np.arange(len(flight))[:, None] < share * len(flight), np.nan, np.ones((1, 6)))
-
-    simulation = ModelSimulation("test", BEBOP, predict)
-    return not refused(DiscrepancyError, lambda: simulation.wrench(steady(samples=10_000)))
+    flight, predicted = steady(samples=10_000), np.ones((10_000, 6))
+    predicted[: int(share * len(flight))] = np.nan
+    simulation = ModelSimulation("test", BEBOP, SimpleNamespace())
+    vars(simulation)["_evaluated"] = lambda _: SimpleNamespace(predicted=predicted)
+    return not refused(DiscrepancyError, lambda: simulation.wrench(flight))
 
 
 # What a value in the unit of a threshold leads to, and where that turns over. The values are those of the

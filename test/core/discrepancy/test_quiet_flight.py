@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from quadpi_core.discrepancy.external_simulations import CallableSimulation
+from quadpi_core.discrepancy.other_simulations import CallableSimulation
 from quadpi_core.discrepancy.quiet_flight import quiet
 from quadpi_core.discrepancy.simulations import VehicleSimulation
 from quadpi_core.signals.filters import zero_phase

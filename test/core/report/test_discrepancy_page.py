@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console
 
 from quadpi_core.discrepancy.discrepancy_result import study_json
-from quadpi_core.discrepancy.external_simulations import CallableSimulation
+from quadpi_core.discrepancy.other_simulations import CallableSimulation
 from quadpi_core.discrepancy.result_verdicts import judge_unexplained
 from quadpi_core.report.discrepancy_page import discrepancy_summary, write_discrepancy_page
 

@@ -20,7 +20,7 @@ from independent.cases import IndependentCase, NotFlownError
 from quadpi_core.discrepancy.augmented_simulation import augmented
 from quadpi_core.discrepancy.discrepancy_result import Discovery, discovery_json
 from quadpi_core.discrepancy.loading import load_simulation
-from quadpi_core.discrepancy.recorded_simulation import RecordedSimulation
+from quadpi_core.discrepancy.other_simulations import RecordedSimulation
 from quadpi_core.discrepancy.reflight import rollouts
 from quadpi_core.discrepancy.search import Found
 from quadpi_core.discrepancy.simulations import Simulation
