@@ -54,6 +54,7 @@ def discrepancy(
     from quadpi_core.discrepancy.study import read_flights, study
     from quadpi_core.paths import whole_outputs, write_json
     from quadpi_core.report.discrepancy_page import discrepancy_summary, write_discrepancy_page
+    from quadpi_core.report.effect_formulas import write_formulas
     from quadpi_core.report.page import FlightFiles
     from quadpi_core.simulation.simulated_file import model_folder
 
@@ -82,8 +83,9 @@ def discrepancy(
         # A simulation that is no model cannot judge: who looks at a moment names a model.
         files = FlightFiles.of(bags, [model_folder(simulation) or Path("MODEL")], vehicle)
         with whole_outputs(output) as staging, console.status("Writing"):
-            added = [file.name for file in write_addition(found.discovery, staging)]
-            data["files"] = added
+            addition = write_addition(found.discovery, staging)
+            written = [addition, *write_formulas(found.discovery.effects, staging)] if addition else []
+            data["files"] = added = [file.name for file in written]
             write_json(staging / DATA, data)
             write_discrepancy_page(staging / PAGE, found, files, left_out)
             if json_file is not None:

@@ -18,7 +18,6 @@ from quadpi_core.brief_repr import brief_repr
 from quadpi_core.config import is_config_path
 from quadpi_core.discrepancy.bias_response import BiasResponse
 from quadpi_core.discrepancy.discrepancy_result import Discovery
-from quadpi_core.discrepancy.effect_formulas import write_formulas
 from quadpi_core.discrepancy.effect_regression import Regression
 from quadpi_core.discrepancy.effect_response import body_tolerances, predicted_flight, without_sensor_effect
 from quadpi_core.discrepancy.evidence import Fit
@@ -339,25 +338,18 @@ def _added(simulation: Simulation, effects: Effects, adjusted: Mapping[str, floa
     return AugmentedSimulation(simulation, effects, both)
 
 
-def write_addition(discovery: Discovery, folder: Path) -> list[Path]:
-    """Write the simulation with the effects that were found, and the formulas of the effects.
+def write_addition(discovery: Discovery, folder: Path) -> Path | None:
+    """Write the simulation with the effects that were found into a folder that exists.
 
     For a vehicle file it is a vehicle file of the same name with `simulation.effects`; for any other
     simulation an `addition.json` that refers to it and loads in its place. Nothing is written with any other
     verdict than "effects".
 
-    Args:
-        discovery: result of the search.
-        folder: existing folder.
-
-    Returns:
-        Paths of the files, the simulation first.
-
     Raises:
         DiscrepancyError: where an effect cannot be added to one that the simulation already has.
     """
     if not discovery.added:
-        return []
+        return None
     simulation = augmented(discovery)
     base, effects = simulation.base, {name: dict(values) for name, values in simulation.effects.items()}
     if isinstance(base, VehicleSimulation):
@@ -379,7 +371,7 @@ def write_addition(discovery: Discovery, folder: Path) -> list[Path]:
             "version": __version__,
         }
         path.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n")
-    return [path, *write_formulas(discovery.effects, folder)]
+    return path
 
 
 def _absolute(text: str) -> str:

@@ -35,7 +35,7 @@ from quadpi_core.simulation.state_records import State, VehicleNumbers
 def body_drag(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:  # noqa: ARG001
     """Parasitic drag of the airframe, with the square of the airspeed.
 
-    F = −|V| (k_x u, k_y v, k_z w), each k = ½ ρ C_D S. Sizes in x and y: Bebop 2 in the wind tunnel; z as y.
+    Each k is ½ ρ C_D S. Sizes in x and y: Bebop 2 in the wind tunnel; z as y.
     """
     u, v, w = state.velocity_air[0], state.velocity_air[1], state.velocity_air[2]
     airspeed = np.sqrt(u * u + v * v + w * w)
@@ -53,7 +53,7 @@ def body_drag(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:  # noq
 def cubic_drag(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:  # noqa: ARG001
     """In-plane drag with the cube of the airspeed, as where induced and profile power grow in a dash.
 
-    (Fx, Fy) = −k |V|² (u, v). Size: 0.075 N at 10 m/s.
+    Size: 0.075 N at 10 m/s.
     """
     u, v, w = state.velocity_air[0], state.velocity_air[1], state.velocity_air[2]
     factor = -p[0] * (u * u + v * v + w * w)
@@ -73,7 +73,7 @@ def cubic_drag(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:  # no
 def rate_damping(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:  # noqa: ARG001
     """Moment against the body rates.
 
-    M = −(k_x p, k_y q, k_z r). Size: yaw of the Bebop 2.
+    Size: yaw of the Bebop 2.
     """
     return 0.0, 0.0, 0.0, -p[0] * state.rates[0], -p[1] * state.rates[1], -p[2] * state.rates[2]
 
@@ -100,8 +100,8 @@ def rate_damping(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:  # 
 def tether(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:  # noqa: ARG001
     """Elastic tether from a point of the world to the belly.
 
-    F = −k (L − L0) n where L > L0, else 0; L and n are distance and direction of the centre of gravity from
-    the anchor. It pulls at the hook, h below the centre. Size: 0.6 N at 3 m over an anchor on the ground.
+    L and n are distance and direction of the centre of gravity from the anchor. It pulls at the hook, h below
+    the centre. Size: 0.6 N at 3 m over an anchor on the ground.
     """
     north, east, down = state.position[0] - p[2], state.position[1] - p[3], state.position[2] + p[4]
     distance = np.sqrt(north * north + east * east + down * down)
@@ -168,7 +168,7 @@ def moment_bias(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:  # n
 def cg_offset(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:  # noqa: ARG001
     """Centre of gravity away from where the vehicle file has it.
 
-    M = −d × F with the force of the aerodynamics and of every effect before, d from the nominal centre to the
+    F is the force of the aerodynamics and of every effect before, d points from the nominal centre to the
     true one. First order in d: inertia and hub velocities are those about the nominal centre. Size: 5 mm.
     """
     fx, fy, fz = state.wrench[0], state.wrench[1], state.wrench[2]

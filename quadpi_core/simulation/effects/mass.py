@@ -63,7 +63,7 @@ def _of_a_rigid_body(vehicle: Vehicle, p: Array) -> Array:
 def inertia(vehicle: Vehicle, p: Array) -> Vehicle:
     """Moments of inertia other than the file's.
 
-    I_ij grows to I_ij √((1 + k_i)(1 + k_j)), which keeps the matrix positive. Size: 20 %.
+    The matrix stays positive. Size: 20 %.
     """
     scale = np.sqrt(1.0 + p)
     return replace(vehicle, inertia=vehicle.inertia * scale[:, None] * scale)

@@ -47,9 +47,8 @@ NEAREST = NEAREST_SURFACE.value
 def ground_effect(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """Thrust gained near the ground, at each rotor by its own height.
 
-    T_i grows by k T_i [1/(1 − (R/4h_i)²/(1 + (V_i/v_h)²)) − 1], V_i being the speed in the rotor's plane, and
-    grows no more below h = R/2. Source: Cheeseman and Bennett, ARC R&M 3021, 1955, for which k = 1: 6.7 % at
-    h = R. Whole vehicles gain several times more.
+    Source: Cheeseman and Bennett, ARC R&M 3021, 1955, for which k = 1: 6.7 % at h = R. Whole vehicles gain
+    several times more.
     """
     wrench = NO_WRENCH
     for rotor in range(ROTORS):
@@ -73,9 +72,8 @@ def ground_effect(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
 def ceiling_effect(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """Thrust gained below a ceiling, at each rotor by its own distance.
 
-    T_i grows by k T_i (R/d_i)², and grows no more below d = R/2. Source: leading term of Hsiao and
-    Chirarattananon, "Ceiling effects for hybrid aerial–surface locomotion of small rotorcraft", 2019. Size:
-    literature has 10 to 30 % at d = R.
+    Source: leading term of Hsiao and Chirarattananon, "Ceiling effects for hybrid aerial–surface locomotion
+    of small rotorcraft", 2019. Size: literature has 10 to 30 % at d = R.
     """
     wrench = NO_WRENCH
     for rotor in range(ROTORS):

@@ -45,9 +45,8 @@ def _share(state: State, vehicle: VehicleNumbers, rotor: int) -> float:
 def rotor_drag(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """Drag of the rotors in their plane (H-force), with rotor speed times airspeed.
 
-    F_i = −k ¼ ω_i/ω_h (u_i, v_i, 0), with k < 0 where the rotors have less of it than their model. Source:
-    term k4 of the rotor-local model; Martin and Salaün, "The true role of accelerometer feedback in quadrotor
-    control", 2010. Size: Bebop 2.
+    k < 0 where the rotors have less of it than their model. Source: term k4 of the rotor-local model; Martin
+    and Salaün, "The true role of accelerometer feedback in quadrotor control", 2010. Size: Bebop 2.
     """
     wrench = NO_WRENCH
     for rotor in range(ROTORS):
@@ -68,7 +67,7 @@ def rotor_drag(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
 def cross_flow(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """Force of the rotors across the airflow in their plane; cancels where all turn at one speed.
 
-    F_i = s_i k ¼ ω_i/ω_h (v_i, −u_i, 0). Source: term k5 of the rotor-local model. Size: Bebop 2.
+    Source: term k5 of the rotor-local model. Size: Bebop 2.
     """
     wrench = NO_WRENCH
     for rotor in range(ROTORS):
@@ -91,7 +90,7 @@ def cross_flow(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
 def blade_flapping(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """Moment at the hubs of blades that flap in translation: nose up in forward flight.
 
-    M_i = k ¼ ω_i/ω_h (−v_i, u_i, 0). Source: term k6 of the rotor-local model. Size: Bebop 2.
+    Source: term k6 of the rotor-local model. Size: Bebop 2.
     """
     mx = my = 0.0
     for rotor in range(ROTORS):
@@ -114,10 +113,9 @@ def blade_flapping(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
 def translational_lift(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """Thrust gained by rotors in translation, with the square of the airspeed in their plane.
 
-    T_i grows by ¼ k (u_i² + v_i²): blade element theory, C_T = ½ σ a (θ (⅓ + ½ μ²) − ½ λ), where ω² μ² does
-    not depend on ω. The advance ratio μ is held at the largest of the rotor-local model, so that a rotor at
-    rest lifts nothing. Source: Leishman, Principles of Helicopter Aerodynamics. Size: 31 % of the weight of
-    the Bebop 2 at 14 m/s.
+    Blade element theory, C_T = ½ σ a (θ (⅓ + ½ μ²) − ½ λ), where ω² μ² does not depend on ω. The advance
+    ratio μ is held at the largest of the rotor-local model, so that a rotor at rest lifts nothing. Source:
+    Leishman, Principles of Helicopter Aerodynamics. Size: 31 % of the weight of the Bebop 2 at 14 m/s.
     """
     wrench = NO_WRENCH
     for rotor in range(ROTORS):
@@ -140,8 +138,8 @@ def translational_lift(state: State, vehicle: VehicleNumbers, p: Array) -> Wrenc
 def inflow_damping(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """Thrust lost in climb and gained in descent, by the inflow through each rotor; damps roll and pitch too.
 
-    Fz_i = −k ¼ ω_i/ω_h w_i: blade element theory, the term −½ λ of C_T with λ = −w_i/(ω R). Source: Leishman.
-    Size: 9 % of the weight of the Bebop 2 at 1 m/s.
+    Blade element theory, the term −½ λ of C_T with λ = −w_i/(ω R). Source: Leishman. Size: 9 % of the weight
+    of the Bebop 2 at 1 m/s.
     """
     wrench = NO_WRENCH
     for rotor in range(ROTORS):
@@ -164,8 +162,8 @@ def inflow_damping(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
 def rotor_dissymmetry(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """Moment of rotors that meet different airspeeds because the vehicle turns while it translates.
 
-    T_i grows by k ¼ ω_i/ω_h (|V_i|² − |V|²), of which the moment alone is taken. Size: 3e-4 Nm, at 10 rad/s
-    of roll with 3 m/s along z and 0.1 m to the rotors.
+    Of the thrust that it adds the moment alone is taken. Size: 3e-4 Nm, at 10 rad/s of roll with 3 m/s along
+    z and 0.1 m to the rotors.
     """
     u, v, w = state.velocity_air[0], state.velocity_air[1], state.velocity_air[2]
     square = u * u + v * v + w * w
@@ -195,7 +193,6 @@ def rotor_dissymmetry(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench
 def vortex_ring(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """Thrust lost by rotors that descend into their own wake.
 
-    T_i falls by k T_i x e^((1 − x⁴)/4) e^(−μ²), x = w_i/v_h > 0 (descent) and μ = √(u_i² + v_i²)/v_h.
     Measured induced velocities leave those of momentum theory from the first descent on, most where it is as
     fast as the induced velocity of hover v_h, and meet them again in the windmill brake state near twice that
     (Leishman, Principles of Helicopter Aerodynamics, 2006). It is gone once the vehicle flies out of its wake
@@ -227,9 +224,8 @@ def vortex_ring(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
 def rotor_interaction(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """Thrust lost by the rotors that fly in the wake of those ahead.
 
-    T_i falls by k T_i tanh(V/v_h) max(0, −r_i·e/|r_i|), V and e being speed and direction of the airspeed in
-    the plane of the rotors: by the whole share k for a rotor straight behind the centre. Size: 10 % of the
-    rear thrust in forward flight of an x layout.
+    V and e are speed and direction of the airspeed in the plane of the rotors; a rotor straight behind the
+    centre loses the whole share k. Size: 10 % of the rear thrust in forward flight of an x layout.
     """
     u, v = state.velocity_air[0], state.velocity_air[1]
     speed = np.sqrt(u * u + v * v)

@@ -36,8 +36,8 @@ _INERTIA = Parameter("rotor_inertia_kg_m2", "kg m²", 8e-6, 0.0, 1e-3)
 def gyroscopic(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """Precession of the rotors when the body turns; does no work.
 
-    M = −Ω × h z = (−q h, p h, 0) with h = I_r Σ s_i ω_i: a rotor that turns clockwise seen from above (s = 1)
-    has its angular momentum along z, down. Size: a rotor of the Bebop 2 with its motor's bell.
+    A rotor that turns clockwise seen from above (s = 1) has its angular momentum along z, down. Size: a rotor
+    of the Bebop 2 with its motor's bell.
     """
     momentum = 0.0
     for rotor in range(ROTORS):
@@ -57,7 +57,7 @@ def gyroscopic(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
 def spin_up(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """Reaction of the body to rotors that change their speed.
 
-    Mz = −I_r Σ s_i dω_i/dt. Size: 0.096 Nm when the rotors of the Bebop 2 begin a step of 100 rad/s.
+    Size: 0.096 Nm when the rotors of the Bebop 2 begin a step of 100 rad/s.
     """
     torque = 0.0
     for rotor in range(ROTORS):
@@ -79,8 +79,8 @@ def spin_up(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
 def thrust_coefficient(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:  # noqa: ARG001
     """Another air density, or other blades: thrust, torque and drag grow together.
 
-    All aerodynamic forces and moments grow by the share k: they are in proportion to the density, and those
-    of a rotor to the lift of its blades. Size: 10 %.
+    Aerodynamic forces and moments are in proportion to the density, and those of a rotor to the lift of its
+    blades. Size: 10 %.
     """
     f = state.aerodynamics
     return p[0] * f[0], p[0] * f[1], p[0] * f[2], p[0] * f[3], p[0] * f[4], p[0] * f[5]
@@ -98,7 +98,7 @@ def thrust_coefficient(state: State, vehicle: VehicleNumbers, p: Array) -> Wrenc
 def rotor_thrusts(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """Each rotor has a thrust and torque coefficient of its own.
 
-    T_i and the torque of rotor i grow by the share k_i. Size: 1 %, as rotors of one batch differ.
+    Size: 1 %, as rotors of one batch differ.
     """
     wrench = NO_WRENCH
     for rotor in range(ROTORS):
@@ -122,8 +122,8 @@ def rotor_thrusts(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
 def weak_rotor(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """One rotor is damaged and gives less thrust than its speed promises, and another torque.
 
-    T_i of that rotor falls by the share k; its torque and its drag in the plane H_i grow by k_Q, or fall: a
-    nick costs lift and adds drag, a blade cut short costs both. Size: 10 % less of all.
+    Its torque and its drag in the plane H_j grow, or fall: a nick costs lift and adds drag, a blade cut short
+    costs both. Size: 10 % less of all.
     """
     rotor = int(p[0]) - 1
     fx, fy, fz, mx, my, mz = _with_shares(NO_WRENCH, state, vehicle, rotor, -p[1], p[2])
@@ -159,8 +159,7 @@ def _with_shares(
 def rotor_tilt(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """One rotor is mounted askew.
 
-    Thrust and torque turn and stay as large: F = T_i n at its hub and M = −Q_i n, of
-    n = (sin α, sin β, 1 − √(1 − sin² α − sin² β)), with angles forward and right. Size: 2° together.
+    Thrust and torque turn and stay as large; the angles are forward and right. Size: 2° together.
     """
     rotor = int(p[0]) - 1
     thrust, torque = state.thrusts[rotor], state.torques[rotor]

@@ -36,7 +36,7 @@ def _inverse_scale(p: Array) -> Array:
 def imu_lever_arm(recording: Recording, vehicle: Vehicle, p: Array) -> Recording:  # noqa: ARG001
     """The IMU sits away from the centre of gravity.
 
-    f grows by dΩ/dt × r + Ω × (Ω × r), dΩ/dt being the central difference of the recorded rates. Size: 2 cm.
+    The angular acceleration is the central difference of the recorded rates. Size: 2 cm.
     """
     imu = recording.imu
     shifted = _at_lever_arm(imu.time_ns, imu.angular_velocity, imu.specific_force, p)
@@ -59,8 +59,7 @@ def imu_lever_arm(recording: Recording, vehicle: Vehicle, p: Array) -> Recording
 def imu_misalignment(recording: Recording, vehicle: Vehicle, p: Array) -> Recording:  # noqa: ARG001
     """The IMU is turned in the body: accelerometer and gyro alike.
 
-    It reports Rᵀf and RᵀΩ, R being the rotation by the vector p from its axes to the body's; to first order
-    f + f × p. Size: 2° together.
+    R is the rotation by the vector δ from its axes to the body's. Size: 2° together.
     """
     imu = recording.imu
     turned = replace(
@@ -81,7 +80,7 @@ def imu_misalignment(recording: Recording, vehicle: Vehicle, p: Array) -> Record
 def accelerometer_scale(recording: Recording, vehicle: Vehicle, p: Array) -> Recording:  # noqa: ARG001
     """Scale of the accelerometer.
 
-    f_j grows by the share k_j. Size: 2 %.
+    Size: 2 %.
     """
     imu = recording.imu
     return replace(recording, imu=replace(imu, specific_force=imu.specific_force * (1.0 + p)))
@@ -97,7 +96,7 @@ def accelerometer_scale(recording: Recording, vehicle: Vehicle, p: Array) -> Rec
 def accelerometer_bias(recording: Recording, vehicle: Vehicle, p: Array) -> Recording:  # noqa: ARG001
     """Bias of the accelerometer.
 
-    f grows by p. Size: 0.2 m/s².
+    Size: 0.2 m/s².
     """
     imu = recording.imu
     return replace(recording, imu=replace(imu, specific_force=imu.specific_force + p))
@@ -113,7 +112,7 @@ def accelerometer_bias(recording: Recording, vehicle: Vehicle, p: Array) -> Reco
 def gyro_bias(recording: Recording, vehicle: Vehicle, p: Array) -> Recording:  # noqa: ARG001
     """Bias of the gyro.
 
-    Ω grows by p. Size: 1 °/s.
+    Size: 1 °/s.
     """
     imu = recording.imu
     return replace(recording, imu=replace(imu, angular_velocity=imu.angular_velocity + p))
@@ -133,7 +132,7 @@ def gyro_bias(recording: Recording, vehicle: Vehicle, p: Array) -> Recording:  #
 def rotor_speed_scale(recording: Recording, vehicle: Vehicle, p: Array) -> Recording:  # noqa: ARG001
     """Scale of the measured rotor speeds, of one rotor or (rotor 0) of all.
 
-    ω grows by the share k; −0.5 is a sensor that reads half, as real ones do. Size: 2 %.
+    k = −0.5 is a sensor that reads half, as real ones do. Size: 2 %.
     """
     stream = recording.rotor_speeds
     if stream is None:

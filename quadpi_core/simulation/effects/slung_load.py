@@ -44,9 +44,8 @@ def slung_load(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """A load on a cable from the centre of gravity: a spherical pendulum that the vehicle's motion drives.
 
     n is the direction from the vehicle to the load, in the world, and f the specific force of the vehicle
-    there, with the pull of the cable. F = T n with the tension T = m_L (l |n'|² − n·f), 0 where the cable
-    would push; n'' = −(f − (n·f) n) / l − |n'|² n − c n'. The cable has no mass and stays taut. Its own state
-    is n and n'. Size: 30 g on half a metre, 0.3 N.
+    there, with the pull of the cable, whose tension T is 0 where it would push. The cable has no mass and
+    stays taut. Its own state is n and its derivative. Size: 30 g on half a metre, 0.3 N.
     """
     mass, length, damping = p[0], max(p[1], _SHORTEST_M), p[2]
     memory, slope = state.memory, state.memory_slope

@@ -20,6 +20,7 @@ from quadpi_core.discrepancy import (
 from quadpi_core.discrepancy.augmented_simulation import augmented, merged, write_addition
 from quadpi_core.discrepancy.discrepancy_result import discovery_json
 from quadpi_core.errors import DiscrepancyError
+from quadpi_core.report.effect_formulas import write_formulas
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.applied_effects import effect_wrench
 from quadpi_core.simulation.effect_registry import read_effects
@@ -57,7 +58,8 @@ def test_what_the_estimator_took_for_a_bias_is_not_added(flown):
 
 def test_the_vehicle_file_flies_with_the_effect(discovery, flown, tmp_path):
     assert [effect.name for effect in discovery.effects] == ["inflow_damping"]
-    path, text, code = write_addition(discovery, tmp_path)
+    path = write_addition(discovery, tmp_path)
+    text, code = write_formulas(discovery.effects, tmp_path)
     assert path == tmp_path / "bebop2.yaml"
     simulation = load_simulation(str(path))
     assert simulation.effects["inflow_damping"]["damping_n_s_m"] == pytest.approx(0.2, rel=0.1)
@@ -83,7 +85,7 @@ def test_a_law_that_flights_shape(flown, tmp_path):
     assert effect.name == "inflow_damping"
     assert effect.shape["shape_speed"] < -0.1
     assert discovery_json(found)["effects"][0]["shape"] == effect.shape
-    path, text, code = write_addition(found, tmp_path)
+    path, (text, code) = write_addition(found, tmp_path), write_formulas(found.effects, tmp_path)
     simulation = load_simulation(str(path))
     bare = {p.name: p.value for p in effect.parameters}
     before, lawful, after, floor = (
@@ -116,10 +118,10 @@ def test_a_law_that_flights_shape(flown, tmp_path):
 
 
 def test_nothing_more_is_found_in_what_was_written(discovery, flown, tmp_path):
-    path, *_ = write_addition(discovery, tmp_path)
+    path = write_addition(discovery, tmp_path)
     again = discover(load_simulation(str(path)), flown(*HIDDEN), names=NAMES)
     assert again.verdict == "none"
-    assert write_addition(again, tmp_path / "nowhere") == []
+    assert write_addition(again, tmp_path / "nowhere") is None
 
 
 def test_a_flight_left_out_has_no_say(discovery):
@@ -154,7 +156,7 @@ def test_an_addition_to_a_function(flown, tmp_path, monkeypatch):
     simulation = load_simulation("outside:wrench", "bebop2")
     found = discover(simulation, flown(*HIDDEN), names=NAMES)
     assert [effect.name for effect in found.effects] == ["inflow_damping"]
-    path, *_ = write_addition(found, tmp_path)
+    path = write_addition(found, tmp_path)
     assert path.name == "addition.json"
     assert json.loads(path.read_text())["simulation"] == "outside:wrench"
     with pytest.raises(

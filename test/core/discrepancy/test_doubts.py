@@ -224,7 +224,7 @@ def test_what_makes_roll_outs_worse_is_not_added(found, tmp_path, rollouts, reas
     rejected = judged_by_rollouts(found.discovery, rollouts)
     assert rejected.verdict == "unknown"
     assert rejected.doubts == (reason,)
-    assert write_addition(rejected, tmp_path) == []
+    assert write_addition(rejected, tmp_path) is None
     assert not list(tmp_path.iterdir())
 
 
@@ -237,7 +237,7 @@ def test_a_doubtful_effect_is_not_added_however_roll_outs_gain(found, tmp_path):
     """Without doubts, flights left out a step ahead are enough."""
     doubtful = replace(found.discovery, verdict="unknown")
     for rollouts in (rolled_out(after=9.0), diverged(209, 0)):
-        assert write_addition(judged_by_rollouts(doubtful, rollouts), tmp_path) == []
+        assert write_addition(judged_by_rollouts(doubtful, rollouts), tmp_path) is None
     kept = judged_by_rollouts(found.discovery, diverged(209, 0))
     assert kept.verdict == "effects"
     assert "no roll-out of flights left out can be compared" in [check.sentence for check in kept.checks]
@@ -246,4 +246,4 @@ def test_a_doubtful_effect_is_not_added_however_roll_outs_gain(found, tmp_path):
 
 def test_what_makes_flights_left_out_worse_is_not_added(found, tmp_path):
     grown = replace(found.discovery, gap=found.discovery.gap._replace(reduction=-3.0))
-    assert write_addition(judged_by_rollouts(grown, rolled_out(after=9.0)), tmp_path) == []
+    assert write_addition(judged_by_rollouts(grown, rolled_out(after=9.0)), tmp_path) is None
