@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise, zip_longest
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -36,10 +36,10 @@ from quadpi_core.frames import Array, roll_pitch_yaw_from_quaternion
 from quadpi_core.thresholds import CONVENTION, Threshold
 
 FALSE_RANGE = Threshold(
-    "chance of a range where nothing is missing",
+    "chance of a range in sound flights",
     0.05,
     "half each for coefficients and noise",
-    "usual",
+    "usual level",
     CONVENTION,
 )
 EFFECT_SIZE = Threshold(
@@ -80,6 +80,10 @@ class Variable(NamedTuple):
     along: Callable[[Compared], Array]
 
 
+def _angles(own: Compared) -> Array:
+    return roll_pitch_yaw_from_quaternion(own.states["attitude"])
+
+
 VARIABLES = {
     "speed": Variable("airspeed", "m/s", lambda own: np.linalg.norm(own.states["velocity_air"], axis=1)),
     "u": Variable("forward airspeed", "m/s", lambda own: own.states["velocity_air"][:, 0]),
@@ -88,11 +92,7 @@ VARIABLES = {
     "height": Variable("height", "m", lambda own: -own.states["position"][:, 2]),
     "rotor_speed": Variable("mean rotor speed", "rad/s", lambda own: own.states["rotor_speeds"].mean(axis=1)),
     "rates": Variable("turn rate", "rad/s", lambda own: np.linalg.norm(own.states["rates"], axis=1)),
-    "heading": Variable(
-        "heading",
-        "degrees",
-        lambda own: np.degrees(roll_pitch_yaw_from_quaternion(own.states["attitude"])[:, 2]),
-    ),
+    "heading": Variable("heading", "degrees", lambda own: np.degrees(_angles(own)[:, 2])),
     "north": Variable("position north", "m", lambda own: own.states["position"][:, 0]),
     "east": Variable("position east", "m", lambda own: own.states["position"][:, 1]),
     "time": Variable("time", "s", lambda own: own.thinned.time - own.thinned.time[0]),
@@ -197,10 +197,6 @@ class Profile(NamedTuple):
     allowed: Array
 
 
-# First cell, the one after the last, shares of energy and time, p-value.
-_Run: TypeAlias = tuple[int, int, float, float, float]
-
-
 class Where(NamedTuple):
     """Where simulation and flights disagree.
 
@@ -227,19 +223,21 @@ class Where(NamedTuple):
 def locate(found: Found, seed: int = 0) -> Where:
     """Find where the flights of a search disagree with its simulation."""
     flights = residuals(found)
-    cells = Cells.of(flights)
-    test = against_draws(found, flights, cells, seed)
-    after = cells.energy(flight.after for flight in flights)
+    cells = judged_cells(found, flights, seed)
     ranges, segments, profiles = [], [], []
     for axis, name in enumerate(AXES):
-        order = sorted(VARIABLES, key=lambda variable: -_divergence(variable, axis, cells, test))
+        order = sorted(VARIABLES, key=lambda variable: -_divergence(cells, variable, axis))
         own = cells.families[order[0]]
-        rms = (np.sqrt(each[own, axis] / cells.samples[own]) for each in (test.energy, after, test.allowed))
+        energies = (cells.beyond, cells.after, cells.allowed)
+        rms = (np.sqrt(energy[own, axis] / cells.samples[own]) for energy in energies)
         profiles.append(Profile(name, order[0], cells.edges[order[0]], *rms))
-        ranges.append(_ranges(axis, order, cells, test))
+        ranges.append(_ranges(cells, order, axis))
         if any(ranges[axis]):
-            segments += _segments(axis, flights, cells, test)
-    energy = test.excess[cells.families["time"]].sum(axis=0) / found.regression.noise.sum(axis=1)
+            for start, end, share, _, p_value in _runs(cells, "second", axis):
+                flight, start_s, _ = cells.seconds[start]
+                end_s = cells.seconds[end - 1][2]
+                segments.append(Segment(flights[flight].flight, name, start_s, end_s, share, p_value))
+    energy = cells.excess[cells.families["time"]].sum(axis=0) / found.regression.noise.sum(axis=1)
     loudest = [ranges[axis] for axis in np.argsort(-energy)]
     return Where(
         tuple(part for rank in zip_longest(*loudest, fillvalue=()) for group in rank for part in group),
@@ -249,22 +247,20 @@ def locate(found: Found, seed: int = 0) -> Where:
     )
 
 
-def _divergence(variable: str, axis: int, cells: Cells, test: CellTest) -> float:
+def _divergence(cells: Cells, variable: str, axis: int) -> float:
     """Divergence (Kullback and Leibler) of the energy over the bins of a variable from the time in them."""
     own = cells.families[variable]
-    energy, time = test.excess[own, axis], cells.samples[own]
+    energy, time = cells.excess[own, axis], cells.samples[own]
     return float(rel_entr(energy / max(energy.sum(), np.finfo(float).tiny), time / time.sum()).sum())
 
 
-def _ranges(axis: int, order: Sequence[str], cells: Cells, test: CellTest) -> list[list[Range]]:
+def _ranges(cells: Cells, order: Sequence[str], axis: int) -> list[list[Range]]:
     """Ranges of an axis by variable, most informative first."""
     found = []
     for name in order:
         edges = [None, *cells.edges[name][1:-1].tolist(), None]
-        parts = [
-            Range(AXES[axis], name, edges[start], edges[end], *shares)
-            for start, end, *shares in _runs(name, axis, cells, test)
-        ]
+        runs = _runs(cells, name, axis)
+        parts = (Range(AXES[axis], name, edges[start], edges[end], *shares) for start, end, *shares in runs)
         found.append([part for part in parts if part.is_large])
     telling = [[part for part in parts if part.is_informative] for parts in found]
     if any(found) and not any(telling):
@@ -273,22 +269,13 @@ def _ranges(axis: int, order: Sequence[str], cells: Cells, test: CellTest) -> li
     return [parts for parts in telling if parts]
 
 
-def _segments(axis: int, flights: Sequence[Residual], cells: Cells, test: CellTest) -> list[Segment]:
-    runs = _runs("second", axis, cells, test)
-    parts = ((cells.seconds[start], cells.seconds[end - 1][2], share, p) for start, end, share, _, p in runs)
-    return [
-        Segment(flights[k].flight, AXES[axis], start, end, share, p) for (k, start, _), end, share, p in parts
-    ]
-
-
-def _runs(family: str, axis: int, cells: Cells, test: CellTest) -> Iterator[_Run]:
-    """Runs of cells that stand out."""
+def _runs(cells: Cells, family: str, axis: int) -> Iterator[tuple[int, int, float, float, float]]:
+    """Runs of cells that stand out: first, one after the last, shares of energy and time, p-value."""
     own = cells.families[family]
-    energy, mean, _, excess, p_value = (each[own, axis] for each in test)
-    samples = cells.samples[own]
+    samples, p_value, excess = cells.samples[own], cells.p_value[own, axis], cells.excess[own, axis]
+    kept = standing_out(cells.beyond[own, axis], cells.mean[own, axis], p_value, samples)
     # A run of seconds ends with its flight.
-    kinds = [flight for flight, *_ in cells.seconds] if family == "second" else 0
-    marks = np.where(standing_out(energy, mean, p_value, samples), kinds, -1)
+    marks = np.where(kept, [flight for flight, *_ in cells.seconds] if family == "second" else 0, -1)
     for start, end in pairwise(np.flatnonzero(np.diff(marks, prepend=-2, append=-2)).tolist()):
         if marks[start] >= 0:
             share, time_share = (float(each[start:end].sum() / each.sum()) for each in (excess, samples))
@@ -366,49 +353,80 @@ class Cells(NamedTuple):
         edges: edges of the bins of each variable.
         seconds: flight, start and end [s] of each second.
         families: cells of each variable, and of all seconds as "second".
-        members, samples: per flight (C, B) 1 where a sample lies in a cell; (C,) number in each.
+        samples: (C,) number in each.
+        beyond, after: (C, 6) energy of these of :class:`Residual`.
+        mean, allowed: (C, 6) mean energy of draws without any effect, and what most of them stay below.
+        excess: (C, 6) energy beyond that mean; 0 where there is less.
+        p_value: (C, 6) of the energy, adjusted for all bins, or for all seconds.
     """
 
     edges: dict[str, Array]
     seconds: list[tuple[int, float, float]]
     families: dict[str, slice]
-    members: list[csc_array]
     samples: Array
+    beyond: Array
+    after: Array
+    mean: Array
+    allowed: Array
+    excess: Array
+    p_value: Array
 
-    @classmethod
-    def of(cls, flights: Sequence[Residual]) -> Cells:
-        """The cells of some flights."""
-        values = {name: np.concatenate([own.variables[name] for own in flights]) for name in VARIABLES}
-        edges = {name: bin_edges(name, own) for name, own in values.items()}
-        seconds: list[tuple[int, float, float]] = []
-        within = []
-        for place, (_, time, variables, *_) in enumerate(flights):
-            whole = max(int((time[-1] - time[0]) / SEGMENT_S.value), 1)
-            # An incomplete second at the end belongs to the one before.
-            borders = np.append(time[0] + SEGMENT_S.value * np.arange(whole), time[-1])
-            own = [bin_indices(variables[name], edges[name]) for name in VARIABLES]
-            within.append(np.stack([*own, len(seconds) + bin_indices(time, borders)]))
-            seconds += [(place, *both) for both in pairwise(borders.tolist())]
-        counts = np.array([*(len(own) - 1 for own in edges.values()), len(seconds)])
-        starts = np.cumsum(counts) - counts
-        members = [
-            csc_array(
-                (np.ones(own.size), (own.T + starts).ravel(), np.arange(0, own.size + 1, len(own))),
-                (counts.sum(), own.shape[1]),
-            )
-            for own in within
-        ]
-        slices = map(slice, starts.tolist(), np.cumsum(counts).tolist())
-        families = dict(zip((*VARIABLES, "second"), slices, strict=True))
-        return cls(edges, seconds, families, members, sum(own.sum(axis=1) for own in members))
 
-    def energy(self, series: Iterable[Array]) -> Array:
-        """Sum of squares (C, …) over the samples of each cell, of series (B, …) of each flight."""
+def judged_cells(found: Found, flights: Sequence[Residual], seed: int) -> Cells:
+    """The cells of flights, with the energy beyond tolerances tested against draws without any effect."""
+    values = {name: np.concatenate([flight.variables[name] for flight in flights]) for name in VARIABLES}
+    edges = {name: bin_edges(name, own) for name, own in values.items()}
+    seconds: list[tuple[int, float, float]] = []
+    within = []
+    for place, flight in enumerate(flights):
+        borders = second_borders(flight.time)
+        own = [bin_indices(flight.variables[name], edges[name]) for name in VARIABLES]
+        within.append(np.stack([*own, len(seconds) + bin_indices(flight.time, borders)], axis=1))
+        seconds += [(place, *both) for both in pairwise(borders.tolist())]
+    ends = np.cumsum([*(len(own) - 1 for own in edges.values()), len(seconds)])
+    starts = np.append(0, ends[:-1])
+    # Per flight (C, B): 1 where a sample lies in a cell.
+    members = []
+    for cell in within:
+        first, ones = np.arange(0, cell.size + 1, len(starts)), np.ones(cell.size)
+        members.append(csc_array((ones, (cell + starts).ravel(), first), shape=(ends[-1], len(cell))))
+
+    def energy(series: Iterable[Array]) -> Array:
+        """Sums of squares (C, …) of series (B, …) of each flight."""
         total: Array = sum(
             (own @ np.square(values).reshape(len(values), -1)).reshape(-1, *values.shape[1:])
-            for own, values in zip(self.members, series, strict=True)
+            for own, values in zip(members, series, strict=True)
         )
         return total
+
+    beyond, drawn = energy(flight.beyond for flight in flights), energy(_drawn(found, seed))
+    mean, variance = drawn.mean(axis=2), drawn.var(axis=2)
+    # Energies of draws are sums of squares: close to a gamma distribution of their mean and variance.
+    shape, scale = (np.square(mean) / variance)[:, :, None], (variance / mean)[:, :, None]
+    chance, chance_drawn = (gamma.sf(own, shape, scale=scale) for own in (beyond[:, :, None], drawn))
+    p_value = np.empty_like(beyond)
+    for family in (slice(0, starts[-1]), slice(starts[-1], None)):
+        smallest = np.sort(chance_drawn[family].min(axis=(0, 1)))
+        below = np.searchsorted(smallest, chance[family, :, 0], side="right")
+        p_value[family] = (1.0 + below) / (1.0 + len(smallest))
+    return Cells(
+        edges,
+        seconds,
+        dict(zip((*VARIABLES, "second"), map(slice, starts.tolist(), ends.tolist()), strict=True)),
+        samples=sum(own.sum(axis=1) for own in members),
+        beyond=beyond,
+        after=energy(flight.after for flight in flights),
+        mean=mean,
+        allowed=np.quantile(drawn, _ALLOWED, axis=2),
+        excess=np.maximum(beyond - mean, 0.0),
+        p_value=p_value,
+    )
+
+
+def second_borders(time: Array) -> Array:
+    """Borders (S + 1,) of the seconds of a flight; an incomplete one at its end belongs to the one before."""
+    whole = max(int((time[-1] - time[0]) / SEGMENT_S.value), 1)
+    return np.append(time[0] + SEGMENT_S.value * np.arange(whole), time[-1])
 
 
 def bin_indices(values: Array, edges: Array) -> Indices:
@@ -434,38 +452,8 @@ def bin_edges(name: str, values: Array) -> Array:
     return edges
 
 
-class CellTest(NamedTuple):
-    """Energy of cells beyond tolerances, each (C, 6), against draws without any effect.
-
-    It is that of the flights, the mean of the draws, what most of them stay below, what is beyond the mean,
-    and its p-value, adjusted for all bins, or for all seconds.
-    """
-
-    energy: Array
-    mean: Array
-    allowed: Array
-    excess: Array
-    p_value: Array
-
-
-def against_draws(found: Found, flights: Sequence[Residual], cells: Cells, seed: int) -> CellTest:
-    """Test the energy beyond tolerances against that of draws without any effect."""
-    energy, drawn = cells.energy(flight.beyond for flight in flights), _drawn_energy(found, cells, seed)
-    mean, variance = drawn.mean(axis=2), drawn.var(axis=2)
-    # Energies of draws are sums of squares: close to a gamma distribution of their mean and variance.
-    shape, scale = (np.square(mean) / variance)[:, :, None], (variance / mean)[:, :, None]
-    chance, chance_drawn = (gamma.sf(own, shape, scale=scale) for own in (energy[:, :, None], drawn))
-    p_value, first = np.empty_like(energy), cells.families["second"].start
-    for family in (slice(0, first), slice(first, None)):
-        smallest = np.sort(chance_drawn[family].min(axis=(0, 1)))
-        below = np.searchsorted(smallest, chance[family, :, 0], side="right")
-        p_value[family] = (1.0 + below) / (1.0 + len(smallest))
-    allowed: Array = np.quantile(drawn, _ALLOWED, axis=2)
-    return CellTest(energy, mean, allowed, np.maximum(energy - mean, 0.0), p_value)
-
-
-def _drawn_energy(found: Found, cells: Cells, seed: int) -> Array:
-    """Energy (C, 6, D) of D residuals without any effect, after the same fit of coefficients."""
+def _drawn(found: Found, seed: int) -> Iterator[Array]:
+    """Of each flight D residuals (B, 6, D) without any effect, after the same fit of coefficients."""
     regression, columns = found.regression, found.regression.columns
     tolerances, draws = columns.tolerances, _DRAWS
     gram, most = regression.gram[np.ix_(tolerances, tolerances)], largest_deviation(len(tolerances))
@@ -488,7 +476,5 @@ def _drawn_energy(found: Found, cells: Cells, seed: int) -> Array:
         weighted = rows * regression.weighting.precision[:, columns.bands[place]][:, :, None]
         projected += np.einsum("abk,abd->kd", weighted, noise(place), optimize=True)
     left = off - within_tolerance(gram, projected)
-    return cells.energy(
-        over_time(rows @ left + noise(place), len(regression.flights[place].thinned))[1]
-        for place, rows in enumerate(allowed)
-    )
+    for place, rows in enumerate(allowed):
+        yield over_time(rows @ left + noise(place), len(regression.flights[place].thinned))[1]

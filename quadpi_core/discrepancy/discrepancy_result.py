@@ -291,10 +291,7 @@ def discovery_json(discovery: Discovery) -> dict[str, Any]:
         "ambiguous": [[effect.name, *effect.rivals] for effect in discovery.effects if effect.rivals],
         "gap": {axis: BeforeAfter(*own)._asdict() for axis, own in errors} | {"reduction": gap.reduction},
         "intervals": intervals,
-        "conditions": [
-            own._asdict() | {"flights": {name: value._asdict() for name, value in own.flights.items()}}
-            for own in discovery.conditions
-        ],
+        "conditions": [own._asdict() | {"flights": _by_name(own.flights)} for own in discovery.conditions],
         "without_trace": list(discovery.without_trace),
         "within_intervals": list(discovery.within_intervals),
         "doubts": list(discovery.doubts),
@@ -309,17 +306,17 @@ def discovery_json(discovery: Discovery) -> dict[str, Any]:
 
 def reflights_json(flown: Reflights) -> dict[str, Any]:
     """The gap in flight, as JSON holds it."""
-
-    def each(errors: Mapping[str, BeforeAfter] | Mapping[str, Coverage]) -> dict[str, Any]:
-        return {name: error._asdict() for name, error in errors.items()}
-
-    rollout, loop = flown.rollout, flown.closed_loop
-    open_loop: dict[str, Any] = {"horizon_s": rollout.horizon_s, "starts": rollout.starts}
-    if any(rollout.lost.values()):
-        open_loop["lost"] = dict(rollout.lost)
+    (horizon_s, starts, errors, lost), loop = flown.rollout, flown.closed_loop
+    open_loop: dict[str, Any] = {"horizon_s": horizon_s, "starts": starts}
+    if any(lost.values()):
+        open_loop["lost"] = dict(lost)
     closed: dict[str, Any] = {"flights": loop.flights}
-    closed |= {"missing": loop.missing} if loop.missing else {"lost": list(loop.lost)} | each(loop.errors)
+    closed |= {"missing": loop.missing} if loop.missing else {"lost": list(loop.lost)} | _by_name(loop.errors)
     if loop.reduction is not None:
         closed["reduction"] = loop.reduction
-    coverage = {"coverage": each(flown.coverage)} if flown.coverage else {}
-    return {"rollout": open_loop | each(rollout.errors), "closed_loop": closed, **coverage}
+    coverage = {"coverage": _by_name(flown.coverage)} if flown.coverage else {}
+    return {"rollout": open_loop | _by_name(errors), "closed_loop": closed, **coverage}
+
+
+def _by_name(records: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: record._asdict() for name, record in records.items()}

@@ -23,12 +23,10 @@ from quadpi_core.discrepancy import acceptance, result_verdicts, study, unexplai
 from quadpi_core.discrepancy.acceptance import judge_evidence, judge_left_out, judge_loudness, judge_size
 from quadpi_core.discrepancy.adjustment import Adjustment, LeftOut
 from quadpi_core.discrepancy.by_condition import (
-    VARIABLES,
-    Cells,
     Range,
-    Residual,
     bin_edges,
     largest_deviation,
+    second_borders,
     standing_out,
 )
 from quadpi_core.discrepancy.candidates import candidates, typical_sizes
@@ -278,14 +276,6 @@ def loaded_for(share_of_samples):
     """Whether throttle steps count as flown where rotors turn faster in a share of the samples."""
     fast = np.where(np.arange(10_000) < round(1e4 * share_of_samples), 1200.0, 600.0)
     return flown("throttle steps", seconds=100.0, rotor_speeds=np.tile(fast[:, None], (1, 4)))
-
-
-def located(seconds) -> int:
-    """Cells in time of a flight of that length."""
-    time = np.arange(round(seconds * 100.0) + 1) / 100.0
-    none = np.zeros((len(time), 6))
-    variables = dict.fromkeys(VARIABLES, time)
-    return len(Cells.of([Residual("one", time, variables, none, none, none)]).seconds)
 
 
 def stands_out(energy, p_value=0.0) -> int:
@@ -626,7 +616,7 @@ EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
     ),
     "EFFECT_SIZE": (4.0, lambda x: stands_out([x]) == 1),
     "FEWEST_SAMPLES": (0.01, lambda x: kept_bins(x) > kept_bins(0.0)),
-    "SEGMENT_S": (1.0, lambda x: located(10.0 * x) < 10),
+    "SEGMENT_S": (1.0, lambda x: len(second_borders(np.array([0.0, 10.0 * x]))) <= 10),
     "FLOWN_SPEED": (0.25, lambda x: flown("forward and backward flight", velocity=at_speed(x))),
     "FLOWN_CLIMB": (0.12, lambda x: flown("climb and descent", velocity=np.roll(at_speed(x), 2, axis=1))),
     "FLOWN_RATE": (0.6, lambda x: flown("yaw doublets", rates=in_column(2, np.full(1000, x)))),

@@ -9,10 +9,9 @@ import pytest
 from scipy.signal import lfilter
 
 from quadpi_core.discrepancy.by_condition import (
-    Cells,
     Range,
-    against_draws,
     bin_edges,
+    judged_cells,
     largest_deviation,
     locate,
     over_time,
@@ -54,8 +53,7 @@ def test_nothing_is_located_in_flights_without_a_discrepancy(simulation, flights
             columns = np.stack([column.wrench for column in own.uncertain()], axis=2)
             made.append(pushed(own.thinned, simulation.vehicle, columns @ off + error + slow - own.residual))
         found = searched(simulation, made)
-        left = residuals(found)
-        smallest.append(against_draws(found, left, Cells.of(left), seed).p_value.min())
+        smallest.append(judged_cells(found, residuals(found), seed).p_value.min())
         where = locate(found, seed)
         assert not where.ranges
         assert not where.segments
