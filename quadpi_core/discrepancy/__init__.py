@@ -5,10 +5,10 @@
 1. The residual of a flight is its measured wrench less the simulated one (`simulations`, `effect_response`).
 2. Candidates are the effects of the simulation's registry (`candidates`). They and the tolerances of the
    simulation become columns in frequency, where noise is white within bands (`linearisation`, `whitening`).
-3. The evidence of sets of effects (`effect_regression`, `evidence`) and a list of named tests (`trial`,
-   `acceptance`) choose (`search`).
+3. The evidence of sets of effects (`effect_regression`, `evidence`) and named tests (`acceptance`) choose
+   (`search`).
 4. Generic functions predict the part of the residual that no effect explains (`unexplained`). That and other
-   tests of the whole result (`doubts`, `result_verdicts`) say whether it is believed.
+   tests of the whole result say whether it is believed (`result_verdicts`).
 5. Flights left out in turn show how far the gap closes (`closure`), where it was (`by_condition`), and how
    the simulation with the effects flies (`augmented_simulation`, `reflight`).
 """

@@ -1,21 +1,24 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""What decides whether the search accepts one candidate: thresholds, and verdicts with their reasons.
+"""The tests that a candidate of the search has to pass, each with its threshold and the reason for that.
 
-The functions take plain numbers, so that each threshold can be examined without a search; `trial` lists the
-tests that a candidate has to pass. Those of the result as a whole are in `result_verdicts`.
+A candidate is accepted if it passes all tests of a :class:`Trial`. The tests of the result as a whole are in
+`result_verdicts`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.stats import chi2
 
 from quadpi_core.discrepancy.candidates import Candidate
-from quadpi_core.discrepancy.verdict import Verdict
+from quadpi_core.discrepancy.closure import left_out_squares
+from quadpi_core.discrepancy.effect_regression import Regression, refined
+from quadpi_core.discrepancy.evidence import Fit
 from quadpi_core.frames import Array
 from quadpi_core.thresholds import CONVENTION, DEVELOPMENT, Threshold
 
@@ -30,16 +33,14 @@ FURTHER_SHARE = Threshold(
     "share of a further effect",
     0.05,
     "of the evidence of the contribution of the effects before it",
-    "other effects can explain the error of a wrong law, in proportion to its contribution; not to the "
-    "evidence that it gained, which is little where tolerances cover it",
+    "others explain the error of a wrong law in proportion to its contribution, however tolerances cover it",
     DEVELOPMENT,
 )
 FURTHER_LEAST = Threshold(
     "least gain of a further effect",
     20.0,
     "nat",
-    "below the 40 to 170 nat that a true change of mass, inertia or thrust gains beside a wrong law, where "
-    "tolerances cover the rest",
+    "below the 40 to 170 nat that a true change of mass, inertia or thrust gains beside a wrong law",
     DEVELOPMENT,
 )
 FURTHER_NUMBER = Threshold(
@@ -78,14 +79,11 @@ LARGEST = Threshold(
     "in its place",
     CONVENTION,
 )
-# Name of the test of it.
-ORDINARY = "ordinary size"
 LOUDNESS = Threshold(
     "loudness",
     0.1,
     "of the noise, root mean square in the loudest axis",
-    "a quieter effect closes no gap; in a hover all motion is noise of the estimator, and so are the forces "
-    "simulated from it",
+    "a quieter effect closes no gap; in a hover all motion, and what is simulated from it, is noise",
     DEVELOPMENT,
 )
 GROWTH = Threshold(
@@ -113,8 +111,7 @@ ALIKE = Threshold(
     "margin of a law",
     0.1,
     "of the gain of the effect",
-    "an aerodynamic law that is wrong by a third loses this share of its gain, so another effect that does "
-    "as well may be the true one",
+    "what an aerodynamic law that is wrong by a third loses: another that does as well may be the true one",
     DEVELOPMENT,
 )
 DIFFERENT = Threshold(
@@ -124,6 +121,33 @@ DIFFERENT = Threshold(
     "the level of the intervals that the page states: a name whose interval holds zero explains nothing",
     CONVENTION,
 )
+# Name of the test of `LARGEST`, and tests whose failure ends a round of the search: the residual is then
+# noise, or the error of a law, and an effect that fits less well would be named for the same.
+ORDINARY = "ordinary size"
+_END_OF_ROUND = (
+    *("evidence", "loudness", "bounds, refined", "size, refined", "size by its law"),
+    "bounds, reweighted",
+)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Outcome of one test of a candidate, or of the whole result, with a sentence for people.
+
+    `value` was compared with `threshold`, both in `unit`.
+    """
+
+    test: str
+    passed: bool
+    value: float
+    threshold: float
+    unit: str
+    sentence: str
+
+    @classmethod
+    def of(cls, threshold: Threshold[float], test: str, value: float, passed: bool, sentence: str) -> Verdict:
+        """The verdict of a test that compares a value with a threshold."""
+        return cls(test, passed, value, threshold.value, threshold.unit, sentence)
 
 
 @dataclass(frozen=True)
@@ -134,7 +158,7 @@ class Judgement:
         effect: name of the effect.
         label: the name with the rotor, where there is one.
         beside: names of the effects accepted before.
-        verdicts: verdicts in the order of the tests.
+        verdicts: verdicts in the order of the tests, up to the first that failed.
     """
 
     effect: str
@@ -153,6 +177,11 @@ class Judgement:
         wanted = "evidence" if self.accepted else self.verdicts[-1].test
         return next(verdict for verdict in self.verdicts if verdict.test == wanted)
 
+    @property
+    def ends_round(self) -> bool:
+        """Whether no candidate after a rejected one may be named in the same round."""
+        return self.reason.test in _END_OF_ROUND
+
 
 def least_evidence(candidates: int) -> float:
     """Evidence [nat] that a first effect has to gain, given the number of candidates.
@@ -165,18 +194,21 @@ def least_evidence(candidates: int) -> float:
     return float(np.log(max(candidates, 1) / FALSE_ALARMS.value))
 
 
-def evidence_beside(energy: float, *, law: bool, beside_law: bool, scales: bool) -> float:
-    """Evidence that an effect has to gain beside others.
+def evidence_needed(candidate: Candidate, beside: Sequence[Candidate], energy: float, first: float) -> float:
+    """Evidence that a candidate has to gain.
 
     Args:
-        energy: evidence of the contribution of those.
-        law: whether the effect is a law that may be wrong.
-        beside_law: whether one of the others is such a law.
-        scales: see :func:`scales_beside_law`.
+        candidate: candidate to accept.
+        beside: those accepted before.
+        energy: evidence of the contribution of these.
+        first: evidence that a first effect has to gain.
     """
-    if scales:
+    if not beside:
+        return first
+    if scales_beside_law(candidate, beside):
         return FURTHER_LEAST.value
-    enough = BESIDE_LAW if beside_law else FURTHER_LAW if law else FURTHER_NUMBER
+    beside_law = any(other.form > 0.0 for other in beside)
+    enough = BESIDE_LAW if beside_law else FURTHER_LAW if candidate.form > 0.0 else FURTHER_NUMBER
     return float(np.clip(FURTHER_SHARE.value * energy, FURTHER_LEAST.value, enough.value))
 
 
@@ -192,6 +224,137 @@ def scales_beside_law(candidate: Candidate, beside: Sequence[Candidate]) -> bool
     return alone and any(other.form > 0.0 for other in beside)
 
 
+def rival_margin(gain: float) -> float:
+    """Evidence by which an effect with this gain has to exceed others in its place to be named alone."""
+    return max(NAMED_ALONE.value, ALIKE.value * gain)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A candidate beside the effects accepted before it.
+
+    Attributes:
+        regression: regression before the candidate.
+        chosen: indices of the effects accepted before.
+        found: their fit.
+        added: index of the candidate.
+        fit: fit of all together; None where bounds exclude one.
+        needed: evidence that the candidate has to gain.
+        squares_before: gives the squares (6,) of flights left out before the candidate.
+        dropped: whether it was accepted earlier and dropped beside a better one.
+        behind: name of a better candidate that ended the round; empty without one.
+        instead: name of a candidate of ordinary size that does about as well; empty without one.
+    """
+
+    regression: Regression
+    chosen: tuple[int, ...]
+    found: Fit
+    added: int
+    fit: Fit | None
+    needed: float
+    squares_before: Callable[[], Array]
+    dropped: bool = False
+    behind: str = ""
+    instead: str = ""
+
+    @property
+    def larger(self) -> tuple[int, ...]:
+        """Indices of all effects together."""
+        return tuple(sorted((*self.chosen, self.added)))
+
+    @property
+    def gain(self) -> float:
+        """Evidence that the candidate gains, of a trial that passed the test of bounds."""
+        assert self.fit is not None
+        return self.fit.log_evidence - self.found.log_evidence
+
+    @cached_property
+    def refined(self) -> tuple[Regression, Fit] | None:
+        """Regression linearised where all fit together, and that fit."""
+        assert self.fit is not None
+        return refined(self.regression, self.larger, self.fit)
+
+    @cached_property
+    def reweighted(self) -> Regression:
+        """The refined regression with at least the residual after the set as noise."""
+        assert self.refined is not None
+        regression, found = self.refined
+        return regression.beside(self.larger, found)
+
+    @cached_property
+    def accepted_fit(self) -> Fit | None:
+        """Fit of all together in :attr:`reweighted`."""
+        return self.reweighted.fit(self.larger)
+
+    @cached_property
+    def judgement(self) -> Judgement:
+        """Verdicts up to the first that fails."""
+        verdicts = []
+        for verdict in self._tests():
+            verdicts.append(verdict)
+            if not verdict.passed:
+                break
+        own, *others = (self.regression.candidates[index] for index in (self.added, *self.chosen))
+        return Judgement(own.name, own.label, tuple(other.name for other in others), tuple(verdicts))
+
+    def _tests(self) -> Iterator[Verdict]:
+        """Every test in its order; each relies on those before it."""
+        regression, added, larger = self.regression, self.added, self.larger
+        own, *others = (regression.candidates[index] for index in (added, *self.chosen))
+        yield _possible("bounds", self.fit)
+        assert self.fit is not None
+        yield judge_size(self._sizes(regression, self.fit))
+        size = regression.size(added, self.fit)
+        passed = not self.instead or size <= LARGEST.value
+        sentence = f"{LARGEST.value:g} is ordinary, and more where no other does"
+        if not passed:
+            sentence = f"at most {LARGEST.value:g} where {self.instead} does about as well"
+        sentence = f"size of {own.label} {size:.1f}{'; ' if passed else ', '}{sentence}"
+        yield Verdict.of(LARGEST, ORDINARY, size, passed, sentence)
+        # Two effects could replace each other forever.
+        sentence = "became idle beside a better one" if self.dropped else "was not dropped before"
+        yield Verdict("not dropped", not self.dropped, float(self.dropped), 0.0, "", sentence)
+        yield judge_evidence(self.gain, self.needed)
+        passed = not self.behind or scales_beside_law(own, others)
+        sentence = f"gains less than {self.behind}, which was rejected"
+        if passed:
+            sentence = "no better candidate was rejected for good"
+        yield Verdict("precedence", passed, float(passed), 1.0, "", sentence)
+        loudness = regression.loudness(added, self.fit)
+        sentence = f"adds {loudness:.2f} of the noise in its loudest axis, {LOUDNESS.value:g} needed"
+        yield Verdict.of(LOUDNESS, "loudness", loudness, loudness >= LOUDNESS.value, sentence)
+        # From here on with all linearised where they fit together.
+        yield _possible("bounds, refined", self.refined)
+        assert self.refined is not None
+        regression, found = self.refined
+        after = left_out_squares(regression, larger)
+        yield judge_left_out(self.squares_before(), after, len(regression.flights))
+        yield judge_size(self._sizes(regression, found), "size, refined")
+        # With at least the residual after the set as noise; by the laws alone, without columns for the errors
+        # of their forms.
+        regression = self.reweighted
+        plain = regression.fit(larger, form=False)
+        yield judge_size(self._sizes(regression, plain) if plain else {own.name: 0.0}, "size by its law")
+        assert plain is not None
+        kept = np.isin(plain.columns, regression.block(added).parameters)
+        values = plain.coefficients[kept]
+        squares = float(values @ np.linalg.solve(plain.covariance[np.ix_(kept, kept)], values))
+        least = float(chi2.ppf(DIFFERENT.value, len(own.free)))
+        sentence = (
+            f"squares of its parameters over their variances {squares:.1f}, more than {least:.1f} needed"
+        )
+        yield Verdict("differs from zero", squares > least, squares, least, "", sentence)
+        yield _possible("bounds, reweighted", self.accepted_fit)
+
+    def _sizes(self, regression: Regression, found: Fit) -> dict[str, float]:
+        return {regression.candidates[i].name: regression.size(i, found) for i in self.larger}
+
+
+def _possible(test: str, fit: object) -> Verdict:
+    sentence = f"{'fits' if fit else 'does not fit'} with possible parameters"
+    return Verdict(test, bool(fit), float(bool(fit)), 1.0, "", sentence)
+
+
 def judge_evidence(gain: float, needed: float) -> Verdict:
     """Whether an effect gains enough evidence."""
     sentence = f"gains {gain:.1f} nat, {needed:.1f} needed"
@@ -203,28 +366,6 @@ def judge_size(sizes: Mapping[str, float], test: str = "size") -> Verdict:
     name, smallest = min(sizes.items(), key=lambda item: item[1])
     sentence = f"size of {name} {smallest:.2f}, more than {SMALLEST.value:g} needed"
     return Verdict.of(SMALLEST, test, smallest, smallest > SMALLEST.value, sentence)
-
-
-def judge_largest(effect: str, size: float, instead: str) -> Verdict:
-    """Whether an effect is no larger than is ordinary, or no other, `instead`, does about as well."""
-    passed = not instead or size <= LARGEST.value
-    sentence = f"size of {effect} {size:.1f}, at most {LARGEST.value:g} where {instead} does about as well"
-    if passed:
-        sentence = f"size of {effect} {size:.1f}; {LARGEST.value:g} is ordinary, and more where no other does"
-    return Verdict.of(LARGEST, ORDINARY, size, passed, sentence)
-
-
-def judge_loudness(loudness: float) -> Verdict:
-    """Whether the contribution of an effect is distinguishable from the noise."""
-    sentence = f"adds {loudness:.2f} of the noise in its loudest axis, {LOUDNESS.value:g} needed"
-    return Verdict.of(LOUDNESS, "loudness", loudness, loudness >= LOUDNESS.value, sentence)
-
-
-def judge_difference(value: float, parameters: int) -> Verdict:
-    """Whether parameters together differ from zero, by their squares over their covariance."""
-    needed = float(chi2.ppf(DIFFERENT.value, parameters))
-    sentence = f"squares of its parameters over their variances {value:.1f}, more than {needed:.1f} needed"
-    return Verdict("differs from zero", value > needed, value, needed, "", sentence)
 
 
 def judge_left_out(before: Array, after: Array, flights: int) -> Verdict:
@@ -241,8 +382,3 @@ def judge_left_out(before: Array, after: Array, flights: int) -> Verdict:
         sentence = f"not judged on flights left out, of {flights} flights"
     passed = few or bool(np.all(grown <= GROWTH.value * room))
     return Verdict.of(GROWTH, "flights left out", worst, passed, sentence)
-
-
-def rival_margin(gain: float) -> float:
-    """Evidence by which an effect with this gain has to exceed others in its place to be named alone."""
-    return max(NAMED_ALONE.value, ALIKE.value * gain)

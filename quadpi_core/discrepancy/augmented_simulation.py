@@ -226,8 +226,8 @@ class AugmentedSimulation(Simulation):
 def augmented(discovery: Discovery, without: int | None = None) -> AugmentedSimulation:
     """The simulation with the effects that were found, and with adjusted coefficients.
 
-    Those coefficients are adjusted, by their posterior means, that help on flights left out; none if the
-    discovery says so.
+    Coefficients are adjusted, by their posterior means, where that helps on flights left out, and the
+    discovery does not say otherwise.
 
     Args:
         discovery: result of the search.

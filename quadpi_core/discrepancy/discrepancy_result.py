@@ -4,21 +4,21 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from quadpi_core.brief_repr import brief_repr
+from quadpi_core.discrepancy.acceptance import Verdict
 from quadpi_core.discrepancy.by_condition import Where
 from quadpi_core.discrepancy.closure import Gap
-from quadpi_core.discrepancy.ranked_evidence import RankedCandidate
 from quadpi_core.discrepancy.search import Found
 from quadpi_core.discrepancy.simulations import Simulation
 from quadpi_core.discrepancy.unexplained import Inside
-from quadpi_core.discrepancy.verdict import Verdict
 from quadpi_core.flight import AXES, Flight
 from quadpi_core.thresholds import CONVENTION, Threshold
 from quadpi_core.version import __version__
@@ -103,6 +103,50 @@ class FlightCondition(NamedTuple):
         )
         unit = f" {self.unit}" if self.unit else ""
         return f"flights differ in {self.parameter} of {self.effect}: {told}{unit} ({self.cause}?)"
+
+
+@dataclass(frozen=True)
+class RankedCandidate:
+    """What speaks for and against one candidate.
+
+    Attributes:
+        name: name of the effect.
+        label: the name with the rotor, where there is one.
+        named: whether it is among the effects of the result.
+        beside: names of the effects beside which it was judged last.
+        gain: evidence that it gained there [nat]; None where it failed an earlier test.
+        needed: evidence that it needed there [nat].
+        test: name of the test that decided.
+        reason: sentence of that test.
+        closes: by axis, the share of the gap above the floor that is credited to its contribution, fitted
+            beside the named effects and the tolerances, see :class:`Reduction`; negative where the axis gets
+            worse. Axes without a gap are left out; empty for a candidate that was not fitted.
+        cancels: those of the axes that it makes worse with the coefficients as stated, and better only with
+            coefficients that move against it.
+        rivals: labels of candidates that do about as well in its place, with their odds against it.
+    """
+
+    name: str
+    label: str
+    named: bool
+    beside: tuple[str, ...]
+    gain: float | None
+    needed: float | None
+    test: str
+    reason: str
+    closes: Mapping[str, float]
+    cancels: tuple[str, ...]
+    rivals: Mapping[str, float]
+
+    @property
+    def over_need(self) -> float:
+        """Evidence in multiples of what is needed; negative infinity where it was not weighed."""
+        return self.gain / self.needed if self.gain is not None and self.needed else -math.inf
+
+    def to_json(self) -> dict[str, Any]:
+        """As JSON holds it."""
+        named = {"gain": "evidence_nat", "needed": "needed_nat"}
+        return {named.get(name, name): value for name, value in asdict(self).items()}
 
 
 @dataclass(frozen=True)

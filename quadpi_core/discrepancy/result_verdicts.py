@@ -1,36 +1,50 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""What decides whether the result of a search is believed as a whole: thresholds, and verdicts with reasons.
+"""What is made of a search: tests of its result as a whole, each with its threshold, and ranked candidates.
 
-The functions take plain numbers, so that each threshold can be examined without a search; `doubts` takes
-these numbers from a result.
+A search can only choose among the effects of its library. What is missing may be something else, which then
+shows in one of four ways: a residual that other flights predict; noise that no sensor has; coefficients that
+move, alone or together, far beyond their tolerances; or effects that do not close the gap, on whose
+parameters flights disagree, or whose parameters may be zero.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 from scipy.stats import chi2
 
-from quadpi_core.discrepancy.verdict import Verdict
+from quadpi_core.discrepancy.acceptance import FEW_FLIGHTS, Verdict
+from quadpi_core.discrepancy.closure import Gap
+from quadpi_core.discrepancy.discrepancy_result import (
+    ERROR_NAMES,
+    Discovery,
+    FoundEffect,
+    RankedCandidate,
+    Rollouts,
+)
+from quadpi_core.discrepancy.search import Found
+from quadpi_core.discrepancy.uncertain_parts import of_coefficient
+from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
+from quadpi_core.simulation.effect_registry import EFFECTS
 from quadpi_core.thresholds import CONVENTION, DEVELOPMENT, Threshold
 
 PREDICTABLE = Threshold(
     "squares that are predicted",
     0.3,
     "of those of the noise",
-    "nothing is predicted of flights without any effect, and up to a quarter of a hover, whose motion is all "
-    "noise of the estimator",
+    "nothing is predicted without any effect, but up to a quarter of a hover, whose motion is all noise",
     DEVELOPMENT,
 )
 LOUD_AXIS = Threshold(
     "squares of an axis judged alone",
     0.8,
     "of those of the noise",
-    "an effect may explain another axis so well that it hides this one; above the residual of effects of the "
-    "library that were found, largest for a tilted rotor",
+    "above the residual of effects that were found, largest for a tilted rotor; other axes may hide this one",
     DEVELOPMENT,
 )
 PART_OF_AXIS = Threshold(
@@ -58,8 +72,7 @@ COLOURED = Threshold(
     "noise of slow over fast frequencies",
     12.0,
     "root mean square per row",
-    "noise of accelerometer, gyro and rotor speeds is white in a force and grows with the frequency in a "
-    "moment; errors of smoothed states add up to 7 times as much where every effect has its right name",
+    "errors of smoothed states reach 7 with right names; noise of sensors is white, or grows in a moment",
     "short cases of the blind benchmark (tools/discovery.py --short)",
 )
 CLOSED = Threshold(
@@ -80,8 +93,7 @@ ALL_BUT_CLOSED = Threshold(
     "open share of the gap of a law that flights need not agree on",
     0.05,
     "of the squares of flights left out above the floor",
-    "right names whose law differs from the hidden one, as wind that grows with height, differ by up to ten "
-    "times from flight to flight, and leave 1 % of the gap",
+    "right names whose law is off, as wind that grows with height, spread by up to ten and leave 1 %",
     DEVELOPMENT,
 )
 WORSE_ROLLOUTS = Threshold(
@@ -91,67 +103,150 @@ WORSE_ROLLOUTS = Threshold(
     "errors of roll-outs beside their floor change by less than that with the noise of the parameters",
     CONVENTION,
 )
+# Share of the floor's square by which an axis has to exceed it: less is no gap that an effect could close.
+LEAST_ABOVE_FLOOR = 0.05
 
 
-def _percent(share: float) -> str:
-    return f"{100.0 * share:.0f} %"
+def checks(
+    found: Found,
+    effects: Sequence[FoundEffect],
+    unexplained: float,
+    gap: Gap,
+    held: npt.NDArray[np.bool_],
+    axis: str = "",
+) -> tuple[Verdict, ...]:
+    """Tests of the whole result of a search, passed or not.
+
+    Args:
+        found: result of the search.
+        effects: named effects.
+        unexplained: see :class:`Discovery`.
+        gap: gap on flights left out.
+        held: axes (6,) of which the simulation's own intervals hold what they say: no coefficient and no
+            noise in them is doubted.
+        axis: the axis that `unexplained` is of; empty for all together.
+    """
+    sensors = np.where(held[:, None], np.inf, found.sensors)
+    # Squares that are credited to the effects, in variances of the sensors.
+    reduction = found.regression.reduction(found.chosen, found.fit, sensors)
+    named = max(0.0, float(np.sum(reduction.credited)))
+    stated = zip(AXES, held, found.stated, strict=True)
+    broken = [name for name, inside, own in stated if own > 0.0 and not inside and not effects]
+    sentence = "no axis has broken intervals that no effect explains"
+    if broken:
+        sentence = f"the intervals of {', '.join(broken)} hold less of these flights than they state"
+    return (
+        judge_unexplained(unexplained, axis),
+        *_coefficients(found, sensors, named),
+        _noise(found, sensors, named),
+        Verdict("intervals", not broken, float(len(broken)), 0.0, "axes", sentence),
+        *map(judge_not_zero, effects),
+        *(Verdict("disputed", False, 0.0, 1.0, "", own) for own in found.disputed),
+        *(_of_gap(found, gap) if effects else ()),
+    )
+
+
+def judged_by_gap(discovery: Discovery, gap: Gap) -> tuple[Verdict, ...]:
+    """The tests of a discovery of named effects, with those on the gap made of another one."""
+    others = (check for check in discovery.checks if check.test not in ("closed", "agreement"))
+    return (*others, *_of_gap(discovery.found, gap))
+
+
+def judged_by_rollouts(discovery: Discovery, rollouts: Rollouts) -> Discovery:
+    """The discovery, rejected and "unknown" where flights left out are simulated worse with its effects.
+
+    Their gap must not grow, and their roll-outs must get no worse, one by one or by those that diverge.
+    """
+    errors = {ERROR_NAMES[name]: (error.before, error.after) for name, error in rollouts.errors.items()}
+    before, after = (rollouts.lost.get(when, 0) for when in ("before", "after"))
+    sentence = f"{after} roll-outs of flights left out diverge with it, {before} before"
+    judged = (
+        judge_rollouts(errors),
+        Verdict("diverged roll-outs", after <= before, float(after), float(before), "roll-outs", sentence),
+    )
+    # A gap that grows fails the test of the closed share already.
+    worse = discovery.gap.reduction < 0.0 or not all(own.passed for own in judged)
+    verdict = "unknown" if worse else discovery.verdict
+    return replace(discovery, checks=(*discovery.checks, *judged), verdict=verdict, rejected=worse)
 
 
 def predictable(left: Array, rows: int) -> Array:
-    """Predicted squares (6,) that no effect explains, 0 where they may be noise of that many rows."""
+    """Predicted squares that no effect explains, 0 where they may be noise of that many rows."""
     return np.where(left > PREDICTABLE.value * rows, left, 0.0)
 
 
-def unexplained_share(left: Array, named: Array, rows: int) -> float:
-    """Unexplained share of all axes, or of the worst loud axis.
+def unexplained_share(left: Array, named: Array, rows: int) -> tuple[float, str]:
+    """Unexplained share of all axes together, or of the loud axis that more is left of, and that axis.
 
     Args:
         left: (6,) unexplained squares, see :func:`predictable`.
         named: (6,) squares that the effects explain.
         rows: number of rows of the noise.
     """
-    return max(_unexplained(left, named, rows))
-
-
-def unexplained_axis(left: Array, named: Array, rows: int) -> int | None:
-    """Index of the axis that :func:`unexplained_share` is of; None where it is of all axes together."""
-    together, *alone = _unexplained(left, named, rows)
-    return int(np.argmax(alone)) if max(alone) > together else None
-
-
-def _unexplained(left: Array, named: Array, rows: int) -> list[float]:
-    """Unexplained share of all axes together, then of each, 0 for one that is not loud."""
     loud = (left > LOUD_AXIS.value * rows) & (left > PART_OF_AXIS.value * named)
     alone = np.divide(left, left + named, out=np.zeros(len(left)), where=loud)
-    together = left.sum() / (left.sum() + named.sum()) if left.any() else 0.0
-    return [float(together), *alone.tolist()]
+    together = float(left.sum() / (left.sum() + named.sum())) if left.any() else 0.0
+    worst = int(np.argmax(alone))
+    return (float(alone[worst]), AXES[worst]) if alone[worst] > together else (together, "")
 
 
 def judge_unexplained(share: float, axis: str = "") -> Verdict:
     """Whether the unexplained share, of an axis or of all, is small enough to call them explained."""
-    of_axis = f" of {axis}" if axis else ""
-    sentence = f"{_percent(share)} of what can be predicted{of_axis} has no name"
+    sentence = f"{_percent(share)} of what can be predicted{' of ' * bool(axis)}{axis} has no name"
     sentence += f", {_percent(UNEXPLAINED.value)} allowed"
     return Verdict.of(UNEXPLAINED, "unexplained", share, share <= UNEXPLAINED.value, sentence)
 
 
-def judge_coefficients(multiples: Mapping[str, float], shares: Mapping[str, float]) -> Verdict:
-    """Whether no coefficient explains much by being far from its stated value.
+def _coefficients(found: Found, sensors: Array, named: float) -> Iterator[Verdict]:
+    """Whether coefficients, each and together, explain little beyond what they may beside the effects."""
+    columns, candidates = found.regression.columns, found.regression.candidates
+    names = columns.tolerance_names
+    tolerances = {f"{own.name}.{p.name}": own.tolerance for own in EFFECTS.values() for p in own.parameters}
+    # A centre of gravity elsewhere, for one, is elsewhere from the accelerometer too.
+    moved = {candidates[index].effect.tolerance for index in found.chosen} - {""}
+    judged = np.array([tolerances.get(name) not in moved for name in names])
+    values = found.fit.of(columns.tolerances)
+    # In a hover whose motion is noise of the estimator, coefficients of motion move far and explain nothing.
+    explained = np.square(values) * columns.squares_of_each(columns.tolerances, sensors)
+    felt = predictable(explained, sum(map(len, columns.bands))).any(axis=0)
+    values = np.where(judged & felt, values, 0.0)
+
+    def share(beyond: Array) -> float:
+        """Squares that parts of coefficients explain, of those and the squares of the named effects."""
+        weights = np.zeros(columns.width)
+        weights[columns.tolerances] = beyond
+        explained = float(np.sum(columns.squares(weights, sensors)))
+        return explained / max(named + explained, 1.0)
+
+    off, own = values.copy(), np.ones(len(values))
+    for index, law in enumerate(columns.tolerance_laws):
+        if law:
+            shared = names.index(law)
+            off[index], own[index] = of_coefficient(values[index], values[shared]), of_coefficient(1.0, 0.0)
+            off[shared] = 0.0
+    excess = np.maximum(np.abs(off) - FAR_COEFFICIENT.value, 0.0) / own
+    far = [(share(np.diag(excess)[k]), abs(float(off[k])), names[k]) for k in np.flatnonzero(excess)]
+    yield judge_coefficients(*max(far, default=(0.0, 0.0, "")))
+    squares, allowed = float(values @ values), allowed_squares(sum(judged))
+    beyond = 1.0 - np.sqrt(min(1.0, allowed / squares)) if squares > 0.0 else 0.0
+    yield judge_coefficients_together(share(beyond * values), squares, sum(judged))
+
+
+def judge_coefficients(share: float, off: float, name: str) -> Verdict:
+    """Whether a coefficient, that which explains most by it, is not far from its stated value.
 
     Args:
-        multiples: by name, what a coefficient is wrong by, in its tolerances.
-        shares: by name, squares that its part beyond `FAR_COEFFICIENT` explains, of those and the squares
-            that the named effects explain.
+        share: squares that its part beyond `FAR_COEFFICIENT` explains, of those and the squares that the
+            named effects explain.
+        off: what it is wrong by, in its tolerances.
+        name: of the coefficient.
     """
-    far = [name for name, off in multiples.items() if abs(off) > FAR_COEFFICIENT.value]
-    name = max(far, key=lambda own: shares[own], default="")
-    off, share = abs(multiples.get(name, 0.0)), shares.get(name, 0.0)
-    sentence = f"{name} would be wrong by {off:.1f} of its tolerances, {FAR_COEFFICIENT.value:g} allowed"
-    if not name:
-        sentence = f"no coefficient is wrong by more than {FAR_COEFFICIENT.value:g} of its tolerances"
+    far, most = off > FAR_COEFFICIENT.value, f"{FAR_COEFFICIENT.value:g}"
     passed = not far or share <= UNEXPLAINED.value
-    if far and passed:
-        sentence += f", but explains no more than {_percent(share)} by that"
+    sentence = f"no coefficient is wrong by more than {most} of its tolerances"
+    if far:
+        sentence = f"{name} would be wrong by {off:.1f} of its tolerances, {most} allowed"
+        sentence += f", but explains no more than {_percent(share)} by that" if passed else ""
     return Verdict.of(FAR_COEFFICIENT, "coefficients", off, passed, sentence)
 
 
@@ -160,59 +255,73 @@ def allowed_squares(count: int) -> float:
     return float(chi2.isf(chi2.sf(FAR_COEFFICIENT.value**2, 1), count)) if count else 0.0
 
 
-def judge_coefficients_together(squares: float, count: int, share: float) -> Verdict:
+def judge_coefficients_together(share: float, squares: float, count: int) -> Verdict:
     """Whether coefficients are together as near their stated values as a single one has to be.
 
     Many that are each wrong by three or four tolerances are as unlikely as one that is wrong by more than
-    `FAR_COEFFICIENT`.
-
-    Args:
-        squares: sum of the squares of what they are wrong by, in their tolerances.
-        count: number of coefficients.
-        share: squares that their part beyond what is allowed explains, of those and the squares that the
-            named effects explain.
+    `FAR_COEFFICIENT`. `squares` is the sum of theirs; `share` as of :func:`judge_coefficients`.
     """
     allowed = allowed_squares(count)
     off, most = (float(np.sqrt(value / max(count, 1))) for value in (squares, allowed))
-    far = squares > allowed
-    sentence = (
-        f"{count} coefficients would be wrong by {off:.1f} of their tolerances, root mean square, "
-        f"{most:.1f} allowed"
-    )
-    if far and share <= UNEXPLAINED.value:
+    passed = squares <= allowed or share <= UNEXPLAINED.value
+    sentence = f"{count} coefficients would be wrong by {off:.1f} of their tolerances, root mean square"
+    sentence += f", {most:.1f} allowed"
+    if squares > allowed and passed:
         sentence += f", but explain no more than {_percent(share)} by that"
     if squares == 0.0:
         sentence = "no coefficient has to be wrong"
-    passed = not far or share <= UNEXPLAINED.value
     return Verdict("coefficients together", passed, off, most, "tolerances", sentence)
 
 
-def judge_colour(colour: Array, shares: Array, axes: Sequence[str]) -> Verdict:
+def _noise(found: Found, sensors: Array, named: float) -> Verdict:
+    """Whether the noise of each axis can be that of sensors, or is little beside the named effects.
+
+    The noise (6, C) of sensors is infinite in an axis that is not judged.
+    """
+    ratio = found.left.noise / sensors
+    rows = sum(np.bincount(band, minlength=ratio.shape[1]) for band in found.regression.columns.bands)
+    more = np.maximum(ratio - 1.0, 0.0) @ rows
+    return judge_colour(np.sqrt(ratio.max(axis=1)), more / max(named + float(np.sum(more)), 1.0))
+
+
+def judge_colour(colour: Array, shares: Array) -> Verdict:
     """Whether no axis has much noise that is slower than that of sensors.
 
     Args:
         colour: (6,) slow over fast noise.
         shares: (6,) squares of the noise beyond that of sensors, of those of all axes and those that the
             named effects explain.
-        axes: names of the axes.
     """
     slow = np.where(shares > UNEXPLAINED.value, colour, 0.0)
-    worst = int(np.argmax(slow))
+    worst, most = AXES[int(np.argmax(slow))], float(slow.max())
     sentence = (
-        f"the noise of {axes[worst]} is {slow[worst]:.1f} times as large at slow frequencies as that of "
-        f"sensors and states, {COLOURED.value:g} allowed"
+        f"the noise of {worst} is {most:.1f} times as large at slow frequencies as that of sensors and "
     )
-    if not slow[worst]:
+    sentence += f"states, {COLOURED.value:g} allowed"
+    if not most:
         sentence = "no axis has more slow noise than sensors and states explain"
-    return Verdict.of(COLOURED, "colour", float(slow[worst]), bool(slow[worst] <= COLOURED.value), sentence)
+    return Verdict.of(COLOURED, "colour", most, most <= COLOURED.value, sentence)
 
 
-def judge_intervals(broken: Sequence[str]) -> Verdict:
-    """Whether no axis is left without a name whose intervals these flights break."""
-    sentence = f"the intervals of {', '.join(broken)} hold less of these flights than they state"
-    if not broken:
-        sentence = "no axis has broken intervals that no effect explains"
-    return Verdict("intervals", not broken, float(len(broken)), 0.0, "axes", sentence)
+def judge_not_zero(effect: FoundEffect) -> Verdict:
+    """Whether the interval of any parameter that was estimated excludes zero."""
+    estimated = [parameter for parameter in effect.parameters if parameter.upper > parameter.lower]
+    zero = all(parameter.lower < 0.0 < parameter.upper for parameter in estimated) and bool(estimated)
+    sentence = f"{'' if zero else 'not '}every parameter of {effect.name} may be zero"
+    return Verdict("not zero", not zero, float(not zero), 1.0, "", sentence)
+
+
+def _of_gap(found: Found, gap: Gap) -> Iterator[Verdict]:
+    """Whether the named effects close the gap, and flights agree on them or close it all the same.
+
+    Flights so few that they do not predict each other do not disagree either.
+    """
+    yield judge_closed(gap.reduction)
+    for index in found.chosen if len(found.regression.flights) >= FEW_FLIGHTS.value else ():
+        candidate, ratios = found.regression.candidates[index], found.disagreement(index)
+        worst = int(np.argmax(ratios))
+        name = f"{candidate.effect.parameters[candidate.free[worst]].name} of {candidate.label}"
+        yield judge_agreement(name, float(ratios[worst]), gap.reduction)
 
 
 def judge_closed(reduction: float) -> Verdict:
@@ -223,53 +332,84 @@ def judge_closed(reduction: float) -> Verdict:
     return Verdict.of(CLOSED, "closed", reduction, reduction >= CLOSED.value, sentence)
 
 
-def judge_not_zero(effect: str, may_be_zero: bool) -> Verdict:
-    """Whether an interval of a named effect's parameters excludes zero."""
-    told = "every parameter" if may_be_zero else "not every parameter"
-    return Verdict(
-        "not zero", not may_be_zero, float(not may_be_zero), 1.0, "", f"{told} of {effect} may be zero"
-    )
-
-
-def judge_agreement(effect: str, disagreements: Mapping[str, float], closed: float) -> Verdict:
-    """Whether flights agree on every parameter of a named effect, or all but close the gap with one for all.
+def judge_agreement(name: str, most: float, closed: float) -> Verdict:
+    """Whether flights agree on a parameter, or its effect all but closes the gap with one for all.
 
     Args:
-        effect: name of the effect.
-        disagreements: by parameter, see :meth:`.closure.Closing.disagreement`.
+        name: of the parameter of an effect on which they agree least.
+        most: see :meth:`.closure.Closing.disagreement`.
         closed: closed share of the gap.
     """
-    name, most = max(disagreements.items(), key=lambda item: item[1])
     far, left = most > DISAGREEMENT.value, min(max(1.0 - closed, 0.0), 1.0)
     passed = not far or left <= ALL_BUT_CLOSED.value
-    sentence = (
-        f"flights differ in {name} of {effect} by {most:.1f} times what one fit to all leaves open, "
-        f"{DISAGREEMENT.value:g} allowed"
-    )
+    sentence = f"flights differ in {name} by {most:.1f} times what one fit to all leaves open, "
+    sentence += f"{DISAGREEMENT.value:g} allowed"
     if far:
         sentence += f", {'but no more than' if passed else 'and'} {_percent(left)} of the gap stays"
     return Verdict.of(DISAGREEMENT, "agreement", most, passed, sentence)
 
 
-def judge_disputed(sentence: str) -> Verdict:
-    """The failed verdict on an effect in whose place another has much more evidence but fails a test."""
-    return Verdict("disputed", False, 0.0, 1.0, "", sentence)
-
-
-def judge_rollouts(before: Mapping[str, float], after: Mapping[str, float]) -> Verdict:
-    """Whether no error of roll-outs of flights left out, by its quantity, grows with what is added."""
-    growth = {name: after[name] / before[name] - 1.0 for name in before if before[name] > 0.0}
-    name, most = max(growth.items(), key=lambda item: item[1], default=("", 0.0))
-    change = f"{before.get(name, 0.0):.3g} to {after.get(name, 0.0):.3g}"
-    worse = most > WORSE_ROLLOUTS.value
-    told = "get worse with it" if worse else "do not get worse with it"
-    sentence = f"roll-outs of flights left out {told}" + (f": {name} {change}" if name else "")
-    if not before:
+def judge_rollouts(errors: Mapping[str, tuple[float, float]]) -> Verdict:
+    """Whether no error of roll-outs of flights left out, by its quantity before and after, grows."""
+    growth = [(after / before - 1.0, name) for name, (before, after) in errors.items() if before > 0.0]
+    most, name = max(growth, default=(0.0, ""))
+    passed = most <= WORSE_ROLLOUTS.value
+    sentence = f"roll-outs of flights left out {'do not ' * passed}get worse with it"
+    if name:
+        sentence += ": {} {:.3g} to {:.3g}".format(name, *errors[name])
+    if not errors:
         sentence = "no roll-out of flights left out can be compared"
-    return Verdict.of(WORSE_ROLLOUTS, "roll-outs", most, most <= WORSE_ROLLOUTS.value, sentence)
+    return Verdict.of(WORSE_ROLLOUTS, "roll-outs", most, passed, sentence)
 
 
-def judge_diverged(before: int, after: int) -> Verdict:
-    """Whether no more roll-outs of flights left out diverge with what is added."""
-    sentence = f"{after} roll-outs of flights left out diverge with it, {before} before"
-    return Verdict("diverged roll-outs", after <= before, float(after), float(before), "roll-outs", sentence)
+def ranked_candidates(found: Found) -> tuple[RankedCandidate, ...]:
+    """The candidates of a search, each by its last judgement: named first, then by evidence over need."""
+    regression, gap = found.regression, found.gap()
+    places = {candidate.label: index for index, candidate in enumerate(regression.candidates)}
+    judged = {judgement.label: judgement for judgement in found.judgements}
+    # An effect that was named may have been judged again, and rejected, in the place of another.
+    judged |= {
+        own.label: own for own in found.judgements if own.accepted and places[own.label] in found.chosen
+    }
+    # Squares of the residual above the floor; 0 for an axis without a gap.
+    before, floor = np.square(gap.before), np.square(gap.floor)
+    is_gap = before - floor > LEAST_ABOVE_FLOOR * floor
+    removable = regression.columns.squares(np.ones(1))
+    removable *= np.divide(before - floor, before, out=np.zeros(len(AXES)), where=is_gap)
+    ranked = []
+    for label, own in judged.items():
+        index = places[label]
+        evidence = next((verdict for verdict in own.verdicts if verdict.test == "evidence"), None)
+        closes, cancels = _closed(found, index, removable) if evidence else ({}, ())
+        ranked.append(
+            RankedCandidate(
+                name=own.effect,
+                label=label,
+                named=index in found.chosen,
+                beside=own.beside,
+                gain=evidence.value if evidence else None,
+                needed=evidence.threshold if evidence else None,
+                test=own.reason.test,
+                reason=own.reason.sentence,
+                closes=closes,
+                cancels=cancels,
+                rivals={regression.candidates[k].label: odds for k, odds in found.rivals.get(index, ())},
+            )
+        )
+    return tuple(sorted(ranked, key=lambda own: (not own.named, -own.over_need)))
+
+
+def _closed(found: Found, index: int, removable: Array) -> tuple[dict[str, float], tuple[str, ...]]:
+    """Share of the gap of each axis that a candidate closes, and axes that it cancels coefficients in."""
+    chosen, regression = found.chosen, found.regression
+    fit = found.fit if index in chosen else regression.fit(tuple(sorted((*chosen, index))))
+    if fit is None:
+        return {}, ()
+    reduction = regression.reduction((index,), fit)
+    gaps = np.flatnonzero(removable > 0.0)
+    closes = {AXES[axis]: float(reduction.credited[axis] / removable[axis]) for axis in gaps}
+    return closes, tuple(AXES[k] for k in gaps if reduction.stated[k] < 0.0 < reduction.fitted[k])
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.0f} %"

@@ -18,7 +18,8 @@ from quadpi_core.discrepancy.acceptance import (
     ORDINARY,
     SMALLEST,
     Judgement,
-    evidence_beside,
+    Trial,
+    evidence_needed,
     judge_evidence,
     judge_size,
     least_evidence,
@@ -26,11 +27,10 @@ from quadpi_core.discrepancy.acceptance import (
     scales_beside_law,
 )
 from quadpi_core.discrepancy.candidates import Candidate
-from quadpi_core.discrepancy.closure import Closing, Gap
+from quadpi_core.discrepancy.closure import Closing, Gap, left_out_squares
 from quadpi_core.discrepancy.effect_regression import Condition, Regression, refined, settled
 from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.evidence import Fit, with_forms
-from quadpi_core.discrepancy.trial import Trial
 from quadpi_core.discrepancy.unexplained import (
     Left,
     generic_spectra,
@@ -315,19 +315,13 @@ def _replaced(
         added=rival,
         fit=regression.fit(tuple(sorted((*others, rival)))),
         needed=_needed(regression, rival, others, regression.energy(others, rest), threshold),
-        dropped=False,
-        behind="",
         instead=_ordinary(accepted, index),
-        squares_before=lambda: Closing.by_laws(regression, others).left_out_squares(),
+        squares_before=lambda: left_out_squares(regression, others),
     )
-    verdicts, _ = trial.judged()
-    candidate = regression.candidates[rival]
-    beside = tuple(regression.candidates[other].name for other in others)
-    judgement = Judgement(candidate.name, candidate.label, beside, verdicts)
-    if not judgement.accepted:
-        return None, judgement
+    if not trial.judgement.accepted:
+        return None, trial.judgement
     assert trial.accepted_fit is not None
-    return Accepted(trial.reweighted, trial.larger, trial.accepted_fit), judgement
+    return Accepted(trial.reweighted, trial.larger, trial.accepted_fit), trial.judgement
 
 
 def _one_more(
@@ -342,11 +336,10 @@ def _one_more(
 
     @cache
     def squares() -> Array:
-        return Closing.by_laws(regression, chosen).left_out_squares()
+        return left_out_squares(regression, chosen)
 
     judgements, behind = [], ""
     for index, fit in fits:
-        candidate = regression.candidates[index]
         trial = Trial(
             regression=regression,
             chosen=chosen,
@@ -359,14 +352,13 @@ def _one_more(
             instead=_about_as_well(before, index, fit, fits),
             squares_before=squares,
         )
-        verdicts, ends = trial.judged()
-        judgements.append(Judgement(candidate.name, candidate.label, before.names, verdicts))
-        if judgements[-1].accepted:
+        judgements.append(trial.judgement)
+        if trial.judgement.accepted:
             assert trial.accepted_fit is not None
             accepted = Accepted(trial.reweighted, trial.larger, trial.accepted_fit)
             return accepted, trial.gain, judgements
-        if ends:
-            behind = behind or candidate.label
+        if trial.judgement.ends_round:
+            behind = behind or regression.candidates[index].label
     return None, 0.0, judgements
 
 
@@ -406,15 +398,8 @@ def _needed(
     regression: Regression, index: int, beside: Sequence[int], energy: float, threshold: float
 ) -> float:
     """Evidence that an effect has to gain beside others, given the energy of their contribution."""
-    if not beside:
-        return threshold
-    candidate, others = regression.candidates[index], [regression.candidates[other] for other in beside]
-    return evidence_beside(
-        energy,
-        law=candidate.form > 0.0,
-        beside_law=any(other.form > 0.0 for other in others),
-        scales=scales_beside_law(candidate, others),
-    )
+    others = [regression.candidates[other] for other in beside]
+    return evidence_needed(regression.candidates[index], others, energy, threshold)
 
 
 def without_idle(accepted: Accepted, threshold: float) -> tuple[Accepted, list[Judgement]]:

@@ -25,15 +25,16 @@ from quadpi_core.discrepancy.discrepancy_result import (
     Reflights,
     Study,
 )
-from quadpi_core.discrepancy.doubts import checks, judged_by_gap, judged_by_rollouts
 from quadpi_core.discrepancy.effect_regression import NONE_HELD
 from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.evidence import Fit
-from quadpi_core.discrepancy.ranked_evidence import ranked_candidates
 from quadpi_core.discrepancy.reflight import HORIZON_S, reflights
 from quadpi_core.discrepancy.result_verdicts import (
+    checks,
+    judged_by_gap,
+    judged_by_rollouts,
     predictable,
-    unexplained_axis,
+    ranked_candidates,
     unexplained_share,
 )
 from quadpi_core.discrepancy.search import Found, search
@@ -260,11 +261,11 @@ def discover(
     rows = sum(len(band) for band in found.regression.columns.bands)
     left = np.where(held, 0.0, predictable(np.minimum(found.left.gain, found.beyond_sound), rows))
     named = np.where(held, 0.0, np.maximum(found.named, 0.0))
-    share, worst = unexplained_share(left, named, rows), unexplained_axis(left, named, rows)
+    share, worst = unexplained_share(left, named, rows)
     law, whole = found.closing.fits()
     effects = [_effect(found, index, law, whole) for index in found.chosen]
     gap = found.gap()
-    judged = checks(found, effects, share, gap, held, "" if worst is None else AXES[worst])
+    judged = checks(found, effects, share, gap, held, worst)
     against = not all(check.passed for check in judged)
     return Discovery(
         verdict="unknown" if against else "effects" if effects else "none",

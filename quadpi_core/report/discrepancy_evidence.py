@@ -8,8 +8,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from quadpi_core.discrepancy.discrepancy_result import Discovery, FoundEffect, Study
-from quadpi_core.discrepancy.ranked_evidence import RankedCandidate
+from quadpi_core.discrepancy.discrepancy_result import Discovery, FoundEffect, RankedCandidate, Study
 from quadpi_core.report.coverage_verdict import listing
 from quadpi_core.report.table import Cell, Column, Mark, Row, Table
 from quadpi_core.simulation.effect_registry import EFFECTS

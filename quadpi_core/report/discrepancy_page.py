@@ -26,7 +26,7 @@ from quadpi_core.discrepancy.discrepancy_result import (
     FoundParameter,
     Study,
 )
-from quadpi_core.discrepancy.ranked_evidence import LEAST_ABOVE_FLOOR
+from quadpi_core.discrepancy.result_verdicts import LEAST_ABOVE_FLOOR
 from quadpi_core.flight import AXES
 from quadpi_core.flight_files import FlightLeftOut
 from quadpi_core.report.coverage_verdict import listing

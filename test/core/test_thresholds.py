@@ -20,8 +20,7 @@ from scipy.stats import t as student
 
 from quadpi_core import discrepancy, screening, simulation
 from quadpi_core.discrepancy import acceptance, result_verdicts, study, unexplained, whitening
-from quadpi_core.discrepancy.acceptance import judge_evidence, judge_left_out, judge_loudness, judge_size
-from quadpi_core.discrepancy.adjustment import Adjustment, LeftOut
+from quadpi_core.discrepancy.acceptance import Trial, judge_evidence, judge_left_out, judge_size
 from quadpi_core.discrepancy.by_condition import (
     Range,
     bin_edges,
@@ -82,12 +81,35 @@ def first_axis(value, others=0.0):
 
 
 def beside(gain, *, energy=1e6, law=False, beside_law=False, scales=False):
-    needed = acceptance.evidence_beside(energy, law=law, beside_law=beside_law, scales=scales)
-    return judge_evidence(gain, needed).passed
+    own, other = (
+        SimpleNamespace(name=name, form=0.1 * form, effect=SimpleNamespace(scales_existing=scaling))
+        for name, form, scaling in (("own", law, scales), ("other", beside_law, False))
+    )
+    return judge_evidence(gain, acceptance.evidence_needed(own, [other], energy, first=8.0)).passed
+
+
+def accepted(*, size=1.0, loudness=1.0, instead="", squares=99.0):
+    """Whether a candidate of two parameters is, by such numbers."""
+    own = SimpleNamespace(name="own", label="own", free=(0, 1))
+    plain = Fit(100.0, np.arange(2), np.array([np.sqrt(squares), 0.0]), np.eye(2), np.zeros(2))
+    regression = SimpleNamespace(
+        candidates=[own],
+        flights=[],
+        columns=SimpleNamespace(bands=[]),
+        size=lambda *_: size,
+        loudness=lambda *_: loudness,
+        block=lambda _: SimpleNamespace(parameters=np.arange(2)),
+        fit=lambda *_, **__: plain,
+        beside=lambda *_: regression,
+    )
+    none = plain._replace(log_evidence=0.0)
+    trial = Trial(regression, (), none, 0, plain, 8.0, lambda: np.zeros(6), instead=instead)
+    trial.__dict__["refined"] = (regression, plain)
+    return trial.judgement.accepted
 
 
 def share(left, named, rows):
-    return result_verdicts.unexplained_share(left, named, rows)
+    return result_verdicts.unexplained_share(left, named, rows)[0]
 
 
 def refused(error: type[Exception], action: Callable[[], Any]) -> bool:
@@ -516,15 +538,6 @@ def rolls_out(**motion):
     return np.isfinite(rollout_floor(steady(**motion), BEBOP)).any()
 
 
-def no_loss(deviations):
-    """Whether a coefficient is adjusted with which Fx gains and Fz loses so much of its noise."""
-    fx, fz = np.array([[99.0, 50.0], [50.0, 0.0]]), np.diag([1.0, 2.0 * deviations])
-    squares, noisy = (np.stack((one, other)) for one, other in ((fx, fz), (np.zeros((2, 2)), np.eye(2))))
-    noisy[1, 0, 0] = 0.0
-    flight = LeftOut(np.full((2, 2), 1e6), squares.sum(axis=0), squares, noisy)
-    return len(Adjustment([flight], np.full(1, 1e-9), 1).chosen()) == 1
-
-
 def common_to_axes():
     """Share of the variance of a coefficient that is in the column of its law."""
     columns = part_columns([Part("lift", np.ones((1, 6)), "lift")], Tolerances(coefficient=0.1))
@@ -546,12 +559,12 @@ def bridged(share):
 EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
     "FALSE_ALARMS": (0.01, lambda x: judge_evidence(np.log(20.0 / x), acceptance.least_evidence(20)).passed),
     "FURTHER_SHARE": (0.05, lambda x: beside(1000.0 * x, energy=1000.0)),
-    "FURTHER_LEAST": (20.0, lambda x: beside(x, energy=0.0) and beside(x, scales=True)),
+    "FURTHER_LEAST": (20.0, lambda x: beside(x, energy=0.0) and beside(x, beside_law=True, scales=True)),
     "FURTHER_NUMBER": (100.0, beside),
     "FURTHER_LAW": (200.0, lambda x: beside(x, law=True)),
     "BESIDE_LAW": (350.0, lambda x: beside(x, beside_law=True) and beside(x, law=True, beside_law=True)),
     "SMALLEST": (0.13, lambda x: judge_size({"large": 1.0, "small": x}).passed),
-    "LOUDNESS": (0.1, lambda x: judge_loudness(x).passed),
+    "LOUDNESS": (0.1, lambda x: accepted(loudness=x)),
     "GROWTH": (0.5, lambda x: judge_left_out(SQUARES, SQUARES + first_axis(100.0 * x), 10).passed),
     "FEW_FLIGHTS": (4.0, lambda x: judge_left_out(SQUARES, 9.0 * SQUARES, x).passed),
     "NAMED_ALONE": (4.6, lambda x: x < acceptance.rival_margin(0.0)),
@@ -560,30 +573,23 @@ EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
     "LOUD_AXIS": (0.8, lambda x: share(first_axis(100.0 * x), first_axis(9.0, 1e6), 100) > 0.5),
     "PART_OF_AXIS": (0.2, lambda x: share(first_axis(1e3 * x), first_axis(1e3, 1e9), 1) > 0.1),
     "UNEXPLAINED": (0.05, lambda x: result_verdicts.judge_unexplained(x).passed),
-    "DIFFERENT": (0.95, lambda x: acceptance.judge_difference(float(chi2.ppf(x, 2)), 2).passed),
+    "DIFFERENT": (0.95, lambda x: accepted(squares=float(chi2.ppf(x, 2)))),
     "FAR_COEFFICIENT": (
         5.0,
-        lambda x: (
-            result_verdicts.judge_coefficients({"near": 1.0, "far": -x}, {"near": 1.0, "far": 1.0}).passed
-        ),
+        lambda x: result_verdicts.judge_coefficients(1.0, x, "far").passed,
     ),
-    "COLOURED": (12.0, lambda x: result_verdicts.judge_colour(np.full(6, x), np.ones(6), AXES).passed),
+    "COLOURED": (12.0, lambda x: result_verdicts.judge_colour(np.full(6, x), np.ones(6)).passed),
     "WORSE_ROLLOUTS": (
         0.02,
-        lambda x: (
-            result_verdicts.judge_rollouts(
-                {"rates": 1.0, "none": 0.0}, {"rates": 1.0 + x, "none": 1.0}
-            ).passed
-        ),
+        lambda x: result_verdicts.judge_rollouts({"rates": (1.0, 1.0 + x), "none": (0.0, 1.0)}).passed,
     ),
-    "DISAGREEMENT": (3.0, lambda x: result_verdicts.judge_agreement("payload", {"mass_kg": x}, 0.9).passed),
+    "DISAGREEMENT": (3.0, lambda x: result_verdicts.judge_agreement("mass", x, 0.9).passed),
     "ALL_BUT_CLOSED": (
         0.05,
-        lambda x: result_verdicts.judge_agreement("payload", {"mass_kg": 9.0}, 1.0 - x + 1e-9).passed,
+        lambda x: result_verdicts.judge_agreement("mass", 9.0, 1.0 - x + 1e-9).passed,
     ),
     "CLOSED": (0.8, lambda x: result_verdicts.judge_closed(x).passed),
     # The others of the room, file by file.
-    "LOST": (2.0, no_loss),
     "DIVERGED_SPEED": (50.0, lambda x: rolls_out(speed=x)),
     "DIVERGED_RATE": (60.0, lambda x: rolls_out(yaw_rate=x)),
     "UNJUDGED_MOST": (0.05, bridged),
@@ -601,7 +607,7 @@ EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
     "MORE_THAN_SOUND": (2.0, beyond_sound),
     "SHOWN": (5.0, known_error),
     "BETTER": (0.95, explained_better),
-    "LARGEST": (5.0, lambda x: acceptance.judge_largest("one", x, "other").passed),
+    "LARGEST": (5.0, lambda x: accepted(size=x, instead="other")),
     "STANDS_OUT": (3.0, lambda x: OfFlight(x, 1.0).stands_out),
     "RATE_HZ": (
         125.0,

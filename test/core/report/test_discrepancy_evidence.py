@@ -8,15 +8,14 @@ from dataclasses import replace
 
 import pytest
 
-from quadpi_core.discrepancy.ranked_evidence import RankedCandidate
+from quadpi_core.discrepancy.acceptance import Verdict
+from quadpi_core.discrepancy.discrepancy_result import RankedCandidate
 from quadpi_core.discrepancy.result_verdicts import (
     judge_closed,
     judge_coefficients,
-    judge_disputed,
     judge_rollouts,
     judge_unexplained,
 )
-from quadpi_core.discrepancy.trial import ACCEPTANCE_TESTS
 from quadpi_core.report.discrepancy_evidence import (
     amount,
     closes,
@@ -79,9 +78,10 @@ def test_axes_that_get_better_and_worse_are_told_apart():
     assert closes(replace(REFUSED, closes={"Fx": 0.016, "Fy": -0.016})) == "Fx 2 %; makes Fy by 2 % worse"
 
 
-def test_every_test_of_a_candidate_has_plain_words():
-    for test in ACCEPTANCE_TESTS:
-        own = replace(REFUSED, test=test.name, gain=1.0, reason="REASON of_the test")
+def test_every_test_of_a_candidate_has_plain_words(found):
+    accepted = next(own for own in found.discovery.found.judgements if own.accepted)
+    for verdict in accepted.verdicts:
+        own = replace(REFUSED, test=verdict.test, gain=1.0, reason="REASON of_the test")
         assert refusal(own)
         assert not refusal(own).startswith("REASON")
     assert refusal(REFUSED) == f"makes flights left out worse: {REFUSED.reason}"
@@ -129,10 +129,10 @@ def test_the_three_that_come_nearest_are_told_from_a_third_of_the_evidence_on(fo
             "36 % of what can be predicted has no name, 5 % allowed.",
             "Leave out flights",
         ),
-        (judge_coefficients({"thrust": 9.0}, {"thrust": 1.0}), "Thrust would be wrong by 9.0", "Measure"),
+        (judge_coefficients(1.0, 9.0, "thrust"), "Thrust would be wrong by 9.0", "Measure"),
         (judge_closed(0.2), "20 % of the gap is closed, 80 % needed.", "what else is missing"),
-        (judge_rollouts({"rates": 1.0}, {"rates": 2.0}), "Roll-outs of flights left out get worse", "delays"),
-        (judge_disputed("a has more evidence than b"), "A has more evidence than b.", "the one effect"),
+        (judge_rollouts({"rates": (1.0, 2.0)}), "Roll-outs of flights left out get worse", "delays"),
+        (Verdict("disputed", False, 0.0, 1.0, "", "a beats b"), "A beats b.", "the one effect"),
     ],
 )
 def test_each_doubt_has_what_would_remove_it(found, check, now, then):
