@@ -380,8 +380,8 @@ def judged_cells(found: Found, flights: Sequence[Residual], seed: int) -> Cells:
     within = []
     for place, flight in enumerate(flights):
         borders = second_borders(flight.time)
-        own = [bin_indices(flight.variables[name], edges[name]) for name in VARIABLES]
-        within.append(np.stack([*own, len(seconds) + bin_indices(flight.time, borders)], axis=1))
+        own = [np.digitize(flight.variables[name], edges[name][1:-1]) for name in VARIABLES]
+        within.append(np.stack([*own, len(seconds) + np.digitize(flight.time, borders[1:-1])], axis=1))
         seconds += [(place, *both) for both in pairwise(borders.tolist())]
     ends = np.cumsum([*(len(own) - 1 for own in edges.values()), len(seconds)])
     starts = np.append(0, ends[:-1])
@@ -429,20 +429,15 @@ def second_borders(time: Array) -> Array:
     return np.append(time[0] + SEGMENT_S.value * np.arange(whole), time[-1])
 
 
-def bin_indices(values: Array, edges: Array) -> Indices:
-    """Bin (B,) of each value; the first and the last are open."""
-    return np.digitize(values, edges[1:-1])
-
-
 def bin_edges(name: str, values: Array) -> Array:
-    """Edges (K + 1,), round numbers, of the bins of a variable with these values (N,)."""
+    """Edges (K + 1,), round numbers, of the bins of a variable with these values (N,); the ends are open."""
     if name == "height":
         within = (values.min() < _HEIGHTS_M) & (values.max() > _HEIGHTS_M)
         edges = np.concatenate(([min(values.min(), 0.0)], _HEIGHTS_M[within], [values.max()]))
     else:
         edges = round_edges(values, MOST_BINS)
     while len(edges) > 2:
-        counts = np.bincount(bin_indices(values, edges), minlength=len(edges) - 1)
+        counts = np.bincount(np.digitize(values, edges[1:-1]), minlength=len(edges) - 1)
         small = int(np.argmin(counts))
         if counts[small] >= FEWEST_SAMPLES.value * len(values):
             break

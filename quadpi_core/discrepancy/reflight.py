@@ -56,8 +56,6 @@ DIVERGED_SPEED = Threshold("speed of a lost roll-out", 50.0, "m/s", _NO_VEHICLE_
 DIVERGED_RATE = Threshold(
     "body rate of a lost roll-out", 60.0, "rad/s", _NO_VEHICLE_DOES, "flights up to 1 330 degrees/s"
 )
-_NO_REFERENCE = "the bags hold no reference that the simulation could fly again"
-_NO_VEHICLE = "only the simulation of a vehicle file can fly"
 
 
 class Motion(NamedTuple):
@@ -226,10 +224,10 @@ def closed_loops(
     """
     base = before.base if isinstance(before, AugmentedSimulation) else before
     if not isinstance(base, VehicleSimulation):
-        return ClosedLoops(0, missing=_NO_VEHICLE)
+        return ClosedLoops(0, missing="only the simulation of a vehicle file can fly")
     plans = [_plan(flight) for flight in flights]
     if not any(plans):
-        return ClosedLoops(0, missing=_NO_REFERENCE)
+        return ClosedLoops(0, missing="the bags hold no reference that the simulation could fly again")
     nominal = SimulatedVehicle.load(base.vehicle_file)
     squares, lost = [], []
     for flight, plan, added in zip(flights, plans, after, strict=True):
