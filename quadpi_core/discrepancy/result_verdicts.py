@@ -233,14 +233,7 @@ def _coefficients(found: Found, sensors: Array, named: float) -> Iterator[Verdic
 
 
 def judge_coefficients(share: float, off: float, name: str) -> Verdict:
-    """Whether a coefficient, that which explains most by it, is not far from its stated value.
-
-    Args:
-        share: squares that its part beyond `FAR_COEFFICIENT` explains, of those and the squares that the
-            named effects explain.
-        off: what it is wrong by, in its tolerances.
-        name: of the coefficient.
-    """
+    """Whether the worst coefficient, wrong by `off` tolerances, explains but a small `share` by that."""
     far, most = off > FAR_COEFFICIENT.value, f"{FAR_COEFFICIENT.value:g}"
     passed = not far or share <= UNEXPLAINED.value
     sentence = f"no coefficient is wrong by more than {most} of its tolerances"
@@ -256,10 +249,9 @@ def allowed_squares(count: int) -> float:
 
 
 def judge_coefficients_together(share: float, squares: float, count: int) -> Verdict:
-    """Whether coefficients are together as near their stated values as a single one has to be.
+    """Whether coefficients, by their `squares` in tolerances, are as likely as a single one has to be.
 
-    Many that are each wrong by three or four tolerances are as unlikely as one that is wrong by more than
-    `FAR_COEFFICIENT`. `squares` is the sum of theirs; `share` as of :func:`judge_coefficients`.
+    Many that are each wrong by three or four tolerances are as unlikely as one beyond `FAR_COEFFICIENT`.
     """
     allowed = allowed_squares(count)
     off, most = (float(np.sqrt(value / max(count, 1))) for value in (squares, allowed))
@@ -285,13 +277,7 @@ def _noise(found: Found, sensors: Array, named: float) -> Verdict:
 
 
 def judge_colour(colour: Array, shares: Array) -> Verdict:
-    """Whether no axis has much noise that is slower than that of sensors.
-
-    Args:
-        colour: (6,) slow over fast noise.
-        shares: (6,) squares of the noise beyond that of sensors, of those of all axes and those that the
-            named effects explain.
-    """
+    """Whether no axis with a large share (6,) of the squares has much slow over fast noise, `colour` (6,)."""
     slow = np.where(shares > UNEXPLAINED.value, colour, 0.0)
     worst, most = AXES[int(np.argmax(slow))], float(slow.max())
     sentence = (
@@ -333,13 +319,7 @@ def judge_closed(reduction: float) -> Verdict:
 
 
 def judge_agreement(name: str, most: float, closed: float) -> Verdict:
-    """Whether flights agree on a parameter, or its effect all but closes the gap with one for all.
-
-    Args:
-        name: of the parameter of an effect on which they agree least.
-        most: see :meth:`.closure.Closing.disagreement`.
-        closed: closed share of the gap.
-    """
+    """Whether flights agree on a parameter, or its effect all but closes the gap with one for all."""
     far, left = most > DISAGREEMENT.value, min(max(1.0 - closed, 0.0), 1.0)
     passed = not far or left <= ALL_BUT_CLOSED.value
     sentence = f"flights differ in {name} by {most:.1f} times what one fit to all leaves open, "
