@@ -16,13 +16,12 @@ import yaml
 
 from quadpi_core.brief_repr import brief_repr
 from quadpi_core.config import is_config_path
-from quadpi_core.discrepancy.bias_response import BiasResponse
 from quadpi_core.discrepancy.discrepancy_result import Discovery
 from quadpi_core.discrepancy.effect_regression import Regression
 from quadpi_core.discrepancy.effect_response import body_tolerances, predicted_flight, without_sensor_effect
 from quadpi_core.discrepancy.evidence import Fit
-from quadpi_core.discrepancy.own_state import OwnStates, started
 from quadpi_core.discrepancy.simulations import Column, Simulation, VehicleSimulation, attribute_of
+from quadpi_core.discrepancy.unmeasured_states import BiasResponse, OwnStates, started
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import AXES, Flight
 from quadpi_core.frames import Array
@@ -104,7 +103,7 @@ class AugmentedSimulation(Simulation):
         if not self._of("sensor"):
             return wrench
         known = self.learned([(flight, flight)])
-        seen = predicted_flight(flight, known.physical)
+        seen = predicted_flight(flight, self.vehicle, self.recorded(flight, wrench))
         return wrench + known._left(seen) - known._left(self.corrected(seen))
 
     def states(self, flight: Flight) -> npt.NDArray[np.void]:

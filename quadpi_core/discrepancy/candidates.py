@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Candidates of the search: the effects of the simulation's registry, as columns of wrench.
+"""What the residual is regressed on: the effects of the registry, and tolerances of an unknown simulation.
 
 A candidate is one effect with its whole-number parameters fixed, such as the number of a weak rotor. Its
 other parameters are fitted: about a point of linearisation its contribution is a sum of columns, one for
@@ -13,11 +13,14 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from quadpi_core.discrepancy.effect_response import Compared
+from quadpi_core.discrepancy.simulations import Column, Tolerances
 from quadpi_core.errors import DiscrepancyError
+from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.simulation.effect_definition import AERODYNAMIC, Effect
 from quadpi_core.simulation.effect_registry import EFFECTS
@@ -41,6 +44,18 @@ TRIED_LENGTHS = Threshold(
     CONVENTION,
 )
 _STEP, _WIDE_STEP = 1e-3, 0.2
+TOGETHER = Threshold(
+    "variance of a coefficient that all axes of its law share",
+    0.5,
+    "of its variance",
+    "a law may be wrong as a whole or differ by axis, and nothing says which is more likely",
+    CONVENTION,
+)
+# Laws of an unknown simulation: what is in proportion to the motion, such as the drag of rotors; what stays
+# when the motion is reversed, such as lift; and what reverses with its square, as drag of the airframe.
+ROTORS, LINEAR, EVEN, SQUARED = "rotors", "the motion", "airspeed, even", "airspeed, squared"
+# Axes that one force of the rotors acts on: along their axes, and in their plane.
+_SHARED = (("Fz", "Mx", "My"), ("Fx", "Fy", "Mz"))
 
 
 @dataclass(frozen=True)
@@ -71,25 +86,15 @@ class Candidate:
     @property
     def label(self) -> str:
         """The name with the whole-number parameters, which distinguish the candidates of one effect."""
-        whole = [
-            f"{p.name} {value:.0f}"
-            for p, value in zip(self.effect.parameters, self.start, strict=True)
-            if p.whole
-        ]
-        return f"{self.name} ({', '.join(whole)})" if whole else self.name
+        pairs = zip(self.effect.parameters, self.start, strict=True)
+        whole = ", ".join(f"{p.name} {value:.0f}" for p, value in pairs if p.whole)
+        return f"{self.name} ({whole})" if whole else self.name
 
     @property
     def form(self) -> float:
         """Share by which the contribution of the effect may differ from the computed one."""
         # Wind acts through coefficients that are known within a tolerance, at airspeeds that are not.
         return AERODYNAMIC if self.effect.kind == "wind" else self.effect.form
-
-    @property
-    def step(self) -> float:
-        """Half the step of a difference quotient, in prior standard deviations."""
-        # Wind reverses the airspeed of a hover: a small step would see only the cusp at rest. What has a
-        # state of its own is smooth, and its phase turns over a wide one.
-        return _STEP if self.linear or self.effect.at_rest else _WIDE_STEP
 
     def excludes(self, other: Candidate) -> bool:
         """Whether no set contains both: one effect twice, or two of a group on one rotor."""
@@ -116,18 +121,13 @@ def typical_sizes(effect: Effect, vehicle: Vehicle) -> Array:
     """
     mass = vehicle.mass_kg / _TYPICAL_MASS_KG
     arm = float(np.linalg.norm(vehicle.rotor_positions[:, :2], axis=1).mean()) / _TYPICAL_ARM_M
-    sizes = np.array([abs(parameter.default) for parameter in effect.parameters])
-    units = [parameter.unit for parameter in effect.parameters]
-    for index in map(int, np.flatnonzero(sizes == 0.0)):
-        alike = [size for size, unit in zip(sizes, units, strict=True) if unit == units[index]]
-        sizes[index] = max(alike, default=0.0) or 1.0
-    for index, unit in enumerate(units):
-        if unit == "kg m²":
-            sizes[index] *= mass * arm * arm
-        elif unit.startswith("Nm"):
-            sizes[index] *= mass * arm
-        elif unit.startswith(("N", "kg")):
-            sizes[index] *= mass
+    growth = {"kg m²": mass * arm**2, "Nm": mass * arm, "N": mass, "kg": mass}
+    sizes = np.empty(len(effect.parameters))
+    for index, own in enumerate(effect.parameters):
+        alike = (abs(p.default) for p in effect.parameters if p.unit == own.unit)
+        sizes[index] = abs(own.default) or max(alike) or 1.0
+        # The first that fits: a moment of inertia is no mass, nor a moment a force.
+        sizes[index] *= next((by for unit, by in growth.items() if own.unit.startswith(unit)), 1.0)
     return sizes * arm if effect.size_grows_with_arm else sizes
 
 
@@ -141,60 +141,47 @@ def candidates(vehicle: Vehicle, names: Sequence[str] | None = None) -> list[Can
     Raises:
         DiscrepancyError: for a name that no effect has.
     """
-    if names is not None:
-        for name in names:
-            if name not in EFFECTS:
-                raise DiscrepancyError(f"unknown effect `{name}`; known: {', '.join(EFFECTS)}")
+    for name in names or ():
+        if name not in EFFECTS:
+            raise DiscrepancyError(f"unknown effect `{name}`; known: {', '.join(EFFECTS)}")
     found = []
     for effect in EFFECTS.values():
-        if effect.shown_by and (names is None or effect.name in names):
-            found += _variants(effect, vehicle)
+        if not effect.shown_by or (names is not None and effect.name not in names):
+            continue
+        free = [index for index, parameter in enumerate(effect.parameters) if not parameter.whole]
+        # Of what has a state of its own, only the strength may be zero.
+        centre = [p.default if index and effect.at_rest else 0.0 for index, p in enumerate(effect.parameters)]
+        choices = [range(int(p.lowest), int(p.highest) + 1) if p.whole else (0,) for p in effect.parameters]
+        for start in itertools.product(*choices):
+            found.append(
+                Candidate(
+                    effect=effect,
+                    start=np.array(start, dtype=float),
+                    free=tuple(free),
+                    scale=PRIOR.value * typical_sizes(effect, vehicle)[free],
+                    centre=np.array(centre)[free],
+                    linear=effect.kind in ("wrench", "vehicle") and effect.composable,
+                )
+            )
     return found
-
-
-def _variants(effect: Effect, vehicle: Vehicle) -> list[Candidate]:
-    sizes = typical_sizes(effect, vehicle)
-    free = tuple(index for index, parameter in enumerate(effect.parameters) if not parameter.whole)
-    choices = [range(int(p.lowest), int(p.highest) + 1) if p.whole else (0.0,) for p in effect.parameters]
-    return [
-        Candidate(
-            effect=effect,
-            start=np.array(start, dtype=float),
-            free=free,
-            scale=PRIOR.value * sizes[list(free)],
-            centre=_centre(effect)[list(free)],
-            linear=effect.kind in ("wrench", "vehicle") and effect.composable,
-        )
-        for start in itertools.product(*choices)
-    ]
-
-
-def _centre(effect: Effect) -> Array:
-    """Prior mean (P,) of the parameters."""
-    centre = np.zeros(len(effect.parameters))
-    if effect.at_rest:
-        centre[1:] = [parameter.default for parameter in effect.parameters[1:]]
-    return centre
 
 
 def first_point(candidate: Candidate, flights: Sequence[Compared]) -> Array:
     """Free parameters (k,) about which a candidate is linearised first.
 
     No effect; for one with a state of its own the second parameter, on which that depends most, that explains
-    the most of the flights, with the strength that does so.
+    the most of the flights, with the strength that does so: by their medians, so that no flight decides.
     """
     if not candidate.effect.at_rest:
         return np.zeros(len(candidate.free))
-    best, at = -1.0, candidate.centre
-    for value in TRIED_LENGTHS.value:
+    tried = []
+    for length in TRIED_LENGTHS.value:
         values = candidate.values(candidate.centre)
-        values[1] = value
+        values[1] = length
         starts = [flight.started(candidate.effect, values) for flight in flights]
-        explained = float(np.mean([start.explained for start in starts]))
-        if explained > best:
-            values[0] = float(np.median([start.strength for start in starts]))
-            best, at = explained, values[list(candidate.free)]
-    return at
+        values[0] = np.median([start.strength for start in starts])
+        tried.append((float(np.median([start.explained for start in starts])), values))
+    return max(tried, key=lambda one: one[0])[1][list(candidate.free)]
 
 
 def start_cost(candidate: Candidate, flights: Sequence[Compared], at: Array) -> float:
@@ -211,13 +198,58 @@ def linearise(candidate: Candidate, flights: Sequence[Compared], at: Array) -> l
         Per flight the contribution (M, 6) at that point, and columns (M, 6, k): what one prior standard
         deviation of each parameter adds to first order.
     """
+    # Wind reverses the airspeed of a hover: a small step would see only the cusp at rest. What has a state of
+    # its own is smooth, and its phase turns over a wide one.
+    step = _STEP if candidate.linear or candidate.effect.at_rest else _WIDE_STEP
     result = []
     for flight in flights:
-        here = flight.added(candidate.effect, candidate.values(at))
-        columns = np.empty((*here.shape, len(at)))
-        for index, step in enumerate(np.diag(candidate.step * candidate.scale)):
-            difference = flight.added(candidate.effect, candidate.values(at + step))
-            difference -= flight.added(candidate.effect, candidate.values(at - step))
-            columns[:, :, index] = difference / (2.0 * candidate.step)
-        result.append((here, columns))
+
+        def added(free: Array, flight: Compared = flight) -> Array:
+            return flight.added(candidate.effect, candidate.values(free))
+
+        differences = [added(at + own) - added(at - own) for own in np.diag(step * candidate.scale)]
+        # At zero there is no effect.
+        here = added(at) if at.any() else np.zeros_like(differences[0])
+        result.append((here, np.stack(differences, axis=2) / (2.0 * step)))
     return result
+
+
+class Part(NamedTuple):
+    """Part (N, 6) of a wrench that one law causes; parts of the same law may be wrong together."""
+
+    name: str
+    wrench: Array
+    law: str
+
+
+def part_columns(parts: Sequence[Part], tolerances: Tolerances) -> list[Column]:
+    """Tolerances of a simulation known by its wrench alone: a column by part and axis, and one by law.
+
+    Nobody can say which coefficients such a simulation has. Its wrench is divided into parts that different
+    laws cause, and each axis of a part may be wrong by the tolerance of a coefficient. One law acts on
+    several axes: a force of the rotors in their plane on Fx, Fy and Mz, one along their axes on Fz, Mx and
+    My. So the axes of a part may be wrong together, as its law is, or one by one.
+
+    The part `ROTORS`, of rotors in still air without rotation, is thrust and torque: its Fz is known as well
+    as the thrust is, and its Mx and My, to which arms contribute, as well as the inertia. Every flight has
+    the same columns, even one in which a part is zero.
+    """
+    known = {"Fz": tolerances.thrust, "Mx": tolerances.inertia, "My": tolerances.inertia}
+    columns: list[Column] = []
+    shared: dict[str, Array] = {}
+    for part in parts:
+        for axis, unit in zip(AXES, np.eye(len(AXES)), strict=True):
+            name, law, share = f"{axis} of {part.name}", "", known.get(axis, tolerances.coefficient)
+            if part.law != ROTORS:
+                axes = next(axes for axes in _SHARED if axis in axes)
+                law, share = f"{', '.join(axes[:-1])} and {axes[-1]} of {part.law}", tolerances.coefficient
+                whole = share * np.sqrt(TOGETHER.value) * unit * part.wrench
+                shared[law] = shared.get(law, np.zeros_like(whole)) + whole
+                share *= np.sqrt(1.0 - TOGETHER.value)
+            columns.append(Column(name, share * unit * part.wrench, law))
+    return columns + [Column(law, whole) for law, whole in shared.items()]
+
+
+def of_coefficient(own: float, shared: float) -> float:
+    """What a coefficient is wrong by, in its tolerances, from the fit of its own column and of its law's."""
+    return float(np.sqrt(1.0 - TOGETHER.value) * own + np.sqrt(TOGETHER.value) * shared)

@@ -13,25 +13,23 @@ the noise of the residual itself: a vehicle without mass in no air would fit eve
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from copy import copy
 from dataclasses import fields, replace
 from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import gaussian_filter1d
+from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 
-from quadpi_core.discrepancy.bias_response import BiasResponse
-from quadpi_core.discrepancy.own_state import Started, started
-from quadpi_core.discrepancy.quiet_flight import quiet
 from quadpi_core.discrepancy.simulations import Column, Simulation, Tolerances
+from quadpi_core.discrepancy.unmeasured_states import BiasResponse, Started, started
 from quadpi_core.discrepancy.whitening import BAND_HZ, Spectrum, spectrum
 from quadpi_core.flight import Flight, ImuStream, PoseStream, Recording, RotorSpeedStream
 from quadpi_core.frames import Array
+from quadpi_core.rotations import rotate_body_to_world, rotate_world_to_body
 from quadpi_core.signals.resample import interpolate_columns
 from quadpi_core.signals.wrench import measured_wrench
-from quadpi_core.simulation.applied_effects import effect_wrench, remembered_wrenches
+from quadpi_core.simulation.applied_effects import effect_wrench, with_memory
 from quadpi_core.simulation.effect_definition import Effect
 from quadpi_core.simulation.effect_registry import EFFECTS
 from quadpi_core.thresholds import CONVENTION, Threshold
@@ -51,39 +49,57 @@ SLOW_HZ = Threshold(
     "slower ones are measured with little noise; faster ones would let another inertia explain that noise",
     "13 development flights without effects: two had an inertia named with predicted accelerations alone",
 )
+NOISE_HZ = Threshold(
+    "band of noise",
+    (12.0, 20.0),
+    "Hz",
+    "the upper half of the frequencies compared, where a vehicle moves less than its sensors make noise",
+    CONVENTION,
+)
+AVERAGE_HZ = Threshold(
+    "width of the average of power",
+    0.6,
+    "Hz",
+    "averages several frequencies of a flight of 10 s, and is narrower than the band of any manoeuvre",
+    CONVENTION,
+)
 # Parameters of an effect with a state of its own that are so near, in typical sizes, start all but alike.
 _NEAR = 0.02
 _NO_NUMBERS = np.random.default_rng(0)
+# What a flight beside one simulation shares with the same flight beside another.
+_OF_THE_FLIGHT = (
+    "_recorded",
+    "flight",
+    "thinned",
+    "step",
+    "highest_hz",
+    "quiet",
+    "measured",
+    "bias_response",
+)
 
 
 class Compared:
     """A flight beside the simulation that it is compared with.
 
-    Columns and residuals are thinned to about `RATE_HZ`: a flight has been low-passed far below that.
+    Columns and residuals are thinned to about `RATE_HZ`: a flight has been low-passed far below that. What
+    has M samples is thinned.
 
     Attributes:
         flight: input of the simulation, thinned as far as derivatives allow where it takes any.
         thinned: the flight at about `RATE_HZ`.
+        step: thins `flight` to it.
         highest_hz: highest frequency at which the two are compared.
     """
 
-    def __init__(
-        self,
-        flight: Flight,
-        simulation: Simulation,
-        highest_hz: float = BAND_HZ.value,
-    ) -> None:
-        self.simulation = simulation
-        self.highest_hz = highest_hz
-        self._started: dict[str, list[tuple[Array, Started]]] = {}
-        self._imu_rate_hz = flight.rate_hz
+    def __init__(self, flight: Flight, simulation: Simulation, highest_hz: float = BAND_HZ.value) -> None:
+        self.simulation, self.highest_hz, self._recorded = simulation, highest_hz, flight
+        self._started: dict[str, dict[tuple[float, ...], Started]] = {}
         step = max(1, int(flight.rate_hz / RATE_HZ.value + 0.5))
         self.thinned = _every(flight, step)
         # What has a memory takes derivatives, for which twice the rate is enough.
         self.step = 1 if simulation.memoryless else 2 if step % 2 == 0 else step
         self.flight = _every(flight, step // self.step)
-        # What columns are made of; the residual is of the flight itself.
-        self.quiet = _every(quiet(flight), step // self.step)
 
     @classmethod
     def together(
@@ -94,20 +110,29 @@ class Compared:
         if not simulation.own_inputs:
             return compared
         learned = simulation.learned([(own.flight, own.quiet) for own in compared])
-        return [cls(flight, learned, highest_hz) for flight in flights]
+        return [own.compared_with(learned) for own in compared]
 
     def compared_with(self, simulation: Simulation) -> Compared:
         """The same flight beside another simulation of the same vehicle, at the same rate."""
-        other = copy(self)
-        for name in _OF_THE_SIMULATION:
-            vars(other).pop(name, None)
+        other = object.__new__(Compared)
+        vars(other).update({name: value for name, value in vars(self).items() if name in _OF_THE_FLIGHT})
         other.simulation, other._started = simulation, {}
         return other
 
     @cached_property
-    def simulated(self) -> Array:
-        """Wrench (M, 6) of the simulation as the recording would have it, thinned."""
-        return recorded_wrench(self.flight, self.simulation)[:: self.step]
+    def quiet(self) -> Flight:
+        """What columns are made of, see :func:`quiet`; the residual is of the flight itself."""
+        return _every(quiet(self._recorded), max(1, round(self._recorded.rate_hz / self.flight.rate_hz)))
+
+    @cached_property
+    def measured(self) -> Array:
+        """Measured wrench (M, 6)."""
+        return measured_wrench(self.thinned, self.simulation.vehicle)
+
+    @cached_property
+    def residual(self) -> Array:
+        """Measured less simulated wrench (M, 6)."""
+        return residual(self.flight, self.simulation)[:: self.step]
 
     @cached_property
     def quiet_wrench(self) -> Array:
@@ -115,23 +140,23 @@ class Compared:
         return explained_wrench(self.quiet, self.simulation)
 
     @cached_property
-    def measured(self) -> Array:
-        """Measured wrench (M, 6), thinned."""
-        return measured_wrench(self.thinned, self.simulation.vehicle)
-
-    @property
-    def residual(self) -> Array:
-        """Measured less simulated wrench (M, 6), thinned."""
-        return self.measured - self.simulated
+    def expected(self) -> Flight:
+        """The quiet flight, with the accelerations that the simulation predicts of it."""
+        return predicted_flight(self.quiet, self.simulation.vehicle, self.quiet_wrench)
 
     @cached_property
-    def expected(self) -> Flight:
-        """The flight, with the accelerations that the simulation predicts of it."""
-        return predicted_flight(self.quiet, self.simulation, self.quiet_wrench)
+    def expected_measured(self) -> Array:
+        """Measured wrench (M, 6) of the flight :attr:`expected`."""
+        return measured_wrench(self.expected, self.simulation.vehicle)[:: self.step]
+
+    @cached_property
+    def expected_residual(self) -> Array:
+        """Residual (M, 6) of the flight :attr:`expected`."""
+        return self.expected_measured - explained_wrench(self.expected, self.simulation)[:: self.step]
 
     @cached_property
     def states(self) -> npt.NDArray[np.void]:
-        """Input records (M,) of wrench effects, thinned, with the measured force.
+        """Input records (M,) of wrench effects, with the measured force.
 
         The measured force acts even where the simulation lacks it, and its noise does not affect moments.
         """
@@ -146,38 +171,23 @@ class Compared:
         return self.simulation.record()
 
     @cached_property
-    def expected_thinned(self) -> Flight:
-        """:attr:`expected` at the rate of the residual."""
-        return _every(self.expected, self.step)
-
-    @cached_property
-    def expected_measured(self) -> Array:
-        """Measured wrench (M, 6) of the flight :attr:`expected`, thinned."""
-        return measured_wrench(self.expected_thinned, self.simulation.vehicle)
-
-    @cached_property
-    def expected_residual(self) -> Array:
-        """Residual (M, 6) of the flight :attr:`expected`, thinned."""
-        return _explained_residual(self.expected, self.simulation)[:: self.step]
-
-    @cached_property
     def bias_response(self) -> BiasResponse:
         """Biases that the estimator attributes to errors of the IMU in this flight."""
-        return BiasResponse(self.flight, self.simulation.vehicle, self._imu_rate_hz)
+        return BiasResponse(self.flight, self.simulation.vehicle, self._recorded.rate_hz)
 
     def started(self, effect: Effect, values: Array) -> Started:
         """State at the start of the flight of an effect that has one of its own."""
         # The strength has no part in it, and a search asks again for what surrounds a point.
-        known = self._started.setdefault(effect.name, [])
-        away = [np.max(np.abs(values - other)[1:] / _typical(effect), initial=0.0) for other, _ in known]
-        place = int(np.argmin(away)) if away else -1
-        if away and away[place] == 0.0:
-            return known[place][1]
-        near = known[place][1].memory if away and away[place] < _NEAR else None
-        step_s = 1.0 / self.thinned.rate_hz
-        found = started(effect, values, self.states, self.record, self.residual, step_s, near)
-        known.append((values.copy(), found))
-        return found
+        known = self._started.setdefault(effect.name, {})
+        key = tuple(values[1:].tolist())
+        if key not in known:
+            typical = [abs(parameter.default) or 1.0 for parameter in effect.parameters[1:]]
+            away = {other: np.max(np.abs(np.subtract(other, key)) / typical) for other in known}
+            nearest = min(away, key=away.__getitem__, default=None)
+            near = known[nearest].memory if nearest and away[nearest] < _NEAR else None
+            step_s = 1.0 / self.thinned.rate_hz
+            known[key] = started(effect, values, self.states, self.record, self.residual, step_s, near)
+        return known[key]
 
     def spectrum(self, columns: Array) -> Spectrum:
         """Spectrum of columns (M, ·, K) of this flight, as far as it is compared."""
@@ -185,30 +195,58 @@ class Compared:
 
     def uncertain(self) -> list[Column]:
         """Columns (M, 6) of the tolerances, one each."""
-        tolerances = self.simulation.tolerances
         columns = [
             column._replace(wrench=self.simulation.recorded(self.quiet, column.wrench)[:: self.step])
             for column in self.simulation.uncertain(self.quiet)
         ]
-        for effect, deviation in body_tolerances(tolerances):
+        for effect, deviation in body_tolerances(self.simulation.tolerances):
             deviations = deviation * np.eye(len(effect.parameters))
             for parameter, values in zip(effect.parameters, deviations, strict=True):
                 columns.append(Column(f"{effect.name}.{parameter.name}", self.added(effect, values)))
         return columns
 
     def added(self, effect: Effect, values: Array) -> Array:
-        """What an effect adds to the residual (M, 6).
-
-        Args:
-            effect: effect of any kind.
-            values: parameters in their order, within their bounds or not.
-        """
+        """What an effect with these parameters, within their bounds or not, adds to the residual (M, 6)."""
         return _KINDS[effect.kind](self, effect, values)
 
 
-def _typical(effect: Effect) -> Array:
-    """Typical sizes (P - 1,) of the parameters of an effect but for its strength."""
-    return np.array([abs(parameter.default) or 1.0 for parameter in effect.parameters[1:]])
+def quiet(flight: Flight) -> Flight:
+    """The flight with the white noise of its velocity, rates and rotor speeds filtered out.
+
+    The residual is the measured wrench less the simulated one, so it holds the noise of the simulation's
+    inputs. A column that is made of the same inputs, such as the tolerance of the thrust, holds the same
+    noise: least squares then shrink the simulation to remove it, by a quarter where the noise of the rotor
+    speeds is most of that of a moment (errors in variables; Fuller, Measurement Error Models, 1987). In a
+    column that the residual does not share, noise shrinks the effect. So columns are made of signals that
+    Wiener's filter has freed of it; the residual is not.
+    """
+    rate = flight.rate_hz
+    if 2.0 * NOISE_HZ.value[1] > rate:
+        return flight
+    # In the world, an error of the attitude is not one of the velocity.
+    velocity = _without_noise(rotate_body_to_world(flight.attitude, flight.velocity), rate)
+    return replace(
+        flight,
+        velocity=rotate_world_to_body(flight.attitude, velocity),
+        rates=_without_noise(flight.rates, rate),
+        rotor_speeds=_without_noise(flight.rotor_speeds, rate),
+    )
+
+
+def _without_noise(values: Array, rate_hz: float) -> Array:
+    """Wiener's filter of each column (N, C): each frequency's share of power above the noise."""
+    # Mirrored about both ends, so that the last sample leads on to the first.
+    whole = np.concatenate((values, values[::-1]))
+    transformed = np.fft.rfft(whole, axis=0)
+    frequency = np.fft.rfftfreq(len(whole), 1.0 / rate_hz)
+    power = np.abs(transformed) ** 2
+    noise = power[(frequency >= NOISE_HZ.value[0]) & (frequency < NOISE_HZ.value[1])].mean(axis=0)
+    power = uniform_filter1d(power, max(1, round(AVERAGE_HZ.value / frequency[1])), axis=0)
+    gain = 1.0 - noise / np.maximum(power, np.maximum(noise, np.finfo(float).tiny))
+    gain[frequency >= NOISE_HZ.value[1]] = 0.0
+    gain[0] = 1.0
+    without: Array = np.fft.irfft(gain * transformed, len(whole), axis=0)[: len(values)]
+    return without
 
 
 def body_tolerances(tolerances: Tolerances) -> tuple[tuple[Effect, float], ...]:
@@ -236,43 +274,26 @@ def share_of_wrench(effect: Effect, vehicle: Vehicle, values: Array) -> Array:
     return share
 
 
-def predicted_flight(flight: Flight, simulation: Simulation, wrench: Array | None = None) -> Flight:
-    """A flight with the accelerations that a simulation predicts; slow angular ones stay as measured.
+def residual(flight: Flight, simulation: Simulation) -> Array:
+    """Measured less simulated wrench (N, 6), which is as the recording of the flight would have it."""
+    simulated = simulation.recorded(flight, simulation.wrench(flight))
+    return measured_wrench(flight, simulation.vehicle) - simulated
 
-    Args:
-        flight: as measured.
-        simulation: of its vehicle.
-        wrench: (N, 6) in place of :func:`recorded_wrench`.
-    """
-    vehicle = simulation.vehicle
-    wrench = recorded_wrench(flight, simulation) if wrench is None else wrench
-    momentum = flight.rates @ vehicle.inertia
-    moment = wrench[:, 3:] - np.cross(flight.rates, momentum)
+
+def explained_wrench(flight: Flight, simulation: Simulation) -> Array:
+    """Simulated wrench (N, 6) as recorded, without the noise of inputs that the simulation has of its own."""
+    return simulation.recorded(flight, simulation.explained(flight))
+
+
+def predicted_flight(flight: Flight, vehicle: Vehicle, wrench: Array) -> Flight:
+    """A flight with the accelerations of a wrench (N, 6) as recorded; slow angular ones stay as measured."""
+    moment = wrench[:, 3:] - np.cross(flight.rates, flight.rates @ vehicle.inertia)
     turning = moment @ np.linalg.inv(vehicle.inertia)
     # A wrong simulated moment would spin up the predicted vehicle, and another inertia would seem to explain
     # a share of it. Slow angular acceleration is measured with little noise.
     smoothing = flight.rate_hz / (2.0 * np.pi * SLOW_HZ.value)
     turning += gaussian_filter1d(flight.angular_acceleration - turning, smoothing, axis=0, mode="nearest")
     return replace(flight, specific_force=wrench[:, :3] / vehicle.mass_kg, angular_acceleration=turning)
-
-
-def recorded_wrench(flight: Flight, simulation: Simulation) -> Array:
-    """Simulated wrench (N, 6) as the recording of the flight would have it, as its measured one does."""
-    return simulation.recorded(flight, simulation.wrench(flight))
-
-
-def residual(flight: Flight, simulation: Simulation) -> Array:
-    """Measured less simulated wrench (N, 6)."""
-    return measured_wrench(flight, simulation.vehicle) - recorded_wrench(flight, simulation)
-
-
-def explained_wrench(flight: Flight, simulation: Simulation) -> Array:
-    """As :func:`recorded_wrench`, without the noise of inputs that the simulation has of its own."""
-    return simulation.recorded(flight, simulation.explained(flight))
-
-
-def _explained_residual(flight: Flight, simulation: Simulation) -> Array:
-    return measured_wrench(flight, simulation.vehicle) - explained_wrench(flight, simulation)
 
 
 def _every(flight: Flight, step: int) -> Flight:
@@ -284,31 +305,29 @@ def _every(flight: Flight, step: int) -> Flight:
 
 def _wrench(compared: Compared, effect: Effect, values: Array) -> Array:
     parameters = {p.name: v for p, v in zip(effect.parameters, values, strict=True)}
-    flown = effect.name, parameters, compared.states, compared.record
+    name, states, record = effect.name, compared.states, compared.record
     if effect.at_rest:
-        starts = compared.started(effect, values).memory[np.newaxis]
-        added = remembered_wrenches(*flown, starts, 1.0 / compared.thinned.rate_hz)[:, :, 0]
-    else:
-        added = effect_wrench(*flown)
-    return compared.simulation.recorded(compared.thinned, added)
+        start, step_s = compared.started(effect, values).memory, 1.0 / compared.thinned.rate_hz
+        states = with_memory(name, parameters, states, record, start, step_s)
+    return compared.simulation.recorded(compared.thinned, effect_wrench(name, parameters, states, record))
 
 
 def _vehicle(compared: Compared, effect: Effect, values: Array) -> Array:
     vehicle = effect.function(compared.simulation.vehicle, values)
-    return compared.expected_measured - measured_wrench(compared.expected_thinned, vehicle)
+    return compared.expected_measured - measured_wrench(compared.expected, vehicle)[:: compared.step]
 
 
 def _wind(compared: Compared, effect: Effect, values: Array) -> Array:
     flight = compared.quiet
-    wind = flight.wind + effect.function(flight.time, values, _NO_NUMBERS)
-    windy = explained_wrench(replace(flight, wind=wind), compared.simulation)[:: compared.step]
-    return windy - compared.quiet_wrench[:: compared.step]
+    windy = replace(flight, wind=flight.wind + effect.function(flight.time, values, _NO_NUMBERS))
+    return (explained_wrench(windy, compared.simulation) - compared.quiet_wrench)[:: compared.step]
 
 
 def _sensor(compared: Compared, effect: Effect, values: Array) -> Array:
-    vehicle, biases = compared.simulation.vehicle, compared.bias_response
-    altered = without_sensor_effect(compared.expected, effect, vehicle, values, biases)
-    return compared.expected_residual - _explained_residual(altered, compared.simulation)[:: compared.step]
+    simulation, vehicle = compared.simulation, compared.simulation.vehicle
+    altered = without_sensor_effect(compared.expected, effect, vehicle, values, compared.bias_response)
+    left = measured_wrench(altered, vehicle) - explained_wrench(altered, simulation)
+    return compared.expected_residual - left[:: compared.step]
 
 
 def without_sensor_effect(
@@ -328,43 +347,34 @@ def without_sensor_effect(
         rotor_speeds=RotorSpeedStream(time_ns, flight.rotor_speeds),
         pose=PoseStream(time_ns, flight.position, flight.attitude),
     )
-    altered = effect.function(recording, vehicle, effect.undo(values))
+    undone = effect.undo(values)
+    altered = effect.function(recording, vehicle, undone)
     rotors, pose = altered.rotor_speeds, altered.pose
     rates, force = altered.imu.angular_velocity, altered.imu.specific_force
     acceleration = flight.angular_acceleration
     if rates is not flight.rates:
         # The derivative belongs to the rates as they were filtered: turn it as they are turned.
         turned = replace(recording, imu=ImuStream(time_ns, acceleration, flight.specific_force))
-        acceleration = effect.function(turned, vehicle, effect.undo(values)).imu.angular_velocity
+        acceleration = effect.function(turned, vehicle, undone).imu.angular_velocity
     if altered.imu is not recording.imu and flight.biases_estimated:
         gyro_bias, accelerometer_bias = biases(rates - flight.rates, force - flight.specific_force)
         rates, force = rates - gyro_bias, force - accelerometer_bias
 
-    def shifted(values: Array, delay_s: float) -> Array:
-        return values if delay_s == 0.0 else _delayed(flight.time, values, delay_s)
+    def shifted(values: Array, stamps: npt.NDArray[np.int64]) -> Array:
+        delay_s = 1e-9 * float(stamps[0] - time_ns[0])
+        return values if delay_s == 0.0 else interpolate_columns(flight.time, values, flight.time - delay_s)
 
-    rotor_delay = 1e-9 * float(rotors.time_ns[0] - time_ns[0])
-    pose_delay = 1e-9 * float(pose.time_ns[0] - time_ns[0])
     return replace(
         flight,
         rates=rates,
         angular_acceleration=acceleration,
         specific_force=force,
-        rotor_speeds=shifted(rotors.speeds, rotor_delay),
-        position=shifted(pose.position, pose_delay),
-        attitude=shifted(pose.attitude, pose_delay),
-        velocity=shifted(flight.velocity, pose_delay),
+        rotor_speeds=shifted(rotors.speeds, rotors.time_ns),
+        position=shifted(pose.position, pose.time_ns),
+        attitude=shifted(pose.attitude, pose.time_ns),
+        velocity=shifted(flight.velocity, pose.time_ns),
     )
 
 
-def _delayed(time: Array, values: Array, delay_s: float) -> Array:
-    """Values (N, C) delayed by a time, constant beyond their ends."""
-    return interpolate_columns(time, values, time - delay_s)
-
-
-# What a flight knows by its simulation; the rest is of flight and vehicle alone.
-_OF_THE_SIMULATION = {
-    name for name, value in vars(Compared).items() if isinstance(value, cached_property)
-} - {"measured", "bias_response"}
 _Added: TypeAlias = Callable[[Compared, Effect, Array], Array]
 _KINDS: dict[str, _Added] = {"wrench": _wrench, "vehicle": _vehicle, "wind": _wind, "sensor": _sensor}

@@ -23,7 +23,8 @@ import numpy as np
 
 from quadpi_core.brief_repr import brief_repr
 from quadpi_core.discrepancy.acceptance import FEW_FLIGHTS
-from quadpi_core.discrepancy.own_state import INDEPENDENT_HZ
+from quadpi_core.discrepancy.candidates import EVEN, LINEAR, SQUARED, Part, part_columns
+from quadpi_core.discrepancy.candidates import ROTORS as OF_ROTORS
 from quadpi_core.discrepancy.simulations import (
     Column,
     Margins,
@@ -32,8 +33,7 @@ from quadpi_core.discrepancy.simulations import (
     airspeed,
     read_tolerances,
 )
-from quadpi_core.discrepancy.uncertain_parts import EVEN, LINEAR, SQUARED, Part, part_columns
-from quadpi_core.discrepancy.uncertain_parts import ROTORS as OF_ROTORS
+from quadpi_core.discrepancy.unmeasured_states import INDEPENDENT_HZ
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import AXES, MAX_GAP_NS, Flight, RotorSpeedStream, WrenchStream
 from quadpi_core.flight_files import FlightFile, LeftOutFlights, for_each_flight

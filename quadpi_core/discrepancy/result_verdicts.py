@@ -18,6 +18,7 @@ import numpy.typing as npt
 from scipy.stats import chi2
 
 from quadpi_core.discrepancy.acceptance import FEW_FLIGHTS, Verdict
+from quadpi_core.discrepancy.candidates import of_coefficient
 from quadpi_core.discrepancy.closure import Gap
 from quadpi_core.discrepancy.discrepancy_result import (
     ERROR_NAMES,
@@ -27,7 +28,6 @@ from quadpi_core.discrepancy.discrepancy_result import (
     Rollouts,
 )
 from quadpi_core.discrepancy.search import Found
-from quadpi_core.discrepancy.uncertain_parts import of_coefficient
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.simulation.effect_registry import EFFECTS

@@ -64,7 +64,7 @@ class Column(NamedTuple):
     Attributes:
         name: of the uncertainty.
         wrench: (N, 6) N, Nm.
-        law: name of the column of what it shares with others, see :mod:`.uncertain_parts`; empty without.
+        law: name of the column of what it shares with others, see :mod:`.candidates`; empty without.
     """
 
     name: str
@@ -146,7 +146,7 @@ class Simulation(ABC):
         """The simulation with what these flights tell of it, unless it learned of all of them before.
 
         Args:
-            flights: flights as recorded, each with the quiet one, see :mod:`.quiet_flight`.
+            flights: flights as recorded, each with the quiet one, see :func:`.effect_response.quiet`.
         """
         return self
 

@@ -28,19 +28,17 @@ from quadpi_core.discrepancy.by_condition import (
     second_borders,
     standing_out,
 )
-from quadpi_core.discrepancy.candidates import candidates, typical_sizes
+from quadpi_core.discrepancy.candidates import Part, candidates, part_columns, typical_sizes
 from quadpi_core.discrepancy.discrepancy_result import OfFlight
 from quadpi_core.discrepancy.effect_regression import settled
-from quadpi_core.discrepancy.effect_response import Compared, predicted_flight
+from quadpi_core.discrepancy.effect_response import Compared, predicted_flight, quiet
 from quadpi_core.discrepancy.evidence import Fit
 from quadpi_core.discrepancy.loading import load_simulation
 from quadpi_core.discrepancy.other_simulations import ModelSimulation
-from quadpi_core.discrepancy.quiet_flight import quiet
 from quadpi_core.discrepancy.reflight import rollout_floor
 from quadpi_core.discrepancy.search import Found
 from quadpi_core.discrepancy.simulations import Tolerances
 from quadpi_core.discrepancy.sound_learning import learned, predicts
-from quadpi_core.discrepancy.uncertain_parts import Part, part_columns
 from quadpi_core.discrepancy.whitening import EDGES_HZ, Spectrum
 from quadpi_core.errors import DiscrepancyError, SimulationError
 from quadpi_core.flight import AXES, Flight, ImuStream, PoseStream, Recording, RotorSpeedStream
@@ -353,12 +351,8 @@ def slow_response(frequency_hz):
     """Amplitude of a measured angular acceleration of some frequency that predicted flight keeps."""
     time = np.arange(4000) / 100.0
     wave = np.sin(2.0 * np.pi * frequency_hz * time)
-    simulated = SimpleNamespace(
-        vehicle=BEBOP,
-        wrench=lambda flight: np.zeros((len(flight), 6)),
-        recorded=lambda _, wrench: wrench,
-    )
-    seen = predicted_flight(hover(40.0, angular_acceleration=in_column(0, wave)), simulated)
+    turning = hover(40.0, angular_acceleration=in_column(0, wave))
+    seen = predicted_flight(turning, BEBOP, np.zeros((len(turning), 6)))
     return np.abs(seen.angular_acceleration[1000:3000, 0]).max()
 
 
@@ -701,7 +695,7 @@ ALONE = {
         # In test_simulated_file.
         "MOTOR_TIME_CONSTANT",
         "NOISE_HZ",
-        # In test_own_state.
+        # In test_unmeasured_states.
         *("INDEPENDENT_HZ", "SEEN_S", "STRETCHES_S", "TRIED_LENGTHS"),
     ),
     "RIDGES",

@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 
 from quadpi_core.discrepancy import AugmentedSimulation, CallableSimulation, discover, load_simulation
-from quadpi_core.discrepancy.effect_response import Compared, explained_wrench
+from quadpi_core.discrepancy.effect_response import Compared, explained_wrench, quiet
 from quadpi_core.discrepancy.other_simulations import RecordedSimulation, learned_weights
-from quadpi_core.discrepancy.own_state import INDEPENDENT_HZ
-from quadpi_core.discrepancy.quiet_flight import quiet
 from quadpi_core.discrepancy.reflight import rollout
 from quadpi_core.discrepancy.simulations import VehicleSimulation, airspeed
 from quadpi_core.discrepancy.study import read_flights
+from quadpi_core.discrepancy.unmeasured_states import INDEPENDENT_HZ
 from quadpi_core.errors import DiscrepancyError, QuadpiError
 from quadpi_core.estimator.fusion import fuse, fuse_airborne
 from quadpi_core.flight import AXES, WrenchStream

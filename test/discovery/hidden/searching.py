@@ -56,7 +56,7 @@ _SEEN = 0.02
 # Rooms after identification, which it does not import: `make lint` holds their order. Of the search, a model
 # knows what sound flights leave, by the columns of effects.
 _LATER = ("evaluation", "discrepancy", "paper", "report", "view", "cli")
-_LEARNED_BY = ("sound_learning.py", "candidates.py", "effect_response.py", "quiet_flight.py", "whitening.py")
+_LEARNED_BY = ("sound_learning.py", "candidates.py", "effect_response.py", "whitening.py")
 
 
 class Model(NamedTuple):
