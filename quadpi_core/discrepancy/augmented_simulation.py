@@ -147,9 +147,8 @@ class AugmentedSimulation(Simulation):
                 share = max(effect.form, self.tolerances.coefficient)
                 added = share * (whole - self._without(effect).wrench(flight))
                 # Every flight must have the same columns, even one without the effect.
-                for axis in effect.axes:
-                    only = added * (np.array(AXES) == axis)
-                    columns.append(Column(f"{axis} of {effect.name}", only))
+                only = {axis: added * (np.array(AXES) == axis) for axis in effect.axes}
+                columns += [Column(f"{axis} of {effect.name}", wrench) for axis, wrench in only.items()]
         return columns
 
     def departing_from(self, flight: Flight) -> AugmentedSimulation:
@@ -226,11 +225,7 @@ def augmented(discovery: Discovery, without: int | None = None) -> AugmentedSimu
     """The simulation with the effects that were found, and with adjusted coefficients.
 
     Coefficients are adjusted, by their posterior means, where that helps on flights left out, and the
-    discovery does not say otherwise.
-
-    Args:
-        discovery: result of the search.
-        without: index of a flight to leave out of the fit, so that the result can be judged on it.
+    discovery does not say otherwise. The flight at the index `without` has no part in the fit.
 
     Raises:
         DiscrepancyError: where an effect cannot be added to one that the simulation already has.
@@ -252,8 +247,8 @@ def augmented(discovery: Discovery, without: int | None = None) -> AugmentedSimu
         # What is uncertain in the body are small effects rather than coefficients of the simulation.
         for effect, deviation in body_tolerances(simulation.tolerances):
             moved = [deviation * adjusted.pop(f"{effect.name}.{p.name}") for p in effect.parameters]
-            if any(_named(effect.name, moved).values()):
-                effects = merged({effect.name: _named(effect.name, moved)}, effects)
+            small = _named(effect.name, moved)
+            effects = merged({effect.name: small}, effects) if any(small.values()) else effects
     return _added(simulation, effects, adjusted)
 
 
@@ -286,13 +281,9 @@ def merged(one: Effects, other: Effects) -> Effects:
     Raises:
         DiscrepancyError: for two of a kind that do not add up: of different rotors, or tethers.
     """
-    return {
-        name: _sum(effect, one[name], other[name])
-        if name in one and name in other
-        else {**one, **other}[name]
-        for name, effect in EFFECTS.items()
-        if name in one or name in other
-    }
+    both = {**one, **other}
+    both |= {name: _sum(EFFECTS[name], one[name], other[name]) for name in one.keys() & other.keys()}
+    return {name: both[name] for name in EFFECTS if name in both}
 
 
 def _sum(effect: Effect, one: Mapping[str, float], other: Mapping[str, float]) -> dict[str, float]:
@@ -311,9 +302,11 @@ def _sum(effect: Effect, one: Mapping[str, float], other: Mapping[str, float]) -
     parts /= np.array([[abs(p.default) or 1.0] for p in effect.parameters if not p.whole])
     total = parts.sum(axis=1)
     weights = total @ parts / max(float(total @ total), np.finfo(float).tiny)
-    shape = {p.name: weights @ [one.get(p.name, 0.0), other.get(p.name, 0.0)] for p in effect.shape}
-    within = {p.name: float(np.clip(shape[p.name], p.lowest, p.highest)) for p in effect.shape}
-    return added | fixed | {name: value for name, value in within.items() if value}
+    for p in effect.shape:
+        shape = float(weights @ [one.get(p.name, 0.0), other.get(p.name, 0.0)])
+        if shape:
+            added[p.name] = min(max(shape, p.lowest), p.highest)
+    return added | fixed
 
 
 def _added(simulation: Simulation, effects: Effects, adjusted: Mapping[str, float]) -> AugmentedSimulation:

@@ -285,13 +285,9 @@ class RecordedSimulation(Simulation):
             LogError: for bags and samples that cannot be read, and pauses that cannot be bridged.
         """
         flown, wrenches, sums = Vehicle.load(vehicle), {}, np.zeros(4)
+        task, shared = "Reading wrenches", (flown, mapping)
         read = for_each_flight(
-            _wrench_of_flight,
-            bags,
-            shared=(flown, mapping),
-            task="Reading wrenches",
-            workers=Workers(1),
-            left_out=left_out,
+            _wrench_of_flight, bags, shared=shared, task=task, workers=Workers(1), left_out=left_out
         )
         for _, (source, found, rotors) in read:
             wrenches[source] = found

@@ -172,36 +172,50 @@ def test_an_addition_to_a_function(flown, tmp_path, monkeypatch):
     assert left(added, flown(*HIDDEN))[2] < 0.2 * left(simulation, flown(*HIDDEN))[2]
 
 
-def test_effects_add_up_or_are_refused():
-    one = read_effects({"wind": {"north_m_s": 1.0}, "weak_rotor": {"rotor": 2, "loss": 0.1}}, "test")
-    other = read_effects({"wind": {"north_m_s": 0.5, "east_m_s": 1.0}, "payload": None}, "test")
-    both = merged(one, other)
-    assert both["wind"] == {"north_m_s": 1.5, "east_m_s": 1.0, "down_m_s": 0.0}
-    assert list(both) == ["weak_rotor", "payload", "wind"]
+def drag(newtons, **shape):
+    return {"rotor_drag": {"drag_n_s_m": newtons, **shape}}
+
+
+def inertia(x, y):
+    return {"inertia": {"x_change": x, "y_change": y, "z_change": 0.0}}
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "both"),
+    [
+        # What only one has is as it is, in the order in which effects act.
+        (
+            {"wind": {"north_m_s": 1.0}, "weak_rotor": {"rotor": 2, "loss": 0.1, "torque_change": 0.0}},
+            {"wind": {"north_m_s": 0.5, "east_m_s": 1.0}},
+            {
+                "weak_rotor": {"rotor": 2.0, "loss": 0.1, "torque_change": 0.0},
+                "wind": {"north_m_s": 1.5, "east_m_s": 1.0, "down_m_s": 0.0},
+            },
+        ),
+        # The sum stays within bounds.
+        (
+            {"weak_rotor": {"rotor": 2, "loss": 0.1, "torque_change": -0.1}},
+            {"weak_rotor": {"rotor": 2, "loss": 0.95, "torque_change": -0.1}},
+            {"weak_rotor": {"rotor": 2.0, "loss": 1.0, "torque_change": -0.2}},
+        ),
+        # Shapes of one law add up by their sizes.
+        (drag(0.1, shape_u=0.4), drag(0.3), drag(0.4, shape_u=0.1)),
+        (drag(0.1, shape_u=0.4), drag(-0.05), drag(0.05, shape_u=0.8)),
+        (drag(0.1, shape_u=0.4), drag(-0.1), drag(0.0)),
+        # Changes of inertia multiply.
+        (inertia(0.2, -0.1), inertia(0.2, -0.1), inertia(0.44, -0.19)),
+    ],
+)
+def test_effects_add_up(one, other, both):
+    found = merged(read_effects(one, "test"), read_effects(other, "test"))
+    assert list(found) == list(both)
+    assert all(found[name] == pytest.approx(values) for name, values in both.items())
+
+
+def test_an_effect_on_another_rotor_does_not_add_up():
+    one, other = (read_effects({"weak_rotor": {"rotor": rotor}}, "test") for rotor in (2, 3))
     with pytest.raises(DiscrepancyError, match="effect `weak_rotor`: the simulation has one already"):
-        merged(one, read_effects({"weak_rotor": {"rotor": 3}}, "test"))
-    assert merged(one, read_effects({"weak_rotor": {"rotor": 2, "loss": 0.95}}, "test"))["weak_rotor"] == {
-        "rotor": 2.0,
-        "loss": 1.0,
-        "torque_change": -0.2,
-    }
-
-
-def test_shapes_of_one_law_add_up_by_their_sizes():
-    one = read_effects({"rotor_drag": {"drag_n_s_m": 0.1, "shape_u": 0.4}}, "test")
-    other = read_effects({"rotor_drag": {"drag_n_s_m": 0.3}}, "test")
-    both = merged(one, other)["rotor_drag"]
-    assert both == pytest.approx({"drag_n_s_m": 0.4, "shape_u": 0.1})
-    back = read_effects({"rotor_drag": {"drag_n_s_m": -0.05}}, "test")
-    assert merged(one, back)["rotor_drag"] == pytest.approx({"drag_n_s_m": 0.05, "shape_u": 0.8})
-    none = read_effects({"rotor_drag": {"drag_n_s_m": -0.1}}, "test")
-    assert merged(one, none)["rotor_drag"] == {"drag_n_s_m": 0.0}
-
-
-def test_changes_of_inertia_multiply():
-    one = read_effects({"inertia": {"x_change": 0.2, "y_change": -0.1, "z_change": 0.0}}, "test")
-    both = merged(one, one)["inertia"]
-    assert both == pytest.approx({"x_change": 0.44, "y_change": -0.19, "z_change": 0.0})
+        merged(one, other)
 
 
 def test_an_effect_of_nothing_on_sensors_changes_nothing(flown):
