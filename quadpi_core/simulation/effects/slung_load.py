@@ -24,10 +24,11 @@ _SHORTEST_M = 0.05
 
 @effect(
     "wrench",
-    "Fx Fy Fz",
+    "Fx Fy Fz Mx My",
     Parameter("mass_kg", "kg", 0.03, 0.0, 5.0),
     Parameter("length_m", "m", 0.5, _SHORTEST_M, 20.0),
     Parameter("damping_1_s", "1/s", 0.1, 0.0, 5.0),
+    Parameter("hook_m", "m", 0.01, -0.5, 0.5),
     shown_by="lateral stops from two speeds",
     composable=False,
     at_rest=(0.0, 0.0, 1.0, 0.0, 0.0, 0.0),
@@ -35,17 +36,18 @@ _SHORTEST_M = 0.05
     start_spread=(0.5, 0.5, 0.5, 2.0, 2.0, 2.0),
     formula=(
         r"F = T\,R_{BE}\,n,\quad T = m_L\,\max(l\,|\dot n|^2 - n \cdot f,\ 0),\quad "
-        r"\ddot n = -\frac{f - (n \cdot f)\,n}{l} - |\dot n|^2\,n - c\,\dot n"
+        r"\ddot n = -\frac{f - (n \cdot f)\,n}{l} - |\dot n|^2\,n - c\,\dot n,\quad M = (0, 0, h) \times F"
     ),
-    symbols="m_L l c",
+    symbols="m_L l c h",
 )
 @njit(cache=True)
 def slung_load(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
-    """A load on a cable from the centre of gravity: a spherical pendulum that the vehicle's motion drives.
+    """A load on a cable below the centre of gravity: a spherical pendulum that the vehicle's motion drives.
 
     n is the direction from the vehicle to the load, in the world, and f the specific force of the vehicle
-    there, with the pull of the cable, whose tension T is 0 where it would push. The cable has no mass and
-    stays taut. Its own state is n and its derivative. Size: 30 g on half a metre, 0.3 N.
+    there, with the pull of the cable, whose tension T is 0 where it would push. The cable has no mass, stays
+    taut, and pulls at a hook so near the centre of gravity that it moves alike. Its own state is n and its
+    derivative. Size: 30 g on half a metre, 0.3 N.
     """
     mass, length, damping = p[0], max(p[1], _SHORTEST_M), p[2]
     memory, slope = state.memory, state.memory_slope
@@ -75,4 +77,4 @@ def slung_load(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     slope[4] = -(fy - pulled * ny) / length - turning * ny - damping * vy
     slope[5] = -(fz - pulled * nz) / length - turning * nz - damping * vz
     x, y, z = world_to_body(state.attitude, tension * nx, tension * ny, tension * nz)
-    return x, y, z, 0.0, 0.0, 0.0
+    return x, y, z, -p[3] * y, p[3] * x, 0.0

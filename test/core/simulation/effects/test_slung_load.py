@@ -17,7 +17,7 @@ from quadpi_core.simulation.truth import STEP_HZ, Reference
 
 from ..two_bodies import ATTITUDE, flown
 
-LOAD = {"mass_kg": 0.03, "length_m": 0.5, "damping_1_s": 0.0}
+LOAD = {"mass_kg": 0.03, "length_m": 0.5, "damping_1_s": 0.0, "hook_m": 0.0}
 STEP_S = 0.004
 
 
@@ -65,6 +65,12 @@ def test_without_swing_it_is_a_mass_more(record):
     force = np.array([[0.3, -0.2, -4.0]])
     added = effect_wrench("slung_load", LOAD, pushed(force, 1.0), record)[:, :3]
     np.testing.assert_allclose(added @ matrix(ATTITUDE).T, -0.03 / record["mass"] * force, rtol=1e-12)
+
+
+def test_a_hook_below_the_centre_of_gravity_turns_the_vehicle(record):
+    states = pushed(np.array([[0.3, -0.2, -4.0]]), 1.0)
+    added = effect_wrench("slung_load", {**LOAD, "hook_m": 0.02}, states, record)
+    np.testing.assert_allclose(added[:, 3:], np.cross([0.0, 0.0, 0.02], added[:, :3]), atol=1e-15)
 
 
 def test_no_cable_pushes(record):
