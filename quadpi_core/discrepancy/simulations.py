@@ -220,6 +220,11 @@ class VehicleSimulation(Simulation):
     memoryless = attribute_of("model.memoryless")
     record = attribute_of("model.record")
 
+    def __post_init__(self) -> None:
+        """Take from the tolerances what a fit of the coefficients, with its covariance, knows better."""
+        if self.model.covariance_known:
+            object.__setattr__(self, "tolerances", replace(self.tolerances, thrust=0.0))
+
     @classmethod
     def load(cls, name_or_path: str | Path) -> VehicleSimulation:
         """Read a vehicle file with the section `simulation`, or a model folder; without effects in it."""

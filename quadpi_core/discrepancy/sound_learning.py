@@ -2,12 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Learn what sound flights leave of a model that was identified without them: its noise and known errors.
 
-The residual of a flight is y = X (a + c) + e. Columns X are one prior deviation of each parameter of all
-effects; a is shared by all flights and c is of one alone, both normal with a variance for each parameter that
-is zero for most; e is noise with a variance for each axis and band of frequency. The variances are those of
-the largest evidence: parameters enter one at a time (Tipping, Faul, Fast marginal likelihood maximisation for
-sparse Bayesian models, 2003), and all are estimated again by fixed-point iteration (MacKay, Bayesian
-interpolation, 1992). A search that weighs by them finds an effect where flights show more of it than these.
+The residual of a flight is y = X (a + c) + T t + e. Columns X are one prior deviation of each parameter of
+all effects; a is shared by all flights and c is of one alone, both normal with a variance for each parameter
+that is zero for most. Columns T are one standard deviation of what the other flights leave open of the model,
+so t is standard normal: a model of two flights errs more on the next than one of ten. The rest, e, is noise
+with a variance for each axis and band of frequency. The variances are those of the largest evidence:
+parameters enter one at a time (Tipping, Faul, Fast marginal likelihood maximisation for sparse Bayesian
+models, 2003), and all are estimated again by fixed-point iteration (MacKay, Bayesian interpolation, 1992). A
+search that weighs by them finds an effect where flights show more of it than these.
 """
 
 from __future__ import annotations
@@ -23,6 +25,7 @@ from scipy.stats import t as student
 from threadpoolctl import threadpool_limits
 
 from quadpi_core import array_checks
+from quadpi_core.discrepancy.acceptance import FEW_FLIGHTS
 from quadpi_core.discrepancy.candidates import candidates, linearise
 from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.evidence import Indices
@@ -67,8 +70,8 @@ def learned_from(
 ) -> AerodynamicModel:
     """The model with what the flights that it was identified on leave of it, each where it was left out.
 
-    A model that is no simulation of all axes, of one flight, or of flights made of arrays knows nothing of
-    that and stays as it is.
+    A model that is no simulation of all axes, of few flights, or of flights made of arrays knows nothing of
+    that and stays as it is: without one of three flights the others make a worse model, not the same.
 
     Args:
         model: as `identify` gives it, before it is saved.
@@ -81,7 +84,8 @@ def learned_from(
     """
     array_checks.instance("model", model, AerodynamicModel, LOAD_MODEL)
     flights = array_checks.several("flights", flights, PreparedFlight, PREPARE_FLIGHTS)
-    if len(model.left_out) != len(flights) or len(model.axes) < len(AXES):
+    few = len(flights) < FEW_FLIGHTS.value
+    if few or len(model.left_out) != len(flights) or len(model.axes) < len(AXES):
         return model
     vehicle = model.load_vehicle()
     whole = simulation_of(model.simulation_section(), vehicle)
@@ -93,10 +97,13 @@ def learned_from(
             if prepared.flight is None:
                 return model
             flight = longest_stretch(prepared.flight)
-            compared = Compared(flight, whole)
-            left = Compared(flight, simulation_of(section, vehicle)).residual
+            compared, without = Compared(flight, whole), Compared(flight, simulation_of(section, vehicle))
             columns = [linearise(own, [compared], np.zeros(len(own.free)))[0][1] for own in sought]
-            spectra.append(compared.spectrum(np.concatenate((left[:, :, np.newaxis], *columns), axis=2)))
+            # What the other flights leave open of the coefficients is in these residuals, and in no search,
+            # which has coefficients of its own.
+            uncertain = [column.wrench[:, :, np.newaxis] for column in without.uncertain()]
+            rows = np.concatenate((without.residual[:, :, np.newaxis], *columns, *uncertain), axis=2)
+            spectra.append(compared.spectrum(rows))
         progress(Progress("Learning what sound flights leave", len(flights), len(flights)))
         names = tuple((own.label, own.effect.parameters[k].name) for own in sought for k in own.free)
         return replace(model, sound=learned(spectra, names, np.concatenate([own.scale for own in sought])))
@@ -106,27 +113,28 @@ def learned(spectra: Sequence[Spectrum], names: Sequence[tuple[str, str]], scale
     """What flights leave, by spectra of their residual and of K columns.
 
     Args:
-        spectra: of each of F > 1 flights, rows (6, B, 1 + K).
+        spectra: of each of F > 1 flights, rows (6, B, 1 + K + T); T columns are what is open of the model.
         names: of K parameters: the candidate of a search, and its parameter.
         scale: (K,) prior deviation of each, which its column is for, in its unit.
     """
     bands = len(EDGES_HZ.value) - 1
-    width = 1 + len(names)
+    width = spectra[0].rows.shape[2]
     products = np.zeros((len(spectra), len(AXES), bands, width, width))
     for own, flight in zip(products, spectra, strict=True):
         of_flight = band_products([flight])
         own[:, : of_flight.shape[1]] = of_flight
     rows = np.array([np.bincount(own.band, minlength=bands) for own in spectra])
-    found, posterior = _variances(products, rows.astype(float))
+    found, posterior = _variances(products, rows.astype(float), len(names))
+    squared = _beside_what_is_open(products, posterior, len(names))
     # A band that no flight is long or fast enough for has the noise of the next.
     filled = np.flatnonzero(rows.sum(axis=0))
-    left = products[..., 0, 0].sum(axis=0)[:, filled] / rows.sum(axis=0)[filled]
+    left = squared.sum(axis=0)[:, filled] / rows.sum(axis=0)[filled]
     noise, left = (
         np.stack([np.interp(np.arange(bands), filled, own) for own in each])
         for each in (found.noise[:, filled], left)
     )
-    squares = np.sum(products[..., 0, 0] / left, axis=2) / rows.sum(axis=1)[:, np.newaxis]
-    known = np.flatnonzero((found.common > 0.0) | (found.of_flight > 0.0))
+    squares = np.sum(squared / left, axis=2) / rows.sum(axis=1)[:, np.newaxis]
+    known = np.flatnonzero((found.common + found.of_flight)[: len(names)])
     mean, covariance = np.zeros(len(scale)), np.zeros((len(scale), len(scale)))
     mean[posterior.common] = posterior.mean
     covariance[np.ix_(posterior.common, posterior.common)] = posterior.covariance + posterior.jackknife
@@ -145,7 +153,7 @@ def learned(spectra: Sequence[Spectrum], names: Sequence[tuple[str, str]], scale
 
 
 class _Variances(NamedTuple):
-    """Variances of the noise (6, C), and of the K columns (K,): shared by all flights, and of each."""
+    """Variances of the noise (6, C), and of K + T columns: shared by all flights, and of each."""
 
     noise: Array
     common: Array
@@ -196,6 +204,11 @@ class _Posterior:
         mean: Array = self.covariance @ self.projection
         return mean
 
+    def of_flight(self, flight: _OfFlight) -> tuple[Array, Array]:
+        """Mean (m,) and covariance (m, m) of the coefficients that a flight has of its own."""
+        values = flight.covariance @ flight.gram[1 + self.own, 0] - flight.gain.T @ self.mean
+        return values, flight.covariance + flight.gain.T @ self.covariance @ flight.gain
+
     @property
     def jackknife(self) -> Array:
         """Covariance (n, n) of the shared coefficients by their fits without each flight in turn."""
@@ -211,17 +224,21 @@ class _Posterior:
         return covariance
 
 
-def _variances(products: Array, rows: Array) -> tuple[_Variances, _Posterior]:
+def _variances(products: Array, rows: Array, sought: int) -> tuple[_Variances, _Posterior]:
     """Variances of the largest evidence that also predict flights left out, and the posterior under them.
 
     Args:
-        products: (F, 6, C, 1 + K, 1 + K) of the residual and the columns of each flight and band.
+        products: (F, 6, C, 1 + K + T, 1 + K + T) of the residual and the columns of each flight and band.
         rows: (F, C) of each flight.
+        sought: K.
     """
     columns, counts = products.shape[-1] - 1, np.maximum(rows.sum(axis=0), 1.0)
     noise = np.maximum(products[..., 0, 0].sum(axis=0) / counts, np.finfo(float).tiny)
-    found, posterior = _settled(products, counts, _Variances(noise, np.zeros(columns), np.zeros(columns)))
-    before, tried = _left_out(found, posterior, rows), np.zeros(columns, dtype=np.bool_)
+    is_open = np.arange(columns) >= sought
+    found, posterior = _settled(
+        products, counts, _Variances(noise, np.zeros(columns), is_open.astype(float)), is_open
+    )
+    before, tried = _left_out(found, posterior, rows), is_open.copy()
     while True:
         gain, start, shared = _gains(found, posterior)
         gain[tried] = -np.inf
@@ -233,16 +250,34 @@ def _variances(products: Array, rows: Array) -> tuple[_Variances, _Posterior]:
         larger.common[best] = max(found.common[best], start[best])
         own = start[best] * (_AT_FIRST if shared[best] else 1.0)
         larger.of_flight[best] = max(found.of_flight[best], own)
-        larger, changed = _settled(products, counts, larger)
+        larger, changed = _settled(products, counts, larger, is_open)
         after = _left_out(larger, changed, rows)
         if predicts(after - before):
             found, posterior, before = larger, changed, after
 
 
-def _settled(products: Array, counts: Array, variances: _Variances) -> tuple[_Variances, _Posterior]:
+def _settled(
+    products: Array, counts: Array, variances: _Variances, is_open: npt.NDArray[np.bool_]
+) -> tuple[_Variances, _Posterior]:
+    """The variances estimated again, but for those (K + T,) of what is open, and the posterior under them."""
     for _ in range(_ROUNDS):
         variances = _renewed(products, counts, variances, _posterior(products, variances))
+        variances.of_flight[is_open] = 1.0
     return variances, _posterior(products, variances)
+
+
+def _beside_what_is_open(products: Array, posterior: _Posterior, sought: int) -> Array:
+    """Mean squares (F, 6, C) of the residual of each flight less what is open of the model, times rows."""
+    is_open = posterior.own >= sought
+    used = np.concatenate(([0], 1 + posterior.own[is_open]))
+    squares = []
+    for product, flight in zip(products, posterior.flights, strict=True):
+        values, spread = posterior.of_flight(flight)
+        weights = np.concatenate(([1.0], -values[is_open]))
+        moment = np.outer(weights, weights)
+        moment[1:, 1:] += spread[np.ix_(is_open, is_open)]
+        squares.append(np.einsum("acij,ij->ac", product[:, :, used[:, np.newaxis], used], moment))
+    return np.array(squares)
 
 
 def predicts(gained: Array) -> bool:
@@ -298,8 +333,7 @@ def _renewed(products: Array, rows: Array, found: _Variances, posterior: _Poster
     noise = np.zeros_like(found.noise)
     used = np.concatenate(([0], 1 + common, 1 + own))
     for product, flight in zip(products, posterior.flights, strict=True):
-        values = flight.covariance @ flight.gram[1 + own, 0] - flight.gain.T @ mean
-        spread = flight.covariance + flight.gain.T @ covariance @ flight.gain
+        values, spread = posterior.of_flight(flight)
         between = -covariance @ flight.gain
         weights = np.concatenate(([1.0], -mean, -values))
         moment = np.outer(weights, weights)

@@ -4,13 +4,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from quadpi_core.discrepancy import discover, load_simulation
-from quadpi_core.discrepancy.sound_learning import learned
+from quadpi_core.discrepancy.sound_learning import learned, learned_from
 from quadpi_core.discrepancy.whitening import EDGES_HZ, Spectrum
-from quadpi_core.identification.prepared_flights import read_flight
+from quadpi_core.identification.prepared_flights import PreparedFlight, read_flight
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.paths import bags_directory
 
@@ -54,6 +56,26 @@ def test_an_error_of_all_flights_one_of_each_and_the_noise_are_told_apart():
 @pytest.mark.parametrize("seed", range(5))
 def test_noise_alone_has_no_known_errors(seed):
     assert learned(spectra(seed=seed), NAMES, SCALE).names == ()
+
+
+def test_what_a_fit_without_a_flight_leaves_open_is_no_noise():
+    rng = np.random.default_rng(1)
+    flights = []
+    for flight in spectra():
+        open_ = 3.0 * np.sqrt(NOISE[:, flight.band]) * rng.standard_normal(flight.rows.shape[:2])
+        rows = np.dstack((flight.rows, open_))
+        rows[:, :, 0] += rng.standard_normal() * open_
+        flights.append(Spectrum(rows, flight.band))
+    sound = learned(flights, NAMES, SCALE)
+    assert sound.names == ()
+    for found in (sound.noise, sound.left):
+        assert np.mean(found / NOISE) == pytest.approx(1.0, abs=0.03)
+
+
+def test_three_flights_do_not_tell_what_sound_flights_leave(physical_folder):
+    model = AerodynamicModel.load(physical_folder)
+    few = [object.__new__(PreparedFlight)] * 3
+    assert learned_from(replace(model, sound=None, left_out=({},) * 3), few).sound is None
 
 
 def test_a_band_that_no_flight_reaches_has_the_noise_of_the_next():
