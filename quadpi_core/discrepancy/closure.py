@@ -54,9 +54,10 @@ def law_fit(regression: Regression, chosen: Sequence[int], without: int | None =
 def left_out_squares(regression: Regression, chosen: Sequence[int]) -> Array:
     """Squares (6,) of the flights, each after the fit of all others by the laws, in variances of the noise.
 
-    They are 0 in axes that say nothing about effects, see :meth:`Regression.of`.
+    They are 0 in axes that say nothing about effects, see :meth:`Regression.of`. What a flight may have of
+    its own is left out, however large.
     """
-    squares = np.zeros(len(AXES))
+    regression, squares = regression.varied, np.zeros(len(AXES))
     for place, band in enumerate(regression.columns.bands):
         left = regression.left_of(place, law_fit(regression, chosen, place).left)
         squares += np.sum(np.square(left) * regression.weighting.precision[:, band], axis=1)

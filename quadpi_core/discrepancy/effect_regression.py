@@ -30,6 +30,14 @@ _ROUNDS = 3
 _CONDITION_ROUNDS, _LEAST_DIFFERENCE = 12, 1e-4
 # Precision of what flights share of it, in prior ones.
 _FREE = 1e-4
+TAILS = Threshold(
+    "tails of what flights have of their own",
+    1.0,
+    "degrees of freedom of Student's t",
+    "most flights are alike, and one with a turned IMU differs by ten times as much: it must not hide "
+    "what the others share",
+    CONVENTION,
+)
 # Axes of a simulation that states no intervals.
 NONE_HELD = np.zeros(len(AXES), dtype=np.bool_)
 SMALL_STEP = Threshold(
@@ -117,7 +125,7 @@ class Condition:
 
     Attributes:
         index: of the candidate.
-        sizes: (k,) standard deviation of each parameter between flights, in prior ones.
+        sizes: (F, k) standard deviation of each parameter of each flight about what all share, in prior ones.
     """
 
     index: int
@@ -158,7 +166,7 @@ class Regression:
         """
         columns = Linearisation.of(flights, candidates)
         explained = tuple(_rows(flight, flight.expected_measured) for flight in flights)
-        sound = _in_bands(columns)
+        sound = in_bands(columns)
         if sound is not None:
             # Its known errors were found with columns of the accelerations that the simulation expects.
             return cls(columns, NoiseWeighting.of(columns, sound.noise, held), explained)
@@ -194,7 +202,7 @@ class Regression:
     @property
     def sound(self) -> SoundFlights | None:
         """What sound flights leave of the simulation, in the bands of the columns; None where unknown."""
-        return _in_bands(self.columns)
+        return in_bands(self.columns)
 
     @property
     def candidates(self) -> tuple[Candidate, ...]:
@@ -249,10 +257,7 @@ class Regression:
         An error of a law would otherwise be explained by another effect. Columns of mass and inertia are made
         of the accelerations that the set explains. What flights may have of their own is no noise.
         """
-        varied = self
-        for index in self.conditions_to_come:
-            sizes = np.ones(len(self.block(index).parameters))
-            varied = replace(varied, columns=varied.columns.with_flights_own(index, sizes))
+        varied = replace(self, columns=self._with_all_conditions)
         left = band_means([np.square(rows) for rows in varied.left(found)], self.columns.bands)
         accelerated = self.accelerated(found)
         if self.sound is not None:
@@ -261,6 +266,20 @@ class Regression:
         left[self.weighting.held] = 0.0
         noise = np.maximum(_estimated_noise(accelerated.columns, chosen), left)
         return accelerated.weighted(np.minimum(noise, _residual_squares(self.columns)))
+
+    @property
+    def _with_all_conditions(self) -> Linearisation:
+        columns = self.columns
+        for index in self.conditions_to_come:
+            sizes = np.ones((len(self.flights), len(self.block(index).parameters)))
+            columns = columns.with_flights_own(index, sizes)
+        return columns
+
+    @cached_property
+    def varied(self) -> Regression:
+        """The regression with all that flights may have of their own as noise, however large."""
+        columns = self._with_all_conditions
+        return self if columns is self.columns else replace(self, columns=columns).weighted(self.noise)
 
     @property
     def conditions_to_come(self) -> list[int]:
@@ -323,10 +342,11 @@ class Regression:
         return covariance @ np.einsum("eab,ab->e", weighed, rows), covariance
 
     def sizes_of_condition(self, index: int, chosen: Sequence[int]) -> Array:
-        """Standard deviations (k,) by which flights differ in the parameters of a candidate, in prior ones.
+        """Standard deviations (F, k) of the parameters of a candidate that each flight has, in prior ones.
 
         Those of the largest evidence beside a set and what flights share of the same parameters, by
-        expectation and maximisation: an effect that all flights have is no condition of one.
+        expectation and maximisation for a Student's t: an effect that all flights have is no condition of
+        one, and a flight that differs by much says nothing of the others.
         """
         own = self.block(index).parameters
         parameters = [self.block(one).parameters for one in chosen if one != index]
@@ -334,30 +354,35 @@ class Regression:
         residual = residual_weights(len(self.gram), [self.block(one) for one in chosen])
         # However large what flights share is, it is no difference between them.
         prior = np.diag(np.where(np.isin(shared, own), _FREE, 1.0))
-        sizes = np.ones(len(own))
+        sizes = np.ones((len(self.flights), len(own)))
+        typical = np.ones(len(own))
         for _ in range(_CONDITION_ROUNDS):
             information, projection, inner = prior.copy(), np.zeros(len(shared)), []
-            for gram in self.weighting.per_flight:
-                solved = np.linalg.inv(gram[np.ix_(own, own)] + np.diag(1.0 / np.square(sizes)))
+            for gram, size in zip(self.weighting.per_flight, sizes, strict=True):
+                solved = np.linalg.inv(gram[np.ix_(own, own)] + np.diag(1.0 / np.square(size)))
                 gain = gram[np.ix_(shared, own)] @ solved
                 information += gram[np.ix_(shared, shared)] - gain @ gram[np.ix_(own, shared)]
                 projection += gram[shared] @ residual - gain @ (gram[own] @ residual)
                 inner.append((solved, gain, gram[own] @ residual))
             covariance = np.linalg.inv(information)
             mean = covariance @ projection
-            squares = np.zeros(len(own))
-            for solved, gain, seen in inner:
-                squares += np.square(solved @ seen - gain.T @ mean)
-                squares += np.diag(solved + gain.T @ covariance @ gain)
-            sizes = np.clip(np.sqrt(squares / len(inner)), _LEAST_DIFFERENCE, 1.0)
+            squares = np.array(
+                [
+                    np.square(solved @ seen - gain.T @ mean) + np.diag(solved + gain.T @ covariance @ gain)
+                    for solved, gain, seen in inner
+                ]
+            )
+            weights = student_weights(squares / np.square(typical))
+            typical = np.maximum(np.sqrt(np.mean(weights * squares, axis=0)), _LEAST_DIFFERENCE)
+            sizes = np.clip(typical / np.sqrt(weights), _LEAST_DIFFERENCE, 1.0)
         return sizes
 
     def gain_of_condition(self, index: int, sizes: Array, chosen: Sequence[int], found: Fit) -> float:
         """Evidence [nat] that flights of their own parameters of a candidate gain beside a fitted set."""
         own, deflated, cost = self.block(index).parameters, np.zeros_like(self.gram), 0.0
-        for gram in self.weighting.per_flight:
-            columns = gram[:, own] * sizes
-            inner = columns[own] * sizes[:, np.newaxis] + np.eye(len(own))
+        for gram, size in zip(self.weighting.per_flight, sizes, strict=True):
+            columns = gram[:, own] * size
+            inner = columns[own] * size[:, np.newaxis] + np.eye(len(own))
             deflated += gram - columns @ np.linalg.solve(inner, columns.T)
             cost += 0.5 * float(np.linalg.slogdet(inner)[1])
         fit = self.fit(chosen, deflated)
@@ -378,9 +403,9 @@ class Regression:
         """
         later = self.conditions[self.conditions.index(condition) :]
         mean, covariance = self.flights_own(place, weights)
-        first = len(mean) - sum(len(one.sizes) for one in later)
-        own = slice(first, first + len(condition.sizes))
-        units = condition.sizes * self.candidates[condition.index].scale
+        first = len(mean) - sum(one.sizes.shape[1] for one in later)
+        own = slice(first, first + condition.sizes.shape[1])
+        units = condition.sizes[place] * self.candidates[condition.index].scale
         return mean[own] * units, np.sqrt(np.diag(covariance)[own]) * units
 
     def loudness(self, index: int, found: Fit) -> float:
@@ -429,7 +454,13 @@ class Regression:
         return self.columns.combined(place, weights)
 
 
-def _in_bands(columns: Linearisation) -> SoundFlights | None:
+def student_weights(squares: Array) -> Array:
+    """Weights of deviations with these squares, in typical ones, by the tails of Student's t."""
+    weights: Array = (TAILS.value + 1.0) / (TAILS.value + squares)
+    return weights
+
+
+def in_bands(columns: Linearisation) -> SoundFlights | None:
     """What sound flights leave of the simulation, in the bands that are compared."""
     sound = columns.flights[0].simulation.sound
     bands = 1 + max(int(band.max()) for band in columns.bands)

@@ -243,11 +243,11 @@ class Linearisation:
 
         Args:
             index: of the candidate.
-            sizes: (k,) standard deviation of each parameter, in prior ones.
+            sizes: (F, k) standard deviation of each parameter of each flight, in prior ones.
         """
         columns = self.blocks[index].parameters
         errors = [
-            np.concatenate((own, self.rows(place, columns) * sizes), axis=2)
+            np.concatenate((own, self.rows(place, columns) * sizes[place]), axis=2)
             for place, own in enumerate(self.errors)
         ]
         return replace(self, errors=tuple(errors))

@@ -134,13 +134,6 @@ class Found:
     def _deviation(self, index: int) -> Array:
         return self.fit.deviation(self.regression.block(index).parameters)
 
-    def gap(self, *, adjusted: bool = True) -> Gap:
-        """The gap of flights left out, see :meth:`Closing.gap`; what sensors do not explain is no floor."""
-        if self._as_sound is not None:
-            return self.closing.gap(self._as_sound, np.zeros(len(AXES)), adjusted=adjusted)
-        noise = np.minimum(self.regression.noise, self.sensors)
-        return self.closing.gap(noise, self.stated, adjusted=adjusted)
-
     @cached_property
     def _as_sound(self) -> Array | None:
         """Variance (6, C) that as many sound flights leave at most; None where none are known."""
@@ -149,9 +142,15 @@ class Found:
             return None
         # Both means vary, of these flights and of the sound ones.
         error = sound.differ * np.sqrt(1.0 / len(self.regression.flights) + 1.0 / sound.flights)
-        more = 1.0 + MORE_THAN_SOUND.value * error
-        allowed: Array = sound.left * more[:, np.newaxis]
+        allowed: Array = sound.left * (1.0 + MORE_THAN_SOUND.value * error)[:, np.newaxis]
         return allowed
+
+    def gap(self, *, adjusted: bool = True) -> Gap:
+        """The gap of flights left out, see :meth:`Closing.gap`; what sensors do not explain is no floor."""
+        if self._as_sound is not None:
+            return self.closing.gap(self._as_sound, np.zeros(len(AXES)), adjusted=adjusted)
+        noise = np.minimum(self.regression.noise, self.sensors)
+        return self.closing.gap(noise, self.stated, adjusted=adjusted)
 
     @property
     def beyond_sound(self) -> Array:
@@ -203,26 +202,15 @@ def search(
     idle: frozenset[int] = frozenset()
     gain = 0.0
     judgements: list[Judgement] = []
-    while True:
-        condition, gained = _best_condition(accepted, threshold)
-        fits = _fits_with_one_more(accepted) if len(accepted.chosen) < MOST_EFFECTS.value else []
-        most = max((fit.log_evidence for _, fit in fits if fit is not None), default=-np.inf)
-        larger, more = None, 0.0
-        if fits and most - accepted.fit.log_evidence >= gained:
-            larger, more, judged = _one_more(accepted, fits, threshold, idle)
-            judgements += judged
-        if larger is None and condition is not None:
-            # It gains more than any effect, or those that gain more were refused.
-            larger = _with_condition(accepted, condition)
-        if larger is None:
-            break
+    disputed: tuple[str, ...] = ()
+    for _ in range(MOST_EFFECTS.value):
+        accepted, more, idle, judged = _grown(accepted, threshold, idle)
+        exchanged, swapped, disputed = _exchanged(accepted, threshold)
         gain += more
-        accepted, dropped = without_idle(larger, threshold)
-        judgements += dropped
-        # A dropped effect is not tried again: two effects could replace each other forever.
-        idle |= set(larger.chosen) - set(accepted.chosen)
-    accepted, swapped, disputed = _exchanged(accepted, threshold)
-    judgements += swapped
+        judgements += [*judged, *swapped]
+        if exchanged.chosen == accepted.chosen:
+            break
+        accepted = exchanged
     # First, as only the chosen get columns beside other coefficients, which no rival has.
     rivals = _rivals(accepted)
     accepted = _with_fitted_coefficients(accepted)
@@ -241,6 +229,38 @@ def search(
         judgements=tuple(judgements),
         disputed=disputed,
     )
+
+
+def _grown(
+    accepted: Accepted, threshold: float, idle: frozenset[int]
+) -> tuple[Accepted, float, frozenset[int], list[Judgement]]:
+    """The set with all effects and conditions that one after the other gain the most and pass all tests.
+
+    Returns:
+        The set, the evidence that was gained [nat], effects that became idle, which are not tried again, and
+        all judgements.
+    """
+    gain = 0.0
+    judgements: list[Judgement] = []
+    while True:
+        condition, gained = _best_condition(accepted, threshold)
+        fits = _fits_with_one_more(accepted) if len(accepted.chosen) < MOST_EFFECTS.value else []
+        most = max((fit.log_evidence for _, fit in fits if fit is not None), default=-np.inf)
+        larger, more = None, 0.0
+        if fits and most - accepted.fit.log_evidence >= gained:
+            larger, more, judged = _one_more(accepted, fits, threshold, idle)
+            judgements += judged
+        if larger is None and condition is not None:
+            # It gains more than any effect, or those that gain more were refused.
+            larger = _with_condition(accepted, condition)
+        if larger is None:
+            break
+        gain += more
+        accepted, dropped = without_idle(larger, threshold)
+        judgements += dropped
+        # A dropped effect is not tried again: two effects could replace each other forever.
+        idle |= set(larger.chosen) - set(accepted.chosen)
+    return accepted, gain, idle, judgements
 
 
 def _best_condition(accepted: Accepted, threshold: float) -> tuple[Condition | None, float]:

@@ -30,7 +30,7 @@ from quadpi_core.discrepancy.by_condition import (
 )
 from quadpi_core.discrepancy.candidates import Part, candidates, part_columns, typical_sizes
 from quadpi_core.discrepancy.discrepancy_result import OfFlight
-from quadpi_core.discrepancy.effect_regression import settled
+from quadpi_core.discrepancy.effect_regression import settled, student_weights
 from quadpi_core.discrepancy.effect_response import Compared, predicted_flight, quiet
 from quadpi_core.discrepancy.evidence import Fit
 from quadpi_core.discrepancy.loading import load_simulation
@@ -100,6 +100,7 @@ def accepted(*, size=1.0, loudness=1.0, instead="", squares=99.0):
         fit=lambda *_, **__: plain,
         beside=lambda *_: regression,
     )
+    regression.varied = regression
     none = plain._replace(log_evidence=0.0)
     trial = Trial(regression, (), none, 0, plain, 8.0, lambda: np.zeros(6), instead=instead)
     trial.__dict__["refined"] = (regression, plain)
@@ -599,6 +600,8 @@ EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
     ),
     "SMALL_STEP": (0.05, lambda x: settled(OneStep(x)).moves > 1),
     "MORE_THAN_SOUND": (2.0, beyond_sound),
+    # A deviation of three typical ones counts half.
+    "TAILS": (1.0, lambda x: student_weights(2.0 + x) < 0.5),
     "SHOWN": (5.0, known_error),
     "BETTER": (0.95, explained_better),
     "LARGEST": (5.0, lambda x: accepted(size=x, instead="other")),

@@ -150,6 +150,7 @@ def rotor_speed_scale(recording: Recording, vehicle: Vehicle, p: Array) -> Recor
     shown_by="fast doublets and angular chirps",
     formula=r"\omega'(t) = \omega(t - \tau_\omega),\quad x'(t) = x(t - \tau_x)",
     symbols=r"\tau_\omega \tau_x",
+    of_a_flight="the clocks of a log",
 )
 def sensor_delay(recording: Recording, vehicle: Vehicle, p: Array) -> Recording:  # noqa: ARG001
     """Rotor speeds and motion capture (or a fused state) are stamped late, relative to the IMU.

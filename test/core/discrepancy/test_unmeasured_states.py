@@ -133,7 +133,7 @@ def swung():
 def found(flight, record, residual=None, length=0.5):
     states = flight.states(measured=True)
     left = flight.pull_in_body() if residual is None else residual
-    return started(LOAD, np.array([9.9, length, 0.0]), states, record, left, STEP_S)
+    return started(LOAD, np.array([9.9, length, 0.0, 0.0]), states, record, left, STEP_S)
 
 
 def test_direction_rate_and_mass_are_found(swung, record):
@@ -147,7 +147,7 @@ def test_direction_rate_and_mass_are_found(swung, record):
 
 def test_what_follows_is_the_flight(swung, record):
     """Twenty seconds of a swing from the state that was found."""
-    parameters = {"mass_kg": 0.03, "length_m": 0.5, "damping_1_s": 0.0}
+    parameters = {"mass_kg": 0.03, "length_m": 0.5, "damping_1_s": 0.0, "hook_m": 0.0}
     start = found(swung, record)
     own = with_memory("slung_load", parameters, swung.states(measured=True), record, start.memory, STEP_S)
     added = effect_wrench("slung_load", parameters, own, record)
@@ -175,11 +175,11 @@ def test_nothing_to_explain_gives_no_strength(swung, record):
 def test_a_swing_faster_than_the_samples_stays_finite(swung, record, length):
     states = swung.states(measured=True)
     states["wrench"][:, :3] *= 1.0 + 5.0 * np.sin(30.0 * swung.time)[:, np.newaxis]
-    parameters = {"mass_kg": 0.03, "length_m": length, "damping_1_s": 0.0}
+    parameters = {"mass_kg": 0.03, "length_m": length, "damping_1_s": 0.0, "hook_m": 0.0}
     aside = np.array([1.0, 0.0, 0.1, 0.0, 5.0, 0.0])
     own = with_memory("slung_load", parameters, states, record, aside, STEP_S)
     assert np.all(np.isfinite(own["memory"]))
-    start = started(LOAD, np.array([1.0, length, 0.0]), states, record, swung.pull_in_body(), STEP_S)
+    start = started(LOAD, np.array([1.0, length, 0.0, 0.0]), states, record, swung.pull_in_body(), STEP_S)
     assert np.all(np.isfinite([*start.memory, start.strength, start.explained, start.cost]))
 
 
@@ -259,8 +259,10 @@ def test_the_load_of_real_flights_is_found(shared_data, tmp_path, quadpi):
         "--json",
         result,
     )
-    (load,) = json.loads(result.read_text())["effects"]
+    load, *hook = json.loads(result.read_text())["effects"]
     values = {name: parameter["value"] for name, parameter in load["parameters"].items()}
     assert load["name"] == "slung_load"
     assert values["mass_kg"] == pytest.approx(4.7e-3, rel=0.1)
     assert values["length_m"] == pytest.approx(0.52, rel=0.1)
+    # The weight of what is fixed to the vehicle, as less thrust: these effects have no payload.
+    assert [effect["name"] for effect in hook] in ([], ["thrust_coefficient"])

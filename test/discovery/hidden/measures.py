@@ -116,14 +116,14 @@ def figures(findings: Sequence[Finding]) -> list[Figure]:
     changed = [f for f in findings if f.case.kind in {SINGLE, PAIR, CONDITION}]
     loaded = [f for f in findings if "slung_load.mass_kg" in f.truth.parameters]
     brushed = [f for f in findings if f.case.kind == REAL and f not in loaded]
-    told = [f for f in loaded if f.found]
+    told = [f for f in loaded if _load_named(f)]
     inside = [own for f in findings if f.case.kind in {SINGLE, PAIR} and f.found for own in f.answer.inside]
     alarms = [f.answer.verdict == "effects" for f in nulls]
     worse = [bool(f.answer.worse) for f in findings if f.answer.left is not None]
     missed = [f.answer.verdict == "none" for f in findings if f.broken]
 
     def figure(name: str, hits: Iterable[bool], goal: float, *, at_most: bool = False) -> Figure:
-        found = list(hits)
+        found = [bool(hit) for hit in hits]
         return Binomial(name, sum(found), len(found), goal, at_most)
 
     return [
@@ -137,7 +137,9 @@ def figures(findings: Sequence[Finding]) -> list[Figure]:
         figure("an interval is broken: `none`", missed, 0.0, at_most=True),
         figure("parameters inside their interval of 95 %", inside, 0.9),
         figure("additions that make flights left out or roll-outs worse", worse, 0.0, at_most=True),
-        figure("real load: `slung_load`, alone or with its hook", (f.found for f in loaded), 0.9),
+        figure("real load: `effects` with `slung_load`", map(_load_named, loaded), 0.9),
+        figure("… nothing else but its hook, a `payload`", (f.found for f in loaded), 0.9),
+        figure("… and its hook as well", (f.found and "payload" in f.answer.named for f in loaded), 0.9),
         figure("… its mass within 15 %", (f.within("slung_load.mass_kg", _MASS) for f in told), 0.9),
         figure("… its length within 10 %", (f.within("slung_load.length_m", _LENGTH) for f in told), 0.9),
         figure("… with it 90 % of Fx, Fy, Fz inside the intervals", map(_forces_held, told), 0.9),
@@ -149,6 +151,10 @@ def order(finding: Finding) -> tuple[str, ...]:
     """Findings in the order of tables."""
     case = finding.case
     return (case.kind, *case.changes, f"{10.0 - case.size:g}", case.fleet, f"{case.split:03d}")
+
+
+def _load_named(finding: Finding) -> bool:
+    return finding.answer.verdict == "effects" and "slung_load" in finding.answer.named
 
 
 def _forces_held(finding: Finding) -> bool:
