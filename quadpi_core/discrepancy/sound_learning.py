@@ -25,7 +25,7 @@ from scipy.stats import t as student
 from threadpoolctl import threadpool_limits
 
 from quadpi_core import array_checks
-from quadpi_core.discrepancy.acceptance import FEW_FLIGHTS
+from quadpi_core.discrepancy.acceptance import FEW_FLIGHTS, LARGEST
 from quadpi_core.discrepancy.candidates import candidates, linearise
 from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.evidence import Indices
@@ -251,6 +251,9 @@ def _variances(products: Array, rows: Array, sought: int) -> tuple[_Variances, _
         own = start[best] * (_AT_FIRST if shared[best] else 1.0)
         larger.of_flight[best] = max(found.of_flight[best], own)
         larger, changed = _settled(products, counts, larger, is_open)
+        if np.any(np.abs(changed.mean) > LARGEST.value):
+            # What would have no mass and no thrust leaves no noise of either: no error that a model has.
+            continue
         after = _left_out(larger, changed, rows)
         if predicts(after - before):
             found, posterior, before = larger, changed, after

@@ -53,6 +53,11 @@ def test_an_error_of_all_flights_one_of_each_and_the_noise_are_told_apart():
     assert np.all(sound.differ > 0.0)
 
 
+def test_an_error_that_is_larger_than_any_effect_is_not_known():
+    assert learned(spectra(shared=4.5), NAMES, SCALE).names == (NAMES[SHARED],)
+    assert learned(spectra(shared=5.5), NAMES, SCALE).names == ()
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_noise_alone_has_no_known_errors(seed):
     assert learned(spectra(seed=seed), NAMES, SCALE).names == ()
