@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +23,7 @@ from quadpi_core.discrepancy.candidates import of_coefficient
 from quadpi_core.discrepancy.closure import Gap
 from quadpi_core.discrepancy.discrepancy_result import (
     ERROR_NAMES,
+    Coverage,
     Discovery,
     FoundEffect,
     RankedCandidate,
@@ -103,6 +105,13 @@ WORSE_ROLLOUTS = Threshold(
     "errors of roll-outs beside their floor change by less than that with the noise of the parameters",
     CONVENTION,
 )
+WORSE_COVERAGE = Threshold(
+    "growth of the samples that intervals miss",
+    3.0,
+    "times as many as the intervals state to miss",
+    "right names grow it by up to twice that, where a load swings wide; what shifts an axis, by much more",
+    "real flights with and without a load (docs/discrepancy.md)",
+)
 # Share of the floor's square by which an axis has to exceed it: less is no gap that an effect could close.
 LEAST_ABOVE_FLOOR = 0.05
 
@@ -152,10 +161,13 @@ def judged_by_gap(discovery: Discovery, gap: Gap) -> tuple[Verdict, ...]:
     return (*others, *_of_gap(discovery.found, gap))
 
 
-def judged_by_rollouts(discovery: Discovery, rollouts: Rollouts) -> Discovery:
+def judged_by_rollouts(
+    discovery: Discovery, rollouts: Rollouts, coverage: Mapping[str, Coverage] = MappingProxyType({})
+) -> Discovery:
     """The discovery, rejected and "unknown" where flights left out are simulated worse with its effects.
 
-    Their gap must not grow, and their roll-outs must get no worse, one by one or by those that diverge.
+    Their gap must not grow, and their roll-outs must get no worse, one by one or by those that diverge; nor
+    may the intervals of a model, by axis, hold much less of them.
     """
     errors = {ERROR_NAMES[name]: (error.before, error.after) for name, error in rollouts.errors.items()}
     before, after = (rollouts.lost.get(when, 0) for when in ("before", "after"))
@@ -163,6 +175,7 @@ def judged_by_rollouts(discovery: Discovery, rollouts: Rollouts) -> Discovery:
     judged = (
         judge_rollouts(errors),
         Verdict("diverged roll-outs", after <= before, float(after), float(before), "roll-outs", sentence),
+        *([judge_coverage(coverage, discovery.inside.confidence)] if coverage and discovery.inside else ()),
     )
     # A gap that grows fails the test of the closed share already.
     worse = discovery.gap.reduction < 0.0 or not all(own.passed for own in judged)
@@ -340,6 +353,16 @@ def judge_rollouts(errors: Mapping[str, tuple[float, float]]) -> Verdict:
     if not errors:
         sentence = "no roll-out of flights left out can be compared"
     return Verdict.of(WORSE_ROLLOUTS, "roll-outs", most, passed, sentence)
+
+
+def judge_coverage(coverage: Mapping[str, Coverage], confidence: float) -> Verdict:
+    """Whether the intervals of no axis, which state a confidence, hold much less of flights left out."""
+    lost, axis = max((own.before - own.after, axis) for axis, own in coverage.items())
+    share = lost / (1.0 - confidence)
+    passed = share <= WORSE_COVERAGE.value
+    held = f"{_percent(coverage[axis].after)} of {axis} with it, {_percent(coverage[axis].before)} before"
+    sentence = f"intervals hold {held}"
+    return Verdict.of(WORSE_COVERAGE, "coverage", share, passed, sentence)
 
 
 def ranked_candidates(found: Found) -> tuple[RankedCandidate, ...]:

@@ -207,7 +207,7 @@ def flown_again(discovery: Discovery) -> tuple[Discovery, Reflights | None]:
     if not discovery.effects:
         return discovery, None
     flown = reflights(discovery)
-    judged = judged_by_rollouts(discovery, flown.rollout)
+    judged = judged_by_rollouts(discovery, flown.rollout, flown.coverage)
     if not judged.rejected or not len(discovery.found.closing.adjusted):
         return judged, flown
     gap = discovery.found.gap(adjusted=False)
@@ -215,7 +215,7 @@ def flown_again(discovery: Discovery) -> tuple[Discovery, Reflights | None]:
     verdict = "effects" if all(check.passed for check in tests) else "unknown"
     stated = replace(discovery, gap=gap, checks=tests, verdict=verdict, adjusted=False)
     again = reflights(stated)
-    without = judged_by_rollouts(stated, again.rollout)
+    without = judged_by_rollouts(stated, again.rollout, again.coverage)
     return (judged, flown) if without.rejected else (without, again)
 
 

@@ -59,6 +59,8 @@ _REMEDIES = {
     "fits a step ahead but not half a second is not the physics.",
     "diverged roll-outs": "Check the coefficients that moved with the effect: with it the vehicle does not "
     "fly.",
+    "coverage": "Look at that axis in section What is left: the effect takes the place of something else "
+    "there.",
 }
 # What removes the reason why a candidate with enough evidence was refused.
 _REMEDIES_OF_CANDIDATES = {

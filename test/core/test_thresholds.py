@@ -29,7 +29,7 @@ from quadpi_core.discrepancy.by_condition import (
     standing_out,
 )
 from quadpi_core.discrepancy.candidates import Part, candidates, part_columns, typical_sizes
-from quadpi_core.discrepancy.discrepancy_result import OfFlight
+from quadpi_core.discrepancy.discrepancy_result import Coverage, OfFlight
 from quadpi_core.discrepancy.effect_regression import settled, student_weights
 from quadpi_core.discrepancy.effect_response import Compared, predicted_flight, quiet
 from quadpi_core.discrepancy.evidence import Fit
@@ -574,6 +574,10 @@ EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
         lambda x: result_verdicts.judge_coefficients(1.0, x, "far").passed,
     ),
     "COLOURED": (12.0, lambda x: result_verdicts.judge_colour(np.full(6, x), np.ones(6)).passed),
+    "WORSE_COVERAGE": (
+        3.0,
+        lambda x: result_verdicts.judge_coverage({"Fx": Coverage(0.9, 0.9 - 0.05 * x)}, 0.95).passed,
+    ),
     "WORSE_ROLLOUTS": (
         0.02,
         lambda x: result_verdicts.judge_rollouts({"rates": (1.0, 1.0 + x), "none": (0.0, 1.0)}).passed,

@@ -14,7 +14,7 @@ import pytest
 from quadpi_core.discrepancy import CallableSimulation, discover, search
 from quadpi_core.discrepancy.augmented_simulation import write_addition
 from quadpi_core.discrepancy.closure import Closing
-from quadpi_core.discrepancy.discrepancy_result import BeforeAfter, FoundParameter, Rollouts
+from quadpi_core.discrepancy.discrepancy_result import BeforeAfter, Coverage, FoundParameter, Rollouts
 from quadpi_core.discrepancy.result_verdicts import (
     checks,
     judge_closed,
@@ -28,6 +28,7 @@ from quadpi_core.discrepancy.result_verdicts import (
     judged_by_rollouts,
     unexplained_share,
 )
+from quadpi_core.discrepancy.unexplained import Inside
 from quadpi_core.rotations import rotate_world_to_body
 
 GUST_N = 0.15
@@ -221,6 +222,16 @@ def test_an_effect_that_improves_roll_outs_is_added(found, tmp_path):
     assert kept.verdict == found.discovery.verdict
     assert [check.test for check in kept.checks if check.passed][-2:] == ["roll-outs", "diverged roll-outs"]
     assert write_addition(kept, tmp_path)
+
+
+@pytest.mark.parametrize(("after", "kept"), [(0.45, True), (0.35, False)])
+def test_an_effect_with_which_intervals_hold_much_less_of_an_axis_is_not_added(found, after, kept):
+    inside = Inside(np.full((8, 6), 0.5), 0.95)
+    discovery = replace(found.discovery, inside=inside)
+    coverage = {"Fz": Coverage(0.57, after), "Mx": Coverage(0.5, 0.95)}
+    judged = judged_by_rollouts(discovery, rolled_out(after=9.0), coverage)
+    assert (judged.verdict == found.discovery.verdict) is kept
+    assert kept or judged.doubts == ("intervals hold 35 % of Fz with it, 57 % before",)
 
 
 @pytest.mark.parametrize(
