@@ -359,10 +359,9 @@ def judge_coverage(coverage: Mapping[str, Coverage], confidence: float) -> Verdi
     """Whether the intervals of no axis, which state a confidence, hold much less of flights left out."""
     lost, axis = max((own.before - own.after, axis) for axis, own in coverage.items())
     share = lost / (1.0 - confidence)
-    passed = share <= WORSE_COVERAGE.value
-    held = f"{_percent(coverage[axis].after)} of {axis} with it, {_percent(coverage[axis].before)} before"
-    sentence = f"intervals hold {held}"
-    return Verdict.of(WORSE_COVERAGE, "coverage", share, passed, sentence)
+    before, after = map(_percent, coverage[axis])
+    sentence = f"intervals hold {after} of {axis} with it, {before} before"
+    return Verdict.of(WORSE_COVERAGE, "coverage", share, share <= WORSE_COVERAGE.value, sentence)
 
 
 def ranked_candidates(found: Found) -> tuple[RankedCandidate, ...]:

@@ -276,11 +276,24 @@ def _beside_what_is_open(products: Array, posterior: _Posterior, sought: int) ->
     squares = []
     for product, flight in zip(products, posterior.flights, strict=True):
         values, spread = posterior.of_flight(flight)
-        weights = np.concatenate(([1.0], -values[is_open]))
-        moment = np.outer(weights, weights)
-        moment[1:, 1:] += spread[np.ix_(is_open, is_open)]
-        squares.append(np.einsum("acij,ij->ac", product[:, :, used[:, np.newaxis], used], moment))
+        squares.append(_squares_left(product, used, values[is_open], spread[np.ix_(is_open, is_open)]))
     return np.array(squares)
+
+
+def _squares_left(product: Array, used: Indices, mean: Array, covariance: Array) -> Array:
+    """Expected squares (6, C) of a flight's residual less columns, given mean and covariance of these.
+
+    Args:
+        product: (6, C, 1 + K + T, 1 + K + T) of the residual and the columns.
+        used: (1 + k,) indices in it, of the residual first and then of k columns.
+        mean: (k,) of their coefficients.
+        covariance: (k, k) of these.
+    """
+    weights = np.concatenate(([1.0], -mean))
+    moment = np.outer(weights, weights)
+    moment[1:, 1:] += covariance
+    squares: Array = np.einsum("acij,ij->ac", product[:, :, used[:, np.newaxis], used], moment)
+    return squares
 
 
 def predicts(gained: Array) -> bool:
@@ -338,10 +351,8 @@ def _renewed(products: Array, rows: Array, found: _Variances, posterior: _Poster
     for product, flight in zip(products, posterior.flights, strict=True):
         values, spread = posterior.of_flight(flight)
         between = -covariance @ flight.gain
-        weights = np.concatenate(([1.0], -mean, -values))
-        moment = np.outer(weights, weights)
-        moment[1:, 1:] += np.block([[covariance, between], [between.T, spread]])
-        noise += np.einsum("acij,ij->ac", product[:, :, used[:, np.newaxis], used], moment)
+        both = np.block([[covariance, between], [between.T, spread]])
+        noise += _squares_left(product, used, np.concatenate((mean, values)), both)
         squares += np.square(values)
         told += 1.0 - np.diag(spread) / found.of_flight[own]
     result = _Variances(
