@@ -236,6 +236,18 @@ class VehicleSimulation(Simulation):
 
     def loads(self, flight: Flight) -> tuple[Array, Array, Array]:
         """See :class:`Simulation`."""
+        states = self._acting(flight)
+        return states["wrench"].copy(), states["thrusts"].copy(), states["torques"].copy()
+
+    def states(self, flight: Flight) -> npt.NDArray[np.void]:
+        """See :class:`Simulation`."""
+        states = self._acting(flight)
+        states["rotor_speeds"] = flight.rotor_speeds
+        states["rotor_accelerations"] = np.gradient(flight.rotor_speeds, flight.time, axis=0)
+        return states
+
+    def _acting(self, flight: Flight) -> npt.NDArray[np.void]:
+        """Records STATE (N,) with the rotor speeds that act, which are recorded later."""
         time, speeds, accelerations = flight.time, flight.rotor_speeds, None
         if not self.memoryless:
             accelerations = np.gradient(speeds, time, axis=0)
@@ -246,8 +258,14 @@ class VehicleSimulation(Simulation):
                 jerks[1:-1] = 2.0 * np.diff(slopes, axis=0) / (time[2:] - time[:-2])[:, np.newaxis]
                 speeds = np.maximum(speeds - delay * accelerations + 0.5 * delay**2 * jerks, 0.0)
                 accelerations = accelerations - delay * jerks
-        states = self.model.states(airspeed(flight), flight.rates, speeds, rotor_accelerations=accelerations)
-        return states["wrench"].copy(), states["thrusts"].copy(), states["torques"].copy()
+        return self.model.states(
+            airspeed(flight),
+            flight.rates,
+            speeds,
+            rotor_accelerations=accelerations,
+            position=flight.position,
+            attitude=flight.attitude,
+        )
 
     def recorded(self, flight: Flight, wrench: Array) -> Array:
         """See :class:`Simulation`; forces of the bandwidth that its flights had."""
@@ -257,11 +275,8 @@ class VehicleSimulation(Simulation):
 
     def uncertain(self, flight: Flight) -> list[Column]:
         """One factor on each kind of coefficient, and separate ones on static thrust and torque."""
-        base, columns = self.wrench(flight), []
-        for name in self.model.coefficients_by_name:
-            grown = replace(self, model=self.model.scaled({name: 1.0})).wrench(flight)
-            columns.append(Column(name, (grown - base) * self._tolerance(name)))
-        return columns
+        names, added = self.model.coefficients_by_name, self.model.added_by_coefficients(self._acting(flight))
+        return [Column(name, own * self._tolerance(name)) for name, own in zip(names, added, strict=True)]
 
     def with_coefficients(self, multiples: Mapping[str, float]) -> VehicleSimulation:
         """See :class:`Simulation`."""

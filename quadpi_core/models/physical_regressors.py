@@ -161,12 +161,19 @@ def wrenches(motion: Records, vehicle: Records, parameters: Array) -> Array:
 @njit(cache=True, nogil=True)
 def fill_regressors(motion: Any, vehicle: Any, row: Any) -> None:
     """Add the regressors of a sample to a record REGRESSORS of zeros."""
-    p, q, r = motion.rates[0], motion.rates[1], motion.rates[2]
-    mean_speed = 0.0
     mean_induced = 0.0
     for rotor in range(ROTORS):
-        mean_speed += 0.25 * motion.rotor_speeds[rotor]
         mean_induced += 0.25 * fill_rotor(rotor, motion, vehicle, row)
+    fill_body(mean_induced, motion, vehicle, row)
+
+
+@njit(cache=True, nogil=True)
+def fill_body(mean_induced: float, motion: Any, vehicle: Any, row: Any) -> None:
+    """Set the terms beside those of single rotors, for their mean induced velocity [m/s]."""
+    p, q, r = motion.rates[0], motion.rates[1], motion.rates[2]
+    mean_speed = 0.0
+    for rotor in range(ROTORS):
+        mean_speed += 0.25 * motion.rotor_speeds[rotor]
     _fill_airframe(mean_speed, mean_induced, motion, row)
 
     speed = np.sqrt(motion.velocity[0] ** 2 + motion.velocity[1] ** 2 + motion.velocity[2] ** 2)

@@ -32,12 +32,11 @@ def band_limited(time: Array, rates: Array, forces: Array, bandwidth_hz: float |
         bandwidth_hz: of a second-order low-pass, forward and backward; None or beyond half the sample rate
             leaves the forces as they are.
     """
+    if bandwidth_hz is None or bandwidth_hz >= 0.5 * (rate_hz := mean_rate_hz(time)):
+        return forces
     # Slow to import, and most importers of this module smooth nothing.
     from scipy.signal import butter, sosfiltfilt
 
-    rate_hz = mean_rate_hz(time)
-    if bandwidth_hz is None or bandwidth_hz >= 0.5 * rate_hz:
-        return forces
     rotation = rotation_matrix(_turned(time, np.ascontiguousarray(rates)))
     still = (rotation @ forces).reshape(len(forces), -1)
     smooth = sosfiltfilt(butter(_ORDER, bandwidth_hz, fs=rate_hz, output="sos"), still, axis=0)

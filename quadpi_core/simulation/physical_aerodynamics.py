@@ -26,10 +26,12 @@ from quadpi_core.models.physical_regressors import (
     MOTION,
     PHYSICAL_VEHICLE,
     REGRESSORS,
+    fill_body,
     fill_regressors,
     fill_rotor,
 )
 from quadpi_core.models.physical_terms import TERM_INDEX, TERM_NAMES, TERMS
+from quadpi_core.records import Records
 from quadpi_core.simulation.simulated_aerodynamics import SimulatedAerodynamics, vehicle_record
 from quadpi_core.simulation.simulated_file import read_simulation
 from quadpi_core.simulation.state_records import STATE, State, VehicleNumbers
@@ -175,10 +177,10 @@ class PhysicalAerodynamics(SimulatedAerodynamics):
         """See :class:`.SimulatedAerodynamics`; by iteration, as thrust is about quadratic in the speed."""
         weight = self.vehicle.mass_kg * self.vehicle.gravity_m_s2
         speed = float(np.sqrt(weight / (ROTORS * self.coefficients.reference_thrust_n_s2)))
-        hover = np.zeros(1, STATE)
+        hover, record = np.zeros(1, STATE), vehicle_record(self.vehicle, speed)
         for _ in range(_HOVER_ROUNDS):
             hover["rotor_speeds"] = speed
-            apply_to_all(hover, vehicle_record(self.vehicle, speed), self.function, self.numbers)
+            apply_to_all(hover, record, self.function, self.numbers)
             thrust = -float(hover["wrench"][0, 2])
             if not thrust > 0.0:
                 raise SimulationError(f"vehicle {self.vehicle.name}: its rotors give no thrust at rest")
@@ -202,19 +204,29 @@ class PhysicalAerodynamics(SimulatedAerodynamics):
 
     def scaled(self, shares: Mapping[str, float]) -> PhysicalAerodynamics:
         """See :class:`.SimulatedAerodynamics`."""
+        grown = np.array([shares.get(name, 0.0) for name in self.coefficients_by_name]) @ self._steps
         values = self.coefficients.parameters
-        if self.covariance_known:
-            moved = np.array([shares.get(name, 0.0) for name in self.coefficients.triangular])
-            rows = self.coefficients.deviations
-            parameters = {
-                name: value + float(np.dot(rows[name], moved[: len(rows[name])]))
-                for name, value in values.items()
-            }
-        else:
-            parameters = {
-                name: value * (1.0 + shares.get(_FAMILIES[name], 0.0)) for name, value in values.items()
-            }
+        parameters = {name: value + float(grown[TERM_INDEX[name]]) for name, value in values.items()}
         return replace(self, coefficients=replace(self.coefficients, parameters=parameters))
+
+    @cached_property
+    def _steps(self) -> Array:
+        """What each of :attr:`coefficients_by_name`, grown by one, adds to the values (K, P) of the terms."""
+        names = self.coefficients_by_name
+        steps = np.zeros((len(names), len(TERMS)))
+        for name, value in self.coefficients.parameters.items():
+            if self.covariance_known:
+                row = self.coefficients.deviations[name]
+                steps[: len(row), TERM_INDEX[name]] = row
+            else:
+                steps[names.index(_FAMILIES[name]), TERM_INDEX[name]] = value
+        return steps
+
+    def added_by_coefficients(self, states: npt.NDArray[np.void]) -> Array:
+        """See :class:`.SimulatedAerodynamics`; by the terms, which the wrench is linear in."""
+        terms = _terms(states, vehicle_record(self.vehicle, 0.0), self.numbers)
+        added: Array = np.tensordot(self._steps, terms, axes=(1, 1))
+        return added
 
     def carrying(self, vehicle: Vehicle) -> PhysicalAerodynamics:
         """See :class:`.SimulatedAerodynamics`."""
@@ -232,6 +244,42 @@ def _physical(state: State, vehicle: VehicleNumbers, numbers: Array) -> None:
     rows = np.zeros(1, REGRESSORS)
     motion, body, row = motions[0], bodies[0], rows[0]
     regressors = rows.view(np.float64)
+    _set_sample(state, vehicle, numbers, motion, body)
+    _set_hubs(state, vehicle)
+
+    # Each rotor by itself, for the effects that scale thrusts and torques.
+    lift, torque, mean_induced = 0.0, 0.0, 0.0
+    for rotor in range(ROTORS):
+        mean_induced += 0.25 * fill_rotor(rotor, motion, body, row)
+        lift_so_far, torque_so_far = 0.0, 0.0
+        for term in range(numbers.shape[1]):
+            lift_so_far -= numbers[_VALUES, term] * regressors[6 * term + 2]
+            torque_so_far += numbers[_TORQUE, term] * regressors[6 * term + 5]
+        state.thrusts[rotor], state.torques[rotor] = lift_so_far - lift, torque_so_far - torque
+        lift, torque = lift_so_far, torque_so_far
+
+    fill_body(mean_induced, motion, body, row)
+    for axis in range(6):
+        state.wrench[axis] = 0.0
+    for term in range(numbers.shape[1]):
+        for axis in range(6):
+            state.wrench[axis] += numbers[_VALUES, term] * regressors[6 * term + axis]
+
+
+@njit(cache=True, nogil=True)
+def _terms(states: Records, vehicles: Records, numbers: Array) -> Array:
+    """Wrench (N, P, 6) of each term by unit, for STATE (N,)."""
+    motions, bodies = np.zeros(1, MOTION), np.zeros(1, PHYSICAL_VEHICLE)
+    rows = np.zeros(len(states), REGRESSORS)
+    for i in range(len(states)):
+        _set_sample(states[i], vehicles[0], numbers, motions[0], bodies[0])
+        fill_regressors(motions[0], bodies[0], rows[i])
+    return rows.view(np.float64).reshape(len(states), numbers.shape[1], 6)
+
+
+@njit(cache=True, nogil=True)
+def _set_sample(state: State, vehicle: VehicleNumbers, numbers: Array, motion: Any, body: Any) -> None:
+    """Set what the terms of a STATE follow from."""
     body.mass, body.reference_thrust = vehicle.mass, numbers[_REFERENCE, 0]
     body.disc = 2.0 * vehicle.air_density * np.pi * vehicle.rotor_radius**2
     for axis in range(3):
@@ -242,26 +290,6 @@ def _physical(state: State, vehicle: VehicleNumbers, numbers: Array) -> None:
         body.spins[rotor] = vehicle.rotor_spins[rotor]
         for axis in range(3):
             body.positions[rotor, axis] = vehicle.rotor_positions[rotor, axis]
-    _set_hubs(state, vehicle)
-
-    # Each rotor by itself, for the effects that scale thrusts and torques.
-    lift, torque = 0.0, 0.0
-    for rotor in range(ROTORS):
-        fill_rotor(rotor, motion, body, row)
-        lift_so_far, torque_so_far = 0.0, 0.0
-        for term in range(numbers.shape[1]):
-            lift_so_far -= numbers[_VALUES, term] * regressors[6 * term + 2]
-            torque_so_far += numbers[_TORQUE, term] * regressors[6 * term + 5]
-        state.thrusts[rotor], state.torques[rotor] = lift_so_far - lift, torque_so_far - torque
-        lift, torque = lift_so_far, torque_so_far
-
-    regressors[:] = 0.0
-    fill_regressors(motion, body, row)
-    for axis in range(6):
-        state.wrench[axis] = 0.0
-    for term in range(numbers.shape[1]):
-        for axis in range(6):
-            state.wrench[axis] += numbers[_VALUES, term] * regressors[6 * term + axis]
 
 
 @njit(cache=True, nogil=True)

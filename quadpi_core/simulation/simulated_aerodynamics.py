@@ -92,6 +92,15 @@ class SimulatedAerodynamics(ABC):
     def scaled(self: Own, shares: Mapping[str, float]) -> Own:
         """The law with named groups of coefficients grown by a share each, or by a standard deviation."""
 
+    def added_by_coefficients(self, states: npt.NDArray[np.void]) -> Array:
+        """Wrench (K, N, 6) that each of :attr:`coefficients_by_name`, grown by one, adds to states (N,)."""
+        added = np.empty((len(self.coefficients_by_name), len(states), 6))
+        for name, own in zip(self.coefficients_by_name, added, strict=True):
+            law, grown = self.scaled({name: 1.0}), states.copy()
+            apply_to_all(grown, law.record(), law.function, law.numbers)
+            own[:] = grown["wrench"] - states["wrench"]
+        return added
+
     @abstractmethod
     def carrying(self: Own, vehicle: Vehicle) -> Own:
         """The same law under another mass and inertia."""

@@ -17,6 +17,7 @@ from quadpi_core.models.physical_terms import TERM_INDEX, TERMS
 from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight
 from quadpi_core.simulation.physical_aerodynamics import PhysicalAerodynamics, PhysicalCoefficients
 from quadpi_core.simulation.scenario import load_scenario
+from quadpi_core.simulation.simulated_aerodynamics import SimulatedAerodynamics
 from quadpi_core.simulation.simulated_file import vehicle_content
 from quadpi_core.simulation.truth import STEP_HZ, Reference
 
@@ -85,6 +86,24 @@ def test_coefficients_move_by_the_covariance_of_their_fit(law, physical_folder):
         fitted.covariance[np.ix_(places, places)] / np.outer(deviations, deviations),
         atol=1e-6,
     )
+
+
+@pytest.mark.parametrize("deviations_known", [True, False])
+def test_what_a_coefficient_adds_is_what_it_adds_once_grown(law, deviations_known):
+    if not deviations_known:
+        law = replace(law, coefficients=replace(law.coefficients, deviations={}))
+    motion = random_motion(20, seed=3)
+    states = law.states(
+        motion["velocity"],
+        motion["rates"],
+        motion["rotor_speeds"],
+        rotor_accelerations=motion["rotor_accelerations"],
+    )
+    added = law.added_by_coefficients(states)
+    assert np.all(np.any(added != 0.0, axis=(1, 2)))
+    expected = SimulatedAerodynamics.added_by_coefficients(law, states)
+    size = np.abs(states["wrench"]).max(axis=0)
+    np.testing.assert_allclose(added / size, expected / size, rtol=1e-6, atol=1e-12)
 
 
 @pytest.mark.parametrize(
