@@ -80,6 +80,11 @@ class AugmentedSimulation(Simulation):
         """As the base, but not with effects on sensors, whose change depends on the whole flight."""
         return self.base.memoryless and not self._of("sensor")
 
+    @property
+    def reads_accelerations(self) -> bool:  # type: ignore[override]
+        """As the base, but a state that an effect has of its own follows the measured force."""
+        return self.base.reads_accelerations or any(e.at_rest or e.kind == "sensor" for e in self._of())
+
     @cached_property
     def vehicle(self) -> Vehicle:  # type: ignore[override]
         """The vehicle with the effects on it."""
@@ -104,7 +109,8 @@ class AugmentedSimulation(Simulation):
             return wrench
         known = self.learned([(flight, flight)])
         seen = predicted_flight(flight, self.vehicle, self.recorded(flight, wrench))
-        return wrench + known._left(seen) - known._left(self.corrected(seen))
+        same = None if self.physical.reads_accelerations else wrench
+        return wrench + known._left(seen, same) - known._left(self.corrected(seen))
 
     def states(self, flight: Flight) -> npt.NDArray[np.void]:
         """See :class:`Simulation`; with the effects in the wrench."""
@@ -113,9 +119,9 @@ class AugmentedSimulation(Simulation):
 
     def record(self) -> npt.NDArray[np.void]:
         """See :class:`Simulation`; quantities that effects refer to stay those of the base."""
-        record = self.base.record()
+        record, altered = self.base.record(), super().record()
         for name in ("mass", "inertia", "inverse_inertia"):
-            record[name] = super().record()[name]
+            record[name] = altered[name]
         return record
 
     def explained(self, flight: Flight) -> Array:
@@ -196,9 +202,10 @@ class AugmentedSimulation(Simulation):
         start = started(effect, self._values(effect), own, record, left, step_s).memory
         return with_memory(effect.name, self.effects[effect.name], own, record, start, step_s)
 
-    def _left(self, flight: Flight) -> Array:
+    def _left(self, flight: Flight, wrench: Array | None = None) -> Array:
         """Measured less simulated wrench (N, 6), without the effects on sensors."""
-        left: Array = measured_wrench(flight, self.vehicle) - self._physics(flight)["wrench"]
+        wrench = self._physics(flight)["wrench"] if wrench is None else wrench
+        left: Array = measured_wrench(flight, self.vehicle) - wrench
         return left + self.base.wrench(flight) - self.base.explained(flight) if self.own_inputs else left
 
     def _in_wind(self, flight: Flight) -> Flight:

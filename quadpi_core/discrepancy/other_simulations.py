@@ -269,6 +269,7 @@ class RecordedSimulation(Simulation):
     weights: Mapping[str, Array] = field(default_factory=dict)
 
     own_inputs = True
+    reads_accelerations = False
 
     @classmethod
     def load(

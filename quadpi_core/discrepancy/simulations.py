@@ -95,6 +95,7 @@ class Simulation(ABC):
         sound: what sound flights leave of it, where it was identified on some.
         code: the user's code that it runs: the function, its file, and the file that named it; empty without.
         memoryless: whether the wrench at an instant depends on that instant alone.
+        reads_accelerations: whether it depends on the accelerations that the flight measured.
         own_inputs: whether it was computed from other inputs than the flight's, with noise of their own. Then
             `learned`, `answering` and `explained` say what flights tell of it.
         intervals_of: the identified model whose intervals are its own; None without intervals.
@@ -108,6 +109,7 @@ class Simulation(ABC):
     sound: SoundFlights | None = None
     code: str = ""
     memoryless: bool = False
+    reads_accelerations: bool = True
     own_inputs: bool = False
     intervals_of: Simulation | None = None
 
@@ -218,6 +220,7 @@ class VehicleSimulation(Simulation):
     vehicle = attribute_of("model.vehicle")
     hover_rotor_speed = attribute_of("model.hover_rotor_speed")
     memoryless = attribute_of("model.memoryless")
+    reads_accelerations = False
     record = attribute_of("model.record")
 
     def __post_init__(self) -> None:

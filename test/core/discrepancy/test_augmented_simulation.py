@@ -240,6 +240,21 @@ def test_sensors_are_corrected_before_the_simulation_is_asked(flown):
     assert np.std(one - other) < 0.2 * np.std(late.rotor_speeds[50:-50] - other)
 
 
+@pytest.mark.parametrize(
+    ("name", "reads"),
+    [("payload", False), ("rotor_drag", False), ("slung_load", True), ("imu_misalignment", True)],
+)
+def test_who_reads_the_measured_accelerations_says_so(flight, name, reads):
+    simulation = AugmentedSimulation(load_simulation("bebop2"), read_effects({name: None}, "test"))
+    shaken = replace(
+        flight,
+        specific_force=1.1 * flight.specific_force,
+        angular_acceleration=1.1 * flight.angular_acceleration + 1.0,
+    )
+    assert simulation.reads_accelerations == reads
+    assert np.array_equal(simulation.wrench(flight), simulation.wrench(shaken)) != reads
+
+
 def test_every_flight_has_the_same_tolerances(flown):
     """Of an addition, too: an axis that one flight does not feel has a column all the same."""
     effects = read_effects(
