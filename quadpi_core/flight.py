@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from functools import cached_property
 from typing import Any, ClassVar, TypeAlias, TypeVar
 
 import numpy as np
@@ -426,7 +427,7 @@ class Flight:
             if not finite.all():
                 raise LogError(f"{self.source or self.name}: {name}: sample {np.argmin(finite)}: not finite")
 
-    @property
+    @cached_property
     def rate_hz(self) -> float:
         """Mean sample rate, without what is left out in between."""
         return mean_rate_hz(self.time)

@@ -75,6 +75,8 @@ _FIRST_STATES = np.vstack((np.zeros(MEMORY), np.random.default_rng(0).standard_n
 # Rate [Hz] at which the state is followed while its start is sought, several tens of samples in a swing.
 _RATE_HZ = 62.5
 _ITERATIONS, _HALVINGS = 15, 5
+# Matrices (3, 3, 3) of the cross products with the axes.
+_CROSSED = np.cross(np.eye(3)[:, None], np.eye(3)).swapaxes(1, 2)
 # Instead of a division by zero.
 _TINY = 1e-30
 # Iterations end when the state moves by less than this share of its prior deviation.
@@ -237,7 +239,8 @@ def _turned(rotation: Array, values: Array) -> Array:
 
 def _cross(vectors: Array) -> Array:
     """Matrices (K, 3, 3) that multiply as the cross products with vectors (K, 3) from the left."""
-    return np.cross(vectors[:, None], np.eye(3)).swapaxes(1, 2)
+    crossed: Array = np.tensordot(vectors, _CROSSED, axes=1)
+    return crossed
 
 
 class OwnStates(NamedTuple):
@@ -393,8 +396,17 @@ class _Stretch:
         return float(np.sqrt(self._squares)) / max(float(np.linalg.norm(shape)), _TINY)
 
 
+@njit(cache=True)
 def _varying_forces(wrenches: Array) -> Array:
     """Forces (·, K) of wrenches (N, 6, K) without their means."""
-    forces = wrenches[:, :3]
-    varying: Array = (forces - forces.mean(axis=0)).reshape(-1, wrenches.shape[2])
+    samples, _, count = wrenches.shape
+    means, varying = np.zeros((3, count)), np.empty((3 * samples, count))
+    for i in range(samples):
+        for axis in range(3):
+            for k in range(count):
+                means[axis, k] += wrenches[i, axis, k]
+    for i in range(samples):
+        for axis in range(3):
+            for k in range(count):
+                varying[3 * i + axis, k] = wrenches[i, axis, k] - means[axis, k] / samples
     return varying
