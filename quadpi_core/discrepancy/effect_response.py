@@ -179,9 +179,10 @@ class Compared:
         """State at the start of the flight of an effect that has one of its own."""
         # The strength has no part in it, and a search asks again for what surrounds a point.
         known = self._started.setdefault(effect.name, {})
-        key = tuple(values[1:].tolist())
+        part = [i for i, own in enumerate(effect.parameters) if i and own.name not in effect.moments_alone]
+        key = tuple(values[part].tolist())
         if key not in known:
-            typical = [abs(parameter.default) or 1.0 for parameter in effect.parameters[1:]]
+            typical = [abs(effect.parameters[i].default) or 1.0 for i in part]
             away = {other: np.max(np.abs(np.subtract(other, key)) / typical) for other in known}
             nearest = min(away, key=away.__getitem__, default=None)
             near = known[nearest].memory if nearest and away[nearest] < _NEAR else None

@@ -123,6 +123,7 @@ class Effect:
             `state.memory`, fills `state.memory_slope`, and flights integrate it. Empty for none. The
             wrench is in proportion to the first parameter, which the state does not depend on.
         start_spread: (6,) standard deviation of that state at the start of a recorded flight.
+        moments_alone: names of parameters that neither that state nor the force depends on.
         of_a_flight: what makes it differ from one flight to the next, in words; empty where nothing does.
     """
 
@@ -146,6 +147,7 @@ class Effect:
     feasible: Callable[[Vehicle, Array], Array] | None = None
     at_rest: tuple[float, ...] = ()
     start_spread: tuple[float, ...] = ()
+    moments_alone: tuple[str, ...] = ()
     of_a_flight: str = ""
 
     @property

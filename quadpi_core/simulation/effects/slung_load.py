@@ -34,6 +34,7 @@ _SHORTEST_M = 0.05
     at_rest=(0.0, 0.0, 1.0, 0.0, 0.0, 0.0),
     # Half a radian, and the rate of that swing on half a metre.
     start_spread=(0.5, 0.5, 0.5, 2.0, 2.0, 2.0),
+    moments_alone=("hook_m",),
     formula=(
         r"F = T\,R_{BE}\,n,\quad T = m_L\,\max(l\,|\dot n|^2 - n \cdot f,\ 0),\quad "
         r"\ddot n = -\frac{f - (n \cdot f)\,n}{l} - |\dot n|^2\,n - c\,\dot n,\quad M = (0, 0, h) \times F"

@@ -53,10 +53,11 @@ def test_a_force_that_acted_is_what_the_residual_gained(compared, flight, simula
     np.testing.assert_allclose(added, gained, atol=1e-9)
 
 
-def test_a_start_is_estimated_once_whatever_the_strength(compared):
+def test_a_start_is_estimated_once_for_the_same_motion_of_the_load(compared):
     load, strong = EFFECTS["slung_load"], np.array([0.05, 0.5, 0.1, 0.01])
     start = compared.started(load, strong)
     assert compared.started(load, strong * [2.0, 1.0, 1.0, 1.0]) is start
+    assert compared.started(load, strong * [1.0, 1.0, 1.0, 2.0]) is start
     assert compared.started(load, strong * [1.0, 1.1, 1.0, 1.0]) is not start
 
 
