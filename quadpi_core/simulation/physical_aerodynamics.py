@@ -30,7 +30,7 @@ from quadpi_core.models.physical_regressors import (
     fill_regressors,
     fill_rotor,
 )
-from quadpi_core.models.physical_terms import TERM_INDEX, TERM_NAMES, TERMS
+from quadpi_core.models.physical_terms import TERM_INDEX, TERMS
 from quadpi_core.records import Records
 from quadpi_core.simulation.simulated_aerodynamics import SimulatedAerodynamics, vehicle_record
 from quadpi_core.simulation.simulated_file import read_simulation
@@ -40,7 +40,9 @@ from quadpi_core.vehicle import ROTORS, Vehicle
 
 _HOVER_ROUNDS = 20
 # Rows of the numbers of the compiled function.
-_VALUES, _TORQUE, _REFERENCE = 0, 1, 2
+_VALUES, _REFERENCE = 0, 1
+# Of the terms of a rotor, those along its axis come first, then its torque, then those in its plane.
+_TORQUE, _IN_PLANE = TERM_INDEX["torque"], TERM_INDEX["rotor_drag"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,12 +165,10 @@ class PhysicalAerodynamics(SimulatedAerodynamics):
 
     @cached_property
     def numbers(self) -> Array:
-        """Values of all terms, those of the torque alone, and the reference thrust."""
-        numbers = np.zeros((3, len(TERMS)))
+        """Values of all terms, and the reference thrust."""
+        numbers = np.zeros((2, len(TERMS)))
         for name, value in self.coefficients.parameters.items():
             numbers[_VALUES, TERM_INDEX[name]] = value
-        torque = np.array([name.startswith("torque") for name in TERM_NAMES])
-        numbers[_TORQUE, torque] = numbers[_VALUES, torque]
         numbers[_REFERENCE, 0] = self.coefficients.reference_thrust_n_s2
         return numbers
 
@@ -252,9 +252,10 @@ def _physical(state: State, vehicle: VehicleNumbers, numbers: Array) -> None:
     for rotor in range(ROTORS):
         mean_induced += 0.25 * fill_rotor(rotor, motion, body, row)
         lift_so_far, torque_so_far = 0.0, 0.0
-        for term in range(numbers.shape[1]):
+        for term in range(_TORQUE):
             lift_so_far -= numbers[_VALUES, term] * regressors[6 * term + 2]
-            torque_so_far += numbers[_TORQUE, term] * regressors[6 * term + 5]
+        for term in range(_TORQUE, _IN_PLANE):
+            torque_so_far += numbers[_VALUES, term] * regressors[6 * term + 5]
         state.thrusts[rotor], state.torques[rotor] = lift_so_far - lift, torque_so_far - torque
         lift, torque = lift_so_far, torque_so_far
 
