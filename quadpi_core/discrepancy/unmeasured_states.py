@@ -179,9 +179,9 @@ class BiasResponse:
         weight[:-1, POSITION], weight[:-1, ATTITUDE] = poses[:, :1], poses[:, 1:]
         by_delay[:-1, POSITION], by_delay[:-1, ATTITUDE] = -_turned(rotation, velocity), -rates
         weight[-1], by_delay[-1] = weight[-2], by_delay[-2]
-        jacobian = np.tile(np.eye(ERROR_STATES), (self._steps + 1, 1, 1))
-        jacobian[:, :, DELAY] = by_delay
-        information: Array = np.swapaxes(jacobian, 1, 2) @ (weight[:, :, None] * jacobian)
+        information: Array = weight[:, :, None] * np.eye(ERROR_STATES)
+        information[:, :, DELAY] = information[:, DELAY] = weight * by_delay
+        information[:, DELAY, DELAY] = np.sum(weight * by_delay**2, axis=1)
         before = np.zeros(ERROR_STATES)
         before[GYRO_BIAS], before[ACCELEROMETER_BIAS] = _GYRO_BIAS_STD**-2, _ACCELEROMETER_BIAS_STD**-2
         before[DELAY] = 1.0 / max(float(self._noises["delay_prior"][0]), _EXACT_S**2)
