@@ -336,7 +336,8 @@ class Trial:
         plain = regression.fit(larger, form=False)
         yield judge_size(self._sizes(regression, plain) if plain else {own.name: 0.0}, "size by its law")
         assert plain is not None
-        kept = np.isin(plain.columns, regression.block(added).parameters)
+        equations = regression.equations(larger)
+        kept = np.isin(plain.fitted, equations.parameters(larger.index(added)))
         values = plain.coefficients[kept]
         squares = float(values @ np.linalg.solve(plain.covariance[np.ix_(kept, kept)], values))
         least = float(chi2.ppf(DIFFERENT.value, len(own.free)))

@@ -238,7 +238,7 @@ def augmented(discovery: Discovery, without: int | None = None) -> AugmentedSimu
         DiscrepancyError: where an effect cannot be added to one that the simulation already has.
     """
     found = discovery.found
-    regression, columns = found.regression, found.regression.columns
+    regression = found.regression
     simulation = regression.flights[0].simulation
     law, fitted = found.closing.fits(without)
     effects: Effects = {}
@@ -250,7 +250,7 @@ def augmented(discovery: Discovery, without: int | None = None) -> AugmentedSimu
         effects = merged(effects, _of_flight(regression, without, law))
     adjusted: dict[str, float] = {}
     if discovery.adjusted:
-        adjusted = dict(zip(columns.tolerance_names, fitted.of(columns.tolerances).tolist(), strict=True))
+        adjusted = dict(zip(regression.tolerances.names, regression.moved_by(fitted).tolist(), strict=True))
         # What is uncertain in the body are small effects rather than coefficients of the simulation.
         for effect, deviation in body_tolerances(simulation.tolerances):
             moved = [deviation * adjusted.pop(f"{effect.name}.{p.name}") for p in effect.parameters]
@@ -272,7 +272,7 @@ def _of_flight(regression: Regression, place: int, law: Fit) -> Effects:
     effects: Effects = {}
     for condition in regression.conditions:
         candidate = regression.candidates[condition.index]
-        own, _ = regression.of_condition(condition, place, law.left)
+        own, _ = regression.of_condition(condition, place, law)
         effects = {**effects, candidate.name: _named(candidate.name, candidate.values(own))}
     return effects
 

@@ -28,8 +28,8 @@ from scipy.special import rel_entr
 from scipy.stats import gamma, norm
 
 from quadpi_core.discrepancy.effect_response import Compared
-from quadpi_core.discrepancy.evidence import Indices, residual_weights
 from quadpi_core.discrepancy.search import Found
+from quadpi_core.discrepancy.whitening import Indices, Part, rows_of
 from quadpi_core.evaluation.metrics import round_edges
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array, roll_pitch_yaw_from_quaternion
@@ -237,7 +237,7 @@ def locate(found: Found, seed: int = 0) -> Where:
                 flight, start_s, _ = cells.seconds[start]
                 end_s = cells.seconds[end - 1][2]
                 segments.append(Segment(flights[flight].flight, name, start_s, end_s, share, p_value))
-    energy = cells.excess[cells.families["time"]].sum(axis=0) / found.regression.noise.sum(axis=1)
+    energy = cells.excess[cells.families["time"]].sum(axis=0) / found.regression.noise.variance.sum(axis=1)
     loudest = [ranges[axis] for axis in np.argsort(-energy)]
     return Where(
         tuple(part for rank in zip_longest(*loudest, fillvalue=()) for group in rank for part in group),
@@ -298,18 +298,18 @@ def standing_out(energy: Array, mean: Array, p_value: Array, samples: Array) -> 
 
 def residuals(found: Found) -> list[Residual]:
     """Residuals of the flights of a search, in their order."""
-    regression, columns = found.regression, found.regression.columns
-    tolerances, without = columns.tolerances, found.fit.left.copy()
+    regression = found.regression
+    tolerances, before = regression.base[1:], [Part(regression.residual, np.ones(1))]
     # Together with the effects that were found: alone, coefficients would take their place.
-    without[tolerances] = 0.0
-    gram = regression.gram[tolerances]
-    before = residual_weights(len(without), ())
-    beyond = before.copy()
-    fitted = within_tolerance(gram[:, tolerances], gram[:, : len(without)] @ without[:, None])
-    beyond[tolerances] -= fitted[:, 0]
+    effects = found.fit.residual(without=tolerances)
+    gram = regression.noise.grams(tolerances, tolerances).sum(axis=0)
+    projected = regression.noise.grams(tolerances, [part.columns for part in effects]).sum(axis=0)
+    weights = np.concatenate([part.weights for part in effects])
+    fitted = within_tolerance(gram, (projected @ weights)[:, None])[:, 0]
+    beyond = [*before, *regression.of_tolerances(-fitted)]
     result = []
     for place, (flight, held_out) in enumerate(zip(regression.flights, found.closing.left_out, strict=True)):
-        rows = [columns.combined(place, weights) for weights in (before, beyond, held_out.left)]
+        rows = [rows_of(parts, place) for parts in (before, beyond, held_out.residual())]
         at, series = over_time(np.stack(rows, axis=2), len(flight.thinned))
         variables = {name: variable.along(flight)[at] for name, variable in VARIABLES.items()}
         thinned = flight.thinned
@@ -320,9 +320,9 @@ def residuals(found: Found) -> list[Residual]:
 def over_time(rows: Array, samples: int) -> tuple[Indices, Array]:
     """Indices (B,) of samples, and series (B, 6, C) there, of rows (6, B, C) of `whitening.spectrum`."""
     count = rows.shape[1]
-    kept = (count + 1) // 2
-    transformed = rows[:, :kept].astype(complex)
-    transformed[:, 1:] = (rows[:, 1:kept] + 1j * rows[:, kept:]) / np.sqrt(2.0)
+    transformed = np.empty((len(rows), (count + 1) // 2, rows.shape[2]), dtype=complex)
+    transformed[:, 0] = rows[:, 0]
+    transformed[:, 1:] = (rows[:, 1::2] + 1j * rows[:, 2::2]) / np.sqrt(2.0)
     series = np.fft.irfft(transformed, n=count, axis=1, norm="ortho") * np.sqrt(count / samples)
     at = np.minimum(np.rint(np.arange(count) * (samples / count)).astype(np.intp), samples - 1)
     return at, np.ascontiguousarray(np.moveaxis(series, 0, 1))
@@ -449,15 +449,16 @@ def bin_edges(name: str, values: Array) -> Array:
 
 def _drawn(found: Found, seed: int) -> Iterator[Array]:
     """Of each flight D residuals (B, 6, D) without any effect, after the same fit of coefficients."""
-    regression, columns = found.regression, found.regression.columns
-    tolerances, draws = columns.tolerances, _DRAWS
-    gram, most = regression.gram[np.ix_(tolerances, tolerances)], largest_deviation(len(tolerances))
-    off = np.random.default_rng(seed).standard_normal((len(tolerances), draws)).clip(-most, most)
+    regression, draws = found.regression, _DRAWS
+    noise, tolerances, spectra = regression.noise, regression.base[1:], regression.residual.spectra
+    gram = noise.grams(tolerances, tolerances).sum(axis=0)
+    most = largest_deviation(len(gram))
+    off = np.random.default_rng(seed).standard_normal((len(gram), draws)).clip(-most, most)
     # What generic functions predict is not noise, even where no effect explains it.
-    spectrum = np.minimum(regression.noise, found.left.noise)[:, :, None]
+    spectrum = np.minimum(noise.variance, found.left.noise)[:, :, None]
 
-    def noise(place: int) -> Array:
-        rng, band = np.random.default_rng((seed, place)), columns.bands[place]
+    def noisy(place: int) -> Array:
+        rng, band = np.random.default_rng((seed, place)), spectra[place].band
         # Noise differs from flight to flight: its variance is known as well as its squares in a band allow.
         count = np.maximum(np.bincount(band, minlength=spectrum.shape[1]), 1)[:, None]
         share = rng.chisquare(count, (len(AXES), len(count), draws)) / count
@@ -466,10 +467,12 @@ def _drawn(found: Found, seed: int) -> Iterator[Array]:
 
     # Noise is made twice rather than kept: it is by far the largest of all arrays.
     projected = gram @ off
-    allowed = [columns.rows(place, tolerances) for place in range(len(regression.flights))]
+    allowed = [
+        np.dstack([own.spectra[place].rows for own in tolerances]) for place in range(len(regression.flights))
+    ]
     for place, rows in enumerate(allowed):
-        weighted = rows * regression.weighting.precision[:, columns.bands[place]][:, :, None]
-        projected += np.einsum("abk,abd->kd", weighted, noise(place), optimize=True)
+        weighted = rows * noise.precision[:, spectra[place].band][:, :, None]
+        projected += np.einsum("abk,abd->kd", weighted, noisy(place), optimize=True)
     left = off - within_tolerance(gram, projected)
     for place, rows in enumerate(allowed):
-        yield over_time(rows @ left + noise(place), len(regression.flights[place].thinned))[1]
+        yield over_time(rows @ left + noisy(place), len(regression.flights[place].thinned))[1]

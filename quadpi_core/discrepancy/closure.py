@@ -16,9 +16,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadpi_core.discrepancy.effect_regression import NoiseWeighting, Regression
-from quadpi_core.discrepancy.evidence import Fit, Indices, fit_forms, refit
-from quadpi_core.discrepancy.linearisation import AXES_OVER_FORM, NO_COLUMNS
+from quadpi_core.discrepancy.effect_regression import AXES_OVER_FORM, Regression
+from quadpi_core.discrepancy.evidence import Equations, Fit
+from quadpi_core.discrepancy.whitening import Noise, rows_of
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.simulation.effect_definition import SHAPE
@@ -43,10 +43,7 @@ class Gap(NamedTuple):
 
 def law_fit(regression: Regression, chosen: Sequence[int], without: int | None = None) -> Fit:
     """Fit of some candidates by their laws alone, and of all coefficients; without one of the flights."""
-    gram = regression.gram
-    if without is not None:
-        gram = gram - regression.weighting.per_flight[without]
-    law = regression.fit(chosen, gram, form=False) or regression.fit((), gram)
+    law = regression.equations(chosen).fit(without) or regression.equations(()).fit(without)
     assert law is not None  # without effects there is always a fit
     return law
 
@@ -58,9 +55,9 @@ def left_out_squares(regression: Regression, chosen: Sequence[int]) -> Array:
     its own is left out, however large.
     """
     regression, squares = regression.varied, np.zeros(len(AXES))
-    for place, band in enumerate(regression.columns.bands):
-        left = regression.left_of(place, law_fit(regression, chosen, place).left)
-        squares += np.sum(np.square(left) * regression.weighting.precision[:, band], axis=1)
+    for place, (_, band) in enumerate(regression.residual.spectra):
+        left = regression.left_of(place, law_fit(regression, chosen, place))
+        squares += np.sum(np.square(left) * regression.noise.precision[:, band], axis=1)
     return squares
 
 
@@ -72,32 +69,29 @@ class Closing:
         regression: regression of the search.
         chosen: indices of the candidates that were named.
         shaped: those whose laws are shaped, because that reduces the residual of flights left out.
-        grams: (F, K, K) Gram matrices that weigh the residual: equally at all frequencies with shapes, by the
-            noise without.
-        adjusted: columns of the coefficients that are adjusted beside the effects: all or none.
+        noise: weighs the residual: the same at all frequencies with shapes.
+        adjusted: whether coefficients are adjusted beside the effects.
     """
 
     regression: Regression
     chosen: tuple[int, ...]
     shaped: tuple[int, ...]
-    grams: Array
-    adjusted: Indices
+    noise: Noise
+    adjusted: bool
 
     @classmethod
     def of(cls, regression: Regression, chosen: Sequence[int]) -> Closing:
         """Fits with laws shaped, and coefficients adjusted, where that helps on flights left out."""
-        columns, noise = regression.columns, regression.weighting
-        best = cls(regression, tuple(chosen), (), noise.per_flight, columns.tolerances)
+        best = cls(regression, tuple(chosen), (), regression.noise, adjusted=True)
         laws = [(index, regression.candidates[index]) for index in chosen]
         # A law that is not linear in its parameters is shaped by them.
         if shaped := tuple(index for index, law in laws if law.effect.shape and law.linear):
-            flat = np.repeat(noise.noise[:, -1:], noise.noise.shape[1], axis=1)
-            alone = replace(columns, errors=tuple(own[:, :, :0] for own in columns.errors))
-            grams = NoiseWeighting.of(alone, flat, noise.held).per_flight
-            whole = replace(best, shaped=shaped, grams=grams)
-            best = whole if whole._leaves(grams) < best._leaves(grams) else best
-        stated = replace(best, adjusted=NO_COLUMNS)
-        return best if not chosen or best._leaves(best.grams) < stated._leaves(best.grams) else stated
+            variance = best.noise.variance
+            flat = np.repeat(variance[:, -1:], variance.shape[1], axis=1)
+            whole = replace(best, shaped=shaped, noise=replace(best.noise, variance=flat, own=()))
+            best = whole if whole._leaves(whole.noise) < best._leaves(whole.noise) else best
+        stated = replace(best, adjusted=False)
+        return best if not chosen or best._leaves(best.noise) < stated._leaves(best.noise) else stated
 
     def fits(self, without: int | None = None) -> tuple[Fit, Fit]:
         """Fit of the parameters by the laws alone, and fit of coefficients and shapes beside these.
@@ -106,20 +100,21 @@ class Closing:
             without: index of a flight to leave out of both, so that they can be judged on it.
         """
         law = law_fit(self.regression, self.chosen, without)
-        gram = self.grams.sum(axis=0)
-        if without is not None:
-            gram -= self.grams[without]
-        blocks, formed = (list(map(self.regression.block, some)) for some in (self.chosen, self.shaped))
-        return law, fit_forms(gram, self.adjusted, blocks, law, formed)
+        return law, self._equations.fit_forms(law, adjusted=self.adjusted, without=without)
+
+    @cached_property
+    def _equations(self) -> Equations:
+        chosen, shaped = ([self.regression.blocks[k] for k in some] for some in (self.chosen, self.shaped))
+        return Equations.of(self.regression.base, chosen, self.noise, shaped)
 
     @cached_property
     def left_out(self) -> list[Fit]:
         """For each flight the second of :meth:`fits` on all other flights."""
         return [self.fits(place)[1] for place in range(len(self.regression.flights))]
 
-    def _leaves(self, grams: Array) -> float:
-        """Squares of flights left out after the fit of all others, by Gram matrices (F, K, K)."""
-        return sum(float(fit.left @ own @ fit.left) for own, fit in zip(grams, self.left_out, strict=True))
+    def _leaves(self, noise: Noise) -> float:
+        """Squares of flights left out after the fit of all others, in variances of a noise."""
+        return sum(noise.squares(fit.residual(), place) for place, fit in enumerate(self.left_out))
 
     def gap(self, noise: Array, stated: Array, *, adjusted: bool = True) -> Gap:
         """The gap of each flight after the fit of all others; unchanged where no effect was chosen.
@@ -133,20 +128,19 @@ class Closing:
             stated: (6,) mean squares that are no gap either, as the simulation states that it errs by them.
             adjusted: whether coefficients are moved as fitted, or stay as they are stated.
         """
-        columns, (before, after, floor) = self.regression.columns, np.zeros((3, len(AXES)))
-        for place, (found, band) in enumerate(zip(self.left_out, columns.bands, strict=True)):
-            left = found.left.copy()
-            if not (self.chosen and adjusted):
-                left[columns.tolerances] = 0.0
-            own = self.regression.own_rows(place, left)
-            before += np.square(columns.combined(place, np.ones(1)) - own).sum(axis=1)
-            after += np.square(columns.combined(place, left) - own).sum(axis=1)
-            floor += noise[:, band].sum(axis=1)
-        samples = sum(len(flight.thinned) for flight in columns.flights)
+        regression, (before, after, floor) = self.regression, np.zeros((3, len(AXES)))
+        stays = () if self.chosen and adjusted else regression.base[1:]
+        for place, (found, own) in enumerate(zip(self.left_out, regression.residual.spectra, strict=True)):
+            left = found.residual(without=stays)
+            apart = regression.noise.own_rows(left, place)
+            before += np.square(own.rows[:, :, 0] - apart).sum(axis=1)
+            after += np.square(rows_of(left, place) - apart).sum(axis=1)
+            floor += noise[:, own.band].sum(axis=1)
+        samples = sum(len(flight.thinned) for flight in regression.flights)
         # Of numbers that were made up, without any noise, too.
         floor = np.maximum(floor, stated * samples + np.finfo(float).eps * before + np.finfo(float).tiny)
         beyond = np.maximum(np.stack((before, after)) / floor - 1.0, 0.0)
-        removable, kept = beyond[:, ~self.regression.weighting.held].sum(axis=1).tolist()
+        removable, kept = beyond[:, ~regression.noise.held].sum(axis=1).tolist()
         reduction = 1.0 - kept / removable if removable > 0.0 else 0.0
         before, after, floor = np.sqrt(np.stack((before, after, floor)) / samples)
         return Gap(before, after, floor, reduction)
@@ -165,11 +159,12 @@ class Closing:
             deviation: (k,) of its parameters in the fit to all, in prior ones; 0 for those at a bound.
         """
         regression, law = self.regression, law_fit(self.regression, self.chosen)
-        columns, blocks = regression.block(index).parameters, list(map(regression.block, self.chosen))
-        without = [refit(regression.gram - own, law, blocks) for own in regression.weighting.per_flight]
+        equations, flights = regression.equations(self.chosen), range(len(regression.flights))
+        without = [equations.refit(law, place) for place in flights]
         share = (len(without) - 1) / len(without)
-        spread = len(without) * share * np.var([fit.of(columns) for fit in without], axis=0)
-        lost = [np.square(fit.deviation(columns)) - np.square(law.deviation(columns)) for fit in without]
+        spread = len(without) * share * np.var([regression.found(index, fit) for fit in without], axis=0)
+        known = np.square(regression.deviation(index, law))
+        lost = [np.square(regression.deviation(index, fit)) - known for fit in without]
         expected = np.maximum(np.square(deviation), share * np.sum(np.maximum(lost, 0.0), axis=0))
         estimated = deviation > 0.0
         ratio: Array = np.sqrt(np.divide(spread, expected, out=np.zeros(len(deviation)), where=estimated))
@@ -183,9 +178,11 @@ class Closing:
             law: fit of its parameters, see :meth:`fits`.
             found: fit of the shapes.
         """
-        candidate, block = self.regression.candidates[index], self.regression.block(index)
-        modulators = self.regression.columns.modulators
-        size = float(np.linalg.norm(law.of(block.parameters)))
+        candidate, block = self.regression.candidates[index], self.regression.blocks[index]
+        modulators = self.regression.modulators
+        if block.form is None:
+            return {}
+        size = float(np.linalg.norm(self.regression.found(index, law)))
         # The columns were made for an effect of another size.
         weights = candidate.form * found.of(block.form) * block.formed_at / (size or np.inf)
         if not weights.any():

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -12,15 +12,25 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.discrepancy.candidates import Candidate
-from quadpi_core.discrepancy.effect_response import Compared
-from quadpi_core.discrepancy.evidence import Block, Fit, evidence_at, fit, residual_weights
-from quadpi_core.discrepancy.linearisation import NO_COLUMNS, Linearisation, table_starts
-from quadpi_core.discrepancy.whitening import Spectrum, band_means, cross_gram, estimate_noise
+from quadpi_core.discrepancy.candidates import Candidate, candidates, first_point, linearise, start_cost
+from quadpi_core.discrepancy.effect_response import Compared, body_tolerances, share_of_wrench
+from quadpi_core.discrepancy.evidence import Block, Equations, Fit
+from quadpi_core.discrepancy.whitening import (
+    Columns,
+    Noise,
+    OfEachFlight,
+    Part,
+    Sum,
+    band_means,
+    estimate_noise,
+    rows_of,
+)
+from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.models.sound_flights import SoundFlights
-from quadpi_core.thresholds import CONVENTION, Threshold
+from quadpi_core.simulation.applied_effects import state_modulators
+from quadpi_core.thresholds import CONVENTION, DEVELOPMENT, Threshold
 
 # Rounds in which the columns of mass and inertia and the accelerations that all columns explain converge.
 _ACCELERATION_ROUNDS = 2
@@ -30,6 +40,10 @@ _ROUNDS = 3
 _CONDITION_ROUNDS, _LEAST_DIFFERENCE = 12, 1e-4
 # Precision of what flights share of it, in prior ones.
 _FREE = 1e-4
+# Step of the difference quotient in a vehicle parameter, in prior standard deviations.
+_VEHICLE_STEP = 1e-3
+# Smallest standard deviation of a modulator that is divided by: one that is constant has none.
+_LEAST_DEVIATION = 1e-9
 TAILS = Threshold(
     "tails of what flights have of their own",
     1.0,
@@ -38,8 +52,13 @@ TAILS = Threshold(
     "what the others share",
     CONVENTION,
 )
-# Axes of a simulation that states no intervals.
-NONE_HELD = np.zeros(len(AXES), dtype=np.bool_)
+AXES_OVER_FORM = Threshold(
+    "share of a single axis by which a law may be off",
+    1.5,
+    "shares by which the whole law may be off",
+    "two laws of the literature for one effect differ more from axis to axis than in their mean",
+    DEVELOPMENT,
+)
 SMALL_STEP = Threshold(
     "step to another point of linearisation",
     0.05,
@@ -47,6 +66,95 @@ SMALL_STEP = Threshold(
     "a third of the smallest size that is named: columns hardly change over less",
     CONVENTION,
 )
+# Axes of a simulation that states no intervals.
+NONE_HELD = np.zeros(len(AXES), dtype=np.bool_)
+
+
+@dataclass(frozen=True)
+class Modulators:
+    """Quantities that a law may depend on beyond its formula, standardised over all flights.
+
+    Attributes:
+        mean, deviation: (C,) over all flights.
+        values: (M, C) of each flight, standardised.
+    """
+
+    mean: Array
+    deviation: Array
+    values: tuple[Array, ...]
+
+    @classmethod
+    def of(cls, flights: Sequence[Compared]) -> Modulators:
+        """Modulators of the states of the flights."""
+        raw = [state_modulators(flight.states, flight.record) for flight in flights]
+        everything = np.concatenate(raw)
+        mean, deviation = everything.mean(axis=0), np.maximum(everything.std(axis=0), _LEAST_DEVIATION)
+        return cls(mean, deviation, tuple((own - mean) / deviation for own in raw))
+
+    def form(self, candidate: Candidate, flights: Sequence[Compared], at: Array) -> Columns:
+        """Columns for the error of a law: shares of its contribution by axis, then times each modulator.
+
+        Args:
+            candidate: with that law.
+            flights: beside the simulation that it contributes to.
+            at: (k,) its free parameters.
+        """
+        axes = [AXES.index(name) for name in candidate.effect.axes]
+        columns = []
+        for flight, values in zip(flights, self.values, strict=True):
+            here = flight.added(candidate.effect, candidate.values(at))
+            single = AXES_OVER_FORM.value * here[:, :, np.newaxis] * np.eye(len(AXES))[:, axes]
+            modulated = here[:, :, np.newaxis] * values[:, np.newaxis]
+            columns.append(candidate.form * np.concatenate((single, modulated), axis=2))
+        return in_frequency(flights, columns)
+
+
+class Tolerances(NamedTuple):
+    """Columns of what is uncertain in a simulation.
+
+    Attributes:
+        coefficients, body: of its own coefficients, and of the body.
+        names: of all of them.
+        laws: for each the name of the one of what it shares with others; empty without.
+        shares: (6, 6, k) share of the wrench of the vehicle's accelerations in each of the body.
+    """
+
+    coefficients: Columns
+    body: Columns
+    names: tuple[str, ...]
+    laws: tuple[str, ...]
+    shares: Array
+
+    @classmethod
+    def of(cls, flights: Sequence[Compared]) -> Tolerances:
+        """Those of a simulation, without coefficients that no flight feels."""
+        simulation = flights[0].simulation
+        each = [flight.uncertain() for flight in flights]
+        shares = []
+        for effect, deviation in body_tolerances(simulation.tolerances):
+            for values in deviation * np.eye(len(effect.parameters)):
+                moved = effect.kind == "vehicle"
+                shares.append(
+                    share_of_wrench(effect, simulation.vehicle, values) if moved else np.zeros((6, 6))
+                )
+        first = len(each[0]) - len(shares)
+        felt = [k for k in range(first) if any(np.any(own[k].wrench) for own in each)]
+        kept = [*felt, *range(first, len(each[0]))]
+
+        def columns(chosen: Sequence[int]) -> Columns:
+            none = [np.zeros((*flight.residual.shape, 0)) for flight in flights]
+            of_flights = zip(none, each, strict=True)
+            return in_frequency(
+                flights, [np.dstack([empty, *(own[k].wrench for k in chosen)]) for empty, own in of_flights]
+            )
+
+        return cls(
+            coefficients=columns(felt),
+            body=columns(range(first, len(each[0]))),
+            names=tuple(each[0][k].name for k in kept),
+            laws=tuple(each[0][k].law for k in kept),
+            shares=np.stack(shares, axis=2) if shares else np.zeros((6, 6, 0)),
+        )
 
 
 class Reduction(NamedTuple):
@@ -66,59 +174,6 @@ class Reduction(NamedTuple):
         return smaller
 
 
-@dataclass(frozen=True)
-class NoiseWeighting:
-    """Columns weighted by the noise, and their Gram matrices.
-
-    Attributes:
-        noise: (6, C) variance in C bands of frequency.
-        held: axes (6,) that say nothing, as the simulation's own intervals hold them; their weight is 0.
-        per_flight: (F, K, K) Gram matrices of the whitened columns.
-        gram: (K, K) their sum.
-    """
-
-    noise: Array
-    held: npt.NDArray[np.bool_]
-    per_flight: Array
-    gram: Array
-    _whitened: tuple[tuple[Array, ...], ...]
-
-    @classmethod
-    def of(cls, columns: Linearisation, noise: Array, held: npt.NDArray[np.bool_]) -> NoiseWeighting:
-        """Weighting of all columns by a noise (6, C)."""
-        flights = len(columns.flights)
-        none = np.zeros((flights, 0, 0))
-        return cls(noise, held, none, none.sum(axis=0), ((),) * flights).extended(columns)
-
-    @cached_property
-    def precision(self) -> Array:
-        """Squared weights (6, C): one over the variance, 0 in axes that say nothing."""
-        squared: Array = np.where(self.held[:, None], 0.0, 1.0 / self.noise)
-        return squared
-
-    def extended(self, columns: Linearisation) -> NoiseWeighting:
-        """The weighting with columns that were appended since."""
-        known, width = self.per_flight.shape[1], columns.width
-        if width == known:
-            return self
-        grown = np.zeros((len(columns.flights), width, width))
-        grown[:, :known, :known] = self.per_flight
-        whitened = []
-        for place, (band, done) in enumerate(zip(columns.bands, self._whitened, strict=True)):
-            weights = np.sqrt(self.precision[:, band])
-            fresh = [rows * weights[:, :, None] for rows in columns.tables[place][len(done) :]]
-            if columns.errors[place].shape[2]:
-                fresh = _beside(columns.errors[place] * weights[:, :, None], fresh)
-            added = np.concatenate(fresh, axis=2)
-            for first, rows in zip(table_starts(done), done, strict=True):
-                block = cross_gram(rows, added)
-                grown[place, first : first + rows.shape[2], known:] = block
-                grown[place, known:, first : first + rows.shape[2]] = block.T
-            grown[place, known:, known:] = cross_gram(added, added)
-            whitened.append((*done, *fresh))
-        return replace(self, per_flight=grown, gram=grown.sum(axis=0), _whitened=tuple(whitened))
-
-
 @dataclass(frozen=True, eq=False)
 class Condition:
     """Parameters of a candidate that each flight has of its own.
@@ -132,20 +187,32 @@ class Condition:
     sizes: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Regression:
-    """Weighted columns of residual, tolerances and candidates of all flights; changes give new values.
+    """Residual, tolerances and candidates of all flights, and their noise; changes give new values.
 
     Attributes:
-        columns: columns in frequency.
-        weighting: their weights by the noise, and Gram matrices.
+        flights: F flights beside their simulation.
+        candidates: the effects that are looked for.
+        points: free parameters at which each candidate is linearised.
+        blocks: columns of each candidate.
+        residual: one column.
+        tolerances: columns of what is uncertain in the simulation.
+        modulators: what laws may depend on.
+        noise: of the residual.
         explained: per flight, rows (6, B) of the wrench of the accelerations that the columns of mass and
             inertia are made of.
-        conditions: what each flight has of its own.
+        conditions: what each flight has of its own, in the order of the last of `noise.own`.
     """
 
-    columns: Linearisation
-    weighting: NoiseWeighting
+    flights: tuple[Compared, ...]
+    candidates: tuple[Candidate, ...]
+    points: tuple[Array, ...]
+    blocks: tuple[Block, ...]
+    residual: Columns
+    tolerances: Tolerances
+    modulators: Modulators
+    noise: Noise
     explained: tuple[Array, ...]
     conditions: tuple[Condition, ...] = ()
 
@@ -156,7 +223,7 @@ class Regression:
         candidates: Sequence[Candidate],
         held: npt.NDArray[np.bool_] = NONE_HELD,
     ) -> Regression:
-        """Regression with every candidate linearised at zero, and the noise that all of them leave.
+        """Regression with every candidate linearised at no effect, and the noise that all of them leave.
 
         Args:
             flights: beside their simulation.
@@ -164,18 +231,63 @@ class Regression:
             held: axes (6,) that the simulation's own intervals hold: what is inside them is known no better,
                 so that it speaks neither for nor against an effect or a coefficient.
         """
-        columns = Linearisation.of(flights, candidates)
-        explained = tuple(_rows(flight, flight.expected_measured) for flight in flights)
-        sound = in_bands(columns)
-        if sound is not None:
+        points = tuple(first_point(candidate, flights) for candidate in candidates)
+        residual = in_frequency(flights, [flight.residual[:, :, np.newaxis] for flight in flights])
+        regression = cls(
+            flights=tuple(flights),
+            candidates=tuple(candidates),
+            points=points,
+            blocks=tuple(block_of(*own, flights) for own in zip(candidates, points, strict=True)),
+            residual=residual,
+            tolerances=Tolerances.of(flights),
+            modulators=Modulators.of(flights),
+            noise=Noise(np.ones((len(AXES), residual.bands)), held),
+            explained=tuple(_rows(flight, flight.expected_measured) for flight in flights),
+        )
+        if regression.sound is not None:
             # Its known errors were found with columns of the accelerations that the simulation expects.
-            return cls(columns, NoiseWeighting.of(columns, sound.noise, held), explained)
-        noise = _estimated_noise(columns, ())
-        regression = cls(columns, NoiseWeighting.of(columns, noise, held), explained)
+            return regression._beside_known_errors(regression.sound)
+        regression = regression.weighted(regression._estimated_noise(()))
         for _ in range(_ACCELERATION_ROUNDS):
             accelerated = regression.accelerated(_require(regression.fit(())))
-            regression = accelerated.weighted(_estimated_noise(accelerated.columns, ()))
+            regression = accelerated.weighted(accelerated._estimated_noise(()))
         return regression
+
+    def _beside_known_errors(self, sound: SoundFlights) -> Regression:
+        """The regression of the residual less what sound flights leave, with their noise."""
+        noise = replace(self.noise, variance=sound.noise)
+        if not sound.names:
+            return replace(self, noise=noise)
+        known = self._known_errors(sound)
+        deviations = sound.deviations(len(self.flights))
+        own = OfEachFlight(known, np.repeat(deviations[np.newaxis], len(self.flights), axis=0))
+        shared = known.spectra
+        residual = self.residual.plus(lambda place: -(shared[place].rows @ sound.mean)[:, :, np.newaxis])
+        return replace(self, residual=residual, noise=noise.beside(own))
+
+    def _known_errors(self, sound: SoundFlights) -> Columns:
+        """Columns of the known errors of a simulation, per unit of each parameter, about no effect."""
+        blocks = {own.label: block for own, block in zip(self.candidates, self.blocks, strict=True)}
+        labels, parts = {label for label, _ in sound.names}, {}
+        for candidate in candidates(self.flights[0].simulation.vehicle):
+            if candidate.label in labels:
+                block = blocks.get(candidate.label) or block_of(
+                    candidate, np.zeros(len(candidate.free)), self.flights
+                )
+                for k, free in enumerate(candidate.free):
+                    name = candidate.label, candidate.effect.parameters[free].name
+                    parts[name] = block.columns, k, candidate.scale[k]
+        if unknown := [label for label, parameter in sound.names if (label, parameter) not in parts]:
+            raise DiscrepancyError(
+                f"{self.flights[0].simulation.name}: knows an error of {unknown[0]}, which is no effect "
+                "here: install what it came from, or identify the model again"
+            )
+        wanted = [parts[name] for name in sound.names]
+        return self.residual.like(
+            lambda place: np.dstack(
+                [columns.spectra[place].rows[:, :, k] / scale for columns, k, scale in wanted]
+            )
+        )
 
     def accelerated(self, found: Fit) -> Regression:
         """The regression with columns of mass and inertia made of the accelerations that a fit explains.
@@ -183,50 +295,46 @@ class Regression:
         They are those of the quiet simulation and of what the fit adds to it. Another mass or inertia then
         explains nothing that the fit itself does not. Measured accelerations hold the noise of the residual,
         and so do those that many columns explain together: a vehicle without mass, in no air, would leave
-        none of it. The weighting is not changed.
+        none of it. The noise is not changed.
         """
-        columns = self.columns
-        fitted = residual_weights(columns.width, ()) - found.left
+        left = [Part(part.columns, -part.weights) for part in found.residual(without=[self.residual])]
         explained = tuple(
-            _rows(flight, flight.quiet_wrench[:: flight.step]) + columns.combined(place, fitted)
+            _rows(flight, flight.quiet_wrench[:: flight.step]) + rows_of(left, place)
             for place, flight in enumerate(self.flights)
         )
         changes = [new - old for new, old in zip(explained, self.explained, strict=True)]
-        return replace(self, columns=columns.accelerated(changes), explained=explained)
 
-    @property
-    def flights(self) -> tuple[Compared, ...]:
-        """The flights, beside their simulation."""
-        return self.columns.flights
+        def changed(shares: Array) -> Callable[[int], Array]:
+            return lambda place: np.einsum("ack,cb->abk", shares, changes[place])
 
-    @property
+        blocks = list(self.blocks)
+        for index, candidate in enumerate(self.candidates):
+            if candidate.effect.kind == "vehicle":
+                vehicle, steps = self.flights[0].simulation.vehicle, _VEHICLE_STEP * np.diag(candidate.scale)
+                shares = [share_of_wrench(candidate.effect, vehicle, own) / _VEHICLE_STEP for own in steps]
+                columns = blocks[index].columns.plus(changed(np.stack(shares, axis=2)))
+                blocks[index] = replace(blocks[index], columns=columns)
+        body = self.tolerances.body.plus(changed(self.tolerances.shares))
+        tolerances = self.tolerances._replace(body=body)
+        return replace(self, blocks=tuple(blocks), tolerances=tolerances, explained=explained)
+
+    @cached_property
     def sound(self) -> SoundFlights | None:
-        """What sound flights leave of the simulation, in the bands of the columns; None where unknown."""
-        return in_bands(self.columns)
+        """What sound flights leave of the simulation, in the bands that are compared; None where unknown."""
+        sound, bands = self.flights[0].simulation.sound, self.residual.bands
+        if sound is None or bands == sound.noise.shape[1]:
+            return sound
+        edges, noise, left = sound.edges_hz[: bands + 1], sound.noise[:, :bands], sound.left[:, :bands]
+        return replace(sound, edges_hz=edges, noise=noise, left=left)
 
     @property
-    def candidates(self) -> tuple[Candidate, ...]:
-        """The candidates of the search."""
-        return self.columns.candidates
-
-    @property
-    def noise(self) -> Array:
-        """Variance (6, C) of the noise."""
-        return self.weighting.noise
-
-    @property
-    def gram(self) -> Array:
-        """Gram matrix (K, K) of all flights."""
-        return self.weighting.gram
-
-    def block(self, index: int) -> Block:
-        """The columns of a candidate."""
-        return self.columns.blocks[index]
+    def base(self) -> tuple[Columns, ...]:
+        """Columns of every fit: the residual, and the tolerances."""
+        return self.residual, self.tolerances.coefficients, self.tolerances.body
 
     def moved(self, points: Mapping[int, Array]) -> Regression:
-        """The regression with candidates, by index, linearised about other points."""
-        columns = self.columns.moved(points)
-        return replace(self, columns=columns, weighting=self.weighting.extended(columns))
+        """The regression with candidates, by index, linearised about other points, with forms."""
+        return self._with_blocks(points, self.flights)
 
     def with_fitted_coefficients(self, chosen: Sequence[int], found: Fit) -> Regression:
         """The regression with the chosen made of the simulation with its coefficients as a fit has them.
@@ -236,20 +344,36 @@ class Regression:
         see :meth:`accelerated`. The noise stays that of the fit, which holds that product: intervals are
         rather too wide for it.
         """
-        columns = self.columns
-        fitted = zip(columns.tolerance_names, found.of(columns.tolerances).tolist(), strict=True)
+        fitted = zip(self.tolerances.names, self.moved_by(found).tolist(), strict=True)
         stated = self.flights[0].simulation
         simulation = stated.with_coefficients(dict(fitted))
         if simulation is stated:
             return self
         flights = [flight.compared_with(simulation) for flight in self.flights]
         moving = [index for index in chosen if self.candidates[index].effect.kind != "vehicle"]
-        columns = columns.remade(flights, moving)
-        return replace(self, columns=columns, weighting=self.weighting.extended(columns))
+        return self._with_blocks({index: self.points[index] for index in moving}, flights, anew=True)
 
-    def weighted(self, noise: Array) -> Regression:
-        """The regression with another noise (6, C)."""
-        return replace(self, weighting=NoiseWeighting.of(self.columns, noise, self.weighting.held))
+    def _with_blocks(
+        self, points: Mapping[int, Array], flights: Sequence[Compared], *, anew: bool = False
+    ) -> Regression:
+        """The regression with blocks of candidates about points, made of flights beside a simulation."""
+        at, blocks = list(self.points), list(self.blocks)
+        for index, point in points.items():
+            candidate = self.candidates[index]
+            at[index] = point
+            if anew or not candidate.linear:
+                blocks[index] = block_of(candidate, point, flights)
+            size = float(np.linalg.norm(point / candidate.scale))
+            form = None
+            if size > 0.0 and candidate.form > 0.0:
+                form = self.modulators.form(candidate, flights, point)
+            own_point = (point - candidate.centre) / candidate.scale
+            blocks[index] = replace(blocks[index], at=own_point, form=form, formed_at=size or 1.0)
+        return replace(self, points=tuple(at), blocks=tuple(blocks))
+
+    def weighted(self, variance: Array) -> Regression:
+        """The regression with noise of another variance (6, C)."""
+        return replace(self, noise=replace(self.noise, variance=variance))
 
     def beside(self, chosen: Sequence[int], found: Fit) -> Regression:
         """The regression with at least the residual after a set of effects as noise, as far as there was any.
@@ -257,29 +381,27 @@ class Regression:
         An error of a law would otherwise be explained by another effect. Columns of mass and inertia are made
         of the accelerations that the set explains. What flights may have of their own is no noise.
         """
-        varied = replace(self, columns=self._with_all_conditions)
-        left = band_means([np.square(rows) for rows in varied.left(found)], self.columns.bands)
+        left = self.band_means(self.varied.left(found))
         accelerated = self.accelerated(found)
         if self.sound is not None:
             return accelerated.weighted(np.maximum(self.sound.noise, left))
         # Nothing was fitted to axes that say nothing, so what is left of them is no noise.
-        left[self.weighting.held] = 0.0
-        noise = np.maximum(_estimated_noise(accelerated.columns, chosen), left)
-        return accelerated.weighted(np.minimum(noise, _residual_squares(self.columns)))
-
-    @property
-    def _with_all_conditions(self) -> Linearisation:
-        columns = self.columns
-        for index in self.conditions_to_come:
-            sizes = np.ones((len(self.flights), len(self.block(index).parameters)))
-            columns = columns.with_flights_own(index, sizes)
-        return columns
+        left[self.noise.held] = 0.0
+        variance = np.maximum(accelerated._estimated_noise(chosen), left)
+        return accelerated.weighted(np.minimum(variance, self._residual_squares))
 
     @cached_property
     def varied(self) -> Regression:
         """The regression with all that flights may have of their own as noise, however large."""
-        columns = self._with_all_conditions
-        return self if columns is self.columns else replace(self, columns=columns).weighted(self.noise)
+        own = []
+        for index in self.conditions_to_come:
+            sizes = np.ones((len(self.flights), len(self.blocks[index].at)))
+            own.append(self._of_each_flight(Condition(index, sizes)))
+        return replace(self, noise=self.noise.beside(*own)) if own else self
+
+    def _of_each_flight(self, condition: Condition) -> OfEachFlight:
+        columns, sizes = self.blocks[condition.index].columns, condition.sizes
+        return OfEachFlight(columns, sizes[:, np.newaxis] * np.eye(columns.width)[:, : sizes.shape[1]])
 
     @property
     def conditions_to_come(self) -> list[int]:
@@ -293,53 +415,79 @@ class Regression:
             if candidate.effect.of_a_flight and index not in known
         ]
 
-    def fit(self, chosen: Sequence[int], gram: Array | None = None, *, form: bool = True) -> Fit | None:
-        """Fit a set of candidates, by their indices, with or without the columns of their form.
+    @cached_property
+    def _equations(self) -> dict[tuple[tuple[int, ...], tuple[int, ...]], Equations]:
+        return {}
 
-        See :func:`evidence.fit`.
-        """
-        blocks = [self.block(i) if form else replace(self.block(i), form=NO_COLUMNS) for i in chosen]
-        return fit(self.gram if gram is None else gram, self.columns.tolerances, blocks)
+    def equations(self, chosen: Sequence[int], formed: Sequence[int] = ()) -> Equations:
+        """Normal equations of a set of candidates, by their indices, some with the columns of their form."""
+        key = tuple(chosen), tuple(formed)
+        if key not in self._equations:
+            of_form = [self.blocks[index] for index in formed]
+            blocks = [self.blocks[index] for index in chosen]
+            self._equations[key] = Equations.of(self.base, blocks, self.noise, of_form)
+        return self._equations[key]
 
-    def evidence_at(self, chosen: Sequence[int]) -> float:
-        """See :func:`evidence.evidence_at`, of candidates by their indices."""
-        return evidence_at(self.gram, self.columns.tolerances, [self.block(index) for index in chosen])
+    def fit(self, chosen: Sequence[int], *, form: bool = True) -> Fit | None:
+        """Fit a set of candidates, by their indices, see :meth:`Equations.fit`."""
+        return self._comparable(self.equations(chosen, chosen if form else ()).fit())
+
+    def _comparable(self, found: Fit | None) -> Fit | None:
+        cost = self.noise.cost
+        return found and replace(found, log_evidence=found.log_evidence - cost)
+
+    def at_points(self, chosen: Sequence[int]) -> float:
+        """See :meth:`Equations.at_points`, of candidates by their indices."""
+        return self.equations(chosen).at_points()
+
+    def moved_by(self, found: Fit) -> Array:
+        """What a fit moves coefficients (T,) of the simulation by, in their tolerances."""
+        return np.concatenate([found.of(columns) for columns in self.base[1:]])
+
+    def found(self, index: int, found: Fit) -> Array:
+        """Free parameters (k,) of a candidate in a fit, in prior standard deviations from their mean."""
+        block = self.blocks[index]
+        return found.of(block.columns)[: len(block.at)]
 
     def parameters(self, index: int, found: Fit) -> Array:
         """Free parameters (k,) of a candidate in a fit, brought within their bounds."""
         candidate = self.candidates[index]
-        values = candidate.centre + found.of(self.block(index).parameters) * candidate.scale
-        return candidate.within_bounds(values)
+        return candidate.within_bounds(candidate.centre + self.found(index, found) * candidate.scale)
+
+    def deviation(self, index: int, found: Fit) -> Array:
+        """Standard deviations (k,) of the parameters of a candidate in a fit; 0 for those at a bound."""
+        block = self.blocks[index]
+        return found.deviation(block.columns)[: len(block.at)]
+
+    def of_tolerances(self, values: Array) -> list[Part]:
+        """What coefficients (T,), in their tolerances, add to the simulated wrench, as a sum of columns."""
+        count = self.tolerances.coefficients.width
+        return [Part(self.base[1], values[:count]), Part(self.base[2], values[count:])]
 
     def size(self, index: int, found: Fit) -> float:
         """Largest parameter of a candidate in a fit, in prior standard deviations."""
-        return float(np.abs(found.of(self.block(index).parameters)).max())
+        return float(np.abs(self.found(index, found)).max())
 
     def left(self, found: Fit) -> list[Array]:
         """Rows (6, B) of the residual of each flight after a fit and what that flight has of its own."""
-        return [self.left_of(place, found.left) for place in range(len(self.flights))]
+        return [self.left_of(place, found) for place in range(len(self.flights))]
 
-    def left_of(self, place: int, weights: Array) -> Array:
-        """Rows (6, B) of a flight's columns, each times its weight, together, less what it has of its own."""
-        return self.columns.combined(place, weights) - self.own_rows(place, weights)
+    def left_of(self, place: int, found: Fit) -> Array:
+        """Rows (6, B) of the residual of a flight after a fit, less what that flight has of its own."""
+        residual = found.residual()
+        return rows_of(residual, place) - self.noise.own_rows(residual, place)
 
-    def own_rows(self, place: int, weights: Array) -> Array:
-        """Rows (6, B) of what a flight has of its own, as far as its columns, each times its weight, tell."""
-        rows: Array = self.columns.errors[place] @ self.flights_own(place, weights)[0]
-        return rows
+    def squares(self, parts: Sum, variance: Array | None = None) -> Array:
+        """Squares (6,) of a sum of columns over all flights, in variances (6, C) where these are given."""
+        rows = [np.square(rows_of(parts, place)) for place in range(len(self.flights))]
+        if variance is not None:
+            rows = [own / variance[:, at.band] for own, at in zip(rows, self.residual.spectra, strict=True)]
+        total: Array = sum(own.sum(axis=1) for own in rows)
+        return total
 
-    def flights_own(self, place: int, weights: Array) -> tuple[Array, Array]:
-        """Deviations of a flight from what all share, by :attr:`Linearisation.errors`, as far as known.
-
-        Returns:
-            Their posterior mean (E,) and covariance (E, E).
-        """
-        errors, band = self.columns.errors[place], self.columns.bands[place]
-        weighed = np.einsum("abe,ab->eab", errors, self.weighting.precision[:, band])
-        information = np.einsum("eab,abf->ef", weighed, errors) + np.eye(errors.shape[2])
-        covariance = np.linalg.inv(information)
-        rows = self.columns.combined(place, weights)
-        return covariance @ np.einsum("eab,ab->e", weighed, rows), covariance
+    def band_means(self, rows: Sequence[Array]) -> Array:
+        """Mean squares (6, C) of rows (6, B) of each flight by band."""
+        return band_means([np.square(own) for own in rows], [own.band for own in self.residual.spectra])
 
     def sizes_of_condition(self, index: int, chosen: Sequence[int]) -> Array:
         """Standard deviations (F, k) of the parameters of a candidate that each flight has, in prior ones.
@@ -348,17 +496,19 @@ class Regression:
         expectation and maximisation for a Student's t: an effect that all flights have is no condition of
         one, and a flight that differs by much says nothing of the others.
         """
-        own = self.block(index).parameters
-        parameters = [self.block(one).parameters for one in chosen if one != index]
-        shared = np.concatenate((self.columns.tolerances, *parameters, own))
-        residual = residual_weights(len(self.gram), [self.block(one) for one in chosen])
+        equations = self.equations((*(one for one in chosen if one != index), index))
+        count, own = equations.per_flight.shape[1], equations.parameters(-1)
+        shared = np.arange(1, 1 + equations.tolerances)
+        shared = np.concatenate((shared, *map(equations.parameters, range(len(equations.blocks)))))
+        residual = equations.residual
+        if index not in chosen:
+            residual[own[-1] + 1 : count] = 0.0
         # However large what flights share is, it is no difference between them.
         prior = np.diag(np.where(np.isin(shared, own), _FREE, 1.0))
-        sizes = np.ones((len(self.flights), len(own)))
-        typical = np.ones(len(own))
+        sizes, typical = np.ones((len(self.flights), len(own))), np.ones(len(own))
         for _ in range(_CONDITION_ROUNDS):
             information, projection, inner = prior.copy(), np.zeros(len(shared)), []
-            for gram, size in zip(self.weighting.per_flight, sizes, strict=True):
+            for gram, size in zip(equations.per_flight, sizes, strict=True):
                 solved = np.linalg.inv(gram[np.ix_(own, own)] + np.diag(1.0 / np.square(size)))
                 gain = gram[np.ix_(shared, own)] @ solved
                 information += gram[np.ix_(shared, shared)] - gain @ gram[np.ix_(own, shared)]
@@ -377,112 +527,110 @@ class Regression:
             sizes = np.clip(typical / np.sqrt(weights), _LEAST_DIFFERENCE, 1.0)
         return sizes
 
-    def gain_of_condition(self, index: int, sizes: Array, chosen: Sequence[int], found: Fit) -> float:
-        """Evidence [nat] that flights of their own parameters of a candidate gain beside a fitted set."""
-        own, deflated, cost = self.block(index).parameters, np.zeros_like(self.gram), 0.0
-        for gram, size in zip(self.weighting.per_flight, sizes, strict=True):
-            columns = gram[:, own] * size
-            inner = columns[own] * size[:, np.newaxis] + np.eye(len(own))
-            deflated += gram - columns @ np.linalg.solve(inner, columns.T)
-            cost += 0.5 * float(np.linalg.slogdet(inner)[1])
-        fit = self.fit(chosen, deflated)
-        return -np.inf if fit is None else fit.log_evidence - cost - found.log_evidence
-
     def with_condition(self, condition: Condition) -> Regression:
         """The regression with parameters of a candidate that each flight has of its own, as noise."""
-        columns = self.columns.with_flights_own(condition.index, condition.sizes)
-        return replace(self, columns=columns, conditions=(*self.conditions, condition)).weighted(self.noise)
+        noise = self.noise.beside(self._of_each_flight(condition))
+        return replace(self, noise=noise, conditions=(*self.conditions, condition))
 
-    def of_condition(self, condition: Condition, place: int, weights: Array) -> tuple[Array, Array]:
-        """Parameters (k,) of a candidate that a flight has of its own, and their standard deviations (k,).
-
-        Args:
-            condition: one of `conditions`.
-            place: number of the flight.
-            weights: (K,) of its columns in the residual after a fit.
-        """
+    def of_condition(self, condition: Condition, place: int, found: Fit) -> tuple[Array, Array]:
+        """Parameters (k,) of a candidate that a flight has of its own, and their standard deviations (k,)."""
         later = self.conditions[self.conditions.index(condition) :]
-        mean, covariance = self.flights_own(place, weights)
+        mean = self.noise.deviations(found.residual(), place)
+        deviation = np.sqrt(np.diag(self.noise.covariance[place]))
         first = len(mean) - sum(one.sizes.shape[1] for one in later)
         own = slice(first, first + condition.sizes.shape[1])
         units = condition.sizes[place] * self.candidates[condition.index].scale
-        return mean[own] * units, np.sqrt(np.diag(covariance)[own]) * units
+        return mean[own] * units, deviation[own] * units
+
+    def added(self, chosen: Sequence[int], found: Fit) -> list[Part]:
+        """The contribution of candidates in a fit, as a sum of columns."""
+        columns = [self.blocks[index].columns for index in chosen]
+        return [Part(own.columns, -own.weights) for own in found.residual() if own.columns in columns]
 
     def loudness(self, index: int, found: Fit) -> float:
         """Root mean square of the contribution of a candidate over that of the noise, in its loudest axis."""
-        squares, noise = np.zeros(len(AXES)), np.zeros(len(AXES))
-        for place, band in enumerate(self.columns.bands):
-            squares += np.square(self._added(place, (index,), found)).sum(axis=1)
-            noise += self.noise[:, band].sum(axis=1)
-        return float(np.sqrt(np.max((squares / noise)[~self.weighting.held], initial=0.0)))
+        noise = sum(self.noise.variance[:, own.band].sum(axis=1) for own in self.residual.spectra)
+        ratio = self.squares(self.added((index,), found)) / noise
+        return float(np.sqrt(np.max(ratio[~self.noise.held], initial=0.0)))
 
     def energy(self, chosen: Sequence[int], found: Fit) -> float:
         """Evidence of candidates in a fit: half of the squares that they add, in variances of the noise."""
-        squares = 0.0
-        for place, band in enumerate(self.columns.bands):
-            added = np.square(self._added(place, chosen, found))
-            squares += float(np.sum(added * self.weighting.precision[:, band]))
-        return 0.5 * squares
+        if not chosen:
+            return 0.0
+        squares = self.squares(self.added(chosen, found), self.noise.variance)
+        return 0.5 * float(squares[~self.noise.held].sum())
 
-    def reduction(self, chosen: Sequence[int], found: Fit, noise: Array | None = None) -> Reduction:
+    def reduction(self, chosen: Sequence[int], found: Fit, variance: Array | None = None) -> Reduction:
         """Squares by which candidates in a fit reduce the residual of all flights.
 
         Args:
             chosen: indices of the candidates.
             found: fit of them, and of others.
-            noise: (6, C) variance to count the squares in; unless given, they are in units of the wrench.
+            variance: (6, C) to count the squares in; unless given, they are in units of the wrench.
         """
-        stated = found.left.copy()
-        stated[self.columns.tolerances] = 0.0
+        blocks = [self.blocks[index] for index in chosen]
+        added = [*(own.columns for own in blocks), *(own.form for own in blocks if own.form is not None)]
         reduced = []
-        for left in (found.left, stated):
-            without = left.copy()
-            for block in map(self.block, chosen):
-                without[block.parameters] = without[block.form] = 0.0
-                if block.offset is not None:
-                    without[block.offset] = 0.0
-            reduced.append(self.columns.squares(without, noise) - self.columns.squares(left, noise))
+        for stated in ((), self.base[1:]):
+            without, left = found.residual(without=[*stated, *added]), found.residual(without=stated)
+            reduced.append(self.squares(without, variance) - self.squares(left, variance))
         return Reduction(*reduced)
 
-    def _added(self, place: int, chosen: Sequence[int], found: Fit) -> Array:
-        """Rows (6, B) of the contribution of candidates to a flight in a fit."""
-        weights = np.zeros(self.columns.width)
-        for block in map(self.block, chosen):
-            weights[block.parameters] = found.of(block.parameters)
-            if block.offset is not None:
-                weights[block.offset] = -1.0
-        return self.columns.combined(place, weights)
+    def _estimated_noise(self, chosen: Sequence[int]) -> Array:
+        """Variance (6, C) of the residual after tolerances, every linear candidate, and those chosen."""
+        explaining, offsets = list(self.base[1:]), []
+        for index, block in enumerate(self.blocks):
+            if index in chosen and block.form is not None:
+                explaining.append(block.form)
+            if not block.curved:
+                explaining.append(block.columns)
+            elif index in chosen:
+                count = len(block.at)
+                offsets.append(Part(block.columns, np.eye(count + 1)[count]))
+                explaining.append(block.columns.first(count))
+        left = [Part(self.residual, np.ones(1)), *offsets]
+        columns = self.residual.like(
+            lambda place: np.dstack([rows_of(left, place), *(own.spectra[place].rows for own in explaining)])
+        )
+        bands = np.concatenate([own.band for own in self.residual.spectra])
+        products = columns.products(columns).sum(axis=0)
+        return estimate_noise(products, np.bincount(bands), self._residual_squares)
+
+    @property
+    def _residual_squares(self) -> Array:
+        """Mean squares (6, C) of the residual as it is; infinite in a band that no flight reaches."""
+        squares = self.band_means([own.rows[:, :, 0] for own in self.residual.spectra])
+        return np.where(squares > 0.0, squares, np.inf)
+
+
+def block_of(candidate: Candidate, at: Array, flights: Sequence[Compared]) -> Block:
+    """Columns of a candidate about free parameters (k,), without its form."""
+    # One that is all but linear is so about no effect.
+    found = linearise(candidate, flights, np.zeros_like(at) if candidate.linear else at)
+    point = (at - candidate.centre) / candidate.scale
+    columns = [
+        own if candidate.linear else np.dstack((own, (own @ point - here)[:, :, np.newaxis]))
+        for here, own in found
+    ]
+    bounds = [candidate.effect.parameters[free] for free in candidate.free]
+    return Block(
+        columns=in_frequency(flights, columns),
+        at=point,
+        lowest=(np.array([p.lowest for p in bounds]) - candidate.centre) / candidate.scale,
+        highest=(np.array([p.highest for p in bounds]) - candidate.centre) / candidate.scale,
+        cost=start_cost(candidate, flights, at),
+    )
+
+
+def in_frequency(flights: Sequence[Compared], columns: Sequence[Array]) -> Columns:
+    """Columns (M, 6, k) in time of each flight, in frequency."""
+    return Columns(tuple(flight.spectrum(own) for flight, own in zip(flights, columns, strict=True)))
 
 
 def student_weights(squares: Array) -> Array:
     """Weights of deviations with these squares, in typical ones, by the tails of Student's t."""
     weights: Array = (TAILS.value + 1.0) / (TAILS.value + squares)
     return weights
-
-
-def in_bands(columns: Linearisation) -> SoundFlights | None:
-    """What sound flights leave of the simulation, in the bands that are compared."""
-    sound = columns.flights[0].simulation.sound
-    bands = 1 + max(int(band.max()) for band in columns.bands)
-    if sound is None or bands == sound.noise.shape[1]:
-        return sound
-    edges, noise, left = sound.edges_hz[: bands + 1], sound.noise[:, :bands], sound.left[:, :bands]
-    return replace(sound, edges_hz=edges, noise=noise, left=left)
-
-
-def _beside(errors: Array, tables: Sequence[Array]) -> list[Array]:
-    """Whitened tables (6, B, ·) beside further noise, the sum of whitened columns (6, B, E) times N(0, 1).
-
-    With errors Q = U S Vᵀ the noise has the covariance 1 + Q Qᵀ, whose inverse root is
-    1 − U (1 − 1/√(1 + S²)) Uᵀ.
-    """
-    basis, sizes, _ = np.linalg.svd(errors.reshape(-1, errors.shape[2]), full_matrices=False)
-    lost = (1.0 - 1.0 / np.sqrt(1.0 + np.square(sizes)))[:, np.newaxis]
-    result = []
-    for table in tables:
-        flat = table.reshape(len(basis), -1)
-        result.append((flat - basis @ (lost * (basis.T @ flat))).reshape(table.shape))
-    return result
 
 
 def settled(regression: Regression) -> Regression:
@@ -492,13 +640,13 @@ def settled(regression: Regression) -> Regression:
         last = turn == _ROUNDS
         points = {}
         for index, candidate in enumerate(regression.candidates):
-            here = regression.columns.points[index]
+            here = regression.points[index]
             if candidate.linear:
                 found = regression.fit((index,), form=False) if turn == 0 else None
                 if found is not None:
                     points[index] = regression.parameters(index, found)
                 continue
-            value = regression.evidence_at((index,))
+            value = regression.at_points((index,))
             if index in best and value < best[index][0]:
                 # The step overshot: take half of it, and none in the last round.
                 points[index] = best[index][1] if last else 0.5 * (best[index][1] + here)
@@ -521,12 +669,12 @@ def refined(regression: Regression, chosen: Sequence[int], found: Fit) -> tuple[
     the effects.
     """
     curved = any(not regression.candidates[index].linear for index in chosen)
-    best, value = (regression, found), regression.evidence_at(chosen)
-    at = [regression.columns.points[index] for index in chosen]
+    best, value = (regression, found), regression.at_points(chosen)
+    at = [regression.points[index] for index in chosen]
     to = [regression.parameters(index, found) for index in chosen]
     for _ in range(_ROUNDS):
         moved = regression.moved(dict(zip(chosen, to, strict=True)))
-        improved, there = moved.fit(chosen), moved.evidence_at(chosen)
+        improved, there = moved.fit(chosen), moved.at_points(chosen)
         if improved is not None and (not curved or there >= value):
             regression, best, value, at = moved, (moved, improved), there, to
             to = [moved.parameters(index, improved) for index in chosen]
@@ -535,33 +683,6 @@ def refined(regression: Regression, chosen: Sequence[int], found: Fit) -> tuple[
         else:
             to = [0.5 * (old + new) for old, new in zip(at, to, strict=True)]
     return best
-
-
-def _estimated_noise(columns: Linearisation, chosen: Sequence[int]) -> Array:
-    """Noise (6, C) of the residual after tolerances, every linear candidate, and those chosen."""
-    blocks = [columns.blocks[index] for index in chosen]
-    residual = residual_weights(columns.width, blocks)
-    parts = [columns.linear_columns]
-    for block in blocks:
-        parts.append(block.form)
-        if block.offset is not None:
-            parts.append(block.parameters)
-    explaining = np.concatenate(parts)
-    return estimate_noise(
-        [
-            Spectrum(np.dstack((columns.combined(place, residual), columns.rows(place, explaining))), band)
-            for place, band in enumerate(columns.bands)
-        ],
-        _residual_squares(columns),
-    )
-
-
-def _residual_squares(columns: Linearisation) -> Array:
-    """Mean squares (6, C) of the residual as it is; infinite in a band that no flight is long enough for."""
-    alone = residual_weights(columns.width, ())
-    rows = [np.square(columns.combined(place, alone)) for place in range(len(columns.flights))]
-    squares = band_means(rows, columns.bands)
-    return np.where(squares > 0.0, squares, np.inf)
 
 
 def _require(found: Fit | None) -> Fit:

@@ -11,227 +11,274 @@ the error of its form, in proportion to its size.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
+from quadpi_core.discrepancy.whitening import Columns, Indices, Noise, Part
 from quadpi_core.frames import Array
 
 # Prior precision of the form columns of an effect of size zero, whose form cannot differ.
 _PRECISE = 1e12
-Indices = npt.NDArray[np.intp]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Block:
-    """The columns of one candidate.
+    """The columns of one candidate about a point.
 
     Attributes:
-        parameters: indices of its k parameter columns.
-        form: indices of the columns for the error of its form, made for an effect of the size `formed_at`.
-        formed_at: length of the coefficients that the form columns are in proportion to.
-        offset: index of the column that its linearisation adds to the residual; none for a linear effect.
-        at: (k,) point that it is linearised at, in prior standard deviations from their mean.
+        columns: one for each of k parameters; of a curved effect, then one for what its linearisation adds to
+            the residual.
+        at: (k,) the point, in prior standard deviations from their mean.
         lowest, highest: (k,) bounds of the parameters, in prior standard deviations.
+        form: columns for the error of its form, made for an effect of the size `formed_at`; none for one that
+            is exact, or of size 0.
+        formed_at: length of the coefficients that the form columns are in proportion to.
         cost: evidence [nat] that the candidate loses for what is fitted to each flight beside its columns.
     """
 
-    parameters: Indices
-    form: Indices
-    formed_at: float
-    offset: int | None
+    columns: Columns
     at: Array
     lowest: Array
     highest: Array
+    form: Columns | None = None
+    formed_at: float = 1.0
     cost: float = 0.0
 
+    @property
+    def curved(self) -> bool:
+        """Whether its linearisation depends on the point."""
+        return self.columns.width > len(self.at)
 
-class Fit(NamedTuple):
+
+@dataclass(frozen=True, eq=False)
+class Fit:
     """Fit of a set of effects.
 
     Attributes:
-        log_evidence: log evidence [nat] relative to other fits on the same Gram matrix.
-        columns: (c,) indices of the fitted columns.
+        log_evidence: log evidence [nat] relative to other fits of the same flights.
+        parts: columns of the set, the residual first.
+        fitted: (c,) indices in these of the columns that were fitted.
         coefficients: (c,) their posterior mean.
         covariance: (c, c) their posterior covariance.
-        left: (K,) weight of each column of the Gram matrix in the residual after the fit.
+        left: (K,) weight of each column in the residual after the fit.
     """
 
     log_evidence: float
-    columns: Indices
+    parts: tuple[Columns, ...]
+    fitted: Indices
     coefficients: Array
     covariance: Array
     left: Array
 
-    def of(self, wanted: Indices) -> Array:
-        """Coefficients of some columns; 0 for those that a bound excluded."""
-        return self._at(wanted, self.coefficients)
+    def of(self, columns: Columns) -> Array:
+        """Coefficients of some columns; 0 for those that were not fitted, as a bound excluded them."""
+        return self._at(columns, self.coefficients)
 
-    def deviation(self, wanted: Indices) -> Array:
-        """Posterior standard deviation of some columns; 0 for those that a bound excluded."""
-        return self._at(wanted, np.sqrt(np.diag(self.covariance)))
+    def deviation(self, columns: Columns) -> Array:
+        """Posterior standard deviation of some columns; 0 for those that were not fitted."""
+        return self._at(columns, np.sqrt(np.diag(self.covariance)))
 
-    def _at(self, wanted: Indices, values: Array) -> Array:
-        found: Array = (self.columns == wanted[:, None]) @ values
+    def residual(self, *, without: Iterable[Columns] = ()) -> list[Part]:
+        """The residual after the fit as a sum of columns, of which some are left out."""
+        ends = np.cumsum([part.width for part in self.parts])[:-1]
+        weights = zip(self.parts, np.split(self.left, ends), strict=True)
+        return [Part(*own) for own in weights if own[0] not in without]
+
+    def _at(self, columns: Columns, values: Array) -> Array:
+        if columns not in self.parts:
+            return np.zeros(columns.width)
+        first = sum(part.width for part in self.parts[: self.parts.index(columns)])
+        found: Array = (self.fitted == first + np.arange(columns.width)[:, None]) @ values
         return found
 
 
-def fit(gram: Array, tolerances: Indices, blocks: Sequence[Block]) -> Fit | None:
-    """Fit tolerances and a set of effects; None where bounds exclude every parameter of an effect.
+@dataclass(frozen=True, eq=False)
+class Equations:
+    """Normal equations of the tolerances of a simulation and a set of effects.
 
-    A parameter whose posterior mean violates its bound is set to zero, its nearest bound, and the rest are
-    fitted again.
-
-    Args:
-        gram: (K, K); column 0 is the residual.
-        tolerances: indices of the columns of the simulation's tolerances.
-        blocks: columns of each effect.
-    """
-    residual = residual_weights(len(gram), blocks)
-    out: set[int] = set()
-    form: list[Array] | None = None
-    exact: Fit | None = None
-    while True:
-        kept = [[i for i in block.parameters if i not in out] for block in blocks]
-        if any(len(own) == 0 for own in kept):
-            # If the form columns would flip the sign of the effect, fall back to the fit without them.
-            return exact
-        parts, precisions = [tolerances], [np.ones(len(tolerances))]
-        for place, (own, block) in enumerate(zip(kept, blocks, strict=True)):
-            parts.append(np.asarray(own))
-            precisions.append(np.ones(len(own)))
-            if form is not None:
-                parts.append(block.form)
-                precisions.append(form[place])
-        columns = np.concatenate(parts).astype(np.intp)
-        found = _evidence(gram, columns, residual, np.concatenate(precisions))
-        found = found._replace(log_evidence=found.log_evidence - sum(block.cost for block in blocks))
-        beyond = _beyond_bounds(found, blocks) - out
-        out |= beyond
-        if beyond:
-            continue
-        if not any(len(block.form) for block in blocks):
-            return found
-        if exact is not None:
-            # A law may be exact: form columns that are not needed must not cost it evidence.
-            return found if found.log_evidence > exact.log_evidence else exact
-        exact = found
-        # The sizes of the effects, now known, scale by how much their forms may differ.
-        form = [np.full(len(block.form), _form_precision(found, block)) for block in blocks]
-
-
-def evidence_at(gram: Array, tolerances: Indices, blocks: Sequence[Block]) -> float:
-    """Log evidence [nat] of a set with the parameters that are not linear at their points, where it is exact.
-
-    Far from its point a linearisation may promise what it cannot keep. Values at different points of the same
-    set can be compared with each other, not with :func:`fit`.
-
-    Args:
-        gram: (K, K); column 0 is the residual.
-        tolerances: indices of the columns of the simulation's tolerances.
-        blocks: columns of each effect.
-    """
-    residual = residual_weights(len(gram), blocks)
-    columns, cost = [tolerances], 0.0
-    for block in blocks:
-        cost += block.cost
-        if block.offset is None:
-            columns.append(block.parameters)
-        else:
-            residual[block.parameters] -= block.at
-            cost += 0.5 * float(block.at @ block.at)
-    free = np.concatenate(columns).astype(np.intp)
-    return _evidence(gram, free, residual, np.ones(len(free))).log_evidence - cost
-
-
-def refit(gram: Array, found: Fit, blocks: Sequence[Block]) -> Fit:
-    """Fit the same columns to another Gram matrix, without bounds; those of a fit without form columns.
-
-    Args:
-        gram: (K, K); column 0 is the residual.
-        found: fit whose columns are fitted.
-        blocks: columns of each effect.
-    """
-    return _evidence(gram, found.columns, residual_weights(len(gram), blocks), np.ones(len(found.columns)))
-
-
-def fit_forms(
-    gram: Array, tolerances: Indices, blocks: Sequence[Block], fixed: Fit, formed: Sequence[Block]
-) -> Fit:
-    """Fit tolerances and the forms of some effects, with the parameters of all effects fixed.
-
-    Args:
-        gram: (K, K); column 0 is the residual.
-        tolerances: indices of the columns of the simulation's tolerances.
-        blocks: columns of each effect.
-        fixed: fit that the parameters are taken from.
+    Attributes:
+        parts: the residual, tolerances, columns of each block, and those of forms that are fitted too.
+        tolerances: number of columns of tolerances.
+        blocks: those of the effects.
         formed: blocks whose forms are fitted.
+        per_flight: (F, K, K) Gram matrices of all columns.
     """
-    residual = residual_weights(len(gram), blocks)
-    for block in blocks:
-        residual[block.parameters] -= fixed.of(block.parameters)
-    columns = np.concatenate([tolerances, *(block.form for block in formed)]).astype(np.intp)
-    precisions = np.concatenate((np.ones(len(tolerances)), form_precisions(fixed, formed)))
-    return _evidence(gram, columns, residual, precisions)
 
+    parts: tuple[Columns, ...]
+    tolerances: int
+    blocks: tuple[Block, ...]
+    formed: tuple[Block, ...]
+    per_flight: Array
 
-def with_forms(gram: Array, found: Fit, blocks: Sequence[Block]) -> Fit:
-    """The fit of the same columns beside those of the forms of all blocks, whether they are needed or not.
+    @classmethod
+    def of(
+        cls,
+        base: Sequence[Columns],
+        blocks: Sequence[Block],
+        noise: Noise,
+        formed: Sequence[Block],
+    ) -> Equations:
+        """Equations of some blocks.
 
-    Args:
-        gram: (K, K); column 0 is the residual.
-        found: fit that columns and the sizes of the effects are taken from.
-        blocks: columns of each of its effects.
-    """
-    known = found.columns[~np.isin(found.columns, np.concatenate([block.form for block in blocks]))]
-    columns = np.concatenate((known, *(block.form for block in blocks))).astype(np.intp)
-    precisions = np.concatenate((np.ones(len(known)), form_precisions(found, blocks)))
-    return _evidence(gram, columns, residual_weights(len(gram), blocks), precisions)
+        Args:
+            base: columns of the residual and of tolerances.
+            blocks: of the effects.
+            noise: of the flights.
+            formed: those whose forms are fitted too, as far as they have any.
+        """
+        formed = tuple(block for block in formed if block.form is not None)
+        parts = (*base, *(block.columns for block in blocks), *(own.form for own in formed if own.form))
+        tolerances = sum(part.width for part in base) - 1
+        return cls(parts, tolerances, tuple(blocks), formed, noise.grams(parts, parts))
 
+    def fit(self, without: int | None = None) -> Fit | None:
+        """Fit tolerances and effects; None where bounds exclude every parameter of an effect.
 
-def form_precisions(found: Fit, formed: Sequence[Block]) -> Array:
-    """Prior precision of the form columns of blocks, in a row, for effects of the sizes of a fit."""
-    return np.concatenate(
-        [np.empty(0), *(np.full(len(block.form), _form_precision(found, block)) for block in formed)]
-    )
+        A parameter whose posterior mean violates its bound is set to zero, its nearest bound, and the rest
+        are fitted again.
 
+        Args:
+            without: index of a flight to leave out.
+        """
+        gram = self._gram(without)
+        inside = [np.ones(len(block.at), dtype=np.bool_) for block in self.blocks]
+        exact: Fit | None = None
+        while all(own.any() for own in inside):
+            formed = () if exact is None else self.formed
+            found = self._solved(gram, inside, formed, exact)
+            kept = [
+                own & self._possible(found, block) for own, block in zip(inside, self.blocks, strict=True)
+            ]
+            if any(np.any(was & ~own) for was, own in zip(inside, kept, strict=True)):
+                inside = kept
+                continue
+            if not self.formed:
+                return found
+            if exact is not None:
+                # A law may be exact: form columns that are not needed must not cost it evidence.
+                return found if found.log_evidence > exact.log_evidence else exact
+            # The sizes of the effects, now known, scale by how much their forms may differ.
+            exact = found
+        # If the form columns would flip the sign of the effect, fall back to the fit without them.
+        return exact
 
-def residual_weights(width: int, blocks: Sequence[Block]) -> Array:
-    """Weight (width,) of each column in the residual beside the points that effects are linearised at."""
-    weights = np.zeros(width)
-    weights[0] = 1.0
-    for block in blocks:
-        if block.offset is not None:
-            weights[block.offset] = 1.0
-    return weights
+    def at_points(self) -> float:
+        """Log evidence [nat] of the set with curved effects at their points, where it is exact.
 
+        Far from its point a linearisation may promise what it cannot keep. Values at different points of the
+        same set can be compared with each other, not with those of :meth:`fit`.
+        """
+        inside = [np.full(len(block.at), not block.curved) for block in self.blocks]
+        residual = self.residual
+        cost = 0.0
+        for block, first in zip(self.blocks, self._firsts, strict=True):
+            if block.curved:
+                residual[first : first + len(block.at)] = -block.at
+                cost += 0.5 * float(block.at @ block.at)
+        return self._solved(self._gram(None), inside, (), None, residual).log_evidence - cost
 
-def _form_precision(found: Fit, block: Block) -> float:
-    size = float(np.linalg.norm(found.of(block.parameters)))
-    return float(min((block.formed_at / max(size, 1e-9)) ** 2, _PRECISE))
+    def refit(self, found: Fit, without: int) -> Fit:
+        """Fit the same columns as another fit, without bounds, and without one of the flights."""
+        precisions = np.ones(len(found.fitted))
+        return self._evidence(self._gram(without), found.fitted, self.residual, precisions)
 
+    def with_forms(self, found: Fit) -> Fit:
+        """The fit of the same columns beside those of all forms, whether they are needed or not."""
+        known = found.fitted[found.fitted < self._forms]
+        columns, precisions = self._with_forms(known, found)
+        return self._evidence(self._gram(None), columns, self.residual, precisions)
 
-def _evidence(gram: Array, columns: Indices, residual: Array, precisions: Array) -> Fit:
-    matrix = gram[np.ix_(columns, columns)] + np.diag(precisions)
-    lower = np.linalg.cholesky(matrix)
-    projected = gram[columns] @ residual
-    half = np.linalg.solve(lower, projected)
-    coefficients = np.linalg.solve(lower.T, half)
-    inverse = np.linalg.solve(lower, np.eye(len(columns)))
-    log_evidence = -0.5 * float(residual @ gram @ residual - half @ half)
-    log_evidence -= float(np.log(np.diag(lower)).sum() - 0.5 * np.log(precisions).sum())
-    left = residual.copy()
-    left[columns] -= coefficients
-    return Fit(log_evidence, columns, coefficients, inverse.T @ inverse, left)
+    def fit_forms(self, fixed: Fit, *, adjusted: bool, without: int | None = None) -> Fit:
+        """Fit the forms, and tolerances unless they are not adjusted, with the parameters of effects fixed.
 
+        Args:
+            fixed: fit that the parameters are taken from.
+            adjusted: whether tolerances are fitted.
+            without: index of a flight to leave out.
+        """
+        residual = self.residual
+        for block, first in zip(self.blocks, self._firsts, strict=True):
+            residual[first : first + len(block.at)] -= fixed.of(block.columns)[: len(block.at)]
+        columns, precisions = self._with_forms(np.arange(1, 1 + self.tolerances * adjusted), fixed)
+        return self._evidence(self._gram(without), columns, residual, precisions)
 
-def _beyond_bounds(found: Fit, blocks: Sequence[Block]) -> set[int]:
-    beyond: set[int] = set()
-    for block in blocks:
-        values = found.of(block.parameters)
-        outside = (values < block.lowest) | (values > block.highest)
-        beyond |= {int(i) for i in block.parameters[outside] if i in found.columns}
-    return beyond
+    def _gram(self, without: int | None) -> Array:
+        gram: Array = self.per_flight.sum(axis=0)
+        return gram if without is None else gram - self.per_flight[without]
+
+    @cached_property
+    def _firsts(self) -> list[int]:
+        """First column of each block."""
+        widths = [block.columns.width for block in self.blocks]
+        return [1 + self.tolerances + sum(widths[:place]) for place in range(len(widths))]
+
+    def parameters(self, place: int) -> Indices:
+        """Columns of the parameters of a block."""
+        return self._firsts[place] + np.arange(len(self.blocks[place].at))
+
+    @property
+    def _forms(self) -> int:
+        """First column of the forms."""
+        return 1 + self.tolerances + sum(block.columns.width for block in self.blocks)
+
+    @property
+    def residual(self) -> Array:
+        """Weight (K,) of each column in the residual beside the points that effects are linearised at."""
+        weights = np.zeros(self.per_flight.shape[1])
+        weights[0] = 1.0
+        for block, first in zip(self.blocks, self._firsts, strict=True):
+            if block.curved:
+                weights[first + len(block.at)] = 1.0
+        return weights
+
+    def _solved(
+        self,
+        gram: Array,
+        inside: Sequence[npt.NDArray[np.bool_]],
+        formed: Sequence[Block],
+        sizes: Fit | None,
+        residual: Array | None = None,
+    ) -> Fit:
+        """Fit of tolerances, the parameters inside bounds, and forms of effects of the sizes of a fit."""
+        own = [first + np.flatnonzero(kept) for first, kept in zip(self._firsts, inside, strict=True)]
+        columns = np.concatenate([np.arange(1, 1 + self.tolerances), *own])
+        precisions = np.ones(len(columns))
+        if formed and sizes is not None:
+            columns, precisions = self._with_forms(columns, sizes)
+        residual = self.residual if residual is None else residual
+        found = self._evidence(gram, columns, residual, precisions)
+        return replace(found, log_evidence=found.log_evidence - sum(block.cost for block in self.blocks))
+
+    def _with_forms(self, columns: Indices, sizes: Fit) -> tuple[Indices, Array]:
+        """Columns and then those of the forms, and the precision of the prior of each."""
+        parts = [np.ones(len(columns))]
+        for block in self.formed:
+            assert block.form is not None
+            size = float(np.linalg.norm(sizes.of(block.columns)[: len(block.at)]))
+            precision = min((block.formed_at / max(size, 1e-9)) ** 2, _PRECISE)
+            parts.append(np.full(block.form.width, precision))
+        precisions = np.concatenate(parts)
+        forms = self._forms + np.arange(len(precisions) - len(columns))
+        return np.concatenate((columns, forms)), precisions
+
+    def _evidence(self, gram: Array, columns: Indices, residual: Array, precisions: Array) -> Fit:
+        matrix = gram[np.ix_(columns, columns)] + np.diag(precisions)
+        lower = np.linalg.cholesky(matrix)
+        half = np.linalg.solve(lower, gram[columns] @ residual)
+        coefficients = np.linalg.solve(lower.T, half)
+        inverse = np.linalg.solve(lower, np.eye(len(columns)))
+        log_evidence = -0.5 * float(residual @ gram @ residual - half @ half)
+        log_evidence -= float(np.log(np.diag(lower)).sum() - 0.5 * np.log(precisions).sum())
+        left = residual.copy()
+        left[columns] -= coefficients
+        return Fit(log_evidence, self.parts, columns, coefficients, inverse.T @ inverse, left)
+
+    @staticmethod
+    def _possible(found: Fit, block: Block) -> npt.NDArray[np.bool_]:
+        values = found.of(block.columns)[: len(block.at)]
+        within: npt.NDArray[np.bool_] = (values >= block.lowest) & (values <= block.highest)
+        return within

@@ -30,6 +30,7 @@ from quadpi_core.discrepancy.discrepancy_result import (
     Rollouts,
 )
 from quadpi_core.discrepancy.search import Found
+from quadpi_core.discrepancy.whitening import Part
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.simulation.effect_registry import EFFECTS
@@ -212,27 +213,25 @@ def judge_unexplained(share: float, axis: str = "") -> Verdict:
 
 def _coefficients(found: Found, sensors: Array, named: float) -> Iterator[Verdict]:
     """Whether coefficients, each and together, explain little beyond what they may beside the effects."""
-    columns, candidates = found.regression.columns, found.regression.candidates
-    names = columns.tolerance_names
+    regression, names = found.regression, found.regression.tolerances.names
     tolerances = {f"{own.name}.{p.name}": own.tolerance for own in EFFECTS.values() for p in own.parameters}
     # A centre of gravity elsewhere, for one, is elsewhere from the accelerometer too.
-    moved = {candidates[index].effect.tolerance for index in found.chosen} - {""}
+    moved = {regression.candidates[index].effect.tolerance for index in found.chosen} - {""}
     judged = np.array([tolerances.get(name) not in moved for name in names])
-    values = found.fit.of(columns.tolerances)
+    values = regression.moved_by(found.fit)
     # In a hover whose motion is noise of the estimator, coefficients of motion move far and explain nothing.
-    explained = np.square(values) * columns.squares_of_each(columns.tolerances, sensors)
-    felt = predictable(explained, sum(map(len, columns.bands))).any(axis=0)
+    each = [regression.squares(regression.of_tolerances(own), sensors) for own in np.diag(values)]
+    rows = sum(len(own.band) for own in regression.residual.spectra)
+    felt = predictable(np.array(each).reshape(-1, len(AXES)), rows).any(axis=1)
     values = np.where(judged & felt, values, 0.0)
 
     def share(beyond: Array) -> float:
         """Squares that parts of coefficients explain, of those and the squares of the named effects."""
-        weights = np.zeros(columns.width)
-        weights[columns.tolerances] = beyond
-        explained = float(np.sum(columns.squares(weights, sensors)))
+        explained = float(np.sum(regression.squares(regression.of_tolerances(beyond), sensors)))
         return explained / max(named + explained, 1.0)
 
     off, own = values.copy(), np.ones(len(values))
-    for index, law in enumerate(columns.tolerance_laws):
+    for index, law in enumerate(regression.tolerances.laws):
         if law:
             shared = names.index(law)
             off[index], own[index] = of_coefficient(values[index], values[shared]), of_coefficient(1.0, 0.0)
@@ -284,7 +283,8 @@ def _noise(found: Found, sensors: Array, named: float) -> Verdict:
     The noise (6, C) of sensors is infinite in an axis that is not judged.
     """
     ratio = found.left.noise / sensors
-    rows = sum(np.bincount(band, minlength=ratio.shape[1]) for band in found.regression.columns.bands)
+    bands = np.concatenate([own.band for own in found.regression.residual.spectra])
+    rows = np.bincount(bands, minlength=ratio.shape[1])
     more = np.maximum(ratio - 1.0, 0.0) @ rows
     return judge_colour(np.sqrt(ratio.max(axis=1)), more / max(named + float(np.sum(more)), 1.0))
 
@@ -376,7 +376,7 @@ def ranked_candidates(found: Found) -> tuple[RankedCandidate, ...]:
     # Squares of the residual above the floor; 0 for an axis without a gap.
     before, floor = np.square(gap.before), np.square(gap.floor)
     is_gap = before - floor > LEAST_ABOVE_FLOOR * floor
-    removable = regression.columns.squares(np.ones(1))
+    removable = regression.squares([Part(regression.residual, np.ones(1))])
     removable *= np.divide(before - floor, before, out=np.zeros(len(AXES)), where=is_gap)
     ranked = []
     for label, own in judged.items():

@@ -30,7 +30,7 @@ from quadpi_core.discrepancy.candidates import Candidate
 from quadpi_core.discrepancy.closure import Closing, Gap, left_out_squares
 from quadpi_core.discrepancy.effect_regression import Condition, Regression, refined, settled
 from quadpi_core.discrepancy.effect_response import Compared
-from quadpi_core.discrepancy.evidence import Fit, with_forms
+from quadpi_core.discrepancy.evidence import Fit
 from quadpi_core.discrepancy.unexplained import (
     Left,
     generic_spectra,
@@ -115,15 +115,14 @@ class Found:
         disagree. It is no less than what the laws of the effects leave open, of which each axis may be off by
         a share, even where no flight asks for it.
         """
-        of_laws = self._with_forms.deviation(self.regression.block(index).parameters)
+        of_laws = self.regression.deviation(index, self._with_forms)
         wider: Array = self._deviation(index) * max(1.0, float(self.disagreement(index).max()))
         return np.maximum(wider, of_laws) * self.regression.candidates[index].scale
 
     @cached_property
     def _with_forms(self) -> Fit:
         """The fit beside the forms of all laws, one for all of the chosen."""
-        blocks = [self.regression.block(index) for index in self.chosen]
-        return with_forms(self.regression.gram, self.fit, blocks)
+        return self.regression.equations(self.chosen, self.chosen).with_forms(self.fit)
 
     def disagreement(self, index: int) -> Array:
         """See :meth:`Closing.disagreement`; 0 (k,) of flights so few that they do not predict each other."""
@@ -132,7 +131,7 @@ class Found:
         return np.zeros(len(deviation)) if few else self.closing.disagreement(index, deviation)
 
     def _deviation(self, index: int) -> Array:
-        return self.fit.deviation(self.regression.block(index).parameters)
+        return self.regression.deviation(index, self.fit)
 
     @cached_property
     def _as_sound(self) -> Array | None:
@@ -149,7 +148,7 @@ class Found:
         """The gap of flights left out, see :meth:`Closing.gap`; what sensors do not explain is no floor."""
         if self._as_sound is not None:
             return self.closing.gap(self._as_sound, np.zeros(len(AXES)), adjusted=adjusted)
-        noise = np.minimum(self.regression.noise, self.sensors)
+        noise = np.minimum(self.regression.noise.variance, self.sensors)
         return self.closing.gap(noise, self.stated, adjusted=adjusted)
 
     @property
@@ -160,10 +159,10 @@ class Found:
         """
         if self._as_sound is None:
             return np.full(len(AXES), np.inf)
-        bands, squares = self.regression.columns.bands, np.zeros(len(AXES))
-        for left, band in zip(self.regression.left(self.fit), bands, strict=True):
-            squares += np.sum(np.square(left) / self._as_sound[:, band], axis=1)
-        return np.maximum(squares - sum(map(len, bands)), 0.0)
+        squares = np.zeros(len(AXES))
+        for left, own in zip(self.regression.left(self.fit), self.regression.residual.spectra, strict=True):
+            squares += np.sum(np.square(left) / self._as_sound[:, own.band] - 1.0, axis=1)
+        return np.maximum(squares, 0.0)
 
     @cached_property
     def stated(self) -> Array:
@@ -273,9 +272,11 @@ def _best_condition(accepted: Accepted, threshold: float) -> tuple[Condition | N
     best, most = None, -np.inf
     for index in regression.conditions_to_come:
         sizes = regression.sizes_of_condition(index, chosen)
-        gain = regression.gain_of_condition(index, sizes, chosen, accepted.fit)
+        condition = Condition(index, sizes)
+        fit = regression.with_condition(condition).fit(chosen)
+        gain = -np.inf if fit is None else fit.log_evidence - accepted.fit.log_evidence
         if gain >= max(threshold, most):
-            best, most = Condition(index, sizes), gain
+            best, most = condition, gain
     return best, most
 
 

@@ -28,10 +28,9 @@ from quadpi_core import array_checks
 from quadpi_core.discrepancy.acceptance import FEW_FLIGHTS, LARGEST
 from quadpi_core.discrepancy.candidates import candidates, linearise
 from quadpi_core.discrepancy.effect_response import Compared
-from quadpi_core.discrepancy.evidence import Indices
 from quadpi_core.discrepancy.loading import simulation_of
 from quadpi_core.discrepancy.study import longest_stretch
-from quadpi_core.discrepancy.whitening import EDGES_HZ, Spectrum, band_products
+from quadpi_core.discrepancy.whitening import EDGES_HZ, Columns, Indices, Spectrum
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.identification.prepared_flights import PREPARE_FLIGHTS, PreparedFlight
@@ -120,9 +119,8 @@ def learned(spectra: Sequence[Spectrum], names: Sequence[tuple[str, str]], scale
     bands = len(EDGES_HZ.value) - 1
     width = spectra[0].rows.shape[2]
     products = np.zeros((len(spectra), len(AXES), bands, width, width))
-    for own, flight in zip(products, spectra, strict=True):
-        of_flight = band_products([flight])
-        own[:, : of_flight.shape[1]] = of_flight
+    columns = Columns(tuple(spectra))
+    products[:, :, : columns.bands] = columns.products(columns)
     rows = np.array([np.bincount(own.band, minlength=bands) for own in spectra])
     found, posterior = _variances(products, rows.astype(float), len(names))
     squared = _beside_what_is_open(products, posterior, len(names))

@@ -208,7 +208,7 @@ def flown_again(discovery: Discovery) -> tuple[Discovery, Reflights | None]:
         return discovery, None
     flown = reflights(discovery)
     judged = judged_by_rollouts(discovery, flown.rollout, flown.coverage)
-    if not judged.rejected or not len(discovery.found.closing.adjusted):
+    if not judged.rejected or not discovery.found.closing.adjusted:
         return judged, flown
     gap = discovery.found.gap(adjusted=False)
     tests = judged_by_gap(discovery, gap)
@@ -258,7 +258,7 @@ def discover(
     # Products are so small that two threads take twice the time of one.
     with threadpool_limits(limits=1, user_api="blas"):
         found = search(compared, sought, silent)
-    rows = sum(len(band) for band in found.regression.columns.bands)
+    rows = sum(len(own.band) for own in found.regression.residual.spectra)
     left = np.where(held, 0.0, predictable(np.minimum(found.left.gain, found.beyond_sound), rows))
     named = np.where(held, 0.0, np.maximum(found.named, 0.0))
     share, worst = unexplained_share(left, named, rows)
@@ -294,7 +294,7 @@ def _conditions(found: Found) -> Iterator[FlightCondition]:
     for condition in regression.conditions:
         candidate = regression.candidates[condition.index]
         each = {
-            flight.flight.name: regression.of_condition(condition, place, found.fit.left)
+            flight.flight.name: regression.of_condition(condition, place, found.fit)
             for place, flight in enumerate(regression.flights)
         }
         for k, free in enumerate(candidate.free):
@@ -311,12 +311,11 @@ def _without_trace(found: Found) -> tuple[str, ...]:
     So it is with wind beside a simulation of thrust alone, which is the same in any wind, and with the ground
     where no flight comes near it.
     """
-    regression, squares = found.regression, np.diag(found.regression.gram)
-    shown = {
-        candidate.name
-        for index, candidate in enumerate(regression.candidates)
-        if 0.5 * squares[regression.block(index).parameters].sum() >= found.threshold
-    }
+    regression, shown = found.regression, set()
+    for candidate, block in zip(regression.candidates, regression.blocks, strict=True):
+        squares = np.einsum("fkk->k", regression.noise.gram(block.columns, block.columns))
+        if 0.5 * squares[: len(block.at)].sum() >= found.threshold:
+            shown.add(candidate.name)
     return tuple(dict.fromkeys(c.name for c in regression.candidates if c.name not in shown))
 
 

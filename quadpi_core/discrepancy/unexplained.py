@@ -18,7 +18,7 @@ from scipy.signal import lfilter
 from scipy.special import ndtri
 
 from quadpi_core.discrepancy.effect_response import Compared, residual
-from quadpi_core.discrepancy.whitening import EDGES_HZ, Spectrum, band_means, band_products, settled_noise
+from quadpi_core.discrepancy.whitening import EDGES_HZ, Columns, Spectrum, band_means, settled_noise
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.models.interval_rules import inside_interval
@@ -313,41 +313,30 @@ def predicted(left: Sequence[Array], spectra: Sequence[Spectrum], names: list[st
     """
     bands = [flight.band for flight in spectra]
     noise = band_means([np.square(rows) for rows in left], bands)
+    counts = np.bincount(np.concatenate(bands))
     gain, best = np.zeros(len(AXES)), []
     for axis in range(len(AXES)):
-        own = [
-            Spectrum(np.column_stack((rows[axis], flight.rows[axis]))[None], flight.band)
-            for rows, flight in zip(left, spectra, strict=True)
-        ]
-        noise[axis] = settled_noise(own, band_products(own), noise[axis : axis + 1], _least_penalty)[0]
-        grams, projections = _projections(own, noise[axis])
-        gain[axis], coefficients = left_out_gain(grams, projections)
-        size = np.abs(coefficients) * np.sqrt(np.einsum("fjj->j", grams))
+        columns = Columns(
+            tuple(
+                Spectrum(np.column_stack((rows[axis], flight.rows[axis]))[None], flight.band)
+                for rows, flight in zip(left, spectra, strict=True)
+            )
+        )
+        products = columns.products(columns)
+        noise[axis] = settled_noise(products.sum(axis=0), counts, noise[axis : axis + 1], _least_penalty)[0]
+        grams = np.tensordot(products[:, 0], 1.0 / noise[axis], axes=(1, 0))
+        gain[axis], coefficients = left_out_gain(grams[:, 1:, 1:], grams[:, 1:, 0])
+        size = np.abs(coefficients) * np.sqrt(np.einsum("fjj->j", grams[:, 1:, 1:]))
         best.append([names[index] for index in np.argsort(-size)[:3]])
     return Left(gain, best, noise)
-
-
-def _projections(spectra: Sequence[Spectrum], noise: Array) -> tuple[Array, Array]:
-    """Whitened Gram matrices (F, J, J) of the functions, and projections (F, J) of the residual on them.
-
-    Args:
-        spectra: per flight (1, B, 1 + J): the residual of an axis, and the functions.
-        noise: (C,) variance of the axis.
-    """
-    grams, projections = [], []
-    for flight in spectra:
-        rows = flight.rows[0] / np.sqrt(noise[flight.band])[:, None]
-        grams.append(rows[:, 1:].T @ rows[:, 1:])
-        projections.append(rows[:, 1:].T @ rows[:, 0])
-    return np.array(grams), np.array(projections)
 
 
 def left_out_gain(grams: Array, projections: Array) -> tuple[float, Array]:
     """Squares by which prediction reduces flights left out, and coefficients (J,), with the best ridge.
 
     Args:
-        grams: (F, J, J), see :func:`_projections`.
-        projections: (F, J).
+        grams: (F, J, J) of whitened functions.
+        projections: (F, J) of the residual on them.
     """
     total, aim = grams.sum(axis=0), projections.sum(axis=0)
     best, kept = -np.inf, np.zeros(len(total))
