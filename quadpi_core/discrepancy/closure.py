@@ -31,8 +31,7 @@ class Gap(NamedTuple):
         before, after: (6,) difference of measured and simulated wrench, after with the effects fitted on all
             other flights.
         floor: (6,) noise of sensors and states, or what the simulation states that it may err by.
-        reduction: closed share of the squares above the floor, in those of the floor, of all axes but those
-            that the simulation's own intervals hold.
+        reduction: closed share of the squares above the floor, in those of the floor, of all axes.
     """
 
     before: Array
@@ -51,8 +50,7 @@ def law_fit(regression: Regression, chosen: Sequence[int], without: int | None =
 def left_out_squares(regression: Regression, chosen: Sequence[int]) -> Array:
     """Squares (6,) of the flights, each after the fit of all others by the laws, in variances of the noise.
 
-    They are 0 in axes that say nothing about effects, see :meth:`Regression.of`. What a flight may have of
-    its own is left out, however large.
+    What a flight may have of its own is left out, however large.
     """
     regression, squares = regression.varied, np.zeros(len(AXES))
     for place, (_, band) in enumerate(regression.residual.spectra):
@@ -139,8 +137,7 @@ class Closing:
         samples = sum(len(flight.thinned) for flight in regression.flights)
         # Of numbers that were made up, without any noise, too.
         floor = np.maximum(floor, stated * samples + np.finfo(float).eps * before + np.finfo(float).tiny)
-        beyond = np.maximum(np.stack((before, after)) / floor - 1.0, 0.0)
-        removable, kept = beyond[:, ~regression.noise.held].sum(axis=1).tolist()
+        removable, kept = np.maximum(np.stack((before, after)) / floor - 1.0, 0.0).sum(axis=1).tolist()
         reduction = 1.0 - kept / removable if removable > 0.0 else 0.0
         before, after, floor = np.sqrt(np.stack((before, after, floor)) / samples)
         return Gap(before, after, floor, reduction)

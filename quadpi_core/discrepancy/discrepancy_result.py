@@ -213,13 +213,15 @@ class BeforeAfter(NamedTuple):
 class Rollouts(NamedTuple):
     """Errors at the end of roll-outs from many starts, as `ERROR_NAMES`; none where every one was lost.
 
-    Those that diverged are left out and counted as lost, by the names of :class:`BeforeAfter`.
+    Those that diverged are left out and counted as lost, by the names of :class:`BeforeAfter`. By chance,
+    flights may differ by so much that an error grows by a share `chance`, with a probability of 5 %.
     """
 
     horizon_s: float
     starts: int
     errors: Mapping[str, BeforeAfter]
     lost: Mapping[str, int] = MappingProxyType({})
+    chance: Mapping[str, float] = MappingProxyType({})
 
 
 class ClosedLoops(NamedTuple):
@@ -350,16 +352,16 @@ def discovery_json(discovery: Discovery) -> dict[str, Any]:
 
 def reflights_json(flown: Reflights) -> dict[str, Any]:
     """The gap in flight, as JSON holds it."""
-    (horizon_s, starts, errors, lost), loop = flown.rollout, flown.closed_loop
-    open_loop: dict[str, Any] = {"horizon_s": horizon_s, "starts": starts}
-    if any(lost.values()):
-        open_loop["lost"] = dict(lost)
+    rollout, loop = flown.rollout, flown.closed_loop
+    open_loop: dict[str, Any] = {"horizon_s": rollout.horizon_s, "starts": rollout.starts}
+    if any(rollout.lost.values()):
+        open_loop["lost"] = dict(rollout.lost)
     closed: dict[str, Any] = {"flights": loop.flights}
     closed |= {"missing": loop.missing} if loop.missing else {"lost": list(loop.lost)} | _by_name(loop.errors)
     if loop.reduction is not None:
         closed["reduction"] = loop.reduction
     coverage = {"coverage": _by_name(flown.coverage)} if flown.coverage else {}
-    return {"rollout": open_loop | _by_name(errors), "closed_loop": closed, **coverage}
+    return {"rollout": open_loop | _by_name(rollout.errors), "closed_loop": closed, **coverage}
 
 
 def _by_name(records: Mapping[str, Any]) -> dict[str, Any]:

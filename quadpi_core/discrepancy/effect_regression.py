@@ -10,11 +10,11 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from quadpi_core.discrepancy.candidates import Candidate, candidates, first_point, linearise, start_cost
 from quadpi_core.discrepancy.effect_response import Compared, body_tolerances, share_of_wrench
 from quadpi_core.discrepancy.evidence import Block, Equations, Fit
+from quadpi_core.discrepancy.unexplained import stated_squares
 from quadpi_core.discrepancy.whitening import (
     Columns,
     Noise,
@@ -66,8 +66,6 @@ SMALL_STEP = Threshold(
     "a third of the smallest size that is named: columns hardly change over less",
     CONVENTION,
 )
-# Axes of a simulation that states no intervals.
-NONE_HELD = np.zeros(len(AXES), dtype=np.bool_)
 
 
 @dataclass(frozen=True)
@@ -217,19 +215,12 @@ class Regression:
     conditions: tuple[Condition, ...] = ()
 
     @classmethod
-    def of(
-        cls,
-        flights: Sequence[Compared],
-        candidates: Sequence[Candidate],
-        held: npt.NDArray[np.bool_] = NONE_HELD,
-    ) -> Regression:
+    def of(cls, flights: Sequence[Compared], candidates: Sequence[Candidate]) -> Regression:
         """Regression with every candidate linearised at no effect, and the noise that all of them leave.
 
         Args:
             flights: beside their simulation.
             candidates: effects to look for.
-            held: axes (6,) that the simulation's own intervals hold: what is inside them is known no better,
-                so that it speaks neither for nor against an effect or a coefficient.
         """
         points = tuple(first_point(candidate, flights) for candidate in candidates)
         residual = in_frequency(flights, [flight.residual[:, :, np.newaxis] for flight in flights])
@@ -241,17 +232,31 @@ class Regression:
             residual=residual,
             tolerances=Tolerances.of(flights),
             modulators=Modulators.of(flights),
-            noise=Noise(np.ones((len(AXES), residual.bands)), held),
+            noise=Noise(np.ones((len(AXES), residual.bands))),
             explained=tuple(_rows(flight, flight.expected_measured) for flight in flights),
         )
         if regression.sound is not None:
             # Its known errors were found with columns of the accelerations that the simulation expects.
             return regression._beside_known_errors(regression.sound)
-        regression = regression.weighted(regression._estimated_noise(()))
         for _ in range(_ACCELERATION_ROUNDS):
-            accelerated = regression.accelerated(_require(regression.fit(())))
-            regression = accelerated.weighted(accelerated._estimated_noise(()))
-        return regression
+            regression = regression.weighted(np.maximum(regression.least, regression._estimated_noise(())))
+            regression = regression.accelerated(_require(regression.fit(())))
+        return regression.weighted(np.maximum(regression.least, regression._estimated_noise(())))
+
+    @cached_property
+    def least(self) -> Array:
+        """Least variance (6, C) of the noise: what sound flights leave, or what the simulation states.
+
+        A model states by its intervals how well it knows a wrench, but not how fast its errors change: in any
+        band they may be as large as in all together. What stays within is nothing that it lacks, and what
+        an effect would add beyond speaks against that.
+        """
+        if self.sound is not None:
+            return self.sound.noise
+        stated = stated_squares(self.flights)
+        rows = np.bincount(np.concatenate([own.band for own in self.residual.spectra]))
+        least: Array = stated[:, np.newaxis] * rows.sum() / np.maximum(rows, 1)
+        return least
 
     def _beside_known_errors(self, sound: SoundFlights) -> Regression:
         """The regression of the residual less what sound flights leave, with their noise."""
@@ -381,14 +386,12 @@ class Regression:
         An error of a law would otherwise be explained by another effect. Columns of mass and inertia are made
         of the accelerations that the set explains. What flights may have of their own is no noise.
         """
-        left = self.band_means(self.varied.left(found))
+        variance = self.band_means(self.varied.left(found))
         accelerated = self.accelerated(found)
-        if self.sound is not None:
-            return accelerated.weighted(np.maximum(self.sound.noise, left))
-        # Nothing was fitted to axes that say nothing, so what is left of them is no noise.
-        left[self.noise.held] = 0.0
-        variance = np.maximum(accelerated._estimated_noise(chosen), left)
-        return accelerated.weighted(np.minimum(variance, self._residual_squares))
+        if self.sound is None:
+            variance = np.maximum(variance, accelerated._estimated_noise(chosen))
+            variance = np.minimum(variance, self._residual_squares)
+        return accelerated.weighted(np.maximum(variance, self.least))
 
     @cached_property
     def varied(self) -> Regression:
@@ -551,14 +554,13 @@ class Regression:
         """Root mean square of the contribution of a candidate over that of the noise, in its loudest axis."""
         noise = sum(self.noise.variance[:, own.band].sum(axis=1) for own in self.residual.spectra)
         ratio = self.squares(self.added((index,), found)) / noise
-        return float(np.sqrt(np.max(ratio[~self.noise.held], initial=0.0)))
+        return float(np.sqrt(np.max(ratio)))
 
     def energy(self, chosen: Sequence[int], found: Fit) -> float:
         """Evidence of candidates in a fit: half of the squares that they add, in variances of the noise."""
         if not chosen:
             return 0.0
-        squares = self.squares(self.added(chosen, found), self.noise.variance)
-        return 0.5 * float(squares[~self.noise.held].sum())
+        return 0.5 * float(self.squares(self.added(chosen, found), self.noise.variance).sum())
 
     def reduction(self, chosen: Sequence[int], found: Fit, variance: Array | None = None) -> Reduction:
         """Squares by which candidates in a fit reduce the residual of all flights.

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
+from scipy.stats import t as student
 
 from quadpi_core.bounded_files import parse_json
 from quadpi_core.discrepancy.augmented_simulation import AugmentedSimulation, as_it_was, augmented
@@ -42,7 +43,7 @@ from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight
 from quadpi_core.simulation.scenario import FlightPlan
 from quadpi_core.simulation.simulated_bags import read_truth
 from quadpi_core.simulation.truth import STEP_HZ, Truth
-from quadpi_core.thresholds import Threshold
+from quadpi_core.thresholds import CONVENTION, Threshold
 from quadpi_core.vehicle import Vehicle
 
 # Duration of a roll-out: long enough for a missing force to show, and before an unstable vehicle diverges.
@@ -53,6 +54,15 @@ _EVERY_S = 0.25
 _ROLLOUT_HZ = 100.0
 _NO_VEHICLE_DOES = "twice what the fastest real flights reach: a roll-out beyond it has diverged"
 DIVERGED_SPEED = Threshold("speed of a lost roll-out", 50.0, "m/s", _NO_VEHICLE_DOES, "flights up to 22 m/s")
+CONFIDENCE = Threshold(
+    "that roll-outs get worse",
+    0.95,
+    "probability that they do on average over flights, by Student's t",
+    "the level of the intervals that are stated",
+    CONVENTION,
+)
+# Of fewer flights nobody knows how they differ.
+_FEWEST_TO_DIFFER = 3
 DIVERGED_RATE = Threshold(
     "body rate of a lost roll-out", 60.0, "rad/s", _NO_VEHICLE_DOES, "flights up to 1 330 degrees/s"
 )
@@ -196,7 +206,8 @@ def rollouts(
     """
     vehicles = [simulation.vehicle for simulation in after]
     each = map(rollout, flights, before), map(rollout, flights, after), map(rollout_floor, flights, vehicles)
-    squares = [np.concatenate(list(own)) for own in each]
+    of_flights = [list(own) for own in each]
+    squares = [np.concatenate(own) for own in of_flights]
     lost = [int(np.isnan(own[:, 0]).sum()) for own in squares]
     starts = len(squares[0])
     errors = _errors(squares) if max(lost) < starts else {}
@@ -205,7 +216,22 @@ def rollouts(
         starts - lost[0],
         {name: error for name, error in errors.items() if name != "position_m"},
         dict(zip(BeforeAfter._fields, lost, strict=True)),
+        _chance(*of_flights[:2]),
     )
+
+
+def _chance(before: Sequence[Array], after: Sequence[Array]) -> dict[str, float]:
+    """Share by which chance lets an error grow, by its name, from squares (S, 4) of each flight."""
+    lasting = [
+        both for both in zip(before, after, strict=True) if not any(np.isnan(own).all() for own in both)
+    ]
+    if len(lasting) < _FEWEST_TO_DIFFER:
+        return {}
+    means = np.array([[np.nanmean(own, axis=0) for own in both] for both in lasting])
+    growth = 0.5 * np.diff(np.log(np.maximum(means, np.finfo(float).tiny)), axis=1)[:, 0]
+    error = np.std(growth, axis=0, ddof=1) / np.sqrt(len(growth))
+    most = np.expm1(float(student.ppf(CONFIDENCE.value, len(growth) - 1)) * error)
+    return dict(zip(ERROR_NAMES, most.tolist(), strict=True))
 
 
 def _errors(squares: Sequence[Array]) -> dict[str, BeforeAfter]:

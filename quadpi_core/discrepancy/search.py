@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from functools import cache, cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from quadpi_core.discrepancy.acceptance import (
     FEW_FLIGHTS,
@@ -100,12 +99,14 @@ class Found:
         """Variance (6, C) of the noise that sensors and the errors of states make, in C bands.
 
         It is what sound flights leave, where they are known. Else that of sensors is what is left at the
-        highest frequencies: white in a force, and in a moment largest there.
+        highest frequencies: white in a force, and in a moment largest there. What a model states by its
+        intervals that it errs by is no discovery.
         """
         noise, sound = self.left.noise, self.regression.sound
         if sound is not None:
             return sound.left
-        return noise[:, -1:] + slow_state_noise(self.regression.flights, noise.shape[1])
+        slow = slow_state_noise(self.regression.flights, noise.shape[1])
+        return np.maximum(noise[:, -1:] + slow, self.regression.least)
 
     def deviation(self, index: int) -> Array:
         """Standard deviation (k,) of the parameters of a chosen candidate, in their units; 0 at a bound.
@@ -184,17 +185,14 @@ class Accepted:
         return tuple(self.regression.candidates[index].name for index in self.chosen)
 
 
-def search(
-    flights: Sequence[Compared], candidates: Sequence[Candidate], held: npt.NDArray[np.bool_]
-) -> Found:
+def search(flights: Sequence[Compared], candidates: Sequence[Candidate]) -> Found:
     """Search flights for candidates.
 
     Args:
         flights: at least two, beside their simulation.
         candidates: effects to look for.
-        held: see :meth:`Regression.of`.
     """
-    regression = Regression.of(flights, candidates, held)
+    regression = Regression.of(flights, candidates)
     threshold = least_evidence(len(candidates))
     none = _require(regression.fit(()))
     accepted = Accepted(settled(regression), (), none)

@@ -25,7 +25,6 @@ from quadpi_core.discrepancy.discrepancy_result import (
     Reflights,
     Study,
 )
-from quadpi_core.discrepancy.effect_regression import NONE_HELD
 from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.evidence import Fit
 from quadpi_core.discrepancy.reflight import HORIZON_S, reflights
@@ -248,16 +247,17 @@ def discover(
             )
     compared = Compared.together(flights, simulation, highest_hz)
     inside = inside_intervals(compared)
-    held = NONE_HELD if inside is None else inside.held
+    none = np.zeros(len(AXES), dtype=np.bool_)
+    held = none if inside is None else inside.held
     known = candidates(simulation.vehicle, names)
     # What acts only where the simulation's own intervals hold is nothing that it lacks. Where sound flights
     # tell the noise of every axis, those that hold speak against an effect that spoils them.
-    silent = held if simulation.sound is None or held.all() else NONE_HELD
+    silent = held if simulation.sound is None or held.all() else none
     unsought = {c.name for c in known if all(silent[AXES.index(axis)] for axis in c.effect.axes)}
     sought = [candidate for candidate in known if candidate.name not in unsought]
     # Products are so small that two threads take twice the time of one.
     with threadpool_limits(limits=1, user_api="blas"):
-        found = search(compared, sought, silent)
+        found = search(compared, sought)
     rows = sum(len(own.band) for own in found.regression.residual.spectra)
     left = np.where(held, 0.0, predictable(np.minimum(found.left.gain, found.beyond_sound), rows))
     named = np.where(held, 0.0, np.maximum(found.named, 0.0))

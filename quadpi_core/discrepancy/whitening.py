@@ -194,20 +194,18 @@ class Noise:
 
     Attributes:
         variance: (6, C) in C bands.
-        held: (6,) axes that say nothing, as the simulation's own intervals hold them; their weight is 0.
         own: what flights have of their own.
         products: see :meth:`Columns.products`.
     """
 
     variance: Array
-    held: npt.NDArray[np.bool_]
     own: tuple[OfEachFlight, ...] = ()
     products: PairsOfColumns = field(default_factory=lambda: PairsOfColumns(Columns.products))
 
     @cached_property
     def precision(self) -> Array:
-        """Squared weights (6, C): one over the variance, 0 in axes that say nothing."""
-        squared: Array = np.where(self.held[:, None], 0.0, 1.0 / self.variance)
+        """Squared weights (6, C)."""
+        squared: Array = 1.0 / self.variance
         return squared
 
     def beside(self, *own: OfEachFlight) -> Noise:
