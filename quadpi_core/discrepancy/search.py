@@ -418,7 +418,8 @@ def _needed(
 ) -> float:
     """Evidence that an effect has to gain beside others, given the energy of their contribution."""
     others = [regression.candidates[other] for other in beside]
-    return evidence_needed(regression.candidates[index], others, energy, threshold)
+    known = regression.sound is not None
+    return evidence_needed(regression.candidates[index], others, energy, threshold, known=known)
 
 
 def without_idle(accepted: Accepted, threshold: float) -> tuple[Accepted, list[Judgement]]:
