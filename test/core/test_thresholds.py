@@ -89,19 +89,19 @@ def beside(gain, *, energy=1e6, law=False, beside_law=False, scales=False):
 def accepted(*, size=1.0, loudness=1.0, instead="", squares=99.0):
     """Whether a candidate of two parameters is, by such numbers."""
     own = SimpleNamespace(name="own", label="own", free=(0, 1))
-    plain = Fit(100.0, np.arange(2), np.array([np.sqrt(squares), 0.0]), np.eye(2), np.zeros(2))
+    plain = Fit(100.0, (), np.arange(2), np.array([np.sqrt(squares), 0.0]), np.eye(2), np.zeros(2))
     regression = SimpleNamespace(
         candidates=[own],
         flights=[],
-        columns=SimpleNamespace(bands=[]),
+        residual=SimpleNamespace(spectra=()),
         size=lambda *_: size,
         loudness=lambda *_: loudness,
-        block=lambda _: SimpleNamespace(parameters=np.arange(2)),
+        equations=lambda _: SimpleNamespace(parameters=lambda _: np.arange(2)),
         fit=lambda *_, **__: plain,
         beside=lambda *_: regression,
     )
     regression.varied = regression
-    none = plain._replace(log_evidence=0.0)
+    none = replace(plain, log_evidence=0.0)
     trial = Trial(regression, (), none, 0, plain, 8.0, lambda: np.zeros(6), instead=instead)
     trial.__dict__["refined"] = (regression, plain)
     return trial.judgement.accepted
@@ -377,15 +377,15 @@ class OneStep:
     def __init__(self, away, moves=0):
         self.away, self.moves = away, moves
         self.candidates = [SimpleNamespace(linear=False, scale=np.ones(1))]
-        self.columns = SimpleNamespace(points=[np.zeros(1)])
+        self.points = [np.zeros(1)]
 
     def moved(self, points):
         return OneStep(self.away, self.moves + len(points))
 
     def fit(self, chosen, **_):
-        return Fit(0.0, np.array(chosen), np.ones(1), np.eye(1), np.zeros(1))
+        return Fit(0.0, (), np.array(chosen), np.ones(1), np.eye(1), np.zeros(1))
 
-    def evidence_at(self, _):
+    def at_points(self, _):
         return 0.0
 
     def parameters(self, *_):
@@ -396,9 +396,9 @@ def beyond_sound(deviations):
     """Whether four flights that leave more by some deviations of their mean are beyond sound ones."""
     sound = SimpleNamespace(left=np.ones((6, 1)), differ=np.full(6, 0.2), flights=12)
     more = 1.0 + deviations * 0.2 * np.sqrt(1.0 / 4.0 + 1.0 / 12.0)
-    columns = SimpleNamespace(bands=[np.zeros(10, dtype=np.intp)] * 4)
     left = [np.full((6, 10), np.sqrt(more))] * 4
-    regression = SimpleNamespace(sound=sound, columns=columns, flights=left, left=lambda _: left)
+    residual = SimpleNamespace(spectra=[Spectrum(own, np.zeros(10, dtype=np.intp)) for own in left])
+    regression = SimpleNamespace(sound=sound, residual=residual, flights=left, left=lambda _: left)
     none = SimpleNamespace(left=None)
     return Found(regression, (), none, None, 0.0, 0.0, {}, None, np.zeros(6), ()).beyond_sound.max() > 0.0
 
@@ -746,7 +746,7 @@ def test_noise_counts_as_white_between_edges():
     edges = thresholds()["EDGES_HZ"].value
     assert edges[0] == 0.0
     frequencies = np.fft.rfftfreq(250_000, 1.0 / 250.0)
-    band = whitening.spectrum(np.ones((250_000, 6, 1)), 250.0).band[: np.sum(frequencies <= edges[-1])]
+    band = whitening.spectrum(np.ones((250_000, 6, 1)), 250.0).band[::2]
     first = [frequencies[np.argmax(band == index)] for index in range(len(edges) - 1)]
     assert first == pytest.approx([0.0, 0.11, 0.3, 0.7, 1.5, 3.0, 5.0, 8.0, 12.0], abs=2e-3)
 
@@ -782,10 +782,10 @@ def test_generic_functions_are_shrunk_by_a_ten_thousandth_to_a_tenth():
 def test_the_form_of_a_law_may_differ_by_axis_more_than_as_a_whole(found):
     regression = found.discovery.found.regression
     (index,) = found.discovery.found.chosen
-    columns, block, candidate = regression.columns, regression.block(index), regression.candidates[index]
+    block, candidate = regression.blocks[index], regression.candidates[index]
     axis = AXES.index(candidate.effect.axes[0])
-    whole = columns.rows(0, block.parameters) @ (columns.points[index] / candidate.scale)
-    single = columns.rows(0, block.form[:1])[axis, :, 0]
+    whole = block.columns.spectra[0].rows @ (regression.points[index] / candidate.scale)
+    single = block.form.spectra[0].rows[axis, :, 0]
     assert single == pytest.approx(1.5 * 0.15 * whole[axis])
 
 

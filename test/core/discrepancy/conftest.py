@@ -75,11 +75,10 @@ def moved_tolerances():
         regression = Regression.of(compared, candidates(simulation.vehicle, ["payload"]))
         found = regression.fit(())
         assert found is not None
-        columns = regression.columns
-        values = dict(zip(columns.tolerance_names, found.of(columns.tolerances), strict=True))
-        laws = zip(columns.tolerance_names, columns.tolerance_laws, strict=True)
+        names, laws = regression.tolerances.names, regression.tolerances.laws
+        values = dict(zip(names, regression.moved_by(found), strict=True))
         return {
-            name: of_coefficient(values[name], values[law]) if law else values[name] for name, law in laws
+            name: of_coefficient(values[name], values[law]) if law else values[name] for name, law in zip(names, laws, strict=True)
         }
 
     return moved

@@ -90,7 +90,7 @@ def test_a_force_that_wanders_slowly_is_a_gap_that_stays(simulation, dragged, pu
     blown = [gusty(flight, simulation.vehicle, pushed, seed) for seed, flight in enumerate(dragged)]
     discovery = discover(simulation, blown, names=["body_drag"])
     assert [effect.name for effect in discovery.effects] == ["body_drag"]
-    hidden = discovery.found.closing.gap(discovery.found.regression.noise, np.zeros(6))
+    hidden = discovery.found.closing.gap(discovery.found.regression.noise.variance, np.zeros(6))
     assert hidden.reduction > 0.97
     assert hidden.floor[1] > 0.06
     assert discovery.gap.floor[1] < 0.004
@@ -110,14 +110,12 @@ def test_a_coefficient_far_beyond_its_tolerance_stands_for_something_else(simula
 def test_many_coefficients_near_their_limit_stand_for_something_else(found):
     """None of them is far by itself. Those that explain less than noise count as 0."""
     own = found.discovery.found
-    tolerances = own.regression.columns.tolerances
-    left = own.fit.left.copy()
-    left[tolerances] -= np.where(np.arange(len(tolerances)) % 2, 4.0, -4.0)
-    moved = (own.fit.columns[:, None] == tolerances).any(axis=1)
-    coefficients = np.where(moved, 4.0, own.fit.coefficients)
-    fit = own.fit._replace(coefficients=coefficients, left=left)
+    count = len(own.regression.tolerances.names)
+    # Of the columns of a fit, those of tolerances come first.
+    coefficients = np.where(own.fit.fitted <= count, 4.0, own.fit.coefficients)
+    fit = replace(own.fit, coefficients=coefficients)
     (sentence,) = doubted(found, found=replace(own, fit=fit))
-    assert sentence.startswith(f"{len(tolerances)} coefficients would be wrong by 3.8 of their tolerances")
+    assert sentence.startswith(f"{count} coefficients would be wrong by 3.8 of their tolerances")
     # Axes that the simulation's own intervals hold raise no doubt.
     assert doubted(found, found=replace(own, fit=fit), held=np.ones(6, dtype=bool)) == ()
 
@@ -125,18 +123,15 @@ def test_many_coefficients_near_their_limit_stand_for_something_else(found):
 def test_a_coefficient_that_explains_nothing_may_be_far(found):
     """As one of motion in a hover, which only noise of the estimator moves."""
     own = found.discovery.found
-    columns = own.regression.columns
-    first = own.fit.columns == columns.tolerances[0]
-    fit = own.fit._replace(coefficients=np.where(first, 9.0, own.fit.coefficients))
+    fit = replace(own.fit, coefficients=np.where(own.fit.fitted == 1, 9.0, own.fit.coefficients))
     far = doubted(found, found=replace(own, fit=fit))
     assert any("would be wrong by 9.0 of its tolerances" in sentence for sentence in far)
-    tables = []
-    for known, *others in columns.tables:
-        quiet = known.copy()
-        quiet[:, :, columns.tolerances[0]] *= 1e-6
-        tables.append((quiet, *others))
-    still = replace(own.regression, columns=replace(columns, tables=tuple(tables)))
-    assert doubted(found, found=replace(own, fit=fit, regression=still)) == ()
+    tolerances = own.regression.tolerances
+    hardly = np.append(1e-6, np.ones(tolerances.coefficients.width - 1))
+    quiet = tolerances.coefficients.like(lambda k: tolerances.coefficients.spectra[k].rows * hardly)
+    parts = tuple(quiet if part is tolerances.coefficients else part for part in own.fit.parts)
+    still = replace(own.regression, tolerances=tolerances._replace(coefficients=quiet))
+    assert doubted(found, found=replace(own, fit=replace(fit, parts=parts), regression=still)) == ()
 
 
 def test_a_coefficient_is_as_far_off_as_its_own_column_and_that_of_its_law_say(simulation, flights, pushed):
@@ -190,8 +185,7 @@ def test_an_effect_on_which_flights_disagree_is_doubted(found, monkeypatch):
     assert agreed.sentence.endswith("3 allowed, but no more than 4 % of the gap stays")
     # Of three flights, each that is left out shows something of its own.
     own = found.discovery.found
-    few = replace(own.regression.columns, flights=own.regression.flights[:3])
-    three = replace(own, regression=replace(own.regression, columns=few))
+    three = replace(own, regression=replace(own.regression, flights=own.regression.flights[:3]))
     assert not three.disagreement(own.chosen[0]).any()
 
 

@@ -24,15 +24,15 @@ class ListedEvidence:
             SimpleNamespace(name=name, label=name, form=0.0, linear=True, effect=effect) for name in names
         ]
         self.conditions = ()
-        self.columns = SimpleNamespace(points=[np.zeros(1)] * 3)
+        self.points = [np.zeros(1)] * 3
         self.reweighted = reweighted
 
     def fit(self, chosen, *_, **__):
-        columns = np.array(chosen, dtype=np.intp)
+        count = len(chosen)
         value = self.evidence[tuple(chosen)]
-        return Fit(value, columns, np.ones(len(columns)), np.eye(len(columns)), np.zeros(3))
+        return Fit(value, (), np.arange(count), np.ones(count), np.eye(count), np.zeros(count))
 
-    def evidence_at(self, chosen):
+    def at_points(self, chosen):
         return self.evidence[tuple(chosen)]
 
     def parameters(self, *_):

@@ -175,8 +175,7 @@ def widths(effect):
 def of_the_fit(found):
     """Standard deviation of each parameter of the one effect in the fit to all flights."""
     (index,) = found.chosen
-    columns = found.regression.block(index).parameters
-    return found.fit.deviation(columns) * found.regression.candidates[index].scale
+    return found.regression.deviation(index, found.fit) * found.regression.candidates[index].scale
 
 
 def test_an_interval_is_that_of_95_percent_and_wider_where_flights_disagree(dragged, simulation, monkeypatch):

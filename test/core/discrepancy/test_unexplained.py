@@ -82,7 +82,7 @@ def noise_and_function(size, rows=300, flights=4):
         residual = rng.standard_normal((6, rows))
         residual[0] += size * functions[0, :, 1]
         left.append(residual)
-        spectra.append(Spectrum(functions, np.arange(rows) % 3))
+        spectra.append(Spectrum(functions, np.repeat(np.arange(3), rows // 3)))
     return left, spectra
 
 

@@ -128,8 +128,7 @@ def _imported(task: Task, logs: list[Path], folder: Path) -> list[Path]:
 
 def _detail(found: Found) -> dict[str, Any]:
     """What the search went by, to look at where it is wrong."""
-    tolerances = found.regression.columns.tolerances
-    moved = zip(found.regression.columns.tolerance_names, found.fit.of(tolerances), strict=True)
+    moved = zip(found.regression.tolerances.names, found.regression.moved_by(found.fit), strict=True)
     return {
         "coefficients": {name: float(value) for name, value in moved if abs(value) > 1.0},
         "noise": found.left.noise.tolist(),
