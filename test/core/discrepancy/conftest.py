@@ -78,7 +78,8 @@ def moved_tolerances():
         names, laws = regression.tolerances.names, regression.tolerances.laws
         values = dict(zip(names, regression.moved_by(found), strict=True))
         return {
-            name: of_coefficient(values[name], values[law]) if law else values[name] for name, law in zip(names, laws, strict=True)
+            name: of_coefficient(values[name], values[law]) if law else values[name]
+            for name, law in zip(names, laws, strict=True)
         }
 
     return moved
