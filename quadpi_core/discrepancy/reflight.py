@@ -61,8 +61,7 @@ CONFIDENCE = Threshold(
     "the level of the intervals that are stated",
     CONVENTION,
 )
-# Of fewer flights nobody knows how they differ.
-_FEWEST_TO_DIFFER = 3
+
 DIVERGED_RATE = Threshold(
     "body rate of a lost roll-out", 60.0, "rad/s", _NO_VEHICLE_DOES, "flights up to 1 330 degrees/s"
 )
@@ -225,7 +224,7 @@ def _chance(before: Sequence[Array], after: Sequence[Array]) -> dict[str, float]
     lasting = [
         both for both in zip(before, after, strict=True) if not any(np.isnan(own).all() for own in both)
     ]
-    if len(lasting) < _FEWEST_TO_DIFFER:
+    if len(lasting) < 2:
         return {}
     means = np.array([[np.nanmean(own, axis=0) for own in both] for both in lasting])
     growth = 0.5 * np.diff(np.log(np.maximum(means, np.finfo(float).tiny)), axis=1)[:, 0]

@@ -143,7 +143,7 @@ def checks(
             noise in them is doubted.
         axis: the axis that `unexplained` is of; empty for all together.
     """
-    sensors = np.where(held[:, None], np.inf, found.sensors)
+    sensors = np.where(held[:, None], np.inf, found.expected)
     # Squares that are credited to the effects, in variances of the sensors.
     reduction = found.regression.reduction(found.chosen, found.fit, sensors)
     named = max(0.0, float(np.sum(reduction.credited)))
@@ -331,7 +331,7 @@ def _of_gap(found: Found, gap: Gap) -> Iterator[Verdict]:
         yield judge_agreement(name, float(ratios[worst]), gap.reduction)
 
 
-def judge_closed(reduction: float, above: float) -> Verdict:
+def judge_closed(reduction: float, above: float = np.inf) -> Verdict:
     """Whether the named effects close the gap of flights left out.
 
     Args:

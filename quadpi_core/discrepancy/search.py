@@ -94,19 +94,25 @@ class Found:
     judgements: tuple[Judgement, ...]
     disputed: tuple[str, ...] = ()
 
+    @property
+    def expected(self) -> Array:
+        """Variance (6, C) of what flights may leave where nothing is missing, in C bands.
+
+        It is what sound flights leave, where they are known. Else it is that of :attr:`sensors`, and what a
+        model states by its intervals that it errs by.
+        """
+        sound = self.regression.sound
+        return np.maximum(self.sensors, self.regression.least) if sound is None else sound.left
+
     @cached_property
     def sensors(self) -> Array:
-        """Variance (6, C) of the noise that sensors and the errors of states make, in C bands.
+        """Variance (6, C) of the noise that sensors and the errors of states make, as far as flights tell.
 
-        It is what sound flights leave, where they are known. Else that of sensors is what is left at the
-        highest frequencies: white in a force, and in a moment largest there. What a model states by its
-        intervals that it errs by is no discovery.
+        That of sensors is what is left at the highest frequencies: white in a force, and in a moment largest
+        there.
         """
-        noise, sound = self.left.noise, self.regression.sound
-        if sound is not None:
-            return sound.left
-        slow = slow_state_noise(self.regression.flights, noise.shape[1])
-        return np.maximum(noise[:, -1:] + slow, self.regression.least)
+        noise = self.left.noise
+        return noise[:, -1:] + slow_state_noise(self.regression.flights, noise.shape[1])
 
     def deviation(self, index: int) -> Array:
         """Standard deviation (k,) of the parameters of a chosen candidate, in their units; 0 at a bound.

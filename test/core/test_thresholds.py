@@ -587,7 +587,7 @@ EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
         0.05,
         lambda x: result_verdicts.judge_agreement("mass", 9.0, 1.0 - x + 1e-9).passed,
     ),
-    "CLOSED": (0.8, lambda x: result_verdicts.judge_closed(x, 1.0).passed),
+    "CLOSED": (0.8, lambda x: result_verdicts.judge_closed(x).passed),
     "NEAR_FLOOR": (0.1, lambda x: not result_verdicts.judge_closed(0.6, x).passed),
     # The others of the room, file by file.
     "DIVERGED_SPEED": (50.0, lambda x: rolls_out(speed=x)),
