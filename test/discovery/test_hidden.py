@@ -13,7 +13,7 @@ import pytest
 from blind.cases import PAIR
 from hidden.cases import FLEETS, HALVES, Case, all_cases, short_cases
 from hidden.changes import CHANGES, PAIRS, Given, drawn
-from hidden.measures import AMONG, ERROR, MISSED, PART, RIGHT, UNKNOWN, WRONG, Finding, figures
+from hidden.measures import AMONG, ERROR, MISSED, PART, REFUSED, RIGHT, UNKNOWN, WRONG, Finding, figures
 
 sys.path.append(str(Path(__file__).parents[2] / "tools"))
 
@@ -232,6 +232,7 @@ def test_outcomes():
         (finding("none"), MISSED),
         (finding("unknown"), UNKNOWN),
         (finding("error: no flight"), ERROR),
+        (finding("refused by its signals: the accelerometer reads 0.84 times"), REFUSED),
         (finding("unknown", name="gust"), RIGHT),
         (finding("effects", load, name="gust"), WRONG),
         (finding("none", name="gust"), MISSED),
@@ -247,7 +248,7 @@ def test_outcomes():
     by_name = {own.name: (own.hits, own.of) for own in figures(findings)}
     assert by_name["one change, visible: right, or told among"] == (3, 9)
     assert by_name["pairs, visible: both right, or told among"] == (1, 2)
-    assert by_name["an interval is broken: `none`"] == (2, 17)
+    assert by_name["an interval is broken: `none`"] == (2, 18)
     rows = discovery_hidden.changes_table(findings).splitlines()
     assert "| wind + fast rotors | 1 right, 1 in part | – | – |" in rows
     assert "| turned IMU | 1 unknown, (1 `none`, 1 `unknown`) | – | – |" in rows
@@ -255,7 +256,7 @@ def test_outcomes():
     failures = discovery_hidden.failures_table(findings)
     assert "| crazyflie | fast rotors × 1, split 0 | Fz | wrong: payload |" in failures
     assert failures.count("turned IMU") == 1
-    assert f"{len(findings)} cases: 9 single" in discovery_hidden.summary(findings)
+    assert f"{len(findings)} cases: 10 single" in discovery_hidden.summary(findings)
 
 
 def test_the_program_lists_its_cases_and_says_where_flights_are_missing(monkeypatch, capsys, tmp_path):

@@ -20,11 +20,11 @@ _MASS, _LENGTH = 0.15, 0.1
 # Share of samples that the intervals are to hold with what was found.
 _HELD = 0.9
 # What became of a case.
-RIGHT, AMONG, PART, WRONG, MISSED, UNKNOWN, ERROR = (
+RIGHT, AMONG, PART, WRONG, MISSED, UNKNOWN, REFUSED, ERROR = (
     *("right", "told among", "in part", "wrong"),
-    *("missed", "unknown", "error"),
+    *("missed", "unknown", "refused by its signals", "error"),
 )
-SHOWN = (RIGHT, AMONG, PART, WRONG, MISSED, UNKNOWN, ERROR)
+SHOWN = (RIGHT, AMONG, PART, WRONG, MISSED, UNKNOWN, REFUSED, ERROR)
 
 
 class Binomial(Figure):
@@ -75,7 +75,9 @@ class Finding:
             case=case,
             truth=truth,
             answer=max(answers, key=_nearness),
-            visible=bool(found["seen"]) or (case.kind == REAL and bool(found["broken"])),
+            # Flights whose signals contradict each other are refused, which says why, before any search.
+            visible=not found["result"]["verdict"].startswith(REFUSED)
+            and (bool(found["seen"]) or (case.kind == REAL and bool(found["broken"]))),
             broken=tuple(found["broken"]),
             values={
                 f"{effect['name']}.{name}": parameter["value"]
@@ -96,6 +98,8 @@ class Finding:
             return AMONG
         if verdict == "effects":
             return WRONG if self.answer.wrong else PART
+        if verdict.startswith(REFUSED):
+            return REFUSED
         return {"none": MISSED, "unknown": UNKNOWN}.get(verdict, ERROR)
 
     @property

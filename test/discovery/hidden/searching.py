@@ -20,6 +20,7 @@ from blind.searching import rollout_changes
 
 from hidden.cases import FLEETS, Case, Fleet
 from hidden.changes import CHANGES, Given
+from hidden.measures import REFUSED
 from quadpi_core.discrepancy import (
     AugmentedSimulation,
     Simulation,
@@ -30,7 +31,7 @@ from quadpi_core.discrepancy import (
 from quadpi_core.discrepancy.discrepancy_result import discovery_json, reflights_json
 from quadpi_core.discrepancy.effect_response import residual
 from quadpi_core.discrepancy.sound_learning import learned_from
-from quadpi_core.discrepancy.study import flown_again
+from quadpi_core.discrepancy.study import FEWEST_FLIGHTS, flown_again
 from quadpi_core.discrepancy.unexplained import as_many_as_stated
 from quadpi_core.errors import QuadpiError, one_line
 from quadpi_core.estimator.fusion import fuse_airborne
@@ -130,9 +131,13 @@ def searched(shared: None, task: Task) -> dict[str, Any]:  # noqa: ARG001
     found: dict[str, Any] = {"left": None, "rollouts": None, "seen": [], "broken": [], "coverage": {}}
     try:
         was, simulation = _as_they_were(task)
-        flights = _changed(case, was, load_simulation(task.model.folder))
+        refused = list[str]()
+        flights = _changed(case, was, load_simulation(task.model.folder), refused)
         # Before the search, and by what `evaluate` goes by.
         found |= _intervals(simulation, flights, load_simulation(task.model.folder), [own for _, own in was])
+        if len(flights) < FEWEST_FLIGHTS.value and refused:
+            found["result"] = {"verdict": f"{REFUSED}: {refused[0]}", "effects": [], "ambiguous": []}
+            return {"case": asdict(case), "truth": asdict(case.truth()), "seconds": 0.0, **found}
         began = time.perf_counter()
         discovery, flown = flown_again(discover(simulation, flights))
         found["result"] = discovery_json(discovery)
@@ -187,8 +192,10 @@ def _as_they_were(task: Task) -> tuple[list[tuple[Recording, Flight]], Simulatio
     return was, carried(simulation, vehicle)
 
 
-def _changed(case: Case, was: Sequence[tuple[Recording, Flight]], simulation: Simulation) -> list[Flight]:
-    """The flights with the changes; those that are then refused are left out, as by the command."""
+def _changed(
+    case: Case, was: Sequence[tuple[Recording, Flight]], simulation: Simulation, refused: list[str]
+) -> list[Flight]:
+    """The flights with the changes; those that are then refused are left out, as by the command, with why."""
     fleet, flights = FLEETS[case.fleet], []
     vehicle = Vehicle.load(fleet.vehicle)
     for place, (recording, flight) in enumerate(was):
@@ -203,8 +210,8 @@ def _changed(case: Case, was: Sequence[tuple[Recording, Flight]], simulation: Si
             changed = CHANGES[name].recording(changed, drawn, given)
         try:
             flights.append(fused(changed, vehicle))
-        except QuadpiError:
-            continue
+        except QuadpiError as error:
+            refused.append(one_line(error))
     return flights
 
 
