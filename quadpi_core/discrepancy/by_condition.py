@@ -237,7 +237,9 @@ def locate(found: Found, seed: int = 0) -> Where:
                 flight, start_s, _ = cells.seconds[start]
                 end_s = cells.seconds[end - 1][2]
                 segments.append(Segment(flights[flight].flight, name, start_s, end_s, share, p_value))
-    energy = cells.excess[cells.families["time"]].sum(axis=0) / found.regression.noise.variance.sum(axis=1)
+    energy = cells.excess[cells.families["time"]].sum(axis=0) / found.regression.noise.variance.sum(
+        axis=(0, 2)
+    )
     loudest = [ranges[axis] for axis in np.argsort(-energy)]
     return Where(
         tuple(part for rank in zip_longest(*loudest, fillvalue=()) for group in rank for part in group),
@@ -318,7 +320,7 @@ def residuals(found: Found) -> list[Residual]:
 
 
 def over_time(rows: Array, samples: int) -> tuple[Indices, Array]:
-    """Indices (B,) of samples, and series (B, 6, C) there, of rows (6, B, C) of `whitening.spectrum`."""
+    """Indices (B,) of samples, and series (B, 6, C) there, of rows (6, B, C) of a :func:`spectrum`."""
     count = rows.shape[1]
     transformed = np.empty((len(rows), (count + 1) // 2, rows.shape[2]), dtype=complex)
     transformed[:, 0] = rows[:, 0]
@@ -455,15 +457,15 @@ def _drawn(found: Found, seed: int) -> Iterator[Array]:
     most = largest_deviation(len(gram))
     off = np.random.default_rng(seed).standard_normal((len(gram), draws)).clip(-most, most)
     # What generic functions predict is not noise, even where no effect explains it.
-    spectrum = np.minimum(noise.variance, found.left.noise)[:, :, None]
+    spectrum = np.minimum(noise.variance, found.left.noise)[..., None]
 
     def noisy(place: int) -> Array:
         rng, band = np.random.default_rng((seed, place)), spectra[place].band
         # Noise differs from flight to flight: its variance is known as well as its squares in a band allow.
-        count = np.maximum(np.bincount(band, minlength=spectrum.shape[1]), 1)[:, None]
+        count = np.maximum(np.bincount(band, minlength=spectrum.shape[2]), 1)[:, None]
         share = rng.chisquare(count, (len(AXES), len(count), draws)) / count
-        drawn: Array = np.sqrt(spectrum / share)[:, band] * rng.standard_normal((len(AXES), len(band), draws))
-        return drawn
+        size: Array = np.sqrt(spectrum[place] / share)[:, band]
+        return size * rng.standard_normal((len(AXES), len(band), draws))
 
     # Noise is made twice rather than kept: it is by far the largest of all arrays.
     projected = gram @ off
@@ -471,7 +473,7 @@ def _drawn(found: Found, seed: int) -> Iterator[Array]:
         np.dstack([own.spectra[place].rows for own in tolerances]) for place in range(len(regression.flights))
     ]
     for place, rows in enumerate(allowed):
-        weighted = rows * noise.precision[:, spectra[place].band][:, :, None]
+        weighted = rows * noise.precision[place][:, spectra[place].band][:, :, None]
         projected += np.einsum("abk,abd->kd", weighted, noisy(place), optimize=True)
     left = off - within_tolerance(gram, projected)
     for place, rows in enumerate(allowed):

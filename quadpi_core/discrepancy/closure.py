@@ -55,7 +55,7 @@ def left_out_squares(regression: Regression, chosen: Sequence[int]) -> Array:
     regression, squares = regression.varied, np.zeros(len(AXES))
     for place, (_, band) in enumerate(regression.residual.spectra):
         left = regression.left_of(place, law_fit(regression, chosen, place))
-        squares += np.sum(np.square(left) * regression.noise.precision[:, band], axis=1)
+        squares += np.sum(np.square(left) * regression.noise.precision[place][:, band], axis=1)
     return squares
 
 
@@ -85,7 +85,7 @@ class Closing:
         # A law that is not linear in its parameters is shaped by them.
         if shaped := tuple(index for index, law in laws if law.effect.shape and law.linear):
             variance = best.noise.variance
-            flat = np.repeat(variance[:, -1:], variance.shape[1], axis=1)
+            flat = np.repeat(variance[..., -1:], variance.shape[-1], axis=-1)
             whole = replace(best, shaped=shaped, noise=replace(best.noise, variance=flat, own=()))
             best = whole if whole._leaves(whole.noise) < best._leaves(whole.noise) else best
         stated = replace(best, adjusted=False)
@@ -122,18 +122,19 @@ class Closing:
         after alike, what a flight has of its own beside them, which no effect closes.
 
         Args:
-            noise: (6, C) variance in C bands, which no simulation can close.
+            noise: (6, C) variance in C bands, or (F, 6, C) of each flight, which no simulation can close.
             stated: (6,) mean squares that are no gap either, as the simulation states that it errs by them.
             adjusted: whether coefficients are moved as fitted, or stay as they are stated.
         """
         regression, (before, after, floor) = self.regression, np.zeros((3, len(AXES)))
+        noises = np.broadcast_to(noise, regression.noise.variance.shape)
         stays = () if self.chosen and adjusted else regression.base[1:]
         for place, (found, own) in enumerate(zip(self.left_out, regression.residual.spectra, strict=True)):
             left = found.residual(without=stays)
             apart = regression.noise.own_rows(left, place)
             before += np.square(own.rows[:, :, 0] - apart).sum(axis=1)
             after += np.square(rows_of(left, place) - apart).sum(axis=1)
-            floor += noise[:, own.band].sum(axis=1)
+            floor += noises[place][:, own.band].sum(axis=1)
         samples = sum(len(flight.thinned) for flight in regression.flights)
         # Of numbers that were made up, without any noise, too.
         floor = np.maximum(floor, stated * samples + np.finfo(float).eps * before + np.finfo(float).tiny)

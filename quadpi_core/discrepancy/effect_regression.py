@@ -52,6 +52,14 @@ TAILS = Threshold(
     "what the others share",
     CONVENTION,
 )
+ALIKE_ROWS = Threshold(
+    "rows for which the noise of a flight is taken for that of all",
+    20.0,
+    "rows of an axis and band",
+    "flights differ in their noise, where a cable falls slack by ten times; of a band with few rows that of "
+    "all is likelier",
+    CONVENTION,
+)
 AXES_OVER_FORM = Threshold(
     "share of a single axis by which a law may be off",
     1.5,
@@ -232,7 +240,7 @@ class Regression:
             residual=residual,
             tolerances=Tolerances.of(flights),
             modulators=Modulators.of(flights),
-            noise=Noise(np.ones((len(AXES), residual.bands))),
+            noise=Noise(np.ones((len(flights), len(AXES), residual.bands))),
             explained=tuple(_rows(flight, flight.expected_measured) for flight in flights),
         )
         if regression.sound is not None:
@@ -260,7 +268,7 @@ class Regression:
 
     def _beside_known_errors(self, sound: SoundFlights) -> Regression:
         """The regression of the residual less what sound flights leave, with their noise."""
-        noise = replace(self.noise, variance=sound.noise)
+        noise = self.weighted(sound.noise).noise
         if not sound.names:
             return replace(self, noise=noise)
         known = self._known_errors(sound)
@@ -377,8 +385,9 @@ class Regression:
         return replace(self, points=tuple(at), blocks=tuple(blocks))
 
     def weighted(self, variance: Array) -> Regression:
-        """The regression with noise of another variance (6, C)."""
-        return replace(self, noise=replace(self.noise, variance=variance))
+        """The regression with noise of another variance, (6, C) or (F, 6, C)."""
+        each = np.broadcast_to(variance, (len(self.flights), len(AXES), self.residual.bands))
+        return replace(self, noise=replace(self.noise, variance=each))
 
     def beside(self, chosen: Sequence[int], found: Fit) -> Regression:
         """The regression with at least the residual after a set of effects as noise, as far as there was any.
@@ -386,12 +395,22 @@ class Regression:
         An error of a law would otherwise be explained by another effect. Columns of mass and inertia are made
         of the accelerations that the set explains. What flights may have of their own is no noise.
         """
-        variance = self.band_means(self.varied.left(found))
-        accelerated = self.accelerated(found)
+        left = self.varied.left(found)
+        accelerated, variance = self.accelerated(found), self.band_means(left)
         if self.sound is None:
             variance = np.maximum(variance, accelerated._estimated_noise(chosen))
             variance = np.minimum(variance, self._residual_squares)
+        else:
+            variance = np.array([self._of_flight(place, rows, variance) for place, rows in enumerate(left)])
         return accelerated.weighted(np.maximum(variance, self.least))
+
+    def _of_flight(self, place: int, left: Array, all_flights: Array) -> Array:
+        """Variance (6, C) of a flight by what is left of it (6, B), and of all flights (6, C)."""
+        band = self.residual.spectra[place].band
+        counts = np.bincount(band, minlength=self.residual.bands)
+        squares = np.stack([np.bincount(band, own, len(counts)) for own in np.square(left)])
+        variance: Array = (squares + ALIKE_ROWS.value * all_flights) / (counts + ALIKE_ROWS.value)
+        return variance
 
     @cached_property
     def varied(self) -> Regression:
@@ -481,12 +500,15 @@ class Regression:
         return rows_of(residual, place) - self.noise.own_rows(residual, place)
 
     def squares(self, parts: Sum, variance: Array | None = None) -> Array:
-        """Squares (6,) of a sum of columns over all flights, in variances (6, C) where these are given."""
-        rows = [np.square(rows_of(parts, place)) for place in range(len(self.flights))]
-        if variance is not None:
-            rows = [own / variance[:, at.band] for own, at in zip(rows, self.residual.spectra, strict=True)]
-        total: Array = sum(own.sum(axis=1) for own in rows)
-        return total
+        """Squares (6,) of a sum of columns over all flights.
+
+        They are in variances, (6, C) or (F, 6, C), where these are given.
+        """
+        each = np.broadcast_to(1.0 if variance is None else variance, self.noise.variance.shape)
+        squares = np.zeros(len(AXES))
+        for place, (own, at) in enumerate(zip(each, self.residual.spectra, strict=True)):
+            squares += np.sum(np.square(rows_of(parts, place)) / own[:, at.band], axis=1)
+        return squares
 
     def band_means(self, rows: Sequence[Array]) -> Array:
         """Mean squares (6, C) of rows (6, B) of each flight by band."""
@@ -552,7 +574,8 @@ class Regression:
 
     def loudness(self, index: int, found: Fit) -> float:
         """Root mean square of the contribution of a candidate over that of the noise, in its loudest axis."""
-        noise = sum(self.noise.variance[:, own.band].sum(axis=1) for own in self.residual.spectra)
+        pairs = zip(self.noise.variance, self.residual.spectra, strict=True)
+        noise = sum(variance[:, own.band].sum(axis=1) for variance, own in pairs)
         ratio = self.squares(self.added((index,), found)) / noise
         return float(np.sqrt(np.max(ratio)))
 
@@ -568,7 +591,7 @@ class Regression:
         Args:
             chosen: indices of the candidates.
             found: fit of them, and of others.
-            variance: (6, C) to count the squares in; unless given, they are in units of the wrench.
+            variance: (6, C) or (F, 6, C) to count squares in; unless given, in units of the wrench.
         """
         blocks = [self.blocks[index] for index in chosen]
         added = [*(own.columns for own in blocks), *(own.form for own in blocks if own.form is not None)]

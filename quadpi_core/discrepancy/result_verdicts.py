@@ -363,13 +363,10 @@ def judge_rollouts(
 
     What chance makes of it, see :class:`Rollouts`, is no growth.
     """
-    growth = [
-        (after / before - 1.0, name)
-        for name, (before, after) in errors.items()
-        if before > 0.0 and after / before - 1.0 > chance.get(name, -1.0)
-    ]
-    most, name = max(growth, default=(0.0, ""))
-    passed = most <= WORSE_ROLLOUTS.value
+    growth = [(after / before - 1.0, name) for name, (before, after) in errors.items() if before > 0.0]
+    beyond = [own for own in growth if own[0] > chance.get(own[1], -1.0)]
+    most, name = max(beyond or growth, default=(0.0, ""))
+    passed = not beyond or most <= WORSE_ROLLOUTS.value
     sentence = f"roll-outs of flights left out {'do not ' * passed}get worse with it"
     if name:
         sentence += ": {} {:.3g} to {:.3g}".format(name, *errors[name])

@@ -193,7 +193,7 @@ class Noise:
     """Noise of flights: white within each axis and band, and what every flight has of its own.
 
     Attributes:
-        variance: (6, C) in C bands.
+        variance: (6, C) in C bands, or (F, 6, C) where flights differ.
         own: what flights have of their own.
         products: see :meth:`Columns.products`.
     """
@@ -204,7 +204,7 @@ class Noise:
 
     @cached_property
     def precision(self) -> Array:
-        """Squared weights (6, C)."""
+        """Squared weights, shaped as `variance`."""
         squared: Array = 1.0 / self.variance
         return squared
 
@@ -237,8 +237,13 @@ class Noise:
 
     @cached_property
     def _white(self) -> PairsOfColumns:
-        axes = (1, 2), (0, 1)
-        return PairsOfColumns(lambda *pair: np.tensordot(self.products(*pair), self.precision, axes))
+        def weighed(first: Columns, second: Columns) -> Array:
+            products = self.products(first, second)
+            precision = np.broadcast_to(self.precision, products.shape[:3])
+            gram: Array = np.einsum("fac,facij->fij", precision, products)
+            return gram
+
+        return PairsOfColumns(weighed)
 
     def _seen(self, columns: Columns) -> Array:
         """Products (F, E, k) of all deviations and columns."""

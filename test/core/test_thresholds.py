@@ -20,7 +20,12 @@ from scipy.stats import t as student
 
 from quadpi_core import discrepancy, screening, simulation
 from quadpi_core.discrepancy import acceptance, result_verdicts, study, unexplained, whitening
-from quadpi_core.discrepancy.acceptance import Trial, judge_evidence, judge_left_out, judge_size
+from quadpi_core.discrepancy.acceptance import (
+    Trial,
+    judge_evidence,
+    judge_left_out,
+    judge_size,
+)
 from quadpi_core.discrepancy.by_condition import (
     Range,
     bin_edges,

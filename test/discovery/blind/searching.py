@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 
 from blind.cases import Case, noise_alone
-from quadpi_core.discrepancy import Simulation, discover
+from quadpi_core.discrepancy import Simulation
 from quadpi_core.discrepancy.augmented_simulation import augmented
 from quadpi_core.discrepancy.discrepancy_result import Rollouts, discovery_json
 from quadpi_core.discrepancy.reflight import rollouts
-from quadpi_core.discrepancy.study import flown_again
+from quadpi_core.discrepancy.study import found_and_flown
 from quadpi_core.errors import one_line
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array
@@ -29,7 +29,7 @@ def searched(shared: None, case: Case) -> dict[str, Any]:  # noqa: ARG001
     began = time.perf_counter()
     left, flown, seconds = None, None, None
     try:
-        discovery, _ = flown_again(discover(simulation, flights))
+        discovery, _ = found_and_flown(simulation, flights)
         result, seconds = discovery_json(discovery), time.perf_counter() - began
         if discovery.added and checks:
             added = augmented(discovery)

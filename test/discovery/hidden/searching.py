@@ -25,13 +25,12 @@ from quadpi_core.discrepancy import (
     AugmentedSimulation,
     Simulation,
     VehicleSimulation,
-    discover,
     load_simulation,
 )
 from quadpi_core.discrepancy.discrepancy_result import discovery_json, reflights_json
 from quadpi_core.discrepancy.effect_response import residual
 from quadpi_core.discrepancy.sound_learning import learned_from
-from quadpi_core.discrepancy.study import FEWEST_FLIGHTS, flown_again
+from quadpi_core.discrepancy.study import FEWEST_FLIGHTS, found_and_flown
 from quadpi_core.discrepancy.unexplained import as_many_as_stated
 from quadpi_core.errors import QuadpiError, one_line
 from quadpi_core.estimator.fusion import fuse_airborne
@@ -139,7 +138,7 @@ def searched(shared: None, task: Task) -> dict[str, Any]:  # noqa: ARG001
             found["result"] = {"verdict": f"{REFUSED}: {refused[0]}", "effects": [], "ambiguous": []}
             return {"case": asdict(case), "truth": asdict(case.truth()), "seconds": 0.0, **found}
         began = time.perf_counter()
-        discovery, flown = flown_again(discover(simulation, flights))
+        discovery, flown = found_and_flown(simulation, flights)
         found["result"] = discovery_json(discovery)
         if flown is not None:
             found["coverage"] = reflights_json(flown).get("coverage", {})

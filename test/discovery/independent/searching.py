@@ -24,7 +24,7 @@ from quadpi_core.discrepancy.other_simulations import RecordedSimulation
 from quadpi_core.discrepancy.reflight import rollouts
 from quadpi_core.discrepancy.search import Found
 from quadpi_core.discrepancy.simulations import Simulation
-from quadpi_core.discrepancy.study import discover, flown_again, read_flights
+from quadpi_core.discrepancy.study import found_and_flown, read_flights
 from quadpi_core.errors import one_line
 from quadpi_core.logs.importing import import_logs
 from quadpi_core.parallel import Workers
@@ -73,7 +73,7 @@ def searched(shared: None, task: Task) -> list[dict[str, Any]]:  # noqa: ARG001
             try:
                 simulation = load_simulation(names[mode], vehicle, bags)
                 flights = flights or read_flights(bags, simulation, workers=Workers(1))
-                discovery, _ = flown_again(discover(simulation, flights))
+                discovery, _ = found_and_flown(simulation, flights)
                 result, detail = discovery_json(discovery), _detail(discovery.found)
                 seconds = time.perf_counter() - began
                 if discovery.added:
