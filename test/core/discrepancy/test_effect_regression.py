@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""The regression of a search: its fits beside dense least squares, its noise, its linearisation."""
+"""The regression of a search: columns of flights, fits, noise, and what single flights have of their own."""
 
 from __future__ import annotations
 
@@ -8,21 +8,186 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
+from quadpi_core.discrepancy import CallableSimulation
 from quadpi_core.discrepancy.candidates import candidates
-from quadpi_core.discrepancy.effect_regression import (
-    NONE_HELD,
-    Condition,
-    NoiseWeighting,
-    Regression,
-    refined,
-    settled,
-)
-from quadpi_core.discrepancy.effect_response import Compared
-from quadpi_core.discrepancy.whitening import band_means
+from quadpi_core.discrepancy.effect_regression import Condition, Regression, refined, settled
+from quadpi_core.discrepancy.effect_response import Compared, share_of_wrench
+from quadpi_core.discrepancy.whitening import EDGES_HZ, rows_of
+from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import AXES
+from quadpi_core.models.sound_flights import SoundFlights
 
-WIND = np.array([0.8, -0.5, 0.0])
+from .dense_noise import covariance, told
+
+NAMES = ["body_drag", "payload", "wind"]
+DRAG, PAYLOAD, WIND = range(3)
+BLOWN = np.array([0.8, -0.5, 0.0])
+VARIANCE = np.repeat([[0.03**2], [3e-3**2]], 3, axis=0)
+
+
+def of_sound_flights(simulation, *names):
+    """The simulation, of which sound flights show that it lacks 0.02 ± 0.01 kg, and 0.003 of each flight."""
+    bands = VARIANCE * np.ones((len(AXES), len(EDGES_HZ.value) - 1))
+    each = np.ones(len(names))
+    error = 0.02 * each, 0.01**2 * np.diag(each), 0.003 * each
+    sound = SoundFlights(8, EDGES_HZ.value, bands, bands, np.zeros(len(AXES)), names, *error)
+    return replace(simulation, sound=sound)
+
+
+def regression_of(simulation, flights, names, **options):
+    """Of flights cut to 8 s, on candidates in the order of their names."""
+    compared = [Compared(flight.slice(slice(0, 1000)), simulation, **options) for flight in flights]
+    chosen = {own.name: own for own in candidates(simulation.vehicle, names)}
+    return Regression.of(compared, [chosen[name] for name in names])
+
+
+@pytest.fixture(scope="module")
+def sounded(simulation, flights):
+    """Of two flights beside a simulation whose noise is known, and no error."""
+    return regression_of(of_sound_flights(simulation), flights[:2], NAMES)
+
+
+def rows_in(regression, place, wrench):
+    """Rows (6, B) of a wrench (M, 6) of a flight."""
+    return regression.flights[place].spectrum(wrench[:, :, None]).rows[:, :, 0]
+
+
+def rows(columns, place):
+    return columns.spectra[place].rows
+
+
+def test_residual_and_tolerances_are_in_frequency(sounded):
+    for place, flight in enumerate(sounded.flights):
+        uncertain = flight.uncertain()
+        assert sounded.tolerances.names == tuple(column.name for column in uncertain)
+        found = np.dstack([rows(columns, place) for columns in sounded.base])
+        expected = [rows_in(sounded, place, w) for w in (flight.residual, *(own.wrench for own in uncertain))]
+        np.testing.assert_allclose(found, np.stack(expected, axis=2), atol=1e-12)
+
+
+def test_what_no_flight_feels_is_no_column_and_what_one_feels_is_one_of_all(simulation, flights):
+    """A force along x in one of two flights, none along y in either."""
+
+    def pushing(flight):
+        wrench = simulation.wrench(flight)
+        wrench[:, 0] = 0.1 if flight.source == flights[0].source else 0.0
+        wrench[:, 1] = 0.0
+        return wrench
+
+    outside = CallableSimulation("outside", simulation.vehicle, pushing)
+    tolerances = regression_of(outside, flights[:2], []).tolerances
+    names = tolerances.names
+    assert not any(name.startswith("Fy of ") for name in names)
+    force = names.index("Fx of rotors")
+    felt = [rows(tolerances.coefficients, place)[:, :, force].any() for place in range(2)]
+    assert felt == [True, False]
+    assert {law for law in tolerances.laws if law} < set(names)
+    # Of the body all, last: moves change them.
+    assert sum("." in name for name in names[-tolerances.body.width :]) == tolerances.body.width
+    assert len(names) == len(tolerances.laws) == tolerances.coefficients.width + tolerances.body.width
+
+
+@pytest.mark.parametrize("sought", [["payload", "wind"], ["wind"]])
+def test_the_residual_is_less_what_sound_flights_leave(sounded, simulation, flights, sought):
+    """Whether it is looked for or not; what it may deviate by is noise of each flight."""
+    known = of_sound_flights(simulation, ("payload", "mass_kg"))
+    less = regression_of(known, flights[:2], sought)
+    (own,) = less.noise.own
+    for place in range(2):
+        payload = rows(sounded.blocks[PAYLOAD].columns, place) / sounded.candidates[PAYLOAD].scale
+        expected = rows(sounded.residual, place) - 0.02 * payload
+        np.testing.assert_allclose(rows(less.residual, place), expected, atol=1e-9)
+        deviations = rows(own.columns, place) @ own.deviations[place]
+        np.testing.assert_allclose(deviations, payload * [0.01 * np.sqrt(2.0), 0.003], atol=1e-9)
+
+
+def test_an_error_of_an_effect_that_is_not_known_is_refused(simulation, flights):
+    with pytest.raises(DiscrepancyError, match=r"^bebop2: knows an error of warp, which is no effect here"):
+        regression_of(of_sound_flights(simulation, ("warp", "mass_kg")), flights[:1], [])
+
+
+def test_about_its_point_a_curved_candidate_contributes_what_it_does(sounded):
+    """Its columns at the parameters, in prior deviations, less the last; others stay, and have none."""
+    at = np.array([1.0, -0.5, 0.2])
+    moved, wind = sounded.moved({WIND: at}), sounded.candidates[WIND]
+    block = moved.blocks[WIND]
+    assert [own.curved for own in moved.blocks] == [False, False, True]
+    assert moved.blocks[:WIND] == sounded.blocks[:WIND]
+    np.testing.assert_allclose(block.at * wind.scale, at)
+    np.testing.assert_allclose(sounded.blocks[DRAG].highest * sounded.candidates[DRAG].scale, 0.1)
+    for place, flight in enumerate(sounded.flights):
+        contribution = rows_in(sounded, place, flight.added(wind.effect, wind.values(at)))
+        found = rows(block.columns, place) @ [*block.at, -1.0]
+        np.testing.assert_allclose(found, contribution, atol=1e-9)
+
+
+def test_columns_of_the_form_are_shares_of_the_contribution(sounded):
+    """One for each axis of the law, then one for each modulator; none for an exact law or no effect."""
+    at = np.array([0.004, 0.01, 0.002])
+    moved = sounded.moved({DRAG: at, PAYLOAD: np.array([0.05])})
+    block, drag = moved.blocks[DRAG], sounded.candidates[DRAG]
+    assert moved.blocks[PAYLOAD].form is moved.moved({DRAG: 0.0 * at}).blocks[DRAG].form is None
+    assert block.formed_at == pytest.approx(np.linalg.norm(at / drag.scale))
+    flight, modulators = sounded.flights[0], sounded.modulators
+    contribution = flight.added(drag.effect, drag.values(at))
+    shares = [1.5 * contribution * unit for unit in np.eye(6)[:3]]
+    shares += [contribution * modulator[:, None] for modulator in modulators.values[0].T]
+    expected = np.stack([0.15 * rows_in(sounded, 0, own) for own in shares], axis=2)
+    np.testing.assert_allclose(rows(block.form, 0), expected, atol=1e-9)
+    everything = np.concatenate(modulators.values)
+    np.testing.assert_allclose(everything.mean(axis=0), 0.0, atol=1e-9)
+    np.testing.assert_allclose(everything.std(axis=0), 1.0, rtol=1e-9)
+
+
+def test_the_chosen_are_made_of_the_simulation_with_its_coefficients_as_fitted(simulation, flights):
+    """Wind and a rotor's tilt, at their points; of a payload, which is not chosen, nothing changes."""
+    chosen = {own.label: own for own in candidates(simulation.vehicle, ["rotor_tilt", "wind", "payload"])}
+    order = [chosen["rotor_tilt (rotor 2)"], chosen["wind"], chosen["payload"]]
+    points = {0: np.array([2.0, -1.0]), 1: np.array([1.0, 0.5, 0.2])}
+
+    def moved(own):
+        compared = [Compared(flight.slice(slice(0, 1000)), own) for flight in flights[:2]]
+        return Regression.of(compared, order).moved(points)
+
+    off = {"thrust": 5.0, "rotor_force_along": -3.0}
+    before, expected = moved(simulation), moved(simulation.with_coefficients(off))
+    none = before.fit(())
+    fit = replace(none, coefficients=np.array([off.get(name, 0.0) for name in before.tolerances.names]))
+    remade = before.with_fitted_coefficients((0, 1), fit)
+    assert remade.base == before.base
+    assert remade.blocks[2] is before.blocks[2]
+    for index in (0, 1):
+        mine, theirs = remade.blocks[index], expected.blocks[index]
+        np.testing.assert_allclose(rows(mine.columns, 1), rows(theirs.columns, 1), atol=1e-12)
+    # A tilt has no columns of its form.
+    assert remade.blocks[0].form is None
+    np.testing.assert_allclose(rows(remade.blocks[1].form, 1), rows(expected.blocks[1].form, 1), atol=1e-12)
+    tilts = [np.linalg.norm(rows(own.blocks[0].columns, 0)) for own in (remade, before)]
+    # Five tolerances of thrust.
+    assert tilts[0] / tilts[1] == pytest.approx(1.05, abs=0.01)
+
+
+def test_other_accelerations_change_the_columns_of_mass_and_inertia_alone(sounded, simulation):
+    """They are those of the quiet simulation and of what a fit adds to it."""
+    fit = sounded.fit(())
+    moved = sounded.accelerated(fit)
+    assert (moved.residual, *moved.blocks[::2]) == (sounded.residual, *sounded.blocks[::2])
+    assert moved.tolerances.coefficients is sounded.tolerances.coefficients
+    body = np.array(
+        [name.startswith("inertia.") for name in moved.tolerances.names[-moved.tolerances.body.width :]]
+    )
+    effect, scale = sounded.candidates[PAYLOAD].effect, sounded.candidates[PAYLOAD].scale
+    share = share_of_wrench(effect, simulation.vehicle, 1e-3 * scale) / 1e-3
+    for place, flight in enumerate(sounded.flights):
+        added = rows(sounded.residual, place)[:, :, 0] - rows_of(fit.residual(), place)
+        explained = rows_in(sounded, place, flight.quiet_wrench[:: flight.step]) + added
+        change = explained - rows_in(sounded, place, flight.expected_measured)
+        payloads = [rows(own.blocks[PAYLOAD].columns, place)[:, :, 0] for own in (moved, sounded)]
+        np.testing.assert_allclose(payloads[0] - payloads[1], share @ change, rtol=1e-6, atol=1e-9)
+        inertia = rows(moved.tolerances.body, place) - rows(sounded.tolerances.body, place)
+        np.testing.assert_array_equal(np.abs(inertia).max(axis=(0, 1)) > 0.0, body)
 
 
 @pytest.fixture(scope="module")
@@ -37,268 +202,175 @@ def drag(regression):
     return [own.name for own in regression.candidates].index("body_drag")
 
 
-def whitened(regression, columns):
-    """Rows (R, k) of some columns of all flights, in standard deviations of the noise."""
-    parts = []
-    for place, band in enumerate(regression.columns.bands):
-        rows = regression.columns.rows(place, columns) / np.sqrt(regression.noise[:, band])[:, :, None]
-        parts.append(rows.reshape(-1, rows.shape[2]))
-    return np.concatenate(parts)
-
-
 def test_a_fit_is_least_squares_with_a_unit_prior(regression, drag):
-    block = regression.block(drag)
-    columns = np.concatenate((regression.columns.tolerances, block.parameters))
-    rows, residual = whitened(regression, columns), whitened(regression, np.zeros(1, dtype=int))[:, 0]
-    bounded = np.vstack((rows, np.eye(len(columns))))
-    best, *_ = np.linalg.lstsq(bounded, np.concatenate((residual, np.zeros(len(columns)))), rcond=None)
+    """What it adds and leaves is counted in variances of the noise, or as it is."""
     fit = regression.fit((drag,), form=False)
-    np.testing.assert_allclose(fit.of(columns), best, rtol=1e-6, atol=1e-9)
-    scale = regression.candidates[drag].scale
-    np.testing.assert_allclose(regression.parameters(drag, fit), best[-3:] * scale, rtol=1e-6)
+    columns = (*regression.base, regression.blocks[drag].columns)
+    deviation = [np.sqrt(regression.noise.variance[:, own.band]) for own in regression.residual.spectra]
+    table = np.concatenate(
+        [
+            np.dstack([rows(own, place) for own in columns]) / by[:, :, None]
+            for place, by in enumerate(deviation)
+        ],
+        axis=1,
+    )
+    residual, inside = table[:, :, 0], table[:, :, 1:].reshape(-1, table.shape[2] - 1)
+    bounded = np.vstack((inside, np.eye(inside.shape[1])))
+    best, *_ = np.linalg.lstsq(bounded, np.append(residual.ravel(), np.zeros(inside.shape[1])), rcond=None)
+    np.testing.assert_allclose(regression.moved_by(fit), best[:-3], rtol=1e-6, atol=1e-9)
+    values = best[-3:] * regression.candidates[drag].scale
+    np.testing.assert_allclose(regression.parameters(drag, fit), values, rtol=1e-6)
     assert regression.size(drag, fit) == pytest.approx(np.abs(best[-3:]).max())
-    # What is left is the residual less the fit.
-    deviation = np.sqrt(regression.noise[:, regression.columns.bands[0]])
-    left = residual - rows @ best
-    own = regression.left(fit)[0] / deviation
-    np.testing.assert_allclose(own.ravel(), left[: own.size], atol=1e-6)
-
-
-def test_energy_and_loudness_are_those_of_the_contribution(regression, drag):
-    fit = regression.fit((drag,), form=False)
-    block = regression.block(drag)
-    squares, noise = np.zeros(6), np.zeros(6)
-    energy = 0.0
-    for place, band in enumerate(regression.columns.bands):
-        added = regression.columns.rows(place, block.parameters) @ fit.of(block.parameters)
-        energy += 0.5 * np.sum(added**2 / regression.noise[:, band])
-        squares += np.sum(added**2, axis=1)
-        noise += regression.noise[:, band].sum(axis=1)
-    assert regression.energy((drag,), fit) == pytest.approx(energy)
-    assert regression.loudness(drag, fit) == pytest.approx(np.sqrt(np.max(squares / noise)))
+    left = residual - (inside @ best).reshape(residual.shape)
+    np.testing.assert_allclose(np.hstack(regression.left(fit)) / np.hstack(deviation), left, atol=1e-6)
+    added = table[:, :, -3:] @ best[-3:]
+    energy = np.square(added).sum(axis=1)
+    assert regression.energy((drag,), fit) == pytest.approx(0.5 * energy.sum())
+    reduced = np.square(left + added).sum(axis=1) - np.square(left).sum(axis=1)
+    found = regression.reduction((drag,), fit, regression.noise.variance)
+    np.testing.assert_allclose(found.fitted, reduced, rtol=1e-6, atol=1e-6)
+    loud = [np.square(own * np.hstack(deviation)).sum(axis=1) for own in (added, np.ones_like(added))]
+    assert regression.loudness(drag, fit) == pytest.approx(np.sqrt(np.max(loud[0] / loud[1])))
 
 
 def test_what_coefficients_undo_speaks_for_no_effect(regression, drag):
     """Drag of a hundred times its size, and coefficients that take away what is too much of it."""
-    block, tolerances = regression.block(drag), regression.columns.tolerances
     fit = regression.fit((drag,), form=False)
     honest = regression.reduction((drag,), fit)
     assert honest.credited[:2].min() > 0.0
     np.testing.assert_allclose(honest.credited[:2], honest.fitted[:2], rtol=0.3)
-    along = regression.columns.rows(0, block.parameters) @ fit.of(block.parameters)
-    undoing = regression.columns.rows(0, tolerances).reshape(-1, len(tolerances))
+    along = rows(regression.blocks[drag].columns, 0) @ regression.found(drag, fit)
+    undoing = np.dstack([rows(own, 0) for own in regression.base[1:]])
+    undone = np.linalg.lstsq(undoing.reshape(along.size, -1), along.ravel(), rcond=None)[0]
     weights = fit.left.copy()
-    weights[block.parameters] *= 100.0
-    weights[tolerances] += 99.0 * np.linalg.lstsq(undoing, along.ravel(), rcond=None)[0]
-    cancelled = regression.reduction((drag,), fit._replace(left=weights))
+    weights[-3:] *= 100.0
+    weights[1:-3] += 99.0 * undone
+    cancelled = regression.reduction((drag,), replace(fit, left=weights))
     assert cancelled.fitted[:2].min() > 10.0 * honest.fitted[:2].max()
     assert cancelled.credited[:2].max() < 0.0
 
 
-def test_squares_are_counted_in_variances_of_the_noise(regression, drag):
-    fit = regression.fit((drag,), form=False)
-    noise = np.tile(np.arange(1.0, 7.0)[:, None], regression.noise.shape[1])
-    np.testing.assert_allclose(
-        regression.reduction((drag,), fit, noise).fitted * noise[:, 0],
-        regression.reduction((drag,), fit).fitted,
-    )
-
-
-def test_twice_the_noise_is_half_the_weight(regression):
-    louder = regression.weighted(2.0 * regression.noise)
-    np.testing.assert_allclose(louder.gram, 0.5 * regression.gram, rtol=1e-9, atol=1e-6)
-    np.testing.assert_allclose(louder.weighting.per_flight.sum(axis=0), louder.gram)
-
-
-def test_known_errors_are_part_of_the_noise(regression):
-    """Columns are weighed by the inverse of 1 + Q Qᵀ, by Woodbury 1 − Q (1 + Qᵀ Q)⁻¹ Qᵀ."""
-    rng = np.random.default_rng(0)
-    errors = tuple(
-        np.sqrt(regression.noise[:, band, None]) * rng.standard_normal((6, len(band), 3))
-        for band in regression.columns.bands
-    )
-    beside = NoiseWeighting.of(replace(regression.columns, errors=errors), regression.noise, NONE_HELD)
-    whole = np.arange(regression.columns.width)
-    for place, band in enumerate(regression.columns.bands):
-        weights = 1.0 / np.sqrt(regression.noise[:, band])[:, :, None]
-        rows = (regression.columns.rows(place, whole) * weights).reshape(-1, len(whole))
-        q = (errors[place] * weights).reshape(len(rows), -1)
-        expected = rows.T @ rows - rows.T @ q @ np.linalg.solve(np.eye(3) + q.T @ q, q.T @ rows)
-        np.testing.assert_allclose(
-            beside.per_flight[place], expected, rtol=1e-6, atol=1e-8 * np.abs(expected).max()
-        )
-
-
-@pytest.fixture(scope="module")
-def forces_alone(regression):
-    """The same flights beside a simulation whose own intervals hold the moments."""
-    held = np.array([axis.startswith("M") for axis in AXES])
-    return Regression.of(regression.flights, regression.candidates, held)
-
-
-def test_axes_that_the_simulation_holds_have_no_weight(forces_alone):
-    whole = forces_alone.weighting.precision[3:]
-    assert not whole.any()
-    for place, band in enumerate(forces_alone.columns.bands):
-        rows = forces_alone.columns.rows(place, np.arange(forces_alone.columns.width))[:3]
-        rows = rows / np.sqrt(forces_alone.noise[:3, band])[:, :, None]
-        expected = np.einsum("abk,abl->kl", rows, rows)
-        np.testing.assert_allclose(
-            forces_alone.weighting.per_flight[place], expected, atol=1e-9 * np.abs(expected).max()
-        )
-    assert forces_alone.moved({}).weighted(forces_alone.noise).weighting.held.sum() == 3
-
-
-def test_what_no_axis_tells_moves_no_coefficient(forces_alone, drag):
-    """The moments would tell the moments of inertia, but are known no better than they agree."""
-    columns = forces_alone.columns
-    values = dict(zip(columns.tolerance_names, forces_alone.fit((drag,)).of(columns.tolerances), strict=True))
-    assert abs(values["inertia.x_change"]) < 1e-9
-    assert abs(values["thrust"]) > 1e-3
-
-
-def test_what_is_left_of_axes_without_weight_is_no_noise(forces_alone, drag, monkeypatch):
-    """Nothing was fitted to them."""
-    fit = forces_alone.fit((drag,))
-    before = forces_alone.beside((drag,), fit).noise
-    monkeypatch.setattr(
-        Regression, "left", lambda own, _: [np.full((6, len(b)), 9e9) for b in own.columns.bands]
-    )
-    louder = forces_alone.beside((drag,), fit).noise / before
-    assert louder[:3].max() > 1.0
-    np.testing.assert_allclose(louder[3:], 1.0)
-
-
-def test_a_gram_matrix_grows_with_the_columns(regression, drag):
-    """As if it had been made of all columns at once."""
-    moved = regression.moved({drag: np.array([0.005, 0.009, 0.006])})
-    assert moved.columns.width > regression.columns.width
-    whole = NoiseWeighting.of(moved.columns, regression.noise, NONE_HELD)
-    scale = np.abs(whole.gram).max()
-    np.testing.assert_allclose(moved.gram, whole.gram, atol=1e-9 * scale)
-
-
 def test_noise_beside_an_effect_is_no_less_than_what_it_leaves_and_no_more_than_there_was(regression, drag):
     fit = regression.fit((drag,))
-    beside = regression.beside((drag,), fit)
-    bands = beside.columns.bands
-    left = band_means([np.square(rows) for rows in regression.left(fit)], bands)
-    residual = [own.spectrum(own.residual[:, :, None]).rows[:, :, 0] for own in regression.flights]
-    before = band_means([np.square(rows) for rows in residual], bands)
-    assert np.all(beside.noise >= (1.0 - 1e-9) * np.minimum(left, before))
-    assert np.all(beside.noise <= (1.0 + 1e-9) * before)
+    noise = regression.beside((drag,), fit).noise.variance
+    left = regression.band_means(regression.left(fit))
+    before = regression.band_means([rows(regression.residual, k)[:, :, 0] for k in range(4)])
+    assert np.all(noise >= (1.0 - 1e-9) * np.minimum(left, before))
+    assert np.all(noise <= (1.0 + 1e-9) * before)
+    assert np.any(noise < 0.5 * before)
 
 
-@pytest.fixture(scope="module")
-def windy(simulation, flights):
-    """Flights in a wind that nothing measured: the simulation thinks it flies through still air."""
-    unaware = [replace(own, wind=own.wind - WIND).slice(slice(0, 1500)) for own in flights[:2]]
-    compared = [Compared(flight, simulation) for flight in unaware]
-    return Regression.of(compared, candidates(simulation.vehicle, ["wind", "payload"]))
-
-
-def test_a_curved_effect_is_linearised_where_it_fits_best(windy):
-    names = [own.name for own in windy.candidates]
-    index = names.index("wind")
-    assert not windy.columns.points[index].any()
-    at = settled(windy).columns.points[index]
-    np.testing.assert_allclose(at, WIND, atol=0.1)
-    # A linear candidate stays as it is.
-    assert settled(windy).block(names.index("payload")).offset is None
-
-
-def test_the_chosen_are_refined_together(windy):
-    index = [own.name for own in windy.candidates].index("wind")
-    regression = settled(windy)
-    better, fit = refined(regression, (index,), regression.fit((index,)))
-    np.testing.assert_allclose(better.parameters(index, fit), WIND, atol=0.1)
-    np.testing.assert_allclose(better.columns.points[index], better.parameters(index, fit), atol=0.02)
-    assert fit.log_evidence >= regression.fit((index,)).log_evidence - 5.0
+def test_axes_that_the_simulation_holds_say_nothing(regression, drag):
+    """Whatever moments do moves no inertia, which they alone tell; what is left of them is no noise."""
+    held = np.array([axis.startswith("M") for axis in AXES])
+    forces = Regression.of(regression.flights, regression.candidates, held)
+    fit = forces.fit((drag,))
+    moved = dict(zip(forces.tolerances.names, forces.moved_by(fit), strict=True))
+    assert abs(moved["inertia.x_change"]) < 1e-9
+    assert abs(moved["thrust"]) > 1e-3
+    turned = forces.residual.plus(
+        lambda place: 9.0 * held[:, None, None] * np.ones_like(rows(forces.residual, place))
+    )
+    same = replace(forces, residual=turned).fit((drag,))
+    np.testing.assert_allclose(same.coefficients, fit.coefficients, rtol=1e-9, atol=1e-9)
+    # A fit that leaves the whole residual.
+    noise = forces.beside((), replace(fit, left=np.eye(len(fit.left))[0])).noise.variance
+    whole = forces.band_means([rows(forces.residual, k)[:, :, 0] for k in range(4)])
+    np.testing.assert_allclose(noise[:3], whole[:3])
+    assert np.min(noise[3:] / whole[3:]) < 0.9
 
 
 def test_frequencies_that_are_not_compared_have_no_noise(simulation, flights):
-    compared = [Compared(own.slice(slice(0, 1000)), simulation, highest_hz=5.0) for own in flights[:2]]
-    regression = Regression.of(compared, candidates(simulation.vehicle, ["payload"]))
-    assert regression.noise.shape == (6, 6)
-    assert np.all(regression.noise > 0.0)
+    noise = regression_of(simulation, flights[:2], ["payload"], highest_hz=5.0).noise.variance
+    assert noise.shape == (6, 6)
+    assert np.all(noise > 0.0)
 
 
-def test_energy_of_a_curved_effect_is_that_of_what_it_adds(windy):
-    """About another point than zero: its columns less the offset."""
-    index = [own.name for own in windy.candidates].index("wind")
-    at_its_best = settled(windy)
-    regression, fit = refined(at_its_best, (index,), at_its_best.fit((index,)))
-    wind, values = regression.candidates[index], regression.parameters(index, fit)
+def test_a_curved_effect_is_linearised_where_it_fits_best(simulation, flights):
+    """In a wind that nothing measured: the simulation thinks it flies through still air."""
+    unaware = [replace(own, wind=own.wind - BLOWN) for own in flights[:2]]
+    regression = settled(regression_of(simulation, unaware, ["wind"]))
+    (wind,), fit = regression.candidates, regression.fit((0,))
+    np.testing.assert_allclose(regression.points[0], BLOWN, atol=0.1)
+    better, fit = refined(regression, (0,), fit)
+    values = better.parameters(0, fit)
+    np.testing.assert_allclose(values, BLOWN, atol=0.1)
+    np.testing.assert_allclose(better.points[0], values, atol=0.02)
+    assert better.at_points((0,)) >= regression.at_points((0,))
     energy = 0.0
-    for flight, band in zip(regression.flights, regression.columns.bands, strict=True):
-        added = flight.spectrum(flight.added(wind.effect, wind.values(values))[:, :, None]).rows[:, :, 0]
-        energy += 0.5 * np.sum(added**2 / regression.noise[:, band])
-    assert regression.energy((index,), fit) == pytest.approx(energy, rel=0.02)
-
-
-def with_residual(regression, index, values):
-    """The regression with parameters (F, k) of a candidate, in prior deviations, added to each flight."""
-    columns, tables = regression.block(index).parameters, []
-    for place, (first, *others) in enumerate(regression.columns.tables):
-        moved = first.copy()
-        moved[:, :, 0] += regression.columns.rows(place, columns) @ values[place]
-        tables.append((moved, *others))
-    changed = replace(regression.columns, tables=tuple(tables))
-    weighting = NoiseWeighting.of(changed, regression.noise, NONE_HELD)
-    return replace(regression, columns=changed, weighting=weighting)
+    for place, (flight, own) in enumerate(zip(better.flights, better.residual.spectra, strict=True)):
+        added = rows_in(better, place, flight.added(wind.effect, wind.values(values)))
+        energy += 0.5 * np.sum(added**2 / better.noise.variance[:, own.band])
+    assert better.energy((0,), fit) == pytest.approx(energy, rel=0.02)
 
 
 @pytest.fixture(scope="module")
-def pulled(regression):
-    """Regression of the same flights on drag and a constant force."""
-    vehicle = regression.flights[0].simulation.vehicle
-    return Regression.of(regression.flights, candidates(vehicle, ["force_bias", "body_drag"]))
+def pulled(simulation, flights):
+    """Of four flights up to 5 Hz, on drag and a constant force, beside a simulation whose noise is known."""
+    return regression_of(of_sound_flights(simulation), flights, ["body_drag", "force_bias"], highest_hz=5.0)
+
+
+BIAS = 1
+
+
+def with_forces(pulled, values):
+    """The regression with a force (F, 3), in prior deviations, in each flight."""
+    columns = pulled.blocks[BIAS].columns
+    return replace(
+        pulled, residual=pulled.residual.plus(lambda place: rows(columns, place) @ values[place][:, None])
+    )
+
+
+def log_density(regression):
+    """Of the residual of all flights without effects."""
+    noise, fitted = regression.noise, regression.base[1:]
+    places = range(len(regression.flights))
+    x = np.vstack([np.hstack([told(noise, own, place) for own in fitted]) for place in places])
+    whole = block_diag(*(covariance(noise, regression.residual.spectra[k].band, k) for k in places)) + x @ x.T
+    residual = np.concatenate([told(noise, regression.residual, place)[:, 0] for place in places])
+    return -0.5 * (residual @ np.linalg.solve(whole, residual) + np.linalg.slogdet(whole)[1])
 
 
 def test_what_flights_have_of_their_own_is_told_from_what_they_share(pulled):
     """A constant force: the same along x in all flights, and another one along y in each."""
-    drag, index = [[own.name for own in pulled.candidates].index(n) for n in ("body_drag", "force_bias")]
-    flights = len(pulled.flights)
-    values = np.zeros((flights, 3))
-    values[:, 0], values[:, 1] = 0.4, np.where(np.arange(flights) % 2, 0.5, -0.5)
-    changed = with_residual(pulled, index, values)
-    sizes = changed.sizes_of_condition(index, (drag,))
+    values = np.array([[0.4, y, 0.0] for y in (-0.5, 0.5, -0.5, 0.5)])
+    changed = with_forces(pulled, values)
+    sizes = changed.sizes_of_condition(BIAS, (DRAG,))
     np.testing.assert_allclose(sizes[:, 1], 0.5, rtol=0.3)
     assert sizes[:, 0].max() < 0.1
-    fit = changed.fit((drag,))
-    gain = changed.gain_of_condition(index, sizes, (drag,), fit)
+    condition = Condition(BIAS, sizes)
+    conditioned = changed.with_condition(condition)
+    gain = conditioned.fit(()).log_evidence - changed.fit(()).log_evidence
+    assert gain == pytest.approx(log_density(conditioned) - log_density(changed))
     assert gain > 20.0
-    conditioned = changed.with_condition(Condition(index, sizes))
-    # What the gain promised is what the noise with the condition gives, its normalisation counted.
-    (own,) = conditioned.conditions
-    after = conditioned.fit((drag,))
-    block, cost = changed.block(index).parameters, 0.0
-    for gram, size in zip(changed.weighting.per_flight, sizes, strict=True):
-        inner = np.eye(3) + gram[np.ix_(block, block)] * np.outer(size, size)
-        cost += 0.5 * np.linalg.slogdet(inner)[1]
-    assert gain == pytest.approx(after.log_evidence - cost - fit.log_evidence, rel=1e-6)
-    both = conditioned.fit(tuple(sorted((drag, index))))
-    for place in range(flights):
-        value, deviation = conditioned.of_condition(own, place, both.left)
-        scale = conditioned.candidates[index].scale
-        assert abs(value[1] / scale[1] - values[place, 1]) < 4.0 * deviation[1] / scale[1] + 0.05
+    both, scale = conditioned.fit((DRAG, BIAS)), changed.candidates[BIAS].scale
+    for place in range(4):
+        value, deviation = (own / scale for own in conditioned.of_condition(condition, place, both))
+        assert abs(value[1] - values[place, 1]) < 4.0 * deviation[1] < 0.4
     # What all share stays for an effect to explain.
-    assert both.of(changed.block(index).parameters)[0] == pytest.approx(0.4, abs=0.1)
+    assert conditioned.found(BIAS, both)[0] == pytest.approx(0.4, abs=0.1)
 
 
 def test_a_flight_that_differs_by_much_does_not_hide_what_the_others_share(pulled):
-    index = [own.name for own in pulled.candidates].index("force_bias")
-    values = np.full((len(pulled.flights), 3), 0.2)
+    values = np.full((4, 3), 0.2)
     values[0] = -2.0
-    changed = with_residual(pulled, index, values)
-    conditioned = changed.with_condition(Condition(index, changed.sizes_of_condition(index, ())))
-    both = conditioned.fit((index,))
-    np.testing.assert_allclose(both.of(changed.block(index).parameters)[:2], 0.2, atol=0.05)
+    changed = with_forces(pulled, values)
+    conditioned = changed.with_condition(Condition(BIAS, changed.sizes_of_condition(BIAS, ())))
+    np.testing.assert_allclose(conditioned.found(BIAS, conditioned.fit((BIAS,)))[:2], 0.2, atol=0.05)
 
 
 def test_flights_that_are_alike_gain_nothing_by_parameters_of_their_own(pulled):
-    index = [own.name for own in pulled.candidates].index("force_bias")
-    alike = with_residual(pulled, index, np.full((len(pulled.flights), 3), 0.4))
-    both = tuple(range(len(pulled.candidates)))
-    sizes = alike.sizes_of_condition(index, both)
-    assert alike.gain_of_condition(index, sizes, both, alike.fit(both)) < 1.0
+    alike, both = with_forces(pulled, np.full((4, 3), 0.4)), (DRAG, BIAS)
+    conditioned = alike.with_condition(Condition(BIAS, alike.sizes_of_condition(BIAS, both)))
+    assert conditioned.fit(both).log_evidence - alike.fit(both).log_evidence < 1.0
+
+
+def test_what_flights_may_have_of_their_own_is_no_noise_beside_an_effect(pulled):
+    odd = with_forces(pulled, np.array([[1.0, 0.0, 0.0], *np.zeros((3, 3))]))
+    assert odd.conditions_to_come == [BIAS]
+    assert odd.with_condition(Condition(BIAS, np.ones((4, 3)))).conditions_to_come == []
+    # What no flight may have of its own.
+    alone = replace(odd, candidates=odd.candidates[:1], blocks=odd.blocks[:1])
+    slow = [own.beside((), own.fit(())).noise.variance[0, 0] / VARIANCE[0] for own in (odd, alone)]
+    assert slow[0] == pytest.approx(1.0)
+    assert slow[1] > 10.0
