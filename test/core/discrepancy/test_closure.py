@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,8 +13,7 @@ from quadpi_core.discrepancy.candidates import candidates
 from quadpi_core.discrepancy.closure import Closing, law_fit, left_out_squares
 from quadpi_core.discrepancy.effect_regression import Regression, settled
 from quadpi_core.discrepancy.effect_response import Compared
-from quadpi_core.discrepancy.evidence import Block, fit
-from quadpi_core.discrepancy.linearisation import NO_COLUMNS
+from quadpi_core.discrepancy.whitening import rows_of
 from quadpi_core.flight import AXES
 from quadpi_core.simulation.applied_effects import effect_wrench
 
@@ -29,80 +27,86 @@ def closing(found):
 
 def gap_of(closing, **changes):
     """The gap above the noise of the regression."""
-    return closing.gap(closing.regression.noise, np.zeros(6), **changes)
+    return closing.gap(closing.regression.noise.variance, np.zeros(6), **changes)
 
 
-def rms(rows, samples):
-    return np.sqrt(sum(np.square(own).sum(axis=1) for own in rows) / samples)
+def reduction_of(gap, axes=slice(None)):
+    """Closed share of the squares above the floor of some axes."""
+    before, after = (np.maximum(np.square(own / gap.floor) - 1.0, 0.0) for own in (gap.before, gap.after))
+    return 1.0 - after[axes].sum() / before[axes].sum()
 
 
 @pytest.mark.parametrize("adjusted", [True, False])
 def test_the_gap_is_that_of_the_residual_and_of_what_flights_left_out_leave(closing, adjusted):
     """With coefficients as stated it is what their columns leave."""
     regression, gap = closing.regression, gap_of(closing, adjusted=adjusted)
-    columns = regression.columns
     samples = sum(len(flight.thinned) for flight in regression.flights)
-    residual = [flight.spectrum(flight.residual[:, :, None]).rows[:, :, 0] for flight in regression.flights]
-    np.testing.assert_allclose(gap.before, rms(residual, samples), rtol=1e-9)
-    left = [fit.left.copy() for fit in closing.left_out]
-    for weights in left:
-        weights[columns.tolerances] *= adjusted
-    after = [columns.combined(place, weights) for place, weights in enumerate(left)]
-    np.testing.assert_allclose(gap.after, rms(after, samples), rtol=1e-9)
-    noise = [np.sqrt(regression.noise[:, band]) for band in columns.bands]
-    np.testing.assert_allclose(gap.floor, rms(noise, samples), rtol=1e-9)
-    excess = [np.maximum(own**2 - gap.floor**2, 0.0) / gap.floor**2 for own in (gap.before, gap.after)]
-    assert gap.reduction == pytest.approx(1.0 - excess[1].sum() / excess[0].sum())
+    expected = np.zeros((3, 6))
+    for place, flight in enumerate(regression.flights):
+        residual, band = flight.spectrum(flight.residual[:, :, None])
+        left = rows_of(closing.left_out[place].residual(), place)
+        if not adjusted:
+            left += rows_of(regression.of_tolerances(regression.moved_by(closing.left_out[place])), place)
+        rows = residual[:, :, 0], left, np.sqrt(regression.noise.variance[:, band])
+        expected += [np.square(own).sum(axis=1) for own in rows]
+    np.testing.assert_allclose((gap.before, gap.after, gap.floor), np.sqrt(expected / samples), rtol=1e-9)
+    assert gap.reduction == pytest.approx(reduction_of(gap))
     assert gap.reduction > 0.98
 
 
 def test_a_flight_is_left_after_the_fit_of_all_others(closing):
     """Each fit is that of a regression that never had the flight."""
     regression, squares = closing.regression, np.zeros(6)
-    for place, band in enumerate(regression.columns.bands):
-        gram = sum(own for k, own in enumerate(regression.weighting.per_flight) if k != place)
-        alone = regression.fit(closing.chosen, gram, form=False)
-        np.testing.assert_allclose(
-            closing.fits(place)[0].coefficients, alone.coefficients, rtol=1e-5, atol=1e-8
-        )
-        left = regression.columns.combined(place, law_fit(regression, closing.chosen, place).left)
-        squares += np.sum(left**2 / regression.noise[:, band], axis=1)
+    for place, (rows, band) in enumerate(regression.residual.spectra):
+        # A flight of nothing tells nothing.
+        def others(columns, place=place):
+            return columns.like(lambda k: columns.spectra[k].rows * (k != place))
+
+        base = regression.tolerances
+        alone = replace(
+            regression,
+            residual=others(regression.residual),
+            tolerances=base._replace(coefficients=others(base.coefficients), body=others(base.body)),
+            blocks=tuple(replace(own, columns=others(own.columns)) for own in regression.blocks),
+        ).fit(closing.chosen, form=False)
+        fit = closing.fits(place)[0]
+        np.testing.assert_allclose(fit.coefficients, alone.coefficients, rtol=1e-5, atol=1e-8)
+        table = np.dstack([own.spectra[place].rows for own in fit.parts[1:]])
+        left = rows[:, :, 0] + table @ fit.left[1:]
+        squares += np.sum(left**2 / regression.noise.variance[:, band], axis=1)
     np.testing.assert_allclose(left_out_squares(regression, closing.chosen), squares)
 
 
 def test_disagreement_is_the_jackknife_of_flights_over_what_a_fit_leaves_open(closing):
     """Or over what the fits without a flight say that they know less, where that is more."""
-    (index,), count = closing.chosen, len(closing.regression.flights)
-    block = closing.regression.block(index)
+    regression, (index,), count = closing.regression, closing.chosen, len(closing.regression.flights)
     # No bound holds one of these fits.
-    whole, laws = closing.fits()[0], [closing.fits(without=place)[0] for place in range(count)]
-    spread = np.sqrt((count - 1) * np.var([law.of(block.parameters) for law in laws], axis=0))
+    whole, *laws = (law_fit(regression, (index,), without) for without in (None, *range(count)))
+    spread = np.sqrt((count - 1) * np.var([regression.found(index, law) for law in laws], axis=0))
     assert (spread > 0.0).all()
     ratio = closing.disagreement(index, np.array([10.0, 0.0, 20.0]))
     np.testing.assert_allclose(ratio, spread / [10.0, np.inf, 20.0], rtol=1e-6)
-    lost = [law.deviation(block.parameters) ** 2 - whole.deviation(block.parameters) ** 2 for law in laws]
-    known_less = np.sqrt((count - 1) / count * np.sum(lost, axis=0))
+    known = regression.deviation(index, whole) ** 2
+    lost = [regression.deviation(index, law) ** 2 - known for law in laws]
     narrow = np.full(3, 1e-9)
     free = closing.disagreement(index, narrow)
-    np.testing.assert_allclose(free, spread / known_less, rtol=1e-5)
+    np.testing.assert_allclose(free, spread / np.sqrt((count - 1) / count * np.sum(lost, axis=0)), rtol=1e-5)
     # Nor would bounds so near that every fit without a flight would leave them, as where the flight that
     # alone shows an effect is left out, and noise would turn its sign.
-    blocks, at = list(closing.regression.columns.blocks), whole.of(block.parameters)
-    blocks[index] = replace(block, lowest=at - 1e-9, highest=at + 1e-9)
-    columns = replace(closing.regression.columns, blocks=tuple(blocks))
-    held = replace(closing, regression=replace(closing.regression, columns=columns))
-    assert any(fit.columns.size < whole.columns.size for fit, _ in map(held.fits, range(4)))
+    blocks, at = list(regression.blocks), regression.found(index, whole)
+    blocks[index] = replace(blocks[index], lowest=at - 1e-9, highest=at + 1e-9)
+    held = replace(closing, regression=replace(regression, blocks=tuple(blocks)))
+    assert not np.any(regression.found(index, law_fit(held.regression, (index,), 0)))
     np.testing.assert_allclose(held.disagreement(index, narrow), free, rtol=1e-9)
 
 
 def test_what_the_simulation_states_that_it_errs_by_is_no_gap(closing):
     """Of each axis, where that is more than the noise; all of it, where it is more than the residual."""
-    regression, noisy = closing.regression, gap_of(closing)
-    stated = np.square(noisy.floor) * [4.0, 0.5, 4.0, 0.5, 4.0, 0.5]
-    gap = closing.gap(regression.noise, stated)
+    variance, noisy = closing.regression.noise.variance, gap_of(closing)
+    gap = closing.gap(variance, np.square(noisy.floor) * [4.0, 0.5, 4.0, 0.5, 4.0, 0.5])
     np.testing.assert_allclose(gap.floor, noisy.floor * [2.0, 1.0, 2.0, 1.0, 2.0, 1.0])
     np.testing.assert_array_equal(gap.before, noisy.before)
-    assert closing.gap(regression.noise, 1.001 * np.square(noisy.before)).reduction == 0.0
+    assert closing.gap(variance, 1.001 * np.square(noisy.before)).reduction == 0.0
 
 
 def test_without_effects_the_gap_stays(closing):
@@ -119,70 +123,61 @@ def test_axes_that_the_simulation_holds_are_not_judged_on_flights_left_out(closi
     assert np.all(squares[:3] > 0.0)
     assert not squares[3:].any()
     gap = gap_of(Closing.of(forces, closing.chosen))
-    beyond = [np.maximum(np.square(own / gap.floor) - 1.0, 0.0) for own in (gap.before, gap.after)]
-    assert gap.reduction == pytest.approx(1.0 - beyond[1][:3].sum() / beyond[0][:3].sum())
+    assert gap.reduction == pytest.approx(reduction_of(gap, slice(3)))
 
 
 @pytest.mark.parametrize(("odd", "adjusted"), [(1.0, True), (-1.0, False)])
-def test_coefficients_are_adjusted_where_flights_left_out_gain(odd, adjusted):
+def test_coefficients_are_adjusted_where_flights_left_out_gain(closing, odd, adjusted):
     """As far as the odd flights ask for the same as the even ones."""
-    rng = np.random.default_rng(0)
-    flights = []
-    for place in range(6):
-        motion = rng.standard_normal(400)
-        rows = 0.1 * rng.standard_normal((6, 400))
-        rows[0] += motion * (odd if place % 2 else 1.0)
-        flights.append(np.stack((rows, np.outer([1.0, 0.0, 0.0, 0.0, 0.0, 0.0], motion)), axis=2))
-    grams = np.array([np.einsum("abi,abj->ij", own, own) / 0.01 for own in flights])
-    columns = SimpleNamespace(
-        tolerances=np.array([1]),
-    )
-    block = Block(NO_COLUMNS, NO_COLUMNS, 1.0, None, np.empty(0), np.empty(0), np.empty(0))
-    regression = SimpleNamespace(
-        columns=columns,
-        weighting=SimpleNamespace(per_flight=grams),
-        gram=grams.sum(axis=0),
-        flights=flights,
-        candidates=[SimpleNamespace(effect=SimpleNamespace(shape=False))],
-        block=lambda _: block,
-        fit=lambda _, gram, **__: fit(gram, columns.tolerances, []),
-    )
-    assert bool(len(Closing.of(regression, [0]).adjusted)) is adjusted
+    regression = closing.regression
+    three = 3.0 * (np.array(regression.tolerances.names) == "thrust")
+
+    def more(place):
+        return (odd if place % 2 else 1.0) * rows_of(regression.of_tolerances(three), place)[:, :, None]
+
+    off = replace(regression, residual=regression.residual.plus(more))
+    found = Closing.of(off, closing.chosen)
+    assert found.adjusted is adjusted
+    moved = [np.any(off.moved_by(fit)) for fit in (*found.left_out, found.fits()[1])]
+    assert moved == [adjusted] * 5
 
 
-def test_flights_shape_a_law_that_is_off(simulation, flights, pushed):
-    """Drag that grows less than the law says: found with its shape, it is the drag that acted."""
+@pytest.fixture(scope="module")
+def shaping(simulation, flights, pushed):
+    """Beside drag that grows less than the law says, and what an effect with some parameters misses of it."""
     true = {**DRAG, "shape_speed": -0.25}
 
     def drag(flight, parameters):
         return effect_wrench("body_drag", parameters, simulation.states(flight), simulation.record())
 
-    made = [pushed(flight, simulation.vehicle, drag(flight, true)) for flight in flights]
-    compared = [Compared(flight, simulation) for flight in made]
-    closing = Closing.of(
-        settled(Regression.of(compared, candidates(simulation.vehicle, ["body_drag"]))), (0,)
-    )
-    assert closing.shaped == (0,)
-    law, whole = closing.fits()
-    values = closing.regression.parameters(0, law)
-    parameters = dict(zip(DRAG, values, strict=True))
-    shape = closing.shape(0, law, whole)
-    assert shape["shape_speed"] < -0.1
-
-    def missed(found):
-        error = np.concatenate([drag(flight, found) - drag(flight, true) for flight in flights])
+    def missed(parameters):
+        error = np.concatenate([drag(flight, parameters) - drag(flight, true) for flight in flights])
         return np.sqrt(np.square(error[:, :3]).mean())
 
-    acted = np.sqrt(np.square(np.concatenate([drag(f, true)[:, :3] for f in flights])).mean())
+    made = [Compared(pushed(own, simulation.vehicle, drag(own, true)), simulation) for own in flights]
+    return Closing.of(
+        settled(Regression.of(made, candidates(simulation.vehicle, ["body_drag"]))), (0,)
+    ), missed
+
+
+def test_flights_shape_a_law_that_is_off(shaping):
+    """Found with its shape, it is the drag that acted."""
+    closing, missed = shaping
+    law, whole = closing.fits()
+    parameters = dict(zip(DRAG, closing.regression.parameters(0, law), strict=True))
+    shape = closing.shape(0, law, whole)
+    assert closing.shaped == (0,)
+    assert shape["shape_speed"] < -0.1
     assert missed(parameters | shape) < 0.5 * missed(parameters)
-    assert missed(parameters | shape) < 0.05 * acted
+    assert missed(parameters | shape) < 0.05 * missed(dict.fromkeys(DRAG, 0.0))
     # The shape is that of the law, whatever size of it the columns were made for.
-    halved = Closing.of(closing.regression.moved({0: 0.5 * closing.regression.columns.points[0]}), (0,))
+    halved = Closing.of(closing.regression.moved({0: 0.5 * closing.regression.points[0]}), (0,))
     again = halved.shape(0, *halved.fits())
     assert again["shape_speed"] == pytest.approx(shape["shape_speed"], rel=0.2)
-    columns = closing.regression.columns
-    exact = Closing(closing.regression, (0,), (), closing.regression.weighting.per_flight, columns.tolerances)
-    assert gap_of(closing).reduction > gap_of(exact).reduction
+    assert (
+        gap_of(closing).reduction
+        > gap_of(replace(closing, shaped=(), noise=closing.regression.noise)).reduction
+    )
 
 
 def test_a_law_that_holds_needs_no_shape(closing):
