@@ -54,26 +54,13 @@ def test_the_gap_is_that_of_the_residual_and_of_what_flights_left_out_leave(clos
     assert gap.reduction > 0.98
 
 
-def test_a_flight_is_left_after_the_fit_of_all_others(closing):
-    """Each fit is that of a regression that never had the flight."""
+def test_squares_are_those_of_flights_after_the_fit_of_all_others_by_the_laws(closing):
     regression, squares = closing.regression, np.zeros(6)
-    for place, (rows, band) in enumerate(regression.residual.spectra):
-        # A flight of nothing tells nothing.
-        def others(columns, place=place):
-            return columns.like(lambda k: columns.spectra[k].rows * (k != place))
-
-        base = regression.tolerances
-        alone = replace(
-            regression,
-            residual=others(regression.residual),
-            tolerances=base._replace(coefficients=others(base.coefficients), body=others(base.body)),
-            blocks=tuple(replace(own, columns=others(own.columns)) for own in regression.blocks),
-        ).fit(closing.chosen, form=False)
-        fit = closing.fits(place)[0]
-        np.testing.assert_allclose(fit.coefficients, alone.coefficients, rtol=1e-5, atol=1e-8)
-        table = np.dstack([own.spectra[place].rows for own in fit.parts[1:]])
-        left = rows[:, :, 0] + table @ fit.left[1:]
-        squares += np.sum(left**2 / regression.noise.variance[:, band], axis=1)
+    for place, own in enumerate(regression.residual.spectra):
+        law = closing.fits(place)[0]
+        assert law.coefficients == pytest.approx(law_fit(regression, closing.chosen, place).coefficients)
+        left = rows_of(law.residual(), place)
+        squares += np.sum(left**2 / regression.noise.variance[:, own.band], axis=1)
     np.testing.assert_allclose(left_out_squares(regression, closing.chosen), squares)
 
 
@@ -142,9 +129,8 @@ def test_coefficients_are_adjusted_where_flights_left_out_gain(closing, odd, adj
     assert moved == [adjusted] * 5
 
 
-@pytest.fixture(scope="module")
-def shaping(simulation, flights, pushed):
-    """Beside drag that grows less than the law says, and what an effect with some parameters misses of it."""
+def test_flights_shape_a_law_that_is_off(simulation, flights, pushed):
+    """Drag that grows less than the law says: found with its shape, it is the drag that acted."""
     true = {**DRAG, "shape_speed": -0.25}
 
     def drag(flight, parameters):
@@ -155,29 +141,21 @@ def shaping(simulation, flights, pushed):
         return np.sqrt(np.square(error[:, :3]).mean())
 
     made = [Compared(pushed(own, simulation.vehicle, drag(own, true)), simulation) for own in flights]
-    return Closing.of(
-        settled(Regression.of(made, candidates(simulation.vehicle, ["body_drag"]))), (0,)
-    ), missed
-
-
-def test_flights_shape_a_law_that_is_off(shaping):
-    """Found with its shape, it is the drag that acted."""
-    closing, missed = shaping
+    regression = settled(Regression.of(made, candidates(simulation.vehicle, ["body_drag"])))
+    closing = Closing.of(regression, (0,))
     law, whole = closing.fits()
-    parameters = dict(zip(DRAG, closing.regression.parameters(0, law), strict=True))
+    parameters = dict(zip(DRAG, regression.parameters(0, law), strict=True))
     shape = closing.shape(0, law, whole)
     assert closing.shaped == (0,)
     assert shape["shape_speed"] < -0.1
     assert missed(parameters | shape) < 0.5 * missed(parameters)
     assert missed(parameters | shape) < 0.05 * missed(dict.fromkeys(DRAG, 0.0))
+    unshaped = replace(closing, shaped=(), noise=regression.noise)
+    assert gap_of(closing).reduction > gap_of(unshaped).reduction
     # The shape is that of the law, whatever size of it the columns were made for.
-    halved = Closing.of(closing.regression.moved({0: 0.5 * closing.regression.points[0]}), (0,))
+    halved = Closing.of(regression.moved({0: 0.5 * regression.points[0]}), (0,))
     again = halved.shape(0, *halved.fits())
     assert again["shape_speed"] == pytest.approx(shape["shape_speed"], rel=0.2)
-    assert (
-        gap_of(closing).reduction
-        > gap_of(replace(closing, shaped=(), noise=closing.regression.noise)).reduction
-    )
 
 
 def test_a_law_that_holds_needs_no_shape(closing):
