@@ -4,8 +4,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
 import numpy as np
-from numpy.typing import NDArray
+from scipy.linalg import block_diag
+from scipy.stats import multivariate_normal
 
 from quadpi_core.discrepancy.whitening import Columns, Indices, Noise, OfEachFlight, Spectrum
 from quadpi_core.frames import Array
@@ -40,7 +44,44 @@ def deviating(noise: Noise, place: int) -> Array:
     return np.hstack(parts) if parts else np.zeros((1, 0))
 
 
-def covariance(noise: Noise, band: NDArray[np.intp], place: int) -> Array:
+def covariance(noise: Noise, columns: Columns, place: int) -> Array:
     """Covariance (R, R) of the noise of a flight in axes that say something."""
-    own = deviating(noise, place)
-    return np.asarray(np.diag(noise.variance[~noise.held][:, band].ravel()) + own @ own.T)
+    own, variance = deviating(noise, place), noise.variance[~noise.held][:, columns.spectra[place].band]
+    return np.asarray(np.diag(variance.ravel()) + own @ own.T)
+
+
+def stacked(noise: Noise, columns: Sequence[Columns], places: Iterable[int]) -> Array:
+    """Matrix (R, k) of columns, those of flights below each other."""
+    return np.vstack([np.hstack([told(noise, own, place) for own in columns]) for place in places])
+
+
+class Normal(NamedTuple):
+    """A residual r = X b + n of flights with coefficients b ~ N(0, prior) and noise n.
+
+    Attributes:
+        log_density: of r.
+        mean, covariance: (k,), (k, k) of b, given r.
+        left: (R,) r less X times the mean.
+    """
+
+    log_density: float
+    mean: Array
+    covariance: Array
+    left: Array
+
+    @classmethod
+    def of(
+        cls,
+        noise: Noise,
+        residual: Columns,
+        columns: Sequence[Columns],
+        places: Sequence[int],
+        prior: float | Array = 1.0,
+    ) -> Normal:
+        x, r = stacked(noise, columns, places), stacked(noise, [residual], places)[:, 0]
+        together = block_diag(*(covariance(noise, residual, place) for place in places))
+        weighed, prior = np.linalg.solve(together, x), prior * np.ones(x.shape[1])
+        posterior = np.linalg.inv(x.T @ weighed + np.diag(1.0 / prior))
+        mean = posterior @ weighed.T @ r
+        density = multivariate_normal.logpdf(r, cov=together + x * prior @ x.T)
+        return cls(float(density), mean, posterior, r - x @ mean)

@@ -4,16 +4,12 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
-from scipy.linalg import block_diag
-from scipy.stats import multivariate_normal
 
 from quadpi_core.discrepancy.evidence import Block, Equations
 
-from .dense_noise import ROWS, covariance, random_columns, random_noise, told
+from .dense_noise import Normal, random_columns, random_noise, stacked
 
 WIDE = 99.0
 
@@ -39,24 +35,17 @@ class Flights:
     def equations(self, *blocks, formed=()):
         return Equations.of((self.residual, *self.tolerances), blocks, self.noise, formed)
 
-    def matrix(self, columns, places):
-        """Matrix (R, k) of columns, those of flights below each other."""
-        return np.vstack([np.hstack([told(self.noise, own, place) for own in columns]) for place in places])
-
-    def normal(self, *columns, prior=1.0, less=(), places=(0, 1)):
-        """Density of r = X b + n, less columns times weights, with b ~ N(0, prior), and posterior of b."""
-        x, r = self.matrix(columns, places), self.matrix((self.residual,), places)[:, 0]
+    def normal(self, *columns, less=(), places=(0, 1), prior=1.0):
+        """Of these columns, and a residual less those that are held at some weights."""
+        residual = self.residual
         for own, weights in less:
-            r = r - self.matrix((own,), places) @ weights
-        noise = block_diag(*(covariance(self.noise, ROWS[place], place) for place in places))
-        prior = prior * np.ones(x.shape[1])
-        posterior = np.linalg.inv(x.T @ np.linalg.solve(noise, x) + np.diag(1.0 / prior))
-        mean = posterior @ x.T @ np.linalg.solve(noise, r)
-        density = multivariate_normal.logpdf(r, cov=noise + x * prior @ x.T)
-        return SimpleNamespace(log_density=density, mean=mean, covariance=posterior, left=r - x @ mean)
+            rows = [flight.rows @ np.array(weights)[:, None] for flight in own.spectra]
+            residual = residual.plus(lambda place, rows=rows: -rows[place])
+        return Normal.of(self.noise, residual, columns, places, prior)
 
     def left(self, fit, places=(0, 1)):
-        return sum(self.matrix((part.columns,), places) @ part.weights for part in fit.residual())
+        """Rows (R,) after a fit."""
+        return sum(stacked(self.noise, [part.columns], places) @ part.weights for part in fit.residual())
 
 
 @pytest.mark.parametrize("chosen", [(0,), (1,), (0, 1)])

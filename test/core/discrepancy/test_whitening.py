@@ -96,7 +96,7 @@ def test_what_flights_have_of_their_own_is_a_part_of_the_noise(held):
     parts = [Part(one, rng.standard_normal(3)), Part(two, rng.standard_normal(2))]
     cost = 0.0
     for place, band in enumerate(ROWS):
-        inverse = np.linalg.inv(covariance(noise, band, place))
+        inverse = np.linalg.inv(covariance(noise, one, place))
         both = np.hstack((told(noise, one, place), told(noise, two, place)))
         gram = noise.grams((one, two), (two,))[place]
         np.testing.assert_allclose(gram, both.T @ inverse @ told(noise, two, place), atol=1e-12)
@@ -110,7 +110,7 @@ def test_what_flights_have_of_their_own_is_a_part_of_the_noise(held):
         rows = noise.own_rows(parts, place)[~noise.held]
         np.testing.assert_allclose(rows.ravel(), own @ mean, atol=1e-12)
         white = np.log(noise.variance[~noise.held][:, band]).sum()
-        cost += 0.5 * (np.linalg.slogdet(covariance(noise, band, place))[1] - white)
+        cost += 0.5 * (np.linalg.slogdet(covariance(noise, one, place))[1] - white)
     assert noise.cost == pytest.approx(cost)
     alone = Noise(noise.variance, noise.held)
     assert (alone.cost, alone.own_rows(parts, 0).any()) == (0.0, False)
