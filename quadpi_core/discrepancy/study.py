@@ -39,45 +39,22 @@ from quadpi_core.discrepancy.result_verdicts import (
     unexplained_share,
 )
 from quadpi_core.discrepancy.search import Found, search
-from quadpi_core.discrepancy.simulations import Simulation, airspeed
+from quadpi_core.discrepancy.simulations import Simulation
 from quadpi_core.discrepancy.unexplained import inside_intervals
 from quadpi_core.discrepancy.whitening import BAND_HZ
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.findings import DataQuality, UsedPart
 from quadpi_core.flight import AXES, Flight, hole_ends
 from quadpi_core.flight_files import FlightFile, LeftOutFlights, for_each_flight, once_each
-from quadpi_core.frames import Array
 from quadpi_core.identification.prepared_flights import read_flight
 from quadpi_core.models.model_kind import CUTOFF_HZ
 from quadpi_core.parallel import DEFAULT_WORKERS, Workers
 from quadpi_core.reading_options import MappingOrOptions
-from quadpi_core.rotations import rotation_matrix
-from quadpi_core.screening.rotors_in_flight import STUCK_RAD_S
+from quadpi_core.screening.manoeuvres import require_changes, require_excitation
 from quadpi_core.simulation.effect_registry import EFFECTS
 from quadpi_core.thresholds import CONVENTION, Threshold
 from quadpi_core.vehicle import Vehicle
 
-_HALF_OF_GENTLE = "about half of what a gentle manoeuvre of any vehicle reaches"
-FLOWN_SPEED = Threshold(
-    "flown forward or sideways", 0.25, "induced velocities of hover", _HALF_OF_GENTLE, CONVENTION
-)
-FLOWN_CLIMB = Threshold("climbed", 0.12, "induced velocities of hover", _HALF_OF_GENTLE, CONVENTION)
-FLOWN_RATE = Threshold("doublet flown", 0.6, "rad/s", _HALF_OF_GENTLE, CONVENTION)
-FLOWN_HEADING = Threshold("heading turned", 0.8, "rad", _HALF_OF_GENTLE, CONVENTION)
-FLOWN_LOAD = Threshold(
-    "throttle step flown",
-    0.15,
-    "extent of the sum of squared rotor speeds over its mean",
-    _HALF_OF_GENTLE,
-    CONVENTION,
-)
-TAIL = Threshold(
-    "samples beyond the largest value",
-    0.01,
-    "of all samples",
-    "noise alone exceeds a threshold now and then",
-    CONVENTION,
-)
 FEWEST_FLIGHTS = Threshold(
     "fewest flights", 2, "flights", "what is found on some flights is tested on others", CONVENTION
 )
@@ -131,7 +108,7 @@ def _read(task: tuple[Vehicle, float, MappingOrOptions], file: FlightFile) -> Fl
         raise DiscrepancyError(
             f"{file.path}: {length_s:.2g} s in the air, shorter than the {HORIZON_S:g} s of a roll-out"
         )
-    _require_changes(flight)
+    require_changes(flight)
     return flight
 
 
@@ -396,66 +373,3 @@ def _effect(found: Found, index: int, law: Fit, whole: Fit) -> FoundEffect:
         rivals=names,
         shown_by=tuple(dict.fromkeys(manoeuvres)),
     )
-
-
-def require_excitation(flights: Sequence[Flight], vehicle: Vehicle) -> tuple[str, ...]:
-    """Names of the manoeuvres that no flight contains, in a pilot's words.
-
-    Raises:
-        DiscrepancyError: for flights of hover alone, naming what is missing; and, naming the file, for rotor
-            speeds that do not change, as of a stuck sensor or a log that was filled in.
-    """
-    for flight in flights:
-        _require_changes(flight)
-    flown = _flown(flights, vehicle)
-    missing = tuple(name for name, there in flown.items() if not there)
-    if len(missing) == len(flown):
-        raise DiscrepancyError(
-            f"{', '.join(flight.name for flight in flights)}: nothing but hover, in which effects look "
-            f"alike; fly {', '.join(missing)}"
-        )
-    return missing
-
-
-def _require_changes(flight: Flight) -> None:
-    """Refuse rotor speeds that do not change, naming the file."""
-    stuck = np.flatnonzero(np.ptp(flight.rotor_speeds, axis=0) < STUCK_RAD_S.value)
-    if len(stuck):
-        raise DiscrepancyError(
-            f"{flight.source}: topic rotor_speeds: rotor {stuck[0] + 1} has the same speed throughout, "
-            f"{flight.rotor_speeds[0, stuck[0]]:.4g} rad/s; speeds as measured are needed"
-        )
-
-
-def _flown(flights: Sequence[Flight], vehicle: Vehicle) -> dict[str, bool]:
-    """Whether any flight contains a manoeuvre, by its name."""
-    induced = vehicle.hover_induced_velocity
-    velocity = list(map(airspeed, flights))
-    rates = [flight.rates for flight in flights]
-    loads = [np.square(flight.rotor_speeds).sum(axis=1) for flight in flights]
-    return {
-        "forward and backward flight": _largest([own[:, 0] for own in velocity])
-        > FLOWN_SPEED.value * induced,
-        "sideways flight": _largest([own[:, 1] for own in velocity]) > FLOWN_SPEED.value * induced,
-        "climb and descent": _largest([own[:, 2] for own in velocity]) > FLOWN_CLIMB.value * induced,
-        "throttle steps": max(_extent(load) / float(load.mean()) for load in loads) > FLOWN_LOAD.value,
-        "roll doublets": _largest([own[:, 0] for own in rates]) > FLOWN_RATE.value,
-        "pitch doublets": _largest([own[:, 1] for own in rates]) > FLOWN_RATE.value,
-        "yaw doublets": _largest([own[:, 2] for own in rates]) > FLOWN_RATE.value,
-        "turns of the heading": max(_extent(_heading(flight)) for flight in flights) > FLOWN_HEADING.value,
-    }
-
-
-def _largest(columns: Sequence[Array]) -> float:
-    return float(np.quantile(np.abs(np.concatenate(columns)), 1.0 - TAIL.value))
-
-
-def _extent(values: Array) -> float:
-    low, high = np.quantile(values, [TAIL.value, 1.0 - TAIL.value])
-    return float(high - low)
-
-
-def _heading(flight: Flight) -> Array:
-    ahead = rotation_matrix(flight.attitude)[:, :2, 0]
-    heading: Array = np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))
-    return heading

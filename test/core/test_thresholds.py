@@ -51,6 +51,7 @@ from quadpi_core.screening.excerpt import Excerpt
 from quadpi_core.screening.flight_runs import long_enough
 from quadpi_core.screening.frozen_states import without_repeats
 from quadpi_core.screening.innovations import innovation
+from quadpi_core.screening.manoeuvres import require_excitation
 from quadpi_core.screening.rates import seldom_topics
 from quadpi_core.screening.rotor_readings import dropped_out
 from quadpi_core.screening.rotor_readings import held as held_readings
@@ -280,7 +281,7 @@ def in_column(column, values, width=3):
 def flown(manoeuvre, **columns) -> bool:
     """Whether a manoeuvre counts as flown in a hover with some columns, beside a flight that turned."""
     turned = hover(rates=np.tile([9.0, 9.0, 0.0], (1000, 1)))
-    return manoeuvre not in study.require_excitation([hover(**columns), turned], BEBOP)
+    return manoeuvre not in require_excitation([hover(**columns), turned], BEBOP)
 
 
 def at_speed(multiple):

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from quadpi_core.discrepancy.study import require_excitation
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import AXES
 from quadpi_core.logs import read_recording
@@ -16,6 +15,7 @@ from quadpi_core.logs.bags import write_bag
 from quadpi_core.parallel import Workers
 from quadpi_core.paths import bags_directory
 from quadpi_core.screening.flight_runs import in_range
+from quadpi_core.screening.manoeuvres import require_excitation
 from quadpi_core.simulation.run import simulate
 from quadpi_core.simulation.scenario import choose_flights, load_scenario, parse_effects
 from quadpi_core.time_range import TimeRange
