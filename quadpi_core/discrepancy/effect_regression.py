@@ -17,6 +17,7 @@ from quadpi_core.discrepancy.evidence import Block, Equations, Fit
 from quadpi_core.discrepancy.unexplained import stated_squares
 from quadpi_core.discrepancy.whitening import (
     Columns,
+    Indices,
     Noise,
     OfEachFlight,
     Part,
@@ -401,16 +402,10 @@ class Regression:
             variance = np.maximum(variance, accelerated._estimated_noise(chosen))
             variance = np.minimum(variance, self._residual_squares)
         else:
-            variance = np.array([self._of_flight(place, rows, variance) for place, rows in enumerate(left)])
+            spectra = self.residual.spectra
+            pairs = zip(left, spectra, strict=True)
+            variance = np.array([noise_of_flight(rows, own.band, variance) for rows, own in pairs])
         return accelerated.weighted(np.maximum(variance, self.least))
-
-    def _of_flight(self, place: int, left: Array, all_flights: Array) -> Array:
-        """Variance (6, C) of a flight by what is left of it (6, B), and of all flights (6, C)."""
-        band = self.residual.spectra[place].band
-        counts = np.bincount(band, minlength=self.residual.bands)
-        squares = np.stack([np.bincount(band, own, len(counts)) for own in np.square(left)])
-        variance: Array = (squares + ALIKE_ROWS.value * all_flights) / (counts + ALIKE_ROWS.value)
-        return variance
 
     @cached_property
     def varied(self) -> Regression:
@@ -650,6 +645,14 @@ def block_of(candidate: Candidate, at: Array, flights: Sequence[Compared]) -> Bl
 def in_frequency(flights: Sequence[Compared], columns: Sequence[Array]) -> Columns:
     """Columns (M, 6, k) in time of each flight, in frequency."""
     return Columns(tuple(flight.spectrum(own) for flight, own in zip(flights, columns, strict=True)))
+
+
+def noise_of_flight(left: Array, band: Indices, of_all: Array) -> Array:
+    """Variance (6, C) of a flight's noise by what is left of it (6, B), and that of all flights (6, C)."""
+    counts = np.bincount(band, minlength=of_all.shape[1])
+    squares = np.stack([np.bincount(band, own, len(counts)) for own in np.square(left)])
+    variance: Array = (squares + ALIKE_ROWS.value * of_all) / (counts + ALIKE_ROWS.value)
+    return variance
 
 
 def student_weights(squares: Array) -> Array:

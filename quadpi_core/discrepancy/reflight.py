@@ -54,8 +54,8 @@ _EVERY_S = 0.25
 _ROLLOUT_HZ = 100.0
 _NO_VEHICLE_DOES = "twice what the fastest real flights reach: a roll-out beyond it has diverged"
 DIVERGED_SPEED = Threshold("speed of a lost roll-out", 50.0, "m/s", _NO_VEHICLE_DOES, "flights up to 22 m/s")
-CONFIDENCE = Threshold(
-    "that roll-outs get worse",
+WORSE_BY_CHANCE = Threshold(
+    "roll-outs that get worse beyond chance",
     0.95,
     "probability that they do on average over flights, by Student's t",
     "the level of the intervals that are stated",
@@ -215,11 +215,11 @@ def rollouts(
         starts - lost[0],
         {name: error for name, error in errors.items() if name != "position_m"},
         dict(zip(BeforeAfter._fields, lost, strict=True)),
-        _chance(*of_flights[:2]),
+        growth_by_chance(*of_flights[:2]),
     )
 
 
-def _chance(before: Sequence[Array], after: Sequence[Array]) -> dict[str, float]:
+def growth_by_chance(before: Sequence[Array], after: Sequence[Array]) -> dict[str, float]:
     """Share by which chance lets an error grow, by its name, from squares (S, 4) of each flight."""
     lasting = [
         both for both in zip(before, after, strict=True) if not any(np.isnan(own).all() for own in both)
@@ -229,7 +229,7 @@ def _chance(before: Sequence[Array], after: Sequence[Array]) -> dict[str, float]
     means = np.array([[np.nanmean(own, axis=0) for own in both] for both in lasting])
     growth = 0.5 * np.diff(np.log(np.maximum(means, np.finfo(float).tiny)), axis=1)[:, 0]
     error = np.std(growth, axis=0, ddof=1) / np.sqrt(len(growth))
-    most = np.expm1(float(student.ppf(CONFIDENCE.value, len(growth) - 1)) * error)
+    most = np.expm1(float(student.ppf(WORSE_BY_CHANCE.value, len(growth) - 1)) * error)
     return dict(zip(ERROR_NAMES, most.tolist(), strict=True))
 
 

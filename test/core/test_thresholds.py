@@ -35,12 +35,12 @@ from quadpi_core.discrepancy.by_condition import (
 )
 from quadpi_core.discrepancy.candidates import Part, candidates, part_columns, typical_sizes
 from quadpi_core.discrepancy.discrepancy_result import Coverage, OfFlight
-from quadpi_core.discrepancy.effect_regression import settled, student_weights
+from quadpi_core.discrepancy.effect_regression import noise_of_flight, settled, student_weights
 from quadpi_core.discrepancy.effect_response import Compared, predicted_flight, quiet
 from quadpi_core.discrepancy.evidence import Fit
 from quadpi_core.discrepancy.loading import load_simulation
 from quadpi_core.discrepancy.other_simulations import ModelSimulation
-from quadpi_core.discrepancy.reflight import rollout_floor
+from quadpi_core.discrepancy.reflight import growth_by_chance, rollout_floor
 from quadpi_core.discrepancy.search import Found
 from quadpi_core.discrepancy.simulations import Tolerances
 from quadpi_core.discrepancy.sound_learning import learned, predicts
@@ -84,12 +84,25 @@ def first_axis(value, others=0.0):
     return np.array([value, *[others] * 5])
 
 
-def beside(gain, *, energy=1e6, law=False, beside_law=False, scales=False):
+def beside(gain, *, energy=1e6, law=False, beside_law=False, scales=False, known=False):
     own, other = (
         SimpleNamespace(name=name, form=0.1 * form, effect=SimpleNamespace(scales_existing=scaling))
         for name, form, scaling in (("own", law, scales), ("other", beside_law, False))
     )
-    return judge_evidence(gain, acceptance.evidence_needed(own, [other], energy, first=8.0)).passed
+    return judge_evidence(
+        gain, acceptance.evidence_needed(own, [other], energy, first=8.0, known=known)
+    ).passed
+
+
+def alike_share():
+    """Share of the noise of all in that of a flight of which twenty rows are left at zero."""
+    return noise_of_flight(np.zeros((6, 20)), np.zeros(20, dtype=int), np.ones((6, 1)))[0, 0]
+
+
+def by_chance(growth):
+    """Growth of an error by chance where that of one flight grows and that of another stays."""
+    before, after = np.ones((3, 4)), np.full((3, 4), np.exp(2.0 * growth))
+    return growth_by_chance([before, before], [before, after])["position_m"]
 
 
 def accepted(*, size=1.0, loudness=1.0, instead="", squares=99.0):
@@ -562,6 +575,7 @@ EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
     "FURTHER_SHARE": (0.05, lambda x: beside(1000.0 * x, energy=1000.0)),
     "FURTHER_LEAST": (20.0, lambda x: beside(x, energy=0.0) and beside(x, beside_law=True, scales=True)),
     "FURTHER_NUMBER": (100.0, beside),
+    "FURTHER_KNOWN": (40.0, lambda x: beside(x, known=True)),
     "FURTHER_LAW": (200.0, lambda x: beside(x, law=True)),
     "BESIDE_LAW": (350.0, lambda x: beside(x, beside_law=True) and beside(x, law=True, beside_law=True)),
     "SMALLEST": (0.13, lambda x: judge_size({"large": 1.0, "small": x}).passed),
@@ -612,6 +626,8 @@ EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
     "SMALL_STEP": (0.05, lambda x: settled(OneStep(x)).moves > 1),
     "MORE_THAN_SOUND": (2.0, beyond_sound),
     # A deviation of three typical ones counts half.
+    "ALIKE_ROWS": (20.0, lambda x: 20.0 / (20.0 + x) > 1.0 - alike_share()),
+    "WORSE_BY_CHANCE": (0.95, lambda x: np.expm1(student.ppf(x, 1) * 0.1) > by_chance(0.2)),
     "TAILS": (1.0, lambda x: student_weights(2.0 + x) < 0.5),
     "SHOWN": (5.0, known_error),
     "BETTER": (0.95, explained_better),

@@ -24,35 +24,35 @@ def random_columns(rng: np.random.Generator, width: int, bands: tuple[Indices, .
     return Columns(tuple(Spectrum(rng.standard_normal((6, len(band), width)), band) for band in bands))
 
 
-def random_noise(rng: np.random.Generator, held: tuple[int, ...] = ()) -> Noise:
+def random_noise(rng: np.random.Generator) -> Noise:
     """Noise of these flights with two and then one deviation that each has of its own."""
-    noise = Noise(rng.uniform(0.5, 2.0, (6, BANDS)), np.isin(np.arange(6), held))
+    noise = Noise(rng.uniform(0.5, 2.0, (len(ROWS), 6, BANDS)))
     for width, deviations in ((3, 2), (1, 1)):
         own = rng.standard_normal((len(ROWS), width, deviations))
         noise = noise.beside(OfEachFlight(random_columns(rng, width), own))
     return noise
 
 
-def told(noise: Noise, columns: Columns, place: int) -> Array:
-    """Matrix (R, k) of columns of a flight in axes that say something."""
-    return np.concatenate(columns.spectra[place].rows[~noise.held])
+def told(columns: Columns, place: int) -> Array:
+    """Matrix (R, k) of columns of a flight."""
+    return np.concatenate(columns.spectra[place].rows)
 
 
 def deviating(noise: Noise, place: int) -> Array:
     """Matrix (R, E) of what the standard normal numbers of a flight add."""
-    parts = [told(noise, own.columns, place) @ own.deviations[place] for own in noise.own]
+    parts = [told(own.columns, place) @ own.deviations[place] for own in noise.own]
     return np.hstack(parts) if parts else np.zeros((1, 0))
 
 
 def covariance(noise: Noise, columns: Columns, place: int) -> Array:
-    """Covariance (R, R) of the noise of a flight in axes that say something."""
-    own, variance = deviating(noise, place), noise.variance[~noise.held][:, columns.spectra[place].band]
+    """Covariance (R, R) of the noise of a flight."""
+    own, variance = deviating(noise, place), noise.variance[place][:, columns.spectra[place].band]
     return np.asarray(np.diag(variance.ravel()) + own @ own.T)
 
 
-def stacked(noise: Noise, columns: Sequence[Columns], places: Iterable[int]) -> Array:
+def stacked(columns: Sequence[Columns], places: Iterable[int]) -> Array:
     """Matrix (R, k) of columns, those of flights below each other."""
-    return np.vstack([np.hstack([told(noise, own, place) for own in columns]) for place in places])
+    return np.vstack([np.hstack([told(own, place) for own in columns]) for place in places])
 
 
 class Normal(NamedTuple):
@@ -78,7 +78,7 @@ class Normal(NamedTuple):
         places: Sequence[int],
         prior: float | Array = 1.0,
     ) -> Normal:
-        x, r = stacked(noise, columns, places), stacked(noise, [residual], places)[:, 0]
+        x, r = stacked(columns, places), stacked([residual], places)[:, 0]
         together = block_diag(*(covariance(noise, residual, place) for place in places))
         weighed, prior = np.linalg.solve(together, x), prior * np.ones(x.shape[1])
         posterior = np.linalg.inv(x.T @ weighed + np.diag(1.0 / prior))

@@ -23,7 +23,7 @@ class ListedEvidence:
         self.candidates = [
             SimpleNamespace(name=name, label=name, form=0.0, linear=True, effect=effect) for name in names
         ]
-        self.conditions = ()
+        self.conditions, self.sound = (), None
         self.points = [np.zeros(1)] * 3
         self.reweighted = reweighted
 
