@@ -8,14 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import AXES
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import write_bag
 from quadpi_core.parallel import Workers
 from quadpi_core.paths import bags_directory
 from quadpi_core.screening.flight_runs import in_range
-from quadpi_core.screening.manoeuvres import require_excitation
 from quadpi_core.simulation.run import simulate
 from quadpi_core.simulation.scenario import choose_flights, load_scenario, parse_effects
 from quadpi_core.time_range import TimeRange
@@ -156,34 +154,3 @@ class TestRefusals:
         result = quadpi("discrepancy", "bebop2", *TRAINING, "-o", TRAINING[0])
         assert result.status == 2
         assert "would replace or alter" in result.errors
-
-
-class TestExcitation:
-    def test_hover_alone_names_what_is_missing(self, flights, simulation):
-        """The first instant of a flight, held, with the flicker of rotors."""
-        rng = np.random.default_rng(0)
-        still = []
-        for flight in flights[:2]:
-            none = np.zeros_like(flight.velocity)
-            flicker = rng.standard_normal(flight.rotor_speeds.shape)
-            still.append(
-                replace(
-                    flight,
-                    velocity=none,
-                    rates=none,
-                    attitude=np.tile([1.0, 0.0, 0.0, 0.0], (len(flight), 1)),
-                    rotor_speeds=600.0 + flicker,
-                )
-            )
-        with pytest.raises(
-            DiscrepancyError, match=r"nothing but hover, .*; fly forward and backward flight, sid"
-        ):
-            require_excitation(still, simulation.vehicle)
-
-    def test_what_was_flown_is_not_asked_for(self, flights, simulation):
-        missing = require_excitation(flights, simulation.vehicle)
-        assert not {"forward and backward flight", "sideways flight", "yaw doublets"} & set(missing)
-        slow = [replace(flight, velocity=0.01 * flight.velocity) for flight in flights]
-        assert {"forward and backward flight", "sideways flight", "climb and descent"} <= set(
-            require_excitation(slow, simulation.vehicle)
-        )
