@@ -104,23 +104,17 @@ def learned_from(
             rows = np.concatenate((without.residual[:, :, np.newaxis], *columns, *uncertain), axis=2)
             spectra.append(compared.spectrum(rows))
         progress(Progress("Learning what sound flights leave", len(flights), len(flights)))
-        pairs = [(own, own.effect.parameters[k]) for own in sought for k in own.free]
-        names = [(own.label, parameter.name) for own, parameter in pairs]
-        most = np.array([max(abs(parameter.lowest), abs(parameter.highest)) for _, parameter in pairs])
-        scale = np.concatenate([own.scale for own in sought])
-        return replace(model, sound=learned(spectra, names, scale, most))
+        names = tuple((own.label, own.effect.parameters[k].name) for own in sought for k in own.free)
+        return replace(model, sound=learned(spectra, names, np.concatenate([own.scale for own in sought])))
 
 
-def learned(
-    spectra: Sequence[Spectrum], names: Sequence[tuple[str, str]], scale: Array, most: Array | float = np.inf
-) -> SoundFlights:
+def learned(spectra: Sequence[Spectrum], names: Sequence[tuple[str, str]], scale: Array) -> SoundFlights:
     """What flights leave, by spectra of their residual and of K columns.
 
     Args:
         spectra: of each of F > 1 flights, rows (6, B, 1 + K + T); T columns are what is open of the model.
         names: of K parameters: the candidate of a search, and its parameter.
         scale: (K,) prior deviation of each, which its column is for, in its unit.
-        most: (K,) of what size the error may be, in its unit and of either sign.
     """
     bands = len(EDGES_HZ.value) - 1
     width = spectra[0].rows.shape[2]
@@ -128,7 +122,7 @@ def learned(
     columns = Columns(tuple(spectra))
     products[:, :, : columns.bands] = columns.products(columns)
     rows = np.array([np.bincount(own.band, minlength=bands) for own in spectra])
-    found, posterior = _variances(products, rows.astype(float), np.minimum(LARGEST.value, most / scale))
+    found, posterior = _variances(products, rows.astype(float), len(names))
     squared = _beside_what_is_open(products, posterior, len(names))
     # A band that no flight is long or fast enough for has the noise of the next.
     filled = np.flatnonzero(rows.sum(axis=0))
@@ -228,17 +222,17 @@ class _Posterior:
         return covariance
 
 
-def _variances(products: Array, rows: Array, most: Array) -> tuple[_Variances, _Posterior]:
+def _variances(products: Array, rows: Array, sought: int) -> tuple[_Variances, _Posterior]:
     """Variances of the largest evidence that also predict flights left out, and the posterior under them.
 
     Args:
         products: (F, 6, C, 1 + K + T, 1 + K + T) of the residual and the columns of each flight and band.
         rows: (F, C) of each flight.
-        most: (K,) size that an error may have, in prior deviations.
+        sought: K.
     """
     columns, counts = products.shape[-1] - 1, np.maximum(rows.sum(axis=0), 1.0)
     noise = np.maximum(products[..., 0, 0].sum(axis=0) / counts, np.finfo(float).tiny)
-    is_open = np.arange(columns) >= len(most)
+    is_open = np.arange(columns) >= sought
     found, posterior = _settled(
         products, counts, _Variances(noise, np.zeros(columns), is_open.astype(float)), is_open
     )
@@ -255,8 +249,7 @@ def _variances(products: Array, rows: Array, most: Array) -> tuple[_Variances, _
         own = start[best] * (_AT_FIRST if shared[best] else 1.0)
         larger.of_flight[best] = max(found.of_flight[best], own)
         larger, changed = _settled(products, counts, larger, is_open)
-        sizes, sought = np.abs(changed.mean), changed.common < len(most)
-        if np.any(sizes[sought] > most[changed.common[sought]]):
+        if np.any(np.abs(changed.mean) > LARGEST.value):
             # What would have no mass and no thrust leaves no noise of either: no error that a model has.
             continue
         after = _left_out(larger, changed, rows)
