@@ -11,7 +11,7 @@ import pytest
 
 from quadpi_core.discrepancy.candidates import candidates
 from quadpi_core.discrepancy.closure import Closing, law_fit, left_out_squares
-from quadpi_core.discrepancy.effect_regression import Regression, settled
+from quadpi_core.discrepancy.effect_regression import Condition, Regression, settled
 from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.whitening import rows_of
 from quadpi_core.simulation.applied_effects import effect_wrench
@@ -97,6 +97,21 @@ def test_without_effects_the_gap_stays(closing):
     gap = gap_of(Closing.of(closing.regression, ()))
     np.testing.assert_array_equal(gap.after, gap.before)
     assert gap.reduction == 0.0
+
+
+def test_what_a_flight_has_of_its_own_is_no_gap(closing):
+    """A constant moment in one of the flights, before and after."""
+    regression = closing.regression
+    index = [own.name for own in regression.candidates].index("moment_bias")
+    columns, odd = regression.blocks[index].columns, np.zeros((4, 3))
+    odd[0, 0] = 1.0
+    residual = regression.residual.plus(lambda place: columns.spectra[place].rows @ odd[place][:, None])
+    changed = replace(regression, residual=residual)
+    known = changed.with_condition(Condition(index, np.maximum(odd, 1e-4)))
+    gaps = [gap_of(Closing.of(own, closing.chosen)) for own in (regression, known, changed)]
+    for without, told, all_of_it in zip(*([gap.before[3], gap.after[3]] for gap in gaps), strict=True):
+        assert told == pytest.approx(without, rel=0.05)
+        assert all_of_it > 2.0 * without
 
 
 @pytest.mark.parametrize(("odd", "adjusted"), [(1.0, True), (-1.0, False)])
