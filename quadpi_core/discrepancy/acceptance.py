@@ -327,6 +327,8 @@ class Trial:
         sentence = "became idle beside a better one" if self.dropped else "was not dropped before"
         yield Verdict("not dropped", not self.dropped, float(self.dropped), 0.0, "", sentence)
         yield judge_evidence(self.gain, self.needed)
+        sentence = own.barred or "takes no axis out of the intervals of a model"
+        yield Verdict("barred", not own.barred, float(bool(own.barred)), 0.0, "", sentence)
         passed = not self.behind or scales_beside_law(own, others)
         sentence = f"gains less than {self.behind}, which was rejected"
         if passed:

@@ -15,7 +15,7 @@ samples and noise is correlated over several cells.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise, zip_longest
 from typing import NamedTuple
 
@@ -452,7 +452,9 @@ def bin_edges(name: str, values: Array) -> Array:
 def _drawn(found: Found, seed: int) -> Iterator[Array]:
     """Of each flight D residuals (B, 6, D) without any effect, after the same fit of coefficients."""
     regression, draws = found.regression, _DRAWS
-    noise, tolerances, spectra = regression.noise, regression.base[1:], regression.residual.spectra
+    # Without what flights have of their own, as draws are.
+    noise = replace(regression.noise, own=())
+    tolerances, spectra = regression.base[1:], regression.residual.spectra
     gram = noise.grams(tolerances, tolerances).sum(axis=0)
     most = largest_deviation(len(gram))
     off = np.random.default_rng(seed).standard_normal((len(gram), draws)).clip(-most, most)

@@ -69,6 +69,7 @@ class Candidate:
         scale: (k,) prior standard deviation of each.
         centre: (k,) prior mean of each: 0, but for what is no strength of an effect with a state of its own.
         linear: whether one linearisation is enough.
+        barred: why it may not be named, though it may be a rival of what is; empty if it may.
     """
 
     effect: Effect
@@ -77,6 +78,7 @@ class Candidate:
     scale: Array
     centre: Array
     linear: bool
+    barred: str = ""
 
     @property
     def name(self) -> str:

@@ -213,15 +213,15 @@ class BeforeAfter(NamedTuple):
 class Rollouts(NamedTuple):
     """Errors at the end of roll-outs from many starts, as `ERROR_NAMES`; none where every one was lost.
 
-    Those that diverged are left out and counted as lost, by the names of :class:`BeforeAfter`. By chance,
-    flights may differ by so much that an error grows by a share `chance`, with a probability of 5 %.
+    Those that diverged are left out and counted as lost, by the names of :class:`BeforeAfter`. Errors
+    `by_chance` are those that grow by no more, on average over flights, than chance makes of so many.
     """
 
     horizon_s: float
     starts: int
     errors: Mapping[str, BeforeAfter]
     lost: Mapping[str, int] = MappingProxyType({})
-    chance: Mapping[str, float] = MappingProxyType({})
+    by_chance: frozenset[str] = frozenset()
 
 
 class ClosedLoops(NamedTuple):

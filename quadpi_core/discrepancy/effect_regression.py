@@ -257,8 +257,8 @@ class Regression:
         """Least variance (6, C) of the noise: what sound flights leave, or what the simulation states.
 
         A model states by its intervals how well it knows a wrench, but not how fast its errors change: in any
-        band they may be as large as in all together. What stays within is nothing that it lacks, and what
-        an effect would add beyond speaks against that.
+        band there may be as much of them as there would be in all together, were they white. What stays
+        within is nothing that it lacks, and what an effect would add beyond speaks against that.
         """
         if self.sound is not None:
             return self.sound.noise

@@ -19,6 +19,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from quadpi_core.bounded_files import parse_json
+from quadpi_core.discrepancy.acceptance import FEW_FLIGHTS
 from quadpi_core.discrepancy.augmented_simulation import AugmentedSimulation, as_it_was, augmented
 from quadpi_core.discrepancy.discrepancy_result import (
     ERROR_NAMES,
@@ -54,16 +55,15 @@ _EVERY_S = 0.25
 _ROLLOUT_HZ = 100.0
 _NO_VEHICLE_DOES = "twice what the fastest real flights reach: a roll-out beyond it has diverged"
 DIVERGED_SPEED = Threshold("speed of a lost roll-out", 50.0, "m/s", _NO_VEHICLE_DOES, "flights up to 22 m/s")
-WORSE_BY_CHANCE = Threshold(
+DIVERGED_RATE = Threshold(
+    "body rate of a lost roll-out", 60.0, "rad/s", _NO_VEHICLE_DOES, "flights up to 1 330 degrees/s"
+)
+BEYOND_CHANCE = Threshold(
     "roll-outs that get worse beyond chance",
     0.95,
     "probability that they do on average over flights, by Student's t",
     "the level of the intervals that are stated",
     CONVENTION,
-)
-
-DIVERGED_RATE = Threshold(
-    "body rate of a lost roll-out", 60.0, "rad/s", _NO_VEHICLE_DOES, "flights up to 1 330 degrees/s"
 )
 
 
@@ -215,22 +215,25 @@ def rollouts(
         starts - lost[0],
         {name: error for name, error in errors.items() if name != "position_m"},
         dict(zip(BeforeAfter._fields, lost, strict=True)),
-        growth_by_chance(*of_flights[:2]),
+        growing_by_chance(*of_flights[:2]),
     )
 
 
-def growth_by_chance(before: Sequence[Array], after: Sequence[Array]) -> dict[str, float]:
-    """Share by which chance lets an error grow, by its name, from squares (S, 4) of each flight."""
+def growing_by_chance(before: Sequence[Array], after: Sequence[Array]) -> frozenset[str]:
+    """Names of errors that grow by no more than chance makes of flights, from squares (S, 4) of each.
+
+    None of flights so few that they do not predict each other.
+    """
     lasting = [
         both for both in zip(before, after, strict=True) if not any(np.isnan(own).all() for own in both)
     ]
-    if len(lasting) < 2:
-        return {}
+    if len(lasting) < FEW_FLIGHTS.value:
+        return frozenset()
     means = np.array([[np.nanmean(own, axis=0) for own in both] for both in lasting])
     growth = 0.5 * np.diff(np.log(np.maximum(means, np.finfo(float).tiny)), axis=1)[:, 0]
     error = np.std(growth, axis=0, ddof=1) / np.sqrt(len(growth))
-    most = np.expm1(float(student.ppf(WORSE_BY_CHANCE.value, len(growth) - 1)) * error)
-    return dict(zip(ERROR_NAMES, most.tolist(), strict=True))
+    chance = growth.mean(axis=0) <= float(student.ppf(BEYOND_CHANCE.value, len(growth) - 1)) * error
+    return frozenset(name for name, own in zip(ERROR_NAMES, chance, strict=True) if own)
 
 
 def _errors(squares: Sequence[Array]) -> dict[str, BeforeAfter]:

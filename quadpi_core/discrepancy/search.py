@@ -94,25 +94,19 @@ class Found:
     judgements: tuple[Judgement, ...]
     disputed: tuple[str, ...] = ()
 
-    @property
-    def expected(self) -> Array:
-        """Variance (6, C) of what flights may leave where nothing is missing, in C bands.
-
-        It is what sound flights leave, where they are known. Else it is that of :attr:`sensors`, and what a
-        model states by its intervals that it errs by.
-        """
-        sound = self.regression.sound
-        return np.maximum(self.sensors, self.regression.least) if sound is None else sound.left
-
     @cached_property
     def sensors(self) -> Array:
-        """Variance (6, C) of the noise that sensors and the errors of states make, as far as flights tell.
+        """Variance (6, C) of the noise that sensors and the errors of states make, in C bands.
 
-        That of sensors is what is left at the highest frequencies: white in a force, and in a moment largest
-        there.
+        It is what sound flights leave, where they are known. Else that of sensors is what is left at the
+        highest frequencies: white in a force, and in a moment largest there; and no less than what a model
+        states by its intervals.
         """
-        noise = self.left.noise
-        return noise[:, -1:] + slow_state_noise(self.regression.flights, noise.shape[1])
+        noise, sound = self.left.noise, self.regression.sound
+        if sound is not None:
+            return sound.left
+        slow = slow_state_noise(self.regression.flights, noise.shape[1])
+        return np.maximum(noise[:, -1:] + slow, self.stated[:, np.newaxis])
 
     def deviation(self, index: int) -> Array:
         """Standard deviation (k,) of the parameters of a chosen candidate, in their units; 0 at a bound.
@@ -441,9 +435,11 @@ def without_idle(accepted: Accepted, threshold: float) -> tuple[Accepted, list[J
         better = None if still_needed.passed else refined(regression, fewer, rest)
         if better is not None:
             weighted = better[0].beside(fewer, better[1])
-            smaller = Accepted(weighted, fewer, _require(weighted.fit(fewer)))
-            candidate = regression.candidates[index]
-            return smaller, [Judgement(candidate.name, candidate.label, smaller.names, (still_needed,))]
+            fit = weighted.fit(fewer)
+            if fit is not None:
+                smaller = Accepted(weighted, fewer, fit)
+                candidate = regression.candidates[index]
+                return smaller, [Judgement(candidate.name, candidate.label, smaller.names, (still_needed,))]
     return accepted, []
 
 

@@ -4,10 +4,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from operator import attrgetter
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 from scipy.special import ndtri
@@ -51,7 +52,6 @@ from quadpi_core.models.model_kind import CUTOFF_HZ
 from quadpi_core.parallel import DEFAULT_WORKERS, Workers
 from quadpi_core.reading_options import MappingOrOptions
 from quadpi_core.screening.manoeuvres import require_changes, require_excitation
-from quadpi_core.simulation.effect_registry import EFFECTS
 from quadpi_core.thresholds import CONVENTION, Threshold
 from quadpi_core.vehicle import Vehicle
 
@@ -172,27 +172,32 @@ def study(
 
 
 def found_and_flown(
-    simulation: Simulation, flights: Sequence[Flight], *, names: Sequence[str] | None = None
+    simulation: Simulation,
+    flights: Sequence[Flight],
+    *,
+    names: Sequence[str] | None = None,
+    barred: Mapping[str, str] = MappingProxyType({}),
 ) -> tuple[Discovery, Reflights | None]:
     """Find the effects that a simulation lacks, and judge them by roll-outs of flights left out.
 
-    Where the intervals of a model hold much less of an axis with several effects, but not without one of
-    them, they are searched again without that. A search compares up to 20 Hz: what is faster, such as the
-    moments of rotors that another delay would shift, is judged here.
+    Where nothing speaks against several effects but that the intervals of a model hold much less of an axis,
+    and not without one of them, that one is barred from another search. A search compares up to 20 Hz: what
+    is faster, such as the moments of rotors that another delay would shift, is judged here.
 
     Args:
         simulation: simulation to compare with.
         flights: see :func:`discover`.
         names: names of effects to look for; unless given, all.
+        barred: see :func:`discover`.
 
     Raises:
         DiscrepancyError, LogError: see :func:`discover` and :func:`flown_again`.
     """
-    discovery, flown = flown_again(discover(simulation, flights, names=names))
-    spoilt = any(check.test == "coverage" and not check.passed for check in discovery.checks)
-    if spoilt and (spoiling := _spoiling(discovery)):
-        others = [name for name in (EFFECTS if names is None else names) if name != spoiling]
-        again = found_and_flown(simulation, flights, names=others)
+    discovery, flown = flown_again(discover(simulation, flights, names=names, barred=barred))
+    failed = [check for check in discovery.checks if not check.passed]
+    if [check.test for check in failed] == ["coverage"] and (spoiling := _spoiling(discovery)):
+        more = {**barred, spoiling: failed[0].sentence}
+        again = found_and_flown(simulation, flights, names=names, barred=more)
         if again[0].verdict == "effects":
             return again
     return discovery, flown
@@ -248,6 +253,7 @@ def discover(
     *,
     names: Sequence[str] | None = None,
     highest_hz: float = BAND_HZ.value,
+    barred: Mapping[str, str] = MappingProxyType({}),
 ) -> Discovery:
     """Find the effects that explain where a simulation and flights disagree.
 
@@ -256,6 +262,7 @@ def discover(
         flights: at least two flights of the simulation's vehicle, fused and in the air.
         names: names of effects to look for; unless given, all.
         highest_hz: highest frequency at which simulation and flights are compared.
+        barred: why effects, by their names, may not be named.
 
     Raises:
         DiscrepancyError: for fewer flights, flights of another vehicle, a simulation that gives no wrench.
@@ -278,7 +285,7 @@ def discover(
     # tell the noise of every axis, those that hold speak against an effect that spoils them.
     silent = held if simulation.sound is None or held.all() else none
     unsought = {c.name for c in known if all(silent[AXES.index(axis)] for axis in c.effect.axes)}
-    sought = [candidate for candidate in known if candidate.name not in unsought]
+    sought = [replace(c, barred=barred.get(c.name, "")) for c in known if c.name not in unsought]
     # Products are so small that two threads take twice the time of one.
     with threadpool_limits(limits=1, user_api="blas"):
         found = search(compared, sought)

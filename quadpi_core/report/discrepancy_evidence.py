@@ -35,6 +35,7 @@ _REFUSED = {
     "loudness": "quieter than the noise",
     "flights left out": "makes flights left out worse",
     "differs from zero": "may be zero",
+    "barred": "takes an axis out of its intervals",
 }
 # What removes the doubt of a failed test of the whole result.
 _REMEDIES = {
@@ -69,6 +70,7 @@ _REMEDIES_OF_CANDIDATES = {
     "loudness": "Fly harder: faster, or with larger steps, so that it exceeds the noise.",
     "differs from zero": "Fly more of what shows it, until an interval of its parameters excludes zero.",
     "precedence": "Remove what rejects the better one first.",
+    "barred": "Look at that axis: the effect takes the place of something else there.",
 }
 
 

@@ -40,7 +40,7 @@ from quadpi_core.discrepancy.effect_response import Compared, predicted_flight, 
 from quadpi_core.discrepancy.evidence import Fit
 from quadpi_core.discrepancy.loading import load_simulation
 from quadpi_core.discrepancy.other_simulations import ModelSimulation
-from quadpi_core.discrepancy.reflight import growth_by_chance, rollout_floor
+from quadpi_core.discrepancy.reflight import growing_by_chance, rollout_floor
 from quadpi_core.discrepancy.search import Found
 from quadpi_core.discrepancy.simulations import Tolerances
 from quadpi_core.discrepancy.sound_learning import learned, predicts
@@ -99,15 +99,16 @@ def alike_share():
     return noise_of_flight(np.zeros((6, 20)), np.zeros(20, dtype=int), np.ones((6, 1)))[0, 0]
 
 
-def by_chance(growth):
-    """Growth of an error by chance where that of one flight grows and that of another stays."""
-    before, after = np.ones((3, 4)), np.full((3, 4), np.exp(2.0 * growth))
-    return growth_by_chance([before, before], [before, after])["position_m"]
+def by_chance(mean):
+    """Whether the growth of an error in four flights, by one less and one more than that, may be chance."""
+    before = [np.ones((3, 4))] * 4
+    growth = 0.01 * (mean + np.array([-1.0, -1.0, 1.0, 1.0]))
+    return "position_m" in growing_by_chance(before, [np.full((3, 4), np.exp(2.0 * own)) for own in growth])
 
 
 def accepted(*, size=1.0, loudness=1.0, instead="", squares=99.0):
     """Whether a candidate of two parameters is, by such numbers."""
-    own = SimpleNamespace(name="own", label="own", free=(0, 1))
+    own = SimpleNamespace(name="own", label="own", free=(0, 1), barred="")
     plain = Fit(100.0, (), np.arange(2), np.array([np.sqrt(squares), 0.0]), np.eye(2), np.zeros(2))
     regression = SimpleNamespace(
         candidates=[own],
@@ -608,7 +609,7 @@ EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
         lambda x: result_verdicts.judge_agreement("mass", 9.0, 1.0 - x + 1e-9).passed,
     ),
     "CLOSED": (0.8, lambda x: result_verdicts.judge_closed(x).passed),
-    "NEAR_FLOOR": (0.1, lambda x: not result_verdicts.judge_closed(0.6, x).passed),
+    "NEAR_FLOOR": (0.1, lambda x: result_verdicts.judge_closed(0.6, 0.2, x).passed),
     # The others of the room, file by file.
     "DIVERGED_SPEED": (50.0, lambda x: rolls_out(speed=x)),
     "DIVERGED_RATE": (60.0, lambda x: rolls_out(yaw_rate=x)),
@@ -627,7 +628,11 @@ EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
     "MORE_THAN_SOUND": (2.0, beyond_sound),
     # A deviation of three typical ones counts half.
     "ALIKE_ROWS": (20.0, lambda x: 20.0 / (20.0 + x) > 1.0 - alike_share()),
-    "WORSE_BY_CHANCE": (0.95, lambda x: np.expm1(student.ppf(x, 1) * 0.1) > by_chance(0.2)),
+    "BEYOND_CHANCE": (0.95, lambda x: by_chance(student.ppf(x, 3) / np.sqrt(3.0))),
+    "BY_CHANCE": (
+        0.1,
+        lambda x: result_verdicts.judge_rollouts({"rates": (1.0, 1.0 + x)}, {"rates"}).passed,
+    ),
     "TAILS": (1.0, lambda x: student_weights(2.0 + x) < 0.5),
     "SHOWN": (5.0, known_error),
     "BETTER": (0.95, explained_better),
