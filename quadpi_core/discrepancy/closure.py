@@ -42,9 +42,7 @@ class Gap(NamedTuple):
 
 def law_fit(regression: Regression, chosen: Sequence[int], without: int | None = None) -> Fit:
     """Fit of some candidates by their laws alone, and of all coefficients; without one of the flights."""
-    law = regression.equations(chosen).fit(without) or regression.equations(()).fit(without)
-    assert law is not None  # without effects there is always a fit
-    return law
+    return regression.equations(chosen).fit(without) or regression.equations(()).fit_none(without)
 
 
 def left_out_squares(regression: Regression, chosen: Sequence[int]) -> Array:

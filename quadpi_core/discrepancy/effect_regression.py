@@ -249,7 +249,7 @@ class Regression:
             return regression._beside_known_errors(regression.sound)
         for _ in range(_ACCELERATION_ROUNDS):
             regression = regression.weighted(np.maximum(regression.least, regression._estimated_noise(())))
-            regression = regression.accelerated(_require(regression.fit(())))
+            regression = regression.accelerated(regression.fit_none())
         return regression.weighted(np.maximum(regression.least, regression._estimated_noise(())))
 
     @cached_property
@@ -447,11 +447,16 @@ class Regression:
 
     def fit(self, chosen: Sequence[int], *, form: bool = True) -> Fit | None:
         """Fit a set of candidates, by their indices, see :meth:`Equations.fit`."""
-        return self._comparable(self.equations(chosen, chosen if form else ()).fit())
+        found = self.equations(chosen, chosen if form else ()).fit()
+        return found and self._comparable(found)
 
-    def _comparable(self, found: Fit | None) -> Fit | None:
-        cost = self.noise.cost
-        return found and replace(found, log_evidence=found.log_evidence - cost)
+    def fit_none(self) -> Fit:
+        """The fit without effects, which there always is."""
+        return self._comparable(self.equations(()).fit_none())
+
+    def _comparable(self, found: Fit) -> Fit:
+        """The fit with the cost of what flights have of their own, so that noises can be compared."""
+        return replace(found, log_evidence=found.log_evidence - self.noise.cost)
 
     def at_points(self, chosen: Sequence[int]) -> float:
         """See :meth:`Equations.at_points`, of candidates by their indices."""
@@ -598,20 +603,19 @@ class Regression:
 
     def _estimated_noise(self, chosen: Sequence[int]) -> Array:
         """Variance (6, C) of the residual after tolerances, every linear candidate, and those chosen."""
-        explaining, offsets = list(self.base[1:]), []
-        for index, block in enumerate(self.blocks):
-            if index in chosen and block.form is not None:
-                explaining.append(block.form)
-            if not block.curved:
-                explaining.append(block.columns)
-            elif index in chosen:
-                count = len(block.at)
-                offsets.append(Part(block.columns, np.eye(count + 1)[count]))
-                explaining.append(block.columns.first(count))
-        left = [Part(self.residual, np.ones(1)), *offsets]
-        columns = self.residual.like(
-            lambda place: np.dstack([rows_of(left, place), *(own.spectra[place].rows for own in explaining)])
-        )
+        own = [(k, block) for k, block in enumerate(self.blocks) if k in chosen or not block.curved]
+        forms = [block.form for k, block in own if k in chosen and block.form is not None]
+
+        def rows(place: int) -> Array:
+            residual = self.residual.spectra[place].rows.copy()
+            explaining = [part.spectra[place].rows for part in (*self.base[1:], *forms)]
+            for _, block in own:
+                columns, count = block.columns.spectra[place].rows, len(block.at)
+                explaining.append(columns[:, :, :count])
+                residual += columns[:, :, count:].sum(axis=2, keepdims=True)
+            return np.dstack([residual, *explaining])
+
+        columns = self.residual.like(rows)
         bands = np.concatenate([own.band for own in self.residual.spectra])
         products = columns.products(columns).sum(axis=0)
         return estimate_noise(products, np.bincount(bands), self._residual_squares)
@@ -711,11 +715,6 @@ def refined(regression: Regression, chosen: Sequence[int], found: Fit) -> tuple[
         else:
             to = [0.5 * (old + new) for old, new in zip(at, to, strict=True)]
     return best
-
-
-def _require(found: Fit | None) -> Fit:
-    assert found is not None  # without effects there is always a fit
-    return found
 
 
 def _rows(flight: Compared, wrench: Array) -> Array:

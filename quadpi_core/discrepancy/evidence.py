@@ -148,8 +148,7 @@ class Equations:
         inside = [np.ones(len(block.at), dtype=np.bool_) for block in self.blocks]
         exact: Fit | None = None
         while all(own.any() for own in inside):
-            formed = () if exact is None else self.formed
-            found = self._solved(gram, inside, formed, exact)
+            found = self._solved(gram, inside, exact)
             kept = [
                 own & self._possible(found, block) for own, block in zip(inside, self.blocks, strict=True)
             ]
@@ -166,6 +165,10 @@ class Equations:
         # If the form columns would flip the sign of the effect, fall back to the fit without them.
         return exact
 
+    def fit_none(self, without: int | None = None) -> Fit:
+        """The fit of equations without effects, which there always is."""
+        return self._solved(self._gram(without), (), None)
+
     def at_points(self) -> float:
         """Log evidence [nat] of the set with curved effects at their points, where it is exact.
 
@@ -179,7 +182,7 @@ class Equations:
             if block.curved:
                 residual[first : first + len(block.at)] = -block.at
                 cost += 0.5 * float(block.at @ block.at)
-        return self._solved(self._gram(None), inside, (), None, residual).log_evidence - cost
+        return self._solved(self._gram(None), inside, None, residual).log_evidence - cost
 
     def refit(self, found: Fit, without: int) -> Fit:
         """Fit the same columns as another fit, without bounds, and without one of the flights."""
@@ -239,15 +242,14 @@ class Equations:
         self,
         gram: Array,
         inside: Sequence[npt.NDArray[np.bool_]],
-        formed: Sequence[Block],
         sizes: Fit | None,
         residual: Array | None = None,
     ) -> Fit:
-        """Fit of tolerances, the parameters inside bounds, and forms of effects of the sizes of a fit."""
+        """Fit of tolerances, parameters inside bounds, and, given the sizes of effects, forms."""
         own = [first + np.flatnonzero(kept) for first, kept in zip(self._firsts, inside, strict=True)]
         columns = np.concatenate([np.arange(1, 1 + self.tolerances), *own])
         precisions = np.ones(len(columns))
-        if formed and sizes is not None:
+        if sizes is not None:
             columns, precisions = self._with_forms(columns, sizes)
         residual = self.residual if residual is None else residual
         found = self._evidence(gram, columns, residual, precisions)

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
-from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
@@ -27,7 +26,7 @@ from quadpi_core.discrepancy.discrepancy_result import (
     Discovery,
     FoundEffect,
     RankedCandidate,
-    Rollouts,
+    Reflights,
 )
 from quadpi_core.discrepancy.search import Found
 from quadpi_core.discrepancy.whitening import Part
@@ -176,14 +175,13 @@ def judged_by_gap(discovery: Discovery, gap: Gap) -> tuple[Verdict, ...]:
     return (*others, *_of_gap(discovery.found, gap))
 
 
-def judged_by_rollouts(
-    discovery: Discovery, rollouts: Rollouts, coverage: Mapping[str, Coverage] = MappingProxyType({})
-) -> Discovery:
+def judged_by_rollouts(discovery: Discovery, flown: Reflights) -> Discovery:
     """The discovery, rejected and "unknown" where flights left out are simulated worse with its effects.
 
-    Their gap must not grow, and their roll-outs must get no worse, one by one or by those that diverge; nor
-    may the intervals of a model, by axis, hold much less of them.
+    Their gap must not grow, and their roll-outs must get no worse than chance may make them, one by one or by
+    those that diverge; nor may the intervals of a model, by axis, hold much less of them.
     """
+    rollouts, coverage = flown.rollout, flown.coverage
     errors = {ERROR_NAMES[name]: (error.before, error.after) for name, error in rollouts.errors.items()}
     before, after = (rollouts.lost.get(when, 0) for when in ("before", "after"))
     sentence = f"{after} roll-outs of flights left out diverge with it, {before} before"

@@ -194,7 +194,7 @@ def search(flights: Sequence[Compared], candidates: Sequence[Candidate]) -> Foun
     """
     regression = Regression.of(flights, candidates)
     threshold = least_evidence(len(candidates))
-    none = _require(regression.fit(()))
+    none = regression.fit_none()
     accepted = Accepted(settled(regression), (), none)
     idle: frozenset[int] = frozenset()
     gain = 0.0
@@ -326,7 +326,7 @@ def _replaced(
     """The set with one effect replaced by another, None where that fails a test; and its judgement."""
     regression = accepted.regression
     others = tuple(other for other in accepted.chosen if other != index)
-    rest = regression.fit(others) or _require(regression.fit(()))
+    rest = regression.fit(others) or regression.fit_none()
     trial = Trial(
         regression=regression,
         chosen=others,
@@ -456,7 +456,7 @@ def _rivals(accepted: Accepted, *, of_its_name: bool = False) -> dict[int, list[
         own = regression.candidates[index]
         others = tuple(other for other in accepted.chosen if other != index)
         beside = [regression.candidates[other] for other in others]
-        without = regression.fit(others) or _require(regression.fit(()))
+        without = regression.fit(others) or regression.fit_none()
         margin = rival_margin(found.log_evidence - without.log_evidence)
         scales = scales_beside_law(own, beside)
         close = []
@@ -481,9 +481,3 @@ def _rivals(accepted: Accepted, *, of_its_name: bool = False) -> dict[int, list[
 def _sizeable(regression: Regression, chosen: Sequence[int], found: Fit) -> bool:
     sizes = {regression.candidates[index].label: regression.size(index, found) for index in chosen}
     return judge_size(sizes).passed
-
-
-def _require(found: Fit | None) -> Fit:
-    if found is None:
-        raise AssertionError("bounds left nothing of a set that was fitted before")
-    return found

@@ -235,7 +235,7 @@ def flown_again(discovery: Discovery) -> tuple[Discovery, Reflights | None]:
     if not discovery.effects:
         return discovery, None
     flown = reflights(discovery)
-    judged = judged_by_rollouts(discovery, flown.rollout, flown.coverage)
+    judged = judged_by_rollouts(discovery, flown)
     if not judged.rejected or not discovery.found.closing.adjusted:
         return judged, flown
     gap = discovery.found.gap(adjusted=False)
@@ -243,7 +243,7 @@ def flown_again(discovery: Discovery) -> tuple[Discovery, Reflights | None]:
     verdict = "effects" if all(check.passed for check in tests) else "unknown"
     stated = replace(discovery, gap=gap, checks=tests, verdict=verdict, adjusted=False)
     again = reflights(stated)
-    without = judged_by_rollouts(stated, again.rollout, again.coverage)
+    without = judged_by_rollouts(stated, again)
     return (judged, flown) if without.rejected else (without, again)
 
 

@@ -323,7 +323,7 @@ def predicted(left: Sequence[Array], spectra: Sequence[Spectrum], names: list[st
             )
         )
         products = columns.products(columns)
-        noise[axis] = settled_noise(products.sum(axis=0), counts, noise[axis : axis + 1], _least_penalty)[0]
+        noise[axis] = settled_noise(products.sum(axis=0), counts, noise[axis : axis + 1], _penalty)[0]
         grams = np.tensordot(products[:, 0], 1.0 / noise[axis], axes=(1, 0))
         gain[axis], coefficients = left_out_gain(grams[:, 1:, 1:], grams[:, 1:, 0])
         size = np.abs(coefficients) * np.sqrt(np.einsum("fjj->j", grams[:, 1:, 1:]))
@@ -351,12 +351,8 @@ def left_out_gain(grams: Array, projections: Array) -> tuple[float, Array]:
     return best, kept
 
 
-def _penalty(total: Array, ridge: float) -> Array:
+def _penalty(total: Array, ridge: float = RIDGES.value[0]) -> Array:
     # A function that stays zero, such as a force that a simulation lacks, must leave the matrix regular.
     scale = np.sqrt(np.diag(total))
     penalty: Array = np.diag(ridge * np.maximum(scale, 1e-6 * scale.max()) ** 2)
     return penalty
-
-
-def _least_penalty(total: Array) -> Array:
-    return _penalty(total, RIDGES.value[0])

@@ -130,10 +130,6 @@ class Columns:
         """Columns of the same flights, of rows (6, B, ·) by the place of each."""
         return Columns(tuple(Spectrum(rows(place), own.band) for place, own in enumerate(self.spectra)))
 
-    def first(self, count: int) -> Columns:
-        """The first of the columns."""
-        return self.like(lambda place: self.spectra[place].rows[:, :, :count])
-
     def plus(self, change: Callable[[int], Array]) -> Columns:
         """The columns with rows (6, B, k) added to those of each flight, by its place."""
         return self.like(lambda place: self.spectra[place].rows + change(place))
@@ -293,19 +289,19 @@ def estimate_noise(products: Array, counts: Indices, most: Array) -> Array:
         most: (6, C) what no noise exceeds, such as the squares before any fit. A fit that is bent by one axis
             may leave more than that in another, whose noise would then be overstated, and bend it further.
     """
+
+    def prior(gram: Array) -> Array:
+        return np.eye(len(gram))
+
     # Starting from too little noise, where the fit is that of least squares, the rounds converge quickly.
     first = np.repeat(products[:, -1:, 0, 0] / counts[-1], len(counts), axis=1)
     alone = [
-        settled_noise(products[own], counts, first[own], _prior, most[own])
+        settled_noise(products[own], counts, first[own], prior, most[own])
         for own in (slice(axis, axis + 1) for axis in range(len(products)))
     ]
     # Fitted together from the start, an axis with too little noise would bend the fit, and the error that
     # this leaves in another axis would count as its noise for good.
-    return settled_noise(products, counts, np.concatenate(alone), _prior, most)
-
-
-def _prior(gram: Array) -> Array:
-    return np.eye(len(gram))
+    return settled_noise(products, counts, np.concatenate(alone), prior, most)
 
 
 def settled_noise(

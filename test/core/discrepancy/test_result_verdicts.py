@@ -14,7 +14,14 @@ import pytest
 from quadpi_core.discrepancy import CallableSimulation, discover, search
 from quadpi_core.discrepancy.augmented_simulation import write_addition
 from quadpi_core.discrepancy.closure import Closing
-from quadpi_core.discrepancy.discrepancy_result import BeforeAfter, Coverage, FoundParameter, Rollouts
+from quadpi_core.discrepancy.discrepancy_result import (
+    BeforeAfter,
+    ClosedLoops,
+    Coverage,
+    FoundParameter,
+    Reflights,
+    Rollouts,
+)
 from quadpi_core.discrepancy.result_verdicts import (
     checks,
     judge_closed,
@@ -208,7 +215,12 @@ def test_one_parameter_that_differs_from_zero_is_enough(found, intervals, zero):
 def rolled_out(after, *, lost=0):
     """Roll-outs whose error of attitude was 18 degrees before."""
     errors = {"velocity_m_s": BeforeAfter(1.0, 0.4, 0.1), "attitude_deg": BeforeAfter(18.0, after, 1.0)}
-    return Rollouts(0.5, 100, errors, {"before": 2, "after": lost, "floor": 0})
+    return alone(Rollouts(0.5, 100, errors, {"before": 2, "after": lost, "floor": 0}))
+
+
+def alone(rollouts):
+    """Nothing but roll-outs."""
+    return Reflights(rollouts, ClosedLoops(0), {})
 
 
 def test_an_effect_that_improves_roll_outs_is_added(found, tmp_path):
@@ -223,7 +235,7 @@ def test_an_effect_with_which_intervals_hold_much_less_of_an_axis_is_not_added(f
     inside = Inside(np.full((8, 6), 0.5), 0.95)
     discovery = replace(found.discovery, inside=inside)
     coverage = {"Fz": Coverage(0.57, after), "Mx": Coverage(0.5, 0.95)}
-    judged = judged_by_rollouts(discovery, rolled_out(after=9.0), coverage)
+    judged = judged_by_rollouts(discovery, rolled_out(after=9.0)._replace(coverage=coverage))
     assert (judged.verdict == found.discovery.verdict) is kept
     assert kept or judged.doubts == ("intervals hold 35 % of Fz with it, 57 % before",)
 
@@ -248,7 +260,7 @@ def test_what_makes_roll_outs_worse_is_not_added(found, tmp_path, rollouts, reas
 
 def diverged(before, after):
     """Roll-outs that all diverge without the effects, and so compare nothing."""
-    return Rollouts(0.5, 0, {}, {"before": before, "after": after, "floor": 0})
+    return alone(Rollouts(0.5, 0, {}, {"before": before, "after": after, "floor": 0}))
 
 
 def test_a_doubtful_effect_is_not_added_however_roll_outs_gain(found, tmp_path):
@@ -288,6 +300,9 @@ def test_sentences_of_tests_that_hold_are_true():
     assert quiet.sentence.startswith("no axis has more slow noise")
     assert judge_rollouts({"rates": (2.0, 1.0)}).sentence.startswith(
         "roll-outs of flights left out do not get worse"
+    )
+    assert judge_closed(0.6, 0.2, 0.05).sentence == (
+        "60 % of the gap is closed, and no axis is left 10 % above its floor"
     )
     assert judge_closed(-4.35).sentence == "the gap of flights left out grows by 435 %"
 

@@ -11,19 +11,23 @@ import numpy as np
 import pytest
 
 from quadpi_core.discrepancy import discover, load_simulation
-from quadpi_core.discrepancy.augmented_simulation import augmented
+from quadpi_core.discrepancy.acceptance import Verdict
+from quadpi_core.discrepancy.augmented_simulation import AugmentedSimulation, augmented
 from quadpi_core.discrepancy.closure import Closing
 from quadpi_core.discrepancy.discrepancy_result import (
     BeforeAfter,
     ClosedLoops,
+    Coverage,
     Reflights,
     Rollouts,
     discovery_json,
 )
 from quadpi_core.discrepancy.result_verdicts import judge_closed
 from quadpi_core.discrepancy.simulations import Margins
-from quadpi_core.discrepancy.study import study
+from quadpi_core.discrepancy.study import found_and_flown, study
+from quadpi_core.discrepancy.unexplained import Inside
 from quadpi_core.errors import DiscrepancyError
+from quadpi_core.flight import AXES
 from quadpi_core.rotations import rotate_world_to_body
 from quadpi_core.simulation.applied_effects import effect_wrench
 
@@ -239,6 +243,47 @@ def test_a_model_of_flights_names_what_later_flights_have_more(physical_folder, 
     # Its intervals hold Fz, which so says nothing: drag along z may be there or not.
     assert along_z.lower < 0.0 < DRAG[along_z.name] < along_z.upper
     assert set(found.flown_again.coverage) == {"Fx", "Fy", "Fz", "Mx", "My", "Mz"}
+
+
+BARRED = "intervals hold 10 % of Fx with it, 99 % before"
+
+
+def test_a_barred_effect_is_not_named_and_the_page_says_why(simulation, dragged):
+    found = discover(simulation, dragged, names=SOUGHT, barred={"body_drag": BARRED})
+    assert "body_drag" not in [effect.name for effect in found.effects]
+    (own,) = (candidate for candidate in found.candidates if candidate.name == "body_drag")
+    assert (own.named, own.test, own.reason) == (False, "barred", BARRED)
+
+
+@pytest.mark.parametrize("others", [(), ("closed",)])
+def test_what_alone_takes_an_axis_out_of_its_intervals_is_barred_from_another_search(
+    simulation, dragged, monkeypatch, others
+):
+    """Only where nothing else speaks against the first result."""
+    found = discover(simulation, dragged, names=SOUGHT)
+    drag, searches = found.effects[0], []
+    two = replace(found, effects=(drag, replace(drag, name="wind")), inside=Inside(np.ones((4, 6)), 0.95))
+    both = AugmentedSimulation(simulation, {"body_drag": DRAG, "wind": {}})
+
+    def searched(*_, barred, **__):
+        searches.append(dict(barred))
+        return two
+
+    def flown(discovery):
+        failed = [Verdict(test, False, 0.0, 1.0, "", test) for test in ("coverage", *others)]
+        return (
+            discovery if searches[-1] else replace(discovery, verdict="unknown", checks=tuple(failed))
+        ), None
+
+    def covered(_, __, after):
+        return {axis: Coverage(0.9, 0.2 if "wind" in after[0].effects else 0.9) for axis in AXES}
+
+    for name, made in (("discover", searched), ("flown_again", flown), ("coverages", covered)):
+        monkeypatch.setattr(f"quadpi_core.discrepancy.study.{name}", made)
+    monkeypatch.setattr("quadpi_core.discrepancy.study.augmented", lambda *_, **__: both)
+    result, _ = found_and_flown(simulation, dragged)
+    assert searches == ([{}] if others else [{}, {"wind": "coverage"}])
+    assert result.verdict == ("unknown" if others else "effects")
 
 
 def turned_over(discovery):
