@@ -374,21 +374,18 @@ def judge_rollouts(
 
     Those whose growth may be chance, see :class:`Rollouts`, may grow by more.
     """
-    growth = [
-        (after / before - 1.0 - (BY_CHANCE.value - WORSE_ROLLOUTS.value) * (name in by_chance), name)
-        for name, (before, after) in errors.items()
-        if before > 0.0
-    ]
-    most, name = max(growth, default=(0.0, ""))
-    passed = most <= WORSE_ROLLOUTS.value
+    growth = {name: after / before - 1.0 for name, (before, after) in errors.items() if before > 0.0}
+    allowed = {name: (BY_CHANCE if name in by_chance else WORSE_ROLLOUTS).value for name in growth}
+    name = max(growth, key=lambda own: growth[own] - allowed[own], default="")
+    most, limit = growth.get(name, 0.0), allowed.get(name, WORSE_ROLLOUTS.value)
+    passed = most <= limit
     sentence = f"roll-outs of flights left out {'do not ' * passed}get worse with it"
     if name:
         sentence += ": {} {:.3g} to {:.3g}".format(name, *errors[name])
-        if passed and errors[name][1] > (1.0 + WORSE_ROLLOUTS.value) * errors[name][0]:
-            sentence += ", no more than flights differ"
+        sentence += ", no more than flights differ" * (WORSE_ROLLOUTS.value < most <= limit)
     if not errors:
         sentence = "no roll-out of flights left out can be compared"
-    return Verdict.of(WORSE_ROLLOUTS, "roll-outs", most, passed, sentence)
+    return Verdict("roll-outs", passed, most, limit, WORSE_ROLLOUTS.unit, sentence)
 
 
 def judge_coverage(coverage: Mapping[str, Coverage], confidence: float) -> Verdict:
