@@ -242,6 +242,20 @@ def rival_margin(gain: float) -> float:
 
 
 @dataclass(frozen=True)
+class Accepted:
+    """Effects that were accepted, their fit, and the regression that it was made in."""
+
+    regression: Regression
+    chosen: tuple[int, ...]
+    fit: Fit
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the effects."""
+        return tuple(self.regression.candidates[index].name for index in self.chosen)
+
+
+@dataclass(frozen=True)
 class Trial:
     """A candidate beside the effects accepted before it.
 
@@ -297,6 +311,14 @@ class Trial:
     def accepted_fit(self) -> Fit | None:
         """Fit of all together in :attr:`reweighted`."""
         return self.reweighted.fit(self.larger)
+
+    @property
+    def result(self) -> Accepted | None:
+        """The effects together; None where a test fails."""
+        if not self.judgement.accepted:
+            return None
+        assert self.accepted_fit is not None
+        return Accepted(self.reweighted, self.larger, self.accepted_fit)
 
     @cached_property
     def judgement(self) -> Judgement:

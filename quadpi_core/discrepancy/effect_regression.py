@@ -262,8 +262,7 @@ class Regression:
         """
         if self.sound is not None:
             return self.sound.noise
-        stated = stated_squares(self.flights)
-        rows = np.bincount(np.concatenate([own.band for own in self.residual.spectra]))
+        stated, rows = stated_squares(self.flights), self.residual.counts
         least: Array = stated[:, np.newaxis] * rows.sum() / np.maximum(rows, 1)
         return least
 
@@ -616,9 +615,8 @@ class Regression:
             return np.dstack([residual, *explaining])
 
         columns = self.residual.like(rows)
-        bands = np.concatenate([own.band for own in self.residual.spectra])
         products = columns.products(columns).sum(axis=0)
-        return estimate_noise(products, np.bincount(bands), self._residual_squares)
+        return estimate_noise(products, columns.counts, self._residual_squares)
 
     @property
     def _residual_squares(self) -> Array:

@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 
-from quadpi_core.discrepancy.simulations import Column, Simulation, Tolerances
+from quadpi_core.discrepancy.simulations import Column, Margins, Simulation, Tolerances
 from quadpi_core.discrepancy.unmeasured_states import BiasResponse, Started, started
 from quadpi_core.discrepancy.whitening import BAND_HZ, Spectrum, spectrum
 from quadpi_core.flight import Flight, ImuStream, PoseStream, Recording, RotorSpeedStream
@@ -133,6 +133,11 @@ class Compared:
     def residual(self) -> Array:
         """Measured less simulated wrench (M, 6)."""
         return residual(self.flight, self.simulation)[:: self.step]
+
+    @cached_property
+    def margins(self) -> Margins | None:
+        """Intervals of the simulation for the flight; None for one without."""
+        return self.simulation.margins(self.flight)
 
     @cached_property
     def quiet_wrench(self) -> Array:

@@ -233,7 +233,7 @@ def _coefficients(found: Found, sensors: Array, named: float) -> Iterator[Verdic
     values = regression.moved_by(found.fit)
     # In a hover whose motion is noise of the estimator, coefficients of motion move far and explain nothing.
     each = [regression.squares(regression.of_tolerances(own), sensors) for own in np.diag(values)]
-    rows = sum(len(own.band) for own in regression.residual.spectra)
+    rows = int(regression.residual.counts.sum())
     felt = predictable(np.array(each).reshape(-1, len(AXES)), rows).any(axis=1)
     values = np.where(judged & felt, values, 0.0)
 
@@ -295,9 +295,7 @@ def _noise(found: Found, sensors: Array, named: float) -> Verdict:
     The noise (6, C) of sensors is infinite in an axis that is not judged.
     """
     ratio = found.left.noise / sensors
-    bands = np.concatenate([own.band for own in found.regression.residual.spectra])
-    rows = np.bincount(bands, minlength=ratio.shape[1])
-    more = np.maximum(ratio - 1.0, 0.0) @ rows
+    more = np.maximum(ratio - 1.0, 0.0) @ found.regression.residual.counts
     return judge_colour(np.sqrt(ratio.max(axis=1)), more / max(named + float(np.sum(more)), 1.0))
 
 

@@ -16,6 +16,7 @@ from quadpi_core.discrepancy.acceptance import (
     NAMED_ALONE,
     ORDINARY,
     SMALLEST,
+    Accepted,
     Judgement,
     Trial,
     evidence_needed,
@@ -171,20 +172,6 @@ class Found:
         return stated_squares(self.regression.flights)
 
 
-@dataclass(frozen=True)
-class Accepted:
-    """Effects that were accepted, their fit, and the regression that it was made in."""
-
-    regression: Regression
-    chosen: tuple[int, ...]
-    fit: Fit
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the effects."""
-        return tuple(self.regression.candidates[index].name for index in self.chosen)
-
-
 def search(flights: Sequence[Compared], candidates: Sequence[Candidate]) -> Found:
     """Search flights for candidates.
 
@@ -337,10 +324,7 @@ def _replaced(
         instead=_ordinary(accepted, index),
         squares_before=lambda: left_out_squares(regression, others),
     )
-    if not trial.judgement.accepted:
-        return None, trial.judgement
-    assert trial.accepted_fit is not None
-    return Accepted(trial.reweighted, trial.larger, trial.accepted_fit), trial.judgement
+    return trial.result, trial.judgement
 
 
 def _one_more(
@@ -372,10 +356,8 @@ def _one_more(
             squares_before=squares,
         )
         judgements.append(trial.judgement)
-        if trial.judgement.accepted:
-            assert trial.accepted_fit is not None
-            accepted = Accepted(trial.reweighted, trial.larger, trial.accepted_fit)
-            return accepted, trial.gain, judgements
+        if trial.result is not None:
+            return trial.result, trial.gain, judgements
         if trial.judgement.ends_round:
             behind = behind or regression.candidates[index].label
     return None, 0.0, judgements

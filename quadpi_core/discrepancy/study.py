@@ -289,7 +289,7 @@ def discover(
     # Products are so small that two threads take twice the time of one.
     with threadpool_limits(limits=1, user_api="blas"):
         found = search(compared, sought)
-    rows = sum(len(own.band) for own in found.regression.residual.spectra)
+    rows = int(found.regression.residual.counts.sum())
     left = np.where(held, 0.0, predictable(np.minimum(found.left.gain, found.beyond_sound), rows))
     named = np.where(held, 0.0, np.maximum(found.named, 0.0))
     share, worst = unexplained_share(left, named, rows)

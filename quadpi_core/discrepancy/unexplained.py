@@ -132,15 +132,13 @@ class Inside(NamedTuple):
 
 def inside_intervals(flights: Sequence[Compared]) -> Inside | None:
     """What the intervals of the simulation hold of the flights; None without intervals."""
-    shares, confidence = [], 1.0
-    for own in flights:
-        margins = own.simulation.margins(own.flight)
-        if margins is None:
-            return None
-        left = residual(own.flight, own.simulation)
-        shares.append(inside_interval(left, margins.lower, margins.upper).mean(axis=0))
-        confidence = margins.confidence
-    return Inside(np.array(shares), confidence)
+    margins = [own.margins for own in flights if own.margins is not None]
+    if not margins:
+        return None
+    left = [residual(own.flight, own.simulation) for own in flights]
+    pairs = zip(left, margins, strict=True)
+    shares = [inside_interval(own, stated.lower, stated.upper).mean(axis=0) for own, stated in pairs]
+    return Inside(np.array(shares), margins[0].confidence)
 
 
 def stated_squares(flights: Sequence[Compared]) -> Array:
@@ -148,14 +146,11 @@ def stated_squares(flights: Sequence[Compared]) -> Array:
 
     They are those of a normal distribution of which the intervals hold what they say.
     """
-    squares = []
-    for own in flights:
-        margins = own.simulation.margins(own.flight)
-        if margins is None:
-            return np.zeros(len(AXES))
-        deviation = 0.5 * (margins.upper - margins.lower) / ndtri(0.5 + 0.5 * margins.confidence)
-        squares.append(np.square(deviation))
-    values = np.concatenate(squares)
+    margins = [own.margins for own in flights if own.margins is not None]
+    if not margins:
+        return np.zeros(len(AXES))
+    sigmas = 2.0 * float(ndtri(0.5 + 0.5 * margins[0].confidence))
+    values = np.concatenate([np.square((own.upper - own.lower) / sigmas) for own in margins])
     known = np.isfinite(values)
     stated: Array = np.sum(values, axis=0, where=known) / np.maximum(known.sum(axis=0), 1)
     return stated

@@ -115,6 +115,11 @@ class Columns:
         """Number of bands that any flight has rows in."""
         return 1 + max(int(own.band[-1]) for own in self.spectra)
 
+    @cached_property
+    def counts(self) -> Indices:
+        """Rows (C,) of all flights in each band."""
+        return np.bincount(np.concatenate([own.band for own in self.spectra]))
+
     def products(self, other: Columns) -> Array:
         """Products (F, 6, C, k, j) with j columns of the same flights, summed over the rows of each band."""
         bands = self.bands

@@ -9,8 +9,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from quadpi_core.discrepancy.acceptance import Accepted
 from quadpi_core.discrepancy.evidence import Fit
-from quadpi_core.discrepancy.search import Accepted, without_idle
+from quadpi_core.discrepancy.search import without_idle
 
 
 class ListedEvidence:
