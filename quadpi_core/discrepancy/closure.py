@@ -16,7 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadpi_core.discrepancy.effect_regression import AXES_OVER_FORM, Regression
+from quadpi_core.discrepancy.effect_columns import AXES_OVER_FORM
+from quadpi_core.discrepancy.effect_regression import Regression
 from quadpi_core.discrepancy.evidence import Equations, Fit
 from quadpi_core.discrepancy.whitening import Noise, rows_of
 from quadpi_core.flight import AXES

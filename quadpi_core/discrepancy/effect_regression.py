@@ -11,9 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadpi_core.discrepancy.candidates import Candidate, candidates, first_point, linearise, start_cost
-from quadpi_core.discrepancy.effect_response import Compared, body_tolerances, share_of_wrench
+from quadpi_core.discrepancy.candidates import Candidate, candidates, first_point
+from quadpi_core.discrepancy.effect_columns import Modulators, Tolerances, block_of, in_frequency
+from quadpi_core.discrepancy.effect_response import Compared, share_of_wrench
 from quadpi_core.discrepancy.evidence import Block, Equations, Fit
+from quadpi_core.discrepancy.flight_conditions import Condition, own_sizes
 from quadpi_core.discrepancy.unexplained import stated_squares
 from quadpi_core.discrepancy.whitening import (
     Columns,
@@ -30,29 +32,14 @@ from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.models.sound_flights import SoundFlights
-from quadpi_core.simulation.applied_effects import state_modulators
-from quadpi_core.thresholds import CONVENTION, DEVELOPMENT, Threshold
+from quadpi_core.thresholds import CONVENTION, Threshold
 
 # Rounds in which the columns of mass and inertia and the accelerations that all columns explain converge.
 _ACCELERATION_ROUNDS = 2
 # Steps to the point of linearisation of candidates.
 _ROUNDS = 3
-# Rounds in which the sizes of a condition converge, and the least of them, in prior deviations.
-_CONDITION_ROUNDS, _LEAST_DIFFERENCE = 12, 1e-4
-# Precision of what flights share of it, in prior ones.
-_FREE = 1e-4
 # Step of the difference quotient in a vehicle parameter, in prior standard deviations.
 _VEHICLE_STEP = 1e-3
-# Smallest standard deviation of a modulator that is divided by: one that is constant has none.
-_LEAST_DEVIATION = 1e-9
-TAILS = Threshold(
-    "tails of what flights have of their own",
-    1.0,
-    "degrees of freedom of Student's t",
-    "most flights are alike, and one with a turned IMU differs by ten times as much: it must not hide "
-    "what the others share",
-    CONVENTION,
-)
 ALIKE_ROWS = Threshold(
     "rows for which the noise of a flight is taken for that of all",
     20.0,
@@ -61,13 +48,6 @@ ALIKE_ROWS = Threshold(
     "all is likelier",
     CONVENTION,
 )
-AXES_OVER_FORM = Threshold(
-    "share of a single axis by which a law may be off",
-    1.5,
-    "shares by which the whole law may be off",
-    "two laws of the literature for one effect differ more from axis to axis than in their mean",
-    DEVELOPMENT,
-)
 SMALL_STEP = Threshold(
     "step to another point of linearisation",
     0.05,
@@ -75,93 +55,6 @@ SMALL_STEP = Threshold(
     "a third of the smallest size that is named: columns hardly change over less",
     CONVENTION,
 )
-
-
-@dataclass(frozen=True)
-class Modulators:
-    """Quantities that a law may depend on beyond its formula, standardised over all flights.
-
-    Attributes:
-        mean, deviation: (C,) over all flights.
-        values: (M, C) of each flight, standardised.
-    """
-
-    mean: Array
-    deviation: Array
-    values: tuple[Array, ...]
-
-    @classmethod
-    def of(cls, flights: Sequence[Compared]) -> Modulators:
-        """Modulators of the states of the flights."""
-        raw = [state_modulators(flight.states, flight.record) for flight in flights]
-        everything = np.concatenate(raw)
-        mean, deviation = everything.mean(axis=0), np.maximum(everything.std(axis=0), _LEAST_DEVIATION)
-        return cls(mean, deviation, tuple((own - mean) / deviation for own in raw))
-
-    def form(self, candidate: Candidate, flights: Sequence[Compared], at: Array) -> Columns:
-        """Columns for the error of a law: shares of its contribution by axis, then times each modulator.
-
-        Args:
-            candidate: with that law.
-            flights: beside the simulation that it contributes to.
-            at: (k,) its free parameters.
-        """
-        axes = [AXES.index(name) for name in candidate.effect.axes]
-        columns = []
-        for flight, values in zip(flights, self.values, strict=True):
-            here = flight.added(candidate.effect, candidate.values(at))
-            single = AXES_OVER_FORM.value * here[:, :, np.newaxis] * np.eye(len(AXES))[:, axes]
-            modulated = here[:, :, np.newaxis] * values[:, np.newaxis]
-            columns.append(candidate.form * np.concatenate((single, modulated), axis=2))
-        return in_frequency(flights, columns)
-
-
-class Tolerances(NamedTuple):
-    """Columns of what is uncertain in a simulation.
-
-    Attributes:
-        coefficients, body: of its own coefficients, and of the body.
-        names: of all of them.
-        laws: for each the name of the one of what it shares with others; empty without.
-        shares: (6, 6, k) share of the wrench of the vehicle's accelerations in each of the body.
-    """
-
-    coefficients: Columns
-    body: Columns
-    names: tuple[str, ...]
-    laws: tuple[str, ...]
-    shares: Array
-
-    @classmethod
-    def of(cls, flights: Sequence[Compared]) -> Tolerances:
-        """Those of a simulation, without coefficients that no flight feels."""
-        simulation = flights[0].simulation
-        each = [flight.uncertain() for flight in flights]
-        shares = []
-        for effect, deviation in body_tolerances(simulation.tolerances):
-            for values in deviation * np.eye(len(effect.parameters)):
-                moved = effect.kind == "vehicle"
-                shares.append(
-                    share_of_wrench(effect, simulation.vehicle, values) if moved else np.zeros((6, 6))
-                )
-        first = len(each[0]) - len(shares)
-        felt = [k for k in range(first) if any(np.any(own[k].wrench) for own in each)]
-        kept = [*felt, *range(first, len(each[0]))]
-
-        def columns(chosen: Sequence[int]) -> Columns:
-            none = [np.zeros((*flight.residual.shape, 0)) for flight in flights]
-            of_flights = zip(none, each, strict=True)
-            return in_frequency(
-                flights, [np.dstack([empty, *(own[k].wrench for k in chosen)]) for empty, own in of_flights]
-            )
-
-        return cls(
-            coefficients=columns(felt),
-            body=columns(range(first, len(each[0]))),
-            names=tuple(each[0][k].name for k in kept),
-            laws=tuple(each[0][k].law for k in kept),
-            shares=np.stack(shares, axis=2) if shares else np.zeros((6, 6, 0)),
-        )
 
 
 class Reduction(NamedTuple):
@@ -179,19 +72,6 @@ class Reduction(NamedTuple):
         """Squares (6,) that speak for the effects: where coefficients undo what they add, not the whole."""
         smaller: Array = np.minimum(self.fitted, self.stated)
         return smaller
-
-
-@dataclass(frozen=True, eq=False)
-class Condition:
-    """Parameters of a candidate that each flight has of its own.
-
-    Attributes:
-        index: of the candidate.
-        sizes: (F, k) standard deviation of each parameter of each flight about what all share, in prior ones.
-    """
-
-    index: int
-    sizes: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -514,42 +394,14 @@ class Regression:
         return band_means([np.square(own) for own in rows], [own.band for own in self.residual.spectra])
 
     def sizes_of_condition(self, index: int, chosen: Sequence[int]) -> Array:
-        """Standard deviations (F, k) of the parameters of a candidate that each flight has, in prior ones.
-
-        Those of the largest evidence beside a set and what flights share of the same parameters, by
-        expectation and maximisation for a Student's t: an effect that all flights have is no condition of
-        one, and a flight that differs by much says nothing of the others.
-        """
+        """Deviations (F, k) of what flights have of a candidate beside a set, see :func:`own_sizes`."""
         equations = self.equations((*(one for one in chosen if one != index), index))
-        count, own = equations.per_flight.shape[1], equations.parameters(-1)
-        shared = np.arange(1, 1 + equations.tolerances)
-        shared = np.concatenate((shared, *map(equations.parameters, range(len(equations.blocks)))))
-        residual = equations.residual
+        residual, own = equations.residual, equations.parameters(-1)
         if index not in chosen:
-            residual[own[-1] + 1 : count] = 0.0
-        # However large what flights share is, it is no difference between them.
-        prior = np.diag(np.where(np.isin(shared, own), _FREE, 1.0))
-        sizes, typical = np.ones((len(self.flights), len(own))), np.ones(len(own))
-        for _ in range(_CONDITION_ROUNDS):
-            information, projection, inner = prior.copy(), np.zeros(len(shared)), []
-            for gram, size in zip(equations.per_flight, sizes, strict=True):
-                solved = np.linalg.inv(gram[np.ix_(own, own)] + np.diag(1.0 / np.square(size)))
-                gain = gram[np.ix_(shared, own)] @ solved
-                information += gram[np.ix_(shared, shared)] - gain @ gram[np.ix_(own, shared)]
-                projection += gram[shared] @ residual - gain @ (gram[own] @ residual)
-                inner.append((solved, gain, gram[own] @ residual))
-            covariance = np.linalg.inv(information)
-            mean = covariance @ projection
-            squares = np.array(
-                [
-                    np.square(solved @ seen - gain.T @ mean) + np.diag(solved + gain.T @ covariance @ gain)
-                    for solved, gain, seen in inner
-                ]
-            )
-            weights = student_weights(squares / np.square(typical))
-            typical = np.maximum(np.sqrt(np.mean(weights * squares, axis=0)), _LEAST_DIFFERENCE)
-            sizes = np.clip(typical / np.sqrt(weights), _LEAST_DIFFERENCE, 1.0)
-        return sizes
+            residual[own[-1] + 1 :] = 0.0
+        tolerances = np.arange(1, 1 + equations.tolerances)
+        shared = np.concatenate((tolerances, *map(equations.parameters, range(len(equations.blocks)))))
+        return own_sizes(equations.per_flight, residual, shared, own)
 
     def with_condition(self, condition: Condition) -> Regression:
         """The regression with parameters of a candidate that each flight has of its own, as noise."""
@@ -625,42 +477,12 @@ class Regression:
         return np.where(squares > 0.0, squares, np.inf)
 
 
-def block_of(candidate: Candidate, at: Array, flights: Sequence[Compared]) -> Block:
-    """Columns of a candidate about free parameters (k,), without its form."""
-    # One that is all but linear is so about no effect.
-    found = linearise(candidate, flights, np.zeros_like(at) if candidate.linear else at)
-    point = (at - candidate.centre) / candidate.scale
-    columns = [
-        own if candidate.linear else np.dstack((own, (own @ point - here)[:, :, np.newaxis]))
-        for here, own in found
-    ]
-    bounds = [candidate.effect.parameters[free] for free in candidate.free]
-    return Block(
-        columns=in_frequency(flights, columns),
-        at=point,
-        lowest=(np.array([p.lowest for p in bounds]) - candidate.centre) / candidate.scale,
-        highest=(np.array([p.highest for p in bounds]) - candidate.centre) / candidate.scale,
-        cost=start_cost(candidate, flights, at),
-    )
-
-
-def in_frequency(flights: Sequence[Compared], columns: Sequence[Array]) -> Columns:
-    """Columns (M, 6, k) in time of each flight, in frequency."""
-    return Columns(tuple(flight.spectrum(own) for flight, own in zip(flights, columns, strict=True)))
-
-
 def noise_of_flight(left: Array, band: Indices, of_all: Array) -> Array:
     """Variance (6, C) of a flight's noise by what is left of it (6, B), and that of all flights (6, C)."""
     counts = np.bincount(band, minlength=of_all.shape[1])
     squares = np.stack([np.bincount(band, own, len(counts)) for own in np.square(left)])
     variance: Array = (squares + ALIKE_ROWS.value * of_all) / (counts + ALIKE_ROWS.value)
     return variance
-
-
-def student_weights(squares: Array) -> Array:
-    """Weights of deviations with these squares, in typical ones, by the tails of Student's t."""
-    weights: Array = (TAILS.value + 1.0) / (TAILS.value + squares)
-    return weights
 
 
 def settled(regression: Regression) -> Regression:

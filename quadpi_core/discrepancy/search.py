@@ -28,9 +28,10 @@ from quadpi_core.discrepancy.acceptance import (
 )
 from quadpi_core.discrepancy.candidates import Candidate
 from quadpi_core.discrepancy.closure import Closing, Gap, left_out_squares
-from quadpi_core.discrepancy.effect_regression import Condition, Regression, refined, settled
+from quadpi_core.discrepancy.effect_regression import Regression, refined, settled
 from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.evidence import Fit
+from quadpi_core.discrepancy.flight_conditions import Condition
 from quadpi_core.discrepancy.unexplained import (
     Left,
     generic_spectra,

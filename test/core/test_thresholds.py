@@ -35,9 +35,10 @@ from quadpi_core.discrepancy.by_condition import (
 )
 from quadpi_core.discrepancy.candidates import Part, candidates, part_columns, typical_sizes
 from quadpi_core.discrepancy.discrepancy_result import Coverage, OfFlight
-from quadpi_core.discrepancy.effect_regression import noise_of_flight, settled, student_weights
+from quadpi_core.discrepancy.effect_regression import noise_of_flight, settled
 from quadpi_core.discrepancy.effect_response import Compared, predicted_flight, quiet
 from quadpi_core.discrepancy.evidence import Fit
+from quadpi_core.discrepancy.flight_conditions import student_weights
 from quadpi_core.discrepancy.loading import load_simulation
 from quadpi_core.discrepancy.other_simulations import ModelSimulation
 from quadpi_core.discrepancy.reflight import growing_by_chance, rollout_floor

@@ -21,6 +21,8 @@ from quadpi_core.simulation.run import fly_and_sense
 from quadpi_core.simulation.scenario import load_scenario, parse_effects
 from quadpi_core.simulation.sensor_noise import SensorSuite
 
+from .regressions import NAMES, of_sound_flights, regression_of
+
 FLOWN = ("forward", "climb", "throttle", "turns")
 
 
@@ -61,6 +63,12 @@ def flown(plans):
 def flight(flown):
     """A flight of the Bebop 2 without effects."""
     return flown()[0]
+
+
+@pytest.fixture(scope="session")
+def sounded(simulation, flights):
+    """Of two flights beside a simulation whose noise is known, and no error."""
+    return regression_of(of_sound_flights(simulation), flights[:2], NAMES)
 
 
 @pytest.fixture(scope="session")

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""The regression of a search: columns of flights, fits, noise, and what single flights have of their own."""
+"""The regression of a search: its fits, its noise, and how it is linearised."""
 
 from __future__ import annotations
 
@@ -11,56 +11,23 @@ import numpy as np
 import pytest
 from scipy.special import ndtri
 
-from quadpi_core.discrepancy import CallableSimulation
 from quadpi_core.discrepancy.candidates import candidates
-from quadpi_core.discrepancy.closure import left_out_squares
-from quadpi_core.discrepancy.effect_regression import Condition, Regression, refined, settled
+from quadpi_core.discrepancy.effect_regression import Regression, refined, settled
 from quadpi_core.discrepancy.effect_response import Compared, body_tolerances, share_of_wrench
 from quadpi_core.discrepancy.evidence import Fit
 from quadpi_core.discrepancy.simulations import Margins
-from quadpi_core.discrepancy.whitening import EDGES_HZ, rows_of
+from quadpi_core.discrepancy.whitening import rows_of
 from quadpi_core.errors import DiscrepancyError
-from quadpi_core.flight import AXES
-from quadpi_core.models.sound_flights import SoundFlights
 
-from .dense_noise import Normal
+from .regressions import (
+    PAYLOAD,
+    of_sound_flights,
+    regression_of,
+    rows,
+    rows_in,
+)
 
-NAMES = ["body_drag", "payload", "wind"]
-DRAG, PAYLOAD, WIND = range(3)
-BIAS = 1
 BLOWN = np.array([0.8, -0.5, 0.0])
-VARIANCE = np.repeat([[0.03**2], [3e-3**2]], 3, axis=0)
-
-
-def of_sound_flights(simulation, *names):
-    """The simulation, of which sound flights show that it lacks 0.02 ± 0.01 kg, and 0.003 of each flight."""
-    bands = VARIANCE * np.ones((len(AXES), len(EDGES_HZ.value) - 1))
-    each = np.ones(len(names))
-    error = 0.02 * each, 0.01**2 * np.diag(each), 0.003 * each
-    sound = SoundFlights(8, EDGES_HZ.value, bands, bands, np.zeros(len(AXES)), names, *error)
-    return replace(simulation, sound=sound)
-
-
-def regression_of(simulation, flights, names, **options):
-    """Of flights cut to 8 s, on candidates in the order of their names."""
-    compared = [Compared(flight.slice(slice(0, 1000)), simulation, **options) for flight in flights]
-    chosen = {own.name: own for own in candidates(simulation.vehicle, names)}
-    return Regression.of(compared, [chosen[name] for name in names])
-
-
-@pytest.fixture(scope="module")
-def sounded(simulation, flights):
-    """Of two flights beside a simulation whose noise is known, and no error."""
-    return regression_of(of_sound_flights(simulation), flights[:2], NAMES)
-
-
-def rows_in(regression, place, wrench):
-    """Rows (6, B) of a wrench (M, 6) of a flight."""
-    return regression.flights[place].spectrum(wrench[:, :, None]).rows[:, :, 0]
-
-
-def rows(columns, place):
-    return columns.spectra[place].rows
 
 
 def test_residual_and_tolerances_are_in_frequency(sounded):
@@ -69,28 +36,6 @@ def test_residual_and_tolerances_are_in_frequency(sounded):
         found = np.dstack([rows(columns, place) for columns in sounded.base])
         np.testing.assert_allclose(found, flight.spectrum(np.dstack(wrenches)).rows, atol=1e-12)
     assert sounded.tolerances.names == tuple(own.name for own in flight.uncertain())
-
-
-def test_what_no_flight_feels_is_no_column_and_what_one_feels_is_one_of_all(simulation, flights):
-    """A force along x in one of two flights, none along y in either."""
-
-    def pushing(flight):
-        wrench = simulation.wrench(flight)
-        wrench[:, 0] = 0.1 if flight.source == flights[1].source else 0.0
-        wrench[:, 1] = 0.0
-        return wrench
-
-    outside = CallableSimulation("outside", simulation.vehicle, pushing)
-    tolerances = regression_of(outside, flights[:2], []).tolerances
-    names = tolerances.names
-    assert not any(name.startswith("Fy of ") for name in names)
-    force = names.index("Fx of rotors")
-    felt = [rows(tolerances.coefficients, place)[:, :, force].any() for place in range(2)]
-    assert felt == [False, True]
-    assert {law for law in tolerances.laws if law} < set(names)
-    # Of the body all, last: moves change them.
-    assert sum("." in name for name in names[-tolerances.body.width :]) == tolerances.body.width
-    assert len(names) == len(tolerances.laws) == tolerances.coefficients.width + tolerances.body.width
 
 
 @pytest.mark.parametrize("sought", [["payload", "wind"], ["wind"]])
@@ -110,38 +55,6 @@ def test_the_residual_is_less_what_sound_flights_leave(sounded, simulation, flig
 def test_an_error_of_an_effect_that_is_not_known_is_refused(simulation, flights):
     with pytest.raises(DiscrepancyError, match=r"^bebop2: knows an error of warp, which is no effect here"):
         regression_of(of_sound_flights(simulation, ("warp", "mass_kg")), flights[:1], [])
-
-
-def test_about_its_point_a_curved_candidate_contributes_what_it_does(sounded):
-    """Its columns at the parameters, in prior deviations, less the last; others stay, and have none."""
-    at = np.array([1.0, -0.5, 0.2])
-    moved, wind = sounded.moved({WIND: at}), sounded.candidates[WIND]
-    block = moved.blocks[WIND]
-    assert [own.curved for own in moved.blocks] == [False, False, True]
-    assert moved.blocks[:WIND] == sounded.blocks[:WIND]
-    np.testing.assert_allclose(block.at * wind.scale, at)
-    np.testing.assert_allclose(sounded.blocks[DRAG].highest * sounded.candidates[DRAG].scale, 0.1)
-    for place, flight in enumerate(sounded.flights):
-        contribution = rows_in(sounded, place, flight.added(wind.effect, wind.values(at)))
-        found = rows(block.columns, place) @ [*block.at, -1.0]
-        np.testing.assert_allclose(found, contribution, atol=1e-9)
-
-
-def test_columns_of_the_form_are_shares_of_the_contribution(sounded):
-    """One for each axis of the law, then one for each modulator; none for an exact law or no effect."""
-    at = np.array([0.004, 0.01, 0.002])
-    moved = sounded.moved({DRAG: at, PAYLOAD: np.array([0.05])})
-    block, drag = moved.blocks[DRAG], sounded.candidates[DRAG]
-    assert moved.blocks[PAYLOAD].form is moved.moved({DRAG: 0.0 * at}).blocks[DRAG].form is None
-    assert block.formed_at == pytest.approx(np.linalg.norm(at / drag.scale))
-    flight, modulators = sounded.flights[0], sounded.modulators
-    contribution = flight.added(drag.effect, drag.values(at))
-    shares = [1.5 * contribution * unit for unit in np.eye(6)[:3]]
-    shares += [contribution * modulator[:, None] for modulator in modulators.values[0].T]
-    expected = flight.spectrum(0.15 * np.dstack(shares)).rows
-    np.testing.assert_allclose(rows(block.form, 0), expected, atol=1e-9)
-    everything = np.concatenate(modulators.values)
-    np.testing.assert_allclose([everything.mean(axis=0), everything.std(axis=0) - 1.0], 0.0, atol=1e-9)
 
 
 def test_the_chosen_are_made_of_the_simulation_with_its_coefficients_as_fitted(simulation, flights):
@@ -322,70 +235,3 @@ def test_a_step_that_overshoots_is_halved():
     start = Overshooting()
     best, _ = refined(start, (0,), start.fit((0,)))
     assert best.points[0] == settled(start).points[0] == 1.5
-
-
-@pytest.fixture(scope="module")
-def pulled(simulation, flights):
-    """Of four flights up to 5 Hz, on drag and a constant force, beside a simulation whose noise is known."""
-    return regression_of(of_sound_flights(simulation), flights, ["body_drag", "force_bias"], highest_hz=5.0)
-
-
-def with_forces(pulled, values):
-    """The regression with a force (F, 3), in prior deviations, in each flight."""
-    columns = pulled.blocks[BIAS].columns
-    forces = pulled.residual.plus(lambda place: rows(columns, place) @ values[place][:, None])
-    return replace(pulled, residual=forces)
-
-
-def log_density(own):
-    """Of the residual of all flights without effects."""
-    return Normal.of(own.noise, own.residual, own.base[1:], range(len(own.flights))).log_density
-
-
-def test_what_flights_have_of_their_own_is_told_from_what_they_share(pulled):
-    """A constant force: the same along x in all flights, and another one along y in each."""
-    values = np.array([[0.4, y, 0.0] for y in (-0.5, 0.5, -0.5, 0.5)])
-    changed = with_forces(pulled, values)
-    sizes = changed.sizes_of_condition(BIAS, (DRAG,))
-    np.testing.assert_allclose(sizes[:, 1], 0.5, rtol=0.3)
-    assert sizes[:, 0].max() < 0.1
-    condition = Condition(BIAS, sizes)
-    conditioned = changed.with_condition(condition)
-    gain = conditioned.fit(()).log_evidence - changed.fit(()).log_evidence
-    assert gain == pytest.approx(log_density(conditioned) - log_density(changed))
-    assert gain > 20.0
-    # Beside another condition.
-    conditioned = conditioned.with_condition(Condition(DRAG, np.full((4, 3), 1e-3)))
-    both, scale = conditioned.fit((DRAG, BIAS)), changed.candidates[BIAS].scale
-    for place in range(4):
-        value, deviation = (own / scale for own in conditioned.of_condition(condition, place, both))
-        assert abs(value[1] - values[place, 1]) < 4.0 * deviation[1] < 0.4
-    # What all share stays for an effect to explain.
-    assert conditioned.found(BIAS, both)[0] == pytest.approx(0.4, abs=0.1)
-
-
-def test_a_flight_that_differs_by_much_does_not_hide_what_the_others_share(pulled):
-    values = np.full((4, 3), 0.2)
-    values[0] = -2.0
-    changed = with_forces(pulled, values)
-    conditioned = changed.with_condition(Condition(BIAS, changed.sizes_of_condition(BIAS, ())))
-    np.testing.assert_allclose(conditioned.found(BIAS, conditioned.fit((BIAS,)))[:2], 0.2, atol=0.05)
-
-
-def test_flights_that_are_alike_gain_nothing_by_parameters_of_their_own(pulled):
-    alike, both = with_forces(pulled, np.full((4, 3), 0.4)), (DRAG, BIAS)
-    conditioned = alike.with_condition(Condition(BIAS, alike.sizes_of_condition(BIAS, both)))
-    assert conditioned.fit(both).log_evidence - alike.fit(both).log_evidence < 1.0
-
-
-def test_what_flights_may_have_of_their_own_is_no_noise_beside_an_effect(pulled):
-    odd = with_forces(pulled, np.array([[1.0, 0.0, 0.0], *np.zeros((3, 3))]))
-    assert odd.conditions_to_come == [BIAS]
-    assert odd.with_condition(Condition(BIAS, np.ones((4, 3)))).conditions_to_come == []
-    # What no flight may have of its own.
-    alone = replace(odd, candidates=odd.candidates[:1], blocks=odd.blocks[:1])
-    slow = [own.beside((), own.fit(())).noise.variance[:, 0, 0] / VARIANCE[0] for own in (odd, alone)]
-    np.testing.assert_allclose(slow[0], 1.0)
-    assert slow[1][0] > 1.1 * slow[1][1:].max() > 10.0
-    # Nor does it count against an effect on flights left out.
-    assert 10.0 * left_out_squares(odd, ())[0] < left_out_squares(alone, ())[0]
