@@ -214,7 +214,7 @@ class Rollouts(NamedTuple):
     """Errors at the end of roll-outs from many starts, as `ERROR_NAMES`; none where every one was lost.
 
     Those that diverged are left out and counted as lost, by the names of :class:`BeforeAfter`. Errors
-    `by_chance` are those that grow by no more, on average over flights, than chance makes of so many.
+    `by_chance` are those whose mean growth over flights is not significant.
     """
 
     horizon_s: float

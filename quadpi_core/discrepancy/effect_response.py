@@ -132,7 +132,12 @@ class Compared:
     @cached_property
     def residual(self) -> Array:
         """Measured less simulated wrench (M, 6)."""
-        return residual(self.flight, self.simulation)[:: self.step]
+        return self.whole_residual[:: self.step]
+
+    @cached_property
+    def whole_residual(self) -> Array:
+        """The same of every sample (N, 6) of the flight."""
+        return residual(self.flight, self.simulation)
 
     @cached_property
     def margins(self) -> Margins | None:

@@ -30,7 +30,7 @@ from quadpi_core.discrepancy.discrepancy_result import (
     Reflights,
     Rollouts,
 )
-from quadpi_core.discrepancy.effect_response import residual
+from quadpi_core.discrepancy.effect_response import Compared, residual
 from quadpi_core.discrepancy.simulations import Simulation, VehicleSimulation
 from quadpi_core.errors import DiscrepancyError, LogError, SimulationError, one_line
 from quadpi_core.flight import AXES, Flight, OdometryStream, Stamps
@@ -192,7 +192,7 @@ def reflights(discovery: Discovery) -> Reflights:
     return Reflights(
         rollout=rollouts(flights, [as_it_was(discovery, place) for place in range(len(flights))], after),
         closed_loop=closed_loops(flights, before, after),
-        coverage=coverages(flights, before, after),
+        coverage=coverages(compared, after),
     )
 
 
@@ -308,19 +308,17 @@ def _plan(flight: Flight) -> FlightPlan | None:
         raise LogError(f"{path}: `plan` in its metadata: {one_line(error)}") from error
 
 
-def coverages(
-    flights: Sequence[Flight], before: Simulation, after: Sequence[Simulation]
-) -> dict[str, Coverage]:
+def coverages(compared: Sequence[Compared], after: Sequence[Simulation]) -> dict[str, Coverage]:
     """Share of samples inside a model's intervals, per axis, about its predictions before and after.
 
     Nothing for a simulation without intervals.
     """
     inside = []
-    for flight, added in zip(flights, after, strict=True):
-        margins = before.margins(flight)
+    for one, added in zip(compared, after, strict=True):
+        margins = one.margins
         if margins is None:
             return {}
-        both = (residual(flight, simulation) for simulation in (before, added))
+        both = (one.whole_residual, residual(one.flight, added))
         inside.append([inside_interval(left, margins.lower, margins.upper) for left in both])
     shares = [np.concatenate(own).mean(axis=0) for own in zip(*inside, strict=True)]
     return {axis: Coverage(*own) for axis, own in zip(AXES, np.transpose(shares).tolist(), strict=True)}

@@ -208,13 +208,12 @@ def _spoiling(discovery: Discovery) -> str:
     compared, inside = discovery.found.regression.flights, discovery.inside
     if inside is None or len(discovery.effects) == 1:
         return ""
-    before, flights = compared[0].simulation, [one.flight for one in compared]
-    after = [augmented(discovery, without=place) for place in range(len(flights))]
+    after = [augmented(discovery, without=place) for place in range(len(compared))]
     better = []
     for name in (effect.name for effect in discovery.effects):
         others = [{own: values for own, values in one.effects.items() if own != name} for one in after]
         fewer = [replace(one, effects=effects) for one, effects in zip(after, others, strict=True)]
-        verdict = judge_coverage(coverages(flights, before, fewer), inside.confidence)
+        verdict = judge_coverage(coverages(compared, fewer), inside.confidence)
         if verdict.passed:
             better.append((verdict.value, name))
     return min(better, default=(0.0, ""))[1]

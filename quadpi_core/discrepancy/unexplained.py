@@ -17,7 +17,7 @@ import numpy.typing as npt
 from scipy.signal import lfilter
 from scipy.special import ndtri
 
-from quadpi_core.discrepancy.effect_response import Compared, residual
+from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.whitening import EDGES_HZ, Columns, Spectrum, band_means, settled_noise
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
@@ -135,9 +135,8 @@ def inside_intervals(flights: Sequence[Compared]) -> Inside | None:
     margins = [own.margins for own in flights if own.margins is not None]
     if not margins:
         return None
-    left = [residual(own.flight, own.simulation) for own in flights]
-    pairs = zip(left, margins, strict=True)
-    shares = [inside_interval(own, stated.lower, stated.upper).mean(axis=0) for own, stated in pairs]
+    pairs = zip(flights, margins, strict=True)
+    shares = [inside_interval(own.whole_residual, *bounds[:2]).mean(axis=0) for own, bounds in pairs]
     return Inside(np.array(shares), margins[0].confidence)
 
 

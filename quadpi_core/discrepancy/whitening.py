@@ -194,7 +194,7 @@ class Noise:
     """Noise of flights: white within each axis and band, and what every flight has of its own.
 
     Attributes:
-        variance: (6, C) in C bands, or (F, 6, C) where flights differ.
+        variance: (F, 6, C) of each flight in C bands.
         own: what flights have of their own.
         products: see :meth:`Columns.products`.
     """
@@ -205,7 +205,7 @@ class Noise:
 
     @cached_property
     def precision(self) -> Array:
-        """Squared weights, shaped as `variance`."""
+        """Squared weights (F, 6, C)."""
         squared: Array = 1.0 / self.variance
         return squared
 
@@ -239,9 +239,7 @@ class Noise:
     @cached_property
     def _white(self) -> PairsOfColumns:
         def weighed(first: Columns, second: Columns) -> Array:
-            products = self.products(first, second)
-            precision = np.broadcast_to(self.precision, products.shape[:3])
-            gram: Array = np.einsum("fac,facij->fij", precision, products)
+            gram: Array = np.einsum("fac,facij->fij", self.precision, self.products(first, second))
             return gram
 
         return PairsOfColumns(weighed)

@@ -11,6 +11,7 @@ import pytest
 
 from quadpi_core.discrepancy import AugmentedSimulation, VehicleSimulation, discover, load_simulation
 from quadpi_core.discrepancy.discrepancy_result import reflights_json
+from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.reflight import (
     coverages,
     fly_again,
@@ -148,9 +149,9 @@ def test_coverage_before_and_after(truth):
             bounds = np.full((len(flight), 6), 0.1)
             return Margins(-bounds, bounds, 0.95)
 
-        vehicle = good.vehicle
+        vehicle, memoryless = good.vehicle, True
 
-    found = coverages([truth], Interval(), [good])
+    found = coverages([Compared(truth, Interval())], [good])
     assert set(found) == {"Fx", "Fy", "Fz", "Mx", "My", "Mz"}
     for axis in found.values():
         assert axis.before == 0.0

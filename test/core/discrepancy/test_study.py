@@ -275,7 +275,7 @@ def test_what_alone_takes_an_axis_out_of_its_intervals_is_barred_from_another_se
             discovery if searches[-1] else replace(discovery, verdict="unknown", checks=tuple(failed))
         ), None
 
-    def covered(_, __, after):
+    def covered(_, after):
         return {axis: Coverage(0.9, 0.2 if "wind" in after[0].effects else 0.9) for axis in AXES}
 
     for name, made in (("discover", searched), ("flown_again", flown), ("coverages", covered)):
