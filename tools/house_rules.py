@@ -4,12 +4,14 @@
 
 Run by `make lint`. File names are unique over both packages, so that a name finds one file. A compiled kernel
 takes at most eight parameters, because more of them are a record without a name; ruff limits other functions.
-Each module has a test file of its name, so that a change finds its tests.
+Each module has a test file of its name, so that a change finds its tests. CONTRIBUTING.md has a budget of
+lines and files for each room, and a line for each package that users must install: nothing grows unseen.
 """
 
 from __future__ import annotations
 
 import ast
+import re
 import sys
 from collections import defaultdict
 from collections.abc import Iterator
@@ -18,6 +20,9 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("quadpi_core", "quadpi_ros")
 KERNEL_PARAMETERS_MAX = 8
+# Rows of the tables of CONTRIBUTING.md: rooms, lines, files, goal; and a package with its purpose.
+_BUDGET = re.compile(r"^\| `([^|]+)` \| ([\d ]+) \| (\d+) \| [\d ]+ \|$", re.MULTILINE)
+_REQUIRED = re.compile(r"^\| ([\w.-]+) \| [^|]+ \|$", re.MULTILINE)
 
 
 def sources() -> list[Path]:
@@ -56,6 +61,37 @@ def without_tests(paths: list[Path]) -> Iterator[str]:
             yield str(path.relative_to(ROOT))
 
 
+def room_of(path: Path) -> str:
+    """The room of a module; the package itself for a file in none."""
+    parts = path.relative_to(ROOT).parts
+    return parts[1] if len(parts) > 2 else parts[0]
+
+
+def over_budget(paths: list[Path]) -> Iterator[str]:
+    """Rooms with more lines or files than their budget, or without one."""
+    rooms: dict[str, list[int]] = defaultdict(list)
+    for path in paths:
+        rooms[room_of(path)].append(path.read_text().count("\n"))
+    for names, *most in _BUDGET.findall((ROOT / "CONTRIBUTING.md").read_text()):
+        lengths = [length for name in names.split("`, `") for length in rooms.pop(name, [])]
+        allowed = [int(number.replace(" ", "")) for number in most]
+        for found, budget, what in zip(
+            (sum(lengths), len(lengths)), allowed, ("lines", "files"), strict=True
+        ):
+            if found > budget:
+                yield f"{names.replace('`', '')}: {found} {what}, {budget} allowed"
+    yield from (f"{room}: has no budget" for room in rooms)
+
+
+def unlisted_packages() -> Iterator[str]:
+    """Packages that users have to install and that CONTRIBUTING.md does not list, or the other way round."""
+    (required,) = re.findall(
+        r"^dependencies = \[\n(.*?)^\]", (ROOT / "pyproject.toml").read_text(), re.M | re.S
+    )
+    wanted = set(re.findall(r'^    "([\w.-]+)', required, re.M))
+    yield from sorted(wanted ^ set(_REQUIRED.findall((ROOT / "CONTRIBUTING.md").read_text())))
+
+
 def main() -> int:
     """Print the figures; 1 where a rule is broken."""
     paths = sources()
@@ -67,6 +103,8 @@ def main() -> int:
         (f"compiled kernels of more than {KERNEL_PARAMETERS_MAX} parameters", wide_kernels(paths)),
         ("file names used twice", repeated_names(paths)),
         ("modules without a test file of their name", without_tests(paths)),
+        ("budgets of rooms exceeded", over_budget(paths)),
+        ("required packages without a line in CONTRIBUTING.md, or no longer required", unlisted_packages()),
     ):
         lines = list(found)
         broken |= bool(lines)

@@ -1,0 +1,277 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The case of a validation: models, noise-free flights, and the noise on them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from functools import cache, cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from quadpi_core.errors import LogError, QuadpiError, named_in
+from quadpi_core.evaluation.evaluate import common_confidence, load_models
+from quadpi_core.flight import Flight
+from quadpi_core.frames import Array
+from quadpi_core.inputs import flight_derivatives, flight_inputs
+from quadpi_core.logs.bag_topics import bag_vehicle
+from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.models.model_kind import Evaluation
+from quadpi_core.records import Records
+from quadpi_core.signals.chain import filter_zero_phase
+from quadpi_core.signals.wrench import measured_wrench
+from quadpi_core.simulation.sensor_noise import SensorSuite, StateNoise
+from quadpi_core.simulation.simulated_bags import read_truth
+from quadpi_core.time_range import WHOLE, TimeRange
+from quadpi_core.vehicle import Vehicle
+from quadpi_core.version import __version__
+
+_PACKAGE = Path(__file__).resolve().parents[1]
+# Folders of the package on which neither a model nor a count depends.
+_PRESENTATION = ("report", "cli")
+
+
+class ValidationError(QuadpiError):
+    """Models, flights and noise do not make a validation."""
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Inputs of a model and the wrench that it should predict.
+
+    Attributes:
+        inputs: (N, 19) input vectors.
+        derivatives: (N,) see `quadpi_core.inputs.Derivatives`; None where no model uses them.
+        wrench: (N, 6) N and Nm.
+    """
+
+    inputs: Array
+    derivatives: Records | None
+    wrench: Array
+
+
+@dataclass(frozen=True)
+class ValidationCase:
+    """Models judged on realisations of noise over flights.
+
+    Attributes:
+        vehicle: that flew and that the models are of.
+        models: by the name that they have in the result.
+        flights: noise-free, of different names.
+        noise: on states and measurements.
+        confidence: nominal coverage of the intervals.
+        seed: of all noise.
+    """
+
+    vehicle: Vehicle
+    models: Mapping[str, AerodynamicModel]
+    flights: tuple[Flight, ...]
+    noise: StateNoise
+    confidence: float
+    seed: int
+
+    def check(self) -> None:
+        """Refuse models and flights that cannot be compared.
+
+        Raises:
+            ValidationError: for no model or flight, flights of the same name, and models that take another
+                low-pass each.
+            ModelError: for a model of another vehicle, or that gives no interval of this confidence.
+        """
+        if not self.models or not self.flights:
+            raise ValidationError("a validation needs models and noise-free flights")
+        names = [flight.name for flight in self.flights]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValidationError(f"flight {name}: present twice")
+        for model in self.models.values():
+            model.require(self.vehicle)
+            for fitted in model.fitted.values():
+                fitted.rule.factor(self.confidence)
+        cutoffs = {name: f"{model.cutoff_hz:g} Hz" for name, model in self.models.items()}
+        if len(set(cutoffs.values())) > 1:
+            listed = ", ".join(f"{name} {cutoff}" for name, cutoff in cutoffs.items())
+            raise ValidationError(f"models of different low-pass ({listed}): validate them one by one")
+
+    def samples(self, flight: Flight) -> Samples:
+        """Inputs and wrench of a flight with noise or without, after the low-pass of the models."""
+        flight = low_passed(flight, next(iter(self.models.values())).cutoff_hz)
+        needed = any(model.kind.uses_derivatives for model in self.models.values())
+        derivatives = flight_derivatives(flight) if needed else None
+        return Samples(
+            flight_inputs(flight, self.vehicle), derivatives, measured_wrench(flight, self.vehicle)
+        )
+
+    @cached_property
+    def references(self) -> dict[str, tuple[Evaluation, ...]]:
+        """Per model, its predictions and intervals on each of the flights without noise."""
+        samples = [self.samples(flight) for flight in self.flights]
+        return {
+            name: tuple(model.evaluate(own.inputs, self.confidence, own.derivatives) for own in samples)
+            for name, model in self.models.items()
+        }
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Hash of everything that the result depends on except the number of realisations."""
+        facts = {
+            "quadpi": __version__,
+            "code": code_fingerprint(),
+            "vehicle": self.vehicle.fingerprint,
+            "noise": asdict(self.noise),
+            "confidence": self.confidence,
+            "seed": self.seed,
+            "models": {name: _numbers(model) for name, model in self.models.items()},
+            "flights": {flight.name: flight_hash(flight) for flight in self.flights},
+        }
+        return hashlib.sha256(json.dumps(facts).encode()).hexdigest()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """State for pickling, without cached values."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+
+def low_passed(flight: Flight, cutoff_hz: float) -> Flight:
+    """The flight after the zero-phase low-pass that offline use of a model has.
+
+    A cut-off of half the sample rate or more leaves it as it is.
+
+    Raises:
+        SignalError: naming the flight, if it is too short to filter.
+    """
+    if cutoff_hz >= 0.5 * flight.rate_hz * (1.0 - 1e-6):
+        return flight
+    with named_in(flight.source):
+        filtered = filter_zero_phase(
+            flight.velocity,
+            flight.attitude,
+            flight.rates,
+            flight.specific_force,
+            flight.rotor_speeds,
+            flight.wind,
+            rate_hz=flight.rate_hz,
+            cutoff_hz=cutoff_hz,
+        )
+    return replace(flight, **filtered._asdict())
+
+
+@cache
+def code_fingerprint(package: Path = _PACKAGE) -> str:
+    """Hash of the code that makes models and counts, as a version in development has no number of its own."""
+    digest = hashlib.sha256()
+    for path in sorted(package.rglob("*.py")):
+        place = path.relative_to(package)
+        if place.parts[0] not in _PRESENTATION:
+            digest.update(place.as_posix().encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def flight_hash(flight: Flight) -> str:
+    """SHA-256 of the samples of a flight."""
+    return _hash([getattr(flight, column.name) for column in fields(flight)])
+
+
+def _numbers(model: AerodynamicModel) -> dict[str, Any]:
+    """The numbers that determine the predictions of a model."""
+    stored = model.kind.store(model.fitted)
+    numbers = [*(own for _, own in sorted(stored.arrays.items())), *stored.files.values()]
+    return {
+        "method": model.method,
+        "cutoff_hz": model.cutoff_hz,
+        "axes": stored.entries,
+        "numbers": _hash(numbers),
+    }
+
+
+def _hash(values: Sequence[Any]) -> str:
+    digest = hashlib.sha256()
+    for value in values:
+        if isinstance(value, np.ndarray | bytes):
+            digest.update(np.ascontiguousarray(value).tobytes())
+    return digest.hexdigest()
+
+
+def recorded_flight(path: Path, vehicle: Vehicle) -> Flight:
+    """The truth of a simulated flight in the place of an estimated one.
+
+    Args:
+        path: bag that `quadpi simulate` wrote.
+        vehicle: that flew.
+
+    Raises:
+        LogError: naming the bag, for one without the truth, or of another vehicle.
+    """
+    truth = read_truth(path)
+    if (flown := bag_vehicle(path)) != vehicle.name:
+        raise LogError(f"{path}: is a flight of vehicle {flown}, not of {vehicle.name}")
+    state = truth.odometry
+    return Flight(
+        name=path.stem,
+        vehicle=vehicle.name,
+        source=str(path),
+        start_ns=int(truth.time_ns[0]),
+        time=1e-9 * (truth.time_ns - truth.time_ns[0]),
+        position=state.position,
+        attitude=state.attitude,
+        velocity=state.velocity,
+        rates=state.rates,
+        angular_acceleration=truth.angular_acceleration,
+        specific_force=truth.wrench[:, :3] / truth.mass,
+        rotor_speeds=truth.rotor_speeds,
+        wind=truth.wind,
+    )
+
+
+def _part_of(flight: Flight, part: TimeRange) -> Flight:
+    inside = np.flatnonzero((flight.time >= part.from_s) & (flight.time <= part.to_s))
+    if len(inside) == 0:
+        raise LogError(f"{flight.source}: has no sample {part}: it ends at {flight.time[-1]:.3f} s")
+    return flight.slice(slice(int(inside[0]), int(inside[-1]) + 1))
+
+
+def given_case(
+    folders: Sequence[Path],
+    bags: Sequence[Path],
+    *,
+    vehicle: str | None = None,
+    noise: str = "paper",
+    confidence: float | None = None,
+    seed: int = 0,
+    part: TimeRange = WHOLE,
+) -> ValidationCase:
+    """Validation of stored models on the truth of simulated flights.
+
+    Args:
+        folders: of the models, of one vehicle and one low-pass; their names are those in the result.
+        bags: that `quadpi simulate` wrote, of the same vehicle.
+        vehicle: name or path of the vehicle file; default: the one that the first model names.
+        noise: name in config/noise, or path.
+        confidence: of the intervals; default: the models' own.
+        seed: of all noise.
+        part: of each flight.
+
+    Raises:
+        ValidationError: where models or bags are missing.
+        ModelError: for what is no model, two models of one name, and confidences that differ where none is
+            given.
+        LogError, VehicleError, SimulationError: for what cannot be read.
+    """
+    if not folders or not bags:
+        missing = "model folder" if not folders else "bag of a simulated flight"
+        raise ValidationError(f"no {missing} given: name model folders, then bags of simulated flights")
+    models = load_models(folders)
+    level = common_confidence(models, confidence)
+    the_vehicle = next(iter(models.values())).load_vehicle(vehicle)
+    return ValidationCase(
+        vehicle=the_vehicle,
+        models=models,
+        flights=tuple(_part_of(recorded_flight(bag, the_vehicle), part) for bag in bags),
+        noise=SensorSuite.load(noise).states,
+        confidence=level,
+        seed=seed,
+    )
