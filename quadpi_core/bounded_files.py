@@ -10,7 +10,7 @@ import os
 from pathlib import Path
 from typing import Any, NoReturn
 
-# What a small log may unpack to; quadpi_core.logs.unpacking holds logs against it.
+# What a small log may unpack to; quadpi_core.logs.sandbox holds logs against it.
 LIMIT_VARIABLE = "QUADPI_UNPACKED_MIB"
 # Far more than a small log needs; arrays made of it still fit into the memory of a small computer.
 LIMIT_DEFAULT_MIB = 256

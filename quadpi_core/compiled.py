@@ -18,10 +18,10 @@ import os
 import re
 import shutil
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterable
-from contextlib import ExitStack
 from pathlib import Path
 from types import FunctionType
 from typing import Any, TypeVar
@@ -110,11 +110,9 @@ def _parent() -> Path:
 
 @functools.cache
 def _for_this_process() -> Path:
-    from quadpi_core.scratch import MADE, scratch_folder
-
-    stack = ExitStack()
-    atexit.register(stack.close)
-    return stack.enter_context(scratch_folder()) / MADE
+    folder = tempfile.mkdtemp(prefix=".quadpi.")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return Path(folder)
 
 
 def _forget_old(parent: Path) -> None:

@@ -4,19 +4,18 @@
 
 from __future__ import annotations
 
-import ctypes
 import errno
 import json
 import os
 import shutil
 import stat
+import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from quadpi_core.errors import OutputError
-from quadpi_core.scratch import MADE, REPLACED, scratch_folder
 
 
 def config_directory() -> Path:
@@ -44,6 +43,17 @@ def _share_directory() -> Path:
 
 
 @contextmanager
+def scratch_folder(place: Path | None = None) -> Iterator[Path]:
+    """A temporary folder in `place`, or where the system keeps such; it is removed after the block.
+
+    Raises:
+        OSError: if it cannot be made.
+    """
+    with tempfile.TemporaryDirectory(prefix=".quadpi.", dir=place, ignore_cleanup_errors=True) as folder:
+        yield Path(folder)
+
+
+@contextmanager
 def whole_output(path: Path) -> Iterator[Path]:
     """Give a temporary path in the target's folder that replaces `path` once the block succeeds.
 
@@ -57,63 +67,37 @@ def whole_output(path: Path) -> Iterator[Path]:
         _refuse_device(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         with scratch_folder(path.parent) as scratch:
-            temporary, replaced = scratch / MADE / path.name, scratch / REPLACED
-            try:
-                yield temporary
-                if temporary.is_dir():
-                    _replace_folder(temporary, path, replaced)
-                else:
-                    temporary.replace(path)
-            finally:
-                if replaced.exists() and not path.exists():
-                    with _unless_taken():
-                        replaced.rename(path)
+            temporary = scratch / path.name
+            yield temporary
+            if temporary.is_dir():
+                _replace_folder(temporary, path, scratch / f"{path.name}.replaced")
+            else:
+                temporary.replace(path)
 
 
 def _replace_folder(made: Path, path: Path, replaced: Path) -> None:
-    """Move a folder to `path`, replacing one that is there, while other writers may do the same.
-
-    Where the system can exchange two folders in one step (Linux, most file systems), there is always one at
-    `path`; elsewhere the other is moved to `replaced` first, and a reader has to look again.
-    """
-    for _ in range(_REPLACEMENTS_MAX):
-        if path.is_dir() and not path.is_symlink():
-            if _exchange(made, path):
-                return
-            with suppress(FileNotFoundError):  # another writer was faster
-                path.rename(replaced)
-        with _unless_taken():
-            made.rename(path)
-            # Nothing puts back what is replaced now, though another writer may have moved this one away.
-            shutil.rmtree(replaced, ignore_errors=True)
-            return
-        shutil.rmtree(replaced, ignore_errors=True)
-    raise OutputError(f"{path}: others keep replacing it")
-
-
-@contextmanager
-def _unless_taken() -> Iterator[None]:
-    """Ignore the error of a move whose target another writer has filled meanwhile."""
+    """Move a folder to `path`, and what is there to `replaced`, while other writers may do the same."""
     try:
-        yield
-    except OSError as error:
-        if error.errno not in {errno.ENOTEMPTY, errno.EEXIST}:
-            raise
+        for _ in range(_REPLACEMENTS_MAX):
+            try:
+                made.rename(path)
+                return
+            except OSError as error:
+                if error.errno not in {errno.ENOTEMPTY, errno.EEXIST}:
+                    raise
+            # This run's older one, where another writer was faster than it.
+            shutil.rmtree(replaced, ignore_errors=True)
+            with suppress(FileNotFoundError):
+                path.rename(replaced)
+        raise OutputError(f"{path}: others keep replacing it")
+    except BaseException:
+        if replaced.exists() and not path.exists():
+            replaced.rename(path)
+        raise
 
 
 # More than the number of writers that may compete for one folder.
 _REPLACEMENTS_MAX = 100
-# renameat2(2) with paths from the working directory on.
-_AT_FDCWD, _RENAME_EXCHANGE = -100, 2
-
-
-def _exchange(one: Path, other: Path) -> bool:
-    """Exchange two folders in one step; False where the system cannot."""
-    renameat2 = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
-    if renameat2 is None:
-        return False
-    failed: int = renameat2(_AT_FDCWD, os.fsencode(one), _AT_FDCWD, os.fsencode(other), _RENAME_EXCHANGE)
-    return failed == 0
 
 
 @contextmanager
@@ -129,7 +113,7 @@ def whole_outputs(folder: Path) -> Iterator[Path]:
     require_folder(folder)
     with ExitStack() as stack:
         with _naming(folder):
-            staging = stack.enter_context(scratch_folder(_standing(folder))) / MADE
+            staging = stack.enter_context(scratch_folder(_standing(folder)))
         yield staging
         made = [file for file in sorted(staging.iterdir()) if file.is_file()]
         for file in made:

@@ -43,7 +43,7 @@ from quadpi_core.logs.bag_topics import bag_topics
 from quadpi_core.logs.bags import read_outputs, write_bag
 from quadpi_core.logs.mapping import Mapping
 from quadpi_core.logs.mavlink_session import MavlinkSession, SessionSettings
-from quadpi_core.logs.mcap_files import CHUNK, MAGIC, METADATA, SCHEMA, find_records
+from quadpi_core.logs.mcap_files import CHUNK, MAGIC, METADATA, SCHEMA, records_of
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.adapters import AdapterSettings
 from quadpi_core.messages.definitions import typestore
@@ -164,23 +164,16 @@ _BORDER = b"\n-----\n"
 
 def _mcap_records(data: bytes) -> list[bytes]:
     """Magic, records, magic; a chunk that is not compressed falls into its head and its records."""
-    content = np.frombuffer(data, np.uint8)
-    found = find_records(content, len(MAGIC))
     pieces, end = [data[: len(MAGIC)]], len(MAGIC)
-    for opcode, start, length in zip(
-        found.opcodes.tolist(), found.starts.tolist(), found.lengths.tolist(), strict=True
-    ):
+    for opcode, start, length in records_of(io.BytesIO(data), len(data)):
         record = data[start - 9 : start + length]
         end = start + length
         # Behind opcode and length: times, sizes, checksum, and no name of a compression.
         if opcode == CHUNK and record[37:41] == bytes(4) and len(record) > 49:
             pieces.append(record[:49])
-            inner = find_records(np.frombuffer(record[49:], np.uint8))
-            pieces += [
-                record[49 + at - 9 : 49 + at + size]
-                for at, size in zip(inner.starts.tolist(), inner.lengths.tolist(), strict=True)
-            ]
-            pieces.append(record[49 + inner.stop :])
+            inner = list(records_of(io.BytesIO(record), len(record), 49))
+            pieces += [record[at - 9 : at + size] for _, at, size in inner]
+            pieces.append(record[inner[-1][1] + inner[-1][2] if inner else 49 :])
         else:
             pieces.append(record)
     return [*pieces, data[end:]]
@@ -188,16 +181,16 @@ def _mcap_records(data: bytes) -> list[bytes]:
 
 def _unpacked_mcap(data: bytes) -> bytes:
     """The bag with its chunks not compressed and its checksums not computed: damage gets through."""
-    found = find_records(np.frombuffer(data, np.uint8), len(MAGIC))
+    found = list(records_of(io.BytesIO(data), len(data)))
     chunks = []
-    for start, length in zip(*found.of(CHUNK), strict=True):
+    for start, length in ((start, length) for opcode, start, length in found if opcode == CHUNK):
         chunk = data[start : start + length]
         content = zstd.decompress(chunk[28 + 4 + len("zstd") + 8 :])
         body = chunk[:24] + bytes(8) + struct.pack("<Q", len(content)) + content
         chunks.append(struct.pack("<BQ", CHUNK, len(body)) + body)
     head = [
         data[start - 9 : start + length]
-        for opcode, start, length in zip(found.opcodes, found.starts, found.lengths, strict=True)
+        for opcode, start, length in found
         if opcode in {_HEADER, SCHEMA, _CHANNEL, METADATA}
     ]
     # Without a summary: rosbags then counts what is in the chunks.
@@ -376,11 +369,15 @@ def _read_link(path: Path, number: int) -> None:
     data = path.read_bytes()
     session = MavlinkSession(_vehicle(), _rotor_order(), SessionSettings())
     step = len(data) + 1 if number % 2 else 50
+    latest: dict[str, int] = {}
     for piece, at in enumerate(range(0, len(data), step)):
         now = _START_NS + piece * 10_000_000
-        for received in session.take(data[at : at + step], now, complete=bool(number % 2)):
-            if not np.all(np.isfinite(received.values)):
-                raise Finding(f"{received.topic} is not finite")
+        for topic, time_ns, values in session.take(data[at : at + step], now, complete=bool(number % 2)):
+            if not np.all(np.isfinite(values)):
+                raise Finding(f"{topic} is not finite")
+            if not latest.get(topic, now - 10_000_000_001) < time_ns <= now + 1_000_000_000:
+                raise Finding(f"{topic}: the stamp falls, or is far from its arrival")
+            latest[topic] = time_ns
         session.due(now)
     session.report(_START_NS)
 

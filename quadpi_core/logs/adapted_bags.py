@@ -9,12 +9,11 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from rosbags.interfaces import Connection, MessageDefinitionFormat
-
 from quadpi_core.errors import LogError, SampleError, VehicleError
 from quadpi_core.findings import LeftOut
 from quadpi_core.flight import Stream
 from quadpi_core.logs.bag_files import Bag
+from quadpi_core.logs.mcap_files import Connection
 from quadpi_core.messages.adapters.adapter_definition import Adapter
 from quadpi_core.messages.adapters.adapter_registry import known_adapters
 from quadpi_core.messages.adapters.adapter_settings import EXAMPLES, AdapterSettings
@@ -123,8 +122,7 @@ class AdaptedReading:
         self.name, self._kind = topic.name, topic.adapter.kind
         self._where = f"{bag}: topic {topic.name}"
         self._samples = 0
-        definition, type_name = topic.connection.msgdef, topic.adapter.type_name
-        text = definition.data if definition.format == MessageDefinitionFormat.MSG else ""
+        text, type_name = topic.connection.definition, topic.adapter.type_name
         if type_name in typestore().fielddefs:
             # ROS defines it, and not every bag does.
             text = definition_text(type_name)

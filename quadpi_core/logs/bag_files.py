@@ -2,54 +2,58 @@
 # SPDX-License-Identifier: Apache-2.0
 """Messages of a bag as arrays, whole or block by block in log-time order.
 
-rosbags opens every container, with checks in front of it that it lacks. Memory is bounded by
-one chunk of each file and one block, and a bag with fewer messages than its index announces is refused.
+Its files are read in another process, see :mod:`quadpi_core.logs.sandbox`. Memory is bounded by one chunk of
+each file and one block, and a bag with fewer messages than its index announces is refused.
 """
 
 from __future__ import annotations
 
 import heapq
-import re
-import sqlite3
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
-from functools import cached_property
+from itertools import chain, pairwise
+from operator import itemgetter
 from pathlib import Path, PurePath
-from types import TracebackType
-from typing import TYPE_CHECKING, NamedTuple, cast
-from urllib.parse import quote
+from types import MappingProxyType, TracebackType
+from typing import Any, NamedTuple
 
 import numpy as np
-from rosbags import rosbag2
-from rosbags.interfaces import Connection
-from rosbags.rosbag2.reader import DirectoryReader
-from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
+from backports import zstd
 
 from quadpi_core.errors import LogError, one_line
 from quadpi_core.flight import Stamps
-from quadpi_core.logs.bag_places import PACKED, files_of, place_to_open
-from quadpi_core.logs.mcap_files import McapFile, Message, batches_of, log_time
-from quadpi_core.logs.ros1_bags import Ros1Bag
-from quadpi_core.logs.unpacking import MESSAGE_BYTES, require_unpackable, unpacked_limit, unzstd, zstd_size
-from quadpi_core.messages.earlier_definitions import is_earlier, rewritten
+from quadpi_core.logs.bag_databases import DatabaseFile
+from quadpi_core.logs.bag_places import PACKED, ZSTD_MAGIC, bag_places, is_packed, unpack
+from quadpi_core.logs.mcap_files import MAGIC, Connection, McapFile
+from quadpi_core.logs.ros1_bags import Ros1File
+from quadpi_core.logs.sandbox import read_apart
 from quadpi_core.messages.payloads import Payloads, Topic, join_topics
+from quadpi_core.paths import scratch_folder
 
-if TYPE_CHECKING:
-    from rosbags.rosbag2.reader import ReaderProtocol
-
-# Tables of a database that rosbags reads.
-_TABLES = ("schema", "metadata", "topics", "message_definitions", "messages")
-_TABLE = re.compile(r"CREATE TABLE\b", re.IGNORECASE)
 # Messages of all topics in one block: 10 s of a flight at 500 Hz, some MB.
 BLOCK_MESSAGES = 12_000
 _END_NS = 2**63 - 1
+# Readers by the first bytes of a file, and what it is called.
+_CONTAINERS: MappingProxyType[bytes, type[McapFile] | type[DatabaseFile] | type[Ros1File]] = MappingProxyType(
+    {MAGIC: McapFile, b"SQLite format 3\0": DatabaseFile, b"#ROSBAG V": Ros1File}
+)
+_CALLED = MappingProxyType({".mcap": "MCAP file", ".db3": "database of rosbag2", ".bag": "ROS 1 bag"})
+
+
+class _File(NamedTuple):
+    """A file of a bag by the name that the user knows it by, and where it lies unpacked."""
+
+    named: Path
+    place: Path
 
 
 class Bag:
-    """An open bag: a .mcap, .db3 or ROS 1 .bag file, or a rosbag2 folder.
+    """An open bag: a .mcap, .db3 or ROS 1 .bag file, or a rosbag2 folder, also compressed by Zstandard.
 
-    Messages of a ROS 1 bag are converted to CDR, and their definitions to those of ROS 2. Messages of earlier
-    versions of quadpi are rewritten as they are defined now.
+    Messages of a ROS 1 bag are converted to CDR, and their definitions to those of ROS 2.
+
+    Attributes:
+        connections: its topics; one of several types is there for each.
 
     Raises:
         LogError: for a bag that is absent, empty, cut off or damaged, from any of its methods.
@@ -59,24 +63,22 @@ class Bag:
         self.path = path
         if not path.exists():
             raise LogError(f"{path}: no such bag")
-        self._opened, self._place = ExitStack(), path
         with self._reading(), ExitStack() as opened:
-            self._place = opened.enter_context(place_to_open(path))
-            self._reader = _Reader(self._place)
-            self._reader.open()
-            self._check_connections()
+            places = bag_places(path)
+            self._files = [self._file(file, number, opened) for number, file in enumerate(places.files)]
+            self._size = sum(file.stat().st_size for file in places.files)
+            self.connections, custom = next(read_apart(self._size, _contents, self._files))
+            custom = custom if places.custom is None else places.custom
+            self._notes = {key: text for key, text in custom.items() if isinstance(text, str)}
             self._opened = opened.pop_all()
 
-    def _check_connections(self) -> None:
-        """Refuse a damaged index or metadata.yaml with other values in the place of names and counts."""
-        for connection in self.connections:
-            named = all(isinstance(text, str) for text in (connection.topic, connection.msgtype))
-            if not named or not isinstance(connection.msgcount, int) or connection.msgcount < 0:
-                self._reader.close()
-                raise LogError(
-                    f"damaged: topic {connection.topic} of type {connection.msgtype} is said to hold "
-                    f"{connection.msgcount} messages"
-                )
+    def _file(self, file: Path, number: int, opened: ExitStack) -> _File:
+        if not is_packed(file):
+            return _File(file, file)
+        place = opened.enter_context(scratch_folder()) / str(number)
+        with _naming(file):
+            unpack(file, place)
+        return _File(file, place)
 
     def __enter__(self) -> Bag:
         return self
@@ -84,8 +86,7 @@ class Bag:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        with self._opened:
-            self._reader.close()
+        self._opened.close()
 
     @property
     def name(self) -> str:
@@ -94,21 +95,9 @@ class Bag:
         return PurePath(name).stem if self.path.suffix == PACKED else name
 
     @property
-    def connections(self) -> list[Connection]:
-        """Name, type, definition and count of each topic; a topic may have several connections."""
-        return self._reader.connections
-
-    @cached_property
     def metadata(self) -> dict[str, str]:
         """What quadpi wrote about the bag (vehicle, source, version); empty for bags of other programs."""
-        with self._reading():
-            entries = self._reader.storage.metadata.custom
-            for storage in self._storages():
-                if entries is None and isinstance(storage, McapFile):
-                    entries = storage.custom_data()
-            if entries is None:
-                return {}
-            return {key: text for key, text in entries.items() if isinstance(text, str)}
+        return self._notes
 
     def read(self, names: Collection[str], head: int | None = None) -> dict[str, Topic]:
         """Read whole topics by their full names.
@@ -143,14 +132,12 @@ class Bag:
             if connection.topic in types:
                 announced[connection.topic] += connection.msgcount
         found = dict.fromkeys(types, 0)
-        with self._reading():
-            for topics in _in_log_order(self._parts(types, head), messages or BLOCK_MESSAGES):
+        with self._reading(), closing(read_apart(self._size, _parts, self._files, types, head)) as parts:
+            for topics in _in_log_order(parts, messages or BLOCK_MESSAGES):
                 block = {}
                 for name, type_name in types.items():
-                    topic = topics.get(name) or Topic.empty(name, type_name)
-                    rewrite = name in self._earlier and not head
-                    block[name] = rewritten(topic, found[name]) if rewrite else topic
-                    found[name] += len(topic.payloads)
+                    block[name] = topics.get(name) or Topic.empty(name, type_name)
+                    found[name] += len(block[name].payloads)
                 yield block
         for name, count in found.items():
             if count != announced[name]:
@@ -159,121 +146,99 @@ class Bag:
                     f"its index announces {announced[name]}"
                 )
 
-    @cached_property
-    def _earlier(self) -> set[str]:
-        """Topics whose messages have an earlier definition of their type."""
-        return {one.topic for one in self.connections if is_earlier(one.msgtype, one.msgdef.data)}
-
-    def _storages(self) -> list[ReaderProtocol]:
-        storage = self._reader.storage
-        return list(storage.storages) if isinstance(storage, DirectoryReader) else [storage]
-
-    def _parts(self, types: Mapping[str, str], head: int | None) -> Iterator[_Part]:
-        """The messages of all files, in parts."""
-        storages = self._storages()
-        chosen = [
-            [one for one in storage.connections if types.get(one.topic) == one.msgtype]
-            for storage in storages
-        ]
-        files = [storage for storage in storages if isinstance(storage, McapFile)]
-        if self._reader.compression_mode != "message" and len(files) == len(storages):
-            if all(file.chunks for file in files):
-                return _chunks_in_order(list(zip(files, chosen, strict=True)), head)
-            if len(files) == 1:
-                return _batched(files[0].scanned(chosen[0]), head)
-        if isinstance(storages[0], Ros1Bag):
-            return _batched(storages[0].batches(chosen[0], head), head)
-        messages: Iterator[Message] = heapq.merge(
-            *(
-                storage.messages(connections)
-                for storage, connections in zip(storages, chosen, strict=True)
-                if connections
-            ),
-            key=log_time,
-        )
-        if self._reader.compression_mode == "message":
-            messages = self._unpacked(messages)
-        return (_Part(_by_topic(batch, head), log_time(batch[-1])) for batch in batches_of(messages))
-
-    def _unpacked(self, messages: Iterable[Message]) -> Iterator[Message]:
-        """Messages that are each compressed by themselves."""
-        packed_bytes = sum(file.stat().st_size for file in files_of(self.path))
-        unpacked_bytes = 0
-        for connection, time_ns, packed in messages:
-            size = zstd_size(packed, unpacked_limit(len(packed)))
-            require_unpackable(len(packed), size)
-            unpacked_bytes += size + MESSAGE_BYTES
-            require_unpackable(packed_bytes, unpacked_bytes)
-            yield connection, time_ns, unzstd(packed, size)
-
     @contextmanager
     def _reading(self) -> Iterator[None]:
-        """Turn any error of a parser on damaged bytes into one LogError that names the bag."""
+        """Name the bag in every error, and make one of those of other libraries."""
+        with _naming(self.path):
+            try:
+                yield
+            except LogError:
+                raise
+            except Exception as error:
+                raise LogError(f"cannot be read: {one_line(error) or type(error).__name__}") from error
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Name a file in errors that do not name it, or a file in it, yet."""
+    try:
+        yield
+    except LogError as error:
+        if str(error).startswith(str(path)):
+            raise
+        raise LogError(f"{path}: {error}") from error
+
+
+# In the other process
+
+
+def _open(file: _File) -> McapFile | DatabaseFile | Ros1File:
+    with file.place.open("rb") as stream:
+        head = stream.read(max(map(len, _CONTAINERS)))
+    for magic, container in _CONTAINERS.items():
+        if head.startswith(magic):
+            return container(file.place)
+    if not head:
+        raise LogError("is empty")
+    if file.named != file.place:
+        raise LogError("what it holds compressed is no bag; `zstd -d` unpacks it")
+    raise LogError(f"is no {_CALLED.get(file.named.suffix, 'bag')}")
+
+
+def _contents(files: Sequence[_File]) -> Iterator[tuple[list[Connection], dict[str, Any]]]:
+    """The connections of all files by name and type, and the notes of their writer."""
+    connections: dict[tuple[str, str], Connection] = {}
+    custom: dict[str, Any] = {}
+    for file in files:
+        with _naming(file.named):
+            opened = _open(file)
+        for one in opened.connections.values():
+            known = connections.get((one.topic, one.msgtype))
+            count = one.msgcount + (known.msgcount if known else 0)
+            connections[one.topic, one.msgtype] = (known or one)._replace(msgcount=count)
+        custom |= opened.custom or {}
+    yield list(connections.values()), custom
+
+
+def _parts(files: Sequence[_File], types: dict[str, str], head: int | None) -> Iterator[_Part]:
+    """The messages of all files in parts, in the order of their first log times."""
+    parts = heapq.merge(*(_parts_of(file, types, head) for file in files), key=itemgetter(0))
+    for (_, topics), (limit_ns, _) in pairwise(chain(parts, [(_END_NS, [])])):
+        yield _Part(topics, limit_ns)
+
+
+def _parts_of(file: _File, types: dict[str, str], head: int | None) -> Iterator[tuple[int, list[Topic]]]:
+    with _naming(file.named):
+        opened = _open(file)
+        wanted = {
+            number: one for number, one in opened.connections.items() if types.get(one.topic) == one.msgtype
+        }
+        for start_ns, messages in opened.batches(wanted, head):
+            yield (
+                min(start_ns, _END_NS),
+                [_topic(wanted[number], *of, head) for number, of in messages.items() if of[0]],
+            )
+
+
+def _topic(connection: Connection, times: list[int], payloads: list[bytes], head: int | None) -> Topic:
+    """Messages of a topic that were read together, in log-time order."""
+    # Messages that are compressed by themselves; those that are not begin with a zero.
+    if payloads[0].startswith(ZSTD_MAGIC):
         try:
-            yield
-        except LogError as error:
-            # Errors of a file in a folder name it, and so the bag.
-            text = str(error).replace(str(self._place), str(self.path))
-            raise LogError(text if text.startswith(str(self.path)) else f"{self.path}: {text}") from error
-        except Exception as error:  # rosbags and the decompressors raise many kinds on damaged bytes
-            reason = (one_line(error) or type(error).__name__).replace(str(self._place), str(self.path))
-            raise LogError(f"{self.path}: cannot be read: {reason}") from error
+            payloads = [zstd.decompress(payload) for payload in payloads]
+        except zstd.ZstdError as error:
+            raise LogError(f"topic {connection.topic}: damaged: {one_line(error)}") from error
+    log_time_ns = np.array(times, dtype=np.int64)
+    order = np.argsort(log_time_ns, kind="stable")
+    return Topic(
+        connection.topic,
+        connection.msgtype,
+        log_time_ns[order],
+        Payloads.join([payloads[place][:head] for place in order.tolist()]),
+    )
 
 
-# Containers
-
-
-class _Database(Sqlite3Reader):
-    """A .db3 file, checked before rosbags reads from its tables."""
-
-    def open(self) -> None:
-        """Open the file.
-
-        Raises:
-            LogError: naming the file, for tables that compute or multiply their rows: these may have no end.
-        """
-        place = f"file:{quote(str(Path(str(self.path)).absolute()))}?mode=ro&immutable=1"
-        try:
-            with closing(sqlite3.connect(place, uri=True)) as database:
-                _check_tables(database)
-        except (LogError, sqlite3.Error, UnicodeDecodeError) as error:
-            reason = str(error) if isinstance(error, LogError) else f"cannot be read: {one_line(error)}"
-            if "malformed" in reason:
-                reason += "; `sqlite3 FILE .recover | sqlite3 whole.db3` rebuilds what is whole of it"
-            raise LogError(f"{self.path}: {reason}") from error
-        super().open()
-
-
-def _check_tables(database: sqlite3.Connection) -> None:
-    made = database.execute("SELECT lower(name), sql FROM sqlite_master").fetchall()
-    for table in _TABLES:
-        columns = database.execute(f"PRAGMA table_xinfo({table})").fetchall()
-        is_plain = all(column[-1] == 0 for column in columns)
-        # Not a view or virtual table, which says so where this says "TABLE".
-        if not is_plain or any(not _TABLE.match(str(text)) for name, text in made if name == table):
-            raise LogError(f"damaged: its table `{table}` computes what it holds")
-    if any(name == "topics" for name, _ in made):
-        total, different = database.execute("SELECT COUNT(*), COUNT(DISTINCT id) FROM topics").fetchone()
-        if total != different:
-            raise LogError("damaged: topics of the same number")
-
-
-class _Directory(DirectoryReader):
-    STORAGE_PLUGINS: Mapping[str, type[ReaderProtocol]] = {"mcap": McapFile, "sqlite3": _Database}
-
-
-class _Reader(rosbag2.Reader):
-    """The reader of rosbags for every container, with these checks."""
-
-    STORAGE_PLUGINS: Mapping[str, type[ReaderProtocol]] = {
-        "dir": _Directory,
-        ".mcap": McapFile,
-        ".db3": _Database,
-        ".bag": cast("type[ReaderProtocol]", Ros1Bag),
-    }
-
-
-# Order of messages
+# In this one
 
 
 class _Part(NamedTuple):
@@ -285,40 +250,6 @@ class _Part(NamedTuple):
 
     topics: list[Topic]
     limit_ns: int
-
-
-def _chunks_in_order(
-    files: Sequence[tuple[McapFile, Sequence[Connection]]], head: int | None
-) -> Iterator[_Part]:
-    """The chunks of MCAP files with wanted messages, in the order of their first log times."""
-    chunks = [
-        (chunk, file, connections)
-        for file, connections in files
-        for chunk in file.chunks
-        # A chunk without an index of its messages may hold any.
-        if not chunk.channel_count or any(one.id in chunk.channel_count for one in connections)
-    ]
-    chunks.sort(key=lambda one: one[0].message_start_time)
-    limits = [*(chunk.message_start_time for chunk, *_ in chunks[1:]), _END_NS]
-    for (chunk, file, connections), limit_ns in zip(chunks, limits, strict=False):
-        yield _Part(file.chunk_topics(chunk, connections, head), min(limit_ns, _END_NS))
-
-
-def _batched(batches: Iterable[tuple[list[Message], int]], head: int | None) -> Iterator[_Part]:
-    return (_Part(_by_topic(batch, head), limit_ns) for batch, limit_ns in batches)
-
-
-def _by_topic(messages: Iterable[Message], head: int | None) -> list[Topic]:
-    times: dict[tuple[str, str], list[int]] = {}
-    payloads: dict[tuple[str, str], list[bytes]] = {}
-    for connection, time_ns, message in messages:
-        key = connection.topic, connection.msgtype
-        times.setdefault(key, []).append(time_ns)
-        payloads.setdefault(key, []).append(message[:head])
-    return [
-        join_topics([Topic(*key, np.array(times[key], dtype=np.int64), Payloads.join(payloads[key]))])
-        for key in times
-    ]
 
 
 def _in_log_order(parts: Iterable[_Part], block_messages: int) -> Iterator[dict[str, Topic]]:

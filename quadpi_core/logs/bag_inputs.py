@@ -20,12 +20,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from rosbags.interfaces import Connection
-
 from quadpi_core.errors import LogError
 from quadpi_core.logs.adapted_bags import AdaptedTopic, adapter_of, find_adapted, unread
 from quadpi_core.logs.bag_files import Bag
-from quadpi_core.logs.bag_topics import is_named, is_truth
+from quadpi_core.logs.bag_topics import is_named, is_truth, require_type
+from quadpi_core.logs.mcap_files import Connection
 from quadpi_core.messages.adapters.adapter_registry import known_adapters
 from quadpi_core.messages.adapters.adapter_settings import (
     FLU_ENU,
@@ -258,20 +257,12 @@ class _Search:
             for word in _words(kind):
                 topics = sorted(topic for topic in self._within if is_named(topic, word))
                 for topic in topics:
-                    self._require_type(topic, word)
+                    require_type(self._bag, topic, word)
                 if topics:
                     self._take_one_of(word, topics)
                     if len(topics) == 1:
                         self._compare_with_types(kind, word, topics[0])
                     break
-
-    def _require_type(self, topic: str, word: str) -> None:
-        types = {one.msgtype for one in self._bag.connections if one.topic == topic}
-        if types != {TOPIC_TYPES[word]}:
-            raise LogError(
-                f"{self._bag.path}: topic {topic}: type {', '.join(sorted(types))}, "
-                f"expected {TOPIC_TYPES[word]}"
-            )
 
     def _take_one_of(self, word: str, topics: Sequence[str]) -> None:
         if len(topics) == 1:

@@ -3,61 +3,75 @@
 """Which files a bag is of: told by their content, whatever their names, and metadata.yaml, say.
 
 `ros2 bag reindex` of Humble leaves the storage identifier empty; users rename files, and compress or unpack
-them by hand. What rosbags could not open so is shown to it in a temporary folder.
+them by hand.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from pathlib import Path, PurePath
-from types import MappingProxyType
 from typing import Any
 
+import yaml
 from backports import zstd
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
 
 from quadpi_core.bounded_files import read_bounded
-from quadpi_core.errors import LogError
-from quadpi_core.logs.mcap_files import MAGIC, METADATA_BYTES_MAX
-from quadpi_core.logs.unpacking import require_unpackable, unpacked_limit, unzstd_blocks, zstd_size
-from quadpi_core.scratch import MADE, scratch_folder
+from quadpi_core.errors import LogError, one_line
+from quadpi_core.logs.sandbox import read_apart, require_unpackable
 
-# The suffix by which rosbags chooses a reader, by the first bytes of a file.
-MAGICS = MappingProxyType({MAGIC: ".mcap", b"SQLite format 3\0": ".db3", b"#ROSBAG V": ".bag"})
 PACKED = ".zstd"
-_STORAGES = MappingProxyType({".mcap": "mcap", ".db3": "sqlite3"})
-_METADATA_FILE = "metadata.yaml"
+_SUFFIXES = (".mcap", ".db3")
+METADATA_FILE = "metadata.yaml"
+# The metadata.yaml of a day's recording, split every minute, is smaller.
+_METADATA_BYTES_MAX = 2**20
 # A frame of Zstandard, and the frames that decompressors skip.
-_ZSTD_MAGICS = (b"\x28\xb5\x2f\xfd", *(bytes((0x50 + kind, 0x2A, 0x4D, 0x18)) for kind in range(16)))
-_HEAD_BYTES = 1 << 17
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+_ZSTD_MAGICS = (ZSTD_MAGIC, *(bytes((0x50 + kind, 0x2A, 0x4D, 0x18)) for kind in range(16)))
+_READ_AT_ONCE = 2**20
 
 
-def files_of(path: Path) -> list[Path]:
-    """The files in a folder, by name, or the one file that a path is."""
-    return sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path]
+@dataclass(frozen=True)
+class BagPlaces:
+    """The files of a bag.
+
+    Attributes:
+        files: with messages, possibly compressed.
+        custom: what the writer of a folder noted in its metadata.yaml; None where it does not say.
+    """
+
+    files: list[Path]
+    custom: dict[str, Any] | None = field(default=None)
 
 
-@contextmanager
-def place_to_open(path: Path) -> Iterator[Path]:
-    """What rosbags can open of a bag: the same, or in a temporary folder what its content asks for.
+def bag_places(path: Path) -> BagPlaces:
+    """The files of a bag that is a file or a folder.
 
     Raises:
-        LogError: if metadata.yaml is too large, names files that are not there, or is absent and there is not
-            exactly one file, or a compressed file unpacks to too much or holds no bag.
+        LogError: if metadata.yaml is too large or names files that are not there, or is absent or unreadable
+            and there is not exactly one file.
     """
-    with ExitStack() as opened:
+    if not path.is_dir():
+        return BagPlaces([path])
+    if not (path / METADATA_FILE).exists():
+        return BagPlaces([_single_file(path, f"no {METADATA_FILE}")])
+    text = read_bounded(path / METADATA_FILE, _METADATA_BYTES_MAX)
+    try:
+        information = yaml.safe_load(text)["rosbag2_bagfile_information"]
+        named = [PurePath(name).name for name in information["relative_file_paths"]]
+        custom = information.get("custom_data")
+    except (yaml.YAMLError, RecursionError, LookupError, TypeError, ValueError, AttributeError):
+        # Emptied when the power went, or damaged.
+        return BagPlaces([_single_file(path, f"{METADATA_FILE} cannot be read")])
+    return BagPlaces(_present(path, named), custom)
 
-        def made() -> Path:
-            return opened.enter_context(scratch_folder()) / MADE
 
-        if not path.is_dir():
-            yield _file_to_open(path, made)
-        elif (path / _METADATA_FILE).exists():
-            yield _folder_to_open(path, made)
-        else:
-            yield _file_to_open(_single_file(path, f"no {_METADATA_FILE}"), made)
+def _files_of_messages(folder: Path) -> list[Path]:
+    return sorted(
+        file
+        for file in folder.iterdir()
+        if file.is_file() and (file.stem if file.suffix == PACKED else file.name).endswith(_SUFFIXES)
+    )
 
 
 def _single_file(folder: Path, why: str) -> Path:
@@ -66,7 +80,7 @@ def _single_file(folder: Path, why: str) -> Path:
     Raises:
         LogError: saying why, if there is not exactly one.
     """
-    files = [file for file in files_of(folder) if _is_of_messages(file)]
+    files = _files_of_messages(folder)
     if len(files) != 1:
         raise LogError(
             f"{why}, and {len(files)} files of messages: `ros2 bag reindex` makes it, or name one of the "
@@ -75,103 +89,44 @@ def _single_file(folder: Path, why: str) -> Path:
     return files[0]
 
 
-def _is_of_messages(file: Path) -> bool:
-    return (file.stem if file.suffix == PACKED else file.name).endswith(tuple(_STORAGES))
-
-
-def _file_to_open(file: Path, made: Callable[[], Path]) -> Path:
-    """A file whose suffix is that of its content."""
-    suffix, is_packed = _content(file)
-    if is_packed:
-        if suffix is None:
-            raise LogError(f"{file}: what it holds compressed is no bag; `zstd -d` unpacks it")
-        unpacked = made() / f"{file.stem}{suffix}"
-        packed = file.read_bytes()
-        with unpacked.open("xb") as stream:
-            for block in unzstd_blocks(packed, unpacked_limit(len(packed))):
-                stream.write(block)
-        require_unpackable(len(packed), unpacked.stat().st_size)
-        return unpacked
-    if suffix is None or file.suffix == suffix:
-        return file
-    named = made() / f"{file.stem}{suffix}"
-    named.symlink_to(file.absolute())
-    return named
-
-
-def _content(file: Path) -> tuple[str | None, bool]:
-    """The suffix of what a file holds, None if that is no bag, and whether it is compressed."""
-    with file.open("rb") as stream:
-        head = stream.read(_HEAD_BYTES)
-    is_packed = head.startswith(_ZSTD_MAGICS)
-    if is_packed:
-        with suppress(LogError, zstd.ZstdError):
-            head = next((block for block in unzstd_blocks(head, _HEAD_BYTES) if block), b"")
-    return next((suffix for magic, suffix in MAGICS.items() if head.startswith(magic)), None), is_packed
-
-
-def _folder_to_open(folder: Path, made: Callable[[], Path]) -> Path:
-    """A folder whose metadata.yaml names its files and how they are stored."""
-    text = read_bounded(folder / _METADATA_FILE, METADATA_BYTES_MAX)
-    for file in files_of(folder):
-        _require_unpackable(file)
-    try:
-        metadata = YAML(typ="safe").load(text)
-    except YAMLError:
-        metadata = None
-    if not isinstance(metadata, dict):
-        # Emptied when the power went, or damaged.
-        return _file_to_open(_single_file(folder, f"{_METADATA_FILE} cannot be read"), made)
-    try:
-        information = metadata["rosbag2_bagfile_information"]
-        corrected = {**information, **_corrections(folder, information)}
-    except (YAMLError, LookupError, TypeError, AttributeError, ValueError):
-        return folder  # rosbags says what is wrong with it
-    if corrected == information:
-        return folder
-    shown = made() / folder.name
-    shown.mkdir()
-    for name in map(str, corrected["relative_file_paths"]):
-        (shown / name).symlink_to((folder / name).absolute())
-    with (shown / _METADATA_FILE).open("w") as stream:
-        YAML(typ="safe").dump({"rosbag2_bagfile_information": corrected}, stream)
-    return shown
-
-
-def _corrections(folder: Path, information: dict[str, Any]) -> dict[str, Any]:
-    """Entries of metadata.yaml that the files contradict."""
-    named = [PurePath(name).name for name in information["relative_file_paths"]]
+def _present(folder: Path, named: list[str]) -> list[Path]:
+    """The files that metadata.yaml names; where some were renamed, the others in their places."""
     missing = [name for name in named if not (folder / name).is_file()]
-    present = [file.name for file in files_of(folder) if _is_of_messages(file) and file.name not in named]
-    if len(missing) != len(present) and missing:
+    others = [file for file in _files_of_messages(folder) if file.name not in named]
+    if missing and len(missing) != len(others):
         raise LogError(
-            f"{_METADATA_FILE} names {', '.join(missing)}, which is not there; there are "
-            f"{', '.join(present) or 'no other files of messages'}: `ros2 bag reindex` renews it"
+            f"{METADATA_FILE} names {', '.join(missing)}, which is not there; there are "
+            f"{', '.join(file.name for file in others) or 'no other files of messages'}: `ros2 bag reindex` "
+            "renews it"
         )
-    renamed = dict(zip(missing, present, strict=False))
-    names = [renamed.get(name, name) for name in named]
-    corrections: dict[str, Any] = {"relative_file_paths": names} if missing else {}
-    contents = {_content(folder / name) for name in names}
-    if len(contents) == 1:
-        ((suffix, is_packed),) = contents
-        storage = _STORAGES.get(suffix or "")
-        if storage and information.get("storage_identifier") != storage:
-            corrections["storage_identifier"] = storage
-        mode = str(information.get("compression_mode", "")).lower()
-        if is_packed and mode != "file":
-            corrections |= {"compression_mode": "FILE", "compression_format": "zstd"}
-        elif not is_packed and mode == "file":
-            corrections |= {"compression_mode": "", "compression_format": ""}
-    return corrections
+    return [folder / name for name in named if name not in missing] + (others if missing else [])
 
 
-def _require_unpackable(file: Path) -> None:
-    """Refuse a compressed file that unpacks to too much; rosbags unpacks it to disk without a limit."""
+def is_packed(file: Path) -> bool:
+    """Whether a file is compressed by Zstandard."""
     with file.open("rb") as stream:
-        if not stream.read(max(map(len, _ZSTD_MAGICS))).startswith(_ZSTD_MAGICS):
-            return
-    packed = file.read_bytes()
+        return stream.read(4).startswith(_ZSTD_MAGICS)
+
+
+def unpack(file: Path, target: Path) -> None:
+    """Unpack a file that is compressed by Zstandard.
+
+    Raises:
+        LogError: if it is damaged, or unpacks to too much.
+    """
+    size = file.stat().st_size
+    for _ in read_apart(size, _unpack, file, target, size):
+        pass
+
+
+def _unpack(file: Path, target: Path, size: int) -> Iterator[None]:
+    written = 0
     try:
-        require_unpackable(len(packed), zstd_size(packed, unpacked_limit(len(packed))))
-    except (LogError, zstd.ZstdError) as error:
-        raise LogError(f"{file}: {error}") from error
+        with zstd.open(file) as packed, target.open("xb") as copy:
+            while part := packed.read(_READ_AT_ONCE):
+                written += len(part)
+                require_unpackable(size, written)
+                copy.write(part)
+    except (zstd.ZstdError, EOFError) as error:
+        raise LogError(f"cannot be read: {one_line(error)}") from error
+    yield

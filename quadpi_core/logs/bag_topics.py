@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import NamedTuple, TypeVar
 
 import numpy as np
-from rosbags.interfaces import Connection
 
 from quadpi_core.errors import LogError, SampleError, VehicleError
 from quadpi_core.flight import Stamps
 from quadpi_core.logs.bag_files import Bag
+from quadpi_core.logs.mcap_files import Connection
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.definitions import typestore
 from quadpi_core.messages.payloads import Payloads, Topic
@@ -94,8 +94,8 @@ def _stamps(bag: Bag, names: Sequence[str]) -> dict[str, Stamps]:
 
 
 def _has_header(connection: Connection) -> bool:
-    if connection.msgdef.data:
-        return _STARTS_WITH_HEADER.match(connection.msgdef.data) is not None
+    if connection.definition:
+        return _STARTS_WITH_HEADER.match(connection.definition) is not None
     _, fields = typestore().fielddefs.get(connection.msgtype, ([], []))
     return bool(fields) and fields[0][1][1] == "std_msgs/msg/Header"
 
@@ -113,14 +113,17 @@ def find_topic(bag: Bag, topic: str) -> Connection | None:
     if len(candidates) > 1:
         raise LogError(f"{bag.path}: topic {topic}: ambiguous between {', '.join(sorted(candidates))}")
     for connection in candidates.values():
-        types = {other.msgtype for other in bag.connections if other.topic == connection.topic}
-        if types != {TOPIC_TYPES[topic]}:
-            raise LogError(
-                f"{bag.path}: topic {connection.topic}: type {', '.join(sorted(types))}, "
-                f"expected {TOPIC_TYPES[topic]}"
-            )
+        require_type(bag, connection.topic, topic)
         return connection
     return None
+
+
+def require_type(bag: Bag, name: str, topic: str) -> None:
+    """Refuse a topic of a bag that has not the type of a standard topic, with a LogError."""
+    types = {connection.msgtype for connection in bag.connections if connection.topic == name}
+    if types != {TOPIC_TYPES[topic]}:
+        found = ", ".join(sorted(types))
+        raise LogError(f"{bag.path}: topic {name}: type {found}, expected {TOPIC_TYPES[topic]}")
 
 
 def is_named(name: str, topic: str) -> bool:

@@ -61,6 +61,17 @@ _FIELDS = {
     "simulation/wrench": ("simulated",),
 }
 _FIELDS_OF_KINDS = {"imu": "imu", "rotor_speeds": "rotor_speeds", "mocap": "pose", "odometry": "odometry"}
+_PACKERS: dict[type[Stream], Callable[[Any], Payloads]] = {
+    ImuStream: sensor_messages.pack_imu,
+    RotorSpeedStream: sensor_messages.pack_rotor_speeds,
+    PoseStream: sensor_messages.pack_pose,
+    TwistStream: sensor_messages.pack_twist,
+    OdometryStream: sensor_messages.pack_odometry,
+    WindStream: sensor_messages.pack_wind,
+    WrenchStream: lambda stream: sensor_messages.pack_body_vectors(
+        stream.time_ns, stream.wrench, sensor_messages.WRENCH
+    ),
+}
 _READ_AT_ONCE = 1 << 20
 _NO_IMU = ImuStream(np.empty(0, dtype=np.int64), np.empty((0, 3)), np.empty((0, 3)))
 
@@ -328,26 +339,7 @@ def recording_topics(recording: Recording) -> Iterator[Topic]:
     """The standard topics that hold a recording, or a part of one; none for a stream without samples."""
     for stream in recording.streams():
         if len(stream):
-            yield output_topic(stream.topic, stream.time_ns, _packed(stream))
-
-
-def _packed(stream: Stream) -> Payloads:
-    match stream:
-        case ImuStream():
-            return sensor_messages.pack_imu(stream)
-        case RotorSpeedStream():
-            return sensor_messages.pack_rotor_speeds(stream)
-        case PoseStream():
-            return sensor_messages.pack_pose(stream)
-        case TwistStream():
-            return sensor_messages.pack_twist(stream)
-        case OdometryStream():
-            return sensor_messages.pack_odometry(stream)
-        case WindStream():
-            return sensor_messages.pack_wind(stream)
-        case WrenchStream():
-            return sensor_messages.pack_body_vectors(stream.time_ns, stream.wrench, sensor_messages.WRENCH)
-    raise TypeError(f"no standard topic holds a {type(stream).__name__}")
+            yield output_topic(stream.topic, stream.time_ns, _PACKERS[type(stream)](stream))
 
 
 def output_topic(name: str, time_ns: Stamps, payloads: Payloads) -> Topic:

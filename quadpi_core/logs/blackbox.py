@@ -35,7 +35,7 @@ from quadpi_core.logs.blackbox_encodings import (
     read_unsigned,
     sign_extended,
 )
-from quadpi_core.logs.unpacking import require_unpackable
+from quadpi_core.logs.sandbox import require_unpackable
 
 # Firmwares log up to 200 fields; their header lines are shorter than 2 kB.
 _FIELDS_MAX = 256

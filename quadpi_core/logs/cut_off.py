@@ -10,12 +10,11 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from quadpi_core.errors import LogError
-from quadpi_core.logs.mcap_files import MAGIC, RECORD_PREFIX, records_of
-from quadpi_core.scratch import scratch_folder
+from quadpi_core.logs.mcap_files import DATA_END, FOOTER, MAGIC, RECORD_PREFIX, records_of
+from quadpi_core.paths import scratch_folder
 
-_FOOTER, _DATA_END = 0x02, 0x0F
 # The end of a file without a summary (MCAP specification): a data end without checksum, a footer, the magic.
-_ENDING = struct.pack("<BQI", _DATA_END, 4, 0) + struct.pack("<BQQQI", _FOOTER, 20, 0, 0, 0) + MAGIC
+_ENDING = struct.pack("<BQI", DATA_END, 4, 0) + struct.pack("<BQQQI", FOOTER, 20, 0, 0, 0) + MAGIC
 _COPIED_BYTES = 1 << 24
 
 
@@ -44,8 +43,8 @@ def whole_part(bag: Path) -> Iterator[Path]:
     assert file is not None
     with scratch_folder() as folder:
         copy = folder / file.name
-        _copy_whole_records(file, copy)
         try:
+            _copy_whole_records(file, copy)
             yield copy
         except LogError as error:
             raise LogError(f"{str(error).replace(str(copy), str(bag))} (the file is cut off)") from error
@@ -64,11 +63,13 @@ def _copy_whole_records(source: Path, target: Path) -> None:
     end = len(MAGIC)
     with source.open("rb") as stream, target.open("xb") as copy:
         for opcode, start, length in records_of(stream, source.stat().st_size):
-            if opcode == _DATA_END:
+            if opcode == DATA_END:
                 # The data are whole, only their summary is not.
                 end = start - RECORD_PREFIX
                 break
             end = start + length
+        if end == len(MAGIC):
+            raise LogError(f"{target}: cut off within its first record")
         stream.seek(0)
         while end > 0 and (part := stream.read(min(end, _COPIED_BYTES))):
             copy.write(part)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from quadpi_core.errors import LogError
+from quadpi_core.errors import LogError, require_library
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array
 from quadpi_core.paths import whole_output
@@ -50,10 +50,8 @@ def write_flight_table(path: Path, flight: Flight, wrench: Array) -> None:
         LogError: for another ending.
         OutputError: if `path` cannot be written.
     """
-    import pyarrow as pa
-    from pyarrow import csv, parquet
-
     require_table(path)
+    pa, csv, parquet = (require_library(f"pyarrow{part}", "logs") for part in ("", ".csv", ".parquet"))
     columns = {"time_ns": flight.stamps_ns}
     for name, headings in _STATES.items():
         columns |= dict(zip(headings, getattr(flight, name).T, strict=True))

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from quadpi_core.findings import NOTHING_TO_SAY, DataQuality
-from quadpi_core.flight import STREAM_KINDS, PoseStream, ValueCheck, check_stamps
+from quadpi_core.flight import PoseStream, ValueCheck, check_stamps
 from quadpi_core.flight_files import FlightFile, LeftOutFlights, bags_in, for_each_flight, once_each
 from quadpi_core.logs.bags import recording_topics, recording_writer, write_bag
 from quadpi_core.logs.duplicates import RunningHash, recording_hash
@@ -29,15 +29,8 @@ from quadpi_core.screening.consistency import checked
 from quadpi_core.screening.flight_runs import require_imu_in
 from quadpi_core.screening.plausibility import check_plausible, missing_topics
 from quadpi_core.screening.sample_order import require_usable
-from quadpi_core.screening.survey import (
-    Excerpting,
-    InOrder,
-    Selection,
-    judged_streams,
-    survey,
-    survey_quality,
-)
-from quadpi_core.screening.wild_samples import StreamScreening
+from quadpi_core.screening.survey import Excerpting, Selection, in_order, survey, survey_quality
+from quadpi_core.screening.wild_samples import Screening
 from quadpi_core.signals.alignment import Alignment
 from quadpi_core.vehicle import Vehicle
 
@@ -157,36 +150,37 @@ def _convert_in_blocks(task: _Conversion, file: FlightFile) -> tuple[Imported, s
     part = task.mapping.part
     with ExitStack() as opened:
         bag = opened.enter_context(open_in_blocks(file.path, task.vehicle, task.mapping))
-        streams = survey(partial(blocks_of, bag), task.vehicle, part)
-        require_usable(bag.source, judged_streams(streams))
-        if any(len(stream.order.starts) > 1 for stream in streams.values()):
+        surveyed = survey(partial(blocks_of, bag), task.vehicle, part)
+        require_usable(bag.source, surveyed)
+        if any(len(stream.order.starts) > 1 for stream in surveyed.values()):
             return None
-        imu = streams["imu"]
+        imu = surveyed["imu"]
         require_imu_in(bag.source, part, len(imu.time_ns), 1e-9 * float(np.ptp(imu.stored_ns)))
-        quality_of_order = survey_quality(streams, part)
-        streams = {name: stream for name, stream in streams.items() if len(stream.time_ns)}
+        quality_of_order = survey_quality(surveyed, part)
+        streams = {name: stream for name, stream in surveyed.items() if len(stream.time_ns)}
+        absent: dict[str, Any] = dict.fromkeys(surveyed.keys() - streams.keys())
         stamps = {name: stream.usable_ns for name, stream in streams.items()}
         wheres = {name: f"{bag.source}: topic {stream.topic}" for name, stream in streams.items()}
         for name, where in wheres.items():
             check_stamps(where, stamps[name])
         values = {name: ValueCheck(where) for name, where in wheres.items()}
         excerpting = Excerpting(stamps)
-        screening = {name: StreamScreening(STREAM_KINDS[name], task.vehicle) for name in streams}
+        screening = Screening(task.vehicle, readings=False)
         running = opened.enter_context(RunningHash(stamps["imu"], stamps.get("rotor_speeds")))
         topics = tuple(stream.topic for stream in streams.values())
         path = staged(task.staging, f"{file.name}.mcap")
         with recording_writer(path, bag.vehicle, bag.source, topics) as writer:
             written = dict.fromkeys(streams, 0)
             usable = Selection({name: stream.usable for name, stream in streams.items()})
-            in_order = InOrder(streams)
-            for block in map(usable.of, map(in_order.of, blocks_of(bag))):
+            for every in map(usable.of, in_order(blocks_of(bag), streams)):
+                block = replace(every, **absent)
                 excerpting.add(block)
                 running.add(block)
+                screening.add(block)
                 for topic in recording_topics(block):
                     writer.add(topic)
                 for name, stream in streams_by_field(block).items():
                     values[name].add(stream)
-                    screening[name].add(stream)
                     written[name] += len(stream)
                 coming = [stamps[name][count] for name, count in written.items() if count < len(stamps[name])]
                 if coming:
@@ -195,7 +189,7 @@ def _convert_in_blocks(task: _Conversion, file: FlightFile) -> tuple[Imported, s
                 check.finish()
             excerpt = excerpting.finish()
             quality = excerpt.quality.joined(quality_of_order)
-            beyond = {streams[name].topic: list(one.finish()) for name, one in screening.items()}
+            beyond = {streams[name].topic: found for name, found in screening.finish(stamps).items()}
             recording = checked(replace(excerpt, quality=quality), task.vehicle, beyond)
         imported = Imported(
             file.path,

@@ -37,15 +37,8 @@ from quadpi_core.screening.plausibility import (
     missing_topics,
     thrust_coefficient,
 )
-from quadpi_core.screening.rotors_in_flight import Inertial, carrying
-from quadpi_core.screening.survey import (
-    Excerpting,
-    InOrder,
-    Selection,
-    StreamSurvey,
-    survey,
-    survey_quality,
-)
+from quadpi_core.screening.rotors_in_flight import Inertial, in_flight
+from quadpi_core.screening.survey import Excerpting, Selection, StreamSurvey, in_order, survey, survey_quality
 from quadpi_core.vehicle import Vehicle
 
 GAP_INTERVALS = 5.0
@@ -116,11 +109,14 @@ def _inspect(blocks: Callable[[], Iterator[Recording]], vehicle: Vehicle | None)
     summaries = {name: _Summary() for name in streams}
     usable = Selection({name: stream.usable for name, stream in streams.items()})
     values = {name: ValueCheck(stream.topic) for name, stream in streams.items()}
-    in_order = InOrder(streams)
-    for block in blocks():
-        for name, stream in streams_by_field(block).items():
-            summaries[name].add(stream)
-        used = in_order.of(block)
+
+    def summarised() -> Iterator[Recording]:
+        for block in blocks():
+            for name, stream in streams_by_field(block).items():
+                summaries[name].add(stream)
+            yield block
+
+    for used in in_order(summarised(), streams):
         excerpting.add(used)
         for name, stream in streams_by_field(usable.of(used)).items():
             values[name].add(stream)
@@ -319,15 +315,12 @@ def _half_reading_findings(rotors: RotorSpeedStream, recording: Recording) -> It
     """
     inertial = Inertial.of(recording)
     known = finite_rows(rotors.speeds) & np.all(rotors.speeds > 0.0, axis=1)
-    seen = finite_rows(inertial.lift)
-    if not np.any(known) or not np.any(seen):
+    inertial = inertial.at(np.isfinite(inertial.lift))
+    if not np.any(known) or not len(inertial.time_ns):
         return
     time_ns, speeds = rotors.time_ns[known], rotors.speeds[known]
-    inertial = Inertial(inertial.time_ns[seen], inertial.lift[seen], inertial.rates[seen])
-    flying = carrying(speeds, inertial.lift_at(time_ns), STANDARD_GRAVITY)
-    if np.count_nonzero(flying) < 2:
-        return
-    if inertial.stands(int(time_ns[flying].min()), int(time_ns[flying].max())):
+    flying = in_flight(time_ns, speeds, inertial, STANDARD_GRAVITY)
+    if flying is None or np.count_nonzero(flying) < 2:
         return
     steps = np.diff(time_ns)
     soon = flying[1:] & flying[:-1] & (steps > 0) & (steps <= _JUMP_NS)

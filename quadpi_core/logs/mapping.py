@@ -13,10 +13,9 @@ from types import MappingProxyType
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import PlainValidator
 
 from quadpi_core.config import nearest
-from quadpi_core.config_schema import OneOf, Section, Share, load_config, unknown_key
+from quadpi_core.config_schema import OneOf, ReadBy, Section, Share, load_config, unknown_key
 from quadpi_core.errors import LogError
 from quadpi_core.sample_limits import STANDARD_GRAVITY
 
@@ -80,7 +79,7 @@ class Signal(Section):
         form: of an attitude.
     """
 
-    columns: Annotated[tuple[str, ...], PlainValidator(_read_columns)]
+    columns: Annotated[tuple[str, ...], ReadBy(_read_columns)]
     unit: str | None = None
     missing: Share = 0.0
     table: str | None = None

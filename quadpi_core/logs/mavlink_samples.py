@@ -154,10 +154,10 @@ class MavlinkSamples:
         """The sample that a message completes; None if it does not complete one or is refused.
 
         Args:
-            message: of :class:`quadpi_core.logs.mavlink_frames.MessageDecoder`.
+            message: of pymavlink.
             arrival_s: time of its arrival by any steady clock.
         """
-        name = type(message).__name__
+        name = message.get_type()
         decoder = self._decoders.get(name)
         if decoder is None:
             return None
@@ -194,7 +194,7 @@ class MavlinkSamples:
         return Sample("imu", "RAW_IMU", m.time_usec, _milli_units(m))
 
     def _scaled_imu(self, m: Any, _: float) -> Sample | None:
-        return Sample("imu", type(m).__name__, m.time_boot_ms * 1000, _milli_units(m))
+        return Sample("imu", m.get_type(), m.time_boot_ms * 1000, _milli_units(m))
 
     def _take_quaternion(self, m: Any, _: float) -> None:
         attitude = self._unit("ATTITUDE_QUATERNION", (m.q1, m.q2, m.q3, m.q4))
@@ -289,7 +289,7 @@ class MavlinkSamples:
 
     def _esc_telemetry(self, m: Any, arrival_s: float) -> Sample | None:
         """Mechanical rpm; `count` increases for controllers that have reported since the last message."""
-        name = type(m).__name__
+        name = m.get_type()
         first = int(name.split("_")[2]) - 1
         fresh = [self._speed_count.get(first + k) != count for k, count in enumerate(m.count)]
         self._speed_count.update((first + k, count) for k, count in enumerate(m.count))

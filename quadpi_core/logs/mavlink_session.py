@@ -16,14 +16,7 @@ from quadpi_core.frames import Array
 from quadpi_core.logs.airframes import Airframe
 from quadpi_core.logs.clocks import ClockOffset, Offset
 from quadpi_core.logs.mavlink_dialect import load_dialect
-from quadpi_core.logs.mavlink_frames import (
-    Frame,
-    FrameCounts,
-    Framer,
-    MessageDecoder,
-    Verifier,
-    signature_stamp,
-)
+from quadpi_core.logs.mavlink_frames import FrameCounts, Framer, signature_stamp
 from quadpi_core.logs.mavlink_samples import (
     ARDUPILOT,
     AUTOPILOT_INVALID,
@@ -53,12 +46,9 @@ _GONE_NS = 3 * _SECOND
 # Largest plausible delay of a link to a flying vehicle: stamps older than this on arrival, or more than a
 # second ahead of it, are wrong.
 _DELAY_MAX_NS = 10 * _SECOND
-_COMPANION = 191
-_OWN_SYSTEM = 255
-_HEARTBEAT = 0
 _ACTIVE, _PROTOCOL = 4, 3
 _SET_MESSAGE_INTERVAL = 511
-_ESC_TELEMETRY = (11030, 11031, 11032)
+_ESC_TELEMETRY = ("ESC_TELEMETRY_1_TO_4", "ESC_TELEMETRY_5_TO_8", "ESC_TELEMETRY_9_TO_12")
 
 
 @dataclass(frozen=True)
@@ -115,7 +105,6 @@ class SessionReport(NamedTuple):
     """
 
     system: int | None
-    autopilot: int | None
     silent_s: float
     others: dict[str, int]
     rivals: dict[str, int]
@@ -145,15 +134,9 @@ class MavlinkSession:
     def __init__(self, vehicle: Vehicle | None, order: RotorOrder, settings: SessionSettings) -> None:
         self._settings = settings
         self._order = order
-        self._dialect = load_dialect()
-        self._framer = Framer(Verifier(settings.key) if settings.key else None)
-        self._decoder = MessageDecoder()
+        self._kinds = {kind.msgname: kind for kind in load_dialect().mavlink_map.values()}
+        self._framer = Framer(settings.key)
         self._samples = MavlinkSamples(vehicle, order)
-        self._wanted = {
-            number
-            for number, kind in self._dialect.mavlink_map.items()
-            if kind.msgname in {*self._samples.names, "TIMESYNC"}
-        }
         self._peer: Peer | None = None
         self._heard_ns = 0
         self._others: Counter[str] = Counter()
@@ -162,16 +145,12 @@ class MavlinkSession:
         self._sources: dict[str, tuple[str, int]] = {}
         self._last_ns: dict[str, int] = {}
         self._counts: Counter[str] = Counter()
-        self._seen: Counter[int] = Counter()
-        self._seen_before: Counter[int] = Counter()
+        self._seen: Counter[str] = Counter()
+        self._seen_before: Counter[str] = Counter()
         self._pending: deque[int] = deque(maxlen=_PENDING)
         self._answers: deque[bytes] = deque(maxlen=_PENDING)
         self._next_ns = {"heartbeat": 0, "timesync": 0, "requests": 0}
         self._first_ns = 0
-        self._out = self._dialect.MAVLink(None, _OWN_SYSTEM, _COMPANION)
-        if settings.key:
-            self._out.signing.secret_key = settings.key
-            self._out.signing.sign_outgoing = True
 
     @property
     def address(self) -> object:
@@ -188,67 +167,68 @@ class MavlinkSession:
             address: of the sender; None for a link with only one other end.
         """
         received = []
-        for frame in self._framer.feed(data, complete=complete):
-            if frame.message_id == _HEARTBEAT:
-                self._meet(frame, arrival_ns, address)
-            sender = self._stranger(frame, address)
+        for message in self._framer.feed(data, complete=complete):
+            name = message.get_type()
+            if name == "HEARTBEAT" and is_autopilot(message):
+                self._meet(message, arrival_ns, address)
+            sender = self._stranger(message, address)
             if sender is not None:
                 self._others[sender] += 1
                 continue
             self._heard_ns = arrival_ns
-            self._seen[frame.message_id] += 1
-            if frame.message_id not in self._wanted:
-                continue
-            message = self._decoder.decode(frame)
-            if type(message).__name__ == "TIMESYNC":
-                self._timesync(frame, message, arrival_ns)
+            self._seen[name] += 1
+            if name == "TIMESYNC":
+                self._timesync(message, arrival_ns)
                 continue
             sample = self._samples.decode(message, arrival_ns * 1e-9)
-            if sample is not None and (stamped := self._stamped(frame, sample, arrival_ns)) is not None:
+            if sample is not None and (stamped := self._stamped(message, sample, arrival_ns)) is not None:
                 received.append(stamped)
         return received
 
-    def _meet(self, frame: Frame, arrival_ns: int, address: object) -> None:
+    def _meet(self, heartbeat: Any, arrival_ns: int, address: object) -> None:
         """Accept the sender of a heartbeat as the autopilot, or count it as a rival of the present one."""
-        heartbeat = self._decoder.decode(frame)
-        if not is_autopilot(heartbeat):
-            return
-        wanted = self._settings.system
-        if self._peer is None and wanted in (0, frame.system):
+        wanted, system = self._settings.system, heartbeat.get_srcSystem()
+        if self._peer is None and wanted in (0, system):
             self._first_ns = arrival_ns
-        elif self._peer is None or self._peer.system != frame.system or not self._is_gone(arrival_ns):
-            sender = self._stranger(frame, address)
-            if sender is not None and (not wanted or wanted == frame.system):
+        elif self._peer is None or self._peer.system != system or not self._is_gone(arrival_ns):
+            sender = self._stranger(heartbeat, address)
+            if sender is not None and (not wanted or wanted == system):
                 self._rivals[sender] += 1
             return
-        self._peer = Peer(frame.system, frame.component, address)
+        self._peer = Peer(system, heartbeat.get_srcComponent(), address)
 
     def _is_gone(self, now_ns: int) -> bool:
         # Of either sign: this computer's clock may be set back.
         return abs(now_ns - self._heard_ns) > _GONE_NS
 
-    def _stranger(self, frame: Frame, address: object) -> str | None:
+    def _stranger(self, message: Any, address: object) -> str | None:
         """Name in the diagnostics of a sender that is not the autopilot; None for the autopilot."""
-        if self._peer is None or frame.system != self._peer.system:
-            return f"system {frame.system}"
-        return None if address == self._peer.address else f"system {frame.system} at another address"
+        system = message.get_srcSystem()
+        if self._peer is None or system != self._peer.system:
+            return f"system {system}"
+        return None if address == self._peer.address else f"system {system} at another address"
 
-    def _timesync(self, frame: Frame, message: Any, arrival_ns: int) -> None:
+    def _timesync(self, message: Any, arrival_ns: int) -> None:
         if message.tc1 == 0:
-            self._answers.append(self._pack(arrival_ns, "timesync", arrival_ns, message.ts1))
-        elif message.ts1 in self._pending and self._peer and frame.component == self._peer.component:
+            self._answers.append(self._pack(arrival_ns, "TIMESYNC", arrival_ns, message.ts1))
+        elif (
+            message.ts1 in self._pending
+            and self._peer is not None
+            and message.get_srcComponent() == self._peer.component
+        ):
             self._pending.remove(message.ts1)
             remote_us = message.tc1 // 1000
             if 0 < remote_us <= LATEST_US:
-                clock = self._clock(frame, since_1970=is_epoch(remote_us))
-                clock.exchange(message.ts1, message.tc1, arrival_ns)
+                self._clock(message, remote_us).exchange(message.ts1, message.tc1, arrival_ns)
             else:
                 self._samples.refused["TIMESYNC: an impossible stamp"] += 1
 
-    def _clock(self, frame: Frame, *, since_1970: bool) -> ClockOffset:
-        return self._clocks.setdefault((frame.system, frame.component, since_1970), ClockOffset())
+    def _clock(self, message: Any, remote_us: int) -> ClockOffset:
+        """The clock of a sender; it may have two, since its boot and since 1970."""
+        key = (message.get_srcSystem(), message.get_srcComponent(), is_epoch(remote_us))
+        return self._clocks.setdefault(key, ClockOffset())
 
-    def _stamped(self, frame: Frame, sample: Sample, arrival_ns: int) -> Received | None:
+    def _stamped(self, message: Any, sample: Sample, arrival_ns: int) -> Received | None:
         """The sample on this computer's clock; None if its topic uses another message or the stamp falls."""
         if not self._is_chosen(sample, arrival_ns):
             return None
@@ -258,7 +238,7 @@ class MavlinkSession:
         time_ns = arrival_ns
         if sample.clock_us is not None:
             remote_ns = sample.clock_us * 1000
-            clock = self._clock(frame, since_1970=is_epoch(sample.clock_us))
+            clock = self._clock(message, sample.clock_us)
             clock.arrival(remote_ns, arrival_ns)
             time_ns = clock.to_local(remote_ns, arrival_ns)
             if not -_DELAY_MAX_NS <= time_ns - arrival_ns <= _SECOND:
@@ -295,13 +275,13 @@ class MavlinkSession:
             return []
         if self._is_due("heartbeat", now_ns, _HEARTBEAT_NS):
             beat = (ONBOARD_CONTROLLER, AUTOPILOT_INVALID, 0, 0, _ACTIVE, _PROTOCOL)
-            packets.append(self._pack(now_ns, "heartbeat", *beat))
+            packets.append(self._pack(now_ns, "HEARTBEAT", *beat))
         if self._peer is None:
             return packets
         is_first_round = abs(now_ns - self._first_ns) < _FIRST_ROUND_NS
         if self._is_due("timesync", now_ns, _FIRST_TIMESYNC_NS if is_first_round else _TIMESYNC_NS):
             self._pending.append(now_ns)
-            packets.append(self._pack(now_ns, "timesync", 0, now_ns))
+            packets.append(self._pack(now_ns, "TIMESYNC", 0, now_ns))
         if self._is_due("requests", now_ns, _REQUEST_NS):
             packets += self._requests(self._peer, now_ns)
         return packets
@@ -317,39 +297,35 @@ class MavlinkSession:
         """Requests for every message that has been slower than requested since the last round."""
         recent = self._seen - self._seen_before
         packets = []
-        for number, rate_hz in self._desired().items():
-            if rate_hz > 0.0 and recent[number] < _ENOUGH * rate_hz * (_REQUEST_NS / _SECOND):
+        for name, rate_hz in self._desired().items():
+            if rate_hz > 0.0 and recent[name] < _ENOUGH * rate_hz * (_REQUEST_NS / _SECOND):
                 interval_us = round(1e6 / rate_hz)
-                command = (_SET_MESSAGE_INTERVAL, 0, number, interval_us, 0, 0, 0, 0, 0)
-                packets.append(self._pack(now_ns, "command_long", peer.system, peer.component, *command))
+                command = (_SET_MESSAGE_INTERVAL, 0, self._kinds[name].id, interval_us, 0, 0, 0, 0, 0)
+                packets.append(self._pack(now_ns, "COMMAND_LONG", peer.system, peer.component, *command))
         self._seen_before = Counter(self._seen)
         return packets
 
-    def _desired(self) -> dict[int, float]:
-        """Requested rate by message id, for messages that this autopilot can send."""
+    def _desired(self) -> dict[str, float]:
+        """Requested rate by message, for messages that this autopilot can send."""
         rates = self._settings.rates_hz
         imu, rotors, states = rates["imu"], rates["rotor_speeds"], rates["odometry"]
-        number = {kind.msgname: key for key, kind in self._dialect.mavlink_map.items()}
-        desired = {number["HIGHRES_IMU"]: imu, number["ATTITUDE_QUATERNION"]: states}
-        if self._samples.autopilot == PX4:
-            desired |= {number["ODOMETRY"]: states, number["ESC_STATUS"]: rotors, number["ESC_INFO"]: 1.0}
-        elif self._samples.autopilot == ARDUPILOT:
+        desired = {"HIGHRES_IMU": imu, "ATTITUDE_QUATERNION": states}
+        if self._samples.autopilot == ARDUPILOT:
             groups = {controller // 4 for controller in self._order.controllers}
             desired |= {_ESC_TELEMETRY[group]: rotors for group in groups if group < len(_ESC_TELEMETRY)}
-            desired[number["LOCAL_POSITION_NED"]] = states
-            if self._seen_before and not self._seen[number["HIGHRES_IMU"]]:
-                desired[number["RAW_IMU"]] = imu
-        else:
-            desired |= {number["ODOMETRY"]: states, number["ESC_STATUS"]: rotors}
-        return desired
+            desired["LOCAL_POSITION_NED"] = states
+            if self._seen_before and not self._seen["HIGHRES_IMU"]:
+                desired["RAW_IMU"] = imu
+            return desired
+        desired |= {"ODOMETRY": states, "ESC_STATUS": rotors}
+        return desired | ({"ESC_INFO": 1.0} if self._samples.autopilot == PX4 else {})
 
     def _pack(self, now_ns: int, name: str, *values: Any) -> bytes:
         # Autopilots refuse a signature that is a minute older than their newest, or not newer than the last.
-        signing = self._out.signing
-        signing.timestamp = max(signing.timestamp, signature_stamp(now_ns * 1e-9))
-        message = getattr(self._dialect, f"MAVLink_{name}_message")(*values)
-        packed: bytes = bytes(message.pack(self._out))
-        self._out.seq = (self._out.seq + 1) % 256
+        mav = self._framer.mav
+        mav.signing.timestamp = max(mav.signing.timestamp, signature_stamp(now_ns * 1e-9))
+        packed = bytes(self._kinds[name](*values).pack(mav))
+        mav.seq = (mav.seq + 1) % 256
         return packed
 
     def report(self, now_ns: int) -> SessionReport:
@@ -361,7 +337,6 @@ class MavlinkSession:
         estimates = [one for clock in clocks if (one := clock.estimate(now_ns)) is not None]
         return SessionReport(
             system=self._peer.system if self._peer else None,
-            autopilot=self._samples.autopilot,
             silent_s=(now_ns - self._heard_ns) * 1e-9 if self._heard_ns else math.inf,
             others=dict(self._others),
             rivals=dict(self._rivals),

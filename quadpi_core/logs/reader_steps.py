@@ -97,12 +97,17 @@ def _longest_gap_ns(time_ns: Stamps) -> int:
 
 def unit_attitudes(source: str, topic: str, time_ns: Stamps, quaternion: Array) -> tuple[Stamps, Array]:
     """Stamps (M,) and unit quaternions (M, 4) of those (N, 4) that are; how many are none, a note says."""
-    norm = np.linalg.norm(quaternion, axis=1)
-    is_unit = np.abs(norm - 1.0) <= NORM_TOLERANCE
-    if not np.all(is_unit):
-        note(source, f"topic {topic}: {np.count_nonzero(~is_unit)} of {len(norm)} have no attitude")
-    kept, (unit,) = rising(time_ns[is_unit], quaternion[is_unit] / norm[is_unit, np.newaxis])
+    is_unit = has_attitude(source, topic, quaternion)
+    kept, (unit,) = rising(time_ns[is_unit], normalised_attitude(quaternion[is_unit]))
     return kept, unit
+
+
+def has_attitude(source: str, topic: str, quaternion: Array) -> npt.NDArray[np.bool_]:
+    """Which quaternions (N, 4) have about unit length (N,); how many have not, a note says."""
+    is_unit: npt.NDArray[np.bool_] = np.abs(np.linalg.norm(quaternion, axis=1) - 1.0) <= NORM_TOLERANCE
+    if not np.all(is_unit):
+        note(source, f"topic {topic}: {np.count_nonzero(~is_unit)} of {len(is_unit)} have no attitude")
+    return is_unit
 
 
 def rising(time_ns: Stamps, *columns: Array) -> tuple[Stamps, tuple[Array, ...]]:

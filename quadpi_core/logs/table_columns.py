@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,15 +13,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.errors import LogError, one_line
+from quadpi_core.errors import LogError, one_line, require_library
 from quadpi_core.flight import MAX_GAP_NS, NO_STAMP, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.logs.csv_files import ABSENT, CsvDialect, dialect_of, read_columns, read_content
 from quadpi_core.logs.mapping import UNITS
 from quadpi_core.logs.matlab import read_matlab
-from quadpi_core.logs.parquet_pages import unpacked_bytes
 from quadpi_core.logs.reader_steps import note, stamps_ns
-from quadpi_core.logs.unpacking import require_unpackable
+from quadpi_core.logs.sandbox import read_apart
 from quadpi_core.thresholds import CONVENTION, Threshold
 
 if TYPE_CHECKING:
@@ -96,6 +95,8 @@ def open_columns(path: Path) -> Columns:
     try:
         with path.open("rb") as stream:
             is_parquet = stream.read(len(PARQUET_MAGIC)) == PARQUET_MAGIC or suffix == ".parquet"
+        if suffix != ".mat":
+            require_library("pyarrow", "logs")
         return (_of_parquet if is_parquet else _of_matlab if suffix == ".mat" else _of_csv)(path)
     except OSError as error:
         raise LogError(f"{path}: cannot be read: {error.strerror or error}") from error
@@ -134,17 +135,11 @@ def _number_of(text: str) -> float:
 
 def _of_parquet(path: Path) -> Columns:
     """A Parquet table, unless it unpacks to too much: one value can stand for any number of rows."""
-    # Slow to import, and no other format needs it.
-    import pyarrow as pa
-    from pyarrow import parquet
+    # Slow to import, and no other format needs it; here, so that the other process need not.
+    from pyarrow import parquet  # noqa: F401
 
-    content = np.memmap(path, dtype=np.uint8, mode="r")
-    try:
-        require_unpackable(len(content), unpacked_bytes(content.data))
-        table = parquet.read_table(path)
-        names = table.column_names
-    except (pa.ArrowException, LogError) as error:
-        raise LogError(f"not a readable parquet table: {one_line(error)}") from error
+    table: pa.Table = next(read_apart(path.stat().st_size, _parquet_table, path))
+    names = table.column_names
     if table.num_rows == 0:
         raise LogError("the table has no rows")
     by_place = table.rename_columns([str(place) for place in range(len(names))])
@@ -160,10 +155,21 @@ def _of_parquet(path: Path) -> Columns:
     return Columns(path, names, (), read, head)
 
 
+def _parquet_table(path: Path) -> Iterator[pa.Table]:
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    # Another allocator would reserve more memory than it uses.
+    pa.set_memory_pool(pa.system_memory_pool())
+    table = parquet.ParquetFile(path).read(use_threads=False)
+    table.validate(full=True)
+    yield table
+
+
 def _of_matlab(path: Path) -> Columns:
     """Variables by their names, fields of a struct with a dot; of a matrix also NAME.1, NAME.2 and so on."""
     columns: dict[str, npt.NDArray[Any]] = {}
-    for variable in read_matlab(path.read_bytes()):
+    for variable in read_matlab(path):
         if variable.values is not None and variable.values.size:
             along = variable.values if np.argmax(variable.values.shape) == 0 else variable.values.T
             if along.shape[1] == 1:

@@ -103,12 +103,11 @@ class Layout:
     counts: dict[str, int]
     doubles: slice
 
-    @cached_property
-    def marks(self) -> tuple[tuple[slice, bytes], ...]:
-        """The encapsulation and each length: where it lies, and its bytes."""
-        starts = [0, *self.identifying[2 :: _LENGTH.size].tolist()]
-        spans = [slice(start, start + (_LENGTH.size if start else 2)) for start in starts]
-        return tuple((span, self.template[span].tobytes()) for span in spans)
+    @property
+    def last_length(self) -> tuple[slice, bytes]:
+        """Where the last length lies, and its bytes."""
+        span = slice(int(self.identifying[-_LENGTH.size]), int(self.identifying[-1]) + 1)
+        return span, self.template[span].tobytes()
 
     def require(self, counts: Mapping[str, int], sample: int) -> None:
         """Refuse other lengths of the sequences of numbers than `counts`.
@@ -119,27 +118,6 @@ class Layout:
         for name, found in self.counts.items():
             if found != counts[name]:
                 raise SampleError(sample, f"`{name}` holds {found} values, expected {counts[name]}")
-
-    def describes(self, message: bytes) -> bool:
-        """Whether the message has this layout."""
-        if not 0 <= len(message) - len(self.template) <= _PADDING_MAX:
-            return False
-        for span, expected in self.marks:  # noqa: SIM110 - a generator costs a call per mark, at each message
-            if message[span] != expected:
-                return False
-        return True
-
-
-class Stamped(NamedTuple):
-    """What most messages are: a header stamp and numbers.
-
-    Attributes:
-        time_ns: (N,) header stamps.
-        values: (N, K) the float64 fields that end the message, in their order; a copy.
-    """
-
-    time_ns: npt.NDArray[np.int64]
-    values: npt.NDArray[np.float64]
 
 
 class Codec:
@@ -160,7 +138,6 @@ class Codec:
         self._variable = tuple(field for field in fields if field.is_variable)
         self._layout = lru_cache(maxsize=256)(self._build_layout)
         self.template = lru_cache(maxsize=256)(self._build_template)
-        self._latest: Layout | None = None
         self.places = _places_of_doubles(fields)
 
     def decode(self, payloads: Payloads | bytes) -> Columns:
@@ -188,8 +165,8 @@ class Codec:
 
     def decode_stamped(
         self, payloads: Payloads | bytes, counts: Mapping[str, int] = MappingProxyType({})
-    ) -> Stamped:
-        """Header stamps, and the float64 fields that end the message; :attr:`places` says where each is.
+    ) -> tuple[Stamps, npt.NDArray[np.float64]]:
+        """Header stamps (N,), and a copy (N, K) of the float64 fields that end messages (:attr:`places`).
 
         Args:
             payloads: N messages, or one.
@@ -212,19 +189,19 @@ class Codec:
                 raise no_stamp(int(order[sample]), int(nanoseconds[sample]))
             time_ns[order] = seconds.astype(np.int64) * NANOSECONDS + nanoseconds
             values[order] = np.ascontiguousarray(rows[:, layout.doubles]).view(_DOUBLE)
-        return Stamped(time_ns, values)
+        return time_ns, values
 
     def encode_stamped(
         self,
-        time_ns: npt.NDArray[np.int64],
+        time_ns: Stamps,
         values: npt.NDArray[np.float64],
         constants: tuple[tuple[str, str | float | tuple[float, ...]], ...],
     ) -> Payloads:
-        """Encode messages from their header stamps (N,) and the float64 fields (N, K) that end them.
+        """Encode messages.
 
         Args:
-            time_ns: see :class:`Stamped`.
-            values: see there.
+            time_ns: (N,) header stamps.
+            values: (N, K) the float64 fields that end the messages, see :attr:`places`.
             constants: other fields with their values, the same in all messages; of a sequence of numbers that
                 ends them, as many as it holds.
         """
@@ -282,8 +259,6 @@ class Codec:
 
     def layout_of(self, message: bytes, sample: int) -> Layout:
         """The layout of one message, found from the lengths that it holds."""
-        if self._latest is not None and self._latest.describes(message):
-            return self._latest
         if message[:2] != _ENCAPSULATION[:2]:
             raise SampleError(sample, f"not little-endian CDR (starts with {message[:4].hex(' ')})")
         lengths: list[int] = []
@@ -306,7 +281,6 @@ class Codec:
             raise SampleError(
                 sample, f"{len(message)} bytes where {self.type_name}{counted} takes {len(layout.template)}"
             )
-        self._latest = layout
         return layout
 
     def _build_template(
@@ -380,28 +354,22 @@ class Codec:
         Args:
             length_at: gives the length stored at a position.
         """
-        position = 0
+        position, count = 0, 0
         for field in self._fields:
+            if field.format == "strings" or field.count == ANY:
+                position = _aligned(position, _LENGTH.size)
+                count = length_at(position)
+                yield _Place(field.name, _LENGTH_DTYPE, position, is_length=True)
+                position += _LENGTH.size
             if field.is_number:
-                dtype = field.dtype
-                if field.count == ANY:
-                    position = _aligned(position, _LENGTH.size)
-                    dtype = np.dtype((dtype, (length_at(position),)))
-                    yield _Place(field.name, _LENGTH_DTYPE, position, is_length=True)
-                    position += _LENGTH.size
+                dtype = np.dtype((field.dtype, (count,))) if field.count == ANY else field.dtype
                 # Writers differ in whether they align a sequence of nothing.
                 position = _aligned(position, field.alignment) if dtype.itemsize else position
                 yield _Place(field.name, dtype, position)
                 position += dtype.itemsize
                 continue
-            names = [field.name]
-            if field.format == "strings":
-                position = _aligned(position, _LENGTH.size)
-                count = length_at(position)
-                yield _Place(field.name, _LENGTH_DTYPE, position, is_length=True)
-                position += _LENGTH.size
-                names = [f"{field.name}.{index}" for index in range(count)]
-            for name in names:
+            is_text = field.format == "string"
+            for name in [field.name] if is_text else [f"{field.name}.{index}" for index in range(count)]:
                 position = _aligned(position, _LENGTH.size)
                 length = length_at(position)
                 yield _Place(name, _LENGTH_DTYPE, position, is_length=True)

@@ -16,18 +16,20 @@ import re
 import struct
 import time
 from collections.abc import Callable, Iterator
+from functools import cache
 from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
-from rosbags.serde import SerdeError
 
 from quadpi_core.errors import LogError, SampleError
 from quadpi_core.flight import ImuStream
 from quadpi_core.frames import Array
-from quadpi_core.messages.definitions import typestore
+from quadpi_core.messages.cdr import ORIGIN
+from quadpi_core.messages.definitions import standard_types
+from quadpi_core.messages.foreign_messages import ForeignCodec
 from quadpi_core.messages.mounting import Mounting
 from quadpi_core.messages.payloads import Payloads
-from quadpi_core.messages.sensor_messages import BODY_FRAME, without_namespace
+from quadpi_core.messages.sensor_messages import BODY_FRAME, STAMP_END, without_namespace
 from quadpi_core.rotations import rotation_matrix
 
 _log = logging.getLogger(__name__)
@@ -36,15 +38,14 @@ TF_TYPE = "tf2_msgs/msg/TFMessage"
 TF_TOPIC = "tf_static"
 # Largest error of the norm of a quaternion in a transform.
 _NORM_TOLERANCE = 0.01
-# Position of the frame_id in a message that begins with a header, behind encapsulation and stamp.
-_TEXTS = 12
-_ORIGIN = 4
 _LENGTH = struct.Struct("<I")
 _DOWN = re.compile(r"(?:^|[^a-z])ned$", re.I)
 _RIGHT_DOWN = re.compile(r"(?:^|[^a-z])frd$", re.I)
 _WINDOW = 64
 # Rotation between FRD and FLU in both directions: half a turn about x.
 _HALF_TURN = np.diag([1.0, -1.0, -1.0])
+
+_TRANSFORM = ("transform.translation", "transform.rotation")
 
 Content = TypeVar("Content")
 Judge = Callable[[tuple[str, ...]], Mounting | None]
@@ -72,6 +73,14 @@ def plain_name(frame: str) -> str:
     return frame.strip("/")
 
 
+@cache
+def _transforms() -> ForeignCodec:
+    wanted = {"header.frame_id": 0, "child_frame_id": 0, _TRANSFORM[0]: 3, _TRANSFORM[1]: 4}
+    return ForeignCodec(
+        TF_TYPE, standard_types(), {f"transforms.{path}": width for path, width in wanted.items()}
+    )
+
+
 class StaticTransforms:
     """Tree of static transforms.
 
@@ -90,14 +99,15 @@ class StaticTransforms:
             LogError: for invalid bytes; for an invalid rotation, after the other transforms were added.
         """
         try:
-            decoded = typestore().deserialize_cdr(message, TF_TYPE)
-        except (SerdeError, struct.error, ValueError, IndexError, AssertionError, MemoryError) as error:
+            found = _transforms().decode(message)[1]["transforms"].columns
+        except SampleError as error:
             raise LogError(f"its {len(message)} bytes are no {TF_TYPE}") from error
         wrong = []
-        for one in decoded.transforms:  # type: ignore[attr-defined]
-            parent, child = plain_name(one.header.frame_id), plain_name(one.child_frame_id)
-            q, p = one.transform.rotation, one.transform.translation
-            quaternion, translation = np.array([q.w, q.x, q.y, q.z]), np.array([p.x, p.y, p.z])
+        for frame, child_frame, translation, x_y_z_w in zip(
+            *(found[path] for path in ("header.frame_id", "child_frame_id", *_TRANSFORM)), strict=True
+        ):
+            parent, child = (plain_name(name.decode()) for name in (frame, child_frame))
+            quaternion = np.roll(x_y_z_w, 1)
             norm = float(np.linalg.norm(quaternion))
             if not (abs(norm - 1.0) <= _NORM_TOLERANCE and np.isfinite(translation).all()):
                 wrong.append(
@@ -212,6 +222,24 @@ class BodyFrames:
         return now_s - self._since_s < self._patience_s
 
 
+def judged(
+    judge: Judge | Callable[[tuple[str, ...]], None],
+    frames: tuple[str, ...],
+    sample: int,
+    before: Mounting | None,
+) -> Mounting | None:
+    """The mounting that a judge gives of the frames of a sample; the one before where it is the same.
+
+    Raises:
+        SampleError: naming a frame that cannot be used, and why.
+    """
+    try:
+        mounting = judge(frames)
+    except FrameRefusedError as refused:
+        raise SampleError(sample, str(refused)) from refused
+    return mounting and mounting.or_same(before)
+
+
 class Framed(Generic[Content]):
     """Unpacks the messages of a topic in their order, and applies their frames.
 
@@ -244,11 +272,7 @@ class Framed(Generic[Content]):
         content = self._unpack(payloads)
         for run in self._runs(payloads):
             names, _ = names_of(payloads[run.start], self._texts)
-            try:
-                mounting = self._judge(names)
-            except FrameRefusedError as refused:
-                raise SampleError(run.start, str(refused)) from refused
-            self._mounting = mounting and mounting.or_same(self._mounting)
+            self._mounting = judged(self._judge, names, run.start, self._mounting)
             if self._mounting is not None:
                 assert isinstance(content, ImuStream)
                 rates, force = content.angular_velocity[run], content.specific_force[run]
@@ -260,12 +284,12 @@ class Framed(Generic[Content]):
         start = 0
         while start < len(payloads):
             end = names_of(payloads[start], self._texts)[1]
-            head = np.frombuffer(payloads[start], dtype=np.uint8, count=end)[_TEXTS:]
+            head = np.frombuffer(payloads[start], dtype=np.uint8, count=end)[STAMP_END:]
             stop, window = start + 1, _WINDOW
             while stop < len(payloads):
                 following = np.arange(stop, min(stop + window, len(payloads)))
                 same = payloads.lengths[following] >= end
-                same[same] = (payloads.rows(following[same], end)[:, _TEXTS:] == head).all(axis=1)
+                same[same] = (payloads.rows(following[same], end)[:, STAMP_END:] == head).all(axis=1)
                 if not same.all():
                     stop += int(np.argmin(same))
                     break
@@ -276,9 +300,9 @@ class Framed(Generic[Content]):
 
 def names_of(message: bytes, count: int) -> tuple[tuple[str, ...], int]:
     """Strings behind the stamp of a message with a valid layout, and the position behind them."""
-    names, place = [], _TEXTS
+    names, place = [], STAMP_END
     for _ in range(count):
-        place = _ORIGIN - (_ORIGIN - place) // _LENGTH.size * _LENGTH.size
+        place = ORIGIN - (ORIGIN - place) // _LENGTH.size * _LENGTH.size
         (length,) = _LENGTH.unpack_from(message, place)
         place += _LENGTH.size + length
         names.append(message[place - length : place].rstrip(b"\0").decode(errors="replace"))

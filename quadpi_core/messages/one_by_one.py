@@ -13,17 +13,15 @@ from typing import Generic
 
 import numpy as np
 
-from quadpi_core.errors import SampleError
 from quadpi_core.flight import ImuStream
 from quadpi_core.frames import Array
 from quadpi_core.messages.cdr import NANOSECONDS, ORIGIN, STAMP, Codec, no_stamp
 from quadpi_core.messages.definitions import codec
-from quadpi_core.messages.frame_ids import BodyFrames, FrameRefusedError, Judge, names_of
+from quadpi_core.messages.frame_ids import BodyFrames, Judge, judged, names_of
 from quadpi_core.messages.mounting import Mounting
 from quadpi_core.messages.payloads import Bytes
-from quadpi_core.messages.sensor_messages import SampleKind, SomeStream, no_rotation
+from quadpi_core.messages.sensor_messages import STAMP_END, SampleKind, SomeStream, require_rotations
 
-_TEXTS = ORIGIN + STAMP.size
 _DOUBLE_BYTES = 8
 
 
@@ -63,7 +61,7 @@ class IncomingMessage(Generic[SomeStream]):
                 a stamp or an orientation that is none, or saying which frame cannot be used, and why.
         """
         if (
-            payload[_TEXTS : self._end] != self._known
+            payload[STAMP_END : self._end] != self._known
             or len(payload) != self._size
             or payload[self._counted] != self._count
             or payload[:2] != b"\x00\x01"
@@ -76,9 +74,7 @@ class IncomingMessage(Generic[SomeStream]):
         self._memory[:] = payload
         stream = self._stream
         stream.time_ns[0] = seconds * NANOSECONDS + nanoseconds
-        wrong = self._kind.fill(self._values, stream)
-        if wrong is not None:
-            raise no_rotation(wrong, self._values)
+        require_rotations(self._kind.fill(self._values, stream), self._values)
         if self._mounting is not None:
             assert isinstance(stream, ImuStream)
             self._mounting.move(stream.time_ns, stream.angular_velocity, stream.specific_force)
@@ -90,20 +86,16 @@ class IncomingMessage(Generic[SomeStream]):
         layout = codec(self._kind.type_name).layout_of(payload, 0)
         layout.require(self._kind.counts, 0)
         names, self._end = names_of(payload, self._kind.texts)
-        try:
-            mounting = self._judge(names)
-        except FrameRefusedError as refused:
-            raise SampleError(0, str(refused)) from refused
-        self._mounting = mounting and mounting.or_same(self._mounting)
+        self._mounting = judged(self._judge, names, 0, self._mounting)
         buffer, self._values = _buffer(len(payload), layout.doubles)
         self._memory = buffer.data
         self._stream = self._kind.room(np.zeros(1, dtype=np.int64), names)
         self._size = len(payload)
         # Without the padding behind the names, which writers leave as it happens to be.
-        self._known = payload[_TEXTS : self._end]
+        self._known = payload[STAMP_END : self._end]
         if layout.counts:
-            # A sequence of numbers ends the message: its length is the last one.
-            self._counted, self._count = layout.marks[-1]
+            # A sequence of numbers ends the message.
+            self._counted, self._count = layout.last_length
         self._judged_at = self._transforms.changes
 
 

@@ -64,6 +64,12 @@ class Payloads:
             np.concatenate([part.lengths for part in parts]),
         )
 
+    @classmethod
+    def merge(cls, parts: Sequence[tuple[Indices, Payloads]]) -> Payloads:
+        """The messages of parts, each at its place among all of them."""
+        places, payloads = zip(*parts, strict=True)
+        return cls.concatenate(payloads).take(np.argsort(np.concatenate(places)))
+
     def __len__(self) -> int:
         return len(self.lengths)
 

@@ -15,8 +15,9 @@ import numpy.typing as npt
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
-from quadpi_core.messages.cdr import header_stamps
+from quadpi_core.messages.cdr import Codec, Field, header_stamps
 from quadpi_core.messages.definitions import codec
+from quadpi_core.messages.frame_ids import TF_TYPE
 from quadpi_core.messages.one_by_one import OutgoingMessage
 from quadpi_core.messages.payloads import Payloads
 from quadpi_core.messages.sensor_messages import (
@@ -28,11 +29,10 @@ from quadpi_core.messages.sensor_messages import (
     WRENCH,
     header_columns,
     mirrored,
+    stamp_columns,
 )
 from quadpi_core.messages.values import PREDICTION_VALUES, prediction_values
 from quadpi_core.results import AlarmEvent, AlarmRows, Alarms, Predictions, ReportedAlarms
-
-_NANOSECONDS = 1_000_000_000
 
 
 def unpack_predictions(payloads: Payloads | bytes) -> Predictions:
@@ -148,6 +148,31 @@ def wrenches_of(predictions: Predictions) -> dict[str, Array]:
     return {"predicted": predicted, "measured": measured, "residual": measured - predicted}
 
 
+# tf2_msgs/TFMessage with one transform: an array of one message is its length, and then the message.
+_ONE_TRANSFORM = Codec(
+    TF_TYPE,
+    (
+        Field("transforms", "<u4"),
+        Field("header.stamp.sec", "<i4"),
+        Field("header.stamp.nanosec", "<u4"),
+        Field("header.frame_id", "string"),
+        Field("child_frame_id", "string"),
+        Field("transform.translation", "<f8", 3),
+        Field("transform.rotation", "<f8", 4),
+    ),
+)
+
+
+def transform_message(world_frame: str, body_frame: str) -> OutgoingMessage:
+    """A tf2_msgs/TFMessage of the transform from a world, its frame_id, to a body, its child_frame_id.
+
+    Its values (1, 7) are the first ones of an odometry: position in the world ENU [m], and the orientation of
+    the body FLU as a quaternion x, y, z, w.
+    """
+    constants = (("transforms", 1), ("header.frame_id", world_frame), ("child_frame_id", body_frame))
+    return OutgoingMessage(_ONE_TRANSFORM, constants)
+
+
 @cache
 def _axis_flags(axes: tuple[str, ...]) -> int:
     return sum(1 << AXES.index(axis) for axis in axes)
@@ -179,7 +204,7 @@ def pack_alarms(alarms: Alarms, reasons: Sequence[tuple[str, ...]], frame_id: st
     groups: dict[tuple[tuple[str, ...], tuple[str, ...]], list[int]] = {}
     for row, words in enumerate(reasons):
         groups.setdefault((_inputs_outside(alarms.input_excess[row]), words), []).append(row)
-    parts, orders = [], []
+    parts = []
     for (outside, words), members in groups.items():
         rows = np.array(members)
         columns = {
@@ -189,9 +214,8 @@ def pack_alarms(alarms: Alarms, reasons: Sequence[tuple[str, ...]], frame_id: st
             "inputs_outside": outside,
             "reasons": words,
         }
-        parts.append(codec(ALARM).encode(len(rows), columns))
-        orders.append(rows)
-    return Payloads.concatenate(parts).take(np.argsort(np.concatenate(orders)))
+        parts.append((rows, codec(ALARM).encode(len(rows), columns)))
+    return Payloads.merge(parts)
 
 
 def pack_events(events: Sequence[AlarmEvent], frame_id: str = BODY_FRAME) -> Payloads:
@@ -200,8 +224,8 @@ def pack_events(events: Sequence[AlarmEvent], frame_id: str = BODY_FRAME) -> Pay
     for event in events:
         columns = {
             **header_columns(np.array([event.time_ns]), frame_id),
-            **_time("start", event.start_ns),
-            **_time("end", event.end_ns),
+            **stamp_columns(np.array([event.start_ns]), "start"),
+            **stamp_columns(np.array([event.end_ns]), "end"),
             "number": event.number,
             "cause": event.cause,
             "peak_evidence": event.peak_evidence,
@@ -238,11 +262,6 @@ def _inputs_outside(excess: Array) -> tuple[str, ...]:
 
 def _texts(column: npt.NDArray[Any]) -> list[tuple[str, ...]]:
     return [tuple(text.decode(errors="replace") for text in texts) for texts in column]
-
-
-def _time(name: str, time_ns: int) -> dict[str, int]:
-    seconds, nanoseconds = divmod(time_ns, _NANOSECONDS)
-    return {f"{name}.sec": seconds, f"{name}.nanosec": nanoseconds}
 
 
 def _mirrored_bounds(lower: Array, upper: Array) -> tuple[Array, Array]:

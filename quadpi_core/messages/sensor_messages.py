@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -36,7 +36,7 @@ from quadpi_core.frames import (
     world_enu_to_ned,
     world_ned_to_enu,
 )
-from quadpi_core.messages.cdr import header_stamps
+from quadpi_core.messages.cdr import NANOSECONDS, header_stamps
 from quadpi_core.messages.definitions import codec
 from quadpi_core.messages.payloads import Payloads
 from quadpi_core.messages.values import (
@@ -75,7 +75,6 @@ _BODY_VECTORS = {
     WRENCH: ("wrench.force", "wrench.torque"),
     ACCELERATION: ("accel.linear", "accel.angular"),
 }
-_NANOSECONDS = 1_000_000_000
 _ABSENT = -1.0
 FLU_SIGNS: Array = np.tile(body_frd_to_flu(np.ones(3)), 2)
 _XYZW = [1, 2, 3, 0]
@@ -99,7 +98,7 @@ class SampleKind(Generic[SomeStream]):
         type_name: of the messages.
         room: gives a stream of stamps (N,) for messages of the given frames; the rest is to be filled.
         fill: fills them from the float64 fields (N, K) that end the messages; gives the first sample whose
-            orientation is no unit quaternion, or None.
+            orientation is no unit quaternion, -1 without one, or None where there are no orientations.
         texts: how many names follow the stamp: 2 where there is a child frame.
         counts: how many numbers each sequence of numbers must hold, by name.
     """
@@ -115,85 +114,80 @@ class SampleKind(Generic[SomeStream]):
         """The float64 fields (0, K) of no message."""
         return codec(self.type_name).decode_stamped(Payloads.join([]), self.counts)[1]
 
-    def unpack(self, payloads: Payloads | bytes) -> SomeStream:
+    def unpack(self, payloads: Payloads | bytes, *, strict: bool = True) -> SomeStream:
         """The samples of N messages whose frames do not matter.
+
+        Args:
+            payloads: the messages, or one.
+            strict: else orientations that are no unit quaternion come as they are, for the reader to judge.
 
         Raises:
             SampleError: also for an orientation that is no unit quaternion.
         """
-        return self._unpack(payloads, strict=True)
-
-    def unpack_logged(self, payloads: Payloads | bytes) -> SomeStream:
-        """The same, with orientations that are no unit quaternion as they are, for the reader to judge."""
-        return self._unpack(payloads, strict=False)
-
-    def _unpack(self, payloads: Payloads | bytes, *, strict: bool) -> SomeStream:
         time_ns, values = codec(self.type_name).decode_stamped(payloads, self.counts)
         stream = self.room(time_ns, ())
         wrong = self.fill(values, stream)
-        if strict and wrong is not None:
-            raise no_rotation(wrong, values)
+        if strict:
+            require_rotations(wrong, values)
         return stream
 
-
-def _fill_pose(values: Array, pose: PoseStream) -> int | None:
-    wrong = pose_values(values, pose.position, pose.attitude)
-    return None if wrong < 0 else wrong
-
-
-def _fill_odometry(values: Array, odometry: OdometryStream) -> int | None:
-    wrong = state_values(values, odometry.position, odometry.attitude, odometry.velocity, odometry.rates)
-    return None if wrong < 0 else wrong
+    def unpack_logged(self, payloads: Payloads | bytes) -> SomeStream:
+        """:meth:`unpack`, with orientations that are no unit quaternion as they are."""
+        return self.unpack(payloads, strict=False)
 
 
-def no_rotation(sample: int, values: Array) -> SampleError:
-    """The error of a sample whose orientation (the numbers after the position) is no unit quaternion."""
-    norm = math.hypot(*values[sample, 3:7])
-    return SampleError(sample, f"the orientation is no unit quaternion (norm {norm:.3g})")
+def require_rotations(wrong: int | None, values: Array) -> None:
+    """Refuse orientations (the numbers after the position) by what :attr:`SampleKind.fill` gives.
+
+    Raises:
+        SampleError: naming the sample and the norm of its quaternion.
+    """
+    if wrong is not None and wrong >= 0:
+        norm = math.hypot(*values[wrong, 3:7])
+        raise SampleError(wrong, f"the orientation is no unit quaternion (norm {norm:.3g})")
+
+
+def _room(stream: Callable[..., SomeStream], *widths: int) -> Callable[[Stamps, tuple[str, ...]], SomeStream]:
+    """`SampleKind.room` of a stream whose fields have these numbers per sample."""
+    return lambda time_ns, _: stream(time_ns, *(np.empty((len(time_ns), width)) for width in widths))
 
 
 def _fill_rotor_speeds(values: Array, rotors: RotorSpeedStream) -> None:
     rotors.speeds[:] = values
 
 
-def _rotor_room(time_ns: Stamps, _: tuple[str, ...]) -> RotorSpeedStream:
-    return RotorSpeedStream(time_ns, _rows(time_ns, ROTORS))
-
-
-def _rows(time_ns: Stamps, width: int = 3) -> Array:
-    return np.empty((len(time_ns), width))
-
-
 IMU_SAMPLES = SampleKind(
     IMU,
-    lambda time_ns, _: ImuStream(time_ns, _rows(time_ns), _rows(time_ns)),
+    _room(ImuStream, 3, 3),
     lambda values, imu: imu_values(values, imu.angular_velocity, imu.specific_force),
 )
-
-
-def _pose_room(time_ns: Stamps, _: tuple[str, ...]) -> PoseStream:
-    return PoseStream(time_ns, _rows(time_ns), _rows(time_ns, 4))
-
-
-POSE_SAMPLES = SampleKind(POSE, _pose_room, _fill_pose)
+POSE_SAMPLES = SampleKind(
+    POSE,
+    _room(PoseStream, 3, 4),
+    lambda values, pose: pose_values(values, pose.position, pose.attitude),
+)
 # The same numbers, of a transform from the world, its frame, to the body, its child frame.
-TRANSFORM_SAMPLES = SampleKind(TRANSFORM, _pose_room, _fill_pose, texts=2)
+TRANSFORM_SAMPLES = replace(POSE_SAMPLES, type_name=TRANSFORM, texts=2)
 ODOMETRY_SAMPLES = SampleKind(
     ODOMETRY,
-    lambda time_ns, _: OdometryStream(
-        time_ns, _rows(time_ns), _rows(time_ns, 4), _rows(time_ns), _rows(time_ns)
-    ),
-    _fill_odometry,
+    _room(OdometryStream, 3, 4, 3, 3),
+    lambda values, state: state_values(values, state.position, state.attitude, state.velocity, state.rates),
     texts=2,
 )
 WIND_SAMPLES = SampleKind(
-    WIND,
-    lambda time_ns, _: WindStream(time_ns, _rows(time_ns)),
-    lambda values, wind: world_values(values, wind.velocity),
+    WIND, _room(WindStream, 3), lambda values, wind: world_values(values, wind.velocity)
 )
 ROTOR_SPEED_SAMPLES = SampleKind(
-    ROTOR_SPEEDS, _rotor_room, _fill_rotor_speeds, counts={"rotor_speeds": ROTORS}
+    ROTOR_SPEEDS, _room(RotorSpeedStream, ROTORS), _fill_rotor_speeds, counts={"rotor_speeds": ROTORS}
 )
+
+# Samples of N messages, or one: see SampleKind.unpack. The orientation of an IMU is not used; the twist of an
+# odometry is in its child (body) frame.
+unpack_imu = IMU_SAMPLES.unpack
+unpack_pose = POSE_SAMPLES.unpack
+unpack_odometry = ODOMETRY_SAMPLES.unpack
+unpack_wind = WIND_SAMPLES.unpack
+unpack_rotor_speeds = ROTOR_SPEED_SAMPLES.unpack
 
 
 def erpm_samples(vehicle: Vehicle) -> SampleKind[RotorSpeedStream]:
@@ -207,7 +201,7 @@ def erpm_samples(vehicle: Vehicle) -> SampleKind[RotorSpeedStream]:
         rotors.speeds[:] = vehicle.rotor_speeds_from_erpm(erpm)
 
     vehicle.rotor_speeds_from_erpm(np.zeros(ROTORS))
-    return SampleKind(ERPM, _rotor_room, fill, counts={"erpm": ROTORS})
+    return SampleKind(ERPM, _room(RotorSpeedStream, ROTORS), fill, counts={"erpm": ROTORS})
 
 
 def twist_samples(body_frame: str) -> SampleKind[TwistStream]:
@@ -215,7 +209,7 @@ def twist_samples(body_frame: str) -> SampleKind[TwistStream]:
 
     def room(time_ns: Stamps, frames: tuple[str, ...]) -> TwistStream:
         in_body = without_namespace(frames[0]) == without_namespace(body_frame)
-        return TwistStream(time_ns, _rows(time_ns), np.full(len(time_ns), in_body))
+        return TwistStream(time_ns, np.empty((len(time_ns), 3)), np.full(len(time_ns), in_body))
 
     def fill(values: Array, twist: TwistStream) -> None:
         convert = body_values if twist.in_body.all() else world_values
@@ -224,11 +218,6 @@ def twist_samples(body_frame: str) -> SampleKind[TwistStream]:
     # That of the body is compiled with the first stream, this one now.
     world_values(np.empty((0, 6)), np.empty((0, 3)))
     return SampleKind(TWIST, room, fill)
-
-
-def unpack_imu(payloads: Payloads | bytes) -> ImuStream:
-    """Decode sensor_msgs/Imu; its orientation is not used."""
-    return IMU_SAMPLES.unpack(payloads)
 
 
 def pack_imu(stream: ImuStream, frame_id: str = BODY_FRAME) -> Payloads:
@@ -247,15 +236,6 @@ def pack_imu(stream: ImuStream, frame_id: str = BODY_FRAME) -> Payloads:
     )
 
 
-def unpack_pose(payloads: Payloads | bytes) -> PoseStream:
-    """Decode geometry_msgs/PoseStamped.
-
-    Raises:
-        SampleError: also for an orientation that is no unit quaternion.
-    """
-    return POSE_SAMPLES.unpack(payloads)
-
-
 def pack_pose(stream: PoseStream, frame_id: str = WORLD_FRAME) -> Payloads:
     """Encode as geometry_msgs/PoseStamped."""
     return codec(POSE).encode(
@@ -266,15 +246,6 @@ def pack_pose(stream: PoseStream, frame_id: str = WORLD_FRAME) -> Payloads:
             "pose.orientation": quaternion_frd_ned_to_flu_enu(stream.attitude)[:, _XYZW],
         },
     )
-
-
-def unpack_odometry(payloads: Payloads | bytes) -> OdometryStream:
-    """Decode nav_msgs/Odometry, whose twist is in the child (body) frame.
-
-    Raises:
-        SampleError: also for an orientation that is no unit quaternion.
-    """
-    return ODOMETRY_SAMPLES.unpack(payloads)
 
 
 def pack_odometry(
@@ -338,16 +309,15 @@ def without_namespace(frame: str) -> str:
 
 def pack_twist(stream: TwistStream, body_frame: str = BODY_FRAME, world_frame: str = WORLD_FRAME) -> Payloads:
     """Encode as geometry_msgs/TwistStamped without rotation; the frame_id names the axes."""
-    parts, orders = [], []
+    parts = []
     for in_body, frame in ((True, body_frame), (False, world_frame)):
         rows = np.flatnonzero(stream.in_body == in_body)
         if len(rows):
             velocity = stream.velocity[rows]
             linear = body_frd_to_flu(velocity) if in_body else world_ned_to_enu(velocity)
             columns = {**header_columns(stream.time_ns[rows], frame), "twist.linear": linear}
-            parts.append(codec(TWIST).encode(len(rows), columns))
-            orders.append(rows)
-    return Payloads.concatenate(parts).take(np.argsort(np.concatenate(orders)))
+            parts.append((rows, codec(TWIST).encode(len(rows), columns)))
+    return Payloads.merge(parts)
 
 
 def unpack_logged_mocap_odometry(payloads: Payloads | bytes) -> tuple[PoseStream, TwistStream]:
@@ -365,24 +335,10 @@ def unpack_logged_mocap_odometry(payloads: Payloads | bytes) -> tuple[PoseStream
     )
 
 
-def unpack_wind(payloads: Payloads | bytes) -> WindStream:
-    """Decode geometry_msgs/Vector3Stamped as wind velocity, ENU."""
-    return WIND_SAMPLES.unpack(payloads)
-
-
 def pack_wind(stream: WindStream, frame_id: str = WORLD_FRAME) -> Payloads:
     """Encode as geometry_msgs/Vector3Stamped."""
     columns = {**header_columns(stream.time_ns, frame_id), "vector": world_ned_to_enu(stream.velocity)}
     return codec(WIND).encode(len(stream), columns)
-
-
-def unpack_rotor_speeds(payloads: Payloads | bytes) -> RotorSpeedStream:
-    """Decode quadpi/RotorSpeeds.
-
-    Raises:
-        SampleError: also for another number of rotors than the vehicle's.
-    """
-    return ROTOR_SPEED_SAMPLES.unpack(payloads)
 
 
 def unpack_any_rotor_speeds(payloads: Payloads | bytes) -> RotorSpeedStream:
@@ -440,8 +396,13 @@ def pack_body_vectors(
 
 def header_columns(time_ns: Stamps, frame_id: str) -> dict[str, Any]:
     """Columns of a std_msgs/Header, for :meth:`quadpi_core.messages.cdr.Codec.encode`."""
-    seconds, nanoseconds = np.divmod(time_ns, _NANOSECONDS)
-    return {"header.stamp.sec": seconds, "header.stamp.nanosec": nanoseconds, "header.frame_id": frame_id}
+    return {**stamp_columns(time_ns), "header.frame_id": frame_id}
+
+
+def stamp_columns(time_ns: Stamps, name: str = "header.stamp") -> dict[str, Any]:
+    """Columns of a builtin_interfaces/Time."""
+    seconds, nanoseconds = np.divmod(time_ns, NANOSECONDS)
+    return {f"{name}.sec": seconds, f"{name}.nanosec": nanoseconds}
 
 
 def mirrored(wrench: Array) -> Array:

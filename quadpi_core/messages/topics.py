@@ -4,13 +4,13 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
-from rosbags.interfaces import Qos as ProfileInBag
-from rosbags.interfaces import QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+from typing import TYPE_CHECKING, NamedTuple
 
 from quadpi_core.messages import sensor_messages
 from quadpi_core.results import EVENTS_KEPT
+
+if TYPE_CHECKING:
+    from rosbags.interfaces import Qos as ProfileInBag
 
 # Types of messages by topic, in any namespace.
 TOPIC_TYPES = {
@@ -71,21 +71,25 @@ class Qos(NamedTuple):
 
     def profile(self) -> ProfileInBag:
         """The profile as rosbags writes it into a bag."""
-        return ProfileInBag(
-            history=QosHistory.KEEP_LAST,
+        # Imported here, as live nodes write no bags.
+        from rosbags import interfaces as bag
+
+        forever = bag.QosTime(*_FOREVER)
+        return bag.Qos(
+            history=bag.QosHistory.KEEP_LAST,
             depth=self.depth,
-            reliability=QosReliability.RELIABLE if self.reliable else QosReliability.BEST_EFFORT,
-            durability=QosDurability.TRANSIENT_LOCAL if self.latched else QosDurability.VOLATILE,
-            deadline=_FOREVER,
-            lifespan=_FOREVER,
-            liveliness=QosLiveliness.AUTOMATIC,
-            liveliness_lease_duration=_FOREVER,
+            reliability=bag.QosReliability.RELIABLE if self.reliable else bag.QosReliability.BEST_EFFORT,
+            durability=bag.QosDurability.TRANSIENT_LOCAL if self.latched else bag.QosDurability.VOLATILE,
+            deadline=forever,
+            lifespan=forever,
+            liveliness=bag.QosLiveliness.AUTOMATIC,
+            liveliness_lease_duration=forever,
             avoid_ros_namespace_conventions=False,
         )
 
 
-# The largest duration that ROS 2 knows: no deadline, no end.
-_FOREVER = QosTime(9223372036, 854775807)
+# The largest duration that ROS 2 knows [s, ns]: no deadline, no end.
+_FOREVER = (9223372036, 854775807)
 # Sensors publish best effort, which a reliable subscription would not match: silently nothing would arrive.
 # The depth is what a busy machine may keep the process from taking: two seconds of an IMU.
 SENSOR = Qos(depth=1000, reliable=False)

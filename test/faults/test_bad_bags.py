@@ -20,7 +20,7 @@ from quadpi_core.messages.definitions import typestore
 from quadpi_core.messages.payloads import Payloads, Topic
 
 N = 200
-FLIPS = 200
+FLIPS = 40
 
 
 @pytest.fixture(scope="module")

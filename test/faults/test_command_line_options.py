@@ -71,7 +71,7 @@ class TestModels:
         description = json.loads((copy / "model.json").read_text())
         description["arrays_sha256"] = hashlib.sha256(trap.pickled).hexdigest()
         (copy / "model.json").write_text(json.dumps(description))
-        refused_model(r"copy/model\.json: not a quadpi model: SafetensorError")
+        refused_model(r"copy: arrays\.safetensors: not a quadpi model")
         assert not trap.sprung()
 
     @pytest.mark.parametrize(
@@ -138,12 +138,6 @@ class TestVehicles:
         refused(
             "interpolation.mcap: is a flight of vehicle bebop2, not of neurobem", "validate", model, flight
         )
-
-    @pytest.mark.parametrize("option", [("--settings", "default"), ("--device", "cpu")])
-    def test_options_of_models_that_are_yet_to_be_identified(self, refused, model, option):
-        flight = bags_directory() / "interpolation.mcap"
-        message = f"{option[0]}: only without models, for the paper's own validation"
-        refused(message, "validate", model, flight, *option)
 
     def test_info_with_another_vehicle(self, refused, foreign):
         refused(
@@ -247,8 +241,8 @@ class TestOutputs:
         for place in (
             "quadpi_core.identification.prepared_flights.prepare_flights",
             "quadpi_core.simulation.run.simulate",
-            "quadpi_core.paper.realisations.run_realisations",
-            "quadpi_core.paper.published.published_case",
+            "quadpi_core.validation.realisations.run_realisations",
+            "quadpi_core.validation.validation_case.given_case",
         ):
             monkeypatch.setattr(place, work)
         (tmp_path / "file").write_text("mine")
@@ -258,7 +252,7 @@ class TestOutputs:
         refused(message, "identify", *bags, *vehicle, "-o", tmp_path / "m", *page)
         refused(message, "evaluate", model, *bags, *page)
         refused(message, "simulate", "orbit", "-o", tmp_path / "bags", *page)
-        refused(message, "validate", *page)
+        refused(message, "validate", model, *bags, *page)
 
     def test_model_folder_is_refused_before_the_work(self, refused, bags, tmp_path, monkeypatch):
         monkeypatch.setattr("quadpi_core.identification.prepared_flights.prepare_flights", None)

@@ -11,24 +11,13 @@ from hypothesis import strategies as st
 
 from benchmarks.fuzzing.message_readers import UNPACKERS, sound_message
 from quadpi_core.messages import result_messages, sensor_messages
-from quadpi_core.messages.adapters import AdapterSettings, known_adapters
-from quadpi_core.messages.adapters.adapter_settings import BodySettings, RotorSettings, StateSettings
+from quadpi_core.messages.adapters import known_adapters
 from quadpi_core.messages.payloads import Payloads
 
-from ..core.messages.adapters.vendor_messages import (
-    DEFINITIONS,
-    PX4_1_18,
-    Messages,
-    frame,
-    mavros_status,
-    mavros_telemetry,
-    px4_odometry,
-    px4_status,
-    tf,
-)
+from ..core.messages.adapters.vendor_messages import DEFINITIONS, EXAMPLES, PX4_1_18, SETTINGS, Messages
 from .damage import bounded, damaged, refusing
 
-EXAMPLES = 60
+CASES = 60
 # Events come as records instead of arrays.
 READERS = UNPACKERS | {
     sensor_messages.EVENT: lambda payloads: [
@@ -51,7 +40,7 @@ def test_damaged_messages(type_name):
     good, unpack = sound_message(type_name), READERS[type_name]
     assert_arrays(unpack(good), 1)
 
-    @bounded(EXAMPLES)
+    @bounded(CASES)
     @given(damaged(good) | st.binary(max_size=200))
     def check(data):
         with refusing("sample 0"):
@@ -67,45 +56,16 @@ def test_every_type_of_the_project_is_here():
     assert {name for name in known if name.startswith("quadpi/")} <= READERS.keys()
 
 
-SETTINGS = AdapterSettings(
-    rotor_speeds=RotorSettings((1, 2, 3, 4), "rpm"),
-    mocap=BodySettings("quad", "flu-enu"),
-    odometry=StateSettings(),
-    imu=StateSettings(),
-)
-
-TIME_NS = 1_700_000_000_123_456_000
-BODIES = [("wand", [0, 0, 0], [0, 0, 0, 1]), ("quad", [1, 2, 3], [0, 0, 0, 1])]
-RPM = [1000, 2000, 3000, 4000]
-OF_OTHERS = {
-    "mavros_status": lambda made: mavros_status(made, TIME_NS, RPM),
-    "mavros_telemetry": lambda made: mavros_telemetry(made, TIME_NS, RPM, [1, 2, 3, 4]),
-    "px4_status": lambda made: px4_status(made, TIME_NS, RPM),
-    "px4_odometry": px4_odometry,
-    "px4_imu": lambda made: made.bytes(
-        made.make(
-            "px4_msgs/msg/SensorCombined",
-            timestamp=TIME_NS // 1000,
-            gyro_rad=np.ones(3, np.float32),
-            accelerometer_m_s2=np.ones(3, np.float32),
-        )
-    ),
-    "mocap4r2": lambda made: frame(made, "mocap4r2", TIME_NS, BODIES),
-    "named_poses": lambda made: frame(made, "named_poses", TIME_NS, BODIES),
-    "tf": lambda _: tf(*((name, 1_700_000_000, *rest) for name, *rest in BODIES)),
-}
-
-
 @pytest.mark.parametrize(
     ("name", "definitions"), [*((name, DEFINITIONS) for name in known_adapters()), ("px4_status", PX4_1_18)]
 )
 def test_damaged_messages_of_other_packages(name, definitions):
     made = Messages(definitions)
-    adapter, good = known_adapters()[name], OF_OTHERS[name](made)
+    adapter, good = known_adapters()[name], EXAMPLES[name](made)
     definition = made.definition(adapter.type_name)
     assert len(adapter.open(definition, SETTINGS, None).unpack(good)) == 1
 
-    @bounded(EXAMPLES)
+    @bounded(CASES)
     @given(damaged(good) | st.binary(max_size=200))
     def check(data):
         with refusing("sample 0"):
@@ -120,10 +80,10 @@ def test_damaged_messages_of_other_packages(name, definitions):
 @pytest.mark.parametrize("name", known_adapters())
 def test_damaged_definitions_of_other_packages(name):
     made = Messages(DEFINITIONS)
-    adapter, good = known_adapters()[name], OF_OTHERS[name](made)
+    adapter, good = known_adapters()[name], EXAMPLES[name](made)
     definition = made.definition(adapter.type_name)
 
-    @bounded(EXAMPLES)
+    @bounded(CASES)
     @given(damaged(definition.encode()))
     def check(data):
         with refusing():

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Motion capture that fails, from the third second of a flight on; see docs/reliability.md."""
+"""Motion capture that fails, from the third second of a flight on; see README.md."""
 
 from __future__ import annotations
 

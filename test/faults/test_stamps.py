@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Samples that do not come, and stamps that are wrong, from the third second on; see docs/reliability.md."""
+"""Samples that do not come, and stamps that are wrong, from the third second on; see README.md."""
 
 from __future__ import annotations
 

@@ -4,23 +4,29 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
 from quadpi_core.errors import LogError
 from quadpi_core.findings import CLOCK_FALLS, NOTHING_TO_SAY, Break, DataQuality, UsedPart
-from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream, Stream
-from quadpi_core.frames import Array
+from quadpi_core.flight import (
+    ImuStream,
+    OdometryStream,
+    PoseStream,
+    Recording,
+    RotorSpeedStream,
+    Stamps,
+    Stream,
+)
 from quadpi_core.logs.airframes import Airframe, has_quadrotor
-from quadpi_core.logs.clocks import Line, line_below
+from quadpi_core.logs.clocks import line_below
 from quadpi_core.logs.formats import ardupilot, px4
 from quadpi_core.logs.log_format import LogFormat
-from quadpi_core.logs.mavlink_frames import MARKERS, Frame, FrameCounts, Framer, MessageDecoder, frame_length
+from quadpi_core.logs.mavlink_frames import PACKET_BEGIN, Framer, packet_length
 from quadpi_core.logs.mavlink_samples import (
     ARDUPILOT,
     PX4,
@@ -44,51 +50,54 @@ _NO_TELEMETRY = {ARDUPILOT: ardupilot.NO_TELEMETRY, PX4: px4.NO_TELEMETRY}
 
 
 class TlogRecord(NamedTuple):
-    """A packet and when it arrived, in ns since 1970."""
+    """A message of pymavlink and when it arrived, in ns since 1970."""
 
     arrival_ns: int
-    frame: Frame
-
-
-@dataclass
-class TlogCounts(FrameCounts):
-    """Also the bytes that belong to no record."""
-
-    damaged_bytes: int = 0
+    message: Any
 
 
 class _Arrived(NamedTuple):
+    """A sample, when it arrived, and the clock of its stamp: component, and whether it counts from 1970."""
+
     sample: Sample
     arrival_ns: int
-    sender: tuple[int, int, bool]
+    clock: tuple[int, bool] | None
 
 
-def read_records(data: bytes, counts: TlogCounts) -> Iterator[TlogRecord]:
-    """The packets of a telemetry log; what is damaged is passed over and counted, and so is a cut end."""
-    framer = Framer(counts=counts)
-    position = 0
+def read_records(path: Path) -> Iterator[TlogRecord]:
+    """The messages of a telemetry log; damaged bytes, and a cut end, are passed over and noted.
+
+    Raises:
+        LogError: if there is no packet.
+    """
+    data, framer = path.read_bytes(), Framer()
+    position = damaged = 0
     while position < len(data):
         start = position + _STAMP_BYTES
-        length = (frame_length(data, start) or 0) if _is_record(data, position) else 0
-        known = counts.frames + counts.unknown
-        frame = framer.packet(data[start : start + length])
-        if counts.frames + counts.unknown == known:
-            counts.damaged_bytes += 1
-            position += 1
-            continue
-        if frame is not None:
+        end = start + packet_length(data, start)
+        messages: list[Any] = []
+        if (
+            end <= len(data)
+            and _is_record(data, position)
+            and framer.read(bytearray(data[start:end]), messages)
+        ):
             arrival_ns = int.from_bytes(data[position:start], "big") * 1000
-            yield TlogRecord(arrival_ns, frame)
-        position = start + length
+            yield from (TlogRecord(arrival_ns, message) for message in messages)
+            position = end
+        else:
+            damaged += 1
+            position += 1
+    if not framer.counts.frames:
+        raise LogError(f"{path}: byte 0: no MAVLink packet in the whole file")
+    if damaged:
+        note(str(path), f"{damaged} bytes are passed over: the file is damaged, or cut off at its end")
 
 
 def _is_record(data: bytes, position: int) -> bool:
     """Whether a plausible stamp and the first byte of a packet are there."""
-    if len(data) <= position + _STAMP_BYTES or data[position + _STAMP_BYTES] not in MARKERS:
-        return False
-    return (
-        _YEAR_2000_US < int.from_bytes(data[position : position + _STAMP_BYTES], "big") & ~0x3 < _YEAR_2100_US
-    )
+    start = position + _STAMP_BYTES
+    stamp_us = int.from_bytes(data[position:start], "big") & ~0x3
+    return _YEAR_2000_US < stamp_us < _YEAR_2100_US and PACKET_BEGIN.match(data, start) is not None
 
 
 def read_tlog(path: Path, vehicle: Vehicle | None, order: RotorOrder | None = None) -> Recording:
@@ -106,27 +115,19 @@ def read_tlog(path: Path, vehicle: Vehicle | None, order: RotorOrder | None = No
         LogError: if it holds no packets, or no IMU samples.
     """
     source = str(path)
-    counts = TlogCounts()
-    records = list(read_records(path.read_bytes(), counts))
-    if not records:
-        raise LogError(f"{source}: byte 0: no MAVLink packet in the whole file")
-    if counts.damaged_bytes:
-        note(
-            source,
-            f"{counts.damaged_bytes} bytes are passed over: the file is damaged, or cut off at its end",
-        )
     if order is None:
         order = RotorOrder.by_layout(vehicle, "quad-x", RPM)
-    arrived, quality, samples = _decode(source, records, MavlinkSamples(vehicle, order))
+    samples, arrived = _decode(path, lambda: MavlinkSamples(vehicle, order))
+    arrived, quality = _longest_run(arrived)
+    time_ns = _stamps(arrived)
     unusable = samples.unusable
     for refusal, count in samples.refused.items():
         if any(reason in refusal for reason in unusable.by_reason):
             continue
         note(source, f"{count} messages not used, {refusal}")
-    clocks = _clocks(arrived)
     mav_type = samples.vehicle_type or 0
     is_quadrotor = has_quadrotor(source, Airframe.of_mav_type(f"MAV_TYPE {mav_type}", mav_type))
-    imu, rotors, pose, odometry = (_stream(topic, arrived, clocks) for topic in SOURCES)
+    imu, rotors, pose, odometry = (_stream(topic, arrived, time_ns) for topic in SOURCES)
     imu = require_imu(source, cast("ImuStream | None", imu), "HIGHRES_IMU, RAW_IMU or SCALED_IMU")
     left_out = tuple(unusable.left_out("rotor_speeds", int(imu.time_ns[0]))) if is_quadrotor else ()
     return Recording(
@@ -150,52 +151,49 @@ def _telling(source: str, rotors: Stream | None, samples: MavlinkSamples) -> Rot
     return None
 
 
-def _decode(
-    source: str, records: list[TlogRecord], samples: MavlinkSamples
-) -> tuple[list[_Arrived], DataQuality, MavlinkSamples]:
-    """All samples of the vehicle with the most IMU messages."""
-    decoder = MessageDecoder()
-    messages = [(record, decoder.decode(record.frame)) for record in records]
-    imus = Counter(
-        record.frame.system for record, message in messages if type(message).__name__ in SOURCES["imu"]
-    )
-    if not imus:
-        return [], NOTHING_TO_SAY, samples
-    if len(imus) > 1:
-        note(source, f"holds {len(imus)} vehicles; read is system {imus.most_common(1)[0][0]}")
-    system = imus.most_common(1)[0][0]
-    arrived = []
-    others: Counter[str] = Counter()
-    for record, message in messages:
-        if record.frame.system != system:
-            others[type(message).__name__] += 1
-            continue
-        sample = samples.decode(message, record.arrival_ns * 1e-9)
+def _decode(path: Path, begin: Callable[[], MavlinkSamples]) -> tuple[MavlinkSamples, list[_Arrived]]:
+    """All samples of the vehicle with the most IMU messages, and what decoded them."""
+    vehicles: dict[int, tuple[MavlinkSamples, list[_Arrived]]] = defaultdict(lambda: (begin(), []))
+    sent: Counter[tuple[int, str]] = Counter()
+    for arrival_ns, message in read_records(path):
+        system = message.get_srcSystem()
+        sent[system, message.get_type()] += 1
+        samples, arrived = vehicles[system]
+        sample = samples.decode(message, arrival_ns * 1e-9)
         if sample is not None:
-            since_1970 = sample.clock_us is not None and is_epoch(sample.clock_us)
-            sender = (record.frame.system, record.frame.component, since_1970)
-            arrived.append(_Arrived(sample, record.arrival_ns, sender))
-    for name in sorted(others.keys() & samples.names - {"HEARTBEAT"}):
-        note(source, f"{others[name]} {name} of other systems not used")
-    longest, quality = _longest_run(arrived)
-    return longest, quality, samples
+            component, stamp_us = message.get_srcComponent(), sample.clock_us
+            clock = None if stamp_us is None else (component, is_epoch(stamp_us))
+            arrived.append(_Arrived(sample, arrival_ns, clock))
+    imus: Counter[int] = Counter()
+    for (system, name), count in sent.items():
+        if name in SOURCES["imu"]:
+            imus[system] += count
+    if not imus:
+        return begin(), []
+    ((system, _),) = imus.most_common(1)
+    if len(imus) > 1:
+        note(str(path), f"holds {len(imus)} vehicles; read is system {system}")
+    for name in sorted(begin().names - {"HEARTBEAT"}):
+        if count := sum(sent[other, name] for other in vehicles if other != system):
+            note(str(path), f"{count} {name} of other systems not used")
+    return vehicles[system]
 
 
 def _longest_run(arrived: list[_Arrived]) -> tuple[list[_Arrived], DataQuality]:
     """The samples between two restarts of the autopilot's clock, where the log has the most of them."""
     runs: list[list[_Arrived]] = [[]]
-    latest_us: dict[tuple[int, int, bool], int] = {}
+    latest_us: dict[tuple[int, bool] | None, int] = {}
     falls: list[tuple[int, float, float]] = []
     imu_samples = 0
     for one in arrived:
         clock_us = one.sample.clock_us
         if clock_us is not None:
-            before_us = latest_us.get(one.sender, 0)
+            before_us = latest_us.get(one.clock, 0)
             if clock_us < before_us - _RESTART_US:
                 falls.append((imu_samples, 1e-6 * before_us, 1e-6 * clock_us))
                 runs.append([])
                 latest_us.clear()
-            latest_us[one.sender] = clock_us
+            latest_us[one.clock] = clock_us
         imu_samples += one.sample.topic == "imu"
         runs[-1].append(one)
     longest = max(runs, key=len)
@@ -212,38 +210,26 @@ def _longest_run(arrived: list[_Arrived]) -> tuple[list[_Arrived], DataQuality]:
     return longest, DataQuality(breaks=(Break("imu", CLOCK_FALLS, len(falls), *falls[0]),), used=(used,))
 
 
-def _clocks(arrived: list[_Arrived]) -> dict[tuple[int, int, bool], Line]:
-    """The line of each sender's clock."""
-    stamped = [one for one in arrived if one.sample.clock_us is not None]
-    lines = {}
-    for sender in {one.sender for one in stamped}:
-        pairs = np.array(
-            [(one.sample.clock_us, one.arrival_ns) for one in stamped if one.sender == sender], dtype=np.int64
-        )
-        lines[sender] = line_below(pairs[:, 0] * 1000, pairs[:, 1])
-    return lines
+def _stamps(arrived: list[_Arrived]) -> Stamps:
+    """The stamp (N,) of each sample, by the clock of the computer that wrote the log."""
+    time_ns = np.array([one.arrival_ns for one in arrived], dtype=np.int64)
+    for clock in {one.clock for one in arrived} - {None}:
+        stamped = np.array([one.clock == clock for one in arrived])
+        stamps_us = [one.sample.clock_us for one in arrived if one.clock == clock]
+        remote_ns = np.array(stamps_us, dtype=np.int64) * 1000
+        time_ns[stamped] = line_below(remote_ns, time_ns[stamped]).to_local(remote_ns)
+    return time_ns
 
 
-def _stream(topic: str, arrived: list[_Arrived], clocks: dict[tuple[int, int, bool], Line]) -> Stream | None:
+def _stream(topic: str, arrived: list[_Arrived], time_ns: Stamps) -> Stream | None:
     """The stream of a topic from the best kind of message that is there in number."""
-    mine = [one for one in arrived if one.sample.topic == topic]
-    counted = Counter(one.sample.source for one in mine)
+    counted = Counter(one.sample.source for one in arrived if one.sample.topic == topic)
     if not counted:
         return None
     most = max(counted.values())
     chosen = next(name for name in SOURCES[topic] if counted[name] >= _FEW * most)
-    rows: list[Array] = []
-    stamps: list[int] = []
-    for sample, arrival_ns, sender in mine:
-        if sample.source == chosen:
-            rows.append(sample.values)
-            clock_us = sample.clock_us
-            stamps.append(
-                arrival_ns
-                if clock_us is None
-                else int(clocks[sender].to_local(np.array([clock_us * 1000]))[0])
-            )
-    return stream_of(topic, np.array(stamps, dtype=np.int64), np.array(rows))
+    rows = [row for row, one in enumerate(arrived) if one.sample[:2] == (topic, chosen)]
+    return stream_of(topic, time_ns[rows], np.array([arrived[row].sample.values for row in rows]))
 
 
 FORMAT = LogFormat(

@@ -76,7 +76,7 @@ def read_neurobem(path: Path, vehicle: Vehicle | None) -> Recording:
 
 def _load_matrix(path: Path) -> Array:
     try:
-        variables = read_matlab(path.read_bytes())
+        variables = read_matlab(path)
     except LogError as error:
         raise LogError(f"{path}: {error}") from error
     matrices = [

@@ -10,24 +10,34 @@ from __future__ import annotations
 
 import contextlib
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from operator import itemgetter
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.errors import LogError, one_line, require_library
+from quadpi_core.errors import LogError, require_library
 from quadpi_core.findings import DataQuality
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.logs.airframes import Airframe, has_quadrotor
 from quadpi_core.logs.log_format import LogFormat
-from quadpi_core.logs.reader_steps import note, odometry_of, require_imu, rising, unit_attitudes, without
+from quadpi_core.logs.reader_steps import (
+    has_attitude,
+    normalised_attitude,
+    note,
+    odometry_of,
+    require_imu,
+    rising,
+    unit_attitudes,
+    without,
+)
+from quadpi_core.logs.sandbox import read_apart
 from quadpi_core.messages.adapters.rotor_messages import EscReports, RotorReader
 from quadpi_core.rotor_order import RPM, RotorOrder
-from quadpi_core.sample_limits import NORM_TOLERANCE
 from quadpi_core.unusable_readings import Verdict
 from quadpi_core.vehicle import ROTORS, Vehicle
 
@@ -86,9 +96,9 @@ def read_px4(path: Path, vehicle: Vehicle | None, order: RotorOrder | None = Non
     source = str(path)
     log = _load(source, path)
     # A log that is damaged may hold bytes in the place of a number.
-    parameters = {n: float(v) for n, v in log.initial_parameters.items() if isinstance(v, int | float)}
+    parameters = {n: float(v) for n, v in log.parameters.items() if isinstance(v, int | float)}
     is_quadrotor = has_quadrotor(source, _airframe(parameters))
-    topics = _live_topics(source, log.data_list)
+    topics = _live_topics(source, log.instances)
     imu = require_imu(source, _imu(topics.get("sensor_combined")), "sensor_combined")
     status = topics.get("esc_status") if is_quadrotor else None
     rotors = _rotor_speeds(source, status, parameters, vehicle, order)
@@ -118,51 +128,75 @@ def _airframe(parameters: Mapping[str, float]) -> Airframe | None:
     return Airframe.of_mav_type(f"MAV_TYPE {mav_type}", mav_type)
 
 
-def _live_topics(source: str, instances: Sequence[Any]) -> dict[str, Columns]:
+def _live_topics(source: str, instances: Sequence[tuple[str, int, Columns]]) -> dict[str, Columns]:
     """Of each topic the first instance that measures: drivers publish empty ones beside it."""
     topics: dict[str, Columns] = {}
     measured: set[str] = set()
-    for data in sorted(instances, key=lambda data: int(data.multi_id)):
-        telling = _TELLING.get(data.name, ())
-        values = [own for name, own in data.data.items() if name.endswith(telling)]
+    for name, number, columns in sorted(instances, key=itemgetter(1)):
+        telling = _TELLING.get(name, ())
+        values = [own for field, own in columns.items() if field.endswith(telling)]
         measures = not values or any(map(np.any, values))
-        if data.name in measured or (data.name in topics and not measures):
+        if name in measured or (name in topics and not measures):
             continue
-        topics[data.name] = data.data
+        topics[name] = columns
         if measures:
-            measured.add(data.name)
-            if data.multi_id:
-                note(source, f"{data.name}: instance {data.multi_id} is read, those before it are empty")
+            measured.add(name)
+            if number:
+                note(source, f"{name}: instance {number} is read, those before it are empty")
     return topics
 
 
-def _load(source: str, path: Path) -> Any:
-    """What pyulog makes of a file; it prints what it finds wrong, which becomes a note.
+class _Log(NamedTuple):
+    """What pyulog makes of a file.
+
+    Attributes:
+        instances: name, number and columns of each instance of a topic.
+        parameters: their first values, of any type.
+        damage: what pyulog printed of it; empty where it found none.
+        drop_outs_s: how long each was.
+    """
+
+    instances: list[tuple[str, int, Columns]]
+    parameters: dict[str, Any]
+    damage: str
+    drop_outs_s: list[float]
+
+
+def _load(source: str, path: Path) -> _Log:
+    """The content of a file; a note says what is wrong with it.
 
     Raises:
-        LogError: if that is nothing.
+        LogError: if pyulog makes nothing of it.
     """
-    ulog = require_library("pyulog", "logs").ULog
+    require_library("pyulog", "logs")
     with path.open("rb") as file:
         if file.read(len(_MAGIC)) != _MAGIC:
             raise LogError(f"{source}: byte 0: not a ULog file")
-    with contextlib.redirect_stdout(io.StringIO()) as said:
-        try:
-            _require_flat(ulog(_BoundedFile(path), [], parse_header_only=True).message_formats)
-            log = ulog(_BoundedFile(path), list(_TOPICS))
-        except OSError:
-            raise
-        except Exception as error:  # pyulog raises many kinds for a file that is damaged
-            raise LogError(f"{source}: pyulog cannot read it: {one_line(error)}") from error
-    if log.file_corruption or said.getvalue():
-        detail = " ".join(said.getvalue().split()) or "pyulog found damaged messages"
-        note(source, f"the file is damaged; what can be read is: {detail}")
+    try:
+        log: _Log = next(read_apart(path.stat().st_size, _decoded, path))
+    except LogError as error:
+        raise LogError(f"{source}: {error}") from error
+    if log.damage:
+        note(source, f"the file is damaged; what can be read is: {log.damage}")
     elif (end := _end_of_messages(path)) is not None:
         note(source, f"byte {end}: the file is cut off in this message; all before it is read")
-    lost_s = sum(dropout.duration for dropout in log.dropouts) * 1e-3
-    if lost_s > 0.0:
-        note(source, f"the autopilot lost {lost_s:.2f} s of the log in {len(log.dropouts)} drop-outs")
+    if (lost_s := sum(log.drop_outs_s)) > 0.0:
+        note(source, f"the autopilot lost {lost_s:.2f} s of the log in {len(log.drop_outs_s)} drop-outs")
     return log
+
+
+def _decoded(path: Path) -> Iterator[_Log]:
+    with contextlib.redirect_stdout(io.StringIO()) as said:
+        log = require_library("pyulog", "logs").ULog(str(path), list(_TOPICS))
+    damage = " ".join(said.getvalue().split())
+    if log.file_corruption:
+        damage = damage or "pyulog found damaged messages"
+    yield _Log(
+        [(data.name, int(data.multi_id), data.data) for data in log.data_list],
+        log.initial_parameters,
+        damage,
+        [1e-3 * dropout.duration for dropout in log.dropouts],
+    )
 
 
 def _end_of_messages(path: Path) -> int | None:
@@ -173,51 +207,6 @@ def _end_of_messages(path: Path) -> int | None:
         begin = position
         position += _PREFIX_BYTES + int.from_bytes(data[begin : begin + 2], "little")
     return None if position == len(data) else begin
-
-
-class _BoundedFile(io.BufferedReader):
-    """A file that ends a reader which reads it over and over, as pyulog does where lengths lead back."""
-
-    def __init__(self, path: Path) -> None:
-        super().__init__(io.FileIO(path))
-        self._left = _PASSES_MAX * path.stat().st_size + _RESYNC_BYTES
-
-    def read(self, size: int | None = -1) -> bytes:
-        """See io.BufferedReader."""
-        data = super().read(size)
-        self._left -= len(data) + _READ_COST
-        if self._left < 0:
-            raise _Endless("its lengths lead back again and again")
-        return data
-
-
-class _Endless(Exception):  # noqa: N818 - pyulog goes on after the usual kinds
-    """Reading would not end."""
-
-
-# pyulog reads the head and the body of a message apart; the cost of one read, in bytes.
-_READ_COST = 256
-# So many times a file may be read, and behind damage these bytes more in search of the next message.
-_PASSES_MAX, _RESYNC_BYTES = 16, 2**26
-# No message of PX4 has more numbers than a few hundred.
-_NUMBERS_MAX = 65_536
-
-
-def _require_flat(formats: Mapping[str, Any]) -> None:
-    """Refuse messages of arrays of messages of arrays: pyulog makes a column of each number in them."""
-    counted: dict[str, int] = {}
-
-    def count(name: str) -> int:
-        if name not in formats:
-            return 1
-        if name not in counted:
-            counted[name] = _NUMBERS_MAX + 1  # what holds itself has no end
-            counted[name] = sum(max(size, 1) * count(of) for of, size, _ in formats[name].fields)
-        return counted[name]
-
-    for name in formats:
-        if count(name) > _NUMBERS_MAX:
-            raise ValueError(f"a message {name} of more than {_NUMBERS_MAX} numbers")
 
 
 def _stamps(columns: Columns, name: str = "timestamp") -> Stamps:
@@ -288,15 +277,9 @@ def _pose(source: str, topics: dict[str, Columns]) -> PoseStream | None:
                 note(source, f"topic mocap/pose: {said}")
             columns = {key: values[known] for key, values in columns.items()}
         quaternion = _stack(columns, *_QUATERNION)
-        norm = np.linalg.norm(quaternion, axis=1)
-        is_unit = np.abs(norm - 1.0) <= NORM_TOLERANCE
-        if not np.all(is_unit):
-            note(source, f"topic mocap/pose: {np.count_nonzero(~is_unit)} of {len(norm)} have no attitude")
-        stream = PoseStream(
-            _sampled(columns)[is_unit],
-            _stack(columns, *names)[is_unit],
-            quaternion[is_unit] / norm[is_unit, np.newaxis],
-        )
+        is_unit = has_attitude(source, PoseStream.topic, quaternion)
+        position, attitude = _stack(columns, *names)[is_unit], normalised_attitude(quaternion[is_unit])
+        stream = PoseStream(_sampled(columns)[is_unit], position, attitude)
         if len(stream):
             return stream
     return None

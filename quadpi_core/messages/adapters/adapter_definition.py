@@ -83,21 +83,21 @@ class Adapter:
 
 
 class Unpacker:
-    """Unpacks the messages of one topic in their order: all at once or one by one."""
+    """Unpacks the messages of one topic in their order: all at once or one by one.
+
+    Attributes:
+        left_out: see :class:`Reading`.
+    """
 
     def __init__(self, codec: ForeignCodec, reading: Reading) -> None:
         self._codec = codec
         self._reading = reading
+        self.left_out = reading.left_out
 
     @property
     def dropped(self) -> Counter[str]:
         """Number of dropped messages by reason."""
         return self._reading.dropped()
-
-    @property
-    def left_out(self) -> Callable[[str, int], Iterator[LeftOut]] | None:
-        """See :class:`Reading`."""
-        return self._reading.left_out
 
     def unpack(self, payloads: Payloads | bytes) -> Stream:
         """The samples in N messages or one; fewer than N where messages hold none that can be used.

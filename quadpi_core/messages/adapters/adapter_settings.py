@@ -13,9 +13,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, ClassVar
 
-from pydantic import BeforeValidator, PlainValidator
-
-from quadpi_core.config_schema import OneOf, Section, Text, load_config, unknown_key
+from quadpi_core.config_schema import OneOf, ReadBy, Section, Text, load_config, unknown_key
 from quadpi_core.errors import LogError
 from quadpi_core.messages.topics import SENSOR_KINDS
 from quadpi_core.rotor_order import ERPM, LAYOUTS, RPM, RotorOrder, controller_numbers
@@ -39,21 +37,11 @@ def _read_rotors(data: Any) -> tuple[int, ...] | str:
     return controller_numbers(data)
 
 
-@dataclass(frozen=True)
-class RotorSettings(Section):
-    """Conversion of ESC reports to rotor speeds.
+class _StreamSettings(Section):
+    """Settings for one kind of stream; a topic alone may be of the standard type, which needs no more."""
 
-    Attributes:
-        rotors: for each rotor of the vehicle file, the number from 1 of the ESC (mavros) or motor (PX4); or
-            the name of a layout (`rotor_order.LAYOUTS`), which the vehicle's rotors fit by their corners.
-        unit: "rpm" of the rotor, or "erpm" of the electrical field: the vehicle's pole pairs are needed.
-        topic: which, where a bag holds several that could be meant. It may be one of the standard type, which
-            needs no other keys.
-    """
-
-    rotors: Annotated[tuple[int, ...] | str | None, PlainValidator(_read_rotors)] = None
-    unit: Annotated[str, OneOf(RPM, ERPM)] | None = None
-    topic: Text | None = None
+    needed: ClassVar[tuple[str, ...]] = ()
+    topic: str | None
 
     def __post_init__(self) -> None:
         if self.topic is None:
@@ -65,7 +53,27 @@ class RotorSettings(Section):
         Raises:
             ValueError: naming the missing key.
         """
-        _require_keys(rotors=self.rotors, unit=self.unit)
+        for key in self.needed:
+            if getattr(self, key) is None:
+                raise ValueError(f"missing key `{key}`")
+
+
+@dataclass(frozen=True)
+class RotorSettings(_StreamSettings):
+    """Conversion of ESC reports to rotor speeds.
+
+    Attributes:
+        rotors: for each rotor of the vehicle file, the number from 1 of the ESC (mavros) or motor (PX4); or
+            the name of a layout (`rotor_order.LAYOUTS`), which the vehicle's rotors fit by their corners.
+        unit: "rpm" of the rotor, or "erpm" of the electrical field: the vehicle's pole pairs are needed.
+        topic: which, where a bag holds several that could be meant.
+    """
+
+    needed = ("rotors", "unit")
+
+    rotors: Annotated[tuple[int, ...] | str | None, ReadBy(_read_rotors)] = None
+    unit: Annotated[str, OneOf(RPM, ERPM)] | None = None
+    topic: Text | None = None
 
     def order(self, vehicle: Vehicle | None) -> RotorOrder:
         """The order that the settings give.
@@ -84,12 +92,6 @@ class RotorSettings(Section):
         return RotorOrder.by_layout(vehicle, self.rotors, self.unit)
 
 
-def _require_keys(**given: object) -> None:
-    for key, value in given.items():
-        if value is None:
-            raise ValueError(f"missing key `{key}`")
-
-
 def _read_body(data: Any) -> str:
     if isinstance(data, bool) or not isinstance(data, str | int) or data == "":
         raise ValueError(f"must be the name of a body, found {data!r}")
@@ -97,7 +99,7 @@ def _read_body(data: Any) -> str:
 
 
 @dataclass(frozen=True)
-class BodySettings(Section):
+class BodySettings(_StreamSettings):
     """The body of a motion capture system to use, and its axes.
 
     Attributes:
@@ -106,27 +108,18 @@ class BodySettings(Section):
         topic: see :class:`RotorSettings`.
     """
 
-    body: Annotated[str | None, PlainValidator(_read_body)] = None
+    needed = ("body", "frames")
+
+    body: Annotated[str | None, ReadBy(_read_body)] = None
     frames: Annotated[str, OneOf(FLU_ENU, FRD_NED, FUR_EUS)] | None = None
     topic: Text | None = None
 
-    def __post_init__(self) -> None:
-        if self.topic is None:
-            self.require()
-
-    def require(self) -> None:
-        """See :meth:`RotorSettings.require`."""
-        _require_keys(body=self.body, frames=self.frames)
-
 
 @dataclass(frozen=True)
-class StateSettings(Section):
+class StateSettings(_StreamSettings):
     """For messages that name their frames and units themselves."""
 
     topic: Text | None = None
-
-    def require(self) -> None:
-        """See :meth:`RotorSettings.require`."""
 
 
 def _read_topics(data: Any) -> dict[str, str]:
@@ -160,11 +153,11 @@ class AdapterSettings(Section):
 
     blank_is_absent: ClassVar[bool] = False
 
-    rotor_speeds: Annotated[RotorSettings | None, BeforeValidator(_present)] = None
-    mocap: Annotated[BodySettings | None, BeforeValidator(_present)] = None
-    odometry: Annotated[StateSettings | None, BeforeValidator(_present)] = None
-    imu: Annotated[StateSettings | None, BeforeValidator(_present)] = None
-    topics: Annotated[Mapping[str, str], PlainValidator(_read_topics)] = field(default_factory=dict)
+    rotor_speeds: Annotated[RotorSettings | None, ReadBy(_present, first=True)] = None
+    mocap: Annotated[BodySettings | None, ReadBy(_present, first=True)] = None
+    odometry: Annotated[StateSettings | None, ReadBy(_present, first=True)] = None
+    imu: Annotated[StateSettings | None, ReadBy(_present, first=True)] = None
+    topics: Annotated[Mapping[str, str], ReadBy(_read_topics)] = field(default_factory=dict)
     namespace: str = ""
 
     @classmethod

@@ -47,10 +47,10 @@ def mavlink_message(mavlink_sender: type[Sender]) -> Callable[..., Any]:
     """What the decoder makes of one message, by its name and fields."""
 
     def decoded(name: str, *values: Any) -> Any:
-        from quadpi_core.logs.mavlink_frames import Framer, MessageDecoder
+        from quadpi_core.logs.mavlink_frames import Framer
 
-        (frame,) = Framer().feed(mavlink_sender().packet(name, *values), complete=True)
-        return MessageDecoder().decode(frame)
+        (message,) = Framer().feed(mavlink_sender().packet(name, *values), complete=True)
+        return message
 
     return decoded
 

@@ -9,14 +9,12 @@ import pytest
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from ruamel.yaml import YAML
 
-from quadpi_core.errors import LogError
 from quadpi_core.logs.bag_files import Bag
 from quadpi_core.logs.bag_writer import write_mcap
 from quadpi_core.messages import sensor_messages
-from quadpi_core.messages.definitions import codec, typestore
+from quadpi_core.messages.definitions import typestore
 from quadpi_core.messages.payloads import Payloads, Topic
 
-from ..earlier_messages import FIELDS, earlier_messages, earlier_store
 from .bag_examples import assert_blocks_are_the_whole, assert_holds, topic_rows, write_folder
 
 
@@ -53,44 +51,6 @@ def test_reads_what_other_writers_write(tmp_path, topics, plugin, mode):
     if mode != CompressionMode.MESSAGE:
         (file,) = [file for file in path.iterdir() if file.suffix in {".mcap", ".db3"}]
         assert_holds(file, topics)
-
-
-@pytest.mark.parametrize("plugin", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
-@pytest.mark.parametrize("type_name", [sensor_messages.ROTOR_SPEEDS, sensor_messages.ERPM])
-def test_rotor_speeds_of_an_earlier_version_are_those_of_today(tmp_path, plugin, type_name):
-    """Beside another topic, whole and block by block."""
-    count, topic = 40, f"/uav/{FIELDS[type_name]}"
-    speeds = np.random.default_rng(9).uniform(0.0, 900.0, (count, 4))
-    frames = ["base_link", "b"] * (count // 2)
-    payloads = earlier_messages(type_name, frames, speeds)
-    with Writer(tmp_path / "folder", version=9, storage_plugin=plugin) as writer:
-        connection = writer.add_connection(topic, type_name, typestore=earlier_store(type_name))
-        wind = writer.add_connection("/wind", sensor_messages.WIND, typestore=typestore())
-        for time_ns, payload in enumerate(payloads):
-            writer.write(connection, time_ns, payload)
-            writer.write(wind, time_ns, bytes(time_ns + 1))
-    with Bag(tmp_path / "folder") as bag:
-        whole = bag.read([topic, "/wind"])
-        blocks = [block[topic] for block in bag.blocks([topic, "/wind"], messages=9)]
-        heads = bag.read([topic], head=12)[topic].payloads
-    _, values = codec(type_name).decode_stamped(whole[topic].payloads, {FIELDS[type_name]: 4})
-    np.testing.assert_array_equal(values, speeds)
-    assert len(blocks) > 1
-    assert [one for block in blocks for one in block.payloads] == list(whole[topic].payloads)
-    assert list(whole["/wind"].payloads) == [bytes(n + 1) for n in range(count)]
-    assert list(heads) == [payload[:12] for payload in payloads]
-
-
-def test_a_damaged_message_of_an_earlier_version_is_named(tmp_path):
-    payloads = list(earlier_messages(sensor_messages.ERPM, ["base_link"] * 20, np.ones((20, 4))))
-    with Writer(tmp_path / "folder", version=9) as writer:
-        store = earlier_store(sensor_messages.ERPM)
-        connection = writer.add_connection("/erpm", sensor_messages.ERPM, typestore=store)
-        for time_ns, payload in enumerate([*payloads[:-1], payloads[-1][:-9]]):
-            writer.write(connection, time_ns, payload)
-    expected = "folder: topic /erpm: sample 19: 51 bytes where quadpi/msg/Erpm takes 60"
-    with Bag(tmp_path / "folder") as bag, pytest.raises(LogError, match=expected):
-        list(bag.blocks(["/erpm"], messages=7))
 
 
 @pytest.mark.parametrize("messages", [1, 7, 1000, 10**6])

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rosbags.rosbag2 import Writer
 
 from quadpi_core.errors import LogError
 from quadpi_core.flight import (
@@ -17,12 +16,10 @@ from quadpi_core.logs.bag_files import Bag
 from quadpi_core.logs.bag_writer import write_mcap
 from quadpi_core.logs.bags import output_topic, read_bag, read_outputs, write_bag
 from quadpi_core.messages import result_messages, sensor_messages
-from quadpi_core.messages.sensor_messages import PREDICTION
 from quadpi_core.monitor.alarm_log import reasons_by_row
 from quadpi_core.results import Alarms, Predictions
 from quadpi_core.vehicle import Vehicle
 
-from ..earlier_messages import WRENCHES, earlier_messages, earlier_store
 from .bag_examples import assert_same_streams, imu_topic
 
 N = 40
@@ -124,23 +121,6 @@ def test_bag_without_outputs(tmp_path, recording):
     path = tmp_path / "plain.mcap"
     write_bag(path, recording)
     assert read_outputs(path) == (None, None)
-
-
-def test_outputs_of_an_earlier_version_are_read(tmp_path):
-    """Their wrenches were scalars: `quadpi evaluate`, `view` and the rest take them as those of today."""
-    rng = np.random.default_rng(2)
-    wrenches = {name: rng.normal(size=(N, 6)) for name in WRENCHES}
-    about = [["m@0123456789ab"] * N, [0.95] * N, np.full(N, 63, np.uint8)]
-    scalars = np.hstack(list(wrenches.values())).T
-    payloads = earlier_messages(PREDICTION, ["base_link"] * N, *about, *scalars)
-    with Writer(tmp_path / "folder", version=9) as writer:
-        connection = writer.add_connection("/prediction", PREDICTION, typestore=earlier_store(PREDICTION))
-        for time_ns, payload in enumerate(payloads):
-            writer.write(connection, time_ns, payload)
-    predictions, alarms = read_outputs(tmp_path / "folder")
-    assert alarms is None
-    np.testing.assert_array_equal(predictions.predicted, np.tile([1, -1, -1], 2) * wrenches["predicted"])
-    np.testing.assert_array_equal(predictions.relative_width, wrenches["relative_width"])
 
 
 def test_real_flight_survives_the_bag(tmp_path, shared_data):

@@ -226,7 +226,7 @@ def test_frames_of_one_byte_cannot_fill_the_memory(monkeypatch):
     fields = dict.fromkeys(("loopIteration", "time", *(f"f{k}" for k in range(30))), (0, 9, 0, 9))
     monkeypatch.setenv("QUADPI_UNPACKED_MIB", "1")
     data = log(fields, [b"I" * 100_000])
-    with pytest.raises(LogError, match="unpacks to 25 MiB or more"):
+    with pytest.raises(LogError, match="unpacks to more than the limit of 9 MiB"):
         decode_blackbox(data, list(fields))
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""docs/add-a-log-format.md: its reader works as it stands there, in the folder and in another package."""
+"""docs/add-a-log-format.md: its example works as it stands, in the folder and in another package."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from quadpi_core.logs.readers import log_formats
 from quadpi_core.vehicle import Vehicle
 
 GUIDE = (Path(__file__).parents[3] / "docs" / "add-a-log-format.md").read_text()
-READER = re.search(r"```py\n(.*?)```", GUIDE, flags=re.DOTALL)[1]
+READER = (Path(__file__).parents[3] / "examples" / "text_log.py").read_text()
 ENTRY = re.search(r"```toml\n# pyproject.toml\n\[project\.entry-points\.(.*?)```", GUIDE, flags=re.DOTALL)[1]
 DESCRIPTION = "ArduPilot log as text (.log)"
 COLUMNS = {

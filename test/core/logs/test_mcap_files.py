@@ -3,22 +3,19 @@
 """MCAP files of other writers, and files whose index says what is not there."""
 
 import struct
+from io import BytesIO
 
 import numpy as np
 import pytest
-from backports import zstd
 
 from quadpi_core.errors import LogError
 from quadpi_core.logs.bag_files import Bag
 from quadpi_core.logs.bag_writer import mcap_writer, write_mcap
-from quadpi_core.logs.bags import read_bag
-from quadpi_core.logs.mcap_files import MAGIC, McapFile, find_records
+from quadpi_core.logs.mcap_files import CHUNK, MAGIC, records_of
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.payloads import Payloads, Topic
 
-from .bag_examples import assert_blocks_are_the_whole, assert_holds, messages_of
-
-CHUNK_INDEX = 0x08
+from .bag_examples import assert_blocks_are_the_whole, assert_holds
 
 
 def record(opcode, content):
@@ -60,12 +57,11 @@ def test_chunks_that_overlap_in_time_come_in_the_order_of_log_times(tmp_path, to
 
 
 def say_where_chunks_begin(path, time_ns):
-    """Let the index of a bag give every chunk that time as the one of its first message."""
+    """Let every chunk of a bag give that time as the one of its first message."""
     data = bytearray(path.read_bytes())
-    (summary_start,) = struct.unpack_from("<Q", data, len(data) - 28)
-    for start in find_records(np.frombuffer(data, np.uint8), summary_start).of(CHUNK_INDEX)[0].tolist():
-        data[start : start + 8] = struct.pack("<Q", time_ns)
-    data[-12:-8] = bytes(4)  # no checksum of the summary
+    for opcode, start, _ in records_of(BytesIO(bytes(data)), len(data)):
+        if opcode == CHUNK:
+            data[start : start + 8] = struct.pack("<Q", time_ns)
     path.write_bytes(data)
 
 
@@ -88,47 +84,10 @@ def test_messages_are_cut_into_blocks_once(tmp_path, topics, monkeypatch):
     assert sum(cut) <= 4 * len(topics[1].payloads)
 
 
-def test_a_chunk_that_begins_before_it_says_is_refused(tmp_path, topics):
+def test_chunks_that_begin_before_they_say_are_refused_where_that_changes_the_order(tmp_path, topics):
     path = tmp_path / "bag.mcap"
     write_mcap(path, topics, {})
-    say_where_chunks_begin(path, 10**9)
-    with Bag(path) as bag, pytest.raises(LogError, match=r"bag.mcap: damaged: the chunk at byte \d+ holds"):
-        bag.read(["/wind"])
-
-
-def test_the_program_that_reads_with_rosbags_gets_the_same_messages(tmp_path, sensor_topics):
-    """The checks of this module stand in rosbags' table of decompressors."""
-    path = tmp_path / "flight.mcap"
-    write_mcap(path, sensor_topics, {})
-    reader = McapFile(path)
-    reader.open()
-    found = [
-        (connection.topic, time_ns, bytes(data))
-        for connection, time_ns, data in reader.messages(reader.connections)
-    ]
-    reader.close()
-    assert found == [(topic.name, time_ns, payload) for time_ns, topic, payload in messages_of(sensor_topics)]
-
-
-def test_records_of_a_chunk_count_with_150_bytes_each(tmp_path, monkeypatch):
-    """What holds a message in memory beside its bytes, against a limit of one MiB."""
-    monkeypatch.setenv("QUADPI_UNPACKED_MIB", "1")
-    path = tmp_path / "many.mcap"
-    for count, message in ((6990, "topic imu: missing"), (6991, "unpacks to 2 MiB or more, beyond")):
-        content = record(0, b"") * count
-        header = struct.pack("<QQQI", 0, 1, len(content), 0) + sized(b"zstd")
-        packed = zstd.compress(content)
-        chunk = record(0x06, header + struct.pack("<Q", len(packed)) + packed)
-        start = MAGIC + record(0x01, sized(b"ros2") + sized(b"test"))
-        path.write_bytes(start + chunk + record(0x0F, bytes(4)) + record(0x02, bytes(20)) + MAGIC)
-        with pytest.raises(LogError, match=message):
-            read_bag(path)
-
-
-@pytest.mark.parametrize(("size", "known"), [(2**20 - 2**12, True), (2**20 + 2**12, False)])
-def test_metadata_of_more_than_a_mib_are_not_read(tmp_path, size, known):
-    """Those of rosbag2 hold the topics; a day's recording has less."""
-    path = tmp_path / "bag.mcap"
-    write_mcap(path, [], {"vehicle": "bebop2", "note": "x" * size})
-    with Bag(path) as bag:
-        assert bag.metadata.get("vehicle") == ("bebop2" if known else None)
+    say_where_chunks_begin(path, 20 * 10**9)
+    assert_holds(path, topics)
+    with Bag(path) as bag, pytest.raises(LogError, match=r"bag.mcap: damaged: its messages are not in the"):
+        list(bag.blocks(["/wind"], messages=100))

@@ -3,20 +3,17 @@
 """One flight as a ROS 1 bag: compressed, out of order, damaged, long."""
 
 import struct
-import tracemalloc
 
-import lz4.frame
-import numpy as np
 import pytest
 from rosbags import rosbag1
+from rosbags.rosbag1 import reader
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from quadpi_core.errors import LogError
 from quadpi_core.logs import identify_format
-from quadpi_core.logs.bag_files import Bag
 from quadpi_core.logs.bags import open_recording, read_bag
+from quadpi_core.logs.ros1_bags import Ros1File
 from quadpi_core.messages.definitions import typestore
-from quadpi_core.messages.payloads import Payloads, Topic
 from quadpi_core.vehicle import Vehicle
 
 from .bag_examples import assert_blocks_are_the_whole, topic_rows, write_folder, write_ros1
@@ -32,44 +29,23 @@ def test_a_ros1_bag(tmp_path, sensor_topics, same_flight, compression):
         assert recording.sources["imu"] == "/imu"
 
 
-def test_a_ros1_bag_whose_topics_were_written_one_after_the_other(
-    tmp_path, sensor_topics, same_flight, monkeypatch
-):
-    """Messages in log-time order alternate between its chunks: each is unpacked once all the same."""
+def test_a_ros1_bag_whose_topics_were_written_one_after_the_other(tmp_path, sensor_topics, same_flight):
+    """Messages in log-time order alternate between its chunks."""
     path = tmp_path / "flight.bag"
     write_ros1(path, sensor_topics, rosbag1.Writer.CompressionFormat.LZ4, one_after_the_other=True)
     same_flight(path)
     assert_blocks_are_the_whole(path, sensor_topics, 300)
+
+
+def test_a_chunk_is_unpacked_once(tmp_path, sensor_topics, monkeypatch):
+    path = tmp_path / "flight.bag"
+    write_ros1(path, sensor_topics, rosbag1.Writer.CompressionFormat.LZ4, one_after_the_other=True)
     unpacked = []
-    unpacker = lz4.frame.LZ4FrameDecompressor
-    monkeypatch.setattr(lz4.frame, "LZ4FrameDecompressor", lambda: unpacked.append(1) or unpacker())
-    with Bag(path) as bag:
-        bag.read([topic.name for topic in sensor_topics])
+    unpacker = reader.decompressors["lz4"]
+    monkeypatch.setitem(reader.decompressors, "lz4", lambda data: unpacked.append(1) or unpacker(data))
+    for _ in (bag := Ros1File(path)).batches(list(bag.connections), None):
+        pass
     assert len(unpacked) == path.read_bytes().count(b"compression=lz4") > 1
-
-
-def test_the_index_of_a_ros1_bag_takes_no_memory_for_each_message(tmp_path, sensor_topics):
-    """rosbags takes 150 bytes for each, of a bag of any length."""
-    imu = sensor_topics[0]
-    message = bytes(typestore().cdr_to_ros1(imu.payloads[0], imu.type_name))
-
-    def peak(count: int) -> int:
-        path = tmp_path / f"{count}.bag"
-        writer = rosbag1.Writer(path)
-        writer.chunk_threshold = 100 * len(message)
-        with writer:
-            connection = writer.add_connection("/imu", imu.type_name, typestore=typestore())
-            for number in range(count):
-                writer.write(connection, number + 1, message)
-        tracemalloc.start()
-        with Bag(path) as bag:
-            assert sum(len(block["/imu"].payloads) for block in bag.blocks(["/imu"], messages=100)) == count
-        found = tracemalloc.get_traced_memory()[1]
-        tracemalloc.stop()
-        return found
-
-    peak(100)  # what the first bag leaves behind
-    assert peak(8000) - peak(2000) < 6000 * 50
 
 
 def test_a_ros1_message_of_another_type_names_the_sample(tmp_path, sensor_topics):
@@ -100,22 +76,6 @@ def test_cut_off_anywhere(tmp_path, sensor_topics, kind, fraction):
     assert "\n" not in str(caught.value)
 
 
-def test_a_chunk_of_a_ros1_bag_that_unpacks_to_too_much(tmp_path, sensor_topics):
-    path = tmp_path / "flight.bag"
-    zeros = Topic(
-        "/imu", sensor_topics[0].type_name, np.arange(2), Payloads.join([sensor_topics[0].payloads[0]] * 2)
-    )
-    write_ros1(path, [zeros], rosbag1.Writer.CompressionFormat.BZ2)
-    data = path.read_bytes()
-    place = data.index(b"size=") + 5
-    path.write_bytes(data[:place] + struct.pack("<I", 2**31) + data[place + 4 :])
-    with pytest.raises(LogError, match="unpacks to 2048 MiB or more, beyond the limit of 256 MiB"):
-        read_bag(path)
-    path.write_bytes(data[:place] + struct.pack("<I", 7) + data[place + 4 :])
-    with pytest.raises(LogError, match="damaged: announces 7 bytes unpacked, holds more"):
-        read_bag(path)
-
-
 def test_a_chunk_that_an_index_names_twice(tmp_path, sensor_topics):
     """Its messages would be read once for every time that it is named."""
     path = tmp_path / "flight.bag"
@@ -128,5 +88,5 @@ def test_a_chunk_that_an_index_names_twice(tmp_path, sensor_topics):
         place += 4 + struct.unpack_from("<I", data, place)[0]
     count = data.index(b"chunk_count=") + 12
     path.write_bytes(data[:count] + struct.pack("<I", 2) + data[count + 4 :] + data[place:])
-    with pytest.raises(LogError, match=r"damaged: its index names the chunk at byte \d+ twice"):
+    with pytest.raises(LogError, match="damaged: its index names a chunk twice"):
         read_bag(path)

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 
 from quadpi_core.errors import LogError
 from quadpi_core.logs.mapping import UNITS
+from quadpi_core.logs.table_columns import open_columns
 
 from .formats.test_table_files import hover_table, read
 from .test_mapping import minimal_mapping
@@ -118,3 +120,10 @@ def test_stamps_before_zero_are_moved(tmp_path: Path, caplog):
 def test_a_time_in_days_or_in_words_is_refused(tmp_path: Path, stamps, said):
     with pytest.raises(LogError, match=said):
         read(tmp_path, minimal_mapping(), hover_table() | {"t": stamps})
+
+
+def test_a_table_needs_the_extra(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    (tmp_path / "a.csv").write_text("t,x\n0,1\n")
+    with pytest.raises(LogError, match=r"a\.csv: this needs pyarrow, .* pip install quadpi-monitor\[logs\]"):
+        open_columns(tmp_path / "a.csv")

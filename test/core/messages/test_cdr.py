@@ -38,6 +38,8 @@ def test_every_alignment_agrees_with_rosbags(frame_id):
     np.testing.assert_array_equal(columns["transform.rotation"], values[:, 3:])
     np.testing.assert_array_equal(columns["header.stamp.sec"], np.arange(5) - 2)
     np.testing.assert_array_equal(columns["header.stamp.nanosec"], 7 * np.arange(5))
+    one = codec(TRANSFORM).decode(messages[2])
+    np.testing.assert_array_equal(one["transform.rotation"], values[2:3, 3:])
     encoded = codec(TRANSFORM).encode(
         5,
         {
@@ -50,11 +52,6 @@ def test_every_alignment_agrees_with_rosbags(frame_id):
         },
     )
     assert list(encoded) == messages
-
-
-def test_one_message_decodes_like_many():
-    messages, values = transforms(["map"])
-    np.testing.assert_array_equal(codec(TRANSFORM).decode(messages[0])["transform.rotation"], values[:, 3:])
 
 
 def test_lengths_that_change_within_a_topic_keep_the_order():
@@ -156,7 +153,7 @@ def test_stamped_messages_move_their_numbers_at_once():
     assert kind.places == {"transform.translation": slice(0, 3), "transform.rotation": slice(3, 7)}
     for sample, message in enumerate(messages):
         one = kind.decode_stamped(message)
-        assert (one.time_ns[0], one.values.tolist()) == (stamps[sample], [values[sample].tolist()])
+        assert (one[0][0], one[1].tolist()) == (stamps[sample], [values[sample].tolist()])
         frame_id = "m" if sample == 1 else "map"
         texts = (("header.frame_id", frame_id), ("child_frame_id", frame_id[::-1] + "x"))
         assert list(kind.encode_stamped(*one, texts)) == [message]

@@ -115,7 +115,7 @@ def test_bytes_that_are_no_message_are_refused_and_the_next_one_is_read(
 
 
 @pytest.mark.parametrize("name", ["rotor speeds", "erpm"])
-@pytest.mark.parametrize("count", [1, 3, 5, 6, 8])
+@pytest.mark.parametrize("count", [3, 6])
 def test_another_number_of_rotors_is_refused_by_name_and_the_next_message_is_read(
     name: str, count: int
 ) -> None:
@@ -152,13 +152,6 @@ def test_an_orientation_that_is_none_is_refused() -> None:
         read(sensor_messages.pack_pose(wrong)[0])
 
 
-def test_a_length_or_a_frame_may_change_at_any_message() -> None:
-    read = IncomingMessage(sensor_messages.IMU_SAMPLES)
-    for frame in ("base_link", "b", "base_link", "body_frame_of_a_long_name"):
-        imu = read(sensor_messages.pack_imu(IMU, frame)[2])
-        np.testing.assert_array_equal(imu.specific_force[0], IMU.specific_force[2])
-
-
 def test_padding_behind_the_names_changes_nothing() -> None:
     """Writers leave its bytes as they happen to be."""
     messages = list(sensor_messages.pack_imu(IMU, "imu_link"))
@@ -180,5 +173,5 @@ def test_a_message_is_written_as_in_a_block() -> None:
     constants = sensor_messages.odometry_constants("map", "base_link")
     odometry = OutgoingMessage(codec(sensor_messages.ODOMETRY), constants)
     for packed, time_ns in zip(KINDS["odometry"][1], ODOMETRY.time_ns.tolist(), strict=True):
-        odometry.values[:] = codec(sensor_messages.ODOMETRY).decode_stamped(packed).values
+        odometry.values[:] = codec(sensor_messages.ODOMETRY).decode_stamped(packed)[1]
         assert odometry.stamped(time_ns) == packed

@@ -2,46 +2,24 @@
 # SPDX-License-Identifier: Apache-2.0
 """Results of the monitor as ROS messages, as rosbags reads them, and back."""
 
-from dataclasses import fields
-
 import numpy as np
 import pytest
 
-from quadpi_core.flight import (
-    AXES,
-)
+from quadpi_core.flight import AXES
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.messages import result_messages, sensor_messages
 from quadpi_core.messages.definitions import typestore
+from quadpi_core.messages.frame_ids import TF_TYPE
 from quadpi_core.monitor.alarm_log import reasons, reasons_by_row
 from quadpi_core.monitor.data_quality import GYRO_FROZEN
 from quadpi_core.results import AlarmEvent, Alarms, Predictions
 
-N = 7
-
-
-TIME_NS = 1_700_000_000_999_999_990 + 7 * np.arange(N)
+from .test_sensor_messages import TIME_NS, N, assert_same, reference
 
 
 @pytest.fixture
 def rng():
     return np.random.default_rng(5)
-
-
-def reference(payloads, type_name):
-    """Each message as rosbags reads it; rosbags must also write the same bytes."""
-    decoded = [typestore().deserialize_cdr(message, type_name) for message in payloads]
-    for one, message in zip(decoded, payloads, strict=True):
-        assert bytes(typestore().serialize_cdr(one, type_name)) == message
-    assert [one.header.stamp.sec * 10**9 + one.header.stamp.nanosec for one in decoded] == TIME_NS.tolist()
-    return decoded
-
-
-def assert_same(actual, expected):
-    for column in fields(expected):
-        np.testing.assert_allclose(
-            getattr(actual, column.name), getattr(expected, column.name), rtol=1e-15, atol=1e-15
-        )
 
 
 def test_bounds_swap_on_axes_that_change_sign(rng):
@@ -148,3 +126,18 @@ def test_the_residual_is_what_was_measured_less_what_was_predicted(rng):
     one = typestore().deserialize_cdr(message.stamped(int(TIME_NS[2])), sensor_messages.WRENCH)
     assert one.header.frame_id == "uav/base_link"
     assert [one.wrench.force.x, one.wrench.torque.z] == found["residual"][2, [0, 5]].tolist()
+
+
+@pytest.mark.parametrize(("world", "body"), [("map", "base_link"), ("earth", "uav1/base_link"), ("", "b")])
+def test_a_transform_is_read_by_others(world, body):
+    message = result_messages.transform_message(world, body)
+    message.values[:] = [[1.0, -2.0, 3.0, 0.1, 0.2, 0.3, np.sqrt(1.0 - 0.14)]]
+    for time_ns in (5_000_000_007, 6_999_999_999):
+        payload = message.stamped(time_ns)
+        read = typestore().deserialize_cdr(payload, TF_TYPE)
+        assert bytes(typestore().serialize_cdr(read, TF_TYPE)) == payload
+        (one,) = read.transforms
+        assert 10**9 * one.header.stamp.sec + one.header.stamp.nanosec == time_ns
+        assert (one.header.frame_id, one.child_frame_id) == (world, body)
+        p, q = one.transform.translation, one.transform.rotation
+        assert [p.x, p.y, p.z, q.x, q.y, q.z, q.w] == message.values[0].tolist()

@@ -28,14 +28,6 @@ def state(rng):
     return position, Rotation.random(N, rng), velocity, rates
 
 
-def filled(state, covariances):
-    position, attitude, velocity, rates = state
-    numbers = np.full((N, values.ODOMETRY_VALUES), np.nan)
-    wxyz = attitude.as_quat(scalar_first=True)
-    values.odometry_values(position, wxyz, velocity, rates, *covariances, numbers)
-    return numbers
-
-
 def covariance(rng):
     roots = rng.normal(size=(N, 6, 6))
     return roots @ np.swapaxes(roots, 1, 2)
@@ -48,9 +40,11 @@ def test_sizes_are_those_of_the_messages():
 
 def test_odometry_is_that_of_rotation_matrices(state, rng):
     """Also its covariances, which turn with the axes that they are of."""
-    pose, twist = covariance(rng), covariance(rng)
-    numbers, places = filled(state, (pose, twist)), codec(ODOMETRY).places
+    pose, twist, places = covariance(rng), covariance(rng), codec(ODOMETRY).places
     position, attitude, velocity, rates = state
+    numbers = np.full((N, values.ODOMETRY_VALUES), np.nan)
+    wxyz = attitude.as_quat(scalar_first=True)
+    values.odometry_values(position, wxyz, velocity, rates, pose, twist, numbers)
     np.testing.assert_array_equal(numbers[:, places["pose.pose.position"]], position @ WORLD.T)
     np.testing.assert_array_equal(numbers[:, places["twist.twist.linear"]], velocity @ BODY)
     np.testing.assert_array_equal(numbers[:, places["twist.twist.angular"]], rates @ BODY)
@@ -62,21 +56,6 @@ def test_odometry_is_that_of_rotation_matrices(state, rng):
         np.testing.assert_allclose(found, turn @ given @ turn.T, rtol=1e-15)
 
 
-def test_what_is_read_of_an_odometry_is_what_was_filled(state):
-    numbers = filled(state, np.zeros((2, N, 6, 6)))
-    position, attitude, velocity, rates = (np.full((N, width), np.nan) for width in (3, 4, 3, 3))
-    places = codec(ODOMETRY).places
-    pose = numbers[:, places["pose.pose.position"].start : places["pose.pose.orientation"].stop]
-    assert pose.shape == (N, 7)
-    assert values.state_values(numbers, position, attitude, velocity, rates) == -1
-    np.testing.assert_array_equal(position, state[0])
-    turned = np.abs(np.sum(attitude * state[1].as_quat(scalar_first=True), axis=1))
-    np.testing.assert_allclose(turned, 1.0, atol=1e-15)
-    np.testing.assert_array_equal(velocity, state[2])
-    np.testing.assert_array_equal(rates, state[3])
-    assert not np.signbit(numbers[:, places["twist.covariance"]]).any()
-
-
 @pytest.mark.parametrize(("norm", "first"), [(1.049, -1), (0.951, -1), (1.051, 2), (0.949, 2), (0.0, 2)])
 def test_an_orientation_is_scaled_to_unit_length_if_it_is_off_by_a_twentieth_at_most(state, norm, first):
     sent = state[1].as_quat()
@@ -85,14 +64,3 @@ def test_an_orientation_is_scaled_to_unit_length_if_it_is_off_by_a_twentieth_at_
     assert values.attitude_values(sent, attitude) == first
     rows = slice(None) if first < 0 else slice(0, first)
     np.testing.assert_allclose(np.linalg.norm(attitude[rows], axis=1), 1.0)
-
-
-def test_bounds_of_a_prediction_stay_lower_and_upper_in_other_axes(rng):
-    predicted, measured, width = rng.normal(size=(3, N, 6))
-    lower, upper = predicted - rng.uniform(0.1, 1.0, (N, 6)), predicted + rng.uniform(1.1, 2.0, (N, 6))
-    numbers = np.empty((N - 2, values.PREDICTION_VALUES))
-    values.prediction_values(predicted, lower, upper, measured, width, 2, numbers)
-    signs = np.tile([1.0, -1.0, -1.0], 2)
-    bounds = np.sort(signs * np.stack((lower, upper)), axis=0)
-    expected = np.hstack((signs * predicted, *bounds, signs * measured, width))
-    np.testing.assert_array_equal(numbers, expected[2:])

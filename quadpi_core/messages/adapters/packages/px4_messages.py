@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections import Counter
 
 import numpy as np
-import numpy.typing as npt
 
 from quadpi_core.errors import SampleError
 from quadpi_core.flight import ImuStream, OdometryStream
@@ -33,72 +32,56 @@ from quadpi_core.vehicle import Vehicle
 _NED, _FRD, _BODY = 1, 2, 3
 
 
-class OdometryReader:
-    """States from px4_msgs/VehicleOdometry, 1.14 and later; NaN in it says that something is not known.
+def _read_odometry(columns: Columns, dropped: Counter[str]) -> OdometryStream:
+    """The states that N px4_msgs/VehicleOdometry hold, 1.14 and later; NaN says that something is not known.
 
-    Attributes:
-        dropped: how many messages gave no sample, by reason.
+    Args:
+        columns: of the messages.
+        dropped: counts those that give no sample, by their first reason.
+
+    Raises:
+        SampleError: naming the sample whose frames are not known, or whose velocity is in another world
+            frame than its pose.
     """
-
-    def __init__(self) -> None:
-        self.dropped: Counter[str] = Counter()
-
-    def read(self, columns: Columns) -> OdometryStream:
-        """The states that N messages hold.
-
-        Raises:
-            SampleError: naming the sample whose frames are not known, or whose velocity is in another world
-                frame than its pose.
-        """
-        measured_us = np.where(
-            columns["timestamp_sample"] > 0, columns["timestamp_sample"], columns["timestamp"]
+    measured_us = np.where(columns["timestamp_sample"] > 0, columns["timestamp_sample"], columns["timestamp"])
+    time_ns = microsecond_stamps(measured_us)
+    position, attitude, velocity, rates = (
+        columns[name].astype(np.float64) for name in ("position", "q", "velocity", "angular_velocity")
+    )
+    norm = np.linalg.norm(attitude, axis=1)
+    kept = np.ones(len(norm), dtype=bool)
+    for name, known in (
+        ("attitude is", np.abs(norm - 1.0) <= NORM_TOLERANCE),
+        ("position is", np.isfinite(position).all(axis=1)),
+        ("velocity is", np.isfinite(velocity).all(axis=1)),
+        ("rates are", np.isfinite(rates).all(axis=1)),
+    ):
+        if missing := int(np.sum(kept & ~known)):
+            dropped[f"the {name} not known"] += missing
+        kept &= known
+    pose_frame, velocity_frame = columns["pose_frame"], columns["velocity_frame"]
+    in_body = velocity_frame == _BODY
+    in_world = (pose_frame == _NED) | (pose_frame == _FRD)
+    wrong = kept & ~(in_world & (in_body | (velocity_frame == pose_frame)))
+    if wrong.any():
+        sample = int(np.argmax(wrong))
+        raise SampleError(
+            sample,
+            f"pose_frame {pose_frame[sample]}, velocity_frame {velocity_frame[sample]}: "
+            "they must name the same world, or the latter the body",
         )
-        time_ns = microsecond_stamps(measured_us)
-        position, attitude, velocity, rates = (
-            columns[name].astype(np.float64) for name in ("position", "q", "velocity", "angular_velocity")
-        )
-        norm = np.linalg.norm(attitude, axis=1)
-        known = {
-            "the attitude is not known": np.abs(norm - 1.0) <= NORM_TOLERANCE,
-            "the position is not known": np.isfinite(position).all(axis=1),
-            "the velocity is not known": np.isfinite(velocity).all(axis=1),
-            "the rates are not known": np.isfinite(rates).all(axis=1),
-        }
-        kept = self._all_of(known)
-        pose_frame, velocity_frame = columns["pose_frame"], columns["velocity_frame"]
-        in_body = velocity_frame == _BODY
-        in_world = (pose_frame == _NED) | (pose_frame == _FRD)
-        wrong = kept & ~(in_world & (in_body | (velocity_frame == pose_frame)))
-        if wrong.any():
-            sample = int(np.argmax(wrong))
-            raise SampleError(
-                sample,
-                f"pose_frame {pose_frame[sample]}, velocity_frame {velocity_frame[sample]}: "
-                "they must name the same world, or the latter the body",
-            )
-        attitude = attitude[kept] / norm[kept, np.newaxis]
-        turned = rotate_world_to_body(attitude, velocity[kept])
-        return OdometryStream(
-            time_ns=time_ns[kept],
-            position=position[kept],
-            attitude=attitude,
-            velocity=np.where(in_body[kept, np.newaxis], velocity[kept], turned),
-            rates=rates[kept],
-        )
-
-    def _all_of(self, known: dict[str, npt.NDArray[np.bool_]]) -> npt.NDArray[np.bool_]:
-        """Mask (N,) of messages without unknown values; counts the others by their first reason."""
-        kept: npt.NDArray[np.bool_] = np.logical_and.reduce(list(known.values()))
-        if not kept.all():
-            left = np.ones_like(kept)
-            for reason, mask in known.items():
-                self.dropped[reason] += int(np.sum(left & ~mask))
-                left &= mask
-            self.dropped = +self.dropped
-        return kept
+    attitude = attitude[kept] / norm[kept, np.newaxis]
+    turned = rotate_world_to_body(attitude, velocity[kept])
+    return OdometryStream(
+        time_ns=time_ns[kept],
+        position=position[kept],
+        attitude=attitude,
+        velocity=np.where(in_body[kept, np.newaxis], velocity[kept], turned),
+        rates=rates[kept],
+    )
 
 
-def read_sensor_combined(columns: Columns) -> ImuStream:
+def _read_imu(columns: Columns) -> ImuStream:
     """px4_msgs/SensorCombined; its stamps are those of the gyro."""
     return ImuStream(
         time_ns=microsecond_stamps(columns["timestamp"]),
@@ -121,12 +104,12 @@ def _status(columns: Columns, items: dict[str, Items], order: Indices) -> EscRep
 
 
 def _odometry(_settings: object, _vehicle: Vehicle | None) -> Reading:
-    reader = OdometryReader()
-    return Reading(lambda columns, _: reader.read(columns), lambda: reader.dropped)
+    dropped: Counter[str] = Counter()
+    return Reading(lambda columns, _: _read_odometry(columns, dropped), lambda: dropped)
 
 
 def _imu(_settings: object, _vehicle: Vehicle | None) -> Reading:
-    return Reading(lambda columns, _: read_sensor_combined(columns), Counter)
+    return Reading(lambda columns, _: _read_imu(columns), Counter)
 
 
 STATUS = Adapter(

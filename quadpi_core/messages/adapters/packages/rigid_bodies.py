@@ -9,7 +9,6 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from quadpi_core.errors import SampleError
 from quadpi_core.flight import PoseStream, Stamps
@@ -46,27 +45,21 @@ class BodyReader:
     """
 
     def __init__(self, settings: BodySettings) -> None:
-        self._settings = settings
         assert settings.body is not None
-        self._body = settings.body.encode()
+        self._settings, self._body = settings, settings.body
+        # Names of other bodies, for whoever has to find out what the own one is called.
         self._seen: set[str] = set()
         self._absent, self._untracked = 0, 0
 
-    @property
     def dropped(self) -> Counter[str]:
         """How many messages gave no sample, by reason."""
-        body = self._settings.body
+        seen = ", ".join(sorted(self._seen)) or "none"
         return +Counter(
             {
-                f"{body} is not in it (others: {self.seen})": self._absent,
-                f"{body} has no pose in it": self._untracked,
+                f"{self._body} is not in it (others: {seen})": self._absent,
+                f"{self._body} has no pose in it": self._untracked,
             }
         )
-
-    @property
-    def seen(self) -> str:
-        """Names of other bodies in the messages so far, some of them if there are many."""
-        return ", ".join(sorted(self._seen)) or "none"
 
     def read(self, time_ns: Stamps, bodies: Items, members: Members) -> PoseStream:
         """The poses among the M bodies that N messages hold.
@@ -80,14 +73,16 @@ class BodyReader:
             SampleError: if two bodies of a message have the name.
         """
         names = bodies.columns[members.name]
-        rows = np.flatnonzero(names == self._body)
+        rows = np.flatnonzero(names == self._body.encode())
         sample = bodies.message[rows]
         if len(rows) > 1 and np.any(np.diff(sample) == 0):
             index = int(sample[np.argmin(np.diff(sample))])
-            raise SampleError(index, f"two bodies are named {self._settings.body}")
+            raise SampleError(index, f"two bodies are named {self._body}")
         if absent := len(bodies.counts) - len(rows):
-            self._note(names)
             self._absent += absent
+            if len(self._seen) < _SEEN_MAX:
+                others = {other.decode(errors="replace") for other in np.unique(names)[: _SEEN_MAX + 1]}
+                self._seen |= others - {self._body}
         position = bodies.columns[members.position][rows]
         orientation = bodies.columns[members.orientation][rows][:, _WXYZ]
         norm = np.sqrt(np.einsum("ni,ni->n", orientation, orientation))
@@ -100,12 +95,6 @@ class BodyReader:
         return PoseStream(
             time_ns[rows], *_to_ned(self._settings, position, orientation / norm[:, np.newaxis])
         )
-
-    def _note(self, names: npt.NDArray[np.bytes_]) -> None:
-        """Remember names of other bodies, for whoever has to find out what the own one is called."""
-        if len(self._seen) < _SEEN_MAX:
-            others = {other.decode(errors="replace") for other in np.unique(names)[: _SEEN_MAX + 1]}
-            self._seen |= others - {self._settings.body}
 
 
 def _to_ned(settings: BodySettings, position: Array, attitude: Array) -> tuple[Array, Array]:
@@ -124,7 +113,7 @@ def _bodies(array: str, members: Members) -> Callable[[BodySettings, Vehicle | N
             lambda columns, items: reader.read(
                 header_stamps(columns)[items[array].message], items[array], members
             ),
-            lambda: reader.dropped,
+            reader.dropped,
         )
 
     return start

@@ -29,7 +29,7 @@ def _start(settings: BodySettings, _vehicle: Vehicle | None) -> Reading:
             _check_frames(transforms, np.flatnonzero(own), body)
         return reader.read(header_stamps(transforms.columns), transforms, _MEMBERS)
 
-    return Reading(lambda _, items: read(items["transforms"]), lambda: reader.dropped)
+    return Reading(lambda _, items: read(items["transforms"]), reader.dropped)
 
 
 def _check_frames(transforms: Items, rows: np.typing.NDArray[np.int64], body: str) -> None:

@@ -11,13 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-pytest.importorskip("pymavlink", reason="pymavlink is not installed")
-
-import pytest
-
 from quadpi_core.errors import LogError
-from quadpi_core.logs.formats.mavlink_tlog import TlogCounts, read_records, read_tlog
-from quadpi_core.logs.mavlink_frames import frame_length
+from quadpi_core.logs.formats.mavlink_tlog import read_tlog
 
 pytest.importorskip("pymavlink", reason="pymavlink is not installed")
 pytest.importorskip("pyulog", reason="pyulog is not installed")
@@ -48,24 +43,22 @@ def test_motion_capture_of_another_system_is_not_used(
     assert "200 ATT_POS_MOCAP of other systems not used" in caplog.text
 
 
-def test_a_damaged_log_costs_in_proportion_to_its_length(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each place may begin one record; what would be inside it is not looked for."""
-    header = bytes([0xFD, 255, 0, 0, 0, 1, 1, 131, 0, 0])
-    stamp = START_US.to_bytes(8, "big")
-    log = (stamp + header) * 1000
-    looked: list[int] = []
+def test_a_log_of_damage_alone_is_refused(tmp_path: Path) -> None:
+    """What looks like a stamp and a header everywhere, but no packet follows."""
+    path = tmp_path / "flight.tlog"
+    path.write_bytes((START_US.to_bytes(8, "big") + bytes([0xFD, 255, 0, 0, 0, 1, 1, 131, 0, 0])) * 1000)
+    with pytest.raises(LogError, match=r"flight\.tlog: byte 0: no MAVLink packet in the whole file"):
+        read_tlog(path, None)
 
-    def counted(buffer: bytes, position: int) -> int | None:
-        looked.append(position)
-        return frame_length(buffer, position)
 
-    for module in ("formats.mavlink_tlog", "mavlink_frames"):
-        monkeypatch.setattr(f"quadpi_core.logs.{module}.frame_length", counted)
-    counts = TlogCounts()
-    assert not list(read_records(log, counts))
-    assert counts.damaged_bytes == len(log)
-    assert counts.checksum_errors <= 1000
-    assert len(looked) <= len(log) + 1000
+def test_damage_between_records_costs_those_that_it_hits(
+    mavlink_sender: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    whole = imu_log(mavlink_sender(), 10_000 * np.arange(100))
+    path, size = tmp_path / "flight.tlog", len(whole) // 100
+    path.write_bytes(whole[: 30 * size + 5] + whole[30 * size + 6 : -3])
+    assert len(read_tlog(path, None).imu) == 98
+    assert f"{2 * size - 4} bytes are passed over" in caplog.text
 
 
 def test_telemetry_is_stamped_by_the_computer_that_wrote_it(

@@ -11,27 +11,11 @@ import pytest
 
 from quadpi_core.errors import LogError
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, RotorSpeedStream
-from quadpi_core.messages.adapters import AdapterSettings, known_adapters
-from quadpi_core.messages.adapters.adapter_settings import BodySettings, RotorSettings, StateSettings
+from quadpi_core.messages.adapters import known_adapters
 from quadpi_core.messages.frame_ids import TF_TYPE
 
-from .vendor_messages import (
-    START_NS,
-    Messages,
-    frame,
-    mavros_status,
-    mavros_telemetry,
-    px4_odometry,
-    px4_status,
-    tf,
-)
+from .vendor_messages import EXAMPLES, SETTINGS, START_NS, Messages
 
-SETTINGS = AdapterSettings(
-    rotor_speeds=RotorSettings((3, 1, 4, 2), "rpm"),
-    mocap=BodySettings("quad", "flu-enu"),
-    odometry=StateSettings(),
-    imu=StateSettings(),
-)
 # Where the packages publish by default, by their documentation and launch files.
 PUBLISHED = {
     "mavros/esc_status/status": ("mavros_msgs/msg/ESCStatus", RotorSpeedStream),
@@ -50,37 +34,18 @@ def opened(vendor, name, definition=None):
     return adapter.open(definition or vendor.definition(adapter.type_name), SETTINGS, None)
 
 
-def example(vendor, type_name):
-    quad = [("quad", (1.0, 2.0, 3.0), (0.0, 0.0, 0.0, 1.0))]
-    made = {
-        "mavros_msgs/msg/ESCStatus": lambda: mavros_status(vendor, START_NS, [1, 2, 3, 4]),
-        "mavros_msgs/msg/ESCTelemetry": lambda: mavros_telemetry(vendor, START_NS, [1, 2, 3, 4], [1] * 4),
-        "px4_msgs/msg/EscStatus": lambda: px4_status(vendor, START_NS, [1, 2, 3, 4]),
-        "px4_msgs/msg/VehicleOdometry": lambda: px4_odometry(vendor),
-        "px4_msgs/msg/SensorCombined": lambda: px4_imu(vendor),
-        TF_TYPE: lambda: tf(("quad", START_NS // 10**9, *quad[0][1:])),
-        "mocap4r2_msgs/msg/RigidBodies": lambda: frame(vendor, "mocap4r2", START_NS, quad),
-    }
-    return made.get(type_name, lambda: frame(vendor, "named_poses", START_NS, quad))()
-
-
-def px4_imu(vendor):
-    still = dict.fromkeys(("gyro_rad", "accelerometer_m_s2"), np.zeros(3, np.float32))
-    return vendor.bytes(vendor.make("px4_msgs/msg/SensorCombined", timestamp=START_NS // 1000, **still))
-
-
 @pytest.mark.parametrize("name", known_adapters())
 def test_each_gives_its_stream_from_the_topic_of_its_package(vendor, name):
     adapter = known_adapters()[name]
     type_name, kind = PUBLISHED[adapter.topic]
     assert adapter.type_name == type_name
-    stream = opened(vendor.px4_1_14, name).unpack(example(vendor.px4_1_14, type_name))
+    stream = opened(vendor.px4_1_14, name).unpack(EXAMPLES[name](vendor.px4_1_14))
     assert (type(stream), len(stream)) == (kind, 1)
     assert stream.time_ns[0] // 10**9 == START_NS // 10**9
 
 
 GUIDE = (Path(__file__).parents[4] / "docs" / "adapters.md").read_text()
-EXAMPLE = re.search(r"```py\n(.*?)```", GUIDE, flags=re.DOTALL)[1]
+GUIDE_EXAMPLE = re.search(r"```py\n(.*?)```", GUIDE, flags=re.DOTALL)[1]
 ENTRY = re.search(r"# pyproject.toml\n\[project\.entry-points\.(.*?)```", GUIDE, flags=re.DOTALL)[1]
 DEFINITION = "std_msgs/Header header\nfloat64[4] rpm\n"
 
@@ -95,7 +60,7 @@ def package(tmp_path, monkeypatch, package_of_ones_own) -> Iterator[Path]:  # no
     (tmp_path / "my_package").mkdir()
     (tmp_path / "my_package" / "__init__.py").touch()
     file = tmp_path / "my_package" / "rotor_rpm.py"
-    file.write_text(EXAMPLE)
+    file.write_text(GUIDE_EXAMPLE)
     monkeypatch.syspath_prepend(tmp_path)
     known_adapters.cache_clear()
     yield file
@@ -123,7 +88,7 @@ def test_a_package_of_ones_own_adds_a_message():
     [
         ("1 / 0", r"^message `rotor_rpm` of my_package 1.0 .*rotor_rpm.py, line 1: ZeroDivisionError"),
         (
-            EXAMPLE.replace('"rotor_rpm",', '"px4_imu",'),
+            GUIDE_EXAMPLE.replace('"rotor_rpm",', '"px4_imu",'),
             "^message `px4_imu` is declared twice: .*my_package 1.0",
         ),
     ],

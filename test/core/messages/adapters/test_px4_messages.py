@@ -4,26 +4,17 @@ import numpy as np
 import pytest
 
 from quadpi_core.errors import LogError
-from quadpi_core.messages.adapters import AdapterSettings, known_adapters
-from quadpi_core.messages.adapters.adapter_settings import (
-    StateSettings,
-)
 from quadpi_core.messages.payloads import Payloads
 
-from .vendor_messages import START_NS, px4_odometry
-
-
-def opened_px4(vendor, name):
-    adapter = known_adapters()[name]
-    settings = AdapterSettings(odometry=StateSettings(), imu=StateSettings())
-    return adapter.open(vendor.definition(adapter.type_name), settings, None)
+from .test_adapter_registry import opened
+from .vendor_messages import START_NS, px4_imu, px4_odometry
 
 
 @pytest.mark.parametrize("pose_frame", [1, 2])
 def test_px4_odometry_is_stamped_when_sampled_with_its_velocity_in_the_body(vendor, pose_frame):
     """Yawed by 90° to the right, north is on the left."""
     vendor = vendor.px4_1_14
-    unpacker = opened_px4(vendor, "px4_odometry")
+    unpacker = opened(vendor, "px4_odometry")
     stream = unpacker.unpack(px4_odometry(vendor, pose_frame=pose_frame, velocity_frame=pose_frame))
     assert stream.time_ns.tolist() == [START_NS]
     np.testing.assert_allclose(stream.position, [[1, 2, -3]])
@@ -38,7 +29,7 @@ def test_px4_odometry_is_stamped_when_sampled_with_its_velocity_in_the_body(vend
 @pytest.mark.parametrize("field", ["position", "q", "velocity", "angular_velocity"])
 def test_px4_odometry_without_a_quantity_is_no_sample(vendor, field):
     vendor = vendor.px4_1_14
-    unpacker = opened_px4(vendor, "px4_odometry")
+    unpacker = opened(vendor, "px4_odometry")
     unknown = px4_odometry(vendor, **{field: [np.nan] * (4 if field == "q" else 3)})
     stream = unpacker.unpack(Payloads.join([unknown, px4_odometry(vendor)]))
     assert len(stream) == 1
@@ -50,25 +41,19 @@ def test_px4_odometry_in_frames_that_do_not_fit_is_refused(vendor, frames):
     vendor = vendor.px4_1_14
     wrong = px4_odometry(vendor, pose_frame=frames[0], velocity_frame=frames[1])
     with pytest.raises(LogError, match=f"sample 1: pose_frame {frames[0]}, velocity_frame {frames[1]}"):
-        opened_px4(vendor, "px4_odometry").unpack(Payloads.join([px4_odometry(vendor), wrong]))
+        opened(vendor, "px4_odometry").unpack(Payloads.join([px4_odometry(vendor), wrong]))
 
 
 def test_stamps_that_no_message_can_hold_are_refused(vendor):
     vendor = vendor.px4_1_14
     beyond = px4_odometry(vendor, timestamp_sample=2**31 * 10**6)
     with pytest.raises(LogError, match="sample 0: the stamp has 2147483648000000 µs"):
-        opened_px4(vendor, "px4_odometry").unpack(beyond)
+        opened(vendor, "px4_odometry").unpack(beyond)
 
 
 def test_px4_imu_needs_no_conversion(vendor):
     vendor = vendor.px4_1_14
-    message = vendor.make(
-        "px4_msgs/msg/SensorCombined",
-        timestamp=START_NS // 1000,
-        gyro_rad=np.array([0.1, 0.2, 0.3], np.float32),
-        accelerometer_m_s2=np.array([1, 2, -9.8], np.float32),
-    )
-    stream = opened_px4(vendor, "px4_imu").unpack(vendor.bytes(message))
+    stream = opened(vendor, "px4_imu").unpack(px4_imu(vendor))
     assert stream.time_ns.tolist() == [START_NS]
     np.testing.assert_allclose(stream.angular_velocity, [[0.1, 0.2, 0.3]], rtol=1e-6)
     np.testing.assert_allclose(stream.specific_force, [[1, 2, -9.8]], rtol=1e-6)

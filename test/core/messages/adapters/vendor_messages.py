@@ -9,6 +9,8 @@ mavros_msgs 2.12.0; px4_msgs v1.14.0 to v1.17.0 and, for the larger EscStatus, r
 import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from quadpi_core.messages.adapters import AdapterSettings
+from quadpi_core.messages.adapters.adapter_settings import BodySettings, RotorSettings, StateSettings
 from quadpi_core.messages.definitions import typestore
 from quadpi_core.messages.frame_ids import TF_TYPE
 
@@ -236,3 +238,29 @@ def tf(*transforms, parent="world"):
             )
         )
     return bytes(typestore().serialize_cdr(types[TF_TYPE](transforms=made), TF_TYPE))
+
+
+def px4_imu(vendor, gyro=(0.1, 0.2, 0.3), accelerometer=(1.0, 2.0, -9.8)):
+    vectors = {"gyro_rad": gyro, "accelerometer_m_s2": accelerometer}
+    arrays = {name: np.array(vector, np.float32) for name, vector in vectors.items()}
+    return vendor.bytes(vendor.make("px4_msgs/msg/SensorCombined", timestamp=START_NS // 1000, **arrays))
+
+
+SETTINGS = AdapterSettings(
+    rotor_speeds=RotorSettings((3, 1, 4, 2), "rpm"),
+    mocap=BodySettings("quad", "flu-enu"),
+    odometry=StateSettings(),
+    imu=StateSettings(),
+)
+RPM, BODIES = [1, 2, 3, 4], [("wand", [0, 0, 0], [0, 0, 0, 1]), ("quad", [1, 2, 3], [0, 0, 0, 1])]
+# By the name of the adapter: a message that holds a sample by these settings.
+EXAMPLES = {
+    "mavros_status": lambda vendor: mavros_status(vendor, START_NS, RPM),
+    "mavros_telemetry": lambda vendor: mavros_telemetry(vendor, START_NS, RPM, [1, 2, 3, 4]),
+    "px4_status": lambda vendor: px4_status(vendor, START_NS, RPM),
+    "px4_odometry": px4_odometry,
+    "px4_imu": px4_imu,
+    "mocap4r2": lambda vendor: frame(vendor, "mocap4r2", START_NS, BODIES),
+    "named_poses": lambda vendor: frame(vendor, "named_poses", START_NS, BODIES),
+    "tf": lambda _: tf(*((name, START_NS // 10**9, *pose) for name, *pose in BODIES)),
+}
