@@ -3,29 +3,42 @@
 """Checks of configuration against the types that declare it, with refusals in one line.
 
 A configuration is a frozen dataclass derived from :class:`Section`: its fields are the keys of a mapping in
-the file, and their annotations the values allowed. pydantic checks a file's content against the annotations;
-this module adds the numbers of physics (finite, in a range, no booleans), the refusal of unknown keys with
-the nearest known one, and the wording of messages.
+the file, and their annotations the values allowed. Not by pydantic, as live nodes read vehicles, adapters and
+models by it: they import only what ROS 2 Jazzy's Ubuntu packages, where pydantic is the old one, and a robot
+starts 0.1 s sooner.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, TypeAlias, TypeVar
+from types import NoneType, UnionType
+from typing import (
+    Annotated,
+    Any,
+    ClassVar,
+    Literal,
+    NamedTuple,
+    TypeAlias,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import numpy as np
-from pydantic import GetCoreSchemaHandler, StrictBool, TypeAdapter, ValidationError
-from pydantic_core import CoreSchema, ErrorDetails, core_schema
 
 from quadpi_core.config import nearest, read_config
 from quadpi_core.errors import QuadpiError
 from quadpi_core.frames import Array
 
 _Content = TypeVar("_Content")
+# Of what was found, in a message.
+_FOUND_MAX = 200
 
 
 def load_config(
@@ -46,7 +59,7 @@ def parse_config(
     """Data of a YAML or JSON file as the type that declares it.
 
     Args:
-        content: a :class:`Section`, or another type that pydantic knows.
+        content: a :class:`Section`, or another type that :func:`check_config` knows.
         data: mappings, lists and scalars.
         where: the file, for messages.
         error: class of the error to raise.
@@ -57,24 +70,192 @@ def parse_config(
     """
     try:
         return check_config(content, data)
-    except ValidationError as refusal:
-        raise error(f"{where}: {_sentence(refusal.errors(include_url=False)[0], above)}") from None
+    except RefusedError as refusal:
+        raise error(f"{where}: {refusal.sentence(above)}") from None
+
+
+class RefusedError(ValueError):
+    """What is wrong with a value of a configuration.
+
+    Args:
+        words: a sentence, or "must …", which takes the key before it.
+        found: what was found instead, where the words do not say it.
+        known: names of which one was expected.
+
+    Attributes:
+        place: the keys, and places in lists, that lead to the value.
+    """
+
+    def __init__(self, words: str, found: Any = ..., known: Collection[str] = ()) -> None:
+        shown = "" if found is ... else repr(found)
+        cut = f"{shown[:_FOUND_MAX]}…" if len(shown) > _FOUND_MAX else shown
+        super().__init__(
+            words + (f", found {cut}" if cut else "") + (nearest(str(found), known) if known else "")
+        )
+        self.found, self.known = found, known
+        self.place: tuple[str | int, ...] = ()
+
+    def sentence(self, above: tuple[str, ...] = ()) -> str:
+        """Where, which key, what is expected and what was found, for data below the keys `above`."""
+        place = above + self.place
+        if not place or not str(self).startswith("must"):
+            return f"{_path(place)}{self}"
+        key = place[-1]
+        return f"{_path(place[:-1])}{f'`{key}`' if isinstance(key, str) else f'entry {key + 1}'} {self}"
+
+
+def _path(place: tuple[int | str, ...]) -> str:
+    """The keys above a value: `motion.x, entry 1, sine: `; entries of lists count from 1."""
+    text = ""
+    for before, step in zip(("", *place), place, strict=False):
+        separator = "" if not text else ", " if isinstance(step, int) or isinstance(before, int) else "."
+        text += separator + (f"entry {step + 1}" if isinstance(step, int) else step)
+    return f"{text}: " if text else ""
 
 
 def check_config(content: type[_Content], data: Any) -> _Content:
-    """As :func:`parse_config`, inside a validator of another section, which then words the refusal.
+    """Data as the type that declares it; for functions that read a part of a configuration.
+
+    Args:
+        content: a dataclass, scalar, list, tuple, dict, Literal or union, or one of these annotated by rules.
+        data: mappings, lists and scalars.
 
     Raises:
-        ValidationError: if the data does not fit the type.
+        RefusedError: if the data does not fit the type.
     """
-    kind: Any = content
-    checked: _Content = _adapter(kind).validate_python(data)
+    checked: _Content = _read(content, data)
     return checked
 
 
+def _read(content: Any, data: Any) -> Any:
+    kind: Any = get_origin(content) or content
+    arguments: Any = get_args(content)
+    if kind is Annotated:
+        inner, *rules = arguments
+        return rules.pop().read(Annotated[(inner, *rules)] if rules else inner, data)
+    if kind is Literal:
+        return OneOf(*arguments).read(str, data)
+    if kind in {Union, UnionType}:
+        return _first_that_fits(arguments, data)
+    if kind is Any:
+        return data
+    if is_dataclass(kind):
+        return _dataclass(kind, data)
+    if issubclass(kind, Mapping):
+        return _mapping(arguments or (Any, Any), data)
+    if kind in {list, tuple}:
+        return kind(_items(arguments, data))
+    if kind is float:
+        return Within().read(float, data) if not isinstance(data, float) else data
+    if not isinstance(data, kind) or (kind is int and isinstance(data, bool)):
+        raise RefusedError(_EXPECTED.get(kind, f"must be of {kind.__name__}"), data)
+    return data
+
+
+_EXPECTED = {str: "must be text", int: "must be a whole number", bool: "must be true or false"}
+
+
+def _at(step: str | int, content: Any, data: Any) -> Any:
+    """Data that lies at a key or a place of a list."""
+    try:
+        return _read(content, data)
+    except RefusedError as refusal:
+        if refusal.found is None and not refusal.place and isinstance(step, str):
+            raise RefusedError(f"missing key `{step}`") from None
+        refusal.place = (step, *refusal.place)
+        raise
+
+
+def _first_that_fits(kinds: Iterable[Any], data: Any) -> Any:
+    *others, last = (kind for kind in kinds if kind is not NoneType or data is None)
+    for kind in others:
+        try:
+            return _read(kind, data)
+        except RefusedError:
+            continue
+    return _read(last, data)
+
+
+def _items(kinds: tuple[Any, ...], data: Any) -> list[Any]:
+    if not isinstance(data, list | tuple):
+        raise RefusedError("must be a list", data)
+    each = len(kinds) < 2 or kinds[1] is ...
+    if not each and len(data) != len(kinds):
+        raise RefusedError(f"must be a list of {len(kinds)}", data)
+    of = [kinds[0] if kinds else Any] * len(data) if each else kinds
+    return [_at(place, kind, item) for place, (kind, item) in enumerate(zip(of, data, strict=True))]
+
+
+def _mapping(kinds: tuple[Any, ...], data: Any) -> dict[Any, Any]:
+    if not isinstance(data, Mapping):
+        raise RefusedError("expected keys and values", data)
+    read = {}
+    for key, value in data.items():
+        try:
+            name = _read(kinds[0], key)
+        except RefusedError as refusal:
+            raise RefusedError(unknown_key(key, refusal.known)) from None
+        read[name] = _at(str(key), kinds[1], value)
+    return read
+
+
+def _dataclass(kind: Any, data: Any) -> Any:
+    if isinstance(data, kind):
+        return data
+    if not isinstance(data, Mapping):
+        raise RefusedError("expected keys and values", data)
+    declared = _declared(kind)
+    if issubclass(kind, Section):
+        known = [key for field in declared for key in field.keys]
+        if unknown := [key for key in data if key not in known]:
+            raise RefusedError(unknown_key(unknown[0], known))
+        if kind.blank_is_absent:
+            optional = {key for field in declared if not field.is_required for key in field.keys}
+            data = {key: value for key, value in data.items() if value is not None or key not in optional}
+    values = {}
+    for field in declared:
+        given = next((key for key in field.keys if key in data), None)
+        if given is not None:
+            values[field.name] = _at(given, field.kind, data[given])
+        elif field.is_required:
+            raise RefusedError(f"missing key `{field.keys[0]}`")
+    return _judged(kind, **values)
+
+
+class _Declared(NamedTuple):
+    """A field of a dataclass, and the keys of a file that may give it."""
+
+    name: str
+    keys: tuple[str, ...]
+    kind: Any
+    is_required: bool
+
+
 @cache
-def _adapter(content: Any) -> TypeAdapter[Any]:
-    return TypeAdapter(content)
+def _declared(kind: type) -> tuple[_Declared, ...]:
+    hints = get_type_hints(kind, include_extras=True)
+    declared = []
+    for field in fields(kind):
+        rules = getattr(hints[field.name], "__metadata__", ())
+        keys = next((rule.names for rule in rules if isinstance(rule, Key)), (field.name,))
+        required = field.default is MISSING and field.default_factory is MISSING
+        declared.append(_Declared(field.name, keys, hints[field.name], required))
+    return tuple(declared)
+
+
+def _judged(function: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
+    """What a function gives that raises ValueError for what it refuses."""
+    try:
+        return function(*arguments, **named)
+    except RefusedError:
+        raise
+    except ValueError as error:
+        raise RefusedError(str(error)) from None
+
+
+def unknown_key(key: Any, known: Collection[str]) -> str:
+    """Refusal of a key, with all known ones and the nearest of them."""
+    return f"unknown key `{key}`; known: {', '.join(known)}{nearest(str(key), known)}"
 
 
 class Section:
@@ -87,53 +268,55 @@ class Section:
 
     blank_is_absent: ClassVar[bool] = True
 
-    @classmethod
-    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Let pydantic check the fields, after the keys."""
-        schema = handler(source)
-        # Changed in place: where a section occurs again, pydantic takes what it has stored of it.
-        stored: Any = handler.resolve_ref_schema(schema)
-        fields = stored["schema"]["fields"]
-        defaults = {key: field["schema"]["type"] == "default" for field in fields for key in _keys(field)}
 
-        def known_keys(data: Any) -> Any:
-            if not isinstance(data, Mapping):
-                return data
-            for key in data:
-                if key not in defaults:
-                    raise ValueError(unknown_key(key, defaults))
-            absent = {key for key, value in data.items() if value is None and defaults[key]}
-            return {k: v for k, v in data.items() if k not in absent} if cls.blank_is_absent else data
-
-        stored["schema"] = core_schema.no_info_before_validator_function(known_keys, stored["schema"])
-        return schema
+# Annotations. Each reads data as a type that other annotations may have narrowed.
 
 
-def _keys(field: Mapping[str, Any]) -> list[str]:
-    """The keys of a file that give a field of a dataclass schema."""
-    alias = field.get("validation_alias", field["name"])
-    return [alias] if isinstance(alias, str) else [path[0] for path in alias]
+class Key:
+    """The key of a file that gives a field, where it is not the field's name; or several, one of them."""
+
+    def __init__(self, *names: str) -> None:
+        self.names = names
+
+    def read(self, kind: Any, data: Any) -> Any:
+        """As without it."""
+        return _read(kind, data)
 
 
-def unknown_key(key: Any, known: Collection[str]) -> str:
-    """Refusal of a key, with all known ones and the nearest of them."""
-    return f"unknown key `{key}`; known: {', '.join(known)}{nearest(str(key), known)}"
+@dataclass(frozen=True)
+class ReadBy:
+    """A function that reads the value, and raises ValueError for what it refuses.
+
+    Attributes:
+        first: whether what it gives is then read as the type.
+    """
+
+    function: Callable[[Any], Any]
+    first: bool = False
+
+    def read(self, kind: Any, data: Any) -> Any:
+        """What the function gives."""
+        read = _judged(self.function, data)
+        return _read(kind, read) if self.first else read
 
 
 @dataclass(frozen=True)
 class Expected:
-    """Annotation: what a value must be, in the words of a refusal, instead of pydantic's reason."""
+    """What a value must be, in the words of a refusal, instead of the reason."""
 
     words: str
 
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """See pydantic."""
-        return _worded(handler(source), self.words)
+    def read(self, kind: Any, data: Any) -> Any:
+        """The value in other words."""
+        try:
+            return _read(kind, data)
+        except RefusedError:
+            raise RefusedError(self.words, data) from None
 
 
 @dataclass(frozen=True)
 class Within:
-    """Annotation: a finite number (float), or a whole one (int), in a range; true and false are no numbers.
+    """A finite number (float), or a whole one (int), in a range; true and false are no numbers.
 
     Attributes:
         lowest, highest: bounds, inclusive.
@@ -144,20 +327,18 @@ class Within:
     highest: float = math.inf
     positive: bool = False
 
-    def __get_pydantic_core_schema__(self, source: Any, _handler: GetCoreSchemaHandler) -> CoreSchema:
-        """See pydantic."""
-        bounds: dict[str, Any] = {}
-        if math.isfinite(self.lowest):
-            bounds["ge"] = self.lowest
-        if math.isfinite(self.highest):
-            bounds["le"] = self.highest
-        if self.positive:
-            bounds["gt"] = 0
-        if source is int:
-            whole: dict[str, Any] = {name: int(bound) for name, bound in bounds.items()}
-            return _worded(core_schema.int_schema(strict=True, **whole), self._words("whole number"))
-        number = core_schema.float_schema(strict=True, allow_inf_nan=False, **bounds)
-        return _worded(number, self._words("number"))
+    def read(self, kind: Any, data: Any) -> float:
+        """The number, of that type."""
+        number = isinstance(data, int if kind is int else int | float) and not isinstance(data, bool)
+        if (
+            number
+            and self.lowest <= data <= self.highest
+            and abs(data) < math.inf
+            and (data > 0 or not self.positive)
+        ):
+            value: float = kind(data)
+            return value
+        raise RefusedError(self._words("whole number" if kind is int else "number"), data)
 
     def _words(self, noun: str) -> str:
         if self.positive:
@@ -170,7 +351,7 @@ class Within:
 
 @dataclass(frozen=True)
 class Numbers:
-    """Annotation: an array of finite numbers (N,), or of rows of them (M, N).
+    """An array of finite numbers (N,), or of rows of them (M, N).
 
     Attributes:
         count: N; None for any.
@@ -180,109 +361,61 @@ class Numbers:
     count: int | None = None
     rows: bool = False
 
-    def __get_pydantic_core_schema__(self, _source: Any, _handler: GetCoreSchemaHandler) -> CoreSchema:
-        """See pydantic."""
-        number = core_schema.float_schema(strict=True, allow_inf_nan=False)
-        numbers = core_schema.list_schema(number, min_length=self.count, max_length=self.count)
-        if self.rows:
-            numbers = core_schema.list_schema(numbers, min_length=1)
-        schema = core_schema.no_info_after_validator_function(_floats, numbers)
+    def read(self, _kind: Any, data: Any) -> Array:
+        """The array."""
         amount = "numbers" if self.count is None else f"{self.count} numbers"
-        return _worded(schema, f"must hold {'rows of ' if self.rows else ''}{amount}")
-
-
-def _floats(numbers: Any) -> Array:
-    return np.array(numbers, dtype=float)
+        words = f"must hold {'rows of ' if self.rows else ''}{amount}"
+        numbers = Expected(words).read(list[list[Real]] if self.rows else list[Real], data)
+        for row in numbers if self.rows else [numbers]:
+            if self.count not in {None, len(row)}:
+                raise RefusedError(words, data)
+        if self.rows and not numbers:
+            raise RefusedError(words, data)
+        return np.array(numbers, dtype=float)
 
 
 class OneOf:
-    """Annotation: one of some names."""
+    """One of some names."""
 
     def __init__(self, *names: str) -> None:
         self._names = names
 
-    def __get_pydantic_core_schema__(self, _source: Any, _handler: GetCoreSchemaHandler) -> CoreSchema:
-        """See pydantic."""
-        words = f"must be one of {', '.join(self._names)}"
-        return _worded(core_schema.literal_schema(list(self._names)), words, known="\n".join(self._names))
+    def read(self, _kind: Any, data: Any) -> str:
+        """The name."""
+        if data not in self._names:
+            raise RefusedError(f"must be one of {', '.join(self._names)}", data, self._names)
+        name: str = data
+        return name
 
 
 @dataclass(frozen=True)
 class Each:
-    """Annotation: a mapping that has an entry for each of some names."""
+    """A mapping that has an entry for each of some names."""
 
     names: tuple[str, ...]
 
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """See pydantic."""
-
-        def complete(found: dict[str, Any]) -> dict[str, Any]:
-            if missing := [name for name in self.names if name not in found]:
-                raise ValueError(f"missing key `{missing[0]}`")
-            return found
-
-        return core_schema.no_info_after_validator_function(complete, handler(source))
+    def read(self, kind: Any, data: Any) -> Any:
+        """The mapping."""
+        found = _read(kind, data)
+        if missing := [name for name in self.names if name not in found]:
+            raise RefusedError(f"missing key `{missing[0]}`")
+        return found
 
 
-def _worded(schema: CoreSchema, words: str, **context: Any) -> CoreSchema:
-    return core_schema.custom_error_schema(
-        schema, custom_error_type="expected", custom_error_message=words, custom_error_context=context
-    )
+class NotEmpty:
+    """A text, list or mapping with something in it."""
+
+    def read(self, kind: Any, data: Any) -> Any:
+        """The same."""
+        if not (found := _read(kind, data)):
+            raise RefusedError("must be text" if kind is str else "must not be empty", data)
+        return found
 
 
 Real: TypeAlias = Annotated[float, Within()]
 Positive: TypeAlias = Annotated[float, Within(positive=True)]
 NotNegative: TypeAlias = Annotated[float, Within(0.0)]
 Share: TypeAlias = Annotated[float, Within(0.0, 1.0)]
-Flag: TypeAlias = Annotated[StrictBool, Expected("must be true or false")]
+Flag: TypeAlias = bool
 Vector: TypeAlias = Annotated[tuple[Real, Real, Real], Expected("must be three numbers")]
-
-
-@dataclass(frozen=True)
-class _NonEmpty:
-    def __get_pydantic_core_schema__(self, _source: Any, _handler: GetCoreSchemaHandler) -> CoreSchema:
-        return _worded(core_schema.str_schema(strict=True, min_length=1), "must be text")
-
-
-Text: TypeAlias = Annotated[str, _NonEmpty()]
-
-# What a value must be where a type of pydantic's own is not met.
-_EXPECTED = {
-    "string_type": "must be text",
-    "tuple_type": "must be a list",
-}
-# Of what was found, in a message.
-_FOUND_MAX = 200
-
-
-def _sentence(problem: ErrorDetails, above: tuple[str, ...]) -> str:
-    """A refusal by pydantic in our words: where, which key, what is expected and what was found."""
-    place, kind, found = above + problem["loc"], problem["type"], problem["input"]
-    context = problem.get("ctx", {})
-    path = _path(place[:-1])
-    key = place[-1] if place else ""
-    if key == "[key]":
-        return f"{_path(place[:-2])}{unknown_key(found, context.get('known', '').splitlines())}"
-    if kind == "missing" or (found is None and isinstance(key, str) and key and kind != "value_error"):
-        return f"{path}missing key `{key}`"
-    if kind == "value_error":
-        message = str(context["error"])
-        return f"{path}`{key}` {message}" if message.startswith("must") else f"{_path(place)}{message}"
-    shown = repr(found)
-    if len(shown) > _FOUND_MAX:
-        shown = f"{shown[:_FOUND_MAX]}…"
-    if kind in {"dataclass_type", "dict_type"}:
-        return f"{_path(place)}expected keys and values, found {shown}"
-    words = _EXPECTED.get(kind, problem["msg"][:1].lower() + problem["msg"][1:])
-    name = f"`{key}` " if isinstance(key, str) and key else f"entry {key + 1} " if key != "" else ""
-    suggestion = nearest(str(found), context["known"].splitlines()) if "known" in context else ""
-    return f"{path}{name}{words}, found {shown}{suggestion}"
-
-
-def _path(place: tuple[int | str, ...]) -> str:
-    """The keys above a value: `motion.x, entry 1, sine: `; entries of lists count from 1."""
-    text = ""
-    for before, step in zip(("", *place), place, strict=False):
-        separator = "" if not text else ", " if isinstance(step, int) or isinstance(before, int) else "."
-        text += separator + (f"entry {step + 1}" if isinstance(step, int) else step)
-    return f"{text}: " if text else ""
+Text: TypeAlias = Annotated[str, NotEmpty()]

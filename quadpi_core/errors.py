@@ -100,7 +100,7 @@ def one_line(error: BaseException) -> str:
 
 
 def require_library(module: str, extra: str) -> Any:
-    """Import the module of a library that only some log formats or nodes need.
+    """Import the module of a library that only some log formats, options or nodes need.
 
     Raises:
         LogError: naming the extra that installs it.

@@ -11,9 +11,8 @@ from types import MappingProxyType
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import PlainValidator
 
-from quadpi_core.config_schema import OneOf, Section, load_config
+from quadpi_core.config_schema import OneOf, ReadBy, Section, load_config
 from quadpi_core.errors import LogError
 from quadpi_core.frames import Array
 from quadpi_core.vehicle import ROTORS, Vehicle
@@ -122,7 +121,7 @@ class RotorOrder:
 
 
 def controller_numbers(numbers: Any) -> tuple[int, ...]:
-    """The key `rotors` of a file, as a validator of pydantic: speed controllers counted from 1.
+    """The key `rotors` of a file, for `config_schema.ReadBy`: speed controllers counted from 1.
 
     Raises:
         ValueError: for anything but four different numbers.
@@ -140,5 +139,5 @@ def controller_numbers(numbers: Any) -> tuple[int, ...]:
 class _OrderFile(Section):
     """The content of a mapping file of an autopilot's logs."""
 
-    rotors: Annotated[tuple[int, ...], PlainValidator(controller_numbers)]
+    rotors: Annotated[tuple[int, ...], ReadBy(controller_numbers)]
     unit: Annotated[str, OneOf(RPM, ERPM)] | None = None

@@ -14,7 +14,7 @@ Number = TypeVar("Number", float, int, tuple[float, ...])
 
 # Data that many thresholds were set on: flights of the simulated Bebop 2 with hidden effects, whose seeds no
 # published figure uses.
-DEVELOPMENT = "development cases of the blind benchmark (tools/discovery.py --development)"
+DEVELOPMENT = "development cases of the blind benchmark (experiments/discovery.py --development)"
 CONVENTION = "none: a convention"
 
 
