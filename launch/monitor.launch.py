@@ -6,11 +6,17 @@ Both are lifecycle nodes. They come up by themselves unless autostart:=false, an
 `ros2 lifecycle set NODE configure` and `activate`.
 """
 
-from launch import LaunchDescription
+from launch import LaunchContext, LaunchDescription
+from launch.actions import OpaqueFunction
 
-from quadpi_ros.launching import description, live_nodes, monitor_arguments
+from quadpi_ros.launching import Programs, live_nodes, monitor_arguments
+
+
+def start(context: LaunchContext) -> list:
+    """The live nodes."""
+    return live_nodes(Programs(context, __file__))
 
 
 def generate_launch_description() -> LaunchDescription:
     """Arguments vehicle and model are required; model takes a folder, or a list as in "[first, second]"."""
-    return description(__file__, monitor_arguments(respawn=True), live_nodes)
+    return LaunchDescription([*monitor_arguments(respawn="true"), OpaqueFunction(function=start)])

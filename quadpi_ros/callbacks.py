@@ -14,6 +14,7 @@ import time
 import traceback
 from collections import Counter
 from collections.abc import Callable
+from copy import copy
 from functools import wraps
 from typing import Any, cast
 
@@ -29,7 +30,7 @@ from rclpy.timer import Timer
 
 from quadpi_core.errors import one_line
 from quadpi_ros import diagnostics
-from quadpi_ros.dds_profile import check_overrides, overridden
+from quadpi_ros.dds_profile import check_overrides, overriding_options
 
 # A callback that fails at every sample is logged at this period.
 _LOG_PERIOD_S = 5.0
@@ -85,19 +86,6 @@ class CaughtExceptions:
         return [diagnostics.status(name, level, f"{text}, the last in {self._latest}", self.counts)]
 
 
-def guarded(method: Callable[..., None]) -> Callable[..., None]:
-    """Attribute exceptions of a method that another node calls to the method's node, not to the caller."""
-
-    @wraps(method)
-    def call(node: GuardedNode, *arguments: Any) -> None:
-        try:
-            method(node, *arguments)
-        except Exception as error:
-            node.exceptions.take(method.__name__, error)
-
-    return call
-
-
 class GuardedNode(Node):
     """A node that continues after exceptions in callbacks and honours `qos_overrides` parameters.
 
@@ -113,18 +101,12 @@ class GuardedNode(Node):
     """
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
+        self.exceptions = CaughtExceptions(self)
         super().__init__(*arguments, automatically_declare_parameters_from_overrides=True, **options)
         check_overrides(self)
-        self.exceptions = CaughtExceptions(self)
-        # Those that rclpy created in its constructor.
-        own: list[Service | Subscription | Timer] = [*self.services, *self.subscriptions, *self.timers]
-        for entity in own:
-            self._guard_entity(entity)
-
-    @property
-    def _is_set_up(self) -> bool:
-        """Whether rclpy's constructor has returned; :meth:`__init__` guards what that created."""
-        return hasattr(self, "exceptions")
+        # Not all that rclpy has created went through `create_service`.
+        for service in self.services:
+            service.callback = self.guard(f"service {service.srv_name}", service.callback, _empty)
 
     def guard(
         self, where: str, callback: Callable[..., Any], instead: Callable[..., Any] = lambda *_: None
@@ -147,56 +129,38 @@ class GuardedNode(Node):
 
         return call
 
-    def _guard_entity(self, entity: Service | Subscription | Timer) -> None:
-        if isinstance(entity, Service):
-            # A client waits for an answer even after an exception.
-            entity.callback = self.guard(f"service {entity.srv_name}", entity.callback, _empty)
-        elif isinstance(entity, Subscription):
-            entity.callback = self.guard(f"topic {entity.topic_name}", entity.callback)
-        else:
-            entity.callback = self.guard(f"timer {entity.callback.__name__}", entity.callback)
+    def create_service(self, srv_type: Any, srv_name: str, callback: Any, **options: Any) -> Service:
+        """As rclpy's, guarded: a client gets an answer even after an exception."""
+        callback = self.guard(f"service {srv_name}", callback, _empty)
+        return super().create_service(srv_type, srv_name, callback, **options)
 
-    def create_service(self, *arguments: Any, **options: Any) -> Service:
+    def create_timer(self, timer_period_sec: float, callback: Any, *rest: Any, **options: Any) -> Timer:
         """As rclpy's, guarded."""
-        service = super().create_service(*arguments, **options)
-        if self._is_set_up:
-            self._guard_entity(service)
-        return service
-
-    def create_timer(self, *arguments: Any, **options: Any) -> Timer:
-        """As rclpy's, guarded."""
-        timer = super().create_timer(*arguments, **options)
-        if self._is_set_up:
-            self._guard_entity(timer)
-        return timer
+        callback = self.guard(f"timer {callback.__name__}", callback)
+        return super().create_timer(timer_period_sec, callback, *rest, **options)
 
     def create_subscription(
-        self,
-        msg_type: Any,
-        topic: str,
-        callback: Callable[[Any], None],
-        qos_profile: QoSProfile | int,
-        **options: Any,
+        self, msg_type: Any, topic: str, callback: Any, qos_profile: QoSProfile | int, **options: Any
     ) -> Subscription:
         """As rclpy's, guarded, with the quality of service of `qos_overrides`."""
-        if self._is_set_up:
-            qos_profile, options = overridden(self, "subscription", topic, qos_profile, options)
-        subscription = super().create_subscription(msg_type, topic, callback, qos_profile, **options)
-        if self._is_set_up:
-            self._guard_entity(subscription)
-        return subscription
+        callback = self.guard(f"topic {self.resolve_topic_name(topic)}", callback)
+        overriding = overriding_options(self, topic, "subscription")
+        return super().create_subscription(
+            msg_type, topic, callback, copy(qos_profile), qos_overriding_options=overriding, **options
+        )
 
     def create_publisher(
         self, msg_type: Any, topic: str, qos_profile: QoSProfile | int, **options: Any
     ) -> Publisher:
         """As rclpy's, with the quality of service of `qos_overrides`."""
-        if self._is_set_up:
-            qos_profile, options = overridden(self, "publisher", topic, qos_profile, options)
-        return super().create_publisher(msg_type, topic, qos_profile, **options)
+        overriding = overriding_options(self, topic, "publisher")
+        return super().create_publisher(
+            msg_type, topic, copy(qos_profile), qos_overriding_options=overriding, **options
+        )
 
     def add_waitable(self, waitable: Any) -> None:
         """As rclpy's; events of publishers and subscriptions are guarded."""
-        if self._is_set_up and isinstance(waitable, EventHandler):
+        if isinstance(waitable, EventHandler):
             waitable.callback = self.guard(f"event {waitable.event_type.name.lower()}", waitable.callback)
         super().add_waitable(waitable)
 
@@ -231,9 +195,11 @@ class SlowService:
         self._work = node.guard(self._where, work, lambda _: lambda _: None)
         self._one_at_a_time = threading.Lock()
         self._service = cast(Any, node.create_service(service_type, name, self._take))
-        self._send = self._service.send_response
+        send = self._service.send_response
         # rclpy sends what the callback returns; here that is a promise of the response.
-        self._service.send_response = self._send_when_kept
+        self._service.send_response = lambda promise, header: promise.add_done_callback(
+            lambda kept: send(kept.result(), header)
+        )
 
     def destroy(self) -> None:
         """Withdraw the service; requests in progress get no answer."""
@@ -242,20 +208,17 @@ class SlowService:
 
     def _take(self, request: Any, response: Any) -> Future:
         promise = Future()
-        threading.Thread(target=self._run, args=(request, response, promise), daemon=True).start()
+
+        def run() -> None:
+            with self._one_at_a_time:
+                fill = self._work(request)
+            if self._node.executor is not None:
+                self._node.executor.create_task(keep, fill)
+
+        def keep(fill: Callable[[Any], None]) -> None:
+            if self._service is not None:
+                self._node.guard(self._where, fill)(response)
+                promise.set_result(response)
+
+        threading.Thread(target=run, daemon=True).start()
         return promise
-
-    def _run(self, request: Any, response: Any, promise: Future) -> None:
-        with self._one_at_a_time:
-            fill = self._work(request)
-        executor = self._node.executor
-        if executor is not None:
-            executor.create_task(lambda: self._keep(fill, response, promise))
-
-    def _keep(self, fill: Callable[[Any], None], response: Any, promise: Future) -> None:
-        if self._service is not None:
-            self._node.guard(self._where, fill)(response)
-            promise.set_result(response)
-
-    def _send_when_kept(self, promise: Future, header: Any) -> None:
-        promise.add_done_callback(lambda kept: self._send(kept.result(), header))

@@ -12,12 +12,10 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Mapping, Sequence
-from copy import copy
 from typing import Any, Literal
 
 from lifecycle_msgs.msg import State
 from lifecycle_msgs.srv import GetState
-from rcl_interfaces.srv import GetParameters
 from rclpy.client import Client
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
@@ -37,18 +35,11 @@ _VALUES: dict[QoSPolicyKind, type[HistoryPolicy | ReliabilityPolicy | Durability
     QoSPolicyKind.RELIABILITY: ReliabilityPolicy,
     QoSPolicyKind.DURABILITY: DurabilityPolicy,
 }
-_NAME = re.compile(r"qos_overrides\.(?P<topic>/[^.]+)\.(?P<end>publisher|subscription)\.(?P<policy>\w+)")
-_UNKNOWN = "UNKNOWN"
+_NAME = re.compile(r"/[^.]+\.(?:publisher|subscription)\.(?P<policy>\w+)")
 
 _POLL_S = 0.02
 # A node that is being configured does not answer; after this time it is asked again.
 _ANSWER_S = 1.0
-# Discovery is taken as finished when the known subscribers have not changed for this time.
-_SETTLE_S = 0.2
-# A node that subscribes may take this long to answer; one whose parameter services are not found in a second
-# has none, as a node announces them before its subscriptions.
-_ANSWERS_S = 10.0
-_SERVICES_S = 1.0
 
 
 def _profile(offered: qos.Qos) -> QoSProfile:
@@ -87,52 +78,35 @@ def check_overrides(node: Node) -> None:
     Raises:
         QosOverrideError: naming the parameter.
     """
+    policies = {kind.name.lower(): values for kind, values in _VALUES.items()}
     # rclpy annotates values, but returns parameters.
     given: Mapping[str, Any] = node.get_parameters_by_prefix(QOS_PREFIX[:-1])
     for name, parameter in given.items():
-        _check(f"node {node.get_name()}: parameter `{QOS_PREFIX}{name}`", QOS_PREFIX + name, parameter.value)
+        where, value = f"node {node.get_name()}: parameter `{QOS_PREFIX}{name}`", parameter.value
+        match = _NAME.fullmatch(name)
+        if match is None or match["policy"] not in policies:
+            raise QosOverrideError(
+                f"{where} is none of {QOS_PREFIX}/TOPIC.publisher.POLICY and "
+                f"{QOS_PREFIX}/TOPIC.subscription.POLICY, where POLICY is {', '.join(policies)}"
+            )
+        values = policies[match["policy"]]
+        if values is None:
+            right, expected = type(value) is int and value > 0, "a positive integer"
+        else:
+            names = [item.lower() for item in values.__members__ if item != "UNKNOWN"]
+            right, expected = value in names, f"one of {', '.join(names)}"
+        if not right:
+            raise QosOverrideError(f"{where} must be {expected}, found {value!r}")
 
 
-def _check(where: str, name: str, value: Any) -> None:
-    match = _NAME.fullmatch(name)
-    kinds = {kind.name.lower(): kind for kind in _VALUES}
-    if match is None or match["policy"] not in kinds:
-        raise QosOverrideError(
-            f"{where} is none of {QOS_PREFIX}/TOPIC.publisher.POLICY and "
-            f"{QOS_PREFIX}/TOPIC.subscription.POLICY, where POLICY is {', '.join(kinds)}"
-        )
-    values = _VALUES[kinds[match["policy"]]]
-    if values is None:
-        if type(value) is not int or value < 1:
-            raise QosOverrideError(f"{where} must be a positive integer, found {value!r}")
-        return
-    names = [item.lower() for item in values.__members__ if item != _UNKNOWN]
-    if value not in names:
-        raise QosOverrideError(f"{where} must be one of {', '.join(names)}, found {value!r}")
-
-
-def overridden(
-    node: Node,
-    end: Literal["publisher", "subscription"],
-    topic: str,
-    default: QoSProfile | int,
-    options: dict[str, Any],
-) -> tuple[QoSProfile | int, dict[str, Any]]:
-    """Quality of service and options for creating an endpoint, with the overrides of its topic applied.
-
-    Args:
-        node: its overrides were accepted by :func:`check_overrides`.
-        end: kind of the endpoint.
-        topic: name as given to rclpy.
-        default: quality of service without overrides.
-        options: of the function that creates the endpoint.
-    """
+def overriding_options(
+    node: Node, topic: str, end: Literal["publisher", "subscription"]
+) -> QoSOverridingOptions:
+    """For creating an endpoint: those policies for which a parameter of the node has a value."""
     prefix = f"{QOS_PREFIX}{node.resolve_topic_name(topic)}.{end}"
-    kinds = [kind for kind in _VALUES if node.has_parameter(f"{prefix}.{kind.name.lower()}")]
-    if not kinds:
-        return default, options
-    profile = QoSProfile(depth=default) if isinstance(default, int) else copy(default)
-    return profile, {**options, "qos_overriding_options": QoSOverridingOptions(kinds)}
+    return QoSOverridingOptions(
+        [kind for kind in _VALUES if node.has_parameter(f"{prefix}.{kind.name.lower()}")]
+    )
 
 
 class DiscoveryError(QuadpiError):
@@ -141,20 +115,14 @@ class DiscoveryError(QuadpiError):
 
 def await_listeners(
     node: Node, publishers: Sequence[Publisher], managed: Sequence[str], wait_s: float
-) -> list[str]:
-    """Wait until the managed nodes are active and every publisher is connected to all its subscribers.
-
-    Connected is a subscriber whose node has answered; a node that does not answer is waited for
-    :data:`_ANSWERS_S` at most.
+) -> None:
+    """Wait until the managed nodes are active and every publisher has a subscriber.
 
     Args:
         node: owns the publishers; on no executor.
         publishers: each needs at least one subscriber.
-        managed: names of lifecycle nodes, relative to the namespace of `node`.
+        managed: names of lifecycle nodes, relative to the namespace of `node`. They know the publishers.
         wait_s: timeout.
-
-    Returns:
-        Full names of subscribing nodes that did not answer: they may miss the first messages.
 
     Raises:
         DiscoveryError: on timeout, naming what is missing.
@@ -168,7 +136,6 @@ def await_listeners(
             _await_active(node, executor, client, name, deadline)
             node.destroy_client(client)
         await_subscribers(node, publishers, deadline - time.monotonic())
-        return _await_answers(node, executor, publishers, deadline)
     finally:
         executor.remove_node(node)
         executor.shutdown()
@@ -187,37 +154,8 @@ def _await_active(node: Node, executor: EventsExecutor, client: Client, name: st
         time.sleep(_POLL_S)
 
 
-def _await_answers(
-    node: Node, executor: EventsExecutor, publishers: Sequence[Publisher], deadline: float
-) -> list[str]:
-    """Ask every node that subscribes for no parameters, and give the names of those that do not answer."""
-    own = node.get_fully_qualified_name()
-    names = {
-        f"{one.node_namespace.rstrip('/')}/{one.node_name}"
-        for publisher in publishers
-        for one in node.get_subscriptions_info_by_topic(publisher.topic_name)
-    }
-    clients = {name: node.create_client(GetParameters, f"{name}/get_parameters") for name in names - {own}}
-    begun_s, silent = time.monotonic(), sorted(clients)
-    while silent and node.context.ok() and time.monotonic() < min(deadline, begun_s + _ANSWERS_S):
-        ready = [name for name in silent if clients[name].service_is_ready()]
-        if not ready and time.monotonic() > begun_s + _SERVICES_S:
-            break
-        for name in ready:
-            # An answer is lost where the server does not know this client yet: then it is asked again.
-            answer = clients[name].call_async(GetParameters.Request())
-            executor.spin_until_future_complete(answer, timeout_sec=_ANSWER_S / len(ready))
-            clients[name].remove_pending_request(answer)
-            if answer.done():
-                silent.remove(name)
-        time.sleep(_POLL_S)
-    for client in clients.values():
-        node.destroy_client(client)
-    return silent
-
-
 def await_subscribers(node: Node, publishers: Sequence[Publisher], wait_s: float) -> None:
-    """Wait until every publisher is connected to all its known subscribers, and to at least one.
+    """Wait until every publisher has a subscriber.
 
     Args:
         node: owns the publishers.
@@ -227,28 +165,11 @@ def await_subscribers(node: Node, publishers: Sequence[Publisher], wait_s: float
     Raises:
         DiscoveryError: on timeout, naming the topics without a subscriber.
     """
-    settled_s, before = time.monotonic(), _connections(node, publishers)
-    deadline = settled_s + wait_s
+    deadline = time.monotonic() + wait_s
     while node.context.ok():
-        now_s = time.monotonic()
-        connections = _connections(node, publishers)
-        if connections != before or any(not 0 < heard == known for heard, known in connections):
-            settled_s, before = now_s, connections
-        if now_s - settled_s >= _SETTLE_S:
+        lonely = sorted(one.topic_name for one in publishers if one.get_subscription_count() == 0)
+        if not lonely:
             return
-        if now_s > deadline:
-            lonely = [
-                publisher.topic_name
-                for publisher, (heard, known) in zip(publishers, connections, strict=True)
-                if not 0 < heard == known
-            ]
-            raise DiscoveryError(f"nobody subscribed to {', '.join(sorted(lonely))} in time")
+        if time.monotonic() > deadline:
+            raise DiscoveryError(f"nobody subscribed to {', '.join(lonely)} in time")
         time.sleep(_POLL_S)
-
-
-def _connections(node: Node, publishers: Sequence[Publisher]) -> list[tuple[int, int]]:
-    """Connected and known subscribers of each publisher."""
-    return [
-        (publisher.get_subscription_count(), node.count_subscribers(publisher.topic_name))
-        for publisher in publishers
-    ]

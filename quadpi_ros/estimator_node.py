@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -18,18 +18,20 @@ from quadpi_core.estimator.ekf import Ekf
 from quadpi_core.estimator.filter_state import WITHOUT_ESTIMATE, EstimatorStatus, Outcome
 from quadpi_core.estimator.output import FusedSamples, fill_odometry, with_gyro_faults
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, TwistStream
+from quadpi_core.frames import Array
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.definitions import codec
-from quadpi_core.messages.frame_ids import BodyFrames
+from quadpi_core.messages.frame_ids import TF_TYPE, BodyFrames
 from quadpi_core.messages.one_by_one import IncomingMessage, OutgoingMessage
+from quadpi_core.messages.result_messages import transform_message
 from quadpi_core.messages.values import ODOMETRY_VALUES, POSE
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros import diagnostics
-from quadpi_ros.input_sources import AdaptedSources, Source
+from quadpi_ros.input_sources import AdaptedSources, AdapterError, Source, message_class
 from quadpi_ros.node_parameters import EstimatorParameters
+from quadpi_ros.parameters import ParameterError
 from quadpi_ros.runtime import run, serve
 from quadpi_ros.sensor_node import DIAGNOSTICS_PERIOD_S, ConsistencyWatch, SensorNode
-from quadpi_ros.transform_publisher import TransformPublisher
 
 IMU_TOPIC = "imu"
 
@@ -48,14 +50,16 @@ _LEVELS = {
 }
 
 
-class StateListener(Protocol):
-    """Receives each estimate in the same process, without serialization."""
+class StateListener(NamedTuple):
+    """Receives each estimate in the same process, without serialization, and raises nothing.
 
-    def take_imu(self, imu: ImuStream) -> None:
-        """Take an IMU sample, corrected by the estimated biases."""
+    Attributes:
+        take_imu: takes an IMU sample, corrected by the estimated biases.
+        take_estimate: takes an IMU sample, corrected, and the state at its stamp.
+    """
 
-    def take_estimate(self, sample: FusedSamples) -> None:
-        """Take an IMU sample, corrected, and the state at its stamp."""
+    take_imu: Callable[[ImuStream], None]
+    take_estimate: Callable[[FusedSamples], None]
 
 
 class EstimatorNode(SensorNode[EstimatorParameters]):
@@ -83,7 +87,7 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         self._mocap, self._take_mocap = self._motion_capture(adapted)
         _warm_up(vehicle)
         self._ekf = Ekf(vehicle, parameters.imu_rate_hz or None)
-        self._publish = self.announce(Odometry, "odometry", batched=True)
+        self._publish = self.announce(Odometry, "odometry")
         self._tf = TransformPublisher(self) if parameters.tf_rate_hz else None
 
     def activate(self) -> None:
@@ -203,6 +207,37 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
 
     def _take_twist(self, twist: TwistStream) -> None:
         self._ekf.update_velocity(int(twist.time_ns[0]), twist.velocity[0], bool(twist.in_body[0]))
+
+
+class TransformPublisher:
+    """Publishes the estimate on /tf, slower than the IMU: every listener of a machine takes every transform.
+
+    Args:
+        node: to publish from; its parameters name the frames and the rate, which is not 0.
+
+    Raises:
+        ParameterError: if the package of the messages is not installed.
+    """
+
+    def __init__(self, node: SensorNode[EstimatorParameters]) -> None:
+        given = node.parameters
+        try:
+            message_type: Any = message_class(TF_TYPE)
+        except AdapterError as error:
+            raise ParameterError(f"node {node.get_name()}: parameter `tf_rate_hz`: {error}") from error
+        self._period_ns = round(1e9 / given.tf_rate_hz)
+        self._period = -1
+        self._message = transform_message(given.world_frame, given.body_frame)
+        # In no namespace, as tf2 has it: frames carry the vehicle's.
+        self._publish = node.announce(message_type, "/tf")
+
+    def publish(self, time_ns: int, pose: Array) -> None:
+        """Publish a pose (1, 7), see :func:`transform_message`, if it is the first of its period."""
+        period = time_ns // self._period_ns
+        if period != self._period:
+            self._period = period
+            self._message.values[:] = pose
+            self._publish(self._message.stamped(time_ns))
 
 
 def framed_imu(frames: BodyFrames) -> Source:

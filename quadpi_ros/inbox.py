@@ -20,6 +20,8 @@ from quadpi_core.messages.payloads import Payloads
 # Half a second at 500 Hz: what may come while the process does something else. Best effort, so that no
 # publisher ever waits for whoever takes in batches.
 TAKEN_QOS = QoSProfile(depth=250, reliability=ReliabilityPolicy.BEST_EFFORT)
+# For those who need the newest message alone.
+NEWEST_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 _Content = TypeVar("_Content")
 
@@ -66,10 +68,6 @@ class Inbox:
     def close(self, node: Node) -> None:
         """Leave the topic."""
         node.destroy_subscription(self._subscription)
-
-    def publishers(self, node: Node) -> int:
-        """How many publish on it."""
-        return node.count_publishers(self.topic)
 
 
 def _never(_: object) -> None:

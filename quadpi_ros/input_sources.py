@@ -73,12 +73,11 @@ class AdaptedSources:
                 "the file that says how its messages are read"
             )
         try:
-            subscription = AdaptedSubscription(name, self._settings, self._vehicle)
+            return adapted_source(name, self._settings, self._vehicle)
         except AdapterError:
             raise
         except QuadpiError as error:
             raise AdapterError(f"{self._file}: {error}") from error
-        return Source(subscription.message_type, subscription.topic, subscription.unpack)
 
     def instead_of(self, standard: Source, kind: str) -> Source:
         """The input of the adapter of a kind if the file has settings for it, else the standard topic.
@@ -109,42 +108,32 @@ class AdapterError(QuadpiError):
     """A message of another package cannot be read here."""
 
 
-class AdaptedSubscription:
-    """Message type, topic and decoder for a message of another package.
+def adapted_source(name: str, settings: AdapterSettings, vehicle: Vehicle | None) -> Source:
+    """An input in messages of another package, on the topic of the settings, else that of the package.
+
+    Its function raises LogError for a malformed message, or with the reason why it holds no sample.
 
     Args:
         name: name of an adapter.
         settings: with those of the adapter's kind.
         vehicle: of the flight.
 
-    Attributes:
-        message_type: class of the message, for a raw subscription.
-        topic: from the settings, else the default topic of the package.
-
     Raises:
         AdapterError: if the package of the message is not installed.
         LogError: for missing settings, or an unsupported version of the package.
     """
+    adapter = known_adapters()[name]
+    message_type = message_class(adapter.type_name)
+    unpacker = adapter.open(definition_of(message_type), settings, vehicle)
 
-    def __init__(self, name: str, settings: AdapterSettings, vehicle: Vehicle | None) -> None:
-        adapter = known_adapters()[name]
-        self.message_type = message_class(adapter.type_name)
-        self._unpacker = adapter.open(definition_of(self.message_type), settings, vehicle)
-        self.topic: str = getattr(settings, adapter.kind).topic or adapter.topic
-        self._dropped: Counter[str] = Counter()
-
-    def unpack(self, payload: bytes) -> Stream:
-        """The sample in a message.
-
-        Raises:
-            LogError: for a malformed message, or with the reason why it holds no sample.
-        """
-        stream = self._unpacker.unpack(payload)
+    def unpack(payload: bytes) -> Stream:
+        before = Counter(unpacker.dropped)
+        stream = unpacker.unpack(payload)
         if len(stream) == 0:
-            reasons = self._unpacker.dropped - self._dropped
-            self._dropped = Counter(self._unpacker.dropped)
-            raise LogError(", ".join(reasons))
+            raise LogError(", ".join(unpacker.dropped - before))
         return stream
+
+    return Source(message_type, getattr(settings, adapter.kind).topic or adapter.topic, unpack)
 
 
 def message_class(type_name: str) -> Any:

@@ -22,8 +22,8 @@ from quadpi_core.monitor.alarm import alarm_time
 from quadpi_core.monitor.health import SILENT_S
 from quadpi_core.results import LEVEL_ALARM, LEVEL_WARNING, Predictions, ReportedAlarms
 from quadpi_ros.collector import AlarmChange, Collector
-from quadpi_ros.player import START_TIMEOUT_S
-from quadpi_ros.playlist import Playlist, live_inputs
+from quadpi_ros.node_parameters import START_TIMEOUT_S
+from quadpi_ros.playlist import SENSOR_TYPES, Playlist, live_inputs
 from quadpi_ros.processes import Child, isolated_domain
 
 # A busy machine may hold the nodes up for seconds; one that needs longer to judge what it has loses samples.
@@ -109,8 +109,8 @@ def run_session(
         ChildError: if a process fails.
         LogError: if the bag cannot be read.
     """
-    inputs = live_inputs(bag, Playlist.read(bag).names)
-    recorded = Playlist.read(bag, inputs.topics).by_name()
+    inputs = live_inputs(bag, [name for name in Playlist.read(bag).topics if name in SENSOR_TYPES])
+    recorded = Playlist.read(bag, inputs.topics).topics
     stamps = {name: unpack_stamps(topic.payloads) for name, topic in recorded.items()}
     all_parameters = {
         "vehicle": vehicle,
@@ -130,8 +130,8 @@ def run_session(
             )
             await_start(live, collector)
             sent = play(bag, inputs.topics, rate, folder, live, collector)
-            await_rest(live, collector, int(sent["imu"][-1, 0]))
-        return _result(bag, collector, sent["imu"], stamps[inputs.rotor_topic])
+            await_rest(live, collector, int(sent[-1, 0]))
+        return _result(bag, collector, sent, stamps[inputs.rotor_topic])
 
 
 def await_start(nodes: Child, collector: Collector) -> None:
@@ -154,20 +154,20 @@ def play(
     nodes: Child,
     collector: Collector,
     managed: Sequence[str] = ("estimator", "monitor"),
-) -> dict[str, Stamps]:
+) -> Stamps:
     """Play topics of a bag through running nodes, and collect what they publish meanwhile.
 
     The player waits until the `managed` nodes are active.
 
     Returns:
-        Per standard topic (N, 2) nanoseconds: stamp of each message, and its publication on the monotonic
-        clock.
+        Of each message of the topic `imu`, (N, 2) nanoseconds: its stamp, and its publication on the
+        monotonic clock.
 
     Raises:
         SessionError: if the nodes end before the bag does.
         ChildError: if nodes or player fail.
     """
-    sent_file = folder / "sent.npz"
+    sent_file = folder / "sent.npy"
     arguments = (str(bag), "--rate", str(rate), "--sent", str(sent_file), "--topics", *topics)
     # The first start on a machine compiles the kernels.
     arguments += ("--wait", str(START_TIMEOUT_S))
@@ -175,8 +175,8 @@ def play(
     with Child("quadpi_ros.player", arguments, folder) as player:
         collector.spin_until(lambda: nodes.finished() or player.finished())
     _require_running(nodes)
-    with np.load(sent_file) as sent:
-        return dict(sent)
+    sent: Stamps = np.load(sent_file)
+    return sent
 
 
 def await_rest(nodes: Child, collector: Collector, last_ns: int) -> None:

@@ -2,9 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The newest wrench and alarm as markers for RViz and Foxglove: arrows at the vehicle, and words above it.
 
-A node of its own, which takes what is newest of the batches of estimator and monitor (see
-:mod:`quadpi_ros.message_batches`), so that it costs them next to nothing. Markers are in the world of the
-odometry, so that no transform is needed to see them.
+A node of its own, which takes what is newest. Markers are in the world of the odometry, so that no transform
+is needed to see them.
 """
 
 from __future__ import annotations
@@ -19,7 +18,6 @@ from quadpi.msg import ExtrapolationAlarm, WrenchPrediction
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message
-from std_msgs.msg import UInt8MultiArray
 from visualization_msgs.msg import Marker, MarkerArray
 
 from quadpi_core.errors import LogError
@@ -27,9 +25,7 @@ from quadpi_core.messages import result_messages
 from quadpi_core.results import ReportedAlarms
 from quadpi_core.view.trust import State, plain, states_of
 from quadpi_ros.callbacks import GuardedNode
-from quadpi_ros.inbox import Inbox
-from quadpi_ros.message_batches import BATCH_QOS, parts_of
-from quadpi_ros.message_batches import TOPIC as BATCH_TOPIC
+from quadpi_ros.inbox import NEWEST_QOS, Inbox
 from quadpi_ros.node_parameters import MarkerParameters
 from quadpi_ros.parameters import read_parameters
 from quadpi_ros.runtime import run
@@ -64,35 +60,31 @@ class MarkerNode(GuardedNode):
         silent = Parameter("start_type_description_service", value=False)
         super().__init__("markers", start_parameter_services=False, parameter_overrides=[silent])
         self.values = read_parameters(self, MarkerParameters)
-        self._batches = [
-            Inbox(self, UInt8MultiArray, f"{node}/{BATCH_TOPIC.removeprefix('~/')}", BATCH_QOS, raw=False)
-            for node in ("estimator", "monitor")
-        ]
-        self._alarms = Inbox(self, ExtrapolationAlarm, "extrapolation_alarm")
-        # Of the first of several models; those of the others are on topics below it.
-        self._topics = {self.resolve_topic_name(name): name for name in ("odometry", "prediction")}
+        # Predictions of the first of several models; those of the others are on topics below it.
+        self._odometry, self._predictions, self._alarms = (
+            Inbox(self, kind, topic, NEWEST_QOS)
+            for kind, topic in (
+                (Odometry, "odometry"),
+                (WrenchPrediction, "prediction"),
+                (ExtrapolationAlarm, "extrapolation_alarm"),
+            )
+        )
         self._alarm: ReportedAlarms | None = None
         self._publisher = self.create_publisher(MarkerArray, TOPIC, 1)
 
     def publish(self) -> None:
         """Publish the markers of what has come since the last call, if there is odometry and a subscriber."""
-        newest: dict[str, bytes] = {}
+        states, predictions = self._odometry.take(), self._predictions.take()
         try:
-            for part in (
-                part for inbox in self._batches for batch in inbox.take() for part in parts_of(batch)
-            ):
-                if part.topic in self._topics:
-                    newest[self._topics[part.topic]] = part.payloads[len(part.payloads) - 1]
-            if alarms := self._alarms.take():
-                self._alarm = result_messages.unpack_alarms(alarms[-1])
+            self._alarm = self._alarms.unpacked(result_messages.unpack_alarms) or self._alarm
         except LogError as error:
             self.get_logger().warning(str(error), throttle_duration_sec=_WARNING_PERIOD_S)
-        if "odometry" not in newest or self._publisher.get_subscription_count() == 0:
+        if not states or self._publisher.get_subscription_count() == 0:
             return
-        odometry = deserialize_message(newest["odometry"], Odometry)
+        odometry = deserialize_message(states[-1], Odometry)
         markers = [] if self._alarm is None else [words(odometry, self._alarm)]
-        if "prediction" in newest:
-            prediction = deserialize_message(newest["prediction"], WrenchPrediction)
+        if predictions:
+            prediction = deserialize_message(predictions[-1], WrenchPrediction)
             markers += arrows(odometry, prediction, self.values.m_per_n, self.values.m_per_nm)
         self._publisher.publish(MarkerArray(markers=markers))
 

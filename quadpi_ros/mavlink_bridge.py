@@ -12,6 +12,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -46,15 +47,13 @@ _BACK_OFF_S = (0.5, 8.0)
 # An autopilot that sends nothing for longer is reported.
 _SILENT_S = 2.0
 _STOP_TIMEOUT_S = 5.0
-# A log waits this long for a subscriber of imu, and checks this often whether the node ends.
-_SUBSCRIBER_WAIT_S, _SUBSCRIBER_POLL_S = 10.0, 1.0
+# A log waits this long for a subscriber of imu.
+_SUBSCRIBER_WAIT_S = 10.0
 # Time for the last messages to be sent before the participant closes.
 _FLUSH_S = 0.2
 # Ignored systems that the diagnostics name: those that send most, as a sender can claim any number of ids.
 _OTHERS_NAMED = 8
-# Values of a sample of each topic.
-_WIDTHS = {"imu": 6, "rotor_speeds": 4, "mocap/pose": 7, "odometry": 13}
-_LEVEL_ROW = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+_LEVEL = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 
 
 class _Reported(NamedTuple):
@@ -95,8 +94,7 @@ class MavlinkBridge(GuardedNode):
             "mocap/pose": self.create_publisher(PoseStamped, "mocap/pose", SENSOR_QOS).publish,
             "odometry": self.create_publisher(Odometry, "mocap/odometry", SENSOR_QOS).publish,
         }
-        for topic, width in _WIDTHS.items():
-            self._packed(topic, 0, _LEVEL_ROW[:width])  # compile the kernels before the first sample
+        self._packed("odometry", 0, _LEVEL)  # compile its kernel before the first sample
         self._lock = threading.Lock()
         self._stop = threading.Event()
         self._problem: str | None = "not connected yet"
@@ -140,11 +138,9 @@ class MavlinkBridge(GuardedNode):
                 self._problem = None
                 if self._is_replay:
                     self._await_subscriber()
-                try:
+                with closing(link):
                     while not self._stop.is_set():
                         heard = self._exchange(link) or heard
-                finally:
-                    link.close()
             except EOFError:
                 self.get_logger().info(f"{self._given.connection}: played to its end")
                 self._stop.wait(_FLUSH_S)
@@ -165,15 +161,10 @@ class MavlinkBridge(GuardedNode):
     def _await_subscriber(self) -> None:
         """Wait for a subscriber before a log is played from its start."""
         self._problem = "nobody subscribes to imu yet: the log waits"
-        deadline = time.monotonic() + _SUBSCRIBER_WAIT_S
-        while not self._stop.is_set():
-            try:
-                await_subscribers(self, [self._imu_publisher], _SUBSCRIBER_POLL_S)
-                break
-            except DiscoveryError as error:
-                if time.monotonic() > deadline:
-                    self.get_logger().warning(f"{error}: the log is played all the same")
-                    break
+        try:
+            await_subscribers(self, [self._imu_publisher], _SUBSCRIBER_WAIT_S)
+        except DiscoveryError as error:
+            self.get_logger().warning(f"{error}: the log is played all the same")
         self._problem = None
 
     def _exchange(self, link: Link) -> bool:

@@ -6,11 +6,12 @@ from __future__ import annotations
 
 import socket
 import time
+from contextlib import suppress
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, TypeAlias
 
-from quadpi_core.errors import LogError, QuadpiError, one_line, require_library
-from quadpi_core.logs.formats.mavlink_tlog import TlogCounts, read_records
+from quadpi_core.errors import QuadpiError, one_line, require_library
+from quadpi_core.logs.formats.mavlink_tlog import read_records
 
 FORMS = "udp:HOST:PORT (listens), udpout:HOST:PORT, tcp:HOST:PORT, serial:DEVICE:BAUD, or a .tlog file"
 
@@ -41,57 +42,59 @@ class Chunk(NamedTuple):
     address: object = None
 
 
-class Link(Protocol):
-    """An open connection; every method raises LinkError when it is broken."""
+class SocketLink:
+    """A UDP port that receives from anyone, one that sends first and receives from that peer only, or TCP.
 
-    def read(self, timeout_s: float) -> Chunk | None:
-        """The next bytes; None if nothing arrives within the timeout."""
+    pymavlink's own links do not say who sent a datagram, answer everybody who has, and do not notice the end
+    of a TCP connection.
 
-    def write(self, data: bytes, address: object, /) -> None:
-        """Send to the address of a chunk, or to the only peer; with None while no peer is known."""
+    Args:
+        kind: `udp` (listens), `udpout` or `tcp`.
+        host: of this computer for `udp`, else of the peer.
+        port: see host.
+    """
 
-    def close(self) -> None:
-        """Close the connection."""
-
-
-class UdpLink:
-    """A UDP port that receives from anyone, or one that sends first and receives from that peer only."""
-
-    def __init__(self, host: str, port: int, *, listens: bool) -> None:
-        self._listens = listens
+    def __init__(self, kind: str, host: str, port: int) -> None:
+        self._is_stream = kind == "tcp"
+        self._listens = kind not in {"tcp", "udpout"}
+        if self._is_stream:
+            self._socket = socket.create_connection((host, port), _CONNECT_TIMEOUT_S)
+            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            return
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        _widen(self._socket)
         try:
-            if listens:
-                self._socket.bind((host, port))
-            else:
-                self._socket.connect((host, port))
+            _widen(self._socket)
+            (self._socket.bind if self._listens else self._socket.connect)((host, port))
         except OSError:
             self._socket.close()
             raise
 
     def read(self, timeout_s: float) -> Chunk | None:
-        """See :class:`Link`; one datagram."""
+        """The next bytes, of one datagram; None if nothing arrives within the timeout.
+
+        Raises:
+            LinkError: at the end of a TCP connection.
+        """
         self._socket.settimeout(timeout_s)
         try:
             data, address = self._socket.recvfrom(_READ_BYTES)
         except (TimeoutError, ConnectionRefusedError):
             # Linux reports that nobody received our last datagram; the peer may start later.
             return None
-        return Chunk(data, time.time_ns(), complete=True, address=address)
+        if self._is_stream and not data:
+            raise LinkError("the other side closed the connection")
+        return Chunk(data, time.time_ns(), complete=not self._is_stream, address=address)
 
     def write(self, data: bytes, address: object) -> None:
-        """See :class:`Link`."""
-        try:
+        """Send to the address of a chunk, or to the only peer; None while no peer is known."""
+        with suppress(ConnectionRefusedError):
             if not self._listens:
-                self._socket.send(data)
+                self._socket.sendall(data)
             elif isinstance(address, tuple):
                 self._socket.sendto(data, address)
-        except ConnectionRefusedError:
-            return
 
     def close(self) -> None:
-        """See :class:`Link`."""
+        """Close the connection."""
         self._socket.close()
 
 
@@ -103,33 +106,6 @@ def _widen(receiver: socket.socket) -> None:
         receiver.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER_BYTES)
 
 
-class TcpLink:
-    """A TCP connection to an autopilot or a router."""
-
-    def __init__(self, host: str, port: int) -> None:
-        self._socket = socket.create_connection((host, port), _CONNECT_TIMEOUT_S)
-        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-
-    def read(self, timeout_s: float) -> Chunk | None:
-        """See :class:`Link`."""
-        self._socket.settimeout(timeout_s)
-        try:
-            data = self._socket.recv(_READ_BYTES)
-        except TimeoutError:
-            return None
-        if not data:
-            raise LinkError("the other side closed the connection")
-        return Chunk(data, time.time_ns(), complete=False)
-
-    def write(self, data: bytes, _: object) -> None:
-        """See :class:`Link`."""
-        self._socket.sendall(data)
-
-    def close(self) -> None:
-        """See :class:`Link`."""
-        self._socket.close()
-
-
 class SerialLink:
     """A serial port."""
 
@@ -138,17 +114,17 @@ class SerialLink:
         self._port = serial.Serial(device, baud, timeout=0.0, write_timeout=1.0, exclusive=True)
 
     def read(self, timeout_s: float) -> Chunk | None:
-        """See :class:`Link`."""
+        """The next bytes; None if nothing arrives within the timeout."""
         self._port.timeout = timeout_s
         data = self._port.read(max(1, self._port.in_waiting))
         return Chunk(data, time.time_ns(), complete=False) if data else None
 
     def write(self, data: bytes, _: object) -> None:
-        """See :class:`Link`."""
+        """Send."""
         self._port.write(data)
 
     def close(self) -> None:
-        """See :class:`Link`."""
+        """Close the port."""
         self._port.close()
 
 
@@ -156,38 +132,39 @@ class ReplayLink:
     """A telemetry log that delivers each packet when it is due, with the arrival time of the log."""
 
     def __init__(self, path: Path) -> None:
-        self._records = list(read_records(path.read_bytes(), TlogCounts()))
-        if not self._records:
-            raise LogError(f"{path}: byte 0: no MAVLink packet in the whole file")
-        self._next = 0
+        self._records = iter(
+            [(one.arrival_ns, bytes(one.message.get_msgbuf())) for one in read_records(path)]
+        )
+        self._next = next(self._records, None)
         self._ahead_ns: int | None = None
 
     def read(self, timeout_s: float) -> Chunk | None:
-        """See :class:`Link`; one packet.
+        """The next packet; None if it is not due within the timeout.
 
         Raises:
             EOFError: after the last.
         """
-        if self._next == len(self._records):
+        if self._next is None:
             raise EOFError
-        record = self._records[self._next]
+        arrival_ns, packet = self._next
         if self._ahead_ns is None:
             # The first packet is due at the first read.
-            self._ahead_ns = record.arrival_ns - time.monotonic_ns()
-        wait_s = (record.arrival_ns - self._ahead_ns - time.monotonic_ns()) * 1e-9
+            self._ahead_ns = arrival_ns - time.monotonic_ns()
+        wait_s = (arrival_ns - self._ahead_ns - time.monotonic_ns()) * 1e-9
+        time.sleep(min(max(wait_s, 0.0), timeout_s))
         if wait_s > timeout_s:
-            time.sleep(timeout_s)
             return None
-        if wait_s > 0.0:
-            time.sleep(wait_s)
-        self._next += 1
-        return Chunk(record.frame.data, record.arrival_ns, complete=True)
+        self._next = next(self._records, None)
+        return Chunk(packet, arrival_ns, complete=True)
 
     def write(self, data: bytes, _: object) -> None:
         """Do nothing: a log has no peer."""
 
     def close(self) -> None:
         """Do nothing."""
+
+
+Link: TypeAlias = SocketLink | SerialLink | ReplayLink
 
 
 def is_replay(connection: str) -> bool:
@@ -216,11 +193,7 @@ def open_link(connection: str) -> Link:
         if is_replay(connection):
             return ReplayLink(Path(connection))
         kind, place, number = _parts(connection)
-        if kind == "serial":
-            return SerialLink(place, number)
-        if kind == "tcp":
-            return TcpLink(place, number)
-        return UdpLink(place, number, listens=kind != "udpout")
+        return SerialLink(place, number) if kind == "serial" else SocketLink(kind, place, number)
     except OSError as error:  # pyserial's errors are of this kind too
         raise LinkError(f"{connection}: {one_line(error)}") from error
 

@@ -38,14 +38,13 @@ from quadpi_core.monitor.pairing import CAPACITY, Pairing
 from quadpi_core.paths import resolved_below
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros import diagnostics
-from quadpi_ros.callbacks import SlowService, guarded
-from quadpi_ros.estimator_node import IMU_TOPIC, EstimatorNode, framed_imu
+from quadpi_ros.callbacks import SlowService
+from quadpi_ros.estimator_node import IMU_TOPIC, EstimatorNode, StateListener, framed_imu
 from quadpi_ros.input_sources import AdaptedSources, Source
 from quadpi_ros.node_parameters import FASTEST_IMU_HZ, MonitorParameters
 from quadpi_ros.result_publishers import Results, named, warm_up
 from quadpi_ros.runtime import run, serve
-from quadpi_ros.sensor_node import ConsistencyWatch, SensorNode
-from quadpi_ros.watches import Watch
+from quadpi_ros.sensor_node import ConsistencyWatch, SensorNode, Watch
 
 
 class MonitorNode(SensorNode[MonitorParameters]):
@@ -97,7 +96,9 @@ class MonitorNode(SensorNode[MonitorParameters]):
             self.listen(*self._imu, self._take_raw_imu, rate_hz=self.parameters.imu_rate_hz or None)
             self.listen(*self._odometry, self.take_odometry)
         else:
-            self._estimator.listener = self
+            self._estimator.listener = StateListener(
+                self.guard("take_imu", self.take_imu), self.guard("take_estimate", self.take_estimate)
+            )
         wind = IncomingMessage(sensor_messages.WIND_SAMPLES, self._body.world, self._body)
         self.listen(Vector3Stamped, "wind", wind, self._take_wind, required=False)
         self.listen(*self._rotors, self._take_rotor_speeds)
@@ -168,7 +169,6 @@ class MonitorNode(SensorNode[MonitorParameters]):
             return None
         return int(clock.now().nanoseconds)
 
-    @guarded
     def take_imu(self, imu: ImuStream) -> None:
         """Take one IMU sample."""
         time_ns = int(imu.time_ns[0])
@@ -176,7 +176,6 @@ class MonitorNode(SensorNode[MonitorParameters]):
         self._pairing.add_imu(time_ns, imu.specific_force[0])
         self._judge_completed()
 
-    @guarded
     def take_estimate(self, sample: FusedSamples) -> None:
         """Take an IMU sample and the state at its stamp."""
         time_ns = int(sample.time_ns[0])

@@ -19,6 +19,10 @@ from quadpi_core.rotor_order import RPM
 
 # No IMU of a quadrotor is faster.
 FASTEST_IMU_HZ = 5000.0
+# Time for nodes to become active: the first start on a machine compiles the kernels.
+START_TIMEOUT_S = 300.0
+# Rate of /clock unless it is given, as of `ros2 bag play`.
+CLOCK_HZ = 40.0
 # Values of the parameter `frames`.
 WARN, STRICT = "warn", "strict"
 # Values of the bridge's parameters `rotor_order` and `imu_source` that leave the choice to quadpi.
@@ -28,48 +32,15 @@ MAVLINK_IMU_MESSAGES = ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU", "SCALED_IMU2", "
 
 _SETTINGS = MonitorSettings()
 _VEHICLE = "vehicle file: a name in config/vehicles or a path"
-_ADAPTERS = "how messages of other packages are read: a name in config/adapters or a path"
-_IMU_RATE = "nominal rate of the topic imu; 0: as its stamps tell in the first second"
-_FRAMES = (
-    "an IMU in another frame without a static transform: `warn` takes it as the body's, `strict` refuses it"
-)
-_AUTOSTART = "configure and activate at the start; else by lifecycle services"
+_BODY_FRAME = "frame_id of the body, forward-left-up; empty: base_link behind the namespace"
 _ASKED = "asked of the autopilot; 0: do not ask"
 
 
 @dataclass(frozen=True)
 class Declaration:
-    """What a parameter may be and what its ROS descriptor says, see :func:`parameter`."""
+    """What a parameter may be and what its ROS descriptor says.
 
-    description: str
-    limits: tuple[float, float] | None
-    choices: tuple[str, ...]
-    adapters: str
-    in_flight: bool
-    optional: bool
-    empty_means: Callable[[Node], str] | None
-
-    def allowed(self) -> tuple[str, ...]:
-        """The strings allowed, adapters included; empty for any."""
-        return self.choices + adapters_of(self.adapters)
-
-
-def parameter(
-    default: str | float | bool | tuple[str, ...],
-    description: str,
-    *,
-    limits: tuple[float, float] | None = None,
-    choices: tuple[str, ...] = (),
-    adapters: str = "",
-    in_flight: bool = False,
-    optional: bool = False,
-    empty_means: Callable[[Node], str] | None = None,
-) -> Any:
-    """A field of a parameter dataclass.
-
-    Args:
-        default: also fixes the type; the empty string or tuple makes the parameter required, unless it is
-            optional. A tuple takes one string, or an array of them.
+    Attributes:
         description: shown by `ros2 param describe`.
         limits: smallest and largest value of a number.
         choices: the strings allowed.
@@ -78,8 +49,30 @@ def parameter(
         optional: whether it may be empty.
         empty_means: the value that an empty string stands for, on a node.
     """
-    declaration = Declaration(description, limits, choices, adapters, in_flight, optional, empty_means)
-    return field(default=default, metadata={"declaration": declaration})
+
+    description: str
+    limits: tuple[float, float] | None = None
+    choices: tuple[str, ...] = ()
+    adapters: str = ""
+    in_flight: bool = False
+    optional: bool = False
+    empty_means: Callable[[Node], str] | None = None
+
+    def allowed(self) -> tuple[str, ...]:
+        """The strings allowed, adapters included; empty for any."""
+        return self.choices + adapters_of(self.adapters)
+
+
+def parameter(default: str | float | bool | tuple[str, ...], description: str, **rules: Any) -> Any:
+    """A field of a parameter dataclass.
+
+    Args:
+        default: also fixes the type; the empty string or tuple makes the parameter required, unless it is
+            optional. A tuple takes one string, or an array of them.
+        description: see :class:`Declaration`.
+        rules: see there.
+    """
+    return field(default=default, metadata={"declaration": Declaration(description, **rules)})
 
 
 def namespaced_body_frame(node: Node) -> str:
@@ -93,38 +86,51 @@ def adapters_of(kind: str) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True)
-class EstimatorParameters:
-    """Parameters of the node `estimator`."""
+class LiveParameters:
+    """Parameters that estimator and monitor share."""
 
     vehicle: str = parameter("", _VEHICLE)
-    imu_rate_hz: float = parameter(0.0, _IMU_RATE, limits=(0.0, FASTEST_IMU_HZ))
+    imu_rate_hz: float = parameter(
+        0.0,
+        "nominal rate of the topic imu; 0: as its stamps tell in the first second",
+        limits=(0.0, FASTEST_IMU_HZ),
+    )
+    adapters: str = parameter(
+        "",
+        "how messages of other packages are read: a name in config/adapters or a path",
+        optional=True,
+    )
+    body_frame: str = parameter("", _BODY_FRAME, empty_means=namespaced_body_frame)
+    frames: str = parameter(
+        WARN,
+        "an IMU in a frame without a static transform: `warn` takes it as the body's, `strict` refuses it",
+        choices=(WARN, STRICT),
+    )
+    autostart: bool = parameter(True, "configure and activate at the start; else by lifecycle services")
+
+
+@dataclass(frozen=True)
+class EstimatorParameters(LiveParameters):
+    """Parameters of the node `estimator`."""
+
     mocap_topic: str = parameter(
         "mocap/pose",
         "topic and type of the motion capture to use",
         choices=MOCAP_TOPICS,
         adapters="mocap",
     )
-    adapters: str = parameter("", _ADAPTERS, optional=True)
     world_frame: str = parameter(WORLD_FRAME, "frame_id of odometry: the world, east-north-up")
-    body_frame: str = parameter(
-        "",
-        "child_frame_id of odometry: forward-left-up; empty: base_link behind the namespace",
-        empty_means=namespaced_body_frame,
-    )
-    frames: str = parameter(WARN, _FRAMES, choices=(WARN, STRICT))
     tf_rate_hz: float = parameter(
         0.0,
         "rate of the transform from world_frame to body_frame on /tf; 0: none",
         limits=(0.0, FASTEST_IMU_HZ),
     )
-    autostart: bool = parameter(True, _AUTOSTART)
 
 
 @dataclass(frozen=True)
-class MonitorParameters:
+class MonitorParameters(LiveParameters):
     """Parameters of the node `monitor`."""
 
-    vehicle: str = parameter("", _VEHICLE)
     model: tuple[str, ...] = parameter(
         (), "model folder, as `quadpi identify` writes it; of several, the first gives the alarm"
     )
@@ -139,8 +145,6 @@ class MonitorParameters:
         choices=("rotor_speeds", "erpm"),
         adapters="rotor_speeds",
     )
-    adapters: str = parameter("", _ADAPTERS, optional=True)
-    imu_rate_hz: float = parameter(0.0, _IMU_RATE, limits=(0.0, FASTEST_IMU_HZ))
     confidence: float = parameter(
         0.0, "nominal coverage of the intervals; 0 takes the model's own", limits=(0.0, 0.9999)
     )
@@ -168,16 +172,9 @@ class MonitorParameters:
     pairing_timeout_s: float = parameter(
         TIMEOUT_S, "how long an IMU sample waits for its state and rotor speeds", limits=(0.005, 1.0)
     )
-    body_frame: str = parameter(
-        "",
-        "frame_id of what is published: forward-left-up; empty: base_link behind the namespace",
-        empty_means=namespaced_body_frame,
-    )
-    frames: str = parameter(WARN, _FRAMES, choices=(WARN, STRICT))
     publish_wrenches: bool = parameter(
         False, "publish wrench/predicted, wrench/measured and wrench/residual as geometry_msgs/WrenchStamped"
     )
-    autostart: bool = parameter(True, _AUTOSTART)
 
 
 @dataclass(frozen=True)
@@ -203,19 +200,8 @@ class BridgeParameters:
     key_file: str = parameter(
         "", "file with the passphrase of signed packets; with one, others are refused", optional=True
     )
-    body_frame: str = parameter(
-        "",
-        "frame_id of the body, forward-left-up; empty: base_link behind the namespace",
-        empty_means=namespaced_body_frame,
-    )
+    body_frame: str = parameter("", _BODY_FRAME, empty_means=namespaced_body_frame)
     world_frame: str = parameter(WORLD_FRAME, "frame_id of the world, east-north-up")
-
-
-@dataclass(frozen=True)
-class PlayerParameters:
-    """Parameters of the node `player`."""
-
-    rate: float = parameter(1.0, "speed; 1 is real time", limits=(0.01, 100.0), in_flight=True)
 
 
 @dataclass(frozen=True)
@@ -229,9 +215,7 @@ class MarkerParameters:
 
 ALL_NAMES = {
     item.name
-    for parameters in (
-        *(EstimatorParameters, MonitorParameters, BridgeParameters, PlayerParameters, MarkerParameters),
-    )
+    for parameters in (EstimatorParameters, MonitorParameters, BridgeParameters, MarkerParameters)
     for item in fields(parameters)
 }
 """Names of the parameters of all nodes: one file may hold them all, under `/**`."""

@@ -8,12 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import Field, fields, replace
 from typing import Any, Generic, TypeVar
 
-from rcl_interfaces.msg import (
-    FloatingPointRange,
-    IntegerRange,
-    ParameterDescriptor,
-    SetParametersResult,
-)
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -70,18 +65,20 @@ class ParameterServer(Generic[Parameters]):
         self._pass_over(node, given.keys() - self._fields.keys() - _RCLPY_PARAMETERS)
         self.values = parameters(**{name: self._declare(node, name, given) for name in self._fields})
         node.add_pre_set_parameters_callback(self._coerce)
-        node.add_on_set_parameters_callback(self._judge)
         node.add_post_set_parameters_callback(self._take)
 
     def _pass_over(self, node: Node, names: set[str]) -> None:
         """Refuse parameters that no node has, and undeclare those that only other nodes have."""
-        names = {name for name in names if not name.startswith(QOS_PREFIX)}
-        for name in sorted(names - ALL_NAMES):
-            raise ParameterError(
-                f"{self._where}: unknown parameter `{name}`; known: {', '.join(sorted(self._fields))}"
-            )
-        for name in names:
-            node.undeclare_parameter(name)
+        for name in sorted(names):
+            if name.startswith(QOS_PREFIX):
+                kind = node.get_parameter(name).type_.value
+                node.set_descriptor(name, ParameterDescriptor(type=kind, read_only=True))
+            elif name in ALL_NAMES:
+                node.undeclare_parameter(name)
+            else:
+                raise ParameterError(
+                    f"{self._where}: unknown parameter `{name}`; known: {', '.join(sorted(self._fields))}"
+                )
 
     def _declare(self, node: Node, name: str, given: dict[str, Any]) -> Any:
         declaration: Declaration = self._fields[name].metadata["declaration"]
@@ -115,25 +112,13 @@ class ParameterServer(Generic[Parameters]):
         return value
 
     def _coerce(self, given: list[Parameter]) -> list[Parameter]:
+        doubles = {name for name, item in self._fields.items() if isinstance(item.default, float)}
         return [
             Parameter(item.name, value=float(item.value))
-            if item.name in self._fields
-            and isinstance(self._fields[item.name].default, float)
-            and type(item.value) is int
+            if item.name in doubles and type(item.value) is int
             else item
             for item in given
         ]
-
-    def _judge(self, given: list[Parameter]) -> SetParametersResult:
-        try:
-            for item in given:
-                if item.name.startswith(QOS_PREFIX):
-                    raise ParameterError(f"{self._where}: `{item.name}` is read only when the node starts")
-                if item.name in self._fields:
-                    self._checked(item.name, item.value)
-        except ParameterError as error:
-            return SetParametersResult(successful=False, reason=str(error))
-        return SetParametersResult(successful=True)
 
     def _take(self, given: list[Parameter]) -> None:
         changes = {item.name: item.value for item in given if item.name in self._fields}

@@ -5,17 +5,11 @@
 from __future__ import annotations
 
 import sys
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import rclpy
-from geometry_msgs.msg import PoseStamped, TransformStamped, TwistStamped, Vector3Stamped
-from nav_msgs.msg import Odometry
-from quadpi.msg import Erpm, RotorSpeeds
-from sensor_msgs.msg import Imu
 
 from quadpi_core.errors import QuadpiError
 from quadpi_core.flight import Stamps
@@ -24,23 +18,12 @@ from quadpi_core.logs.bag_inputs import find_inputs, named_inputs
 from quadpi_core.logs.bag_topics import find_topic
 from quadpi_core.messages.adapters import AdapterSettings, known_adapters
 from quadpi_core.messages.payloads import Topic
-from quadpi_core.messages.sensor_messages import unpack_stamps
-from quadpi_core.messages.topics import MOCAP_TOPICS
-from quadpi_core.paths import whole_output
+from quadpi_core.messages.topics import LIVE_SENSORS, MOCAP_TOPICS, TOPIC_TYPES
 from quadpi_ros.input_sources import AdapterError, message_class
 from quadpi_ros.node_parameters import adapters_of
-from quadpi_ros.playback import Playback
 
-SENSOR_TYPES: dict[str, type] = {
-    "imu": Imu,
-    "rotor_speeds": RotorSpeeds,
-    "erpm": Erpm,
-    "mocap/pose": PoseStamped,
-    "mocap/transform": TransformStamped,
-    "mocap/odometry": Odometry,
-    "mocap/twist": TwistStamped,
-    "wind": Vector3Stamped,
-}
+# Message classes of the standard topics that are played.
+SENSOR_TYPES: dict[str, type] = {name: message_class(TOPIC_TYPES[name]) for name in LIVE_SENSORS}
 # Standard topics that the messages of an adapter replace, by the kind of the adapter.
 _STANDS_IN_FOR = {
     "imu": ("imu",),
@@ -55,62 +38,45 @@ class PlayerError(QuadpiError):
 
 
 @dataclass(frozen=True)
-class Sent:
-    """What a player has published.
-
-    Attributes:
-        time_ns: (M,) last publication of each message, monotonic clock; 0 before the first.
-        counts: messages by topic, over all loops.
-    """
-
-    time_ns: Stamps
-    counts: list[int]
-
-
-@dataclass(frozen=True)
 class Playlist:
     """Messages of several topics in the order of their log times.
 
     Attributes:
-        names: standard name of each topic, relative to the player's namespace, or name of an adapter.
-        topics: messages of each.
+        topics: messages by standard name, relative to the player's namespace, or by name of an adapter.
         start_ns: log time of the first message.
         due_ns: (M,) time of each message since the first.
         topic: (M,) index of the topic of each message.
         message: (M,) index of each message within its topic.
     """
 
-    names: tuple[str, ...]
-    topics: tuple[Topic, ...]
+    topics: dict[str, Topic]
     start_ns: int
     due_ns: Stamps
     topic: Stamps
     message: Stamps
 
     @classmethod
-    def read(cls, path: Path, names: Sequence[str] = tuple(SENSOR_TYPES)) -> Playlist:
-        """Read those of the named topics that the bag has, in any namespace.
+    def read(cls, path: Path, names: Sequence[str] = ()) -> Playlist:
+        """Read topics of a bag.
 
         Args:
             path: of the bag.
-            names: standard names, as in `imu` or `imu=/uav1/imu`, and names of adapters, whose topics are
-                found by type.
+            names: see :func:`find_topics`.
 
         Raises:
             LogError: if the bag cannot be read.
-            PlayerError: if it holds none of the topics, or several of an adapter's type.
+            PlayerError: see :func:`find_topics`; if it holds nothing to play.
         """
         with Bag(path) as bag:
-            found = {plain(name): topic for name in names if (topic := _topic_of(bag, name))}
+            found = find_topics(bag, names)
+            if not found:
+                raise PlayerError(f"{path}: holds none of the topics {', '.join(SENSOR_TYPES)}")
             by_name = bag.read(list(found.values()))
-        if not found:
-            raise PlayerError(f"{path}: holds none of the topics {', '.join(names)}")
-        topics = tuple(by_name[topic] for topic in found.values())
-        log_time_ns = np.concatenate([topic.log_time_ns for topic in topics])
-        lengths = [len(topic.log_time_ns) for topic in topics]
+        topics = {plain(name): by_name[topic] for name, topic in found.items()}
+        log_time_ns = np.concatenate([topic.log_time_ns for topic in topics.values()])
+        lengths = [len(topic.log_time_ns) for topic in topics.values()]
         order = np.argsort(log_time_ns, kind="stable")
         return cls(
-            names=tuple(found),
             topics=topics,
             start_ns=int(log_time_ns[order[0]]),
             due_ns=log_time_ns[order] - log_time_ns[order[0]],
@@ -118,102 +84,41 @@ class Playlist:
             message=np.concatenate([np.arange(length) for length in lengths])[order],
         )
 
-    def by_name(self) -> dict[str, Topic]:
-        """The topics by their standard names."""
-        return dict(zip(self.names, self.topics, strict=True))
 
-    def __len__(self) -> int:
-        return len(self.due_ns)
+def find_topics(bag: Bag, names: Sequence[str] = ()) -> dict[str, str]:
+    """Topics of a bag, by the names that they are asked for by.
 
-    def play(
-        self, publishers: Sequence[Callable[[bytes], None]], playback: Playback, start_ns: int, loop: bool
-    ) -> Sent:
-        """Publish every message when it is due.
-
-        Args:
-            publishers: one per topic.
-            playback: the position, at `start_ns`.
-            start_ns: where to begin, and to begin again.
-            loop: whether to begin again at the end.
-
-        Returns:
-            What was published, at the end or at a shutdown of ROS.
-        """
-        payloads = [self.topics[t].payloads[m] for t, m in zip(self.topic, self.message, strict=True)]
-        publish = [publishers[t] for t in self.topic]
-        due_ns, topics = self.due_ns.tolist(), self.topic.tolist()
-        first = int(np.searchsorted(self.due_ns, start_ns))
-        sent = Sent(np.zeros(len(self), dtype=np.int64), [0] * len(self.topics))
-        while True:
-            for index in range(first, len(self)):
-                if not playback.wait_until(due_ns[index], rclpy.ok):
-                    return sent
-                sent.time_ns[index] = time.monotonic_ns()
-                publish[index](payloads[index])
-                sent.counts[topics[index]] += 1
-            if not loop:
-                return sent
-            playback.seek(start_ns)
-
-    def save_sent(self, path: Path, sent_ns: Stamps) -> None:
-        """Write stamp and publication time, (n, 2) nanoseconds per standard topic, to a .npz file.
-
-        Args:
-            path: of the file.
-            sent_ns: (M,) publication of each message; 0: not published.
-        """
-        columns = {}
-        for index, (name, topic) in enumerate(self.by_name().items()):
-            if name not in SENSOR_TYPES:
-                continue
-            mine = (self.topic == index) & (sent_ns > 0)
-            stamps = unpack_stamps(topic.payloads)[self.message[mine]]
-            columns[name] = np.column_stack((stamps, sent_ns[mine]))
-        with whole_output(path) as temporary, temporary.open("wb") as file:
-            np.savez(file, **columns)  # type: ignore[arg-type]  # no topic is called allow_pickle
-
-
-def playable(path: Path) -> list[str]:
-    """The standard topics of a bag, and adapters for inputs without a standard topic.
-
-    Warns on stderr of messages whose package is not installed.
+    Args:
+        bag: open.
+        names: standard names, as in `imu` or `imu=/uav1/imu`, and names of adapters, whose topics are found
+            by type. Without any, the standard topics that the bag has, and adapters for inputs that no
+            standard topic gives; messages whose package is not installed are left out, and named on stderr.
 
     Raises:
-        LogError: if the bag cannot be read.
-        PlayerError: see :meth:`Playlist.read`.
+        PlayerError: for a name that is not known or not in the bag, or an adapter whose messages are on
+            several topics.
     """
-    with Bag(path) as bag:
-        standard = [name for name in SENSOR_TYPES if _topic_of(bag, name)]
-        candidates = [
-            name
-            for name, adapter in known_adapters().items()
-            if not set(_STANDS_IN_FOR[adapter.kind]) & set(standard) and _topic_of(bag, name)
-        ]
-    adapted = []
-    for name in candidates:
+    found = {}
+    for name in names:
+        if plain(name) not in SENSOR_TYPES and name not in known_adapters():
+            known = ", ".join((*SENSOR_TYPES, *known_adapters()))
+            raise PlayerError(f"{bag.path}: topic {name}: not known; known: {known}")
+        topic = _topic_of(bag, name)
+        if topic is None:
+            raise PlayerError(f"{bag.path}: topic {name}: the bag does not hold it")
+        found[name] = topic
+    if names:
+        return found
+    standard = {name: topic for name in SENSOR_TYPES if (topic := _topic_of(bag, name))}
+    for name, adapter in known_adapters().items():
+        if set(_STANDS_IN_FOR[adapter.kind]) & set(standard) or not (topic := _topic_of(bag, name)):
+            continue
         try:
-            message_class(known_adapters()[name].type_name)
-            adapted.append(name)
+            message_class(adapter.type_name)
+            found[name] = topic
         except AdapterError as error:
-            print(f"quadpi: {path}: cannot be played: {error}", file=sys.stderr)
-    return standard + adapted
-
-
-def checked_names(path: Path, names: Sequence[str]) -> list[str]:
-    """Check that a bag has all named topics, and return the names.
-
-    Raises:
-        LogError: if the bag cannot be read.
-        PlayerError: for an unknown name or a missing topic; see also :meth:`Playlist.read`.
-    """
-    with Bag(path) as bag:
-        for name in names:
-            if plain(name) not in SENSOR_TYPES and name not in known_adapters():
-                known = ", ".join((*SENSOR_TYPES, *known_adapters()))
-                raise PlayerError(f"{path}: topic {name}: not known; known: {known}")
-            if _topic_of(bag, name) is None:
-                raise PlayerError(f"{path}: topic {name}: the bag does not hold it")
-    return list(names)
+            print(f"quadpi: {bag.path}: cannot be played: {error}", file=sys.stderr)
+    return standard | found
 
 
 @dataclass(frozen=True)
@@ -235,29 +140,28 @@ def live_inputs(path: Path, topics: Sequence[str] = ()) -> LiveInputs:
 
     Args:
         path: of the bag.
-        topics: standard names and names of adapters to choose from; by default all that can be played.
+        topics: to choose from, see :func:`find_topics`.
 
     Raises:
         LogError: if the bag cannot be read.
-        PlayerError: see :func:`checked_names`; if the bag lacks a kind of input.
+        PlayerError: see :func:`find_topics`; if the bag lacks a kind of input.
     """
-    names = checked_names(path, topics) or playable(path)
+    with Bag(path) as bag:
+        names = {plain(name): name for name in find_topics(bag, topics)}
 
-    def first_of(standard: Sequence[str], kind: str) -> str:
-        candidates = (*standard, *adapters_of(kind))
-        found = next((name for wanted in candidates for name in names if plain(name) == wanted), None)
+    def first_of(kind: str) -> str:
+        candidates = (*_STANDS_IN_FOR[kind], *adapters_of(kind))
+        found = next((name for name in candidates if name in names), None)
         if found is None:
             raise PlayerError(
-                f"{path}: topic {standard[0]}: the live nodes need it or one of {', '.join(candidates[1:])}; "
-                f"the bag does not hold it"
+                f"{path}: topic {candidates[0]}: the live nodes need it or one of "
+                f"{', '.join(candidates[1:])}; the bag does not hold it"
             )
         return found
 
-    imu = first_of(_STANDS_IN_FOR["imu"], "imu")
-    rotors = first_of(_STANDS_IN_FOR["rotor_speeds"], "rotor_speeds")
-    mocap = first_of(_STANDS_IN_FOR["mocap"], "mocap")
-    optional = [name for name in names if plain(name) == "wind"]
-    return LiveInputs(plain(rotors), plain(mocap), (imu, rotors, mocap, *optional))
+    imu, rotors, mocap = map(first_of, ("imu", "rotor_speeds", "mocap"))
+    played = (imu, rotors, mocap, *(["wind"] if "wind" in names else []))
+    return LiveInputs(rotors, mocap, tuple(names[name] for name in played))
 
 
 def plain(name: str) -> str:

@@ -6,18 +6,15 @@ from __future__ import annotations
 
 import os
 import random
-import signal
 import socket
 import subprocess
 import sys
-import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from types import FrameType
 
 from quadpi_core.errors import QuadpiError
-from quadpi_core.scratch import MADE, scratch_folder
+from quadpi_core.paths import scratch_folder
 
 _STOP_TIMEOUT_S = 5.0
 # The domains that ROS's `domain_coordinator` gives to tests, and the port that reserves the domain before the
@@ -40,6 +37,7 @@ class Child:
 
     Attributes:
         errors: that file.
+        pid: of the process.
     """
 
     def __init__(self, module: str, arguments: Sequence[str], folder: Path) -> None:
@@ -49,6 +47,7 @@ class Child:
             self._process = subprocess.Popen(
                 [sys.executable, "-m", module, *arguments], stdout=subprocess.DEVNULL, stderr=errors
             )
+        self.pid = self._process.pid
 
     def __enter__(self) -> Child:
         return self
@@ -73,27 +72,12 @@ class Child:
             raise ChildError(f"{self._name}: {lines[-1].removeprefix('quadpi: ')}")
         return status is not None
 
-    def cpu_seconds(self) -> float:
-        """User and system time of all its threads (proc(5), utime and stime)."""
-        after_name = Path(f"/proc/{self._process.pid}/stat").read_text().rpartition(")")[2].split()
-        user_ticks, system_ticks = after_name[11:13]
-        return (int(user_ticks) + int(system_ticks)) / os.sysconf("SC_CLK_TCK")
-
-    def resident_bytes(self) -> int:
-        """Resident memory (proc(5), statm)."""
-        pages = int(Path(f"/proc/{self._process.pid}/statm").read_text().split()[1])
-        return pages * os.sysconf("SC_PAGE_SIZE")
-
 
 @contextmanager
 def isolated_domain() -> Iterator[Path]:
-    """Reserve a ROS domain for this process and its children; gives a scratch folder.
-
-    Within the block SIGTERM unwinds the stack as Ctrl-C does, so that children are ended.
-    """
+    """Reserve a ROS domain for this process and its children; gives a scratch folder."""
     before = dict(os.environ)
-    with scratch_folder() as scratch, _unwinding_on_sigterm(), _reserved_domain() as domain:
-        folder = scratch / MADE
+    with scratch_folder() as folder, _reserved_domain() as domain:
         os.environ |= {
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
             "ROS_DOMAIN_ID": str(domain),
@@ -124,19 +108,3 @@ def _reserved_domain() -> Iterator[int]:
             yield domain
             return
     raise ChildError("every ROS domain of this machine is taken")
-
-
-@contextmanager
-def _unwinding_on_sigterm() -> Iterator[None]:
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def stop(number: int, _: FrameType | None) -> None:
-        raise SystemExit(128 + number)
-
-    before = signal.signal(signal.SIGTERM, stop)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)

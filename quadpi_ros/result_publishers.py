@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
+from geometry_msgs.msg import WrenchStamped
 from quadpi.msg import AlarmEvent, ExtrapolationAlarm, WrenchPrediction
 from quadpi.srv import LoadModel
 from rclpy.serialization import serialize_message
@@ -25,20 +26,18 @@ from quadpi_core.monitor import Monitor
 from quadpi_core.monitor.alarm_log import reasons_by_row
 from quadpi_core.monitor.monitor import Monitors
 from quadpi_core.monitor.pairing import PairedSamples, Pairing
-from quadpi_core.results import LEVEL_OK
+from quadpi_core.results import LEVEL_OK, Predictions
 from quadpi_core.vehicle import ROTORS, Vehicle
 from quadpi_ros import diagnostics
 from quadpi_ros.dds_profile import DESCRIPTION_QOS, LOG_QOS
 from quadpi_ros.sensor_node import SensorNode
-from quadpi_ros.wrench_publisher import WrenchPublisher
 
 _NOT_IN_A_TOPIC = re.compile(r"[^A-Za-z0-9]+")
 _LEVELS = ("ok", "warning", "alarm")
+WRENCH_TOPICS = {name: f"wrench/{name}" for name in ("predicted", "measured", "residual")}
 # Latched: the models, their training ranges and the topics below, whatever they are remapped to.
 DESCRIPTION_TOPIC = "~/description"
 DESCRIBED_TOPICS = ("prediction", "extrapolation_alarm", "alarm_log")
-# Rows of the batch: inputs of the first model as it sees them, and rotor speeds in rad/s from whatever topic.
-INPUT_ROWS, ROTOR_ROWS = "inputs", "rotor_speeds"
 # Sample rate of the warm-up, in cut-offs of the low-pass.
 _WARM_UP_RATE = 10.0
 
@@ -95,6 +94,33 @@ def warm_up(monitor: Monitor, vehicle: Vehicle) -> None:
     monitor.reset()
 
 
+class WrenchPublisher:
+    """Predictions as geometry_msgs/WrenchStamped, for tools that know the standard types alone.
+
+    What one model predicts, what was measured, and the measured less the predicted.
+
+    Args:
+        node: to publish from.
+        frame_id: body frame.
+        below: name of the model, a part of its topics; none for the first.
+    """
+
+    def __init__(self, node: SensorNode[Any], frame_id: str, below: str = "") -> None:
+        self._message = result_messages.wrench_message(frame_id)
+        self._publish = {}
+        for name, topic in WRENCH_TOPICS.items():
+            # Below the resolved topic of the first: a remapping does not cover topics below the one it names.
+            whole = f"{node.resolve_topic_name(topic)}/{below}" if below else topic
+            self._publish[name] = node.announce(WrenchStamped, whole)
+
+    def publish(self, predictions: Predictions) -> None:
+        """Publish the wrenches of predictions."""
+        for name, wrenches in result_messages.wrenches_of(predictions).items():
+            for time_ns, wrench in zip(predictions.time_ns.tolist(), wrenches, strict=True):
+                self._message.values[:] = wrench
+                self._publish[name](self._message.stamped(time_ns))
+
+
 class Results:
     """The monitors with the topics of their results: predictions of all, the alarm of the first.
 
@@ -112,13 +138,10 @@ class Results:
         self._frame_id = frame_id
         self._messages = {name: _message(monitor, frame_id) for name, monitor in monitors.items()}
         self._first, *others = monitors
-        self._publish_first = node.announce(WrenchPrediction, "prediction", batched=True)
+        self._publish_first = node.announce(WrenchPrediction, "prediction")
         # Below the resolved topic of the first, as a remapping does not cover topics below the one it names.
         below = node.resolve_topic_name("prediction")
-        self._publish_others = [
-            (name, node.announce(WrenchPrediction, f"{below}/{name}", batched=True)) for name in others
-        ]
-        self._batch_inputs, self._batch_rotors = map(node.announce_rows, (INPUT_ROWS, ROTOR_ROWS))
+        self._publish_others = [(name, node.announce(WrenchPrediction, f"{below}/{name}")) for name in others]
         self._publish_alarm = node.announce(ExtrapolationAlarm, "extrapolation_alarm")
         self._publish_log = node.announce(AlarmEvent, "alarm_log", LOG_QOS)
         self._topics = {name: node.resolve_topic_name(name) for name in DESCRIBED_TOPICS}
@@ -144,9 +167,6 @@ class Results:
         for (name, publish), other in zip(self._publish_others, others, strict=True):
             for payload in result_messages.write_predictions(other, self._messages[name]):
                 publish(payload)
-        if (prepared := self.monitors.prepared) is not None:
-            self._batch_inputs(prepared.usable_ns, prepared.inputs)
-        self._batch_rotors(samples.time_ns, samples.rotor_speeds)
         if self._wrenches:
             for publisher, of_model in zip(self._wrenches, (predictions, *others), strict=True):
                 publisher.publish(of_model)

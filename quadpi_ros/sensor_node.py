@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from numpy.typing import NDArray
+from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, qos_policy_name_from_kind
@@ -21,21 +22,19 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rclpy.type_hash import TypeHash
 
 from quadpi_core.errors import LogError
-from quadpi_core.flight import Recording, Stamps, Stream
-from quadpi_core.frames import Array
+from quadpi_core.flight import Recording, Stream
 from quadpi_core.messages.frame_ids import TF_TOPIC, TF_TYPE, BodyFrames
 from quadpi_core.messages.mounting import Mounting
 from quadpi_core.monitor.health import TopicHealth
 from quadpi_core.screening.first_seconds import STRETCHES, FirstSeconds, contradictions
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros import diagnostics
+from quadpi_ros.callbacks import GuardedNode
 from quadpi_ros.dds_profile import OUTPUT_QOS, SENSOR_QOS, TRANSFORMS_QOS
 from quadpi_ros.input_sources import AdapterError, message_class
-from quadpi_ros.message_batches import OutgoingBatch
 from quadpi_ros.node_parameters import STRICT
 from quadpi_ros.parameters import Parameters
 from quadpi_ros.runtime import ManagedNode
-from quadpi_ros.watches import Watch
 
 Sample = TypeVar("Sample", bound=Stream)
 
@@ -48,6 +47,47 @@ DIAGNOSTICS_PERIOD_S = 1.0
 _LOGGED_AT = 2
 # Why a topic gave no sample.
 _SILENT, _UNREAD = "nothing arrives on", "every message is refused on"
+
+
+_STEADY = Clock(clock_type=ClockType.STEADY_TIME)
+# Shares of the period: sooner after the work a timer has nothing to do, later a message does what is due.
+_EARLY, _LATE = 0.5, 1.5
+
+
+class Watch:
+    """Work at a steady period, done even where messages come faster than they can be taken.
+
+    rclpy's events executor takes what happens in its order. Once more messages arrive than a process can
+    take, a timer waits behind all of them, longer and longer; :meth:`look` does what it is late with.
+
+    Args:
+        node: on whose executor it is done.
+        period_s: by this computer's steady clock, not by the node's.
+        work: to be done.
+    """
+
+    def __init__(self, node: GuardedNode, period_s: float, work: Callable[[], None]) -> None:
+        self._node, self._period_s, self._done_s = node, period_s, time.monotonic()
+        self._work = node.guard(f"watch {work.__name__}", work)
+        self._timer = node.create_timer(period_s, self._on_time, clock=_STEADY)
+
+    def look(self, now_s: float) -> None:
+        """Do what is overdue by this instant of the steady clock; called at every message."""
+        if now_s - self._done_s > _LATE * self._period_s:
+            self._do(now_s)
+
+    def destroy(self) -> None:
+        """Stop."""
+        self._node.destroy_timer(self._timer)
+
+    def _on_time(self) -> None:
+        now_s = time.monotonic()
+        if now_s - self._done_s > _EARLY * self._period_s:
+            self._do(now_s)
+
+    def _do(self, now_s: float) -> None:
+        self._done_s = now_s
+        self._work()
 
 
 @dataclass
@@ -65,16 +105,8 @@ class _Input:
 class _Output:
     """A published topic; `mismatch` is the reason why a subscriber to it is incompatible."""
 
-    publisher: Publisher | None = None
+    publisher: Publisher
     mismatch: str | None = None
-
-
-@dataclass
-class _Problem:
-    """What keeps a node from working, and in how many diagnostics in a row it was found."""
-
-    text: str | None = None
-    seen: int = 0
 
 
 class SensorNode(ManagedNode[Parameters]):
@@ -92,9 +124,9 @@ class SensorNode(ManagedNode[Parameters]):
         self._next_warning_s: dict[str, float] = {}
         self._inputs: dict[str, _Input] = {}
         self._outputs: dict[str, _Output] = {}
-        self._problem = _Problem()
+        # What keeps the node from working, and in how many diagnostics in a row it was found.
+        self._problem: tuple[str | None, int] = (None, 0)
         self._transforms: Subscription | None = None
-        self._batch: OutgoingBatch | None = None
         self.lacking: dict[str, str] = {}
         self._diagnosed_s = time.monotonic()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -153,7 +185,7 @@ class SensorNode(ManagedNode[Parameters]):
 
         events = SubscriptionEventCallbacks(
             incompatible_qos=lambda event: self._note_policy(self._inputs[topic], event),
-            message_lost=lambda event: self._note_lost(self._inputs[topic], event.total_count),
+            message_lost=lambda event: self._note_lost(topic, event),
         )
         subscription = self.create_subscription(
             message_type, topic, receive, SENSOR_QOS, raw=True, event_callbacks=events
@@ -198,46 +230,20 @@ class SensorNode(ManagedNode[Parameters]):
         )
 
     def announce(
-        self, message_type: type, topic: str, qos: QoSProfile = OUTPUT_QOS, *, batched: bool = False
+        self, message_type: type, topic: str, qos: QoSProfile = OUTPUT_QOS
     ) -> Callable[[bytes], None]:
         """Create a publisher and return its function that publishes a serialized message.
-
-        With `batched` it goes into the node's batch too, see :mod:`quadpi_ros.message_batches`.
 
         An ordinary publisher, as a lifecycle publisher checks the node's state at every message; a node that
         is not active receives nothing and so publishes nothing.
         """
-        output = self._outputs[topic] = _Output()
-        events = PublisherEventCallbacks(incompatible_qos=lambda event: self._note_policy(output, event))
-        output.publisher = self.create_publisher(message_type, topic, qos, event_callbacks=events)
-        publish: Callable[[Any], None] = output.publisher.publish
-        if not batched:
-            return publish
-        batch = self._open_batch()
-        add = batch.adding(output.publisher.topic_name, diagnostics.type_name(message_type))
-
-        def publish_and_add(payload: bytes) -> None:
-            publish(payload)
-            if batch.heard:
-                add(payload)
-
-        return publish_and_add
-
-    def announce_rows(self, name: str) -> Callable[[Stamps, Array], None]:
-        """A function that takes rows for the node's batch, which no topic of their own has."""
-        batch = self._open_batch()
-        add = batch.adding_rows(name)
-
-        def add_if_heard(time_ns: Stamps, values: Array) -> None:
-            if batch.heard:
-                add(time_ns, values)
-
-        return add_if_heard
-
-    def _open_batch(self) -> OutgoingBatch:
-        if self._batch is None:
-            self._batch = OutgoingBatch(self)
-        return self._batch
+        events = PublisherEventCallbacks(
+            incompatible_qos=lambda event: self._note_policy(self._outputs[topic], event)
+        )
+        publisher = self.create_publisher(message_type, topic, qos, event_callbacks=events)
+        self._outputs[topic] = _Output(publisher)
+        publish: Callable[[Any], None] = publisher.publish
+        return publish
 
     def deactivate(self) -> None:
         """Destroy the subscriptions."""
@@ -251,12 +257,8 @@ class SensorNode(ManagedNode[Parameters]):
     def cleanup(self) -> None:
         """Destroy the publishers."""
         for output in self._outputs.values():
-            if output.publisher is not None:
-                self.destroy_publisher(output.publisher)
+            self.destroy_publisher(output.publisher)
         self._outputs.clear()
-        if self._batch is not None:
-            self._batch.destroy()
-            self._batch = None
 
     def warn(self, about: str, text: str) -> bool:
         """Log a warning, at most one every few seconds with the same `about`; says whether it was logged.
@@ -296,9 +298,6 @@ class SensorNode(ManagedNode[Parameters]):
 
     def _diagnose(self) -> None:
         """Publish the health of every topic, and log a persistent problem once until it changes."""
-        if self._batch is not None:
-            # What came last before a silence.
-            self._batch.send()
         now_s = time.monotonic()
         period_s, self._diagnosed_s = now_s - self._diagnosed_s, now_s
         problem = None
@@ -325,9 +324,9 @@ class SensorNode(ManagedNode[Parameters]):
         self._diagnostics.publish(diagnostics.array(self, statuses))
 
     def _follow(self, problem: str | None) -> None:
-        same = problem == self._problem.text
-        self._problem = _Problem(problem, self._problem.seen + 1 if same else 1)
-        if problem and self._problem.seen == _LOGGED_AT:
+        before, seen = self._problem
+        self._problem = problem, seen + 1 if problem == before else 1
+        if problem and self._problem[1] == _LOGGED_AT:
             self.get_logger().warning(problem)
 
     def status(self, name: str, level: bytes, message: str, values: Mapping[str, Any]) -> DiagnosticStatus:
@@ -384,21 +383,17 @@ class SensorNode(ManagedNode[Parameters]):
         if isinstance(endpoint, _Input):
             name, role = endpoint.subscription.topic_name, "a publisher offers"
         else:
-            name = endpoint.publisher.topic_name if endpoint.publisher else ""
-            role = "a subscriber asks for"
+            name, role = endpoint.publisher.topic_name, "a subscriber asks for"
         policy = qos_policy_name_from_kind(event.last_policy_kind).lower()
         what = f"{role} an incompatible quality of service, policy {policy}"
         endpoint.mismatch = f"topic {name}: {what}"
         self.warn(f"topic {name}", what)
 
-    @staticmethod
-    def _note_lost(topic: _Input, total: int) -> None:
-        topic.lost = total
+    def _note_lost(self, topic: str, event: Any) -> None:
+        self._inputs[topic].lost = event.total_count
 
     def _standing_mismatch(self, output: _Output) -> str | None:
         """Why a present subscriber cannot receive this output; a mismatch that is gone is forgotten."""
-        if output.publisher is None:
-            return None
         if self.count_subscribers(output.publisher.topic_name) == output.publisher.get_subscription_count():
             output.mismatch = None
             return None

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The live page: a node that listens to the results of every vehicle of the domain, and publishes nothing.
 
-Messages are taken in batches at the ticks of the server, not one by one by an executor: at 500 Hz that costs
-a fraction. Subscriptions are best effort, so that no publisher ever waits for the page.
+Messages are taken at the ticks of the server, not one by one by an executor: at 500 Hz that costs a fraction.
+Subscriptions are best effort, so that no publisher ever waits for the page.
 """
 
 from __future__ import annotations
@@ -23,14 +23,11 @@ from rclpy.utilities import remove_ros_args
 
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.vehicle import Vehicle
-from quadpi_core.view.browser import announce
 from quadpi_core.view.vehicle_view import VehicleView
-from quadpi_core.view.view_server import ADDRESS, PORT, serve_page
+from quadpi_core.view.view_server import ADDRESS, PORT, announce, serve_page
 from quadpi_ros.inbox import Inbox
 from quadpi_ros.live_vehicle import (
     ALARM,
-    BATCH,
-    BATCH_NAME,
     DESCRIPTION,
     DESCRIPTION_NAME,
     PREDICTION,
@@ -100,11 +97,8 @@ class LiveSource:
                 continue
             if ALARM in types or (PREDICTION in types and self._owner(topic) is None):
                 self._add(topic.rpartition("/")[0] or "/")
-            elif BATCH in types and topic.endswith(f"/{BATCH_NAME}"):
-                # Of a monitor: somebody else's batch has no description beside it.
-                namespace, node, _ = topic.rsplit("/", 2)
-                if DESCRIPTION in found.get(f"{namespace}/{node}/{DESCRIPTION_NAME}", ()):
-                    self._add(namespace or "/")
+            elif DESCRIPTION in types and topic.endswith(f"/monitor/{DESCRIPTION_NAME}"):
+                self._add(topic.rsplit("/", 2)[0] or "/")
         # What was taken for a vehicle before the monitor said that these topics are its own.
         for name, vehicle in list(self._vehicles.items()):
             if vehicle.heard and all(claims.get(topic, vehicle) is not vehicle for topic in vehicle.heard):

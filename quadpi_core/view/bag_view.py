@@ -4,11 +4,10 @@
 
 from __future__ import annotations
 
-import queue
 import shlex
-import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import Protocol
 
@@ -19,13 +18,11 @@ from quadpi_core.messages.model_description import DescribedModel
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.reading_options import MappingOrOptions
 from quadpi_core.vehicle import Vehicle
-from quadpi_core.view.flight_parts import Part, flight_parts, holds_only_results
+from quadpi_core.view.flight_parts import Part, Parts, flight_parts, holds_only_results
 from quadpi_core.view.vehicle_view import BLOCK_NS, VehicleView
 
 # An hour at 20 blocks a second, 50 MB with one model.
 _BLOCKS = 72_000
-# Parts that wait to be taken: the reader goes no further ahead than this.
-_WAITING = 4
 # Time that a tick may spend on what has been read, so that pages are answered meanwhile.
 _TICK_S = 0.03
 
@@ -53,15 +50,16 @@ class BagSource:
     Args:
         title: what the page is about.
         name: of the flight.
-        parts: what to do with the view, block by block; may raise QuadpiError.
+        parts: what to do with the view, block by block.
         known: see :class:`VehicleView`.
+
+    Raises:
+        QuadpiError: for a bag whose first part cannot be read.
     """
 
     live = False
 
-    def __init__(
-        self, title: str, name: str, parts: Iterator[Part], known: Mapping[str, DescribedModel]
-    ) -> None:
+    def __init__(self, title: str, name: str, parts: Parts, known: Mapping[str, DescribedModel]) -> None:
         self.title = title
         view = VehicleView(name, known, BLOCK_NS, _BLOCKS)
         view.silent(("reading the bag",))
@@ -69,52 +67,31 @@ class BagSource:
         self.error: QuadpiError | None = None
         self.finished = False
         self._view = view
-        self._parts: queue.Queue[Part | QuadpiError | None] = queue.Queue(_WAITING)
-        self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._read, args=(parts,), name="bag reader", daemon=True)
-        self._thread.start()
+        self._parts = parts
+        self._reader = ThreadPoolExecutor(1, "bag reader")
+        # What is wrong with a bag is said before a page is opened.
+        self._next: Future[Part | None] = Future()
+        self._next.set_result(next(parts, None))
 
     def poll(self) -> None:
         """Take what has been read, for a moment."""
         deadline = time.monotonic() + _TICK_S
-        while not self.finished and time.monotonic() < deadline:
+        while not self.finished and wait([self._next], max(0.0, deadline - time.monotonic())).done:
             try:
-                part = self._parts.get_nowait()
-            except queue.Empty:
-                break
-            if isinstance(part, QuadpiError):
-                self.error = part
-                self._view.silent((f"the bag cannot be read further: {part}",))
-                self._view.health.rows.append(("bag", "error", str(part)))
-            elif part is not None:
+                part = self._next.result()
+            except QuadpiError as error:
+                part, self.error = None, error
+                self._view.silent((f"the bag cannot be read further: {error}",))
+                self._view.health.append(("bag", "error", str(error)))
+            self.finished = part is None
+            if part is not None:
                 part(self._view)
-            self.finished = part is None or self.error is not None
+                self._next = self._reader.submit(next, self._parts, None)
 
     def close(self) -> None:
-        """End the reader."""
-        self._stopping.set()
-        self._thread.join()
-
-    def _read(self, parts: Iterator[Part]) -> None:
-        try:
-            for part in parts:
-                if not self._hand_over(part):
-                    return
-            self._hand_over(None)
-        except QuadpiError as error:
-            self._hand_over(error)
-        finally:
-            if hasattr(parts, "close"):
-                parts.close()
-
-    def _hand_over(self, part: Part | QuadpiError | None) -> bool:
-        while not self._stopping.is_set():
-            try:
-                self._parts.put(part, timeout=0.1)
-                return True
-            except queue.Full:
-                continue
-        return False
+        """End the reader, and close the bag."""
+        self._reader.shutdown()
+        self._parts.close()
 
 
 def open_bag(
@@ -139,22 +116,10 @@ def open_bag(
     """
     known = {model.identity: model.described() for model in models}
     command = f"quadpi view {shlex.quote(str(bag))}"
-    parts = _started(flight_parts(bag, models, vehicle, confidence, command, mapping))
+    parts = flight_parts(bag, models, vehicle, confidence, command, mapping)
     with whole_part(bag) as readable:
         judges = models and not holds_only_results(readable)
     about = f"judged by {', '.join(model.name for model in models)}" if judges else "results as recorded"
     whole = ", as far as the file goes: it is cut off" if is_cut_off(bag) else ""
     (file,) = named_files(bag)
     return BagSource(f"{bag.name}, {about}{whole}", file.name, parts, known)
-
-
-def _started(parts: Iterator[Part]) -> Iterator[Part]:
-    """The parts with the first one made, so that what is wrong with a bag is said before a page is opened."""
-    first = next(parts, None)
-
-    def rest() -> Iterator[Part]:
-        if first is not None:
-            yield first
-        yield from parts
-
-    return rest()

@@ -1,15 +1,14 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""A flight in blocks of equal duration, one row of numbers each: extremes, sums or last values.
+"""A flight in blocks of equal duration, one row of numbers each: last values, and sums of what is counted.
 
-The page draws blocks, so its cost does not grow with the rate of the input, and no extreme is lost. The
-newest blocks are kept in a ring, so memory does not grow with the flight either.
+The page draws blocks, so its cost does not grow with the rate of the input. The newest blocks are kept in a
+ring, so memory does not grow with the flight either.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
@@ -23,57 +22,39 @@ from quadpi_core.vehicle import ROTORS
 Rows = npt.NDArray[np.float32]
 
 
-class Fold(Enum):
-    """How the samples of a block become one number."""
-
-    MIN = "min"
-    MAX = "max"
-    SUM = "sum"
-    LAST = "last"
-
-
 class Quantity(NamedTuple):
-    """Adjacent columns of a row."""
+    """Adjacent columns of a row; a block has the last values, or the sum of all where they are counted."""
 
     name: str
     width: int
-    fold: Fold
+    counted: bool = False
 
 
 _AXES, _INPUTS = len(AXES), len(INPUT_NAMES)
 # Of the vehicle; SI units, body axes forward-right-down, world north-east-down.
 COMMON = (
-    Quantity("time", 1, Fold.MAX),  # of the newest sample, seconds since the first
-    Quantity("state", 1, Fold.LAST),  # see `trust.State`
-    Quantity("causes", 1, Fold.LAST),  # bits of the causes that are not ok
-    Quantity("distance", 1, Fold.MAX),  # of the worst input outside its training range
-    Quantity("measured_min", _AXES, Fold.MIN),
-    Quantity("measured_max", _AXES, Fold.MAX),
-    Quantity("inputs_min", _INPUTS, Fold.MIN),
-    Quantity("inputs_max", _INPUTS, Fold.MAX),
-    Quantity("position", 3, Fold.LAST),
-    Quantity("attitude", 4, Fold.LAST),
-    Quantity("velocity", 3, Fold.LAST),
-    Quantity("speed", 1, Fold.MAX),
+    Quantity("time", 1),  # of the newest sample, seconds since the first
+    Quantity("state", 1),  # see `trust.State`
+    Quantity("measured", _AXES),
+    Quantity("inputs", _INPUTS),
+    Quantity("position", 3),
+    Quantity("attitude", 4),
+    Quantity("speed", 1),
 )
-# Of a vehicle's rotors, as many as it has.
-PER_ROTOR = (("rotor_min", Fold.MIN), ("rotor_max", Fold.MAX))
 # Of each model.
 PER_MODEL = (
-    Quantity("count", 1, Fold.SUM),
-    Quantity("misses", _AXES, Fold.SUM),
-    Quantity("predicted_min", _AXES, Fold.MIN),
-    Quantity("predicted_max", _AXES, Fold.MAX),
-    Quantity("lower", _AXES, Fold.MIN),
-    Quantity("upper", _AXES, Fold.MAX),
+    Quantity("count", 1, counted=True),
+    Quantity("misses", _AXES, counted=True),
+    Quantity("predicted", _AXES),
+    Quantity("lower", _AXES),
+    Quantity("upper", _AXES),
 )
 
 
 def quantities(models: int, rotors: int) -> list[Quantity]:
     """What a row holds, one behind the other; quantities of a model are called `MODEL.name`."""
-    of_rotors = [Quantity(name, rotors, fold) for name, fold in PER_ROTOR]
     of_models = [one._replace(name=f"{model}.{one.name}") for model in range(models) for one in PER_MODEL]
-    return [*COMMON, *of_rotors, *of_models]
+    return [*COMMON, Quantity("rotors", rotors), *of_models]
 
 
 def _placed(held: Iterable[Quantity]) -> dict[str, tuple[int, int]]:
@@ -154,10 +135,16 @@ class BlockStore:
         slots = blocks[recent] % self.capacity
         for name, value in values.items():
             key = name.removeprefix("model_").replace("__", ".")
-            folded = _folded(value.reshape(len(numbers), -1), first, self._quantities[key].fold)[recent]
+            values_of_samples = value.reshape(len(numbers), -1)
             place, width = self.columns[key]
             old = self._rows[slots, place : place + width]
-            self._rows[slots, place : place + width] = _joined(old, folded, self._quantities[key].fold)
+            if self._quantities[key].counted:
+                new = np.add.reduceat(values_of_samples, first, axis=0)[recent]
+                new = np.where(np.isnan(old), new, old + new)
+            else:
+                new = values_of_samples[np.append(first[1:], len(numbers)) - 1][recent]
+                new = np.where(np.isnan(new), old, new)
+            self._rows[slots, place : place + width] = new
         changed = int(blocks[0])
         self._changed_from = changed if self._changed_from is None else min(changed, self._changed_from)
 
@@ -185,23 +172,3 @@ class BlockStore:
         count = min(number - self.newest, self.capacity)
         self._rows[np.arange(number - count + 1, number + 1) % self.capacity] = np.nan
         self.newest = number
-
-
-def _folded(values: Array, first: npt.NDArray[np.int64], fold: Fold) -> Rows:
-    """Values (K, W) of blocks that begin at `first` (B,), folded to (B, W)."""
-    folded: Rows
-    if fold is Fold.LAST:
-        folded = values[np.append(first[1:], len(values)) - 1].astype(np.float32)
-        return folded
-    together = {Fold.MIN: np.fmin, Fold.MAX: np.fmax, Fold.SUM: np.add}[fold]
-    folded = together.reduceat(values, first, axis=0).astype(np.float32)
-    return folded
-
-
-def _joined(old: Rows, new: Rows, fold: Fold) -> Rows:
-    """What a block is after more samples; NaN stands for none."""
-    if fold is Fold.LAST:
-        return np.where(np.isnan(new), old, new)
-    if fold is Fold.SUM:
-        return np.where(np.isnan(old), new, old + new)
-    return np.fmin(old, new) if fold is Fold.MIN else np.fmax(old, new)

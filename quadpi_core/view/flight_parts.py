@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Protocol, TypeVar
@@ -12,7 +12,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 
 from quadpi_core.errors import LogError, QuadpiError
-from quadpi_core.flight import OdometryStream, Recording, RotorSpeedStream, Stamps, WindStream
+from quadpi_core.flight import OdometryStream, Recording, RotorSpeedStream, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.identification.prepared_flights import flight_hash
 from quadpi_core.logs.bag_files import Bag
@@ -33,7 +33,7 @@ from quadpi_core.monitor.replay import RecordedFlight, follow, open_flight
 from quadpi_core.reading_options import MappingOrOptions, reading_options
 from quadpi_core.results import AlarmEvent, Predictions, ReportedAlarms
 from quadpi_core.vehicle import ROTORS, Vehicle
-from quadpi_core.view.live_inputs import LiveInputs
+from quadpi_core.view.motion_inputs import MotionInputs
 
 CUT_OFF = "the file is cut off, what comes before is shown; `mcap recover` rebuilds the file"
 _RESULTS = ("prediction", "extrapolation_alarm", "alarm_log", "odometry", "rotor_speeds", "erpm", "wind")
@@ -77,6 +77,7 @@ class FlightTaker(Protocol):
 
 
 Part = Callable[[FlightTaker], None]
+Parts = Generator[Part, None, None]
 _Content = TypeVar("_Content")
 
 
@@ -87,7 +88,7 @@ def flight_parts(
     confidence: float | None,
     command: str,
     mapping: MappingOrOptions = None,
-) -> Iterator[Part]:
+) -> Parts:
     """Parts of a flight, judged by models or with the results that the bag holds.
 
     Args:
@@ -103,17 +104,6 @@ def flight_parts(
     """
     if len({model.name for model in models}) < len(models):
         raise QuadpiError("--model: two models have the same name, which is how they are told apart")
-    return _parts(bag, models, vehicle, confidence, command, mapping)
-
-
-def _parts(
-    bag: Path,
-    models: Sequence[AerodynamicModel],
-    vehicle: Vehicle | None,
-    confidence: float | None,
-    command: str,
-    mapping: MappingOrOptions,
-) -> Iterator[Part]:
     with whole_part(bag) as readable:
         if models and not holds_only_results(readable):
             assert vehicle is not None
@@ -256,14 +246,16 @@ def recorded(bag: Path, command: str, models: Sequence[AerodynamicModel] = ()) -
         description, lacks = _description(opened)
         learned = {**description.models, **{model.identity: model.described() for model in models}}
         vehicle, without = _rotor_vehicle(opened, names, description.vehicle)
-        inputs = _RecordedInputs(description)
+        inputs = None if description.vehicle is None else MotionInputs(description.vehicle)
         for number, block in enumerate(opened.blocks([*names.values(), *further])):
             topics = {topic: block[name] for topic, name in names.items() if len(block[name].payloads)}
             others = [block[name] for name in further if len(block[name].payloads)]
             part = _recorded_part(bag, topics, others, vehicle, inputs)
             yield _after_learning(learned, part) if number == 0 else part
             if number == 0:
-                yield lambda view: view.take_missing([*lacks, *without, *inputs.lacks])
+                if inputs is not None and inputs.problem:
+                    without.append(("inputs", f"not shown: {inputs.problem}"))
+                yield lambda view: view.take_missing([*lacks, *without])
 
 
 def _made_by(opened: Bag, topics: Sequence[str]) -> set[str]:
@@ -308,43 +300,6 @@ def _description(opened: Bag) -> tuple[MonitorDescription, list[tuple[str, str]]
     return MonitorDescription(models, {}, vehicle), lacks
 
 
-class _RecordedInputs:
-    """Inputs of the models by odometry and rotor speeds, where the monitor says what they follow from.
-
-    Attributes:
-        identity: of the model that flies.
-        lacks: why they are not known, for the table of health.
-    """
-
-    def __init__(self, description: MonitorDescription) -> None:
-        self.identity = ""
-        self.lacks: list[tuple[str, str]] = []
-        self._vehicle = description.vehicle
-        self._models = description.models
-        self._live: LiveInputs | None = None
-
-    def take(
-        self,
-        identity: str,
-        states: OdometryStream | None,
-        rotors: RotorSpeedStream | None,
-        wind: WindStream | None,
-    ) -> tuple[Stamps, Array] | None:
-        """Stamps (K,) and inputs (K, 19) of the model that flies; None where they are not known."""
-        model = self._models.get(identity)
-        if self._vehicle is None or model is None or model.cutoff_hz is None or self.lacks:
-            return None
-        if self._live is None or identity != self.identity:
-            self._live, self.identity = LiveInputs(self._vehicle, model.cutoff_hz), identity
-        if wind is not None:
-            self._live.wind = wind.velocity[-1]
-        try:
-            return self._live.take(states, rotors)
-        except LogError as error:
-            self.lacks.append(("inputs", f"not shown: {error}"))
-            return None
-
-
 def _rotor_vehicle(
     opened: Bag, names: dict[str, str], described: Vehicle | None
 ) -> tuple[Vehicle | None, list[tuple[str, str]]]:
@@ -374,7 +329,7 @@ def _recorded_part(
     topics: Mapping[str, Topic],
     others: Sequence[Topic],
     vehicle: Vehicle | None,
-    inputs: _RecordedInputs,
+    inputs: MotionInputs | None,
 ) -> Part:
     """What to show of the topics of a block that have messages.
 
@@ -383,7 +338,7 @@ def _recorded_part(
         topics: by their standard names.
         others: predictions of further models.
         vehicle: of `erpm`, where that is among the topics.
-        inputs: follow the states.
+        inputs: of the models, where their vehicle is known.
     """
 
     def unpacked(name: str, unpack: Callable[[Payloads], _Content]) -> _Content | None:
@@ -403,8 +358,7 @@ def _recorded_part(
     alarms = unpacked("extrapolation_alarm", result_messages.unpack_alarms)
     events = unpacked("alarm_log", result_messages.unpack_events)
     wind = unpacked("wind", sensor_messages.unpack_wind)
-    identity = predicted[0][0].identity if "prediction" in topics else inputs.identity
-    followed = inputs.take(identity, states, rotors, wind)
+    followed = None if inputs is None else inputs.take(states, rotors, wind)
 
     def show(view: FlightTaker) -> None:
         for about, predictions in predicted:

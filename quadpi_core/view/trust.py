@@ -6,12 +6,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from enum import IntEnum
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
+from quadpi_core.messages.model_description import DescribedModel
 from quadpi_core.results import (
     ACTIVE,
     CAUSES,
@@ -40,18 +41,6 @@ SILENCE_S = 1.0
 _JUDGED = (ACTIVE, UNCALIBRATED)
 # Inputs that a reason names; the envelope's panel shows all.
 _MOST = 3
-
-
-class TrainingRanges(Protocol):
-    """Smallest and largest value of each input (19,) on the training flights."""
-
-    @property
-    def lower(self) -> Array:
-        """Smallest values."""
-
-    @property
-    def upper(self) -> Array:
-        """Largest values."""
 
 
 class InputWords(NamedTuple):
@@ -108,7 +97,7 @@ def states_of(alarms: ReportedAlarms) -> list[State]:
 
 
 def reasons_of(
-    alarms: ReportedAlarms, row: int, training: TrainingRanges | None, low: Array, high: Array
+    alarms: ReportedAlarms, row: int, training: DescribedModel | None, low: Array, high: Array
 ) -> tuple[str, ...]:
     """Why one message is not `trusted`, in plain words, what is farthest outside first.
 
@@ -146,7 +135,7 @@ def plain(reason: str) -> str:
     return f"outside: {INPUT_WORDS[symbol].name} ({symbol}) {rest}"
 
 
-def _outside(names: Sequence[str], training: TrainingRanges, low: Array, high: Array) -> list[str]:
+def _outside(names: Sequence[str], training: DescribedModel, low: Array, high: Array) -> list[str]:
     sentences = []
     for name in names:
         if name not in INPUT_WORDS:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import bisect
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -53,17 +53,6 @@ class ShownModel:
     axes: tuple[str, ...] = AXES
 
 
-@dataclass
-class Health:
-    """How the sources of a vehicle are, in rows that the page shows as they are.
-
-    Attributes:
-        rows: what it is about, whether that is "ok", "warn" or "error", and what to say.
-    """
-
-    rows: list[tuple[str, str, str]] = field(default_factory=list)
-
-
 class VehicleView:
     """Takes what comes of one vehicle, at full rate, and gives what a page asks for.
 
@@ -79,7 +68,8 @@ class VehicleView:
         self.blocks = BlockStore(block_ns, capacity)
         self.models: dict[str, ShownModel] = {}
         self.timeline, self.track = Timeline(), Track()
-        self.health = Health()
+        # How its sources are: what a row is about, whether that is "ok", "warn" or "error", and what to say.
+        self.health: list[tuple[str, str, str]] = []
         # Counts the changes of what `describe` gives.
         self.version = 0
         self.start_ns = 0
@@ -118,11 +108,7 @@ class VehicleView:
                 self.start_ns = int(predictions.time_ns[0])
                 self.version += 1
             time_ns = self._clock.advance(predictions.time_ns)
-            own: dict[str, Array] = {
-                "time": _seconds(time_ns),
-                "measured_min": predictions.measured,
-                "measured_max": predictions.measured,
-            }
+            own: dict[str, Array] = {"time": _seconds(time_ns), "measured": predictions.measured}
         else:
             time_ns, near = self._clock.place(predictions.time_ns)
             if not near.all():
@@ -134,8 +120,7 @@ class VehicleView:
             for name, values in (
                 ("count", np.ones(len(time_ns))),
                 ("misses", outside.astype(float)),
-                ("predicted_min", predictions.predicted),
-                ("predicted_max", predictions.predicted),
+                ("predicted", predictions.predicted),
                 ("lower", predictions.lower),
                 ("upper", predictions.upper),
             )
@@ -143,9 +128,9 @@ class VehicleView:
         self.blocks.add(time_ns, **own)
 
     def take_inputs(self, time_ns: Stamps, inputs: Array) -> None:
-        """Take inputs (K, 19) of the models, low-passed as they see them."""
+        """Take inputs (K, 19) of the models."""
         times, near = self._clock.place(time_ns)
-        self.blocks.add(times[near], inputs_min=inputs[near], inputs_max=inputs[near])
+        self.blocks.add(times[near], inputs=inputs[near])
 
     def take_states(self, states: OdometryStream) -> None:
         """Take positions, attitudes and velocities."""
@@ -158,7 +143,6 @@ class VehicleView:
             times[near],
             position=position,
             attitude=states.attitude[near],
-            velocity=velocity,
             speed=np.sqrt((velocity * velocity).sum(axis=1)),
         )
         self.track.add(_seconds(times[near]), position)
@@ -172,7 +156,7 @@ class VehicleView:
         if speeds.shape[1] != self.blocks.rotors:
             self.blocks.set_rotors(speeds.shape[1])
             self.version += 1
-        self.blocks.add(times[near], rotor_min=speeds, rotor_max=speeds)
+        self.blocks.add(times[near], rotors=speeds)
 
     def take_alarms(self, alarms: ReportedAlarms) -> None:
         """Take what the monitor says, and put it in plain words."""
@@ -189,12 +173,7 @@ class VehicleView:
         if len(alarms) == 0:
             return
         states = np.array(states_of(alarms), dtype=np.uint8)
-        self.blocks.add(
-            times,
-            state=states.astype(float),
-            causes=alarms.causes.astype(float),
-            distance=alarms.envelope_distance,
-        )
+        self.blocks.add(times, state=states.astype(float))
         self.timeline.add(_seconds(times), states)
         training = self.training
         for row, number in enumerate((times // self.blocks.block_ns).tolist()):
@@ -220,7 +199,7 @@ class VehicleView:
 
     def take_missing(self, topics: Sequence[tuple[str, str]]) -> None:
         """Take topics that are missing, with what is not shown for that."""
-        self.health.rows += [(topic, "warn", text) for topic, text in topics]
+        self.health += [(topic, "warn", text) for topic, text in topics]
 
     def silent(self, reasons: tuple[str, ...]) -> None:
         """Say that nothing comes of the vehicle: the last state counts no more."""
@@ -277,7 +256,7 @@ class VehicleView:
             "codes": self.timeline.codes,
             "track": self.track.points,
             "events": list(self._events.values()),
-            "health": self.health.rows,
+            "health": self.health,
         }
 
     def window(self, first: int, last: int) -> tuple[int, Rows, list[tuple[int, tuple[str, ...]]]]:
@@ -304,9 +283,8 @@ class VehicleView:
 
     def _inputs_before(self, number: int) -> tuple[Array, Array]:
         numbers = range(number - _BLOCKS_OF_A_MESSAGE, number + 1)
-        low = np.array([self.blocks.value(one, "inputs_min") for one in numbers], dtype=float)
-        high = np.array([self.blocks.value(one, "inputs_max") for one in numbers], dtype=float)
-        return np.fmin.reduce(low), np.fmax.reduce(high)
+        values = np.array([self.blocks.value(one, "inputs") for one in numbers], dtype=float)
+        return np.fmin.reduce(values), np.fmax.reduce(values)
 
     def _note(self, number: int, words: tuple[str, ...]) -> None:
         if self._words and self._words[-1][1] == words:

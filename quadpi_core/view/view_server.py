@@ -13,16 +13,18 @@ import errno
 import ipaddress
 import json
 import math
+import os
 import re
 import socket
 import struct
 import time
+import webbrowser
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
-import psutil
 from tornado.httpserver import HTTPServer
 from tornado.ioloop import PeriodicCallback
 from tornado.netutil import bind_sockets
@@ -32,8 +34,10 @@ from tornado.websocket import WebSocketClosedError, WebSocketHandler
 from quadpi_core.errors import QuadpiError
 from quadpi_core.report import ASSETS, SHARED_ASSETS
 from quadpi_core.version import __version__
-from quadpi_core.view.bag_view import Source
 from quadpi_core.view.vehicle_view import VehicleView
+
+if TYPE_CHECKING:
+    from quadpi_core.view.bag_view import Source
 
 PORT, ADDRESS = 8710, "127.0.0.1"
 PAGE_FOLDER = Path(__file__).with_name("page")
@@ -180,10 +184,6 @@ class ViewServer:
         """What a page is told first."""
         return {"type": "hello", "version": __version__, "live": self.source.live, "title": self.source.title}
 
-    def view(self, name: str) -> VehicleView | None:
-        """A vehicle by its name."""
-        return self.source.vehicles.get(name)
-
     def _tick(self) -> None:
         try:
             self._serve_what_is_new()
@@ -249,30 +249,30 @@ class _Page(WebSocketHandler):
         return same_origin(origin, self.request.host)
 
     def open(self, *_: str, **__: str) -> None:
-        """Take the browser among those that are told."""
+        """Register the client."""
         self.set_nodelay(True)
         self._server.pages.add(self)
         self._send(self._server.hello())
 
     def on_close(self) -> None:
-        """Forget the browser."""
+        """Forget the client."""
         self._server.pages.discard(self)
 
     def on_message(self, message: str | bytes) -> None:
-        """Take a wish of the page: another vehicle, or blocks of another time. Anything else ends it."""
+        """Take a request: another vehicle, or blocks of another time. Anything else ends the connection."""
         try:
-            wish = json.loads(message)
-            if not isinstance(wish, dict):
+            request = json.loads(message)
+            if not isinstance(request, dict):
                 raise TypeError
-            if "select" in wish:
-                self._selected = str(wish["select"])
+            if "select" in request:
+                self._selected = str(request["select"])
                 self._told.pop(self._selected, None)
                 self._wants_overview = True
-            if "blocks" in wish:
-                first, last = wish["blocks"]
-                self._asked = [*self._asked, (str(wish["id"]), int(first), int(last))][-8:]
+            if "blocks" in request:
+                first, last = request["blocks"]
+                self._asked = [*self._asked, (str(request["id"]), int(first), int(last))][-8:]
         except (ValueError, TypeError, KeyError, AttributeError, OverflowError):
-            self.close(1003, "not a wish of the page")
+            self.close(1003, "invalid request")
 
     def tick(
         self,
@@ -345,20 +345,29 @@ def _why_not(error: OSError | UnicodeError, port: int, address: str) -> str:
     return f"cannot listen on {address} port {port}: {getattr(error, 'strerror', None) or error}"
 
 
+# State of a socket in /proc/net/tcp.
+_LISTENS = "0A"
+
+
 def _user_of(port: int) -> str:
     """Who listens on a port, as far as this user may know."""
-    try:
-        connections = psutil.net_connections("tcp")
-    except (psutil.Error, OSError):
+    sockets = set()
+    for table in ("/proc/net/tcp", "/proc/net/tcp6"):
+        with suppress(OSError):
+            for line in Path(table).read_text().splitlines()[1:]:
+                _, local, _, state, _, _, _, _, _, inode, *_ = line.split()
+                if state == _LISTENS and int(local.rpartition(":")[2], 16) == port:
+                    sockets.add(f"socket:[{inode}]")
+    if not sockets:
         return ""
-    for one in connections:
-        if one.status == psutil.CONN_LISTEN and one.laddr.port == port and one.pid is not None:
-            try:
-                command = " ".join(psutil.Process(one.pid).cmdline())
-            except psutil.Error:
-                command = ""
-            shown = "".join(c if c.isprintable() else "?" for c in command[:120])
-            return f" by process {one.pid}" + (f" ({shown})" if shown else "")
+    for link in Path("/proc").glob("[0-9]*/fd/*"):
+        # Of another user, or gone meanwhile.
+        with suppress(OSError):
+            if str(link.readlink()) in sockets:
+                process = link.parents[1]
+                command = (process / "cmdline").read_text(errors="replace").replace("\0", " ").strip()
+                shown = "".join(c if c.isprintable() else "?" for c in command[:120])
+                return f" by process {process.name}" + (f" ({shown})" if shown else "")
     return " by a process of another user"
 
 
@@ -397,3 +406,17 @@ def serve_page(
         asyncio.run(work())
     finally:
         source.close()
+
+
+def announce(say: Callable[[str], None], url: str, open_page: bool | None = None) -> None:
+    """Say the address of the page, and open it.
+
+    Args:
+        say: prints a line.
+        url: address.
+        open_page: whether to open it; None where there is a display.
+    """
+    say(f"Page at {url} (Ctrl-C ends it)")
+    display = bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+    if display if open_page is None else open_page:
+        webbrowser.open(url)

@@ -48,7 +48,9 @@ class StandIn(SimpleNamespace):
 
 CLASSES = {
     "launch": ("LaunchContext", "LaunchDescription"),
-    "launch.actions": ("DeclareLaunchArgument", "EmitEvent", "OpaqueFunction", "RegisterEventHandler"),
+    "launch.actions": (
+        *("DeclareLaunchArgument", "EmitEvent", "OpaqueFunction", "RegisterEventHandler", "TimerAction"),
+    ),
     "launch.event_handlers": ("OnProcessExit",),
     "launch.events": ("Shutdown",),
     "launch_ros": (),
@@ -97,6 +99,10 @@ class Pretender:
             self._start(action)
         elif kind == "RegisterEventHandler":
             self._on_exit[id(action.value.target_action)] = action.value.on_exit
+        elif kind == "TimerAction":
+            time.sleep(action.period)
+            for entity in action.actions:
+                self.visit(entity)
         elif kind == "EmitEvent":
             self.context.is_shutdown = True
         else:
@@ -112,7 +118,7 @@ class Pretender:
                 file = self._folder / f"{node.executable}{number}.yaml"
                 file.write_text(yaml.safe_dump({"/**": {"ros__parameters": values}}))
             command += ["--params-file", file]
-        for topic, other in node.remappings:
+        for topic, other in getattr(node, "remappings", ()):
             command += ["-r", f"{topic}:={other}"]
         process = subprocess.Popen([str(part) for part in command])
         print(f"[{node.executable}-1]: process started with pid [{process.pid}]", flush=True)
@@ -130,9 +136,6 @@ class Pretender:
         del self._running[id(node)]
         for action in self._on_exit[id(node)](SimpleNamespace(returncode=status), self.context):
             self.visit(action)
-        if getattr(node, "respawn", False) and not self.context.is_shutdown:
-            time.sleep(node.respawn_delay)
-            self._start(node)
 
     def stop(self) -> None:
         for _, process in self._running.values():

@@ -13,7 +13,7 @@ import socket
 import time
 
 from quadpi_core.logs.mavlink_dialect import load_dialect
-from quadpi_core.logs.mavlink_frames import Framer, MessageDecoder, signing_key
+from quadpi_core.logs.mavlink_frames import Framer, signing_key
 
 PX4 = 12
 
@@ -44,7 +44,7 @@ class Vehicle:
             self.mav.signing.secret_key = signing_key(options.passphrase)
             self.mav.signing.sign_outgoing = True
             self.mav.signing.timestamp = int((time.time() - 1_420_070_400) * 1e5)
-        self.framer, self.decoder = Framer(), MessageDecoder()
+        self.framer = Framer()
         self.asked: set[int] = set()
         if options.tcp:
             server = socket.create_server(("127.0.0.1", options.port))
@@ -77,9 +77,8 @@ class Vehicle:
             except BlockingIOError:
                 return
             arrived_ns = self.clock_ns()
-            for frame in self.framer.feed(data):
-                message = self.decoder.decode(frame)
-                name = type(message).__name__
+            for message in self.framer.feed(data):
+                name = message.get_type()
                 if name == "TIMESYNC" and message.tc1 == 0 and not self.options.deaf:
                     self.send("TIMESYNC", arrived_ns, message.ts1)
                 if name == "COMMAND_LONG" and message.command == 511 and message.param1 not in self.asked:

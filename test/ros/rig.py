@@ -50,8 +50,8 @@ TOPICS = {
 SENSORS = (("imu", Imu), ("rotor_speeds", RotorSpeeds), ("mocap/pose", PoseStamped))
 # The first start on a machine compiles the kernels.
 START_S = 300.0
-# A test that fails may take this long; one that passes does not wait.
-PATIENCE_S = 60.0
+# A test that fails may take this long; one that passes does not wait. A node may have kernels to compile.
+PATIENCE_S = 180.0
 # Whether the nodes have died is seen this often while they are awaited.
 GLANCE_S = 5.0
 # A flight that is late by up to this much catches up.

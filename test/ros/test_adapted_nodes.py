@@ -31,7 +31,7 @@ from quadpi_core.vehicle import Vehicle
 from quadpi_ros.collector import Collector
 from quadpi_ros.input_sources import AdaptedSources, AdapterError
 from quadpi_ros.live_session import play
-from quadpi_ros.playlist import playable
+from quadpi_ros.playlist import Playlist
 from quadpi_ros.processes import Child, isolated_domain
 
 from ..core.messages.adapters.vendor_messages import (
@@ -226,11 +226,11 @@ def test_live_equals_the_replay_of_the_flight_that_the_adapters_read(
         given["mocap_topic"] = by_kind["mocap"]
         nodes, managed = "live_process", ("estimator", "monitor")
     arguments = [part for name, value in given.items() for part in ("-p", f"{name}:={value}")]
-    assert set(playable(bag)) == set(names) | ({"imu"} - kinds)
+    assert set(Playlist.read(bag).topics) == set(names) | ({"imu"} - kinds)
     with isolated_domain() as scratch, Collector(int(recording.imu.time_ns[0])) as collector:
         with Child(f"quadpi_ros.{nodes}", ("--ros-args", *arguments), scratch) as live:
             collector.spin_until(lambda: live.finished() or collector.hears("prediction"), 300.0)
-            play(bag, playable(bag), PLAYBACK_RATE, scratch, live, collector, managed)
+            play(bag, tuple(Playlist.read(bag).topics), PLAYBACK_RATE, scratch, live, collector, managed)
             # A busy machine may hold the nodes up for longer than a flight falls silent.
             collector.spin_until(lambda: len(collector.arrived_ns) >= len(expected.time_ns), 20.0)
         predictions = collector.predictions()
@@ -242,7 +242,7 @@ def test_live_equals_the_replay_of_the_flight_that_the_adapters_read(
 
 
 def test_a_player_without_the_package_says_so(bag: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    assert playable(bag) == ["imu"]
+    assert list(Playlist.read(bag).topics) == ["imu"]
     escs, poses = capfd.readouterr().err.splitlines()
     assert "mavros_msgs/msg/ESCStatus: the package mavros_msgs that defines it is not installed" in escs
     assert "NamedPoseArray: the package motion_capture_tracking_interfaces" in poses

@@ -2,12 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Subscriptions to messages of packages that quadpi does not need: absent, pretended, and really built."""
 
-import json
-import os
-import shutil
-import subprocess
 import sys
-from pathlib import Path
 from types import ModuleType
 
 import numpy as np
@@ -26,17 +21,15 @@ from quadpi_core.messages.definitions import typestore
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros.input_sources import (
     AdaptedSources,
-    AdaptedSubscription,
     AdapterError,
     Source,
+    adapted_source,
     definition_of,
     message_class,
 )
 
 from ..core.messages.adapters.vendor_messages import DEFINITIONS, Messages
 
-ROOT = Path(__file__).parents[2]
-ENVIRONMENT = Path(sys.prefix)
 STATUS, REPORT = "px4_msgs/msg/EscStatus", "px4_msgs/msg/EscReport"
 SETTINGS = AdapterSettings(rotor_speeds=RotorSettings((1, 2, 3, 4), "rpm"))
 
@@ -52,7 +45,7 @@ def test_definition_of_an_installed_message_is_that_of_its_package(kind):
 
 def test_package_or_message_that_is_not_installed():
     with pytest.raises(AdapterError, match=r"px4_msgs/msg/EscStatus: the package px4_msgs .* not installed"):
-        AdaptedSubscription("px4_status", SETTINGS, None)
+        adapted_source("px4_status", SETTINGS, None)
     with pytest.raises(AdapterError, match="std_msgs/msg/Nothing"):
         message_class("std_msgs/msg/Nothing")
 
@@ -91,7 +84,7 @@ def esc_status(messages, stamp_us, rpm):
 
 
 def test_message_by_message_and_why_one_is_no_sample(messages):
-    subscription = AdaptedSubscription("px4_status", SETTINGS, None)
+    subscription = adapted_source("px4_status", SETTINGS, None)
     assert subscription.message_type is sys.modules["px4_msgs.msg"].EscStatus
     assert subscription.topic == "fmu/out/esc_status"
     stream = subscription.unpack(esc_status(messages, 1000, [60, 120, 180, 240]))
@@ -112,65 +105,3 @@ def test_a_standard_topic_in_the_file_is_given_as_a_launch_argument(tmp_path):
     sources = AdaptedSources("monitor", str(file), Vehicle.load("bebop2"))
     with pytest.raises(AdapterError, match=r"`imu`: topic /mavros/imu/data: .*imu_topic:=/mavros/imu/data"):
         sources.instead_of(Source(Imu, "imu", bytes), "imu")
-
-
-@pytest.fixture(scope="module")
-def px4_msgs(tmp_path_factory):
-    """The prefix of a px4_msgs with the two messages, generated and compiled as on a vehicle."""
-    if shutil.which("cmake") is None:
-        pytest.skip("cmake, which builds px4_msgs for this test, is not installed")
-    source, prefix = tmp_path_factory.mktemp("px4_msgs"), tmp_path_factory.mktemp("prefix")
-    (source / "msg").mkdir()
-    for name in (STATUS, REPORT):
-        (source / "msg" / f"{name.rpartition('/')[2]}.msg").write_text(DEFINITIONS[name])
-    (source / "package.xml").write_text(
-        '<package format="3"><name>px4_msgs</name><version>1.16.0</version><description>of PX4</description>'
-        '<maintainer email="nobody@example.org">nobody</maintainer><license>BSD</license>'
-        "<buildtool_depend>ament_cmake</buildtool_depend>"
-        "<member_of_group>rosidl_interface_packages</member_of_group></package>"
-    )
-    (source / "CMakeLists.txt").write_text(
-        "cmake_minimum_required(VERSION 3.20)\nproject(px4_msgs LANGUAGES C CXX)\n"
-        "find_package(ament_cmake REQUIRED)\nfind_package(rosidl_default_generators REQUIRED)\n"
-        "rosidl_generate_interfaces(px4_msgs msg/EscReport.msg msg/EscStatus.msg)\nament_package()\n"
-    )
-    build = source / "build"
-    environment = {
-        **os.environ,
-        "AMENT_PREFIX_PATH": str(ENVIRONMENT),
-        "CMAKE_PREFIX_PATH": str(ENVIRONMENT),
-        "PATH": f"{ENVIRONMENT / 'bin'}{os.pathsep}{os.environ['PATH']}",
-    }
-    configure = ("-S", source, "-B", build, "-G", "Ninja", "-DBUILD_TESTING=OFF")
-    paths = (f"-DCMAKE_INSTALL_PREFIX={prefix}", f"-DPython3_EXECUTABLE={sys.executable}")
-    for arguments in ((*configure, *paths), ("--build", build), ("--install", build)):
-        made = subprocess.run(
-            ["cmake", *arguments], env=environment, check=False, capture_output=True, text=True
-        )
-        assert made.returncode == 0, made.stdout[-2000:] + made.stderr[-2000:]
-    return prefix
-
-
-@pytest.mark.slow
-def test_over_real_dds_with_the_package_built(px4_msgs, ros_domain, tmp_path):
-    settings = tmp_path / "px4.yaml"
-    settings.write_text("rotor_speeds: {rotors: [1, 2, 3, 4], unit: rpm}\n")
-    (packages,) = px4_msgs.glob("lib/python*/site-packages")
-    environment = {
-        **{name: value for name, value in os.environ.items() if name != "_ROS_WHEELS_BOOTSTRAP_COMPLETE"},
-        "PYTHONPATH": f"{ROOT}{os.pathsep}{packages}",
-        "LD_LIBRARY_PATH": f"{px4_msgs / 'lib'}{os.pathsep}{os.environ.get('LD_LIBRARY_PATH', '')}",
-        "ROS_DOMAIN_ID": str(ros_domain),
-    }
-    ended = subprocess.run(
-        [sys.executable, ROOT / "test/ros/adapters_child.py", settings],
-        env=environment,
-        check=False,
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
-    assert ended.returncode == 0, ended.stderr
-    speeds = json.loads(ended.stdout)
-    assert len(speeds) == 5
-    np.testing.assert_allclose(speeds, np.tile(2.0 * np.pi * np.arange(1, 5), (5, 1)))

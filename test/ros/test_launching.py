@@ -20,7 +20,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any
 from urllib.request import urlopen
 
@@ -179,15 +179,6 @@ def test_lines_are_found() -> None:
     }
 
 
-@pytest.mark.parametrize("file", ["monitor.launch.py", "replay.launch.py"])
-def test_an_unknown_argument_is_refused(file: str, launch: Launch) -> None:
-    given = ("bag:=flight.mcap", "vehicle:=bebop2", "model:=my-model", "vehikel:=bebop2")
-    with launch(file, *given[file.startswith("monitor") :]) as launched:
-        assert launched.wait() == 1
-        assert f"{file}: unknown launch argument `vehikel`; known: adapters, " in launched.said
-        assert not launched.pids()
-
-
 BRIDGE = ("mavlink.launch.py", "connection:=udpout:127.0.0.1:14599", "vehicle:=bebop2")
 
 
@@ -262,30 +253,43 @@ def launching(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
     monkeypatch.delitem(sys.modules, "quadpi_ros.launching")
 
 
+def started(file: str, given: dict[str, str]) -> dict[str, Any]:
+    """Nodes that a launch file starts, by program."""
+    specification = importlib.util.spec_from_file_location("launch_file", ROOT / "launch" / file)
+    assert specification is not None
+    assert specification.loader is not None
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    declared = module.generate_launch_description().value
+    values = {one.value: one.default_value for one in declared if hasattr(one, "default_value")}
+    values |= {"bag": str(bags_directory() / "interpolation.mcap"), "vehicle": "bebop2", "model": "m"} | given
+    actions = module.start(SimpleNamespace(launch_configurations=values))
+    return {one.executable: one for one in actions if hasattr(one, "executable")}
+
+
 def test_arguments_are_parameters_of_the_nodes(launching: ModuleType) -> None:
     parameters = {item.name for kind in (EstimatorParameters, MonitorParameters) for item in fields(kind)}
-    arguments = {argument.name for argument in launching.monitor_arguments(respawn=True)}
+    arguments = {argument.value for argument in launching.monitor_arguments(respawn="true")}
     assert set(launching.PARAMETERS) - {"use_sim_time"} == arguments & parameters
 
 
 @pytest.mark.parametrize(
     ("given", "expected"),
     [
-        ({}, {"loop": False, "start_paused": False, "start_offset": 0.0, "clock": None, "rate": 1.0}),
+        ({}, {"loop": False, "start_offset": 0.0, "clock": None, "rate": 1.0}),
         (
             {"loop": "true", "start_offset": "2.5", "rate": "3"},
             {"loop": True, "start_offset": 2.5, "rate": 3.0},
         ),
-        ({"start_paused": "true", "clock": "100"}, {"start_paused": True, "clock": 100.0}),
         ({"use_sim_time": "true"}, {"clock": 40.0}),
         ({"use_sim_time": "true", "clock": "10"}, {"clock": 10.0}),
     ],
 )
+@pytest.mark.usefixtures("launching")
 def test_arguments_of_the_replay_are_options_of_the_player(
-    launching: ModuleType, given: dict[str, str], expected: dict[str, object]
+    given: dict[str, str], expected: dict[str, object]
 ) -> None:
-    (player,) = started_by_replay(launching, given)["player"]
-    options = parse_arguments(player.arguments)
+    options = parse_arguments(started("replay.launch.py", given)["player"].arguments)
     assert {name: getattr(options, name) for name in expected} == expected
 
 
@@ -309,33 +313,16 @@ def test_arguments_of_the_replay_are_options_of_the_player(
 def test_a_topic_that_is_given_a_name_is_listened_to(
     launching: ModuleType, given: dict[str, str], expected: dict[str, str], refusal: str
 ) -> None:
-    arguments = launching.monitor_arguments(respawn=True)
-    values = {one.name: one.default for one in arguments} | {"vehicle": "bebop2", "model": "m"} | given
     refused = pytest.raises(launching.LaunchError, match=refusal) if refusal else nullcontext()
     with refused:
-        (live,) = (
-            one for one in launching.live_nodes(launching.Launch(values, False)) if hasattr(one, "executable")
-        )
+        live = started("monitor.launch.py", given)["live"]
         chosen = {name: getattr(value, "value", value) for name, value in live.parameters[1].items()}
         assert chosen.items() >= expected.items()
 
 
-def test_markers_are_published_where_asked(launching: ModuleType) -> None:
-    assert "markers" not in started_by_replay(launching, {})
-    (node,) = started_by_replay(launching, {"markers": "true", "prediction_topic": "wrench"})["markers"]
+@pytest.mark.usefixtures("launching")
+def test_markers_are_published_where_asked() -> None:
+    assert "markers" not in started("monitor.launch.py", {})
+    given = {"markers": "true", "prediction_topic": "wrench"}
+    node = started("monitor.launch.py", given)["markers"]
     assert ("prediction", "wrench") in node.remappings
-
-
-def started_by_replay(launching: ModuleType, given: dict[str, str]) -> dict[str, list[Any]]:
-    """Nodes that replay.launch.py starts, by program."""
-    file = importlib.util.spec_from_file_location("replay_launch", ROOT / "launch" / "replay.launch.py")
-    assert file is not None
-    assert file.loader is not None
-    module = importlib.util.module_from_spec(file)
-    file.loader.exec_module(module)
-    declared = module.generate_launch_description().value
-    values = {one.value: one.default_value for one in declared if hasattr(one, "default_value")}
-    values |= {"bag": str(bags_directory() / "interpolation.mcap"), "vehicle": "bebop2", "model": "m"} | given
-    actions = launching.replay(launching.Launch(values, direct=False))
-    nodes = [one for one in actions if hasattr(one, "executable")]
-    return {node.executable: [one for one in nodes if one is node] for node in nodes}

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Faults of publishers, clocks and files around running nodes, over real DDS; see docs/reliability.md."""
+"""Faults of publishers, clocks and files around running nodes, over real DDS; see test/faults/README.md."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from quadpi.msg import ExtrapolationAlarm
 from quadpi.srv import LoadModel
 from rclpy.serialization import deserialize_message
 
+from benchmarks.process_usage import resident_bytes
 from quadpi_core.logs.bags import read_bag, write_bag
 from quadpi_core.messages import sensor_messages
 from quadpi_core.models.aerodynamic import AerodynamicModel
@@ -84,7 +85,7 @@ def refused(rig: Rig, name: str) -> dict[str, int]:
 
 def test_flood(rig: Rig, live: Child) -> None:
     """Each message ten times, for a second; the copies are refused, and what comes after is whole."""
-    before = live.resident_bytes()
+    before = resident_bytes(live.pid)
 
     def ten_times(_: int, sample: dict[str, Any]) -> dict[str, Any]:
         payloads = {
@@ -105,7 +106,7 @@ def test_flood(rig: Rig, live: Child) -> None:
     stamps = rig.stamps("prediction", first_ns, last_ns)
     assert len(stamps) > 0
     assert (np.diff(stamps) > 0).all()
-    assert live.resident_bytes() - before < GROWTH_MAX
+    assert resident_bytes(live.pid) - before < GROWTH_MAX
 
 
 @pytest.mark.parametrize("topic", ["imu", "rotor_speeds", "mocap/pose"])

@@ -109,4 +109,4 @@ def test_each_vehicle_has_a_button_with_its_state(tab: Tab, node: Node) -> None:
         tab.wait(f"{WORD} === 'TRUSTED'")
         tab.value(f"{button}.click()")
         tab.wait(f"{WORD} === 'ALARM'")
-        tab.wait("quadpi.store.vehicle?.models[0].identity === 'm@2'")
+        tab.wait("quadpi.store.vehicle?.models[0]?.identity === 'm@2'")

@@ -231,12 +231,6 @@ def test_who_uses_a_topic_with_another_message_type_is_named(rig: Rig) -> None:
     rig.await_status("monitor: wind", DiagnosticStatus.OK, "nothing arrives")
 
 
-def test_every_status_names_the_vehicle(rig: Rig) -> None:
-    rig.fly(1.5)
-    rig.await_status("monitor: alarm", DiagnosticStatus.OK, "")
-    assert {status.hardware_id for status in rig.told} == {"neurobem"}
-
-
 def test_every_status_is_in_one_group_of_the_aggregator(rig: Rig) -> None:
     """In any namespace; those of other packages are in none."""
     rig.fly(1.5)
@@ -323,26 +317,13 @@ def test_sim_time_is_that_of_the_clock_and_does_not_stop_the_diagnostics(rig: Ri
     rig.sim_time = False
 
 
-def test_a_driver_that_starts_again_in_flight_is_heard_again(rig: Rig) -> None:
-    rig.fly(0.5)
-    rig.restart_sensors()
-    # Its clock went on meanwhile.
-    rig.now_ns += 2_000_000_000
-    started_ns, _ = rig.fly(STARTED_S)
-    span = rig.fly(0.5)
-    assert_whole(rig, "prediction", *span)
-    assert rig.stamps("prediction", started_ns, span[1])[0] - started_ns < 1.1e9
-
-
-def test_another_rate_is_followed_and_silence_is_an_error(rig: Rig) -> None:
+def test_another_rate_is_followed(rig: Rig) -> None:
     rig.fly(1.6, imu_hz=400.0)
     rig.forget()
     first_ns, last_ns = rig.fly(1.0, imu_hz=400.0)
     rig.await_stamp("prediction", last_ns)
     np.testing.assert_array_equal(np.diff(rig.stamps("prediction", first_ns, last_ns)), 2_500_000)
     rig.fly(1.6)
-    rig.await_status("estimator: state", DiagnosticStatus.ERROR, "nothing arrives on imu, mocap/pose")
-    rig.await_status("monitor: rotor_speeds", DiagnosticStatus.ERROR, "nothing arrives")
 
 
 def test_parameters_in_flight(rig: Rig) -> None:

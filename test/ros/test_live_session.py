@@ -13,8 +13,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import rclpy
-from quadpi.msg import ExtrapolationAlarm
 
 from quadpi_core.flight import AXES, OdometryStream, Recording, TwistStream, WindStream
 from quadpi_core.logs.bag_files import Bag
@@ -28,14 +26,10 @@ from quadpi_core.results import LEVEL_ALARM
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros import live_session
 from quadpi_ros.collector import AlarmChange, Collector
-from quadpi_ros.dds_profile import OUTPUT_QOS
 from quadpi_ros.live_session import SessionError, SessionResult, await_rest, await_start, play, run_session
-from quadpi_ros.player import START_TIMEOUT_S
+from quadpi_ros.node_parameters import START_TIMEOUT_S
 from quadpi_ros.playlist import PlayerError
 from quadpi_ros.processes import ChildError
-
-from .rig import PATIENCE_S, wait_until
-from .test_collector import alarm_message
 
 VEHICLE = "neurobem"
 OUTSIDE_FROM_S = 2.3
@@ -272,32 +266,3 @@ def test_nodes_that_do_not_start_or_end_too_early_are_an_error(
             play(bag, topics, 1.0, tmp_path, Ended(ended=True), collector)
         with pytest.raises(SessionError, match="ended before the flight did"):
             await_rest(Ended(ended=True), collector, 0)
-
-
-@pytest.mark.usefixtures("ros")
-def test_nodes_are_at_rest_once_the_monitor_says_that_nothing_came_after_the_last_sample(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Not while it reports a pause before, nor while samples are judged."""
-    last_ns = 10_000_000_000
-    sender = rclpy.create_node("sender")
-    publisher = sender.create_publisher(ExtrapolationAlarm, "extrapolation_alarm", OUTPUT_QOS)
-    nodes = Ended(ended=False)
-    with Collector(0) as collector:
-        wait_until(lambda: publisher.get_subscription_count() > 0)
-        for messages, rests in (
-            ([(last_ns, False), (last_ns + 299_999_999, False)], False),
-            ([(last_ns + 300_000_000, False), (last_ns + 310_000_000, True)], False),
-            ([(last_ns + 400_000_000, False)], True),
-        ):
-            for time_ns, of_sample in messages:
-                publisher.publish(alarm_message(time_ns, of_sample=of_sample))
-            monkeypatch.setattr(live_session, "REST_TIMEOUT_S", PATIENCE_S if rests else 0.3)
-            if rests:
-                await_rest(nodes, collector, last_ns)
-            else:
-                with pytest.raises(SessionError, match=r"did not come to rest within 0\.3 s"):
-                    await_rest(nodes, collector, last_ns)
-        assert collector.silent_ns == last_ns + 400_000_000
-        assert len(collector.alarms().time_ns) == 1
-    sender.destroy_node()

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""A vehicle whose nodes send batches, and how the page finds what batches do not carry."""
+"""A vehicle as its monitor describes it, and what is said of topics that do not come."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 import rclpy
-from quadpi.msg import Erpm, ExtrapolationAlarm, WrenchPrediction
+from nav_msgs.msg import Odometry
+from quadpi.msg import Erpm, ExtrapolationAlarm, RotorSpeeds, WrenchPrediction
 from rclpy.node import Node
-from std_msgs.msg import String, UInt8MultiArray
+from std_msgs.msg import String
 
-from quadpi_core.flight import AXES, OdometryStream
+from quadpi_core.flight import AXES, OdometryStream, RotorSpeedStream
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.messages import result_messages, sensor_messages
 from quadpi_core.messages.model_description import DescribedModel, pack_description
+from quadpi_core.vehicle import Vehicle
 from quadpi_core.view.trust import State
 from quadpi_ros.dds_profile import DESCRIPTION_QOS, OUTPUT_QOS
-from quadpi_ros.live_vehicle import PREDICTION
-from quadpi_ros.message_batches import OutgoingBatch
 from quadpi_ros.view_node import LiveSource
 
 from .rig import wait_until
@@ -55,23 +55,21 @@ def monitor(ros: None) -> Iterator[Node]:
     node.destroy_node()
 
 
-class Batching:
+class Described:
     """What a monitor and its estimator publish, the results on topics that may be in another namespace."""
 
     def __init__(self, node: Node, results: str = "/uav") -> None:
         prediction, alarm = f"{results}/prediction", f"{results}/extrapolation_alarm"
-        self.predictions = node.create_publisher(WrenchPrediction, prediction, OUTPUT_QOS)
+        self._predictions = node.create_publisher(WrenchPrediction, prediction, OUTPUT_QOS)
         self._alarm = node.create_publisher(ExtrapolationAlarm, alarm, OUTPUT_QOS)
+        self._states = node.create_publisher(Odometry, "/uav/odometry", OUTPUT_QOS)
+        self._rotors = node.create_publisher(RotorSpeeds, "/uav/rotor_speeds", OUTPUT_QOS)
         self._description = node.create_publisher(String, "~/description", DESCRIPTION_QOS)
         topics = {"prediction": prediction, "extrapolation_alarm": alarm}
-        model = DescribedModel("flies@1", "quad", LOWER, UPPER)
-        self._description.publish(String(data=pack_description([model], topics)))
-        self.batch = OutgoingBatch(node)
-        self._add = self.batch.adding(prediction, PREDICTION)
-        self._add_state = self.batch.adding("/uav/odometry", "nav_msgs/msg/Odometry")
-        self._add_rows = [self.batch.adding_rows(name) for name in ("inputs", "rotor_speeds")]
+        model = DescribedModel("flies@1", "bebop2", LOWER, UPPER)
+        described = pack_description([model], topics, Vehicle.load("bebop2"))
+        self._description.publish(String(data=described))
         self._sent = 0
-        self.batched = True
 
     def fly(self) -> None:
         """50 ms, one metre a second to the north."""
@@ -79,21 +77,19 @@ class Batching:
         count = len(given.time_ns)
         self._sent += count
         for payload in result_messages.pack_predictions(given, model="flies@1", confidence=0.9, axes=AXES):
-            self.predictions.publish(payload)
-            if self.batched:
-                self._add(payload)
+            self._predictions.publish(payload)
         (payload,) = result_messages.pack_alarms(alarms(int(given.time_ns[-1]), 0), [()])
         self._alarm.publish(payload)
-        if not self.batched:
-            return
         level, north = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)), np.tile([1.0, 0.0, 0.0], (count, 1))
-        for payload in sensor_messages.pack_odometry(
-            OdometryStream(given.time_ns, north, level, north, 0.0 * north)
-        ):
-            self._add_state(payload)
-        for add, width, value in zip(self._add_rows, (len(INPUT_NAMES), 4), (3.0, ROTOR_RAD_S), strict=True):
-            add(given.time_ns, np.full((count, width), value))
-        self.batch.send()
+        states, covariance = (
+            OdometryStream(given.time_ns, north, level, north, 0.0 * north),
+            np.zeros((count, 6, 6)),
+        )
+        for payload in sensor_messages.pack_odometry(states, covariance, covariance):
+            self._states.publish(payload)
+        rotors = RotorSpeedStream(given.time_ns, np.full((count, 4), ROTOR_RAD_S))
+        for payload in sensor_messages.pack_rotor_speeds(rotors):
+            self._rotors.publish(payload)
 
 
 def newest(source: LiveSource, name: str, vehicle: str = "/uav") -> float:
@@ -107,45 +103,32 @@ def newest(source: LiveSource, name: str, vehicle: str = "/uav") -> float:
 
 def shown(source: LiveSource) -> Callable[[], bool]:
     return lambda: all(
-        np.isfinite(newest(source, name)) for name in ("0.upper", "speed", "inputs_max", "rotor_max", "state")
+        np.isfinite(newest(source, name)) for name in ("0.upper", "speed", "inputs", "rotors", "state")
     )
 
 
-def test_batches_are_shown_and_their_topics_not_heard_one_by_one(monitor, source):
-    vehicle = Batching(monitor)
-    turn = flying(source, vehicle)
-    wait_until(shown(source), turn)
+def test_all_that_a_vehicle_publishes_is_shown(monitor, source):
+    wait_until(shown(source), flying(source, Described(monitor)))
     assert newest(source, "speed") == pytest.approx(1.0)
-    assert newest(source, "rotor_max") == ROTOR_RAD_S
-    assert newest(source, "inputs_max") == 3.0
+    assert newest(source, "rotors") == ROTOR_RAD_S
+    # The first input is the forward speed.
+    assert newest(source, "inputs") == pytest.approx(1.0)
     assert source.vehicles["/uav"].describe()["models"][0]["confidence"] == 0.9
-    wait_until(lambda: vehicle.predictions.get_subscription_count() == 0, turn)
 
 
 def test_training_ranges_come_from_the_monitor(monitor, source):
-    turn = flying(source, Batching(monitor))
+    turn = flying(source, Described(monitor))
     wait_until(lambda: shown(source)() and source.vehicles["/uav"].training is not None, turn)
     view = source.vehicles["/uav"]
     assert [one["upper"] for one in view.describe()["inputs"]] == UPPER.tolist()
     assert view.training is not None
-    assert view.training.vehicle == "quad"
+    assert view.training.vehicle == "bebop2"
 
 
 def test_results_in_another_namespace_belong_to_the_vehicle_of_the_monitor(monitor, source):
-    turn = flying(source, Batching(monitor, results="/elsewhere"))
+    turn = flying(source, Described(monitor, results="/elsewhere"))
     wait_until(lambda: shown(source)() and set(source.vehicles) == {"/uav"}, turn)
     assert source.vehicles["/uav"].state == State.TRUSTED
-
-
-def test_without_batches_the_topics_are_heard_again(monitor, source):
-    vehicle = Batching(monitor)
-    turn = flying(source, vehicle)
-    wait_until(shown(source), turn)
-    vehicle.batched = False
-    before = source.vehicles["/uav"].blocks.newest
-    wait_until(lambda: newest(source, "0.count") > 0 and vehicle.predictions.get_subscription_count(), turn)
-    wait_until(lambda: source.vehicles["/uav"].blocks.newest > before + 60, turn)
-    assert np.isfinite(newest(source, "0.upper"))
 
 
 def test_what_does_not_come_is_named(node, source):
@@ -153,29 +136,28 @@ def test_what_does_not_come_is_named(node, source):
     node.create_publisher(Erpm, "/plain/erpm", OUTPUT_QOS)
 
     def rows() -> dict[str, str]:
-        return {about: text for view in source.vehicles.values() for about, _, text in view.health.rows}
+        return {about: text for view in source.vehicles.values() for about, _, text in view.health}
 
     wait_until(lambda: "rotor speeds" in rows(), flying(source, vehicle), rows)
     assert rows()["odometry"] == "nothing comes: flight, speed and height are not shown"
     assert rows()["rotor speeds"].startswith("erpm needs the pole pairs of the vehicle")
 
 
-def test_a_batch_of_somebody_else_is_no_vehicle(node, source):
-    foreign = node.create_publisher(UInt8MultiArray, "/camera/net/batch", OUTPUT_QOS)
+def test_a_description_of_somebody_else_is_no_vehicle(node, source):
+    node.create_publisher(String, "/camera/net/description", DESCRIPTION_QOS)
     vehicle = Publishing(node, "/quad", "m@1")
     wait_until(lambda: "/quad" in source.vehicles, flying(source, vehicle))
-    assert node.count_publishers(foreign.topic_name) == 1
     assert set(source.vehicles) == {"/quad"}
 
 
 def test_a_description_that_is_none_is_counted_and_shown(monitor, source):
-    vehicle = Batching(monitor)
+    vehicle = Described(monitor)
     bad = monitor.create_publisher(String, "~/description", DESCRIPTION_QOS)
     bad.publish(String(data="{}"))
     turn = flying(source, vehicle)
 
     def told() -> bool:
-        rows = [row for view in source.vehicles.values() for row in view.health.rows]
+        rows = [row for view in source.vehicles.values() for row in view.health]
         return any(
             about == "messages" and "not the description of a monitor" in text for about, _, text in rows
         )

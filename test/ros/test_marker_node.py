@@ -10,13 +10,11 @@ from geometry_msgs.msg import Vector3
 from nav_msgs.msg import Odometry
 from quadpi.msg import ExtrapolationAlarm, WrenchPrediction
 from rclpy.serialization import serialize_message
-from std_msgs.msg import UInt8MultiArray
 from visualization_msgs.msg import Marker, MarkerArray
 
 from quadpi_core.messages import result_messages
 from quadpi_ros.dds_profile import OUTPUT_QOS
 from quadpi_ros.marker_node import TOPIC, MarkerNode, arrows, words
-from quadpi_ros.message_batches import BATCH_QOS, batch_of
 
 from .rig import wait_until
 
@@ -88,18 +86,13 @@ def test_the_node_publishes_what_is_newest_while_it_comes() -> None:
     heard: list[MarkerArray] = []
     node, user = MarkerNode(), rclpy.create_node("user")
     user.create_subscription(MarkerArray, TOPIC, heard.append, 10)
-    batch = user.create_publisher(UInt8MultiArray, "estimator/batch", BATCH_QOS)
+    kinds = {"odometry": Odometry, "prediction": WrenchPrediction, "prediction/other": WrenchPrediction}
+    publishers = {topic: user.create_publisher(kind, topic, OUTPUT_QOS) for topic, kind in kinds.items()}
     alarms = user.create_publisher(ExtrapolationAlarm, "extrapolation_alarm", OUTPUT_QOS)
 
     def fly(**messages: Odometry | WrenchPrediction) -> None:
-        batch.publish(
-            batch_of(
-                {
-                    f"/{topic.replace('__', '/')} TYPE": [serialize_message(one)]
-                    for topic, one in messages.items()
-                }
-            )
-        )
+        for topic, one in messages.items():
+            publishers[topic.replace("__", "/")].publish(one)
         rclpy.spin_once(user, timeout_sec=0.02)
         node.publish()
 

@@ -134,8 +134,8 @@ def test_a_broken_tcp_connection_is_made_again() -> None:
             before = heard.count()
             with flying(port, "--tcp", "--rate", "100"):
                 heard.until(lambda before=before: heard.count() > before + 50)  # type: ignore[misc]
-            heard.until(lambda: heard.statuses[-1]["level"] == "2")
-            assert int(heard.statuses[-1]["connections"]) == attempt
+            broken = {"level": "2", "connections": str(attempt)}
+            heard.until(lambda broken=broken: broken.items() <= heard.statuses[-1].items())  # type: ignore[misc]
 
 
 def test_nobody_takes_the_place_of_the_vehicle() -> None:
@@ -215,7 +215,7 @@ def test_an_error_in_the_program_costs_a_packet_and_not_the_link(monkeypatch: py
 def test_an_error_in_reading_costs_the_link(monkeypatch: pytest.MonkeyPatch) -> None:
     with listening() as heard:
         with monkeypatch.context() as patch:
-            patch.setattr(mavlink_link.UdpLink, "read", lambda *_: 1 / 0)
+            patch.setattr(mavlink_link.SocketLink, "read", lambda *_: 1 / 0)
             heard.until(lambda: heard.bridge.connections > 1)
         assert heard.bridge.exceptions.counts["link"] <= heard.bridge.connections
         heard.until(lambda: heard.statuses[-1:] != [] and "no heartbeat" in heard.statuses[-1]["message"])
@@ -232,14 +232,6 @@ def test_signatures(tmp_path: Path) -> None:
         assert heard.count() == 0
         with flying(heard.port, "--rate", "100", "--passphrase", "open sesame"):
             heard.until(lambda: heard.count() > 50)
-
-
-def test_signed_packets_are_read_without_a_key() -> None:
-    with (
-        listening() as heard,
-        flying(heard.port, "--rate", "100", "--passphrase", "anything"),
-    ):
-        heard.until(lambda: heard.count() > 50)
 
 
 def test_serial_port() -> None:
@@ -262,12 +254,11 @@ def test_serial_port() -> None:
 
 def test_a_telemetry_log_is_played_with_the_stamps_of_the_flight(shared_data: Path, tmp_path: Path) -> None:
     """In a process of its own: it ends with the log."""
-    from quadpi_core.logs.formats.mavlink_tlog import TlogCounts, read_records
+    from quadpi_core.logs.formats.mavlink_tlog import read_records
 
-    data = (shared_data / "logs" / "ardupilot_vtol.tlog").read_bytes()
-    records = list(read_records(data, TlogCounts()))
+    records = list(read_records(shared_data / "logs" / "ardupilot_vtol.tlog"))
     part = [r for r in records if r.arrival_ns - records[0].arrival_ns < 5e9]
-    content = b"".join((r.arrival_ns // 1000).to_bytes(8, "big") + r.frame.data for r in part)
+    content = b"".join((r.arrival_ns // 1000).to_bytes(8, "big") + r.message.get_msgbuf() for r in part)
     (tmp_path / "part.tlog").write_bytes(content)
     node = rclpy.create_node("listener")
     stamps: list[int] = []

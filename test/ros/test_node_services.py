@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-import ast
-import inspect
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -27,28 +25,16 @@ from rcl_interfaces.srv import (
 )
 from rclpy.context import Context
 from rclpy.experimental import EventsExecutor
-from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
 from rclpy.task import Future
 from type_description_interfaces.srv import GetTypeDescription
 
-from quadpi_ros.callbacks import GuardedNode
-from quadpi_ros.estimator_node import EstimatorNode
-from quadpi_ros.mavlink_bridge import MavlinkBridge
-from quadpi_ros.monitor_node import MonitorNode
 from quadpi_ros.processes import Child
 
 from .rig import assert_alive, known_client, wait_until
 
 NODES = ("estimator", "monitor", "mavlink_bridge")
-CLASSES = (EstimatorNode, MonitorNode, MavlinkBridge)
 NO_TYPE = 99
-# Of rclpy's names, those that it gives to be overridden.
-HOOKS = {
-    *("on_configure", "on_activate", "on_deactivate", "on_cleanup", "on_shutdown", "on_error"),
-    *("destroy_node", "create_service", "create_timer", "create_subscription", "create_publisher"),
-    "add_waitable",
-}
 
 
 @pytest.fixture(scope="module")
@@ -195,37 +181,3 @@ def test_lifecycle_services(call: Call, node: str) -> None:
         (Transition.TRANSITION_UNCONFIGURED_SHUTDOWN, State.PRIMARY_STATE_FINALIZED),
     ):
         change(Transition(id=right), succeeds=True, to=to)
-
-
-def attributes_set(kind: type) -> dict[str, str]:
-    """Names of the methods, and of what they set on `self`, in quadpi's classes behind a class."""
-    names: dict[str, str] = {}
-    for base in kind.__mro__:
-        if not base.__module__.startswith("quadpi"):
-            continue
-        (definition,) = ast.parse(inspect.cleandoc("\n" + inspect.getsource(base))).body
-        assert isinstance(definition, ast.ClassDef)
-        found = {item.name for item in definition.body if isinstance(item, ast.FunctionDef)}
-        found |= {
-            item.attr
-            for item in ast.walk(definition)
-            if isinstance(item, ast.Attribute)
-            and isinstance(item.ctx, ast.Store)
-            and isinstance(item.value, ast.Name)
-            and item.value.id == "self"
-        }
-        names |= dict.fromkeys(found, base.__name__)
-    return names
-
-
-@pytest.mark.usefixtures("ros")
-@pytest.mark.parametrize("kind", CLASSES)
-def test_no_attribute_of_a_node_takes_a_name_of_rclpy(kind: type) -> None:
-    """Parameter services read `_parameters` of rclpy's node, for example."""
-    assert issubclass(kind, GuardedNode)
-    plain = LifecycleNode("plain") if issubclass(kind, LifecycleNode) else Node("plain")
-    own = attributes_set(kind)
-    assert "_diagnostics" in own
-    taken = own.keys() & {*vars(plain), *dir(type(plain))} - HOOKS - {"__init__"}
-    assert not taken, {name: own[name] for name in taken}
-    plain.destroy_node()

@@ -17,14 +17,12 @@ from rclpy.parameter import Parameter
 from rclpy.qos import HistoryPolicy, ReliabilityPolicy
 from sensor_msgs.msg import Imu
 
-from quadpi_core.errors import QuadpiError
 from quadpi_ros.callbacks import GuardedNode
 from quadpi_ros.dds_profile import SENSOR_QOS, QosOverrideError
 from quadpi_ros.estimator_node import EstimatorNode
 from quadpi_ros.monitor_node import MonitorNode
-from quadpi_ros.node_parameters import BridgeParameters, MonitorParameters, parameter
+from quadpi_ros.node_parameters import BridgeParameters, MonitorParameters
 from quadpi_ros.parameters import ParameterError, read_parameters
-from quadpi_ros.player import player_node
 
 from .rig import started
 
@@ -110,12 +108,6 @@ def test_a_parameter_file_reaches_a_node_in_any_namespace(
         assert values.world_frame == "map"
 
 
-def test_a_body_frame_that_is_given_is_taken_as_it_is(ros_domain: int) -> None:
-    with started(ros_domain, *ASLEEP, "-p", "body_frame:=imu_link", "-r", "__ns:=/uav1"):
-        values, _ = made(EstimatorNode)
-    assert values.body_frame == "imu_link"
-
-
 @pytest.mark.parametrize(
     ("given", "system"), [("7", 7), ("7.0", 7), ("0.0", 0), ("7.5", None), ("256", None), ("-1", None)]
 )
@@ -167,19 +159,7 @@ def test_standard_parameters_do_what_rclpy_says(ros_domain: int, tmp_path: Path)
             [Parameter("qos_overrides./uav1/imu_raw.subscription.depth", value=9)]
         )
         assert not result.successful
-        assert "only when the node starts" in result.reason
-        node.destroy_node()
-
-
-def test_the_player_takes_overrides_and_offers_no_service_before_it_answers(ros_domain: int) -> None:
-    override = "qos_overrides./uav1/imu.publisher.reliability:=reliable"
-    with started(
-        ros_domain, "-r", "__ns:=/uav1", "-p", override, "-p", "start_type_description_service:=true"
-    ):
-        node = player_node()
-        assert not list(node.services)
-        publisher = node.create_publisher(Imu, "imu", SENSOR_QOS)
-        assert publisher.qos_profile.reliability == ReliabilityPolicy.RELIABLE
+        assert "read-only" in result.reason
         node.destroy_node()
 
 
@@ -209,23 +189,6 @@ def test_wrong_overrides_are_refused(ros_domain: int, name: str, value: str, mes
         pytest.raises(QosOverrideError, match=message),
     ):
         EstimatorNode()
-
-
-def test_errors_of_parameters_are_one_line() -> None:
-    assert issubclass(QosOverrideError, QuadpiError)
-
-
-def test_what_an_empty_string_means_is_asked_of_the_node(ros_domain: int) -> None:
-    from dataclasses import dataclass
-
-    @dataclass(frozen=True)
-    class Named:
-        name: str = parameter("", "of the node", empty_means=lambda node: node.get_name())
-
-    with started(ros_domain):
-        node = GuardedNode("itself")
-        assert read_parameters(node, Named).name == "itself"
-        assert node.get_parameter("name").value == "itself"
 
 
 IN_FLIGHT = {"persistence_s", "release_s", "alarm_rate_hz"}

@@ -4,12 +4,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from quadpi_core.messages.sensor_messages import unpack_stamps
 from quadpi_core.paths import bags_directory
 from quadpi_ros.playlist import PlayerError, Playlist, live_inputs
 
@@ -36,22 +33,11 @@ def test_topics_that_are_asked_for_must_be_there(named: tuple[str, ...], message
         live_inputs(BAG, named)
 
 
-def test_what_was_sent_is_stored_by_topic_and_nothing_else(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """numpy below 2.1 stores every keyword as an array, also an option that later versions know."""
-    given: dict[str, object] = {}
-    playlist = Playlist.read(BAG, ("imu", "erpm"))
-    sent_ns = np.zeros(len(playlist), dtype=np.int64)
-    sent_ns[:100] = 7 * np.arange(1, 101)
-    playlist.save_sent(tmp_path / "sent.npz", sent_ns)
-    with np.load(tmp_path / "sent.npz") as stored:
-        assert sorted(stored.files) == ["erpm", "imu"]
-        assert sorted(np.concatenate([stored[name][:, 1] for name in stored.files])) == sent_ns[:100].tolist()
-        imu = stored["imu"]
-    of_imu = playlist.topic[:100] == playlist.names.index("imu")
-    np.testing.assert_array_equal(imu[:, 1], sent_ns[:100][of_imu])
-    np.testing.assert_array_equal(imu[:, 0], unpack_stamps(playlist.by_name()["imu"].payloads)[: len(imu)])
-    monkeypatch.setattr(np, "savez", lambda _, **arrays: given.update(arrays))
-    playlist.save_sent(tmp_path / "again.npz", sent_ns)
-    assert sorted(given) == ["erpm", "imu"]
+def test_messages_are_in_the_order_of_their_log_times() -> None:
+    playlist = Playlist.read(BAG, ("erpm", "imu=/imu"))
+    assert list(playlist.topics) == ["erpm", "imu"]
+    assert (np.diff(playlist.due_ns) >= 0).all()
+    for index, topic in enumerate(playlist.topics.values()):
+        mine = playlist.topic == index
+        np.testing.assert_array_equal(playlist.start_ns + playlist.due_ns[mine], topic.log_time_ns)
+        np.testing.assert_array_equal(playlist.message[mine], np.arange(len(topic.log_time_ns)))

@@ -5,7 +5,8 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 import rclpy
+from geometry_msgs.msg import WrenchStamped
+from quadpi.msg import WrenchPrediction
 from quadpi.srv import LoadModel
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.serialization import deserialize_message
@@ -29,7 +32,9 @@ from quadpi_core.results import BAD_DATA, LEVEL_ALARM, LEVEL_OK
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros import diagnostics
 from quadpi_ros.monitor_node import MonitorNode
-from quadpi_ros.result_publishers import Results, named, topic_name
+from quadpi_ros.result_publishers import WRENCH_TOPICS, Results, named, topic_name
+
+from .rig import values_of_wrench
 
 RATE_HZ = 500.0
 VEHICLE = Vehicle.load("neurobem")
@@ -40,13 +45,9 @@ class Outputs:
 
     def __init__(self) -> None:
         self.sent: dict[str, list[bytes]] = defaultdict(list)
-        self.rows: dict[str, list[tuple[int, np.ndarray]]] = defaultdict(list)
 
     def announce(self, _: type, topic: str, *__: Any, **___: Any) -> Callable[[bytes], None]:
         return self.sent[topic].append
-
-    def announce_rows(self, name: str) -> Callable[[np.ndarray, np.ndarray], None]:
-        return lambda time_ns, values: self.rows[name].extend(zip(time_ns, values, strict=True))
 
     def resolve_topic_name(self, topic: str) -> str:
         return f"/uav/{topic}"
@@ -108,12 +109,6 @@ def test_every_model_predicts_and_the_first_one_raises_the_alarm(models):
     level, word, values = results.alarm_status()
     assert (level, word, values["level"]) == (diagnostics.OK, "ok", LEVEL_OK)
     assert values["model model"] == models["model"].identity
-    # For the batch: inputs as the first model sees them, and the rotor speeds.
-    prepared = monitor_of(models["model"]).preparation.step(*samples)
-    for name, expected_rows in (("inputs", prepared.inputs), ("rotor_speeds", samples.rotor_speeds)):
-        stamps, rows = zip(*outputs.rows[name], strict=True)
-        assert set(stamps) <= set(samples.time_ns.tolist())
-        np.testing.assert_array_equal(rows, expected_rows)
 
 
 def test_the_models_that_fly_are_described_with_their_training_ranges_and_topics(models):
@@ -171,6 +166,20 @@ def test_a_model_that_is_replaced_publishes_as_the_one_before(models):
         assert refused.model == (models["other"].identity if name == "model" else "")
 
 
+@contextmanager
+def configured(domain: int, folder: Path, *given: str) -> Iterator[MonitorNode]:
+    model = f"model:=[{folder / 'model'}, {folder / 'other'}]"
+    arguments = ["-p", "vehicle:=neurobem", "-p", model, "-r", "__ns:=/uav", *given]
+    rclpy.init(args=["--ros-args", *arguments], domain_id=domain)
+    try:
+        node = MonitorNode()
+        assert node.trigger_configure() == TransitionCallbackReturn.SUCCESS
+        yield node
+        node.destroy_node()
+    finally:
+        rclpy.try_shutdown()
+
+
 @pytest.mark.parametrize(
     ("remapping", "prediction"),
     [("prediction:=/lab/wrench", "/lab/wrench"), ("imu:=/lab/imu", "/uav/prediction")],
@@ -178,14 +187,49 @@ def test_a_model_that_is_replaced_publishes_as_the_one_before(models):
 def test_predictions_of_all_models_go_by_the_other_name(
     remapping: str, prediction: str, ros_domain: int, folder: Path
 ) -> None:
-    model = f"model:=[{folder / 'model'}, {folder / 'other'}]"
-    given = ["-p", "vehicle:=neurobem", "-p", model, "-r", "__ns:=/uav", "-r", remapping]
-    rclpy.init(args=["--ros-args", *given], domain_id=ros_domain)
-    try:
-        node = MonitorNode()
-        assert node.trigger_configure() == TransitionCallbackReturn.SUCCESS
+    with configured(ros_domain, folder, "-r", remapping) as node:
         topics = {publisher.topic_name for publisher in node.publishers}
-        assert topics >= {prediction, f"{prediction}/other"}
-        node.destroy_node()
-    finally:
-        rclpy.try_shutdown()
+    assert topics >= {prediction, f"{prediction}/other"}
+
+
+def test_wrenches_are_those_of_the_predictions(models) -> None:
+    """Of the first model by their names, of another one below these; read as any tool reads them."""
+    outputs = Outputs()
+    results = Results(outputs, named(map(monitor_of, models.values())), "uav/base_link", wrenches=True)
+    results.publish(hover(50))
+    for prediction, below in (("prediction", ""), ("/uav/prediction/other", "other")):
+        predictions = [deserialize_message(one, WrenchPrediction) for one in outputs.sent[prediction]]
+        assert len(predictions) == 50
+        names = {name: f"/uav/{topic}/{below}" if below else topic for name, topic in WRENCH_TOPICS.items()}
+        sent = {
+            name: [deserialize_message(one, WrenchStamped) for one in outputs.sent[topic]]
+            for name, topic in names.items()
+        }
+        for k, prediction_k in enumerate(predictions):
+            found = {name: values_of_wrench(messages[k].wrench) for name, messages in sent.items()}
+            assert all(messages[k].header == prediction_k.header for messages in sent.values())
+            np.testing.assert_array_equal(found["predicted"], values_of_wrench(prediction_k.predicted))
+            np.testing.assert_array_equal(found["measured"], values_of_wrench(prediction_k.measured))
+            np.testing.assert_array_equal(found["residual"], found["measured"] - found["predicted"])
+        assert np.abs(found["residual"]).max() > 0.0
+
+
+@pytest.mark.parametrize(
+    ("given", "topics"),
+    [
+        ((), set()),
+        (
+            ("-p", "publish_wrenches:=true", "-r", "wrench/residual:=/lab/gap"),
+            {
+                *("/uav/wrench/predicted", "/uav/wrench/measured", "/lab/gap"),
+                *("/uav/wrench/predicted/other", "/uav/wrench/measured/other", "/lab/gap/other"),
+            },
+        ),
+    ],
+)
+def test_wrenches_are_published_where_the_parameter_says_so(
+    ros_domain: int, folder: Path, given: tuple[str, ...], topics: set[str]
+) -> None:
+    with configured(ros_domain, folder, *given) as node:
+        found = {one.topic_name for one in node.publishers if one.msg_type is WrenchStamped}
+    assert found == topics

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import importlib.util
+import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,8 +18,10 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from quadpi.msg import RotorSpeeds
+from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
+from rclpy.task import Future
 from rclpy.type_hash import TypeHash
 from sensor_msgs.msg import Imu
 from std_msgs.msg import String
@@ -28,7 +31,7 @@ from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import write_bag
 from quadpi_core.messages import sensor_messages
 from quadpi_core.vehicle import Vehicle
-from quadpi_ros import sensor_node, watches
+from quadpi_ros import sensor_node
 from quadpi_ros.dds_profile import TRANSFORMS_QOS
 from quadpi_ros.node_parameters import parameter
 from quadpi_ros.processes import Child
@@ -177,8 +180,8 @@ def test_the_log_says_once_what_keeps_a_node_from_working(monkeypatch: pytest.Mo
             self.listen(PoseStamped, "wind", sensor_messages.unpack_pose, lambda _: None, required=False)
 
     # The diagnostics are called for below, sooner and later than once a second.
-    monkeypatch.setattr(watches, "_EARLY", 0.0)
-    monkeypatch.setattr(watches, "_LATE", np.inf)
+    monkeypatch.setattr(sensor_node, "_EARLY", 0.0)
+    monkeypatch.setattr(sensor_node, "_LATE", np.inf)
     node, receivers = Watched("watched", NoParameters), {}
     create = node.create_subscription
 
@@ -269,3 +272,49 @@ def test_who_publishes_another_version_of_a_message_is_named(
     driver.destroy_node()
     node.destroy_node()
     node.destroy_node()
+
+
+@pytest.mark.usefixtures("ros")
+def test_what_is_watched_is_done_where_more_messages_come_than_can_be_taken() -> None:
+    """The executor takes events in their order: a timer alone would wait behind ever more messages."""
+    taken, done, enough = [], [], threading.Event()
+
+    class Busy(SensorNode[NoParameters]):
+        def activate(self) -> None:
+            self.listen(Imu, "imu", sensor_messages.unpack_imu, self.take)
+            self.watch(0.1, lambda: done.append(len(taken)))
+
+        def take(self, imu: ImuStream) -> None:
+            taken.append(imu)
+            enough.wait(0.01)
+
+    node, driver = Busy("busy", NoParameters), Node("driver")
+    imu = driver.create_publisher(Imu, "imu", 10)
+    executor = EventsExecutor()
+    executor.add_node(node)
+    start([node])
+    node.must(node.trigger_configure)
+    node.must(node.trigger_activate)
+    wait_until(lambda: imu.get_subscription_count() > 0)
+
+    def flood() -> None:
+        while not enough.wait(0.002):
+            imu.publish(Imu())
+
+    def spin() -> None:
+        while not enough.is_set():
+            executor.spin_until_future_complete(Future(), timeout_sec=0.1)
+
+    threads = [threading.Thread(target=work, daemon=True) for work in (flood, spin)]
+    for thread in threads:
+        thread.start()
+    try:
+        wait_until(lambda: len(taken) > 300 or len(done) > 10)
+    finally:
+        enough.set()
+        for thread in threads:
+            thread.join()
+        executor.shutdown()
+    assert len(done) > 10
+    for one in (node, driver):
+        one.destroy_node()

@@ -181,7 +181,7 @@ def test_two_monitors_in_one_namespace_are_told(node, source, model):
         lambda: any(
             "2 monitors publish here" in text
             for view in source.vehicles.values()
-            for _, _, text in view.health.rows
+            for _, _, text in view.health
         ),
         flying(source, *both),
     )
@@ -195,7 +195,7 @@ def test_another_model_than_those_known_is_told(node, source):
         lambda: any(
             text.startswith("other@1 flies; training ranges are known of model@")
             for view in source.vehicles.values()
-            for _, _, text in view.health.rows
+            for _, _, text in view.health
         ),
         flying(source, Publishing(node, "", "other@1")),
     )
@@ -227,9 +227,9 @@ def test_inputs_follow_from_odometry_and_rotor_speeds(node, source, model):
         values = [float(view.blocks.value(number, name)[0]) for number in numbers]
         return max((value for value in values if np.isfinite(value)), default=float("nan"))
 
-    wait_until(lambda: newest("inputs_max") == pytest.approx(3.0, abs=1e-3), turn)
+    wait_until(lambda: newest("inputs") == pytest.approx(3.0, abs=1e-3), turn)
     assert newest("speed") == pytest.approx(3.0)
-    assert newest("rotor_max") == pytest.approx(800.0)
+    assert newest("rotors") == pytest.approx(800.0)
 
 
 def test_six_rotors_are_shown(node, source, model):
@@ -249,7 +249,7 @@ def test_six_rotors_are_shown(node, source, model):
     def shown() -> bool:
         view = source.vehicles.get("/")
         return view is not None and any(
-            view.blocks.value(number, "rotor_max").tolist() == [700.0 + k for k in range(6)]
+            view.blocks.value(number, "rotors").tolist() == [700.0 + k for k in range(6)]
             for number in range(view.blocks.newest)
         )
 
@@ -269,8 +269,8 @@ def test_a_message_that_cannot_be_read_is_counted_and_shown(node, source, model)
         turn()
 
     def told() -> bool:
-        rows = [row for view in source.vehicles.values() for row in view.health.rows]
-        return any(about == "messages" and "batches refused" in text for about, _, text in rows)
+        rows = [row for view in source.vehicles.values() for row in view.health]
+        return any(about == "messages" and "messages refused" in text for about, _, text in rows)
 
     wait_until(told, with_bad_state)
     assert source.vehicles["/"].state == State.TRUSTED
@@ -293,7 +293,7 @@ def test_statuses_of_its_nodes_are_shown(node, source, model):
         turn()
 
     def shown() -> list[tuple[str, str, str]]:
-        return [row for view in source.vehicles.values() for row in view.health.rows if ": " in row[0]]
+        return [row for view in source.vehicles.values() for row in view.health if ": " in row[0]]
 
     wait_until(shown, with_status)
     assert shown() == [("monitor: pairing", "warn", "3 IMU samples without")]

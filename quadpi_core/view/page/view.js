@@ -3,7 +3,9 @@
 // The page: its connection, the moment that it shows, and what it says of that moment. All text from elsewhere is set
 // as textContent, so a name is never markup.
 
-import {cleared, colour, drawEnvelope, drawTimeline, FlightFigure, readTheme, TimeChart} from "./charts.js";
+import {drawEnvelope, flightInSpace, TimeChart, Timeline} from "./charts.js";
+import {element} from "./drawing.js";
+import {SpaceView} from "./space.js";
 import {Store} from "./store.js";
 
 const AXES = [["Fx", "forward force", "N"], ["Fy", "force to the right", "N"], ["Fz", "downward force", "N"],
@@ -26,13 +28,6 @@ const page = {
 };
 // For those who measure the page: what it shows, and when it was drawn.
 window.quadpi = {page, store, drawn: null};
-
-function element(name, text, attributes = {}) {
-  const made = document.createElement(name);
-  if (text !== undefined) made.textContent = text;
-  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
-  return made;
-}
 
 // Set a text only where it changes: a page that is read aloud says what is new.
 function say(id, text) {
@@ -203,7 +198,7 @@ function showVehicles() {
   page.said.vehicles = text;
   list.replaceChildren(...ids.map((id) => {
     const state = page.vehicles.get(id).state;
-    const made = element("button", `${SIGNS[state]} ${id || "/"}: ${WORDS[state]}`, {type: "button", "aria-current": String(id === page.selected)});
+    const made = element("button", {type: "button", "aria-current": String(id === page.selected)}, `${SIGNS[state]} ${id || "/"}: ${WORDS[state]}`);
     made.addEventListener("click", () => select(id));
     return made;
   }));
@@ -212,14 +207,11 @@ function showVehicles() {
 function showModels() {
   const models = store.vehicle?.models ?? [];
   $("models").tBodies[0].replaceChildren(...models.map((model, k) => {
-    const row = element("tr"), cell = element("td");
-    const made = element("button", model.identity || model.name, {type: "button", "aria-pressed": String(k === page.chosen)});
+    const made = element("button", {type: "button", "aria-pressed": String(k === page.chosen)}, model.identity || model.name);
     made.addEventListener("click", () => { page.chosen = k; showModels(); redraw(); });
-    cell.append(made);
     // The colour of its lines, where they are drawn beside the chosen one's.
-    made.style.borderColor = k === page.chosen ? colour("--band") : modelColour(k);
-    row.append(cell, element("td", "–"), element("td", "–"), element("td", percent(model.confidence)));
-    return row;
+    made.style.borderColor = `var(--${k === page.chosen ? "band" : modelColour(k)})`;
+    return element("tr", {}, element("td", {}, made), ...["–", "–", percent(model.confidence)].map((text) => element("td", {}, text)));
   }));
   page.coveredAt = 0;
   const first = models[page.chosen];
@@ -232,21 +224,19 @@ function showEvents() {
   if (page.said.events === text) return;
   page.said.events = text;
   $("events").replaceChildren(...page.overview.events.slice().sort((one, other) => other.start - one.start).map((event) => {
-    const item = element("li"), made = element("button", undefined, {type: "button", title: event.reasons.join("\n")});
+    const made = element("button", {type: "button", title: event.reasons.join("\n")});
     const lasted = event.end === null ? "still on" : seconds(event.end - event.start);
-    made.append(element("b", event.cause), ` at ${seconds(event.start)}, ${lasted}: ${event.reasons[0] ?? ""}`);
+    made.append(element("b", {}, event.cause), ` at ${seconds(event.start)}, ${lasted}: ${event.reasons[0] ?? ""}`);
     made.addEventListener("click", () => jump(event.start));
-    item.append(made);
-    return item;
+    return element("li", {}, made);
   }));
 }
 
 function showHealth() {
   const rows = [...page.overview.health, ["page", "ok", `${page.rate.toFixed(0)} frames/s`]];
   $("health").tBodies[0].replaceChildren(...rows.map(([about, level, text]) => {
-    const row = element("tr");
-    row.append(element("td", about), element("td", `${level === "ok" ? "" : level === "warn" ? "! " : "✕ "}${text}`, {class: level}));
-    return row;
+    const sign = {ok: "", warn: "! "}[level] ?? "✕ ";
+    return element("tr", {}, element("td", {}, about), element("td", {class: level}, `${sign}${text}`));
   }));
 }
 
@@ -269,7 +259,7 @@ function showBanner() {
   const text = JSON.stringify(words);
   if (page.said.reasons !== text) {
     page.said.reasons = text;
-    const shown = words.slice(0, REASONS).map((one, k) => element("li", k ? one.replace(/^outside: /, "") : one));
+    const shown = words.slice(0, REASONS).map((one, k) => element("li", {}, k ? one.replace(/^outside: /, "") : one));
     if (words.length > REASONS) shown[REASONS - 1].textContent += `, and ${words.length - REASONS} more`;
     $("reasons").title = words.join("\n");
     $("reasons").replaceChildren(...shown);
@@ -321,79 +311,54 @@ function showCoverage(now) {
 // --- drawing ---
 
 const axes = AXES.map(([name, words, unit]) => {
-  const box = element("div", undefined, {class: "axis"}), head = element("h2"), covered = element("span", "–");
-  const canvas = element("canvas", undefined, {role: "img", "aria-label": `${name}, ${words}: measured in its prediction interval`});
-  head.append(`${name}  ${words} [${unit}]`, covered);
-  box.append(head, canvas);
-  $("axes").append(box);
-  return {chart: new TimeChart(canvas), covered};
+  const covered = element("span", {}, "–"), plot = element("div", {class: "plot", role: "img", "aria-label": `${name}, ${words}: measured in its prediction interval`});
+  $("axes").append(element("div", {class: "axis"}, element("h2", {}, `${name}  ${words} [${unit}]`, covered), plot));
+  return {chart: new TimeChart(plot), covered};
 });
 const strips = Object.fromEntries(["speed", "height", "rotor"].map((name) => [name, new TimeChart($(`${name}_chart`))]));
-const flight = new FlightFigure($("flight"), redraw);
+const timeline = new Timeline($("timeline")), flight = new SpaceView($("flight"));
 const column = (name, k = 0) => store.columns[name][0] + k;
-const modelColour = (number) => colour(`--model-${1 + number % 6}`);
+const modelColour = (number) => `model-${1 + number % 6}`;
 
 function drawAxes() {
   const models = store.vehicle.models, m = page.chosen;
   axes.forEach(({chart}, k) => {
-    const measured = {low: column("measured_min", k), high: column("measured_max", k), colour: colour("--measured")};
+    const measured = {column: column("measured", k), colour: "measured"};
     if (!models[m]?.axes.includes(AXES[k][0])) { chart.draw(store, page.cursor, [measured]); return; }
-    const outlines = models.map((_, other) => other).filter((other) => other !== m).map((other) => ({
-      edges: [column(`${other}.lower`, k), column(`${other}.upper`, k)], colour: modelColour(other), width: 1}));
-    chart.draw(store, page.cursor, [
-      measured,
-      {low: column(`${m}.predicted_min`, k), high: column(`${m}.predicted_max`, k), colour: colour("--predicted")},
-    ], {
-      band: {low: column(`${m}.lower`, k), high: column(`${m}.upper`, k), colour: colour("--band"), fill: colour("--band-fill")},
-      outlines,
-      misses: {count: column(`${m}.misses`, k), low: column("measured_min", k), high: column("measured_max", k), upper: column(`${m}.upper`, k)},
-    });
+    const bounds = (model, colour) => ["lower", "upper"].map((name) => ({column: column(`${model}.${name}`, k), colour, width: 1}));
+    const others = models.flatMap((_, other) => other === m ? [] : bounds(other, modelColour(other))), predicted = {column: column(`${m}.predicted`, k), colour: "predicted", width: 1.75};
+    chart.draw(store, page.cursor, [...bounds(m, "band"), ...others, measured, predicted],
+      {band: true, misses: {count: column(`${m}.misses`, k), measured: measured.column, middle: predicted.column}});
   });
 }
 
 function drawStrips() {
   const at = block(), value = (name, k = 0) => store.recent(at, name, k, 0.5);
-  const one = (name, k = 0, dye = "--model-1") => ({low: column(name, k), high: column(name, k), colour: colour(dye)});
-  strips.speed.draw(store, page.cursor, [one("speed")], {least: 1});
-  // Height is up, position is down: a view of the store that turns it.
-  const down = column("position", 2);
-  strips.height.draw(mirrored(down), page.cursor, [{low: down, high: down, colour: colour("--model-1")}], {least: 1});
-  const rotors = [...Array(store.columns.rotor_min[1]).keys()];
-  strips.rotor.draw(store, page.cursor, rotors.map((k) => ({
-    low: column("rotor_min", k), high: column("rotor_max", k), colour: modelColour(k)})), {least: 20});
+  strips.speed.draw(store, page.cursor, [{column: column("speed"), colour: "model-1"}], {least: 1});
+  // Height is up, position is down.
+  strips.height.draw(store, page.cursor, [{column: column("position", 2), colour: "model-1", sign: -1}], {least: 1});
+  const rotors = [...Array(store.columns.rotors[1]).keys()];
+  strips.rotor.draw(store, page.cursor, rotors.map((k) => ({column: column("rotors", k), colour: modelColour(k)})), {least: 20});
   const text = (number, unit, digits) => Number.isNaN(number) ? "" : `${number.toFixed(digits)} ${unit}`;
   say("speed_now", text(value("speed"), "m/s", 1));
   say("height_now", text(-value("position", 2), "m", 1));
-  const mean = rotors.map((k) => 0.5 * (value("rotor_min", k) + value("rotor_max", k)));
-  say("rotor_now", mean.some(Number.isNaN) ? "" : `${mean.map((speed) => speed.toFixed(0)).join(" · ")} rad/s`);
-}
-
-function mirrored(place) {
-  const row = new Float32Array(store.width);
-  return {blockS: store.blockS, at: (number) => {
-    const found = store.at(number);
-    if (!found) return null;
-    row[place] = -found[0][found[1] + place];
-    return [row, 0];
-  }};
+  const speeds = rotors.map((k) => value("rotors", k));
+  say("rotor_now", speeds.some(Number.isNaN) ? "" : `${speeds.map((speed) => speed.toFixed(0)).join(" · ")} rad/s`);
 }
 
 function draw(now) {
   showBanner();
-  const timeline = $("timeline");
-  drawTimeline(timeline, page.overview, end(), page.cursor);
-  timeline.setAttribute("aria-valuemax", end().toFixed(1));
-  timeline.setAttribute("aria-valuenow", page.cursor.toFixed(1));
-  if (!store.vehicle || !store.width) {
-    for (const canvas of document.querySelectorAll("main canvas")) cleared(canvas);
-    return;
-  }
+  timeline.draw(page.overview, end(), page.cursor);
+  $("timeline").setAttribute("aria-valuemax", end().toFixed(1));
+  $("timeline").setAttribute("aria-valuenow", page.cursor.toFixed(1));
+  if (!store.vehicle || !store.width) return;
   store.prepare(block() - Math.round(COVERED_S / store.blockS), block());
   drawAxes();
   drawStrips();
   const farthest = drawEnvelope($("envelope"), store, page.cursor);
   say("farthest", farthest && farthest.out > 0 ? `farthest: ${farthest.input.words}, ${(100 * farthest.out).toFixed(0)} % of the range outside` : "");
-  flight.draw(store, page.cursor, page.overview.track.filter(([time]) => time <= page.cursor));
+  const flown = flightInSpace(store, page.cursor, page.overview.track.filter(([time]) => time <= page.cursor));
+  if (flown) flight.show(flown);
   showCoverage(now);
   store.prepare(0, -1);
   window.quadpi.drawn = {newest: store.recent(block(), "time", 0, 1), state: moment().state, at: Date.now()};
@@ -430,7 +395,6 @@ function changeSpeed(step) {
 
 function theme(name) {
   document.documentElement.dataset.theme = name;
-  readTheme();
   redraw();
 }
 
@@ -450,7 +414,7 @@ $("timeline").addEventListener("pointerup", () => { dragging = false; });
 addEventListener("resize", redraw);
 addEventListener("hashchange", takeAddress);
 addEventListener("keydown", (event) => {
-  if (event.ctrlKey || event.metaKey || event.altKey || event.target.tagName === "SELECT") return;
+  if (event.defaultPrevented || event.ctrlKey || event.metaKey || event.altKey || event.target.tagName === "SELECT") return;
   const step = event.shiftKey ? 10 : 1;
   const keys = {
     " ": () => play(!page.playing), ArrowLeft: () => seek(page.cursor - step), ArrowRight: () => seek(page.cursor + step),

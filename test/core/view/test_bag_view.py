@@ -31,14 +31,12 @@ def test_a_judged_bag_shows_what_replay_writes(judged_view, results_bag):
     for block in (0, 17, 200, judged_view.blocks.newest):
         inside = numbers == block
         assert judged_view.blocks.value(block, "0.count")[0] == inside.sum()
-        for name, values, fold in (
-            ("measured_max", predictions.measured, np.max),
-            ("0.lower", predictions.lower, np.min),
-            ("0.predicted_max", predictions.predicted, np.max),
+        for name, values in (
+            ("measured", predictions.measured),
+            ("0.lower", predictions.lower),
+            ("0.predicted", predictions.predicted),
         ):
-            np.testing.assert_allclose(
-                judged_view.blocks.value(block, name), fold(values[inside], axis=0), rtol=1e-6
-            )
+            np.testing.assert_allclose(judged_view.blocks.value(block, name), values[inside][-1], rtol=1e-6)
         missed = (predictions.measured < predictions.lower) | (predictions.measured > predictions.upper)
         np.testing.assert_array_equal(judged_view.blocks.value(block, "0.misses"), missed[inside].sum(axis=0))
     assert alarms.level.max() == 2
@@ -57,11 +55,11 @@ def test_a_bag_of_results_shows_the_same_without_a_model(judged_view, results_ba
     recorded = read_whole(open_bag(results_bag, [], None))
     assert recorded.timeline.codes == judged_view.timeline.codes
     assert recorded.describe()["models"][0]["identity"] == judged_view.describe()["models"][0]["identity"]
-    for name in ("measured_min", "0.upper", "speed", "position"):
+    for name in ("measured", "0.upper", "speed", "position"):
         np.testing.assert_allclose(
             recorded.blocks.value(300, name), judged_view.blocks.value(300, name), rtol=1e-5, atol=1e-6
         )
-    assert np.isnan(recorded.blocks.value(300, "inputs_min")).all()
+    assert np.isnan(recorded.blocks.value(300, "inputs")).all()
 
 
 def without(source: Path, target: Path, *left_out: str) -> Path:
@@ -109,7 +107,7 @@ def test_electrical_speeds_are_shown_where_the_bag_names_its_vehicle(results_bag
     rows = view.overview()["health"]
     if name == "bebop2":
         assert rows == []
-        assert view.blocks.value(100, "rotor_max")[0] > 100.0
+        assert view.blocks.value(100, "rotors")[0] > 100.0
     else:
         about, _, text = rows[-1]
         assert about == "erpm"

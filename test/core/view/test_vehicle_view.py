@@ -71,9 +71,9 @@ def test_rotor_speeds_of_any_number_of_rotors(rotors, shown):
     version = one.version
     speeds = np.tile(np.arange(float(rotors)), (50, 1))
     one.take_rotor_speeds(RotorSpeedStream(START + np.arange(50) * 2_000_000, speeds))
-    assert one.describe()["columns"]["rotor_max"][1] == shown
+    assert one.describe()["columns"]["rotors"][1] == shown
     assert (one.version > version) == (shown != 4)
-    assert one.blocks.value(0, "rotor_max").tolist() == list(range(shown))
+    assert one.blocks.value(0, "rotors").tolist() == list(range(shown))
     assert one.blocks.value(0, "0.count")[0] == 25
 
 
