@@ -6,4 +6,4 @@ from pathlib import Path
 
 # Style sheets and scripts of pages; the live page serves those that it shares with the written ones.
 ASSETS = Path(__file__).with_name("assets")
-SHARED_ASSETS = ("look.css", "ticks.js")
+SHARED_ASSETS = ("uPlot.css", "look.css", "uPlot.js", "drawing.js", "space.js")

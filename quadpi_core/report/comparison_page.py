@@ -1,20 +1,20 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Several models compared on the same flights, as in the paper's wind-tunnel table: for terminal and page."""
+"""Several models compared on the same flights: for the terminal, and as a page with its figures."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import cycle
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from rich.console import Group
 from rich.text import Text
 
-from quadpi_core.evaluation.evaluation_result import AxisMetrics, Comparison, Evaluation, PublishedMetrics
+from quadpi_core.evaluation.evaluation_result import AxisMetrics, Comparison, Evaluation
 from quadpi_core.evaluation.flight_results import FlightResult
 from quadpi_core.flight import AXES
 from quadpi_core.models.aerodynamic import AerodynamicModel
@@ -29,7 +29,6 @@ from quadpi_core.report.evaluation_page import (
     short_coverage_note,
 )
 from quadpi_core.report.figure import DASHES, Figure, Layer, Limit, Line, Panel, Points, Scale
-from quadpi_core.report.figure_data import bins_within, thinned_band, thinned_line
 from quadpi_core.report.model_tables import structure_table
 from quadpi_core.report.page import FlightFiles, Page, flight_remarks
 from quadpi_core.report.style import (
@@ -43,41 +42,27 @@ from quadpi_core.report.style import (
     percent_range,
     unit,
 )
-from quadpi_core.report.table import Cell, Column, Mark, Table, Value, soft, terminal_table
+from quadpi_core.report.table import Cell, Column, Row, Table, terminal_table
 
-PUBLISHED = "published"
 # Models of one method have its colour; these tell their settings apart.
 _DASHES = {"default": "", "paper": "dotted"}
 
 
-@dataclass(frozen=True)
-class ComparisonRow:
-    """The metrics of one axis by one model, or those published for its method.
-
-    Attributes:
-        axis: of the wrench.
-        model: its name; None for numbers published for the method of the rows above.
-        groups: metrics by group.
-    """
+class ComparisonRow(NamedTuple):
+    """The metrics of one axis by one model, by group."""
 
     axis: str
-    model: str | None
-    groups: Mapping[str, AxisMetrics] | Mapping[str, PublishedMetrics]
+    model: str
+    groups: Mapping[str, AxisMetrics]
 
 
 def comparison_rows(comparison: Comparison) -> Iterator[ComparisonRow]:
-    """Rows by axis, then by model; published numbers follow the models of their method."""
-    models, published = comparison.models, comparison.published or {}
+    """Rows by axis, then by model."""
     for axis in modelled_axes(comparison):
-        names = [name for name, model in models.items() if axis in _axes_of(model)]
-        for place, name in enumerate(names):
-            groups = models[name].groups
-            yield ComparisonRow(axis, name, {group: part.axes[axis] for group, part in groups.items()})
-            method = models[name].method
-            is_last = place + 1 == len(names) or models[names[place + 1]].method != method
-            known = published.get(method, {}).get(axis)
-            if is_last and known is not None:
-                yield ComparisonRow(axis, None, known)
+        for name, model in comparison.models.items():
+            if axis in _axes_of(model):
+                groups = {group: part.axes[axis] for group, part in model.groups.items()}
+                yield ComparisonRow(axis, name, groups)
 
 
 def modelled_axes(comparison: Comparison) -> list[str]:
@@ -92,7 +77,7 @@ def _axes_of(model: Evaluation) -> Collection[str]:
 
 
 def comparison_table(comparison: Comparison, by: Literal["metric", "group"] = "metric") -> Table:
-    """Coverage and width of each axis, model and group, with the paper's numbers where there are some.
+    """Coverage and width of each axis, model and group.
 
     Args:
         comparison: of the models.
@@ -107,19 +92,15 @@ def comparison_table(comparison: Comparison, by: Literal["metric", "group"] = "m
     else:
         pairs = [(metric, group) for group in groups for metric in metrics]
         columns += [Column(metric, metrics[metric], group=group) for metric, group in pairs]
-    rows = []
+    rows: list[Row] = []
     for row in comparison_rows(comparison):
         cells = [_metric_cell(row, metric, group, confidence) for metric, group in pairs]
-        name: list[Cell | Value] = [row.model] if row.model else soft(PUBLISHED)
-        rows.append([axis_cell(row.axis), *name, *cells])
+        rows.append([axis_cell(row.axis), row.model, *cells])
     return Table(columns, rows)
 
 
 def _metric_cell(row: ComparisonRow, metric: str, group: str, confidence: float) -> Cell:
     found = row.groups[group]
-    if isinstance(found, PublishedMetrics):
-        # Two decimals, as in the paper.
-        return Cell(found.picp if metric == "PICP %" else f"{found.mpiw:.2f}", Mark.SOFT)
     return coverage_cell(found, confidence) if metric == "PICP %" else Cell(found.mpiw)
 
 
@@ -128,7 +109,7 @@ def comparison_summary(comparison: Comparison) -> Group:
     confidence = comparison.confidence
     kind = "adaptive prediction intervals" if comparison.adaptive else "prediction intervals"
     marked = any(
-        isinstance(metrics, AxisMetrics) and metrics.covers_too_little(confidence)
+        metrics.covers_too_little(confidence)
         for row in comparison_rows(comparison)
         for metrics in row.groups.values()
     )
@@ -136,7 +117,6 @@ def comparison_summary(comparison: Comparison) -> Group:
         *([short_coverage_note(confidence)] if marked else []),
         *_support_notes(comparison),
         *_alarm_notes(comparison),
-        *([f"{PUBLISHED}: van Beers and de Visser, on the real vehicle"] if comparison.published else []),
     ]
     return Group(
         Text(f"{comparison.vehicle}: {percent(confidence)} {kind}", style="bold"),
@@ -194,14 +174,13 @@ def write_comparison_page(
         OutputError: if `path` cannot be written.
     """
     flights = [result.name for result in next(iter(results.values()))]
-    bins = bins_within(_lines_drawn(comparison) * len(flights))
     colours = _colours(comparison)
     of_flight = {}
     for place, flight in enumerate(flights):
         own = {name: model_results[place] for name, model_results in results.items()}
-        of_flight[flight] = {"intervals": _interval_figure(comparison, own, bins)} | {
+        of_flight[flight] = {"intervals": _interval_figure(comparison, own)} | {
             f"model {name}": time_history_figure(
-                result, comparison.models[name].flights[flight].axes, colours[name], bins
+                result, comparison.models[name].flights[flight].axes, colours[name]
             )
             for name, result in own.items()
         }
@@ -226,8 +205,6 @@ def write_comparison_page(
         path,
         "comparison.html",
         nominal=nominal(comparison.confidence),
-        bins=bins,
-        published=comparison.published,
         coverage=comparison_table(comparison),
         by_model={
             name: metrics_table(model.groups, comparison.confidence, "group")
@@ -266,8 +243,9 @@ def _group_figure(comparison: Comparison) -> Figure:
     colours = _colours(comparison)
     ticks = [(float(place), group) for place, group in enumerate(groups)]
     slots = Scale("", -0.5, len(groups) - 0.5, ticks=ticks)
-    panels = []
-    for column, axis in enumerate(modelled_axes(comparison)):
+    above, below = list[Panel](), list[Panel]()
+    axes = modelled_axes(comparison)
+    for axis in axes:
         coverages: list[Layer] = [Limit("", INK, 100.0 * comparison.confidence)]
         widths: list[Layer] = []
         for place, (name, model) in enumerate(models.items()):
@@ -291,20 +269,17 @@ def _group_figure(comparison: Comparison) -> Figure:
             coverages.append(coverage)
             texts = [f"{name}: {w:.3g} {unit(axis)}" for w in width]
             widths.append(replace(coverage, y=width / width[0], error=None, texts=texts))
-        panels += [
-            Panel(coverages, slots, Scale("PICP [%]"), axis, column=column),
-            Panel(widths, slots, Scale(f"MPIW over {groups[0]}", low=0.0), row=1, column=column),
-        ]
-    return Figure("Coverage and width from group to group", panels, [190.0, 190.0], shared=True)
+        above.append(Panel(coverages, slots, Scale("PICP [%]"), 190.0, axis))
+        below.append(Panel(widths, slots, Scale(f"MPIW over {groups[0]}", low=0.0), 190.0))
+    return Figure("Coverage and width from group to group", above + below, len(axes), shared=True)
 
 
-def _interval_figure(comparison: Comparison, results: Mapping[str, FlightResult], bins: int) -> Figure:
+def _interval_figure(comparison: Comparison, results: Mapping[str, FlightResult]) -> Figure:
     """A row per axis and a column per low-pass: bounds of the models around what was measured.
 
     Args:
         comparison: of the models.
         results: predictions of each model on one flight.
-        bins: number of parts that the flight is cut into, of which the extremes are drawn.
     """
     models, axes, colours = comparison.models, modelled_axes(comparison), _colours(comparison)
     # Models that share a colour share an entry of the legend.
@@ -313,34 +288,30 @@ def _interval_figure(comparison: Comparison, results: Mapping[str, FlightResult]
         for name, model in models.items()
     }
     patterns = dict(zip(dict.fromkeys(labels.values()), cycle(DASHES), strict=False))
-    panels = []
-    for column, cutoff in enumerate(dict.fromkeys(model.cutoff_hz for model in models.values())):
-        names = [name for name, model in models.items() if model.cutoff_hz == cutoff]
-        for row, axis in enumerate(axes):
+    cutoffs = list(dict.fromkeys(model.cutoff_hz for model in models.values()))
+    panels = list[Panel]()
+    for axis in axes:
+        for cutoff in cutoffs:
+            names = [name for name, model in models.items() if model.cutoff_hz == cutoff]
             flight = results[names[0]]
-            measured = flight.column("measured", axis)
             layers: list[Layer] = [
-                thinned_line(flight.time, measured, bins, name="measured", colour=MEASURED, width=1.0)
+                Line("measured", MEASURED, flight.time, flight.column("measured", axis), width=1.0)
             ]
-            for name in (name for name in names if axis in results[name].axes):
-                lower, upper = (results[name].column(bound, axis) for bound in ("lower", "upper"))
-                band = thinned_band(flight.time, lower, upper, bins, name="", colour=colours[name])
-                layers += [
-                    Line(labels[name], colours[name], band.x, bound, dash=patterns[labels[name]])
-                    for bound in (band.low, band.high)
-                ]
-            title = "" if row else _column_title(comparison, cutoff)
-            y = Scale(f"{axis} [{unit(axis)}]")
-            panels.append(Panel(layers, Scale("time [s]"), y, title, row=row, column=column))
-    heights = [170.0] * len(axes)
-    return Figure("Bounds of each model over time", panels, heights, over_time=True, shared=True)
-
-
-def _lines_drawn(comparison: Comparison) -> int:
-    """Lines of one flight: interval and prediction of each model, and what was measured by low-pass."""
-    models = comparison.models.values()
-    own = 2 * sum(len(_axes_of(model)) for model in models)
-    return own + len(modelled_axes(comparison)) * len({model.cutoff_hz for model in models})
+            layers += [
+                Line(
+                    labels[name],
+                    colours[name],
+                    flight.time,
+                    results[name].column(bound, axis),
+                    dash=patterns[labels[name]],
+                )
+                for name in names
+                if axis in results[name].axes
+                for bound in ("lower", "upper")
+            ]
+            title = _column_title(comparison, cutoff) if len(panels) < len(cutoffs) else ""
+            panels.append(Panel(layers, Scale("time [s]"), Scale(f"{axis} [{unit(axis)}]"), 170.0, title))
+    return Figure("Bounds of each model over time", panels, len(cutoffs), over_time=True, shared=True)
 
 
 def _colours(comparison: Comparison) -> dict[str, str]:

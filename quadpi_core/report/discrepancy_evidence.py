@@ -35,7 +35,7 @@ _REFUSED = {
     "loudness": "quieter than the noise",
     "flights left out": "makes flights left out worse",
     "differs from zero": "may be zero",
-    "barred": "takes an axis out of its intervals",
+    "barred": "barred by another search",
 }
 # What removes the doubt of a failed test of the whole result.
 _REMEDIES = {
@@ -56,6 +56,7 @@ _REMEDIES = {
     "agreement": "Compare what the flights that differ have of their own (payload, place, wind). If they are "
     "alike, something without a name acts, which this effect imitates on each flight in another way.",
     "disputed": "Fly what shows the one effect and not the other.",
+    "closes": "Fly more of what shows the effect: where it is there, flights left out are closer with it.",
     "roll-outs": "Check the coefficients that moved with the effect, and the delays of the sensors: what "
     "fits a step ahead but not half a second is not the physics.",
     "diverged roll-outs": "Check the coefficients that moved with the effect: with it the vehicle does not "
@@ -70,7 +71,7 @@ _REMEDIES_OF_CANDIDATES = {
     "loudness": "Fly harder: faster, or with larger steps, so that it exceeds the noise.",
     "differs from zero": "Fly more of what shows it, until an interval of its parameters excludes zero.",
     "precedence": "Remove what rejects the better one first.",
-    "barred": "Look at that axis: the effect takes the place of something else there.",
+    "barred": "Fly more of what shows it: where it is there, flights left out are closer with it.",
 }
 
 
@@ -188,7 +189,7 @@ def verdict_changes(study: Study) -> list[Change]:
     if discovery.within_intervals:
         changes.append(
             Change(
-                "Not looked for, as the model's intervals hold the axes they act on: "
+                "Not named, as the model's intervals hold the axes they act on: "
                 f"{', '.join(map(words, discovery.within_intervals))}.",
                 "A model with narrower intervals: identify it on more flights of the vehicle as it was.",
             )

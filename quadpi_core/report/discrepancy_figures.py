@@ -13,13 +13,10 @@ from quadpi_core.discrepancy.closure import Gap
 from quadpi_core.evaluation.metrics import round_edges
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.report.figure import Boxes, Cells, Figure, Layer, Line, Panel, Points, Scale, over_grid
-from quadpi_core.report.figure_data import thinned_line
+from quadpi_core.report.figure import Boxes, Cells, Figure, Layer, Line, Panel, Points, Scale
 from quadpi_core.report.style import GROUPS, INK, MEASURED, unit
 
 BEFORE, AFTER = GROUPS[1], GROUPS[0]
-# Lines over time of each flight: before and after for each axis.
-LINES = 2 * len(AXES)
 MAPS = (("u", "v"), ("speed", "height"), ("w", "rotor_speed"))
 # Samples that a cell of a map needs to be drawn.
 _FEWEST_IN_CELL = 20
@@ -36,30 +33,31 @@ def profile_figure(profiles: Sequence[Profile]) -> Figure:
             ("as it is", profile.beyond, BEFORE, ""),
         )
         layers = [
-            Line(name, colour, profile.edges, np.append(values, values[-1]), None, 2.0, dash, stepped=True)
+            Line(name, colour, profile.edges, np.append(values, values[-1]), None, 2.0, dash, True)
             for name, values, colour, dash in lines
         ]
         y = Scale(f"{profile.axis} [{unit(profile.axis)}]", low=0.0)
-        panels.append(Panel(layers, Scale(_label(profile.variable)), y))
-    rows = -(-len(profiles) // _COLUMNS)
-    return Figure("Residual by condition", over_grid(panels, _COLUMNS), [190.0] * rows)
+        panels.append(Panel(layers, Scale(_label(profile.variable)), y, 190.0))
+    return Figure("Residual by condition", panels, _COLUMNS)
 
 
 def map_figure(flights: Sequence[Residual], axes: Sequence[str]) -> Figure:
     """Mean residual over pairs of variables (rows) for each axis (columns)."""
+    tables = {axis: [mean_map(flights, AXES.index(axis), *pair) for pair in MAPS] for axis in axes}
+    largest = {
+        axis: max(float(np.nanmax(np.abs(values))) for *_, values in own) for axis, own in tables.items()
+    }
     panels = []
-    for column, axis in enumerate(axes):
-        k = AXES.index(axis)
-        tables = [mean_map(flights, k, *pair) for pair in MAPS]
-        largest = max(float(np.nanmax(np.abs(table))) for *_, table in tables)
-        for row, (pair, (x, y, table)) in enumerate(zip(MAPS, tables, strict=True)):
-            cells = Cells("", INK, x, y, table.ravel(), largest)
+    for row, pair in enumerate(MAPS):
+        for axis in axes:
+            x, y, values = tables[axis][row]
+            cells = Cells("", INK, x, y, values.ravel(), largest[axis])
             title = "" if row else f"{axis} [{unit(axis)}]"
-            notes = [] if row else [f"full colour: ± {largest:.2g}"]
+            notes = [] if row else [f"full colour: ± {largest[axis]:.2g}"]
             x_scale = Scale(_label(pair[0]), float(x[0]), float(x[-1]))
             y_scale = Scale(_label(pair[1]), float(y[0]), float(y[-1]))
-            panels.append(Panel([cells], x_scale, y_scale, title, notes, row, column))
-    return Figure("Maps of the mean residual", panels, [190.0] * len(MAPS), shared=True)
+            panels.append(Panel([cells], x_scale, y_scale, 190.0, title, notes))
+    return Figure("Maps of the mean residual", panels, len(axes), shared=True)
 
 
 def mean_map(flights: Sequence[Residual], axis: int, x: str, y: str) -> tuple[Array, Array, Array]:
@@ -76,8 +74,7 @@ def mean_map(flights: Sequence[Residual], axis: int, x: str, y: str) -> tuple[Ar
 def gap_figure(gap: Gap) -> Figure:
     """Root mean square error of each axis before and after, and the floor."""
     panels = []
-    for column in range(2):
-        own = slice(3 * column, 3 * column + 3)
+    for own in (slice(0, 3), slice(3, 6)):
         axes, places = AXES[own], np.arange(3.0)
         layers: list[Layer] = []
         for name, values, colour, left in (
@@ -88,32 +85,28 @@ def gap_figure(gap: Gap) -> Figure:
             layers.append(Boxes(name, colour, places + left, places + left + 0.3, bottom, values[own]))
         layers.append(Points("floor", MEASURED, places, gap.floor[own], symbol=4))
         x = Scale("", -0.5, 2.5, ticks=[(float(k), axis) for k, axis in enumerate(axes)])
-        panels.append(Panel(layers, x, Scale(f"RMSE [{unit(axes[0])}]", low=0.0), column=column))
-    return Figure("Error of each axis before and after", panels, [230.0])
+        panels.append(Panel(layers, x, Scale(f"RMSE [{unit(axes[0])}]", low=0.0), 230.0))
+    return Figure("Error of each axis before and after", panels, 2)
 
 
-def residual_figure(flight: Residual, floor: Array, bins: int) -> Figure:
+def residual_figure(flight: Residual, floor: Array) -> Figure:
     """Measured − simulated wrench of one flight over time, before and after.
 
     Args:
         flight: its residuals.
         floor: (6,) root mean square, see `Gap`; twice the floor is drawn as a band.
-        bins: number of parts that the flight is cut into, of which the extremes are drawn.
     """
     panels = []
     whole = np.array([np.nan])
     for k, axis in enumerate(AXES):
         band = np.array([2.0 * float(floor[k])])
-        layers: list[Layer] = [Boxes("twice the floor", MEASURED, whole, whole, -band, band, 0.18)]
-        layers += [
-            thinned_line(flight.time, values[:, k], bins, name=name, colour=colour, width=1.2, dash=dash)
-            for name, values, colour, dash in (
-                ("before", flight.before, BEFORE, ""),
-                ("after", flight.after, AFTER, "dashed"),
-            )
+        layers = [
+            Boxes("twice the floor", MEASURED, whole, whole, -band, band, 0.18),
+            Line("before", BEFORE, flight.time, flight.before[:, k], width=1.2),
+            Line("after", AFTER, flight.time, flight.after[:, k], width=1.2, dash="dashed"),
         ]
-        panels.append(Panel(layers, Scale("time [s]"), Scale(f"{axis} [{unit(axis)}]"), row=k))
-    return Figure("Residuals over time", panels, [100.0] * len(AXES), over_time=True)
+        panels.append(Panel(layers, Scale("time [s]"), Scale(f"{axis} [{unit(axis)}]"), 100.0))
+    return Figure("Residuals over time", panels, over_time=True)
 
 
 def _label(variable: str) -> str:

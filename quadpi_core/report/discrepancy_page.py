@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from latex2mathml.converter import convert as mathml
 from rich.console import Group, RenderableType
 from rich.text import Text
 
@@ -38,16 +37,9 @@ from quadpi_core.report.discrepancy_evidence import (
     verdict_changes,
     words,
 )
-from quadpi_core.report.discrepancy_figures import (
-    LINES,
-    gap_figure,
-    map_figure,
-    profile_figure,
-    residual_figure,
-)
+from quadpi_core.report.discrepancy_figures import gap_figure, map_figure, profile_figure, residual_figure
 from quadpi_core.report.evaluation_page import axis_cell
 from quadpi_core.report.figure import Figure
-from quadpi_core.report.figure_data import bins_within
 from quadpi_core.report.page import FlightFiles, Page, flight_remarks
 from quadpi_core.report.style import number, percent
 from quadpi_core.report.table import Column, Row, Table, terminal_table
@@ -105,7 +97,6 @@ def write_discrepancy_page(
         OutputError: if `path` cannot be written.
     """
     discovery, where = study.discovery, study.where
-    bins = bins_within(LINES * len(where.residuals))
     loud = [axis for axis in AXES if any(part.axis == axis for part in where.ranges)]
     figures: dict[str, Figure] = {
         "profiles": profile_figure(where.profiles),
@@ -114,7 +105,7 @@ def write_discrepancy_page(
     if loud:
         figures["maps"] = map_figure(where.residuals, loud)
     of_flight = {
-        flight.flight: {"residual": residual_figure(flight, discovery.gap.floor, bins)}
+        flight.flight: {"residual": residual_figure(flight, discovery.gap.floor)}
         for flight in where.residuals
     }
     Page(
@@ -130,7 +121,6 @@ def write_discrepancy_page(
     ).write(
         path,
         "discrepancy.html",
-        bins=bins,
         evidence=evidence_table(discovery.candidates[:MOST_CANDIDATES], discovery.verdict),
         further=evidence_table(discovery.candidates[MOST_CANDIDATES:], discovery.verdict),
         changes=changes_table(verdict_changes(study)),
@@ -244,11 +234,20 @@ class EffectSection:
         return cls(
             title=f"{words(found.name)} · {percent(found.probability)}",
             description=f"{summary} Shows in {', '.join(found.axes)}. {rest}",
-            formula=mathml(effect.formula, display="block") if effect.formula else "",
+            formula=_mathml(effect.formula),
             latex=effect.formula,
             shape=", ".join(shape),
             parameters=Table(columns, rows),
         )
+
+
+def _mathml(latex: str) -> str:
+    """A formula as a browser shows it; empty without the extra `reports`, when its LaTeX is all there is."""
+    try:
+        from latex2mathml.converter import convert
+    except ImportError:
+        return ""
+    return str(convert(latex, display="block")) if latex else ""
 
 
 def _decisive_judgements(discovery: Discovery) -> list[Judgement]:
@@ -284,7 +283,7 @@ def _gap_table(discovery: Discovery) -> Table:
         *(Column(heading, number) for heading in ("RMSE before", "after", "floor")),
         Column("closed", percent),
     ]
-    inside = discovery.inside
+    inside = discovery.found.inside
     if inside is not None:
         columns.append(Column(f"inside its intervals of {percent(inside.confidence)}", percent))
     rows: list[Row] = []
@@ -300,9 +299,9 @@ def _gap_table(discovery: Discovery) -> Table:
 
 def _flown_again_table(study: Study) -> Table | None:
     """Errors of flights that were flown again; None without any."""
-    if study.flown_again is None:
+    if study.discovery.flown is None:
         return None
-    rollout, loop = study.flown_again.rollout, study.flown_again.closed_loop
+    rollout, loop = study.discovery.flown.rollout, study.discovery.flown.closed_loop
     tests = {f"roll-out, {rollout.horizon_s:g} s": rollout.errors, "closed loop": loop.errors}
     columns = [
         Column("test", is_text=True, once=True),
@@ -408,9 +407,9 @@ def _conditions(discovery: Discovery) -> list[str]:
 
 def _flown_again_note(study: Study) -> str:
     """What could not be flown again, and the coverage of a model's intervals; empty for nothing."""
-    if study.flown_again is None:
+    if study.discovery.flown is None:
         return ""
-    loop, coverage = study.flown_again.closed_loop, study.flown_again.coverage
+    loop, coverage = study.discovery.flown.closed_loop, study.discovery.flown.coverage
     notes = [f"Closed loop: {loop.missing}."] if loop.missing else []
     notes += [f"Lost: {text}." for text in loop.lost]
     if coverage:

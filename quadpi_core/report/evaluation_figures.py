@@ -13,20 +13,7 @@ from quadpi_core.evaluation.flight_results import FlightResult
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_INDEX
 from quadpi_core.models.envelope import Envelope
-from quadpi_core.report.figure import (
-    DASHES,
-    Band,
-    Boxes,
-    Figure,
-    Layer,
-    Limit,
-    Line,
-    Panel,
-    Points,
-    Scale,
-    over_grid,
-)
-from quadpi_core.report.figure_data import thinned_band, thinned_line
+from quadpi_core.report.figure import DASHES, Band, Boxes, Figure, Layer, Limit, Line, Panel, Points, Scale
 from quadpi_core.report.style import (
     INK,
     INPUT_LABELS,
@@ -54,33 +41,27 @@ _SPEED_BINS, _FEWEST_SAMPLES = 14, 50
 Groups = Mapping[str, Sequence[FlightResult]]
 
 
-def time_history_figure(
-    result: FlightResult, metrics: Mapping[str, AxisMetrics], colour: str, bins: int
-) -> Figure:
+def time_history_figure(result: FlightResult, metrics: Mapping[str, AxisMetrics], colour: str) -> Figure:
     """Measured and predicted wrench of one flight with the prediction interval as a band, axis by axis.
 
     Args:
         result: the flight.
         metrics: its metrics per axis, as in the evaluation.
         colour: of prediction and band.
-        bins: number of parts that the flight is cut into, of which the extremes are drawn.
     """
     panels = []
-    for row, axis in enumerate(metrics):
+    for axis in metrics:
         measured, predicted, lower, upper = (
             result.column(quantity, axis) for quantity in ("measured", "predicted", "lower", "upper")
         )
-        time = result.time
         layers: list[Layer] = [
-            thinned_band(time, lower, upper, bins, name="prediction interval", colour=colour),
-            thinned_line(time, measured, bins, name="measured", colour=MEASURED, width=0.8),
-            thinned_line(time, predicted, bins, name="predicted", colour=colour, width=2.0),
+            Band("prediction interval", colour, result.time, lower, upper),
+            Line("measured", MEASURED, result.time, measured, width=0.8),
+            Line("predicted", colour, result.time, predicted, width=2.0),
         ]
-        notes = [f"PICP {percent(metrics[axis].picp)}"]
-        panels.append(Panel(layers, Scale("time [s]"), Scale(f"{axis} [{unit(axis)}]"), "", notes, row))
-    return Figure(
-        "Measured wrench in its prediction interval over time", panels, [110.0] * len(panels), over_time=True
-    )
+        y, notes = Scale(f"{axis} [{unit(axis)}]"), [f"PICP {percent(metrics[axis].picp)}"]
+        panels.append(Panel(layers, Scale("time [s]"), y, 110.0, notes=notes))
+    return Figure("Measured wrench in its prediction interval over time", panels, over_time=True)
 
 
 def coverage_figure(evaluation: Evaluation) -> Figure:
@@ -107,10 +88,9 @@ def coverage_figure(evaluation: Evaluation) -> Figure:
     bounds = [m.picp_ci[0] for part in groups.values() for m in part.axes.values()]
     lowest = min(nominal, 100.0 * min(bounds, default=1.0))
     ticks = [(float(-place), axis) for place, axis in enumerate(axes)]
-    panel = Panel(
-        layers, Scale("PICP [%]", lowest - 2.0, 101.0), Scale("", 0.5 - len(axes), 0.5, ticks=ticks)
-    )
-    return Figure("Coverage of each axis by group", [panel], [20.0 + 44.0 * len(axes)])
+    y = Scale("", 0.5 - len(axes), 0.5, ticks=ticks)
+    panel = Panel(layers, Scale("PICP [%]", lowest - 2.0, 101.0), y, 20.0 + 44.0 * len(axes))
+    return Figure("Coverage of each axis by group", [panel])
 
 
 def envelope_figure(groups: Groups, envelope: Envelope) -> Figure:
@@ -133,9 +113,8 @@ def envelope_figure(groups: Groups, envelope: Envelope) -> Figure:
             layers.insert(0, Boxes("flown in training", TRAINING, low, high, whole, whole, outlined=True))
             notes = _outside(values, limits)
         shares = Scale("", _SHARE_FLOOR, 100.0, logarithmic=True, ticks=_SHARE_TICKS)
-        panels.append(Panel(layers, Scale(), shares, INPUT_LABELS[name], notes))
-    rows = len(panels) // _COLUMNS
-    return Figure("Share of samples by input", over_grid(panels, _COLUMNS), [150.0] * rows, shared=True)
+        panels.append(Panel(layers, Scale(), shares, 150.0, INPUT_LABELS[name], notes))
+    return Figure("Share of samples by input", panels, _COLUMNS, shared=True)
 
 
 def _histograms(values: Mapping[str, Array]) -> list[Layer]:
@@ -172,10 +151,8 @@ def residual_figure(groups: Groups, axes: Sequence[str], confidence: float) -> F
             layers.append(Band(group, colour, speed, low, high, pattern=i % 4))
             layers += [Line("", colour, speed, bound, dash="dashed") for bound in (below, above)]
         layers.append(Limit("", MEASURED, 0.0, dash=""))
-        panels.append(Panel(layers, Scale(INPUT_LABELS["speed"]), Scale(), f"{axis} [{unit(axis)}]"))
-    columns = min(3, len(axes))
-    rows = -(-len(axes) // columns)
-    return Figure("Residuals against airspeed", over_grid(panels, columns), [180.0] * rows)
+        panels.append(Panel(layers, Scale(INPUT_LABELS["speed"]), Scale(), 180.0, f"{axis} [{unit(axis)}]"))
+    return Figure("Residuals against airspeed", panels, min(3, len(axes)))
 
 
 def _residual_bands(flights: Sequence[FlightResult], axis: str, edges: Array, tail: float) -> Array:

@@ -30,7 +30,6 @@ from quadpi_core.report.evaluation_figures import (
     time_history_figure,
 )
 from quadpi_core.report.figure import Figure
-from quadpi_core.report.figure_data import bins_within
 from quadpi_core.report.live_figure import LiveReplay, alarm_figure
 from quadpi_core.report.model_tables import held_out_table, selection_table
 from quadpi_core.report.page import FlightFiles, Page, flight_remarks
@@ -45,8 +44,6 @@ from quadpi_core.report.style import (
 )
 from quadpi_core.report.table import Cell, Column, Mark, Table, Value, terminal_table
 
-# Measured, predicted and interval.
-_LINES_PER_AXIS = 3
 _UNGROUPED = "flights in no group"
 # Metrics that a terminal of 80 characters has no room for.
 _NOT_ON_TERMINAL = ("Winkler", "n")
@@ -231,7 +228,6 @@ def write_evaluation_page(
     grouped = {flight.name for flights in groups.values() for flight in flights}
     if rest := [result for result in results if result.name not in grouped]:
         groups[_UNGROUPED] = rest
-    bins = bins_within(_LINES_PER_AXIS * sum(len(result.axes) for result in results))
     axes = [axis for axis in AXES if all(axis in result.axes for result in results)]
     figures = {
         "envelope": envelope_figure(groups, model.envelope),
@@ -241,7 +237,7 @@ def write_evaluation_page(
         figures["coverage"] = coverage_figure(evaluation)
     if live is not None:
         figures["alarm"] = alarm_figure(live, by_name.get(live.flight))
-    histories = _histories(groups, evaluation, bins)
+    histories = _histories(groups, evaluation)
     Page(
         title=f"quadpi: {evaluation.model}",
         about="how far can this model be trusted?",
@@ -265,7 +261,6 @@ def write_evaluation_page(
         path,
         "evaluation.html",
         nominal=nominal(confidence),
-        bins=bins,
         coverage=_coverage_table(evaluation) if evaluation.groups else None,
         alarms={
             name: alarm_sentence(part.alarm)
@@ -283,16 +278,14 @@ def write_evaluation_page(
     )
 
 
-def _histories(
-    groups: Mapping[str, Sequence[FlightResult]], evaluation: Evaluation, bins: int
-) -> dict[str, Figure]:
+def _histories(groups: Mapping[str, Sequence[FlightResult]], evaluation: Evaluation) -> dict[str, Figure]:
     """A time history of each flight; a flight of several groups has the colour of the first."""
     figures: dict[str, Figure] = {}
     for (_, colour), flights in zip(group_colours(groups).items(), groups.values(), strict=True):
         for flight in flights:
             if flight.name not in figures:
                 metrics = evaluation.flights[flight.name].axes
-                figures[flight.name] = time_history_figure(flight, metrics, colour, bins)
+                figures[flight.name] = time_history_figure(flight, metrics, colour)
     return figures
 
 

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Figures as records: panels of lines, bands, points and boxes, which `assets/layers.js` draws as SVG.
+"""Figures as records: panels of lines, bands, points and boxes, which `assets/figures.js` draws by uPlot.
 
 A colour is the name of one in `assets/look.css`, which is another on paper, on a dark screen and in print, or
-#rrggbb. An array that two layers share is stored once in the page.
+#rrggbb. A value that is NaN is not drawn.
 """
 
 from __future__ import annotations
@@ -20,262 +20,145 @@ DASHES = ("", "dashed", "dotted", "dashdot")
 
 @dataclass(frozen=True)
 class Scale:
-    """One axis of a panel.
+    """One axis of a panel."""
 
-    Attributes:
-        title: quantity and unit.
-        low, high: limits; None for what the panel shows.
-        logarithmic: whether decades have equal lengths.
-        ticks: values and their labels; None for round values.
-    """
-
-    title: str = ""
-    low: float | None = None
+    title: str = ""  # quantity and unit
+    low: float | None = None  # limits; None for what the panel shows
     high: float | None = None
-    logarithmic: bool = False
-    ticks: Sequence[tuple[float, str]] | None = None
+    logarithmic: bool = False  # decades have equal lengths
+    ticks: Sequence[tuple[float, str]] | None = None  # values and labels; None for round values
 
 
 @dataclass(frozen=True)
 class Layer:
-    """What all layers have.
-
-    Attributes:
-        name: in the legend, where layers of one name share an entry; empty for none.
-        colour: see the module.
-    """
+    """What all layers have."""
 
     kind: ClassVar[str]
-    name: str
-    colour: str
+    name: str  # in the legend, where layers of one name share an entry; empty for none
+    colour: str  # see the module
 
 
 @dataclass(frozen=True)
 class Line(Layer):
-    """A line through points (N,), which ends at NaN.
-
-    Attributes:
-        x: (N,) ascending.
-        y: (N,), or the lowest value of each block of samples.
-        high: (N,) highest value of each block; None where `y` is every sample.
-        width: pixels.
-        dash: one of `DASHES`.
-        stepped: whether a value holds until the next one.
-    """
+    """A line through points (N,), which ends at NaN."""
 
     kind: ClassVar[str] = "line"
-    x: Array
-    y: Array
-    high: Array | None = None
-    width: float = 1.5
-    dash: str = ""
-    stepped: bool = False
+    x: Array  # (N,) ascending
+    y: Array  # (N,), or the lowest value of each block of samples
+    high: Array | None = None  # (N,) highest value of each block; None where `y` is every sample
+    width: float = 1.5  # pixels
+    dash: str = ""  # one of `DASHES`
+    stepped: bool = False  # a value holds until the next one
 
 
 @dataclass(frozen=True)
 class Band(Layer):
-    """The area between two lines (N,).
-
-    Attributes:
-        x, low, high: (N,).
-        opacity: of the fill.
-        pattern: 0 for an even fill, 1 to 3 for hatches, which differ without colours too.
-        stepped: whether a value holds until the next one.
-    """
+    """The area between two lines (N,)."""
 
     kind: ClassVar[str] = "band"
-    x: Array
-    low: Array
-    high: Array
-    opacity: float = 0.25
-    pattern: int = 0
-    stepped: bool = False
+    x: Array  # (N,) ascending
+    low: Array  # (N,)
+    high: Array  # (N,)
+    opacity: float = 0.25  # of the fill
+    pattern: int = 0  # 0 for an even fill, 1 to 3 for hatches, which differ without colours too
+    stepped: bool = False  # a value holds until the next one
 
 
 @dataclass(frozen=True)
 class Points(Layer):
-    """Marks with error bars.
-
-    Attributes:
-        x, y: (N,).
-        error: (N, 2) ends of the bars; None for none.
-        vertical: whether the bars are.
-        texts: shown at each mark that is pointed at.
-        symbol: 0 circle, 1 square, 2 diamond, 3 triangle; 4 a dash.
-        hollow: whether marks are outlines.
-        joined: whether a line joins the marks.
-        dash: one of `DASHES`, of that line.
-    """
+    """Marks with error bars."""
 
     kind: ClassVar[str] = "points"
-    x: Array
-    y: Array
-    error: Array | None = None
-    vertical: bool = True
-    texts: Sequence[str] = ()
-    symbol: int = 0
-    hollow: bool = False
-    joined: bool = False
-    dash: str = ""
+    x: Array  # (N,)
+    y: Array  # (N,)
+    error: Array | None = None  # (N, 2) ends of the bars; None for none
+    vertical: bool = True  # the bars are
+    texts: Sequence[str] = ()  # shown at each mark that is pointed at
+    symbol: int = 0  # 0 circle, 1 square, 2 diamond, 3 triangle; 4 a dash
+    hollow: bool = False  # marks are outlines
+    joined: bool = False  # a line joins the marks
+    dash: str = ""  # one of `DASHES`, of that line
 
 
 @dataclass(frozen=True)
 class Boxes(Layer):
-    """Rectangles; a side that is NaN is that of the panel.
-
-    Attributes:
-        left, right, bottom, top: (N,).
-        opacity: of the fill.
-        outlined: whether left and right are dotted lines.
-    """
+    """Rectangles (N,); a side that is NaN is that of the panel."""
 
     kind: ClassVar[str] = "boxes"
     left: Array
     right: Array
     bottom: Array
     top: Array
-    opacity: float = 1.0
-    outlined: bool = False
-
-
-@dataclass(frozen=True)
-class Shapes(Layer):
-    """Outlines (N,) separated by NaN, whose points need no order.
-
-    Attributes:
-        x, y: (N,).
-        closed: whether they are filled, else lines.
-        opacity: of the fill.
-    """
-
-    kind: ClassVar[str] = "shapes"
-    x: Array
-    y: Array
-    closed: bool = True
-    opacity: float = 0.25
+    opacity: float = 1.0  # of the fill
+    outlined: bool = False  # left and right are dotted lines
 
 
 @dataclass(frozen=True)
 class Cells(Layer):
-    """Values in cells, red above zero and blue below, with their sign.
-
-    Attributes:
-        x: (X + 1,) edges.
-        y: (Y + 1,) edges.
-        values: (Y · X,) row by row; NaN for none.
-        largest: magnitude that has the full colour.
-    """
+    """Values in cells, red above zero and blue below, with their sign."""
 
     kind: ClassVar[str] = "cells"
-    x: Array
-    y: Array
-    values: Array
-    largest: float
+    x: Array  # (X + 1,) edges
+    y: Array  # (Y + 1,) edges
+    values: Array  # (Y · X,) row by row; NaN for none
+    largest: float  # magnitude that has the full colour
 
 
 @dataclass(frozen=True)
 class Limit(Layer):
-    """A straight line across the panel.
-
-    Attributes:
-        at: its value.
-        vertical: whether it stands on the horizontal axis.
-        dash: one of `DASHES`.
-        label: at its end.
-    """
+    """A straight line across the panel."""
 
     kind: ClassVar[str] = "limit"
     at: float
-    vertical: bool = False
-    dash: str = "dashed"
-    label: str = ""
+    vertical: bool = False  # `at` is on the horizontal axis
+    dash: str = "dashed"  # one of `DASHES`
+    label: str = ""  # at its end
 
 
 @dataclass(frozen=True)
 class Panel:
-    """One pair of axes.
+    """One pair of axes."""
 
-    Attributes:
-        layers: from the lowest to the highest.
-        x, y: axes.
-        title: above.
-        notes: at the upper right.
-        row, column: in the figure, from 0.
-    """
-
-    layers: Sequence[Layer]
+    layers: Sequence[Layer]  # from the lowest to the highest; none for a place that stays empty
     x: Scale
     y: Scale
-    title: str = ""
-    notes: Sequence[str] = ()
-    row: int = 0
-    column: int = 0
+    height: float  # in pixels, without titles
+    title: str = ""  # above
+    notes: Sequence[str] = ()  # at the upper right
 
 
 @dataclass(frozen=True)
 class Figure:
-    """Panels in rows and columns.
+    """Panels in rows."""
 
-    Attributes:
-        label: what it shows, for those who do not see it.
-        panels: in any order.
-        heights: of the rows, in pixels, without titles.
-        over_time: whether the horizontal axes are the time of one flight, and are zoomed together.
-        shared: whether the panels of a row share their vertical axis.
-        flight: that is drawn, of a figure that does not follow the menu; empty for none.
-        begins_s: time of the figure at which that of the flight is zero.
-    """
-
-    label: str
-    panels: Sequence[Panel]
-    heights: Sequence[float]
-    over_time: bool = False
-    shared: bool = False
-    flight: str = ""
-    begins_s: float = 0.0
+    label: str  # what it shows, for those who do not see it
+    panels: Sequence[Panel]  # row by row
+    columns: int = 1  # panels of a row
+    over_time: bool = False  # the horizontal axes are the time of one flight, and are zoomed together
+    shared: bool = False  # the panels of a row share their vertical axis
+    flight: str = ""  # that is drawn, of a figure that does not follow the menu; empty for none
+    begins_s: float = 0.0  # time of the figure at which that of the flight is zero
 
 
 @dataclass(frozen=True)
 class SpaceLine:
-    """A line in space.
-
-    Attributes:
-        name, colour, width, dash: see `Line`.
-        points: (N, 3) m, east, north and up; gaps are NaN.
-        values: (N,) that colour and widen it; None for one colour.
-        times: (N,) s, shown with the values where the line is pointed at.
-    """
+    """A line in space; name, colour, width and dash as those of a `Line`."""
 
     name: str
     colour: str
-    points: Array
+    points: Array  # (N, 3) m, east, north and up; gaps are NaN
     width: float = 2.0
     dash: str = ""
-    values: Array | None = None
-    times: Array | None = None
+    values: Array | None = None  # (N,) that colour and widen it; None for one colour
+    times: Array | None = None  # (N,) s, shown with the values where the line is pointed at
 
 
 @dataclass(frozen=True)
 class Space:
-    """Lines in space, to be turned; all three axes have one scale.
+    """Lines in space, to be turned; all three axes have one scale."""
 
-    Attributes:
-        label: see `Figure`.
-        lines: from the lowest to the highest.
-        low, high: corners (3,) of the space shown.
-        of_values: what colours and widens a line.
-    """
-
-    label: str
-    lines: Sequence[SpaceLine]
-    low: Array
+    label: str  # see `Figure`
+    lines: Sequence[SpaceLine]  # from the lowest to the highest
+    low: Array  # corners (3,) of the space shown
     high: Array
-    of_values: str
-
-
-def over_grid(panels: Sequence[Panel], columns: int) -> list[Panel]:
-    """The panels in rows of some columns."""
-    return [
-        Panel(panel.layers, panel.x, panel.y, panel.title, panel.notes, place // columns, place % columns)
-        for place, panel in enumerate(panels)
-    ]
+    of_values: str  # what colours and widens a line

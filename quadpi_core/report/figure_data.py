@@ -6,9 +6,8 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import fields
-from typing import NamedTuple
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields, replace
 
 import numpy as np
 
@@ -28,55 +27,42 @@ _MISSING = 65535
 _UNIFORM = 1e-6
 
 
-def bins_within(lines: int) -> int:
-    """Number of parts to cut a flight into, of which each line draws two values, for the size of the page.
-
-    Args:
-        lines: in all time histories of the page together; a band is one.
-    """
+def bins_of(figures: Iterable[Figure | Space]) -> int:
+    """Number of parts to cut flights into, of which each line draws two values, for the size of a page."""
+    lines = sum(
+        isinstance(layer, (Line, Band))
+        for figure in figures
+        if isinstance(figure, Figure) and figure.over_time
+        for panel in figure.panels
+        for layer in panel.layers
+    )
     return max(_FEWEST_BINS, min(_MOST_BINS, PAGE_VALUES // (2 * max(1, lines))))
 
 
-class Blocks(NamedTuple):
-    """A signal in equal blocks of samples.
+def thinned(figure: Figure, bins: int) -> Figure:
+    """A figure over time with the extremes of at most `bins` equal parts of each line and band.
 
-    Attributes:
-        x: (B,) the middle of each block, or the samples (N,) themselves.
-        low, high: (B,) extremes of each block; the same array where they are the samples.
+    All samples stay where they are few, and in lines with gaps or whose values hold until the next one.
     """
-
-    x: Array
-    low: Array
-    high: Array
-
-
-def blocks(x: Array, low: Array, high: Array, bins: int) -> Blocks:
-    """The lowest and the highest values in at most `bins` equal parts of a band (N,).
-
-    For a line, `low` and `high` are the same. All samples are kept where they are few.
-    """
-    size = -(-len(x) // bins)
-    if size <= 2:
-        return Blocks(x, low, high)
-    starts = np.arange(0, len(x), size)
-    middle = x[starts] + 0.5 * (x[size - 1] - x[0])
-    return Blocks(middle, np.minimum.reduceat(low, starts), np.maximum.reduceat(high, starts))
+    panels = [
+        replace(panel, layers=[_thinned(layer, bins) for layer in panel.layers]) for panel in figure.panels
+    ]
+    return replace(figure, panels=panels)
 
 
-def thinned_line(
-    x: Array, y: Array, bins: int, *, name: str, colour: str, width: float = 1.5, dash: str = ""
-) -> Line:
-    """A line (N,) as the extremes of its blocks."""
-    found = blocks(x, y, y, bins)
-    high = None if found.high is found.low else found.high
-    return Line(name, colour, found.x, found.low, high, width, dash)
-
-
-def thinned_band(
-    x: Array, low: Array, high: Array, bins: int, *, name: str, colour: str, opacity: float = 0.25
-) -> Band:
-    """A band (N,) as the extremes of its blocks."""
-    return Band(name, colour, *blocks(x, low, high, bins), opacity=opacity)
+def _thinned(layer: Layer, bins: int) -> Layer:
+    if not isinstance(layer, (Line, Band)) or layer.stepped:
+        return layer
+    low, high = (layer.y, layer.y) if isinstance(layer, Line) else (layer.low, layer.high)
+    size = -(-len(layer.x) // bins)
+    if size <= 2 or np.isnan(low).any():
+        return layer
+    starts = np.arange(0, len(layer.x), size)
+    middle = layer.x[starts] + 0.5 * (layer.x[size - 1] - layer.x[0])
+    low, high = np.minimum.reduceat(low, starts), np.maximum.reduceat(high, starts)
+    if isinstance(layer, Line):
+        return replace(layer, x=middle, y=low, high=high)
+    return replace(layer, x=middle, low=low, high=high)
 
 
 class _Arrays:
@@ -86,37 +72,28 @@ class _Arrays:
         self.stored: list[object] = []
         self._places: dict[bytes, int] = {}
 
-    def place(self, values: Array) -> int:
+    def place(self, values: Array) -> dict[str, int]:
         key = np.ascontiguousarray(values, dtype=np.float64).tobytes()
         if key not in self._places:
             self._places[key] = len(self.stored)
             self.stored.append(_packed(np.frombuffer(key)))
-        return self._places[key]
+        return {"array": self._places[key]}
 
 
-def _packed(values: Array) -> object:
-    """An array (N,) as its ends if it is uniform, as numbers if it is short, else in sixteen bits a value."""
-    if len(values) <= _AS_TEXT:
-        return [float(f"{value:.6g}") if np.isfinite(value) else None for value in values]
-    finite = values[np.isfinite(values)]
-    if not len(finite):
-        return [None] * len(values)
-    low, high = float(finite.min()), float(finite.max())
-    if len(finite) == len(values):
-        straight = np.linspace(values[0], values[-1], len(values))
-        if np.abs(values - straight).max() <= _UNIFORM * max(high - low, 1e-300):
-            return {"from": float(values[0]), "to": float(values[-1]), "count": len(values)}
-    step = (high - low) / _LEVELS or 1.0
-    codes = np.full(len(values), _MISSING, dtype="<u2")
-    known = np.isfinite(values)
-    codes[known] = np.rint((values[known] - low) / step)
-    return {"low": low, "step": step, "data": base64.b64encode(codes.tobytes()).decode()}
+def figures_as_json(figures: Mapping[str, Figure | Space], bins: int) -> str:
+    """JSON of figures by name and of their arrays, which cannot end a script element that holds it.
 
-
-def figures_as_json(figures: Mapping[str, Figure | Space]) -> str:
-    """JSON of figures by name and of their arrays, which cannot end a script element that holds it."""
+    Args:
+        figures: by name.
+        bins: see :func:`thinned`.
+    """
     arrays = _Arrays()
-    drawn = {name: _plain(figure, arrays) for name, figure in figures.items()}
+    drawn = {
+        name: _plain(
+            thinned(figure, bins) if isinstance(figure, Figure) and figure.over_time else figure, arrays
+        )
+        for name, figure in figures.items()
+    }
     text = json.dumps({"figures": drawn, "arrays": arrays.stored}, separators=(",", ":"), allow_nan=False)
     return text.replace("<", "\\u003c")
 
@@ -124,7 +101,7 @@ def figures_as_json(figures: Mapping[str, Figure | Space]) -> str:
 def _plain(value: object, arrays: _Arrays) -> object:
     """Records as dictionaries without what is unset, arrays by their places."""
     if isinstance(value, np.ndarray):
-        return {"array": arrays.place(value)} if value.ndim == 1 else _columns(value, arrays)
+        return arrays.place(value) if value.ndim == 1 else [arrays.place(column) for column in value.T]
     if isinstance(value, (Figure, Space, SpaceLine, Panel, Scale, Layer)):
         record = {field.name: _plain(getattr(value, field.name), arrays) for field in fields(value)}
         named = {"kind": value.kind} if isinstance(value, Layer) else {}
@@ -136,10 +113,23 @@ def _plain(value: object, arrays: _Arrays) -> object:
     return value
 
 
+def _packed(values: Array) -> object:
+    """An array (N,) as its ends if it is uniform, as numbers if it is short, else in sixteen bits a value."""
+    if len(values) <= _AS_TEXT:
+        return [float(f"{value:.6g}") if np.isfinite(value) else None for value in values]
+    known = np.isfinite(values)
+    if not known.any():
+        return [None] * len(values)
+    low, high = float(values[known].min()), float(values[known].max())
+    if known.all():
+        straight = np.linspace(values[0], values[-1], len(values))
+        if np.abs(values - straight).max() <= _UNIFORM * max(high - low, 1e-300):
+            return {"from": float(values[0]), "to": float(values[-1]), "count": len(values)}
+    step = (high - low) / _LEVELS or 1.0
+    codes = np.full(len(values), _MISSING, dtype="<u2")
+    codes[known] = np.rint((values[known] - low) / step)
+    return {"low": low, "step": step, "data": base64.b64encode(codes.tobytes()).decode()}
+
+
 def _is_unset(part: object) -> bool:
     return part is None or part is False or part in ("", [])
-
-
-def _columns(values: Array, arrays: _Arrays) -> list[dict[str, int]]:
-    """The columns of a table (N, K) by their places."""
-    return [{"array": arrays.place(column)} for column in values.T]

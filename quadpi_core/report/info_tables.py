@@ -51,22 +51,22 @@ def describe(
         model = AerodynamicModel.load(path)
         return model_summary(model), _model_json(model)
     container = identify_format(path).container
-    if (
-        container
-        and reading_options(mapping) == ReadingOptions()
-        and (stamps := container.topic_stamps(path)) is not None
-    ):
+    stamps = None
+    if container and reading_options(mapping) == ReadingOptions():
+        stamps = container.topic_stamps(path)
+    if stamps is not None:
         inspection = inspect_topics(path, stamps)
         tables = [_topic_table(inspection), _finding_table(inspection)]
-        return list(map(terminal_table, tables)), _inspection_json(inspection)
-    known = Vehicle.load(vehicle) if vehicle else None
-    if container:
-        known = known or _named_vehicle(container.vehicle_name(path))
-        inspection = _inspect_in_blocks(path, known, mapping)
     else:
-        recording = in_range(decode_recording(path, known, mapping), reading_options(mapping).part)
-        inspection = inspect_recording(recording, known)
-    return list(map(terminal_table, inspection_tables(inspection))), _inspection_json(inspection)
+        known = Vehicle.load(vehicle) if vehicle else None
+        if container:
+            known = known or _named_vehicle(container.vehicle_name(path))
+            inspection = _inspect_in_blocks(path, known, mapping)
+        else:
+            recording = in_range(decode_recording(path, known, mapping), reading_options(mapping).part)
+            inspection = inspect_recording(recording, known)
+        tables = inspection_tables(inspection)
+    return list(map(terminal_table, tables)), {"kind": "recording", **asdict(inspection)}
 
 
 def _inspect_in_blocks(path: Path, vehicle: Vehicle | None, mapping: MappingOrOptions) -> Inspection:
@@ -79,10 +79,6 @@ def _inspect_in_blocks(path: Path, vehicle: Vehicle | None, mapping: MappingOrOp
         inspection = inspect_blocks(blocks, vehicle)
         names = {STREAM_KINDS[field].topic: name.lstrip("/") for field, name in log.sources.items()}
     return with_names_of_bag(inspection, names)
-
-
-def _inspection_json(inspection: Inspection) -> dict[str, Any]:
-    return {"kind": "recording", **asdict(inspection)}
 
 
 def _named_vehicle(name: str) -> Vehicle | None:

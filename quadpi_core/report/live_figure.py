@@ -7,7 +7,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -15,12 +14,14 @@ import numpy.typing as npt
 from quadpi_core.evaluation.flight_results import FlightResult
 from quadpi_core.frames import Array
 from quadpi_core.report.figure import Boxes, Figure, Layer, Limit, Line, Panel, Scale
-from quadpi_core.report.figure_data import thinned_line
 from quadpi_core.report.style import GROUPS, INK, INPUT_LABELS, LEVELS, count, number, percent
 
-_SPEED_BINS = 800
 _EVIDENCE_FLOOR = 0.05
-_EVIDENCE_TICKS = tuple((float(value), f"{value:g}") for value in (0.1, 1, 10, 100, 1000))
+_EVIDENCE_SCALE = Scale(
+    "over threshold",
+    logarithmic=True,
+    ticks=[(value, f"{value:g}") for value in (0.1, 1.0, 10.0, 100.0, 1000.0)],
+)
 # Half of the height of a bar, where rows are 1 apart.
 _HALF_BAR = 0.32
 
@@ -82,53 +83,29 @@ def alarm_figure(live: LiveReplay, result: FlightResult | None) -> Figure:
         live: with at least one alarm message.
         result: the same flight evaluated offline, for its airspeed; None leaves that row out.
     """
-    panels: list[tuple[float, Sequence[Layer], Scale]] = []
+    time, panels = Scale("time [s]"), []
     if result is not None:
-        speed = thinned_line(
-            live.begins_s + result.time, result.speed, _SPEED_BINS, name="airspeed", colour=INK
-        )
-        panels.append((80.0, [speed], Scale(INPUT_LABELS["speed"], low=0.0)))
-    levels = [
-        _Bar(name, name, live.level == level, colour) for level, (name, colour) in enumerate(LEVELS.items())
-    ]
-    panels.append((75.0, *_bars(live.time, levels[::-1])))
-    panels.append((120.0, *_evidence(live)))
-    if names := _inputs_by_time_outside(live):
+        speed = Line("airspeed", INK, live.begins_s + result.time, result.speed)
+        panels.append(Panel([speed], time, Scale(INPUT_LABELS["speed"], low=0.0), 80.0))
+    levels = [(name, name, live.level == k, colour) for k, (name, colour) in enumerate(LEVELS.items())]
+    panels.append(Panel(*_bars(live.time, levels[::-1]), 75.0))
+    panels.append(Panel(_evidence(live), time, _EVIDENCE_SCALE, 120.0))
+    outside = Counter(name for inputs in live.inputs_outside for name in inputs)
+    if outside:
         inputs = [
-            _Bar(
+            (
                 name,
                 INPUT_LABELS[name].split(" [")[0],
-                np.array([name in outside for outside in live.inputs_outside]),
+                np.array([name in own for own in live.inputs_outside]),
                 LEVELS["alarm"],
             )
-            for name in names
+            for name, _ in outside.most_common()
         ]
-        panels.append((22.0 * len(names) + 8.0, *_bars(live.time, inputs)))
-    return Figure(
-        "Alarm over time",
-        [Panel(layers, Scale("time [s]"), y, row=row) for row, (_, layers, y) in enumerate(panels)],
-        [height for height, *_ in panels],
-        over_time=True,
-        flight=live.flight,
-        begins_s=live.begins_s,
-    )
+        panels.append(Panel(*_bars(live.time, inputs), 22.0 * len(inputs) + 8.0))
+    return Figure("Alarm over time", panels, over_time=True, flight=live.flight, begins_s=live.begins_s)
 
 
-class _Bar(NamedTuple):
-    """One row of bars, which are drawn where `on` (M,), by message, is true."""
-
-    name: str
-    label: str
-    on: npt.NDArray[np.bool_]
-    colour: str
-
-
-def _inputs_by_time_outside(live: LiveReplay) -> list[str]:
-    counts = Counter(name for inputs in live.inputs_outside for name in inputs)
-    return [name for name, _ in counts.most_common()]
-
-
-def _evidence(live: LiveReplay) -> tuple[list[Layer], Scale]:
+def _evidence(live: LiveReplay) -> list[Layer]:
     layers: list[Layer] = [Limit("", INK, 1.0)]
     for name, evidence, colour, dash in (
         ("leverage", live.leverage, GROUPS[0], ""),
@@ -137,17 +114,24 @@ def _evidence(live: LiveReplay) -> tuple[list[Layer], Scale]:
         # Zero has no place on a logarithmic scale.
         worst = np.maximum(evidence.max(axis=1), _EVIDENCE_FLOOR)
         layers.append(Line(f"{name}, worst axis", colour, live.time, worst, dash=dash, stepped=True))
-    return layers, Scale("over threshold", logarithmic=True, ticks=_EVIDENCE_TICKS)
+    return layers
 
 
-def _bars(time: Array, rows: Sequence[_Bar]) -> tuple[list[Layer], Scale]:
-    """Rows of bars, the first on top; each bar ends at the first message without it."""
+def _bars(
+    time: Array, rows: Sequence[tuple[str, str, npt.NDArray[np.bool_], str]]
+) -> tuple[list[Layer], Scale, Scale]:
+    """Layers and axes of rows of bars, the first on top; each bar ends at the first message without it.
+
+    Args:
+        time: (M,) of the messages.
+        rows: name, label, whether it holds by message (M,), and colour.
+    """
     layers: list[Layer] = []
-    for place, row in enumerate(rows):
-        edges = np.flatnonzero(np.diff(np.concatenate(([False], row.on, [False])).astype(np.int8)))
+    for place, (name, _, on, colour) in enumerate(rows):
+        edges = np.flatnonzero(np.diff(np.concatenate(([False], on, [False])).astype(np.int8)))
         starts, stops = edges.reshape(-1, 2).T
         level = np.full(len(starts), -float(place))
         spans = time[starts], time[np.minimum(stops, len(time) - 1)]
-        layers.append(Boxes(row.name, row.colour, *spans, level - _HALF_BAR, level + _HALF_BAR))
-    ticks = [(-float(place), row.label) for place, row in enumerate(rows)]
-    return layers, Scale("", 0.4 - len(rows), 0.6, ticks=ticks)
+        layers.append(Boxes(name, colour, *spans, level - _HALF_BAR, level + _HALF_BAR))
+    ticks = [(-float(place), label) for place, (_, label, *_) in enumerate(rows)]
+    return layers, Scale("time [s]"), Scale("", 0.4 - len(rows), 0.6, ticks=ticks)

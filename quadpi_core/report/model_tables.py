@@ -5,8 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from itertools import zip_longest
+from itertools import chain, zip_longest
 from typing import TYPE_CHECKING, Any
 
 from quadpi_core.models.headlines import Headline, headlines
@@ -45,40 +44,8 @@ def selection_table(log: SelectionLog, title: str = "") -> Table:
     return Table(columns, rows, title=title)
 
 
-@dataclass(frozen=True)
-class Term:
-    """A term of an identified polynomial.
-
-    Attributes:
-        name: of the regressor.
-        coefficient: in SI units.
-        r2: of the fit up to this term; None for fixed terms except the last, as all enter together.
-        fixed: whether the term was given rather than selected.
-    """
-
-    name: str
-    coefficient: float
-    r2: float | None
-    fixed: bool
-
-    def cells(self) -> list[Cell | str | float | None]:
-        """Name, coefficient and R²."""
-        name = Cell(self.name, Mark.SOFT) if self.fixed else self.name
-        return [name, self.coefficient, _NO_R2 if self.r2 is None else self.r2]
-
-
 # Not left empty, which would mean that there is no term: fixed terms are fitted together.
 _NO_R2 = "–"
-
-
-def final_terms(log: SelectionLog) -> list[Term]:
-    """Terms of the final model, in the order in which selection added them for good."""
-    last = {row["term"]: place for place, row in enumerate(log)}
-    return [
-        Term(row["term"], row["coefficient"], row["r2"], row["fixed"])
-        for place, row in enumerate(log)
-        if row["coefficient"] is not None and place == last[row["term"]]
-    ]
 
 
 def structure_table(selection: Mapping[str, SelectionLog], axes: Sequence[str]) -> Table:
@@ -92,10 +59,23 @@ def structure_table(selection: Mapping[str, SelectionLog], axes: Sequence[str]) 
             Column("R²", "{:.4f}".format),
         )
     ]
-    steps = zip_longest(*(final_terms(selection[axis]) for axis in axes))
     empty: list[Cell | str | float | None] = ["", "", ""]
-    rows = [[cell for term in row for cell in (empty if term is None else term.cells())] for row in steps]
-    return Table(columns, rows)
+    steps = zip_longest(*(_final_terms(selection[axis]) for axis in axes), fillvalue=empty)
+    return Table(columns, [list(chain.from_iterable(row)) for row in steps])
+
+
+def _final_terms(log: SelectionLog) -> list[list[Cell | str | float | None]]:
+    """Name, coefficient and R² of each term, in the order in which selection added them for good."""
+    last = {row["term"]: place for place, row in enumerate(log)}
+    return [
+        [
+            Cell(row["term"], Mark.SOFT) if row["fixed"] else row["term"],
+            row["coefficient"],
+            _NO_R2 if row["r2"] is None else row["r2"],
+        ]
+        for place, row in enumerate(log)
+        if row["coefficient"] is not None and place == last[row["term"]]
+    ]
 
 
 def headline_table(model: AerodynamicModel) -> Table | None:

@@ -22,14 +22,13 @@ from quadpi_core.flight_files import FlightLeftOut, named_files
 from quadpi_core.paths import whole_output
 from quadpi_core.report import ASSETS
 from quadpi_core.report.figure import Figure, Space
-from quadpi_core.report.figure_data import figures_as_json
+from quadpi_core.report.figure_data import bins_of, figures_as_json
 from quadpi_core.report.style import css_colour
-from quadpi_core.report.table import html_body, html_head
 from quadpi_core.version import __version__
 
-_STYLES = ("look.css", "report.css")
+_STYLES = ("uPlot.css", "look.css", "report.css")
 # Each after those that it imports from.
-_SCRIPTS = ("ticks.js", "layers.js", "figures.js", "space.js", "report.js")
+_SCRIPTS = ("uPlot.js", "drawing.js", "figures.js", "space.js", "report.js")
 
 
 @dataclass(frozen=True)
@@ -98,6 +97,8 @@ class Page:
         Raises:
             OutputError: if `path` cannot be written.
         """
+        of_flights = [figure for own in self.flight_figures.values() for figure in own.values()]
+        bins = bins_of([*self.figures.values(), *of_flights])
         environment = Environment(
             loader=PackageLoader("quadpi_core.report"),
             autoescape=True,
@@ -105,7 +106,7 @@ class Page:
             trim_blocks=True,
             lstrip_blocks=True,
         )
-        environment.filters.update(html_head=html_head, html_body=html_body, css_colour=css_colour)
+        environment.filters["css_colour"] = css_colour
         page = environment.get_template(template).render(
             title=self.title,
             about=self.about,
@@ -113,8 +114,9 @@ class Page:
             facts=self.facts,
             definitions=self.definitions,
             remarks=self.remarks,
-            figures=figures_as_json(self.figures),
-            flight_figures={name: figures_as_json(own) for name, own in self.flight_figures.items()},
+            bins=bins,
+            figures=figures_as_json(self.figures, bins),
+            flight_figures={name: figures_as_json(own, bins) for name, own in self.flight_figures.items()},
             commands=_for_script(self.files.commands()),
             style="\n".join(_asset(name) for name in _STYLES),
             script=_one_module(_SCRIPTS),

@@ -8,13 +8,13 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from quadpi_core.evaluation.rollouts import RolledFlight, RolloutEvaluation
 from quadpi_core.frames import Array
 from quadpi_core.models.physical_rollout import ATTITUDE, POSITION, RATES, VELOCITY
 from quadpi_core.report.coverage_verdict import listing
-from quadpi_core.report.figure import Band, Figure, Layer, Line, Panel, Scale, Shapes
-from quadpi_core.report.figure_data import bins_within, thinned_line
+from quadpi_core.report.figure import Band, Figure, Line, Panel, Scale
 from quadpi_core.report.page import FlightFiles, Page, flight_remarks
 from quadpi_core.report.style import GROUPS, MEASURED, nominal, number, percent
 from quadpi_core.report.table import Column, Row, Table
@@ -27,12 +27,8 @@ _QUANTITIES = {
     "attitude_deg": ("attitude", "°", ATTITUDE, float(np.degrees(1.0))),
     "rates_rad_s": ("rates", "rad/s", RATES, 1.0),
 }
-# Fans drawn of a flight, evenly over it: more would lie upon each other.
+# Most fans drawn of a flight, evenly over it and none upon another.
 _FANS = 40
-# States that fans are drawn of.
-_STATES = 5
-# Between fans, where a line is not drawn.
-_GAP = (np.nan, np.nan)
 
 
 def rollout_summary(evaluation: RolloutEvaluation) -> Table:
@@ -118,7 +114,6 @@ def write_rollout_page(
     Raises:
         OutputError: if `path` cannot be written.
     """
-    bins = bins_within(_STATES * len(flights))
     Page(
         title=f"quadpi: roll-outs of {evaluation.model}",
         about="how far ahead can this model be trusted?",
@@ -138,8 +133,7 @@ def write_rollout_page(
         },
         figures={},
         flight_figures={
-            flight.name: {"fan": fan_figure(flight, bins), "growth": growth_figure(flight)}
-            for flight in flights
+            flight.name: {"fan": fan_figure(flight), "growth": growth_figure(flight)} for flight in flights
         },
         files=files or FlightFiles(),
         remarks=flight_remarks(evaluation.data_quality, evaluation.left_out, _in_sample(evaluation)),
@@ -152,43 +146,40 @@ def write_rollout_page(
     )
 
 
-def fan_figure(flight: RolledFlight, bins: int) -> Figure:
-    """Velocity along each axis and tilt as they were, and fans of predictions with their tubes.
-
-    Args:
-        flight: that was predicted.
-        bins: number of parts that the flight is cut into, of which the extremes are drawn.
-    """
-    measured = _states(flight)
-    time = flight.flight.time
-    chosen = np.unique(np.linspace(0, len(flight.time) - 1, _FANS).astype(int))
+def fan_figure(flight: RolledFlight) -> Figure:
+    """Velocity along each axis and tilt as they were, and fans of predictions with their tubes."""
+    time, horizons_s = flight.flight.time, np.array(flight.horizons_s)
+    steps = np.rint(horizons_s / (time[1] - time[0])).astype(int)
+    chosen = _apart(flight.rolled.starts, int(steps[-1]))
+    places = flight.rolled.starts[chosen, None] + steps
+    x = np.append(time[places], time[places[:, -1:]] + 0.5 * (time[1] - time[0]), axis=1).ravel()
     panels = []
-    for row, (name, (values, part, scale)) in enumerate(measured.items()):
-        tube: list[tuple[float, float]] = []
-        mean: list[tuple[float, float]] = []
-        for k in chosen:
-            start = int(flight.rolled.starts[k])
-            places = start + np.rint(np.array(flight.horizons_s) / (time[1] - time[0])).astype(int)
-            centre = values[places] + scale * flight.rolled.errors[k, :, part]
-            variance = flight.rolled.covariance[k, :, part, part]
-            half = scale * flight.factors[k, :, (part - POSITION.stop) // 3 + 1] * np.sqrt(variance)
-            x = time[places]
-            around = np.concatenate((x, x[::-1])), np.concatenate((centre - half, (centre + half)[::-1]))
-            tube += [*zip(*around, strict=True), _GAP]
-            mean += [*zip(x, centre, strict=True), _GAP]
-        layers: list[Layer] = [
-            _shapes("tube", tube, closed=True),
-            thinned_line(time, values, bins, name="measured", colour=MEASURED),
-            # No line: fans overlap, so their times do not ascend.
-            _shapes("predicted", mean, closed=False),
+    for name, (values, part, scale) in _states(flight).items():
+        centre = values[places] + scale * flight.rolled.errors[chosen, :, part]
+        variance = flight.rolled.covariance[chosen, :, part, part]
+        half = scale * flight.factors[chosen, :, (part - POSITION.stop) // 3 + 1] * np.sqrt(variance)
+        layers = [
+            Line("measured", MEASURED, time, values),
+            Band("tube", GROUPS[0], x, _with_gaps(centre - half), _with_gaps(centre + half)),
+            Line("predicted", GROUPS[0], x, _with_gaps(centre)),
         ]
-        panels.append(Panel(layers, Scale("time [s]"), Scale(name), row=row))
-    return Figure("Fans of predictions", panels, [150.0] * len(panels), over_time=True)
+        panels.append(Panel(layers, Scale("time [s]"), Scale(name), 150.0))
+    return Figure("Fans of predictions", panels, over_time=True)
 
 
-def _shapes(name: str, points: list[tuple[float, float]], *, closed: bool) -> Shapes:
-    x, y = np.array(points).T
-    return Shapes(name, GROUPS[0], x, y, closed)
+def _apart(starts: npt.NDArray[np.int64], length: int) -> npt.NDArray[np.int64]:
+    """Places of starts that are at least so many samples apart, evenly over the flight."""
+    step = max(length + 1, (int(starts[-1]) - int(starts[0])) // _FANS)
+    chosen = [0]
+    for place, start in enumerate(starts.tolist()):
+        if start - starts[chosen[-1]] >= step:
+            chosen.append(place)
+    return np.array(chosen)
+
+
+def _with_gaps(values: Array) -> Array:
+    """Rows (K, H) one behind the other, with NaN behind each: no line joins fans."""
+    return np.append(values, np.full((len(values), 1), np.nan), axis=1).ravel()
 
 
 def growth_figure(flight: RolledFlight) -> Figure:
@@ -197,14 +188,13 @@ def growth_figure(flight: RolledFlight) -> Figure:
     panels = []
     for place, (name, unit, _, scale) in enumerate(_QUANTITIES.values()):
         norms = scale * flight.norms[:, :, place]
-        layers: list[Layer] = [
+        layers = [
             Band("tube", GROUPS[0], x, 0 * x, scale * flight.radii[:, :, place].mean(axis=0)),
             Line("median error", MEASURED, x, np.median(norms, axis=0)),
             Line("95 % of the errors", GROUPS[1], x, np.quantile(norms, 0.95, axis=0), dash="dashed"),
         ]
-        y = Scale(f"{name} [{unit}]", low=0.0)
-        panels.append(Panel(layers, Scale("horizon [s]"), y, column=place))
-    return Figure("Growth of the errors over the horizon", panels, [230.0])
+        panels.append(Panel(layers, Scale("horizon [s]"), Scale(f"{name} [{unit}]", low=0.0), 230.0))
+    return Figure("Growth of the errors over the horizon", panels, len(panels))
 
 
 def _states(flight: RolledFlight) -> Mapping[str, tuple[Array, int, float]]:

@@ -4,25 +4,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.frames import (
-    Array,
-    roll_pitch_yaw_from_quaternion,
-    world_ned_to_enu,
-)
+from quadpi_core.frames import Array, roll_pitch_yaw_from_quaternion, world_ned_to_enu
 from quadpi_core.report.figure import DASHES, Figure, Layer, Limit, Line, Panel, Scale, Space, SpaceLine
-from quadpi_core.report.figure_data import thinned_line
 from quadpi_core.report.style import GROUPS, INK, INPUT_LABELS, MEASURED, RULE
 from quadpi_core.rotations import rotate_body_to_world
 from quadpi_core.simulation.truth import Truth
 from quadpi_core.vehicle import Vehicle
-
-# Lines over time in the two figures of a flight.
-LINES = 25
 
 # The greatest rotor speed is drawn once a rotor exceeds this share of it.
 _NEAR_LIMIT = 0.8
@@ -34,13 +26,8 @@ _SIDE_SHARE, _SIDE_M = 0.2, 1.0
 _MARGIN = 1.08
 
 
-def tracking_figure(truth: Truth, bins: int) -> Figure:
-    """Position, yaw and the distance from the reference over time, flown against reference.
-
-    Args:
-        truth: of the flight.
-        bins: number of parts that the flight is cut into, of which the extremes are drawn.
-    """
+def tracking_figure(truth: Truth) -> Figure:
+    """Position, yaw and the distance from the reference over time, flown against reference."""
     position, wanted = truth.position, truth.reference.position
     yaw = roll_pitch_yaw_from_quaternion(truth.attitude)[:, 2]
     turns = np.round((truth.reference.yaw - yaw) / (2 * np.pi))
@@ -50,38 +37,34 @@ def tracking_figure(truth: Truth, bins: int) -> Figure:
         "height [m]": (-position[:, 2], -wanted[:, 2]),
         "yaw [deg]": (np.degrees(yaw + 2 * np.pi * turns), np.degrees(truth.reference.yaw)),
     }
-    rows: dict[str, list[Line]] = {
+    rows: dict[str, list[Layer]] = {
         title: [
-            thinned_line(truth.time, flown, bins, name="flown", colour=GROUPS[0]),
-            thinned_line(truth.time, reference, bins, name="reference", colour=MEASURED, dash="dashed"),
+            Line("flown", GROUPS[0], truth.time, flown),
+            Line("reference", MEASURED, truth.time, reference, dash="dashed"),
         ]
         for title, (flown, reference) in followed.items()
     }
-    rows["error [m]"] = [thinned_line(truth.time, truth.position_error, bins, name="error", colour=INK)]
-    return _history("Path and reference over time", rows, 80.0, from_zero=("error [m]",))
+    rows["error [m]"] = [Line("error", INK, truth.time, truth.position_error)]
+    panels = [
+        Panel(lines, Scale("time [s]"), Scale(title, low=0.0 if title == "error [m]" else None), 80.0)
+        for title, lines in rows.items()
+    ]
+    return Figure("Path and reference over time", panels, over_time=True)
 
 
-def effort_figure(truth: Truth, bins: int) -> Figure:
-    """Airspeed, attitude, rates, rotor speeds and wrench over time; arguments as `tracking_figure`."""
+def effort_figure(truth: Truth) -> Figure:
+    """Airspeed, attitude, rates, rotor speeds and wrench over time."""
     attitude = np.degrees(roll_pitch_yaw_from_quaternion(truth.attitude))
     rotors = "rotor speeds [rad/s]"
 
-    def lines(names: Sequence[str], columns: Array) -> list[Line]:
+    def lines(names: Sequence[str], columns: Array) -> list[Layer]:
         return [
-            thinned_line(
-                truth.time,
-                columns[:, i],
-                bins,
-                name=name,
-                colour=GROUPS[i],
-                width=1.2,
-                dash=DASHES[i % len(DASHES)],
-            )
+            Line(name, GROUPS[i], truth.time, columns[:, i], width=1.2, dash=DASHES[i % len(DASHES)])
             for i, name in enumerate(names)
         ]
 
-    rows: dict[str, list[Line]] = {
-        INPUT_LABELS["speed"]: [thinned_line(truth.time, truth.speed, bins, name="airspeed", colour=INK)],
+    rows: dict[str, list[Layer]] = {
+        INPUT_LABELS["speed"]: [Line("airspeed", INK, truth.time, truth.speed)],
         "tilt [deg]": lines(("roll", "pitch"), attitude),
         "rates [rad/s]": lines(("p", "q", "r"), truth.rates),
         rotors: lines(rotor_names(truth.vehicle), truth.rotor_speeds),
@@ -89,9 +72,10 @@ def effort_figure(truth: Truth, bins: int) -> Figure:
         "moment [Nm]": lines(("Mx", "My", "Mz"), truth.wrench[:, 3:]),
     }
     limit = truth.vehicle.rotor_speed_max_rad_s
-    limits = {rotors: Limit("", MEASURED, limit, dash="dotted", label="largest")}
-    reached = limits if truth.rotor_speeds.max() > _NEAR_LIMIT * limit else {}
-    return _history("Rotors and wrench over time", rows, 110.0, limits=reached)
+    if truth.rotor_speeds.max() > _NEAR_LIMIT * limit:
+        rows[rotors].append(Limit("", MEASURED, limit, dash="dotted", label="largest"))
+    panels = [Panel(layers, Scale("time [s]"), Scale(title), 115.0) for title, layers in rows.items()]
+    return Figure("Rotors and wrench over time", panels, over_time=True)
 
 
 def rotor_names(vehicle: Vehicle) -> list[str]:
@@ -100,23 +84,6 @@ def rotor_names(vehicle: Vehicle) -> list[str]:
         f"{'front' if x > 0 else 'rear'} {'right' if y > 0 else 'left'}"
         for x, y, _ in vehicle.rotor_positions
     ]
-
-
-def _history(
-    label: str,
-    rows: Mapping[str, Sequence[Line]],
-    height: float,
-    *,
-    from_zero: Sequence[str] = (),
-    limits: Mapping[str, Limit] | None = None,
-) -> Figure:
-    """Rows of lines over a shared time axis, by the titles of their axes."""
-    panels = []
-    for row, (title, lines) in enumerate(rows.items()):
-        layers: list[Layer] = [*lines, *([limits[title]] if limits and title in limits else [])]
-        y = Scale(title, low=0.0 if title in from_zero else None)
-        panels.append(Panel(layers, Scale("time [s]"), y, row=row))
-    return Figure(label, panels, [height] * len(rows), over_time=True)
 
 
 def trajectory_figure(truth: Truth) -> Space:

@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from quadpi_core.paths import config_directory
-from quadpi_core.report.figure_data import bins_within
 from quadpi_core.report.page import Page
-from quadpi_core.report.simulation_figures import LINES, effort_figure, tracking_figure, trajectory_figure
+from quadpi_core.report.simulation_figures import effort_figure, tracking_figure, trajectory_figure
 from quadpi_core.report.style import number, percent
 from quadpi_core.report.table import Cell, Column, Row, Table
 from quadpi_core.simulation.effect_registry import EFFECTS
@@ -176,7 +175,6 @@ def write_simulation_page(path: Path, flights: Sequence[tuple[FlightPlan, Truth]
         OutputError: if `path` cannot be written.
     """
     summaries = [summarise(plan, truth) for plan, truth in flights]
-    bins = bins_within(LINES * len(flights))
     scenarios = _distinct(plan.scenario for plan, _ in flights)
     facts = {
         "scenario": scenarios,
@@ -199,15 +197,14 @@ def write_simulation_page(path: Path, flights: Sequence[tuple[FlightPlan, Truth]
         flight_figures={
             plan.name: {
                 "trajectory": trajectory_figure(truth),
-                "tracking": tracking_figure(truth, bins),
-                "effort": effort_figure(truth, bins),
+                "tracking": tracking_figure(truth),
+                "effort": effort_figure(truth),
             }
             for plan, truth in flights
         },
     ).write(
         path,
         "simulation.html",
-        bins=bins,
         table_of_flights=_page_table(summaries),
         flights=[summary.name for summary in summaries],
     )

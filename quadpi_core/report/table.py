@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from itertools import groupby, pairwise
@@ -91,6 +91,12 @@ class Column:
     is_soft: bool = False
     is_code: bool = False
     chooses_flight: bool = False
+
+    @property
+    def css(self) -> str:
+        """Classes of its cells in HTML."""
+        names = {"text": self.is_text, "wraps": self.wraps, "soft": self.is_soft}
+        return " ".join(name for name, applies in names.items() if applies)
 
     def text(self, cell: Cell) -> str:
         """The text of a cell, without its unit."""
@@ -212,74 +218,6 @@ def _terminal_cell(table: Table, row: Sequence[Cell], places: Sequence[int], wid
 
 def _with_unit(column: Column, cell: Cell) -> str:
     return f"{column.text(cell)} [{cell.unit}]" if cell.unit else column.text(cell)
-
-
-@dataclass(frozen=True)
-class HtmlCell:
-    """A cell as the template `macros.html` draws it.
-
-    Attributes:
-        text: not escaped yet.
-        css: classes, separated by spaces.
-        unit: shown after the text.
-        detail: a second line below the text.
-        span: number of columns that the cell covers.
-        colour: of the line below a heading.
-        flight: shown when the cell is clicked; empty for none.
-    """
-
-    text: str
-    css: str = ""
-    unit: str = ""
-    detail: str = ""
-    span: int = 1
-    colour: str = ""
-    flight: str = ""
-
-
-def html_head(table: Table) -> Iterator[list[HtmlCell]]:
-    """The headings, row by row."""
-    if any(column.group for column in table.columns):
-        yield [
-            HtmlCell(column.group, "group" if column.group else "", span=len(places), colour=column.colour)
-            for column, places in table.groups
-        ]
-    yield [
-        HtmlCell(column.heading, css) for column, css in zip(table.columns, _html_classes(table), strict=True)
-    ]
-
-
-def html_body(table: Table) -> Iterator[list[HtmlCell]]:
-    """The rows."""
-    classes = _html_classes(table)
-    for row in table.cells:
-        yield [
-            HtmlCell(
-                column.text(cell),
-                f"{css} {cell.mark.value}".strip() if cell.mark else css,
-                unit=cell.unit,
-                detail=cell.detail,
-                flight=str(cell.value) if column.chooses_flight else "",
-            )
-            for column, css, cell in zip(table.columns, classes, row, strict=True)
-        ]
-
-
-def _html_classes(table: Table) -> list[str]:
-    starts = {places[0] for column, places in table.groups if column.group}
-    return [
-        " ".join(
-            name
-            for name, applies in (
-                ("start", place in starts),
-                ("text", column.is_text),
-                ("wraps", column.wraps),
-                ("soft", column.is_soft),
-            )
-            if applies
-        )
-        for place, column in enumerate(table.columns)
-    ]
 
 
 def markdown_table(table: Table) -> str:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""A validation under noise as the paper's two tables: for the terminal, and as a page with its figures."""
+"""A validation under noise: two tables as in the paper, for the terminal, and a page with its figures."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 from rich.console import Group
 from rich.text import Text
@@ -16,18 +15,8 @@ from scipy.stats import t as student_t
 
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.paper.realisations import HIGHEST, LOWEST, Spread
-from quadpi_core.paper.validation_case import ValidationCase
-from quadpi_core.paper.validation_result import (
-    VARIATIONS,
-    AxisValidation,
-    PublishedAxis,
-    Validation,
-    Variation,
-)
 from quadpi_core.report.coverage_verdict import Coverage, count_verdicts
 from quadpi_core.report.figure import Band, Figure, Layer, Line, Panel, Scale
-from quadpi_core.report.figure_data import bins_within, blocks, thinned_line
 from quadpi_core.report.page import Page
 from quadpi_core.report.style import (
     INK,
@@ -39,14 +28,21 @@ from quadpi_core.report.style import (
     number,
     unit,
 )
-from quadpi_core.report.table import Cell, Column, Mark, Table, Value, soft, terminal_table
+from quadpi_core.report.table import Cell, Column, Mark, Table, Value, terminal_table
+from quadpi_core.validation.realisations import HIGHEST, LOWEST, Spread
+from quadpi_core.validation.validation_case import ValidationCase
+from quadpi_core.validation.validation_result import (
+    VARIATIONS,
+    AxisValidation,
+    Validation,
+    Variation,
+)
 
-_PUBLISHED = "published"
 _TITLES = {"Forces": AXES[:3], "Moments": AXES[3:]}
-# Attributes of a result that are columns of the tables, with their headings.
-_COVERAGE = {"training": "train", **dict(zip(VARIATIONS, ("model", "meas.", "both"), strict=True))}
-_WIDTH = {key: heading for key, heading in _COVERAGE.items() if key != VARIATIONS[-1]}
-# The variations that the paper judges intervals by; training and combined variation are for reference.
+# Headings of the columns of both tables.
+_COVERAGE = ("train", "model", "meas.", "both")
+_WIDTH = _COVERAGE[:-1]
+# The variations that the paper judges intervals by; combined variation is for reference.
 _JUDGED = VARIATIONS[:2]
 _NOISE = {
     "velocity_m_s": ("velocity", "m/s"),
@@ -55,68 +51,51 @@ _NOISE = {
     "specific_force_m_s2": ("specific force", "m/s²"),
     "rotor_speeds_rad_s": ("rotor speeds", "rad/s"),
 }
-# The axes of the paper's figures, and the lines of each axis and model: two bands, interval and truth.
+# The axes of the paper's figures.
 BAND_AXES = ("Fz", "Fx", "My")
-_LINES = 4
 # Number of realisations whose extremes are drawn: those of 20 lie about two standard deviations from their
 # mean (1.87 expected for normal noise), as the bounds of a 95 % interval do.
 SHOWN = 20
 
 
-def validation_table(
-    results: Sequence[Validation], axes: Sequence[str], *, title: str = "", with_settings: bool = False
-) -> Table:
-    """Coverage and width under noise, with the paper's numbers below each method where there are some.
-
-    Args:
-        results: of models of the same names, such as one result for each settings.
-        axes: to show.
-        title: of the table.
-        with_settings: whether a column names the settings, which distinguish the results of a model.
-    """
+def validation_table(result: Validation, axes: Sequence[str], *, title: str = "") -> Table:
+    """Coverage and width under noise of each model, axis by axis."""
     columns = [
         Column("axis", is_text=True, once=True),
-        Column("method", is_text=True, once=with_settings),
-        *([Column("settings", is_text=True)] if with_settings else []),
-        *(Column(heading, hundredths, group="PICP %") for heading in _COVERAGE.values()),
-        *(Column(heading, hundredths, group="NMPIW %") for heading in _WIDTH.values()),
+        Column("method", is_text=True),
+        *(Column(heading, hundredths, group="PICP %") for heading in _COVERAGE),
+        *(Column(heading, hundredths, group="NMPIW %") for heading in _WIDTH),
     ]
-    published = results[0].published or {}
-    rows: list[list[Cell | Value]] = []
-    for axis in axes:
-        for name in results[0].models:
-            held = [result for result in results if axis in result.models[name].axes]
-            for result in held:
-                model = result.models[name]
-                settings = [model.settings] if with_settings else []
-                rows.append([axis, name, *settings, *_cells(model.axes[axis], result.confidence)])
-            if held and (known := published.get(name, {}).get(axis)):
-                label = [name, *soft(_PUBLISHED)] if with_settings else soft(_PUBLISHED)
-                rows.append([axis, *label, *soft(*_cells(known, None))])
+    rows = [
+        [axis, name, *_cells(model.axes[axis], result.confidence)]
+        for axis in axes
+        for name, model in result.models.items()
+        if axis in model.axes
+    ]
     return Table(columns, rows, title=title)
 
 
-def _cells(found: AxisValidation | PublishedAxis, confidence: float | None) -> list[Cell | Value]:
-    """Coverage and width of one row; a coverage below the confidence, unless that is None, is marked."""
-    parts: dict[str, Any] = {key: getattr(found, key, None) for key in _COVERAGE}
-    cells: list[Cell | Value] = []
-    for key, part in parts.items():
-        short = part is not None and confidence is not None and key in _JUDGED and part.picp < confidence
-        cells.append(Cell(part.picp, Mark.SHORT) if short else getattr(part, "picp", None))
-    return [*cells, *(getattr(parts[key], "nmpiw", None) for key in _WIDTH)]
+def _cells(found: AxisValidation, confidence: float) -> list[Cell | Value]:
+    """Coverage and width of one row; a coverage below the confidence is marked."""
+    variations: dict[str, Variation] = {key: getattr(found, key) for key in VARIATIONS}
+    covered = [
+        Cell(part.picp, Mark.SHORT if key in _JUDGED and part.picp < confidence else None)
+        for key, part in variations.items()
+    ]
+    # The flights that a model learned from are not known.
+    return [None, *covered, None, *(variations[key].nmpiw for key in _JUDGED)]
 
 
 def _tables(result: Validation) -> list[Table]:
-    tables = [validation_table([result], axes, title=title) for title, axes in _TITLES.items()]
+    tables = [validation_table(result, axes, title=title) for title, axes in _TITLES.items()]
     return [table for table in tables if table.rows]
 
 
 def validation_summary(result: Validation) -> Group:
-    """The two tables for the terminal, with the paper's numbers below each row where there are some."""
+    """The two tables for the terminal."""
     tables = _tables(result)
     marked = any(cell.mark is Mark.SHORT for table in tables for row in table.cells for cell in row)
     notes = [f"▼ covers less than {nominal(result.confidence)}"] if marked else []
-    notes += ["dim: the paper's numbers"] if result.published else []
     return Group(
         Text(
             f"{nominal(result.confidence)} prediction intervals; realisations of noise: "
@@ -165,7 +144,6 @@ def write_validation_page(
     Raises:
         OutputError: if `path` cannot be written.
     """
-    bins = bins_within(_LINES * len(BAND_AXES) * len(case.models) * len(case.flights))
     Page(
         title="quadpi: validation under noise",
         about="do the intervals hold under noise?",
@@ -180,15 +158,13 @@ def write_validation_page(
         definitions=_definitions(result),
         figures={},
         flight_figures={
-            flight.name: {"bands": band_figure(case, place, spreads[flight.name], result, bins)}
+            flight.name: {"bands": band_figure(case, place, spreads[flight.name], result)}
             for place, flight in enumerate(case.flights)
         },
     ).write(
         path,
         "validation.html",
         nominal=nominal(result.confidence),
-        bins=bins,
-        published=result.published,
         tables=_tables(result),
         by_flight=_flight_table(result),
         flights=list(result.flights),
@@ -229,7 +205,7 @@ def _definitions(result: Validation) -> dict[str, str]:
     }
 
 
-def band_figure(case: ValidationCase, place: int, spread: Spread, result: Validation, bins: int) -> Figure:
+def band_figure(case: ValidationCase, place: int, spread: Spread, result: Validation) -> Figure:
     """Bounds of each model (columns) on Fz, Fx and My (rows), and the variations that they have to cover.
 
     Args:
@@ -237,37 +213,33 @@ def band_figure(case: ValidationCase, place: int, spread: Spread, result: Valida
         place: index of the flight in the case.
         spread: of the flight over realisations.
         result: of the validation, for the coverage of the flight.
-        bins: number of parts that the flight is cut into, of which the extremes are drawn.
     """
     flight = case.flights[place]
+    time, known = flight.time, case.samples(flight).wrench
     held = {axis for model in case.models.values() for axis in model.axes}
     axes = [axis for axis in BAND_AXES if axis in held] or [axis for axis in AXES if axis in held][:1]
     panels = []
-    for column, (name, colour) in enumerate(method_colours(case.models).items()):
-        reference = case.references[name][place]
-        for row, axis in enumerate(axes):
+    for axis in axes:
+        k, y = AXES.index(axis), Scale(f"{axis} [{unit(axis)}]")
+        for name, colour in method_colours(case.models).items():
+            title = name if axis == axes[0] else ""
             if axis not in case.models[name].axes:
+                panels.append(Panel([], Scale("time [s]"), y, 190.0, title))
                 continue
-            k = AXES.index(axis)
+            reference = case.references[name][place]
             layers: list[Layer] = [
-                Band(of, shade, *blocks(flight.time, low, high, bins), opacity=0.35, pattern=pattern)
-                for of, (low, high), shade, pattern in (
-                    ("noisy measurements", _ends(spread.measured, k), MEASURED, 0),
-                    ("noisy predictions", _ends(spread.predicted[name], k), PREDICTED, 1),
-                )
+                Band("noisy measurements", MEASURED, time, *_ends(spread.measured, k), opacity=0.35),
+                Band("noisy predictions", PREDICTED, time, *_ends(spread.predicted[name], k), 0.35, 1),
+                Line("without noise", INK, time, known[:, k]),
             ]
-            truth = reference.wrench[:, k]
-            layers.append(thinned_line(flight.time, truth, bins, name="without noise", colour=INK))
-            found = blocks(flight.time, reference.lower[:, k], reference.upper[:, k], bins)
             layers += [
-                Line(f"{name} interval", colour, found.x, bound, dash="dashed")
-                for bound in (found.low, found.high)
+                Line(f"{name} interval", colour, time, bound[:, k], dash="dashed")
+                for bound in (reference.lower, reference.upper)
             ]
             covered = result.models[name].flights[flight.name][axis].measurement_variation
             notes = [f"{100.0 * covered:.1f} % covered"]
-            title, y = "" if row else name, Scale(f"{axis} [{unit(axis)}]")
-            panels.append(Panel(layers, Scale("time [s]"), y, title, notes, row, column))
-    return Figure("Intervals and noise", panels, [190.0] * len(axes), over_time=True, shared=True)
+            panels.append(Panel(layers, Scale("time [s]"), y, 190.0, title, notes))
+    return Figure("Intervals and noise", panels, len(case.models), over_time=True, shared=True)
 
 
 def _ends(extremes: Array, axis: int) -> tuple[Array, Array]:

@@ -3,12 +3,35 @@
 // A written page: its menus, figures of the chosen flights and models, a chosen moment, light and dark, print.
 
 import {FigureView, overlaid, PRINT} from "./figures.js";
-import {element, readFigures} from "./layers.js";
+import {element} from "./drawing.js";
 import {SpaceView} from "./space.js";
 
 const $ = (id) => document.getElementById(id);
 const VIEW_ADDRESS = "http://127.0.0.1:8710/";
 const kept = new Map(), views = new Map();
+// For those who test the page: its figures by their places.
+window.quadpi = views;
+
+// The figures of one script element, with their arrays, null for none, in place of their numbers.
+function readFigures(text) {
+  const {figures, arrays} = JSON.parse(text), read = [];
+  const array = (place) => read[place] ??= unpacked(arrays[place]);
+  const filled = (value) => Array.isArray(value) ? value.map(filled)
+    : value === null || typeof value !== "object" ? value
+      : "array" in value ? array(value.array)
+        : Object.fromEntries(Object.entries(value).map(([key, part]) => [key, filled(part)]));
+  return Object.fromEntries(Object.entries(figures).map(([name, figure]) => [name, filled(figure)]));
+}
+
+function unpacked(array) {
+  if (Array.isArray(array)) return array;
+  if ("count" in array) return Array.from({length: array.count}, (_, k) => array.from + (array.to - array.from) * k / Math.max(1, array.count - 1));
+  const bytes = Uint8Array.from(atob(array.data), (letter) => letter.charCodeAt(0)), codes = new DataView(bytes.buffer);
+  return Array.from({length: bytes.length / 2}, (_, k) => {
+    const code = codes.getUint16(2 * k, true);
+    return code === 65535 ? null : array.low + code * array.step;
+  });
+}
 
 // Figures of a flight, or of the page, read when they are first wanted.
 function figures(flight) {
@@ -77,7 +100,10 @@ $("close").addEventListener("click", () => { $("moment").hidden = true; });
 
 // --- light and dark, menus, print ---
 
-function theme(name) { document.documentElement.dataset.theme = name; }
+function theme(name) {
+  document.documentElement.dataset.theme = name;
+  for (const view of views.values()) view.draw();
+}
 
 const dark = matchMedia("(prefers-color-scheme: dark)");
 theme(dark.matches ? "dark" : "light");
@@ -95,8 +121,10 @@ for (const button of document.querySelectorAll("button[data-flight]")) {
 // On paper everything is open, and figures and tables have the width of the sheet at most: letters of tables are
 // smaller there, and a browser would shrink the whole page for one that is wider.
 const PRINTED_LETTERS = 0.85;
-let folded = [];
+let folded = [], shown = "light";
 addEventListener("beforeprint", () => {
+  shown = document.documentElement.dataset.theme;
+  document.documentElement.dataset.theme = "light";
   folded = [...document.querySelectorAll("details:not([open])")];
   for (const one of folded) one.open = true;
   for (const view of views.values()) view.draw(PRINT);
@@ -104,7 +132,7 @@ addEventListener("beforeprint", () => {
 });
 addEventListener("afterprint", () => {
   for (const one of folded) one.open = false;
-  for (const view of views.values()) view.draw();
+  theme(shown);
   for (const table of document.querySelectorAll(".scroll table")) table.style.zoom = "";
 });
 

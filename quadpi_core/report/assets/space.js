@@ -2,11 +2,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // A path in space, drawn as SVG from the records of figure.py: to be turned by dragging or by keys.
 
-import {DASHES, element, node} from "./layers.js";
-import {short, ticks} from "./ticks.js";
+import {DASHES, element, node, short, ticks} from "./drawing.js";
 
 const STEPS = 9, HEIGHT = 600, POINTED_PX = 14;
-
 
 export class SpaceView {
   constructor(place) {
@@ -45,7 +43,7 @@ export class SpaceView {
     this.drawing.setAttribute("aria-label", `${figure.label}. Arrow keys turn it, plus and minus zoom.`);
     this.legend.replaceChildren(...figure.lines.filter((line) => line.name).map((line) => {
       const drawn = node("svg", {width: 30, height: 14, "aria-hidden": "true"});
-      drawn.append(node("path", {d: "M1 7H29", fill: "none", "stroke-width": line.width ?? 2, "stroke-dasharray": DASHES[line.dash ?? ""], style: `stroke: var(--${line.colour})`}));
+      drawn.append(node("path", {d: "M1 7H29", fill: "none", "stroke-width": line.width ?? 2, "stroke-dasharray": DASHES[line.dash ?? ""].join(" "), style: `stroke: var(--${line.colour})`}));
       return element("span", {}, drawn, line.name);
     }));
     const ramp = figure.lines.find((line) => line.values);
@@ -131,8 +129,8 @@ export class SpaceView {
     const points = Array.from(line.points[0], (x, k) => [x, line.points[1][k], line.points[2][k]]);
     if (line.values) return this.ramp(line, points, write);
     const parts = [[]];
-    for (const point of points) if (point.some(Number.isNaN)) parts.push([]); else parts[parts.length - 1].push(point);
-    return [node("path", {d: parts.filter((part) => part.length).map(write).join(""), fill: "none", "stroke-width": line.width ?? 2, "stroke-dasharray": DASHES[line.dash ?? ""], "stroke-linejoin": "round", style: `stroke: var(--${line.colour})`})];
+    for (const point of points) if (point.includes(null)) parts.push([]); else parts[parts.length - 1].push(point);
+    return [node("path", {d: parts.filter((part) => part.length).map(write).join(""), fill: "none", "stroke-width": line.width ?? 2, "stroke-dasharray": DASHES[line.dash ?? ""].join(" "), "stroke-linejoin": "round", style: `stroke: var(--${line.colour})`})];
   }
 
   // Runs of one step of the colours: the faster, the wider.

@@ -56,7 +56,7 @@ def test_headlines_of_page_and_comparison_go_by_the_same_rule(case, with_coverag
         "95\u00a0% prediction intervals are not shown to hold on few "
         "(in sample; 1 of 6 axes; Mz 83.4 %, 95 % confidence interval 61.9 % to 95.5 %)."
     )
-    compared = Comparison("0", "v", 0.95, False, {"few": []}, None, {"m": evaluation})
+    compared = Comparison("0", "v", 0.95, False, {"few": []}, {"m": evaluation})
     assert comparison_verdict(compared) == (
         "Over the axes of all models, 95\u00a0% prediction intervals hold in 5 of 6 on few; are not shown to "
         "hold in 1 on few (m Mz 83.4 %, 95 % confidence interval 61.9 % to 95.5 %)."

@@ -136,7 +136,7 @@ def test_the_three_that_come_nearest_are_told_from_a_third_of_the_evidence_on(fo
     ],
 )
 def test_each_doubt_has_what_would_remove_it(found, check, now, then):
-    change = verdict_changes(changed(found, verdict="unknown", checks=(check,)))[0]
+    change = verdict_changes(changed(found, checks=(check,)))[0]
     assert change.now.startswith(now)
     assert then in change.then
 

@@ -9,7 +9,6 @@ from quadpi_core.discrepancy.by_condition import Profile, Residual
 from quadpi_core.discrepancy.closure import Gap
 from quadpi_core.flight import AXES
 from quadpi_core.report.discrepancy_figures import (
-    LINES,
     gap_figure,
     map_figure,
     mean_map,
@@ -62,10 +61,9 @@ def test_a_cell_needs_twenty_samples_to_be_drawn():
 
 def test_colours_of_an_axis_have_one_scale_about_zero(square):
     figure = map_figure([square], ("Fx", "Mz"))
-    cells = {(panel.column, panel.row): panel.layers[0] for panel in figure.panels}
-    assert len(cells) == 6
+    assert len(figure.panels) == 3 * figure.columns == 6
     for column in range(2):
-        own = [cells[column, row] for row in range(3)]
+        own = [panel.layers[0] for panel in figure.panels[column::2]]
         largest = max(np.nanmax(np.abs(cell.values)) for cell in own)
         assert [cell.largest for cell in own] == pytest.approx([largest] * 3)
         assert all(len(cell.values) == (len(cell.x) - 1) * (len(cell.y) - 1) for cell in own)
@@ -74,7 +72,6 @@ def test_colours_of_an_axis_have_one_scale_about_zero(square):
 def test_a_profile_is_drawn_to_the_end_of_its_last_bin():
     profile = Profile("Fx", "u", np.array([0.0, 2.0, 4.0]), *np.array([[3.0, 4.0], [1.0, 2.0], [0.5, 0.6]]))
     figure = profile_figure([profile] * 4)
-    assert [(panel.row, panel.column) for panel in figure.panels] == [(0, 0), (0, 1), (0, 2), (1, 0)]
     drawn = {line.name: line for line in figure.panels[0].layers}
     assert drawn["as it is"].y.tolist() == [3.0, 4.0, 4.0]
     assert drawn["with what was found"].y.tolist() == [1.0, 2.0, 2.0]
@@ -98,11 +95,11 @@ def test_a_gap_is_drawn_before_after_and_as_the_floor():
 
 
 def test_residuals_over_time_have_a_band_of_twice_the_floor(square):
-    figure = residual_figure(square, np.full(6, 0.25), bins=200)
-    assert sum(len(panel.layers) - 1 for panel in figure.panels) == LINES == 12
+    figure = residual_figure(square, np.full(6, 0.25))
+    assert len(figure.panels) == 6
     for panel in figure.panels:
         noise, before, after = panel.layers
         assert (noise.bottom.tolist(), noise.top.tolist()) == ([-0.5], [0.5])
         assert (before.name, after.name) == ("before", "after")
     _, before, after = figure.panels[0].layers
-    assert after.high.max() == pytest.approx(0.5 * before.high.max(), rel=1e-6)
+    assert after.y.max() == pytest.approx(0.5 * before.y.max(), rel=1e-6)

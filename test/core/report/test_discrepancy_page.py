@@ -43,23 +43,24 @@ def test_everything_stands_on_it(page_file, read_page, found):
         assert part.conditions in page.text
 
 
+DOUBTED = (judge_unexplained(0.5),)
+
+
 @pytest.mark.parametrize(
     ("changes", "first"),
     [
-        ({"verdict": "none", "effects": ()}, "Keep the simulation. No missing effect was found"),
+        ({"effects": ()}, "Keep the simulation. No missing effect was found"),
         (
-            {"verdict": "none", "effects": (), "candidates": (), "within_intervals": ("wind",)},
+            {"effects": (), "candidates": (), "within_intervals": ("wind",)},
             "Keep the simulation for flights like these: the intervals of bebop2 hold all axes of",
         ),
-        ({"verdict": "unknown", "effects": ()}, "Add nothing yet: bebop2 lacks something"),
-        ({"verdict": "unknown"}, "Add nothing yet: bebop2 lacks something"),
+        ({"checks": DOUBTED, "effects": ()}, "Add nothing yet: bebop2 lacks something"),
+        ({"checks": DOUBTED}, "Add nothing yet: bebop2 lacks something"),
         ({"rivals": ("wind",)}, "Fly forward flight to decide: bebop2 lacks body drag (or wind)"),
     ],
 )
 def test_the_first_words_say_what_to_do(found, rendered, changes, first):
     (drag,) = found.discovery.effects
-    if changes.get("verdict") == "unknown":
-        changes = {**changes, "checks": (judge_unexplained(0.5),)}
     if "rivals" in changes:
         changes = {"effects": (replace(drag, **changes, shown_by=("forward flight",)),)}
     summary = rendered(discrepancy_summary(replace(found, discovery=replace(found.discovery, **changes))))

@@ -8,13 +8,13 @@ import json
 import numpy as np
 import pytest
 
-from quadpi_core.report.figure import Figure, Limit, Line, Panel, Points, Scale
-from quadpi_core.report.figure_data import PAGE_VALUES, bins_within, blocks, figures_as_json, thinned_line
+from quadpi_core.report.figure import Band, Figure, Limit, Line, Panel, Points, Scale
+from quadpi_core.report.figure_data import PAGE_VALUES, bins_of, figures_as_json, thinned
 
 
 def read(figures):
     """The figures of a page with numbers in the place of arrays, as a browser reads them."""
-    held = json.loads(figures_as_json(figures))
+    held = json.loads(figures_as_json(figures, 10))
 
     def unpacked(array):
         if isinstance(array, list):
@@ -38,44 +38,58 @@ def read(figures):
     return filled(held["figures"]), held["arrays"]
 
 
-def one_panel(*layers):
-    return {"a": Figure("label", [Panel(layers, Scale("x"), Scale("y", low=0.0))], [100.0])}
+def one_panel(*layers, over_time=False):
+    return {
+        "a": Figure("label", [Panel(layers, Scale("x"), Scale("y", low=0.0), 100.0)], over_time=over_time)
+    }
+
+
+def drawn(layer, bins):
+    """A layer over time as a page of so many parts draws it."""
+    return thinned(one_panel(layer, over_time=True)["a"], bins).panels[0].layers[0]
 
 
 def test_blocks_keep_every_peak():
     time, y = np.arange(100_000) / 400.0, np.sin(np.arange(100_000) / 3000)
     y[[137, 51_234, 99_999]] = 40.0, -40.0, 9.0
-    found = blocks(time, y, y, bins=200)
+    found = drawn(Line("a", "ink", time, y), 200)
     assert len(found.x) == 200
-    assert (found.high[0], found.low[102], found.high[-1]) == (40.0, -40.0, 9.0)
+    assert (found.high[0], found.y[102], found.high[-1]) == (40.0, -40.0, 9.0)
     for k, start in enumerate(range(0, 100_000, 500)):
         part = slice(start, start + 500)
-        assert (found.low[k], found.high[k]) == (y[part].min(), y[part].max())
+        assert (found.y[k], found.high[k]) == (y[part].min(), y[part].max())
         assert time[part][0] <= found.x[k] <= time[part][-1]
 
 
 def test_a_band_keeps_the_lowest_of_its_lower_and_the_highest_of_its_upper_bound():
     low, high = np.zeros(1000), np.ones(1000)
     low[301], high[702] = -5.0, 5.0
-    found = blocks(np.arange(1000.0), low, high, bins=10)
+    found = drawn(Band("a", "ink", np.arange(1000.0), low, high), 10)
     assert (found.low.min(), found.high.max()) == (-5.0, 5.0)
     assert (found.low.max(), found.high.min()) == (0.0, 1.0)
 
 
 @pytest.mark.parametrize("size", [1, 2, 19, 20])
 def test_a_short_signal_stays_whole(size):
-    x = np.arange(float(size))
-    found = blocks(x, x, x, bins=10)
-    assert found.x is x
-    assert found.low is x
-    assert thinned_line(x, x, 10, name="a", colour="ink").high is None
+    line = Line("a", "ink", np.arange(float(size)), np.arange(float(size)))
+    assert drawn(line, 10) is line
+
+
+def test_what_has_gaps_or_holds_until_the_next_stays_whole():
+    x = np.arange(1000.0)
+    for line in (Line("a", "ink", x, np.where(x == 5.0, np.nan, x)), Line("a", "ink", x, x, stepped=True)):
+        assert drawn(line, 10) is line
+    # So does a figure that is not over time.
+    figures, _ = read(one_panel(Line("a", "ink", x, x)))
+    assert len(figures["a"]["panels"][0]["layers"][0]["x"]) == 1000
 
 
 @pytest.mark.parametrize(
     ("lines", "bins"), [(0, 4000), (87, 4000), (100, PAGE_VALUES // 200), (500, 700), (9000, 150)]
 )
 def test_pages_of_many_lines_draw_fewer_values_of_each(lines, bins):
-    assert bins_within(lines) == bins
+    line = Line("a", "ink", np.zeros(2), np.zeros(2))
+    assert bins_of([*one_panel(*[line] * lines, over_time=True).values(), *one_panel(line).values()]) == bins
 
 
 def test_arrays_are_read_as_they_were_written():

@@ -16,12 +16,12 @@ from quadpi_core.report.table import Column, Table
 from quadpi_core.version import __version__
 
 HOSTILE = '</script><script>alert(1)</script> & "<b>" {{ title }}'
-SECTIONS = {"bins": 300, "table_of_flights": Table([Column("flight")], [["hop"]]), "flights": ["hop"]}
+SECTIONS = {"table_of_flights": Table([Column("flight")], [["hop"]]), "flights": ["hop"]}
 
 
 def figure_of(name):
     line = Line(name, "model-1", np.arange(2.0), np.array([3.0, 4.0]))
-    return Figure("A line", [Panel([line], Scale("time [s]"), Scale("height [m]"))], [100.0])
+    return Figure("A line", [Panel([line], Scale("time [s]"), Scale("height [m]"), 100.0)])
 
 
 @pytest.fixture
@@ -91,10 +91,8 @@ def test_commands_are_quoted_for_a_shell_and_cannot_end_their_script(page, writt
 def test_a_page_that_fails_leaves_the_old_one(page, tmp_path):
     path = tmp_path / "page.html"
     path.write_text("old")
-    with pytest.raises(UndefinedError, match="bins"):
-        page.write(
-            path, "simulation.html", **{name: SECTIONS[name] for name in ("table_of_flights", "flights")}
-        )
+    with pytest.raises(UndefinedError, match="flights"):
+        page.write(path, "simulation.html", table_of_flights=SECTIONS["table_of_flights"])
     assert [file.name for file in tmp_path.iterdir()] == ["page.html"]
     assert path.read_text() == "old"
     with pytest.raises(OutputError, match=r"page\.html/deeper: cannot be written"):

@@ -57,21 +57,13 @@ class TestTrajectory:
 
 class TestTimeHistories:
     def test_yaw_follows_its_reference_through_the_turns(self):
-        figure = tracking_figure(circle(), bins=1000)
+        figure = tracking_figure(circle())
         flown, reference = (layers(figure, name)[3] for name in ("flown", "reference"))
         np.testing.assert_allclose(flown.y, reference.y, atol=1e-3)
         assert np.ptp(flown.y) > 720
 
-    def test_a_peak_of_one_sample_is_drawn(self):
-        truth = circle()
-        rates = truth.rates.copy()
-        rates[567, 1] = 9.0
-        figure = effort_figure(replace(truth, rates=rates), bins=150)
-        (q,) = layers(figure, "q")
-        assert q.high.max() == 9.0
-
     def test_lines_of_a_row_differ_without_colour(self):
-        for panel in effort_figure(circle(), 150).panels:
+        for panel in effort_figure(circle()).panels:
             dashes = [layer.dash for layer in panel.layers if layer.name]
             assert len(dashes) == len(set(dashes))
 

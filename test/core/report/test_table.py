@@ -10,8 +10,6 @@ from quadpi_core.report.table import (
     Column,
     Mark,
     Table,
-    html_body,
-    html_head,
     markdown_table,
     soft,
     terminal_table,
@@ -59,17 +57,15 @@ def test_markdown_has_every_column_and_escapes_bars(table):
     ]
 
 
-def test_html_has_classes_for_what_stands_out(table):
-    (groups, headings), body = html_head(table), list(html_body(table))
-    assert [(cell.text, cell.span, cell.colour) for cell in groups] == [
-        ("", 1, ""),
-        ("", 1, ""),
-        ("all <flights>", 2, "#0072b2"),
-    ]
-    assert [cell.css for cell in headings] == ["text", "text", "start", ""]
-    assert [cell.css for cell in body[0]] == ["text", "text", "start short", ""]
-    assert [cell.css for cell in body[1]] == ["text", "text soft", "start soft", ""]
-    assert [cell.unit for cell in body[0]] == ["N", "", "", ""]
+def test_html_has_classes_for_what_stands_out(table, tmp_path, read_page):
+    sections = {"table_of_flights": table, "flights": []}
+    Page("", "", "", {}, {}, {}).write(tmp_path / "page.html", "simulation.html", **sections)
+    tags = [attributes for tag, attributes in read_page(tmp_path / "page.html").tags if tag in {"th", "td"}]
+    shared, headings, first, second = tags[:3], tags[3:7], tags[7:11], tags[11:15]
+    assert shared == [{}, {}, {"class": "group", "colspan": "2", "style": "--group: #0072b2"}]
+    assert [cell["class"].strip() for cell in headings] == ["text", "text", "start", ""]
+    assert [cell["class"].strip() for cell in first] == ["text", "text", "start  short", ""]
+    assert [cell["class"].strip() for cell in second] == ["text", "text soft", "start  soft", ""]
 
 
 def test_a_repeated_value_is_left_out_below_the_same_values(markdown_cells):
@@ -89,7 +85,7 @@ def test_a_page_escapes_what_comes_from_outside(read_page, tmp_path):
     page.write(
         tmp_path / "page.html",
         "validation.html",
-        **{"nominal": name, "bins": 1, "published": None, "realisations_shown": 1, "flights": [name]},
+        **{"nominal": name, "realisations_shown": 1, "flights": [name]},
         tables=[Table([Column(name, group=name)], [[Cell(name, unit=name, detail=name)]], title=name)],
         by_flight=Table([Column(name, chooses_flight=True)], [[name]]),
     )
