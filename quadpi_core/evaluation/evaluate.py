@@ -17,7 +17,6 @@ from quadpi_core.evaluation.evaluation_result import (
     ComparedEvaluation,
     Comparison,
     Evaluation,
-    PublishedTable,
 )
 from quadpi_core.evaluation.flight_results import FlightResult, evaluate_flights
 from quadpi_core.flight_files import FlightLeftOut, LeftOutFlights, named_files, require_flights_left
@@ -174,7 +173,6 @@ class ComparisonCase:
         flights: the same flights after each low-pass (Hz) that the models take.
         groups: names of the flights in each group.
         confidence: nominal coverage of the intervals.
-        published: numbers for comparison, as of :func:`quadpi_core.paper.published.published_table`.
         left_out: flights that were given and cannot be used.
     """
 
@@ -182,7 +180,6 @@ class ComparisonCase:
     flights: Mapping[float, Sequence[PreparedFlight]]
     groups: Mapping[str, Sequence[str]]
     confidence: float
-    published: PublishedTable | None = None
     left_out: Sequence[FlightLeftOut] = field(default_factory=list)
 
 
@@ -276,7 +273,6 @@ def compare(
         confidence=case.confidence,
         adaptive=adaptive,
         groups={name: list(members) for name, members in case.groups.items()},
-        published=case.published,
         models=evaluations,
         left_out=case.left_out,
     )

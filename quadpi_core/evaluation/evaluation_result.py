@@ -22,18 +22,6 @@ from quadpi_core.models.interval_rules import LevelSupport
 
 
 @dataclass(frozen=True)
-class PublishedMetrics:
-    """Coverage as a fraction and mean width (N or Nm) that a publication states."""
-
-    picp: float
-    mpiw: float
-
-
-# By method, axis and group.
-PublishedTable = Mapping[str, Mapping[str, Mapping[str, PublishedMetrics]]]
-
-
-@dataclass(frozen=True)
 class AxisMetrics:
     """Metrics of one axis of the wrench over all samples of a group or flight; widths in N or Nm.
 
@@ -182,7 +170,7 @@ class Comparison:
         confidence: nominal coverage of the intervals.
         adaptive: whether the intervals adapted to the measured wrench.
         groups: names of the flights in each group.
-        published: numbers for comparison, if any.
+        published: always None, a key that readers of the JSON file may expect.
         models: by name.
         left_out: flights that were given and cannot be used.
     """
@@ -192,7 +180,7 @@ class Comparison:
     confidence: float
     adaptive: bool
     groups: Mapping[str, Sequence[str]]
-    published: PublishedTable | None
+    published: None = field(default=None, kw_only=True)
     models: Mapping[str, ComparedEvaluation]
     left_out: Sequence[FlightLeftOut] = field(default_factory=list)
 

@@ -10,6 +10,7 @@ factor that was calibrated on flights left out.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from operator import itemgetter
@@ -25,18 +26,16 @@ from quadpi_core.flight_files import FlightFile, FlightLeftOut, LeftOutFlights, 
 from quadpi_core.frames import Array
 from quadpi_core.identification.prepared_flights import read_flight
 from quadpi_core.models.aerodynamic import AerodynamicModel
-from quadpi_core.models.rollout_calibration import (
-    HORIZONS_S,
-    error_norms,
-    require_horizon,
-)
 from quadpi_core.models.rollout_flight import RolloutFlight, horizon_steps
 from quadpi_core.models.rollout_model import FlightRollouts, RolloutModel
-from quadpi_core.models.tube_shape import (
+from quadpi_core.models.tubes import (
+    HORIZONS_S,
     LARGEST,
     QUANTITIES,
     TRACKING_PER_S,
     Following,
+    error_norms,
+    require_horizon,
     tracked_factors,
     tube_radii,
     tube_scores,
@@ -244,34 +243,27 @@ def judge_flight(
     rolled = rolled._replace(covariance=model.calibration.shape.shaped(rolled.covariance))
     scores, norms = tube_scores(rolled.errors, rolled.covariance), error_norms(rolled.errors)
     radii = tube_radii(rolled.covariance)
-    ones = np.ones_like(norms)
     following = Following(
         (-(-horizons // START_EVERY)).tolist(), 1.0 - confidence, TRACKING_PER_S * START_EVERY * step
     )
     factors = model.calibration.factors(times, confidence)
     balls = model.calibration.radii(times, confidence)
-    tubes, tracked_balls = (
-        tracked_factors(scores, factors, following),
-        tracked_factors(norms, balls, following),
-    )
-    # Scores, the factors that they must not exceed, and radii.
+    tubes = tracked_factors(scores, factors, following)
+    tracked_balls = tracked_factors(norms, balls, following)
+    # Whether errors were held, and radii.
     ways = {
-        "": (scores, tubes, tubes * radii),
-        "fixed_": (scores, factors * ones, factors * radii),
-        "conformal_": (norms, balls * ones, balls * ones),
-        "conformal_tracked_": (norms, tracked_balls, tracked_balls),
+        "": (scores <= tubes, tubes * radii),
+        "fixed_": (scores <= factors, factors * radii),
+        "conformal_": (norms <= balls, np.broadcast_to(balls, norms.shape)),
+        "conformal_tracked_": (norms <= tracked_balls, tracked_balls),
     }
-    ways = {way: (of[0], of[1], np.minimum(of[2], LARGEST)) for way, of in ways.items()}
-    judged = [k for k, time in enumerate(times) if time in (*JUDGED_S, horizon_s)]
-    metrics = {
-        f"{times[k]:g}": {
-            _NAMES.get(name, (name, 1.0))[0]: _metrics(
-                norms[:, k, q], {way: tuple(a[:, k, q] for a in of) for way, of in ways.items()}, _scale(name)
-            )
-            for q, name in enumerate(QUANTITIES)
-        }
-        for k in judged
-    }
+    metrics: dict[str, dict[str, TubeMetrics]] = {}
+    for k, q in itertools.product(range(len(times)), range(len(QUANTITIES))):
+        if times[k] in (*JUDGED_S, horizon_s):
+            there = {way: (held[:, k, q], size[:, k, q], LARGEST[q]) for way, (held, size) in ways.items()}
+            name = list(QUANTITIES)[q]
+            shown, scale = _NAMES.get(name, (name, 1.0))
+            metrics.setdefault(f"{times[k]:g}", {})[shown] = _metrics(norms[:, k, q], there, scale)
     return (
         RolledFlight(
             flight.name, flight.quality, own.time[starts], times, norms, tubes * radii, own, rolled, tubes
@@ -287,13 +279,9 @@ def _horizons(horizon_s: float) -> tuple[float, ...]:
     return tuple(sorted({own for own in HORIZONS_S if own < horizon_s} | {horizon_s}))
 
 
-def _scale(name: str) -> float:
-    return _NAMES.get(name, (name, 1.0))[1]
-
-
-def _metrics(norms: Array, ways: dict[str, tuple[Array, ...]], scale: float) -> TubeMetrics:
+def _metrics(norms: Array, ways: dict[str, tuple[Any, Array, float]], scale: float) -> TubeMetrics:
     values = {"rms": scale * float(np.sqrt(np.mean(np.square(norms))))}
-    for way, (scores, factors, radii) in ways.items():
-        values[f"{way}coverage"] = float(np.mean(scores <= factors))
-        values[f"{way}width"] = scale * float(np.mean(2.0 * radii))
+    for way, (held, radii, largest) in ways.items():
+        values[f"{way}coverage"] = float(np.mean(held))
+        values[f"{way}width"] = scale * float(np.mean(2.0 * np.minimum(radii, largest)))
     return TubeMetrics(**values)

@@ -37,7 +37,8 @@ class _Spread(NamedTuple):
     width: float
 
 
-# Prior of the spreads: root mean squares over 24 models of 8 and of 12 simulated flights (docs/alarm.md).
+# Prior of the spreads: root mean squares over 24 models of 8 and of 12 simulated flights
+# (experiments/results/alarm.md).
 # For the width it concerns its square minus the squared median.
 _USUAL_SPREAD = _Spread(0.15, 0.8, 1.4)
 

@@ -9,13 +9,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Annotated, Any, Protocol, runtime_checkable
+from typing import Annotated, Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
-from pydantic import Field, PlainValidator
 
 from quadpi_core import array_checks
-from quadpi_core.config_schema import Flag, OneOf, Real, Text, Within, parse_config
+from quadpi_core.config_schema import Flag, NotEmpty, OneOf, ReadBy, Real, Text, Within, parse_config
 from quadpi_core.errors import ArgumentError, ModelError, named_in
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
@@ -39,6 +38,7 @@ from quadpi_core.models.model_kind import (
     Kind,
     StoredAxes,
     interval_factors,
+    named_arrays,
 )
 from quadpi_core.models.rollout_model import RolloutModel
 from quadpi_core.models.sound_flights import SoundFlights
@@ -49,10 +49,9 @@ from quadpi_core.version import __version__
 
 # What to call for a model, in refusals of anything else.
 LOAD_MODEL = "AerodynamicModel.load(folder) reads one"
-# Key of what predicts the state ahead in model.json, and start of its names among the arrays.
-_ROLLOUTS = "rollouts"
-# Likewise of what sound flights leave.
-_SOUND = "sound_flights"
+# Keys in model.json of what predicts the state ahead and of what sound flights leave: their arrays begin so.
+_ROLLOUTS, _SOUND = "rollouts", "sound_flights"
+_Part = TypeVar("_Part")
 
 
 @dataclass(frozen=True)
@@ -380,12 +379,10 @@ class AerodynamicModel:
             },
         }
         arrays = dict(stored.arrays)
-        if self.rollouts is not None:
-            description[_ROLLOUTS] = self.rollouts.to_json()
-            arrays |= {f"{_ROLLOUTS}.{name}": own for name, own in self.rollouts.arrays().items()}
-        if self.sound is not None:
-            description[_SOUND] = self.sound.to_json()
-            arrays |= {f"{_SOUND}.{name}": own for name, own in self.sound.arrays().items()}
+        for name, part in ((_ROLLOUTS, self.rollouts), (_SOUND, self.sound)):
+            if part is not None:
+                description[name] = part.to_json()
+                arrays |= {f"{name}.{key}": own for key, own in part.arrays().items()}
         identity = write_folder(FolderContent(description, arrays, stored.files), folder)
         return replace(self, name=folder.name, identity=identity, left_out=())
 
@@ -420,9 +417,9 @@ class AerodynamicModel:
                 selection={axis: entries[axis]["selection"] for axis in axes},
                 held_out_coverage={axis: entry.held_out_coverage for axis, entry in axes.items()},
                 identity=identity,
-                rollouts=_stored_rollouts(content),
+                rollouts=_stored_part(content, _ROLLOUTS, RolloutModel.stored),
                 alarm_limits=described.alarm,
-                sound=_stored_sound(content),
+                sound=_stored_part(content, _SOUND, SoundFlights.stored),
                 flown=described.flown(),
             )
             # A confidence that has no intervals is the fault of the file, not of whoever asks for them.
@@ -465,24 +462,13 @@ def recorded_evaluation(
     return said._replace(predicted=predicted, lower=said.lower + change, upper=said.upper + change)
 
 
-def _stored_rollouts(content: FolderContent) -> RolloutModel | None:
-    """What predicts the state ahead; None where the folder holds nothing of it."""
-    if _ROLLOUTS not in content.description:
+def _stored_part(
+    content: FolderContent, name: str, stored: Callable[[Any, Mapping[str, Array]], _Part]
+) -> _Part | None:
+    """A part of a model, read by what gives it; None where the folder holds nothing of it."""
+    if name not in content.description:
         return None
-    return RolloutModel.stored(content.description[_ROLLOUTS], _arrays_of(_ROLLOUTS, content))
-
-
-def _stored_sound(content: FolderContent) -> SoundFlights | None:
-    """What sound flights leave; None where the folder holds nothing of it."""
-    if _SOUND not in content.description:
-        return None
-    return SoundFlights.read(content.description[_SOUND], _arrays_of(_SOUND, content))
-
-
-def _arrays_of(part: str, content: FolderContent) -> dict[str, Array]:
-    """The arrays of a part of a model, by name."""
-    start = f"{part}."
-    return {name.removeprefix(start): a for name, a in content.arrays.items() if name.startswith(start)}
+    return stored(content.description[name], named_arrays(content.arrays, name))
 
 
 # model.json is written by quadpi alone: what its types do not declare is passed over, not refused.
@@ -520,9 +506,9 @@ class _Description:
     vehicle_fingerprint: str
     cutoff_hz: Real
     confidence: Real
-    axes: Annotated[dict[Annotated[str, OneOf(*AXES)], _AxisEntry], Field(min_length=1)]
-    envelope: Annotated[Envelope, PlainValidator(Envelope.from_json)]
-    alarm: Annotated[AlarmLimits, PlainValidator(AlarmLimits.from_json)]
+    axes: Annotated[dict[Annotated[str, OneOf(*AXES)], _AxisEntry], NotEmpty()]
+    envelope: Annotated[Envelope, ReadBy(Envelope.from_json)]
+    alarm: Annotated[AlarmLimits, ReadBy(AlarmLimits.from_json)]
     flights: tuple[TrainingFlight, ...]
     arrays_sha256: str
     vehicle_file: dict[str, Any] | None = None

@@ -104,14 +104,7 @@ class AlarmLimits:
 
     def to_json(self) -> dict[str, Any]:
         """Plain numbers for the model file; :meth:`from_json` reads them."""
-        return {
-            "allowance": self.allowance,
-            "miscoverage_s": dict(zip(AXES, self.miscoverage_s.tolist(), strict=True)),
-            "hover_rotor_speed": self.hover_rotor_speed,
-            "rate_per_hour": self.rate_per_hour,
-            "flights": self.flights,
-            "hours": self.hours,
-        }
+        return vars(self) | {"miscoverage_s": dict(zip(AXES, self.miscoverage_s.tolist(), strict=True))}
 
     @classmethod
     def from_json(cls, data: Any) -> AlarmLimits:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import inspect
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -15,19 +15,37 @@ import numpy.typing as npt
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
 from quadpi_core.models.interval_rules import FlightErrors, HeldOutRule
-from quadpi_core.models.model_kind import Fit, FittedAxis
+from quadpi_core.models.model_kind import Fit
 
 Self = TypeVar("Self", bound="AxisEstimator")
-
 
 # Number of contiguous parts that replace flights where samples are not grouped.
 _PARTS_WITHOUT_GROUPS = 5
 
 
-def contiguous_parts(samples: int) -> npt.NDArray[np.int64]:
-    """Number (N,) of the contiguous part of each sample, where its flight is not known."""
-    parts: npt.NDArray[np.int64] = np.arange(samples) * _PARTS_WITHOUT_GROUPS // max(samples, 1)
-    return parts
+def flight_labels(groups: npt.ArrayLike | None, samples: int) -> npt.NDArray[Any]:
+    """Labels (N,) of the flights of samples; the number of a contiguous part where flights are not known.
+
+    Raises:
+        ModelError: for another number of labels.
+    """
+    if groups is None:
+        return np.arange(samples) * _PARTS_WITHOUT_GROUPS // max(samples, 1)
+    labels = np.asarray(groups)
+    if labels.shape != (samples,):
+        raise ModelError(f"groups has shape {labels.shape}, expected {(samples,)}")
+    return labels
+
+
+def require_finite(X: Array, names: Sequence[str] | None = None) -> None:
+    """Refuse inputs (N, D) that are not finite.
+
+    Raises:
+        ModelError: naming the sample and the input, by its number unless it has a name.
+    """
+    if not np.all(np.isfinite(X)):
+        sample, column = np.argwhere(~np.isfinite(X))[0]
+        raise ModelError(f"sample {sample}: input {column if names is None else names[column]} is not finite")
 
 
 class AxisEstimator(ABC):
@@ -36,12 +54,16 @@ class AxisEstimator(ABC):
     A subclass takes its parameters as constructor arguments of the same names, and has `fit`.
 
     Attributes:
-        fitted_: the identified axis.
+        fitted_: the identified axis, a `model_kind.FittedAxis`.
         held_out_: errors on each flight of the model without it; None where no flight was left out.
+        n_features_in_: columns of the inputs.
+        rejected_: rows that were not finite, and were left out.
     """
 
-    fitted_: FittedAxis
+    fitted_: Any
     held_out_: list[FlightErrors] | None
+    n_features_in_: int
+    rejected_: int
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:  # noqa: ARG002 - scikit-learn's signature
         """Constructor arguments by name."""
@@ -71,11 +93,7 @@ class AxisEstimator(ABC):
         """
 
     def predict(self, X: Array) -> Array:
-        """Predictions (N,): the centre of the interval.
-
-        Raises:
-            ModelError: before `fit`, or naming the sample that is not finite.
-        """
+        """Predictions (N,): the centre of the interval; raises as :meth:`centre_and_spread` does."""
         return self.centre_and_spread(X)[0]
 
     def predict_interval(self, X: Array, confidence: float = 0.95) -> tuple[Array, Array]:

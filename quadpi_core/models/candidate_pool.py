@@ -18,10 +18,8 @@ from itertools import combinations_with_replacement
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
-from pydantic import PlainValidator
-
 from quadpi_core.brief_repr import brief_repr
-from quadpi_core.config_schema import OneOf, Section, load_config
+from quadpi_core.config_schema import OneOf, ReadBy, Section, load_config
 from quadpi_core.errors import ModelError, named_in
 from quadpi_core.flight import AXES
 from quadpi_core.models.regressors import (
@@ -31,7 +29,6 @@ from quadpi_core.models.regressors import (
     monomial_degree,
     monomial_product,
     parse_monomial,
-    unique_regressors,
 )
 
 # The largest family that comes with quadpi has a few hundred; of more than samples none can be identified.
@@ -66,11 +63,8 @@ class CandidatePool:
         """
         bias = Regressor(((1.0, CONSTANT),))
         candidates = [regressor for family in families for regressor in expand_family(family)]
-        return cls(
-            fixed=tuple(unique_regressors([bias, *map(Regressor.parse, fixed)])),
-            candidates=tuple(unique_regressors(candidates)),
-            inputs=tuple(unique_regressors([Regressor.parse(text) for text in inputs])),
-        )
+        lists = ([bias, *map(Regressor.parse, fixed)], candidates, map(Regressor.parse, inputs))
+        return cls(*(tuple(dict.fromkeys(own)) for own in lists))
 
 
 def expand_family(text: str) -> list[Regressor]:
@@ -85,11 +79,9 @@ def expand_family(text: str) -> list[Regressor]:
     match = _FAMILY.fullmatch(text.strip())
     if match is None:
         raise ModelError(f"candidates {text!r}: expected the form P^3(u, |v|, w)·{{1, omega_avg}}")
-    try:
+    with named_in(f"candidates {text!r}"):
         variables = [parse_monomial(v) for v in match["variables"].split(",")]
         factors = [parse_monomial(f) for f in (match["factors"] or "1").split(",")]
-    except ModelError as error:
-        raise ModelError(f"candidates {text!r}: {error}") from error
     degree = int(match["degree"])
     count = len(factors) * (math.comb(len(variables) + degree, degree) - 1)
     highest = degree * max(map(monomial_degree, variables)) + max(map(monomial_degree, factors))
@@ -127,7 +119,7 @@ def _texts(data: Any) -> list[str]:
     return [str(text) for text in data]
 
 
-Texts: TypeAlias = Annotated[list[str], PlainValidator(_texts)]
+Texts: TypeAlias = Annotated[list[str], ReadBy(_texts)]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,12 +12,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from quadpi_core.config_schema import NotNegative, Positive, Share, parse_config
-from quadpi_core.errors import ModelError
+from quadpi_core.config_schema import NotNegative, Positive, Share
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 
@@ -51,10 +49,14 @@ class AxisDisturbance:
 
 @dataclass(frozen=True)
 class Disturbance:
-    """The disturbance on all axes, for samples `step_s` apart."""
+    """The disturbance on all axes, for samples `step_s` apart; a model folder keeps its fields."""
 
+    step_s: Positive
     axes: tuple[AxisDisturbance, ...]
-    step_s: float
+
+    def __post_init__(self) -> None:
+        if len(self.axes) != len(AXES):
+            raise ValueError(f"`axes` must be a list of {len(AXES)}, found {len(self.axes)}")
 
     @classmethod
     def of_residuals(cls, residuals: Sequence[Array], step_s: float, lead: int = 0) -> Disturbance:
@@ -70,12 +72,12 @@ class Disturbance:
             series = [own[:, axis] for own in residuals]
             time_s, gain = _best_predictor(series, step_s, lead)
             axes.append(AxisDisturbance(_deviation(series, time_s, step_s), time_s, gain))
-        return cls(tuple(axes), step_s)
+        return cls(step_s, tuple(axes))
 
     @classmethod
     def nothing(cls, step_s: float) -> Disturbance:
         """No disturbance at all."""
-        return cls((AxisDisturbance(0.0, TIMES_S[0], 0.0),) * len(AXES), step_s)
+        return cls(step_s, (AxisDisturbance(0.0, TIMES_S[0], 0.0),) * len(AXES))
 
     @property
     def decay(self) -> Array:
@@ -119,28 +121,6 @@ class Disturbance:
             start = kept * before[axis][np.newaxis]
             out[:, axis], _ = lfilter([gain], [1.0, -kept], residuals[:, axis], axis=0, zi=start)
         return out
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain numbers, as stored with a model."""
-        return {"step_s": self.step_s, "axes": [vars(axis) for axis in self.axes]}
-
-    @classmethod
-    def from_json(cls, data: Any) -> Disturbance:
-        """Read what `to_json` gave.
-
-        Raises:
-            ModelError: for numbers that no fit gives.
-        """
-        entry = parse_config(_Entry, data, "disturbance", ModelError)
-        if len(entry.axes) != len(AXES):
-            raise ModelError(f"disturbance: {len(entry.axes)} axes, expected {len(AXES)}")
-        return cls(entry.axes, entry.step_s)
-
-
-@dataclass(frozen=True)
-class _Entry:
-    step_s: Positive
-    axes: tuple[AxisDisturbance, ...]
 
 
 def _best_predictor(series: Sequence[Array], step_s: float, lead: int) -> tuple[float, float]:

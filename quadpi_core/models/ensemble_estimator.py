@@ -5,8 +5,8 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias, TypeVar
 
 import numpy as np
@@ -15,7 +15,7 @@ import numpy.typing as npt
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.models.axis_estimator import AxisEstimator, fit_of
+from quadpi_core.models.axis_estimator import AxisEstimator, fit_of, require_finite
 from quadpi_core.models.ensemble_kernel import CompiledEnsembles
 from quadpi_core.models.fitted_ensemble import NOISE_FLOOR, FittedEnsemble
 from quadpi_core.models.interval_rules import FlightErrors, Rule, calibrate, flights_peak
@@ -27,9 +27,10 @@ from quadpi_core.training.networks import Networks
 
 if TYPE_CHECKING:
     from quadpi_core.training.batches import Samples
-    from quadpi_core.training.train import Report, Schedule, TrainingState
+    from quadpi_core.training.train import Report, Schedule, Training, TrainingState
 
 Calibration: TypeAlias = Literal["held-out", "none"]
+Floats: TypeAlias = npt.NDArray[np.float32]
 Self = TypeVar("Self", bound="Ensemble")
 
 
@@ -43,8 +44,8 @@ class Trained:
     """
 
     parts: list[dict[str, Any]]
-    centre: npt.NDArray[np.float32]
-    spread: npt.NDArray[np.float32]
+    centre: Floats
+    spread: Floats
 
 
 @dataclass(eq=False)
@@ -93,12 +94,9 @@ class Ensemble(AxisEstimator):
     seed: int = 0
     device: str = "cpu"
 
-    fitted_: FittedEnsemble = field(init=False, repr=False)
-    held_out_: list[FlightErrors] | None = field(init=False, repr=False)
-    rejected_: int = field(init=False, repr=False)
-    n_features_in_: int = field(init=False, repr=False)
-
-    # The paper's settings that both kinds share: single samples are left out, the last epoch is kept.
+    # The class of the fitted axes, and the paper's settings that both kinds share: single samples are left
+    # out, the last epoch is kept.
+    fitted_type: ClassVar[type[FittedEnsemble]]
     PAPER: ClassVar[dict[str, Any]] = {
         "fewest_steps": 1,
         "split": "sample",
@@ -147,18 +145,25 @@ class Ensemble(AxisEstimator):
         X = np.ascontiguousarray(X, dtype=float)
         if X.ndim != 2 or X.shape[1] != self.n_features_in_:
             raise ModelError(f"inputs have shape {X.shape}, expected (N, {self.n_features_in_})")
-        if not np.all(np.isfinite(X)):
-            sample, column = np.argwhere(~np.isfinite(X))[0]
-            raise ModelError(f"sample {sample}: input {column} is not finite")
-        return self.fitted_.centre_and_spread(X)
+        require_finite(X)
+        centre, spread = self.fitted_.centre_and_spread(X)
+        return centre, spread
 
     def _samples(self, table: Table, plan: Plan) -> Samples:
-        """What the members are trained on."""
         from quadpi_core.training.batches import Samples
 
         return Samples(
             table.features, table.targets.T[..., None, None], plan.unit, plan.trained, plan.omitted
         )
+
+    @abstractmethod
+    def _outcome(self, members: Training, table: Table, plan: Plan, ensemble: int) -> Sequence[Floats]:
+        """Centre, spread and errors (A, N) of an ensemble; errors are NaN where none is honest."""
+
+    def _outcomes(self, members: Training, table: Table, plan: Plan) -> Iterator[Floats]:
+        """What :meth:`_outcome` gives, (E, A, N) of all ensembles."""
+        outcomes = [self._outcome(members, table, plan, k) for k in range(len(plan))]
+        return (np.stack(parts) for parts in zip(*outcomes, strict=True))
 
     def _schedule(self, **changes: Any) -> Schedule:
         from quadpi_core.training.train import Schedule
@@ -176,7 +181,7 @@ class Ensemble(AxisEstimator):
         }
         return Schedule(**settings | changes)
 
-    def _floors(self, table: Table, plan: Plan, errors: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    def _floors(self, table: Table, plan: Plan, errors: Floats) -> Floats:
         """Least standard deviation (E, A) of an error, from errors (E, A, N) that are NaN where not honest.
 
         How errors differ from place to place is learned from few flights, and a new flight may be off where
@@ -199,13 +204,10 @@ class Ensemble(AxisEstimator):
     def _train(self, table: Table, plan: Plan, report: Report | None) -> Trained:
         """Train the networks of all axes and ensembles."""
 
+    @property
     @abstractmethod
     def _uncalibrated(self) -> Rule:
         """The rule of intervals that are not calibrated."""
-
-    @abstractmethod
-    def _finish(self, **parts: Any) -> FittedEnsemble:
-        """The fitted axis."""
 
 
 def require_training(device: str) -> None:
@@ -228,14 +230,10 @@ def fit_axes(
     groups: npt.ArrayLike | None = None,
     report: Report | None = None,
 ) -> None:
-    """Fit one estimator per axis, with the networks of all axes in one batch; see :meth:`Ensemble.fit`.
+    """Fit one estimator per axis to targets Y (N, A), the networks of all axes in one batch.
 
-    Args:
-        estimators: by name of the axis, all of one kind and with the same parameters but for `inputs`.
-        X: (N, 19) input vectors, or any table (N, D).
-        Y: (N, A) targets.
-        groups: (N,) label of the flight of each sample.
-        report: called after each epoch.
+    By name of the axis, all are of one kind and with the same parameters but for `inputs`; see
+    :meth:`Ensemble.fit` for the rest.
 
     Raises:
         ModelError: naming the axis, see :meth:`Ensemble.fit`; estimators that differ.
@@ -258,19 +256,12 @@ def fit_axes(
     plan = Plan.make(table.flights, first.members, first.subset, first.split, folds, first.seed)
     trained = first._train(table, plan, report)
     for axis, estimator in enumerate(estimators.values()):
-        _fit_axis(estimator, inputs[axis], table, plan, trained, axis)
+        _fit_axis(estimator, table, plan, trained, axis)
 
 
-def _fit_axis(
-    estimator: Ensemble,
-    inputs: tuple[Regressor, ...] | None,
-    table: Table,
-    plan: Plan,
-    trained: Trained,
-    axis: int,
-) -> None:
+def _fit_axis(estimator: Ensemble, table: Table, plan: Plan, trained: Trained, axis: int) -> None:
     """Calibrate the intervals of one axis and put what it holds together."""
-    scaling = table.scalings[axis]
+    scaling, inputs = table.scalings[axis], None if estimator.inputs is None else tuple(estimator.inputs)
 
     def errors(
         ensemble: int, flight: int, inside: npt.NDArray[np.bool_], others: Indices | None = None
@@ -283,7 +274,7 @@ def _fit_axis(
             width = spread / flights_peak(trained.spread[ensemble, axis, table.rows[k]] for k in others)
         return FlightErrors(scaling.target_scale * error, scaling.target_scale * spread, inside, width)
 
-    rule = estimator._uncalibrated()
+    rule: Rule = estimator._uncalibrated
     estimator.held_out_ = None
     if estimator.calibration == "held-out":
         estimator.held_out_ = [
@@ -294,31 +285,25 @@ def _fit_axis(
         final = [errors(0, k, np.ones(len(rows), dtype=bool)) for k, rows in enumerate(table.rows)]
         rule = calibrate(estimator.held_out_, final)
     width = len(scaling.input_mean)
-    parts = {
-        name: _without_padding(part, width) if isinstance(part, Networks) else part
+    parts: dict[str, Any] = {
+        # Without the inputs that only other axes have.
+        name: replace(part, hidden_weights=np.ascontiguousarray(part.hidden_weights[:, :, :width]))
+        if isinstance(part, Networks)
+        else part
         for name, part in trained.parts[axis].items()
     }
-    rms_spread = scaling.target_scale * float(
-        np.sqrt(np.mean(np.square(trained.spread[0, axis], dtype=float)))
+    rms = float(np.sqrt(np.mean(np.square(trained.spread[0, axis], dtype=float))))
+    estimator.fitted_ = estimator.fitted_type(
+        inputs=inputs, scaling=scaling, rule=rule, rms_spread=scaling.target_scale * rms, **parts
     )
-    estimator.fitted_ = estimator._finish(
-        inputs=inputs, scaling=scaling, rule=rule, rms_spread=rms_spread, **parts
-    )
-    estimator.n_features_in_ = table.X.shape[1]
-    estimator.rejected_ = table.rejected
+    estimator.n_features_in_, estimator.rejected_ = table.X.shape[1], table.rejected
 
 
-def _without_padding(networks: Networks, width: int) -> Networks:
-    """The networks without the inputs that only other axes have."""
-    weights = np.ascontiguousarray(networks.hidden_weights[:, :, :width])
-    return Networks(weights, networks.hidden_biases, networks.output_weights, networks.output_biases)
-
-
-def mean_over(predictions: npt.NDArray[np.float32], chosen: npt.NDArray[np.bool_]) -> npt.NDArray[np.float32]:
+def mean_over(predictions: Floats, chosen: npt.NDArray[np.bool_]) -> Floats:
     """Mean (A, N) of predictions (A, B, N) over the members chosen (B, N) for a sample; NaN without any."""
     weights = chosen.astype(np.float32)
     with np.errstate(invalid="ignore"):
-        mean: npt.NDArray[np.float32] = np.einsum("abn,bn->an", predictions, weights) / weights.sum(axis=0)
+        mean: Floats = np.einsum("abn,bn->an", predictions, weights) / weights.sum(axis=0)
     return mean
 
 

@@ -24,8 +24,9 @@ from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.models.fitted_ensemble import FittedEnsemble, Scaling
 from quadpi_core.models.model_kind import Evaluation
-from quadpi_core.models.regressors import BASE_ROWS, Records, RegressorProgram, rows_kernel
+from quadpi_core.models.regressors import BASE_ROWS, RegressorProgram, rows_kernel
 from quadpi_core.models.simd_lanes import LANES, element, filled, fused, load, rectified, store
+from quadpi_core.records import Records
 from quadpi_core.training.networks import Networks
 
 # Samples whose inputs stay in the cache; a multiple of LANES.
@@ -142,11 +143,9 @@ class CompiledEnsembles:
 
 def _banks(ensemble: FittedEnsemble) -> tuple[Networks, ...]:
     """Members, and noise network if there is one, as the kernel takes them."""
-    scaling = ensemble.scaling
-    members = _prepared(ensemble.members, scaling, scaling.target_mean, scaling.target_scale)
-    if ensemble.noise_network is None:
-        return (members,)
-    return members, _prepared(ensemble.noise_network, scaling, 0.0, 1.0)
+    scaling, (members, *noise) = ensemble.scaling, ensemble.networks.values()
+    prepared = _prepared(members, scaling, scaling.target_mean, scaling.target_scale)
+    return prepared, *(_prepared(own, scaling, 0.0, 1.0) for own in noise)
 
 
 def _prepared(networks: Networks, scaling: Scaling, mean: float, scale: float) -> Networks:

@@ -12,40 +12,36 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.config_schema import NotNegative, Positive, Real, Text, parse_config
+from quadpi_core.config_schema import NotNegative, Positive, Text, parse_config
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.models.fitted_polynomial import SpreadEntry, SpreadShape
+from quadpi_core.models.fitted_polynomial import SpreadEntry, SpreadShape, spread_json
 from quadpi_core.models.interval_rules import Rule
 from quadpi_core.models.model_kind import Evaluation
-from quadpi_core.models.physical_fit import FitStep
-from quadpi_core.models.physical_flight import Sensing
+from quadpi_core.models.physical_fit import FitStep, worst_pairs
+from quadpi_core.models.physical_flight import PhysicalFlight, Sensing
 from quadpi_core.models.physical_kernel import COMMON, KEPT, PackedPhysical, evaluate_physical
-from quadpi_core.models.physical_regressors import PHYSICAL_VEHICLE, control_signs
+from quadpi_core.models.physical_regressors import control_signs
 from quadpi_core.models.physical_terms import TERM_INDEX, TERM_NAMES, TERMS
 from quadpi_core.models.regressors import check_inputs
-from quadpi_core.models.stored_body import require_body
+from quadpi_core.models.stored_body import StoredBody, require_arrays, require_known
 from quadpi_core.records import Records
-
-# Key of what all axes share.
-SHARED = "fit"
 
 
 @dataclass(frozen=True)
-class PhysicalParameters:
+class PhysicalFit:
     """The parameters, which all axes share, and what there is to say of their fit.
 
     Attributes:
         values: (P,) in the order of TERMS, SI; zero where a term was left out.
         covariance: (P, P) of them; zero where a term was left out.
-        vehicle: PHYSICAL_VEHICLE (1,).
+        vehicle: PHYSICAL_VEHICLE (1,) that the regressors are those of.
         inertia: (3, 3) kg m².
         sensing: delay of the rotor speeds and bandwidth of the measured force.
         delay_range_s: delays of the rotor speeds that the flights do not rule out; None if not searched.
         notes: by parameter, where these flights do not identify it or a bound holds.
-        worst_pairs: most correlated parameters, with their correlation.
-        log: of the fit.
+        log: what was tried and chosen, step by step.
     """
 
     values: Array
@@ -55,12 +51,11 @@ class PhysicalParameters:
     sensing: Sensing
     delay_range_s: tuple[float, float] | None
     notes: dict[str, str]
-    worst_pairs: tuple[tuple[str, str, float], ...]
     log: tuple[FitStep, ...]
 
     @cached_property
     def standard_errors(self) -> Array:
-        """Standard errors (P,) of the parameters; zero where a term was left out."""
+        """Standard errors (P,) of the parameters, by as many errors as are independent."""
         return np.sqrt(np.diag(self.covariance))
 
     @property
@@ -68,14 +63,15 @@ class PhysicalParameters:
         """Numbers of the terms that are in the model."""
         return np.flatnonzero(self.standard_errors > 0.0)
 
+    def thrust_change(self, flight: PhysicalFlight) -> float:
+        """By how much the thrust of a flight differs from that of the fit, as a share."""
+        error = flight.errors(self.values, self.vehicle, self.sensing)[:, 2]
+        predicted = flight.wrench[:, 2] - error
+        return float(predicted @ error / (predicted @ predicted))
+
     def arrays(self) -> dict[str, Array]:
         """What a stored model keeps as arrays, by name."""
-        return {
-            "values": self.values,
-            "covariance": np.ascontiguousarray(self.covariance),
-            "vehicle": self.vehicle.view(np.float64).copy(),
-            "inertia": np.ascontiguousarray(self.inertia),
-        }
+        return StoredBody(self.values, self.covariance, self.vehicle, self.inertia).arrays("values")
 
     def to_json(self) -> dict[str, Any]:
         """What a stored model keeps beside the arrays."""
@@ -85,22 +81,29 @@ class PhysicalParameters:
             "force_bandwidth_hz": self.sensing.force_bandwidth_hz,
             "rotor_delay_range_s": self.delay_range_s,
             "notes": self.notes,
-            "worst_pairs": self.worst_pairs,
+            "worst_pairs": worst_pairs(self.covariance),
             "log": [asdict(step) for step in self.log],
         }
+
+    @classmethod
+    def stored(cls, data: Any, arrays: Mapping[str, Array]) -> PhysicalFit:
+        """Read what `to_json` and `arrays` gave.
+
+        Raises:
+            ModelError: for numbers that no fit gives, and parameters that this version does not know.
+        """
+        entry = parse_config(_FitEntry, data, "physical", ModelError)
+        require_known(list(entry.notes))
+        body = StoredBody.read(entry.parameters, arrays, "values")
+        sensing = Sensing(entry.rotor_delay_s, entry.force_bandwidth_hz)
+        return cls(*body, sensing, entry.rotor_delay_range_s, entry.notes, entry.log)
 
     def rows(self) -> list[tuple[str, float, float, str, str, str]]:
         """Name, value, standard error, unit, meaning and note of each parameter in the model."""
         return [
-            (
-                (term := TERMS[k]).name,
-                float(self.values[k]),
-                float(self.standard_errors[k]),
-                term.unit,
-                term.meaning,
-                self.notes.get(term.name, ""),
-            )
-            for k in self.kept
+            (t.name, float(value), float(error), t.unit, t.meaning, self.notes.get(t.name, ""))
+            for t, value, error in zip(TERMS, self.values, self.standard_errors, strict=True)
+            if error > 0.0
         ]
 
     def csv(self) -> str:
@@ -124,7 +127,7 @@ class FittedPhysical:
     """
 
     method: ClassVar[str] = "physical"
-    parameters: PhysicalParameters
+    parameters: PhysicalFit
     whitening: Array
     acting: npt.NDArray[np.int64]
     shape: SpreadShape
@@ -137,97 +140,44 @@ class FittedPhysical:
         return [TERM_NAMES[k] for k in self.acting]
 
     def arrays(self) -> dict[str, Array]:
-        """What a stored model keeps as arrays, by name."""
-        return {**self.parameters.arrays(), "whitening": np.ascontiguousarray(self.whitening)}
+        """What a stored model keeps of the axis alone as arrays, by name."""
+        return {"whitening": np.ascontiguousarray(self.whitening)}
 
     def to_json(self) -> dict[str, Any]:
-        """What a stored model keeps beside the arrays."""
-        return {
-            "acting": self.terms,
-            "inflation": self.shape.inflation,
-            "growth": self.shape.growth,
-            "rule": self.rule.to_json(),
-            "rms_spread": self.rms_spread,
-            SHARED: self.parameters.to_json(),
-        }
+        """What a stored model keeps of the axis alone beside the arrays."""
+        return {"acting": self.terms, **spread_json(self.shape, self.rule, self.rms_spread)}
 
     @classmethod
-    def stored(cls, data: dict[str, Any], arrays: dict[str, Array]) -> FittedPhysical:
-        """Read what `to_json` and `arrays` gave.
+    def stored(cls, data: Any, arrays: Mapping[str, Array]) -> FittedPhysical:
+        """Read what `to_json` and `arrays` gave, with the `parameters` among the data.
 
         Raises:
             ModelError: for numbers that no fit gives, and parameters that this version does not know.
         """
-        entry = parse_config(_Entry, data, cls.method, ModelError)
-        fit = entry.fit
-        pairs = [name for pair in fit.worst_pairs for name in pair[:2]]
-        named = (*fit.parameters, *entry.acting, *fit.notes, *pairs)
-        if unknown := [name for name in named if name not in TERM_INDEX]:
-            raise ModelError(f"parameter {unknown[0]!r} is not known to this version")
-        order, size = [TERM_INDEX[name] for name in fit.parameters], len(entry.acting)
-        _require_arrays(arrays, len(order), size)
-        values, covariance = np.zeros(len(TERMS)), np.zeros((len(TERMS), len(TERMS)))
-        values[order], covariance[np.ix_(order, order)] = arrays["values"], arrays["covariance"]
-        vehicle = np.ascontiguousarray(arrays["vehicle"]).view(PHYSICAL_VEHICLE)
-        if np.any(np.diag(covariance) < 0.0):
-            raise ModelError("covariance: a negative variance")
-        require_body(vehicle, arrays["inertia"])
-        parameters = PhysicalParameters(
-            values,
-            covariance,
-            vehicle,
-            arrays["inertia"],
-            Sensing(fit.rotor_delay_s, fit.force_bandwidth_hz),
-            fit.rotor_delay_range_s,
-            fit.notes,
-            fit.worst_pairs,
-            fit.log,
-        )
-        return cls(
-            parameters,
-            arrays["whitening"],
-            np.array([TERM_INDEX[name] for name in entry.acting], dtype=np.int64),
-            SpreadShape(entry.inflation, entry.growth),
-            entry.rule,
-            entry.rms_spread,
-        )
+        entry = parse_config(_AxisEntry, data, cls.method, ModelError)
+        require_known(entry.acting)
+        acting = np.array([TERM_INDEX[name] for name in entry.acting], dtype=np.int64)
+        require_arrays(arrays, {"whitening": (len(acting), len(acting))})
+        return cls(data["parameters"], arrays["whitening"], acting, *entry.spread())
 
 
 @dataclass(frozen=True)
-class _SharedEntry:
+class _FitEntry:
     """What a stored model keeps of all axes beside the arrays."""
 
     parameters: tuple[Text, ...]
     rotor_delay_s: NotNegative
     force_bandwidth_hz: Positive | None
     notes: dict[str, str]
-    worst_pairs: tuple[tuple[Text, Text, Real], ...]
     log: tuple[FitStep, ...]
-    # Not in folders of earlier versions.
-    rotor_delay_range_s: tuple[NotNegative, NotNegative] | None = None
+    rotor_delay_range_s: tuple[NotNegative, NotNegative] | None
 
 
 @dataclass(frozen=True)
-class _Entry(SpreadEntry):
+class _AxisEntry(SpreadEntry):
     """What a stored model keeps of an axis beside the arrays."""
 
     acting: tuple[Text, ...]
-    fit: _SharedEntry
-
-
-def _require_arrays(arrays: Mapping[str, Array], parameters: int, size: int) -> None:
-    expected = {
-        "values": (parameters,),
-        "covariance": (parameters, parameters),
-        "vehicle": (PHYSICAL_VEHICLE.itemsize // 8,),
-        "inertia": (3, 3),
-        "whitening": (size, size),
-    }
-    for name, wanted in expected.items():
-        if name not in arrays:
-            raise ModelError(f"{name} is missing")
-        if arrays[name].shape != wanted or not np.all(np.isfinite(arrays[name])):
-            raise ModelError(f"{name} of shape {arrays[name].shape}, expected finite numbers {wanted}")
 
 
 @dataclass(frozen=True)

@@ -22,11 +22,11 @@ from quadpi_core.models.interval_rules import FlightErrors, Rule, StoredRule, fl
 from quadpi_core.models.model_kind import Evaluation
 from quadpi_core.models.regressors import (
     BASE_ROWS,
-    Records,
     Regressor,
     RegressorProgram,
     rows_kernel,
 )
+from quadpi_core.records import Records
 
 # Least and most that the variance due to airspeed can be on average, relative to that of a hover.
 _LEAST_GROWTH, _MOST_GROWTH = 1e-6, 1e2
@@ -182,13 +182,7 @@ class FittedPolynomial:
 
     def to_json(self) -> dict[str, Any]:
         """What a stored model keeps beside the arrays."""
-        return {
-            "regressors": self.terms,
-            "inflation": self.shape.inflation,
-            "growth": self.shape.growth,
-            "rule": self.rule.to_json(),
-            "rms_spread": self.rms_spread,
-        }
+        return {"regressors": self.terms, **spread_json(self.shape, self.rule, self.rms_spread)}
 
     @classmethod
     def stored(cls, data: dict[str, Any], arrays: dict[str, Array]) -> FittedPolynomial:
@@ -202,8 +196,7 @@ class FittedPolynomial:
         coefficients, whitening, size = arrays["coefficients"], arrays["whitening"], len(regressors)
         if coefficients.shape != (size,) or whitening.shape != (size, size):
             raise ModelError(f"shapes do not fit the {size} regressors")
-        shape = SpreadShape(entry.inflation, entry.growth)
-        return cls(regressors, coefficients, whitening, shape, entry.rule, entry.rms_spread)
+        return cls(regressors, coefficients, whitening, *entry.spread())
 
     @property
     def terms(self) -> list[str]:
@@ -219,6 +212,15 @@ class SpreadEntry:
     growth: NotNegative
     rule: StoredRule
     rms_spread: Annotated[float, Within(1.0)]
+
+    def spread(self) -> tuple[SpreadShape, Rule, float]:
+        """Shape, rule and root mean square of the spread."""
+        return SpreadShape(self.inflation, self.growth), self.rule, self.rms_spread
+
+
+def spread_json(shape: SpreadShape, rule: Rule, rms_spread: float) -> dict[str, Any]:
+    """What :class:`SpreadEntry` reads."""
+    return {**vars(shape), "rule": rule.to_json(), "rms_spread": rms_spread}
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,8 @@ squares of the rotor speeds changed by 10 % so that they roll, pitch or yaw.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -61,85 +61,82 @@ def _near_hover(model: AerodynamicModel, vehicle: Vehicle) -> Iterator[Headline]
     speed = model.alarm_limits.hover_rotor_speed
     squares = ROTORS * speed**2
     x, y, _ = vehicle.rotor_positions.T
-    probe = _Probe(model, vehicle, speed)
-    lift = probe.of("Fz", {(): -1.0 / squares})
+
+    def of(axis: str, *weighted: _Weighted) -> tuple[float, float | None] | None:
+        return _weighted_sum(model, vehicle, axis, weighted)
+
+    lift = of("Fz", (-1.0 / squares, "", 0.0))
     if lift is not None:
         value, error = lift
         disc = vehicle.air_density_kg_m3 * np.pi * vehicle.rotor_radius_m**4
         coefficient, by = value / disc, None if error is None else error / disc
         yield Headline("thrust coefficient C_T, hover", coefficient, by, vehicle.thrust_coefficient, "")
     for axis, name in (("Fx", "x"), ("Fy", "y")):
-        drag = probe.of(axis, {(name, -_SPEED_M_S): 0.5 / _SPEED_M_S, (name, _SPEED_M_S): -0.5 / _SPEED_M_S})
+        half = 0.5 / _SPEED_M_S
+        drag = of(axis, (half, name, -_SPEED_M_S), (-half, name, _SPEED_M_S))
         if drag is not None:
             yield Headline(f"drag near hover, {name}", *drag, None, "N s/m")
     if lift is None or not lift[0] > 0.0:
         return
     thrust, thrust_error = lift
     for axis, name, sign, stated in (("My", "x", 1.0, x), ("Mx", "y", -1.0, y)):
-        moment = probe.of(axis, {(): 1e3 * sign / (squares * thrust)})
+        moment = of(axis, (1e3 * sign / (squares * thrust), "", 0.0))
         if moment is not None:
             yield Headline(f"middle of thrust from CG, {name}", *moment, 1e3 * float(stated.mean()), "mm")
     # Moments of the change of thrusts, by the arms of the file and per torque of a rotor.
     for axis, name, levers, known in (
-        ("Mx", "x", -y, vehicle.inertia[0, 0]),
-        ("My", "y", x, vehicle.inertia[1, 1]),
+        ("Mx", "x", -y, float(vehicle.inertia[0, 0])),
+        ("My", "y", x, float(vehicle.inertia[1, 1])),
         ("Mz", "z", -vehicle.rotor_spins, None),
     ):
-        way = f"turn {name}"
-        moment = probe.of(axis, {(way, _CHANGE): 0.5 / _CHANGE, (way, -_CHANGE): -0.5 / _CHANGE})
+        half = 0.5 / _CHANGE
+        moment = of(axis, (half, f"turn {name}", _CHANGE), (-half, f"turn {name}", -_CHANGE))
         if moment is None or not moment[0] > 0.0:
             continue
         value, error = moment
-        stated = speed**2 * float(np.abs(levers).sum())
-        share = None
+        arms = speed**2 * float(np.abs(levers).sum())
+        quantity, found, unit = "torque over thrust of a rotor", 1e3 * value / (arms * thrust), "mm"
+        if known is not None:
+            quantity, unit = f"inertia {name}, by arms and thrust", "kg m²"
+            found = known * thrust * arms / value
+        by = None
         if error is not None and thrust_error is not None:
-            share = float(np.hypot(error / value, thrust_error / thrust))
-        if known is None:
-            ratio = 1e3 * value / (stated * thrust)
-            yield Headline(
-                "torque over thrust of a rotor", ratio, None if share is None else ratio * share, None, "mm"
-            )
-        else:
-            inertia = float(known) * thrust * stated / value
-            by = None if share is None else inertia * share
-            yield Headline(f"inertia {name}, by arms and thrust", inertia, by, float(known), "kg m²")
+            by = found * float(np.hypot(error / value, thrust_error / thrust))
+        yield Headline(quantity, found, by, known, unit)
 
 
-class _Probe:
-    """Sums of predictions at steady states near hover."""
+# Weight of a prediction at a steady state: hover, or hover but for a velocity along an axis, or a share of
+# the squares of the rotor speeds that turns the vehicle about one.
+_Weighted: TypeAlias = tuple[float, str, float]
 
-    def __init__(self, model: AerodynamicModel, vehicle: Vehicle, hover: float) -> None:
-        self._model, self._vehicle, self._hover = model, vehicle, hover
-        x, y, _ = vehicle.rotor_positions.T
-        self._ways = {"turn x": -np.sign(y), "turn y": np.sign(x), "turn z": -vehicle.rotor_spins}
 
-    def of(
-        self, axis: str, weights: dict[tuple[()] | tuple[str, float], float]
-    ) -> tuple[float, float | None] | None:
-        """Weighted sum of the predictions of an axis, and its standard error where the fit knows it.
+def _weighted_sum(
+    model: AerodynamicModel, vehicle: Vehicle, axis: str, weighted: Sequence[_Weighted]
+) -> tuple[float, float | None] | None:
+    """Sum of the predictions of an axis, and its standard error where the fit knows it.
 
-        None for an axis that is not held, and states that no training flight has nearly reached.
-        """
-        if axis not in self._model.axes:
-            return None
-        inputs = np.concatenate([self._inputs(state) for state in weights])
-        envelope = self._model.envelope
-        if np.any(envelope.input_excess(inputs) > envelope.near.margin):
-            return None
-        factors = np.array(list(weights.values()))
-        steady = np.zeros(len(inputs), DERIVATIVES)
-        predicted = self._model.evaluate(inputs, derivatives=steady).predicted[:, AXES.index(axis)]
-        error = self._model.kind.standard_error(self._model.fitted, axis, inputs, factors, self._vehicle)
-        return float(factors @ predicted), error
+    None for an axis that is not held, and states that no training flight has nearly reached.
+    """
+    if axis not in model.axes:
+        return None
+    inputs = np.concatenate([_inputs(vehicle, model, way, amount) for _, way, amount in weighted])
+    envelope = model.envelope
+    if np.any(envelope.input_excess(inputs) > envelope.near.margin):
+        return None
+    factors = np.array([weight for weight, _, _ in weighted])
+    steady = np.zeros(len(inputs), DERIVATIVES)
+    predicted = model.evaluate(inputs, derivatives=steady).predicted[:, AXES.index(axis)]
+    error = model.kind.standard_error(model.fitted, axis, inputs, factors, vehicle)
+    return float(factors @ predicted), error
 
-    def _inputs(self, state: tuple[()] | tuple[str, float]) -> Array:
-        velocity, squares = np.zeros((1, 3)), np.full(ROTORS, self._hover**2)
-        if state:
-            way, amount = state
-            if way in self._ways:
-                squares = squares * (1.0 + amount * self._ways[way])
-            else:
-                velocity[0, "xyz".index(way)] = amount
-        level = np.array([[1.0, 0.0, 0.0, 0.0]])
-        speeds = np.sqrt(squares)[np.newaxis]
-        return aerodynamic_inputs(velocity, level, np.zeros((1, 3)), speeds, self._vehicle)
+
+def _inputs(vehicle: Vehicle, model: AerodynamicModel, way: str, amount: float) -> Array:
+    x, y, _ = vehicle.rotor_positions.T
+    turns = {"turn x": -np.sign(y), "turn y": np.sign(x), "turn z": -vehicle.rotor_spins}
+    velocity, squares = np.zeros((1, 3)), np.full(ROTORS, model.alarm_limits.hover_rotor_speed**2)
+    if way in turns:
+        squares = squares * (1.0 + amount * turns[way])
+    elif way:
+        velocity[0, "xyz".index(way)] = amount
+    level = np.array([[1.0, 0.0, 0.0, 0.0]])
+    return aerodynamic_inputs(velocity, level, np.zeros((1, 3)), np.sqrt(squares)[np.newaxis], vehicle)

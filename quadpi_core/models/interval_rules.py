@@ -18,10 +18,9 @@ from typing import Annotated, Any, ClassVar, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import PlainValidator
 from scipy.special import ndtri, stdtrit
 
-from quadpi_core.config_schema import NotNegative, Numbers, Positive, Real, Within, parse_config
+from quadpi_core.config_schema import NotNegative, Numbers, Positive, ReadBy, Real, Within, parse_config
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
 
@@ -216,7 +215,7 @@ def rule_from_json(data: Any) -> Rule:
 
 
 # Key of a fitted axis in a stored model.
-StoredRule: TypeAlias = Annotated[Rule, PlainValidator(rule_from_json)]
+StoredRule: TypeAlias = Annotated[Rule, ReadBy(rule_from_json)]
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,8 @@ from scipy.linalg import solve_triangular
 from quadpi_core.compiled import njit
 from quadpi_core.errors import ModelError, one_line
 from quadpi_core.frames import Array
-from quadpi_core.models.regressors import BASE_ROWS, Records, RegressorProgram, rows_kernel
+from quadpi_core.models.regressors import BASE_ROWS, RegressorProgram, rows_kernel
+from quadpi_core.records import Records
 
 # Samples per block: the regressors of one block stay in the cache of a core.
 _BLOCK = 192
@@ -49,20 +50,10 @@ class Gram:
     count: int
 
     def __add__(self, other: Gram) -> Gram:
-        return Gram(
-            self.matrix + other.matrix,
-            self.moment + other.moment,
-            self.square + other.square,
-            self.count + other.count,
-        )
+        return Gram(*map(operator.add, vars(self).values(), vars(other).values()))
 
     def __sub__(self, other: Gram) -> Gram:
-        return Gram(
-            self.matrix - other.matrix,
-            self.moment - other.moment,
-            self.square - other.square,
-            self.count - other.count,
-        )
+        return Gram(*map(operator.sub, vars(self).values(), vars(other).values()))
 
     @property
     def total_square(self) -> float:

@@ -10,22 +10,20 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from safetensors.numpy import load as load_arrays
-from safetensors.numpy import save as save_arrays
 
 from quadpi_core.bounded_files import JSON_BYTES_MAX, parse_json, read_bounded
-from quadpi_core.errors import ModelError, OutputError
+from quadpi_core.errors import ModelError, OutputError, one_line
 from quadpi_core.frames import Array
 from quadpi_core.paths import require_folder, whole_output
-from quadpi_core.scratch import is_being_replaced
 
 MODEL_FILE = "model.json"
 ARRAYS_FILE = "arrays.safetensors"
@@ -54,6 +52,9 @@ def write_folder(content: FolderContent, folder: Path) -> str:
     Raises:
         OutputError: if the folder cannot be written, or holds what is not part of a model and would be lost.
     """
+    # Imported here, as live nodes only read models.
+    from safetensors.numpy import save as save_arrays
+
     require_replaceable(folder)
     array_bytes = save_arrays(dict(content.arrays))
     described = {"format": FORMAT, **content.description, ARRAYS_KEY: _sha256(array_bytes)}
@@ -91,11 +92,49 @@ def read_folder(folder: Path) -> tuple[FolderContent, str]:
                 raise ModelError(f"{name}: missing, although {MODEL_FILE} names it")
             if _sha256(held) != hashed:
                 raise ModelError(f"{name}: its hash is not the one in {MODEL_FILE}: the file was altered")
-        arrays = load_arrays(array_bytes)
+        arrays = read_safetensors(array_bytes)
         for name, values in arrays.items():
             if not np.all(np.isfinite(values)):
                 raise ModelError(f"{ARRAYS_FILE}: {name}: numbers that are not finite")
         return FolderContent(content, arrays, files), _identity(folder, text)
+
+
+def read_safetensors(content: bytes) -> dict[str, Array]:
+    """The arrays of a file in the format of safetensors: a header, and a buffer that they fill in some order.
+
+    Not by the package of that name: live nodes read models, and no ROS distribution has it.
+
+    Raises:
+        ModelError: for a header that does not describe the buffer.
+    """
+    try:
+        start = _HEADER_START + int.from_bytes(content[:_HEADER_START], "little")
+        header = parse_json(content[_HEADER_START:start])
+        header.pop("__metadata__", None)
+        arrays, filled = {}, start
+        for name, entry in sorted(header.items(), key=lambda item: item[1]["data_offsets"]):
+            dtype, shape, span = np.dtype(_DTYPES[entry["dtype"]]), entry["shape"], entry["data_offsets"]
+            begin, end = (start + offset for offset in span)
+            if (
+                begin != filled
+                or end - begin != math.prod(shape) * dtype.itemsize
+                or min(shape, default=0) < 0
+            ):
+                raise ValueError(f"the place of {name} does not fit its shape")
+            arrays[name] = np.frombuffer(content[begin:end], dtype).reshape(shape)
+            filled = end
+        if filled != len(content):
+            raise ValueError(f"{len(content)} bytes where the arrays take {filled}")
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        raise ModelError(f"{ARRAYS_FILE}: not a quadpi model, nor safetensors: {one_line(error)}") from error
+    return arrays
+
+
+# Bytes that hold the length of the header.
+_HEADER_START = 8
+_DTYPES = {
+    f"{kind.upper()}{8 * size}": f"<{kind}{size}" for kind in "fiu" for size in (1, 2, 4, 8)[kind == "f" :]
+}
 
 
 @contextmanager
@@ -127,79 +166,72 @@ def require_replaceable(folder: Path) -> None:
         OutputError: if it cannot be replaced, or holds what is not part of a model and would be lost.
     """
     require_folder(folder.parent)
-    if foreign := _foreign(folder, _declared(folder)):
+    text = ""
+    with suppress(ModelError):
+        text = _read(folder / MODEL_FILE).decode(errors="replace")
+    if foreign := _foreign(folder, _further(text)):
         raise OutputError(f"{folder}: holds {foreign}, which is not part of a model: not replaced")
 
 
-def _declared(folder: Path) -> frozenset[str]:
-    """Names of the further files of a model in a folder; none where there is no model."""
-    try:
-        return _further(_read(folder / MODEL_FILE).decode(errors="replace"))
-    except ModelError:
-        return frozenset()
-
-
-def _further(text: str) -> frozenset[str]:
+def _further(text: str) -> set[str]:
     """Names of the further files that model.json declares; none where it is damaged."""
-    try:
+    with suppress(ValueError):
         content = parse_json(text)
-    except ValueError:
-        return frozenset()
-    declared = content.get(FURTHER_KEY) if isinstance(content, dict) else None
-    return frozenset(declared) if isinstance(declared, dict) else frozenset()
+        if isinstance(content, dict) and isinstance(declared := content.get(FURTHER_KEY), dict):
+            return set(declared)
+    return set()
 
 
-def _foreign(folder: Path, further: frozenset[str]) -> str | None:
+def _foreign(folder: Path, further: set[str]) -> str | None:
     """Name of something in a folder that is not part of a model."""
     return min(_names(folder) - {MODEL_FILE, ARRAYS_FILE} - further, default=None)
 
 
 def _names(folder: Path) -> set[str]:
     """What lies in a folder; nothing where there is none, as for a moment while it is replaced."""
-    try:
+    with suppress(OSError):
         return {path.name for path in folder.iterdir()}
-    except OSError:
-        return set()
+    return set()
 
 
 def _read_files(folder: Path) -> tuple[str, bytes, dict[str, bytes]]:
     """All files of one model, also where a writer replaces the folder meanwhile."""
-    for _ in range(_READS_MAX):
+    for _ in range(_READS):
         before = _number(folder)
         try:
-            # First, so that a folder without a model is refused as such, not for its other files.
-            text = _read(folder / MODEL_FILE).decode(errors="replace")
-            further = _further(text)
-            if foreign := _foreign(folder, further):
-                raise ModelError(f"{folder}: holds {foreign}, which is not part of a model: take it out")
-            array_bytes = _read(folder / ARRAYS_FILE)
-            # Only what lies in the folder: a declared name may lead out of it.
-            files = {name: _read(folder / name) for name in sorted(_names(folder) & further)}
+            found = _files(folder)
         except ModelError:
             if _number(folder) == before and before is not None:
                 raise
-            missing = before is None
         else:
             if _number(folder) == before:
-                return text, array_bytes, files
-            missing = False
-        if missing and not is_being_replaced(folder):
-            _read(folder / MODEL_FILE)
+                return found
+        # There is none for a moment while another takes its place.
         time.sleep(_READ_AGAIN_S)
-    raise ModelError(f"{folder}: replaced while it was read, {_READS_MAX} times")
+    return _files(folder)
 
 
-# A writer replaces a folder in far less; several may do so one after the other.
-_READS_MAX, _READ_AGAIN_S = 50, 0.01
+# A writer replaces a folder in far less than all of them; several may do so one after the other.
+_READS, _READ_AGAIN_S = 10, 0.01
+
+
+def _files(folder: Path) -> tuple[str, bytes, dict[str, bytes]]:
+    # First, so that a folder without a model is refused as such, not for its other files.
+    text = _read(folder / MODEL_FILE).decode(errors="replace")
+    further = _further(text)
+    if foreign := _foreign(folder, further):
+        raise ModelError(f"{folder}: holds {foreign}, which is not part of a model: take it out")
+    array_bytes = _read(folder / ARRAYS_FILE)
+    # Only what lies in the folder: a declared name may lead out of it.
+    return text, array_bytes, {name: _read(folder / name) for name in sorted(_names(folder) & further)}
 
 
 def _number(folder: Path) -> tuple[int, int] | None:
     """Identity of a folder, which differs from that of another of the same name; None if there is none."""
-    try:
+    with suppress(OSError):
         found = folder.stat()
-    except OSError:
-        return None
-    return found.st_ino, found.st_mtime_ns
+        return found.st_ino, found.st_mtime_ns
+    return None
 
 
 def _read(path: Path) -> bytes:

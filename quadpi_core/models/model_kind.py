@@ -363,8 +363,12 @@ class Kind(Section, ABC):
         """
         fitted = {}
         for axis, entry in stored.entries.items():
-            start = f"{axis}."
-            own = {n.removeprefix(start): a for n, a in stored.arrays.items() if n.startswith(start)}
             with named_in(axis):
-                fitted[axis] = self.axis_type.stored(dict(entry), own)
+                fitted[axis] = self.axis_type.stored(dict(entry), named_arrays(stored.arrays, axis))
         return fitted
+
+
+def named_arrays(arrays: Mapping[str, Array], part: str) -> dict[str, Array]:
+    """Those of the arrays of a model folder that belong to a part of it, by their name there."""
+    start = f"{part}."
+    return {name.removeprefix(start): a for name, a in arrays.items() if name.startswith(start)}

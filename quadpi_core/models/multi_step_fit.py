@@ -4,9 +4,11 @@
 
 Moments from a differentiated gyro are noise above 10 Hz, and the slow moments below it are small: the
 equation error hardly sees them, but they add up over a roll-out. The first step's posterior is the prior.
-As roll-outs start with the disturbance that the past tells, this is the filter error method (Jategaonkar,
-Flight Vehicle System Identification, 2015, 5); without it, it would be his output error method (4). Minimised
-by Gauss-Newton with the derivatives of `physical_rollout`.
+Roll-outs start with the disturbance that the past tells, as predictions do, which takes away much of the bias
+that a controller causes by answering slow disturbances with rotor speeds: this is the filter error method
+(Jategaonkar, Flight Vehicle System Identification, 2015, 5); without it, it would be his output error method
+(4). Errors count by their norm, in units of their median over the flight, so that no wild sample and no fast
+flight outweighs the others. Minimised by Gauss-Newton with the derivatives of `physical_rollout`.
 
 What roll-outs weigh against the prior is what predicts flights left out best. A fit without a flight follows
 from the sums over the others, linearised at the fit to all.
@@ -15,6 +17,7 @@ from the sums over the others, linearised at the fit to all.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -22,19 +25,32 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.frames import Array
-from quadpi_core.models.multi_step_errors import (
-    Part,
-    Windows,
-    all_rolled,
-    log_ratio,
-    mean_norms,
-    median_norms,
-    part_of,
-)
+from quadpi_core.models.disturbance import Disturbance
 from quadpi_core.models.physical_fit import FitStep, Problem, bounded_solution
-from quadpi_core.models.rollout_flight import RolloutFlight
+from quadpi_core.models.physical_regressors import regressors
+from quadpi_core.models.physical_rollout import Disturbances, Rolled, Track, roll_out
+from quadpi_core.models.rollout_flight import RolloutFlight, horizon_steps
 from quadpi_core.models.rollout_model import MOVES, RolloutModel
+from quadpi_core.models.tubes import QUANTITIES, error_norms
 
+# Horizons [s] of the errors, and what position, velocity, attitude and rates weigh there: at the first the
+# noise of two samples rules, which holds parameters to what the next sample shows.
+HORIZONS_S = (0.01, 0.1, 0.25, 0.5)
+_WEIGHTS = np.array(
+    [[0.0, 0.2, 0.2, 0.3], [0.0, 1.0, 1.0, 1.0], [0.0, 0.3, 0.3, 0.3], [0.5, 1.0, 1.0, 1.0]],
+)
+# Between starts [s]: roll-outs of neighbours are then about independent.
+EVERY_S = 0.5
+# Error [in medians] up to which it counts by its square: beyond, by its size.
+_SQUARE_TO = 0.5
+# Least median error, for flights of the model itself.
+_LEAST = 1e-9
+# Starts whose errors are summed before their covariance is taken: what is wrong hangs together over 2 s.
+_BLOCK = 4
+# Samples whose regressors are held at a time: 28 MB.
+_SAMPLES = 6000
+# Kernels release the interpreter.
+_THREADS = 2
 # What an error of a roll-out weighs against the prior, tried in this order. All quantities and horizons of a
 # start are worth about one independent error, 0.15 each; the prior is of the same flights and too sure of
 # slow moments, so more may predict better. At 2.4 attitude errors after 0.5 s of NeuroBEM flights left out
@@ -46,6 +62,141 @@ WORTH_IT = 0.99
 # Iterations at each weight; they end earlier when the cost falls by less than this share.
 _ITERATIONS, _ENOUGH = 12, 5e-3
 _SHARES = (1.0, 0.5, 0.25, 0.1)
+
+
+class Windows(NamedTuple):
+    """Roll-outs of a flight.
+
+    Attributes:
+        track: the flight.
+        starts: (W,) samples.
+        horizons: (H,) samples.
+        measured: (W, 6) wrench that a disturbance is filtered of.
+        predicted: (W, 6, P) per parameter, filtered alike.
+        decay: (6,) of the disturbance.
+    """
+
+    track: Track
+    starts: npt.NDArray[np.int64]
+    horizons: npt.NDArray[np.int64]
+    measured: Array
+    predicted: Array
+    decay: Array
+
+    @classmethod
+    def of(cls, flight: RolloutFlight, model: RolloutModel) -> Windows:
+        """Of a flight whose predictions by the model are finite."""
+        track = model.track(flight)
+        horizons = horizon_steps(HORIZONS_S, track.step)
+        starts = flight.starts(int(horizons[-1]), max(1, round(EVERY_S / track.step)))
+        process = replace(model.disturbance, step_s=track.step)
+        lead = model.lead(track.step)
+        before = np.maximum(starts - lead, 0)
+        aged = process.decay**lead
+        measured = process.filtered(flight.wrench)[before] * aged
+        predicted = _filtered_regressors(track, model, process, before) * aged[:, np.newaxis]
+        windows = cls(track, starts, horizons, measured, predicted, process.decay)
+        errors = windows.rolled(model.parameters, derivatives=False).errors
+        fine = np.all(np.isfinite(errors), axis=(1, 2)) & np.all(np.isfinite(predicted), axis=(1, 2))
+        return windows._replace(starts=starts[fine], measured=measured[fine], predicted=predicted[fine])
+
+    def rolled(self, values: Array, *, derivatives: bool) -> Rolled:
+        """The roll-outs with parameters (P,)."""
+        known = self.measured - self.predicted @ values
+        slopes = -self.predicted if derivatives else np.zeros((0, 0, 0))
+        return roll_out(
+            self.track,
+            self.starts,
+            self.horizons,
+            np.where(MOVES, values, 0.0),
+            derivatives=derivatives,
+            disturbances=Disturbances(known, slopes, self.decay),
+        )
+
+
+class Part(NamedTuple):
+    """Cost of the roll-outs of a flight, its gradient (n,) and Gauss-Newton matrix (n, n).
+
+    Attributes:
+        blocks: (B, n) gradient of each block of starts.
+    """
+
+    value: float
+    gradient: Array
+    matrix: Array
+    blocks: Array
+
+
+def all_rolled(windows: Sequence[Windows], values: Array, *, derivatives: bool) -> list[Rolled]:
+    """The roll-outs of each flight with parameters (P,)."""
+    with ThreadPoolExecutor(_THREADS) as threads:
+        return list(threads.map(lambda own: own.rolled(values, derivatives=derivatives), windows))
+
+
+def _filtered_regressors(
+    track: Track, model: RolloutModel, process: Disturbance, rows: npt.NDArray[np.int64]
+) -> Array:
+    """Regressors (W, 6, P) filtered as a disturbance is, at samples (W,) that rise."""
+    found = []
+    before: Array | None = None
+    for first in range(0, len(track.motion), _SAMPLES):
+        own = regressors(track.motion[first : first + _SAMPLES], model.vehicle).transpose(0, 2, 1)
+        filtered = process.filtered(own, before)
+        found.append(filtered[rows[(rows >= first) & (rows < first + _SAMPLES)] - first])
+        before = filtered[-1]
+    return np.concatenate(found)
+
+
+def median_norms(rolled: Rolled) -> Array:
+    """Median norm (H, 4) of the errors of each horizon and quantity."""
+    result: Array = np.maximum(np.median(error_norms(rolled.errors), axis=0), _LEAST)
+    return result
+
+
+def mean_norms(windows: Sequence[Windows], values: Sequence[Array]) -> Array:
+    """Mean norm (F, H, 4) of the errors of flights by parameters of each."""
+    rolled = [own.rolled(there, derivatives=False) for own, there in zip(windows, values, strict=True)]
+    result: Array = np.maximum(np.stack([error_norms(own.errors).mean(axis=0) for own in rolled]), _LEAST)
+    return result
+
+
+def log_ratio(norms: Array, others: Array) -> float:
+    """Weighted mean of the logarithm of norms (F, H, 4) over others; infinite for those that diverge."""
+    if not np.all(np.isfinite(norms)):
+        return float(np.finfo(float).max)
+    logs = np.mean(np.log(norms / others), axis=0)
+    return float(np.sum(_WEIGHTS * logs) / np.sum(_WEIGHTS))
+
+
+def part_of(rolled: Rolled, scale: Array, free: npt.NDArray[np.bool_], unit: Array) -> Part:
+    """Cost of roll-outs; without derivatives, the value alone.
+
+    Args:
+        rolled: of a flight.
+        scale: (H, 4) that errors are counted in.
+        free: (P,) parameters with derivatives.
+        unit: (n,) that these are counted in.
+    """
+    size = len(unit)
+    value, gradients = 0.0, np.zeros((len(rolled.errors), size))
+    matrix = np.zeros((size, size))
+    if not np.all(np.isfinite(rolled.errors)):
+        value = np.inf
+    parts = list(QUANTITIES.values())
+    for horizon, quantity in np.argwhere(_WEIGHTS):
+        weight = _WEIGHTS[horizon, quantity]
+        part, own = parts[quantity], scale[horizon, quantity]
+        errors = rolled.errors[:, horizon, part] / own
+        length = np.sqrt(_SQUARE_TO**2 + np.sum(np.square(errors), axis=1))
+        value += weight * float(np.sum(length - _SQUARE_TO))
+        if len(rolled.derivatives):
+            slopes = rolled.derivatives[:, horizon, part][:, :, free] * (unit / own)
+            shares = weight / length
+            gradients += np.einsum("w,wi,wip->wp", shares, errors, slopes)
+            rows = slopes.reshape(-1, size)
+            matrix += (rows * np.repeat(shares, 3)[:, np.newaxis]).T @ rows
+    starts = np.arange(0, len(gradients), _BLOCK)
+    return Part(value, gradients.sum(axis=0), matrix, np.add.reduceat(gradients, starts, axis=0))
 
 
 @dataclass(frozen=True)
@@ -92,33 +243,33 @@ def fit_multi_step(
     found = [Windows.of(flight, first) for flight in flights]
     used = [k for k, own in enumerate(found) if len(own.starts)]
     windows = [found[k] for k in used]
-    free = MOVES & (np.diag(first.covariance) > 0.0)
-    for own in left_out:
-        free &= np.diag(own.covariance) > 0.0
     if not windows:
         return _first_step(first, left_out, (), "no roll-out of half a second can be used")
+    free = MOVES & np.all([np.diag(own.covariance) > 0.0 for own in (first, *left_out)], axis=0)
     spread = problem.spread if by_terms else np.sqrt(np.diag(first.covariance))
     space = _Space(first.parameters, free, spread[free], problem.lower)
-    if by_terms:
-        prior = _Prior.of_terms(problem, space)
-        priors = [prior] * len(left_out)
-    else:
-        prior, priors = _Prior.of(first, space), [_Prior.of(own, space) for own in left_out]
+    prior, *priors = [
+        _Prior.of_terms(problem, space) if by_terms else _Prior.of(own, space) for own in (first, *left_out)
+    ]
     begun = mean_norms(windows, [left_out[k].parameters for k in used])
     log: list[FitStep] = []
     best, chosen, values = 0.0, None, first.parameters
     # The terms are not of these flights, so that roll-outs weigh what they are worth.
     for weight in WEIGHTS_TRIED[:1] if by_terms else WEIGHTS_TRIED:
-        solution = _minimised(windows, _Objective(space, prior, weight), values, log)
-        values = solution.values
+        objective = _Objective(space, prior, weight)
+        values, parts = _minimised(windows, objective, values, log)
         apart = [
-            _without(solution, used.index(k) if k in used else None, _Objective(space, own, weight))
+            _solved(
+                _Objective(space, own, weight),
+                values,
+                [p for j, p in zip(used, parts, strict=True) if j != k],
+            )
             for k, own in enumerate(priors)
         ]
         gain = log_ratio(mean_norms(windows, [apart[k][0] for k in used]), begun)
         log.append(FitStep("log error of flights left out", f"roll-outs weigh {weight:g}", gain))
         if gain < best:
-            best, chosen = gain, (weight, solution.values, solution.covariance(), apart)
+            best, chosen = gain, (weight, values, objective.covariance(parts), apart)
     if chosen is None or best > np.log(WORTH_IT):
         share = float(np.exp(min(best, 0.0)))
         return _first_step(
@@ -157,10 +308,6 @@ class _Space(NamedTuple):
         result: Array = (values - self.origin)[self.free] / self.unit
         return result
 
-    def bound(self) -> Array:
-        """Bounds (n,) of the coordinates."""
-        return self.place(self.lower)
-
 
 class _Prior(NamedTuple):
     """What is known before the roll-outs: coordinates (n,) of the parameters, their information (n, n)."""
@@ -177,8 +324,7 @@ class _Prior(NamedTuple):
     def of(cls, first: RolloutModel, space: _Space) -> _Prior:
         """Of the first step."""
         scaled = first.covariance[np.ix_(space.free, space.free)] / np.outer(space.unit, space.unit)
-        information = np.asarray(np.linalg.inv(scaled), dtype=float)
-        return cls(space.place(first.parameters), information)
+        return cls(space.place(first.parameters), np.asarray(np.linalg.inv(scaled), dtype=float))
 
 
 class _Objective(NamedTuple):
@@ -202,7 +348,7 @@ class _Objective(NamedTuple):
         place = self.space.place(values)
         gradient: Array = self.prior.information @ (place - self.prior.centre)
         gradient = gradient + self.weight * sum(part.gradient for part in parts)
-        return bounded_solution(self.matrix(parts), -gradient, self.space.bound() - place)
+        return bounded_solution(self.matrix(parts), -gradient, self.space.place(self.space.lower) - place)
 
     def moved(self, values: Array, step: Array) -> Array:
         result = values.copy()
@@ -218,38 +364,26 @@ class _Objective(NamedTuple):
         return result
 
 
-class _Solution(NamedTuple):
-    """Parameters (P,) with the least cost, the objective, and the parts of each flight there."""
-
-    values: Array
-    objective: _Objective
-    parts: tuple[Part, ...]
-
-    def covariance(self) -> Array:
-        return self.objective.covariance(self.parts)
-
-
 def _minimised(
     windows: Sequence[Windows], objective: _Objective, start: Array, log: list[FitStep]
-) -> _Solution:
-    values, space = start, objective.space
+) -> tuple[Array, list[Part]]:
+    """Parameters (P,) with the least cost, and the parts of each flight there."""
+
+    def parts_of(rolled: Sequence[Rolled], scales: Sequence[Array]) -> list[Part]:
+        return [
+            part_of(own, scale, objective.space.free, objective.space.unit)
+            for own, scale in zip(rolled, scales, strict=True)
+        ]
+
+    values = start
     rolled = all_rolled(windows, values, derivatives=True)
     for _ in range(_ITERATIONS):
         scales = [median_norms(own) for own in rolled]
-        parts = [
-            part_of(own, scale, space.free, space.unit) for own, scale in zip(rolled, scales, strict=True)
-        ]
+        parts = parts_of(rolled, scales)
         before, step = objective.cost(values, parts), objective.step(values, parts)
         for share in _SHARES:
             trial = objective.moved(values, share * step)
-            there = all_rolled(windows, trial, derivatives=False)
-            tried = objective.cost(
-                trial,
-                [
-                    part_of(own, scale, space.free, space.unit)
-                    for own, scale in zip(there, scales, strict=True)
-                ],
-            )
+            tried = objective.cost(trial, parts_of(all_rolled(windows, trial, derivatives=False), scales))
             if tried < before:
                 break
         else:
@@ -259,25 +393,20 @@ def _minimised(
         rolled = all_rolled(windows, values, derivatives=True)
         if tried > before * (1.0 - _ENOUGH):
             break
-    return _Solution(
-        values, objective, tuple(part_of(own, median_norms(own), space.free, space.unit) for own in rolled)
-    )
+    return values, parts_of(rolled, [median_norms(own) for own in rolled])
 
 
-def _without(solution: _Solution, flight: int | None, objective: _Objective) -> tuple[Array, Array]:
-    """Parameters (P,) and covariance (n, n) of an objective without the roll-outs of a flight."""
-    parts = [part for k, part in enumerate(solution.parts) if k != flight]
-    values = objective.moved(solution.values, objective.step(solution.values, parts))
-    return values, objective.covariance(parts)
+def _solved(objective: _Objective, values: Array, parts: Sequence[Part]) -> tuple[Array, Array]:
+    """Parameters (P,) and covariance (n, n) of an objective with roll-outs linearised at some parameters."""
+    return objective.moved(values, objective.step(values, parts)), objective.covariance(parts)
 
 
 def _moved(first: RolloutModel, space: _Space, values: Array, covariance: Array, remark: str) -> RolloutModel:
     """The model with other parameters, but for those of sensors, with which roll-outs began."""
     free = space.free
-    parameters, together = np.where(free, values, first.parameters), first.covariance.copy()
-    together[free] = 0.0
-    together[:, free] = 0.0
+    together = np.where(free | free[:, np.newaxis], 0.0, first.covariance)
     together[np.ix_(free, free)] = covariance
+    parameters = np.where(free, values, first.parameters)
     return replace(first, parameters=parameters, covariance=together, remark=remark)
 
 
@@ -285,7 +414,5 @@ def _first_step(
     first: RolloutModel, left_out: Sequence[RolloutModel], log: Sequence[FitStep], why: str
 ) -> MultiStepFit:
     remark = f"parameters of the wrench; fitting them to errors ahead was not used: {why}"
-    kept = tuple(replace(own, remark=remark) for own in left_out)
-    return MultiStepFit(
-        replace(first, remark=remark), kept, 0.0, (*log, FitStep("multi-step fit", f"not used: {why}", 1.0))
-    )
+    model, *kept = (replace(own, remark=remark) for own in (first, *left_out))
+    return MultiStepFit(model, tuple(kept), 0.0, (*log, FitStep("multi-step fit", f"not used: {why}", 1.0)))

@@ -10,9 +10,10 @@ weigh by their deviation on each axis and by how many independent samples they a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache, reduce
+from operator import add, sub
 
 import numpy as np
 import numpy.typing as npt
@@ -22,11 +23,9 @@ from scipy.optimize import lsq_linear
 from quadpi_core.config_schema import Real, Text
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.models.physical_advice import unidentified
-from quadpi_core.models.physical_flight import FORCE, PhysicalFlight, Sensing
-from quadpi_core.models.physical_regressors import acting_terms, physical_vehicle
-from quadpi_core.models.physical_terms import TERM_INDEX, TERM_NAMES, TERMS, scales
-from quadpi_core.records import Records
+from quadpi_core.models.physical_flight import FORCE
+from quadpi_core.models.physical_regressors import acting_terms
+from quadpi_core.models.physical_terms import TERM_NAMES, TERMS, scales
 from quadpi_core.vehicle import Vehicle
 
 # Time [s] over which errors may hang together.
@@ -80,20 +79,10 @@ class Information:
         return cls(matrix, moment, np.sum(np.square(wrench), axis=0), len(wrench))
 
     def __add__(self, other: Information) -> Information:
-        return Information(
-            self.matrix + other.matrix,
-            self.moment + other.moment,
-            self.square + other.square,
-            self.count + other.count,
-        )
+        return Information(*map(add, vars(self).values(), vars(other).values()))
 
     def __sub__(self, other: Information) -> Information:
-        return Information(
-            self.matrix - other.matrix,
-            self.moment - other.moment,
-            self.square - other.square,
-            self.count - other.count,
-        )
+        return Information(*map(sub, vars(self).values(), vars(other).values()))
 
     def rmse(self, values: Array) -> Array:
         """Root-mean-square error (6,) with parameters (P,)."""
@@ -116,76 +105,6 @@ class FitStep:
     step: Text
     of: str
     error: Real
-
-
-@dataclass(frozen=True)
-class PhysicalFit:
-    """The parameters, and how well they are known.
-
-    Attributes:
-        vehicle: that flew.
-        reference_thrust: N s², of the induced velocity and of the scales.
-        values: (P,) in the order of TERMS, SI; zero where a term was left out.
-        covariance: (P, P) of the posterior; zero where a term was left out.
-        kept: (P,) terms that are in the model.
-        noise: (6,) standard deviation of the errors on the flights.
-        independent_hz: (6,) independent errors per second.
-        sensing: delay and bandwidth found.
-        delay_range_s: delays of the rotor speeds that the flights do not rule out; None if it was given.
-        log: what was tried and chosen, step by step.
-    """
-
-    vehicle: Vehicle
-    reference_thrust: float
-    values: Array
-    covariance: Array
-    kept: npt.NDArray[np.bool_]
-    noise: Array
-    independent_hz: Array
-    sensing: Sensing
-    delay_range_s: tuple[float, float] | None
-    log: tuple[FitStep, ...]
-
-    @cached_property
-    def record(self) -> Records:
-        """PHYSICAL_VEHICLE (1,) that the regressors were those of."""
-        return physical_vehicle(self.vehicle, self.reference_thrust)
-
-    @cached_property
-    def standard_errors(self) -> Array:
-        """Standard error (P,) of each parameter, by as many errors as are independent."""
-        return np.sqrt(np.diag(self.covariance))
-
-    @property
-    def thrust_values(self) -> Array:
-        """The parameters (P,) of thrust alone; zero for the others."""
-        thrust = np.array([term.name.startswith("thrust") for term in TERMS])
-        return np.where(thrust, self.values, 0.0)
-
-    def thrust_change(self, flight: PhysicalFlight) -> float:
-        """By how much the thrust of a flight differs from that of the fit, as a share."""
-        error = flight.errors(self.values, self.record, self.sensing)[:, 2]
-        predicted = flight.wrench[:, 2] - error
-        return float(predicted @ error / (predicted @ predicted))
-
-    @cached_property
-    def spreads(self) -> Array:
-        """Prior standard deviation (P,) of each parameter, SI."""
-        return np.array([term.spread for term in TERMS]) * scales(self.vehicle, self.reference_thrust)
-
-    @property
-    def at_bound(self) -> list[str]:
-        """Parameters that physics keeps from becoming negative."""
-        return [name for name in bounded_terms(self.values, self.spreads) if self.kept[TERM_INDEX[name]]]
-
-    @property
-    def notes(self) -> dict[str, str]:
-        """By parameter, what there is to say of it."""
-        return unidentified(self.covariance, self.spreads) | dict.fromkeys(self.at_bound, AT_BOUND)
-
-    def worst_pairs(self, count: int = 5) -> list[tuple[str, str, float]]:
-        """The most correlated pairs of parameters, with their correlation."""
-        return worst_pairs(self.covariance, count)
 
 
 @dataclass(frozen=True)
@@ -298,12 +217,9 @@ def bounded_solution(matrix: Array, right: Array, lower: Array) -> Array:
     return bounded
 
 
-def total(information: Sequence[Information]) -> Information:
+def total(information: Iterable[Information]) -> Information:
     """The sums over all flights."""
-    sums = information[0]
-    for flight in information[1:]:
-        sums = sums + flight
-    return sums
+    return reduce(add, information)
 
 
 def _independent_share(errors: Sequence[Array], lags: int) -> float:
@@ -346,7 +262,7 @@ def thrust_variance(changes: Sequence[float]) -> float:
     """Variance of the thrust from flight to flight, as a share squared.
 
     Args:
-        changes: of flights left out, see :meth:`PhysicalFit.thrust_change`.
+        changes: of flights left out, see `PhysicalFit.thrust_change`.
     """
     known = float(np.sum(np.square(changes)))
     return (_WORTH_FLIGHTS * _THRUST_OF_A_FLIGHT**2 + known) / (_WORTH_FLIGHTS + len(changes))

@@ -108,15 +108,11 @@ def control_signs(vehicle: Records) -> Array:
 def acting_terms() -> npt.NDArray[np.bool_]:
     """Which axes (P, 6) each term acts on, for a vehicle without any symmetry."""
     motion = np.zeros(2, MOTION)
-    motion["velocity"], motion["rates"] = (
-        [[3.0, 2.0, 1.0], [-1.0, 2.0, -3.0]],
-        [[0.3, 0.2, 0.1], [0.1, -0.2, 0.3]],
-    )
+    motion["velocity"] = [[3.0, 2.0, 1.0], [-1.0, 2.0, -3.0]]
+    motion["rates"] = [[0.3, 0.2, 0.1], [0.1, -0.2, 0.3]]
     motion["angular_acceleration"] = [1.0, 2.0, 3.0]
-    motion["rotor_speeds"], motion["rotor_accelerations"] = (
-        [900.0, 1000.0, 1100.0, 1250.0],
-        [1.0, 2.0, 4.0, 8.0],
-    )
+    motion["rotor_speeds"] = [900.0, 1000.0, 1100.0, 1250.0]
+    motion["rotor_accelerations"] = [1.0, 2.0, 4.0, 8.0]
     vehicle = np.zeros(1, PHYSICAL_VEHICLE)
     vehicle["mass"], vehicle["reference_thrust"], vehicle["disc"] = 1.0, 1e-6, 0.1
     vehicle["positions"] = [[-0.1, 0.11, 0.0], [0.12, 0.13, 0.0], [-0.14, -0.15, 0.0], [0.16, -0.17, 0.0]]

@@ -17,19 +17,21 @@ import numpy.typing as npt
 
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
-from quadpi_core.models.physical_advice import UNTOLD_DELAY_S, delay_untold
+from quadpi_core.models.fitted_physical import PhysicalFit
+from quadpi_core.models.physical_advice import UNTOLD_DELAY_S, delay_untold, unidentified
 from quadpi_core.models.physical_fit import (
+    AT_BOUND,
     LEAST,
     FitStep,
     Information,
-    PhysicalFit,
     Problem,
     Weighing,
+    bounded_terms,
     total,
 )
 from quadpi_core.models.physical_flight import FORCE, MOMENT, PhysicalFlight, Sensing, reference_thrust
 from quadpi_core.models.physical_regressors import physical_vehicle
-from quadpi_core.models.physical_terms import TERMS
+from quadpi_core.models.physical_terms import TERM_INDEX, TERMS
 from quadpi_core.records import Records
 from quadpi_core.vehicle import Vehicle
 
@@ -126,22 +128,23 @@ class PhysicalStudy:
         kept = _EVERYTHING
         if choose and len(information) > 1:
             kept = _chosen_terms(information, problem, self.weighing, log)
+        values = problem.solve(information, self.weighing, kept)
+        covariance = problem.covariance(information, self.weighing, kept)
+        bounded = [name for name in bounded_terms(values, problem.spread) if kept[TERM_INDEX[name]]]
         return PhysicalFit(
-            vehicle=self.vehicle,
-            reference_thrust=self.reference,
-            values=problem.solve(information, self.weighing, kept),
-            covariance=problem.covariance(information, self.weighing, kept),
-            kept=kept,
-            noise=self.weighing.deviation,
-            independent_hz=self.weighing.independent * self.rate_hz,
-            sensing=self.sensing,
-            delay_range_s=self.delay_range_s,
-            log=tuple(log),
+            values,
+            covariance,
+            physical_vehicle(self.vehicle, self.reference),
+            self.vehicle.inertia,
+            self.sensing,
+            self.delay_range_s,
+            unidentified(covariance, problem.spread) | dict.fromkeys(bounded, AT_BOUND),
+            tuple(log),
         )
 
 
 def _summed(flight: PhysicalFlight, record: Records, sensing: Sensing) -> Information:
-    return total([Information.of(part.regressors(record, sensing), part.wrench) for part in flight.parts()])
+    return total(Information.of(part.regressors(record, sensing), part.wrench) for part in flight.parts())
 
 
 def _rotor_delay(

@@ -30,20 +30,6 @@ from quadpi_core.vehicle import Vehicle
 # What a spread is measured in: k R^n with the reference thrust coefficient k [N s²] and rotor radius R, ½ρS
 # R^n with the rectangle S of the rotors, weight W, W R, length R, inertia about the vertical.
 Scale: TypeAlias = Literal["k/R3", "k/R2", "k/R", "k", "kR", "air", "air R", "air R2", "W", "W R", "R", "I"]
-# The flying that tells a parameter from the others.
-Manoeuvre: TypeAlias = Literal[
-    "hover",
-    "throttle steps",
-    "climbs and descents",
-    "forward and backward flight",
-    "sideways flight",
-    "fast flight in all directions",
-    "fast climbs and descents",
-    "yaw turns",
-    "fast rolls and pitches",
-    "quick changes of rotor speed",
-    "fast turns",
-]
 
 
 class Term(NamedTuple):
@@ -68,26 +54,21 @@ class Term(NamedTuple):
     group: str
     spread: float
     scale: Scale
-    manoeuvre: Manoeuvre
+    manoeuvre: str
     mean: float = 0.0
     positive: bool = False
 
 
-_THROTTLE: Manoeuvre = "throttle steps"
-_CLIMB: Manoeuvre = "climbs and descents"
-_FAST: Manoeuvre = "fast flight in all directions"
-_FAST_CLIMB: Manoeuvre = "fast climbs and descents"
-_FORWARD: Manoeuvre = "forward and backward flight"
-_SIDEWAYS: Manoeuvre = "sideways flight"
-_AGILE: Manoeuvre = "fast rolls and pitches"
-_YAW: Manoeuvre = "yaw turns"
-_TURNS: Manoeuvre = "fast turns"
-_QUICK: Manoeuvre = "quick changes of rotor speed"
+# The flying that tells a parameter from the others.
+_HOVER, _THROTTLE, _CLIMB, _YAW = "hover", "throttle steps", "climbs and descents", "yaw turns"
+_FORWARD, _SIDEWAYS = "forward and backward flight", "sideways flight"
+_FAST, _FAST_CLIMB = "fast flight in all directions", "fast climbs and descents"
+_AGILE, _TURNS, _QUICK = "fast rolls and pitches", "fast turns", "quick changes of rotor speed"
 _N0, _N1, _N2, _N3, _M0 = "N s²", "N s²/m", "N s²/m²", "N s²/m³", "Nm s²"
 
 TERMS: tuple[Term, ...] = (
     # Thrust along -z of each rotor, and its moments by the arms.
-    Term("thrust", "thrust per ω²", _N0, "", 1.0, "k", "hover", 1.0, True),
+    Term("thrust", "thrust per ω²", _N0, "", 1.0, "k", _HOVER, 1.0, True),
     Term("thrust_axial", "thrust per ω w: less in climb", _N1, "", 5.0, "k/R", _CLIMB),
     Term("thrust_induced", "thrust lost per ω v_i", _N1, "", 5.0, "k/R", _FAST),
     Term("thrust_axial_square", "thrust per w|w|", _N2, "", 5.0, "k/R2", _FAST_CLIMB),

@@ -10,9 +10,9 @@ with one multiplication each, since all but the shortest extend another by one f
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -21,12 +21,10 @@ from quadpi_core.compiled import njit
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
+from quadpi_core.records import Records
 
 # Powers by input, in the order of INPUT_NAMES: (input, power of it, power 0 or 1 of its absolute value).
 Monomial: TypeAlias = tuple[tuple[str, int, int], ...]
-
-# A structured array; kernels reach its fields as attributes of an element.
-Records: TypeAlias = npt.NDArray[Any]
 
 CONSTANT: Monomial = ()
 # Samples evaluated at a time, so that the rows in between stay in the cache.
@@ -234,8 +232,3 @@ def check_inputs(inputs: Array) -> None:
     """
     if inputs.ndim != 2 or inputs.shape[1] != len(INPUT_NAMES):
         raise ModelError(f"inputs have shape {inputs.shape}, expected (N, {len(INPUT_NAMES)})")
-
-
-def unique_regressors(regressors: Sequence[Regressor]) -> list[Regressor]:
-    """The regressors in their order, each kept once."""
-    return list(dict.fromkeys(regressors))

@@ -15,17 +15,27 @@ import numpy as np
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_INDEX
 from quadpi_core.models.disturbance import Disturbance
+from quadpi_core.models.fitted_physical import PhysicalFit
 from quadpi_core.models.least_squares import identifiable
 from quadpi_core.models.model_kind import TrainingSamples
 from quadpi_core.models.multi_step_fit import fit_multi_step
-from quadpi_core.models.physical_fit import FitStep, PhysicalFit, Problem
+from quadpi_core.models.physical_fit import FitStep, Problem
 from quadpi_core.models.physical_flight import flights_of, thinned_rows
 from quadpi_core.models.physical_rollout import STATES, roll_out
-from quadpi_core.models.rollout_calibration import HORIZONS_S, TubeCalibration, error_norms
 from quadpi_core.models.rollout_flight import RolloutFlight, horizon_steps
-from quadpi_core.models.rollout_model import MOVES, FlightRollouts, RolloutModel, disturbance_left
-from quadpi_core.models.tube_shape import TRACKING_PER_S, Following, TubeShape, chosen_shape, tube_scores
+from quadpi_core.models.rollout_model import FlightRollouts, RolloutModel, disturbance_left
+from quadpi_core.models.tubes import (
+    HORIZONS_S,
+    TRACKING_PER_S,
+    Following,
+    TubeCalibration,
+    TubeShape,
+    chosen_shape,
+    error_norms,
+    tube_scores,
+)
 from quadpi_core.rotations import from_rotation_vectors, inverses, products
+from quadpi_core.vehicle import Vehicle
 
 # Between the starts that calibrate [s].
 _CALIBRATION_EVERY_S = 0.5
@@ -47,6 +57,7 @@ class CalibratedRollouts(NamedTuple):
 
 def calibrated_rollouts(
     flights: Sequence[RolloutFlight],
+    vehicle: Vehicle,
     whole: PhysicalFit,
     left_out: Sequence[PhysicalFit],
     *,
@@ -56,6 +67,7 @@ def calibrated_rollouts(
 
     Args:
         flights: of the vehicle.
+        vehicle: that flew.
         whole: fit to all of them.
         left_out: fits without each of them; with a single flight, that of all.
         multi_step: fit the parameters to errors of predictions ahead as well.
@@ -65,16 +77,17 @@ def calibrated_rollouts(
         return CalibratedRollouts(None, ())
     headed = [flights[k] for k in long]
     step = headed[0].step
-    bare = [_uncalibrated(left_out[k], Disturbance.nothing(step)) for k in long]
+    bare = [_uncalibrated(left_out[k], vehicle, Disturbance.nothing(step)) for k in long]
     processes = []
     for k in range(len(bare)):
         others = [j for j in range(len(bare)) if j != k] or [k]
         processes.append(disturbance_left([bare[j] for j in others], [headed[j] for j in others]))
-    final = _uncalibrated(whole, disturbance_left(bare, headed))
+    final = _uncalibrated(whole, vehicle, disturbance_left(bare, headed))
     log: tuple[FitStep, ...] = ()
     if multi_step:
+        problem = Problem.of(vehicle, float(whole.vehicle["reference_thrust"][0]))
         with identifiable("the parameters, from errors of predictions ahead,"):
-            found = fit_multi_step(headed, final, bare, Problem.of(whole.vehicle, whole.reference_thrust))
+            found = fit_multi_step(headed, final, bare, problem)
         final, bare, log = found.model, list(found.left_out), found.log
     variance = _measured_variance(bare, headed)
     models = [
@@ -83,12 +96,8 @@ def calibrated_rollouts(
     ]
 
     def rolled(model: RolloutModel, flight: RolloutFlight) -> FlightRollouts:
-        horizons = horizon_steps(HORIZONS_S, flight.step)
-        return model.roll(
-            flight,
-            flight.starts(int(horizons[-1]), max(1, round(_CALIBRATION_EVERY_S / flight.step))),
-            horizons,
-        )
+        horizons, every = horizon_steps(HORIZONS_S, flight.step), round(_CALIBRATION_EVERY_S / flight.step)
+        return model.roll(flight, flight.starts(int(horizons[-1]), max(1, every)), horizons)
 
     with ThreadPoolExecutor(_THREADS) as threads:
         rolled_flights = list(threads.map(rolled, models, headed))
@@ -111,38 +120,26 @@ def calibrated_rollouts(
 def _narrowest(flights: Sequence[FlightRollouts]) -> TubeShape:
     """The shape of tubes that is narrowest at 95 % over the horizons that flights are judged at."""
     judged = [k for k, horizon in enumerate(HORIZONS_S) if _SHAPED_S[0] <= horizon <= _SHAPED_S[1]]
+    delays = [math.ceil(HORIZONS_S[k] / _CALIBRATION_EVERY_S) for k in judged]
     return chosen_shape(
         [own.errors[:, judged] for own in flights],
         [own.covariance[:, judged] for own in flights],
-        Following(
-            [math.ceil(HORIZONS_S[k] / _CALIBRATION_EVERY_S) for k in judged],
-            _MISS_SHARE,
-            TRACKING_PER_S * _CALIBRATION_EVERY_S,
-        ),
+        Following(delays, _MISS_SHARE, TRACKING_PER_S * _CALIBRATION_EVERY_S),
     )
 
 
-def _uncalibrated(fit: PhysicalFit, disturbance: Disturbance) -> RolloutModel:
-    return RolloutModel(
-        fit.values,
-        fit.covariance,
-        fit.record,
-        fit.vehicle.inertia,
-        fit.vehicle.gravity_m_s2,
-        fit.sensing.rotor_delay_s,
-        disturbance,
-        np.full(STATES, _LEAST_VARIANCE),
-    )
+def _uncalibrated(fit: PhysicalFit, vehicle: Vehicle, disturbance: Disturbance) -> RolloutModel:
+    body, delay_s = (fit.values, fit.covariance, fit.vehicle, fit.inertia), fit.sensing.rotor_delay_s
+    variance = np.full(STATES, _LEAST_VARIANCE)
+    return RolloutModel(*body, vehicle.gravity_m_s2, delay_s, disturbance, variance)
 
 
 def _measured_variance(models: Sequence[RolloutModel], flights: Sequence[RolloutFlight]) -> Array:
     """Variance (12,) of a measured state: half that of the errors after one sample, as two states err."""
     errors = []
     for model, flight in zip(models, flights, strict=True):
-        one = np.array([1])
-        starts = flight.starts(1, 1)
-        moving = np.where(MOVES, model.parameters, 0.0)
-        errors.append(roll_out(model.track(flight), starts, one, moving, derivatives=False).errors[:, 0])
+        track, starts = model.track(flight), flight.starts(1, 1)
+        errors.append(roll_out(track, starts, np.array([1]), model.moving, derivatives=False).errors[:, 0])
     # Of the median, since single samples of a log may be wild.
     deviation = 1.4826 * np.median(np.abs(np.concatenate(errors)), axis=0)
     return np.maximum(0.5 * np.square(deviation), _LEAST_VARIANCE)

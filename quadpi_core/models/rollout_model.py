@@ -10,17 +10,17 @@ parameters leave, scaled by a factor that was calibrated on flights left out.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.config_schema import NotNegative, Positive, Text, parse_config
-from quadpi_core.errors import ModelError
+from quadpi_core.errors import ModelError, named_in
 from quadpi_core.frames import Array
 from quadpi_core.models.disturbance import Disturbance
-from quadpi_core.models.physical_regressors import PHYSICAL_VEHICLE, wrenches
+from quadpi_core.models.physical_regressors import wrenches
 from quadpi_core.models.physical_rollout import (
     POSITION,
     RIGID_BODY,
@@ -30,11 +30,11 @@ from quadpi_core.models.physical_rollout import (
     Track,
     roll_out,
 )
-from quadpi_core.models.physical_terms import TERM_INDEX, TERM_NAMES
-from quadpi_core.models.rollout_calibration import TubeCalibration
+from quadpi_core.models.physical_terms import TERM_NAMES
 from quadpi_core.models.rollout_covariance import Uncertainty, error_covariance
 from quadpi_core.models.rollout_flight import RolloutFlight
-from quadpi_core.models.stored_body import require_body
+from quadpi_core.models.stored_body import StoredBody, require_arrays
+from quadpi_core.models.tubes import TubeCalibration
 from quadpi_core.records import Records
 from quadpi_core.vehicle import Vehicle
 
@@ -146,7 +146,7 @@ class RolloutModel:
             track,
             starts,
             horizons,
-            np.where(MOVES, self.parameters, 0.0),
+            self.moving,
             derivatives=False,
             disturbances=Disturbances(known, np.zeros((0, 0, 0)), process.decay),
         )
@@ -174,8 +174,7 @@ class RolloutModel:
             process.decay,
             np.where(np.outer(MOVES, MOVES), self.covariance, 0.0),
         )
-        moving = np.where(MOVES, self.parameters, 0.0)
-        covariance = error_covariance(track, starts, horizons, rolled.path, moving, uncertainty)
+        covariance = error_covariance(track, starts, horizons, rolled.path, self.moving, uncertainty)
         errors = rolled.errors.copy()
         if flight.position is not None:
             for k, steps in enumerate(horizons):
@@ -183,20 +182,19 @@ class RolloutModel:
                 errors[:, k, POSITION] = rolled.path["displacement"][:, steps] - moved
         return FlightRollouts(starts, errors, covariance, rolled.path)
 
+    @property
+    def moving(self) -> Array:
+        """The parameters (P,) but for those of sensors, which are zero."""
+        return np.where(MOVES, self.parameters, 0.0)
+
     def _process(self, track: Track) -> Disturbance:
         return replace(self.disturbance, step_s=track.step)
 
     def arrays(self) -> dict[str, Array]:
         """What a stored model keeps as arrays, by name."""
+        body = StoredBody(self.parameters, self.covariance, self.vehicle, self.inertia)
         calibration = {} if self.calibration is None else self.calibration.arrays()
-        return {
-            "parameters": self.parameters,
-            "covariance": np.ascontiguousarray(self.covariance),
-            "vehicle": self.vehicle.view(np.float64).copy(),
-            "inertia": np.ascontiguousarray(self.inertia),
-            "measured_variance": self.measured_variance,
-            **calibration,
-        }
+        return {**body.arrays("parameters"), "measured_variance": self.measured_variance, **calibration}
 
     def to_json(self) -> dict[str, Any]:
         """What a stored model keeps beside the arrays."""
@@ -204,7 +202,7 @@ class RolloutModel:
             "parameters": list(TERM_NAMES),
             "gravity": self.gravity,
             "rotor_delay_s": self.rotor_delay_s,
-            "disturbance": self.disturbance.to_json(),
+            "disturbance": asdict(self.disturbance),
             "remark": self.remark,
         }
 
@@ -216,44 +214,26 @@ class RolloutModel:
             ModelError: for numbers that no fit gives, and parameters that this version does not know.
         """
         entry = parse_config(_Entry, data, "roll-outs", ModelError)
-        if unknown := [name for name in entry.parameters if name not in TERM_INDEX]:
-            raise ModelError(f"roll-outs: parameter {unknown[0]!r} is not known to this version")
-        order = [TERM_INDEX[name] for name in entry.parameters]
-        expected = {
-            "parameters": (len(order),),
-            "covariance": (len(order), len(order)),
-            "vehicle": (PHYSICAL_VEHICLE.itemsize // 8,),
-            "inertia": (3, 3),
-            "measured_variance": (STATES,),
-        }
-        for name, wanted in expected.items():
-            if name not in arrays or arrays[name].shape != wanted:
-                raise ModelError(f"roll-outs: {name} is missing or of another shape than {wanted}")
-        vehicle = np.ascontiguousarray(arrays["vehicle"]).view(PHYSICAL_VEHICLE)
-        require_body(vehicle, arrays["inertia"])
-        if not np.all(arrays["measured_variance"] > 0.0):
-            raise ModelError("roll-outs: measured_variance is not positive")
-        parameters, covariance = np.zeros(len(TERM_NAMES)), np.zeros((len(TERM_NAMES), len(TERM_NAMES)))
-        parameters[order] = arrays["parameters"]
-        covariance[np.ix_(order, order)] = arrays["covariance"]
+        with named_in("roll-outs"):
+            body = StoredBody.read(entry.parameters, arrays, "parameters")
+            require_arrays(arrays, {"measured_variance": (STATES,)})
+            if not np.all(arrays["measured_variance"] > 0.0):
+                raise ModelError("measured_variance is not positive")
+            calibration = TubeCalibration.stored(arrays)
         return cls(
-            parameters,
-            covariance,
-            vehicle,
-            arrays["inertia"],
+            *body,
             entry.gravity,
             entry.rotor_delay_s,
-            Disturbance.from_json(entry.disturbance),
+            entry.disturbance,
             arrays["measured_variance"],
-            TubeCalibration.stored(dict(arrays)),
+            calibration,
             remark=entry.remark,
         )
 
 
 def disturbance_left(models: Sequence[RolloutModel], flights: Sequence[RolloutFlight]) -> Disturbance:
     """The process that models leave on flights, best on ones that they did not see."""
-    residuals = [model.residuals(flight) for model, flight in zip(models, flights, strict=True)]
-    step = flights[0].step
+    residuals, step = [m.residuals(f) for m, f in zip(models, flights, strict=True)], flights[0].step
     return Disturbance.of_residuals(residuals, step, models[0].lead(step))
 
 
@@ -264,5 +244,5 @@ class _Entry:
     parameters: tuple[Text, ...]
     gravity: Positive
     rotor_delay_s: NotNegative
-    disturbance: dict[str, Any]
+    disturbance: Disturbance
     remark: str = ""

@@ -104,7 +104,7 @@ def select(
         added = _enter(basis, settings.f_enter)
         if added is None:
             break
-        removed = _eliminate(basis, n_fixed, settings.f_remove)
+        basis, removed = _eliminated(basis, n_fixed, settings.f_remove)
         if frozenset(basis.active) in seen:
             break
         seen.add(frozenset(basis.active))
@@ -118,30 +118,21 @@ class _OrthogonalBasis:
     """All regressors with their part along the active ones removed, known by norms and correlations."""
 
     def __init__(self, gram: Gram, tolerance: float) -> None:
-        self._gram = gram
-        self._tolerance = tolerance
-        self._start()
-
-    def _start(self) -> None:
+        self.gram, self._tolerance = gram, tolerance
         self.active: list[int] = []
         self._columns: list[Array] = []
-        self._norm2 = np.diag(self._gram.matrix).copy()
-        self._correlation = self._gram.moment.copy()
-        self.sse = self._gram.square
-
-    @property
-    def gram(self) -> Gram:
-        return self._gram
+        self._norm2, self._correlation = np.diag(gram.matrix).copy(), gram.moment.copy()
+        self.sse = gram.square
 
     def admissible(self) -> npt.NDArray[np.bool_]:
         """True where a regressor is not a combination of the active ones."""
-        remaining: npt.NDArray[np.bool_] = self._norm2 > self._tolerance * np.diag(self._gram.matrix)
+        remaining: npt.NDArray[np.bool_] = self._norm2 > self._tolerance * np.diag(self.gram.matrix)
         remaining[self.active] = False
         return remaining
 
     def add(self, k: int) -> None:
         """Orthogonalise every regressor with respect to regressor k."""
-        column = self._gram.matrix[:, k].copy()
+        column = self.gram.matrix[:, k].copy()
         for earlier in self._columns:
             column -= earlier * earlier[k]
         column /= np.sqrt(self._norm2[k])
@@ -149,16 +140,17 @@ class _OrthogonalBasis:
         self._norm2 -= column**2
         self._correlation -= column * along
         # Rounding leaves an exact fit slightly above or below zero; scores take its logarithm.
-        self.sse = max(self.sse - along**2, np.finfo(float).eps * self._gram.square)
+        self.sse = max(self.sse - along**2, np.finfo(float).eps * self.gram.square)
         self._columns.append(column)
         self.active.append(k)
 
-    def remove(self, k: int) -> None:
-        """Take regressor k out: the factor is rebuilt, as later pivots were orthogonal to it."""
-        keep = [other for other in self.active if other != k]
-        self._start()
-        for other in keep:
-            self.add(other)
+    def without(self, k: int) -> _OrthogonalBasis:
+        """The basis but for regressor k: the factor is rebuilt, as later pivots were orthogonal to it."""
+        rest = _OrthogonalBasis(self.gram, self._tolerance)
+        for other in self.active:
+            if other != k:
+                rest.add(other)
+        return rest
 
     def gains(self) -> Array:
         """Fall of the squared error that each admissible regressor would bring, −1 for the others."""
@@ -169,8 +161,8 @@ class _OrthogonalBasis:
 
     def partial_f(self) -> Array:
         """Partial F value of each active regressor."""
-        coefficients, whitening = fit_coefficients(self._gram, self.active)
-        variance = self.sse / max(self._gram.count - len(self.active), 1)
+        coefficients, whitening = fit_coefficients(self.gram, self.active)
+        variance = self.sse / max(self.gram.count - len(self.active), 1)
         partial_f: Array = coefficients**2 / ((whitening**2).sum(axis=0) * variance)
         return partial_f
 
@@ -186,7 +178,9 @@ def _enter(basis: _OrthogonalBasis, f_enter: float) -> int | None:
     return best
 
 
-def _eliminate(basis: _OrthogonalBasis, n_fixed: int, f_remove: float) -> tuple[int, ...]:
+def _eliminated(
+    basis: _OrthogonalBasis, n_fixed: int, f_remove: float
+) -> tuple[_OrthogonalBasis, tuple[int, ...]]:
     removed: list[int] = []
     while len(basis.active) > n_fixed + 1:
         partial_f = basis.partial_f()
@@ -195,8 +189,8 @@ def _eliminate(basis: _OrthogonalBasis, n_fixed: int, f_remove: float) -> tuple[
         if partial_f[weakest] >= f_remove:
             break
         removed.append(basis.active[weakest])
-        basis.remove(basis.active[weakest])
-    return tuple(removed)
+        basis = basis.without(removed[-1])
+    return basis, tuple(removed)
 
 
 def _step(

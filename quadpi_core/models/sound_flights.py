@@ -102,8 +102,8 @@ class SoundFlights:
         return {name: np.ascontiguousarray(getattr(self, name)) for name in named}
 
     @classmethod
-    def read(cls, data: Mapping[str, Any], arrays: Mapping[str, Array]) -> SoundFlights:
-        """Of what a stored model keeps.
+    def stored(cls, data: Mapping[str, Any], arrays: Mapping[str, Array]) -> SoundFlights:
+        """Read what `to_json` and `arrays` gave.
 
         Raises:
             ModelError: for arrays that are missing, do not belong together, or that no flights leave.

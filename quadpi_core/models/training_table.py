@@ -6,16 +6,17 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal, TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.errors import ModelError
+from quadpi_core.errors import ModelError, named_in
 from quadpi_core.frames import Array
-from quadpi_core.models.axis_estimator import contiguous_parts
+from quadpi_core.models.axis_estimator import flight_labels
 from quadpi_core.models.fitted_ensemble import Scaling
 from quadpi_core.models.interval_rules import FEWEST_INSIDE
 from quadpi_core.models.regressors import Regressor, RegressorProgram, check_inputs
@@ -71,10 +72,8 @@ class Table:
             if regressors is not None:
                 check_inputs(X)
                 features = RegressorProgram.compile(regressors).evaluate(X)
-            try:
+            with named_in(name) if name else nullcontext():
                 scaling = Scaling.of(features, y)
-            except ModelError as error:
-                raise ModelError(f"{name}: {error}" if name else str(error)) from error
             scaled.append(scaling.standardised(features))
             scalings.append(scaling)
         filled = np.zeros((len(X), len(scaled), max(part.shape[1] for part in scaled)), dtype=np.float32)
@@ -112,12 +111,7 @@ def _finite(X: Array, Y: Array, groups: npt.ArrayLike | None) -> tuple[Array, Ar
     X, Y = np.ascontiguousarray(X, dtype=float), np.ascontiguousarray(Y, dtype=float)
     if X.ndim != 2 or Y.ndim != 2 or len(X) != len(Y):
         raise ModelError(f"inputs of shape {X.shape} and targets of shape {Y.shape} do not fit together")
-    if groups is None:
-        labels: npt.NDArray[Any] = contiguous_parts(len(X))
-    else:
-        labels = np.asarray(groups)
-        if labels.shape != X.shape[:1]:
-            raise ModelError(f"groups has shape {labels.shape}, expected {X.shape[:1]}")
+    labels = flight_labels(groups, len(X))
     finite = np.isfinite(X).all(axis=1) & np.isfinite(Y).all(axis=1)
     rejected = len(X) - int(finite.sum())
     if rejected == len(X):

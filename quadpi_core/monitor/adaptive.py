@@ -91,10 +91,6 @@ class AdaptiveFactor:
         adapt(measured, lower, upper, self._step, self._miss_share, self._log_factor, bounds)
         return bounds[0], bounds[1]
 
-    def bound(self, samples: int) -> float:
-        """Largest difference between the share of misses and its nominal value after a number of samples."""
-        return float((np.log(LARGEST_CHANGE) + self._step) / (self._step * samples))
-
 
 _inside = njit(cache=True)(inside_interval)
 

@@ -188,23 +188,11 @@ class Alarm:
 
     def _alarms(self, rows: Records) -> Alarms:
         """Rows (M,) as the kernel filled them, with leverage and width in multiples of their peaks too."""
+        columns = {name: rows[name] for name in kernel.ROW.names or ()}
+        for name in ("level", "causes", "cause_level", "cause_health"):
+            columns[name] = rows[name].astype(np.uint8)
         return Alarms(
-            time_ns=rows["time_ns"],
-            faults=rows["faults"],
-            stopped=rows["stopped"],
-            why_not_judged=rows["why_not_judged"],
-            not_judged_share=rows["not_judged_share"],
-            level=rows["level"].astype(np.uint8),
-            causes=rows["causes"].astype(np.uint8),
-            cause_level=rows["cause_level"].astype(np.uint8),
-            cause_health=rows["cause_health"].astype(np.uint8),
-            cause_evidence=rows["cause_evidence"],
-            leverage=rows["leverage"],
-            width=rows["width"],
-            miscoverage=rows["miscoverage"],
-            miss_share=rows["miss_share"],
-            input_score=rows["input_score"],
-            input_excess=rows["input_excess"],
+            **columns,
             leverage_ratio=rows["leverage"] * self._leverage_per_peak,
             width_ratio=rows["width"] * self._width_per_peak,
         )
@@ -249,19 +237,6 @@ class NotJudgedReason:
     fraction: float
 
 
-class NotJudged(NamedTuple):
-    """For how much of a flight the model was not judged, and why.
-
-    Attributes:
-        fraction: share of the flight without a verdict on the coverage; while the state settles,
-            EXTRAPOLATION is judged all the same.
-        reasons: that it is made of, the largest first.
-    """
-
-    fraction: float
-    reasons: tuple[NotJudgedReason, ...]
-
-
 def held_ns(time_ns: Stamps, end_ns: int) -> Stamps:
     """For how long each of the stamps (N,) holds: until the next one, the last until `end_ns`.
 
@@ -270,8 +245,12 @@ def held_ns(time_ns: Stamps, end_ns: int) -> Stamps:
     return np.clip(np.diff(time_ns, append=max(end_ns, int(time_ns[-1]))), 0, MAX_JUMP_BACK_NS)
 
 
-def not_judged(time_ns: Stamps, why: npt.NDArray[np.int64], before_ns: int, end_ns: int) -> NotJudged:
-    """Sum up why alarm rows (M,) say that the model is not judged, see :func:`alarm_time`.
+def not_judged(
+    time_ns: Stamps, why: npt.NDArray[np.int64], before_ns: int, end_ns: int
+) -> tuple[NotJudgedReason, ...]:
+    """Why, and for what shares of a flight, its coverage has no verdict, by alarm rows (M,).
+
+    While the state settles, EXTRAPOLATION is judged all the same.
 
     Args:
         time_ns: of the rows.
@@ -284,8 +263,7 @@ def not_judged(time_ns: Stamps, why: npt.NDArray[np.int64], before_ns: int, end_
     whole = max(before + float(durations.sum()), 1.0)
     shares = {NOT_BEGUN: before / whole}
     shares |= {words: float(durations[why == key].sum()) / whole for key, words in WHY_NOT_JUDGED.items()}
-    reasons = not_judged_reasons(shares)
-    return NotJudged(float(sum(reason.fraction for reason in reasons)), reasons)
+    return not_judged_reasons(shares)
 
 
 def not_judged_reasons(shares: Mapping[str, float]) -> tuple[NotJudgedReason, ...]:

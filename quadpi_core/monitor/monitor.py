@@ -189,13 +189,9 @@ class Monitors:
     """Monitors of one vehicle, by name. The first gives predictions and the alarm, the others predictions.
 
     What monitors of one cut-off share, the low-pass above all, runs once for all of them.
-
-    Attributes:
-        prepared: what the first one judged in the last step.
     """
 
     def __init__(self, monitors: Mapping[str, Monitor]) -> None:
-        self.prepared: Prepared | None = None
         self._monitors: dict[str, Monitor] = {}
         self._rate: ImuRate | None = None
         for name, monitor in monitors.items():
@@ -248,7 +244,7 @@ class Monitors:
     def step(self, samples: PairedSamples) -> tuple[tuple[Predictions, Alarms, Events], list[Predictions]]:
         """Take K samples: the results of the first monitor, see :meth:`Monitor.step`; others' predictions."""
         first, *others = self._monitors.values()
-        prepared = self.prepared = first.preparation.step(*samples)
+        prepared = first.preparation.step(*samples)
         results = first._judge(prepared)
         if not others:
             return results, []

@@ -56,7 +56,7 @@ from quadpi_core.signals.wrench import newton_euler
 from quadpi_core.vehicle import ROTORS, Vehicle
 
 # When a state begins or comes back, its accelerometer bias is still being found: measured forces then leave
-# their intervals up to ten times as often (docs/alarm.md).
+# their intervals up to ten times as often (experiments/results/alarm.md).
 SETTLE_NS = 1_000_000_000
 # Faults of samples that say nothing of the state.
 _WITHOUT_STATE = NOT_FINITE | NOT_PLAUSIBLE | STAMP_REPEATED | STAMP_BACKWARD | STATE_MISSING

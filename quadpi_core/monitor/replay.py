@@ -8,9 +8,10 @@ written as they come. So memory does not grow with the flight, and the bytes do 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -41,7 +42,7 @@ from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.pairing import PairedSamples, Pairing
 from quadpi_core.parallel import DEFAULT_WORKERS, Workers
 from quadpi_core.paths import staged, whole_outputs
-from quadpi_core.reading_options import MappingOrOptions, ReadingOptions, reading_options
+from quadpi_core.reading_options import MappingOrOptions, reading_options
 from quadpi_core.recording_blocks import by_arrival, split_recording
 from quadpi_core.results import LEVEL_ALARM, LEVEL_WARNING, Alarms, Events, Predictions
 from quadpi_core.screening.flight_runs import in_range_of_blocks
@@ -340,36 +341,19 @@ def replay_all(
     bags = array_checks.paths("bags", bags)
     bags_in(folder, bags)
     with whole_outputs(folder) as staging:
-        task = _Replay(model, vehicle, confidence, settings, workers.found_by(mapping), staging.absolute())
+        found = workers.found_by(mapping)
+        replayed = partial(replay, model, vehicle, confidence=confidence, settings=settings, mapping=found)
+        task = (replayed, staging.absolute())
         summaries = for_each_flight(
             _replay, bags, shared=task, task="Replaying flights", workers=workers, left_out=left_out
         )
     return {file.name: summary for file, summary in summaries}
 
 
-@dataclass(frozen=True)
-class _Replay:
-    """What the replay of each flight needs."""
-
-    model: AerodynamicModel
-    vehicle: Vehicle
-    confidence: float | None
-    settings: MonitorSettings | None
-    mapping: ReadingOptions
-    staging: Path
-
-
-def _replay(task: _Replay, file: FlightFile) -> ReplaySummary:
-    output = staged(task.staging, f"{file.name}.mcap")
-    return replay(
-        task.model,
-        task.vehicle,
-        file.path,
-        output,
-        confidence=task.confidence,
-        settings=task.settings,
-        mapping=task.mapping,
-    )
+def _replay(task: tuple[Callable[[Path, Path], ReplaySummary], Path], file: FlightFile) -> ReplaySummary:
+    """Replay one flight into the staging folder."""
+    replayed, staging = task
+    return replayed(file.path, staged(staging, f"{file.name}.mcap"))
 
 
 def _estimator_output(trace: EkfTrace, imu: ImuStream) -> tuple[_Imu, FusedSamples, Stamps]:
@@ -480,6 +464,6 @@ class _Tally:
             alarm_first_s=alarm.first_s(start_ns),
             warning_first_s=warning.first_s(start_ns),
             events=self._events,
-            not_judged_fraction=unjudged.fraction,
-            not_judged_reasons=unjudged.reasons,
+            not_judged_fraction=float(sum(reason.fraction for reason in unjudged)),
+            not_judged_reasons=unjudged,
         )

@@ -14,8 +14,9 @@ time of autograd on the same batched products (`training_vs_batched_autograd`). 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar, Literal, Protocol, TypeAlias
+from typing import ClassVar, Literal, TypeAlias
 
 import torch
 from torch import Tensor
@@ -34,39 +35,41 @@ _LEAST_NOISE = 1e-2
 _LEAST_HELD = 1e-6
 
 
-class Loss(Protocol):
+class Loss(ABC):
     """What training needs of a loss."""
 
     outputs: ClassVar[int]
 
-    def of(self, tables: slice) -> Loss:
-        """That of some of the tables."""
+    def of(self, tables: slice) -> Loss:  # noqa: ARG002 - for those with numbers of each table
+        """That of some of the tables; the same for all unless overridden."""
+        return self
 
+    @abstractmethod
     def initial_biases(self, targets: Tensor) -> Tensor:
         """Output biases, broadcastable to (A, M, O), that training starts from."""
 
+    @abstractmethod
     def gradient(self, outputs: Tensor, targets: Tensor, weights: Tensor) -> Tensor:
         """Gradient (A, M, O, n) of :meth:`value` with respect to the outputs, which it may overwrite."""
 
+    @abstractmethod
     def value(self, outputs: Tensor, targets: Tensor, weights: Tensor) -> Tensor:
         """Loss (A, M) of each network."""
 
     def score(self, outputs: Tensor, targets: Tensor, weights: Tensor) -> Tensor:
-        """Score of each network (A, M) on samples that it was not trained on; lower is better."""
+        """Score (A, M) on samples that a network was not trained on, lower is better: the loss by default."""
+        return self.value(outputs, targets, weights)
 
+    @abstractmethod
     def covered(self, outputs: Tensor, targets: Tensor, loss: Tensor) -> Tensor:
         """One where samples (A, M, n) lie in a nominal interval of a network with training loss (A, M)."""
 
 
 @dataclass(frozen=True)
-class SquaredError:
+class SquaredError(Loss):
     """Half the mean of (y − ŷ)², one output; target y. Its interval is ŷ ± 1.96 root mean square."""
 
     outputs: ClassVar[int] = 1
-
-    def of(self, tables: slice) -> SquaredError:  # noqa: ARG002
-        """The same for all tables."""
-        return self
 
     def initial_biases(self, targets: Tensor) -> Tensor:
         """Zero: the target is standardised."""
@@ -80,17 +83,13 @@ class SquaredError:
         """Half the mean square."""
         return 0.5 * ((outputs - targets).square()[:, :, 0] * weights).sum(-1)
 
-    def score(self, outputs: Tensor, targets: Tensor, weights: Tensor) -> Tensor:
-        """Half the mean square."""
-        return self.value(outputs, targets, weights)
-
     def covered(self, outputs: Tensor, targets: Tensor, loss: Tensor) -> Tensor:
         """Where the error is below 1.96 times the root of the mean square, which is twice the loss."""
         return (outputs - targets).square_()[:, :, 0].le_(2.0 * _NOMINAL**2 * loss[..., None])
 
 
 @dataclass(frozen=True)
-class GaussianNoise:
+class GaussianNoise(Loss):
     """½ [ln v + e²/v] with v = σ² + s², one output o; targets e² and s² (van Beers and de Visser, Eq. 21).
 
     σ = softplus(o) + floor is positive for any output. e² is the squared error of an ensemble on data
@@ -128,10 +127,6 @@ class GaussianNoise:
         variance = self._variance(outputs, targets)
         return (0.5 * (variance.log() + targets[:, :, 0] / variance) * weights).sum(-1)
 
-    def score(self, outputs: Tensor, targets: Tensor, weights: Tensor) -> Tensor:
-        """The same likelihood."""
-        return self.value(outputs, targets, weights)
-
     def covered(self, outputs: Tensor, targets: Tensor, loss: Tensor) -> Tensor:  # noqa: ARG002
         """Where the error is below 1.96 √v."""
         return self._variance(outputs, targets).mul_(_NOMINAL**2).ge_(targets[:, :, 0])
@@ -141,7 +136,7 @@ class GaussianNoise:
 
 
 @dataclass(frozen=True)
-class QualityDriven:
+class QualityDriven(Loss):
     """Narrow intervals that cover: MPIW_c + weight · max(0, confidence − PICP_s)², outputs L and U; target y.
 
     MPIW_c is the mean width of the intervals that hold their measurement, PICP_s the mean of
@@ -168,10 +163,6 @@ class QualityDriven:
     factor: float
     softening: float
     crossing: float
-
-    def of(self, tables: slice) -> QualityDriven:  # noqa: ARG002
-        """The same for all tables."""
-        return self
 
     def initial_biases(self, targets: Tensor) -> Tensor:
         """Wide bounds: narrow ones cover nothing at first, and only samples near a bound have a gradient."""

@@ -4,17 +4,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import ndtri, stdtrit
 
-from quadpi_core.config_schema import Positive, parse_config
+from quadpi_core.config_schema import Positive
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
-from quadpi_core.models.ensemble_estimator import Ensemble, EnsembleKind, Trained, mean_over
+from quadpi_core.models.ensemble_estimator import Ensemble, EnsembleKind, Floats, Trained, mean_over
 from quadpi_core.models.fitted_ensemble import EnsembleEntry, FittedEnsemble
 from quadpi_core.models.interval_rules import NormalRule, Rule
 from quadpi_core.models.training_table import Plan, Table
@@ -24,6 +24,11 @@ if TYPE_CHECKING:
     from quadpi_core.training.train import Report, Training
 
 NoiseTarget: TypeAlias = Literal["error", "excess"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Entry(EnsembleEntry):
+    model_share: Positive
 
 
 @dataclass(frozen=True)
@@ -39,6 +44,7 @@ class FittedBootstrap(FittedEnsemble):
     """
 
     method: ClassVar[str] = "bootstrap"
+    entry: ClassVar[type[EnsembleEntry]] = _Entry
     noise: Networks
     model_share: float
 
@@ -56,37 +62,12 @@ class FittedBootstrap(FittedEnsemble):
         """Of the members' variance."""
         return self.model_share
 
-    @property
-    def noise_network(self) -> Networks | None:
-        """That of the noise."""
-        return self.noise
-
-    def arrays(self) -> dict[str, Array]:
-        """What a stored model keeps as arrays, by name."""
-        return self.members.arrays("members") | self.noise.arrays("noise")
-
-    def to_json(self) -> dict[str, Any]:
-        """What a stored model keeps beside the arrays."""
-        return self._json() | {"model_share": self.model_share}
-
-    @classmethod
-    def stored(cls, data: dict[str, Any], arrays: dict[str, Array]) -> FittedBootstrap:
-        """Read what `to_json` and `arrays` gave.
-
-        Raises:
-            ModelError: for numbers that no fit gives.
-        """
-        entry = parse_config(_Entry, data, cls.method, ModelError)
-        members, noise = Networks.stored(arrays, "members"), Networks.stored(arrays, "noise")
+    def require_networks(self) -> None:
+        """One output each, one noise network, of as many inputs."""
+        members, noise = self.members, self.noise
         shapes = (members.output_biases.shape[1], noise.output_biases.shape, noise.hidden_weights.shape[2])
         if shapes != (1, (1, 1), members.hidden_weights.shape[2]) or len(members) < 2:
             raise ModelError("members and noise network do not fit together")
-        return cls(**entry.parts(members), noise=noise, model_share=entry.model_share)
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Entry(EnsembleEntry):
-    model_share: Positive
 
 
 @dataclass(eq=False)
@@ -118,10 +99,14 @@ class BootstrapEnsemble(Ensemble):
     few_members: bool = True
 
     PAPER: ClassVar[dict[str, Any]] = Ensemble.PAPER | {"noise": "excess", "few_members": False}
+    fitted_type: ClassVar[type[FittedEnsemble]] = FittedBootstrap
+
+    @property
+    def _uncalibrated(self) -> Rule:
+        return NormalRule()
 
     @property
     def _model_share(self) -> float:
-        """Weight of the members' variance."""
         if not self.few_members:
             return 1.0
         quantiles = stdtrit(self.members - 1, 0.975) / ndtri(0.975)
@@ -132,8 +117,7 @@ class BootstrapEnsemble(Ensemble):
         from quadpi_core.training.train import train
 
         members = train(self._samples(table, plan), SquaredError(), self._schedule(), "members", report)
-        outcomes = [self._outcome(members, table, plan, k) for k in range(len(plan))]
-        centre, variance, errors = (np.stack(parts) for parts in zip(*outcomes, strict=True))
+        centre, variance, errors = self._outcomes(members, table, plan)
         floors = self._floors(table, plan, errors)
         noise, level = self._train_noise(table, plan, errors, variance, floors, report)
         spread = np.sqrt(self._model_share * variance + np.square(level))
@@ -148,10 +132,7 @@ class BootstrapEnsemble(Ensemble):
         ]
         return Trained(parts, centre, spread)
 
-    @staticmethod
-    def _outcome(
-        members: Training, table: Table, plan: Plan, ensemble: int
-    ) -> tuple[npt.NDArray[np.float32], ...]:
+    def _outcome(self, members: Training, table: Table, plan: Plan, ensemble: int) -> Sequence[Floats]:
         """Mean, variance and errors (A, N) of an ensemble.
 
         Errors are those of the members that left a sample out, or of all where the ensemble does; NaN where
@@ -166,11 +147,11 @@ class BootstrapEnsemble(Ensemble):
         self,
         table: Table,
         plan: Plan,
-        errors: npt.NDArray[np.float32],
-        variance: npt.NDArray[np.float32],
-        floors: npt.NDArray[np.float32],
+        errors: Floats,
+        variance: Floats,
+        floors: Floats,
         report: Report | None,
-    ) -> tuple[Training, npt.NDArray[np.float32]]:
+    ) -> tuple[Training, Floats]:
         """The variance networks, one per ensemble, and the noise (E, A, N) that they give."""
         from quadpi_core.training.batches import Samples
         from quadpi_core.training.losses import GaussianNoise
@@ -197,12 +178,6 @@ class BootstrapEnsemble(Ensemble):
         noise = train(samples, loss, schedule, "noise", report)
         level = np.logaddexp(0.0, noise.predictions(slice(None))[:, :, 0]) + floors.T[:, :, None]
         return noise, level.swapaxes(0, 1)
-
-    def _uncalibrated(self) -> Rule:
-        return NormalRule()
-
-    def _finish(self, **parts: Any) -> FittedBootstrap:
-        return FittedBootstrap(**parts)
 
 
 class Bootstrap(EnsembleKind):

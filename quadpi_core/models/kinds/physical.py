@@ -10,14 +10,13 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from quadpi_core.bounded_files import parse_json
-from quadpi_core.errors import ModelError
+from quadpi_core.errors import ModelError, named_in
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.inputs import DERIVATIVES
-from quadpi_core.models.fitted_physical import SHARED, CompiledPhysical, FittedPhysical, PhysicalParameters
+from quadpi_core.models.fitted_physical import CompiledPhysical, FittedPhysical, PhysicalFit
 from quadpi_core.models.fitted_polynomial import PlacedErrors, SpreadShape, fit_shape, squared_speed
 from quadpi_core.models.interval_rules import NormalRule, calibrate, inside_range
 from quadpi_core.models.model_kind import (
@@ -35,7 +34,6 @@ from quadpi_core.models.model_kind import (
 from quadpi_core.models.physical_advice import delay_words, missing_flying
 from quadpi_core.models.physical_fit import (
     AT_BOUND,
-    PhysicalFit,
     bounded_terms,
     thrust_variance,
     worst_pairs,
@@ -47,7 +45,7 @@ from quadpi_core.models.physical_study import DELAYS_S, PhysicalStudy
 from quadpi_core.models.physical_terms import TERM_INDEX, TERM_NAMES, TERMS
 from quadpi_core.models.rollout_identification import calibrated_rollouts, rollout_flights
 from quadpi_core.models.rollout_model import MOVES, RolloutModel
-from quadpi_core.parallel import Progress, ReportProgress
+from quadpi_core.parallel import Progress, ReportProgress, one_blas_thread
 from quadpi_core.signals.force_bandwidth import as_recorded
 from quadpi_core.vehicle import Vehicle
 
@@ -96,22 +94,23 @@ class Physical(Kind):
         flights = flights_of(samples)
         steps = len(flights) + 1
         progress(Progress("Identifying the physical model", 0, steps))
-        with threadpool_limits(limits=1, user_api="blas"):
+        with one_blas_thread():
             study = PhysicalStudy.of(flights, samples.vehicle)
             whole = study.fit(choose=True)
             left_out = []
             for k in range(len(flights)):
                 progress(Progress("Identifying the physical model", k + 1, steps))
                 left_out.append(study.fit(choose=True, left_out=k) if len(flights) > 1 else whole)
-        progress(Progress("Calibrating predictions ahead", 0, 1))
-        with threadpool_limits(limits=1, user_api="blas"):
-            ahead = calibrated_rollouts(rollout_flights(samples), whole, left_out, multi_step=self.multi_step)
-        whole = replace(whole, log=(*whole.log, *ahead.log))
+            progress(Progress("Calibrating predictions ahead", 0, 1))
+            ahead = calibrated_rollouts(
+                rollout_flights(samples), samples.vehicle, whole, left_out, multi_step=self.multi_step
+            )
+        whole, noise = replace(whole, log=(*whole.log, *ahead.log)), study.weighing.deviation
         every = range(len(flights))
         others = [[other for other in every if other != k] for k in every]
         # Shape and factor are those that these flights need. On a new flight thrust differs as a whole, which
         # they may not tell; that comes on top, so that the factor must not make up for it.
-        plain = [_axes(fit, pools) for fit in (whole, *left_out)]
+        plain = [_axes(fit, noise, pools) for fit in (whole, *left_out)]
         trained = [_placed(plain[0], samples, k) for k in every]
         placed = [_placed(plain[1 + k], samples, k, others[k]) for k in every]
         shapes = {
@@ -131,7 +130,7 @@ class Physical(Kind):
             axis: variance * np.square(quantile / rule.factor(options.confidence)) / shapes[axis].inflation
             for axis, rule in rules.items()
         }
-        final, *apart = (_axes(fit, pools, thrusts) for fit in (whole, *left_out))
+        final, *apart = (_axes(fit, noise, pools, thrusts) for fit in (whole, *left_out))
         spread = [_placed(final, samples, k) for k in every]
         new = [_placed(apart[k], samples, k, others[k]) for k in every]
         fitted, held_out = {}, {}
@@ -178,13 +177,12 @@ class Physical(Kind):
         """Parameters, their most correlated pairs, those that predict ahead, and the log of the fit."""
         shared = _shared(fitted)
         return [
-            Facts(
+            *_parameter_facts(
                 "parameters",
-                ("parameter", "value", "standard error", "unit", "note"),
                 [(name, value, error, unit, note) for name, value, error, unit, _, note in shared.rows()],
                 _sensing_words(shared),
+                shared.covariance,
             ),
-            Facts("most correlated parameters", ("one", "other", "correlation"), shared.worst_pairs),
             *([] if rollouts is None else _facts_ahead(rollouts)),
             Facts(
                 "log of the fit",
@@ -214,33 +212,40 @@ class Physical(Kind):
     def store(self, fitted: Mapping[str, FittedAxis]) -> StoredAxes:
         """Parameters once, what belongs to an axis by axis, and a table of parameters for people."""
         shared, by_axis = _shared(fitted), super().store(fitted)
-        own = {name: a for name, a in by_axis.arrays.items() if name.endswith(".whitening")}
-        entries = {
-            axis: {key: value for key, value in entry.items() if key != SHARED}
-            for axis, entry in by_axis.entries.items()
-        }
         fit = json.dumps(shared.to_json(), indent=1, allow_nan=False) + "\n"
         files = {FIT_FILE: fit.encode(), TABLE_FILE: shared.csv().encode()}
-        return StoredAxes(entries, {**shared.arrays(), **own}, files)
+        return StoredAxes(by_axis.entries, {**shared.arrays(), **by_axis.arrays}, files)
 
     def read(self, stored: StoredAxes) -> dict[str, FittedAxis]:
         """The fitted axes of what :meth:`store` gave."""
         if FIT_FILE not in stored.files:
             raise ModelError(f"{FIT_FILE}: missing")
-        fit = parse_json(stored.files[FIT_FILE].decode(errors="replace"))
-        entries = {axis: {**entry, SHARED: fit} for axis, entry in stored.entries.items()}
-        shared = {name: a for name, a in stored.arrays.items() if "." not in name}
-        arrays = {f"{axis}.{name}": a for axis in entries for name, a in shared.items()}
-        return super().read(StoredAxes(entries, {**arrays, **stored.arrays}))
+        with named_in(FIT_FILE):
+            shared = PhysicalFit.stored(
+                parse_json(stored.files[FIT_FILE].decode(errors="replace")), stored.arrays
+            )
+        entries = {axis: {**entry, "parameters": shared} for axis, entry in stored.entries.items()}
+        return super().read(StoredAxes(entries, stored.arrays))
 
 
-def _shared(fitted: Mapping[str, Any]) -> PhysicalParameters:
-    shared: PhysicalParameters = next(iter(fitted.values())).parameters
+def _shared(fitted: Mapping[str, Any]) -> PhysicalFit:
+    shared: PhysicalFit = next(iter(fitted.values())).parameters
     return shared
 
 
+def _parameter_facts(
+    title: str, rows: Sequence[tuple[str | float, ...]], note: str, covariance: Array
+) -> list[Facts]:
+    """Parameters, and their most correlated pairs."""
+    columns = ("parameter", "value", "standard error", "unit", "note")
+    pairs = ("one", "other", "correlation")
+    return [
+        Facts(title, columns, rows, note),
+        Facts(f"most correlated {title}", pairs, worst_pairs(covariance)),
+    ]
+
+
 def _facts_ahead(rollouts: RolloutModel) -> list[Facts]:
-    """The parameters that predict ahead, and their most correlated pairs."""
     values, errors = rollouts.parameters, np.sqrt(np.diag(rollouts.covariance))
     bounded = bounded_terms(values, errors)
     rows = [
@@ -248,22 +253,10 @@ def _facts_ahead(rollouts: RolloutModel) -> list[Facts]:
         for k, term in enumerate(TERMS)
         if MOVES[k] and errors[k] > 0.0
     ]
-    return [
-        Facts(
-            "parameters that predict ahead",
-            ("parameter", "value", "standard error", "unit", "note"),
-            rows,
-            rollouts.remark,
-        ),
-        Facts(
-            "most correlated parameters that predict ahead",
-            ("one", "other", "correlation"),
-            worst_pairs(rollouts.covariance),
-        ),
-    ]
+    return _parameter_facts("parameters that predict ahead", rows, rollouts.remark, rollouts.covariance)
 
 
-def _sensing_words(shared: PhysicalParameters) -> str:
+def _sensing_words(shared: PhysicalFit) -> str:
     words = delay_words(shared.sensing.rotor_delay_s, shared.delay_range_s, DELAYS_S[-1])
     if (bandwidth := shared.sensing.force_bandwidth_hz) is not None:
         words += (
@@ -276,38 +269,29 @@ def _sensing_words(shared: PhysicalParameters) -> str:
 
 
 def _axes(
-    fit: PhysicalFit, pools: Pools, thrusts: Mapping[str, float] | None = None
+    fit: PhysicalFit, noise: Array, pools: Pools, thrusts: Mapping[str, float] | None = None
 ) -> dict[str, FittedPhysical]:
     """The axes of a fit, their intervals not yet calibrated.
 
     Args:
         fit: of all axes.
+        noise: (6,) standard deviation of the errors on the flights.
         pools: by axis held.
         thrusts: by axis, 1/N² or 1/(Nm)²: what thrust that differs from flight to flight adds to the
             leverage, per square of the thrust or its moment; nothing unless given.
     """
-    parameters = PhysicalParameters(
-        fit.values,
-        fit.covariance,
-        fit.record,
-        fit.vehicle.inertia,
-        fit.sensing,
-        fit.delay_range_s,
-        fit.notes,
-        tuple(fit.worst_pairs()),
-        fit.log,
-    )
     acts, axes = acting_terms(), {}
+    thrust_values = np.where([term.name.startswith("thrust") for term in TERMS], fit.values, 0.0)
     for axis in pools:
         column = AXES.index(axis)
-        acting = np.flatnonzero(acts[:, column] & fit.kept)
-        covariance = fit.covariance[np.ix_(acting, acting)] / fit.noise[column] ** 2
+        acting = np.flatnonzero(acts[:, column] & (fit.standard_errors > 0.0))
+        covariance = fit.covariance[np.ix_(acting, acting)] / noise[column] ** 2
         if thrusts is not None:
-            thrust = fit.thrust_values[acting]
+            thrust = thrust_values[acting]
             covariance = covariance + thrusts[axis] * np.outer(thrust, thrust)
         scale = np.sqrt(np.diag(covariance))
         whitening = scale[:, np.newaxis] * _factor(covariance / np.outer(scale, scale))
-        axes[axis] = FittedPhysical(parameters, whitening, acting, SpreadShape(1.0, 0.0), NormalRule(), 1.0)
+        axes[axis] = FittedPhysical(fit, whitening, acting, SpreadShape(1.0, 0.0), NormalRule(), 1.0)
     return axes
 
 

@@ -10,12 +10,11 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from threadpoolctl import threadpool_limits
 
 from quadpi_core.errors import ModelError, named_in
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
-from quadpi_core.models.axis_estimator import AxisEstimator, contiguous_parts, fit_of
+from quadpi_core.models.axis_estimator import AxisEstimator, fit_of, flight_labels, require_finite
 from quadpi_core.models.candidate_pool import CandidatePool
 from quadpi_core.models.fitted_polynomial import (
     CompiledPolynomials,
@@ -36,7 +35,7 @@ from quadpi_core.models.least_squares import Gram, fit_coefficients, flight_gram
 from quadpi_core.models.model_kind import Fit, IdentifyOptions, Kind, Pools, TrainingSamples, option
 from quadpi_core.models.regressors import Regressor, RegressorProgram, check_inputs
 from quadpi_core.models.selection import SelectionSettings, SelectionStep, StopRule, select
-from quadpi_core.parallel import Progress, ReportProgress
+from quadpi_core.parallel import Progress, ReportProgress, one_blas_thread
 
 NoiseRule: TypeAlias = Literal["held-out", "residual"]
 
@@ -44,6 +43,7 @@ NoiseRule: TypeAlias = Literal["held-out", "residual"]
 _PEAK_STEP = 8
 
 
+@dataclass(eq=False)
 class StepwisePolynomial(AxisEstimator):
     """Polynomial regression with terms chosen stepwise from a pool, and prediction intervals.
 
@@ -68,25 +68,13 @@ class StepwisePolynomial(AxisEstimator):
         held_out_: errors on each flight of the model without it; None under "residual".
     """
 
-    fitted_: FittedPolynomial
-
-    def __init__(
-        self,
-        pool: CandidatePool,
-        stop: StopRule = "leave-one-flight-out",
-        max_terms: int = 10,
-        f_enter: float = 4.0,
-        f_remove: float = 4.0,
-        rank_tolerance: float = 1e-9,
-        noise: NoiseRule = "held-out",
-    ) -> None:
-        self.pool = pool
-        self.stop: StopRule = stop
-        self.max_terms = max_terms
-        self.f_enter = f_enter
-        self.f_remove = f_remove
-        self.rank_tolerance = rank_tolerance
-        self.noise: NoiseRule = noise
+    pool: CandidatePool
+    stop: StopRule = "leave-one-flight-out"
+    max_terms: int = 10
+    f_enter: float = 4.0
+    f_remove: float = 4.0
+    rank_tolerance: float = 1e-9
+    noise: NoiseRule = "held-out"
 
     @classmethod
     def paper(cls, pool: CandidatePool) -> StepwisePolynomial:
@@ -149,11 +137,7 @@ class StepwisePolynomial(AxisEstimator):
         return self
 
     def centre_and_spread(self, X: Array) -> tuple[Array, Array]:
-        """Prediction and spread (N,) for input vectors (N, 19).
-
-        Raises:
-            ModelError: before `fit`, or naming the sample that is not finite.
-        """
+        """Prediction and spread (N,) for input vectors (N, 19)."""
         self.require_fitted()
         X = _finite_inputs(X)
         return self.fitted_.program.evaluate(X) @ self.fitted_.coefficients, self.fitted_.spread(X)
@@ -182,8 +166,7 @@ class StepwisePolynomial(AxisEstimator):
     def _select(
         self, grams: list[Gram], settings: SelectionSettings
     ) -> tuple[list[int], list[SelectionStep]]:
-        names = [str(regressor) for regressor in self._regressors]
-        return select(grams, len(self.pool.fixed), settings, names)
+        return select(grams, len(self.pool.fixed), settings, list(map(str, self._regressors)))
 
     def _held_out_errors(
         self, grams: list[Gram], X: Array, y: Array, flights: npt.NDArray[np.int64]
@@ -216,28 +199,21 @@ class StepwisePolynomial(AxisEstimator):
 
 
 def _checked(X: Array, y: Array, groups: npt.ArrayLike | None) -> tuple[Array, Array, npt.NDArray[np.int64]]:
-    X = _finite_inputs(X)
-    y = np.ascontiguousarray(y, dtype=float)
+    X, y = _finite_inputs(X), np.ascontiguousarray(y, dtype=float)
     if y.shape != (len(X),):
         raise ModelError(f"y has shape {y.shape}, expected ({len(X)},) as X has {len(X)} rows")
     if not np.all(np.isfinite(y)):
         raise ModelError(f"sample {np.argmin(np.isfinite(y))}: target is not finite")
     if len(y) == 0 or np.ptp(y) == 0:
         raise ModelError("the target is constant: there is nothing to identify")
-    if groups is None:
-        return X, y, contiguous_parts(len(y))
-    labels = np.asarray(groups)
-    if labels.shape != y.shape:
-        raise ModelError(f"groups has shape {labels.shape}, expected {y.shape}")
+    labels = flight_labels(groups, len(y))
     return X, y, np.unique(labels, return_inverse=True)[1].astype(np.int64)
 
 
 def _finite_inputs(X: Array) -> Array:
     X = np.ascontiguousarray(X, dtype=float)
     check_inputs(X)
-    if not np.all(np.isfinite(X)):
-        sample, column = np.argwhere(~np.isfinite(X))[0]
-        raise ModelError(f"sample {sample}: input {INPUT_NAMES[column]} is not finite")
+    require_finite(X, INPUT_NAMES)
     return X
 
 
@@ -274,7 +250,7 @@ class Polynomial(Kind):
                 polynomial.set_params(stop=self.stop)
             # Products this small are over before threads have shared one out: ten flights of a minute take
             # 15 s with one thread of BLAS, 26 s with two.
-            with named_in(axis), threadpool_limits(limits=1, user_api="blas"):
+            with named_in(axis), one_blas_thread():
                 polynomial.fit(samples.inputs, samples.target(axis), samples.flight)
         log = {axis: polynomial.selection_log() for axis, polynomial in polynomials.items()}
         return replace(fit_of(polynomials), log=log)

@@ -9,19 +9,17 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import ndtri
 
-from quadpi_core.config_schema import NotNegative, parse_config
+from quadpi_core.config_schema import NotNegative
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
-from quadpi_core.models.ensemble_estimator import Ensemble, EnsembleKind, Trained, mean_over
+from quadpi_core.models.ensemble_estimator import Ensemble, EnsembleKind, Floats, Trained, mean_over
 from quadpi_core.models.fitted_ensemble import EnsembleEntry, FittedEnsemble
 from quadpi_core.models.interval_rules import Rule, TrainedRule
 from quadpi_core.models.model_kind import IdentifyOptions
 from quadpi_core.models.regressors import Regressor
 from quadpi_core.models.training_table import Plan, Table
-from quadpi_core.training.networks import Networks
 
 if TYPE_CHECKING:
     from quadpi_core.training.losses import QualityDrivenForm
@@ -30,6 +28,11 @@ if TYPE_CHECKING:
 Aggregation: TypeAlias = Literal["sd", "sem"]
 # Of the normal distribution, for bounds of 95 %.
 _QUANTILE = float(ndtri(0.975))
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Entry(EnsembleEntry):
+    outward: NotNegative
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,7 @@ class FittedQualityDriven(FittedEnsemble):
     """
 
     method: ClassVar[str] = "quality-driven"
+    entry: ClassVar[type[EnsembleEntry]] = _Entry
     outward: float
 
     def centre_and_spread(self, X: Array) -> tuple[Array, Array]:
@@ -61,31 +65,10 @@ class FittedQualityDriven(FittedEnsemble):
         """Of the members' standard deviation."""
         return self.outward
 
-    def arrays(self) -> dict[str, Array]:
-        """What a stored model keeps as arrays, by name."""
-        return self.members.arrays("members")
-
-    def to_json(self) -> dict[str, Any]:
-        """What a stored model keeps beside the arrays."""
-        return self._json() | {"outward": self.outward}
-
-    @classmethod
-    def stored(cls, data: dict[str, Any], arrays: dict[str, Array]) -> FittedQualityDriven:
-        """Read what `to_json` and `arrays` gave.
-
-        Raises:
-            ModelError: for numbers that no fit gives.
-        """
-        entry = parse_config(_Entry, data, cls.method, ModelError)
-        members = Networks.stored(arrays, "members")
-        if members.output_biases.shape[1] != 2 or len(members) < 2:
+    def require_networks(self) -> None:
+        """Two outputs each."""
+        if self.members.output_biases.shape[1] != 2 or len(self.members) < 2:
             raise ModelError("members do not give two bounds each")
-        return cls(**entry.parts(members), outward=entry.outward)
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Entry(EnsembleEntry):
-    outward: NotNegative
 
 
 @dataclass(eq=False)
@@ -129,6 +112,11 @@ class QualityDrivenEnsemble(Ensemble):
         "crossing": 0.0,
         "aggregation": "sem",
     }
+    fitted_type: ClassVar[type[FittedEnsemble]] = FittedQualityDriven
+
+    @property
+    def _uncalibrated(self) -> Rule:
+        return TrainedRule(self.confidence)
 
     @property
     def _outward(self) -> float:
@@ -138,17 +126,14 @@ class QualityDrivenEnsemble(Ensemble):
         from quadpi_core.training.losses import QualityDriven, SquaredError
         from quadpi_core.training.train import train
 
-        samples = self._samples(table, plan)
-        schedule = self._schedule()
-        start = None
+        samples, schedule, start = self._samples(table, plan), self._schedule(), None
         if self.warm_up:
             start = train(samples, SquaredError(), replace(schedule, epochs=self.warm_up), "warm-up", report)
         loss = QualityDriven(
             self.confidence, self.batch, self.form, self.factor, self.softening, self.crossing
         )
         members = train(samples, loss, schedule, "bounds", report, start)
-        outcomes = [self._outcome(members, table, plan, k) for k in range(len(plan))]
-        centre, half, errors = (np.stack(parts) for parts in zip(*outcomes, strict=True))
+        centre, half, errors = self._outcomes(members, table, plan)
         floors = _QUANTILE * self._floors(table, plan, errors)
         parts = [
             {"members": own[plan.networks(0)], "outward": self._outward, "floor": float(floors[0, axis])}
@@ -156,9 +141,7 @@ class QualityDrivenEnsemble(Ensemble):
         ]
         return Trained(parts, centre, np.maximum(half, floors[..., None]))
 
-    def _outcome(
-        self, members: Training, table: Table, plan: Plan, ensemble: int
-    ) -> tuple[npt.NDArray[np.float32], ...]:
+    def _outcome(self, members: Training, table: Table, plan: Plan, ensemble: int) -> Sequence[Floats]:
         """Middle, half distance and errors (A, N) of an ensemble's bounds.
 
         Errors are those of the members that left a sample out; NaN where there is none.
@@ -168,12 +151,6 @@ class QualityDrivenEnsemble(Ensemble):
         half = 0.5 * (mean[:, 1] - mean[:, 0]) + self._outward * deviation.mean(axis=1)
         errors = table.targets - mean_over(bounds.mean(axis=2), plan.unseen(ensemble))
         return mean.mean(axis=1), np.abs(half), errors
-
-    def _uncalibrated(self) -> Rule:
-        return TrainedRule(self.confidence)
-
-    def _finish(self, **parts: Any) -> FittedQualityDriven:
-        return FittedQualityDriven(**parts)
 
 
 class QualityDriven(EnsembleKind):

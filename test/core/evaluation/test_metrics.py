@@ -23,7 +23,6 @@ from quadpi_core.evaluation.metrics import (
     effective_sample_size,
     integrated_time,
     round_edges,
-    split_by_group,
 )
 
 MEASURED = np.array([0.0, 1.0, 2.0, 5.0])
@@ -48,11 +47,6 @@ def test_rmse_and_r_squared_by_hand():
 
 def test_r_squared_of_a_constant_is_undefined():
     assert metrics.r_squared(np.full(5, 0.1), np.zeros(5)) is None
-
-
-def test_winkler_adds_two_over_alpha_times_the_distance_outside():
-    # Widths 2, 1, 1, 2; 0.5 below the third interval and 1 above the fourth; 2/α = 40 at 95 %.
-    assert metrics.winkler(MEASURED, LOWER, UPPER, 0.95) == pytest.approx((6 + 40 * 1.5) / 4)
 
 
 def test_winkler_is_best_for_the_true_quantiles():
@@ -191,11 +185,6 @@ def test_closed_form_equals_the_bootstrap_by_resampling():
     assert variance == pytest.approx(np.var(total / 500), rel=0.05)
 
 
-def test_blocks_of_one_sample_give_the_variance_of_independent_samples():
-    x = np.random.default_rng(1).standard_normal(400)
-    assert block_bootstrap_variance([x], 1)[0] == pytest.approx(np.var(x) / 400)
-
-
 def test_block_length_grows_with_correlation_and_stays_below_a_fifth_of_a_flight():
     rng = np.random.default_rng(2)
     lengths = [block_length([ar1(rho, 5000, rng)]) for rho in (0.0, 0.9, 0.99)]
@@ -271,12 +260,6 @@ def test_autocovariance_by_hand_pools_flights_without_pairs_across():
     assert pooled == pytest.approx(np.array([1 + 1 + 4 + 9 + 1, -1 - 2 + 3, 2]) / 5)
 
 
-def test_split_keeps_the_order_of_samples():
-    first, second = split_by_group([1, 2, 3, 4, 5], ["b", "a", "b", "a", "b"])
-    assert first.tolist() == [2, 4]
-    assert second.tolist() == [1, 3, 5]
-
-
 @pytest.mark.parametrize("rho", [0.0, 0.5, 0.9, 0.98])
 def test_effective_sample_size_of_ar1_is_near_theory(rho):
     samples = 40_000
@@ -311,10 +294,6 @@ def test_a_constant_series_is_worth_one_sample(size):
 
 def test_negative_correlation_never_claims_more_than_the_samples():
     assert effective_sample_size(ar1_flights(-0.8, (5000,), seed=7)) == 5000
-
-
-def test_a_range_has_eight_bins_at_most():
-    np.testing.assert_allclose(round_edges(np.linspace(0.0, 7.9, 100)), np.arange(9.0))
 
 
 def test_a_block_is_a_fifth_of_a_flight_at_most():

@@ -9,7 +9,7 @@ import numpy as np
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.inputs import DERIVATIVES, aerodynamic_inputs
-from quadpi_core.models.fitted_physical import FittedPhysical, PhysicalParameters
+from quadpi_core.models.fitted_physical import FittedPhysical, PhysicalFit
 from quadpi_core.models.fitted_polynomial import SpreadShape
 from quadpi_core.models.interval_rules import NormalRule
 from quadpi_core.models.model_kind import TrainingSamples
@@ -181,7 +181,7 @@ def fitted_axis(axis: str = "Fz", delay_s: float = 0.0, **values: float) -> Fitt
     for name, value in values.items():
         parameters[TERM_INDEX[name]] = value
     acting = np.flatnonzero(acting_terms()[:, AXES.index(axis)])
-    shared = PhysicalParameters(
+    shared = PhysicalFit(
         parameters,
         np.eye(len(TERMS)),
         physical_vehicle(VEHICLE, REFERENCE),
@@ -189,7 +189,6 @@ def fitted_axis(axis: str = "Fz", delay_s: float = 0.0, **values: float) -> Fitt
         Sensing(delay_s),
         None,
         {"drag_x": "not identified"},
-        (("thrust", "thrust_induced", 0.99),),
         (FitStep("rotor delay", "0 ms", 1.0),),
     )
     shape = SpreadShape(1.0, 0.01)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
 from quadpi_core.models.disturbance import Disturbance
 
@@ -67,13 +66,3 @@ def test_the_variance_left_after_filtering_is_that_of_the_errors() -> None:
     found = Disturbance.of_residuals([measured], STEP_S)
     left = np.mean(np.square(found.filtered(measured) - process), axis=0)
     np.testing.assert_allclose(found.filtered_variance, left, rtol=0.35)
-
-
-def test_a_stored_process_is_the_same_and_damage_is_refused() -> None:
-    found = Disturbance.of_residuals([residuals(1)], STEP_S)
-    assert Disturbance.from_json(found.to_json()) == found
-    stored = found.to_json()
-    with pytest.raises(ModelError, match="5 axes, expected 6"):
-        Disturbance.from_json({**stored, "axes": stored["axes"][:5]})
-    with pytest.raises(ModelError, match="gain"):
-        Disturbance.from_json({**stored, "axes": [{**axis, "gain": 2.0} for axis in stored["axes"]]})

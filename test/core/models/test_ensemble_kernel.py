@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,10 +14,8 @@ from quadpi_core.frames import Array
 from quadpi_core.models.ensemble_kernel import CompiledEnsembles
 from quadpi_core.models.fitted_ensemble import FittedEnsemble
 from quadpi_core.models.interval_rules import NormalRule, TrainedRule
-from quadpi_core.models.kinds.bootstrap import FittedBootstrap
 from quadpi_core.models.model_kind import Evaluation, interval_factors
 from quadpi_core.models.regressors import Regressor
-from quadpi_core.training.networks import Networks
 
 REGRESSORS = tuple(map(Regressor.parse, ("u", "|v|", "mu_z^2", "omega_avg*q", "U_r - U_q", "cos_theta")))
 
@@ -67,51 +64,6 @@ def test_axes_need_not_be_of_one_size(method: str, X: Array) -> None:
     evaluation = evaluate(fitted, X)
     for name in Evaluation._fields:
         assert np.all(getattr(evaluation, name)[:, [0, 4]] == 0.0)
-
-
-def test_equals_torch(fitted: dict[str, FittedEnsemble], X: Array) -> None:
-    """Prediction and bounds from members that are torch networks of double precision, one each."""
-    torch = pytest.importorskip("torch")
-    evaluation = evaluate(fitted, X)
-    for k, axis in enumerate(AXES):
-        ensemble = fitted[axis]
-        features = torch.from_numpy(ensemble.features(X))
-
-        def outputs(networks: Networks, features: Any = features) -> Any:
-            given = []
-            for member in range(len(networks)):
-                network = torch.nn.Sequential(
-                    torch.nn.Linear(*networks.hidden_weights.shape[:0:-1], dtype=torch.float64),
-                    torch.nn.ReLU(),
-                    torch.nn.Linear(*networks.output_weights.shape[:0:-1], dtype=torch.float64),
-                )
-                parameters = (
-                    networks.hidden_weights,
-                    networks.hidden_biases,
-                    networks.output_weights,
-                    networks.output_biases,
-                )
-                with torch.no_grad():
-                    for own, values in zip(network.parameters(), parameters, strict=True):
-                        own.copy_(torch.from_numpy(values[member]))
-                    given.append(network(features))
-            return torch.stack(given)
-
-        of_members = outputs(ensemble.members)
-        mean, deviation = of_members.mean(dim=0), of_members.std(dim=0)
-        if isinstance(ensemble, FittedBootstrap):
-            noise = torch.nn.functional.softplus(outputs(ensemble.noise)[0, :, 0]) + ensemble.floor
-            spread = (ensemble.model_share * deviation[:, 0].square() + noise.square()).sqrt()
-        else:
-            half = 0.5 * (mean[:, 1] - mean[:, 0]) + ensemble.outward * deviation.mean(dim=1)
-            spread = half.abs().clamp(min=ensemble.floor)
-        scale = ensemble.scaling.target_scale
-        centre = ensemble.scaling.target_mean + scale * mean.mean(dim=1)
-        half_width = ensemble.rule.factor(0.95) * scale * spread
-        expected = (centre, centre - half_width, centre + half_width)
-        found = (evaluation.predicted, evaluation.lower, evaluation.upper)
-        for ours, theirs in zip(found, expected, strict=True):
-            np.testing.assert_allclose(ours[:, k], theirs.numpy(), rtol=0.0, atol=1e-5)
 
 
 @pytest.mark.parametrize("block", [1, 2, 15, 16, 17, 255, 256, 257])

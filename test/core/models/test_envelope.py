@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 from dataclasses import fields, replace
+from functools import reduce
 
 import numpy as np
 import pytest
+import yaml
 
 from quadpi_core.errors import ModelError
 from quadpi_core.inputs import COSINES, INPUT_INDEX, INPUT_NAMES
@@ -116,44 +118,23 @@ def test_json_gives_the_same_envelope(training):
         np.testing.assert_array_equal(getattr(again, field.name), getattr(envelope, field.name))
 
 
-def _without_mu_x(data):
-    del data["inputs"]["mu_x"]
-
-
-def _with_text(data):
-    data["axes"]["Fz"]["leverage_limit"] = "high"
-
-
-def _with_infinity(data):
-    data["inputs"]["u"]["upper"] = float("inf")
-
-
-def _turned_round(data):
-    data["inputs"]["u"]["lower"] = 99.0
-
-
-def _without_limit(data):
-    data["axes"]["Fx"]["width_limit"] = 0.0
-
-
-def _below_nothing(data):
-    data["axes"]["Fx"]["leverage_peak"] = -0.1
-
-
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        (_without_mu_x, "envelope: inputs: missing key `mu_x`"),
-        (_with_text, "envelope: axes.Fz: `leverage_limit` must be a positive number, found 'high'"),
-        (_with_infinity, "envelope: inputs.u: `upper` must be a number, found inf"),
-        (_turned_round, "envelope: inputs.u: the lower bound 99 lies above its upper bound"),
-        (_without_limit, "envelope: axes.Fx: `width_limit` must be a positive number, found 0.0"),
-        (_below_nothing, "envelope: axes.Fx: `leverage_peak` must be a number not below 0, found -0.1"),
+        ("axes.Fz.leverage_limit: high", "envelope: axes.Fz: `leverage_limit` must be a positive number"),
+        ("inputs.u.upper: .inf", "envelope: inputs.u: `upper` must be a number, found inf"),
+        ("inputs.u.lower: 99.0", "envelope: inputs.u: the lower bound 99 lies above its upper bound"),
+        ("axes.Fx.width_limit: 0.0", "envelope: axes.Fx: `width_limit` must be a positive number, found 0.0"),
+        ("axes.Fx.leverage_peak: -0.1", "envelope: axes.Fx: `leverage_peak` must be a number not below 0"),
+        ("inputs.mu_x: null", "envelope: inputs: missing key `mu_x`"),
     ],
 )
 def test_damaged_json_is_refused(training, damage, message):
     data = Envelope.fit(**training).to_json()
-    damage(data)
+    ((place, value),) = yaml.safe_load(damage).items()
+    *above, key = place.split(".")
+    entry = reduce(dict.__getitem__, above, data)
+    entry[key] = value
     with pytest.raises(ModelError, match=message):
         Envelope.from_json(data)
 

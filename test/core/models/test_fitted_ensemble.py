@@ -2,27 +2,20 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
-import hashlib
 import json
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from safetensors.numpy import load_file, save_file
 
 from benchmarks.random_ensembles import random_ensemble
 from quadpi_core.config_schema import parse_config
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
-from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.fitted_ensemble import FittedEnsemble, Scaling
 from quadpi_core.models.kinds.bootstrap import FittedBootstrap
 from quadpi_core.models.kinds.quality_driven import FittedQualityDriven
-from quadpi_core.models.model_folder import ARRAYS_FILE, MODEL_FILE
-from quadpi_core.models.model_kind import Evaluation
 
 from .small_ensembles import REGRESSORS
 
@@ -32,21 +25,6 @@ KINDS = {"bootstrap": FittedBootstrap, "quality-driven": FittedQualityDriven}
 @pytest.fixture(params=KINDS)
 def ensemble(request: pytest.FixtureRequest, X: Array) -> FittedEnsemble:
     return random_ensemble(request.param, X, REGRESSORS, members=4, units=5)
-
-
-@pytest.fixture
-def folder(model: AerodynamicModel, tmp_path: Path) -> Path:
-    model.save(tmp_path / "model")
-    return tmp_path / "model"
-
-
-def rewrite(folder: Path, change: Callable[[dict[str, Any], dict[str, Array]], None]) -> None:
-    """Alter a stored model as someone would who knows how to make the hash fit."""
-    content, arrays = json.loads((folder / MODEL_FILE).read_text()), load_file(folder / ARRAYS_FILE)
-    change(content, arrays)
-    save_file(arrays, folder / ARRAYS_FILE)
-    content["arrays_sha256"] = hashlib.sha256((folder / ARRAYS_FILE).read_bytes()).hexdigest()
-    (folder / MODEL_FILE).write_text(json.dumps(content))
 
 
 def test_says_what_it_is_made_of(ensemble: FittedEnsemble) -> None:
@@ -113,65 +91,18 @@ def test_members_of_the_other_kind_are_refused(X: Array) -> None:
         FittedQualityDriven.stored(bounds.to_json(), bootstrap.arrays())
 
 
+@pytest.mark.parametrize("name", ["members.hidden_biases", "members.hidden_weights"])
+def test_networks_of_which_something_is_missing_are_refused(ensemble: FittedEnsemble, name: str) -> None:
+    arrays = ensemble.arrays()
+    arrays[name] = arrays[name][:, 1:].copy()
+    with pytest.raises(ModelError, match="networks of shapes"):
+        type(ensemble).stored(ensemble.to_json(), arrays)
+
+
 def test_a_single_member_has_no_deviation(ensemble: FittedEnsemble) -> None:
     single = replace(ensemble, members=ensemble.members[:1])
     with pytest.raises(ModelError):
         type(ensemble).stored(single.to_json(), single.arrays())
-
-
-def test_saved_model_evaluates_to_the_same_bits(model: AerodynamicModel, folder: Path, X: Array) -> None:
-    loaded = AerodynamicModel.load(folder)
-    for name in Evaluation._fields:
-        np.testing.assert_array_equal(getattr(loaded.evaluate(X), name), getattr(model.evaluate(X), name))
-    assert loaded.method == model.method
-    assert loaded.save(folder.parent / "again" / "model").identity == loaded.identity
-    for name in (MODEL_FILE, ARRAYS_FILE):
-        assert (folder.parent / "again" / "model" / name).read_bytes() == (folder / name).read_bytes()
-
-
-def without_biases(_: dict[str, Any], arrays: dict[str, Array]) -> None:
-    del arrays["Fx.members.hidden_biases"]
-
-
-def of_fewer_units(_: dict[str, Any], arrays: dict[str, Array]) -> None:
-    arrays["Fx.members.hidden_weights"] = arrays["Fx.members.hidden_weights"][:, 1:].copy()
-
-
-def not_a_number(_: dict[str, Any], arrays: dict[str, Array]) -> None:
-    arrays["Fx.members.output_biases"][0, 0] = np.nan
-
-
-def of_the_polynomial(content: dict[str, Any], _: dict[str, Array]) -> None:
-    content["method"] = "polynomial"
-
-
-def of_other_inputs(content: dict[str, Any], _: dict[str, Array]) -> None:
-    content["axes"]["Fx"]["inputs"] = content["axes"]["Fz"]["inputs"]
-
-
-@pytest.mark.parametrize(
-    "change", [without_biases, of_fewer_units, not_a_number, of_the_polynomial, of_other_inputs]
-)
-def test_altered_model_is_refused_even_if_the_hash_fits(
-    folder: Path, change: Callable[[dict[str, Any], dict[str, Array]], None]
-) -> None:
-    rewrite(folder, change)
-    with pytest.raises(ModelError) as caught:
-        AerodynamicModel.load(folder)
-    assert str(folder) in str(caught.value)
-    assert "\n" not in str(caught.value)
-
-
-def test_arrays_of_the_other_method_are_refused(model: AerodynamicModel, folder: Path, X: Array) -> None:
-    other = "bootstrap" if model.method == "quality-driven" else "quality-driven"
-    foreign = random_ensemble(other, X, model.fitted["Fx"].inputs).arrays()
-
-    def exchanged(_: dict[str, Any], arrays: dict[str, Array]) -> None:
-        arrays.update({f"Fx.{name}": values for name, values in foreign.items()})
-
-    rewrite(folder, exchanged)
-    with pytest.raises(ModelError, match="Fx: members"):
-        AerodynamicModel.load(folder)
 
 
 def test_standardised_samples_have_mean_zero_and_unit_scale() -> None:
@@ -189,14 +120,6 @@ def test_constant_target_is_refused() -> None:
         Scaling.of(np.zeros((10, 2)), np.full(10, 3.0))
 
 
-def test_scaling_round_trip() -> None:
-    scaling = Scaling(np.array([1.0, 0.1]), np.array([2.0, 1e-9]), -1.0, 0.3)
-    again = parse_config(Scaling, json.loads(json.dumps(scaling.to_json())), "scaling", ModelError)
-    np.testing.assert_array_equal(again.input_mean, scaling.input_mean)
-    np.testing.assert_array_equal(again.input_scale, scaling.input_scale)
-    assert (again.target_mean, again.target_scale) == (-1.0, 0.3)
-
-
 @pytest.mark.parametrize(
     "changes",
     [
@@ -211,6 +134,6 @@ def test_scaling_round_trip() -> None:
     ],
 )
 def test_scaling_that_no_samples_give_is_refused(changes: dict[str, object]) -> None:
-    data = Scaling(np.zeros(2), np.ones(2), 0.0, 1.0).to_json()
+    data = {"input_mean": [0.0] * 2, "input_scale": [1.0] * 2, "target_mean": 0.0, "target_scale": 1.0}
     with pytest.raises(ModelError):
         parse_config(Scaling, data | changes, "scaling", ModelError)

@@ -9,7 +9,7 @@ import pytest
 
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
-from quadpi_core.models.fitted_physical import CompiledPhysical, FittedPhysical
+from quadpi_core.models.fitted_physical import CompiledPhysical, FittedPhysical, PhysicalFit
 from quadpi_core.models.physical_regressors import PHYSICAL_VEHICLE, physical_vehicle
 from quadpi_core.models.physical_terms import TERMS
 from test.core.models.physical_flights import (
@@ -58,14 +58,17 @@ def test_an_accelerometer_off_the_centre_feels_the_angular_acceleration() -> Non
         here.evaluate(inputs, np.ones(6))
 
 
-def test_an_axis_reads_what_it_stored() -> None:
+def test_what_was_stored_is_read() -> None:
     own = fitted_axis()
-    read = FittedPhysical.stored(own.to_json(), own.arrays())
-    np.testing.assert_array_equal(read.parameters.values, own.parameters.values)
-    assert (read.terms, read.shape, read.parameters.sensing) == (own.terms, own.shape, own.parameters.sensing)
-    assert read.parameters.notes == own.parameters.notes
-    assert read.parameters.worst_pairs == own.parameters.worst_pairs
-    assert read.parameters.log == own.parameters.log
+    fit = PhysicalFit.stored(own.parameters.to_json(), own.parameters.arrays())
+    read = FittedPhysical.stored({**own.to_json(), "parameters": fit}, own.arrays())
+    np.testing.assert_array_equal(fit.values, own.parameters.values)
+    assert (read.terms, read.shape) == (own.terms, own.shape)
+    assert (fit.sensing, fit.notes, fit.log) == (
+        own.parameters.sensing,
+        own.parameters.notes,
+        own.parameters.log,
+    )
 
 
 def _vehicle(**changed: Any) -> dict[str, Any]:
@@ -78,7 +81,6 @@ def _vehicle(**changed: Any) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        ({"whitening": np.zeros(3)}, "whitening of shape"),
         ({"vehicle": np.zeros(3)}, "vehicle of shape"),
         ({"values": np.zeros(3)}, "values of shape"),
         ({"covariance": -np.eye(len(TERMS))}, "covariance: a negative variance"),
@@ -92,13 +94,16 @@ def _vehicle(**changed: Any) -> dict[str, Any]:
     ],
 )
 def test_arrays_that_no_fit_gives_are_refused(damage: dict[str, Any], message: str) -> None:
-    own = fitted_axis()
+    fit = fitted_axis().parameters
     with pytest.raises(ModelError, match=message):
-        FittedPhysical.stored(own.to_json(), {**own.arrays(), **damage})
+        PhysicalFit.stored(fit.to_json(), {**fit.arrays(), **damage})
 
 
-def test_parameters_of_another_version_are_refused() -> None:
+def test_an_axis_of_another_version_or_shape_is_refused() -> None:
     own = fitted_axis()
+    data = {**own.to_json(), "parameters": own.parameters}
     with pytest.raises(ModelError, match="parameter 'warp' is not known to this version"):
-        FittedPhysical.stored({**own.to_json(), "acting": ["warp"]}, own.arrays())
+        FittedPhysical.stored({**data, "acting": ["warp"]}, own.arrays())
+    with pytest.raises(ModelError, match="whitening of shape"):
+        FittedPhysical.stored(data, {"whitening": np.zeros(3)})
     assert PHYSICAL_VEHICLE.itemsize == 8 * 19

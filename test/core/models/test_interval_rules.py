@@ -20,7 +20,6 @@ from quadpi_core.models.interval_rules import (
     Rule,
     TrainedRule,
     calibrate,
-    conformal_rank,
     flights_peak,
     rule_from_json,
 )
@@ -130,18 +129,6 @@ def test_impossible_rule_is_refused(data: dict[str, object]) -> None:
         rule_from_json(data)
 
 
-def test_says_how_many_flights_the_factors_rest_on() -> None:
-    rng = np.random.default_rng(4)
-
-    def flight(inside: float) -> FlightErrors:
-        return FlightErrors(rng.normal(size=100), np.ones(100), np.arange(100) < 100 * inside)
-
-    trained = [flight(1.0) for _ in range(3)]
-    rule = calibrate([flight(1.0), flight(0.7), flight(0.2)], trained)
-    assert rule.flights_inside == 2
-    assert rule_from_json(rule.to_json()).flights_inside == 2
-
-
 def test_held_out_coverage_uses_the_factors_of_the_others() -> None:
     rng = np.random.default_rng(5)
 
@@ -155,10 +142,6 @@ def test_held_out_coverage_uses_the_factors_of_the_others() -> None:
     np.testing.assert_allclose(
         covered[1], np.mean(np.abs(rough.error) < np.quantile(np.abs(calm.error), 0.95)), atol=2e-3
     )
-
-
-def test_nine_tenths_of_the_flights_and_one_more_are_to_be_covered() -> None:
-    assert [conformal_rank(flights) for flights in (1, 9, 19, 29)] == [1, 9, 18, 27]
 
 
 def test_a_flight_counts_from_half_inside() -> None:

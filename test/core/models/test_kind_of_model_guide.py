@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""docs/add-a-kind-of-model.md: its kind works as it stands there, in the folder and in another package."""
+"""docs/add-a-kind-of-model.md: its example works as it stands, in the folder and in another package."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from quadpi_core.paths import bags_directory
 from quadpi_core.vehicle import Vehicle
 
 GUIDE = (Path(__file__).parents[3] / "docs" / "add-a-kind-of-model.md").read_text()
-KIND = re.search(r"```py\n(.*?)```", GUIDE, flags=re.DOTALL)[1]
+KIND = (Path(__file__).parents[3] / "examples" / "ridge.py").read_text()
 GROUP, ENTRY = re.search(
     r"```toml\n# pyproject.toml\n\[project\.entry-points\.\"(.*?)\"\]\n(.*?)```", GUIDE, flags=re.DOTALL
 ).groups()

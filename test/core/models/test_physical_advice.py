@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from quadpi_core.models.fitted_physical import PhysicalFit
 from quadpi_core.models.physical_advice import delay_untold, delay_words, missing_flying
-from quadpi_core.models.physical_fit import PhysicalFit
 from quadpi_core.models.physical_flight import PhysicalFlight, Sensing
 from quadpi_core.models.physical_regressors import physical_vehicle, wrenches
 from quadpi_core.models.physical_study import PhysicalStudy
 from quadpi_core.records import Records
-from test.core.models.physical_flights import NOISE, REFERENCE, VEHICLE, flown, known_parameters, swept
+from test.core.models.physical_flights import NOISE, REFERENCE, VEHICLE, flown, known_parameters
 
 
 def fitted(*flights: PhysicalFlight) -> PhysicalFit:
@@ -110,15 +110,6 @@ def test_hover_leaves_the_delay_open(hover: PhysicalFlight) -> None:
         "rotor speeds are taken to act 0 ms after they were measured, as these flights do not tell delays of "
         "0 to 15 ms apart: fly fast rolls and pitches"
     )
-
-
-@pytest.mark.parametrize("delay_s", [0.0025, 0.0075])
-def test_a_delay_that_is_told_lies_in_its_range(delay_s: float) -> None:
-    study = PhysicalStudy.of([swept(10.0, seed, delay_s=delay_s, noise=2.0) for seed in (1, 2)], VEHICLE)
-    assert study.delay_range_s is not None
-    low, high = study.delay_range_s
-    assert low <= delay_s <= high
-    assert not delay_untold((low, high))
 
 
 def test_words_on_delays() -> None:

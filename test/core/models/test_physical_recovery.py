@@ -13,7 +13,7 @@ import pytest
 from quadpi_core.frames import Array
 from quadpi_core.identification.identify import joined
 from quadpi_core.identification.prepared_flights import prepare_flights
-from quadpi_core.models.physical_fit import PhysicalFit
+from quadpi_core.models.fitted_physical import PhysicalFit
 from quadpi_core.models.physical_flight import flights_of
 from quadpi_core.models.physical_regressors import MOTION, regressors
 from quadpi_core.models.physical_study import PhysicalStudy
@@ -73,7 +73,10 @@ def combinations(fit: PhysicalFit) -> dict[str, tuple[Array, float]]:
     velocity, rates, speeds = (
         np.ascontiguousarray(motion[name]) for name in ("velocity", "rates", "rotor_speeds")
     )
-    z, truth = regressors(motion, fit.record).mean(axis=0), model.wrench(velocity, rates, speeds).mean(axis=0)
+    z, truth = (
+        regressors(motion, fit.vehicle).mean(axis=0),
+        model.wrench(velocity, rates, speeds).mean(axis=0),
+    )
     result["thrust at 2 m/s"] = z[:, 2], truth[2]
     result["torque at 2 m/s"] = z[:, 5], truth[5]
     return result

@@ -96,12 +96,6 @@ def test_shared_products_are_computed_once() -> None:
     assert len(program.operations) < 1.1 * len(pool.candidates)
 
 
-def test_program_without_products() -> None:
-    inputs = np.random.default_rng(3).normal(size=(4, len(INPUT_NAMES)))
-    values = RegressorProgram.compile([Regressor.parse("bias"), Regressor.parse("|w|")]).evaluate(inputs)
-    np.testing.assert_array_equal(values, np.stack((np.ones(4), np.abs(inputs[:, 2])), axis=1))
-
-
 @pytest.mark.parametrize(
     "text",
     [

@@ -31,10 +31,6 @@ def covariance(case, uncertainty):
     return error_covariance(track, STARTS, HORIZONS, rolled.path, known_parameters(), uncertainty)
 
 
-def test_what_is_certain_stays_so(case) -> None:
-    np.testing.assert_array_equal(covariance(case, CERTAIN), 0.0)
-
-
 def test_the_parameters_spread_by_their_derivatives(case) -> None:
     own, k = np.zeros((len(TERMS), len(TERMS))), TERM_INDEX["torque"]
     own[k, k] = 1e-4

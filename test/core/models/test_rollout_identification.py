@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 from quadpi_core.inputs import aerodynamic_inputs
+from quadpi_core.models.fitted_physical import PhysicalFit
 from quadpi_core.models.model_kind import TrainingSamples
-from quadpi_core.models.physical_fit import PhysicalFit
+from quadpi_core.models.physical_fit import Problem
 from quadpi_core.models.physical_flight import PhysicalFlight, Sensing
 from quadpi_core.models.physical_study import PhysicalStudy
 from quadpi_core.models.physical_terms import TERM_INDEX, TERMS
-from quadpi_core.models.rollout_calibration import HORIZONS_S, error_norms
 from quadpi_core.models.rollout_flight import RolloutFlight, horizon_steps
 from quadpi_core.models.rollout_identification import calibrated_rollouts, rollout_flights
 from quadpi_core.models.rollout_model import RolloutModel
-from quadpi_core.models.tube_shape import tube_scores
+from quadpi_core.models.tubes import HORIZONS_S, error_norms, tube_scores
 from quadpi_core.rotations import inverses, products, to_rotation_vectors
 from test.core.models.flights_ahead import with_attitude
 from test.core.models.physical_flights import VEHICLE, flown, known_parameters, samples_of
@@ -38,7 +38,7 @@ def fits(flights: list[PhysicalFlight]) -> list[PhysicalFit]:
 @pytest.fixture(scope="module")
 def model(flights: list[PhysicalFlight], fits: list[PhysicalFit]) -> RolloutModel:
     ahead = [with_attitude(flight) for flight in flights]
-    made = calibrated_rollouts(ahead, fits[0], fits[1:], multi_step=False)
+    made = calibrated_rollouts(ahead, VEHICLE, fits[0], fits[1:], multi_step=False)
     assert made.model is not None
     assert made.log == ()
     np.testing.assert_array_equal(made.model.parameters, fits[0].values)
@@ -78,7 +78,7 @@ def test_the_second_step_is_fitted_and_calibrated(
     ahead = [with_attitude(flight) for flight in flights]
     # A moment of the hub that single samples did not tell, known as badly as the prior.
     hub = TERM_INDEX["hub_height"]
-    spread = fits[0].spreads[hub]
+    spread = Problem.of(VEHICLE, float(fits[0].vehicle["reference_thrust"][0])).spread[hub]
     for_hub = np.diag(np.where(np.arange(len(TERMS)) == hub, spread**2, 0.0))
     wrong = [
         replace(
@@ -88,8 +88,8 @@ def test_the_second_step_is_fitted_and_calibrated(
         )
         for fit in fits
     ]
-    first = calibrated_rollouts(ahead, wrong[0], wrong[1:], multi_step=False).model
-    second, log = calibrated_rollouts(ahead, wrong[0], wrong[1:], multi_step=True)
+    first = calibrated_rollouts(ahead, VEHICLE, wrong[0], wrong[1:], multi_step=False).model
+    second, log = calibrated_rollouts(ahead, VEHICLE, wrong[0], wrong[1:], multi_step=True)
     assert first is not None
     assert second is not None
     assert log
@@ -100,12 +100,6 @@ def test_the_second_step_is_fitted_and_calibrated(
     assert radii[0] < 0.6 * radii[1]
 
 
-def test_a_confidence_that_is_higher_takes_a_larger_tube(model: RolloutModel) -> None:
-    assert model.calibration is not None
-    low, high = (model.calibration.factors(HORIZONS_S, level) for level in (0.8, 0.99))
-    assert np.all(high > low)
-
-
 def test_flights_shorter_than_the_longest_horizon_calibrate_nothing(fits: list[PhysicalFit]) -> None:
     short = with_attitude(flown(1.05, 4))
-    assert calibrated_rollouts([short], fits[0], fits[:1], multi_step=True).model is None
+    assert calibrated_rollouts([short], VEHICLE, fits[0], fits[:1], multi_step=True).model is None

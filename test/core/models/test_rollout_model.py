@@ -10,14 +10,14 @@ import pytest
 from quadpi_core.errors import ModelError
 from quadpi_core.models.disturbance import AxisDisturbance, Disturbance
 from quadpi_core.models.physical_rollout import RATES, STATES
-from quadpi_core.models.rollout_calibration import HORIZONS_S, QUANTITIES, TubeCalibration
 from quadpi_core.models.rollout_model import RolloutModel
+from quadpi_core.models.tubes import HORIZONS_S, QUANTITIES, TubeCalibration
 from quadpi_core.rotations import rotate_body_to_world
 from test.core.models.flights_ahead import ahead, true_model
 from test.core.models.physical_flights import STEP_S
 
 HORIZONS = np.array([10, 50])
-SLOW = Disturbance((AxisDisturbance(1e-3, 3.2, 0.1),) * 6, STEP_S)
+SLOW = Disturbance(STEP_S, (AxisDisturbance(1e-3, 3.2, 0.1),) * 6)
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +84,7 @@ def test_a_stored_model_predicts_the_same_and_damage_is_refused(model: RolloutMo
     ):
         np.testing.assert_array_equal(before, after)
     for name, wrong, words in (
-        ("covariance", arrays["covariance"][:3], "covariance is missing or of another shape"),
+        ("covariance", arrays["covariance"][:3], "roll-outs: covariance of shape"),
         ("measured_variance", -arrays["measured_variance"], "measured_variance is not positive"),
         ("vehicle", 0.0 * arrays["vehicle"], "mass"),
         ("inertia", 0.0 * arrays["inertia"], "inertia"),
@@ -93,5 +93,11 @@ def test_a_stored_model_predicts_the_same_and_damage_is_refused(model: RolloutMo
             RolloutModel.stored(data, {**arrays, name: wrong})
     with pytest.raises(ModelError, match="'lift'"):
         RolloutModel.stored({**data, "parameters": ["lift", *data["parameters"][1:]]}, arrays)
-    with pytest.raises(ModelError, match="rotor_delay_s"):
-        RolloutModel.stored({**data, "rotor_delay_s": -1.0}, arrays)
+    process = data["disturbance"]
+    for changes, words in (
+        ({"rotor_delay_s": -1.0}, "rotor_delay_s"),
+        ({"disturbance": {**process, "axes": process["axes"][:5]}}, "axes"),
+        ({"disturbance": {**process, "axes": [{**process["axes"][0], "gain": 2.0}] * 6}}, "gain"),
+    ):
+        with pytest.raises(ModelError, match=words):
+            RolloutModel.stored({**data, **changes}, arrays)

@@ -215,20 +215,6 @@ def test_fixed_regressor_without_excitation_is_named(broken: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_leave_one_flight_out_needs_two_flights() -> None:
-    rng = np.random.default_rng(21)
-    Z = with_bias(rng.normal(size=(50, 2)))
-    with pytest.raises(ModelError, match="two flights"):
-        select_from(Z, Z[:, 1], SelectionSettings(stop="leave-one-flight-out"))
-
-
-def test_unknown_rule_is_refused() -> None:
-    rng = np.random.default_rng(22)
-    Z = with_bias(rng.normal(size=(50, 2)))
-    with pytest.raises(ModelError, match="unknown stop rule 'aic'; known: pse"):
-        select_from(Z, Z[:, 1], SelectionSettings(stop="aic"))  # type: ignore[arg-type]
-
-
 def chosen_of_two(first: float, second: float, rest: float, stop: StopRule) -> int:
     """Number of terms chosen of two that add so much to the mean square of y, in two flights alike."""
     rng = np.random.default_rng(0)

@@ -5,10 +5,9 @@ from __future__ import annotations
 from fractions import Fraction
 
 import numpy as np
-import pytest
 from numba import njit
 
-from quadpi_core.models.simd_lanes import LANES, element, filled, fused, load, rectified, store
+from quadpi_core.models.simd_lanes import LANES, fused, load, rectified, store
 
 
 @njit
@@ -26,11 +25,6 @@ def larger_of_zero(table, out):
     store(out, 0, 0, rectified(load(table, 0, 0)))
     for k in range(LANES):
         out[1, k] = rectified(table[0, k])
-
-
-@njit
-def corner(table, out):
-    store(out, 0, 0, filled(element(table, 1, 2)))
 
 
 def test_product_and_sum_are_rounded_once():
@@ -58,10 +52,3 @@ def test_rectified_keeps_what_is_not_a_number():
     larger_of_zero(table, out)
     np.testing.assert_array_equal(out[0], np.maximum(table[0], 0.0))
     np.testing.assert_array_equal(out[1], out[0])
-
-
-@pytest.mark.parametrize("order", ["C", "F"])
-def test_an_element_is_the_one_of_its_row_and_column(order):
-    table, out = np.asarray(np.arange(12.0).reshape(3, 4), order=order), np.empty((1, LANES))
-    corner(table, out)
-    np.testing.assert_array_equal(out, table[1, 2])

@@ -32,7 +32,7 @@ def sound() -> SoundFlights:
 
 
 def test_it_reads_what_it_stored(sound: SoundFlights) -> None:
-    read = SoundFlights.read(sound.to_json(), sound.arrays())
+    read = SoundFlights.stored(sound.to_json(), sound.arrays())
     assert (read.flights, read.edges_hz, read.names) == (sound.flights, sound.edges_hz, sound.names)
     for name, values in sound.arrays().items():
         np.testing.assert_array_equal(getattr(read, name), values)
@@ -61,4 +61,4 @@ def test_arrays_that_no_flights_leave_are_refused(
     sound: SoundFlights, damage: dict[str, Any], message: str
 ) -> None:
     with pytest.raises(ModelError, match=f"^sound flights: {message}$"):
-        SoundFlights.read(sound.to_json(), {**sound.arrays(), **damage})
+        SoundFlights.stored(sound.to_json(), {**sound.arrays(), **damage})

@@ -7,24 +7,29 @@ import pytest
 
 from quadpi_core.errors import ModelError
 from quadpi_core.models.physical_regressors import physical_vehicle
-from quadpi_core.models.stored_body import require_body
-from test.core.models.physical_flights import REFERENCE, VEHICLE
+from quadpi_core.models.physical_terms import TERM_NAMES, TERMS
+from quadpi_core.models.stored_body import StoredBody
+from test.core.models.physical_flights import REFERENCE, VEHICLE, known_parameters
+
+BODY = StoredBody(
+    known_parameters(), np.eye(len(TERMS)), physical_vehicle(VEHICLE, REFERENCE), VEHICLE.inertia
+)
 
 
-def test_a_vehicle_passes() -> None:
-    require_body(physical_vehicle(VEHICLE, REFERENCE), VEHICLE.inertia)
+def test_what_was_stored_is_read_whatever_the_order_of_its_terms() -> None:
+    arrays, order = BODY.arrays("values"), np.arange(len(TERMS))[::-1]
+    turned = {
+        **arrays,
+        "values": arrays["values"][order],
+        "covariance": arrays["covariance"][order][:, order],
+    }
+    for names, own in ((TERM_NAMES, arrays), (TERM_NAMES[::-1], turned)):
+        for before, after in zip(BODY, StoredBody.read(names, own, "values"), strict=True):
+            np.testing.assert_array_equal(after, before)
 
 
-@pytest.mark.parametrize("name", ["mass", "reference_thrust", "disc"])
-def test_a_number_that_is_not_positive_is_refused(name: str) -> None:
-    vehicle = physical_vehicle(VEHICLE, REFERENCE)
-    vehicle[name] = 0.0
-    with pytest.raises(ModelError, match=f"{name} must be positive, is 0"):
-        require_body(vehicle, VEHICLE.inertia)
-
-
-def test_an_inertia_of_no_body_is_refused() -> None:
-    vehicle = physical_vehicle(VEHICLE, REFERENCE)
-    for inertia in (-VEHICLE.inertia, VEHICLE.inertia + np.array([[0, 1, 0], [0, 0, 0], [0, 0, 0]])):
-        with pytest.raises(ModelError, match="inertia"):
-            require_body(vehicle, inertia)
+def test_parameters_of_another_version_are_refused() -> None:
+    with pytest.raises(ModelError, match="parameter 'warp' is not known to this version"):
+        StoredBody.read(["warp", *TERM_NAMES[1:]], BODY.arrays("values"), "values")
+    with pytest.raises(ModelError, match="inertia is missing"):
+        StoredBody.read(TERM_NAMES, {"values": BODY.values, "covariance": BODY.covariance}, "values")

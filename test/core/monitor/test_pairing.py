@@ -79,21 +79,6 @@ def test_whole_flight_equals_np_interp() -> None:
     assert pairing.counts.dropped == 0
 
 
-def test_a_slower_state_is_interpolated_with_aligned_unit_attitude() -> None:
-    pairing = Pairing()
-    half_turn = np.array([0.8, 0.6, 0.0, 0.0])
-    pairing.add_state(0, np.zeros(3), LEVEL, np.zeros(3))
-    pairing.add_state(10 * MS, np.full(3, 2.0), -half_turn, np.ones(3))
-    add_rotors(pairing, 0)
-    add_rotors(pairing, 10 * MS)
-    add_imu(pairing, 5 * MS)
-    samples = pairing.take()
-    assert samples is not None
-    np.testing.assert_allclose(samples.velocity, np.ones((1, 3)))
-    middle = LEVEL + half_turn
-    np.testing.assert_allclose(samples.attitude[0], middle / np.linalg.norm(middle))
-
-
 def test_silent_rotors_give_samples_up_as_unknown_and_recover() -> None:
     pairing = Pairing(timeout_s=0.02)
     add_rotors(pairing, 0)
@@ -122,19 +107,6 @@ def test_samples_before_the_first_state_are_early_not_dropped() -> None:
     add_state(pairing, 9 * MS)
     assert taken(pairing) == [9 * MS]
     assert (pairing.counts.early, pairing.counts.dropped) == (9, 0)
-
-
-def test_buffers_are_bounded() -> None:
-    pairing = Pairing(timeout_s=10.0, capacity=16)
-    add_state(pairing, 0)
-    add_rotors(pairing, 0)
-    for k in range(1, 101):
-        add_state(pairing, k * MS)
-        add_imu(pairing, k * MS)
-        pairing.take()
-    assert pairing.counts.dropped == 85
-    add_rotors(pairing, 100 * MS)
-    assert len(taken(pairing)) == 15
 
 
 @pytest.mark.parametrize(("timeout_s", "left"), [(0.1, 101), (10.0, 255)])
@@ -201,17 +173,6 @@ def test_nothing_is_interpolated_across_a_gap(rotors: bool) -> None:
     assert np.isnan(samples.rotor_speeds).all() == rotors
     assert np.isnan(samples.velocity).all() == (not rotors)
     assert (pairing.counts.paired, pairing.counts.dropped) == (0, 1)
-
-
-def test_rotor_speeds_of_a_clock_a_year_ahead_are_none() -> None:
-    pairing = Pairing()
-    add_rotors(pairing, 0)
-    add_rotors(pairing, 31_536_000_000 * MS)
-    add_state(pairing, 2 * MS)
-    add_imu(pairing, 2 * MS)
-    samples = pairing.take()
-    assert samples is not None
-    assert np.isnan(samples.rotor_speeds).all()
 
 
 def test_states_from_before_a_jump_back_are_forgotten() -> None:

@@ -6,8 +6,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.stats import norm
-from scipy.stats import t as student_t
 
 from benchmarks.random_ensembles import random_ensemble
 from quadpi_core.frames import Array
@@ -41,20 +39,6 @@ def test_few_members_count_for_more_than_their_variance() -> None:
     few = BootstrapEnsemble(**QUICK | {"epochs": 1}).fit(*table(4)).fitted_
     assert few.model_share == pytest.approx((2.262157 / 1.959964) ** 2 * 1.1, rel=1e-5)
     assert BootstrapEnsemble.paper(epochs=1, hidden=5).fit(*table(4)).fitted_.model_share == 1.0
-
-
-def test_textbook_intervals_without_calibration() -> None:
-    """Centre ± 1.96 √(model share · variance of the members + noise²)."""
-    X, y, flights = table(4)
-    ensemble = BootstrapEnsemble(**QUICK | {"epochs": 1, "calibration": "none"}).fit(X, y, flights)
-    centre, spread = ensemble.fitted_.centre_and_spread(X)
-    lower, upper = ensemble.predict_interval(X, 0.9)
-    np.testing.assert_allclose(upper - centre, norm.ppf(0.95) * spread)
-    np.testing.assert_allclose(centre - lower, norm.ppf(0.95) * spread)
-    members = ensemble.fitted_.members.outputs(ensemble.fitted_.features(X))[:, :, 0]
-    scale = ensemble.fitted_.scaling.target_scale
-    share = (student_t.ppf(0.975, 9) / norm.ppf(0.975)) ** 2 * 1.1
-    assert np.all(spread**2 > scale**2 * share * members.var(axis=0, ddof=1))
 
 
 def test_noise_is_learned_where_it_is() -> None:

@@ -5,16 +5,21 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
 from quadpi_core.models.physical_rollout import ATTITUDE, POSITION, RATES, VELOCITY
-from quadpi_core.models.tube_shape import (
-    EARLIER,
+from quadpi_core.models.tubes import (
+    HORIZONS_S,
     QUANTITIES,
+    USUAL,
     Following,
+    TubeCalibration,
     TubeShape,
     chosen_shape,
+    error_norms,
     tracked_factors,
     tube_radii,
+    tube_scores,
 )
 
 FOLLOWING = Following([1], 0.05, 0.4)
@@ -41,12 +46,6 @@ def test_a_radius_is_that_of_the_ball_of_equal_volume() -> None:
     np.testing.assert_allclose(tube_radii(covariance), [[[2.0, 1.0, 1.0, 1.0]]])
 
 
-def test_a_whole_share_without_power_is_a_ball_of_one_size() -> None:
-    shaped = everywhere(1.0, 0.0).shaped(covariances(1, spread=0.5, flat=0.1))
-    np.testing.assert_allclose(tube_radii(shaped), 1.0)
-    np.testing.assert_allclose(shaped[..., VELOCITY, VELOCITY], np.broadcast_to(np.eye(3), (400, 1, 3, 3)))
-
-
 def test_no_share_and_full_power_is_the_covariance_itself() -> None:
     factor = np.random.default_rng(1).normal(size=(2, 1, 12, 12))
     full = factor @ factor.transpose(0, 1, 3, 2)
@@ -66,7 +65,7 @@ def test_a_power_of_half_grows_with_the_root_of_the_size() -> None:
 def test_position_and_velocity_of_earlier_models_are_rounded() -> None:
     factor = np.random.default_rng(1).normal(size=(2, 12, 12))
     full = factor @ factor.transpose(0, 2, 1)
-    found = EARLIER.shaped(full)
+    found = USUAL.shaped(full)
     for part in (POSITION, VELOCITY):
         before, after = np.linalg.eigvalsh(full[..., part, part]), np.linalg.eigvalsh(found[..., part, part])
         np.testing.assert_allclose(after.sum(axis=-1), before.sum(axis=-1))
@@ -93,7 +92,7 @@ def test_physics_are_followed_as_far_as_they_tell(known: bool) -> None:
 
 def test_one_flight_chooses_no_shape() -> None:
     told = covariances(1, spread=0.6, flat=0.2)
-    assert chosen_shape([errors_of(told, 1)], [told], FOLLOWING) is EARLIER
+    assert chosen_shape([errors_of(told, 1)], [told], FOLLOWING) is USUAL
 
 
 @pytest.mark.parametrize("size", [0.5, 1.0, 2.5])
@@ -114,3 +113,60 @@ def test_a_tube_knows_no_error_before_its_roll_out_has_ended() -> None:
     )
     np.testing.assert_array_equal(first[:15], second[:15])
     assert np.all(second[15:] > first[15:])
+
+
+@pytest.fixture(scope="module")
+def errors():
+    """Errors of three flights whose covariance is known, the last flight's twice as large."""
+    rng = np.random.default_rng(1)
+    axes = rng.uniform(0.1, 3.0, 12)
+    covariance = np.tile(np.diag(axes**2), (400, len(HORIZONS_S), 1, 1))
+    return covariance, [size * axes * rng.normal(size=(400, len(HORIZONS_S), 12)) for size in (1, 1, 2)]
+
+
+@pytest.fixture(scope="module")
+def calibration(errors):
+    covariance, flights = errors
+    return TubeCalibration.of_flights(
+        [tube_scores(own, covariance) for own in flights], [error_norms(own) for own in flights]
+    )
+
+
+def test_scores_of_normal_errors_are_those_of_a_chi_distribution(errors) -> None:
+    covariance, flights = errors
+    # 95 % of three normal numbers lie within 2.7955 of their deviations.
+    inside = tube_scores(flights[0], covariance) < 2.7955
+    assert np.mean(inside) == pytest.approx(0.95, abs=0.01)
+    assert tube_scores(flights[0], covariance).shape == (400, len(HORIZONS_S), len(QUANTITIES))
+
+
+def test_the_factor_lies_in_the_middle_of_the_flights(calibration) -> None:
+    factors = calibration.factors(HORIZONS_S, 0.95)
+    # Geometric mean of 1, 1 and 2.
+    np.testing.assert_allclose(factors, 2.7955 * 2.0 ** (1.0 / 3.0), rtol=0.1)
+    assert np.all(calibration.factors(HORIZONS_S, 0.9) < factors)
+    between = calibration.factors([0.07], 0.95)
+    assert np.all((between >= factors.min() - 1e-9) & (between <= factors.max() + 1e-9))
+
+
+@pytest.mark.parametrize("horizon", [0.001, 1.5])
+def test_a_horizon_that_was_not_calibrated_is_refused(calibration, horizon) -> None:
+    with pytest.raises(ModelError, match=r"calibrated from 0\.01 to 1 s"):
+        calibration.radii([horizon], 0.95)
+
+
+def test_a_stored_calibration_is_the_same_and_damage_is_refused(calibration) -> None:
+    arrays = calibration.arrays()
+    assert all(own.flags.c_contiguous for own in arrays.values())
+    read = TubeCalibration.stored(arrays)
+    np.testing.assert_array_equal(read.factors([0.1], 0.95), calibration.factors([0.1], 0.95))
+    with pytest.raises(ModelError, match="scores"):
+        TubeCalibration.stored({**arrays, "calibration_scores": -arrays["calibration_scores"]})
+    with pytest.raises(ModelError, match="norms"):
+        TubeCalibration.stored({**arrays, "calibration_norms": arrays["calibration_norms"][:, :2]})
+    shape = {"calibration_shape": np.array([[0.0, 0.3, 0.6, 1.0], [1.0, 0.5, 0.0, 0.25]])}
+    np.testing.assert_array_equal(
+        TubeCalibration.stored({**arrays, **shape}).shape.size_power, [1, 0.5, 0, 0.25]
+    )
+    with pytest.raises(ModelError, match="shape of tubes"):
+        TubeCalibration.stored({**arrays, "calibration_shape": 2.0 * shape["calibration_shape"]})
