@@ -3,9 +3,9 @@
 """Where simulation and flights disagree: find it, name the missing effect, add it, show that the gap shrinks.
 
 1. The residual of a flight is its measured wrench less the simulated one (`simulations`, `effect_response`).
-2. Candidates are the effects of the simulation's registry (`candidates`). They and the tolerances of the
-   simulation become columns in frequency, where noise is white within bands (`effect_columns`, `whitening`);
-   what single flights have of their own is a part of that noise (`flight_conditions`).
+2. Candidates are the effects of the simulation's registry. They and the tolerances of the simulation become
+   columns in frequency (`candidates`), where noise is white within bands (`whitening`); what single flights
+   have of their own is a part of that noise.
 3. The evidence of sets of effects (`effect_regression`, `evidence`) and named tests (`acceptance`) choose
    (`search`).
 4. Generic functions predict the part of the residual that no effect explains (`unexplained`). That and other

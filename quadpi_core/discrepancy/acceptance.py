@@ -16,8 +16,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from quadpi_core.discrepancy.candidates import Candidate
-from quadpi_core.discrepancy.closure import left_out_squares
-from quadpi_core.discrepancy.effect_regression import Regression, refined
+from quadpi_core.discrepancy.effect_regression import ROUNDS, Regression, left_out_squares
 from quadpi_core.discrepancy.evidence import Fit
 from quadpi_core.frames import Array
 from quadpi_core.thresholds import CONVENTION, DEVELOPMENT, Threshold
@@ -157,6 +156,11 @@ class Verdict:
         """The verdict of a test that compares a value with a threshold."""
         return cls(test, passed, value, threshold.value, threshold.unit, sentence)
 
+    @classmethod
+    def fact(cls, test: str, passed: bool, if_so: str, if_not: str) -> Verdict:
+        """The verdict of a test of what is so or not, in one sentence for each."""
+        return cls(test, passed, float(passed), 1.0, "", if_so if passed else if_not)
+
 
 @dataclass(frozen=True)
 class Judgement:
@@ -173,6 +177,12 @@ class Judgement:
     label: str
     beside: tuple[str, ...]
     verdicts: tuple[Verdict, ...]
+
+    @classmethod
+    def of(cls, before: Accepted, index: int, verdicts: tuple[Verdict, ...]) -> Judgement:
+        """The judgement of a candidate, by its index, beside the effects accepted before it."""
+        own, beside = before.regression.candidates[index], (other.name for other in before.candidates)
+        return cls(own.name, own.label, tuple(beside), verdicts)
 
     @property
     def accepted(self) -> bool:
@@ -249,10 +259,78 @@ class Accepted:
     chosen: tuple[int, ...]
     fit: Fit
 
+    @classmethod
+    def fitted(cls, regression: Regression, chosen: Sequence[int]) -> Accepted | None:
+        """Effects fitted in a regression; None where bounds exclude one of them."""
+        fit = regression.fit(chosen)
+        return None if fit is None else cls(regression, tuple(chosen), fit)
+
     @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the effects."""
-        return tuple(self.regression.candidates[index].name for index in self.chosen)
+    def candidates(self) -> list[Candidate]:
+        """The effects."""
+        return [self.regression.candidates[index] for index in self.chosen]
+
+    @cached_property
+    def energy(self) -> float:
+        """Evidence [nat] of the contribution of the effects."""
+        return self.regression.energy(self.chosen, self.fit)
+
+    def without(self, index: int) -> Accepted:
+        """The other effects; with a fit of none where bounds exclude one of them."""
+        others = tuple(other for other in self.chosen if other != index)
+        return Accepted(self.regression, others, self.regression.fit(others) or self.regression.fit_none())
+
+    def fit_with(self, index: int) -> Fit | None:
+        """Fit of all effects and one more; None where bounds exclude one of them."""
+        return self.regression.fit(tuple(sorted((*self.chosen, index))))
+
+    @property
+    def sizeable(self) -> bool:
+        """Whether every effect is large enough."""
+        sizes = {self.regression.candidates[k].label: self.regression.size(k, self.fit) for k in self.chosen}
+        return judge_size(sizes).passed
+
+    def gains(self) -> dict[int, float]:
+        """Evidence [nat] that each effect gains beside the others."""
+        return {k: self.fit.log_evidence - self.without(k).fit.log_evidence for k in self.chosen}
+
+    def refined(self) -> Accepted | None:
+        """The effects linearised where they fit together; None where bounds exclude one of them.
+
+        A step that lowers the evidence, as long ones of a tether do, is halved.
+        """
+        best, chosen = self, self.chosen
+        curved = any(not candidate.linear for candidate in self.candidates)
+        value, at = self.regression.at_points(chosen), [self.regression.points[k] for k in chosen]
+        to = self._parameters()
+        for _ in range(ROUNDS):
+            moved = best.regression.moved(dict(zip(chosen, to, strict=True)))
+            improved, there = Accepted.fitted(moved, chosen), moved.at_points(chosen)
+            if improved is not None and (not curved or there >= value):
+                best, value, at, to = improved, there, to, improved._parameters()
+            elif not curved:
+                return None
+            else:
+                to = [0.5 * (old + new) for old, new in zip(at, to, strict=True)]
+        return best
+
+    def _parameters(self) -> list[Array]:
+        return [self.regression.parameters(index, self.fit) for index in self.chosen]
+
+    def with_left_as_noise(self) -> Regression:
+        """See :meth:`Regression.beside`."""
+        return self.regression.beside(self.chosen, self.fit)
+
+    def needed(self, index: int) -> float:
+        """Evidence [nat] that one more effect has to gain."""
+        regression = self.regression
+        return evidence_needed(
+            regression.candidates[index],
+            self.candidates,
+            self.energy,
+            least_evidence(len(regression.candidates)),
+            known=regression.sound is not None,
+        )
 
 
 @dataclass(frozen=True)
@@ -260,24 +338,18 @@ class Trial:
     """A candidate beside the effects accepted before it.
 
     Attributes:
-        regression: regression before the candidate.
-        chosen: indices of the effects accepted before.
-        found: their fit.
+        before: effects accepted before.
         added: index of the candidate.
         fit: fit of all together; None where bounds exclude one.
-        needed: evidence that the candidate has to gain.
         squares_before: gives the squares (6,) of flights left out before the candidate.
         dropped: whether it was accepted earlier and dropped beside a better one.
         behind: name of a better candidate that ended the round; empty without one.
         instead: name of a candidate of ordinary size that does about as well; empty without one.
     """
 
-    regression: Regression
-    chosen: tuple[int, ...]
-    found: Fit
+    before: Accepted
     added: int
     fit: Fit | None
-    needed: float
     squares_before: Callable[[], Array]
     dropped: bool = False
     behind: str = ""
@@ -286,39 +358,35 @@ class Trial:
     @property
     def larger(self) -> tuple[int, ...]:
         """Indices of all effects together."""
-        return tuple(sorted((*self.chosen, self.added)))
+        return tuple(sorted((*self.before.chosen, self.added)))
 
     @property
     def gain(self) -> float:
         """Evidence that the candidate gains, of a trial that passed the test of bounds."""
         assert self.fit is not None
-        return self.fit.log_evidence - self.found.log_evidence
+        return self.fit.log_evidence - self.before.fit.log_evidence
 
     @cached_property
-    def refined(self) -> tuple[Regression, Fit] | None:
-        """Regression linearised where all fit together, and that fit."""
+    def refined(self) -> Accepted | None:
+        """All effects linearised where they fit together."""
         assert self.fit is not None
-        return refined(self.regression, self.larger, self.fit)
+        return Accepted(self.before.regression, self.larger, self.fit).refined()
 
     @cached_property
     def reweighted(self) -> Regression:
-        """The refined regression with at least the residual after the set as noise."""
+        """The refined regression with at least the residual after all effects as noise."""
         assert self.refined is not None
-        regression, found = self.refined
-        return regression.beside(self.larger, found)
+        return self.refined.with_left_as_noise()
 
     @cached_property
-    def accepted_fit(self) -> Fit | None:
-        """Fit of all together in :attr:`reweighted`."""
-        return self.reweighted.fit(self.larger)
+    def together(self) -> Accepted | None:
+        """All effects fitted in :attr:`reweighted`."""
+        return Accepted.fitted(self.reweighted, self.larger)
 
     @property
     def result(self) -> Accepted | None:
         """The effects together; None where a test fails."""
-        if not self.judgement.accepted:
-            return None
-        assert self.accepted_fit is not None
-        return Accepted(self.reweighted, self.larger, self.accepted_fit)
+        return self.together if self.judgement.accepted else None
 
     @cached_property
     def judgement(self) -> Judgement:
@@ -328,13 +396,12 @@ class Trial:
             verdicts.append(verdict)
             if not verdict.passed:
                 break
-        own, *others = (self.regression.candidates[index] for index in (self.added, *self.chosen))
-        return Judgement(own.name, own.label, tuple(other.name for other in others), tuple(verdicts))
+        return Judgement.of(self.before, self.added, tuple(verdicts))
 
     def _tests(self) -> Iterator[Verdict]:
         """Every test in its order; each relies on those before it."""
-        regression, added, larger = self.regression, self.added, self.larger
-        own, *others = (regression.candidates[index] for index in (added, *self.chosen))
+        regression, added, larger = self.before.regression, self.added, self.larger
+        own = regression.candidates[added]
         yield _possible("bounds", self.fit)
         assert self.fit is not None
         yield judge_size(self._sizes(regression, self.fit))
@@ -346,26 +413,23 @@ class Trial:
         sentence = f"size of {own.label} {size:.1f}{'; ' if passed else ', '}{sentence}"
         yield Verdict.of(LARGEST, ORDINARY, size, passed, sentence)
         # Two effects could replace each other forever.
-        sentence = "became idle beside a better one" if self.dropped else "was not dropped before"
-        yield Verdict("not dropped", not self.dropped, float(self.dropped), 0.0, "", sentence)
-        yield judge_evidence(self.gain, self.needed)
-        sentence = own.barred or "takes no axis out of the intervals of a model"
-        yield Verdict("barred", not own.barred, float(bool(own.barred)), 0.0, "", sentence)
-        passed = not self.behind or scales_beside_law(own, others)
-        sentence = f"gains less than {self.behind}, which was rejected"
-        if passed:
-            sentence = "no better candidate was rejected for good"
-        yield Verdict("precedence", passed, float(passed), 1.0, "", sentence)
+        dropped = "became idle beside a better one"
+        yield Verdict.fact("not dropped", not self.dropped, "was not dropped before", dropped)
+        yield judge_evidence(self.gain, self.before.needed(added))
+        yield Verdict.fact("barred", not own.barred, "no other search has barred it", own.barred)
+        first = not self.behind or scales_beside_law(own, self.before.candidates)
+        behind = f"gains less than {self.behind}, which was rejected"
+        yield Verdict.fact("precedence", first, "no better candidate was rejected for good", behind)
         loudness = regression.loudness(added, self.fit)
         sentence = f"adds {loudness:.2f} of the noise in its loudest axis, {LOUDNESS.value:g} needed"
         yield Verdict.of(LOUDNESS, "loudness", loudness, loudness >= LOUDNESS.value, sentence)
         # From here on with all linearised where they fit together.
         yield _possible("bounds, refined", self.refined)
         assert self.refined is not None
-        regression, found = self.refined
+        regression = self.refined.regression
         after = left_out_squares(regression, larger)
         yield judge_left_out(self.squares_before(), after, len(regression.flights))
-        yield judge_size(self._sizes(regression, found), "size, refined")
+        yield judge_size(self._sizes(regression, self.refined.fit), "size, refined")
         # With at least the residual after the set as noise; by the laws alone, without columns for the errors
         # of their forms.
         regression = self.reweighted
@@ -381,15 +445,15 @@ class Trial:
             f"squares of its parameters over their variances {squares:.1f}, more than {least:.1f} needed"
         )
         yield Verdict("differs from zero", squares > least, squares, least, "", sentence)
-        yield _possible("bounds, reweighted", self.accepted_fit)
+        yield _possible("bounds, reweighted", self.together)
 
     def _sizes(self, regression: Regression, found: Fit) -> dict[str, float]:
         return {regression.candidates[i].name: regression.size(i, found) for i in self.larger}
 
 
 def _possible(test: str, fit: object) -> Verdict:
-    sentence = f"{'fits' if fit else 'does not fit'} with possible parameters"
-    return Verdict(test, bool(fit), float(bool(fit)), 1.0, "", sentence)
+    fits, does_not = (f"{what} with possible parameters" for what in ("fits", "does not fit"))
+    return Verdict.fact(test, bool(fit), fits, does_not)
 
 
 def judge_evidence(gain: float, needed: float) -> Verdict:

@@ -27,8 +27,8 @@ from scipy.sparse import csc_array
 from scipy.special import rel_entr
 from scipy.stats import gamma, norm
 
+from quadpi_core.discrepancy.closure import Found
 from quadpi_core.discrepancy.effect_response import Compared
-from quadpi_core.discrepancy.search import Found
 from quadpi_core.discrepancy.whitening import Indices, Part, rows_of
 from quadpi_core.evaluation.metrics import round_edges
 from quadpi_core.flight import AXES

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the residual is regressed on: the effects of the registry, and tolerances of an unknown simulation.
+"""What the residual is regressed on: effects, tolerances of a simulation, and errors of the form of laws.
 
 A candidate is one effect with its whole-number parameters fixed, such as the number of a weak rotor. Its
 other parameters are fitted: about a point of linearisation its contribution is a sum of columns, one for
@@ -17,14 +17,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadpi_core.discrepancy.effect_response import Compared
-from quadpi_core.discrepancy.simulations import Column, Tolerances
+from quadpi_core.discrepancy.effect_response import Compared, body_tolerances, share_of_wrench
+from quadpi_core.discrepancy.evidence import Block
+from quadpi_core.discrepancy.whitening import Columns
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
+from quadpi_core.simulation.applied_effects import state_modulators
 from quadpi_core.simulation.effect_definition import AERODYNAMIC, Effect
 from quadpi_core.simulation.effect_registry import EFFECTS
-from quadpi_core.thresholds import CONVENTION, Threshold
+from quadpi_core.thresholds import CONVENTION, DEVELOPMENT, Threshold
 from quadpi_core.vehicle import Vehicle
 
 # Typical sizes of the registry are those of the Bebop 2.
@@ -44,18 +46,20 @@ TRIED_LENGTHS = Threshold(
     CONVENTION,
 )
 _STEP, _WIDE_STEP = 1e-3, 0.2
-TOGETHER = Threshold(
-    "variance of a coefficient that all axes of its law share",
-    0.5,
-    "of its variance",
-    "a law may be wrong as a whole or differ by axis, and nothing says which is more likely",
-    CONVENTION,
+# Smallest standard deviation of a modulator that is divided by: one that is constant has none.
+_LEAST_DEVIATION = 1e-9
+AXES_OVER_FORM = Threshold(
+    "share of a single axis by which a law may be off",
+    1.5,
+    "shares by which the whole law may be off",
+    "two laws of the literature for one effect differ more from axis to axis than in their mean",
+    DEVELOPMENT,
 )
-# Laws of an unknown simulation: what is in proportion to the motion, such as the drag of rotors; what stays
-# when the motion is reversed, such as lift; and what reverses with its square, as drag of the airframe.
-ROTORS, LINEAR, EVEN, SQUARED = "rotors", "the motion", "airspeed, even", "airspeed, squared"
-# Axes that one force of the rotors acts on: along their axes, and in their plane.
-_SHARED = (("Fz", "Mx", "My"), ("Fx", "Fy", "Mz"))
+# Why an effect is barred without which no axis of flights left out is further off, and one that gains its
+# evidence in axes that the simulation's own intervals hold.
+CLOSES_NOTHING = "closes nothing of the gap: flights left out are as close without it"
+ALLOWED = "explains no more than what the intervals of the simulation allow for"
+NO_EXPLANATION = (CLOSES_NOTHING, ALLOWED)
 
 
 @dataclass(frozen=True)
@@ -69,7 +73,10 @@ class Candidate:
         scale: (k,) prior standard deviation of each.
         centre: (k,) prior mean of each: 0, but for what is no strength of an effect with a state of its own.
         linear: whether one linearisation is enough.
-        barred: why it may not be named, though it may be a rival of what is; empty if it may.
+        barred: why it may not be named, though it may be a rival of what is unless that is of NO_EXPLANATION;
+            empty if it may.
+        within: whether the simulation's own intervals hold all axes that it acts on. Flights may have it of
+            their own, but it is nothing that the simulation lacks.
     """
 
     effect: Effect
@@ -79,6 +86,19 @@ class Candidate:
     centre: Array
     linear: bool
     barred: str = ""
+    within: bool = False
+
+    @property
+    def is_rival(self) -> bool:
+        """Whether it may be told as doing as well as another: it closes some, and no intervals hold it."""
+        return not self.within and self.barred not in NO_EXPLANATION
+
+    @property
+    def of_a_flight(self) -> str:
+        """What makes it differ from one flight to the next, in words; empty where nothing does."""
+        return self.effect.of_a_flight or (
+            "an error that the intervals of the model allow for" if self.within else ""
+        )
 
     @property
     def name(self) -> str:
@@ -186,13 +206,6 @@ def first_point(candidate: Candidate, flights: Sequence[Compared]) -> Array:
     return max(tried, key=lambda one: one[0])[1][list(candidate.free)]
 
 
-def start_cost(candidate: Candidate, flights: Sequence[Compared], at: Array) -> float:
-    """Evidence [nat] that the free states at the start of flights take from a candidate at a point (k,)."""
-    if not candidate.effect.at_rest:
-        return 0.0
-    return sum(flight.started(candidate.effect, candidate.values(at)).cost for flight in flights)
-
-
 def linearise(candidate: Candidate, flights: Sequence[Compared], at: Array) -> list[tuple[Array, Array]]:
     """Contribution and columns of a candidate for each flight, about free parameters (k,).
 
@@ -216,42 +229,115 @@ def linearise(candidate: Candidate, flights: Sequence[Compared], at: Array) -> l
     return result
 
 
-class Part(NamedTuple):
-    """Part (N, 6) of a wrench that one law causes; parts of the same law may be wrong together."""
+@dataclass(frozen=True)
+class Modulators:
+    """Quantities that a law may depend on beyond its formula, standardised over all flights.
 
-    name: str
-    wrench: Array
-    law: str
-
-
-def part_columns(parts: Sequence[Part], tolerances: Tolerances) -> list[Column]:
-    """Tolerances of a simulation known by its wrench alone: a column by part and axis, and one by law.
-
-    Nobody can say which coefficients such a simulation has. Its wrench is divided into parts that different
-    laws cause, and each axis of a part may be wrong by the tolerance of a coefficient. One law acts on
-    several axes: a force of the rotors in their plane on Fx, Fy and Mz, one along their axes on Fz, Mx and
-    My. So the axes of a part may be wrong together, as its law is, or one by one.
-
-    The part `ROTORS`, of rotors in still air without rotation, is thrust and torque: its Fz is known as well
-    as the thrust is, and its Mx and My, to which arms contribute, as well as the inertia. Every flight has
-    the same columns, even one in which a part is zero.
+    Attributes:
+        mean, deviation: (C,) over all flights.
+        values: (M, C) of each flight, standardised.
     """
-    known = {"Fz": tolerances.thrust, "Mx": tolerances.inertia, "My": tolerances.inertia}
-    columns: list[Column] = []
-    shared: dict[str, Array] = {}
-    for part in parts:
-        for axis, unit in zip(AXES, np.eye(len(AXES)), strict=True):
-            name, law, share = f"{axis} of {part.name}", "", known.get(axis, tolerances.coefficient)
-            if part.law != ROTORS:
-                axes = next(axes for axes in _SHARED if axis in axes)
-                law, share = f"{', '.join(axes[:-1])} and {axes[-1]} of {part.law}", tolerances.coefficient
-                whole = share * np.sqrt(TOGETHER.value) * unit * part.wrench
-                shared[law] = shared.get(law, np.zeros_like(whole)) + whole
-                share *= np.sqrt(1.0 - TOGETHER.value)
-            columns.append(Column(name, share * unit * part.wrench, law))
-    return columns + [Column(law, whole) for law, whole in shared.items()]
+
+    mean: Array
+    deviation: Array
+    values: tuple[Array, ...]
+
+    @classmethod
+    def of(cls, flights: Sequence[Compared]) -> Modulators:
+        """Modulators of the states of the flights."""
+        raw = [state_modulators(flight.states, flight.record) for flight in flights]
+        everything = np.concatenate(raw)
+        mean, deviation = everything.mean(axis=0), np.maximum(everything.std(axis=0), _LEAST_DEVIATION)
+        return cls(mean, deviation, tuple((own - mean) / deviation for own in raw))
+
+    def form(self, candidate: Candidate, flights: Sequence[Compared], at: Array) -> Columns:
+        """Columns for the error of a law: shares of its contribution by axis, then times each modulator.
+
+        Args:
+            candidate: with that law.
+            flights: beside the simulation that it contributes to.
+            at: (k,) its free parameters.
+        """
+        axes = [AXES.index(name) for name in candidate.effect.axes]
+        columns = []
+        for flight, values in zip(flights, self.values, strict=True):
+            here = flight.added(candidate.effect, candidate.values(at))
+            single = AXES_OVER_FORM.value * here[:, :, np.newaxis] * np.eye(len(AXES))[:, axes]
+            modulated = here[:, :, np.newaxis] * values[:, np.newaxis]
+            columns.append(candidate.form * np.concatenate((single, modulated), axis=2))
+        return in_frequency(flights, columns)
 
 
-def of_coefficient(own: float, shared: float) -> float:
-    """What a coefficient is wrong by, in its tolerances, from the fit of its own column and of its law's."""
-    return float(np.sqrt(1.0 - TOGETHER.value) * own + np.sqrt(TOGETHER.value) * shared)
+class Tolerances(NamedTuple):
+    """Columns of what is uncertain in a simulation.
+
+    Attributes:
+        coefficients, body: of its own coefficients, and of the body.
+        names: of all of them.
+        laws: for each the name of the one of what it shares with others; empty without.
+        shares: (6, 6, k) share of the wrench of the vehicle's accelerations in each of the body.
+    """
+
+    coefficients: Columns
+    body: Columns
+    names: tuple[str, ...]
+    laws: tuple[str, ...]
+    shares: Array
+
+    @classmethod
+    def of(cls, flights: Sequence[Compared]) -> Tolerances:
+        """Those of a simulation, without coefficients that no flight feels."""
+        simulation = flights[0].simulation
+        each = [flight.uncertain() for flight in flights]
+        shares = []
+        for effect, deviation in body_tolerances(simulation.tolerances):
+            for values in deviation * np.eye(len(effect.parameters)):
+                moved = effect.kind == "vehicle"
+                shares.append(
+                    share_of_wrench(effect, simulation.vehicle, values) if moved else np.zeros((6, 6))
+                )
+        first = len(each[0]) - len(shares)
+        felt = [k for k in range(first) if any(np.any(own[k].wrench) for own in each)]
+        kept = [*felt, *range(first, len(each[0]))]
+
+        def columns(chosen: Sequence[int]) -> Columns:
+            none = [np.zeros((*flight.residual.shape, 0)) for flight in flights]
+            of_flights = zip(none, each, strict=True)
+            return in_frequency(
+                flights, [np.dstack([empty, *(own[k].wrench for k in chosen)]) for empty, own in of_flights]
+            )
+
+        return cls(
+            coefficients=columns(felt),
+            body=columns(range(first, len(each[0]))),
+            names=tuple(each[0][k].name for k in kept),
+            laws=tuple(each[0][k].law for k in kept),
+            shares=np.stack(shares, axis=2) if shares else np.zeros((6, 6, 0)),
+        )
+
+
+def block_of(candidate: Candidate, at: Array, flights: Sequence[Compared]) -> Block:
+    """Columns of a candidate about free parameters (k,), without its form."""
+    # One that is all but linear is so about no effect.
+    found = linearise(candidate, flights, np.zeros_like(at) if candidate.linear else at)
+    point = (at - candidate.centre) / candidate.scale
+    columns = [
+        own if candidate.linear else np.dstack((own, (own @ point - here)[:, :, np.newaxis]))
+        for here, own in found
+    ]
+    bounds = [candidate.effect.parameters[free] for free in candidate.free]
+    # The free states at the start of flights.
+    starts = flights if candidate.effect.at_rest else ()
+    cost = sum(flight.started(candidate.effect, candidate.values(at)).cost for flight in starts)
+    return Block(
+        columns=in_frequency(flights, columns),
+        at=point,
+        lowest=(np.array([p.lowest for p in bounds]) - candidate.centre) / candidate.scale,
+        highest=(np.array([p.highest for p in bounds]) - candidate.centre) / candidate.scale,
+        cost=float(cost),
+    )
+
+
+def in_frequency(flights: Sequence[Compared], columns: Sequence[Array]) -> Columns:
+    """Columns (M, 6, k) in time of each flight, in frequency."""
+    return Columns(tuple(flight.spectrum(own) for flight, own in zip(flights, columns, strict=True)))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""How far a set of effects closes the gap between simulation and flights, on flights left out of the fit.
+"""What a search found, and how far that closes the gap between simulation and flights left out of the fit.
 
 The search counts the error of a law as noise, most of which is slow, so a fit weighted by that noise hardly
 sees the error of a law in steady flight. So the shape of a law is fitted by least squares with the same
@@ -9,20 +9,34 @@ weight at all frequencies, and the parameters of the effects stay as the search 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
-from quadpi_core.discrepancy.effect_columns import AXES_OVER_FORM
-from quadpi_core.discrepancy.effect_regression import Regression
+from quadpi_core.discrepancy.acceptance import FEW_FLIGHTS, Judgement, least_evidence
+from quadpi_core.discrepancy.candidates import AXES_OVER_FORM
+from quadpi_core.discrepancy.effect_regression import Regression, law_fit
 from quadpi_core.discrepancy.evidence import Equations, Fit
+from quadpi_core.discrepancy.unexplained import Inside, Left, held_axes, slow_state_noise
 from quadpi_core.discrepancy.whitening import Noise, rows_of
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.simulation.effect_definition import SHAPE
+from quadpi_core.thresholds import CONVENTION, Threshold
+
+MORE_THAN_SOUND = Threshold(
+    "squares that flights leave beyond those of sound flights",
+    2.0,
+    "standard deviations of their mean",
+    "the level of the intervals that are stated",
+    CONVENTION,
+)
+# By candidate, those that do about as well in its place, best first, with their odds against it.
+Rivals: TypeAlias = dict[int, list[tuple[int, float]]]
 
 
 class Gap(NamedTuple):
@@ -39,23 +53,6 @@ class Gap(NamedTuple):
     after: Array
     floor: Array
     reduction: float
-
-
-def law_fit(regression: Regression, chosen: Sequence[int], without: int | None = None) -> Fit:
-    """Fit of some candidates by their laws alone, and of all coefficients; without one of the flights."""
-    return regression.equations(chosen).fit(without) or regression.equations(()).fit_none(without)
-
-
-def left_out_squares(regression: Regression, chosen: Sequence[int]) -> Array:
-    """Squares (6,) of the flights, each after the fit of all others by the laws, in variances of the noise.
-
-    What a flight may have of its own is left out, however large.
-    """
-    regression, squares = regression.varied, np.zeros(len(AXES))
-    for place, (_, band) in enumerate(regression.residual.spectra):
-        left = regression.left_of(place, law_fit(regression, chosen, place))
-        squares += np.sum(np.square(left) * regression.noise.precision[place][:, band], axis=1)
-    return squares
 
 
 @dataclass(frozen=True)
@@ -190,3 +187,122 @@ class Closing:
         shares[axes] = AXES_OVER_FORM.value * weights[: len(axes)] - slopes @ modulators.mean
         shape = zip(SHAPE, np.concatenate((shares, slopes)), strict=True)
         return {p.name: float(np.clip(value, p.lowest, p.highest)) for p, value in shape if value}
+
+
+@dataclass(frozen=True)
+class Found:
+    """Result of a search.
+
+    Attributes:
+        regression: regression at the end of the search.
+        chosen: indices of the candidates that were named.
+        fit: their fit.
+        closing: fits by which they close the gap.
+        gain: evidence of the set over no effect [nat].
+        rivals: for each chosen candidate others that do about as well in its place, best first, with their
+            odds against it.
+        left: prediction of the residual after the set by generic functions.
+        judgements: one of every candidate in every round, best first.
+        disputed: a sentence for each chosen effect in whose place another has much more evidence but fails a
+            test.
+        inside: what the intervals of the simulation hold of the flights; None without intervals.
+        allowed: evidence of each chosen candidate that gains too little with as much noise as intervals state
+            in axes that these hold [nat].
+    """
+
+    regression: Regression
+    chosen: tuple[int, ...]
+    fit: Fit
+    closing: Closing
+    gain: float
+    rivals: Rivals
+    left: Left
+    judgements: tuple[Judgement, ...]
+    disputed: tuple[str, ...] = ()
+    inside: Inside | None = None
+    allowed: Mapping[int, float] = field(default_factory=dict)
+
+    @property
+    def threshold(self) -> float:
+        """Evidence that a first effect had to gain [nat]."""
+        return least_evidence(len(self.regression.candidates))
+
+    @property
+    def held(self) -> npt.NDArray[np.bool_]:
+        """Axes (6,) of which the simulation's own intervals hold what they say; none without intervals."""
+        return held_axes(self.inside)
+
+    @cached_property
+    def sensors(self) -> Array:
+        """Variance (6, C) of the noise that sensors and the errors of states make, in C bands.
+
+        It is what sound flights leave, where they are known. Else that of sensors is what is left at the
+        highest frequencies: white in a force, and in a moment largest there; and no less than what a model
+        states by its intervals.
+        """
+        noise, sound = self.left.noise, self.regression.sound
+        if sound is not None:
+            return sound.left
+        slow = slow_state_noise(self.regression.flights, noise.shape[1])
+        return np.maximum(noise[:, -1:] + slow, self.regression.stated_squares[:, np.newaxis])
+
+    def deviation(self, index: int) -> Array:
+        """Standard deviation (k,) of the parameters of a chosen candidate, in their units; 0 at a bound.
+
+        The fit's own holds what tolerances and noise leave open, as if flights differed by nothing else;
+        where they do, in any parameter of the law, it is as much wider, as is usual for measurements that
+        disagree. It is no less than what the laws of the effects leave open, of which each axis may be off by
+        a share, even where no flight asks for it.
+        """
+        regression = self.regression
+        with_forms = regression.equations(self.chosen, self.chosen).with_forms(self.fit)
+        differ = max(1.0, float(self.disagreement(index).max()))
+        wider: Array = regression.deviation(index, self.fit) * differ
+        of_laws = regression.deviation(index, with_forms)
+        return np.maximum(wider, of_laws) * regression.candidates[index].scale
+
+    def disagreement(self, index: int) -> Array:
+        """See :meth:`Closing.disagreement`; 0 (k,) of flights so few that they do not predict each other."""
+        deviation = self.regression.deviation(index, self.fit)
+        few = len(self.regression.flights) < FEW_FLIGHTS.value
+        return np.zeros(len(deviation)) if few else self.closing.disagreement(index, deviation)
+
+    @cached_property
+    def _as_sound(self) -> Array | None:
+        """Variance (6, C) that as many sound flights leave at most; None where none are known."""
+        sound = self.regression.sound
+        if sound is None:
+            return None
+        # Both means vary, of these flights and of the sound ones.
+        error = sound.differ * np.sqrt(1.0 / len(self.regression.flights) + 1.0 / sound.flights)
+        allowed: Array = sound.left * (1.0 + MORE_THAN_SOUND.value * error)[:, np.newaxis]
+        return allowed
+
+    def gap(self, *, adjusted: bool = True) -> Gap:
+        """The gap of flights left out, see :meth:`Closing.gap`; what sensors do not explain is no floor.
+
+        The floor is the most that as many sound flights may leave. Where no axis is further off, though
+        intervals are broken, it is what they leave on average.
+        """
+        sound = self.regression.sound
+        if sound is not None and self._as_sound is not None:
+            gap = self.closing.gap(self._as_sound, np.zeros(len(AXES)), adjusted=adjusted)
+            broken = self.inside is not None and not self.inside.held.all()
+            if not broken or np.any(gap.before > gap.floor):
+                return gap
+            return self.closing.gap(sound.left, np.zeros(len(AXES)), adjusted=adjusted)
+        noise = np.minimum(self.regression.noise.variance, self.sensors)
+        return self.closing.gap(noise, self.regression.stated_squares, adjusted=adjusted)
+
+    @property
+    def beyond_sound(self) -> Array:
+        """Squares (6,) of the residual after the fit beyond those of sound flights, in variances of these.
+
+        They are infinite where no sound flights are known.
+        """
+        if self._as_sound is None:
+            return np.full(len(AXES), np.inf)
+        squares = np.zeros(len(AXES))
+        for left, own in zip(self.regression.left(self.fit), self.regression.residual.spectra, strict=True):
+            squares += np.sum(np.square(left) / self._as_sound[:, own.band] - 1.0, axis=1)
+        return np.maximum(squares, 0.0)

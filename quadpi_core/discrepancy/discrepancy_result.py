@@ -15,10 +15,8 @@ import numpy as np
 from quadpi_core.brief_repr import brief_repr
 from quadpi_core.discrepancy.acceptance import Verdict
 from quadpi_core.discrepancy.by_condition import Where
-from quadpi_core.discrepancy.closure import Gap
-from quadpi_core.discrepancy.search import Found
+from quadpi_core.discrepancy.closure import Found, Gap
 from quadpi_core.discrepancy.simulations import Simulation
-from quadpi_core.discrepancy.unexplained import Inside
 from quadpi_core.flight import AXES, Flight
 from quadpi_core.thresholds import CONVENTION, Threshold
 from quadpi_core.version import __version__
@@ -154,23 +152,21 @@ class Discovery:
     """The effects that a simulation lacks.
 
     Attributes:
-        verdict: "none", "effects" or "unknown".
         effects: named effects, largest first.
         unexplained: share of the predictable discrepancy that no effect explains, of all axes or a loud one.
         unexplained_by: generic functions that predict each axis that matters.
         without_trace: effects that cannot be found: these flights would hardly differ with them.
-        within_intervals: effects that were not looked for, as intervals hold all axes that they act on.
+        within_intervals: effects that single flights may have, but none is named, as intervals hold all axes
+            that they act on.
         checks: tests of the whole result, passed or not.
         candidates: every candidate with its evidence, best first.
         adjusted: whether coefficients are moved with the effects, which flights left out ask for.
-        rejected: whether flights left out are simulated worse with the effects.
-        inside: what the intervals of the simulation hold of the flights; None without intervals.
         conditions: what single flights have of their own.
+        flown: gap in roll-outs and closed loop; None where no effect was named, and until it is flown.
     """
 
     __repr__ = brief_repr
 
-    verdict: str
     effects: tuple[FoundEffect, ...]
     unexplained: float
     unexplained_by: Mapping[str, list[str]]
@@ -181,9 +177,15 @@ class Discovery:
     checks: tuple[Verdict, ...] = ()
     candidates: tuple[RankedCandidate, ...] = ()
     adjusted: bool = True
-    rejected: bool = False
-    inside: Inside | None = None
     conditions: tuple[FlightCondition, ...] = ()
+    flown: Reflights | None = None
+
+    @property
+    def verdict(self) -> str:
+        """One of "unknown", where a test of the whole result failed, "effects", and "none" without any."""
+        if not all(check.passed for check in self.checks):
+            return "unknown"
+        return "effects" if self.effects else "none"
 
     @property
     def added(self) -> bool:
@@ -265,7 +267,6 @@ class Study:
 
     Attributes:
         not_flown: manoeuvres that no flight contains.
-        flown_again: gap in roll-outs and closed loop; None where no effect was named.
     """
 
     __repr__ = brief_repr
@@ -276,7 +277,6 @@ class Study:
     where: Where
     not_flown: tuple[str, ...]
     seed: int
-    flown_again: Reflights | None
 
     @property
     def in_sample(self) -> tuple[str, ...]:
@@ -305,14 +305,14 @@ def study_json(study: Study) -> dict[str, Any]:
         **discovery_json(study.discovery),
         "where": [vars(part) | {"text": part.text} for part in study.where.ranges],
         "segments": [vars(segment) for segment in study.where.segments],
-        **(reflights_json(study.flown_again) if study.flown_again else {}),
+        **(reflights_json(study.discovery.flown) if study.discovery.flown else {}),
         "not_flown": list(study.not_flown),
     }
 
 
 def discovery_json(discovery: Discovery) -> dict[str, Any]:
     """What is missing, as JSON holds it."""
-    gap, inside, intervals = discovery.gap, discovery.inside, None
+    gap, inside, intervals = discovery.gap, discovery.found.inside, None
     if inside is not None:
         shares = zip(AXES, inside.shares.mean(axis=0).tolist(), inside.held.tolist(), strict=True)
         stated = inside.confidence

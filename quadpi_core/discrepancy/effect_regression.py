@@ -11,11 +11,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadpi_core.discrepancy.candidates import Candidate, candidates, first_point
-from quadpi_core.discrepancy.effect_columns import Modulators, Tolerances, block_of, in_frequency
+from quadpi_core.discrepancy.candidates import (
+    Candidate,
+    Modulators,
+    Tolerances,
+    block_of,
+    candidates,
+    first_point,
+    in_frequency,
+)
 from quadpi_core.discrepancy.effect_response import Compared, share_of_wrench
-from quadpi_core.discrepancy.evidence import Block, Equations, Fit
-from quadpi_core.discrepancy.flight_conditions import Condition, own_sizes
+from quadpi_core.discrepancy.evidence import Block, Condition, Equations, Fit, own_sizes
 from quadpi_core.discrepancy.unexplained import stated_squares
 from quadpi_core.discrepancy.whitening import (
     Columns,
@@ -37,7 +43,7 @@ from quadpi_core.thresholds import CONVENTION, Threshold
 # Rounds in which the columns of mass and inertia and the accelerations that all columns explain converge.
 _ACCELERATION_ROUNDS = 2
 # Steps to the point of linearisation of candidates.
-_ROUNDS = 3
+ROUNDS = 3
 # Step of the difference quotient in a vehicle parameter, in prior standard deviations.
 _VEHICLE_STEP = 1e-3
 ALIKE_ROWS = Threshold(
@@ -134,16 +140,24 @@ class Regression:
 
     @cached_property
     def least(self) -> Array:
-        """Least variance (6, C) of the noise: what sound flights leave, or what the simulation states.
+        """Least variance (6, C) of the noise: what sound flights leave, or what the simulation states."""
+        return self.stated if self.sound is None else self.sound.noise
+
+    @cached_property
+    def stated_squares(self) -> Array:
+        """Mean squares (6,) that the simulation's own intervals state."""
+        return stated_squares(self.flights)
+
+    @cached_property
+    def stated(self) -> Array:
+        """Variance (6, C) that the simulation's own intervals state.
 
         A model states by its intervals how well it knows a wrench, but not how fast its errors change: in any
         band there may be as much of them as there would be in all together, were they white. What stays
         within is nothing that it lacks, and what an effect would add beyond speaks against that.
         """
-        if self.sound is not None:
-            return self.sound.noise
-        stated, rows = stated_squares(self.flights), self.residual.counts
-        least: Array = stated[:, np.newaxis] * rows.sum() / np.maximum(rows, 1)
+        rows = self.residual.counts
+        least: Array = self.stated_squares[:, np.newaxis] * rows.sum() / np.maximum(rows, 1)
         return least
 
     def _beside_known_errors(self, sound: SoundFlights) -> Regression:
@@ -308,7 +322,7 @@ class Regression:
         return [
             index
             for index, candidate in enumerate(self.candidates)
-            if candidate.effect.of_a_flight and index not in known
+            if candidate.of_a_flight and index not in known
         ]
 
     @cached_property
@@ -485,11 +499,28 @@ def noise_of_flight(left: Array, band: Indices, of_all: Array) -> Array:
     return variance
 
 
+def law_fit(regression: Regression, chosen: Sequence[int], without: int | None = None) -> Fit:
+    """Fit of some candidates by their laws alone, and of all coefficients; without one of the flights."""
+    return regression.equations(chosen).fit(without) or regression.equations(()).fit_none(without)
+
+
+def left_out_squares(regression: Regression, chosen: Sequence[int]) -> Array:
+    """Squares (6,) of the flights, each after the fit of all others by the laws, in variances of the noise.
+
+    What a flight may have of its own is left out, however large.
+    """
+    regression, squares = regression.varied, np.zeros(len(AXES))
+    for place, (_, band) in enumerate(regression.residual.spectra):
+        left = regression.left_of(place, law_fit(regression, chosen, place))
+        squares += np.sum(np.square(left) * regression.noise.precision[place][:, band], axis=1)
+    return squares
+
+
 def settled(regression: Regression) -> Regression:
     """The regression with every candidate linearised where it fits best alone."""
     best: dict[int, tuple[float, Array]] = {}
-    for turn in range(_ROUNDS + 1):
-        last = turn == _ROUNDS
+    for turn in range(ROUNDS + 1):
+        last = turn == ROUNDS
         points = {}
         for index, candidate in enumerate(regression.candidates):
             here = regression.points[index]
@@ -512,29 +543,6 @@ def settled(regression: Regression) -> Regression:
                     points[index] = to
         regression = regression.moved(points)
     return regression
-
-
-def refined(regression: Regression, chosen: Sequence[int], found: Fit) -> tuple[Regression, Fit] | None:
-    """The regression with the chosen linearised where they fit together, and that fit.
-
-    A step that lowers the evidence, as long ones of a tether do, is halved. None where bounds exclude one of
-    the effects.
-    """
-    curved = any(not regression.candidates[index].linear for index in chosen)
-    best, value = (regression, found), regression.at_points(chosen)
-    at = [regression.points[index] for index in chosen]
-    to = [regression.parameters(index, found) for index in chosen]
-    for _ in range(_ROUNDS):
-        moved = regression.moved(dict(zip(chosen, to, strict=True)))
-        improved, there = moved.fit(chosen), moved.at_points(chosen)
-        if improved is not None and (not curved or there >= value):
-            regression, best, value, at = moved, (moved, improved), there, to
-            to = [moved.parameters(index, improved) for index in chosen]
-        elif not curved:
-            return None
-        else:
-            to = [0.5 * (old + new) for old, new in zip(at, to, strict=True)]
-    return best
 
 
 def _rows(flight: Compared, wrench: Array) -> Array:

@@ -18,13 +18,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from quadpi_core.brief_repr import brief_repr
 from quadpi_core.discrepancy.acceptance import FEW_FLIGHTS
-from quadpi_core.discrepancy.candidates import EVEN, LINEAR, SQUARED, Part, part_columns
-from quadpi_core.discrepancy.candidates import ROTORS as OF_ROTORS
 from quadpi_core.discrepancy.simulations import (
     Column,
     Margins,
@@ -57,12 +56,65 @@ UNJUDGED_MOST = Threshold(
     "beyond, what bridges them would be compared rather than the model",
     CONVENTION,
 )
+TOGETHER = Threshold(
+    "variance of a coefficient that all axes of its law share",
+    0.5,
+    "of its variance",
+    "a law may be wrong as a whole or differ by axis, and nothing says which is more likely",
+    CONVENTION,
+)
+# Laws of an unknown simulation: what is in proportion to the motion, such as the drag of rotors; what stays
+# when the motion is reversed, such as lift; and what reverses with its square, as drag of the airframe.
+OF_ROTORS, LINEAR, EVEN, SQUARED = "rotors", "the motion", "airspeed, even", "airspeed, squared"
+# Axes that one force of the rotors acts on: along their axes, and in their plane.
+_SHARED = (("Fz", "Mx", "My"), ("Fx", "Fy", "Mz"))
 # Ridge in shares of each function's square, for those that a flight alone excites.
 _RIDGE = 1e-4
 # Share of a function's square below which it is a sum of those that were chosen before.
 _NEW = 1e-6
 # Instead of a division by zero.
 _TINY = float(np.finfo(float).tiny)
+
+
+class Part(NamedTuple):
+    """Part (N, 6) of a wrench that one law causes; parts of the same law may be wrong together."""
+
+    name: str
+    wrench: Array
+    law: str
+
+
+def part_columns(parts: Sequence[Part], tolerances: Tolerances) -> list[Column]:
+    """Tolerances of a simulation known by its wrench alone: a column by part and axis, and one by law.
+
+    Nobody can say which coefficients such a simulation has. Its wrench is divided into parts that different
+    laws cause, and each axis of a part may be wrong by the tolerance of a coefficient. One law acts on
+    several axes: a force of the rotors in their plane on Fx, Fy and Mz, one along their axes on Fz, Mx and
+    My. So the axes of a part may be wrong together, as its law is, or one by one.
+
+    The part `OF_ROTORS`, of rotors in still air without rotation, is thrust and torque: its Fz is known as
+    well as the thrust is, and its Mx and My, to which arms contribute, as well as the inertia. Every flight
+    has the same columns, even one in which a part is zero.
+    """
+    known = {"Fz": tolerances.thrust, "Mx": tolerances.inertia, "My": tolerances.inertia}
+    columns: list[Column] = []
+    shared: dict[str, Array] = {}
+    for part in parts:
+        for axis, unit in zip(AXES, np.eye(len(AXES)), strict=True):
+            name, law, share = f"{axis} of {part.name}", "", known.get(axis, tolerances.coefficient)
+            if part.law != OF_ROTORS:
+                axes = next(axes for axes in _SHARED if axis in axes)
+                law, share = f"{', '.join(axes[:-1])} and {axes[-1]} of {part.law}", tolerances.coefficient
+                whole = share * np.sqrt(TOGETHER.value) * unit * part.wrench
+                shared[law] = shared.get(law, np.zeros_like(whole)) + whole
+                share *= np.sqrt(1.0 - TOGETHER.value)
+            columns.append(Column(name, share * unit * part.wrench, law))
+    return columns + [Column(law, whole) for law, whole in shared.items()]
+
+
+def of_coefficient(own: float, shared: float) -> float:
+    """What a coefficient is wrong by, in its tolerances, from the fit of its own column and of its law's."""
+    return float(np.sqrt(1.0 - TOGETHER.value) * own + np.sqrt(TOGETHER.value) * shared)
 
 
 class _Answering(Simulation):

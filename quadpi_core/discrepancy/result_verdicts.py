@@ -12,14 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.stats import chi2
 
 from quadpi_core.discrepancy.acceptance import FEW_FLIGHTS, Verdict
-from quadpi_core.discrepancy.candidates import of_coefficient
-from quadpi_core.discrepancy.closure import Gap
+from quadpi_core.discrepancy.closure import Found, Gap
 from quadpi_core.discrepancy.discrepancy_result import (
     ERROR_NAMES,
     Coverage,
@@ -28,7 +27,7 @@ from quadpi_core.discrepancy.discrepancy_result import (
     RankedCandidate,
     Reflights,
 )
-from quadpi_core.discrepancy.search import Found
+from quadpi_core.discrepancy.other_simulations import of_coefficient
 from quadpi_core.discrepancy.whitening import Part
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
@@ -75,7 +74,7 @@ COLOURED = Threshold(
     12.0,
     "root mean square per row",
     "errors of smoothed states reach 7 with right names; noise of sensors is white, or grows in a moment",
-    "short cases of the blind benchmark (tools/discovery.py --short)",
+    "short cases of the blind benchmark (experiments/discovery.py --short)",
 )
 CLOSED = Threshold(
     "least share of the gap that is closed",
@@ -130,75 +129,96 @@ WORSE_COVERAGE = Threshold(
 LEAST_ABOVE_FLOOR = 0.05
 
 
-def checks(
-    found: Found,
-    effects: Sequence[FoundEffect],
-    unexplained: float,
-    gap: Gap,
-    held: npt.NDArray[np.bool_],
-    axis: str = "",
-) -> tuple[Verdict, ...]:
+def checks(found: Found, effects: Sequence[FoundEffect], left: Unexplained, gap: Gap) -> tuple[Verdict, ...]:
     """Tests of the whole result of a search, passed or not.
+
+    No coefficient and no noise is doubted in axes of which the simulation's own intervals hold what they say.
 
     Args:
         found: result of the search.
         effects: named effects.
-        unexplained: see :class:`Discovery`.
+        left: what these do not explain.
         gap: gap on flights left out.
-        held: axes (6,) of which the simulation's own intervals hold what they say: no coefficient and no
-            noise in them is doubted.
-        axis: the axis that `unexplained` is of; empty for all together.
     """
-    sensors = np.where(held[:, None], np.inf, found.sensors)
+    sensors = np.where(found.held[:, None], np.inf, found.sensors)
     # Squares that are credited to the effects, in variances of the sensors.
     reduction = found.regression.reduction(found.chosen, found.fit, sensors)
     named = max(0.0, float(np.sum(reduction.credited)))
-    stated = zip(AXES, held, found.stated, strict=True)
+    stated = zip(AXES, found.held, found.regression.stated_squares, strict=True)
     broken = [name for name, inside, own in stated if own > 0.0 and not inside and not effects]
     sentence = "no axis has broken intervals that no effect explains"
     if broken:
         sentence = f"the intervals of {', '.join(broken)} hold less of these flights than they state"
     return (
-        judge_unexplained(unexplained, axis),
+        judge_unexplained(left.share, left.axis),
         *_coefficients(found, sensors, named),
         _noise(found, np.maximum(sensors, found.regression.least), named),
         Verdict("intervals", not broken, float(len(broken)), 0.0, "axes", sentence),
         *map(judge_not_zero, effects),
-        *(Verdict("disputed", False, 0.0, 1.0, "", own) for own in found.disputed),
+        *(Verdict.fact("disputed", False, "", own) for own in found.disputed),
         *(_of_gap(found, gap) if effects else ()),
     )
 
 
-def judged_by_gap(discovery: Discovery, gap: Gap) -> tuple[Verdict, ...]:
-    """The tests of a discovery of named effects, with those on the gap made of another one."""
+def with_stated_coefficients(discovery: Discovery) -> Discovery:
+    """The discovery with coefficients as they are stated, its gap, and the tests on that."""
+    gap = discovery.found.gap(adjusted=False)
     others = (check for check in discovery.checks if check.test not in ("closed", "agreement"))
-    return (*others, *_of_gap(discovery.found, gap))
+    return replace(discovery, gap=gap, checks=(*others, *_of_gap(discovery.found, gap)), adjusted=False)
 
 
 def judged_by_rollouts(discovery: Discovery, flown: Reflights) -> Discovery:
-    """The discovery, rejected and "unknown" where flights left out are simulated worse with its effects.
+    """The discovery, "unknown" where flights left out are simulated worse with its effects.
 
-    Their gap must not grow, and their roll-outs must get no worse than chance may make them, one by one or by
-    those that diverge; nor may the intervals of a model, by axis, hold much less of them.
+    Their roll-outs must get no worse than chance may make them, one by one or by those that diverge; nor may
+    the intervals of a model, by axis, hold much less of them.
     """
     rollouts, coverage = flown.rollout, flown.coverage
     errors = {ERROR_NAMES[name]: (error.before, error.after) for name, error in rollouts.errors.items()}
     before, after = (rollouts.lost.get(when, 0) for when in ("before", "after"))
     sentence = f"{after} roll-outs of flights left out diverge with it, {before} before"
+    inside = discovery.found.inside
     judged = (
         judge_rollouts(errors, {ERROR_NAMES[name] for name in rollouts.by_chance}),
         Verdict("diverged roll-outs", after <= before, float(after), float(before), "roll-outs", sentence),
-        *([judge_coverage(coverage, discovery.inside.confidence)] if coverage and discovery.inside else ()),
+        *([judge_coverage(coverage, inside.confidence)] if coverage and inside else ()),
     )
-    # A gap that grows fails the test of the closed share already.
-    worse = discovery.gap.reduction < 0.0 or not all(own.passed for own in judged)
-    verdict = "unknown" if worse else discovery.verdict
-    return replace(discovery, checks=(*discovery.checks, *judged), verdict=verdict, rejected=worse)
+    return replace(discovery, checks=(*discovery.checks, *judged), flown=flown)
+
+
+def is_rejected(discovery: Discovery) -> bool:
+    """Whether flights left out are simulated worse with the effects, by their gap or by what was judged."""
+    failed = {check.test for check in discovery.checks if not check.passed}
+    return discovery.gap.reduction < 0.0 or not failed.isdisjoint(
+        ("roll-outs", "diverged roll-outs", "coverage")
+    )
 
 
 def predictable(left: Array, rows: int) -> Array:
     """Predicted squares that no effect explains, 0 where they may be noise of that many rows."""
     return np.where(left > PREDICTABLE.value * rows, left, 0.0)
+
+
+class Unexplained(NamedTuple):
+    """What generic functions predict beside the named effects.
+
+    Attributes:
+        squares: (6,) see :func:`predictable`; 0 in axes that the simulation's own intervals hold.
+        share, axis: see :func:`unexplained_share`.
+    """
+
+    squares: Array
+    share: float
+    axis: str
+
+    @classmethod
+    def of(cls, found: Found) -> Unexplained:
+        """Of the result of a search."""
+        rows = int(found.regression.residual.counts.sum())
+        left = predictable(np.minimum(found.left.gain, found.beyond_sound), rows)
+        named = found.regression.reduction(found.chosen, found.fit, found.left.noise).credited
+        left, named = (np.where(found.held, 0.0, own) for own in (left, np.maximum(named, 0.0)))
+        return cls(left, *unexplained_share(left, named, rows))
 
 
 def unexplained_share(left: Array, named: Array, rows: int) -> tuple[float, str]:
@@ -316,8 +336,8 @@ def judge_not_zero(effect: FoundEffect) -> Verdict:
     """Whether the interval of any parameter that was estimated excludes zero."""
     estimated = [parameter for parameter in effect.parameters if parameter.upper > parameter.lower]
     zero = all(parameter.lower < 0.0 < parameter.upper for parameter in estimated) and bool(estimated)
-    sentence = f"{'' if zero else 'not '}every parameter of {effect.name} may be zero"
-    return Verdict("not zero", not zero, float(not zero), 1.0, "", sentence)
+    sentence = f"every parameter of {effect.name} may be zero"
+    return Verdict.fact("not zero", not zero, f"not {sentence}", sentence)
 
 
 def _of_gap(found: Found, gap: Gap) -> Iterator[Verdict]:

@@ -22,11 +22,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 from scipy.stats import t as student
-from threadpoolctl import threadpool_limits
 
 from quadpi_core import array_checks
 from quadpi_core.discrepancy.acceptance import FEW_FLIGHTS, LARGEST
-from quadpi_core.discrepancy.candidates import candidates, linearise
+from quadpi_core.discrepancy.candidates import Candidate, candidates, linearise
 from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.loading import simulation_of
 from quadpi_core.discrepancy.study import longest_stretch
@@ -36,8 +35,9 @@ from quadpi_core.frames import Array
 from quadpi_core.identification.prepared_flights import PREPARE_FLIGHTS, PreparedFlight
 from quadpi_core.models.aerodynamic import LOAD_MODEL, AerodynamicModel
 from quadpi_core.models.sound_flights import SoundFlights
-from quadpi_core.parallel import Progress, ReportProgress, ignore_progress
+from quadpi_core.parallel import Progress, ReportProgress, ignore_progress, one_blas_thread
 from quadpi_core.thresholds import CONVENTION, Threshold
+from quadpi_core.vehicle import Vehicle
 
 SHOWN = Threshold(
     "evidence that an error is known",
@@ -88,9 +88,9 @@ def learned_from(
         return model
     vehicle = model.load_vehicle()
     whole = simulation_of(model.simulation_section(), vehicle)
-    sought = [candidate for candidate in candidates(vehicle) if not candidate.effect.at_rest]
+    sought = known_errors(vehicle)
     spectra = []
-    with threadpool_limits(limits=1, user_api="blas"):
+    with one_blas_thread():
         for place, (section, prepared) in enumerate(zip(model.sections_left_out, flights, strict=True)):
             progress(Progress("Learning what sound flights leave", place, len(flights)))
             if prepared.flight is None:
@@ -106,6 +106,12 @@ def learned_from(
         progress(Progress("Learning what sound flights leave", len(flights), len(flights)))
         names = tuple((own.label, own.effect.parameters[k].name) for own in sought for k in own.free)
         return replace(model, sound=learned(spectra, names, np.concatenate([own.scale for own in sought])))
+
+
+def known_errors(vehicle: Vehicle) -> list[Candidate]:
+    """The candidates that a model of a vehicle may be known to err by: no swing, and no scale of thrust."""
+    both = [(candidate, candidate.effect) for candidate in candidates(vehicle)]
+    return [candidate for candidate, effect in both if not (effect.at_rest or effect.scales_thrust)]
 
 
 def learned(spectra: Sequence[Spectrum], names: Sequence[tuple[str, str]], scale: Array) -> SoundFlights:

@@ -12,36 +12,36 @@ from types import MappingProxyType
 
 import numpy as np
 from scipy.special import ndtri
-from threadpoolctl import threadpool_limits
 
 from quadpi_core import array_checks
+from quadpi_core.discrepancy.acceptance import FEW_FLIGHTS, Verdict
 from quadpi_core.discrepancy.augmented_simulation import augmented
 from quadpi_core.discrepancy.by_condition import locate
-from quadpi_core.discrepancy.candidates import candidates
+from quadpi_core.discrepancy.candidates import ALLOWED, CLOSES_NOTHING, NO_EXPLANATION, candidates
+from quadpi_core.discrepancy.closure import Closing, Found
 from quadpi_core.discrepancy.discrepancy_result import (
     Discovery,
     FlightCondition,
     FoundEffect,
     FoundParameter,
     OfFlight,
-    Reflights,
     Study,
 )
 from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.evidence import Fit
 from quadpi_core.discrepancy.reflight import HORIZON_S, coverages, reflights
 from quadpi_core.discrepancy.result_verdicts import (
+    NEAR_FLOOR,
+    Unexplained,
     checks,
+    is_rejected,
     judge_coverage,
-    judged_by_gap,
     judged_by_rollouts,
-    predictable,
     ranked_candidates,
-    unexplained_share,
+    with_stated_coefficients,
 )
-from quadpi_core.discrepancy.search import Found, search
+from quadpi_core.discrepancy.search import Prepared, search
 from quadpi_core.discrepancy.simulations import Simulation
-from quadpi_core.discrepancy.unexplained import inside_intervals
 from quadpi_core.discrepancy.whitening import BAND_HZ
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.findings import DataQuality, UsedPart
@@ -49,7 +49,7 @@ from quadpi_core.flight import AXES, Flight, hole_ends
 from quadpi_core.flight_files import FlightFile, LeftOutFlights, for_each_flight, once_each
 from quadpi_core.identification.prepared_flights import read_flight
 from quadpi_core.models.model_kind import CUTOFF_HZ
-from quadpi_core.parallel import DEFAULT_WORKERS, Workers
+from quadpi_core.parallel import DEFAULT_WORKERS, Workers, one_blas_thread
 from quadpi_core.reading_options import MappingOrOptions
 from quadpi_core.screening.manoeuvres import require_changes, require_excitation
 from quadpi_core.thresholds import CONVENTION, Threshold
@@ -159,7 +159,7 @@ def study(
     for flight in flights:
         flight.require_finite()
     missing = require_excitation(flights, simulation.vehicle)
-    discovery, flown = found_and_flown(simulation, flights, names=names)
+    discovery = found_and_flown(simulation, flights, names=names)
     return Study(
         simulation=simulation,
         flights=tuple(flights),
@@ -167,47 +167,82 @@ def study(
         where=locate(discovery.found, seed),
         not_flown=missing,
         seed=seed,
-        flown_again=flown,
     )
 
 
 def found_and_flown(
-    simulation: Simulation,
-    flights: Sequence[Flight],
-    *,
-    names: Sequence[str] | None = None,
-    barred: Mapping[str, str] = MappingProxyType({}),
-) -> tuple[Discovery, Reflights | None]:
+    simulation: Simulation, flights: Sequence[Flight], *, names: Sequence[str] | None = None
+) -> Discovery:
     """Find the effects that a simulation lacks, and judge them by roll-outs of flights left out.
 
-    Where nothing speaks against several effects but that the intervals of a model hold much less of an axis,
-    and not without one of them, that one is barred from another search. A search compares up to 20 Hz: what
-    is faster, such as the moments of rotors that another delay would shift, is judged here.
+    An effect that closes nothing of the gap, or explains what the simulation's own intervals allow for, is no
+    explanation, and is barred from another search. So is one of several without which alone the intervals of
+    a model hold as much as before, where nothing else speaks against them: a search compares up to 20 Hz, and
+    what is faster is judged here, such as the moments of rotors that another delay would shift.
 
     Args:
         simulation: simulation to compare with.
         flights: see :func:`discover`.
         names: names of effects to look for; unless given, all.
-        barred: see :func:`discover`.
 
     Raises:
         DiscrepancyError, LogError: see :func:`discover` and :func:`flown_again`.
     """
-    discovery, flown = flown_again(discover(simulation, flights, names=names, barred=barred))
-    failed = [check for check in discovery.checks if not check.passed]
-    if [check.test for check in failed] == ["coverage"] and (spoiling := _spoiling(discovery)):
-        more = {**barred, spoiling: failed[0].sentence}
-        again = found_and_flown(simulation, flights, names=names, barred=more)
-        if again[0].verdict == "effects":
+    discovery = _searched_again(prepared(simulation, flights, names), {})
+    return replace(discovery, candidates=ranked_candidates(discovery.found))
+
+
+def _searched_again(ready: Prepared, barred: Mapping[str, str]) -> Discovery:
+    """What a search finds, flown again, or another search without what explains nothing."""
+    discovery = discovered(ready, barred)
+    more = _explaining_nothing(discovery)
+    if not more:
+        discovery = flown_again(discovery)
+        more = _spoiling(discovery)
+    if more:
+        again = _searched_again(ready, {**barred, **more})
+        if again.verdict != "unknown":
             return again
-    return discovery, flown
+    if discovery.flown is None:
+        discovery = flown_again(discovery)
+    for name, reason in more.items():
+        if reason in NO_EXPLANATION and discovery.verdict == "effects":
+            sentence = f"{name} {reason}, and no other search explains the flights"
+            check = Verdict.of(NEAR_FLOOR, "closes", 0.0, False, sentence)
+            discovery = replace(discovery, checks=(*discovery.checks, check))
+    return discovery
 
 
-def _spoiling(discovery: Discovery) -> str:
-    """The effect without which alone intervals hold as much as before; empty without one."""
-    compared, inside = discovery.found.regression.flights, discovery.inside
-    if inside is None or len(discovery.effects) == 1:
-        return ""
+def _explaining_nothing(discovery: Discovery) -> dict[str, str]:
+    """Which effect explains the least, and why that is nothing; empty otherwise.
+
+    Coefficients stay as stated: within wide tolerances they could close what an effect does. One alone is not
+    doubted where the gap counts as closed, and none on so few flights that they do not predict each other.
+    """
+    found, opened = discovery.found, []
+    if found.allowed:
+        least = min(found.allowed, key=lambda index: found.allowed[index])
+        return {found.regression.candidates[least].name: ALLOWED}
+    closed = all(check.passed for check in discovery.checks if check.test == "closed")
+    few = len(found.regression.flights) < FEW_FLIGHTS.value
+    if few or not found.chosen or (len(found.chosen) == 1 and closed):
+        return {}
+    whole = found.gap(adjusted=False)
+    for index in found.chosen:
+        others = tuple(other for other in found.chosen if other != index)
+        without = replace(found, closing=Closing.of(found.regression, others)).gap(adjusted=False)
+        further = (np.square(without.after) - np.square(whole.after)) / np.square(whole.floor)
+        opened.append((float(np.max(further)), found.regression.candidates[index].name))
+    most, name = min(opened)
+    return {} if most > NEAR_FLOOR.value else {name: CLOSES_NOTHING}
+
+
+def _spoiling(discovery: Discovery) -> dict[str, str]:
+    """The effect without which alone intervals hold as much as before, and why it counts; empty otherwise."""
+    compared, inside = discovery.found.regression.flights, discovery.found.inside
+    failed = [check for check in discovery.checks if not check.passed]
+    if inside is None or len(discovery.effects) == 1 or [check.test for check in failed] != ["coverage"]:
+        return {}
     after = [augmented(discovery, without=place) for place in range(len(compared))]
     better = []
     for name in (effect.name for effect in discovery.effects):
@@ -216,15 +251,15 @@ def _spoiling(discovery: Discovery) -> str:
         verdict = judge_coverage(coverages(compared, fewer), inside.confidence)
         if verdict.passed:
             better.append((verdict.value, name))
-    return min(better, default=(0.0, ""))[1]
+    return {min(better)[1]: failed[0].sentence} if better else {}
 
 
-def flown_again(discovery: Discovery) -> tuple[Discovery, Reflights | None]:
-    """The discovery judged by roll-outs of flights left out, and these; none where nothing was named.
+def flown_again(discovery: Discovery) -> Discovery:
+    """The discovery judged by roll-outs of flights left out; as it is where nothing was named.
 
-    Coefficients that are moved with the effects may be what makes roll-outs worse: moments that look like
-    nothing a step ahead turn the vehicle over half a second. Then they stay as stated, if the effects alone
-    do better.
+    Coefficients that are moved with the effects may be what makes roll-outs worse: moment errors too small to
+    matter in one step turn the vehicle over half a second. Then they stay as stated, if the effects alone do
+    better.
 
     Raises:
         DiscrepancyError: for a flight shorter than a roll-out, and an effect that cannot be added to one that
@@ -232,18 +267,13 @@ def flown_again(discovery: Discovery) -> tuple[Discovery, Reflights | None]:
         LogError: for a bag whose plan cannot be read.
     """
     if not discovery.effects:
-        return discovery, None
-    flown = reflights(discovery)
-    judged = judged_by_rollouts(discovery, flown)
-    if not judged.rejected or not discovery.found.closing.adjusted:
-        return judged, flown
-    gap = discovery.found.gap(adjusted=False)
-    tests = judged_by_gap(discovery, gap)
-    verdict = "effects" if all(check.passed for check in tests) else "unknown"
-    stated = replace(discovery, gap=gap, checks=tests, verdict=verdict, adjusted=False)
-    again = reflights(stated)
-    without = judged_by_rollouts(stated, again)
-    return (judged, flown) if without.rejected else (without, again)
+        return discovery
+    judged = judged_by_rollouts(discovery, reflights(discovery))
+    if not is_rejected(judged) or not discovery.found.closing.adjusted:
+        return judged
+    stated = with_stated_coefficients(discovery)
+    without = judged_by_rollouts(stated, reflights(stated))
+    return judged if is_rejected(without) else without
 
 
 def discover(
@@ -266,6 +296,17 @@ def discover(
     Raises:
         DiscrepancyError: for fewer flights, flights of another vehicle, a simulation that gives no wrench.
     """
+    discovery = discovered(prepared(simulation, flights, names, highest_hz), barred)
+    return replace(discovery, candidates=ranked_candidates(discovery.found))
+
+
+def prepared(
+    simulation: Simulation,
+    flights: Sequence[Flight],
+    names: Sequence[str] | None = None,
+    highest_hz: float = BAND_HZ.value,
+) -> Prepared:
+    """Flights ready to be searched; arguments and errors are those of :func:`discover`."""
     require_flights(len(flights))
     if not 0.0 < highest_hz <= BAND_HZ.value:
         raise DiscrepancyError(f"highest_hz: above 0 and up to {BAND_HZ.value:g} Hz, found {highest_hz:g}")
@@ -275,45 +316,40 @@ def discover(
                 f"{flight.source}: flown by vehicle {flight.vehicle}, "
                 f"but the simulation {simulation.name} is of {simulation.vehicle.name}"
             )
-    compared = Compared.together(flights, simulation, highest_hz)
-    inside = inside_intervals(compared)
-    none = np.zeros(len(AXES), dtype=np.bool_)
-    held = none if inside is None else inside.held
-    known = candidates(simulation.vehicle, names)
-    # What acts only where the simulation's own intervals hold is nothing that it lacks. Where sound flights
-    # tell the noise of every axis, those that hold speak against an effect that spoils them.
-    silent = held if simulation.sound is None or held.all() else none
-    unsought = {c.name for c in known if all(silent[AXES.index(axis)] for axis in c.effect.axes)}
-    sought = [replace(c, barred=barred.get(c.name, "")) for c in known if c.name not in unsought]
     # Products are so small that two threads take twice the time of one.
-    with threadpool_limits(limits=1, user_api="blas"):
-        found = search(compared, sought)
-    rows = int(found.regression.residual.counts.sum())
-    left = np.where(held, 0.0, predictable(np.minimum(found.left.gain, found.beyond_sound), rows))
-    named = np.where(held, 0.0, np.maximum(found.named, 0.0))
-    share, worst = unexplained_share(left, named, rows)
+    with one_blas_thread():
+        compared = Compared.together(flights, simulation, highest_hz)
+        return Prepared.of(compared, candidates(simulation.vehicle, names))
+
+
+def discovered(ready: Prepared, barred: Mapping[str, str]) -> Discovery:
+    """What a search names, judged as a whole; candidates are not ranked.
+
+    Args:
+        ready: flights to search.
+        barred: why effects, by their names, may not be named.
+    """
+    with one_blas_thread():
+        found = search(ready, barred)
     law, whole = found.closing.fits()
     effects = [_effect(found, index, law, whole) for index in found.chosen]
-    gap = found.gap()
-    judged = checks(found, effects, share, gap, held, worst)
+    left, gap = Unexplained.of(found), found.gap()
+    judged = checks(found, effects, left, gap)
     against = not all(check.passed for check in judged)
     return Discovery(
-        verdict="unknown" if against else "effects" if effects else "none",
         effects=tuple(effects),
-        unexplained=share,
+        unexplained=left.share,
         unexplained_by={
             axis: found.left.functions[i]
             for i, axis in enumerate(AXES)
             # In a doubtful case, every axis that other flights predict at all is a hint.
-            if left[i] or (against and found.left.gain[i] > 0.0)
+            if left.squares[i] or (against and found.left.gain[i] > 0.0)
         },
         gap=gap,
         found=found,
         checks=judged,
-        candidates=ranked_candidates(found),
         without_trace=_without_trace(found),
-        within_intervals=tuple(sorted(unsought)),
-        inside=inside,
+        within_intervals=tuple(sorted(ready.within)),
         conditions=tuple(_conditions(found)),
     )
 
@@ -331,8 +367,9 @@ def _conditions(found: Found) -> Iterator[FlightCondition]:
             own = {name: OfFlight(float(m[k]), float(d[k])) for name, (m, d) in each.items()}
             if any(one.stands_out for one in own.values()):
                 parameter = candidate.effect.parameters[free]
-                cause = candidate.effect.of_a_flight
-                yield FlightCondition(candidate.label, parameter.name, parameter.unit, cause, own)
+                yield FlightCondition(
+                    candidate.label, parameter.name, parameter.unit, candidate.of_a_flight, own
+                )
 
 
 def _without_trace(found: Found) -> tuple[str, ...]:

@@ -140,6 +140,11 @@ def inside_intervals(flights: Sequence[Compared]) -> Inside | None:
     return Inside(np.array(shares), margins[0].confidence)
 
 
+def held_axes(inside: Inside | None) -> npt.NDArray[np.bool_]:
+    """See :attr:`Inside.held`; none without intervals."""
+    return np.zeros(len(AXES), dtype=np.bool_) if inside is None else inside.held
+
+
 def stated_squares(flights: Sequence[Compared]) -> Array:
     """Mean squares (6,) of the errors that the simulation's own intervals state; 0 without intervals.
 

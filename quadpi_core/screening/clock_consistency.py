@@ -8,6 +8,8 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from quadpi_core.errors import SignalError
 from quadpi_core.findings import Finding
 from quadpi_core.flight import ImuStream, Recording, RotorSpeedStream
@@ -88,13 +90,11 @@ def clock_mistake(recording: Recording, state: Pose, sample: Excerpt | None) -> 
     price = cost(after, before.motion)
     if price >= EXPLAINS.value * cost(before, before.motion):
         return None
-    finding = _finding(
-        state.topic,
+    text = (
         f"gyro and attitude disagree: {_said(found)}; that lowers the innovation of the attitude from "
-        f"{before.turn_rad_s:.2g} to {after.turn_rad_s:.2g} rad/s",
-        found,
+        f"{before.turn_rad_s:.2g} to {after.turn_rad_s:.2g} rad/s"
     )
-    return ClockMistake(finding, price)
+    return ClockMistake(Finding("clock offset", state.topic, text, leave_out=True), price)
 
 
 def rotor_clock_finding(recording: Recording, vehicle: Vehicle | None) -> Finding | None:
@@ -160,10 +160,13 @@ def aligned(recording: Recording, vehicle: Vehicle) -> tuple[Recording, dict[str
                 "alike, as the motion repeats: align the clocks otherwise"
             )
         found[stream.topic] = alignment
-        for field in (name, "twist") if name == "pose" else (name,):
-            if (other := getattr(recording, field)) is not None:
-                shifted: dict[str, Any] = {field: replace(other, time_ns=other.time_ns + alignment.offset_ns)}
-                moved = replace(moved, **shifted)
+        moving = {name: stream, "twist": recording.twist if name == "pose" else None}
+        shifted: dict[str, Any] = {
+            field: replace(one, time_ns=one.time_ns + alignment.offset_ns)
+            for field, one in moving.items()
+            if one is not None
+        }
+        moved = replace(moved, **shifted)
     return moved, found
 
 
@@ -177,30 +180,23 @@ def _apart(
     imu: ImuStream, other: Pose | RotorSpeedStream, found: Alignment | None, what: str
 ) -> Finding | None:
     """The finding on streams that share no time; None where one is too short to."""
-    if min(imu.time_ns[-1] - imu.time_ns[0], other.time_ns[-1] - other.time_ns[0]) < 1e9 * SHARED_S.value:
+    if min(np.ptp(imu.time_ns), np.ptp(other.time_ns)) < 1e9 * SHARED_S.value:
         return None
-    said = f"no offset makes their {what} alike" if found is None else _said(found)
     share = max(0.0, shared_s(imu, other))
-    return _finding(
-        other.topic,
+    text = (
         f"spans {span_of(other.time_ns)}, imu {span_of(imu.time_ns)}: they share "
-        f"{f'{share:.3f} s' if share else 'no time'}; {said}",
-        found,
+        f"{f'{share:.3f} s' if share else 'no time'}; "
+        f"{f'no offset makes their {what} alike' if found is None else _said(found)}"
     )
+    return Finding("clocks apart" if found is None else "clock offset", other.topic, text, leave_out=True)
 
 
 def _said(found: Alignment) -> str:
     """The offset of the stamps, in words."""
-    late = -found.offset_s
-    alike = f"correlation {found.correlation:.2f} over {found.overlap_s:.1f} s"
-    if found.rival_s is not None:
-        return (
-            f"the stamps look {late:+.3f} s or {-found.rival_s:+.3f} s off, which is ambiguous as the motion "
-            f"repeats ({alike})"
-        )
-    return f"the stamps look {late:+.3f} s off, which `import --align` corrects ({alike})"
-
-
-def _finding(topic: str, text: str, found: Alignment | None) -> Finding:
-    name = "clocks apart" if found is None else "clock offset"
-    return Finding(name, topic, text, leave_out=True)
+    late, alike = -found.offset_s, f"correlation {found.correlation:.2f} over {found.overlap_s:.1f} s"
+    if found.rival_s is None:
+        return f"the stamps look {late:+.3f} s off, which `import --align` corrects ({alike})"
+    return (
+        f"the stamps look {late:+.3f} s or {-found.rival_s:+.3f} s off, which is ambiguous as the motion "
+        f"repeats ({alike})"
+    )

@@ -2,12 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The consistency check: findings on a recording and its vehicle, each with the likeliest mistake and remedy.
 
-docs/mistakes.md says which mistakes it can and cannot find, and how the thresholds compare with real flights.
+docs/mistakes.md says which mistakes it can and cannot find, experiments/results/mistakes.md how the
+thresholds compare with real flights.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TypeAlias
 
@@ -16,6 +17,7 @@ import numpy as np
 from quadpi_core.errors import LogError
 from quadpi_core.findings import Finding
 from quadpi_core.flight import PoseStream, Recording
+from quadpi_core.frames import Array
 from quadpi_core.sample_limits import STANDARD_GRAVITY
 from quadpi_core.screening.clock_consistency import clock_mistake, rotor_clock_finding
 from quadpi_core.screening.excerpt import Excerpt, Pose, RotorExcerpt, excerpt, rotor_excerpt
@@ -112,7 +114,7 @@ def findings(recording: Recording, vehicle: Vehicle | None) -> Iterator[Finding]
         vehicle: that flew.
     """
     rotors = rotor_excerpt(recording)
-    turned: Hypothesis | None = None
+    turned: Array | None = None
     states: list[Pose] = [state for state in (recording.pose, recording.odometry) if state is not None]
     for state in states:
         moving, frozen = without_repeats(state, recording.imu)
@@ -129,13 +131,13 @@ def findings(recording: Recording, vehicle: Vehicle | None) -> Iterator[Finding]
             kept = replace(recording, pose=None, twist=None)
             recording = kept if isinstance(state, PoseStream) else replace(recording, odometry=None)
             continue
-        for hypothesis, before, after in mistakes:
-            culprit = ""
-            if hypothesis.gyro is not None and rotors is not None and vehicle is not None:
-                imu_is_wrong = _rotors_follow_better(rotors, vehicle, hypothesis)
-                turned = hypothesis if imu_is_wrong else turned
+        for mistake in mistakes:
+            culprit, gyro = "", mistake[0].gyro
+            if gyro is not None and rotors is not None and vehicle is not None:
+                imu_is_wrong = _rotors_follow_better(rotors, vehicle, gyro)
+                turned = gyro if imu_is_wrong else turned
                 culprit = f"; the rotor speeds agree with {state.topic if imu_is_wrong else 'the IMU'}"
-            yield _finding(state.topic, hypothesis, before, after, culprit)
+            yield _finding(state.topic, mistake, culprit)
         if mistakes:
             # A mistake of the IMU shows in every state.
             break
@@ -144,8 +146,8 @@ def findings(recording: Recording, vehicle: Vehicle | None) -> Iterator[Finding]
         yield apart
     if vehicle is None:
         return
-    if rotors is not None and turned is not None and turned.gyro is not None:
-        rotors = replace(rotors, rates=rotors.rates @ turned.gyro.T)
+    if rotors is not None and turned is not None:
+        rotors = replace(rotors, rates=rotors.rates @ turned.T)
     evidence = None if rotors is None else rotor_evidence(rotors, vehicle)
     if evidence is not None:
         yield from _rotor_findings(recording, evidence, vehicle)
@@ -157,10 +159,14 @@ _Mistake: TypeAlias = tuple[Hypothesis, Innovation, Innovation]
 
 def _motion(sample: Excerpt, *, measured: bool) -> list[_Mistake]:
     """The mistakes that explain the innovations, each with those before and after its reversal."""
+
+    def undone(of: Excerpt, found: Innovation, mistakes: Iterable[Hypothesis]) -> list[_Mistake]:
+        return [(one, found, innovation(one.undo(of))) for one in mistakes]
+
     before = innovation(sample)
-    small = _small(sample, before, measured=measured)
+    small = undone(sample, before, small_mistakes(sample, before, measured=measured))
     if cost(before, before.motion) >= IMPLAUSIBLE_COST:
-        tried = [(one, before, innovation(one.undo(sample))) for one in hypotheses(sample, before)] + small
+        tried = undone(sample, before, hypotheses(sample, before)) + small
         prices = [cost(after, before.motion) for _, _, after in tried]
         place = next(place for place, price in enumerate(prices) if price <= _EQUAL_FACTOR * min(prices))
         found, _, after = tried[place]
@@ -170,16 +176,10 @@ def _motion(sample: Excerpt, *, measured: bool) -> list[_Mistake]:
             if tried[place] in small:
                 return [tried[place]]
             # Without it, smaller ones show.
-            small = _small(found.undo(sample), after, measured=measured)
+            rest = found.undo(sample)
+            small = undone(rest, after, small_mistakes(rest, after, measured=measured))
             return [tried[place], *_plausible(small)]
     return _plausible(small)
-
-
-def _small(sample: Excerpt, before: Innovation, *, measured: bool) -> list[_Mistake]:
-    return [
-        (hypothesis, before, innovation(hypothesis.undo(sample)))
-        for hypothesis in small_mistakes(sample, before, measured=measured)
-    ]
 
 
 def _plausible(small: list[_Mistake]) -> list[_Mistake]:
@@ -187,49 +187,44 @@ def _plausible(small: list[_Mistake]) -> list[_Mistake]:
     return [one for one in small if cost(one[2], one[1].motion) < IMPLAUSIBLE_COST]
 
 
-def _finding(
-    topic: str, hypothesis: Hypothesis, before: Innovation, after: Innovation, culprit: str
-) -> Finding:
-    motion = before.motion
-    worse, better = cost(before, motion), cost(after, motion)
-    return Finding(
-        mistake=hypothesis.name,
-        topic=topic,
-        text=(
-            f"{hypothesis.looks}: {hypothesis.remedy} lowers the innovation of the attitude from "
-            f"{before.turn_rad_s:.2g} to {after.turn_rad_s:.2g} rad/s and that of the acceleration from "
-            f"{before.fall_m_s2:.2g} to {after.fall_m_s2:.2g} m/s²{culprit}"
-        ),
-        certain=worse >= CERTAIN_COST and worse >= CERTAIN_FACTOR * better,
+def _finding(topic: str, mistake: _Mistake, culprit: str) -> Finding:
+    hypothesis, before, after = mistake
+    worse, better = (cost(one, before.motion) for one in (before, after))
+    text = (
+        f"{hypothesis.looks}: {hypothesis.remedy} lowers the innovation of the attitude from "
+        f"{before.turn_rad_s:.2g} to {after.turn_rad_s:.2g} rad/s and that of the acceleration from "
+        f"{before.fall_m_s2:.2g} to {after.fall_m_s2:.2g} m/s²{culprit}"
     )
+    certain = worse >= CERTAIN_COST and worse >= CERTAIN_FACTOR * better
+    return Finding(hypothesis.name, topic, text, certain)
 
 
-def _rotors_follow_better(rotors: RotorExcerpt, vehicle: Vehicle, hypothesis: Hypothesis) -> bool:
-    """Whether the rotor speeds agree better with the IMU once a mistake in its axes is reversed."""
-    assert hypothesis.gyro is not None
-    undone = replace(rotors, rates=rotors.rates @ hypothesis.gyro.T)
+def _rotors_follow_better(rotors: RotorExcerpt, vehicle: Vehicle, gyro: Array) -> bool:
+    """Whether the rotor speeds agree better with the IMU once a mistake in its axes (3, 3) is reversed."""
+    undone = replace(rotors, rates=rotors.rates @ gyro.T)
     before, after = (rotor_evidence(one, vehicle) for one in (rotors, undone))
     if before is None or after is None:
         return True
     return float(np.sum(after.correlation)) > float(np.sum(before.correlation))
 
 
+def _of_rotors(mistake: str, text: str) -> Finding:
+    return Finding(mistake, "rotor_speeds", text)
+
+
 def _rotor_findings(recording: Recording, evidence: RotorEvidence, vehicle: Vehicle) -> Iterator[Finding]:
-    topic = "rotor_speeds"
     if evidence.same is not None:
         one, other = (rotor + 1 for rotor in evidence.same)
-        yield Finding(
+        yield _of_rotors(
             "one channel",
-            topic,
             f"rotors {one} and {other} read the same in nearly every sample: two columns of one channel; "
             "give each rotor its own",
         )
         return
     followed = evidence.followed
     if followed is not None and followed < _OWN_SHARE:
-        yield Finding(
+        yield _of_rotors(
             "foreign rotors",
-            topic,
             f"the speeds explain {max(followed, 0.0):.0%} of the fast accelerations beyond chance, where "
             "other flights have 37 % and more: they look like those of another flight, held for long, or "
             "stamped by a clock that is off by more than 0.3 s; take those of this flight",
@@ -238,9 +233,8 @@ def _rotor_findings(recording: Recording, evidence: RotorEvidence, vehicle: Vehi
     # At speed, or in motion no louder than noise, the thrust is rather what the air makes of it.
     growth = evidence.growth if followed is not None else None
     if growth is not None and growth < _SQUARES_GROWTH and is_slow(recording, vehicle):
-        yield Finding(
+        yield _of_rotors(
             "squared speeds",
-            topic,
             f"the thrust grows with the power {2.0 * growth:.1f} of the rotor speeds where 2 is "
             "expected: they look squared; take the square root",
         )
@@ -249,9 +243,8 @@ def _rotor_findings(recording: Recording, evidence: RotorEvidence, vehicle: Vehi
         return
     if abs(evidence.lag_s) >= _LATE_S and evidence.explained - evidence.explained_now >= _LATE_GAIN:
         side = "late" if evidence.lag_s > 0.0 else "early"
-        yield Finding(
+        yield _of_rotors(
             "rotor stamps",
-            topic,
             f"the stamps look {abs(evidence.lag_s) * 1e3:.0f} ms too {side}: shifting them raises what the "
             f"rotor speeds explain of the accelerations from {max(evidence.explained_now, 0.0):.0%} to "
             f"{evidence.explained:.0%}",
@@ -262,18 +255,16 @@ def _rotor_findings(recording: Recording, evidence: RotorEvidence, vehicle: Vehi
         return
     ratio = float(evidence.ratio.max())
     if min(evidence.correlation[:2]) >= _FOLLOWS and ratio >= _INERTIA_RATIO:
-        yield Finding(
+        yield _of_rotors(
             "inertia",
-            topic,
             f"inertia times acceleration is {ratio:.2g} times arm times thrust: the vehicle's inertia looks "
             f"{ratio:.2g} times too large, or its mass or arms too small by that factor",
         )
     arm_squared = float(np.mean(np.sum(vehicle.rotor_positions[:, :2] ** 2, axis=1)))
     shape = float(vehicle.inertia[2, 2]) / (vehicle.mass_kg * arm_squared)
     if shape < _YAW_INERTIA and ratio < _MOMENTS_SMALL:
-        yield Finding(
+        yield _of_rotors(
             "arms",
-            topic,
             f"inertia times acceleration is {ratio:.2g} times arm times thrust, and the inertia about z is "
             f"{shape:.2g} times mass times squared arm, where quadrotors have 0.29 to 0.7: the vehicle's "
             f"arms look up to {np.sqrt(0.5 / shape):.1f} times too long, or its inertia too small",
@@ -285,16 +276,16 @@ def _order_finding(evidence: RotorEvidence, vehicle: Vehicle) -> Finding | None:
     """Rotors in another order, at other places or with other spins than in the vehicle file."""
     now, best = evidence.correlation, evidence.order_correlation
     gain = float(np.sum(best * np.abs(best)) - np.sum(now * np.abs(now)))
-    topic, same = "rotor_speeds", evidence.order == tuple(range(ROTORS))
+    same = evidence.order == tuple(range(ROTORS))
     if min(best[:2]) < _FOLLOWS or (same and not evidence.spins_inverted):
         return None
-    said = f"the correlation of the moments with the motion rises from {_numbers(now)} to {_numbers(best)}"
+    rises = (", ".join(f"{value:.2f}" for value in values) for values in (now, best))
+    said = f"the correlation of the moments with the motion rises from {' to '.join(rises)}"
     if same:
         if now[2] > _OPPOSES:
             return None
-        return Finding(
+        return _of_rotors(
             "spins inverted",
-            topic,
             "all spins of the vehicle look inverted (clockwise is as seen from above): with the other ones "
             + said,
         )
@@ -302,9 +293,8 @@ def _order_finding(evidence: RotorEvidence, vehicle: Vehicle) -> Finding | None:
         return None
     for axis, words in ((1, "left to right"), (0, "front to rear")):
         if evidence.spins_inverted and evidence.order == _mirrored(vehicle, axis):
-            return Finding(
+            return _of_rotors(
                 "vehicle mirrored",
-                topic,
                 f"the places of the vehicle's rotors look mirrored {words} (forward-right-down expected): "
                 f"otherwise {said}",
             )
@@ -312,7 +302,7 @@ def _order_finding(evidence: RotorEvidence, vehicle: Vehicle) -> Finding | None:
     columns = ", ".join(str(column + 1) for column in evidence.order)
     swapped = f"rotors {moved[0]} and {moved[1]} look swapped" if len(moved) == 2 else "the order looks wrong"
     spins = " and all spins inverted" if evidence.spins_inverted else ""
-    return Finding("rotor order", topic, f"{swapped}: with the columns in the order {columns}{spins} {said}")
+    return _of_rotors("rotor order", f"{swapped}: with the columns in the order {columns}{spins} {said}")
 
 
 def _mirrored(vehicle: Vehicle, axis: int) -> tuple[int, ...]:
@@ -338,9 +328,8 @@ def _low_rotor(evidence: RotorEvidence, vehicle: Vehicle) -> Iterator[Finding]:
         return
     reads = float(np.sqrt(squares[rotor] / truly))
     if abs(reads - 1.0) >= _ROTOR_LOW * max(_ROTOR_WINDOWS / evidence.windows, 1.0) ** 0.5:
-        yield Finding(
+        yield _of_rotors(
             "one rotor",
-            "rotor_speeds",
             f"rotor {rotor + 1} looks as if it read {reads:.2f} times its speed: with {1.0 / reads:.2f} "
             "times as much, roll, pitch and yaw are balanced",
         )
@@ -349,25 +338,15 @@ def _low_rotor(evidence: RotorEvidence, vehicle: Vehicle) -> Iterator[Finding]:
 def _thrust(recording: Recording, vehicle: Vehicle) -> Iterator[Finding]:
     if vehicle.thrust_coefficient is None:
         return
-    flown, (low, high), where = (
-        thrust_coefficient(recording, vehicle, in_hover=True),
-        _HOVER_RATIO,
-        "in hover ",
-    )
+    (low, high), where = _HOVER_RATIO, "in hover "
+    flown = thrust_coefficient(recording, vehicle, in_hover=True)
     if flown is None:
-        flown, (low, high), where = thrust_coefficient(recording, vehicle), _THRUST_RATIO, ""
-    if flown is None:
-        return
-    ratio = flown / vehicle.thrust_coefficient
-    if not low < ratio < high:
-        yield Finding(
+        (low, high), where = _THRUST_RATIO, ""
+        flown = thrust_coefficient(recording, vehicle)
+    if flown is not None and not low < (ratio := flown / vehicle.thrust_coefficient) < high:
+        yield _of_rotors(
             "thrust",
-            "rotor_speeds",
             f"{where}thrust over Σω² gives C_T = {flown:.3g}, {ratio:.2f} times the vehicle file's "
             f"{vehicle.thrust_coefficient:.3g}: the mass looks {ratio:.2f} times what it is, or the rotor "
             f"speeds {np.sqrt(1.0 / ratio):.2f} times (pole pairs?), or another vehicle, or wind blew",
         )
-
-
-def _numbers(values: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> str:
-    return ", ".join(f"{value:.2f}" for value in values)

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 from quadpi_core.flight import MAX_GAP_NS, OdometryStream, PoseStream, Recording, Stamps
 from quadpi_core.frames import Array
+from quadpi_core.signals.resample import interpolate_columns
 
 # Windows are spread over the flight, so that the cost does not grow with its length.
 WINDOWS, WINDOW_S = 24, 2.5
@@ -76,20 +76,17 @@ class RotorExcerpt:
 def excerpt(recording: Recording, state: Pose) -> Excerpt | None:
     """Windows in which the IMU and a state have samples without a pause; None if there are none."""
     parts = []
-    for grid in _grids([recording.imu.time_ns, state.time_ns]):
-        inertial = _imu_means(recording, grid)
-        if inertial is None or _pauses(state.time_ns, grid, _POSE_GAP_NS):
+    for grid, *inertial in _windows(recording, state.time_ns):
+        if _pauses(state.time_ns, grid, _POSE_GAP_NS):
             continue
         near = _near(state.time_ns, grid)
-        time_s = _seconds(state.time_ns[near], grid)
-        at_s = (grid - grid[0]) * 1e-9
-        attitude = _at(time_s, _continuous(state.attitude[near]), at_s)
+        time_s, at_s = ((time_ns - grid[0]) * 1e-9 for time_ns in (state.time_ns[near], grid))
+        attitude = interpolate_columns(time_s, continuous(state.attitude[near]), at_s)
         attitude /= np.linalg.norm(attitude, axis=1, keepdims=True)
-        parts.append((attitude, _at(time_s, state.position[near], at_s), *inertial))
+        parts.append((attitude, interpolate_columns(time_s, state.position[near], at_s), *inertial))
     if not parts:
         return None
-    attitude, position, rates, force = (np.stack(columns) for columns in zip(*parts, strict=True))
-    return Excerpt(state.topic, STEP_S, attitude, position, rates, force)
+    return Excerpt(state.topic, STEP_S, *map(np.stack, zip(*parts, strict=True)))
 
 
 def rotor_excerpt(recording: Recording) -> RotorExcerpt | None:
@@ -102,17 +99,15 @@ def rotor_excerpt(recording: Recording) -> RotorExcerpt | None:
         return None
     margin = round(_MARGIN_S / STEP_S)
     parts = []
-    for grid in _grids([recording.imu.time_ns, rotors.time_ns], _MARGIN_S):
-        inertial = _imu_means(recording, grid)
+    for grid, *inertial in _windows(recording, rotors.time_ns, _MARGIN_S):
         wide = np.arange(-margin, len(grid) + margin) * round(STEP_S * 1e9) + grid[0]
-        if inertial is None or _pauses(rotors.time_ns, wide, MAX_GAP_NS):
-            continue
-        near = _near(rotors.time_ns, wide)
-        squares = _means(_seconds(rotors.time_ns[near], grid), rotors.speeds[near] ** 2, wide - grid[0])
-        parts.append((*inertial, squares))
+        if not _pauses(rotors.time_ns, wide, MAX_GAP_NS):
+            near = _near(rotors.time_ns, wide)
+            squares = _means(rotors.time_ns[near], rotors.speeds[near] ** 2, wide, grid[0])
+            parts.append((*inertial, squares))
     if not parts:
         return None
-    rates, force, squares = (np.stack(columns) for columns in zip(*parts, strict=True))
+    rates, force, squares = map(np.stack, zip(*parts, strict=True))
     return RotorExcerpt(STEP_S, rates, force, squares, margin)
 
 
@@ -156,16 +151,19 @@ def _without_strays(time_ns: Stamps) -> tuple[int, int]:
     return int(time_ns[first]), int(time_ns[last])
 
 
-def _imu_means(recording: Recording, grid: Stamps) -> tuple[Array, Array] | None:
+def _windows(
+    recording: Recording, time_ns: Stamps, margin_s: float = 0.0
+) -> Iterator[tuple[Stamps, Array, Array]]:
+    """Borders of the cells, rates and force of windows with another topic in which the IMU has no pause."""
     imu = recording.imu
-    if _pauses(imu.time_ns, grid, MAX_GAP_NS):
-        return None
-    near = _near(imu.time_ns, grid)
-    time_s = _seconds(imu.time_ns[near], grid)
-    return (
-        _means(time_s, imu.angular_velocity[near], grid - grid[0]),
-        _means(time_s, imu.specific_force[near], grid - grid[0]),
-    )
+    for grid in _grids([imu.time_ns, time_ns], margin_s):
+        if not _pauses(imu.time_ns, grid, MAX_GAP_NS):
+            near = _near(imu.time_ns, grid)
+            rates, force = (
+                _means(imu.time_ns[near], values[near], grid, grid[0])
+                for values in (imu.angular_velocity, imu.specific_force)
+            )
+            yield grid, rates, force
 
 
 def _near(time_ns: Stamps, grid: Stamps) -> slice:
@@ -187,26 +185,17 @@ def _pauses(time_ns: Stamps, grid: Stamps, longest_ns: int) -> bool:
     )
 
 
-def _seconds(time_ns: Stamps, grid: Stamps) -> Array:
-    seconds: Array = (time_ns - grid[0]) * 1e-9
-    return seconds
+def continuous(attitude: Array) -> Array:
+    """The same rotations (..., N, 4), each with the sign nearest to the previous one."""
+    opposite = np.sum(attitude[..., 1:, :] * attitude[..., :-1, :], axis=-1) < 0.0
+    signs = np.cumprod(np.where(opposite, -1.0, 1.0), axis=-1)
+    return np.concatenate((attitude[..., :1, :], attitude[..., 1:, :] * signs[..., np.newaxis]), axis=-2)
 
 
-def _continuous(attitude: Array) -> Array:
-    """The same rotations, each with the sign nearest to the previous one."""
-    opposite = np.sum(attitude[1:] * attitude[:-1], axis=1) < 0.0
-    signs = np.cumprod(np.concatenate(([1.0], np.where(opposite, -1.0, 1.0))))
-    return np.asarray(attitude * signs[:, np.newaxis])
-
-
-def _at(time_s: Array, values: Array, at_s: Array) -> Array:
-    """Values (M, C) at times (M,), linear in between."""
-    return np.stack([np.interp(at_s, time_s, column) for column in values.T], axis=1)
-
-
-def _means(time_s: Array, values: Array, grid_ns: npt.NDArray[np.int64]) -> Array:
+def _means(time_ns: Stamps, values: Array, grid: Stamps, start_ns: int) -> Array:
     """Means (K, C) over cells of values (N, C) that are linear between samples."""
+    time_s, grid_s = (1e-9 * (stamps - start_ns).astype(np.float64) for stamps in (time_ns, grid))
     integral = np.zeros_like(values)
     integral[1:] = np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(time_s)[:, np.newaxis], axis=0)
-    grid_s = grid_ns.astype(np.float64) * 1e-9
-    return np.asarray(np.diff(_at(time_s, integral, grid_s), axis=0) / np.diff(grid_s)[:, np.newaxis])
+    means = np.diff(interpolate_columns(time_s, integral, grid_s), axis=0) / np.diff(grid_s)[:, np.newaxis]
+    return np.asarray(means)

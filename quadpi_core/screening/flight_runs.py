@@ -20,7 +20,7 @@ from quadpi_core.findings import PAUSES, Break, DataQuality, UsedPart
 from quadpi_core.flight import MAX_GAP_NS, Recording, Stamps, Stream
 from quadpi_core.recording_blocks import streams_by_field
 from quadpi_core.screening.rates import seldom_topics
-from quadpi_core.screening.sample_order import order_of
+from quadpi_core.screening.sample_order import order_of, with_rows
 from quadpi_core.thresholds import CONVENTION, Threshold
 from quadpi_core.time_range import TimeRange
 
@@ -41,15 +41,8 @@ Interval = tuple[int, int]
 def cut(recording: Recording, first_ns: int, last_ns: int) -> Recording:
     """The samples stamped from the first instant to the last, both included."""
     streams = streams_by_field(recording)
-    kept = {name: (one.time_ns >= first_ns) & (one.time_ns <= last_ns) for name, one in streams.items()}
-    before = np.concatenate(([0], np.cumsum(kept["imu"])))
-    arrivals = {}
-    for name, stream in streams.items():
-        came = recording.arrivals.get(stream.topic)
-        if came is not None and len(came) == len(stream):
-            arrivals[stream.topic] = before[came][kept[name]]
-    taken: dict[str, Any] = {name: stream.take(kept[name]) for name, stream in streams.items()}
-    return replace(recording, **taken, arrivals=arrivals)
+    within = {name: (one.time_ns >= first_ns) & (one.time_ns <= last_ns) for name, one in streams.items()}
+    return with_rows(recording, within)
 
 
 def in_range(recording: Recording, part: TimeRange) -> Recording:
@@ -69,9 +62,7 @@ def in_range(recording: Recording, part: TimeRange) -> Recording:
 
 def _without_empty(recording: Recording) -> Recording:
     """A part without the topics that have no sample in it."""
-    absent: dict[str, Any] = {
-        name: None for name, one in streams_by_field(recording).items() if len(one) == 0
-    }
+    absent: dict[str, Any] = {n: None for n, one in streams_by_field(recording).items() if len(one) == 0}
     return replace(recording, **absent)
 
 
@@ -104,21 +95,19 @@ def in_range_of_blocks(blocks: Iterable[Recording], source: str, part: TimeRange
     bounds: Interval | None = None
     samples, start_ns, last_ns = 0, 0, 0
     for block in blocks:
-        if len(block.imu):
-            start_ns = start_ns or _first_ns(block.imu.time_ns)
-            last_ns = int(block.imu.time_ns[-1])
-            bounds = bounds or part.stamps(start_ns)
+        imu_ns = block.imu.time_ns
+        if len(imu_ns):
+            last_ns = int(imu_ns[-1])
+            if bounds is None:
+                # The flight begins with the first stamp that is used.
+                rows = order_of(imu_ns).runs()[0]
+                start_ns = int(imu_ns[rows[0]] if len(rows) else imu_ns[0])
+                bounds = part.stamps(start_ns)
         if bounds is not None:
             found = cut(block, *bounds)
             samples += len(found.imu)
             yield found
     require_imu_in(source, part, samples, 1e-9 * (last_ns - start_ns))
-
-
-def _first_ns(imu_ns: Stamps) -> int:
-    """The first stamp that is used of those of the first block, from which a part of the flight counts."""
-    rows = order_of(imu_ns).runs()[0]
-    return int(imu_ns[rows[0]] if len(rows) else imu_ns[0])
 
 
 def parts_without_pause(recording: Recording) -> list[Recording]:
@@ -129,7 +118,7 @@ def parts_without_pause(recording: Recording) -> list[Recording]:
     needed: list[Stream] = [recording.imu]
     if recording.pose is None and recording.twist is None and recording.odometry is not None:
         needed.append(recording.odometry)
-    breaks = [found for stream in needed if (found := pauses(stream)) is not None]
+    breaks = tuple(found for stream in needed if (found := pauses(stream)) is not None)
     if not breaks or any(len(stream) < 2 for stream in needed) or any(seldom_topics(recording)):
         return [recording]
     shared = _intervals(needed[0])
@@ -144,7 +133,7 @@ def parts_without_pause(recording: Recording) -> list[Recording]:
         rank = "the longest" if place == 0 else f"number {place + 1} by length"
         reason = f"{rank} of {len(shared)} parts without a pause"
         used = used_part(recording.imu.time_ns, part.imu.time_ns, reason)
-        quality = part.quality.joined(DataQuality(breaks=tuple(breaks), used=(used,)))
+        quality = part.quality.joined(DataQuality(breaks=breaks, used=(used,)))
         parts.append(replace(_without_empty(part), quality=quality))
     return parts or [recording]
 

@@ -41,25 +41,24 @@ def without_repeats(state: Pose, imu: ImuStream) -> tuple[Pose, Finding | None]:
     time_s, imu_s = ((stream.time_ns - imu.time_ns[0]) * 1e-9 for stream in (state, imu))
     angle = np.zeros_like(imu.angular_velocity)
     angle[1:] = np.cumsum(imu.angular_velocity[1:] * np.diff(imu_s)[:, np.newaxis], axis=0)
-    frozen = []
+    frozen: list[tuple[float, float, float]] = []
+    usable = np.ones(len(state), dtype=np.bool_)
     for first, last in runs_of(same):
-        if time_s[last] - time_s[first] < FROZEN_S.value:
-            continue
-        within = angle[slice(*np.searchsorted(imu_s, time_s[[first, last]]))]
+        begin_s, end_s = time_s[[first, last]].tolist()
+        within = angle[slice(*np.searchsorted(imu_s, (begin_s, end_s)))]
         turn = float(np.ptp(within, axis=0).max()) if len(within) else 0.0
         # A gyro that drifts turns steadily, and slowly.
-        if turn >= FROZEN_TURN_RAD.value * max(1.0, time_s[last] - time_s[first]):
-            frozen.append((first, last, turn))
+        least = FROZEN_TURN_RAD.value * max(1.0, end_s - begin_s)
+        if end_s - begin_s >= FROZEN_S.value and turn >= least:
+            frozen.append((begin_s, end_s, turn))
+            usable[first + 1 : last + 1] = False
     if not frozen:
         return state, None
-    usable = np.ones(len(state), dtype=np.bool_)
-    for first, last, _ in frozen:
-        usable[first + 1 : last + 1] = False
-    first, last, turn = max(frozen, key=lambda one: time_s[one[1]] - time_s[one[0]])
-    whole = sum(time_s[b] - time_s[a] for a, b, _ in frozen)
+    begin_s, end_s, turn = max(frozen, key=lambda one: one[1] - one[0])
+    whole_s = sum(end - begin for begin, end, _ in frozen)
     text = (
-        f"position and attitude repeat from {time_s[first]:.2f} to {time_s[last]:.2f} s while the gyro turns "
-        f"by {np.degrees(turn):.0f}°, and so for {whole:.1f} s in all: the tracking is lost or its driver "
+        f"position and attitude repeat from {begin_s:.2f} to {end_s:.2f} s while the gyro turns by "
+        f"{np.degrees(turn):.0f}°, and so for {whole_s:.1f} s in all: the tracking is lost or its driver "
         "repeats the last pose; leave these samples out"
     )
     return state.take(usable), Finding("frozen state", state.topic, text)

@@ -73,23 +73,19 @@ def _flown(flights: Sequence[Flight], vehicle: Vehicle) -> dict[str, bool]:
     """Whether any flight contains a manoeuvre, by its name."""
     induced = vehicle.hover_induced_velocity
     velocity = [relative_to_air(own.velocity, own.attitude, own.wind) for own in flights]
-    rates = [flight.rates for flight in flights]
+    speeds = np.quantile(np.abs(np.concatenate(velocity)), 1.0 - TAIL.value, axis=0) / induced
+    rates = np.quantile(np.abs(np.concatenate([own.rates for own in flights])), 1.0 - TAIL.value, axis=0)
     loads = [np.square(flight.rotor_speeds).sum(axis=1) for flight in flights]
     return {
-        "forward and backward flight": _largest([own[:, 0] for own in velocity])
-        > FLOWN_SPEED.value * induced,
-        "sideways flight": _largest([own[:, 1] for own in velocity]) > FLOWN_SPEED.value * induced,
-        "climb and descent": _largest([own[:, 2] for own in velocity]) > FLOWN_CLIMB.value * induced,
+        "forward and backward flight": speeds[0] > FLOWN_SPEED.value,
+        "sideways flight": speeds[1] > FLOWN_SPEED.value,
+        "climb and descent": speeds[2] > FLOWN_CLIMB.value,
         "throttle steps": max(_extent(load) / float(load.mean()) for load in loads) > FLOWN_LOAD.value,
-        "roll doublets": _largest([own[:, 0] for own in rates]) > FLOWN_RATE.value,
-        "pitch doublets": _largest([own[:, 1] for own in rates]) > FLOWN_RATE.value,
-        "yaw doublets": _largest([own[:, 2] for own in rates]) > FLOWN_RATE.value,
+        "roll doublets": rates[0] > FLOWN_RATE.value,
+        "pitch doublets": rates[1] > FLOWN_RATE.value,
+        "yaw doublets": rates[2] > FLOWN_RATE.value,
         "turns of the heading": max(_extent(_heading(flight)) for flight in flights) > FLOWN_HEADING.value,
     }
-
-
-def _largest(columns: Sequence[Array]) -> float:
-    return float(np.quantile(np.abs(np.concatenate(columns)), 1.0 - TAIL.value))
 
 
 def _extent(values: Array) -> float:
@@ -99,5 +95,4 @@ def _extent(values: Array) -> float:
 
 def _heading(flight: Flight) -> Array:
     ahead = rotation_matrix(flight.attitude)[:, :2, 0]
-    heading: Array = np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))
-    return heading
+    return np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))

@@ -24,9 +24,10 @@ from quadpi_core.rotations import (
     quaternion_of,
     rotate_body_to_world,
     rotation_matrix,
+    to_rotation_vectors,
 )
 from quadpi_core.sample_limits import STANDARD_GRAVITY
-from quadpi_core.screening.excerpt import Excerpt
+from quadpi_core.screening.excerpt import Excerpt, continuous
 from quadpi_core.screening.innovations import FALL_M_S2, KEPT_SHARE, TURN_RAD_S, Innovation, cost
 
 # Scale factors of units and clocks that are tried: from 1/1000 to 1000, then finely around the best.
@@ -37,7 +38,7 @@ _FINE_FACTORS = np.geomspace(0.93, 1.07, 29)
 _WORTH_SHARE = 0.5
 # With a larger factor, windows of this length hold no flight dynamics; such stamps are refused elsewhere.
 _LARGEST_CLOCK_FACTOR = 3.0
-_UP = np.array([0.0, 0.0, 1.0])
+_EYE = np.eye(3)
 _FLIP = np.diag([1.0, -1.0, -1.0])
 _SWAP = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
@@ -73,80 +74,67 @@ def hypotheses(sample: Excerpt, found: Innovation) -> Iterator[Hypothesis]:
         f"the attitude of {topic} looks conjugated (world to body)",
         "inverting it",
     )
-    yield Hypothesis(
-        "ned frd",
-        lambda e: _of_world(_of_body(e, _FLIP), _SWAP, _SWAP),
-        f"{topic} looks written in NED and FRD where ENU and FLU are expected, or the other way round",
-        "converting it",
-    )
-    yield Hypothesis(
-        "attitude ned frd",
-        lambda e: _of_world(_of_body(e, _FLIP), _SWAP, np.eye(3)),
-        f"the attitude of {topic}, not its position, looks written in NED and FRD where ENU and FLU are "
-        "expected, or the other way round",
-        "converting it",
-    )
-    yield Hypothesis(
-        "position ned",
-        lambda e: _of_world(e, np.eye(3), _SWAP),
-        f"the position of {topic}, not its attitude, looks written in NED where ENU is expected, or the "
-        "other way round",
-        "converting it",
-    )
+    written = "looks written in NED and FRD where ENU and FLU are expected, or the other way round"
+    for name, undo, looks in (
+        ("ned frd", lambda e: _of_world(_of_body(e, _FLIP), _SWAP, _SWAP), f"{topic} {written}"),
+        (
+            "attitude ned frd",
+            lambda e: _of_world(_of_body(e, _FLIP), _SWAP, _EYE),
+            f"the attitude of {topic}, not its position, {written}",
+        ),
+        (
+            "position ned",
+            lambda e: _of_world(e, _EYE, _SWAP),
+            f"the position of {topic}, not its attitude, looks written in NED where ENU is expected, or the "
+            "other way round",
+        ),
+    ):
+        yield Hypothesis(name, undo, looks, "converting it")
     yield Hypothesis(
         "position swapped",
-        lambda e: _of_world(e, np.eye(3), np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])),
+        lambda e: _of_world(e, _EYE, _EYE[[1, 0, 2]]),
         f"x and y of the position of {topic} look swapped",
         "swapping them",
     )
-    for shift in (1, 3):
+    for shift, order in ((1, "xyzw"), (3, "wxyz")):
         yield Hypothesis(
             "quaternion order",
             partial(_reordered, shift=shift),
-            f"the numbers of the attitude of {topic} look ordered {'xyzw' if shift == 1 else 'wxyz'} where "
-            "the other order is expected",
+            f"the numbers of the attitude of {topic} look ordered {order} where the other order is expected",
             "reordering them",
         )
     for axis in "zxy":
         for degrees in (90, 180, -90):
-            turn = _about("xyz".index(axis), np.radians(degrees))
-            yield Hypothesis(
+            turn = rotation_matrix(from_rotation_vectors(np.radians(degrees) * _EYE["xyz".index(axis)]))
+            yield _of_axes(
                 "imu turned",
-                partial(_of_imu, gyro=turn, accelerometer=turn),
                 f"the axes of the IMU and those of {topic} look turned against each other by {degrees}° "
                 f"about {axis}",
-                f"turning the IMU by {degrees}° about {axis} of the body, or {topic} by {-degrees}°,",
-                gyro=turn,
+                turn,
+                turn,
+                remedy=f"turning the IMU by {degrees}° about {axis} of the body, or {topic} by {-degrees}°,",
             )
     for matrix in _signed_permutations():
-        proper = np.linalg.det(matrix) > 0.0
-        words = _axes(matrix)
-        if not proper:
-            yield Hypothesis(
+        words, mirrored = _axes(matrix), "the axes of the IMU look mirrored:"
+        if np.linalg.det(matrix) < 0.0:
+            yield _of_axes("imu mirrored", f"{mirrored} its x, y, z seem to be {words}", matrix, matrix)
+            yield _of_axes(
                 "imu mirrored",
-                partial(_of_imu, gyro=matrix, accelerometer=matrix),
-                f"the axes of the IMU look mirrored: its x, y, z seem to be {words}",
-                "making them so",
-                gyro=matrix,
+                f"{mirrored} x, y, z of its accelerometer seem to be {words}",
+                -matrix,
+                matrix,
+                remedy="making them so, and the gyro's the other way round,",
             )
-            yield Hypothesis(
-                "imu mirrored",
-                partial(_of_imu, gyro=-matrix, accelerometer=matrix),
-                f"the axes of the IMU look mirrored: x, y, z of its accelerometer seem to be {words}",
-                "making them so, and the gyro's the other way round,",
-                gyro=-matrix,
-            )
-        yield Hypothesis(
+        yield _of_axes(
             "gyro axes",
-            partial(_of_imu, gyro=matrix, accelerometer=np.eye(3)),
             f"the axes of the gyro look wrong, those of the accelerometer not: x, y, z seem to be {words}",
-            "making them so",
-            gyro=matrix,
+            matrix,
+            _EYE,
         )
         yield accelerometer_axes(matrix)
         yield Hypothesis(
             "position axes",
-            partial(_of_world, attitude=np.eye(3), position=matrix),
+            partial(_of_world, attitude=_EYE, position=matrix),
             f"the axes of the position of {topic} look wrong, those of its attitude not: x, y, z seem to be "
             f"{words}",
             "making them so",
@@ -154,11 +142,17 @@ def hypotheses(sample: Excerpt, found: Innovation) -> Iterator[Hypothesis]:
     yield from _fitted(sample, found)
 
 
+def _of_axes(name: str, looks: str, gyro: Array, force: Array, remedy: str = "making them so") -> Hypothesis:
+    """Axes of the IMU that matrices (3, 3) put right."""
+    undo = partial(_of_imu, gyro=gyro, accelerometer=force)
+    return Hypothesis(name, undo, looks, remedy, gyro=gyro)
+
+
 def accelerometer_axes(matrix: Array) -> Hypothesis:
     """An accelerometer, not the gyro, whose axes a signed permutation (3, 3) puts right."""
     return Hypothesis(
         "accelerometer axes",
-        partial(_of_imu, gyro=np.eye(3), accelerometer=matrix),
+        partial(_of_imu, gyro=_EYE, accelerometer=matrix),
         "the axes of the accelerometer look wrong, those of the gyro not: x, y, z seem to be "
         f"{_axes(matrix)}",
         "making them so",
@@ -169,21 +163,18 @@ def _fitted(sample: Excerpt, found: Innovation) -> Iterator[Hypothesis]:
     """Mistakes whose size is estimated from the data."""
     topic = sample.topic
     body = _body_rotation(found)
-    angle = np.degrees(_logarithm_of(body))
-    size = float(np.linalg.norm(angle))
+    size, angle, words = _turn_of(body)
     tilted = bool(np.hypot(angle[0], angle[1]) > abs(angle[2]))
     yield Hypothesis(
         "body tilted" if tilted else "body yawed",
         lambda e: _of_imu(e, body.T, body.T),
-        f"the axes of the IMU and those of {topic} look turned against each other by {size:.0f}° about "
-        f"({angle[0]:.0f}, {angle[1]:.0f}, {angle[2]:.0f})°",
+        f"the axes of the IMU and those of {topic} look turned against each other by {words}",
         f"turning the rigid body of {topic}, or the IMU, so that both agree,",
         gyro=body.T,
         angle_deg=size,
     )
     world = best_rotation(found.needed, found.force)[0]
-    angle = np.degrees(_logarithm_of(world))
-    size = float(np.linalg.norm(angle))
+    size, _, words = _turn_of(world)
     yield Hypothesis(
         "world tilted",
         lambda e: _of_world(e, world.T, world.T),
@@ -193,9 +184,8 @@ def _fitted(sample: Excerpt, found: Innovation) -> Iterator[Hypothesis]:
     )
     yield Hypothesis(
         "world turned",
-        lambda e: _of_world(e, world.T, np.eye(3)),
-        f"the worlds of attitude and position of {topic} look turned against each other by {size:.0f}° about "
-        f"({angle[0]:.0f}, {angle[1]:.0f}, {angle[2]:.0f})°",
+        lambda e: _of_world(e, world.T, _EYE),
+        f"the worlds of attitude and position of {topic} look turned against each other by {words}",
         "giving both in one world",
         angle_deg=size,
     )
@@ -231,7 +221,7 @@ def _best_scale(found: Innovation, scales: Callable[[float], tuple[float, float]
 
     1 if a state that does not move at all would fit nearly as well.
     """
-    motion, gravity = found.motion, STANDARD_GRAVITY * _UP
+    motion, gravity = found.motion, STANDARD_GRAVITY * _EYE[2]
     accelerations = found.needed + gravity
 
     def cost_of(factor: float) -> float:
@@ -263,18 +253,11 @@ def _body_rotation(found: Innovation) -> Array:
     return rotation
 
 
-def _logarithm_of(rotation: Array) -> Array:
-    cosine = float(np.clip(0.5 * (np.trace(rotation) - 1.0), -1.0, 1.0))
-    skew = rotation - rotation.T
-    axis = np.array([skew[2, 1], skew[0, 2], skew[1, 0]])
-    return np.asarray(np.arccos(cosine) * axis / max(float(np.linalg.norm(axis)), 1e-12))
-
-
-def _about(axis: int, angle: float) -> Array:
-    turn = np.zeros(3)
-    turn[axis] = angle
-    rotation: Array = rotation_matrix(from_rotation_vectors(turn[np.newaxis]))[0]
-    return rotation
+def _turn_of(rotation: Array) -> tuple[float, Array, str]:
+    """Angle, rotation vector (3,) and words of a rotation (3, 3), in degrees."""
+    angle = np.degrees(to_rotation_vectors(quaternion_of(rotation)))
+    size = float(np.linalg.norm(angle))
+    return size, angle, f"{size:.0f}° about ({angle[0]:.0f}, {angle[1]:.0f}, {angle[2]:.0f})°"
 
 
 def _of_imu(sample: Excerpt, gyro: Array, accelerometer: Array) -> Excerpt:
@@ -282,7 +265,7 @@ def _of_imu(sample: Excerpt, gyro: Array, accelerometer: Array) -> Excerpt:
 
 
 def _reordered(sample: Excerpt, shift: int) -> Excerpt:
-    return replace(sample, attitude=_continuous_rows(np.roll(sample.attitude, shift, axis=2)))
+    return replace(sample, attitude=continuous(np.roll(sample.attitude, shift, axis=2)))
 
 
 def _of_body(sample: Excerpt, turn: Array) -> Excerpt:
@@ -309,15 +292,4 @@ def _signed_permutations() -> Iterator[Array]:
 
 def _axes(matrix: Array) -> str:
     """The axes that x, y and z become, such as `y, x, -z`."""
-    rows = []
-    for row in matrix:
-        column = int(np.argmax(np.abs(row)))
-        rows.append(("-" if row[column] < 0.0 else "") + "xyz"[column])
-    return ", ".join(rows)
-
-
-def _continuous_rows(attitude: Array) -> Array:
-    """Quaternions (W, K + 1, 4) with signs that make each window continuous."""
-    opposite = np.sum(attitude[:, 1:] * attitude[:, :-1], axis=2) < 0.0
-    signs = np.cumprod(np.where(opposite, -1.0, 1.0), axis=1)
-    return np.concatenate((attitude[:, :1], attitude[:, 1:] * signs[..., np.newaxis]), axis=1)
+    return ", ".join(("-" if row.sum() < 0.0 else "") + "xyz"[int(np.argmax(np.abs(row)))] for row in matrix)

@@ -14,14 +14,14 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.errors import LogError
-from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, Stamps, WindStream
+from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.rotations import rotate_body_to_world
 from quadpi_core.sample_limits import STANDARD_GRAVITY
-from quadpi_core.screening.rates import Seldom, seldom_topics
+from quadpi_core.screening.rates import seldom, seldom_topics
 from quadpi_core.screening.rotors_in_flight import Inertial
 from quadpi_core.screening.wild_samples import Beyond, beyond_limits
-from quadpi_core.signals.resample import nominal_rate
+from quadpi_core.signals.resample import interpolate_columns, nominal_rate
 from quadpi_core.thresholds import CONVENTION, Threshold
 from quadpi_core.vehicle import Vehicle
 
@@ -74,9 +74,8 @@ def missing_topics(recording: Recording) -> Iterator[str]:
             rate_hz = nominal_rate(recording.imu.time_ns)
         if rate_hz < _RATE_MARGIN * _SLOWEST_IMU_HZ:
             reason = "too slow for the dynamics of rotors and airframe"
-            remedy = recording.remedies.get("imu", "")
-            yield str(Seldom("imu", rate_hz, _SLOWEST_IMU_HZ, reason, remedy))
-    yield from map(str, seldom_topics(recording))
+            yield seldom("imu", rate_hz, _SLOWEST_IMU_HZ, reason, recording.remedies)
+    yield from seldom_topics(recording)
     for stream in recording.streams():
         if len(stream) == 1:
             yield f"{stream.topic} has a single sample: rules out all that needs it"
@@ -176,28 +175,19 @@ def _turning(recording: Recording, vehicle: Vehicle) -> tuple[Stamps, Array, Arr
 
 
 def _advance(recording: Recording, vehicle: Vehicle, time_ns: Stamps, squares: Array) -> Array:
-    """Speed in the air over that of the blades' tips (N,); infinite where no state tells."""
-    state = recording.pose or recording.odometry
+    """Speed in the air over that of the blades' tips (N,), from positions; infinite where no state tells."""
+    state, wind = recording.pose or recording.odometry, recording.wind
     if state is None:
         return np.full(len(squares), np.inf)
-    tips = vehicle.rotor_radius_m * 0.5 * np.sqrt(np.maximum(squares, 1.0))
-    return np.asarray(_airspeeds(state, recording.wind, time_ns) / tips)
-
-
-def _airspeeds(state: PoseStream | OdometryStream, wind: WindStream | None, time_ns: Stamps) -> Array:
-    """Speed in the air (N,) [m/s] at stamps, from the positions around them; infinite beyond them."""
-    clock, half_s = (state.time_ns - state.time_ns[0]) * 1e-9, 0.5 * _SPEED_S
-    at = (time_ns - state.time_ns[0]) * 1e-9
-    moved = np.array(
-        [
-            np.interp(at + half_s, clock, column) - np.interp(at - half_s, clock, column)
-            for column in state.position.T
-        ]
-    )
+    clock, at = ((stamps - state.time_ns[0]) * 1e-9 for stamps in (state.time_ns, time_ns))
+    half_s = 0.5 * _SPEED_S
+    moved = interpolate_columns(clock, state.position, at + half_s)
+    moved -= interpolate_columns(clock, state.position, at - half_s)
     if wind is not None and len(wind):
-        moved -= _SPEED_S * np.array([np.interp(time_ns, wind.time_ns, column) for column in wind.velocity.T])
+        moved -= _SPEED_S * interpolate_columns(wind.time_ns, wind.velocity, time_ns)
     within = (at >= half_s) & (at <= clock[-1] - half_s)
-    return np.asarray(np.where(within, np.linalg.norm(moved, axis=0) / _SPEED_S, np.inf))
+    speed = np.where(within, np.linalg.norm(moved, axis=1) / _SPEED_S, np.inf)
+    return np.asarray(speed / (vehicle.rotor_radius_m * 0.5 * np.sqrt(np.maximum(squares, 1.0))))
 
 
 def _specific_force(imu: ImuStream) -> Iterator[str]:
@@ -217,21 +207,16 @@ def _specific_force(imu: ImuStream) -> Iterator[str]:
 def _rates(recording: Recording) -> Iterator[str]:
     for stream in _attitude_streams(recording):
         gyro, attitude, turning = _rotation_rates(recording.imu, stream)
+        turns = f"topic imu: the gyro turns at {gyro:.3g} rad/s while {stream.topic} turns at"
         if gyro > _TURNING_RAD_S and not np.any(stream.attitude != stream.attitude[0]):
             yield (
                 f"topic {stream.topic}: the attitude is the same in every sample while the gyro turns at "
                 f"{gyro:.3g} rad/s: it is not measured, or of a body that does not move"
             )
         elif gyro > _TURNING_RAD_S and gyro > _LARGEST_RATIO * attitude:
-            yield (
-                f"topic imu: the gyro turns at {gyro:.3g} rad/s while {stream.topic} turns at "
-                f"{attitude:.3g}: looks like deg/s"
-            )
+            yield f"{turns} {attitude:.3g}: looks like deg/s"
         elif turning > _TURNING_RAD_S and turning > _LARGEST_RATIO_OF_ATTITUDE * gyro:
-            yield (
-                f"topic imu: the gyro turns at {gyro:.3g} rad/s while {stream.topic} turns at "
-                f"{turning:.3g}: looks like rad/s taken for deg/s, or a wrong unit of time"
-            )
+            yield f"{turns} {turning:.3g}: looks like rad/s taken for deg/s, or a wrong unit of time"
 
 
 def _attitude_streams(recording: Recording) -> Iterator[PoseStream | OdometryStream]:
@@ -257,9 +242,13 @@ def _rotation_rates(imu: ImuStream, stream: PoseStream | OdometryStream) -> tupl
     clock, attitude = stream.time_ns[seen] * 1e-9, stream.attitude[seen]
     spacing = max(float(np.median(np.diff(clock))), 1e-9)
     short, long = (slice(None, None, max(1, round(n * _ATTITUDE_STEP_S / spacing))) for n in (1, 2))
-    turned = np.diff(np.stack([np.interp(clock[short], time, column) for column in angle.T], axis=1), axis=0)
-    by_gyro = _median(np.linalg.norm(turned, axis=1) / np.diff(clock[short]))
-    by_short, by_long = (_median(_turned(attitude[s]) / np.diff(clock[s])) for s in (short, long))
+    turned = np.diff(interpolate_columns(time, angle, clock[short]), axis=0)
+
+    def median_rate(turns: Array, times: Array) -> float:
+        return float(np.median(turns / np.diff(times))) if len(turns) else 0.0
+
+    by_gyro = median_rate(np.linalg.norm(turned, axis=1), clock[short])
+    by_short, by_long = (median_rate(_turned(attitude[s]), clock[s]) for s in (short, long))
     # Over twice the step, noise contributes half the rate, and the motion the same.
     return by_gyro, by_short, math.sqrt(max(4.0 * by_long**2 - by_short**2, 0.0) / 3.0)
 
@@ -272,13 +261,7 @@ def _beside(imu: ImuStream, stream: PoseStream | OdometryStream) -> npt.NDArray[
 def _turned(attitude: Array) -> Array:
     """Angle (N - 1,) [rad] from each attitude (N, 4) to the next."""
     cosine = np.abs(np.sum(attitude[1:] * attitude[:-1], axis=1)).clip(max=1.0)
-    angle: Array = 2.0 * np.arccos(cosine)
-    return angle
-
-
-def _median(values: Array) -> float:
-    """The median; zero of no values."""
-    return float(np.median(values)) if len(values) else 0.0
+    return np.asarray(2.0 * np.arccos(cosine))
 
 
 def _up(recording: Recording) -> Iterator[str]:
@@ -290,11 +273,10 @@ def _up(recording: Recording) -> Iterator[str]:
     force = imu.specific_force[known]
     for stream in _attitude_streams(recording):
         seen = finite_rows(stream.attitude) & _beside(imu, stream)
-        nearest = np.searchsorted(imu.time_ns[known], stream.time_ns[seen]).clip(0, len(force) - 1)
-        in_world = rotate_body_to_world(stream.attitude[seen], force[nearest])
         if not np.any(seen):
             continue
-        up = -float(np.mean(in_world[:, 2]))
+        nearest = np.searchsorted(imu.time_ns[known], stream.time_ns[seen]).clip(0, len(force) - 1)
+        up = -float(np.mean(rotate_body_to_world(stream.attitude[seen], force[nearest])[:, 2]))
         low, high = _MEAN_UP_G
         if up < 0.3 * np.median(np.linalg.norm(force, axis=1)):
             yield f"topic {stream.topic}: attitude and specific force disagree on what is up: wrong frames?"

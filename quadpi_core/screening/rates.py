@@ -8,11 +8,10 @@ Said by `import` and `info`, and the reason of the refusal where such a topic is
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import NamedTuple
 
 import numpy as np
 
-from quadpi_core.flight import MAX_GAP_NS, Recording, Stamps, Stream
+from quadpi_core.flight import MAX_GAP_NS, Recording
 from quadpi_core.signals.resample import nominal_rate
 from quadpi_core.thresholds import CONVENTION, Threshold
 
@@ -32,55 +31,34 @@ _STARTS = f"the estimator starts with {START_POSES} poses within {1e-9 * START_N
 _USES = "identification, prediction and replay"
 
 
-class Seldom(NamedTuple):
-    """A topic that comes too seldom.
+def seldom(topic: str, rate_hz: float, needed_hz: float, reason: str, remedies: Mapping[str, str]) -> str:
+    """The sentence on a topic that comes too seldom.
 
-    Attributes:
+    Args:
         topic: its name.
         rate_hz: at which it comes.
         needed_hz: at which it must.
         reason: for that, in words.
-        remedy: what to set, or empty.
+        remedies: what to set, by topic.
     """
-
-    topic: str
-    rate_hz: float
-    needed_hz: float
-    reason: str
-    remedy: str
-
-    def __str__(self) -> str:
-        remedy = f"; {self.remedy}" if self.remedy else ""
-        return (
-            f"{self.topic} at {self.rate_hz:.3g} Hz: rules out {_USES}, which need {self.needed_hz:g} Hz or "
-            f"more ({self.reason}){remedy}"
-        )
+    remedy = f"; {remedies[topic]}" if remedies.get(topic) else ""
+    needed = f"which need {needed_hz:g} Hz or more ({reason}){remedy}"
+    return f"{topic} at {rate_hz:.3g} Hz: rules out {_USES}, {needed}"
 
 
-def seldom_topics(recording: Recording) -> Iterator[Seldom]:
-    """The topics that come too seldom for a model: rotor speeds, and the state or motion capture."""
+def seldom_topics(recording: Recording) -> Iterator[str]:
+    """On topics that come too seldom for a model: rotor speeds, and the state or motion capture."""
     mocap = recording.pose or recording.twist
-    if mocap is not None and len(mocap) > 1 and not _starts(mocap.time_ns):
-        yield _seldom(mocap, _START_HZ, _STARTS, recording.remedies)
+    if mocap is not None and len(mocap) > 1:
+        spans = mocap.time_ns[START_POSES - 1 :] - mocap.time_ns[: 1 - START_POSES]
+        if not np.any(spans <= START_NS):
+            rate_hz = nominal_rate(mocap.time_ns)
+            yield seldom(mocap.topic, rate_hz, _START_HZ, _STARTS, recording.remedies)
     for stream in (recording.rotor_speeds, None if mocap is not None else recording.odometry):
-        if stream is not None and len(stream) > 1 and _is_seldom(stream.time_ns):
-            yield _seldom(stream, _BRIDGED_HZ, _BRIDGED, recording.remedies)
-
-
-def _seldom(stream: Stream, needed_hz: float, reason: str, remedies: Mapping[str, str]) -> Seldom:
-    remedy = remedies.get(stream.topic, "")
-    return Seldom(stream.topic, nominal_rate(stream.time_ns), needed_hz, reason, remedy)
-
-
-def _starts(time_ns: Stamps) -> bool:
-    """Whether there are enough poses within START_NS anywhere."""
-    spans = time_ns[START_POSES - 1 :] - time_ns[: 1 - START_POSES]
-    return bool(np.any(spans <= START_NS))
-
-
-def _is_seldom(time_ns: Stamps) -> bool:
-    steps = np.diff(time_ns)
-    return bool(np.any(steps > MAX_GAP_NS)) and nominal_rate(time_ns) < _BRIDGED_HZ
+        if stream is not None and np.any(np.diff(stream.time_ns) > MAX_GAP_NS):
+            rate_hz = nominal_rate(stream.time_ns)
+            if rate_hz < _BRIDGED_HZ:
+                yield seldom(stream.topic, rate_hz, _BRIDGED_HZ, _BRIDGED, recording.remedies)
 
 
 class RunningRates:
@@ -98,15 +76,14 @@ class RunningRates:
                 first, _, count = self._spans.get(stream.topic, (int(stream.time_ns[0]), 0, 0))
                 self._spans[stream.topic] = first, int(stream.time_ns[-1]), count + len(stream)
 
-    def seldom(self) -> Iterator[Seldom]:
-        """The topics that come too seldom, by their mean rates."""
+    def seldom(self) -> Iterator[str]:
+        """On topics that come too seldom, by their mean rates."""
         mocap = [topic for topic in self._spans if topic.startswith("mocap/")][:1]
-        bridged = ["rotor_speeds", *([] if mocap else ["odometry"])]
-        needs = [(topic, _START_HZ, _STARTS) for topic in mocap]
-        needs += [(topic, _BRIDGED_HZ, _BRIDGED) for topic in bridged]
-        for topic, needed_hz, reason in needs:
+        needs = dict.fromkeys(mocap, (_START_HZ, _STARTS))
+        needs |= dict.fromkeys(["rotor_speeds", *([] if mocap else ["odometry"])], (_BRIDGED_HZ, _BRIDGED))
+        for topic, (needed_hz, reason) in needs.items():
             first_ns, last_ns, count = self._spans.get(topic, (0, 0, 0))
             if count > 1 and last_ns > first_ns:
                 rate_hz = 1e9 * (count - 1) / (last_ns - first_ns)
                 if rate_hz < needed_hz:
-                    yield Seldom(topic, rate_hz, needed_hz, reason, self._remedies.get(topic, ""))
+                    yield seldom(topic, rate_hz, needed_hz, reason, self._remedies)

@@ -9,7 +9,7 @@ inertia to mass times arm.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 from itertools import combinations, permutations
 
 import numpy as np
@@ -39,9 +39,8 @@ _LAGS_S = 0.3
 _CARRYING_SHARE = 0.4
 
 
-@dataclass(frozen=True)
 class RotorEvidence:
-    """Agreement of rotor speeds with the motion of a vehicle.
+    """Agreement of rotor speeds with the motion of a vehicle; what is costly is found when it is asked for.
 
     Attributes:
         lag_s: delay of the rotor speeds.
@@ -55,153 +54,133 @@ class RotorEvidence:
         spins_inverted: whether inverted spins fit best.
         order_correlation: (3,) correlation with this order and these spins.
         mean_squares: (4,) of each rotor, over the flight.
-        followed: share of the fast accelerations about roll and pitch, and of the fast changes of thrust,
-            that the squares explain in the median of the pieces louder than noise, beyond what they explain
-            when moved in time, of what that leaves; None if these pieces are few.
-        growth: relative change of the thrust over that of the sum of squares; near 1, and None where they do
-            not correlate.
-        same: two rotors whose speeds are one; None if there are none.
         windows: how many windows of flight all of this is of.
     """
 
-    lag_s: float
-    explained: float
-    explained_now: float
-    correlation: Array
-    ratio: Array
-    order: tuple[int, ...]
-    spins_inverted: bool
-    order_correlation: Array
-    mean_squares: Array
-    followed: float | None = None
-    growth: float | None = None
-    same: tuple[int, int] | None = None
-    windows: int = 1
+    def __init__(self, sample: RotorExcerpt, vehicle: Vehicle) -> None:
+        step, cells, margin = sample.step_s, sample.rates.shape[1], sample.margin
+        self._sample = sample
+        self._acceleration = np.zeros_like(sample.rates)
+        self._acceleration[:, 1:-1] = (sample.rates[:, 2:] - sample.rates[:, :-2]) / (2.0 * step)
+        # Damping is proportional to the rates. The first and the last cell have no central difference.
+        basis, _ = np.linalg.qr(_band(sample.rates[:, 1:-1], step).reshape(-1, 3))
+
+        def undamped(values: Array) -> Array:
+            return np.asarray(values - basis @ (basis.T @ values))
+
+        moving = undamped(_band(self._acceleration[:, 1:-1], step).reshape(-1, 3))
+        lifting = _band(-sample.force[:, 1:-1, 2:], step).reshape(-1, 1)
+        signals = np.concatenate((moving[:, :2], lifting), axis=1)
+        lags = range(-round(_LAGS_S / step), round(_LAGS_S / step) + 1)
+        explained = [_explained(_shifted(sample.squares, margin + lag, cells, step), signals) for lag in lags]
+        best = int(np.argmax(explained))
+        self.lag_s = float(lags[best] * step)
+        self.explained, self.explained_now = explained[best], explained[len(lags) // 2]
+        self._first = margin + lags[best]
+        shown = undamped(_shifted(sample.squares, self._first, cells, step))
+        places = vehicle.rotor_positions
+        levers = np.stack((-places[:, 1], places[:, 0], -vehicle.rotor_spins))
+        self.correlation, gain = _correlation(moving, shown @ levers.T)
+        self._now = sample.squares[:, margin : margin + cells]
+        totals = self._now.sum(axis=2)
+        thrust = float(vehicle.mass_kg * np.sum(-sample.force[..., 2] * totals) / np.sum(totals**2))
+        self.ratio = gain[:2] * np.diag(vehicle.inertia)[:2] / thrust
+        self.order, self.spins_inverted, self.order_correlation = _best_order(moving, shown, levers)
+        self.mean_squares = self._now.reshape(-1, ROTORS).mean(axis=0)
+        self.windows = len(self._now)
+
+    @property
+    def same(self) -> tuple[int, int] | None:
+        """Two rotors whose speeds are one, in nearly every cell; None if there are none."""
+        pairs = combinations(range(ROTORS), 2)
+        now = self._now
+        return next((p for p in pairs if np.mean(now[..., p[0]] == now[..., p[1]]) > _SAME_SHARE), None)
+
+    @property
+    def growth(self) -> float | None:
+        """Relative change of the thrust over that of the sum of squares, in the median window.
+
+        Near 1, and None where they do not correlate.
+        """
+        length = 2 * round(0.5 * _THRUST_S / self._sample.step_s) + 1
+        ratios = []
+        for thrust, total in zip(
+            _mean(-self._sample.force[..., 2:], length)[..., 0],
+            _mean(self._now.sum(axis=2, keepdims=True), length)[..., 0],
+            strict=True,
+        ):
+            turning = (total > 0.5 * np.median(total)) & (thrust > 0.0)
+            if np.sum(turning) < length:
+                continue
+            risen, more = (np.log(one[turning]) - np.log(one[turning]).mean() for one in (thrust, total))
+            power = float(np.sqrt(np.sum(risen**2) * np.sum(more**2)))
+            if risen @ more >= _THRUST_FOLLOWS * power > 0.0:
+                ratios.append(float(np.sqrt(np.sum(risen**2) / np.sum(more**2))))
+        return float(np.median(ratios)) if ratios else None
+
+    @property
+    def followed(self) -> float | None:
+        """Share of the fast motion that the squares explain beyond chance, of what chance leaves.
+
+        Of the accelerations about roll and pitch and the changes of thrust, in the median of the pieces
+        louder than noise; chance is what the squares explain when moved in time. None if such are few.
+        """
+        rates, force, step = self._sample.rates, self._sample.force, self._sample.step_s
+        signals = np.concatenate((self._acceleration[:, 1:-1, :2], -force[:, 1:-1, 2:]), axis=2)
+        noise = _whiteness(np.concatenate((rates[..., :2], force[..., 2:]), axis=2))
+        squares = self._sample.squares[:, self._first :][:, : rates.shape[1]]
+        piece = round(_PIECE_S / step)
+
+        def pieces(values: Array) -> Array:
+            busy = _band(values, step, _BUSY_SLOW_S, _BUSY_FAST_S)
+            count = busy.shape[1] // piece
+            return np.asarray(busy[:, : count * piece].reshape(-1, piece, values.shape[2]))
+
+        impulse = np.zeros((1, 2 * signals.shape[1] + 1, 2))
+        impulse[0, signals.shape[1], 0] = 1.0
+        impulse[0, signals.shape[1] + np.array([-1, 1]), 1] = np.array([-0.5, 0.5]) / step
+        direct, derived = np.linalg.norm(_band(impulse, step, _BUSY_SLOW_S, _BUSY_FAST_S)[0], axis=0)
+        heard = []
+        for signal, floor in zip(
+            np.moveaxis(pieces(signals), 2, 0), noise * (derived, derived, direct), strict=True
+        ):
+            size = np.sqrt(np.mean(signal**2, axis=1, keepdims=True))
+            loud = size[:, 0] > _LOUD * floor
+            if np.sum(loud) >= _FEWEST_PIECES:
+                heard.append((loud, 1.0 / size[loud], signal[loud] / size[loud]))
+        if len(heard) < 2:
+            return None
+
+        def share(moved: Array) -> float:
+            """Of the signals, in the median piece, that any four coefficients explain."""
+            medians, shown = [], pieces(_smoothed(moved))
+            for loud, weight, signal in heard:
+                told = shown[loud] * weight[..., np.newaxis]
+                coefficients, *_ = np.linalg.lstsq(told.reshape(-1, ROTORS), signal.ravel(), rcond=None)
+                medians.append(np.median(np.mean((signal - told @ coefficients) ** 2, axis=1)))
+            return 1.0 - float(np.mean(medians))
+
+        apart, every = (round(length / step) for length in (_BUSY_SLOW_S, _APART_S))
+        shifts = range(apart, squares.shape[1] - apart, every)
+        chance = max(share(np.roll(squares, shift, axis=1)) for shift in shifts)
+        return (share(squares) - chance) / (1.0 - chance)
 
 
 def rotor_evidence(sample: RotorExcerpt, vehicle: Vehicle) -> RotorEvidence | None:
     """Compare rotor speeds and motion of an excerpt; None if the rotors never turn."""
-    cells, step = sample.rates.shape[1], sample.step_s
-    inside = slice(sample.margin, sample.margin + cells)
+    inside = slice(sample.margin, sample.margin + sample.rates.shape[1])
     level = sample.squares[:, inside].sum(axis=2).mean(axis=1)
-    flying = level > _CARRYING_SHARE * level.max()
     if level.max() <= 0.0:
         return None
+    flying = level > _CARRYING_SHARE * level.max()
     rates, force, squares = sample.rates[flying], sample.force[flying], sample.squares[flying]
-    acceleration = np.zeros_like(rates)
-    acceleration[:, 1:-1] = (rates[:, 2:] - rates[:, :-2]) / (2.0 * step)
-    # The first and the last cell have no central difference.
-    moving = _band(acceleration[:, 1:-1], step)
-    lifting = _band(-force[:, 1:-1, 2:], step)
-    turning = _band(rates[:, 1:-1], step).reshape(-1, 3)
-    damped = _Projection(turning)
-    moving, lifting = damped(moving.reshape(-1, 3)), lifting.reshape(-1, 1)
-    signals = np.concatenate((moving[:, :2], lifting), axis=1)
-    lags = range(-round(_LAGS_S / step), round(_LAGS_S / step) + 1)
-    explained = [_explained(_shifted(squares, sample.margin + lag, cells, step), signals) for lag in lags]
-    best = int(np.argmax(explained))
-    shown = _shifted(squares, sample.margin + lags[best], cells, step)
-    shown = damped(shown)
-    now = squares[:, inside]
-    totals = now.sum(axis=2)
-    thrust = float(vehicle.mass_kg * np.sum(-force[..., 2] * totals) / np.sum(totals**2))
-    levers = np.stack((-vehicle.rotor_positions[:, 1], vehicle.rotor_positions[:, 0], -vehicle.rotor_spins))
-    correlation, gain = _correlation(moving, shown @ levers.T)
-    inertia = np.diag(vehicle.inertia)
-    order, inverted, ordered = _best_order(moving, shown, levers)
-    return RotorEvidence(
-        lag_s=float(lags[best] * step),
-        explained=explained[best],
-        explained_now=explained[len(lags) // 2],
-        correlation=correlation,
-        ratio=gain[:2] * inertia[:2] / thrust,
-        order=order,
-        spins_inverted=inverted,
-        order_correlation=ordered,
-        mean_squares=now.reshape(-1, ROTORS).mean(axis=0),
-        followed=_followed(
-            np.concatenate((acceleration[:, 1:-1, :2], -force[:, 1:-1, 2:]), axis=2),
-            _whiteness(np.concatenate((rates[..., :2], force[..., 2:]), axis=2)),
-            squares[:, sample.margin + lags[best] :][:, :cells],
-            step,
-        ),
-        growth=_growth(-force[..., 2], totals, step),
-        same=_same_rotors(now),
-        windows=len(now),
-    )
-
-
-def _followed(signals: Array, noise: Array, squares: Array, step: float) -> float | None:
-    """See :class:`RotorEvidence`; signals (W, K - 2, 3) with the noise (3,) of what they are made of."""
-    piece = round(_PIECE_S / step)
-
-    def pieces(values: Array) -> Array:
-        busy = _band(values, step, _BUSY_SLOW_S, _BUSY_FAST_S)
-        count = busy.shape[1] // piece
-        return np.asarray(busy[:, : count * piece].reshape(-1, piece, values.shape[2]))
-
-    impulse = np.zeros((1, 2 * signals.shape[1] + 1, 2))
-    impulse[0, signals.shape[1], 0] = 1.0
-    impulse[0, signals.shape[1] + np.array([-1, 1]), 1] = np.array([-0.5, 0.5]) / step
-    direct, derived = np.linalg.norm(_band(impulse, step, _BUSY_SLOW_S, _BUSY_FAST_S)[0], axis=0)
-    heard = []
-    for signal, floor in zip(
-        np.moveaxis(pieces(signals), 2, 0), noise * (derived, derived, direct), strict=True
-    ):
-        size = np.sqrt(np.mean(signal**2, axis=1, keepdims=True))
-        loud = size[:, 0] > _LOUD * floor
-        if np.sum(loud) >= _FEWEST_PIECES:
-            heard.append((loud, 1.0 / size[loud], signal[loud] / size[loud]))
-    if len(heard) < 2:
-        return None
-
-    def share(shown: Array) -> float:
-        """Of the signals, in the median piece, that any four coefficients explain."""
-        medians = []
-        for loud, weight, signal in heard:
-            told = shown[loud] * weight[..., np.newaxis]
-            coefficients, *_ = np.linalg.lstsq(told.reshape(-1, ROTORS), signal.ravel(), rcond=None)
-            medians.append(np.median(np.mean((signal - told @ coefficients) ** 2, axis=1)))
-        return 1.0 - float(np.mean(medians))
-
-    own = share(pieces(_smoothed(squares)))
-    apart, every = (round(length / step) for length in (_BUSY_SLOW_S, _APART_S))
-    chance = max(
-        share(pieces(_smoothed(np.roll(squares, shift, axis=1))))
-        for shift in range(apart, squares.shape[1] - apart, every)
-    )
-    return (own - chance) / (1.0 - chance)
+    return RotorEvidence(replace(sample, rates=rates, force=force, squares=squares), vehicle)
 
 
 def _whiteness(values: Array) -> Array:
     """Standard deviation (C,) of the white noise of values (W, K, C), from their second differences."""
     rough = np.median(np.diff(values, 2, axis=1) ** 2, axis=(0, 1))
     return np.asarray(np.sqrt(rough / _MEDIAN_SQUARE / _SECOND_DIFFERENCE))
-
-
-def _growth(lift: Array, totals: Array, step: float) -> float | None:
-    """See :class:`RotorEvidence`, of lift and sums of squares (W, K), in the median window."""
-    length = 2 * round(0.5 * _THRUST_S / step) + 1
-    ratios = []
-    for thrust, total in zip(
-        *(_mean(one[..., np.newaxis], length)[..., 0] for one in (lift, totals)), strict=True
-    ):
-        turning = (total > 0.5 * np.median(total)) & (thrust > 0.0)
-        if np.sum(turning) < length:
-            continue
-        risen, more = (np.log(one[turning]) - np.log(one[turning]).mean() for one in (thrust, total))
-        power = float(np.sqrt(np.sum(risen**2) * np.sum(more**2)))
-        if risen @ more >= _THRUST_FOLLOWS * power > 0.0:
-            ratios.append(float(np.sqrt(np.sum(risen**2) / np.sum(more**2))))
-    return float(np.median(ratios)) if ratios else None
-
-
-def _same_rotors(squares: Array) -> tuple[int, int] | None:
-    """Two columns of squares (W, K, 4) that are equal in nearly every cell."""
-    for one, other in combinations(range(ROTORS), 2):
-        if np.mean(squares[..., one] == squares[..., other]) > _SAME_SHARE:
-            return one, other
-    return None
 
 
 def _best_order(moving: Array, squares: Array, levers: Array) -> tuple[tuple[int, ...], bool, Array]:
@@ -241,16 +220,6 @@ def _shifted(squares: Array, first: int, cells: int, step: float) -> Array:
 def _smoothed(squares: Array) -> Array:
     """Squares (W, K, 4) weighted as a central difference weights the acceleration."""
     return np.asarray(0.25 * squares[:, :-2] + 0.5 * squares[:, 1:-1] + 0.25 * squares[:, 2:])
-
-
-class _Projection:
-    """Removes from signals (N, C) their projection on others (N, D): damping is proportional to the rates."""
-
-    def __init__(self, others: Array) -> None:
-        self._basis, _ = np.linalg.qr(others)
-
-    def __call__(self, signals: Array) -> Array:
-        return np.asarray(signals - self._basis @ (self._basis.T @ signals))
 
 
 def _band(values: Array, step: float, slow_s: float = _SLOW_S, fast_s: float = _FAST_S) -> Array:

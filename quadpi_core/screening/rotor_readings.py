@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
 
 from quadpi_core.flight import Recording, Stamps
 from quadpi_core.frames import Array
@@ -21,11 +20,12 @@ from quadpi_core.screening.rotors_in_flight import (
     STUCK_S,
     ZERO_RAD_S,
     Inertial,
-    carrying,
     has_stopped,
+    in_flight,
     resolution,
     runs_of,
 )
+from quadpi_core.screening.sample_order import Mask, Rows
 from quadpi_core.thresholds import Threshold
 from quadpi_core.unusable_readings import HELD, READS_ZERO
 
@@ -69,25 +69,18 @@ class RotorScreening:
     def __init__(self) -> None:
         self.samples = 0
         # Half of the digits do: they are kept for the whole of a long flight.
-        self._speeds, self._lift, self._rates = Column(), Column(), Column()
+        self._columns = (Column(), Column(), Column())
 
     def add(self, block: Recording) -> None:
         """Examine the next block."""
         if block.rotor_speeds is None:
             return
         self.samples += len(block.rotor_speeds)
-        inertial = Inertial.of(block)
-        kept = (
-            (self._speeds, block.rotor_speeds.speeds),
-            (self._lift, inertial.lift),
-            (self._rates, inertial.rates),
-        )
-        for column, values in kept:
-            column.extend(values.astype(np.float32))
+        values = (block.rotor_speeds.speeds, *Inertial.of(block)[1:])
+        for column, part in zip(self._columns, values, strict=True):
+            column.extend(part.astype(np.float32))
 
-    def finish(
-        self, rotors_ns: Stamps, imu_ns: Stamps, already: npt.NDArray[np.int64]
-    ) -> Iterator[tuple[npt.NDArray[np.int64], str]]:
+    def finish(self, rotors_ns: Stamps, imu_ns: Stamps, already: Rows) -> Iterator[tuple[Rows, str]]:
         """Indices of the samples of the rotor speeds that are no measurements, and why, in words.
 
         Args:
@@ -97,7 +90,7 @@ class RotorScreening:
         """
         if not self.samples:
             return
-        speeds = self._speeds.whole()
+        speeds, lift, rates = (column.whole() for column in self._columns)
         usable = np.isfinite(speeds).all(axis=1)
         usable[already] &= np.any(speeds[already] < ZERO_RAD_S.value, axis=1)
         repeats = usable & held(speeds)
@@ -106,15 +99,13 @@ class RotorScreening:
             rate_hz = np.count_nonzero(usable & ~repeats) / max(seconds, 1e-9)
             yield np.flatnonzero(repeats), f"in which {HELD}: its source gives {rate_hz:.3g} Hz"
             usable &= ~repeats
-        lift, rates = self._lift.whole(), self._rates.whole()
-        seen = np.isfinite(lift) & np.isfinite(rates).all(axis=1)
-        if np.any(speeds[usable] < ZERO_RAD_S.value) and np.any(seen):
-            inertial = Inertial(imu_ns[seen], lift[seen], rates[seen])
+        inertial = Inertial(imu_ns, lift, rates).finite()
+        if np.any(speeds[usable] < ZERO_RAD_S.value) and len(inertial.time_ns):
             zeros = dropped_out(rotors_ns[usable], speeds[usable], inertial)
             yield np.flatnonzero(usable)[zeros], f"in which {READS_ZERO}"
 
 
-def dropped_out(time_ns: Stamps, speeds: Array, inertial: Inertial) -> npt.NDArray[np.bool_]:
+def dropped_out(time_ns: Stamps, speeds: Array, inertial: Inertial) -> Mask:
     """Samples (N,) around readings of 0 in flight, for less than STUCK_S, of a rotor that has not stopped.
 
     Args:
@@ -126,24 +117,24 @@ def dropped_out(time_ns: Stamps, speeds: Array, inertial: Inertial) -> npt.NDArr
     standing = speeds < ZERO_RAD_S.value
     if not np.any(standing) or np.any(np.diff(time_ns) <= 0):
         return dropped
-    flying = carrying(_bridged(speeds, standing), inertial.lift_at(time_ns), STANDARD_GRAVITY)
-    turning_ns = time_ns[flying]
-    if len(turning_ns) == 0 or inertial.stands(int(turning_ns[0]), int(turning_ns[-1])):
+    # The last reading before, or at the start the first one after, stands for 0.
+    before, after = _whole_around(~standing)
+    bridged = np.where(before >= 0, before, np.minimum(after, len(speeds) - 1))
+    flying = in_flight(time_ns, np.take_along_axis(speeds, bridged, axis=0), inertial, STANDARD_GRAVITY)
+    if flying is None:
         return dropped
-    rows = np.arange(len(speeds))
     for rotor, column in enumerate(standing.T):
         turning = speeds[flying & ~column, rotor]
         if len(turning) == 0:
             continue
         whole = speeds[:, rotor] >= TURNS_SHARE.value * float(np.median(turning))
         # The ends of a recording are no evidence of a rotor that stands before or after it.
-        before = np.maximum.accumulate(np.where(whole, rows, -1))
-        after = np.minimum.accumulate(np.where(whole, rows, len(rows))[::-1])[::-1]
+        before, after = _whole_around(whole)
         for begin, end in runs_of(column):
             first, last = int(before[begin]), int(after[end - 1])
-            if (first < 0 < begin) or (last == len(rows) > end):
+            if (first < 0 < begin) or (last == len(speeds) > end):
                 continue
-            around_s = float(time_ns[min(last, len(rows) - 1)] - time_ns[max(first, 0)]) * 1e-9
+            around_s = float(time_ns[min(last, len(speeds) - 1)] - time_ns[max(first, 0)]) * 1e-9
             if around_s >= STUCK_S.value or not np.all(flying[max(first, 0) : last + 1]):
                 continue
             if around_s <= RETURNS_S.value or not has_stopped(time_ns, speeds, rotor, begin, inertial):
@@ -151,15 +142,16 @@ def dropped_out(time_ns: Stamps, speeds: Array, inertial: Inertial) -> npt.NDArr
     return dropped
 
 
-def _bridged(speeds: Array, standing: npt.NDArray[np.bool_]) -> Array:
-    """Speeds in which the last reading before, or at the start the first one after, stands for 0."""
-    rows = np.arange(len(speeds))[:, np.newaxis]
-    before = np.maximum.accumulate(np.where(standing, -1, rows), axis=0)
-    after = np.minimum.accumulate(np.where(standing, len(speeds) - 1, rows)[::-1], axis=0)[::-1]
-    return np.take_along_axis(speeds, np.where(before >= 0, before, after), axis=0)
+def _whole_around(whole: Mask) -> tuple[Rows, Rows]:
+    """The last whole sample (N, ...) up to each, and the first from each on; −1 and N without one."""
+    count = len(whole)
+    rows = np.arange(count).reshape(-1, *[1] * (whole.ndim - 1))
+    before = np.maximum.accumulate(np.where(whole, rows, -1), axis=0)
+    after = np.minimum.accumulate(np.where(whole, rows, count)[::-1], axis=0)[::-1]
+    return before, after
 
 
-def held(speeds: Array) -> npt.NDArray[np.bool_]:
+def held(speeds: Array) -> Mask:
     """Samples (N,) that repeat the one before, where a slow source is held in a fast table; else none.
 
     Args:

@@ -117,10 +117,15 @@ class Inertial(NamedTuple):
 
     def between(self, from_ns: int, to_ns: int) -> Inertial:
         """The samples of a time, ends included."""
-        part = slice(
-            int(np.searchsorted(self.time_ns, from_ns)), int(np.searchsorted(self.time_ns, to_ns, "right"))
-        )
-        return Inertial(self.time_ns[part], self.lift[part], self.rates[part])
+        return self.at(slice(*np.searchsorted(self.time_ns, (from_ns, to_ns + 1))))
+
+    def at(self, rows: slice | npt.NDArray[np.bool_]) -> Inertial:
+        """The samples in a range, or that a mask (M,) selects."""
+        return Inertial(self.time_ns[rows], self.lift[rows], self.rates[rows])
+
+    def finite(self) -> Inertial:
+        """The samples whose numbers are finite."""
+        return self.at(np.isfinite(self.lift) & np.isfinite(self.rates).all(axis=1))
 
 
 def carrying(speeds: Array, lift: Array, gravity_m_s2: float) -> npt.NDArray[np.bool_]:
@@ -136,6 +141,17 @@ def carrying(speeds: Array, lift: Array, gravity_m_s2: float) -> npt.NDArray[np.
     squares = np.square(speeds).sum(axis=1)
     thrust_m_s2 = squares * (lift @ squares) / max(squares @ squares, 1.0)
     return np.asarray(thrust_m_s2 > _CARRYING_SHARE * gravity_m_s2)
+
+
+def in_flight(
+    time_ns: Stamps, speeds: Array, inertial: Inertial, gravity_m_s2: float
+) -> npt.NDArray[np.bool_] | None:
+    """:func:`carrying` at the stamps (N,) of the speeds; None if they never do, or the vehicle stands."""
+    flying = carrying(speeds, inertial.lift_at(time_ns), gravity_m_s2)
+    turning_ns = time_ns[flying]
+    if len(turning_ns) == 0 or inertial.stands(int(turning_ns.min()), int(turning_ns.max())):
+        return None
+    return flying
 
 
 def resolution(speeds: Array) -> Array:
@@ -167,22 +183,27 @@ def has_stopped(time_ns: Stamps, speeds: Array, rotor: int, begin: int, inertial
     """
     if begin == 0:
         return False
-    first = min(int(np.searchsorted(time_ns, time_ns[begin] - round(_SLOWS_S * 1e9))), begin - 1)
+
+    def row(stamp_ns: int, seconds: float) -> int:
+        return int(np.searchsorted(time_ns, stamp_ns + round(seconds * 1e9)))
+
+    from_ns = int(time_ns[begin])
+    first = min(row(from_ns, -_SLOWS_S), begin - 1)
     # It may slow down before it reads 0; its thrust then goes from there on.
     reading = speeds[first:begin, rotor]
     whole = first + int(np.flatnonzero(reading >= _WHOLE_SHARE * np.max(reading))[-1])
     end = begin + int(np.argmax(np.append(speeds[begin:, rotor] >= ZERO_RAD_S.value, True)))
-    end = min(end, int(np.searchsorted(time_ns, time_ns[begin] + round(_DURING_S * 1e9), "right")))
-    earlier = slice(int(np.searchsorted(time_ns, time_ns[whole] - round(_BEFORE_S * 1e9))), whole + 1)
-    slows_ns, from_ns, to_ns = int(time_ns[whole]), int(time_ns[begin]), int(time_ns[end - 1])
-    before = inertial.between(int(time_ns[earlier.start]), slows_ns)
-    during = inertial.between(min(max(slows_ns + round(_LAG_S * 1e9), from_ns), to_ns), to_ns)
-    if len(before.time_ns) == 0 or len(during.time_ns) == 0:
+    end = min(end, row(from_ns + 1, _DURING_S))
+    slows_ns, to_ns = int(time_ns[whole]), int(time_ns[end - 1])
+    earlier = slice(row(slows_ns, -_BEFORE_S), whole + 1)
+    before = inertial.between(int(time_ns[earlier.start]), slows_ns).lift
+    during = inertial.between(min(max(slows_ns + round(_LAG_S * 1e9), from_ns), to_ns), to_ns).lift
+    if len(before) == 0 or len(during) == 0:
         return False
-    own = float(np.mean(np.square(speeds[earlier, rotor])))
-    gain = float(np.mean(before.lift)) / max(float(np.mean(np.square(speeds[earlier]).sum(axis=1))), 1.0)
     others = np.delete(speeds[begin:end], rotor, axis=1)
-    left = float(np.mean(during.lift)) / max(gain, 1e-12) - float(np.mean(np.square(others).sum(axis=1)))
+    own = float(np.mean(np.square(speeds[earlier, rotor])))
+    gain = float(np.mean(before)) / max(float(np.mean(np.square(speeds[earlier]).sum(axis=1))), 1.0)
+    left = float(np.mean(during)) / max(gain, 1e-12) - float(np.mean(np.square(others).sum(axis=1)))
     if own <= 0.0 or left > LIFT_LEFT.value * own:
         return False
     around = inertial.between(slows_ns, to_ns).rates
@@ -203,9 +224,8 @@ def stuck_rotors(recording: Recording, gravity_m_s2: float) -> Iterator[Finding]
         return
     time_s = (rotors.time_ns - imu.time_ns[0]) * 1e-9
     speeds, inertial = rotors.speeds, Inertial.of(recording)
-    flying = carrying(speeds, inertial.lift_at(rotors.time_ns), gravity_m_s2)
-    turning_ns = rotors.time_ns[flying]
-    if len(turning_ns) == 0 or inertial.stands(int(turning_ns[0]), int(turning_ns[-1])):
+    flying = in_flight(rotors.time_ns, speeds, inertial, gravity_m_s2)
+    if flying is None:
         return
     steps = resolution(speeds)
     same = np.abs(np.diff(speeds, axis=0)) < STUCK_RAD_S.value
@@ -220,18 +240,15 @@ def stuck_rotors(recording: Recording, gravity_m_s2: float) -> Iterator[Finding]
         if not long:
             continue
         begin, end = max(long, key=lambda run: float(time_s[run[1]] - time_s[run[0]]))
-        if speeds[begin, rotor] < ZERO_RAD_S.value:
-            stops = [
-                first for first, _ in long if has_stopped(rotors.time_ns, speeds, rotor, first, inertial)
-            ]
-            if stops:
-                yield Finding(
-                    "stopped rotor",
-                    rotors.topic,
-                    f"rotor {rotor + 1} stopped at {time_s[stops[0]]:.2f} s in flight: its thrust is gone, "
-                    "and the vehicle turns; its readings stay",
-                )
-                continue
+        stops = (first for first, _ in long if has_stopped(rotors.time_ns, speeds, rotor, first, inertial))
+        if speeds[begin, rotor] < ZERO_RAD_S.value and (stop := next(stops, None)) is not None:
+            yield Finding(
+                "stopped rotor",
+                rotors.topic,
+                f"rotor {rotor + 1} stopped at {time_s[stop]:.2f} s in flight: its thrust is gone, and the "
+                "vehicle turns; its readings stay",
+            )
+            continue
         whole = sum(float(time_s[last] - time_s[first]) for first, last in long)
         yield Finding(
             "stuck rotor",

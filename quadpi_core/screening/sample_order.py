@@ -126,21 +126,6 @@ class SampleOrder:
             f"most {SHARE_MAX.value:.0%} may be left out{hint}"
         )
 
-    def left_out(self, topic: str, time_ns: Stamps, start_ns: int) -> Iterator[LeftOut]:
-        """What is dropped; arguments: its topic and stamps (N,) as stored, and the first of the IMU used."""
-        for fault, first, count in self.dropped:
-            yield LeftOut(topic, f"whose {fault}", count, self.of, first, _since(time_ns[first], start_ns))
-
-    def reordered(self, topic: str, time_ns: Stamps, start_ns: int) -> Iterator[Reordered]:
-        """What is sorted; arguments as of :meth:`left_out`."""
-        if self.late is not None:
-            after_s = _since(time_ns[self.late.first], start_ns)
-            yield Reordered(topic, self.late.samples, self.of, self.late.first, after_s)
-
-
-def _since(time_ns: int, start_ns: int) -> float:
-    return (int(time_ns) - start_ns) * 1e-9
-
 
 def faults(stream: Stream) -> Iterator[tuple[str, Mask]]:
     """Masks (N,) of the samples that hold no measurement, by fault; they may overlap."""
@@ -160,15 +145,27 @@ def faults(stream: Stream) -> Iterator[tuple[str, Mask]]:
 
 def without_unusable_attitudes(block: Recording) -> Recording:
     """A block without the states and poses whose attitude no node takes from a message: see NO_ROTATION."""
+    found = {name: dict(faults(stream)) for name, stream in streams_by_field(block).items()}
+    kept = {name: ~own[NO_ROTATION] for name, own in found.items() if NO_ROTATION in own}
+    return with_rows(block, kept) if kept else block
+
+
+def with_rows(recording: Recording, rows: Mapping[str, Rows | Mask]) -> Recording:
+    """The recording with some samples of streams alone, by field; arrivals count the IMU samples left."""
+    left = np.ones(len(recording.imu), np.bool_)
+    if "imu" in rows:
+        left[:] = False
+        left[rows["imu"]] = True
+    before = np.concatenate(([0], np.cumsum(left)))
     taken: dict[str, Any] = {}
-    arrivals = dict(block.arrivals)
-    for name, stream in streams_by_field(block).items():
-        wrong = dict(faults(stream)).get(NO_ROTATION)
-        if wrong is not None:
-            taken[name] = stream.take(~wrong)
-            if stream.topic in arrivals:
-                arrivals[stream.topic] = arrivals[stream.topic][~wrong]
-    return replace(block, **taken, arrivals=arrivals) if taken else block
+    arrivals = {}
+    for name, stream in streams_by_field(recording).items():
+        kept = rows.get(name, slice(None))
+        taken[name] = stream.take(kept)
+        came = recording.arrivals.get(stream.topic)
+        if came is not None and len(came) == len(stream):
+            arrivals[stream.topic] = before[came][kept]
+    return replace(recording, **taken, arrivals=arrivals)
 
 
 def order_of(time_ns: Stamps, faults: Mapping[str, Mask] | None = None) -> SampleOrder:
@@ -191,7 +188,7 @@ def order_of(time_ns: Stamps, faults: Mapping[str, Mask] | None = None) -> Sampl
     for fault, which in (faults or {}).items():
         drop(fault, which)
     drop(OUTSIDE, (time_ns < 0) | (time_ns > STAMP_MAX_NS))
-    if not dropped and np.all(time_ns[1:] > time_ns[:-1]) and not _jumps(time_ns):
+    if not dropped and np.all(np.diff(time_ns) > 0) and (count < 2 or np.ptp(time_ns) <= FLIGHT_MAX_NS):
         return SampleOrder(count)
     rows = np.flatnonzero(usable)
     stamps = time_ns[rows]
@@ -207,9 +204,7 @@ def order_of(time_ns: Stamps, faults: Mapping[str, Mask] | None = None) -> Sampl
         (BACKWARD, late[~repeats & ~fits]),
         (ALONE, np.flatnonzero(kinds == _ALONE)),
     ):
-        which = np.zeros(count, dtype=np.bool_)
-        which[rows[places]] = True
-        drop(fault, which)
+        drop(fault, np.isin(np.arange(count), rows[places]))
     kept = usable[rows]
     sorted_in = rows[late[fits]]
     rows, run_of, stamps = rows[kept], run_of[kept], stamps[kept]
@@ -223,10 +218,6 @@ def order_of(time_ns: Stamps, faults: Mapping[str, Mask] | None = None) -> Sampl
         late=Found("", int(sorted_in[0]), len(sorted_in)) if len(sorted_in) else None,
         starts=(0, *(np.flatnonzero(np.diff(run_of)) + 1).tolist()),
     )
-
-
-def _jumps(time_ns: Stamps) -> bool:
-    return len(time_ns) > 1 and bool(time_ns[-1] - time_ns[0] > FLIGHT_MAX_NS)
 
 
 @njit(cache=True)
@@ -266,13 +257,8 @@ def _scan(time_ns: Stamps, hole_ns: float, kinds: npt.NDArray[np.int8], run_of: 
 @njit(cache=True)
 def _one_hole(rising: Stamps, count: int, first: int, second: int, hole_ns: float) -> bool:
     """Whether two stamps before the newest lie in one hole between the rising ones."""
-    low, high = -1, count - 1
-    while high - low > 1:
-        middle = (low + high) // 2
-        if rising[middle] < first:
-            low = middle
-        else:
-            high = middle
+    high = np.searchsorted(rising[: count - 1], first)
+    low = high - 1
     inside = rising[low] < first < rising[high] and first < second < rising[high]
     return bool(low >= 0 and inside and rising[high] - rising[low] >= hole_ns)
 
@@ -320,24 +306,18 @@ def usable_recording(recording: Recording) -> Recording:
         for name, stream in streams.items()
         if len(recording.arrivals.get(stream.topic, ())) == len(stream)
     }
-    kept = used_rows(judged, arrived)
-    taken: dict[str, Any] = {
-        name: streams[name].take(rows) if len(rows) or name == "imu" else None for name, rows in kept.items()
-    }
-    lost = np.ones(len(recording.imu) + 1, np.int64)
-    lost[0] = 0
-    lost[1:][kept["imu"]] = 0
-    lost = np.cumsum(lost)
-    arrivals = {streams[name].topic: (came - lost[came])[kept[name]] for name, came in arrived.items()}
+    rows = used_rows(judged, arrived)
+    absent: dict[str, Any] = {name: None for name in rows if len(rows[name]) == 0 and name != "imu"}
     quality = recording.quality.joined(order_quality(judged))
-    return replace(recording, **taken, arrivals=arrivals, quality=quality)
+    return replace(with_rows(recording, rows), **absent, quality=quality)
 
 
-class Judged(NamedTuple):
-    """A topic of a recording: its name, its stamps (N,) as stored, and which of its samples are used."""
+@dataclass(frozen=True)
+class Judged:
+    """A topic of a recording: its stamps (N,) as stored, and which of its samples are used."""
 
     topic: str
-    time_ns: Stamps
+    stored_ns: Stamps
     order: SampleOrder
 
 
@@ -347,9 +327,9 @@ def require_usable(source: str, judged: Mapping[str, Judged]) -> None:
     Raises:
         LogError: naming source, topic and sample.
     """
-    for topic, _, order in judged.values():
-        if problem := order.problem():
-            raise LogError(f"{source}: topic {topic}: {problem}")
+    for one in judged.values():
+        if problem := one.order.problem():
+            raise LogError(f"{source}: topic {one.topic}: {problem}")
 
 
 def used_rows(judged: Mapping[str, Judged], arrived: Mapping[str, Stamps]) -> dict[str, Rows]:
@@ -361,11 +341,11 @@ def used_rows(judged: Mapping[str, Judged], arrived: Mapping[str, Stamps]) -> di
     """
     imu = judged["imu"]
     runs = imu.order.runs()
-    chosen = longest(imu.time_ns, runs)
+    chosen = longest(imu.stored_ns, runs)
     mine = runs[chosen]
     kept = {"imu": mine}
-    for name, (_, time_ns, order) in judged.items():
-        own = order.runs()
+    for name, one in judged.items():
+        own = one.order.runs()
         if name == "imu":
             continue
         if len(runs) > 1 and name in arrived:
@@ -377,8 +357,8 @@ def used_rows(judged: Mapping[str, Judged], arrived: Mapping[str, Stamps]) -> di
         # Of clocks that fell another time, what has the stamps of this run.
         shared = own
         if len(mine):
-            first, last = imu.time_ns[mine[[0, -1]]]
-            shared = [run[(time_ns[run] >= first) & (time_ns[run] <= last)] for run in own]
+            first, last = imu.stored_ns[mine[[0, -1]]]
+            shared = [run[(one.stored_ns[run] >= first) & (one.stored_ns[run] <= last)] for run in own]
         best = int(np.argmax([len(run) for run in shared]))
         kept[name] = shared[best] if len(runs) > 1 and name not in arrived else own[best]
     return kept
@@ -386,19 +366,25 @@ def used_rows(judged: Mapping[str, Judged], arrived: Mapping[str, Stamps]) -> di
 
 def order_quality(judged: Mapping[str, Judged]) -> DataQuality:
     """What is dropped, sorted and cut off of the topics, by field."""
-    imu = judged["imu"]
-    runs = imu.order.runs()
-    chosen = longest(imu.time_ns, runs)
-    start_ns = int(imu.time_ns[runs[chosen][0]]) if len(runs[chosen]) else 0
+    imu_ns, runs = judged["imu"].stored_ns, judged["imu"].order.runs()
+    chosen = longest(imu_ns, runs)
+    start_ns = int(imu_ns[runs[chosen][0]]) if len(runs[chosen]) else 0
+    dropped, late = [], []
+    for one in judged.values():
+        for fault, first, count in one.order.dropped:
+            after_s = (int(one.stored_ns[first]) - start_ns) * 1e-9
+            dropped.append(LeftOut(one.topic, f"whose {fault}", count, one.order.of, first, after_s))
+        if one.order.late is not None:
+            _, first, count = one.order.late
+            after_s = (int(one.stored_ns[first]) - start_ns) * 1e-9
+            late.append(Reordered(one.topic, count, one.order.of, first, after_s))
     return DataQuality(
-        left_out=tuple(
-            one for t in judged.values() for one in t.order.left_out(t.topic, t.time_ns, start_ns)
+        left_out=tuple(dropped),
+        reordered=tuple(late),
+        breaks=tuple(
+            found for one in judged.values() for found in breaks(one.topic, one.stored_ns, one.order)
         ),
-        reordered=tuple(
-            one for t in judged.values() for one in t.order.reordered(t.topic, t.time_ns, start_ns)
-        ),
-        breaks=tuple(one for t in judged.values() for one in breaks(*t)),
-        used=(used_run(imu.time_ns, runs, chosen),) if len(runs) > 1 else (),
+        used=(used_run(imu_ns, runs, chosen),) if len(runs) > 1 else (),
     )
 
 

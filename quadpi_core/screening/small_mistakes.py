@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.frames import Array
-from quadpi_core.rotations import inverses, rotate_body_to_world, rotation_matrix
+from quadpi_core.rotations import rotate_body_to_world, rotate_world_to_body, rotation_matrix
 from quadpi_core.screening.excerpt import Excerpt
 from quadpi_core.screening.innovations import KEPT_SHARE, TURN_S, Innovation, innovation, second_difference
 from quadpi_core.screening.motion_consistency import Hypothesis, accelerometer_axes
@@ -115,7 +115,7 @@ def judged(topic: str, fit: MotionFit, *, measured: bool) -> Iterator[Hypothesis
         (x, y, z), (dx, dy, dz) = 100.0 * fit.origin_m, 100.0 * fit.origin_error_m
         yield Hypothesis(
             "mocap origin",
-            lambda e: replace(e, position=e.position - _turned(e.attitude, fit.origin_m)),
+            lambda e: replace(e, position=e.position - rotate_body_to_world(e.attitude, fit.origin_m)),
             f"the origin of {topic} looks {np.hypot(np.hypot(x, y), z):.1f} cm from the IMU, at ({x:.1f} ± "
             f"{dx:.1f}, {y:.1f} ± {dy:.1f}, {z:.1f} ± {dz:.1f}) cm forward, right and down of it",
             "moving the rigid body's origin there",
@@ -147,34 +147,31 @@ def motion_fit(sample: Excerpt, found: Innovation) -> MotionFit:
     missing = needed - force
     kept = np.ones(len(force), dtype=np.bool_)
     for _ in range(_ROUNDS):
-        squares, products = _sums(columns, missing, kept[:, np.newaxis])
-        solution = _solved(squares.sum(axis=0), products.sum(axis=0))
+        ((squares, right),) = _sums(columns, missing, kept[:, np.newaxis])
+        solution = _solved(squares, right)
         left = np.linalg.norm(missing - columns @ solution, axis=1)
         kept = left <= np.quantile(left, KEPT_SHARE)
     half_window = np.arange(len(force)) // max(1, len(force) // (2 * windows))
     members = kept[:, np.newaxis] & (half_window[:, np.newaxis] == np.arange(half_window[-1] + 1))
-    squares, products = _sums(columns, missing, members)
-    whole, right = squares.sum(axis=0), products.sum(axis=0)
-    others = [_solved(whole - a, right - b) for a, b in zip(squares, products, strict=True)]
+    sums = _sums(columns, missing, members)
+    whole, all_right = (np.sum(one, axis=0) for one in zip(*sums, strict=True))
+    others = [_solved(whole - squares, all_right - right) for squares, right in sums]
     error = np.sqrt((len(others) - 1) * np.var(others, axis=0))
     scale = 1.0 / (1.0 + solution[_SCALE])
-    return MotionFit(
-        float(scale),
-        float(error[_SCALE]),
-        solution[_ORIGIN],
-        error[_ORIGIN],
+    return MotionFit(float(scale), float(error[_SCALE]), solution[_ORIGIN], error[_ORIGIN])
+
+
+def _sums(columns: Array, missing: Array, members: npt.NDArray[np.bool_]) -> list[tuple[Array, Array]]:
+    """Normal equations (C, C) and (C,) of each block of rows, by masks (N, B)."""
+    weights = members.astype(np.float64)
+    squares = np.einsum("nb,nic,nid->bcd", weights, columns, columns, optimize=True)
+    return list(
+        zip(squares, np.einsum("nb,nic,ni->bc", weights, columns, missing, optimize=True), strict=True)
     )
 
 
-def _sums(columns: Array, missing: Array, members: npt.NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Normal equations (B, C, C) and (B, C) of each block of rows, by masks (N, B)."""
-    weights = members.astype(np.float64)
-    squares = np.einsum("nb,nic,nid->bcd", weights, columns, columns, optimize=True)
-    return squares, np.einsum("nb,nic,ni->bc", weights, columns, missing, optimize=True)
-
-
-def _solved(squares: Array, products: Array) -> Array:
-    return np.asarray(np.linalg.lstsq(squares, products, rcond=None)[0])
+def _solved(squares: Array, right: Array) -> Array:
+    return np.asarray(np.linalg.lstsq(squares, right, rcond=None)[0])
 
 
 def better_axes(sample: Excerpt, found: Innovation) -> tuple[Array, float]:
@@ -200,12 +197,5 @@ def better_axes(sample: Excerpt, found: Innovation) -> tuple[Array, float]:
 
 
 def _in_body(found: Innovation) -> tuple[Array, Array]:
-    to_body = inverses(found.attitude)
-    return rotate_body_to_world(to_body, found.force), rotate_body_to_world(to_body, found.needed)
-
-
-def _turned(attitude: Array, vector: Array) -> Array:
-    """A vector (3,) of the body in the world at attitudes (..., 4)."""
-    flat = attitude.reshape(-1, 4)
-    turned = rotate_body_to_world(flat, np.broadcast_to(vector, (len(flat), 3)))
-    return np.asarray(turned.reshape(*attitude.shape[:-1], 3))
+    force, needed = (rotate_world_to_body(found.attitude, values) for values in (found.force, found.needed))
+    return force, needed

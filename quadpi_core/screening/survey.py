@@ -8,36 +8,27 @@ or parts spread over a longer one that include those of the consistency check.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from quadpi_core.findings import DataQuality, UsedPart
 from quadpi_core.flight import STREAM_KINDS, Recording, Stamps, Stream
 from quadpi_core.recording_blocks import Column, join_blocks, streams_by_field
 from quadpi_core.screening.excerpt import needed_spans
 from quadpi_core.screening.flight_runs import ASKED_FOR, used_part
-from quadpi_core.screening.rotor_readings import RotorScreening
 from quadpi_core.screening.sample_order import (
     Judged,
+    Mask,
     Rows,
-    SampleOrder,
     faults,
     order_of,
     order_quality,
     used_rows,
 )
-from quadpi_core.screening.wild_samples import (
-    FEW_SAMPLES,
-    Beyond,
-    StreamScreening,
-    left_out,
-    usable_samples,
-    with_readings,
-)
+from quadpi_core.screening.wild_samples import FEW_SAMPLES, Beyond, Screening, left_out, usable_samples
 from quadpi_core.time_range import WHOLE, TimeRange
 from quadpi_core.vehicle import Vehicle
 
@@ -46,24 +37,18 @@ PARTS = 64
 
 
 @dataclass(frozen=True)
-class StreamSurvey:
+class StreamSurvey(Judged):
     """Stamps and outliers of one topic.
 
     Attributes:
-        topic: its name.
-        stored_ns: (N,) stamps as stored.
-        order: which of these samples are used, and in what order.
         rows: (M,) the samples used, in order; None for all as they are.
         found: samples beyond limits, of those used.
         usable: (M,) mask of the samples that are not left out; None if none is.
     """
 
-    topic: str
-    stored_ns: Stamps
-    order: SampleOrder
-    rows: Rows | None
+    rows: Rows | None = None
     found: tuple[Beyond, ...] = ()
-    usable: npt.NDArray[np.bool_] | None = None
+    usable: Mask | None = None
 
     @property
     def time_ns(self) -> Stamps:
@@ -86,75 +71,53 @@ def survey(
         vehicle: that flew; without one rotor speeds are not judged.
         part: of the flight; the samples outside are not used.
     """
-    passes: dict[str, _FirstPass] = {}
-    rotors = RotorScreening()
+    stored: dict[str, _Stored] = {}
+    screening = Screening(vehicle)
     for block in blocks():
-        rotors.add(block)
+        screening.add(block)
         for name, stream in streams_by_field(block).items():
-            if name not in passes:
-                passes[name] = _FirstPass(type(stream), vehicle)
-            passes[name].add(stream)
-    judged = {name: passes[name].judged() for name in STREAM_KINDS if name in passes}
-    rows = used_rows(judged, {})
+            stored.setdefault(name, _Stored()).add(stream)
+    streams = {name: stored[name].judged(kind.topic) for name, kind in STREAM_KINDS.items() if name in stored}
+    rows = used_rows(streams, {})
     streams = {
-        name: StreamSurvey(*topic, None if topic.order.rows is None else rows[name])
-        for name, topic in judged.items()
+        name: one if one.order.rows is None else replace(one, rows=rows[name])
+        for name, one in streams.items()
     }
     if not part.is_whole and len(rows["imu"]):
-        first_ns, last_ns = part.stamps(int(judged["imu"].time_ns[rows["imu"][0]]))
-        for name, surveyed in streams.items():
-            time_ns = surveyed.time_ns
-            streams[name] = replace(surveyed, rows=rows[name][(time_ns >= first_ns) & (time_ns <= last_ns)])
-    screening = {name: passes[name].screening for name in streams}
-    again = {name for name, stream in streams.items() if stream.rows is not None}
-    if again:
-        screening |= {name: StreamScreening(STREAM_KINDS[name], vehicle) for name in again}
-        rotors = RotorScreening()
-        in_order = InOrder(streams)
-        for block in map(in_order.of, blocks()):
-            rotors.add(block)
-            for name, stream in streams_by_field(block).items():
-                if name in again:
-                    screening[name].add(stream)
-    for name, surveyed in streams.items():
-        found = list(screening[name].finish())
-        if name == "rotor_speeds":
-            found = with_readings(found, rotors, surveyed.time_ns, streams["imu"].time_ns)
-        streams[name] = replace(surveyed, found=tuple(found), usable=usable_samples(found))
-    return streams
+        first_ns, last_ns = part.stamps(int(streams["imu"].time_ns[0]))
+        for name, one in streams.items():
+            within = (one.time_ns >= first_ns) & (one.time_ns <= last_ns)
+            streams[name] = replace(one, rows=rows[name][within])
+    if any(one.rows is not None for one in streams.values()):
+        screening = Screening(vehicle)
+        for block in in_order(blocks(), streams):
+            screening.add(block)
+    found = screening.finish({name: one.time_ns for name, one in streams.items()})
+    return {
+        name: replace(one, found=tuple(found[name]), usable=usable_samples(found[name]))
+        for name, one in streams.items()
+    }
 
 
-class _FirstPass:
-    """What the first pass over a topic gathers."""
+class _Stored:
+    """Stamps and faults of a topic, gathered block by block."""
 
-    def __init__(self, kind: type[Stream], vehicle: Vehicle | None) -> None:
-        self._topic = kind.topic
-        self._stamps = Column()
-        self._count = 0
+    def __init__(self) -> None:
+        self._stamps, self._count = Column(), 0
         self._faults: dict[str, list[Rows]] = {}
-        self.screening = StreamScreening(kind, vehicle)
 
     def add(self, stream: Stream) -> None:
-        """Take the next samples."""
         self._stamps.extend(stream.time_ns)
-        self.screening.add(stream)
         for fault, which in faults(stream):
             self._faults.setdefault(fault, []).append(self._count + np.flatnonzero(which))
         self._count += len(stream)
 
-    def judged(self) -> Judged:
-        """The topic by the rule of the order of samples."""
-        masks = {}
+    def judged(self, topic: str) -> StreamSurvey:
+        masks = {fault: np.zeros(self._count, np.bool_) for fault in self._faults}
         for fault, parts in self._faults.items():
-            masks[fault] = np.zeros(self._count, dtype=np.bool_)
             masks[fault][np.concatenate(parts)] = True
         time_ns = self._stamps.whole()
-        return Judged(self._topic, time_ns, order_of(time_ns, masks))
-
-
-def judged_streams(surveys: Mapping[str, StreamSurvey]) -> dict[str, Judged]:
-    """What the rule of the order of samples says of each topic, by field."""
-    return {name: Judged(one.topic, one.stored_ns, one.order) for name, one in surveys.items()}
+        return StreamSurvey(topic, time_ns, order_of(time_ns, masks))
 
 
 def survey_quality(surveys: Mapping[str, StreamSurvey], part: TimeRange = WHOLE) -> DataQuality:
@@ -164,106 +127,69 @@ def survey_quality(surveys: Mapping[str, StreamSurvey], part: TimeRange = WHOLE)
         surveys: see :func:`survey`.
         part: see there.
     """
+    imu = surveys["imu"]
     beyond = tuple(
         one
         for stream in surveys.values()
-        for one in left_out(stream.topic, stream.found, stream.time_ns, surveys["imu"].time_ns)
+        for one in left_out(stream.topic, stream.found, stream.time_ns, imu.time_ns)
     )
-    judged = judged_streams(surveys)
     used: tuple[UsedPart, ...] = ()
-    if not part.is_whole and len(surveys["imu"].time_ns):
-        whole_ns = judged["imu"].time_ns[used_rows({"imu": judged["imu"]}, {})["imu"]]
-        used = (used_part(whole_ns, surveys["imu"].time_ns, ASKED_FOR),)
-    return order_quality(judged).joined(DataQuality(left_out=beyond, used=used))
-
-
-class InOrder:
-    """Gives the samples of a flight that are used, by rising stamps, from its blocks.
-
-    Samples wait for those that were stored later and belong before them, MAX_JUMP_BACK_NS at most.
-    """
-
-    def __init__(self, surveys: Mapping[str, StreamSurvey]) -> None:
-        self._kept: dict[str, npt.NDArray[np.bool_]] = {}
-        # The earliest stamp of the samples from each one stored on.
-        self._coming: dict[str, Stamps] = {}
-        for name, stream in surveys.items():
-            if stream.rows is not None:
-                kept = np.zeros(len(stream.stored_ns), dtype=np.bool_)
-                kept[stream.rows] = True
-                self._kept[name] = kept
-                if stream.order.late is not None:
-                    stamps = np.where(kept, stream.stored_ns, np.iinfo(np.int64).max)
-                    self._coming[name] = np.minimum.accumulate(stamps[::-1])[::-1]
-        self._before = dict.fromkeys(self._kept, 0)
-        self._waiting: dict[str, Stream] = {}
-
-    def of(self, block: Recording) -> Recording:
-        """The samples in order after the next block, without arrivals."""
-        taken: dict[str, Any] = {}
-        for name, stream in streams_by_field(block).items():
-            if name in self._kept:
-                before = self._before[name]
-                self._before[name] += len(stream)
-                taken[name] = stream.take(self._kept[name][before : self._before[name]])
-                if name in self._coming:
-                    taken[name] = self._due(name, taken[name])
-        return replace(block, **taken, arrivals={})
-
-    def _due(self, name: str, stream: Stream) -> Stream:
-        waiting = self._waiting.get(name)
-        both = stream if waiting is None else type(stream).join((waiting, stream))
-        both = both.take(np.argsort(both.time_ns, kind="stable"))
-        left = self._coming[name][self._before[name] :]
-        due = len(both) if len(left) == 0 else int(np.searchsorted(both.time_ns, left[0]))
-        self._waiting[name] = both.take(slice(due, None))
-        return both.take(slice(0, due))
+    if not part.is_whole and len(imu.time_ns):
+        used = (used_part(imu.stored_ns[used_rows({"imu": imu}, {})["imu"]], imu.time_ns, ASKED_FOR),)
+    return order_quality(surveys).joined(DataQuality(left_out=beyond, used=used))
 
 
 class Selection:
     """Selects samples of a flight from its blocks.
 
     Args:
-        rows: mask (N,) of each stream, by its field; None for all.
+        rows: mask (N,) of each stream, by its field; None, or none, for all.
+
+    Attributes:
+        seen: samples of each stream in the blocks so far.
     """
 
-    def __init__(self, rows: Mapping[str, npt.NDArray[np.bool_] | None]) -> None:
+    def __init__(self, rows: Mapping[str, Mask | None]) -> None:
         self._rows = rows
-        self._before = dict.fromkeys(rows, 0)
+        self.seen: dict[str, int] = {}
 
     def of(self, block: Recording) -> Recording:
         """The selected samples of the next block, without arrivals."""
         taken: dict[str, Any] = {}
         for name, stream in streams_by_field(block).items():
-            rows, before = self._rows[name], self._before[name]
-            self._before[name] += len(stream)
-            taken[name] = stream if rows is None else stream.take(rows[before : self._before[name]])
+            rows, before = self._rows.get(name), self.seen.get(name, 0)
+            self.seen[name] = before + len(stream)
+            taken[name] = stream if rows is None else stream.take(rows[before : self.seen[name]])
         return replace(block, **taken, arrivals={})
 
 
-def excerpt_rows(stamps: Mapping[str, Stamps]) -> dict[str, npt.NDArray[np.bool_] | None]:
-    """Mask (N,) of the samples of each stream in the excerpt; None for all."""
-    most = max(map(len, stamps.values()))
-    if most <= FEW_SAMPLES or len(stamps["imu"]) == 0:
-        return dict.fromkeys(stamps)
-    first, last = int(stamps["imu"][0]), int(stamps["imu"][-1])
-    # Unchecked stamps may run backward.
-    length = max(0, int((last - first) * (FEW_SAMPLES / most) / PARTS))
-    starts = np.linspace(first, last - length, PARTS).astype(np.int64).tolist()
-    spans = sorted([*((start, start + length) for start in starts), *needed_spans(stamps)])
-    edges: list[int] = []
-    for start, end in spans:
-        if edges and start <= edges[-1]:
-            edges[-1] = max(edges[-1], end)
-        else:
-            edges += (start, end)
-    rows: dict[str, npt.NDArray[np.bool_] | None] = {}
-    for name, time_ns in stamps.items():
-        own = np.searchsorted(np.array(edges), time_ns, side="right") % 2 == 1
-        # The ends of each stream show which time it covers.
-        own[:1] = own[-1:] = True
-        rows[name] = own
-    return rows
+def in_order(blocks: Iterable[Recording], surveys: Mapping[str, StreamSurvey]) -> Iterator[Recording]:
+    """The samples of a flight that are used, by rising stamps, from its blocks, and without arrivals.
+
+    Samples wait for those that were stored later and belong before them, MAX_JUMP_BACK_NS at most.
+    """
+    kept: dict[str, Mask] = {}
+    # The earliest stamp of the samples from each one stored on.
+    coming: dict[str, Stamps] = {}
+    for name, stream in surveys.items():
+        if stream.rows is not None:
+            kept[name] = np.zeros(len(stream.stored_ns), dtype=np.bool_)
+            kept[name][stream.rows] = True
+            if stream.order.late is not None:
+                stamps = np.where(kept[name], stream.stored_ns, np.iinfo(np.int64).max)
+                coming[name] = np.minimum.accumulate(stamps[::-1])[::-1]
+    selection = Selection(kept)
+    waiting: dict[str, Stream] = {}
+    for block in map(selection.of, blocks):
+        due: dict[str, Any] = {}
+        for name, earliest in coming.items():
+            came = getattr(block, name)
+            both = type(came).join((waiting[name], came)) if name in waiting else came
+            both = both.take(np.argsort(both.time_ns, kind="stable"))
+            left = earliest[selection.seen[name] :]
+            count = int(np.searchsorted(both.time_ns, left[0])) if len(left) else len(both)
+            due[name], waiting[name] = both.take(slice(0, count)), both.take(slice(count, None))
+        yield replace(block, **due)
 
 
 class Excerpting:
@@ -297,3 +223,28 @@ class Excerpting:
             rows = self._rows[name]
             usable[name] = stream.usable if rows is None or stream.usable is None else stream.usable[rows]
         return Selection(usable).of(excerpt)
+
+
+def excerpt_rows(stamps: Mapping[str, Stamps]) -> dict[str, Mask | None]:
+    """Mask (N,) of the samples of each stream in the excerpt; None for all."""
+    most = max(map(len, stamps.values()))
+    if most <= FEW_SAMPLES or len(stamps["imu"]) == 0:
+        return dict.fromkeys(stamps)
+    first, last = int(stamps["imu"][0]), int(stamps["imu"][-1])
+    # Unchecked stamps may run backward.
+    length = max(0, int((last - first) * (FEW_SAMPLES / most) / PARTS))
+    starts = np.linspace(first, last - length, PARTS).astype(np.int64).tolist()
+    spans = sorted([*((start, start + length) for start in starts), *needed_spans(stamps)])
+    edges: list[int] = []
+    for start, end in spans:
+        if edges and start <= edges[-1]:
+            edges[-1] = max(edges[-1], end)
+        else:
+            edges += (start, end)
+    rows: dict[str, Mask | None] = {}
+    for name, time_ns in stamps.items():
+        own = np.searchsorted(np.array(edges), time_ns, side="right") % 2 == 1
+        # The ends of each stream show which time it covers.
+        own[:1] = own[-1:] = True
+        rows[name] = own
+    return rows

@@ -8,14 +8,15 @@ before and after them; the live path cannot detect them, as it does not know wha
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from functools import partial
+from itertools import chain
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from quadpi_core.findings import LeftOut
+from quadpi_core.findings import DataQuality, LeftOut
 from quadpi_core.flight import (
     ImuStream,
     OdometryStream,
@@ -37,6 +38,7 @@ from quadpi_core.sample_limits import (
     SPECIFIC_FORCE_MAX_M_S2,
 )
 from quadpi_core.screening.rotor_readings import RotorScreening
+from quadpi_core.screening.sample_order import Mask, Rows, with_rows
 from quadpi_core.vehicle import Vehicle
 
 # If a larger share of a topic is beyond a limit, its unit is wrong: it is refused, nothing is left out.
@@ -99,7 +101,7 @@ class Beyond(NamedTuple):
         most: largest share of the topic that is left out.
     """
 
-    samples: npt.NDArray[np.int64]
+    samples: Rows
     of: int
     limit: str
     unit: str | None
@@ -121,26 +123,50 @@ class Beyond(NamedTuple):
         return 0.0 < self.share <= self.most
 
 
-class StreamScreening:
-    """Compares the samples of a topic, which come in parts, with its limits.
+class Screening:
+    """Compares the samples of a flight, which comes in blocks, with their limits.
 
     Args:
-        kind: of the stream.
         vehicle: that flew; without one rotor speeds have no limits.
+        readings: whether rotor speeds that are no measurements count, too.
     """
 
-    def __init__(self, kind: type[Stream], vehicle: Vehicle | None) -> None:
-        self._judges = list(_judges(kind, vehicle))
+    def __init__(self, vehicle: Vehicle | None, *, readings: bool = True) -> None:
+        self._vehicle = vehicle
+        self._columns: dict[str, list[_ColumnScreening]] = {}
+        self._rotors = RotorScreening() if readings else None
 
-    def add(self, stream: Stream) -> None:
-        """Examine the next samples."""
-        for judge in self._judges:
-            judge.add(stream)
+    def add(self, block: Recording) -> None:
+        """Examine the next block."""
+        if self._rotors is not None:
+            self._rotors.add(block)
+        for name, stream in streams_by_field(block).items():
+            if name not in self._columns:
+                self._columns[name] = list(map(_ColumnScreening, _limits(type(stream), self._vehicle)))
+            for column in self._columns[name]:
+                column.add(stream)
 
-    def finish(self) -> Iterator[Beyond]:
-        """The samples beyond each limit; no more can be added after this."""
-        for judge in self._judges:
-            yield from judge.finish()
+    def finish(self, stamps: Mapping[str, Stamps]) -> dict[str, list[Beyond]]:
+        """The samples beyond each limit, by field; no more can be added after this.
+
+        Each sample of the rotor speeds is left out for one reason, readings of 0 before spikes.
+
+        Args:
+            stamps: (N,) those of each stream, by its field.
+        """
+        found = {
+            name: [one for own in columns for one in own.finish()] for name, columns in self._columns.items()
+        }
+        if self._rotors is None or "rotor_speeds" not in found:
+            return found
+        already = _joined([one.samples for one in found["rotor_speeds"] if one.is_left_out])
+        unread = list(self._rotors.finish(stamps["rotor_speeds"], stamps["imu"], already))
+        told = _joined([samples for samples, _ in unread])
+        found["rotor_speeds"] = [
+            *(one._replace(samples=np.setdiff1d(one.samples, told)) for one in found["rotor_speeds"]),
+            *(Beyond(samples, self._rotors.samples, words, None, 1.0) for samples, words in unread),
+        ]
+        return found
 
 
 def screened(recording: Recording, vehicle: Vehicle | None) -> Recording:
@@ -153,57 +179,29 @@ def screened(recording: Recording, vehicle: Vehicle | None) -> Recording:
         recording: as read.
         vehicle: that flew; without one rotor speeds are not judged.
     """
-    kept: dict[str, Any] = {}
-    said: list[LeftOut] = []
-    arrivals = dict(recording.arrivals)
-    rotors = RotorScreening()
-    rotors.add(recording)
-    for name, stream in streams_by_field(recording).items():
-        found = list(beyond_limits(stream, vehicle))
-        if isinstance(stream, RotorSpeedStream):
-            found = with_readings(found, rotors, stream.time_ns, recording.imu.time_ns)
-        usable = usable_samples(found)
-        if usable is None:
-            continue
-        said += left_out(stream.topic, found, stream.time_ns, recording.imu.time_ns)
-        kept[name] = stream.take(usable)
-        if stream.topic in arrivals and len(arrivals[stream.topic]) == len(stream):
-            arrivals[stream.topic] = arrivals[stream.topic][usable]
-        if stream is recording.imu:
-            lost = np.concatenate(([0], np.cumsum(~usable)))
-            arrivals = {topic: count - lost[count] for topic, count in arrivals.items()}
+    screening = Screening(vehicle)
+    screening.add(recording)
+    streams = streams_by_field(recording)
+    found = screening.finish({name: stream.time_ns for name, stream in streams.items()})
+    kept = {name: usable for name in streams if (usable := usable_samples(found[name])) is not None}
     if not kept:
         return recording
-    quality = replace(recording.quality, left_out=(*recording.quality.left_out, *said))
-    return replace(recording, quality=quality, arrivals=arrivals, **kept)
+    said = (
+        left_out(stream.topic, found[name], stream.time_ns, recording.imu.time_ns)
+        for name, stream in streams.items()
+    )
+    quality = recording.quality.joined(DataQuality(left_out=tuple(chain.from_iterable(said))))
+    return replace(with_rows(recording, kept), quality=quality)
 
 
 def beyond_limits(stream: Stream, vehicle: Vehicle | None) -> Iterator[Beyond]:
     """The samples of a topic beyond each of its limits; without a vehicle rotor speeds have none."""
-    screening = StreamScreening(type(stream), vehicle)
-    screening.add(stream)
-    yield from screening.finish()
+    for column in map(_ColumnScreening, _limits(type(stream), vehicle)):
+        column.add(stream)
+        yield from column.finish()
 
 
-def with_readings(
-    found: Sequence[Beyond], rotors: RotorScreening, rotors_ns: Stamps, imu_ns: Stamps
-) -> list[Beyond]:
-    """All samples of the rotor speeds that are left out: each for one reason, readings of 0 before spikes.
-
-    Args:
-        found: the samples beyond their limits.
-        rotors: that has all of the flight.
-        rotors_ns: (N,) stamps of the rotor speeds.
-        imu_ns: (M,) stamps of the IMU.
-    """
-    already = _joined([beyond.samples for beyond in found if beyond.is_left_out])
-    own = list(rotors.finish(rotors_ns, imu_ns, already))
-    told = _joined([samples for samples, _ in own])
-    left = [beyond._replace(samples=np.setdiff1d(beyond.samples, told)) for beyond in found]
-    return left + [Beyond(samples, rotors.samples, words, None, 1.0) for samples, words in own]
-
-
-def usable_samples(found: Iterable[Beyond]) -> npt.NDArray[np.bool_] | None:
+def usable_samples(found: Iterable[Beyond]) -> Mask | None:
     """Mask (N,) of the samples of a topic that are not left out; None if none is."""
     outliers = [beyond for beyond in found if beyond.is_left_out]
     if not outliers:
@@ -231,179 +229,126 @@ def left_out(topic: str, found: Iterable[Beyond], time_ns: Stamps, imu_ns: Stamp
 
 
 class _Limit(NamedTuple):
-    """Limits of a quantity: its largest value, the smallest spike, and the words for both."""
+    """Limits of a column: its largest value, the smallest spike, and the words for both; some have a sign."""
 
+    column: str
     quantity: str
     largest: float
     spike: float
     words: str
     unit: str
+    is_signed: bool = True
 
 
-_RATES = _Limit("rate", RATE_MAX_RAD_S, _SPIKE_RATE_RAD_S, f"beyond {RATE_MAX_RAD_S:g} rad/s", "deg/s")
-_FORCE = _Limit(
+def _limit(column: str, quantity: str, largest: float, spike: float, si: str, unit: str) -> _Limit:
+    return _Limit(column, quantity, largest, spike, f"beyond {largest:g} {si}", unit)
+
+
+_RATE = partial(
+    _limit, quantity="rate", largest=RATE_MAX_RAD_S, spike=_SPIKE_RATE_RAD_S, si="rad/s", unit="deg/s"
+)
+_FORCE = _limit(
+    "specific_force",
     "specific force",
     SPECIFIC_FORCE_MAX_M_S2,
     _SPIKE_FORCE_M_S2,
-    f"beyond {SPECIFIC_FORCE_MAX_M_S2:g} m/s²",
+    "m/s²",
     "a wrong unit of acceleration",
 )
-_POSITION = _Limit(
-    "position", POSITION_MAX_M, _SPIKE_POSITION_M, f"beyond {POSITION_MAX_M:g} m", "millimetres"
+_POSITION = _limit("position", "position", POSITION_MAX_M, _SPIKE_POSITION_M, "m", "millimetres")
+_AIRSPEED, _MEASURED_SPEED = (
+    _limit("velocity", "velocity", largest, _SPIKE_VELOCITY_M_S, "m/s", "a wrong unit of velocity")
+    for largest in (AIRSPEED_MAX_M_S, MEASURED_SPEED_MAX_M_S)
 )
-_VELOCITY = _Limit(
-    "velocity",
-    AIRSPEED_MAX_M_S,
-    _SPIKE_VELOCITY_M_S,
-    f"beyond {AIRSPEED_MAX_M_S:g} m/s",
-    "a wrong unit of velocity",
-)
-_MEASURED_VELOCITY = _VELOCITY._replace(
-    largest=MEASURED_SPEED_MAX_M_S, words=f"beyond {MEASURED_SPEED_MAX_M_S:g} m/s"
-)
-# By kind of stream: its columns that have limits.
-_LIMITS: dict[type[Stream], tuple[tuple[str, _Limit], ...]] = {
-    ImuStream: (("angular_velocity", _RATES), ("specific_force", _FORCE)),
-    PoseStream: (("position", _POSITION),),
-    TwistStream: (("velocity", _MEASURED_VELOCITY),),
-    OdometryStream: (("position", _POSITION), ("velocity", _VELOCITY), ("rates", _RATES)),
-    WindStream: (("velocity", _VELOCITY),),
+_LIMITS: dict[type[Stream], tuple[_Limit, ...]] = {
+    ImuStream: (_RATE("angular_velocity"), _FORCE),
+    PoseStream: (_POSITION,),
+    TwistStream: (_MEASURED_SPEED,),
+    OdometryStream: (_POSITION, _AIRSPEED, _RATE("rates")),
+    WindStream: (_AIRSPEED,),
 }
 
 
-def _judges(kind: type[Stream], vehicle: Vehicle | None) -> Iterator[_OfQuantity | _Negative]:
-    for column, limit in _LIMITS.get(kind, ()):
-        yield _OfQuantity(column, limit)
-    if kind is RotorSpeedStream and vehicle is not None:
-        highest = vehicle.rotor_speed_max_rad_s
-        yield _OfQuantity(
-            "speeds",
-            _Limit(
-                "rotor speed",
-                vehicle.rotor_speed_spike_rad_s,
-                _SPIKE_ROTOR_SHARE * highest,
-                f"above the vehicle's {highest:.0f} rad/s",
-                "rpm, erpm or squared speeds",
-            ),
-        )
-        yield _Negative("speeds")
+def _limits(kind: type[Stream], vehicle: Vehicle | None) -> tuple[_Limit, ...]:
+    if kind is not RotorSpeedStream or vehicle is None:
+        return _LIMITS.get(kind, ())
+    highest = vehicle.rotor_speed_max_rad_s
+    words, unit = f"above the vehicle's {highest:.0f} rad/s", "rpm, erpm or squared speeds"
+    spike = _SPIKE_ROTOR_SHARE * highest
+    return (
+        _Limit("speeds", "rotor speed", vehicle.rotor_speed_spike_rad_s, spike, words, unit, is_signed=False),
+    )
 
 
-class _Negative:
-    """Finds samples with a negative value in a column."""
+class _ColumnScreening:
+    """Finds samples of a column, which comes in parts, beyond its limit, and spikes within it.
 
-    def __init__(self, column: str) -> None:
-        self._column = column
-        self._negative = _Found()
-
-    def add(self, stream: Stream) -> None:
-        values = getattr(stream, self._column)
-        with np.errstate(invalid="ignore"):
-            self._negative.add(np.any(values < 0.0, axis=1) & np.isfinite(values).all(axis=1))
-
-    def finish(self) -> Iterator[Beyond]:
-        unit = "speeds that are signed by the sense of rotation"
-        yield Beyond(self._negative.samples(), self._negative.of, "below zero", unit)
-
-
-class _OfQuantity:
-    """Finds samples of a column beyond a limit, and spikes within it."""
-
-    def __init__(self, column: str, limit: _Limit) -> None:
-        self._column, self._limit = column, limit
-        self._beyond = _Found()
-        self._spikes = _Spikes(limit.spike)
-
-    def add(self, stream: Stream) -> None:
-        values = getattr(stream, self._column)
-        largest = np.abs(values).max(axis=1)
-        # The maximum of numbers and NaN is NaN, for which both comparisons are false.
-        self._beyond.add((largest > self._limit.largest) & (largest < np.inf))
-        self._spikes.add(values)
-
-    def finish(self) -> Iterator[Beyond]:
-        limit, beyond, of = self._limit, self._beyond.samples(), self._beyond.of
-        spikes = self._spikes.finish()
-        many = len(np.setdiff1d(beyond, spikes, assume_unique=True)) > OUTLIER_SHARE * of
-        within = np.setdiff1d(spikes, beyond, assume_unique=True)
-        far = f"whose {limit.quantity} is far from those before and after"
-        yield Beyond(beyond, of, limit.words, limit.unit, OUTLIER_SHARE if many else SPIKE_SHARE)
-        yield Beyond(within, of, far, None, SPIKE_SHARE)
-
-
-class _Spikes:
-    """Finds samples far from the median of their neighbours; they come in parts.
-
-    Args:
-        least: smallest distance of a spike from that median.
+    Spikes are samples far from the median of their neighbours.
     """
 
-    def __init__(self, least: float) -> None:
-        self._least = least
+    def __init__(self, limit: _Limit) -> None:
+        self._limit = limit
         self._count = 0
+        self._beyond: list[Rows] = []
+        self._negative: list[Rows] = []
         self._noise = EvenRows()
         # Candidates, which are spikes unless the noise is large: their indices and distances from the median.
-        self._likely: list[tuple[npt.NDArray[np.int64], Array]] = []
+        self._likely: list[tuple[Rows, Array]] = []
         # Indices and values of the last finite samples, the neighbours of those to come.
-        self._last: tuple[npt.NDArray[np.int64], Array] | None = None
+        self._last: tuple[Rows, Array] | None = None
         self._begun = False
 
-    def add(self, values: Array) -> None:
-        """Examine values (N, C); those not finite are skipped."""
-        known = np.flatnonzero(np.isfinite(values).all(axis=1))
+    def add(self, stream: Stream) -> None:
+        values = getattr(stream, self._limit.column)
+        largest = np.abs(values).max(axis=1)
+        # The maximum of numbers and NaN is NaN, for which both comparisons are false.
+        beyond = (largest > self._limit.largest) & (largest < np.inf)
+        self._beyond.append(self._count + np.flatnonzero(beyond))
+        finite = np.isfinite(values).all(axis=1)
+        if not self._limit.is_signed:
+            with np.errstate(invalid="ignore"):
+                self._negative.append(self._count + np.flatnonzero(np.any(values < 0.0, axis=1) & finite))
+        known = np.flatnonzero(finite)
         which, near = self._count + known, values[known]
         self._count += len(values)
         if self._last is not None:
             which, near = np.concatenate((self._last[0], which)), np.concatenate((self._last[1], near))
         self._last = which, near
         if len(near) >= _SPIKE_NEIGHBOURS:
-            self._look(-(_SPIKE_NEIGHBOURS // 2))
+            self._look(which, near, -(_SPIKE_NEIGHBOURS // 2))
             self._last = which[1 - _SPIKE_NEIGHBOURS :], near[1 - _SPIKE_NEIGHBOURS :]
             self._begun = True
 
-    def finish(self) -> npt.NDArray[np.int64]:
-        """Increasing indices of the spikes."""
-        if not self._begun:
-            return np.empty(0, dtype=np.int64)
-        # Beyond the end the values are mirrored.
-        self._look(None)
-        noise = np.percentile(self._noise.rows(), _SPIKE_NOISE_PERCENTILE, axis=0)
-        farthest = np.maximum(self._least, _SPIKE_NOISES * noise)
-        return _joined([which[np.any(off > farthest, axis=1)] for which, off in self._likely])
-
-    def _look(self, end: int | None) -> None:
+    def _look(self, which: Rows, near: Array, end: int | None) -> None:
         """Examine the samples not yet examined, up to `end`, after which neighbours are still missing."""
-        assert self._last is not None  # set by the first samples
         # Slow to import, and most importers read no flight.
         from scipy.ndimage import median_filter
 
-        which, near = self._last
         off = np.abs(near - median_filter(near, size=(_SPIKE_NEIGHBOURS, 1), mode="mirror"))
         new = slice(_SPIKE_NEIGHBOURS // 2 if self._begun else 0, end)
         which, off = which[new], off[new]
         self._noise.add(off)
-        likely = np.any(off > self._least, axis=1)
+        likely = np.any(off > self._limit.spike, axis=1)
         if np.any(likely):
             self._likely.append((which[likely], off[likely]))
 
+    def finish(self) -> Iterator[Beyond]:
+        limit, of, beyond, spikes = self._limit, self._count, _joined(self._beyond), _joined(())
+        if self._begun and self._last is not None:
+            # Beyond the end the values are mirrored.
+            self._look(*self._last, None)
+            noise = np.percentile(self._noise.rows(), _SPIKE_NOISE_PERCENTILE, axis=0)
+            farthest = np.maximum(limit.spike, _SPIKE_NOISES * noise)
+            spikes = _joined([which[np.any(off > farthest, axis=1)] for which, off in self._likely])
+        many = len(np.setdiff1d(beyond, spikes, assume_unique=True)) > OUTLIER_SHARE * of
+        within = np.setdiff1d(spikes, beyond, assume_unique=True)
+        far = f"whose {limit.quantity} is far from those before and after"
+        yield Beyond(beyond, of, limit.words, limit.unit, OUTLIER_SHARE if many else SPIKE_SHARE)
+        yield Beyond(within, of, far, None, SPIKE_SHARE)
+        if not limit.is_signed:
+            signed = "speeds that are signed by the sense of rotation"
+            yield Beyond(_joined(self._negative), of, "below zero", signed)
 
-class _Found:
-    """Indices of the samples found in a topic that comes in parts; `of` counts all samples."""
 
-    def __init__(self) -> None:
-        self.of = 0
-        self._parts: list[npt.NDArray[np.int64]] = []
-
-    def add(self, which: npt.NDArray[np.bool_]) -> None:
-        """Append a mask (N,) of those found among the next samples."""
-        if np.any(which):
-            self._parts.append(self.of + np.flatnonzero(which))
-        self.of += len(which)
-
-    def samples(self) -> npt.NDArray[np.int64]:
-        """Increasing indices of those found."""
-        return _joined(self._parts)
-
-
-def _joined(parts: Sequence[npt.NDArray[np.int64]]) -> npt.NDArray[np.int64]:
+def _joined(parts: Sequence[Rows]) -> Rows:
     return np.concatenate(parts) if parts else np.empty(0, dtype=np.int64)

@@ -113,6 +113,8 @@ class Effect:
             effect is not linear in them.
         scales_existing: whether it only scales existing forces. It then gains nothing by the error of another
             law, and needs less evidence beside one.
+        scales_thrust: whether it scales thrust beside weight, as identification does to fit its flights. A
+            model has then no error that it is known by: beside one of mass, it would scale all there is.
         indistinguishable_group: name of a group whose effects look alike on one rotor, their first parameter;
             a search looks for one of them on each rotor. Empty for none.
         size_grows_with_arm: whether its typical size is in proportion to the arm of the vehicle.
@@ -141,6 +143,7 @@ class Effect:
     last: bool = False
     composable: bool = True
     scales_existing: bool = False
+    scales_thrust: bool = False
     indistinguishable_group: str = ""
     size_grows_with_arm: bool = False
     tolerance: str = ""

@@ -24,16 +24,18 @@ from quadpi_core.simulation.effect_definition import Effects
 from quadpi_core.simulation.effect_registry import read_effects
 from quadpi_core.simulation.excursion import excursion
 from quadpi_core.simulation.linear_algebra import inverse, matrix_times
+from quadpi_core.simulation.physical_aerodynamics import PhysicalAerodynamics
+from quadpi_core.simulation.rotor_local import RotorLocalModel
 from quadpi_core.simulation.sensor_noise import generator
 from quadpi_core.simulation.simulated_aerodynamics import SimulatedAerodynamics
 from quadpi_core.simulation.simulated_file import IdentifiedRange, read_simulation
 from quadpi_core.simulation.truth import LOG_HZ, STEP_HZ, Reference, Truth
-from quadpi_core.simulation.vehicle_aerodynamics import load_aerodynamics
 from quadpi_core.vehicle import ROTORS, Vehicle
 
 # First stamp of every simulated flight: fixed, so that equal plans give equal bytes.
 START_NS = 1_700_000_000_000_000_000
 _NO_EFFECTS: Effects = {}
+LAWS: tuple[type[SimulatedAerodynamics], ...] = (RotorLocalModel, PhysicalAerodynamics)
 
 _NEWTON_STEPS_MAX = 30
 # Of force over weight, and of moment over weight and arm.
@@ -99,6 +101,24 @@ class SimulatedVehicle:
     def record(self) -> npt.NDArray[np.void]:
         """Record VEHICLE (1,) for the compiled physics."""
         return self.aerodynamics.record(self.motor_time_constant)
+
+
+def load_aerodynamics(name_or_path: str | Path) -> SimulatedAerodynamics:
+    """Read the aerodynamics of a vehicle file, or of the folder of a model.
+
+    Raises:
+        VehicleError: naming the file and the key that is missing, unknown or impossible, or of which there
+            are two.
+        ModelError: see :func:`.read_simulation`.
+    """
+    file = read_simulation(name_or_path)
+    given = [law for law in LAWS if getattr(file.section, law.key) is not None]
+    if len(given) > 1:
+        keys = " and ".join(f"`simulation.{law.key}`" for law in given)
+        raise VehicleError(
+            f"{file.path}: {keys} exclude each other: a vehicle has one law of its aerodynamics"
+        )
+    return (given or LAWS)[0].load(name_or_path)
 
 
 def own_effects(name_or_path: str | Path) -> Effects:

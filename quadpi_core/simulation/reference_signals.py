@@ -17,15 +17,17 @@ from dataclasses import asdict, dataclass, replace
 from typing import Annotated, Any, TypeAlias, TypeVar
 
 import numpy as np
-from pydantic import AliasChoices, BeforeValidator, Field
 
 from quadpi_core.compiled import njit
 from quadpi_core.config_schema import (
     Expected,
     Flag,
+    Key,
+    NotEmpty,
     NotNegative,
     OneOf,
     Positive,
+    ReadBy,
     Real,
     Section,
     Within,
@@ -43,9 +45,7 @@ _ROUNDING_S = 1e-9
 AXES = {"x": "m", "y": "m", "height": "m", "yaw": "deg", "roll": "deg", "pitch": "deg", "thrust": "share"}
 
 # In the unit of the axis, which :class:`_AxisUnit` checks.
-Amplitude: TypeAlias = Annotated[
-    Real, Field(validation_alias=AliasChoices("amplitude_m", "amplitude_deg", "amplitude_share"))
-]
+Amplitude: TypeAlias = Annotated[Real, Key("amplitude_m", "amplitude_deg", "amplitude_share")]
 # Of edges and fades [s]: anything shorter than the simulation's step is a jump.
 Transition: TypeAlias = Annotated[float, Within(1e-3)]
 
@@ -135,7 +135,7 @@ class Multisine(Wave):
     """Several frequencies, each of the amplitude, with Schroeder's phases, which keep the sum's peaks low."""
 
     frequencies_hz: Annotated[
-        tuple[Positive, ...], Field(min_length=1), Expected("must be a list of positive numbers")
+        tuple[Positive, ...], NotEmpty(), Expected("must be a list of positive numbers")
     ]
 
     def tones(self) -> tuple[Array, Array, float]:
@@ -265,9 +265,9 @@ class _AxisUnit:
         return entries
 
 
-Lengths: TypeAlias = Annotated[tuple[_Entry, ...], BeforeValidator(_AxisUnit("m"))]
-Angles: TypeAlias = Annotated[tuple[_Entry, ...], BeforeValidator(_AxisUnit("deg"))]
-Shares: TypeAlias = Annotated[tuple[_Entry, ...], BeforeValidator(_AxisUnit("share"))]
+Lengths: TypeAlias = Annotated[tuple[_Entry, ...], ReadBy(_AxisUnit("m"), first=True)]
+Angles: TypeAlias = Annotated[tuple[_Entry, ...], ReadBy(_AxisUnit("deg"), first=True)]
+Shares: TypeAlias = Annotated[tuple[_Entry, ...], ReadBy(_AxisUnit("share"), first=True)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -287,7 +287,7 @@ _KINDS = {"sine": Sine, "pulse": Pulse, "step": Step, "chirp": Chirp, "multisine
 
 
 def read_motion(data: Any) -> Motion:
-    """The key `motion` of a flight, as a validator of pydantic."""
+    """The key `motion` of a flight, for `config_schema.ReadBy`."""
     entries = vars(check_config(_MotionFile, data))
     return {axis: tuple(entry.signal for entry in listed) for axis, listed in entries.items() if listed}
 

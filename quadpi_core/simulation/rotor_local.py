@@ -16,10 +16,9 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import PlainValidator
 
 from quadpi_core.compiled import njit
-from quadpi_core.config_schema import Numbers, Real, Section, Text, check_config, parse_config
+from quadpi_core.config_schema import Numbers, ReadBy, Real, Section, Text, check_config, parse_config
 from quadpi_core.errors import SimulationError, VehicleError, named_in
 from quadpi_core.frames import Array
 from quadpi_core.simulation.simulated_aerodynamics import SimulatedAerodynamics, airframe_area
@@ -111,9 +110,9 @@ def _read_aerodynamics(data: Any) -> RotorLocalCoefficients | ScaledAerodynamics
 class _Section(Section):
     """What of the mapping `simulation` concerns this law."""
 
-    rotor_local: Annotated[
-        RotorLocalCoefficients | ScaledAerodynamics | None, PlainValidator(_read_aerodynamics)
-    ] = None
+    rotor_local: Annotated[RotorLocalCoefficients | ScaledAerodynamics | None, ReadBy(_read_aerodynamics)] = (
+        None
+    )
 
 
 # Coefficients that one factor scales, by the name of their group: the first (static), all others, or all.

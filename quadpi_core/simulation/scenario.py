@@ -16,11 +16,19 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import PlainValidator
 
 from quadpi_core.brief_repr import brief_repr
 from quadpi_core.config import is_config_path, nearest
-from quadpi_core.config_schema import Expected, Section, Text, Within, load_config, parse_config, unknown_key
+from quadpi_core.config_schema import (
+    Expected,
+    ReadBy,
+    Section,
+    Text,
+    Within,
+    load_config,
+    parse_config,
+    unknown_key,
+)
 from quadpi_core.errors import SimulationError, named_in
 from quadpi_core.frames import Array
 from quadpi_core.simulation.effect_definition import Effects
@@ -78,9 +86,9 @@ class FlightPlan(Section):
     duration_s: Annotated[float, Within(0.1, 3600.0)]
     height_m: Annotated[float, Within(0.0, 1000.0)] = 3.0
     head_wind_m_s: Annotated[float, Within(-100.0, 100.0)] | None = None
-    motion: Annotated[Motion, PlainValidator(read_motion)] = field(default_factory=dict)
+    motion: Annotated[Motion, ReadBy(read_motion)] = field(default_factory=dict)
     orbit: Orbit | None = None
-    effects: Annotated[Effects, PlainValidator(_read_effects)] = field(default_factory=dict)
+    effects: Annotated[Effects, ReadBy(_read_effects)] = field(default_factory=dict)
     faults: tuple[Fault, ...] = ()
     truth_rate_hz: Annotated[int, Within(1, LOG_HZ)] = LOG_HZ
 

@@ -15,10 +15,9 @@ from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
 import numpy as np
-from pydantic import Field
 
 from quadpi_core.compiled import njit
-from quadpi_core.config_schema import NotNegative, Section, Share, Vector, Within, load_config
+from quadpi_core.config_schema import Key, NotNegative, Section, Share, Vector, Within, load_config
 from quadpi_core.errors import SimulationError
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array
@@ -62,24 +61,24 @@ class InertialSensor(Section):
 class Gyro(InertialSensor):
     """The keys of a gyro."""
 
-    noise: Annotated[NotNegative, Field(alias="noise_rad_s")] = 0.0
-    noise_density: Annotated[NotNegative, Field(alias="noise_density_rad_s_sqrt_hz")] = 0.0
-    bias: Annotated[NotNegative, Field(alias="bias_rad_s")] = 0.0
-    bias_walk: Annotated[NotNegative, Field(alias="bias_walk_rad_s_sqrt_s")] = 0.0
-    range: Annotated[NotNegative, Field(alias="range_rad_s")] = math.inf
-    resolution: Annotated[NotNegative, Field(alias="resolution_rad_s")] = 0.0
+    noise: Annotated[NotNegative, Key("noise_rad_s")] = 0.0
+    noise_density: Annotated[NotNegative, Key("noise_density_rad_s_sqrt_hz")] = 0.0
+    bias: Annotated[NotNegative, Key("bias_rad_s")] = 0.0
+    bias_walk: Annotated[NotNegative, Key("bias_walk_rad_s_sqrt_s")] = 0.0
+    range: Annotated[NotNegative, Key("range_rad_s")] = math.inf
+    resolution: Annotated[NotNegative, Key("resolution_rad_s")] = 0.0
 
 
 @dataclass(frozen=True)
 class Accelerometer(InertialSensor):
     """The keys of an accelerometer."""
 
-    noise: Annotated[NotNegative, Field(alias="noise_m_s2")] = 0.0
-    noise_density: Annotated[NotNegative, Field(alias="noise_density_m_s2_sqrt_hz")] = 0.0
-    bias: Annotated[NotNegative, Field(alias="bias_m_s2")] = 0.0
-    bias_walk: Annotated[NotNegative, Field(alias="bias_walk_m_s2_sqrt_s")] = 0.0
-    range: Annotated[NotNegative, Field(alias="range_m_s2")] = math.inf
-    resolution: Annotated[NotNegative, Field(alias="resolution_m_s2")] = 0.0
+    noise: Annotated[NotNegative, Key("noise_m_s2")] = 0.0
+    noise_density: Annotated[NotNegative, Key("noise_density_m_s2_sqrt_hz")] = 0.0
+    bias: Annotated[NotNegative, Key("bias_m_s2")] = 0.0
+    bias_walk: Annotated[NotNegative, Key("bias_walk_m_s2_sqrt_s")] = 0.0
+    range: Annotated[NotNegative, Key("range_m_s2")] = math.inf
+    resolution: Annotated[NotNegative, Key("resolution_m_s2")] = 0.0
 
 
 @dataclass(frozen=True)
@@ -92,9 +91,9 @@ class Imu(Section):
         misalignment: [deg] rotation vector from the sensor's axes to the body's.
     """
 
-    rate: Annotated[Rate, Field(alias="rate_hz")] = 500.0
-    position: Annotated[Vector, Field(alias="position_m")] = (0.0, 0.0, 0.0)
-    misalignment: Annotated[Vector, Field(alias="misalignment_deg")] = (0.0, 0.0, 0.0)
+    rate: Annotated[Rate, Key("rate_hz")] = 500.0
+    position: Annotated[Vector, Key("position_m")] = (0.0, 0.0, 0.0)
+    misalignment: Annotated[Vector, Key("misalignment_deg")] = (0.0, 0.0, 0.0)
     gyro: Gyro = Gyro()
     accelerometer: Accelerometer = Accelerometer()
 
@@ -103,8 +102,8 @@ class Imu(Section):
 class RotorSpeedSensor(Section):
     """Electronic speed controllers; noise in electrical rev/min, mechanical where pole pairs are unknown."""
 
-    rate: Annotated[Rate, Field(alias="rate_hz")] = 500.0
-    noise: Annotated[NotNegative, Field(alias="noise_erpm")] = 0.0
+    rate: Annotated[Rate, Key("rate_hz")] = 500.0
+    noise: Annotated[NotNegative, Key("noise_erpm")] = 0.0
 
 
 @dataclass(frozen=True)
@@ -124,24 +123,24 @@ class MotionCapture(Section):
         obscured_burst: [s] for which they stay hidden, on average, while the vehicle stays tilted.
     """
 
-    rate: Annotated[float, Within(0.1, 1000.0), Field(alias="rate_hz")] = 120.0
-    position_noise: Annotated[NotNegative, Field(alias="position_noise_m")] = 0.0
-    attitude_noise: Annotated[NotNegative, Field(alias="attitude_noise_rad")] = 0.0
-    capture_jitter: Annotated[NotNegative, Field(alias="capture_jitter_s")] = 0.0
-    latency: Annotated[Delay, Field(alias="latency_s")] = 0.0
-    arrival_jitter: Annotated[Delay, Field(alias="arrival_jitter_s")] = 0.0
+    rate: Annotated[float, Within(0.1, 1000.0), Key("rate_hz")] = 120.0
+    position_noise: Annotated[NotNegative, Key("position_noise_m")] = 0.0
+    attitude_noise: Annotated[NotNegative, Key("attitude_noise_rad")] = 0.0
+    capture_jitter: Annotated[NotNegative, Key("capture_jitter_s")] = 0.0
+    latency: Annotated[Delay, Key("latency_s")] = 0.0
+    arrival_jitter: Annotated[Delay, Key("arrival_jitter_s")] = 0.0
     dropout_probability: Share = 0.0
-    obscured_angle: Annotated[float, Within(0.0, 180.0), Field(alias="obscured_angle_deg")] = 180.0
+    obscured_angle: Annotated[float, Within(0.0, 180.0), Key("obscured_angle_deg")] = 180.0
     obscured_share: Share = 1.0
-    obscured_burst: Annotated[float, Within(1e-3), Field(alias="obscured_burst_s")] = 0.1
+    obscured_burst: Annotated[float, Within(1e-3), Key("obscured_burst_s")] = 0.1
 
 
 @dataclass(frozen=True)
 class Anemometer(Section):
     """Wind over ground, noise in m/s per axis."""
 
-    rate: Annotated[Rate, Field(alias="rate_hz")] = 500.0
-    noise: Annotated[NotNegative, Field(alias="noise_m_s")] = 0.0
+    rate: Annotated[Rate, Key("rate_hz")] = 500.0
+    noise: Annotated[NotNegative, Key("noise_m_s")] = 0.0
 
 
 @dataclass(frozen=True)
@@ -151,11 +150,11 @@ class StateNoise(Section):
     A simulation has no electrical speeds: that of the rotors is of their mechanical speed.
     """
 
-    velocity: Annotated[NotNegative, Field(alias="velocity_m_s")] = 0.0
-    attitude: Annotated[NotNegative, Field(alias="attitude_rad")] = 0.0
-    rates: Annotated[NotNegative, Field(alias="rates_rad_s")] = 0.0
-    specific_force: Annotated[NotNegative, Field(alias="specific_force_m_s2")] = 0.0
-    rotor_speeds: Annotated[NotNegative, Field(alias="rotor_speeds_rad_s")] = 0.0
+    velocity: Annotated[NotNegative, Key("velocity_m_s")] = 0.0
+    attitude: Annotated[NotNegative, Key("attitude_rad")] = 0.0
+    rates: Annotated[NotNegative, Key("rates_rad_s")] = 0.0
+    specific_force: Annotated[NotNegative, Key("specific_force_m_s2")] = 0.0
+    rotor_speeds: Annotated[NotNegative, Key("rotor_speeds_rad_s")] = 0.0
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 """What a simulation needs of the aerodynamics of a vehicle: the interface of all laws that can fly.
 
 A law is one compiled function that fills the wrench of a state, with a table of numbers. Each is one file,
-read from a key of its own in the mapping `simulation` of a vehicle file (see `vehicle_aerodynamics`).
+read from a key of its own in the mapping `simulation` of a vehicle file (see :func:`.load_aerodynamics`).
 """
 
 from __future__ import annotations

@@ -13,17 +13,19 @@ from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from pydantic import PlainValidator
+import yaml
 
 from quadpi_core.config import read_config
-from quadpi_core.config_schema import Section, Within, check_config, parse_config
+from quadpi_core.config_schema import ReadBy, Section, Within, check_config, parse_config
 from quadpi_core.errors import VehicleError
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.model_folder import MODEL_FILE
+from quadpi_core.paths import whole_output
 from quadpi_core.thresholds import Threshold
 from quadpi_core.vehicle import Vehicle, simulation_section
+from quadpi_core.version import __version__
 
 MOTOR_TIME_CONSTANT = Threshold(
     "time constant of a motor",
@@ -75,7 +77,7 @@ class SimulationSection(Section):
     motor_time_constant_s: Annotated[float, Within(0.001, 1.0)] | None = None
     rotor_local: Any = None
     physical: Any = None
-    identified_range: Annotated[IdentifiedRange | None, PlainValidator(_read_range)] = None
+    identified_range: Annotated[IdentifiedRange | None, ReadBy(_read_range)] = None
     effects: Any = None
     tolerances: Any = None
 
@@ -161,3 +163,24 @@ def vehicle_content(name_or_path: str | Path) -> tuple[str, dict[str, Any]]:
         return path.name, data
     vehicle, section = _of_model(folder)
     return folder.name, {**vehicle.to_file(), "simulation": section}
+
+
+def write_vehicle_file(folder: Path, path: Path) -> None:
+    """Write the vehicle file that flies as the model in a folder; it appears whole or not at all.
+
+    Raises:
+        ModelError: for a folder that is no model, and a model that is no simulation, saying why.
+        VehicleError: if its vehicle is not known.
+        OutputError: if the file cannot be written.
+    """
+    if model_folder(folder) is None:
+        AerodynamicModel.load(folder)
+        raise VehicleError(f"{folder}: not the folder of a model")
+    _, data = vehicle_content(folder)
+    identity = AerodynamicModel.load(folder).identity
+    source = f"Identified by quadpi {__version__} from flights: model {identity}."
+    text: str = yaml.safe_dump(
+        {"source": source, **data}, sort_keys=False, default_flow_style=None, width=110
+    )
+    with whole_output(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")

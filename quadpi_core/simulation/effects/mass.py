@@ -23,6 +23,7 @@ _STEP, _STEPS_MOST = 0.005, 500
     Parameter("mass_kg", "kg", 0.05, 0.0, 5.0),
     shown_by="vertical accelerations with roll and pitch pulses; weighing",
     scales_existing=True,
+    scales_thrust=True,
     formula="m = m_0 + m_L",
     symbols="m_L",
 )

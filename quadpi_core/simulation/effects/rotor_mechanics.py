@@ -71,6 +71,7 @@ def spin_up(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     Parameter("change", "", 0.1, -0.9, 1.0),
     shown_by="roll and pitch pulses, throttle steps",
     scales_existing=True,
+    scales_thrust=True,
     formula=r"\Delta (F,\ M) = k\,(F,\ M)_{\mathrm{aerodynamic}}",
     symbols="k",
     of_a_flight="the air, or a battery that is low",

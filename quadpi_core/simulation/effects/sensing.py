@@ -126,6 +126,7 @@ def gyro_bias(recording: Recording, vehicle: Vehicle, p: Array) -> Recording:  #
     shown_by="weighing the thrust of each rotor; throttle steps with yaw",
     inverse=_inverse_scale,
     indistinguishable_group=STRENGTH_OF_ONE_ROTOR,
+    scales_thrust=True,
     formula=r"\omega'_j = (1 + k)\,\omega_j,\quad j = 0:\ \text{every rotor}",
     symbols="j k",
 )

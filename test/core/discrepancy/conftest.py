@@ -10,9 +10,10 @@ from functools import cache
 import pytest
 from threadpoolctl import threadpool_limits
 
-from quadpi_core.discrepancy.candidates import candidates, of_coefficient
+from quadpi_core.discrepancy.candidates import candidates
 from quadpi_core.discrepancy.effect_regression import Regression
 from quadpi_core.discrepancy.effect_response import Compared
+from quadpi_core.discrepancy.other_simulations import of_coefficient
 from quadpi_core.estimator.fusion import fuse_airborne
 from quadpi_core.models.model_kind import CUTOFF_HZ
 from quadpi_core.simulation.effect_registry import read_effects

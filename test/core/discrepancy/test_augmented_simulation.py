@@ -226,20 +226,6 @@ def test_an_effect_of_nothing_on_sensors_changes_nothing(flown):
     np.testing.assert_allclose(added.wrench(flight), simulation.wrench(flight), rtol=0.0, atol=1e-12)
 
 
-def test_sensors_are_corrected_before_the_simulation_is_asked(flown):
-    late = flown("sensor_delay:rotor_speeds_s=0.02,mocap_s=0")[0]
-    true = flown()[0]
-    simulation = AugmentedSimulation(
-        load_simulation("bebop2"),
-        read_effects({"sensor_delay": {"rotor_speeds_s": 0.02, "mocap_s": 0.0}}, "test"),
-    )
-    corrected = simulation.corrected(late)
-    # Flights begin a few samples apart: compare where both are.
-    shift = round((corrected.start_ns - true.start_ns) * 1e-9 * true.rate_hz)
-    one, other = corrected.rotor_speeds[50:-50], true.rotor_speeds[50 + shift :][: len(corrected) - 100]
-    assert np.std(one - other) < 0.2 * np.std(late.rotor_speeds[50:-50] - other)
-
-
 @pytest.mark.parametrize(
     ("name", "reads"),
     [("payload", False), ("rotor_drag", False), ("slung_load", True), ("imu_misalignment", True)],

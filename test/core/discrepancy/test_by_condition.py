@@ -20,7 +20,7 @@ from quadpi_core.discrepancy.by_condition import (
 )
 from quadpi_core.discrepancy.candidates import candidates
 from quadpi_core.discrepancy.effect_response import Compared
-from quadpi_core.discrepancy.search import search
+from quadpi_core.discrepancy.search import Prepared, search
 from quadpi_core.discrepancy.whitening import spectrum
 from quadpi_core.flight import AXES
 
@@ -30,7 +30,7 @@ NOISE = np.array([0.03, 0.03, 0.03, 3e-3, 3e-3, 3e-3])
 
 def searched(simulation, flights):
     compared = [Compared(flight, simulation) for flight in flights]
-    return search(compared, candidates(simulation.vehicle, ("body_drag", "rate_damping")))
+    return search(Prepared.of(compared, candidates(simulation.vehicle, ("body_drag", "rate_damping"))))
 
 
 @pytest.mark.slow

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Candidates of a search and tolerances of an unknown simulation: variants, sizes, and their columns."""
+"""Candidates of a search: variants, sizes, their columns, and those of tolerances and the form of laws."""
 
 from __future__ import annotations
 
@@ -10,28 +10,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from quadpi_core.discrepancy.candidates import (
-    EVEN,
-    LINEAR,
-    ROTORS,
-    SQUARED,
-    TOGETHER,
-    Part,
-    candidates,
-    first_point,
-    linearise,
-    of_coefficient,
-    part_columns,
-    typical_sizes,
-)
+from quadpi_core.discrepancy import CallableSimulation
+from quadpi_core.discrepancy.candidates import candidates, first_point, linearise, typical_sizes
 from quadpi_core.discrepancy.effect_response import Compared
-from quadpi_core.discrepancy.simulations import Tolerances
 from quadpi_core.discrepancy.unmeasured_states import Started
 from quadpi_core.errors import DiscrepancyError
-from quadpi_core.flight import AXES
 from quadpi_core.rotations import rotate_world_to_body
 from quadpi_core.simulation.effect_registry import EFFECTS
 from quadpi_core.vehicle import Vehicle
+
+from .regressions import DRAG, PAYLOAD, WIND, regression_of, rows, rows_in
 
 BEBOP = Vehicle.load("bebop2")
 
@@ -157,118 +145,55 @@ def test_typical_sizes_are_those_of_the_bebop_2():
         np.testing.assert_allclose(sizes, defaults, rtol=0.01, err_msg=name)
 
 
-TOLERANCES = Tolerances(thrust=0.01, coefficient=0.1, inertia=0.02)
-SAMPLES = 7
+def test_what_no_flight_feels_is_no_column_and_what_one_feels_is_one_of_all(simulation, flights):
+    """A force along x in one of two flights, none along y in either."""
+
+    def pushing(flight):
+        wrench = simulation.wrench(flight)
+        wrench[:, 0] = 0.1 if flight.source == flights[1].source else 0.0
+        wrench[:, 1] = 0.0
+        return wrench
+
+    outside = CallableSimulation("outside", simulation.vehicle, pushing)
+    tolerances = regression_of(outside, flights[:2], []).tolerances
+    names = tolerances.names
+    assert not any(name.startswith("Fy of ") for name in names)
+    force = names.index("Fx of rotors")
+    felt = [rows(tolerances.coefficients, place)[:, :, force].any() for place in range(2)]
+    assert felt == [False, True]
+    assert {law for law in tolerances.laws if law} < set(names)
+    # Of the body all, last: moves change them.
+    assert sum("." in name for name in names[-tolerances.body.width :]) == tolerances.body.width
+    assert len(names) == len(tolerances.laws) == tolerances.coefficients.width + tolerances.body.width
 
 
-def drawn(seed):
-    return np.random.default_rng(seed).standard_normal((SAMPLES, 6))
+def test_about_its_point_a_curved_candidate_contributes_what_it_does(sounded):
+    """Its columns at the parameters, in prior deviations, less the last; others stay, and have none."""
+    at = np.array([1.0, -0.5, 0.2])
+    moved, wind = sounded.moved({WIND: at}), sounded.candidates[WIND]
+    block = moved.blocks[WIND]
+    assert [own.curved for own in moved.blocks] == [False, False, True]
+    assert moved.blocks[:WIND] == sounded.blocks[:WIND]
+    np.testing.assert_allclose(block.at * wind.scale, at)
+    np.testing.assert_allclose(sounded.blocks[DRAG].highest * sounded.candidates[DRAG].scale, 0.1)
+    for place, flight in enumerate(sounded.flights):
+        contribution = rows_in(sounded, place, flight.added(wind.effect, wind.values(at)))
+        found = rows(block.columns, place) @ [*block.at, -1.0]
+        np.testing.assert_allclose(found, contribution, atol=1e-9)
 
 
-@pytest.fixture
-def parts():
-    """Of each law one, but two of the first order in the motion."""
-    return [
-        Part(ROTORS, drawn(0), ROTORS),
-        Part("rates", drawn(1), LINEAR),
-        Part("airspeed", drawn(2), LINEAR),
-        Part(EVEN, drawn(3), EVEN),
-        Part(SQUARED, drawn(4), SQUARED),
-    ]
-
-
-def by_name(parts):
-    columns = part_columns(parts, TOLERANCES)
-    found = {column.name: column for column in columns}
-    assert len(found) == len(columns)
-    return found
-
-
-def test_own_and_shared_variance_are_that_of_the_tolerance(parts):
-    """Of each part alone in its law, in every axis and at every instant."""
-    for part in parts[1:]:
-        columns = by_name([part])
-        variance = sum(np.square(column.wrench) for column in columns.values())
-        np.testing.assert_allclose(variance, np.square(0.1 * part.wrench))
-
-
-def test_half_of_the_variance_of_a_law_is_that_of_all_its_axes(parts):
-    assert TOGETHER.value == 0.5
-    (part,) = parts[3:4]
-    columns = by_name([part])
-    whole = np.square(columns["Fz, Mx and My of airspeed, even"].wrench[:, 2:5])
-    np.testing.assert_allclose(whole, 0.5 * np.square(0.1 * part.wrench[:, 2:5]))
-
-
-def test_thrust_and_torque_of_rotors_are_known_axis_by_axis(parts):
-    columns = by_name(parts[:1])
-    shares = {"Fz": 0.01, "Mx": 0.02, "My": 0.02, "Fx": 0.1, "Fy": 0.1, "Mz": 0.1}
-    assert set(columns) == {f"{axis} of rotors" for axis in AXES} == {f"{axis} of rotors" for axis in shares}
-    for index, axis in enumerate(AXES):
-        column = columns[f"{axis} of rotors"]
-        assert column.law == ""
-        np.testing.assert_allclose(column.wrench[:, index], shares[axis] * parts[0].wrench[:, index])
-
-
-def test_a_column_of_a_part_is_of_one_axis(parts):
-    columns = by_name(parts)
-    for part in parts:
-        for index, axis in enumerate(AXES):
-            others = np.delete(columns[f"{axis} of {part.name}"].wrench, index, axis=1)
-            assert not others.any()
-
-
-def test_parts_of_one_law_are_wrong_together(parts):
-    columns = by_name(parts)
-    shared = {name for name in columns if " and " in name}
-    laws = (LINEAR, EVEN, SQUARED)
-    assert shared == {f"{axes} of {law}" for axes in ("Fz, Mx and My", "Fx, Fy and Mz") for law in laws}
-    both = parts[1].wrench + parts[2].wrench
-    forces = columns[f"Fx, Fy and Mz of {LINEAR}"].wrench
-    kept = [AXES.index(axis) for axis in ("Fx", "Fy", "Mz")]
-    np.testing.assert_allclose(forces[:, kept], 0.1 * np.sqrt(0.5) * both[:, kept])
-    assert not np.delete(forces, kept, axis=1).any()
-
-
-def test_the_law_of_a_column_names_the_one_that_holds_its_axis(parts):
-    columns = by_name(parts)
-    for name, column in columns.items():
-        if not column.law:
-            assert name.endswith(" of rotors") or " and " in name
-            continue
-        axis = name.partition(" of ")[0]
-        assert columns[column.law].law == ""
-        assert columns[column.law].wrench[:, AXES.index(axis)].any()
-
-
-def test_a_coefficient_is_wrong_by_what_its_columns_add_up_to(parts):
-    """Multiples of its own column and of the shared one, in tolerances of the part."""
-    part, own, shared = parts[4], 1.7, -0.4
-    columns = by_name([part])
-    for index, axis in enumerate(AXES):
-        column = columns[f"{axis} of {part.name}"]
-        added = own * column.wrench + shared * columns[column.law].wrench
-        expected = of_coefficient(own, shared) * 0.1 * part.wrench[:, index]
-        np.testing.assert_allclose(added[:, index], expected)
-
-
-def test_a_law_wrong_as_a_whole_costs_less_than_one_wrong_by_axis(parts):
-    """By prior: squares of the multiples that make every coefficient of a law wrong by one tolerance."""
-    columns = by_name(parts[4:])
-    one = 0.1 * parts[4].wrench.ravel()
-    table = np.stack([column.wrench.ravel() for column in columns.values()], axis=1)
-    together = np.linalg.lstsq(table, one, rcond=None)[0]
-    signs = np.tile([1.0, -1.0, 1.0, -1.0, 1.0, -1.0], SAMPLES)
-    apart = np.linalg.lstsq(table, one * signs, rcond=None)[0]
-    # Of each of two groups of three axes: the inverse covariance, halves beside halves, of three ones.
-    inverse = np.linalg.inv(0.5 * np.eye(3) + 0.5 * np.ones((3, 3)))
-    assert together @ together == pytest.approx(2.0 * inverse.sum())
-    assert apart @ apart > 1.5 * (together @ together)
-
-
-def test_every_flight_has_the_same_columns(parts):
-    """Even one in which parts and axes are zero, as one that stands still in the air."""
-    still = [part._replace(wrench=np.zeros_like(part.wrench)) for part in parts[1:]]
-    flat = parts[0]._replace(wrench=parts[0].wrench * [0.0, 0.0, 1.0, 1.0, 1.0, 1.0])
-    moving, hovering = part_columns(parts, TOLERANCES), part_columns([flat, *still], TOLERANCES)
-    assert [(c.name, c.law) for c in moving] == [(c.name, c.law) for c in hovering]
+def test_columns_of_the_form_are_shares_of_the_contribution(sounded):
+    """One for each axis of the law, then one for each modulator; none for an exact law or no effect."""
+    at = np.array([0.004, 0.01, 0.002])
+    moved = sounded.moved({DRAG: at, PAYLOAD: np.array([0.05])})
+    block, drag = moved.blocks[DRAG], sounded.candidates[DRAG]
+    assert moved.blocks[PAYLOAD].form is moved.moved({DRAG: 0.0 * at}).blocks[DRAG].form is None
+    assert block.formed_at == pytest.approx(np.linalg.norm(at / drag.scale))
+    flight, modulators = sounded.flights[0], sounded.modulators
+    contribution = flight.added(drag.effect, drag.values(at))
+    shares = [1.5 * contribution * unit for unit in np.eye(6)[:3]]
+    shares += [contribution * modulator[:, None] for modulator in modulators.values[0].T]
+    expected = flight.spectrum(0.15 * np.dstack(shares)).rows
+    np.testing.assert_allclose(rows(block.form, 0), expected, atol=1e-9)
+    everything = np.concatenate(modulators.values)
+    np.testing.assert_allclose([everything.mean(axis=0), everything.std(axis=0) - 1.0], 0.0, atol=1e-9)

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from quadpi_core.discrepancy.candidates import candidates
-from quadpi_core.discrepancy.closure import Closing, law_fit, left_out_squares
-from quadpi_core.discrepancy.effect_regression import Regression, settled
+from quadpi_core.discrepancy.closure import Closing
+from quadpi_core.discrepancy.effect_regression import Regression, law_fit, left_out_squares, settled
 from quadpi_core.discrepancy.effect_response import Compared
-from quadpi_core.discrepancy.flight_conditions import Condition
+from quadpi_core.discrepancy.evidence import Condition
 from quadpi_core.discrepancy.whitening import rows_of
 from quadpi_core.simulation.applied_effects import effect_wrench
 

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from scipy.special import ndtri
 
+from quadpi_core.discrepancy.acceptance import Accepted
 from quadpi_core.discrepancy.candidates import candidates
-from quadpi_core.discrepancy.effect_regression import Regression, refined, settled
+from quadpi_core.discrepancy.effect_regression import Regression, settled
 from quadpi_core.discrepancy.effect_response import Compared, body_tolerances, share_of_wrench
 from quadpi_core.discrepancy.evidence import Fit
 from quadpi_core.discrepancy.simulations import Margins
@@ -197,7 +198,8 @@ def test_a_curved_effect_is_linearised_where_it_fits_best(simulation, flights):
     regression = settled(regression_of(simulation, unaware, ["wind"]))
     (wind,), fit = regression.candidates, regression.fit((0,))
     np.testing.assert_allclose(regression.points[0], BLOWN, atol=0.1)
-    better, fit = refined(regression, (0,), fit)
+    refined = Accepted(regression, (0,), fit).refined()
+    better, fit = refined.regression, refined.fit
     values = better.parameters(0, fit)
     np.testing.assert_allclose(values, BLOWN, atol=0.1)
     np.testing.assert_allclose(better.points[0], values, atol=0.02)
@@ -233,5 +235,5 @@ class Overshooting:
 def test_a_step_that_overshoots_is_halved():
     """To 3, back to 1.5, which is better than 0, and not to 0 again."""
     start = Overshooting()
-    best, _ = refined(start, (0,), start.fit((0,)))
-    assert best.points[0] == settled(start).points[0] == 1.5
+    best = Accepted(start, (0,), start.fit((0,))).refined()
+    assert best.regression.points[0] == settled(start).points[0] == 1.5

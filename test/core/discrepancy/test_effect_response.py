@@ -138,14 +138,6 @@ def test_a_share_of_the_wrench_is_what_mass_and_inertia_add_without_rates(flight
         np.testing.assert_allclose(added, still.expected_measured @ share.T, atol=1e-9)
 
 
-def test_rotors_that_turn_slower_than_they_say_lift_less(compared, simulation):
-    """Sensors that read 3 % too much: the simulation, told the true speeds, gives another wrench."""
-    added = compared.added(EFFECTS["rotor_speed_scale"], values("rotor_speed_scale", change=0.03))
-    expected = compared.expected
-    truly = replace(expected, rotor_speeds=expected.rotor_speeds / 1.03)
-    np.testing.assert_allclose(added, simulation.wrench(truly) - simulation.wrench(expected), atol=1e-9)
-
-
 def test_rotor_speeds_that_come_late_are_moved_back(compared, simulation):
     """What the simulation should have had 40 ms earlier; constant at the end."""
     added = compared.added(EFFECTS["sensor_delay"], values("sensor_delay", rotor_speeds_s=0.04))
@@ -209,13 +201,6 @@ def test_a_simulation_with_memory_sees_twice_the_samples_that_are_compared(fligh
     assert compared.thinned.rate_hz == pytest.approx(fast.rate_hz / 4.0)
     assert len(compared.residual) == 100
     assert remembering.seen == 200
-
-
-def test_a_flight_is_compared_up_to_its_highest_frequency(flight, simulation):
-    columns = np.ones((len(flight), 6, 1))
-    whole, slow = Compared(flight, simulation), Compared(flight, simulation, highest_hz=5.0)
-    assert whole.spectrum(columns).rows.shape[1] == pytest.approx(2 * 20.0 * 4.0, abs=2)
-    assert slow.spectrum(columns).rows.shape[1] == pytest.approx(2 * 5.0 * 4.0, abs=2)
 
 
 def corrected(flight, simulation, name, **parameters):

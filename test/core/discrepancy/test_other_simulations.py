@@ -11,9 +11,19 @@ import pytest
 
 from quadpi_core.discrepancy import AugmentedSimulation, CallableSimulation, discover, load_simulation
 from quadpi_core.discrepancy.effect_response import Compared, explained_wrench, quiet
-from quadpi_core.discrepancy.other_simulations import RecordedSimulation, learned_weights
+from quadpi_core.discrepancy.other_simulations import (
+    EVEN,
+    LINEAR,
+    OF_ROTORS,
+    SQUARED,
+    Part,
+    RecordedSimulation,
+    learned_weights,
+    of_coefficient,
+    part_columns,
+)
 from quadpi_core.discrepancy.reflight import rollout
-from quadpi_core.discrepancy.simulations import VehicleSimulation, airspeed
+from quadpi_core.discrepancy.simulations import Tolerances, VehicleSimulation, airspeed
 from quadpi_core.discrepancy.study import read_flights
 from quadpi_core.discrepancy.unmeasured_states import INDEPENDENT_HZ
 from quadpi_core.errors import DiscrepancyError, QuadpiError
@@ -223,17 +233,6 @@ def test_a_sum_of_a_few_functions_is_recovered_and_hardly_any_other_is_taken():
         assert np.all(weights[true != 0.0] != 0.0)
         assert np.sum(weights[true == 0.0] != 0.0) <= 2
         np.testing.assert_allclose(weights, true, atol=0.03)
-
-
-def test_samples_that_are_not_independent_are_no_more_evidence():
-    """The same values, each for ten samples, are taken or not as they are once."""
-    rng = np.random.default_rng(2)
-    functions = drawn(rng, 5, 100, 10)
-    wrenches = [0.15 * own[:, :6] + rng.standard_normal((100, 6)) for own in functions]
-    once = learned_weights(wrenches, functions, RATE_HZ)
-    repeated = [[np.repeat(own, 10, axis=0) for own in values] for values in (wrenches, functions)]
-    np.testing.assert_allclose(learned_weights(*repeated, 10.0 * RATE_HZ), once, atol=1e-9)
-    assert not np.array_equal(np.array(learned_weights(*repeated, RATE_HZ)) != 0.0, np.array(once) != 0.0)
 
 
 @pytest.mark.parametrize(("flights", "held"), [(5, 0.0), (3, 20 / 120)], ids=["left out", "few, all"])
@@ -486,17 +485,6 @@ def test_laws_of_what_is_explained_are_told_apart(learned, flights):
         assert missed(found[:, None], law[:, None]) < 0.4
 
 
-def test_noise_of_a_flight_is_in_no_column_of_its_own(flights, noise):
-    """The same motion with other noise in one flight leaves what is explained of it as it was."""
-    other = [noise_of(flights, 9)[0], *noise[1:]]
-    before, after = (
-        learned_of(noisy(flights, n), flights).explained(quiet(flights[0])) for n in (noise, other)
-    )
-    drew = other[0] - noise[0]
-    # Which functions are chosen may change with the noise of any flight.
-    assert np.abs(np.sum((after - before) * drew, axis=0) / np.sum(drew**2, axis=0)).max() < 0.01
-
-
 def test_what_is_explained_follows_wind_and_rotor_speeds(learned, flights):
     """As the simulation itself would, though it recorded one wrench alone."""
     flight = quiet(flights[1])
@@ -615,3 +603,54 @@ def test_noise_of_a_recorded_simulation_does_not_shrink_it(flown, moved_toleranc
     drag = {name: value for name, value in moved.items() if name in ("Fx of airspeed", "Fy of airspeed")}
     assert len(drag) == 2
     assert max(map(abs, drag.values())) < 2.0, moved
+
+
+# --- Tolerances of a simulation known by its wrench alone
+
+TOLERANCES = Tolerances(thrust=0.01, coefficient=0.1, inertia=0.02)
+SAMPLES = 7
+
+
+def wrench_of(seed):
+    return np.random.default_rng(seed).standard_normal((SAMPLES, 6))
+
+
+@pytest.fixture
+def parts():
+    """Of each law one, but two of the first order in the motion."""
+    return [
+        Part(OF_ROTORS, wrench_of(0), OF_ROTORS),
+        Part("rates", wrench_of(1), LINEAR),
+        Part("airspeed", wrench_of(2), LINEAR),
+        Part(EVEN, wrench_of(3), EVEN),
+        Part(SQUARED, wrench_of(4), SQUARED),
+    ]
+
+
+def by_name(parts):
+    columns = part_columns(parts, TOLERANCES)
+    found = {column.name: column for column in columns}
+    assert len(found) == len(columns)
+    return found
+
+
+def test_the_law_of_a_column_names_the_one_that_holds_its_axis(parts):
+    columns = by_name(parts)
+    for name, column in columns.items():
+        if not column.law:
+            assert name.endswith(" of rotors") or " and " in name
+            continue
+        axis = name.partition(" of ")[0]
+        assert columns[column.law].law == ""
+        assert columns[column.law].wrench[:, AXES.index(axis)].any()
+
+
+def test_a_coefficient_is_wrong_by_what_its_columns_add_up_to(parts):
+    """Multiples of its own column and of the shared one, in tolerances of the part."""
+    part, own, shared = parts[4], 1.7, -0.4
+    columns = by_name([part])
+    for index, axis in enumerate(AXES):
+        column = columns[f"{axis} of {part.name}"]
+        added = own * column.wrench + shared * columns[column.law].wrench
+        expected = of_coefficient(own, shared) * 0.1 * part.wrench[:, index]
+        np.testing.assert_allclose(added[:, index], expected)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""The search drops an effect that a better one has made idle."""
+"""The search drops what a better effect made idle, and keeps what flights have of their own apart."""
 
 from __future__ import annotations
 
@@ -10,21 +10,25 @@ import numpy as np
 import pytest
 
 from quadpi_core.discrepancy.acceptance import Accepted
+from quadpi_core.discrepancy.candidates import candidates
+from quadpi_core.discrepancy.closure import Found, Gap
+from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.evidence import Fit
-from quadpi_core.discrepancy.search import without_idle
+from quadpi_core.discrepancy.search import Prepared, best_condition, search, without_idle
+from quadpi_core.discrepancy.unexplained import Inside
 
 
 class ListedEvidence:
     """A regression in which the evidence of each set is listed, and every effect is linear and exact."""
 
-    def __init__(self, evidence, reweighted=()):
+    def __init__(self, evidence, reweighted=(), conditions=()):
         self.evidence = {tuple(sorted(chosen)): value for chosen, value in evidence.items()}
         effect = SimpleNamespace(scales_existing=False)
         names = [f"effect {k}" for k in range(3)]
         self.candidates = [
             SimpleNamespace(name=name, label=name, form=0.0, linear=True, effect=effect) for name in names
         ]
-        self.conditions, self.sound = (), None
+        self.conditions, self.sound = conditions, None
         self.points = [np.zeros(1)] * 3
         self.reweighted = reweighted
 
@@ -57,10 +61,71 @@ def test_an_effect_that_a_better_one_made_idle_is_dropped(alone, kept):
     """The first did well until the second came; that one does nearly as well, or does not, without it."""
     regression = ListedEvidence({(0,): 1000.0, (1,): alone, (0, 1): 1200.0})
     both = Accepted(regression, (0, 1), regression.fit((0, 1)))
-    after, judgements = without_idle(both, threshold=5.0)
+    judgements = []
+    after = without_idle(both, judgements)
     assert after.chosen == kept
     assert after.fit.log_evidence == regression.evidence[kept]
     dropped = kept != (0, 1)
     assert after.regression.reweighted == (kept if dropped else ())
     assert [own.effect for own in judgements] == ["effect 0"] * dropped
     assert not any(own.accepted for own in judgements)
+
+
+@pytest.mark.parametrize(
+    ("alone", "gained", "left", "found"),
+    [
+        (150.0, 250.0, 165.0, 2),
+        (150.0, 250.0, 180.0, None),
+        (150.0, 153.0, 60.0, None),
+        (1000.0, 1250.0, 1140.0, 2),
+        (1000.0, 1250.0, 1160.0, None),
+    ],
+)
+def test_what_flights_have_of_their_own_leaves_an_effect_enough_of_its_evidence(alone, gained, left, found):
+    """Half is enough, less is not, nor what gains nothing; of much evidence more than 100 nat are enough."""
+    regression = ListedEvidence({(): 0.0, (0,): alone})
+    regression.conditions_to_come = [2]
+    regression.sizes_of_condition = lambda index, _: np.full((4, 1), index)
+    regression.with_condition = lambda condition: ListedEvidence(
+        {(): left, (0,): gained}, conditions=(condition,)
+    )
+    best = best_condition(Accepted(regression, (0,), regression.fit((0,))))
+    assert (best and best.regression.conditions[-1].index) == found
+    assert best is None or best.fit.log_evidence == gained
+
+
+@pytest.mark.parametrize(
+    ("before", "share_inside", "of_mean"), [(1.4, 0.5, True), (1.6, 0.5, False), (1.4, 1.0, False)]
+)
+def test_a_gap_is_beyond_the_mean_of_sound_flights_where_only_intervals_are_broken(
+    before, share_inside, of_mean
+):
+    """Else beyond what as many sound flights leave at most, here 1.5 times their mean."""
+
+    def gap(noise, stated, adjusted):
+        floor = noise[:, 0] + stated
+        return Gap(np.full(6, before), np.full(6, 0.9), floor, float(adjusted))
+
+    sound = SimpleNamespace(left=np.ones((6, 1)), differ=np.full(6, 0.5), flights=8)
+    regression = SimpleNamespace(sound=sound, flights=[None] * 8)
+    inside, closing = Inside(np.full((8, 6), share_inside), 0.95), SimpleNamespace(gap=gap)
+    found = Found(regression, (), None, closing, 0.0, {}, None, (), inside=inside)
+    assert found.gap().floor == pytest.approx(np.full(6, 1.0 if of_mean else 1.5))
+
+
+def test_what_fitted_coefficients_clearly_prefer_is_named(simulation, dragged, monkeypatch):
+    """Here they are made to take another effect for the drag that was named."""
+    named = []
+
+    def fitted(accepted):
+        regression = accepted.regression
+        labels = [own.label for own in regression.candidates]
+        named.extend(labels[index] for index in accepted.chosen)
+        other = (labels.index("force_bias"),)
+        return Accepted(regression, other, regression.fit(other))
+
+    monkeypatch.setattr("quadpi_core.discrepancy.search._with_fitted_coefficients", fitted)
+    compared = Compared.together(dragged, simulation)
+    found = search(Prepared.of(compared, candidates(simulation.vehicle, ("body_drag", "force_bias"))))
+    assert named == ["body_drag"]
+    assert [found.regression.candidates[index].label for index in found.chosen] == ["body_drag"]

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from quadpi_core.discrepancy import discover, load_simulation
-from quadpi_core.discrepancy.sound_learning import learned, learned_from
+from quadpi_core.discrepancy.sound_learning import known_errors, learned, learned_from
 from quadpi_core.discrepancy.whitening import EDGES_HZ, Spectrum
 from quadpi_core.identification.prepared_flights import PreparedFlight, read_flight
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.paths import bags_directory
+from quadpi_core.vehicle import Vehicle
 
 BANDS = len(EDGES_HZ.value) - 1
 NOISE = np.geomspace(0.01, 100.0, 6 * BANDS).reshape(6, BANDS)
@@ -75,6 +76,13 @@ def test_what_a_fit_without_a_flight_leaves_open_is_no_noise():
     assert sound.names == ()
     for found in (sound.noise, sound.left):
         assert np.mean(found / NOISE) == pytest.approx(1.0, abs=0.03)
+
+
+def test_a_scale_of_thrust_is_no_error_that_a_model_is_known_by():
+    """Identification fits it, and beside one of mass it would scale all there is."""
+    names = {candidate.name for candidate in known_errors(Vehicle.load("bebop2"))}
+    assert {"inertia", "weak_rotor", "rotor_drag"} <= names
+    assert not names & {"thrust_coefficient", "payload", "rotor_speed_scale", "slung_load"}
 
 
 def test_three_flights_do_not_tell_what_sound_flights_leave(physical_folder):

@@ -160,11 +160,6 @@ def test_steady_errors_of_thrust_do_not_disturb_it(swung, record):
     np.testing.assert_allclose(found(swung, record, beside).memory, found(swung, record).memory, atol=1e-3)
 
 
-def test_a_wrong_length_explains_less(swung, record):
-    explained = [found(swung, record, length=length).explained for length in (0.25, 0.5, 1.0)]
-    assert explained[1] > max(explained[0], explained[2]) + 0.2
-
-
 def test_nothing_to_explain_gives_no_strength(swung, record):
     start = found(swung, record, np.zeros((len(swung.time), 6)))
     assert (start.strength, start.cost) == (0.0, 0.0)

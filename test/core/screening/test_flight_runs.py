@@ -126,6 +126,14 @@ def test_a_part_is_imported_and_read_alike(vehicle, tmp_path, monkeypatch, size)
     assert imported.quality.used[0].imu_samples == len(again.imu)
 
 
+def test_a_topic_without_a_sample_in_the_part_is_none_of_its_bag(flown, vehicle, tmp_path):
+    path, options = tmp_path / "a.mcap", ReadingOptions(part=TimeRange(6.0, 12.0))
+    write_bag(path, without(flown, "pose", (5.0, 21.0)))
+    (imported,) = import_logs([path], vehicle, tmp_path / "bags", options)
+    topics = [stream.topic for stream in read_recording(path, vehicle, options).streams()]
+    assert list(imported.topics) == topics == ["imu", "rotor_speeds"]
+
+
 @pytest.mark.parametrize("command", ["read", "import", "blocks"])
 def test_a_part_without_a_sample_is_refused(flown, vehicle, tmp_path, command):
     part = TimeRange(100.0, 101.0)

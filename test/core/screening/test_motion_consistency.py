@@ -8,80 +8,45 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from quadpi_core.screening.excerpt import Excerpt
 from quadpi_core.screening.innovations import cost, innovation
 from quadpi_core.screening.motion_consistency import hypotheses
+from test.core.mistakes import about, attitude
 
-NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-FLIP = np.diag([1.0, -1.0, -1.0])
-
-
-def turned(sample: Excerpt, world: np.ndarray | None = None, body: np.ndarray | None = None) -> np.ndarray:
-    """Attitudes (1, K, 4) in another world, of another body, by matrices."""
-    matrices = Rotation.from_quat(sample.attitude[0], scalar_first=True).as_matrix()
-    matrices = (np.eye(3) if world is None else world) @ matrices @ (np.eye(3) if body is None else body)
-    return Rotation.from_matrix(matrices).as_quat(scalar_first=True)[None]
-
-
-def about(axis: str, degrees: float) -> np.ndarray:
-    return Rotation.from_euler(axis, degrees, degrees=True).as_matrix()
-
-
-def of_imu(gyro: np.ndarray, accelerometer: np.ndarray | None = None):
-    force = gyro if accelerometer is None else accelerometer
-    return lambda e: replace(e, rates=e.rates @ gyro.T, force=e.force @ force.T)
-
-
-# What is done to the sensors, the mistake that says so, and its size.
+# What is done to the sensors, the mistake that says so, and its size; others are in test.core.mistakes.
 DONE = {
-    "conjugate": (lambda e: replace(e, attitude=e.attitude * [1, -1, -1, -1]), "attitude conjugated", None),
-    "NED and FRD": (
-        lambda e: replace(e, attitude=turned(e, NED, FLIP), position=e.position @ NED.T),
-        "ned frd",
-        None,
-    ),
-    "attitude of NED and FRD": (
-        lambda e: replace(e, attitude=turned(e, NED, FLIP)),
-        "attitude ned frd",
-        None,
-    ),
-    "position in NED": (lambda e: replace(e, position=e.position @ NED.T), "position ned", None),
-    "position swapped": (lambda e: replace(e, position=e.position[..., [1, 0, 2]]), "position swapped", None),
-    "height down": (lambda e: replace(e, position=e.position * [1, 1, -1]), "position axes", None),
-    "wxyz for xyzw": (
-        lambda e: replace(e, attitude=np.roll(e.attitude, 1, axis=2)),
-        "quaternion order",
-        None,
-    ),
-    "xyzw for wxyz": (
-        lambda e: replace(e, attitude=np.roll(e.attitude, -1, axis=2)),
-        "quaternion order",
-        None,
-    ),
-    "imu by 90° about x": (of_imu(about("x", 90)), "imu turned", None),
-    "imu by -90° about y": (of_imu(about("y", -90)), "imu turned", None),
-    "imu by 180° about z": (of_imu(about("z", 180)), "imu turned", None),
-    "imu mirrored": (of_imu(np.diag([1.0, -1.0, 1.0])), "imu mirrored", None),
-    "imu mirrored as vectors are": (
-        of_imu(np.diag([-1.0, 1.0, -1.0]), np.diag([1.0, -1.0, 1.0])),
-        "imu mirrored",
-        None,
-    ),
-    "gyro inverted": (of_imu(-np.eye(3), np.eye(3)), "gyro axes", None),
-    "body yawed": (lambda e: replace(e, attitude=turned(e, body=about("z", 25))), "body yawed", 25.0),
-    "body tilted": (lambda e: replace(e, attitude=turned(e, body=about("x", 12))), "body tilted", 12.0),
+    "wxyz for xyzw": (lambda e: attitude_of(e, np.roll(e.attitude, 1, axis=2)), "quaternion order", None),
+    "xyzw for wxyz": (lambda e: attitude_of(e, np.roll(e.attitude, -1, axis=2)), "quaternion order", None),
+    "imu by 90° about x": (lambda e: of_imu(e, about("x", 90)), "imu turned", None),
+    "imu by -90° about y": (lambda e: of_imu(e, about("y", -90)), "imu turned", None),
+    "imu by 180° about z": (lambda e: of_imu(e, about("z", 180)), "imu turned", None),
+    "body yawed": (lambda e: turned(e, _EYE, about("z", 25)), "body yawed", 25.0),
+    "body tilted": (lambda e: turned(e, _EYE, about("x", 12)), "body tilted", 12.0),
     "world tilted": (
-        lambda e: replace(e, attitude=turned(e, about("y", 9)), position=e.position @ about("y", 9).T),
+        lambda e: replace(turned(e, about("y", 9), _EYE), position=e.position @ about("y", 9).T),
         "world tilted",
         9.0,
     ),
-    "worlds apart": (lambda e: replace(e, attitude=turned(e, about("z", 40))), "world turned", 40.0),
+    "worlds apart": (lambda e: turned(e, about("z", 40), _EYE), "world turned", 40.0),
     "clock": (lambda e: replace(e, step_s=1.3 * e.step_s), "clock", 1.3),
     "gyro too fast": (lambda e: replace(e, rates=1.4 * e.rates), "gyro scale", 1.0 / 1.4),
     "millimetres": (lambda e: replace(e, position=1e3 * e.position), "position scale", 1e3),
 }
+_EYE = np.eye(3)
+
+
+def attitude_of(sample: Excerpt, quaternions: np.ndarray) -> Excerpt:
+    return replace(sample, attitude=quaternions)
+
+
+def turned(sample: Excerpt, world: np.ndarray, body: np.ndarray) -> Excerpt:
+    """In another world, of another body, by matrices."""
+    return attitude_of(sample, attitude(world, body)(sample.attitude[0])[None])
+
+
+def of_imu(sample: Excerpt, turn: np.ndarray) -> Excerpt:
+    return replace(sample, rates=sample.rates @ turn.T, force=sample.force @ turn.T)
 
 
 @pytest.mark.parametrize("name", DONE)

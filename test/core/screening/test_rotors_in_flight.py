@@ -11,7 +11,6 @@ import pytest
 
 from quadpi_core.flight import Recording
 from quadpi_core.logs import read_recording
-from quadpi_core.paths import bags_directory
 from quadpi_core.screening.consistency import checked
 from quadpi_core.screening.rotors_in_flight import carrying, stuck_rotors
 from quadpi_core.vehicle import Vehicle
@@ -44,11 +43,6 @@ def test_two_rotors_are_named_each(flown, vehicle: Vehicle) -> None:
     recording = reading(reading(flown["train_4"], 0, 0.0, 4.0, 5.0), 3, 0.0, 7.0, 8.0)
     found = [finding.text[:7] for finding in stuck_rotors(recording, vehicle.gravity_m_s2)]
     assert found == ["rotor 1", "rotor 4"]
-
-
-@pytest.mark.parametrize("bag", sorted(bags_directory().glob("*.mcap")), ids=lambda bag: bag.stem)
-def test_nothing_is_said_of_the_bundled_bags(vehicle: Vehicle, bag) -> None:
-    assert list(stuck_rotors(read_recording(bag, vehicle), vehicle.gravity_m_s2)) == []
 
 
 def test_nothing_is_said_of_rotors_that_idle_on_the_ground(flown, vehicle: Vehicle) -> None:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from quadpi_core.errors import LogError
 from quadpi_core.flight import ImuStream, PoseStream, Recording
-from quadpi_core.screening.sample_order import HOLE_STEPS, SHARE_MAX, order_of, usable_recording
+from quadpi_core.screening.sample_order import SHARE_MAX, order_of, usable_recording
 
 STEP = 2_000_000
 SECOND = 500
@@ -94,15 +94,6 @@ def test_samples_stored_late_are_sorted(order):
     assert used.quality.left_out == ()
     assert [said.topic for said in used.quality.reordered] == ["imu", "mocap/pose"]
     assert used.quality.reordered[0].first == np.argmax(np.diff(order) < 0) + 1
-
-
-@pytest.mark.parametrize(("factor", "sorted_in"), [(0.9, False), (1.1, True)])
-def test_a_late_sample_needs_a_hole(factor, sorted_in):
-    """Beside samples of another clock there is none."""
-    hole = round(factor * HOLE_STEPS.value * STEP)
-    stamps = np.r_[CLEAN[:500], CLEAN[499] + hole + STEP * np.arange(500)]
-    found = order_of(np.r_[stamps, CLEAN[499] + hole // 2, stamps[-1] + STEP])
-    assert (found.late is not None) == sorted_in
 
 
 @pytest.mark.parametrize(

@@ -12,8 +12,11 @@ from quadpi_core.errors import SimulationError, VehicleError
 from quadpi_core.paths import config_directory
 from quadpi_core.rotations import rotate_body_to_world, rotate_world_to_body
 from quadpi_core.simulation.effect_registry import read_effects
-from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight, trim
+from quadpi_core.simulation.flying import LAWS, SimulatedVehicle, load_aerodynamics, simulate_flight, trim
+from quadpi_core.simulation.physical_aerodynamics import PhysicalAerodynamics
+from quadpi_core.simulation.rotor_local import RotorLocalModel
 from quadpi_core.simulation.scenario import load_scenario
+from quadpi_core.simulation.simulated_file import vehicle_content
 from quadpi_core.simulation.truth import STEP_HZ, Reference
 
 from .references import COUPLED, STATION
@@ -162,3 +165,25 @@ def test_same_seed_same_flight_other_seed_other_gusts():
     np.testing.assert_array_equal(flights[0].wrench, flights[1].wrench)
     assert np.abs(flights[0].wrench - flights[2].wrench).max() > 0.01
     np.testing.assert_array_equal(flights[0].wind, flights[1].wind)
+
+
+def test_the_law_is_the_one_that_the_file_holds(physical_folder):
+    assert isinstance(load_aerodynamics("bebop2"), RotorLocalModel)
+    assert isinstance(load_aerodynamics(physical_folder), PhysicalAerodynamics)
+
+
+def test_two_laws_exclude_each_other(physical_folder, tmp_path):
+    _, data = vehicle_content(physical_folder)
+    data["simulation"]["rotor_local"] = {"scaled_from": "bebop2"}
+    (tmp_path / "own.yaml").write_text(yaml.safe_dump(data))
+    with pytest.raises(VehicleError, match=r"`simulation.rotor_local` and `simulation.physical` exclude"):
+        load_aerodynamics(tmp_path / "own.yaml")
+
+
+def test_every_law_reads_what_it_writes(physical_folder, tmp_path):
+    for source, law in (("bebop2", LAWS[0]), (physical_folder, LAWS[1])):
+        _, data = vehicle_content(source)
+        data["simulation"][law.key] = law.load(source).to_section()
+        file = tmp_path / f"{law.key}.yaml"
+        file.write_text(yaml.safe_dump(data))
+        assert law.load(file).to_section() == law.load(source).to_section()

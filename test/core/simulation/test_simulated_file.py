@@ -15,14 +15,17 @@ import yaml
 from quadpi_core.errors import ModelError, VehicleError
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.models.aerodynamic import AerodynamicModel
-from quadpi_core.simulation.flying import SimulatedVehicle
+from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight
+from quadpi_core.simulation.scenario import load_scenario
 from quadpi_core.simulation.simulated_file import (
     MOTOR_TIME_CONSTANT,
     model_folder,
     model_vehicle,
     read_simulation,
     vehicle_content,
+    write_vehicle_file,
 )
+from quadpi_core.simulation.truth import STEP_HZ
 from quadpi_core.vehicle import Vehicle
 
 GOLDEN = Path(__file__).parents[2] / "golden" / "model"
@@ -101,3 +104,24 @@ def test_ranges_that_are_none(physical_folder, tmp_path, change, message):
     (tmp_path / "own.yaml").write_text(yaml.safe_dump(data))
     with pytest.raises(VehicleError, match=message):
         read_simulation(tmp_path / "own.yaml")
+
+
+def test_the_file_flies_exactly_as_the_folder(physical_folder, tmp_path):
+    file = tmp_path / "bebop2.yaml"
+    write_vehicle_file(physical_folder, file)
+    plan = load_scenario("bundled").flights[0]
+    one, other = (
+        simulate_flight("same", SimulatedVehicle.load(source), plan.reference(STEP_HZ), seed=1)
+        for source in (physical_folder, file)
+    )
+    np.testing.assert_array_equal(one.wrench, other.wrench)
+    np.testing.assert_array_equal(one.rotor_speeds, other.rotor_speeds)
+    AerodynamicModel.load(physical_folder).require(Vehicle.load(file))
+
+
+def test_what_cannot_fly_is_refused_and_nothing_written(tmp_path):
+    with pytest.raises(ModelError, match="polynomial cannot be simulated"):
+        write_vehicle_file(GOLDEN, tmp_path / "own.yaml")
+    with pytest.raises(ModelError, match=r"model\.json"):
+        write_vehicle_file(tmp_path, tmp_path / "own.yaml")
+    assert not (tmp_path / "own.yaml").exists()
