@@ -7,7 +7,7 @@ BIN := .venv/bin
 export ROS_AUTOMATIC_DISCOVERY_RANGE = LOCALHOST
 unexport AMENT_PREFIX_PATH PYTHONPATH PYTHONHOME
 
-.PHONY: help demo test test-slow lint format bench tables alarm discovery discovery-independent discovery-hidden discovery-real models rollouts nanodrone pictures golden fuzz environment clean
+.PHONY: help demo dist development test test-slow lint format bench tables alarm discovery discovery-independent discovery-hidden discovery-real models rollouts nanodrone pictures golden fuzz environment clean
 
 help: ## list these targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1|/p' $(MAKEFILE_LIST) | while IFS='|' read -r target text; do \
@@ -19,7 +19,7 @@ demo: environment ## identify, predict, replay through live nodes, report (DEMO_
 # The tests of one marker: on all cores, then those of live nodes, which wait more than they compute, by three
 # workers, each in a ROS domain of its own. With TEST_ARGS, those that it names, in one process.
 define run_tests
-@sh tools/bootstrap.sh --train
+@sh tools/bootstrap.sh --test --train
 $(if $(TEST_ARGS),\
     @$(BIN)/python -m pytest -m "$(1)" $(TEST_ARGS),\
     @OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m "$(1)" --numprocesses auto --dist worksteal --ignore test/ros
@@ -32,64 +32,70 @@ test: ## the fast tests, live nodes included (TEST_ARGS="-k intervals -x" for so
 test-slow: ## the other tests: cluster, statistics, real flights, commands of the documents, searches, fuzzing
 	$(call run_tests,slow)
 
-lint: environment ## ruff, mypy, the order of the rooms and the house rules, as CI runs them
+lint: development ## ruff, mypy, the order of the rooms and the house rules, as CI runs them
 	@$(BIN)/ruff check
 	@$(BIN)/ruff format --check
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports --no-logo
 	@$(BIN)/python tools/house_rules.py
 
-format: environment ## format the code and mend what ruff can mend
+format: development ## format the code and mend what ruff can mend
 	@$(BIN)/ruff format
 	@$(BIN)/ruff check --fix
 
 bench: ## every benchmark, each against its baseline, into out/bench.json (ONLY=name for one)
-	@sh tools/bootstrap.sh --train --bench
+	@sh tools/bootstrap.sh --test --train --bench
 	@$(BIN)/python -m benchmarks $(if $(ONLY),--only $(ONLY))
 
-tables: ## renew docs/paper-tables.md (TABLES_ARGS="--only tunnel --data FOLDER")
-	@sh tools/bootstrap.sh --train
-	@$(BIN)/python tools/paper_tables.py $(TABLES_ARGS)
+tables: ## renew experiments/results/paper-tables.md (TABLES_ARGS="--only tunnel --data FOLDER")
+	@sh tools/bootstrap.sh --test --train
+	@$(BIN)/python experiments/paper_tables.py $(TABLES_ARGS)
 
-nanodrone: environment ## the nano-drone benchmark, beside what is published (NANODRONE_TEST=FOLDER of test flights)
-	@$(BIN)/python tools/nanodrone.py $(NANODRONE_TEST)
+nanodrone: development ## the nano-drone benchmark, beside what is published (NANODRONE_TEST=FOLDER of test flights)
+	@$(BIN)/python experiments/nanodrone.py $(NANODRONE_TEST)
 
-discovery: environment ## renew docs/discovery.md: searches for hidden effects, scored (DISCOVERY_ARGS="--short")
-	@$(BIN)/python tools/discovery.py $(DISCOVERY_ARGS)
+discovery: development ## renew experiments/results/discovery.md: searches for hidden effects, scored (DISCOVERY_ARGS="--short")
+	@$(BIN)/python experiments/discovery.py $(DISCOVERY_ARGS)
 
 discovery-independent: ## searches for effects hidden in flights of RotorPy (DISCOVERY_ARGS="--short", "--reserved")
-	@sh tools/bootstrap.sh --train --bench
-	@$(BIN)/python tools/discovery_independent.py $(DISCOVERY_ARGS)
+	@sh tools/bootstrap.sh --test --train --bench
+	@$(BIN)/python experiments/discovery_independent.py $(DISCOVERY_ARGS)
 
-discovery-hidden: environment ## exact changes hidden in real flights of QUADPI_DATA (DISCOVERY_ARGS="--half report", "--short")
-	@$(BIN)/python tools/discovery_hidden.py $(DISCOVERY_ARGS)
+discovery-hidden: development ## exact changes hidden in real flights of QUADPI_DATA (DISCOVERY_ARGS="--half report", "--short")
+	@$(BIN)/python experiments/discovery_hidden.py $(DISCOVERY_ARGS)
 
-discovery-real: environment ## renew docs/discovery-real.md: searches on real flights, those of QUADPI_DATA
-	@$(BIN)/python tools/discovery_real.py $(DISCOVERY_ARGS)
+discovery-real: development ## renew experiments/results/discovery-real.md: searches on real flights, those of QUADPI_DATA
+	@$(BIN)/python experiments/discovery_real.py $(DISCOVERY_ARGS)
 
-models: ## renew docs/models.md: kinds of model on real flights left out (MODELS_ARGS="--methods polynomial,physical")
-	@sh tools/bootstrap.sh --train
-	@$(BIN)/python tools/model_methods.py $(MODELS_ARGS)
+models: ## renew experiments/results/models.md: kinds of model on real flights left out (MODELS_ARGS="--methods polynomial,physical")
+	@sh tools/bootstrap.sh --test --train
+	@$(BIN)/python experiments/model_methods.py $(MODELS_ARGS)
 
-rollouts: environment ## renew the table of docs/rollouts.md: real flights predicted ahead (ROLLOUTS_ARGS="--only NeuroBEM")
-	@$(BIN)/python tools/rollout_tables.py $(ROLLOUTS_ARGS)
+rollouts: development ## renew the table of experiments/results/rollouts.md: real flights predicted ahead (ROLLOUTS_ARGS="--only NeuroBEM")
+	@$(BIN)/python experiments/rollout_tables.py $(ROLLOUTS_ARGS)
 
-alarm: ## renew the tables of docs/alarm.md (ALARM_ARGS="--no-ensembles --seeds 2 --data FOLDER")
-	@sh tools/bootstrap.sh --train
-	@$(BIN)/python tools/alarm_tables.py $(ALARM_ARGS)
+alarm: ## renew the tables of experiments/results/alarm.md (ALARM_ARGS="--no-ensembles --seeds 2 --data FOLDER")
+	@sh tools/bootstrap.sh --test --train
+	@$(BIN)/python experiments/alarm_tables.py $(ALARM_ARGS)
 
-pictures: environment ## renew the pictures of pages in docs/images, by a headless Chromium
+pictures: development ## renew the pictures of pages in docs/images, by a headless Chromium
 	@QUADPI_PICTURES=docs/images $(BIN)/python -m pytest -q -k pictures test/core/view/test_view_page.py \
 	    test/core/report/test_written_pages.py
 
-golden: environment ## renew the golden trace in test/golden, saying what changed (GOLDEN_ARGS=--model: its model too)
+golden: development ## renew the golden trace in test/golden, saying what changed (GOLDEN_ARGS=--model: its model too)
 	@$(BIN)/python tools/golden_trace.py $(GOLDEN_ARGS)
 
-fuzz: environment ## damaged input for every reader, changed arguments for every public call (FUZZ_ARGS="--minutes 2 --formats mcap api")
+fuzz: development ## damaged input for every reader, changed arguments for every public call (FUZZ_ARGS="--minutes 2 --formats mcap api")
 	@$(BIN)/python -m benchmarks.fuzzing $(FUZZ_ARGS)
+
+dist: development ## source archive and wheel in dist/, the wheel tried in an environment of its own
+	@sh tools/dist.sh $(BIN)/python
 
 environment: ## make or update .venv (PYTHON=python3.12 to choose the interpreter)
 	@sh tools/bootstrap.sh
 
+development: ## what tests and lint need beside it
+	@sh tools/bootstrap.sh --test
+
 clean: ## remove .venv and everything built or written
-	rm -rf .venv build install log out .mypy_cache .pytest_cache .ruff_cache
+	rm -rf .venv build dist install log out .mypy_cache .pytest_cache .ruff_cache

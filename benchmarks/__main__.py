@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Run benchmarks, show them in one table, write out/bench.json and, of a whole run, docs/performance.md."""
+"""Run benchmarks, show them in one table, write out/bench.json and, of a whole run, the page of results."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from quadpi_core.paths import write_json
 from quadpi_core.report.table import Cell, Column, Mark, Row, Table, markdown_table, terminal_table
 
 OUTPUT = Path("out") / "bench.json"
-PAGE = Path("docs") / "performance.md"
+PAGE = Path("experiments") / "results" / "performance.md"
 _PAGE_TEXT = """# How fast it is
 
 Made by `make bench`: every figure is measured in the same run as what it is compared with, as machines

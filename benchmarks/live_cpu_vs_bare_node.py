@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks import Result, require_ros
+from benchmarks.process_usage import cpu_seconds
 from benchmarks.swings import IMU_HZ, VEHICLE, swings, three_models
 from quadpi_core.frames import Array
 from quadpi_core.logs.bags import write_bag
@@ -71,11 +72,11 @@ def measure(module: str, parameters: tuple[str, ...], bag: Path) -> Run:
     with isolated_domain() as folder, Collector(start_ns=0) as collector:
         with Child(module, arguments, folder) as nodes:
             await_start(nodes, collector)
-            before_s = nodes.cpu_seconds()
+            before_s = cpu_seconds(nodes.pid)
             managed = () if module == BARE else ("estimator", "monitor")
-            imu_sent = play(bag, TOPICS, 1.0, folder, nodes, collector, managed)["imu"]
+            imu_sent = play(bag, TOPICS, 1.0, folder, nodes, collector, managed)
             collector.spin(AFTERWARDS_S)
-            cpu_s = nodes.cpu_seconds() - before_s
+            cpu_s = cpu_seconds(nodes.pid) - before_s
         predicted_ns, arrived_ns = collector.predictions().time_ns, collector.arrived_ns
     stamps_ns, sent_ns = imu_sent.T
     latency_ms = 1e-6 * (arrived_ns - sent_ns[np.searchsorted(stamps_ns, predicted_ns)])

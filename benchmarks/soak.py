@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from benchmarks import Result, require_ros
+from benchmarks.process_usage import resident_bytes
 from benchmarks.swings import IMU_HZ, REPEATS_AFTER_S, VEHICLE, swings, three_models
 from quadpi_core.logs.bags import write_bag
 from quadpi_core.messages.sensor_messages import unpack_stamps
@@ -63,14 +64,14 @@ def run() -> list[Result]:
         )
         arguments = ("--ros-args", *(part for parameter in parameters for part in ("-p", parameter)))
         playlist = Playlist.read(bag)
-        heard = Heard(int(unpack_stamps(playlist.topics[0].payloads)[0]))
+        heard = Heard(int(unpack_stamps(playlist.topics["imu"].payloads)[0]))
         with listening(heard) as listener, Child("quadpi_ros.live_process", arguments, scratch) as live:
             listener.spin_until(lambda: live.finished() or listener.connected, _START_S)
 
             def look() -> None:
                 if live.finished():
                     raise RuntimeError("the live process ended in flight")
-                resident.append((heard.flown_s, live.resident_bytes()))
+                resident.append((heard.flown_s, resident_bytes(live.pid)))
 
             sent_ns = play_over_and_over(playlist, heard, listener, look)
     settled = next(size for flown_s, size in resident if flown_s >= 60.0)
@@ -165,10 +166,11 @@ def play_over_and_over(playlist: Playlist, heard: Heard, listener: Listener, loo
     context = Context()
     context.init()
     node = Node("player", context=context, start_parameter_services=False)
-    publishers = [node.create_publisher(SENSOR_TYPES[name], name, SENSOR_QOS) for name in playlist.names]
+    publishers = [node.create_publisher(SENSOR_TYPES[name], name, SENSOR_QOS) for name in playlist.topics]
     await_listeners(node, publishers, ("estimator", "monitor"), _START_S)
+    topics = list(playlist.topics.values())
     messages = [
-        (int(due), publishers[topic].publish, bytearray(playlist.topics[topic].payloads[index]))
+        (int(due), publishers[topic].publish, bytearray(topics[topic].payloads[index]))
         for due, topic, index in zip(playlist.due_ns, playlist.topic, playlist.message, strict=True)
     ]
     stamps = [_stamp_ns(payload) for _, _, payload in messages]

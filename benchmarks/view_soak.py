@@ -13,6 +13,7 @@ from contextlib import ExitStack
 
 from benchmarks import Result, require_ros
 from benchmarks.chromium import Tab, chromium, require_chromium
+from benchmarks.process_usage import resident_bytes
 from benchmarks.view_cost import await_port, free_port
 from benchmarks.view_page import Publisher
 
@@ -42,7 +43,7 @@ def run() -> list[Result]:
         while (flown_s := time.monotonic() - begun_s) < 60.0 * MINUTES:
             publisher.step(change=int(flown_s / 20.0) != int((flown_s - 0.02) / 20.0))
             if flown_s >= _LOOK_S * (1 + len(held)):
-                held.append((flown_s, server.resident_bytes() / 2**20, heap_mib(tab)))
+                held.append((flown_s, resident_bytes(server.pid) / 2**20, heap_mib(tab)))
             publisher.wait()
         publisher.close()
         if tab.problems:

@@ -11,7 +11,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import ModuleType
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +19,6 @@ import pytest
 from hypothesis import settings
 from scipy.spatial.transform import Rotation
 
-from quadpi_core import paths
 from quadpi_core.cli import main
 from quadpi_core.discrepancy.sound_learning import learned_from
 from quadpi_core.flight import ImuStream, PoseStream, Recording, RotorSpeedStream
@@ -133,17 +132,11 @@ def refused(quadpi: Callable[..., Outcome], tmp_path: Path) -> Callable[..., Non
 
 @pytest.fixture
 def tool(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    """The program of tools/ that a test file is named after: paper_tables for test_paper_tables.py."""
+    """The program of tools/ that a test file is named after: golden_trace for test_golden_trace.py."""
     name = request.path.stem.removeprefix("test_")
     monkeypatch.syspath_prepend(ROOT / "tools")
     monkeypatch.delitem(sys.modules, name, raising=False)
     return importlib.import_module(name)
-
-
-@pytest.fixture
-def no_exchange(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As where the system cannot exchange two folders in one step: its library has no renameat2."""
-    monkeypatch.setattr(paths, "ctypes", SimpleNamespace(CDLL=lambda *_, **__: SimpleNamespace()))
 
 
 def run_without_torch(code: str, *arguments: object) -> subprocess.CompletedProcess[str]:
@@ -247,9 +240,8 @@ def pool(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def cluster() -> Iterator[str]:
     """Address of a Dask scheduler with two workers, processes of their own, that import what tests import."""
-    from distributed import LocalCluster
-
-    with LocalCluster(
+    distributed = pytest.importorskip("distributed", reason="Dask is not installed: extra `cluster`")
+    with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0"
     ) as local:
         yield local.scheduler_address

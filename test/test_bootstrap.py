@@ -29,13 +29,13 @@ def bootstrap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     module.ENVIRONMENT_INPUTS = (tmp_path / "pins",)
     module.VENV.mkdir()
     module.made = []
-    for name in ("pins", "first", "second", "baselines"):
+    for name in ("pins", "first", "second", "tests", "baselines"):
         (tmp_path / name).write_text(name)
-    first, second, baselines = (
+    first, second, tests, baselines = (
         module.Step(name, name, (tmp_path / name,), lambda _, name=name: module.made.append(name))
-        for name in ("first", "second", "baselines")
+        for name in ("first", "second", "tests", "baselines")
     )
-    module.STEPS, module.BENCH_STEPS = (first, second), (baselines,)
+    module.STEPS, module.TEST_STEPS, module.BENCH_STEPS = (first, second), (tests,), (baselines,)
     return module
 
 
@@ -62,8 +62,9 @@ def test_only_what_follows_from_a_change_is_made_again(
     assert made_again(bootstrap) == expected
 
 
-def test_only_benchmarks_pay_for_what_they_measure_against(bootstrap: ModuleType) -> None:
+def test_only_tests_and_benchmarks_pay_for_what_they_need(bootstrap: ModuleType) -> None:
     assert made_again(bootstrap) == ["first", "second"]
+    assert made_again(bootstrap, "--test") == ["tests"]
     assert made_again(bootstrap, "--bench") == ["baselines"]
     assert made_again(bootstrap, "--bench") == []
     assert made_again(bootstrap) == []

@@ -17,6 +17,10 @@ def rules(tool: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     for name in ("a", "b"):
         (tmp_path / "quadpi_core" / name).mkdir(parents=True)
         (tmp_path / "quadpi_core" / name / "__init__.py").touch()
+    (tmp_path / "CONTRIBUTING.md").write_text(
+        "| `a` | 4 | 3 | 2 |\n| `b` | 4 | 3 | 2 |\n| numpy | arrays |\n"
+    )
+    (tmp_path / "pyproject.toml").write_text('dependencies = [\n    "numpy>=1.26",\n]\n')
     (tmp_path / "test").mkdir()
     for name in ("filter", "kernel"):
         (tmp_path / "test" / f"test_{name}.py").touch()
@@ -54,3 +58,38 @@ def test_a_module_without_a_test_file(rules: ModuleType, capsys: pytest.CaptureF
     assert message in capsys.readouterr().out
     (rules.ROOT / "test" / "test_untested.py").touch()
     assert rules.main() == 0
+
+
+@pytest.mark.parametrize(
+    ("files", "message"),
+    [
+        ({"filter": 4, "kernel": 0}, ""),
+        ({"filter": 5}, "a: 5 lines, 4 allowed"),
+        ({"filter": 0, "kernel": 0, "more": 0}, "a: 4 files, 3 allowed"),
+    ],
+)
+def test_a_room_that_passes_its_budget(
+    rules: ModuleType, capsys: pytest.CaptureFixture[str], files: dict[str, int], message: str
+) -> None:
+    for name, lines in files.items():
+        (rules.ROOT / "quadpi_core" / "a" / f"{name}.py").write_text("\n" * lines)
+        (rules.ROOT / "test" / f"test_{name}.py").touch()
+    assert rules.main() == bool(message)
+    printed = capsys.readouterr().out
+    assert f"budgets of rooms exceeded: {bool(message):d}\n" in printed
+    assert message in printed
+
+
+def test_a_room_without_a_budget(rules: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
+    (rules.ROOT / "quadpi_core" / "__init__.py").touch()
+    assert rules.main() == 1
+    assert "  quadpi_core: has no budget\n" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("package", ["scipy", "numpy"])
+def test_a_required_package_has_a_line(
+    rules: ModuleType, capsys: pytest.CaptureFixture[str], package: str
+) -> None:
+    (rules.ROOT / "pyproject.toml").write_text(f'dependencies = [\n    "{package}>=1",\n]\n')
+    assert rules.main() == (package == "scipy")
+    assert ("  numpy\n  scipy\n" in capsys.readouterr().out) == (package == "scipy")

@@ -31,26 +31,33 @@ SHORT = {
 }
 # What they do, in a short form of its own; all but discovery-real, which takes minutes on real flights.
 SHORT_FORMS = {
-    "alarm": "test/test_alarm_tables.py",
+    "alarm": "experiments/test/test_alarm_tables.py",
     "bench": "test/test_benchmarks.py",
     "demo": "test/ros/test_demo.py",
-    "discovery": "test/discovery/test_blind.py",
-    "discovery-independent": "test/discovery/test_independent.py",
-    "discovery-hidden": "test/discovery/test_hidden.py",
+    "dist": "test/test_packaging.py",
+    "discovery": "experiments/test/test_blind.py",
+    "discovery-independent": "experiments/test/test_independent.py",
+    "discovery-hidden": "experiments/test/test_hidden.py",
     "fuzz": "test/faults/test_fuzzing.py",
     "golden": "test/golden/test_golden_trace.py",
-    "models": "test/test_model_methods.py",
-    "nanodrone": "test/test_nanodrone.py",
+    "models": "experiments/test/test_model_methods.py",
+    "nanodrone": "experiments/test/test_nanodrone.py",
     "pictures": "test/core/view/test_view_page.py",
-    "rollouts": "test/test_rollout_tables.py",
-    "tables": "test/test_paper_tables.py",
+    "rollouts": "experiments/test/test_rollout_tables.py",
+    "tables": "experiments/test/test_paper_tables.py",
 }
-HERE = {*SHORT, "bench", "clean", "demo", "help", "pictures"}
+HERE = {*SHORT, "bench", "clean", "demo", "dist", "help", "pictures"}
 
 
 def make(*arguments: str, folder: Path = ROOT) -> str:
     """Run make without a word about the environment, which these tests run in; gives what it prints."""
-    command = ["make", "--no-print-directory", "--assume-old=environment", *arguments]
+    command = [
+        "make",
+        "--no-print-directory",
+        "--assume-old=environment",
+        "--assume-old=development",
+        *arguments,
+    ]
     result = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stderr
     return result.stdout
@@ -60,7 +67,7 @@ def make(*arguments: str, folder: Path = ROOT) -> str:
 def checkout(tmp_path: Path) -> Path:
     """A folder with the Makefile and the programs of this checkout, whose bootstrap does nothing."""
     shutil.copy(ROOT / "Makefile", tmp_path)
-    for name in ("benchmarks", "quadpi_core", "quadpi_ros", "test"):
+    for name in ("benchmarks", "experiments", "quadpi_core", "quadpi_ros", "test"):
         (tmp_path / name).symlink_to(ROOT / name)
     shutil.copytree(ROOT / "tools", tmp_path / "tools", ignore=shutil.ignore_patterns("__pycache__"))
     (tmp_path / "tools" / "bootstrap.sh").write_text("exit 0\n")
@@ -73,16 +80,17 @@ def checkout(tmp_path: Path) -> Path:
 
 def test_every_target_is_run_somewhere() -> None:
     by_ci = set(re.findall(r"^make ([a-z-]+)", (ROOT / ".ci" / "run").read_text(), flags=re.MULTILINE))
-    # It is run before the others.
-    assert set(TARGETS) == HERE | by_ci | {"environment"}
-    assert SHORT_FORMS.keys() == {*SHORT, "bench", "demo", "pictures"} - {"discovery-real"}
+    # Both are run before the others.
+    assert set(TARGETS) == HERE | by_ci | {"environment", "development"}
+    assert SHORT_FORMS.keys() == {*SHORT, "bench", "demo", "dist", "pictures"} - {"discovery-real"}
     assert all((ROOT / place).is_file() for place in SHORT_FORMS.values())
     (phony,) = re.findall(r"^\.PHONY: (.*)$", MAKEFILE, flags=re.MULTILINE)
     assert set(phony.split()) == set(TARGETS)
 
 
 def test_documents_name_targets_that_exist() -> None:
-    pages = [ROOT / "README.md", ROOT / "bags" / "README.md", *(ROOT / "docs").glob("*.md")]
+    patterns = ("README.md", "bags/README.md", "docs/*.md", "experiments/**/*.md")
+    pages = [page for pattern in patterns for page in ROOT.glob(pattern)]
     named = {name for page in pages for name in re.findall(r"(?:`| {4})make ([a-z-]+)", page.read_text())}
     assert named
     assert named <= set(TARGETS)

@@ -114,10 +114,12 @@ def test_a_program_runs_with_no_environment_active(program: str, prefix: Path) -
     assert "Traceback" not in result.stderr
 
 
-# Packages of the system by another name than `python3-` and that of PyPI, or that come with another.
-SYSTEM_PACKAGES = {"pyyaml": "python3-yaml", "llvmlite": "python3-numba"}
 # Imported only where an extra of pyproject.toml is asked for, or what it tests with.
-OPTIONAL = {"sklearn", "torch"}
+OPTIONAL = {"latex2mathml", "pyarrow", "sklearn", "torch"}
+# These come with typer, and with rosbags in the versions that it works with.
+COME_WITH_OTHERS = {"backports", "lz4", "rich", "ruamel"}
+# Most that users must install, and the compiler of kernels, until the compiled core.
+REQUIRED_MAX, COMPILER = 10, {"llvmlite", "numba"}
 # Needed by the messages, or found by its name where it is installed; not imported.
 NOT_IMPORTED = {"rosidl_default_runtime", "tf2_msgs"}
 
@@ -136,27 +138,24 @@ def imported() -> set[str]:
 
 
 def test_what_is_imported_is_declared() -> None:
-    """In package.xml what rosdep knows, in README's line for pip the rest of pyproject.toml; nothing else."""
+    """In pyproject.toml what pip has; in package.xml what live nodes import, see test_live_imports.py."""
     package = ElementTree.parse(ROOT / "package.xml")
     declared = {item.text for tag in ("depend", "exec_depend") for item in package.iter(tag)} - NOT_IMPORTED
-    line = re.search(r"^ +pip install ([a-z].*)$", (ROOT / "README.md").read_text(), re.MULTILINE)
     table = re.search(r"^dependencies = \[\n([^]]*)", (ROOT / "pyproject.toml").read_text(), re.MULTILINE)
-    assert line is not None
+    line = re.search(r"^ +pip install ([a-z].*)$", (ROOT / "README.md").read_text(), re.MULTILINE)
     assert table is not None
-    by_pip = set(re.findall(r"[a-z][a-z0-9]+(?:\.[a-z]+)?", line[1]))
+    assert line is not None
     required = set(re.findall(r'"([\w.]+)>=', table[1]))
 
     distributions = packages_distributions()
-    names = {module: distributions.get(module, [module])[0].lower() for module in imported() - OPTIONAL}
-    names["backports"] = "backports.zstd"
-    # These come with pydantic and rosbags, in the versions that they work with.
-    del names["pydantic_core"], names["ruamel"]
-    ros = {module for module in names if module in declared}
-    python = {name for module, name in names.items() if module not in ros}
-    assert python == required
-    system = {name: SYSTEM_PACKAGES.get(name, f"python3-{name}") for name in python - by_pip}
-    assert ros | set(system.values()) == declared
-    assert by_pip <= python
+    modules = imported() - OPTIONAL - COME_WITH_OTHERS
+    ros = {module for module in modules if module in declared}
+    assert {distributions.get(module, [module])[0].lower() for module in modules - ros} == required
+    assert len(required - COMPILER) <= REQUIRED_MAX
+    system = {name.removeprefix("python3-") for name in declared - ros}
+    assert declared - ros == {f"python3-{name}" for name in system}
+    by_pip = set(re.findall(r"[a-z][a-z0-9]+(?:\.[a-z]+)?", line[1]))
+    assert by_pip == required - system - {"llvmlite", "pyyaml"}
 
 
 def test_maintainer_can_be_reached() -> None:

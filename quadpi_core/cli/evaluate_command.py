@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""`quadpi evaluate`: one model on flights, or several side by side, or the paper's table."""
+"""`quadpi evaluate`: one model on flights, or several side by side."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from quadpi_core.cli.options import (
     check_outputs,
     open_console,
     print_quality,
-    shown_work,
     write_result,
 )
 from quadpi_core.errors import QuadpiError
@@ -32,24 +31,16 @@ if TYPE_CHECKING:
 
 def evaluate(
     paths: Annotated[
-        list[Path] | None,
-        typer.Argument(
-            help="Model folders, then flights, which together form the group `all`; none: the paper's own "
-            "table, of simulated flights in a wind tunnel."
-        ),
-    ] = None,
+        list[Path],
+        typer.Argument(help="Model folders, then flights, which together form the group `all`."),
+    ],
     group: Annotated[
         list[str] | None,
         typer.Option(help="A group of flights: NAME=BAG, with commas or repeated for several bags."),
     ] = None,
-    output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", help="Folder for the paper's bags and models, to resume from."),
-    ] = None,
     confidence: options.Confidence = None,
     adaptive: options.Adaptive = False,
     vehicle: options.OptionalVehicle = None,
-    device: options.PublishedDevice = None,
     topics: options.Topics = None,
     namespace: options.Namespace = "",
     all_parts: options.AllParts = False,
@@ -69,53 +60,24 @@ def evaluate(
     how = options.reading_options(
         topics, namespace, part=options.time_range(from_s, to_s), all_parts=all_parts
     )
-    if paths or group:
-        if output is not None:
-            raise QuadpiError("-o: only without models and flights, to keep those of the paper's table")
-        if device is not None:
-            raise QuadpiError("--device: only without models and flights, to train for the paper's table")
-        if not paths:
-            raise QuadpiError(
-                "no model given: name model folders first, or nothing at all for the paper's table"
-            )
-        folders = [path for place, path in enumerate(paths) if place == 0 or is_model_folder(path)]
-        members = group_bags([path for path in paths if path not in folders], group or [])
-        bags = list(dict.fromkeys(path for own in members.values() for path in own))
-        check_outputs([*folders, *bags], json_file, html_file)
-        files = FlightFiles.of(bags, folders, vehicle)
-        with batch_of_flights() as left_out:
-            comparison = given_comparison(
-                folders,
-                members,
-                vehicle=vehicle,
-                confidence=confidence,
-                mapping=how,
-                workers=Workers(workers, scheduler),
-                left_out=left_out,
-            )
-            for name in members.keys() - comparison.groups.keys():
-                console.print(f"group {name}: all its flights were left out", soft_wrap=True)
-            _print_and_write(console, comparison, files, json_file, html_file, adaptive=adaptive)
-        return
-
-    from quadpi_core.paper.published import wind_tunnel
-
-    if all_parts or not how.part.is_whole:
-        raise QuadpiError("--from, --to, --all-parts: are for flights, and none is given")
-    if vehicle is not None:
-        raise QuadpiError(
-            "--vehicle: the paper's table is of the HDBeetle; for another vehicle name models and flights"
+    folders = [path for place, path in enumerate(paths) if place == 0 or is_model_folder(path)]
+    members = group_bags([path for path in paths if path not in folders], group or [])
+    bags = list(dict.fromkeys(path for own in members.values() for path in own))
+    check_outputs([*folders, *bags], json_file, html_file)
+    files = FlightFiles.of(bags, folders, vehicle)
+    with batch_of_flights() as left_out:
+        comparison = given_comparison(
+            folders,
+            members,
+            vehicle=vehicle,
+            confidence=confidence,
+            mapping=how,
+            workers=Workers(workers, scheduler),
+            left_out=left_out,
         )
-    kept = (None, None) if output is None else (output / "bags", output / "models")
-    check_outputs([], json_file, html_file, folders=kept)
-    with shown_work(console, workers, scheduler) as training:
-        comparison = wind_tunnel(
-            confidence=0.95 if confidence is None else confidence,
-            device=device or "cpu",
-            folder=output,
-            workers=training,
-        )
-    _print_and_write(console, comparison, FlightFiles(), json_file, html_file, adaptive=adaptive)
+        for name in members.keys() - comparison.groups.keys():
+            console.print(f"group {name}: all its flights were left out", soft_wrap=True)
+        _print_and_write(console, comparison, files, json_file, html_file, adaptive=adaptive)
 
 
 def _print_and_write(

@@ -87,7 +87,7 @@ def export(
 
 
 def _export_vehicle(model: Path, output: Path) -> None:
-    from quadpi_core.simulation.vehicle_export import write_vehicle_file
+    from quadpi_core.simulation.simulated_file import write_vehicle_file
 
     check_outputs([model], output)
     write_vehicle_file(model, output)

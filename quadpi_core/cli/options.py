@@ -10,7 +10,7 @@ import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -65,10 +65,6 @@ ProcessCount = Annotated[int | None, typer.Option(min=1, help="Processes to use;
 FileProcessCount = Annotated[
     int | None,
     typer.Option(min=1, help="Processes to use; default: this one, from 64 flights on one per core."),
-]
-PublishedDevice = Annotated[
-    Literal["cpu", "cuda"] | None,
-    typer.Option(help="Device to train ensembles on, where no model is given; default: cpu."),
 ]
 FromS = Annotated[
     float | None,

@@ -51,8 +51,7 @@ def view(
     """Show in a browser how far the model can be trusted now, and why not."""
     from quadpi_core.models.aerodynamic import AerodynamicModel
     from quadpi_core.view.bag_view import open_bag
-    from quadpi_core.view.browser import announce
-    from quadpi_core.view.view_server import serve_page
+    from quadpi_core.view.view_server import announce, serve_page
 
     models = [AerodynamicModel.load(folder) for folder in model or ()]
     if vehicle is not None and not models:

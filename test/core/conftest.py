@@ -83,7 +83,7 @@ def found(simulation, dragged) -> Study:
     """
     result = study(simulation, dragged, names=SOUGHT)
     passed = tuple(check for check in result.discovery.checks if check.passed)
-    discovery = replace(result.discovery, verdict="effects", checks=passed, rejected=False)
+    discovery = replace(result.discovery, checks=passed)
     return replace(result, discovery=discovery)
 
 

@@ -63,8 +63,7 @@ def copy(tmp_path):
     package = tmp_path / "source" / "quadpi_core"
     package.mkdir(parents=True)
     (package / "__init__.py").write_text("")
-    for name in ("compiled.py", "scratch.py"):
-        shutil.copy(Path(quadpi_core.__file__).parent / name, package)
+    shutil.copy(Path(quadpi_core.__file__).with_name("compiled.py"), package)
     (package / "kernel.py").write_text(_KERNEL)
     (package / "constants.py").write_text("from quadpi_core import deeper\nLIMIT = deeper.LIMIT\n")
     (package / "deeper.py").write_text("LIMIT = 1\n")

@@ -10,13 +10,14 @@ from typing import Annotated, Any
 
 import numpy as np
 import pytest
-from pydantic import Field, PlainValidator
 
 from quadpi_core.config_schema import (
     Flag,
+    Key,
     Numbers,
     OneOf,
     Positive,
+    ReadBy,
     Real,
     Section,
     Share,
@@ -32,7 +33,7 @@ from quadpi_core.frames import Array
 
 @dataclass(frozen=True, kw_only=True)
 class Motor(Section):
-    speed: Annotated[Positive, Field(alias="speed_rad_s")]
+    speed: Annotated[Positive, Key("speed_rad_s")]
     blades: Annotated[int, Within(2, 8)] = 2
     position_m: Vector = (0.0, 0.0, 0.0)
 
@@ -40,6 +41,11 @@ class Motor(Section):
 @dataclass(frozen=True)
 class Curve(Section):
     values: Annotated[Array, Numbers(3)]
+
+
+def _read_curve(data: Any) -> Curve:
+    curve: Curve = check_config(Curve, data)
+    return curve
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +59,7 @@ class Craft(Section):
     layout: Annotated[str, OneOf("cross", "plus")] = "cross"
     geared: Flag = False
     by_name: dict[Annotated[str, OneOf("left", "right")], Motor] = field(default_factory=dict)
-    curve: Annotated[Any, PlainValidator(lambda data: check_config(Curve, data))] = None
+    curve: Annotated[Any, ReadBy(_read_curve)] = None
 
     def __post_init__(self) -> None:
         if self.geared and not self.motors:

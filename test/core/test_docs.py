@@ -23,7 +23,7 @@ from quadpi_core.logs.bags import write_bag
 from quadpi_core.paths import bags_directory, config_directory
 
 ROOT = Path(__file__).parents[2]
-PAGES = sorted((ROOT / "docs").glob("*.md"))
+PAGES = [page for folder in ("docs", "experiments/results") for page in sorted((ROOT / folder).glob("*.md"))]
 # By test_data_set_guide.py, test_log_format_guide.py and test_adapted_bags.py, which make their files; and by
 # `make tables`.
 RUN_ELSEWHERE = {
@@ -62,7 +62,6 @@ RUN_BY = {
     r"ros2 run quadpi (mavlink_bridge|player) .*": "test/ros/test_launching.py",
     r"ros2 lifecycle set /monitor .*": "test/ros/test_node_services.py - by the service that it calls",
     r"ros2 service call /monitor/load_model .*": "test/ros/test_live_process.py - by that service",
-    r"ros2 (service call|param set) /player.*": "test/ros/test_playback_controls.py - by those services",
     r"ros2 run diagnostic_aggregator .*": "test/ros/test_live_process.py - the groups of its file",
     r"ros2 topic echo /prediction --field predicted.force": "test/test_layouts.py - that there is that field",
     r"ros2 (launch foxglove_bridge|run (rviz2|plotjuggler)) .*": "test/test_layouts.py - the files of others",
@@ -152,7 +151,7 @@ def run_all(ran: list[list[str]], folder: Path) -> None:
 
 @pytest.mark.parametrize(
     "page",
-    [ROOT / "README.md", ROOT / "bags" / "README.md", *PAGES],
+    [ROOT / "README.md", ROOT / "bags" / "README.md", ROOT / "experiments" / "README.md", *PAGES],
     ids=lambda p: f"{p.parent.name}-{p.name}",
 )
 def test_links_lead_somewhere(page):
@@ -162,8 +161,8 @@ def test_links_lead_somewhere(page):
 
 
 def test_every_page_is_linked_from_the_readme():
-    linked = set(re.findall(r"\]\(docs/([^)#]+\.md)", (ROOT / "README.md").read_text()))
-    assert {page.name for page in PAGES} <= linked
+    linked = set(re.findall(r"\]\(([^)#]+\.md)", (ROOT / "README.md").read_text()))
+    assert {str(page.relative_to(ROOT)) for page in PAGES} <= linked
 
 
 def keys(data: Any) -> Iterator[str]:

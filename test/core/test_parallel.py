@@ -56,8 +56,12 @@ def tasks():
                 time.sleep(0.01)
         return os.getpid()
 
-    def path(_, path):
-        return str(path)
+    def refuse_at_work(_, item):
+        """Refuses once the other task has ended, whose worker waits for more."""
+        if item:
+            time.sleep(0.5)
+            raise LogError("the file is empty")
+        return os.getpid()
 
     def variable(_, name):
         return os.environ.get(name)
@@ -116,17 +120,23 @@ def test_no_scheduler_is_said(tasks):
 
 
 def test_no_workers_are_said(tasks):
-    from distributed import LocalCluster
-
+    distributed = pytest.importorskip("distributed")
     with (
-        LocalCluster(n_workers=0, processes=False, dashboard_address="127.0.0.1:0") as empty,
+        distributed.LocalCluster(n_workers=0, processes=False, dashboard_address="127.0.0.1:0") as empty,
         pytest.raises(ParallelError, match="has no workers"),
     ):
         # Enough for the scheduler itself to answer on a busy machine.
         Workers(scheduler=empty.scheduler_address, answer_s=5.0).map(tasks.scaled, [1], shared=1)
 
 
+def test_a_scheduler_needs_the_extra(tasks, monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(LogError, match=r"pip install quadpi-monitor\[cluster\]"):
+        Workers(scheduler="tcp://127.0.0.1:1").map(tasks.scaled, [1], shared=1)
+
+
 def test_a_scheduler_has_thirty_seconds_to_answer(tasks, monkeypatch):
+    pytest.importorskip("distributed")
     given = []
 
     def unanswered(*_, timeout, **__):
@@ -146,13 +156,28 @@ def test_workers_of_another_version_are_refused(tasks, monkeypatch, cluster):
 
 
 def test_a_worker_that_dies_is_said(tasks):
-    import dask
+    with pytest.raises(ParallelError, match=r"^a worker ended before its task did$"):
+        Workers(2).map(tasks.die, [1, 2], shared=None)
 
+
+def test_a_worker_of_a_cluster_that_dies_is_said(tasks):
+    dask, distributed = pytest.importorskip("dask"), pytest.importorskip("distributed")
     with (
         dask.config.set({"distributed.scheduler.allowed-failures": 0}),
-        pytest.raises(ParallelError, match="a worker ended before its task did"),
+        distributed.LocalCluster(n_workers=1, dashboard_address="127.0.0.1:0") as fragile,
+        pytest.raises(ParallelError, match=r"^a worker ended before its task did: .+$"),
     ):
-        Workers(2).map(tasks.die, [1, 2], shared=None)
+        Workers(scheduler=fragile.scheduler_address).map(tasks.die, [1], shared=None)
+
+
+def test_no_worker_is_left(tasks):
+    used = Workers(2).map(tasks.process, range(4), shared=None)
+    assert not any(alive(worker) for worker in used)
+    used.clear()
+    with pytest.raises(LogError):
+        Workers(2).map(tasks.refuse_at_work, [0, 1], shared=None, done=lambda _, worker: used.append(worker))
+    assert len(used) == 1
+    assert not alive(used[0])
 
 
 def test_processes_beside_open_no_port():

@@ -1,12 +1,14 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where files may lie."""
+"""Where files may lie, and temporary folders that end with the block that asked for them."""
 
 from __future__ import annotations
 
+from contextlib import nullcontext
+
 import pytest
 
-from quadpi_core.paths import resolved_below
+from quadpi_core.paths import resolved_below, scratch_folder, whole_output
 
 
 @pytest.fixture
@@ -37,3 +39,24 @@ def test_either_of_several_folders_and_links_to_them(place):
     folders = [place / "outside", place / "linked"]
     assert resolved_below(place / "models" / "mine", folders) == place / "models" / "mine"
     assert resolved_below(place / "models" / "link", folders) == place / "outside"
+
+
+@pytest.mark.parametrize("error", [None, ValueError, KeyboardInterrupt])
+def test_a_temporary_folder_is_gone_after_its_block(tmp_path, error):
+    with pytest.raises(error) if error else nullcontext(), scratch_folder(tmp_path) as folder:
+        (folder / "below").mkdir()
+        assert [path.name for path in tmp_path.iterdir()] == [folder.name]
+        if error:
+            raise error
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("there", [False, True])
+def test_a_folder_replaces_another_as_a_whole(tmp_path, there):
+    if there:
+        (tmp_path / "model").mkdir()
+        (tmp_path / "model" / "old").touch()
+    with whole_output(tmp_path / "model") as made:
+        made.mkdir()
+        (made / "new").touch()
+    assert [path.name for path in sorted(tmp_path.rglob("*"))] == ["model", "new"]

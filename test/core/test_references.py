@@ -10,8 +10,9 @@ from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
-FOLDERS = ("quadpi_core", "quadpi_ros", "tools", "benchmarks", "examples", "launch", "test")
+_PAGES = ("README.md", "CONTRIBUTING.md", "docs/*.md", "experiments/**/*.md")
+DOCUMENTS = [page for pattern in _PAGES for page in sorted(ROOT.glob(pattern))]
+FOLDERS = ("quadpi_core", "quadpi_ros", "tools", "benchmarks", "examples", "experiments", "launch", "test")
 
 
 @cache
@@ -57,8 +58,9 @@ def exists(name: str) -> bool:
 
 def test_dotted_names() -> None:
     files = [*DOCUMENTS, ROOT / "pyproject.toml", *(ROOT / "config").rglob("*.yaml")]
-    # Tests also name modules that do not exist.
     files += [path for folder in FOLDERS[:-1] for path in (ROOT / folder).rglob("*.py")]
+    # Tests also name modules that do not exist.
+    files = [file for file in files if file.parent != ROOT / "experiments" / "test"]
     pattern = r"\bquadpi_(?:core|ros)(?:\.(?!__)[A-Za-z_]\w*)+"
     stale = {
         f"{file.relative_to(ROOT)}: {name}"

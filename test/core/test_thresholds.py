@@ -21,6 +21,7 @@ from scipy.stats import t as student
 from quadpi_core import discrepancy, screening, simulation
 from quadpi_core.discrepancy import acceptance, result_verdicts, study, unexplained, whitening
 from quadpi_core.discrepancy.acceptance import (
+    Accepted,
     Trial,
     judge_evidence,
     judge_left_out,
@@ -33,16 +34,16 @@ from quadpi_core.discrepancy.by_condition import (
     second_borders,
     standing_out,
 )
-from quadpi_core.discrepancy.candidates import Part, candidates, part_columns, typical_sizes
+from quadpi_core.discrepancy.candidates import candidates, typical_sizes
+from quadpi_core.discrepancy.closure import Found
 from quadpi_core.discrepancy.discrepancy_result import Coverage, OfFlight
 from quadpi_core.discrepancy.effect_regression import noise_of_flight, settled
 from quadpi_core.discrepancy.effect_response import Compared, predicted_flight, quiet
-from quadpi_core.discrepancy.evidence import Fit
-from quadpi_core.discrepancy.flight_conditions import student_weights
+from quadpi_core.discrepancy.evidence import Fit, student_weights
 from quadpi_core.discrepancy.loading import load_simulation
-from quadpi_core.discrepancy.other_simulations import ModelSimulation
+from quadpi_core.discrepancy.other_simulations import ModelSimulation, Part, part_columns
 from quadpi_core.discrepancy.reflight import growing_by_chance, rollout_floor
-from quadpi_core.discrepancy.search import Found
+from quadpi_core.discrepancy.search import keeps
 from quadpi_core.discrepancy.simulations import Tolerances
 from quadpi_core.discrepancy.sound_learning import learned, predicts
 from quadpi_core.discrepancy.whitening import EDGES_HZ, Spectrum
@@ -119,12 +120,15 @@ def accepted(*, size=1.0, loudness=1.0, instead="", squares=99.0):
         loudness=lambda *_: loudness,
         equations=lambda _: SimpleNamespace(parameters=lambda _: np.arange(2)),
         fit=lambda *_, **__: plain,
+        energy=lambda *_: 0.0,
+        sound=None,
         beside=lambda *_: regression,
     )
     regression.varied = regression
     none = replace(plain, log_evidence=0.0)
-    trial = Trial(regression, (), none, 0, plain, 8.0, lambda: np.zeros(6), instead=instead)
-    trial.__dict__["refined"] = (regression, plain)
+    before = Accepted(regression, (), none)
+    trial = Trial(before, 0, plain, lambda: np.zeros(6), instead=instead)
+    trial.__dict__["refined"] = replace(before, fit=plain)
     return trial.judgement.accepted
 
 
@@ -421,7 +425,7 @@ def beyond_sound(deviations):
     residual = SimpleNamespace(spectra=[Spectrum(own, np.zeros(10, dtype=np.intp)) for own in left])
     regression = SimpleNamespace(sound=sound, residual=residual, flights=left, left=lambda _: left)
     none = SimpleNamespace(left=None)
-    return Found(regression, (), none, None, 0.0, 0.0, {}, None, np.zeros(6), ()).beyond_sound.max() > 0.0
+    return Found(regression, (), none, None, 0.0, {}, None, ()).beyond_sound.max() > 0.0
 
 
 def explained_better(probability):
@@ -610,6 +614,7 @@ EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
         lambda x: result_verdicts.judge_agreement("mass", 9.0, 1.0 - x + 1e-9).passed,
     ),
     "CLOSED": (0.8, lambda x: result_verdicts.judge_closed(x).passed),
+    "KEPT": (0.5, lambda x: keeps(x, 1.0)),
     "NEAR_FLOOR": (0.1, lambda x: result_verdicts.judge_closed(0.6, 0.2, x).passed),
     # The others of the room, file by file.
     "DIVERGED_SPEED": (50.0, lambda x: rolls_out(speed=x)),

@@ -23,3 +23,11 @@ def test_versions_agree() -> None:
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
     assert citation["version"] == quadpi_core.__version__
     assert citation["license"] == "Apache-2.0"
+
+
+def test_bloom_knows_every_release() -> None:
+    released = re.findall(r"^## (\d.*)$", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
+    for_bloom = re.findall(
+        r"^(\d\S*) \(\d{4}-\d\d-\d\d\)\n-+$", (ROOT / "CHANGELOG.rst").read_text(), re.MULTILINE
+    )
+    assert for_bloom == [version.split()[0] for version in released]

@@ -19,7 +19,16 @@ from quadpi_core.logs.bags import write_bag
 from quadpi_core.paths import config_directory
 
 COMMANDS = sorted(command.name or command.callback.__name__ for command in app.registered_commands)
-SLOW_TO_IMPORT = ("numba", "scipy", "jinja2", "pyarrow", "rosbags", "safetensors", "rclpy")
+SLOW_TO_IMPORT = (
+    "numba",
+    "scipy",
+    "jinja2",
+    "distributed",
+    "pyarrow",
+    "rosbags",
+    "safetensors",
+    "rclpy",
+)
 
 
 def test_every_command_is_known():

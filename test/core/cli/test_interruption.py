@@ -143,21 +143,21 @@ def test_realisations_that_are_finished_are_kept(quadpi, interrupted, tmp_path):
     assert not [path for path in tmp_path.rglob(".*") if path.exists()]
 
 
-@pytest.mark.usefixtures("no_exchange")
 def test_a_folder_that_was_about_to_be_replaced_is_there_again(tmp_path, monkeypatch):
     folder = tmp_path / "model"
     folder.mkdir()
     (folder / "old").write_text("old")
 
-    rename = Path.rename
+    rename, interrupted = Path.rename, []
 
     def interrupt(path, target):
-        if path.parent.name == "made":
-            assert not folder.exists()
+        if target == folder and not folder.exists() and not interrupted:
+            interrupted.append(path)
             raise KeyboardInterrupt
         return rename(path, target)
 
     monkeypatch.setattr(Path, "rename", interrupt)
     with pytest.raises(KeyboardInterrupt), whole_output(folder) as temporary:
         temporary.mkdir()
+    assert interrupted
     assert contents(tmp_path) == {folder: None, folder / "old": b"old"}

@@ -50,3 +50,12 @@ def test_seed_confidence_and_page(validated, tmp_path):
     )
     assert (found["seed"], found["confidence"], found["vehicle"]) == (5, 0.9, "bebop2")
     assert "interpolation" in (tmp_path / "page.html").read_text()
+
+
+def test_models_and_bags_are_needed(quadpi, refused):
+    for given in ((), ("--realisations", 2)):
+        ran = quadpi("validate", *given)
+        assert ran.status == 2
+        assert "Missing argument 'paths'" in ran.errors
+    refused("no bag of a simulated flight given", "validate", MODEL)
+    refused("no model folder given: name model folders, then bags", "validate", FLIGHT)

@@ -61,7 +61,7 @@ def test_odometry_is_that_of_the_states() -> None:
     values = np.empty((1, ODOMETRY_VALUES))
     fill_odometry(sample.rows, values)
     packed = pack_odometry(sample.odometry, sample.pose_covariance, sample.twist_covariance)
-    np.testing.assert_array_equal(codec(ODOMETRY).decode_stamped(packed).values, values)
+    np.testing.assert_array_equal(codec(ODOMETRY).decode_stamped(packed)[1], values)
 
 
 def test_covariances_match_the_spread_of_perturbed_states() -> None:

@@ -52,11 +52,6 @@ def test_few_samples_are_passed_several_times() -> None:
     assert sorted(np.bincount(numbers_of(batches)[:40])) == [2] * 20
 
 
-def test_the_seed_decides_the_order() -> None:
-    first, again, other = (numbers_of(epoch(40, 10, seed=seed)).tolist() for seed in (1, 1, 2))
-    assert first == again != other
-
-
 def test_numbers_of_a_sample_stay_together() -> None:
     samples = numbered(47)
     for batch in epoch(47, 10):
@@ -76,11 +71,3 @@ def test_a_network_that_sees_nothing_has_no_weight() -> None:
     np.testing.assert_array_equal(
         batch.weights.numpy(), [[1.0, 0.0, 0.0], [0.0, 0.5, 0.5], [0.0] * 3, [0.0] * 3]
     )
-
-
-def test_all_samples_at_once() -> None:
-    samples = numbered(12)
-    batches = Batches(samples, 5, CPU)
-    assert len(batches) == 12
-    np.testing.assert_array_equal(batches.inputs()[:, :-1].numpy(), samples.inputs.transpose(1, 2, 0))
-    np.testing.assert_array_equal(batches.targets().numpy(), samples.targets.transpose(1, 2, 3, 0))

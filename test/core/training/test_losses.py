@@ -93,16 +93,6 @@ def test_noise_starts_at_the_size_of_the_errors_but_no_less_than_a_hundredth(squ
     assert float(torch.nn.functional.softplus(bias)) == pytest.approx(noise)
 
 
-def test_floors_of_each_table_and_network_are_kept() -> None:
-    floors = np.array([[0.1, 0.2], [0.3, 0.4]], dtype=np.float32)
-    np.testing.assert_array_equal(GaussianNoise.above(floors, "cpu").floor.numpy(), floors)
-
-
-def test_bounds_start_at_the_normal_quantiles_of_95_percent() -> None:
-    biases = quality_driven().initial_biases(torch.zeros(1, 1, 1, 4))
-    assert biases.tolist() == pytest.approx([-1.959964, 1.959964])
-
-
 def test_bounds_are_judged_by_the_interval_score() -> None:
     """Width, plus 2/α of the distance outside, with α = 0.1."""
     outputs = one_network([[-1.0, -1.0, -1.0, -1.0], [1.0, 1.0, 1.0, 1.0]])

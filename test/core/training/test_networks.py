@@ -37,12 +37,6 @@ def test_a_network_worked_out_by_hand() -> None:
     np.testing.assert_array_equal(networks.outputs(inputs)[0, :, 0], [11.5, 0.5, 32.5])
 
 
-def test_outputs_of_one_network_do_not_depend_on_the_others(networks: Networks) -> None:
-    inputs = np.random.default_rng(2).normal(size=(5, 2))
-    np.testing.assert_allclose(networks[1:].outputs(inputs)[0], networks.outputs(inputs)[1], rtol=1e-14)
-    assert len(networks[1:]) == 1
-
-
 def test_arrays_round_trip(networks: Networks) -> None:
     again = Networks.stored(networks.arrays("members"), "members")
     for name in ("hidden_weights", "hidden_biases", "output_weights", "output_biases"):
@@ -53,12 +47,9 @@ def test_arrays_round_trip(networks: Networks) -> None:
     ("name", "shape"),
     [
         ("hidden_weights", (2, 4, 2)),
-        ("hidden_weights", (3, 3, 2)),
         ("hidden_weights", (6, 2)),
         ("hidden_biases", (2, 2)),
-        ("hidden_biases", (6,)),
         ("output_weights", (2, 2, 3)),
-        ("output_weights", (2, 3)),
         ("output_biases", (1, 1)),
         ("output_biases", ()),
     ],

@@ -103,16 +103,6 @@ def test_training_takes_one_thread_and_leaves_the_number_as_it_was() -> None:
     assert after == 3
 
 
-@pytest.mark.parametrize("loss", [SquaredError(), gaussian(), quality_driven()], ids=str)
-def test_tables_one_by_one_are_trained_as_all_at_once(loss: Loss, monkeypatch: pytest.MonkeyPatch) -> None:
-    # Whole vectors of a processor, as in default settings: PyTorch rounds what is left beyond them otherwise.
-    schedule = replace(SCHEDULE, batch=64)
-    at_once = train(samples_for(loss), loss, schedule)
-    monkeypatch.setattr(training_module, "_IN_CACHE", 1)
-    one_by_one = train(samples_for(loss), loss, schedule)
-    assert torch.equal(at_once.parameters, one_by_one.parameters)
-
-
 @pytest.mark.parametrize(("networks", "sizes"), [(70, [1] * 6), (20, [2, 2, 2]), (15, [3, 3]), (5, [6])])
 def test_as_few_tables_are_computed_together_as_fit_in_the_cache(networks: int, sizes: list[int]) -> None:
     shapes = ((6, 13, networks, 20), (6, networks, 1, 20), (6, networks, 1))
@@ -129,7 +119,7 @@ def interrupt(seen: list[int]) -> Callable[[TrainingState], None]:
     return report
 
 
-@pytest.mark.parametrize("together", [500, 128, 100], ids="blocks of {}".format)
+@pytest.mark.parametrize("together", [500, 128])
 def test_numbers_of_the_networks_give_what_pytorch_predicts(
     together: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
