@@ -10,6 +10,7 @@ import os
 import shutil
 import stat
 import tempfile
+import uuid
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
@@ -49,8 +50,17 @@ def scratch_folder(place: Path | None = None) -> Iterator[Path]:
     Raises:
         OSError: if it cannot be made.
     """
-    with tempfile.TemporaryDirectory(prefix=".quadpi.", dir=place, ignore_cleanup_errors=True) as folder:
-        yield Path(folder)
+    # Known before it is made: an interrupt that comes as `tempfile` returns would leave its folder.
+    folder = (place or Path(tempfile.gettempdir())) / f".quadpi.{uuid.uuid4().hex}"
+    try:
+        folder.mkdir(mode=0o700)
+        yield folder
+    finally:
+        try:
+            shutil.rmtree(folder, ignore_errors=True)
+        except BaseException:
+            shutil.rmtree(folder, ignore_errors=True)
+            raise
 
 
 @contextmanager

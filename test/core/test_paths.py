@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import os
 from contextlib import nullcontext
 
 import pytest
@@ -48,6 +49,25 @@ def test_a_temporary_folder_is_gone_after_its_block(tmp_path, error):
         assert [path.name for path in tmp_path.iterdir()] == [folder.name]
         if error:
             raise error
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("function", ["mkdir", "rmdir"])
+def test_an_interrupt_as_it_is_made_or_removed_leaves_nothing(tmp_path, monkeypatch, function):
+    call, interrupted = getattr(os, function), []
+
+    def interrupt(*args, **options):
+        if interrupted:
+            return call(*args, **options)
+        interrupted.append(args)
+        if function == "mkdir":
+            call(*args, **options)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, function, interrupt)
+    with pytest.raises(KeyboardInterrupt), scratch_folder(tmp_path):
+        pass
+    assert interrupted
     assert list(tmp_path.iterdir()) == []
 
 
