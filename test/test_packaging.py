@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("quadpi_core", "quadpi_ros")
 SHARED = ("bags", "config", "launch", "msg", "srv")
 PROGRAMS = "programs"
-BUILD_FILES = ("pyproject.toml", "package.xml", "README.md", "LICENSE", "resource")
+BUILD_FILES = ("core", "setup.py", "pyproject.toml", "package.xml", "README.md", "LICENSE", "resource")
 
 
 def files(folder: Path) -> set[str]:

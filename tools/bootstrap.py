@@ -93,7 +93,12 @@ def make_environment(log: Path) -> None:
         shutil.rmtree(VENV)
     base_python = getattr(sys, "_base_executable", sys.executable)
     run(log, base_python, "-m", "venv", VENV)
-    pip_install(log, "setuptools")
+    pip_install(log, "nanobind", "setuptools")
+
+
+def build_core(log: Path) -> None:
+    """The compiled core, in the package's folder of the checkout."""
+    run(log, VENV_PYTHON, "setup.py", "build_ext", "--inplace")
 
 
 def install_packages(log: Path) -> None:
@@ -181,6 +186,12 @@ def digest(basis: str, inputs: Iterable[Path]) -> str:
 ENVIRONMENT_INPUTS = (Path(__file__).resolve(), ROOT / "constraints.txt")
 STEPS = (
     Step("environment", f"Python {sys.version.split()[0]} environment in {VENV.name}", (), make_environment),
+    Step(
+        "core",
+        "The compiled core",
+        (ROOT / "setup.py", *sorted(path for path in (ROOT / "core").rglob("*") if path.is_file())),
+        build_core,
+    ),
     Step(
         "packages",
         "Python packages and ROS 2 Jazzy (a minute or two)",

@@ -20,6 +20,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("quadpi_core", "quadpi_ros")
 KERNEL_PARAMETERS_MAX = 8
+CORE_LINES_MAX = 400
 # Rows of the tables of CONTRIBUTING.md: rooms, lines, files, goal; and a package with its purpose.
 _BUDGET = re.compile(r"^\| `([^|]+)` \| ([\d ]+) \| (\d+) \| [\d ]+ \|$", re.MULTILINE)
 _REQUIRED = re.compile(r"^\| ([\w.-]+) \| [^|]+ \|$", re.MULTILINE)
@@ -28,6 +29,11 @@ _REQUIRED = re.compile(r"^\| ([\w.-]+) \| [^|]+ \|$", re.MULTILINE)
 def sources() -> list[Path]:
     """The modules of both packages."""
     return sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+
+
+def core_sources() -> list[Path]:
+    """The files of the compiled core and its bindings."""
+    return sorted(path for path in (ROOT / "core").rglob("*.[ch]pp"))
 
 
 def repeated_names(paths: list[Path]) -> Iterator[str]:
@@ -64,6 +70,8 @@ def without_tests(paths: list[Path]) -> Iterator[str]:
 def room_of(path: Path) -> str:
     """The room of a module; the package itself for a file in none."""
     parts = path.relative_to(ROOT).parts
+    if parts[0] == "core":
+        return "core"
     return parts[1] if len(parts) > 2 else parts[0]
 
 
@@ -81,6 +89,14 @@ def over_budget(paths: list[Path]) -> Iterator[str]:
             if found > budget:
                 yield f"{names.replace('`', '')}: {found} {what}, {budget} allowed"
     yield from (f"{room}: has no budget" for room in rooms)
+
+
+def long_files(paths: list[Path]) -> Iterator[str]:
+    """Files of more lines than the rules allow."""
+    for path in paths:
+        lines = path.read_text().count("\n")
+        if lines > CORE_LINES_MAX:
+            yield f"{path.relative_to(ROOT)}: {lines}"
 
 
 def unlisted_packages() -> Iterator[str]:
@@ -103,7 +119,8 @@ def main() -> int:
         (f"compiled kernels of more than {KERNEL_PARAMETERS_MAX} parameters", wide_kernels(paths)),
         ("file names used twice", repeated_names(paths)),
         ("modules without a test file of their name", without_tests(paths)),
-        ("budgets of rooms exceeded", over_budget(paths)),
+        ("budgets of rooms exceeded", over_budget([*paths, *core_sources()])),
+        (f"files of the core of more than {CORE_LINES_MAX} lines", long_files(core_sources())),
         ("required packages without a line in CONTRIBUTING.md, or no longer required", unlisted_packages()),
     ):
         lines = list(found)

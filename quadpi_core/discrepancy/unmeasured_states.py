@@ -14,8 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
-from quadpi_core.compiled import njit
-from quadpi_core.estimator.corrections import ANGULAR_ACCELERATION, significance
+from quadpi_core.core import compiled
 from quadpi_core.estimator.filter_state import (
     ACCELEROMETER_BIAS,
     ATTITUDE,
@@ -212,22 +211,14 @@ def _transition(rotation: Array, rates: Array, force: Array, dt: float) -> Array
     return transition
 
 
-@njit(cache=True)
 def _pose_information(velocity: Array, rates: Array, pushed: Array, noises: Records, poses: float) -> Array:
     """Information (K, 2) that the poses of each step give of each position and attitude.
 
     As in the EKF: an uncertain delay widens a pose, and motion well above its own noise observes it.
     """
-    found, noise = np.empty((len(rates), 2)), noises[0]
-    delay = max(noise.delay_prior, _EXACT_S**2)
-    for step in range(len(found)):
-        v, w, a = velocity[step], rates[step], pushed[step]
-        position = poses / (noise.position + 0.5 * delay**2 * (a @ a) / 3.0)
-        attitude = poses / (noise.attitude + 0.5 * (delay * ANGULAR_ACCELERATION) ** 2)
-        found[step, 0], found[step, 1] = position, attitude
-        moving = significance((v[0], v[1], v[2]), 3.0 * _VELOCITY_STD_M_S**2) ** 2 * (v @ v)
-        turning = significance((w[0], w[1], w[2]), 3.0 * noise.rates) ** 2 * (w @ w)
-        delay = 1.0 / (1.0 / delay + position * moving + attitude * turning)
+    found, limits = np.empty((len(rates), 2)), np.array([_EXACT_S**2, _VELOCITY_STD_M_S**2])
+    steps = np.concatenate((velocity, rates, pushed), axis=1)
+    compiled.pose_information(steps, noises, limits, poses, found)
     return found
 
 
@@ -396,17 +387,8 @@ class _Stretch:
         return float(np.sqrt(self._squares)) / max(float(np.linalg.norm(shape)), _TINY)
 
 
-@njit(cache=True)
 def _varying_forces(wrenches: Array) -> Array:
     """Forces (·, K) of wrenches (N, 6, K) without their means."""
-    samples, _, count = wrenches.shape
-    means, varying = np.zeros((3, count)), np.empty((3 * samples, count))
-    for i in range(samples):
-        for axis in range(3):
-            for k in range(count):
-                means[axis, k] += wrenches[i, axis, k]
-    for i in range(samples):
-        for axis in range(3):
-            for k in range(count):
-                varying[3 * i + axis, k] = wrenches[i, axis, k] - means[axis, k] / samples
+    forces = wrenches[:, :3]
+    varying: Array = (forces - forces.sum(axis=0) / len(forces)).reshape(3 * len(forces), -1)
     return varying

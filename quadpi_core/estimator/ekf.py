@@ -13,10 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadpi_core.compiled import njit
+from quadpi_core.core import compiled
 from quadpi_core.errors import SignalError
-from quadpi_core.estimator import buffer, filter_run, filter_state
-from quadpi_core.estimator.buffer import fuse_due, predict
+from quadpi_core.estimator import filter_state
 from quadpi_core.estimator.filter_run import (
     Arrivals,
     EkfTrace,
@@ -24,6 +23,7 @@ from quadpi_core.estimator.filter_run import (
     SegmentLog,
     Spans,
     Trace,
+    in_order_of_arrival,
     never_started,
 )
 from quadpi_core.estimator.filter_state import (
@@ -39,7 +39,7 @@ from quadpi_core.estimator.filter_state import (
 )
 from quadpi_core.estimator.imu_rate import RATE_BEFORE_HZ
 from quadpi_core.estimator.initialise import COLLECT_NS, CollectedSamples, Initial
-from quadpi_core.estimator.output import FUSED, FusedSamples, fill_fused
+from quadpi_core.estimator.output import FUSED, FusedSamples
 from quadpi_core.flight import MAX_GAP_NS, MAX_JUMP_BACK_NS, Recording
 from quadpi_core.frames import Array
 from quadpi_core.records import Records
@@ -173,18 +173,18 @@ class Ekf:
         self._force[:] = specific_force
         outcome = Outcome.COLLECTED
         if self._initial is not None:
-            outcome = _OUTCOMES[_step(*self._memory, self._sample, _NO_JOURNAL, self._fused.rows)]
+            outcome = _OUTCOMES[compiled.step(*self._memory, self._sample, _NO_JOURNAL, self._fused.rows)]
         if outcome is not Outcome.USED:
             outcome = self._take_unused(outcome)
             if outcome is not Outcome.COLLECTED or self._initial is None:
                 return Step(outcome, self.status, None)
-            _fill_newest(*self._memory, self._fused.rows)
+            compiled.fill_newest(*self._memory, self._fused.rows)
         return Step(outcome, _STATUSES[self._memory.filter["status"][0]], self._fused)
 
     def update_pose(self, time_ns: int, position: Array, attitude: Array) -> Outcome:
         """Take one pose: position (3,) m in the world, attitude (4,) body to world, of either sign.
 
-        It is COLLECTED and fused at the IMU sample after :data:`.buffer.HOLD_NS`, or refused at once; what
+        It is COLLECTED and fused at the IMU sample 10 ms later, or refused at once; what
         became of it then is in :attr:`pose_counts`. Never raises on bad samples.
         """
         measurement = self._measurement
@@ -220,7 +220,7 @@ class Ekf:
         Raises:
             SignalError: if the recording has no motion capture.
         """
-        arrivals = filter_run.in_order_of_arrival(block)
+        arrivals = in_order_of_arrival(block)
         trace = Trace.empty(arrivals, self._journal, fused=True)
         self._run(arrivals, trace)
         count = int(trace.progress["estimates"][0])
@@ -234,7 +234,7 @@ class Ekf:
             SignalError: as :meth:`run`.
         """
         self.log_segments(recording)
-        arrivals = filter_run.in_order_of_arrival(recording)
+        arrivals = in_order_of_arrival(recording)
         self._run(arrivals, Trace.empty(arrivals, self._journal, fused=False))
         segments = self.logged_segments()
         if not segments:
@@ -265,7 +265,7 @@ class Ekf:
         first = 0
         while True:
             if self._initial is not None:
-                filter_run.run(*self._memory, arrivals, trace)
+                compiled.run(*self._memory, arrivals, trace)
                 if self._log is not None:
                     used = trace.rows["sample"][first : progress["estimates"]]
                     self._log.used.append(self._log.taken + used)
@@ -278,7 +278,7 @@ class Ekf:
             self._feed_next(arrivals, trace)
             if self._initial is not None and progress["samples"] > index:
                 first = int(progress["estimates"])
-                filter_run.record(*self._memory, trace, index)
+                compiled.record(*self._memory, trace, index)
         if self._log is not None:
             self._log.taken += index
 
@@ -321,7 +321,7 @@ class Ekf:
     def _update(self, measurement: Records) -> Outcome:
         """Take a measurement (1,)."""
         if self._initial is not None:
-            return _OUTCOMES[buffer.hold(*self._memory, measurement)]
+            return _OUTCOMES[compiled.hold(*self._memory, measurement)]
         outcome = self._collect_measurement(measurement)
         source = _POSES if measurement["kind"][0] == POSE else _VELOCITIES
         self._memory.filter["counts"][0, source, outcome] += 1
@@ -343,7 +343,7 @@ class Ekf:
 
     def _collect_measurement(self, measurement: Records) -> Outcome:
         """Keep a measurement for the start."""
-        if not buffer.usable_measurement(measurement):
+        if not compiled.usable_measurement(measurement):
             return Outcome.UNUSABLE
         sources = self._memory.filter["sources"][0]
         source, time_ns = sources[0 if measurement["kind"][0] == POSE else 1], int(measurement["time_ns"][0])
@@ -371,11 +371,11 @@ class Ekf:
         filter_state.begin(memory, initial.estimate, initial.imu_ns)
         if self._measures_rate:
             memory.filter["rate_span_ns"] = round(1e9 * RATE_SPAN / self._rate_hz)
-        buffer.catch_up(*memory, imu[imu["time_ns"] > initial.imu_ns])
+        compiled.catch_up(*memory, imu[imu["time_ns"] > initial.imu_ns])
         delay_ns = round(1e9 * self._vehicle.noise.mocap_delay_s)
         for measurement in collected.measurements:
             if measurement["time_ns"][0] - delay_ns > initial.time_ns:
-                buffer.hold(*memory, measurement)
+                compiled.hold(*memory, measurement)
         memory.filter["sources"]["arrived_ns"] = arrived_ns
         while collected.imu[0]["time_ns"][0] < initial.imu_ns:
             collected.imu.popleft()
@@ -392,32 +392,3 @@ class Ekf:
     def _counts(self, source: int) -> dict[Outcome, int]:
         counts = self._memory.filter["counts"][0, source]
         return {outcome: int(counts[outcome]) for outcome in Outcome}
-
-
-@njit(cache=True)
-def _step(memories: Records, ring: Records, samples: Records, journal: Records, fused: Records) -> int:
-    """One IMU sample as it comes live: propagate, fuse the measurements whose time has come, give the output.
-
-    Args:
-        memories: (1,) the :class:`Filter`.
-        ring: (N,) its estimates.
-        samples: (1,) the :class:`ImuSample`.
-        journal: (J,) see :func:`.buffer.fuse_due`.
-        fused: (1,) a :class:`FusedSample`, filled if the sample is USED.
-
-    Returns:
-        The value of an :class:`Outcome`; only samples that are USED are counted here.
-    """
-    memory = memories[0]
-    outcome = predict(memory, ring, samples[0])
-    if outcome == Outcome.USED.value:
-        fuse_due(memory, ring, journal)
-        fill_fused(ring[memory.newest], memory.noise.rates, fused[0])
-    return outcome
-
-
-@njit(cache=True)
-def _fill_newest(memories: Records, ring: Records, fused: Records) -> None:
-    """Fill a :class:`FusedSample` (1,) from the newest estimate."""
-    memory = memories[0]
-    fill_fused(ring[memory.newest], memory.noise.rates, fused[0])

@@ -10,9 +10,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.compiled import njit
 from quadpi_core.errors import SignalError
-from quadpi_core.estimator.buffer import fuse_due, hold_one, predict
 from quadpi_core.estimator.filter_state import (
     BODY_VELOCITY,
     ERROR_STATES,
@@ -20,13 +18,10 @@ from quadpi_core.estimator.filter_state import (
     MEASUREMENT,
     POSE,
     WORLD_VELOCITY,
-    Filter,
     NominalState,
-    Outcome,
-    copy_nominal,
 )
 from quadpi_core.estimator.initialise import Initial
-from quadpi_core.estimator.output import FUSED, FusedSamples, fill_fused
+from quadpi_core.estimator.output import FUSED, FusedSamples
 from quadpi_core.flight import ImuStream, Recording, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.records import Records, record_dtype
@@ -48,7 +43,7 @@ class FilteredSample(EstimatedSample):
 
 
 class Progress:
-    """How far :func:`run` has come."""
+    """How far a run has come."""
 
     samples: int  # IMU samples taken
     measurements: int  # measurements taken
@@ -156,7 +151,7 @@ class Arrivals(NamedTuple):
 
 
 class Trace(NamedTuple):
-    """What :func:`run` writes.
+    """What a run writes.
 
     Attributes:
         progress: (1,) a :class:`Progress`.
@@ -260,51 +255,6 @@ def in_order_of_arrival(recording: Recording) -> Arrivals:
     arrived = np.concatenate(after).astype(np.int64)
     order = np.argsort(arrived, kind="stable")
     return Arrivals(imu_records(recording.imu), np.concatenate(parts)[order], arrived[order])
-
-
-@njit(cache=True)
-def run(memories: Records, ring: Records, arrivals: Arrivals, trace: Trace) -> None:
-    """Take samples as they arrived, from `trace.progress` on.
-
-    Stops at the end of the IMU samples, or before one that asks for a RESET.
-    """
-    memory, progress = memories[0], trace.progress[0]
-    while progress.samples < len(arrivals.samples):
-        index, following = progress.samples, progress.measurements
-        if following < len(arrivals.measurements) and arrivals.after[following] <= index:
-            hold_one(memory, ring, arrivals.measurements[following])
-            progress.measurements += 1
-            continue
-        outcome = predict(memory, ring, arrivals.samples[index])
-        if outcome == Outcome.RESET.value:
-            return
-        trace.outcomes[index] = outcome
-        progress.samples += 1
-        if outcome == Outcome.USED.value:
-            fuse_due(memory, ring, trace.journal)
-            _record(memory, ring, trace, index)
-        else:
-            memory.counts[0, outcome] += 1
-
-
-@njit(cache=True)
-def record(memories: Records, ring: Records, trace: Trace, sample: int) -> None:
-    """Append the newest estimate, which is that after the IMU sample of this index."""
-    _record(memories[0], ring, trace, sample)
-
-
-@njit(cache=True)
-def _record(memory: Filter, ring: Records, trace: Trace, sample: int) -> None:
-    """:func:`record` for kernels."""
-    progress, estimate = trace.progress[0], ring[memory.newest]
-    row = trace.rows[progress.estimates]
-    row.time_ns, row.status, row.sample = estimate.time_ns, memory.status, sample
-    copy_nominal(estimate, row)
-    for index in range(ERROR_STATES):
-        row.variance[index] = estimate.covariance[index, index]
-    if len(trace.fused) > 0:
-        fill_fused(estimate, memory.noise.rates, trace.fused[progress.estimates])
-    progress.estimates += 1
 
 
 class Spans(NamedTuple):

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The state of the Kalman filter: an estimate, the samples that change it, and all that the filter remembers.
 
+The records are those of core/include/quadpi/estimator/filter_state.hpp, whose functions change them in place.
+
 Error state, 16 numbers: position and velocity in the world, attitude as a rotation vector in body axes
 (true = estimated ⊗ exp(error)), gyro bias, accelerometer bias, and the delay of motion capture: what it
 stamps s was true at s less the delay.
@@ -15,7 +17,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.compiled import njit
+from quadpi_core.core import compiled
 from quadpi_core.flight import NO_STAMP
 from quadpi_core.frames import Array
 from quadpi_core.records import Quaternion4, Records, Vector3, columns_of, record_dtype
@@ -40,10 +42,6 @@ DELAY, ERROR_STATES = _DELAY.start, _DELAY.stop
 # Kinds of measurement.
 POSE, WORLD_VELOCITY, BODY_VELOCITY = 0, 1, 2
 
-# How far back estimates are kept: the latest motion capture that can be fused.
-BUFFER_S = 0.5
-# Measurements that wait for their time; more than motion capture sends while it may be early.
-_HELD = 256
 # The drift of unrelated clocks, 0.5 ms in half a minute, as a random walk of the delay [s/√s].
 _DELAY_WALK_S = 1e-4
 
@@ -191,7 +189,8 @@ class Filter:
     rate_span_ns: int  # usual time of RATE_SPAN steps of the IMU; 0 where its rate is given
     rate_off_ns: int  # for how long nearly all such spans have differed from that
     sources: Annotated[Records, Source, 2]  # poses and velocities
-    held: Annotated[Records, Measurement, _HELD]  # a ring of measurements that wait for their time, by stamp
+    # A ring of measurements that wait for their time, by stamp.
+    held: Annotated[Records, Measurement, compiled.HELD]
     held_first: int
     held_count: int
     journalled: int  # corrections written to the journal
@@ -287,7 +286,7 @@ class Memory(NamedTuple):
 
 def allocate(vehicle: Vehicle, rate_hz: float) -> Memory:
     """An empty memory for a vehicle whose IMU has this rate."""
-    length = max(int(np.ceil(BUFFER_S * rate_hz)), RATE_SPAN) + 3
+    length = max(int(np.ceil(1e-9 * compiled.BUFFER_NS * rate_hz)), RATE_SPAN) + 3
     memory = Memory(np.zeros(1, FILTER), np.zeros(length, ESTIMATE))
     memory.filter["noise"] = assumed_noise(vehicle, rate_hz)
     forget(memory)
@@ -328,46 +327,3 @@ def assumed_noise(vehicle: Vehicle, rate_hz: float) -> Records:
     noise["specific_force"] = sensors.accelerometer_noise_m_s2**2
     noise["gravity"] = vehicle.gravity_m_s2
     return noise
-
-
-@njit(cache=True)
-def copy_nominal(source: NominalState, target: NominalState) -> None:
-    """Copy the state without the covariance of its errors."""
-    for axis in range(3):
-        target.position[axis] = source.position[axis]
-        target.velocity[axis] = source.velocity[axis]
-        target.gyro_bias[axis] = source.gyro_bias[axis]
-        target.accelerometer_bias[axis] = source.accelerometer_bias[axis]
-    for component in range(4):
-        target.attitude[component] = source.attitude[component]
-    target.delay = source.delay
-
-
-@njit(cache=True)
-def copy_state(source: Estimate, target: Estimate) -> None:
-    """Copy the state and its covariance; the stamp and the IMU sample of `target` stay."""
-    copy_nominal(source, target)
-    for row in range(ERROR_STATES):
-        for column in range(ERROR_STATES):
-            target.covariance[row, column] = source.covariance[row, column]
-
-
-@njit(cache=True)
-def copy_sample(source: ImuSample, target: ImuSample) -> None:
-    """Copy an IMU sample with its stamp."""
-    target.time_ns = source.time_ns
-    for axis in range(3):
-        target.rates[axis] = source.rates[axis]
-        target.specific_force[axis] = source.specific_force[axis]
-
-
-@njit(cache=True)
-def interpolate_sample(estimate: Estimate, first: ImuSample, second: ImuSample) -> None:
-    """Give an estimate the IMU sample of its instant, on the line between two samples around it."""
-    share = 0.0
-    if estimate.time_ns > first.time_ns:
-        share = (estimate.time_ns - first.time_ns) / (second.time_ns - first.time_ns)
-    for axis in range(3):
-        rate, force = first.rates[axis], first.specific_force[axis]
-        estimate.rates[axis] = rate + share * (second.rates[axis] - rate)
-        estimate.specific_force[axis] = force + share * (second.specific_force[axis] - force)

@@ -10,8 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from quadpi_core import rotations
-from quadpi_core.compiled import njit
-from quadpi_core.estimator.corrections import ANGULAR_ACCELERATION
+from quadpi_core.core import compiled
 from quadpi_core.estimator.filter_state import (
     ACCELEROMETER_BIAS,
     ATTITUDE,
@@ -284,7 +283,7 @@ def _initial(imu: Records, time_ns: int, state: _State, noise: SensorNoise) -> I
     # Half the curvature times the squared delay, which the linear model leaves out.
     left_out = 0.5 * delay_variance**2
     covariance[POSITION, POSITION] += left_out * np.diag(state.acceleration**2)
-    covariance[ATTITUDE, ATTITUDE] += left_out * ANGULAR_ACCELERATION**2 * np.eye(3)
+    covariance[ATTITUDE, ATTITUDE] += left_out * compiled.ANGULAR_ACCELERATION**2 * np.eye(3)
     covariance[DELAY, DELAY] = delay_variance
     estimate = np.zeros(1, ESTIMATE)
     estimate["time_ns"] = time_ns
@@ -303,23 +302,10 @@ def _slope(time_ns: Stamps, values: Array) -> Array:
     return slope
 
 
-@njit(cache=True)
 def _relative_attitudes(imu: Records, last_ns: int) -> Array:
     """Attitudes (N, 4) at the IMU samples relative to the body at `last_ns`, by the gyro alone."""
-    attitude = np.zeros((len(imu), 4))
-    attitude[:, 0] = 1.0
-    for index in range(len(imu) - 2, -1, -1):
-        sample, following = imu[index], imu[index + 1]
-        if following.time_ns > last_ns:
-            continue
-        half = 0.5e-9 * (following.time_ns - sample.time_ns)
-        turn = (
-            -half * (sample.rates[0] + following.rates[0]),
-            -half * (sample.rates[1] + following.rates[1]),
-            -half * (sample.rates[2] + following.rates[2]),
-        )
-        w, x, y, z = rotations.product(attitude[index + 1], rotations.from_rotation_vector(turn))
-        attitude[index, 0], attitude[index, 1], attitude[index, 2], attitude[index, 3] = w, x, y, z
+    attitude = np.empty((len(imu), 4))
+    compiled.relative_attitudes(imu, last_ns, attitude)
     return attitude
 
 

@@ -9,9 +9,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core import rotations
 from quadpi_core.compiled import njit
-from quadpi_core.estimator.filter_state import Estimate
 from quadpi_core.flight import ImuStream, OdometryStream, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.messages.values import odometry_row
@@ -103,68 +101,9 @@ def with_gyro_faults(imu: ImuStream) -> ImuStream:
 
 
 @njit(cache=True)
-def fill_fused(estimate: Estimate, gyro_variance: float, out: FusedSample) -> None:
-    """Fill state and covariances: first-order propagation of the error state into pose and twist.
-
-    With attitude error δθ in body axes, rotations about the world's axes are R δθ, and the velocity in body
-    axes errs by Rᵀ δv + v × δθ. The rates err by the gyro's bias and by its noise, of that variance.
-    """
-    to_world = rotations.matrix(estimate.attitude)
-    motion, velocity = out.motion, estimate.velocity
-    out.time_ns = estimate.time_ns
-    for component in range(4):
-        motion.attitude[component] = estimate.attitude[component]
-    for axis in range(3):
-        out.position[axis] = estimate.position[axis]
-        in_body = 0.0
-        for other in range(3):
-            in_body += to_world[other, axis] * velocity[other]
-        motion.velocity[axis] = in_body
-        motion.rates[axis] = estimate.rates[axis] - estimate.gyro_bias[axis]
-        motion.specific_force[axis] = estimate.specific_force[axis] - estimate.accelerometer_bias[axis]
-    u, v, w = motion.velocity[0], motion.velocity[1], motion.velocity[2]
-
-    # Jacobians over position, velocity, attitude and gyro bias.
-    pose, twist = np.zeros((6, 12)), np.zeros((6, 12))
-    for axis in range(3):
-        pose[axis, axis] = 1.0
-        twist[3 + axis, 9 + axis] = -1.0
-        for other in range(3):
-            pose[3 + axis, 6 + other] = to_world[axis, other]
-            twist[axis, 3 + other] = to_world[other, axis]
-    twist[0, 7], twist[0, 8] = -w, v
-    twist[1, 6], twist[1, 8] = w, -u
-    twist[2, 6], twist[2, 7] = -v, u
-    _sandwich(pose, estimate.covariance, out.pose_covariance)
-    _sandwich(twist, estimate.covariance, out.twist_covariance)
-    for axis in range(3, 6):
-        out.twist_covariance[axis, axis] += gyro_variance
-
-
-@njit(cache=True)
 def fill_odometry(samples: Records, values: Array) -> None:
     """Fill the numbers (K, 85) of odometry messages from :class:`FusedSample` (K,)."""
     for k in range(len(samples)):
         sample, motion = samples[k], samples[k].motion
         covariances = sample.pose_covariance, sample.twist_covariance
         odometry_row(sample.position, motion.attitude, motion.velocity, motion.rates, covariances, values[k])
-
-
-@njit(cache=True)
-def _sandwich(by: Array, covariance: Array, out: Array) -> None:
-    """J P Jᵀ into `out` (6, 6), of the first columns of P."""
-    columns = by.shape[1]
-    projected = np.zeros((6, columns))
-    for row in range(6):
-        for inner in range(columns):
-            factor = by[row, inner]
-            if factor != 0.0:
-                for column in range(columns):
-                    projected[row, column] += factor * covariance[inner, column]
-    for row in range(6):
-        for other in range(row + 1):
-            total = 0.0
-            for column in range(columns):
-                total += projected[row, column] * by[other, column]
-            out[row, other] = total
-            out[other, row] = total

@@ -17,39 +17,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadpi_core.compiled import njit
-from quadpi_core.estimator import corrections
-from quadpi_core.estimator.filter_run import (
-    ESTIMATED,
-    EstimatedSample,
-    Estimates,
-    Segment,
-    imu_records,
-)
-from quadpi_core.estimator.filter_state import (
-    ERROR_STATES,
-    ESTIMATE,
-    POSE,
-    SCALAR,
-    TRANSITION,
-    Correction,
-    Estimate,
-    ImuSample,
-    Scalar,
-    Transition,
-    copy_nominal,
-    interpolate_sample,
-)
-from quadpi_core.estimator.propagate import apply_transposed, inject, propagate_between
+from quadpi_core.core import compiled
+from quadpi_core.estimator.filter_run import ESTIMATED, Estimates, Segment, imu_records
+from quadpi_core.estimator.filter_state import ERROR_STATES, ESTIMATE, SCALAR, TRANSITION
 from quadpi_core.flight import ImuStream, Stamps
-from quadpi_core.frames import Array
 from quadpi_core.records import Records, record_dtype
 
 # IMU samples between checkpoints: a second at the usual rate.
 CHUNK = 500
-
-# What happened in a forward pass: a step of the IMU, a scalar correction, an estimate at an IMU stamp.
-STEP, SCALAR_CORRECTION, ESTIMATE_HERE = range(3)
 
 
 class Inputs(NamedTuple):
@@ -127,154 +102,13 @@ def _smooth(imu: Records, segment: Segment) -> Records:
     estimate, no_tape = segment.initial.estimate.copy(), Tape.empty(0, 0)
     for chunk, (first, last) in enumerate(chunks):
         checkpoints[chunk] = estimate[0]
-        applied[chunk + 1] = forward(inputs, estimate, first, last, int(applied[chunk]), no_tape)
+        applied[chunk + 1] = compiled.forward(inputs, estimate, first, last, int(applied[chunk]), no_tape)
 
     smoothed = np.empty(len(inputs.imu), ESTIMATED)
     adjoint, information = np.zeros(ERROR_STATES), np.zeros((ERROR_STATES, ERROR_STATES))
     tape = Tape.empty(CHUNK, int(np.diff(applied).max(initial=0)))
     for chunk, (first, last) in reversed(list(enumerate(chunks))):
-        forward(inputs, checkpoints[chunk : chunk + 1], first, last, int(applied[chunk]), tape)
-        _backward(tape, adjoint, information, smoothed[first:last])
+        compiled.forward(inputs, checkpoints[chunk : chunk + 1], first, last, int(applied[chunk]), tape)
+        compiled.backward(tape, adjoint, information, smoothed[first:last])
     smoothed["time_ns"] = inputs.imu["time_ns"]
     return smoothed[segment.first :]
-
-
-@njit(cache=True)
-def forward(inputs: Inputs, estimates: Records, first: int, last: int, applied: int, tape: Tape) -> int:
-    """Filter up to IMU sample `last - 1`, the corrections in the order of their instants.
-
-    Args:
-        inputs: of the segment.
-        estimates: (1,) at IMU sample `first - 1`, or where the segment begins; updated.
-        first: IMU sample that comes next.
-        last: after the IMU samples of this pass.
-        applied: corrections applied before this pass.
-        tape: filled, if it has room.
-
-    Returns:
-        Corrections applied after this pass.
-    """
-    estimate, journal, length = estimates[0], inputs.journal, tape.length[0]
-    length.events, length.steps, length.scalars, length.estimates = 0, 0, 0, 0
-    for index in range(first, last):
-        before, after = inputs.imu[max(index - 1, 0)], inputs.imu[index]
-        while applied < len(journal) and journal[applied].time_ns <= after.time_ns:
-            _advance(inputs, estimate, before, after, journal[applied].time_ns, tape)
-            interpolate_sample(estimate, before, after)
-            _correct(inputs, estimate, journal[applied], tape)
-            applied += 1
-        _advance(inputs, estimate, before, after, after.time_ns, tape)
-        if len(tape.events) > 0:
-            tape.estimates[length.estimates] = estimate
-            length.estimates += 1
-            _note(tape, ESTIMATE_HERE)
-    return applied
-
-
-@njit(cache=True)
-def _advance(
-    inputs: Inputs, estimate: Estimate, before: ImuSample, after: ImuSample, to_ns: int, tape: Tape
-) -> None:
-    """Propagate an estimate between two IMU samples."""
-    if to_ns > estimate.time_ns:
-        transition = tape.steps[tape.length[0].steps]
-        propagate_between(estimate, inputs.noise[0], before, after, to_ns, transition)
-        if len(tape.events) > 0:
-            tape.length[0].steps += 1
-            _note(tape, STEP)
-
-
-@njit(cache=True)
-def _correct(inputs: Inputs, estimate: Estimate, correction: Correction, tape: Tape) -> None:
-    """Apply a correction as the filter did, at the filter's instant."""
-    length, measurement = tape.length[0], correction.measurement
-    scalars = tape.scalars[length.scalars : length.scalars + 6]
-    corrections.widen(estimate, correction.widening)
-    corrections.fuse(estimate, inputs.noise[0], measurement, scalars)
-    if len(tape.events) > 0:
-        for _ in range(6 if measurement.kind == POSE else 3):
-            length.scalars += 1
-            _note(tape, SCALAR_CORRECTION)
-
-
-@njit(cache=True)
-def _note(tape: Tape, event: int) -> None:
-    """Record what happened."""
-    length = tape.length[0]
-    tape.events[length.events] = event
-    length.events += 1
-
-
-@njit(cache=True)
-def _backward(tape: Tape, adjoint: Array, information: Array, smoothed: Records) -> None:
-    """Run the adjoint state (16,) and its information (16, 16) back over a tape; smooth its estimates."""
-    length = tape.length[0]
-    while length.events > 0:
-        length.events -= 1
-        event = tape.events[length.events]
-        if event == STEP:
-            length.steps -= 1
-            _step_back(tape.steps[length.steps], adjoint, information)
-        elif event == SCALAR_CORRECTION:
-            length.scalars -= 1
-            _scalar_back(tape.scalars[length.scalars], adjoint, information)
-        else:
-            length.estimates -= 1
-            _smooth_estimate(
-                tape.estimates[length.estimates], adjoint, information, smoothed[length.estimates]
-            )
-
-
-@njit(cache=True)
-def _step_back(transition: Transition, adjoint: Array, information: Array) -> None:
-    """λ ← Fᵀ λ and Λ ← Fᵀ Λ F."""
-    apply_transposed(transition, adjoint)
-    for column in range(ERROR_STATES):
-        apply_transposed(transition, information[column])
-    for column in range(ERROR_STATES):
-        for other in range(column):
-            upper, lower = information[other, column], information[column, other]
-            information[other, column], information[column, other] = lower, upper
-    for column in range(ERROR_STATES):
-        apply_transposed(transition, information[column])
-
-
-@njit(cache=True)
-def _scalar_back(scalar: Scalar, adjoint: Array, information: Array) -> None:
-    """λ ← (I − k hᵀ)ᵀ λ − h y/s and Λ ← (I − k hᵀ)ᵀ Λ (I − k hᵀ) + h hᵀ/s."""
-    by, gain = scalar.jacobian, scalar.gain
-    turned = np.empty(ERROR_STATES)
-    along = scalar.innovation / scalar.innovation_variance
-    inner = 1.0 / scalar.innovation_variance
-    for i in range(ERROR_STATES):
-        total = 0.0
-        for j in range(ERROR_STATES):
-            total += information[i, j] * gain[j]
-        turned[i] = total
-        along += gain[i] * adjoint[i]
-        inner += gain[i] * total
-    for i in range(ERROR_STATES):
-        adjoint[i] -= by[i] * along
-        for j in range(ERROR_STATES):
-            information[i, j] += by[i] * by[j] * inner - by[i] * turned[j] - turned[i] * by[j]
-
-
-@njit(cache=True)
-def _smooth_estimate(
-    estimate: Estimate, adjoint: Array, information: Array, smoothed: EstimatedSample
-) -> None:
-    """X ← x − P λ, of variance P − P Λ P."""
-    covariance = estimate.covariance
-    error = np.empty(ERROR_STATES)
-    for i in range(ERROR_STATES):
-        total, reduction = 0.0, 0.0
-        for j in range(ERROR_STATES):
-            total -= covariance[i, j] * adjoint[j]
-            inner = 0.0
-            for k in range(ERROR_STATES):
-                inner += information[j, k] * covariance[k, i]
-            reduction += covariance[i, j] * inner
-        error[i] = total
-        smoothed.variance[i] = max(covariance[i, i] - reduction, 0.0)
-    inject(estimate, error)
-    copy_nominal(estimate, smoothed)

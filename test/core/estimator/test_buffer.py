@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from quadpi_core.estimator.buffer import DEGRADED_NS, HOLD_NS, LOST_NS, status_of
+from quadpi_core.core import compiled
 from quadpi_core.estimator.ekf import Ekf
 from quadpi_core.estimator.filter_state import (
     ACCELEROMETER_BIAS,
@@ -67,7 +67,7 @@ def hover() -> Hover:
 
 
 def test_a_pose_is_held_for_ten_milliseconds(hover: Hover) -> None:
-    assert HOLD_NS == 10 * MS
+    assert compiled.HOLD_NS == 10 * MS
     hover.imu(10)
     used = hover.counted(Outcome.USED)
     hover.pose(hover.now_ns)
@@ -132,7 +132,7 @@ def test_contradicting_poses_are_believed_after_they_agree_for_0_4_s(hover: Hove
 def test_the_status_follows_the_time_without_a_correction(
     hover: Hover, limit_ns: int, before: EstimatorStatus, after: EstimatorStatus
 ) -> None:
-    assert limit_ns in (DEGRADED_NS, LOST_NS)
+    assert limit_ns in (compiled.DEGRADED_NS, compiled.LOST_NS)
     hover.imu(10)
     since_ns = round(1e9 * hover.ekf.since_correction_s)
     hover.imu((limit_ns - since_ns) // STEP_NS)
@@ -180,4 +180,4 @@ def test_the_status_follows_the_uncertainty_of_velocity_and_bias(
     estimate["covariance"][0, VELOCITY.start + 1, VELOCITY.start + 1] = velocity_std**2
     estimate["covariance"][0, ACCELEROMETER_BIAS.start, ACCELEROMETER_BIAS.start] = bias_std**2
     begin(memory, estimate, 0)
-    assert status_of(memory.filter[0], memory.ring) == status
+    assert compiled.status_of(*memory) == status

@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import chi2
 
 from quadpi_core import rotations
-from quadpi_core.estimator import corrections
+from quadpi_core.core import compiled
 from quadpi_core.estimator.filter_state import (
     ATTITUDE,
     BODY_VELOCITY,
@@ -63,7 +63,7 @@ def fuse(estimate: Records, noise: Records, measurement: Records, lag: float = 0
     """
     corrected, late = estimate.copy(), measurement.copy()
     late["time_ns"] = estimate["time_ns"] + np.round(1e9 * (estimate["delay"] + lag)).astype(np.int64)
-    nis = corrections.fuse(corrected[0], noise[0], late[0], np.zeros(6, SCALAR))
+    nis = compiled.fuse(corrected, noise, late, np.zeros(6, SCALAR))
     return corrected, nis
 
 
@@ -131,11 +131,11 @@ def test_a_measurement_is_of_the_instant_that_the_own_delay_says(estimate: Recor
     """With a delay that is 20 ms longer, it was taken 20 ms earlier: along the motion, that far behind."""
     estimate["time_ns"], estimate["delay"] = 7 * SECOND, 0.05
     pose = measured(POSE, estimate["position"], estimate["attitude"], time_ns=7 * SECOND + SECOND // 20)
-    assert corrections.taken_ns(estimate[0], pose[0]) == 7 * SECOND
-    assert corrections.fuse(estimate.copy()[0], noise[0], pose[0], np.zeros(6, SCALAR)) < 1e-9
+    assert compiled.taken_ns(estimate, pose) == 7 * SECOND
+    assert compiled.fuse(estimate.copy(), noise, pose, np.zeros(6, SCALAR)) < 1e-9
     late, scalars = estimate.copy(), np.zeros(6, SCALAR)
     late["delay"] += 0.02
-    corrections.fuse(late[0], noise[0], pose[0], scalars)
+    compiled.fuse(late, noise, pose, scalars)
     assert scalars["residual"][0] == pytest.approx(0.02 * estimate["velocity"][0, 0])
 
 
@@ -149,14 +149,14 @@ def test_the_delay_is_found_in_motion_only(estimate: Records, noise: Records) ->
 
 
 def test_gates_are_quantiles_of_chi_square() -> None:
-    assert chi2.cdf(corrections.POSE_GATE, 6) == pytest.approx(0.9999, abs=1e-6)
-    assert chi2.cdf(corrections.VELOCITY_GATE, 3) == pytest.approx(0.9999, abs=1e-6)
+    assert chi2.cdf(compiled.POSE_GATE, 6) == pytest.approx(0.9999, abs=1e-6)
+    assert chi2.cdf(compiled.VELOCITY_GATE, 3) == pytest.approx(0.9999, abs=1e-6)
 
 
 def test_a_motion_of_three_standard_deviations_counts_half() -> None:
-    assert corrections.significance((0.0, 0.0, 0.0), 0.04) == 0.0
-    assert corrections.significance((0.6, 0.0, 0.0), 0.04) == pytest.approx(0.5)
-    assert corrections.significance((0.0, 60.0, 0.0), 0.04) == pytest.approx(1.0, abs=1e-3)
+    assert compiled.significance(*(0.0, 0.0, 0.0), 0.04) == 0.0
+    assert compiled.significance(*(0.6, 0.0, 0.0), 0.04) == pytest.approx(0.5)
+    assert compiled.significance(*(0.0, 60.0, 0.0), 0.04) == pytest.approx(1.0, abs=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -189,7 +189,7 @@ def test_poses_agree_that_one_plausible_motion_explains(
     )
     first = measured(POSE, (0.0, 0.0, 0.0), estimate["attitude"])
     second = measured(POSE, (metres, 0.0, 0.0), turned, round(seconds * SECOND))
-    assert corrections.same_motion(first[0], second[0], estimate[0], noise[0]) == agree
+    assert compiled.same_motion(np.concatenate((first, second)), estimate, noise) == agree
 
 
 @pytest.mark.parametrize(("change_m_s", "agree"), [(2.85, True), (2.90, False)])
@@ -200,7 +200,7 @@ def test_velocities_agree_that_a_plausible_acceleration_explains(
     estimate["rates"] = estimate["gyro_bias"]
     first = measured(WORLD_VELOCITY, (0.0, 0.0, 0.0))
     second = measured(WORLD_VELOCITY, (0.0, change_m_s, 0.0), time_ns=SECOND // 10)
-    assert corrections.same_motion(first[0], second[0], estimate[0], noise[0]) == agree
+    assert compiled.same_motion(np.concatenate((first, second)), estimate, noise) == agree
 
 
 def test_an_uncertain_delay_widens_a_measurement_by_the_motion_that_it_leaves_out(
@@ -212,14 +212,14 @@ def test_an_uncertain_delay_widens_a_measurement_by_the_motion_that_it_leaves_ou
     estimate["covariance"][0, -1, -1] = delay_std**2
     left_out = (0.5 * 20.0 * delay_std**2) ** 2 * 2.0
     at_rest = measured(POSE, estimate["position"], estimate["attitude"])
-    corrections.fuse(estimate.copy()[0], noise[0], at_rest[0], scalars)
+    compiled.fuse(estimate.copy(), noise, at_rest, scalars)
     np.testing.assert_allclose(scalars["variance"][3:], noise["attitude"][0] + left_out)
-    corrections.fuse(estimate.copy()[0], noise[0], measured(WORLD_VELOCITY, 0.0)[0], scalars)
+    compiled.fuse(estimate.copy(), noise, measured(WORLD_VELOCITY, 0.0), scalars)
     np.testing.assert_allclose(scalars["variance"][:3], noise["velocity"][0] + left_out)
 
 
 def test_motion_shows_once_noise_cannot_hide_it(estimate: Records, noise: Records) -> None:
     """At 1 m/s, four standard deviations of 2 cm take 80 ms."""
     estimate["velocity"], estimate["rates"] = (1.0, 0.0, 0.0), estimate["gyro_bias"]
-    assert not corrections.motion_shows(estimate[0], noise[0], POSE, 0.079)
-    assert corrections.motion_shows(estimate[0], noise[0], POSE, 0.081)
+    assert not compiled.motion_shows(estimate, noise, POSE, 0.079)
+    assert compiled.motion_shows(estimate, noise, POSE, 0.081)

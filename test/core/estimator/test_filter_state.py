@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from quadpi_core.core import compiled
 from quadpi_core.estimator import filter_state
 from quadpi_core.estimator.filter_state import ESTIMATE, IMU_SAMPLE, allocate, assumed_noise
 from quadpi_core.flight import NO_STAMP
@@ -82,26 +83,19 @@ def test_a_start_keeps_the_noise_and_the_counts_and_nothing_else(noisy_vehicle, 
 
 
 def test_a_sample_between_two_is_on_the_line_between_them():
-    first, second = np.zeros(1, IMU_SAMPLE), np.zeros(1, IMU_SAMPLE)
+    samples = np.zeros(2, IMU_SAMPLE)
+    first, second = samples[:1], samples[1:]
     first["time_ns"], second["time_ns"] = 1_000, 3_000
     first["rates"], second["rates"] = [1.0, 2.0, 3.0], [2.0, 0.0, 7.0]
     second["specific_force"] = [4.0, -4.0, 8.0]
     between = np.zeros(1, ESTIMATE)
     for time_ns in (1_000, 1_500, 3_000):
         between["time_ns"] = time_ns
-        filter_state.interpolate_sample(between[0], first[0], second[0])
+        compiled.interpolate_sample(between, samples)
         for name in ("rates", "specific_force"):
             ends = np.array([first[name][0], second[name][0]])
             expected = [np.interp(time_ns, [1_000, 3_000], column) for column in ends.T]
             np.testing.assert_allclose(between[name][0], expected, rtol=1e-15)
-
-
-def test_a_state_is_copied_without_stamp_and_sample(estimate):
-    copy = np.zeros(1, ESTIMATE)
-    filter_state.copy_state(estimate[0], copy[0])
-    kept = {"time_ns", "rates", "specific_force"}
-    for name in ESTIMATE.names:
-        np.testing.assert_array_equal(copy[name], 0.0 * estimate[name] if name in kept else estimate[name])
 
 
 def test_views_of_the_newest_estimate(estimate):

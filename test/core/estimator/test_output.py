@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from quadpi_core import rotations
+from quadpi_core.core import compiled
 from quadpi_core.estimator.filter_state import (
     ATTITUDE,
     ERROR_STATES,
@@ -14,7 +15,7 @@ from quadpi_core.estimator.filter_state import (
     VELOCITY,
     State,
 )
-from quadpi_core.estimator.output import FUSED, FusedSamples, fill_fused, fill_odometry, with_gyro_faults
+from quadpi_core.estimator.output import FUSED, FusedSamples, fill_odometry, with_gyro_faults
 from quadpi_core.flight import ImuStream
 from quadpi_core.frames import Array
 from quadpi_core.messages.definitions import codec
@@ -40,7 +41,7 @@ def make_state(rng: np.random.Generator) -> State:
 
 def fused(state: State) -> FusedSamples:
     sample = np.empty(1, FUSED)
-    fill_fused(state.estimate[0], GYRO_NOISE**2, sample[0])
+    compiled.fill_fused(state.estimate, GYRO_NOISE**2, sample)
     return FusedSamples.of(sample)
 
 

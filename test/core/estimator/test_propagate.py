@@ -4,12 +4,11 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 
 from quadpi_core import rotations
+from quadpi_core.core import compiled
 from quadpi_core.estimator.filter_run import imu_records
 from quadpi_core.estimator.filter_state import (
     ACCELEROMETER_BIAS,
@@ -23,13 +22,6 @@ from quadpi_core.estimator.filter_state import (
     SCALAR,
     TRANSITION,
     VELOCITY,
-)
-from quadpi_core.estimator.propagate import (
-    DELAY_MAX_S,
-    apply_transposed,
-    correct_scalar,
-    inject,
-    propagate_between,
 )
 from quadpi_core.flight import ImuStream
 from quadpi_core.frames import Array
@@ -100,7 +92,7 @@ def difference(one: Records, other: Records) -> Array:
 def stepped(estimate: Records, noise: Records, imu: Records) -> tuple[Records, Records]:
     """The estimate after a step of the IMU, and the transition of its errors."""
     after, transition = estimate.copy(), np.zeros(1, TRANSITION)
-    propagate_between(after[0], noise[0], imu[0], imu[1], STEP_NS, transition[0])
+    compiled.propagate_between(after, noise, imu, STEP_NS, transition)
     return after, transition
 
 
@@ -124,8 +116,8 @@ def test_dead_reckoning_on_ideal_sensors_is_of_second_order(noisy_vehicle, true_
         estimate["position"], estimate["velocity"] = true.position[0], true.velocity[0]
         estimate["attitude"], noise["gravity"] = true.attitude[0], noisy_vehicle.gravity_m_s2
         samples = imu_records(ImuStream(time_ns, true.rates, true.specific_force))
-        for first, second in pairwise(samples):
-            propagate_between(estimate[0], noise[0], first, second, second["time_ns"], transition[0])
+        for k, to_ns in enumerate(time_ns[1:]):
+            compiled.propagate_between(estimate, noise, samples[k : k + 2], to_ns, transition)
         errors.append(np.linalg.norm(estimate["velocity"][0] - true.velocity[-1]))
     assert errors[0] < 2e-3
     assert errors[1] < 0.3 * errors[0]
@@ -154,8 +146,7 @@ def test_the_covariance_is_that_of_the_errors_after_the_step(estimate, noise, im
 def test_the_transposed_transition_is_that_of_the_errors(estimate, noise, imu):
     _, transition = stepped(estimate, noise, imu)
     rows = np.eye(ERROR_STATES)
-    for row in rows:
-        apply_transposed(transition[0], row)
+    compiled.apply_transposed(transition, rows)
     np.testing.assert_allclose(rows, measured_transition(estimate, noise, imu), atol=1e-5)
 
 
@@ -165,7 +156,7 @@ def test_a_scalar_corrects_as_the_textbook_says(estimate):
     scalar, error = np.zeros(1, SCALAR), 0.1 * rng.normal(size=ERROR_STATES)
     scalar["jacobian"], scalar["residual"], scalar["variance"] = by, residual, variance
     before, prior = error.copy(), estimate["covariance"][0].copy()
-    correct_scalar(estimate[0]["covariance"], error, scalar[0])
+    compiled.correct_scalar(estimate["covariance"][0], error, scalar)
     expected = by @ prior @ by + variance
     gain = prior @ by / expected
     np.testing.assert_allclose(error, before + gain * (residual - by @ before), rtol=1e-12)
@@ -179,10 +170,10 @@ def test_a_scalar_corrects_as_the_textbook_says(estimate):
 def test_an_estimated_error_is_added_and_the_delay_stays_within_the_buffer(estimate):
     error = 0.1 * np.random.default_rng(9).normal(size=ERROR_STATES)
     corrected = estimate.copy()
-    inject(corrected[0], error)
+    compiled.inject(corrected, error)
     np.testing.assert_allclose(difference(estimate, corrected), error, rtol=1e-9)
     assert np.linalg.norm(corrected["attitude"]) == pytest.approx(1.0, rel=1e-15)
     for sign in (1.0, -1.0):
         error[DELAY] = sign
-        inject(corrected[0], error)
-        assert corrected["delay"] == sign * DELAY_MAX_S == sign * 0.35
+        compiled.inject(corrected, error)
+        assert corrected["delay"] == sign * compiled.DELAY_MAX_S == sign * 0.35

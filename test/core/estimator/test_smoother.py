@@ -7,6 +7,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
+from quadpi_core.core import compiled
 from quadpi_core.estimator.ekf import Ekf
 from quadpi_core.estimator.filter_run import imu_records
 from quadpi_core.estimator.filter_state import (
@@ -18,7 +19,7 @@ from quadpi_core.estimator.filter_state import (
     POSITION,
     VELOCITY,
 )
-from quadpi_core.estimator.smoother import SCALAR_CORRECTION, STEP, Inputs, Tape, forward, smooth
+from quadpi_core.estimator.smoother import Inputs, Tape, smooth
 from quadpi_core.flight import Recording
 from quadpi_core.rotations import rotate_world_to_body
 
@@ -49,13 +50,13 @@ def textbook(tape, covariance, noise):
     """Rauch, Tung and Striebel with dense matrices: smoothed errors and variances at the estimates."""
     steps, transitions, scalars = [], iter(tape.steps), iter(tape.scalars)
     for event in tape.events[: tape.length["events"][0]]:
-        if event == STEP:
+        if event == compiled.STEP:
             transition = next(transitions)
             f = dense(transition)
             predicted = f @ covariance @ f.T + process_noise(noise, transition["dt"])
             steps.append(("step", covariance @ f.T @ np.linalg.inv(predicted), covariance, predicted))
             covariance = predicted
-        elif event == SCALAR_CORRECTION:
+        elif event == compiled.SCALAR_CORRECTION:
             scalar = next(scalars)
             innovation, expected = scalar["innovation"], scalar["innovation_variance"]
             gain = covariance @ scalar["jacobian"] / expected
@@ -87,7 +88,9 @@ def test_it_is_the_smoother_of_the_textbook(noisy_vehicle, brief):
     inputs = Inputs(imu_records(brief.imu)[segment.samples], segment.journal, segment.noise)
     count = len(segment.samples)
     tape = Tape.empty(count, len(segment.journal))
-    assert forward(inputs, segment.initial.estimate.copy(), 0, count, 0, tape) == len(segment.journal)
+    assert compiled.forward(inputs, segment.initial.estimate.copy(), 0, count, 0, tape) == len(
+        segment.journal
+    )
     errors, variances = textbook(tape, segment.initial.estimate["covariance"][0], segment.noise[0])
 
     smoothed = smooth(brief.imu, Ekf(noisy_vehicle, RATE).segments(brief))
@@ -147,7 +150,7 @@ def test_a_delay_other_than_that_of_the_filter_does_not_run_away(noisy_vehicle, 
     passes = []
     for begun in (segment, late):
         estimate = begun.initial.estimate.copy()
-        forward(inputs, estimate, 0, len(segment.samples), 0, Tape.empty(0, 0))
+        compiled.forward(inputs, estimate, 0, len(segment.samples), 0, Tape.empty(0, 0))
         passes.append(estimate)
     one, two = passes
     assert abs(one["delay"][0] - two["delay"][0]) < 4e-4

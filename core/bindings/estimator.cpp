@@ -1,0 +1,234 @@
+// SPDX-FileCopyrightText: 2026 The quadpi authors
+// SPDX-License-Identifier: Apache-2.0
+// What Python calls of the estimator. Records are changed in place; single ones are arrays of length one.
+#include <nanobind/nanobind.h>
+
+#include <algorithm>
+
+#include "bindings/records.hpp"
+#include "quadpi/estimator/pose_information.hpp"
+#include "quadpi/estimator/smoother.hpp"
+
+namespace nb = nanobind;
+
+namespace quadpi {
+namespace {
+
+using Filters = Records<Filter>;
+using Ring = Records<Estimate>;
+
+std::int64_t step_once(
+    Filters filter, Ring ring, Records<ImuSample> sample, Records<Correction> journal, Records<FusedSample> fused
+) {
+    Buffer buffer(filter[0], ring);
+    return step(buffer, filter[0], sample[0], journal, fused[0]);
+}
+
+void catch_up(Filters filter, Ring ring, Records<ImuSample> samples) { Buffer(filter[0], ring).catch_up(samples); }
+
+std::int64_t hold(Filters filter, Ring ring, Records<Measurement> measurement) {
+    return Buffer(filter[0], ring).hold(measurement[0]);
+}
+
+bool usable_measurement(Records<Measurement> measurement) { return usable(measurement[0]); }
+
+void fill_newest(Filters filter, Ring ring, Records<FusedSample> fused) {
+    fill_fused(ring[filter[0].newest], filter[0].noise.rates, fused[0]);
+}
+
+// The arrays of a trace, held as long as a call lasts.
+struct HeldTrace {
+    explicit HeldTrace(nb::handle trace)
+        : progress(trace, "progress"),
+          outcomes(trace, "outcomes"),
+          rows(trace, "rows"),
+          fused(trace, "fused"),
+          journal(trace, "journal") {}
+
+    Trace trace() const {
+        return {progress.only(), outcomes.all(), rows.all(), fused.all(), journal.all()};
+    }
+
+    Field<Progress> progress;
+    Field<std::int64_t> outcomes;
+    Field<FilteredSample> rows;
+    Field<FusedSample> fused;
+    Field<Correction> journal;
+};
+
+void run_all(Filters filter, Ring ring, nb::handle arrivals, nb::handle trace) {
+    const HeldTrace held(trace);
+    const Field<ImuSample> samples(arrivals, "samples");
+    const Field<Measurement> measurements(arrivals, "measurements");
+    const Field<std::int64_t> after(arrivals, "after");
+    Trace written = held.trace();
+    run(filter[0], ring, {samples.all(), measurements.all(), after.all()}, written);
+}
+
+void record_newest(Filters filter, Ring ring, nb::handle trace, std::int64_t sample) {
+    const HeldTrace held(trace);
+    Trace written = held.trace();
+    record(Buffer(filter[0], ring), filter[0], written, sample);
+}
+
+// The arrays of a tape, held as long as a call lasts.
+struct HeldTape {
+    explicit HeldTape(nb::handle tape)
+        : length(tape, "length"),
+          events(tape, "events"),
+          steps(tape, "steps"),
+          scalars(tape, "scalars"),
+          estimates(tape, "estimates") {}
+
+    Tape tape() const { return {length.only(), events.all(), steps.all(), scalars.all(), estimates.all()}; }
+
+    Field<Length> length;
+    Field<std::int64_t> events;
+    Field<Transition> steps;
+    Field<Scalar> scalars;
+    Field<Estimate> estimates;
+};
+
+std::int64_t forward_pass(
+    nb::handle inputs,
+    Records<Estimate> estimate,
+    std::int64_t first,
+    std::int64_t last,
+    std::int64_t applied,
+    nb::handle tape
+) {
+    const Field<ImuSample> imu(inputs, "imu");
+    const Field<Correction> journal(inputs, "journal");
+    const Field<Noise> noise(inputs, "noise");
+    const HeldTape held(tape);
+    Tape written = held.tape();
+    return forward({imu.all(), journal.all(), noise.only()}, estimate[0], first, last, applied, written);
+}
+
+void backward_pass(
+    nb::handle tape,
+    Records<ErrorVector> adjoint,
+    Records<ErrorMatrix> information,
+    Records<EstimatedSample> smoothed
+) {
+    const HeldTape held(tape);
+    Tape read = held.tape();
+    backward(read, adjoint[0], information[0], smoothed);
+}
+
+void find_pose_information(
+    Records<StepMotion> steps,
+    Records<Noise> noise,
+    Records<PoseLimits> limits,
+    double poses,
+    Records<std::array<double, 2>> found
+) {
+    pose_information(steps, noise[0], limits[0], poses, found);
+}
+
+// Attitudes at IMU samples relative to the body at `last_ns`, by the gyro alone.
+void relative_attitudes(Records<ImuSample> imu, std::int64_t last_ns, Records<Quaternion> attitude) {
+    attitude[imu.size - 1] = {1.0, 0.0, 0.0, 0.0};
+    for (std::size_t index = imu.size - 1; index-- > 0;) {
+        const ImuSample &sample = imu[index], &following = imu[index + 1];
+        attitude[index] = {1.0, 0.0, 0.0, 0.0};
+        if (following.time_ns <= last_ns) {
+            const double half = 0.5e-9 * static_cast<double>(following.time_ns - sample.time_ns);
+            Vector3 turn;
+            for (int axis = 0; axis < 3; ++axis) {
+                turn[axis] = -half * (sample.rates[axis] + following.rates[axis]);
+            }
+            attitude[index] = product(attitude[index + 1], from_rotation_vector(turn));
+        }
+    }
+}
+
+// Single steps, for tests of them.
+void bind_steps(nb::module_& module) {
+    using Estimates = Records<Estimate>;
+    using Noises = Records<Noise>;
+    using Measurements = Records<Measurement>;
+    module.def(
+        "propagate_between",
+        [](Estimates estimate, Noises noise, Records<ImuSample> between, std::int64_t to_ns, Records<Transition> by) {
+            propagate_between(estimate[0], noise[0], between[0], between[1], to_ns, by[0]);
+        }
+    );
+    module.def("interpolate_sample", [](Estimates estimate, Records<ImuSample> between) {
+        interpolate_sample(estimate[0], between[0], between[1]);
+    });
+    module.def("apply_transposed", [](Records<Transition> by, Records<ErrorVector> vectors) {
+        for (ErrorVector& vector : vectors) {
+            apply_transposed(by[0], vector);
+        }
+    });
+    module.def(
+        "correct_scalar",
+        [](Records<ErrorMatrix> covariance, Records<ErrorVector> error, Records<Scalar> scalar) {
+            correct_scalar(covariance[0], error[0], scalar[0]);
+        }
+    );
+    module.def("inject", [](Estimates estimate, Records<ErrorVector> error) { inject(estimate[0], error[0]); });
+    module.def(
+        "fuse",
+        [](Estimates estimate, Noises noise, Measurements measurement, Records<Scalar> scalars) {
+            Scalars found;
+            std::copy_n(scalars.begin(), found.size(), found.begin());
+            const double nis = fuse(estimate[0], noise[0], measurement[0], found);
+            std::copy_n(found.begin(), found.size(), scalars.begin());
+            return nis;
+        }
+    );
+    module.def("taken_ns", [](Estimates estimate, Measurements measurement) {
+        return taken_ns(estimate[0], measurement[0]);
+    });
+    module.def("significance", [](double x, double y, double z, double variance) {
+        return significance({x, y, z}, variance);
+    });
+    module.def("same_motion", [](Measurements pair, Estimates estimate, Noises noise) {
+        return same_motion(pair[0], pair[1], estimate[0], noise[0]);
+    });
+    module.def("motion_shows", [](Estimates estimate, Noises noise, std::int64_t kind, double elapsed) {
+        return motion_shows(estimate[0], noise[0], kind, elapsed);
+    });
+    module.def("status_of", [](Filters filter, Ring ring) {
+        return static_cast<std::int64_t>(Buffer(filter[0], ring).status());
+    });
+    module.def("fill_fused", [](Estimates estimate, double gyro_variance, Records<FusedSample> fused) {
+        fill_fused(estimate[0], gyro_variance, fused[0]);
+    });
+}
+
+void bind_constants(nb::module_& module) {
+    module.attr("ANGULAR_ACCELERATION") = ANGULAR_ACCELERATION;
+    module.attr("BUFFER_NS") = BUFFER_NS;
+    module.attr("DEGRADED_NS") = DEGRADED_NS;
+    module.attr("DELAY_MAX_S") = DELAY_MAX_S;
+    module.attr("HELD") = HELD;
+    module.attr("HOLD_NS") = HOLD_NS;
+    module.attr("LOST_NS") = LOST_NS;
+    module.attr("POSE_GATE") = POSE_GATE;
+    module.attr("SCALAR_CORRECTION") = static_cast<std::int64_t>(SCALAR_CORRECTION);
+    module.attr("STEP") = static_cast<std::int64_t>(STEP);
+    module.attr("VELOCITY_GATE") = VELOCITY_GATE;
+}
+
+}  // namespace
+
+void bind_estimator(nb::module_& module) {
+    bind_constants(module);
+    bind_steps(module);
+    module.def("pose_information", &find_pose_information);
+    module.def("step", &step_once);
+    module.def("catch_up", &catch_up);
+    module.def("hold", &hold);
+    module.def("usable_measurement", &usable_measurement);
+    module.def("fill_newest", &fill_newest);
+    module.def("run", &run_all);
+    module.def("record", &record_newest);
+    module.def("forward", &forward_pass);
+    module.def("backward", &backward_pass);
+    module.def("relative_attitudes", &relative_attitudes);
+}
+
+}  // namespace quadpi

@@ -1,0 +1,13 @@
+// SPDX-FileCopyrightText: 2026 The quadpi authors
+// SPDX-License-Identifier: Apache-2.0
+#include <nanobind/nanobind.h>
+
+namespace quadpi {
+void bind_estimator(nanobind::module_& module);
+}
+
+NB_MODULE(_core, module) {
+    module.doc() = "The compiled core; quadpi_core/_core.pyi has its signatures.";
+    module.attr("SOURCES") = QUADPI_SOURCES;
+    quadpi::bind_estimator(module);
+}

@@ -1,0 +1,30 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Build the compiled core by CMake, as a part of the package that pyproject.toml describes."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from setuptools import Extension, setup
+from setuptools.command.build_ext import build_ext
+
+ROOT = Path(__file__).resolve().parent
+
+
+class BuildCore(build_ext):
+    """Where a compiler and CMake are; what was built before by the same Python is built on."""
+
+    def build_extension(self, ext: Extension) -> None:
+        """Configure and build the module at the place where setuptools wants it."""
+        build = ROOT / "build" / f"core-{sys.implementation.cache_tag}"
+        folder = Path(self.get_ext_fullpath(ext.name)).resolve().parent
+        options = f"-DPython_EXECUTABLE={sys.executable}", f"-DQUADPI_MODULE_FOLDER={folder}"
+        subprocess.run(["cmake", "-S", ROOT / "core", "-B", build, *options], check=True)
+        subprocess.run(["cmake", "--build", build, "--parallel", str(os.cpu_count())], check=True)
+
+
+setup(ext_modules=[Extension("quadpi_core._core", sources=[])], cmdclass={"build_ext": BuildCore})

@@ -1,0 +1,61 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The compiled core is that of the sources, and its stub names all of it."""
+
+from __future__ import annotations
+
+import ast
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import quadpi_core
+from quadpi_core.core import compiled
+from quadpi_core.estimator.filter_state import ESTIMATE, NOISE
+
+PACKAGE = Path(quadpi_core.__file__).parent
+SOURCES = PACKAGE.parent / "core"
+_DECLARED = ast.FunctionDef, ast.AnnAssign
+
+
+def test_the_stub_names_what_is_there() -> None:
+    parts = [one for one in ast.parse((PACKAGE / "_core.pyi").read_text()).body if isinstance(one, _DECLARED)]
+    named = {one.name if isinstance(one, ast.FunctionDef) else ast.unparse(one.target) for one in parts}
+    assert named == {name for name in dir(compiled) if not name.startswith("__")}
+
+
+@pytest.mark.skipif(not SOURCES.is_dir(), reason="an installed package has no sources beside it")
+def test_a_module_older_than_its_sources_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "quadpi_core").mkdir()
+    for file in (PACKAGE / "core.py", *PACKAGE.glob("_core.*.so")):
+        shutil.copy(file, tmp_path / "quadpi_core")
+    (tmp_path / "quadpi_core" / "__init__.py").touch()
+    shutil.copytree(SOURCES, tmp_path / "core")
+    command = (sys.executable, "-c", "import sys; sys.path[:0] = ['.']; import quadpi_core.core")
+    assert subprocess.run(command, check=False, cwd=tmp_path, capture_output=True).returncode == 0
+    with (tmp_path / "core" / "include" / "quadpi" / "rotations.hpp").open("a") as header:
+        header.write("// changed\n")
+    ran = subprocess.run(command, check=False, cwd=tmp_path, capture_output=True, text=True)
+    last = ran.stderr.splitlines()[-1]
+    assert last == "ImportError: quadpi's compiled core is older than core/: run `make environment`"
+
+
+@pytest.mark.parametrize(
+    "estimate",
+    [np.zeros(1), np.zeros(1, NOISE), np.zeros((2, 2), ESTIMATE)[:, 0], [1.0], None],
+    ids=["numbers", "other records", "not contiguous", "a list", "None"],
+)
+def test_what_are_no_records_of_that_kind_is_refused(estimate: object) -> None:
+    with pytest.raises(TypeError):
+        compiled.inject(estimate, np.zeros(16))
+
+
+def test_records_that_cannot_be_written_are_refused() -> None:
+    estimate = np.zeros(1, ESTIMATE)
+    estimate.flags.writeable = False
+    with pytest.raises(TypeError):
+        compiled.inject(estimate, np.zeros(16))
