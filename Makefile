@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 BIN := .venv/bin
+CORE_SOURCES = $(shell find core -name '*.[ch]pp')
 
 # Nothing leaves this machine, and no sourced ROS or Python path leaks in.
 export ROS_AUTOMATIC_DISCOVERY_RANGE = LOCALHOST
@@ -32,15 +33,17 @@ test: ## the fast tests, live nodes included (TEST_ARGS="-k intervals -x" for so
 test-slow: ## the other tests: cluster, statistics, real flights, commands of the documents, searches, fuzzing
 	$(call run_tests,slow)
 
-lint: development ## ruff, mypy, the order of the rooms and the house rules, as CI runs them
+lint: development ## ruff, clang-format, mypy, the order of the rooms and the house rules, as CI runs them
 	@$(BIN)/ruff check
 	@$(BIN)/ruff format --check
+	@$(BIN)/clang-format --dry-run --Werror $(CORE_SOURCES)
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports --no-logo
 	@$(BIN)/python tools/house_rules.py
 
 format: development ## format the code and mend what ruff can mend
 	@$(BIN)/ruff format
+	@$(BIN)/clang-format -i $(CORE_SOURCES)
 	@$(BIN)/ruff check --fix
 
 bench: ## every benchmark, each against its baseline, into out/bench.json (ONLY=name for one)

@@ -18,13 +18,19 @@ using Filters = Records<Filter>;
 using Ring = Records<Estimate>;
 
 std::int64_t step_once(
-    Filters filter, Ring ring, Records<ImuSample> sample, Records<Correction> journal, Records<FusedSample> fused
+    Filters filter,
+    Ring ring,
+    Records<ImuSample> sample,
+    Records<Correction> journal,
+    Records<FusedSample> fused
 ) {
     Buffer buffer(filter[0], ring);
     return step(buffer, filter[0], sample[0], journal, fused[0]);
 }
 
-void catch_up(Filters filter, Ring ring, Records<ImuSample> samples) { Buffer(filter[0], ring).catch_up(samples); }
+void catch_up(Filters filter, Ring ring, Records<ImuSample> samples) {
+    Buffer(filter[0], ring).catch_up(samples);
+}
 
 std::int64_t hold(Filters filter, Ring ring, Records<Measurement> measurement) {
     return Buffer(filter[0], ring).hold(measurement[0]);
@@ -45,9 +51,7 @@ struct HeldTrace {
           fused(trace, "fused"),
           journal(trace, "journal") {}
 
-    Trace trace() const {
-        return {progress.only(), outcomes.all(), rows.all(), fused.all(), journal.all()};
-    }
+    Trace trace() const { return {progress.only(), outcomes.all(), rows.all(), fused.all(), journal.all()}; }
 
     Field<Progress> progress;
     Field<std::int64_t> outcomes;
@@ -150,7 +154,11 @@ void bind_steps(nb::module_& module) {
     using Measurements = Records<Measurement>;
     module.def(
         "propagate_between",
-        [](Estimates estimate, Noises noise, Records<ImuSample> between, std::int64_t to_ns, Records<Transition> by) {
+        [](Estimates estimate,
+           Noises noise,
+           Records<ImuSample> between,
+           std::int64_t to_ns,
+           Records<Transition> by) {
             propagate_between(estimate[0], noise[0], between[0], between[1], to_ns, by[0]);
         }
     );
@@ -168,10 +176,11 @@ void bind_steps(nb::module_& module) {
             correct_scalar(covariance[0], error[0], scalar[0]);
         }
     );
-    module.def("inject", [](Estimates estimate, Records<ErrorVector> error) { inject(estimate[0], error[0]); });
+    module.def("inject", [](Estimates estimate, Records<ErrorVector> error) {
+        inject(estimate[0], error[0]);
+    });
     module.def(
-        "fuse",
-        [](Estimates estimate, Noises noise, Measurements measurement, Records<Scalar> scalars) {
+        "fuse", [](Estimates estimate, Noises noise, Measurements measurement, Records<Scalar> scalars) {
             Scalars found;
             std::copy_n(scalars.begin(), found.size(), found.begin());
             const double nis = fuse(estimate[0], noise[0], measurement[0], found);

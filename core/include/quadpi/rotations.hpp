@@ -79,7 +79,8 @@ inline Matrix3 rotation_matrix(const Quaternion& q) {
 inline Vector3 into_body(const Matrix3& rotation, const Vector3& world) {
     Vector3 body;
     for (int axis = 0; axis < 3; ++axis) {
-        body[axis] = rotation[0][axis] * world[0] + rotation[1][axis] * world[1] + rotation[2][axis] * world[2];
+        body[axis] =
+            rotation[0][axis] * world[0] + rotation[1][axis] * world[1] + rotation[2][axis] * world[2];
     }
     return body;
 }

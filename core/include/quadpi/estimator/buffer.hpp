@@ -2,10 +2,10 @@
 // SPDX-License-Identifier: Apache-2.0
 // What each sample does to the filter's memory of the last half second.
 //
-// Motion capture is late: a measurement is fused at the instant that it was taken, and the estimates since then
-// are computed again. So that the order of arrival hardly matters, and replay equals live, a measurement stamped
-// s is held until the first IMU sample that is stamped s + HOLD_NS or later; one that arrives after that is
-// fused at the next IMU sample.
+// Motion capture is late: a measurement is fused at the instant that it was taken, and the estimates since
+// then are computed again. So that the order of arrival hardly matters, and replay equals live, a measurement
+// stamped s is held until the first IMU sample that is stamped s + HOLD_NS or later; one that arrives after
+// that is fused at the next IMU sample.
 #pragma once
 
 #include <algorithm>
@@ -33,8 +33,8 @@ constexpr std::int64_t DEGRADED_REJECTIONS = 3;
 // Standard deviation beyond which a velocity is of no use as an input of a model.
 constexpr double VELOCITY_STD_MAX_M_S = 2.0;
 // Standard deviations beyond which the state is DEGRADED: it has not settled after its start, or after a jump
-// of motion capture that was accepted. Up to this velocity predictions differ from those of a settled state by
-// no more than half of the half width of their intervals; this specific force is 1 % of the weight.
+// of motion capture that was accepted. Up to this velocity predictions differ from those of a settled state
+// by no more than half of the half width of their intervals; this specific force is 1 % of the weight.
 constexpr double SETTLED_VELOCITY_STD_M_S = 0.05;
 constexpr double SETTLED_BIAS_STD_M_S2 = 0.1;
 
@@ -196,8 +196,8 @@ private:
 
     // Fuse one measurement at the instant that it was taken.
     //
-    // Instants before the last correction, or after the newest IMU sample, are not corrected: the measurement is
-    // compared with what the motion of the nearest estimate makes of them.
+    // Instants before the last correction, or after the newest IMU sample, are not corrected: the measurement
+    // is compared with what the motion of the nearest estimate makes of them.
     Outcome fuse_one(const Measurement& measurement) {
         const std::int64_t newest_ns = newest().time_ns;
         const std::int64_t instant = taken_ns(newest(), measurement);

@@ -2,8 +2,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // What motion capture measures of an estimate, and how a measurement corrects it.
 //
-// The delay of motion capture is estimated with the state, after Li and Mourikis, "Online temporal calibration
-// for camera-IMU systems" (2014): a delay that is longer by δ lets a pose show where the vehicle was δ earlier.
+// The delay of motion capture is estimated with the state, after Li and Mourikis, "Online temporal
+// calibration for camera-IMU systems" (2014): a delay that is longer by δ lets a pose show where the vehicle
+// was δ earlier.
 #pragma once
 
 #include <algorithm>
@@ -83,12 +84,10 @@ inline void linearise_pose(
     const Vector3& velocity = estimate.velocity;
     const Vector3 rates = minus(estimate.rates, estimate.gyro_bias);
     const double moving = significance(velocity, total_variance(covariance, VELOCITY));
-    const double turning =
-        significance(rates, 3.0 * noise.rates + total_variance(covariance, GYRO_BIAS));
+    const double turning = significance(rates, 3.0 * noise.rates + total_variance(covariance, GYRO_BIAS));
     const Vector3 acceleration = world_acceleration(estimate, noise.gravity);
-    const Quaternion turned = product(
-        estimate.attitude, from_rotation_vector({lag * rates[0], lag * rates[1], lag * rates[2]})
-    );
+    const Quaternion turned =
+        product(estimate.attitude, from_rotation_vector({lag * rates[0], lag * rates[1], lag * rates[2]}));
     const Vector3 turn = turn_from(turned, measurement.attitude);
     for (int axis = 0; axis < 3; ++axis) {
         Scalar& scalar = scalars[axis];
@@ -241,8 +240,10 @@ inline bool same_motion(
         return apart <= AGREE_STDS * std::sqrt(noise.velocity) + acceleration * elapsed;
     }
     const double angle = length_of(turn_from(normalised(first.attitude), second.attitude));
-    return apart <= AGREE_STDS * std::sqrt(noise.position) + (AGREE_SPEED_M_S + AGREE_FACTOR * speed) * elapsed &&
-           angle <= AGREE_STDS * std::sqrt(noise.attitude) + (AGREE_RATE_RAD_S + AGREE_FACTOR * rate) * elapsed;
+    return apart <=
+               AGREE_STDS * std::sqrt(noise.position) + (AGREE_SPEED_M_S + AGREE_FACTOR * speed) * elapsed &&
+           angle <=
+               AGREE_STDS * std::sqrt(noise.attitude) + (AGREE_RATE_RAD_S + AGREE_FACTOR * rate) * elapsed;
 }
 
 // Whether the estimate moves in `elapsed` s by more than the noise of a measurement could hide.

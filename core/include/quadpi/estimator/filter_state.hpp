@@ -36,9 +36,9 @@ enum Outcome : std::int64_t {
     STAMP_NOT_ADVANCING,
     TOO_LATE,
     TOO_EARLY,
-    RESET,         // the IMU paused too long, its clock jumped back or its rate changed: the filter starts again
-    REJECTED,      // contradicts the estimate by more than both uncertainties allow
-    FROZEN,        // repeats the previous value bit for bit: no new measurement
+    RESET,     // the IMU paused too long, its clock jumped back or its rate changed: the filter starts again
+    REJECTED,  // contradicts the estimate by more than both uncertainties allow
+    FROZEN,    // repeats the previous value bit for bit: no new measurement
     STAMP_JUMPED,  // an IMU sample far from the previous one: RESET if the next one agrees with it
 };
 
@@ -96,10 +96,10 @@ struct Noise {
     double position;            // variance of a pose, m²
     double attitude;            // variance of a pose, rad²
     double velocity;            // variance of a velocity, (m/s)²
-    double delay_prior;         // variance of the delay before anything is known of it, s²; 0: stamps are trusted
-    double rates;               // variance of one gyro sample, (rad/s)²
-    double specific_force;      // variance of one accelerometer sample, (m/s²)²
-    double gravity;             // m/s², along the world's third axis
+    double delay_prior;     // variance of the delay before anything is known of it, s²; 0: stamps are trusted
+    double rates;           // variance of one gyro sample, (rad/s)²
+    double specific_force;  // variance of one accelerometer sample, (m/s²)²
+    double gravity;         // m/s², along the world's third axis
 };
 
 // The blocks of the matrix F that a step of the IMU applies to the error state.
@@ -153,15 +153,15 @@ struct Source {
 // All that the filter remembers beside its ring of estimates.
 struct Filter {
     Noise noise;
-    std::int64_t newest;  // place of the newest estimate in the ring
-    std::int64_t filled;  // places in use
-    std::int64_t status;  // see Status
+    std::int64_t newest;                                       // place of the newest estimate in the ring
+    std::int64_t filled;                                       // places in use
+    std::int64_t status;                                       // see Status
     std::array<std::array<std::int64_t, OUTCOMES>, 3> counts;  // of IMU samples, poses and velocities
-    std::int64_t accepted_ns;   // stamp of the IMU sample at which a correction was last accepted
-    std::int64_t jumped_ns;     // stamp of the previous IMU sample, where that was far from all before it
-    std::int64_t rate_span_ns;  // usual time of RATE_SPAN steps of the IMU; 0 where its rate is given
-    std::int64_t rate_off_ns;   // for how long nearly all such spans have differed from that
-    std::array<Source, 2> sources;       // poses and velocities
+    std::int64_t accepted_ns;       // stamp of the IMU sample at which a correction was last accepted
+    std::int64_t jumped_ns;         // stamp of the previous IMU sample, where that was far from all before it
+    std::int64_t rate_span_ns;      // usual time of RATE_SPAN steps of the IMU; 0 where its rate is given
+    std::int64_t rate_off_ns;       // for how long nearly all such spans have differed from that
+    std::array<Source, 2> sources;  // poses and velocities
     std::array<Measurement, HELD> held;  // a ring of measurements that wait for their time, by stamp
     std::int64_t held_first;
     std::int64_t held_count;

@@ -23,7 +23,9 @@ constexpr std::int64_t FITS = 4;
 constexpr std::int64_t STEP_MAX_NS = 20'000'000;
 
 // For how long nearly all spans of ten steps have differed from the usual one, after one more sample.
-inline std::int64_t off_for(std::int64_t off_ns, std::int64_t span_ns, double usual_ns, std::int64_t step_ns) {
+inline std::int64_t off_for(
+    std::int64_t off_ns, std::int64_t span_ns, double usual_ns, std::int64_t step_ns
+) {
     step_ns = std::min(step_ns, STEP_MAX_NS);
     if (std::abs(static_cast<double>(span_ns) - usual_ns) > SPAN_TOLERANCE * usual_ns) {
         return off_ns + step_ns;

@@ -2,8 +2,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // The algebra of the error-state Kalman filter on one estimate: propagate, correct, inject.
 //
-// After Solà, "Quaternion kinematics for the error-state Kalman filter" (2017), section 5, with blocks of three
-// exploited throughout.
+// After Solà, "Quaternion kinematics for the error-state Kalman filter" (2017), section 5, with blocks of
+// three exploited throughout.
 #pragma once
 
 #include <algorithm>
@@ -57,11 +57,10 @@ inline void transform_rows(ErrorMatrix& covariance, const Transition& transition
     }
     for (int axis = 0; axis < 3; ++axis) {
         for (int column = 0; column < ERROR_STATES; ++column) {
-            velocity[axis][column] += a[axis][0] * attitude[0][column] + a[axis][1] * attitude[1][column] +
-                                      a[axis][2] * attitude[2][column] +
-                                      b[axis][0] * accelerometer_bias[0][column] +
-                                      b[axis][1] * accelerometer_bias[1][column] +
-                                      b[axis][2] * accelerometer_bias[2][column];
+            velocity[axis][column] +=
+                a[axis][0] * attitude[0][column] + a[axis][1] * attitude[1][column] +
+                a[axis][2] * attitude[2][column] + b[axis][0] * accelerometer_bias[0][column] +
+                b[axis][1] * accelerometer_bias[1][column] + b[axis][2] * accelerometer_bias[2][column];
         }
     }
     for (int column = 0; column < ERROR_STATES; ++column) {

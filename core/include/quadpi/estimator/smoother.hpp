@@ -4,8 +4,8 @@
 //
 // The result is that of Rauch, Tung and Striebel; the form is Bierman's modification of the Bryson-Frazier
 // smoother, a recursion of the adjoint state that needs no inverse: G. J. Bierman, "Fixed interval smoothing
-// with discrete measurements" (1973). The forward pass repeats the corrections of the causal filter in the order
-// of their instants.
+// with discrete measurements" (1973). The forward pass repeats the corrections of the causal filter in the
+// order of their instants.
 #pragma once
 
 #include <algorithm>
@@ -39,7 +39,8 @@ struct SmootherInputs {
 // A forward pass over a chunk, for the backward pass. One without room for events is not recorded.
 struct Tape {
     Length& length;
-    Records<std::int64_t> events;  // what happened, in order; the details are in the next arrays' order of each kind
+    Records<std::int64_t>
+        events;  // what happened, in order; the details are in the next arrays' order of each kind
     Records<Transition> steps;
     Records<Scalar> scalars;
     Records<Estimate> estimates;
