@@ -34,8 +34,7 @@ from quadpi_core.models.physical_fit import Problem
 from quadpi_core.models.physical_flight import PhysicalFlight, Sensing
 from quadpi_core.models.physical_rollout import ATTITUDE, RATES, STATES, VELOCITY
 from quadpi_core.models.physical_study import PhysicalStudy
-from quadpi_core.models.rollout_flight import RolloutFlight
-from quadpi_core.models.rollout_model import RolloutModel, disturbance_left
+from quadpi_core.models.rollout_model import RolloutFlight, RolloutModel, disturbance_left
 from quadpi_core.paths import data_directory, write_json
 from quadpi_core.report.style import number
 from quadpi_core.report.table import Cell, Column, Mark, Row, Table, terminal_table

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from operator import itemgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,8 +26,7 @@ from quadpi_core.flight_files import FlightFile, FlightLeftOut, LeftOutFlights, 
 from quadpi_core.frames import Array
 from quadpi_core.identification.prepared_flights import read_flight
 from quadpi_core.models.aerodynamic import AerodynamicModel
-from quadpi_core.models.rollout_flight import RolloutFlight, horizon_steps
-from quadpi_core.models.rollout_model import FlightRollouts, RolloutModel
+from quadpi_core.models.rollout_model import FlightRollouts, RolloutFlight, RolloutModel, horizon_steps
 from quadpi_core.models.tubes import (
     HORIZONS_S,
     LARGEST,
@@ -122,17 +121,13 @@ class RolloutEvaluation:
         return asdict(self)
 
 
-@dataclass(frozen=True)
-class RolledFlight:
+class RolledFlight(NamedTuple):
     """Roll-outs of a flight with their tubes, for figures.
 
     Attributes:
         name: of the flight.
         quality: remarks on its data.
-        time: (W,) s, of the starts.
         horizons_s: (H,).
-        norms: (W, H, 4) of the errors.
-        radii: (W, H, 4) of balls with the volume of the tubes.
         flight: that was flown, at about 100 Hz.
         rolled: paths, errors, and the matrices of the tubes' ellipsoids for covariances.
         factors: (W, H, 4) on the ellipsoids.
@@ -140,10 +135,7 @@ class RolledFlight:
 
     name: str
     quality: DataQuality
-    time: Array
     horizons_s: tuple[float, ...]
-    norms: Array
-    radii: Array
     flight: RolloutFlight
     rolled: FlightRollouts
     factors: Array
@@ -209,14 +201,7 @@ def evaluate_rollouts(
 def judge_flight(
     model: RolloutModel, flight: Flight, vehicle: Vehicle, *, horizon_s: float, confidence: float
 ) -> tuple[RolledFlight, FlightRolloutMetrics]:
-    """Predict one flight ahead; see :func:`evaluate_rollouts`.
-
-    Args:
-        model: of the vehicle.
-        flight: passed the low-pass of the model.
-        vehicle: that flew.
-        horizon_s: to predict to.
-        confidence: of the tubes.
+    """Predict one flight, which passed the low-pass of the model, ahead; see :func:`evaluate_rollouts`.
 
     Raises:
         ModelError: for a horizon or confidence that is not calibrated; naming the flight, where it is shorter
@@ -224,7 +209,8 @@ def judge_flight(
     """
     own = RolloutFlight.of(flight, vehicle)
     step = own.step
-    times = _horizons(horizon_s)
+    # Those calibrated up to the one asked for, which is the last.
+    times = tuple(sorted({own for own in HORIZONS_S if own < horizon_s} | {horizon_s}))
     horizons = horizon_steps(times, step)
     possible = len(range(0, len(own.time) - int(horizons[-1]), START_EVERY))
     if possible <= 0:
@@ -242,7 +228,7 @@ def judge_flight(
     rolled = model.roll(own, starts, horizons)
     rolled = rolled._replace(covariance=model.calibration.shape.shaped(rolled.covariance))
     scores, norms = tube_scores(rolled.errors, rolled.covariance), error_norms(rolled.errors)
-    radii = tube_radii(rolled.covariance)
+    unit = tube_radii(rolled.covariance)
     following = Following(
         (-(-horizons // START_EVERY)).tolist(), 1.0 - confidence, TRACKING_PER_S * START_EVERY * step
     )
@@ -250,38 +236,27 @@ def judge_flight(
     balls = model.calibration.radii(times, confidence)
     tubes = tracked_factors(scores, factors, following)
     tracked_balls = tracked_factors(norms, balls, following)
-    # Whether errors were held, and radii.
+    # Sizes of the errors, those that tubes hold, and the radii of these.
     ways = {
-        "": (scores <= tubes, tubes * radii),
-        "fixed_": (scores <= factors, factors * radii),
-        "conformal_": (norms <= balls, np.broadcast_to(balls, norms.shape)),
-        "conformal_tracked_": (norms <= tracked_balls, tracked_balls),
+        "": (scores, tubes, tubes * unit),
+        "fixed_": (scores, factors, factors * unit),
+        "conformal_": (norms, balls, np.broadcast_to(balls, norms.shape)),
+        "conformal_tracked_": (norms, tracked_balls, tracked_balls),
     }
     metrics: dict[str, dict[str, TubeMetrics]] = {}
     for k, q in itertools.product(range(len(times)), range(len(QUANTITIES))):
-        if times[k] in (*JUDGED_S, horizon_s):
-            there = {way: (held[:, k, q], size[:, k, q], LARGEST[q]) for way, (held, size) in ways.items()}
-            name = list(QUANTITIES)[q]
-            shown, scale = _NAMES.get(name, (name, 1.0))
-            metrics.setdefault(f"{times[k]:g}", {})[shown] = _metrics(norms[:, k, q], there, scale)
+        if times[k] not in (*JUDGED_S, horizon_s):
+            continue
+        name = list(QUANTITIES)[q]
+        shown, scale = _NAMES.get(name, (name, 1.0))
+        values = {"rms": scale * float(np.sqrt(np.mean(np.square(norms[:, k, q]))))}
+        for way, (sizes, held, radii) in ways.items():
+            values[f"{way}coverage"] = float(np.mean((sizes <= held)[:, k, q]))
+            values[f"{way}width"] = scale * float(np.mean(2.0 * np.minimum(radii[:, k, q], LARGEST[q])))
+        metrics.setdefault(f"{times[k]:g}", {})[shown] = TubeMetrics(**values)
     return (
-        RolledFlight(
-            flight.name, flight.quality, own.time[starts], times, norms, tubes * radii, own, rolled, tubes
-        ),
+        RolledFlight(flight.name, flight.quality, times, own, rolled, tubes),
         FlightRolloutMetrics(
             len(starts), possible - len(starts), flight.position_measured, in_sample=False, horizons=metrics
         ),
     )
-
-
-def _horizons(horizon_s: float) -> tuple[float, ...]:
-    """Horizons (H,) to predict to, rising: those calibrated up to the one asked for."""
-    return tuple(sorted({own for own in HORIZONS_S if own < horizon_s} | {horizon_s}))
-
-
-def _metrics(norms: Array, ways: dict[str, tuple[Any, Array, float]], scale: float) -> TubeMetrics:
-    values = {"rms": scale * float(np.sqrt(np.mean(np.square(norms))))}
-    for way, (held, radii, largest) in ways.items():
-        values[f"{way}coverage"] = float(np.mean(held))
-        values[f"{way}width"] = scale * float(np.mean(2.0 * np.minimum(radii, largest)))
-    return TubeMetrics(**values)

@@ -18,19 +18,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.frames import Array
-from quadpi_core.models.disturbance import Disturbance
 from quadpi_core.models.physical_fit import FitStep, Problem, bounded_solution
 from quadpi_core.models.physical_regressors import regressors
 from quadpi_core.models.physical_rollout import Disturbances, Rolled, Track, roll_out
-from quadpi_core.models.rollout_flight import RolloutFlight, horizon_steps
-from quadpi_core.models.rollout_model import MOVES, RolloutModel
+from quadpi_core.models.rollout_model import MOVES, RolloutFlight, RolloutModel, horizon_steps
 from quadpi_core.models.tubes import QUANTITIES, error_norms
 
 # Horizons [s] of the errors, and what position, velocity, attitude and rates weigh there: at the first the
@@ -86,15 +84,20 @@ class Windows(NamedTuple):
     @classmethod
     def of(cls, flight: RolloutFlight, model: RolloutModel) -> Windows:
         """Of a flight whose predictions by the model are finite."""
-        track = model.track(flight)
+        track, lead = model.track(flight), model.lead(flight.step)
         horizons = horizon_steps(HORIZONS_S, track.step)
         starts = flight.starts(int(horizons[-1]), max(1, round(EVERY_S / track.step)))
         process = replace(model.disturbance, step_s=track.step)
-        lead = model.lead(track.step)
-        before = np.maximum(starts - lead, 0)
-        aged = process.decay**lead
+        before, aged = np.maximum(starts - lead, 0), process.decay**lead
         measured = process.filtered(flight.wrench)[before] * aged
-        predicted = _filtered_regressors(track, model, process, before) * aged[:, np.newaxis]
+        found: list[Array] = []
+        last: Array | None = None
+        for first in range(0, len(track.motion), _SAMPLES):
+            own = regressors(track.motion[first : first + _SAMPLES], model.vehicle).transpose(0, 2, 1)
+            filtered = process.filtered(own, last)
+            found.append(filtered[before[(before >= first) & (before < first + _SAMPLES)] - first])
+            last = filtered[-1]
+        predicted = np.concatenate(found) * aged[:, np.newaxis]
         windows = cls(track, starts, horizons, measured, predicted, process.decay)
         errors = windows.rolled(model.parameters, derivatives=False).errors
         fine = np.all(np.isfinite(errors), axis=(1, 2)) & np.all(np.isfinite(predicted), axis=(1, 2))
@@ -104,14 +107,9 @@ class Windows(NamedTuple):
         """The roll-outs with parameters (P,)."""
         known = self.measured - self.predicted @ values
         slopes = -self.predicted if derivatives else np.zeros((0, 0, 0))
-        return roll_out(
-            self.track,
-            self.starts,
-            self.horizons,
-            np.where(MOVES, values, 0.0),
-            derivatives=derivatives,
-            disturbances=Disturbances(known, slopes, self.decay),
-        )
+        disturbances, moving = Disturbances(known, slopes, self.decay), np.where(MOVES, values, 0.0)
+        windows = self.track, self.starts, self.horizons
+        return roll_out(*windows, moving, derivatives=derivatives, disturbances=disturbances)
 
 
 class Part(NamedTuple):
@@ -131,20 +129,6 @@ def all_rolled(windows: Sequence[Windows], values: Array, *, derivatives: bool) 
     """The roll-outs of each flight with parameters (P,)."""
     with ThreadPoolExecutor(_THREADS) as threads:
         return list(threads.map(lambda own: own.rolled(values, derivatives=derivatives), windows))
-
-
-def _filtered_regressors(
-    track: Track, model: RolloutModel, process: Disturbance, rows: npt.NDArray[np.int64]
-) -> Array:
-    """Regressors (W, 6, P) filtered as a disturbance is, at samples (W,) that rise."""
-    found = []
-    before: Array | None = None
-    for first in range(0, len(track.motion), _SAMPLES):
-        own = regressors(track.motion[first : first + _SAMPLES], model.vehicle).transpose(0, 2, 1)
-        filtered = process.filtered(own, before)
-        found.append(filtered[rows[(rows >= first) & (rows < first + _SAMPLES)] - first])
-        before = filtered[-1]
-    return np.concatenate(found)
 
 
 def median_norms(rolled: Rolled) -> Array:
@@ -199,8 +183,7 @@ def part_of(rolled: Rolled, scale: Array, free: npt.NDArray[np.bool_], unit: Arr
     return Part(value, gradients.sum(axis=0), matrix, np.add.reduceat(gradients, starts, axis=0))
 
 
-@dataclass(frozen=True)
-class MultiStepFit:
+class MultiStepFit(NamedTuple):
     """The models, and what was done.
 
     Attributes:
@@ -246,26 +229,30 @@ def fit_multi_step(
     if not windows:
         return _first_step(first, left_out, (), "no roll-out of half a second can be used")
     free = MOVES & np.all([np.diag(own.covariance) > 0.0 for own in (first, *left_out)], axis=0)
-    spread = problem.spread if by_terms else np.sqrt(np.diag(first.covariance))
-    space = _Space(first.parameters, free, spread[free], problem.lower)
-    prior, *priors = [
-        _Prior.of_terms(problem, space) if by_terms else _Prior.of(own, space) for own in (first, *left_out)
-    ]
+    unit = (problem.spread if by_terms else np.sqrt(np.diag(first.covariance)))[free]
+
+    def objective_of(own: RolloutModel) -> _Objective:
+        mean, known = problem.mean, np.diag(np.square(unit / problem.spread[free]))
+        if not by_terms:
+            scaled = own.covariance[np.ix_(free, free)] / np.outer(unit, unit)
+            mean, known = own.parameters, np.asarray(np.linalg.inv(scaled), dtype=float)
+        centre = (mean - first.parameters)[free] / unit
+        return _Objective(first.parameters, free, unit, problem.lower, centre, known, 0.0)
+
+    whole, *others = [objective_of(own) for own in (first, *left_out)]
     begun = mean_norms(windows, [left_out[k].parameters for k in used])
     log: list[FitStep] = []
     best, chosen, values = 0.0, None, first.parameters
     # The terms are not of these flights, so that roll-outs weigh what they are worth.
     for weight in WEIGHTS_TRIED[:1] if by_terms else WEIGHTS_TRIED:
-        objective = _Objective(space, prior, weight)
+        objective = whole._replace(weight=weight)
         values, parts = _minimised(windows, objective, values, log)
-        apart = [
-            _solved(
-                _Objective(space, own, weight),
-                values,
-                [p for j, p in zip(used, parts, strict=True) if j != k],
-            )
-            for k, own in enumerate(priors)
-        ]
+        apart = []
+        for k, own in enumerate(others):
+            # Roll-outs linearised at the parameters of all flights.
+            of_others = [part for j, part in zip(used, parts, strict=True) if j != k]
+            without = own._replace(weight=weight)
+            apart.append((without.moved(values, of_others), without.covariance(of_others)))
         gain = log_ratio(mean_norms(windows, [apart[k][0] for k in used]), begun)
         log.append(FitStep("log error of flights left out", f"roll-outs weigh {weight:g}", gain))
         if gain < best:
@@ -281,86 +268,65 @@ def fit_multi_step(
         f"{np.exp(best):.2f} times those by the parameters of the wrench"
     )
     return MultiStepFit(
-        _moved(first, space, values, covariance, remark),
-        tuple(_moved(own, space, *there, remark) for own, there in zip(left_out, apart, strict=True)),
+        _moved(first, free, values, covariance, remark),
+        tuple(_moved(own, free, *there, remark) for own, there in zip(left_out, apart, strict=True)),
         weight,
         tuple(log),
     )
 
 
-class _Space(NamedTuple):
-    """Coordinates x (n,) of the parameters that move, from the first step on, in deviations of the prior.
+class _Objective(NamedTuple):
+    """What is minimised: a prior plus the weighted cost of the roll-outs.
+
+    Coordinates (n,) are of the parameters that move, from those of the first step on, in units.
 
     Attributes:
         origin: (P,) parameters of the first step.
         free: (P,) those that move.
         unit: (n,) their standard deviations in the prior.
         lower: (P,) bounds.
+        centre, information: (n,), (n, n) what is known before the roll-outs: coordinates, their information.
+        weight: of the roll-outs.
     """
 
     origin: Array
     free: npt.NDArray[np.bool_]
     unit: Array
     lower: Array
+    centre: Array
+    information: Array
+    weight: float
 
     def place(self, values: Array) -> Array:
         """Coordinates of parameters (P,)."""
         result: Array = (values - self.origin)[self.free] / self.unit
         return result
 
-
-class _Prior(NamedTuple):
-    """What is known before the roll-outs: coordinates (n,) of the parameters, their information (n, n)."""
-
-    centre: Array
-    information: Array
-
-    @classmethod
-    def of_terms(cls, problem: Problem, space: _Space) -> _Prior:
-        """Of the terms, before any flight."""
-        return cls(space.place(problem.mean), np.diag(np.square(space.unit / problem.spread[space.free])))
-
-    @classmethod
-    def of(cls, first: RolloutModel, space: _Space) -> _Prior:
-        """Of the first step."""
-        scaled = first.covariance[np.ix_(space.free, space.free)] / np.outer(space.unit, space.unit)
-        return cls(space.place(first.parameters), np.asarray(np.linalg.inv(scaled), dtype=float))
-
-
-class _Objective(NamedTuple):
-    """What is minimised: the prior plus the weighted cost of the roll-outs."""
-
-    space: _Space
-    prior: _Prior
-    weight: float
-
     def cost(self, values: Array, parts: Sequence[Part]) -> float:
-        away = self.space.place(values) - self.prior.centre
+        away = self.place(values) - self.centre
         of_roll_outs = sum(part.value for part in parts)
-        return float(0.5 * away @ self.prior.information @ away) + self.weight * of_roll_outs
+        return float(0.5 * away @ self.information @ away) + self.weight * of_roll_outs
 
     def matrix(self, parts: Sequence[Part]) -> Array:
-        result: Array = self.prior.information + self.weight * sum(part.matrix for part in parts)
+        result: Array = self.information + self.weight * sum(part.matrix for part in parts)
         return result
 
-    def step(self, values: Array, parts: Sequence[Part]) -> Array:
-        """Gauss-Newton step (n,) from parameters (P,) at which the parts were found."""
-        place = self.space.place(values)
-        gradient: Array = self.prior.information @ (place - self.prior.centre)
+    def moved(self, values: Array, parts: Sequence[Part], share: float = 1.0) -> Array:
+        """Parameters (P,) after a share of the Gauss-Newton step from those at which the parts were found."""
+        place = self.place(values)
+        gradient: Array = self.information @ (place - self.centre)
         gradient = gradient + self.weight * sum(part.gradient for part in parts)
-        return bounded_solution(self.matrix(parts), -gradient, self.space.place(self.space.lower) - place)
-
-    def moved(self, values: Array, step: Array) -> Array:
+        step = bounded_solution(self.matrix(parts), -gradient, self.place(self.lower) - place)
         result = values.copy()
-        result[self.space.free] += step * self.space.unit
-        return np.maximum(result, self.space.lower)
+        result[self.free] += share * step * self.unit
+        return np.maximum(result, self.lower)
 
     def covariance(self, parts: Sequence[Part]) -> Array:
         """H⁻¹ (J + Λ) H⁻¹ (n, n), SI: J of the gradients of blocks, Λ that of the prior."""
         inverse = np.linalg.inv(self.matrix(parts))
         blocks = self.weight * np.concatenate([part.blocks for part in parts])
-        spread = inverse @ (blocks.T @ blocks + self.prior.information) @ inverse
-        result: Array = spread * np.outer(self.space.unit, self.space.unit)
+        spread = inverse @ (blocks.T @ blocks + self.information) @ inverse
+        result: Array = spread * np.outer(self.unit, self.unit)
         return result
 
 
@@ -370,19 +336,17 @@ def _minimised(
     """Parameters (P,) with the least cost, and the parts of each flight there."""
 
     def parts_of(rolled: Sequence[Rolled], scales: Sequence[Array]) -> list[Part]:
-        return [
-            part_of(own, scale, objective.space.free, objective.space.unit)
-            for own, scale in zip(rolled, scales, strict=True)
-        ]
+        pairs = zip(rolled, scales, strict=True)
+        return [part_of(own, scale, objective.free, objective.unit) for own, scale in pairs]
 
     values = start
     rolled = all_rolled(windows, values, derivatives=True)
     for _ in range(_ITERATIONS):
         scales = [median_norms(own) for own in rolled]
         parts = parts_of(rolled, scales)
-        before, step = objective.cost(values, parts), objective.step(values, parts)
+        before = objective.cost(values, parts)
         for share in _SHARES:
-            trial = objective.moved(values, share * step)
+            trial = objective.moved(values, parts, share)
             tried = objective.cost(trial, parts_of(all_rolled(windows, trial, derivatives=False), scales))
             if tried < before:
                 break
@@ -396,14 +360,10 @@ def _minimised(
     return values, parts_of(rolled, [median_norms(own) for own in rolled])
 
 
-def _solved(objective: _Objective, values: Array, parts: Sequence[Part]) -> tuple[Array, Array]:
-    """Parameters (P,) and covariance (n, n) of an objective with roll-outs linearised at some parameters."""
-    return objective.moved(values, objective.step(values, parts)), objective.covariance(parts)
-
-
-def _moved(first: RolloutModel, space: _Space, values: Array, covariance: Array, remark: str) -> RolloutModel:
+def _moved(
+    first: RolloutModel, free: npt.NDArray[np.bool_], values: Array, covariance: Array, remark: str
+) -> RolloutModel:
     """The model with other parameters, but for those of sensors, with which roll-outs began."""
-    free = space.free
     together = np.where(free | free[:, np.newaxis], 0.0, first.covariance)
     together[np.ix_(free, free)] = covariance
     parameters = np.where(free, values, first.parameters)

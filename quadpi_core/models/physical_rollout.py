@@ -37,23 +37,14 @@ STATES = 12
 _DIFFERENCE = 1e-4
 
 
-class RigidBody:
-    """A body that moves: kg, kg m², m/s²."""
-
-    mass: float
-    gravity: float
-    inertia: Annotated[Array, 3, 3]
-    inverse_inertia: Annotated[Array, 3, 3]
-
-
 class Moving:
-    """Where a body is on its way: displacement since the start and velocity in the world, rates in the body.
+    """Where a body is on its way.
 
     Attributes:
-        displacement: m.
+        displacement: m in the world, since the start.
         attitude: body to world.
-        velocity: m/s.
-        rates: rad/s.
+        velocity: m/s in the world.
+        rates: rad/s in the body.
     """
 
     displacement: Annotated[Array, 3]
@@ -62,7 +53,6 @@ class Moving:
     rates: Annotated[Array, 3]
 
 
-RIGID_BODY = record_dtype(RigidBody)
 MOVING = record_dtype(Moving)
 
 
@@ -95,16 +85,9 @@ class Disturbances(NamedTuple):
 
 
 class Held(NamedTuple):
-    """A disturbance as it is now: wrench (6,) and slopes (6, P) by the parameters."""
+    """A disturbance as it is now: wrench (6,), and its slopes (6, P) by the parameters."""
 
     wrench: Array
-    slopes: Array
-
-
-class Accelerations(NamedTuple):
-    """In the world m/s², about the body axes rad/s²: values (6,) and slopes (6, P) by the parameters."""
-
-    values: Array
     slopes: Array
 
 
@@ -116,14 +99,18 @@ class Track(NamedTuple):
         motion: MOTION (N,), rotor speeds as they act at each sample.
         attitude: (N, 4) body to world.
         vehicle: PHYSICAL_VEHICLE (1,).
-        body: RIGID_BODY (1,).
+        mass, gravity: kg, m/s².
+        inertia, inverse_inertia: (3, 3) kg m², and its inverse.
     """
 
     step: float
     motion: Records
     attitude: Array
     vehicle: Records
-    body: Records
+    mass: float
+    gravity: float
+    inertia: Array
+    inverse_inertia: Array
 
 
 def roll_out(
@@ -150,9 +137,9 @@ def roll_out(
         disturbances = Disturbances(np.zeros((len(starts), 6)), none, np.ones(6))
     errors = np.zeros((len(starts), len(horizons), STATES))
     slopes = np.zeros((len(starts) if derivatives else 0, len(horizons), STATES, len(parameters)))
-    path = np.zeros((len(starts), horizons[-1] + 1), MOVING)
-    _roll_all(track, starts, horizons, parameters, disturbances, Rolled(errors, slopes, path))
-    return Rolled(errors, slopes, path)
+    rolled = Rolled(errors, slopes, np.zeros((len(starts), horizons[-1] + 1), MOVING))
+    _roll_all(track, starts, horizons, parameters, disturbances, rolled)
+    return rolled
 
 
 @njit(cache=True, nogil=True)
@@ -165,53 +152,50 @@ def _roll_all(
     rolled: Rolled,
 ) -> None:
     row, now = np.zeros(1, REGRESSORS), np.zeros(1, MOTION)
-    sensitivity, middle = np.zeros((STATES, len(parameters))), np.zeros((STATES, len(parameters)))
-    out = Accelerations(np.zeros(6), np.zeros((6, len(parameters))))
     with_slopes = len(rolled.derivatives) > 0
-    state, halfway = (sensitivity, middle) if with_slopes else (sensitivity[:0], middle[:0])
     h = track.step
     for window in range(len(starts)):
-        sample = starts[window]
-        attitude = track.attitude[sample].copy()
-        velocity = matrix(attitude) @ track.motion[sample].velocity
-        rates = track.motion[sample].rates.copy()
-        displacement, flown = np.zeros(3), np.zeros(3)
-        sensitivity[:] = 0.0
-        horizon = 0
-        _record(rolled.path[window, 0], displacement, attitude, velocity, rates)
+        path, sample, horizon = rolled.path[window], starts[window], 0
+        path[0].attitude[:] = track.attitude[sample]
+        path[0].velocity[:] = matrix(track.attitude[sample]) @ track.motion[sample].velocity
+        path[0].rates[:] = track.motion[sample].rates
+        flown = np.zeros(3)
         held = Held(disturbances.wrench[window].copy(), np.zeros((6, len(parameters))))
+        # Derivatives of the state by the parameters, now and halfway; none are computed of no rows.
+        sensitivity = np.zeros((STATES if with_slopes else 0, len(parameters)))
+        middle = sensitivity
         if with_slopes:
             held.slopes[:] = disturbances.slopes[window]
         for step in range(horizons[-1]):
-            here, there = track.motion[sample], track.motion[sample + 1]
-            _set_motion(now[0], here, here, attitude, velocity, rates)
-            _accelerate(now, attitude, track, parameters, held, row, state, out)
-            half_attitude = np.array(product(attitude, from_rotation_vector(0.5 * h * rates)))
-            half_velocity = velocity + 0.5 * h * out.values[:3]
-            half_rates = rates + 0.5 * h * out.values[3:]
+            left, right = track.motion[sample], track.motion[sample + 1]
+            here, there = path[step], path[step + 1]
+            set_motion(now[0], left, left, here.attitude, here.velocity, here.rates)
+            gained, slopes = _accelerate(now, here.attitude, track, parameters, held, row, sensitivity)
+            half_attitude = np.array(product(here.attitude, from_rotation_vector(0.5 * h * here.rates)))
+            half_velocity = here.velocity + 0.5 * h * gained[:3]
+            half_rates = here.rates + 0.5 * h * gained[3:]
             if with_slopes:
-                _slopes_halfway(sensitivity, rates, h, out.slopes, middle)
-            _set_motion(now[0], here, there, half_attitude, half_velocity, half_rates)
-            _accelerate(now, half_attitude, track, parameters, held, row, halfway, out)
+                middle = _slopes_after(sensitivity, sensitivity, here.rates, 0.5 * h, slopes)
+            set_motion(now[0], left, right, half_attitude, half_velocity, half_rates)
+            gained, slopes = _accelerate(now, half_attitude, track, parameters, held, row, middle)
             if with_slopes:
-                _slopes_after(middle, half_rates, h, out.slopes, sensitivity)
-            displacement += h * half_velocity
-            flown += 0.5 * h * (matrix(track.attitude[sample]) @ here.velocity)
-            flown += 0.5 * h * (matrix(track.attitude[sample + 1]) @ there.velocity)
-            velocity = velocity + h * out.values[:3]
-            attitude = np.array(normalised(product(attitude, from_rotation_vector(h * half_rates))))
-            rates = rates + h * out.values[3:]
-            for axis in range(6):
-                held.wrench[axis] *= disturbances.decay[axis]
-                held.slopes[axis] *= disturbances.decay[axis]
+                sensitivity = _slopes_after(sensitivity, middle, half_rates, h, slopes)
+            turned = product(here.attitude, from_rotation_vector(h * half_rates))
+            there.displacement[:] = here.displacement + h * half_velocity
+            there.attitude[:] = np.array(normalised(turned))
+            there.velocity[:] = here.velocity + h * gained[:3]
+            there.rates[:] = here.rates + h * gained[3:]
+            flown += 0.5 * h * (matrix(track.attitude[sample]) @ left.velocity)
+            flown += 0.5 * h * (matrix(track.attitude[sample + 1]) @ right.velocity)
+            held.wrench[:] *= disturbances.decay
+            held.slopes[:] *= disturbances.decay.reshape(6, 1)
             sample += 1
-            _record(rolled.path[window, step + 1], displacement, attitude, velocity, rates)
             if step + 1 == horizons[horizon]:
                 error = rolled.errors[window, horizon]
-                error[0:3] = displacement - flown
-                error[3:6] = velocity - matrix(track.attitude[sample]) @ there.velocity
-                error[6:9] = to_rotation_vector(product(inverse(track.attitude[sample]), attitude))
-                error[9:12] = rates - there.rates
+                error[0:3] = there.displacement - flown
+                error[3:6] = there.velocity - matrix(track.attitude[sample]) @ right.velocity
+                error[6:9] = to_rotation_vector(product(inverse(track.attitude[sample]), there.attitude))
+                error[9:12] = there.rates - right.rates
                 if with_slopes:
                     by_vector = np.linalg.inv(_right_jacobian(error[6:9])) @ sensitivity[6:9]
                     rolled.derivatives[window, horizon] = sensitivity
@@ -220,35 +204,23 @@ def _roll_all(
 
 
 @njit(cache=True, nogil=True)
-def _slopes_halfway(sensitivity: Array, rates: Array, h: float, slopes: Array, middle: Array) -> None:
-    """Derivatives (12, P) of the state half a step on, for rates at the start of the step."""
-    vector = 0.5 * h * rates
+def _slopes_after(begin: Array, during: Array, rates: Array, h: float, slopes: Array) -> Array:
+    """Derivatives (12, P) of the state after `h` seconds, of velocity, rates and accelerations that are held.
+
+    Those of the state at the begin are `begin`, of what is held `during` and, for accelerations, `slopes`.
+    """
+    vector = h * rates
+    after = np.empty_like(begin)
+    after[0:3] = begin[0:3] + h * during[3:6]
+    after[3:6] = begin[3:6] + h * slopes[:3]
     turn = matrix(from_rotation_vector(vector)).T
-    middle[3:6] = sensitivity[3:6] + 0.5 * h * slopes[:3]
-    middle[6:9] = turn @ sensitivity[6:9] + 0.5 * h * (_right_jacobian(vector) @ sensitivity[9:12])
-    middle[9:12] = sensitivity[9:12] + 0.5 * h * slopes[3:]
+    after[6:9] = turn @ begin[6:9] + h * (_right_jacobian(vector) @ during[9:12])
+    after[9:12] = begin[9:12] + h * slopes[3:]
+    return after
 
 
 @njit(cache=True, nogil=True)
-def _slopes_after(middle: Array, rates: Array, h: float, slopes: Array, sensitivity: Array) -> None:
-    """Advance the derivatives (12, P) of the state by a step, for rates halfway."""
-    turn = matrix(from_rotation_vector(h * rates)).T
-    sensitivity[0:3] += h * middle[3:6]
-    sensitivity[3:6] += h * slopes[:3]
-    sensitivity[6:9] = turn @ sensitivity[6:9] + h * (_right_jacobian(h * rates) @ middle[9:12])
-    sensitivity[9:12] += h * slopes[3:]
-
-
-@njit(cache=True, nogil=True)
-def _record(place: Any, displacement: Array, attitude: Array, velocity: Array, rates: Array) -> None:
-    place.displacement[:] = displacement
-    place.attitude[:] = attitude
-    place.velocity[:] = velocity
-    place.rates[:] = rates
-
-
-@njit(cache=True, nogil=True)
-def _set_motion(now: Any, left: Any, right: Any, attitude: Array, velocity: Array, rates: Array) -> None:
+def set_motion(now: Any, left: Any, right: Any, attitude: Array, velocity: Array, rates: Array) -> None:
     """Rotor speeds halfway between two samples, motion as given (velocity in the world)."""
     now.velocity[:] = matrix(attitude).T @ velocity
     now.rates[:] = rates
@@ -258,40 +230,51 @@ def _set_motion(now: Any, left: Any, right: Any, attitude: Array, velocity: Arra
 
 @njit(cache=True, nogil=True)
 def _accelerate(
-    now: Records,
-    attitude: Array,
-    track: Track,
-    parameters: Array,
-    held: Held,
-    row: Records,
-    sensitivity: Array,
-    out: Accelerations,
-) -> None:
-    """Set the accelerations and their derivatives.
+    now: Records, attitude: Array, track: Track, parameters: Array, held: Held, row: Records, state: Array
+) -> tuple[Array, Array]:
+    """Accelerations (6,), in the world m/s² and about the body axes rad/s², and their derivatives (6, P).
 
-    Without the derivatives of the state, `sensitivity` (0, P), there are none.
+    Without the derivatives of the state (12, P), of no rows then, those of the accelerations are zero.
     """
-    body = track.body[0]
+    accelerations, slopes = np.empty(6), np.zeros((6, len(parameters)))
     rotation = matrix(attitude)
     wrench = wrench_of(now, track.vehicle, parameters, row) + held.wrench
     rates = now[0].rates.copy()
-    momentum = body.inertia @ rates
-    out.values[:3] = rotation @ wrench[:3] / body.mass
-    out.values[2] += body.gravity
-    out.values[3:] = body.inverse_inertia @ (wrench[3:] - np.cross(rates, momentum))
-    if len(sensitivity) == 0:
-        return
-    values = row.view(np.float64).reshape(len(parameters), 6)
-    own = np.ascontiguousarray(values.T) + held.slopes
-    velocity = now[0].velocity.copy()
-    slopes = wrench_slopes(now, track.vehicle, parameters, row)
-    turned, turning = sensitivity[6:9].copy(), sensitivity[9:12].copy()
-    air = rotation.T @ sensitivity[3:6].copy() + cross_matrix(velocity) @ turned
-    by_velocity, by_rates = np.ascontiguousarray(slopes[:, :3]), np.ascontiguousarray(slopes[:, 3:])
+    accelerations[:3] = rotation @ wrench[:3] / track.mass
+    accelerations[2] += track.gravity
+    accelerations[3:] = track.inverse_inertia @ (wrench[3:] - np.cross(rates, track.inertia @ rates))
+    if len(state) > 0:
+        own = np.ascontiguousarray(row.view(np.float64).reshape(len(parameters), 6).T) + held.slopes
+        by_motion = wrench_slopes(now, track.vehicle, parameters, row)
+        slopes = acceleration_slopes(now, rotation, track, wrench, by_motion, own, state)
+    return accelerations, slopes
+
+
+@njit(cache=True, nogil=True)
+def acceleration_slopes(
+    now: Records, rotation: Array, track: Track, wrench: Array, by_motion: Array, own: Array, state: Array
+) -> Array:
+    """Derivatives (6, n) of the accelerations by anything that changes wrench and state.
+
+    Args:
+        now: MOTION (1,).
+        rotation: (3, 3) body to world.
+        track: of the flight.
+        wrench: (6,) that acts.
+        by_motion: (6, 6) its derivatives by velocity and rates in body axes.
+        own: (6, n) its derivatives where the state stays.
+        state: (12, n) derivatives of the state.
+    """
+    slopes = np.empty((6, state.shape[1]))
+    velocity, rates = now[0].velocity.copy(), now[0].rates.copy()
+    turned, turning = state[6:9].copy(), state[9:12].copy()
+    air = rotation.T @ state[3:6].copy() + cross_matrix(velocity) @ turned
+    by_velocity, by_rates = np.ascontiguousarray(by_motion[:, :3]), np.ascontiguousarray(by_motion[:, 3:])
     change = own + by_velocity @ air + by_rates @ turning
-    out.slopes[:3] = rotation @ (change[:3] - cross_matrix(wrench[:3]) @ turned) / body.mass
-    gyroscopic = cross_matrix(rates) @ body.inertia - cross_matrix(momentum)
-    out.slopes[3:] = body.inverse_inertia @ (change[3:] - gyroscopic @ turning)
+    slopes[:3] = rotation @ (change[:3] - cross_matrix(wrench[:3]) @ turned) / track.mass
+    gyroscopic = cross_matrix(rates) @ track.inertia - cross_matrix(track.inertia @ rates)
+    slopes[3:] = track.inverse_inertia @ (change[3:] - gyroscopic @ turning)
+    return slopes
 
 
 @njit(cache=True, nogil=True)

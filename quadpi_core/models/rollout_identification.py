@@ -8,7 +8,6 @@ import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -22,14 +21,18 @@ from quadpi_core.models.multi_step_fit import fit_multi_step
 from quadpi_core.models.physical_fit import FitStep, Problem
 from quadpi_core.models.physical_flight import flights_of, thinned_rows
 from quadpi_core.models.physical_rollout import STATES, roll_out
-from quadpi_core.models.rollout_flight import RolloutFlight, horizon_steps
-from quadpi_core.models.rollout_model import FlightRollouts, RolloutModel, disturbance_left
+from quadpi_core.models.rollout_model import (
+    FlightRollouts,
+    RolloutFlight,
+    RolloutModel,
+    disturbance_left,
+    horizon_steps,
+)
 from quadpi_core.models.tubes import (
     HORIZONS_S,
     TRACKING_PER_S,
     Following,
     TubeCalibration,
-    TubeShape,
     chosen_shape,
     error_norms,
     tube_scores,
@@ -48,13 +51,6 @@ _THREADS = 2
 _ANGLES = slice(INPUT_INDEX["sin_phi"], INPUT_INDEX["cos_theta"] + 1)
 
 
-class CalibratedRollouts(NamedTuple):
-    """A model that predicts ahead, None where no flight is as long as the longest horizon; log of its fit."""
-
-    model: RolloutModel | None
-    log: tuple[FitStep, ...]
-
-
 def calibrated_rollouts(
     flights: Sequence[RolloutFlight],
     vehicle: Vehicle,
@@ -62,7 +58,7 @@ def calibrated_rollouts(
     left_out: Sequence[PhysicalFit],
     *,
     multi_step: bool,
-) -> CalibratedRollouts:
+) -> tuple[RolloutModel | None, tuple[FitStep, ...]]:
     """A model that predicts ahead, its tubes calibrated on flights that the parameters did not see.
 
     Args:
@@ -71,67 +67,64 @@ def calibrated_rollouts(
         whole: fit to all of them.
         left_out: fits without each of them; with a single flight, that of all.
         multi_step: fit the parameters to errors of predictions ahead as well.
+
+    Returns:
+        The model, None where no flight is as long as the longest horizon, and the log of its fit.
     """
-    long = [k for k, flight in enumerate(flights) if flight.time[-1] - flight.time[0] > 1.1 * HORIZONS_S[-1]]
-    if not long:
-        return CalibratedRollouts(None, ())
-    headed = [flights[k] for k in long]
-    step = headed[0].step
-    bare = [_uncalibrated(left_out[k], vehicle, Disturbance.nothing(step)) for k in long]
+    used = [k for k, own in enumerate(flights) if own.time[-1] - own.time[0] > 1.1 * HORIZONS_S[-1]]
+    if not used:
+        return None, ()
+    long, every = [flights[k] for k in used], range(len(used))
+
+    def bare(fit: PhysicalFit) -> RolloutModel:
+        body, delay_s = (fit.values, fit.covariance, fit.vehicle, fit.inertia), fit.sensing.rotor_delay_s
+        nothing, variance = Disturbance.nothing(long[0].step), np.full(STATES, _LEAST_VARIANCE)
+        return RolloutModel(*body, vehicle.gravity_m_s2, delay_s, nothing, variance)
+
+    apart: Sequence[RolloutModel] = [bare(left_out[k]) for k in used]
     processes = []
-    for k in range(len(bare)):
-        others = [j for j in range(len(bare)) if j != k] or [k]
-        processes.append(disturbance_left([bare[j] for j in others], [headed[j] for j in others]))
-    final = _uncalibrated(whole, vehicle, disturbance_left(bare, headed))
+    for k in every:
+        others = [j for j in every if j != k] or [k]
+        processes.append(disturbance_left([apart[j] for j in others], [long[j] for j in others]))
+    final = replace(bare(whole), disturbance=disturbance_left(apart, long))
     log: tuple[FitStep, ...] = ()
     if multi_step:
         problem = Problem.of(vehicle, float(whole.vehicle["reference_thrust"][0]))
         with identifiable("the parameters, from errors of predictions ahead,"):
-            found = fit_multi_step(headed, final, bare, problem)
-        final, bare, log = found.model, list(found.left_out), found.log
-    variance = _measured_variance(bare, headed)
-    models = [
-        replace(model, disturbance=process, measured_variance=variance)
-        for model, process in zip(bare, processes, strict=True)
-    ]
+            final, apart, _, log = fit_multi_step(long, final, apart, problem)
+    variance = _measured_variance(apart, long)
 
-    def rolled(model: RolloutModel, flight: RolloutFlight) -> FlightRollouts:
-        horizons, every = horizon_steps(HORIZONS_S, flight.step), round(_CALIBRATION_EVERY_S / flight.step)
-        return model.roll(flight, flight.starts(int(horizons[-1]), max(1, every)), horizons)
+    def rolled(k: int) -> FlightRollouts:
+        model = replace(apart[k], disturbance=processes[k], measured_variance=variance)
+        horizons, between = horizon_steps(HORIZONS_S, long[k].step), _CALIBRATION_EVERY_S / long[k].step
+        return model.roll(long[k], long[k].starts(int(horizons[-1]), max(1, round(between))), horizons)
 
     with ThreadPoolExecutor(_THREADS) as threads:
-        rolled_flights = list(threads.map(rolled, models, headed))
-    of_flights = [own for own in rolled_flights if len(own.starts)]
-    if not of_flights:
-        return CalibratedRollouts(None, log)
-    for flight, own in zip(headed, rolled_flights, strict=True):
+        ahead = list(threads.map(rolled, every))
+    for flight, own in zip(long, ahead, strict=True):
         with identifiable(f"{flight.name}: the width of predictions ahead"):
             tube_scores(own.errors, own.covariance)
+    ahead = [own for own in ahead if len(own.starts)]
+    if not ahead:
+        return None, log
+    # The shape is that of the tubes that are narrowest over the horizons that flights are judged at.
+    judged = [k for k, horizon in enumerate(HORIZONS_S) if _SHAPED_S[0] <= horizon <= _SHAPED_S[1]]
+    following = Following(
+        [math.ceil(HORIZONS_S[k] / _CALIBRATION_EVERY_S) for k in judged],
+        _MISS_SHARE,
+        TRACKING_PER_S * _CALIBRATION_EVERY_S,
+    )
     with identifiable("the width of predictions ahead"):
-        shape = _narrowest(of_flights)
+        errors, covariances = [own.errors for own in ahead], [own.covariance for own in ahead]
+        shape = chosen_shape(
+            [own[:, judged] for own in errors], [own[:, judged] for own in covariances], following
+        )
         calibration = TubeCalibration.of_flights(
-            [tube_scores(own.errors, shape.shaped(own.covariance)) for own in of_flights],
-            [error_norms(own.errors) for own in of_flights],
+            [tube_scores(own, shape.shaped(sizes)) for own, sizes in zip(errors, covariances, strict=True)],
+            [error_norms(own) for own in errors],
             shape,
         )
-    return CalibratedRollouts(replace(final, measured_variance=variance, calibration=calibration), log)
-
-
-def _narrowest(flights: Sequence[FlightRollouts]) -> TubeShape:
-    """The shape of tubes that is narrowest at 95 % over the horizons that flights are judged at."""
-    judged = [k for k, horizon in enumerate(HORIZONS_S) if _SHAPED_S[0] <= horizon <= _SHAPED_S[1]]
-    delays = [math.ceil(HORIZONS_S[k] / _CALIBRATION_EVERY_S) for k in judged]
-    return chosen_shape(
-        [own.errors[:, judged] for own in flights],
-        [own.covariance[:, judged] for own in flights],
-        Following(delays, _MISS_SHARE, TRACKING_PER_S * _CALIBRATION_EVERY_S),
-    )
-
-
-def _uncalibrated(fit: PhysicalFit, vehicle: Vehicle, disturbance: Disturbance) -> RolloutModel:
-    body, delay_s = (fit.values, fit.covariance, fit.vehicle, fit.inertia), fit.sensing.rotor_delay_s
-    variance = np.full(STATES, _LEAST_VARIANCE)
-    return RolloutModel(*body, vehicle.gravity_m_s2, delay_s, disturbance, variance)
+    return replace(final, measured_variance=variance, calibration=calibration), log
 
 
 def _measured_variance(models: Sequence[RolloutModel], flights: Sequence[RolloutFlight]) -> Array:
@@ -159,15 +152,9 @@ def _level_attitude(angles: Array) -> Array:
     """Quaternions (N, 4) of sin φ, cos φ, sin θ, cos θ (N, 4) and heading zero."""
     roll = 0.5 * np.arctan2(angles[:, 0], angles[:, 1])
     pitch = 0.5 * np.arctan2(angles[:, 2], angles[:, 3])
-    return np.stack(
-        (
-            np.cos(roll) * np.cos(pitch),
-            np.sin(roll) * np.cos(pitch),
-            np.cos(roll) * np.sin(pitch),
-            -np.sin(roll) * np.sin(pitch),
-        ),
-        axis=1,
-    )
+    (sin_roll, cos_roll), (sin_pitch, cos_pitch) = ((np.sin(own), np.cos(own)) for own in (roll, pitch))
+    parts = cos_roll * cos_pitch, sin_roll * cos_pitch, cos_roll * sin_pitch, -sin_roll * sin_pitch
+    return np.stack(parts, axis=1)
 
 
 def _with_heading(attitude: Array, rates: Array, time: Array) -> Array:

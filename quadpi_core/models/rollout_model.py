@@ -18,26 +18,24 @@ import numpy.typing as npt
 
 from quadpi_core.config_schema import NotNegative, Positive, Text, parse_config
 from quadpi_core.errors import ModelError, named_in
+from quadpi_core.flight import Flight, hole_ends
 from quadpi_core.frames import Array
+from quadpi_core.inputs import relative_to_air
 from quadpi_core.models.disturbance import Disturbance
-from quadpi_core.models.physical_regressors import wrenches
-from quadpi_core.models.physical_rollout import (
-    POSITION,
-    RIGID_BODY,
-    STATES,
-    Disturbances,
-    Rolled,
-    Track,
-    roll_out,
-)
+from quadpi_core.models.physical_regressors import MOTION, wrenches
+from quadpi_core.models.physical_rollout import POSITION, STATES, Disturbances, Rolled, Track, roll_out
 from quadpi_core.models.physical_terms import TERM_NAMES
-from quadpi_core.models.rollout_covariance import Uncertainty, error_covariance
-from quadpi_core.models.rollout_flight import RolloutFlight
 from quadpi_core.models.stored_body import StoredBody, require_arrays
-from quadpi_core.models.tubes import TubeCalibration
+from quadpi_core.models.tubes import TubeCalibration, Uncertainty, error_covariance
 from quadpi_core.records import Records
+from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.vehicle import Vehicle
 
+# Samples that are predicted [Hz], about: signals have passed a low-pass at 30 Hz.
+_RATE_HZ = 100.0
+# A rotor below this share of its median speed over a flight was not measured: a sensor that drops out reads
+# zero, and no flight of the data sets lets a rotor below 0.3.
+_MISSING_SHARE = 0.2
 # Samples [s] before a start whose residual is not used: the low-pass of all signals works in both directions,
 # and its impulse response at 30 Hz has died out after this.
 LEAD_S = 0.02
@@ -46,6 +44,82 @@ _SAME_PLACE_M = 1e-6
 # Parameters of sensors move no body: place, bias and inclination of the accelerometer.
 _SENSORS = ("imu_", "bias_x", "bias_y", "bias_z", "incline_")
 MOVES = np.array([not name.startswith(_SENSORS) for name in TERM_NAMES])
+
+
+@dataclass(frozen=True)
+class RolloutFlight:
+    """A flight to be predicted, on an even time grid of about 100 Hz.
+
+    Attributes:
+        name: of the flight.
+        time: (N,) s.
+        attitude: (N, 4) body to world; of flights that training gave, heading counts from their start.
+        motion: MOTION (N,), rotor speeds not delayed.
+        wrench: (N, 6) measured, N and Nm.
+        position: (N, 3) m in the world, measured, relative to the air where there is wind; None where it is
+            not measured, or not kept.
+    """
+
+    name: str
+    time: Array
+    attitude: Array
+    motion: Records
+    wrench: Array
+    position: Array | None = None
+
+    @classmethod
+    def of(cls, flight: Flight, vehicle: Vehicle) -> RolloutFlight:
+        """Of a flight that passed its low-pass, thinned to about 100 Hz."""
+        motion = np.zeros(len(flight), MOTION)
+        motion["velocity"] = relative_to_air(flight.velocity, flight.attitude, flight.wind)
+        motion["rates"] = flight.rates
+        motion["angular_acceleration"] = flight.angular_acceleration
+        motion["rotor_speeds"] = flight.rotor_speeds
+        motion["rotor_accelerations"] = np.gradient(flight.rotor_speeds, flight.time, axis=0)
+        steps = 0.5 * np.diff(flight.time)[:, np.newaxis] * (flight.wind[1:] + flight.wind[:-1])
+        drift = np.concatenate((np.zeros((1, 3)), np.cumsum(steps, axis=0)))
+        every = slice(None, None, max(1, round(flight.rate_hz / _RATE_HZ)))
+        return cls(
+            flight.name,
+            flight.time[every],
+            flight.attitude[every],
+            motion[every],
+            measured_wrench(flight, vehicle)[every],
+            (flight.position - drift)[every] if flight.position_measured else None,
+        )
+
+    @property
+    def step(self) -> float:
+        """Seconds between samples."""
+        return float(np.median(np.diff(self.time)))
+
+    def delayed(self, delay_s: float) -> RolloutFlight:
+        """The flight with rotor speeds as they were so much earlier."""
+        if delay_s == 0.0:
+            return self
+        # Slow to import, and no model in flight needs it.
+        from scipy.interpolate import CubicSpline
+
+        motion, earlier = self.motion.copy(), np.clip(self.time - delay_s, self.time[0], None)
+        for name in ("rotor_speeds", "rotor_accelerations"):
+            motion[name] = CubicSpline(self.time, self.motion[name], axis=0)(earlier)
+        return replace(self, motion=motion)
+
+    def starts(self, last: int, every: int) -> npt.NDArray[np.int64]:
+        """Every k-th sample, from which on rotor speeds were measured for `last` samples without a hole."""
+        starts = np.arange(0, len(self.time) - last, every, dtype=np.int64)
+        holes = hole_ends(self.time)
+        whole = np.searchsorted(holes, starts, "right") == np.searchsorted(holes, starts + last, "right")
+        speeds = self.motion["rotor_speeds"]
+        missing = np.any(speeds < _MISSING_SHARE * np.median(speeds, axis=0), axis=1)
+        count = np.concatenate(([0], np.cumsum(missing)))
+        kept: npt.NDArray[np.int64] = starts[whole & (count[starts + last + 1] == count[starts])]
+        return kept
+
+
+def horizon_steps(horizons_s: Sequence[float], step_s: float) -> npt.NDArray[np.int64]:
+    """Samples (H,) nearest to horizons, one at least."""
+    return np.maximum(1, np.rint(np.array(horizons_s) / step_s)).astype(np.int64)
 
 
 class FlightRollouts(NamedTuple):
@@ -109,16 +183,16 @@ class RolloutModel:
             )
 
     def track(self, flight: RolloutFlight) -> Track:
-        """A flight on an even time grid as roll-outs need it."""
-        body = np.zeros(1, RIGID_BODY)
-        body["mass"], body["gravity"] = self.vehicle["mass"], self.gravity
-        body["inertia"], body["inverse_inertia"] = self.inertia, np.linalg.inv(self.inertia)
+        """A flight as roll-outs need it."""
         return Track(
             flight.step,
             flight.delayed(self.rotor_delay_s).motion,
             np.ascontiguousarray(flight.attitude),
             self.vehicle,
-            body,
+            float(self.vehicle["mass"][0]),
+            self.gravity,
+            self.inertia,
+            np.asarray(np.linalg.inv(self.inertia), dtype=float),
         )
 
     def lead(self, step_s: float) -> int:
@@ -131,25 +205,15 @@ class RolloutModel:
         residuals: Array = flight.wrench - wrenches(motion, self.vehicle, self.parameters)
         return residuals
 
-    def delayed(self, rotor_delay_s: float) -> RolloutModel:
-        """The model with rotor speeds that act so much later than they were measured."""
-        return replace(self, rotor_delay_s=rotor_delay_s)
-
     def predicted(
         self, flight: RolloutFlight, starts: npt.NDArray[np.int64], horizons: npt.NDArray[np.int64]
     ) -> Rolled:
         """Predict ahead from samples of a flight, without tubes; see :meth:`roll`."""
-        track = self.track(flight)
-        lead, process = self.lead(track.step), self._process(track)
+        lead, process = self.lead(flight.step), replace(self.disturbance, step_s=flight.step)
         known = process.filtered(self.residuals(flight))[np.maximum(starts - lead, 0)] * process.decay**lead
-        return roll_out(
-            track,
-            starts,
-            horizons,
-            self.moving,
-            derivatives=False,
-            disturbances=Disturbances(known, np.zeros((0, 0, 0)), process.decay),
-        )
+        disturbances = Disturbances(known, np.zeros((0, 0, 0)), process.decay)
+        track = self.track(flight)
+        return roll_out(track, starts, horizons, self.moving, derivatives=False, disturbances=disturbances)
 
     def roll(
         self, flight: RolloutFlight, starts: npt.NDArray[np.int64], horizons: npt.NDArray[np.int64]
@@ -163,9 +227,11 @@ class RolloutModel:
             starts: (W,) samples; the last horizon after each lies within the flight.
             horizons: (H,) samples after the start, rising.
         """
-        rolled, track = self.predicted(flight, starts, horizons), self.track(flight)
-        process = self._process(track)
-        aged = process.decay ** (2 * self.lead(track.step))
+        rolled, process = (
+            self.predicted(flight, starts, horizons),
+            replace(self.disturbance, step_s=flight.step),
+        )
+        aged = process.decay ** (2 * self.lead(flight.step))
         stationary = np.square([axis.deviation for axis in process.axes])
         uncertainty = Uncertainty(
             self.measured_variance,
@@ -174,8 +240,8 @@ class RolloutModel:
             process.decay,
             np.where(np.outer(MOVES, MOVES), self.covariance, 0.0),
         )
+        track, errors = self.track(flight), rolled.errors.copy()
         covariance = error_covariance(track, starts, horizons, rolled.path, self.moving, uncertainty)
-        errors = rolled.errors.copy()
         if flight.position is not None:
             for k, steps in enumerate(horizons):
                 moved = flight.position[starts + steps] - flight.position[starts]
@@ -187,9 +253,6 @@ class RolloutModel:
         """The parameters (P,) but for those of sensors, which are zero."""
         return np.where(MOVES, self.parameters, 0.0)
 
-    def _process(self, track: Track) -> Disturbance:
-        return replace(self.disturbance, step_s=track.step)
-
     def arrays(self) -> dict[str, Array]:
         """What a stored model keeps as arrays, by name."""
         body = StoredBody(self.parameters, self.covariance, self.vehicle, self.inertia)
@@ -198,13 +261,9 @@ class RolloutModel:
 
     def to_json(self) -> dict[str, Any]:
         """What a stored model keeps beside the arrays."""
-        return {
-            "parameters": list(TERM_NAMES),
-            "gravity": self.gravity,
-            "rotor_delay_s": self.rotor_delay_s,
-            "disturbance": asdict(self.disturbance),
-            "remark": self.remark,
-        }
+        return asdict(
+            _Entry(tuple(TERM_NAMES), self.gravity, self.rotor_delay_s, self.disturbance, self.remark)
+        )
 
     @classmethod
     def stored(cls, data: Any, arrays: Mapping[str, Array]) -> RolloutModel:
@@ -220,15 +279,8 @@ class RolloutModel:
             if not np.all(arrays["measured_variance"] > 0.0):
                 raise ModelError("measured_variance is not positive")
             calibration = TubeCalibration.stored(arrays)
-        return cls(
-            *body,
-            entry.gravity,
-            entry.rotor_delay_s,
-            entry.disturbance,
-            arrays["measured_variance"],
-            calibration,
-            remark=entry.remark,
-        )
+        kept = entry.gravity, entry.rotor_delay_s, entry.disturbance, arrays["measured_variance"]
+        return cls(*body, *kept, calibration, remark=entry.remark)
 
 
 def disturbance_left(models: Sequence[RolloutModel], flights: Sequence[RolloutFlight]) -> Disturbance:

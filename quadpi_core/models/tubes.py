@@ -1,13 +1,20 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tubes around roll-outs: their shape, and their size, calibrated on flights left out.
+"""Tubes around roll-outs: covariance of their errors, and its shape and size, calibrated on other flights.
+
+What is uncertain is the start state, the parameters, and the wrench that the model lacks: a first-order
+Markov process on each axis, known at the start as well as the past of the flight tells it. Their covariance
+is carried along the predicted path by the linearised equations of motion, as an extended Kalman filter does
+(Jategaonkar, Flight Vehicle System Identification, 2015, 5.3). What an attitude error does to force and
+moment is linearised statistically (Gelb, Applied Optimal Estimation, 1974, 6.2): it does not grow beyond a
+half turn. Attitude errors are rotation vectors in body axes.
 
 The tube of a quantity (position, velocity, attitude or rates) at a horizon is the ellipsoid eᵀ Σ⁻¹ e ≤ f²
-of a covariance Σ. That of the physics (see `rollout_covariance`) knows which errors grow in which direction
-and at which start, better in some quantities and on some vehicles than in others. Two numbers of each
-quantity say how far it is believed: the share of a ball in the covariance, and the power of its size by
-which a tube grows; with a whole share and no power the tube is the ball of split conformal prediction. They
-are those with the narrowest tubes on flights left out.
+of a covariance Σ. That of the physics knows which errors grow in which direction and at which start, better
+in some quantities and on some vehicles than in others. Two numbers of each quantity say how far it is
+believed: the share of a ball in the covariance, and the power of its size by which a tube grows; with a whole
+share and no power the tube is the ball of split conformal prediction. They are those with the narrowest
+tubes on flights left out.
 
 Per flight, the quantile of the score √(eᵀ Σ⁻¹ e) is the factor f that would have covered that flight; the
 geometric mean over the flights is used, so that the coverage of the next flight lies about the nominal one,
@@ -23,12 +30,31 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
+from quadpi_core.compiled import njit
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
 from quadpi_core.models.interval_rules import LEVELS, require_confidence
-from quadpi_core.models.physical_rollout import ATTITUDE, POSITION, RATES, VELOCITY
+from quadpi_core.models.physical_regressors import MOTION, REGRESSORS
+from quadpi_core.models.physical_rollout import (
+    ATTITUDE,
+    POSITION,
+    RATES,
+    STATES,
+    VELOCITY,
+    Track,
+    cross_matrix,
+    set_motion,
+    wrench_of,
+    wrench_slopes,
+)
+from quadpi_core.records import Records
+from quadpi_core.rotations import matrix
 
+# Errors of the state, then those of the wrench.
+_FORCE, _MOMENT = slice(12, 15), slice(15, 18)
+_ALL = STATES + 6
 # Rows of an error by the name of the quantity, with its unit.
 QUANTITIES = {
     "position_m": POSITION,
@@ -49,6 +75,117 @@ LARGEST = np.array([np.pi if name == "attitude_rad" else np.inf for name in QUAN
 TRACKING_PER_S = 4.0
 # Flights of the model itself may have no error at all at the first horizon.
 _LEAST = np.finfo(float).tiny
+
+
+class Uncertainty(NamedTuple):
+    """What is not known when a roll-out starts; every number a variance but for the decay.
+
+    Attributes:
+        state: (12,) of position, velocity, attitude and rates of a state, at the start and at the horizon.
+        wrench: (6,) of the disturbance at the start.
+        drive: (6,) of what is new in the disturbance after a step.
+        decay: (6,) share of the disturbance that is left after a step.
+        parameters: (P, P) covariance of the parameters.
+    """
+
+    state: Array
+    wrench: Array
+    drive: Array
+    decay: Array
+    parameters: Array
+
+
+@njit(cache=True, nogil=True)
+def error_covariance(
+    track: Track,
+    starts: npt.NDArray[np.int64],
+    horizons: npt.NDArray[np.int64],
+    path: Records,
+    parameters: Array,
+    uncertainty: Uncertainty,
+) -> Array:
+    """Covariance (W, H, 12, 12) of the errors of W roll-outs at H horizons, by the physics.
+
+    Args:
+        track: the flight.
+        starts: (W,) samples that the roll-outs started from.
+        horizons: (H,) steps after the start, rising.
+        path: MOVING (W, S + 1) that they took.
+        parameters: (P,) of the model.
+        uncertainty: at the start.
+    """
+    covariance = np.zeros((len(starts), len(horizons), STATES, STATES))
+    row, now = np.zeros(1, REGRESSORS), np.zeros(1, MOTION)
+    h = track.step
+    measured = np.diag(uncertainty.state)
+    for window in range(len(starts)):
+        joint = np.zeros((_ALL, _ALL))
+        joint[:STATES, :STATES] = measured
+        joint[STATES:, STATES:] = np.diag(uncertainty.wrench)
+        sensitivity = np.zeros((STATES, len(parameters)))
+        horizon = 0
+        for step in range(horizons[-1]):
+            place, there = path[window, step], track.motion[starts[window] + step]
+            set_motion(now[0], there, there, place.attitude, place.velocity, place.rates)
+            change, by_wrench = _change(now, matrix(place.attitude), track, parameters, row)
+            change[VELOCITY, ATTITUDE] *= _sine_share(np.trace(joint[ATTITUDE, ATTITUDE]) / 3.0)
+            change[RATES, ATTITUDE] *= _sine_share(np.trace(joint[ATTITUDE, ATTITUDE]) / 3.0)
+            transition = np.eye(_ALL) + h * change + (0.5 * h * h) * (change @ change)
+            for axis in range(6):
+                transition[STATES + axis, STATES + axis] = uncertainty.decay[axis]
+            joint = transition @ joint @ transition.T
+            for axis in range(6):
+                joint[STATES + axis, STATES + axis] += uncertainty.drive[axis]
+            own = np.ascontiguousarray(row.view(np.float64).reshape(len(parameters), 6).T)
+            sensitivity = np.ascontiguousarray(transition[:STATES, :STATES]) @ sensitivity
+            sensitivity += h * (by_wrench @ own)
+            if step + 1 == horizons[horizon]:
+                of_parameters = sensitivity @ uncertainty.parameters @ sensitivity.T
+                covariance[window, horizon] = joint[:STATES, :STATES] + of_parameters + measured
+                horizon += 1
+    return covariance
+
+
+@njit(cache=True, nogil=True)
+def _sine_share(variance: float) -> float:
+    """Deviation of the sine of a normal angle of a variance [rad²] over that of the angle."""
+    if variance < 1e-6:
+        return 1.0
+    return float(np.sqrt(-0.5 * np.expm1(-2.0 * variance) / variance))
+
+
+@njit(cache=True, nogil=True)
+def _change(
+    now: Records, rotation: Array, track: Track, parameters: Array, row: Records
+) -> tuple[Array, Array]:
+    """Rate of change of errors (18, 18) by errors but for their decay, and (12, 6) by the wrench.
+
+    Leaves the regressors in `row`.
+    """
+    slopes = wrench_slopes(now, track.vehicle, parameters, row)
+    # Last, so that the regressors are those of the motion itself.
+    wrench = wrench_of(now, track.vehicle, parameters, row)
+    velocity, rates = now[0].velocity.copy(), now[0].rates.copy()
+    turning = cross_matrix(rates) @ track.inertia - cross_matrix(track.inertia @ rates)
+    by_velocity, by_rates = np.ascontiguousarray(slopes[:, :3]), np.ascontiguousarray(slopes[:, 3:])
+    by_attitude = by_velocity @ cross_matrix(velocity)
+    to_world = rotation / track.mass
+    change = np.zeros((_ALL, _ALL))
+    change[POSITION, VELOCITY] = np.eye(3)
+    change[VELOCITY, VELOCITY] = to_world @ by_velocity[:3] @ rotation.T
+    change[VELOCITY, ATTITUDE] = to_world @ (by_attitude[:3] - cross_matrix(wrench[:3]))
+    change[VELOCITY, RATES] = to_world @ by_rates[:3]
+    change[VELOCITY, _FORCE] = to_world
+    change[ATTITUDE, ATTITUDE] = -cross_matrix(rates)
+    change[ATTITUDE, RATES] = np.eye(3)
+    change[RATES, VELOCITY] = track.inverse_inertia @ by_velocity[3:] @ rotation.T
+    change[RATES, ATTITUDE] = track.inverse_inertia @ by_attitude[3:]
+    change[RATES, RATES] = track.inverse_inertia @ (by_rates[3:] - turning)
+    change[RATES, _MOMENT] = track.inverse_inertia
+    by_wrench = np.zeros((STATES, 6))
+    by_wrench[VELOCITY, :3] = to_world
+    by_wrench[RATES, 3:] = track.inverse_inertia
+    return change, by_wrench
 
 
 class TubeShape(NamedTuple):
@@ -146,29 +283,19 @@ def chosen_shape(errors: Sequence[Array], covariances: Sequence[Array], followin
     """
     if len(errors) < 2:
         return USUAL
-    pairs = np.array(list(itertools.product(SHARES, POWERS)))
-    tried = [TubeShape(np.full(4, share), np.full(4, power)) for share, power in pairs]
-    widths = [_mean_log_width(shape, errors, covariances, following) for shape in tried]
+    pairs, widths = np.array(list(itertools.product(SHARES, POWERS))), []
+    for share, power in pairs:
+        tried = TubeShape(np.full(4, share), np.full(4, power))
+        shaped = [tried.shaped(own) for own in covariances]
+        scores = [tube_scores(*pair) for pair in zip(errors, shaped, strict=True)]
+        logs = np.log(_quantiles(scores, 1.0 - following.miss_share))
+        own_widths = []
+        for k, (own, sizes) in enumerate(zip(scores, shaped, strict=True)):
+            begin = np.exp(np.delete(logs, k, axis=0).mean(axis=0))
+            radii = np.minimum(tracked_factors(own, begin, following) * tube_radii(sizes), LARGEST)
+            own_widths.append(np.log(np.maximum(radii.mean(axis=0), _LEAST)).mean(axis=0))
+        widths.append(np.mean(own_widths, axis=0))
     return TubeShape(*np.ascontiguousarray(pairs[np.argmin(widths, axis=0)].T))
-
-
-def _mean_log_width(
-    shape: TubeShape, errors: Sequence[Array], covariances: Sequence[Array], following: Following
-) -> Array:
-    """Mean logarithm (4,) of the width of tubes over the flights and horizons."""
-    shaped = [shape.shaped(own) for own in covariances]
-    scores = [tube_scores(own, matrix) for own, matrix in zip(errors, shaped, strict=True)]
-    level = 1.0 - following.miss_share
-    quantiles = np.log(
-        [np.maximum(np.quantile(own, level, axis=0, method="higher"), _LEAST) for own in scores]
-    )
-    widths = []
-    for k, (own, matrix) in enumerate(zip(scores, shaped, strict=True)):
-        start = np.exp(np.delete(quantiles, k, axis=0).mean(axis=0))
-        radii = np.minimum(tracked_factors(own, start, following) * tube_radii(matrix), LARGEST)
-        widths.append(np.log(np.maximum(radii.mean(axis=0), _LEAST)).mean(axis=0))
-    result: Array = np.mean(widths, axis=0)
-    return result
 
 
 @dataclass(frozen=True)
@@ -190,7 +317,8 @@ class TubeCalibration:
         cls, scores: Sequence[Array], norms: Sequence[Array], shape: TubeShape = USUAL
     ) -> TubeCalibration:
         """From scores, by a shape, and norms (W, H, 4) of the roll-outs of each flight."""
-        return cls(_quantiles(scores), _quantiles(norms), shape)
+        by_level = [np.moveaxis(_quantiles(own, LEVELS), 1, -1) for own in (scores, norms)]
+        return cls(by_level[0], by_level[1], shape)
 
     def factors(self, horizons_s: Sequence[float], confidence: float) -> Array:
         """Factor (h, 4) on the covariance's ellipsoids at horizons (h,).
@@ -242,9 +370,10 @@ def require_horizon(horizon_s: float) -> None:
         )
 
 
-def _quantiles(values: Sequence[Array]) -> Array:
-    quantiles = [np.quantile(own, LEVELS, axis=0, method="higher") for own in values]
-    return np.stack([np.maximum(np.moveaxis(own, 0, -1), _LEAST) for own in quantiles])
+def _quantiles(values: Sequence[Array], levels: float | Array) -> Array:
+    """Quantiles of values (W, ...) of each flight at levels: (F, ...) or (F, L, ...)."""
+    quantiles = [np.quantile(own, levels, axis=0, method="higher") for own in values]
+    return np.maximum(np.stack(quantiles), _LEAST)
 
 
 def _at(quantiles: Array, horizons_s: Sequence[float], confidence: float) -> Array:
@@ -253,7 +382,6 @@ def _at(quantiles: Array, horizons_s: Sequence[float], confidence: float) -> Arr
         require_horizon(horizon)
     mean = np.mean(np.log(quantiles), axis=0)
     at_level = np.array([[np.interp(confidence, LEVELS, row) for row in own] for own in mean])
-    places = np.log(horizons_s)
-    logs = np.stack([np.interp(places, np.log(HORIZONS_S), own) for own in at_level.T], axis=1)
-    result: Array = np.exp(logs)
+    logs = [np.interp(np.log(horizons_s), np.log(HORIZONS_S), own) for own in at_level.T]
+    result: Array = np.exp(np.stack(logs, axis=1))
     return result

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from quadpi_core.evaluation.rollouts import RolledFlight, RolloutEvaluation
 from quadpi_core.frames import Array
-from quadpi_core.models.physical_rollout import ATTITUDE, POSITION, RATES, VELOCITY
+from quadpi_core.models.tubes import error_norms, tube_radii
 from quadpi_core.report.coverage_verdict import listing
 from quadpi_core.report.figure import Band, Figure, Line, Panel, Scale
 from quadpi_core.report.page import FlightFiles, Page, flight_remarks
@@ -20,12 +20,13 @@ from quadpi_core.report.style import GROUPS, MEASURED, nominal, number, percent
 from quadpi_core.report.table import Column, Row, Table
 from quadpi_core.rotations import rotate_body_to_world
 
-# Units and rows of an error by quantity, as results name them.
+_DEGREES = float(np.degrees(1.0))
+# Words for a quantity as results name them, and the factor from radians.
 _QUANTITIES = {
-    "position_m": ("position", "m", POSITION, 1.0),
-    "velocity_m_s": ("velocity", "m/s", VELOCITY, 1.0),
-    "attitude_deg": ("attitude", "°", ATTITUDE, float(np.degrees(1.0))),
-    "rates_rad_s": ("rates", "rad/s", RATES, 1.0),
+    "position_m": ("position [m]", 1.0),
+    "velocity_m_s": ("velocity [m/s]", 1.0),
+    "attitude_deg": ("attitude [°]", _DEGREES),
+    "rates_rad_s": ("rates [rad/s]", 1.0),
 }
 # Most fans drawn of a flight, evenly over it and none upon another.
 _FANS = 40
@@ -48,7 +49,7 @@ def rollout_summary(evaluation: RolloutEvaluation) -> Table:
         [
             flight,
             f"{horizon} s",
-            f"{_QUANTITIES[quantity][0]} [{_QUANTITIES[quantity][1]}]",
+            _QUANTITIES[quantity][0],
             own.rms,
             own.coverage,
             own.width,
@@ -148,18 +149,26 @@ def write_rollout_page(
 
 def fan_figure(flight: RolledFlight) -> Figure:
     """Velocity along each axis and tilt as they were, and fans of predictions with their tubes."""
-    time, horizons_s = flight.flight.time, np.array(flight.horizons_s)
-    steps = np.rint(horizons_s / (time[1] - time[0])).astype(int)
-    chosen = _apart(flight.rolled.starts, int(steps[-1]))
-    places = flight.rolled.starts[chosen, None] + steps
+    own, time, (starts, errors, covariance, _) = flight.flight, flight.flight.time, flight.rolled
+    steps = np.rint(np.array(flight.horizons_s) / (time[1] - time[0])).astype(int)
+    chosen = _apart(starts, int(steps[-1]))
+    places = starts[chosen, None] + steps
     x = np.append(time[places], time[places[:, -1:]] + 0.5 * (time[1] - time[0]), axis=1).ravel()
+    velocity = rotate_body_to_world(own.attitude, own.motion["velocity"])
+    degrees_s = _DEGREES * own.motion["rates"]
     panels = []
-    for name, (values, part, scale) in _states(flight).items():
-        centre = values[places] + scale * flight.rolled.errors[chosen, :, part]
-        variance = flight.rolled.covariance[chosen, :, part, part]
-        half = scale * flight.factors[chosen, :, (part - POSITION.stop) // 3 + 1] * np.sqrt(variance)
+    # What was measured, row of the error, factor on it.
+    for name, measured, row, scale in (
+        ("velocity north [m/s]", velocity[:, 0], 3, 1.0),
+        ("velocity east [m/s]", velocity[:, 1], 4, 1.0),
+        ("velocity down [m/s]", velocity[:, 2], 5, 1.0),
+        ("p [°/s]", degrees_s[:, 0], 9, _DEGREES),
+        ("q [°/s]", degrees_s[:, 1], 10, _DEGREES),
+    ):
+        centre = measured[places] + scale * errors[chosen, :, row]
+        half = scale * flight.factors[chosen, :, row // 3] * np.sqrt(covariance[chosen, :, row, row])
         layers = [
-            Line("measured", MEASURED, time, values),
+            Line("measured", MEASURED, time, measured),
             Band("tube", GROUPS[0], x, _with_gaps(centre - half), _with_gaps(centre + half)),
             Line("predicted", GROUPS[0], x, _with_gaps(centre)),
         ]
@@ -167,14 +176,14 @@ def fan_figure(flight: RolledFlight) -> Figure:
     return Figure("Fans of predictions", panels, over_time=True)
 
 
-def _apart(starts: npt.NDArray[np.int64], length: int) -> npt.NDArray[np.int64]:
-    """Places of starts that are at least so many samples apart, evenly over the flight."""
+def _apart(starts: npt.NDArray[np.int64], length: int) -> list[int]:
+    """Places of starts that are more than so many samples apart, evenly over the flight."""
     step = max(length + 1, (int(starts[-1]) - int(starts[0])) // _FANS)
     chosen = [0]
     for place, start in enumerate(starts.tolist()):
         if start - starts[chosen[-1]] >= step:
             chosen.append(place)
-    return np.array(chosen)
+    return chosen
 
 
 def _with_gaps(values: Array) -> Array:
@@ -185,27 +194,14 @@ def _with_gaps(values: Array) -> Array:
 def growth_figure(flight: RolledFlight) -> Figure:
     """Errors and tube over the horizon: median, 95 % quantile, and mean radius of the tubes."""
     x = np.array(flight.horizons_s)
+    norms, radii = error_norms(flight.rolled.errors), flight.factors * tube_radii(flight.rolled.covariance)
     panels = []
-    for place, (name, unit, _, scale) in enumerate(_QUANTITIES.values()):
-        norms = scale * flight.norms[:, :, place]
+    for place, (name, scale) in enumerate(_QUANTITIES.values()):
+        errors = scale * norms[:, :, place]
         layers = [
-            Band("tube", GROUPS[0], x, 0 * x, scale * flight.radii[:, :, place].mean(axis=0)),
-            Line("median error", MEASURED, x, np.median(norms, axis=0)),
-            Line("95 % of the errors", GROUPS[1], x, np.quantile(norms, 0.95, axis=0), dash="dashed"),
+            Band("tube", GROUPS[0], x, 0 * x, scale * radii[:, :, place].mean(axis=0)),
+            Line("median error", MEASURED, x, np.median(errors, axis=0)),
+            Line("95 % of the errors", GROUPS[1], x, np.quantile(errors, 0.95, axis=0), dash="dashed"),
         ]
-        panels.append(Panel(layers, Scale("horizon [s]"), Scale(f"{name} [{unit}]", low=0.0), 230.0))
+        panels.append(Panel(layers, Scale("horizon [s]"), Scale(name, low=0.0), 230.0))
     return Figure("Growth of the errors over the horizon", panels, len(panels))
-
-
-def _states(flight: RolledFlight) -> Mapping[str, tuple[Array, int, float]]:
-    """What fans are drawn of: measured values (N,), row of the error, factor on it."""
-    own = flight.flight
-    velocity = rotate_body_to_world(own.attitude, own.motion["velocity"])
-    degrees = float(np.degrees(1.0))
-    return {
-        "velocity north [m/s]": (velocity[:, 0], 3, 1.0),
-        "velocity east [m/s]": (velocity[:, 1], 4, 1.0),
-        "velocity down [m/s]": (velocity[:, 2], 5, 1.0),
-        "p [°/s]": (degrees * own.motion["rates"][:, 0], 9, degrees),
-        "q [°/s]": (degrees * own.motion["rates"][:, 1], 10, degrees),
-    }

@@ -102,10 +102,10 @@ class Physical(Kind):
                 progress(Progress("Identifying the physical model", k + 1, steps))
                 left_out.append(study.fit(choose=True, left_out=k) if len(flights) > 1 else whole)
             progress(Progress("Calibrating predictions ahead", 0, 1))
-            ahead = calibrated_rollouts(
+            ahead, log_ahead = calibrated_rollouts(
                 rollout_flights(samples), samples.vehicle, whole, left_out, multi_step=self.multi_step
             )
-        whole, noise = replace(whole, log=(*whole.log, *ahead.log)), study.weighing.deviation
+        whole, noise = replace(whole, log=(*whole.log, *log_ahead)), study.weighing.deviation
         every = range(len(flights))
         others = [[other for other in every if other != k] for k in every]
         # Shape and factor are those that these flights need. On a new flight thrust differs as a whole, which
@@ -142,7 +142,7 @@ class Physical(Kind):
             )
         progress(Progress("Calibrating predictions ahead", 1, 1))
         without = apart if len(flights) > 1 else ()
-        return Fit(fitted, held_out, rollouts=ahead.model, left_out=without)
+        return Fit(fitted, held_out, rollouts=ahead, left_out=without)
 
     def compile(self, fitted: Mapping[str, Any]) -> CompiledPhysical:
         """Pack the axes."""

@@ -11,8 +11,7 @@ from quadpi_core.models.physical_flight import PhysicalFlight
 from quadpi_core.models.physical_regressors import physical_vehicle
 from quadpi_core.models.physical_rollout import STATES
 from quadpi_core.models.physical_terms import TERMS
-from quadpi_core.models.rollout_flight import RolloutFlight
-from quadpi_core.models.rollout_model import RolloutModel
+from quadpi_core.models.rollout_model import RolloutFlight, RolloutModel
 from quadpi_core.rotations import from_rotation_vector, product
 from test.core.models.physical_flights import REFERENCE, STEP_S, VEHICLE, flown, known_parameters
 

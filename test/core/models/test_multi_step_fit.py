@@ -25,8 +25,7 @@ from quadpi_core.models.multi_step_fit import (
 from quadpi_core.models.physical_fit import Problem
 from quadpi_core.models.physical_rollout import ATTITUDE
 from quadpi_core.models.physical_terms import TERM_INDEX, TERMS
-from quadpi_core.models.rollout_flight import RolloutFlight
-from quadpi_core.models.rollout_model import MOVES, RolloutModel
+from quadpi_core.models.rollout_model import MOVES, RolloutFlight, RolloutModel
 from test.core.models.flights_ahead import ahead, true_model, with_attitude
 from test.core.models.physical_flights import REFERENCE, STEP_S, VEHICLE, flown, known_parameters
 

@@ -16,7 +16,7 @@ from quadpi_core.models.physical_rollout import (
     roll_out,
 )
 from quadpi_core.models.physical_terms import TERM_INDEX, TERMS
-from quadpi_core.models.rollout_flight import RolloutFlight
+from quadpi_core.models.rollout_model import RolloutFlight
 from test.core.models.flights_ahead import ahead, true_model
 from test.core.models.physical_flights import VEHICLE, known_parameters
 

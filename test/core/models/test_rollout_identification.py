@@ -14,9 +14,8 @@ from quadpi_core.models.physical_fit import Problem
 from quadpi_core.models.physical_flight import PhysicalFlight, Sensing
 from quadpi_core.models.physical_study import PhysicalStudy
 from quadpi_core.models.physical_terms import TERM_INDEX, TERMS
-from quadpi_core.models.rollout_flight import RolloutFlight, horizon_steps
 from quadpi_core.models.rollout_identification import calibrated_rollouts, rollout_flights
-from quadpi_core.models.rollout_model import RolloutModel
+from quadpi_core.models.rollout_model import RolloutFlight, RolloutModel, horizon_steps
 from quadpi_core.models.tubes import HORIZONS_S, error_norms, tube_scores
 from quadpi_core.rotations import inverses, products, to_rotation_vectors
 from test.core.models.flights_ahead import with_attitude
@@ -38,11 +37,11 @@ def fits(flights: list[PhysicalFlight]) -> list[PhysicalFit]:
 @pytest.fixture(scope="module")
 def model(flights: list[PhysicalFlight], fits: list[PhysicalFit]) -> RolloutModel:
     ahead = [with_attitude(flight) for flight in flights]
-    made = calibrated_rollouts(ahead, VEHICLE, fits[0], fits[1:], multi_step=False)
-    assert made.model is not None
-    assert made.log == ()
-    np.testing.assert_array_equal(made.model.parameters, fits[0].values)
-    return made.model
+    made, log = calibrated_rollouts(ahead, VEHICLE, fits[0], fits[1:], multi_step=False)
+    assert made is not None
+    assert log == ()
+    np.testing.assert_array_equal(made.parameters, fits[0].values)
+    return made
 
 
 def samples(flight: PhysicalFlight, own: RolloutFlight) -> TrainingSamples:
@@ -88,7 +87,7 @@ def test_the_second_step_is_fitted_and_calibrated(
         )
         for fit in fits
     ]
-    first = calibrated_rollouts(ahead, VEHICLE, wrong[0], wrong[1:], multi_step=False).model
+    first, _ = calibrated_rollouts(ahead, VEHICLE, wrong[0], wrong[1:], multi_step=False)
     second, log = calibrated_rollouts(ahead, VEHICLE, wrong[0], wrong[1:], multi_step=True)
     assert first is not None
     assert second is not None
@@ -102,4 +101,4 @@ def test_the_second_step_is_fitted_and_calibrated(
 
 def test_flights_shorter_than_the_longest_horizon_calibrate_nothing(fits: list[PhysicalFit]) -> None:
     short = with_attitude(flown(1.05, 4))
-    assert calibrated_rollouts([short], VEHICLE, fits[0], fits[:1], multi_step=True).model is None
+    assert calibrated_rollouts([short], VEHICLE, fits[0], fits[:1], multi_step=True) == (None, ())

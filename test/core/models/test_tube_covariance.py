@@ -9,7 +9,7 @@ import pytest
 
 from quadpi_core.models.physical_rollout import ATTITUDE, RATES, STATES, VELOCITY, roll_out
 from quadpi_core.models.physical_terms import TERM_INDEX, TERMS
-from quadpi_core.models.rollout_covariance import Uncertainty, error_covariance
+from quadpi_core.models.tubes import Uncertainty, error_covariance
 from test.core.models.flights_ahead import ahead, true_model
 from test.core.models.physical_flights import STEP_S, VEHICLE, known_parameters
 
