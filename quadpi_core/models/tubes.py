@@ -44,6 +44,7 @@ from quadpi_core.models.physical_rollout import (
     STATES,
     VELOCITY,
     Track,
+    acceleration_slopes,
     cross_matrix,
     set_motion,
     wrench_of,
@@ -53,7 +54,6 @@ from quadpi_core.records import Records
 from quadpi_core.rotations import matrix
 
 # Errors of the state, then those of the wrench.
-_FORCE, _MOMENT = slice(12, 15), slice(15, 18)
 _ALL = STATES + 6
 # Rows of an error by the name of the quantity, with its unit.
 QUANTITIES = {
@@ -117,7 +117,7 @@ def error_covariance(
     covariance = np.zeros((len(starts), len(horizons), STATES, STATES))
     row, now = np.zeros(1, REGRESSORS), np.zeros(1, MOTION)
     h = track.step
-    measured = np.diag(uncertainty.state)
+    measured, every = np.diag(uncertainty.state), np.eye(_ALL)
     for window in range(len(starts)):
         joint = np.zeros((_ALL, _ALL))
         joint[:STATES, :STATES] = measured
@@ -127,18 +127,28 @@ def error_covariance(
         for step in range(horizons[-1]):
             place, there = path[window, step], track.motion[starts[window] + step]
             set_motion(now[0], there, there, place.attitude, place.velocity, place.rates)
-            change, by_wrench = _change(now, matrix(place.attitude), track, parameters, row)
-            change[VELOCITY, ATTITUDE] *= _sine_share(np.trace(joint[ATTITUDE, ATTITUDE]) / 3.0)
-            change[RATES, ATTITUDE] *= _sine_share(np.trace(joint[ATTITUDE, ATTITUDE]) / 3.0)
-            transition = np.eye(_ALL) + h * change + (0.5 * h * h) * (change @ change)
+            wrench = wrench_of(now, track.vehicle, parameters, row)
+            own = np.ascontiguousarray(row.view(np.float64).reshape(len(parameters), 6).T)
+            by_motion = wrench_slopes(now, track.vehicle, parameters, row)
+            # Rate of change of all errors by all errors, but for the decay of the wrench.
+            accelerations = acceleration_slopes(
+                now, matrix(place.attitude), track, wrench, by_motion, every[STATES:], every[:STATES]
+            )
+            change = np.zeros((_ALL, _ALL))
+            change[POSITION, VELOCITY] = change[ATTITUDE, RATES] = np.eye(3)
+            change[ATTITUDE, ATTITUDE] = -cross_matrix(place.rates)
+            change[VELOCITY], change[RATES] = accelerations[:3], accelerations[3:]
+            share = _sine_share(np.trace(joint[ATTITUDE, ATTITUDE]) / 3.0)
+            change[VELOCITY, ATTITUDE] *= share
+            change[RATES, ATTITUDE] *= share
+            transition = every + h * change + (0.5 * h * h) * (change @ change)
             for axis in range(6):
                 transition[STATES + axis, STATES + axis] = uncertainty.decay[axis]
             joint = transition @ joint @ transition.T
             for axis in range(6):
                 joint[STATES + axis, STATES + axis] += uncertainty.drive[axis]
-            own = np.ascontiguousarray(row.view(np.float64).reshape(len(parameters), 6).T)
             sensitivity = np.ascontiguousarray(transition[:STATES, :STATES]) @ sensitivity
-            sensitivity += h * (by_wrench @ own)
+            sensitivity += h * (np.ascontiguousarray(change[:STATES, STATES:]) @ own)
             if step + 1 == horizons[horizon]:
                 of_parameters = sensitivity @ uncertainty.parameters @ sensitivity.T
                 covariance[window, horizon] = joint[:STATES, :STATES] + of_parameters + measured
@@ -152,40 +162,6 @@ def _sine_share(variance: float) -> float:
     if variance < 1e-6:
         return 1.0
     return float(np.sqrt(-0.5 * np.expm1(-2.0 * variance) / variance))
-
-
-@njit(cache=True, nogil=True)
-def _change(
-    now: Records, rotation: Array, track: Track, parameters: Array, row: Records
-) -> tuple[Array, Array]:
-    """Rate of change of errors (18, 18) by errors but for their decay, and (12, 6) by the wrench.
-
-    Leaves the regressors in `row`.
-    """
-    slopes = wrench_slopes(now, track.vehicle, parameters, row)
-    # Last, so that the regressors are those of the motion itself.
-    wrench = wrench_of(now, track.vehicle, parameters, row)
-    velocity, rates = now[0].velocity.copy(), now[0].rates.copy()
-    turning = cross_matrix(rates) @ track.inertia - cross_matrix(track.inertia @ rates)
-    by_velocity, by_rates = np.ascontiguousarray(slopes[:, :3]), np.ascontiguousarray(slopes[:, 3:])
-    by_attitude = by_velocity @ cross_matrix(velocity)
-    to_world = rotation / track.mass
-    change = np.zeros((_ALL, _ALL))
-    change[POSITION, VELOCITY] = np.eye(3)
-    change[VELOCITY, VELOCITY] = to_world @ by_velocity[:3] @ rotation.T
-    change[VELOCITY, ATTITUDE] = to_world @ (by_attitude[:3] - cross_matrix(wrench[:3]))
-    change[VELOCITY, RATES] = to_world @ by_rates[:3]
-    change[VELOCITY, _FORCE] = to_world
-    change[ATTITUDE, ATTITUDE] = -cross_matrix(rates)
-    change[ATTITUDE, RATES] = np.eye(3)
-    change[RATES, VELOCITY] = track.inverse_inertia @ by_velocity[3:] @ rotation.T
-    change[RATES, ATTITUDE] = track.inverse_inertia @ by_attitude[3:]
-    change[RATES, RATES] = track.inverse_inertia @ (by_rates[3:] - turning)
-    change[RATES, _MOMENT] = track.inverse_inertia
-    by_wrench = np.zeros((STATES, 6))
-    by_wrench[VELOCITY, :3] = to_world
-    by_wrench[RATES, 3:] = track.inverse_inertia
-    return change, by_wrench
 
 
 class TubeShape(NamedTuple):
