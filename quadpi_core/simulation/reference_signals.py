@@ -11,9 +11,9 @@ every machine.
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import Annotated, Any, TypeAlias, TypeVar
 
 import numpy as np
@@ -44,7 +44,7 @@ _ROUNDING_S = 1e-9
 # Axes that a flight can move, each with the unit of its amplitudes in files; shares are of the weight.
 AXES = {"x": "m", "y": "m", "height": "m", "yaw": "deg", "roll": "deg", "pitch": "deg", "thrust": "share"}
 
-# In the unit of the axis, which :class:`_AxisUnit` checks.
+# In the unit of the axis, which :func:`_require_unit` checks.
 Amplitude: TypeAlias = Annotated[Real, Key("amplitude_m", "amplitude_deg", "amplitude_share")]
 # Of edges and fades [s]: anything shorter than the simulation's step is a jump.
 Transition: TypeAlias = Annotated[float, Within(1e-3)]
@@ -70,40 +70,30 @@ class Window(Section):
         _require(self.fade_s <= longest + _ROUNDING_S, f"`fade_s` must be at most {longest:g}", self.fade_s)
 
     @property
-    def duration(self) -> float:
-        """Duration [s].
+    def span(self) -> Span:
+        """What the compiled loops take.
 
         Raises:
             ValueError: before the duration of the flight is known.
         """
         if self.duration_s is None:
             raise ValueError("the duration of the flight is not known yet")
-        return self.duration_s
+        return self.start_s, self.duration_s, self.fade_s
 
     @property
     def end(self) -> float:
         """Instant [s] from which on there is rest."""
-        return self.start_s + self.duration
-
-    @property
-    def span(self) -> Span:
-        """What the compiled loops take."""
-        return self.start_s, self.duration, self.fade_s
+        return self.start_s + self.span[1]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Wave(Window, ABC):
+class Wave(Window):
     """Sines that are faded in and out, in the unit of their axis."""
 
     amplitude: Amplitude
 
-    @abstractmethod
-    def tones(self) -> tuple[Array, Array, float]:
-        """Frequencies (K,) Hz and phases (K,) rad at the start, and how fast all frequencies rise [Hz/s]."""
-
-    def jets(self, time: Array) -> Array:
-        """Jets (N, 3) at instants (N,) s."""
-        return wave_jets(time, self.amplitude, *self.tones(), self.span)
+    def _jets(self, time: Array, frequencies: Array, phases: Array, rise: float = 0.0) -> Array:
+        return wave_jets(time, self.amplitude, frequencies, phases, rise, self.span)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,9 +103,9 @@ class Sine(Wave):
     frequency_hz: Positive
     phase_deg: Real = 0.0
 
-    def tones(self) -> tuple[Array, Array, float]:
-        """See :class:`Wave`."""
-        return np.array([self.frequency_hz]), np.array([math.radians(self.phase_deg)]), 0.0
+    def jets(self, time: Array) -> Array:
+        """Jets (N, 3) at instants (N,) s."""
+        return self._jets(time, np.array([self.frequency_hz]), np.array([math.radians(self.phase_deg)]))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,9 +115,10 @@ class Chirp(Wave):
     from_hz: Positive
     to_hz: Positive
 
-    def tones(self) -> tuple[Array, Array, float]:
-        """See :class:`Wave`."""
-        return np.array([self.from_hz]), np.zeros(1), (self.to_hz - self.from_hz) / self.duration
+    def jets(self, time: Array) -> Array:
+        """Jets (N, 3) at instants (N,) s."""
+        rise = (self.to_hz - self.from_hz) / self.span[1]
+        return self._jets(time, np.array([self.from_hz]), np.zeros(1), rise)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,15 +129,14 @@ class Multisine(Wave):
         tuple[Positive, ...], NotEmpty(), Expected("must be a list of positive numbers")
     ]
 
-    def tones(self) -> tuple[Array, Array, float]:
-        """See :class:`Wave`."""
+    def jets(self, time: Array) -> Array:
+        """Jets (N, 3) at instants (N,) s."""
         order = np.arange(len(self.frequencies_hz))
-        phases = -math.pi * order * (order + 1) / len(order)
-        return np.array(self.frequencies_hz), phases, 0.0
+        return self._jets(time, np.array(self.frequencies_hz), -math.pi * order * (order + 1) / len(order))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Edges(Section, ABC):
+class Edges(Section):
     """Smooth steps up and down, in the unit of their axis.
 
     Attributes:
@@ -157,27 +147,19 @@ class Edges(Section, ABC):
     rise_s: Transition
     start_s: NotNegative
 
-    @abstractmethod
-    def edges(self) -> tuple[Array, Array]:
-        """Instants (E,) s at which edges begin, and by how much (E,) each rises."""
-
     @property
     def end(self) -> float:
         """Instant [s] from which on there is rest."""
         return self.start_s + self.rise_s
-
-    def jets(self, time: Array) -> Array:
-        """Jets (N, 3) at instants (N,) s."""
-        return edge_jets(time, *self.edges(), self.rise_s)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Step(Edges):
     """One step, which stays."""
 
-    def edges(self) -> tuple[Array, Array]:
-        """See :class:`Edges`."""
-        return np.array([self.start_s]), np.array([self.amplitude])
+    def jets(self, time: Array) -> Array:
+        """Jets (N, 3) at instants (N,) s."""
+        return edge_jets(time, np.array([self.start_s]), np.array([self.amplitude]), self.rise_s)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -211,16 +193,17 @@ class Pulse(Edges):
         """See :class:`Edges`."""
         return super().end + (self.count - 1) * self._period + self.width_s
 
-    def edges(self) -> tuple[Array, Array]:
-        """See :class:`Edges`."""
+    def jets(self, time: Array) -> Array:
+        """Jets (N, 3) at instants (N,) s."""
         rises = self.start_s + self._period * np.arange(self.count)
         heights = np.full(self.count, float(self.amplitude))
         if self.alternate:
             heights[1::2] *= -1.0
-        return np.concatenate((rises, rises + self.width_s)), np.concatenate((heights, -heights))
+        begins = np.concatenate((rises, rises + self.width_s))
+        return edge_jets(time, begins, np.concatenate((heights, -heights)), self.rise_s)
 
 
-Signal: TypeAlias = Wave | Edges
+Signal: TypeAlias = Sine | Pulse | Step | Chirp | Multisine
 # The signals of each axis, which add up.
 Motion: TypeAlias = Mapping[str, tuple[Signal, ...]]
 _Moving = TypeVar("_Moving", bound=Window | Edges)
@@ -247,27 +230,22 @@ class _Entry(Section):
         return signal
 
 
-@dataclass(frozen=True)
-class _AxisUnit:
-    """Checks the keys of amplitudes along an axis, which end with its unit."""
-
-    unit: str
-
-    def __call__(self, entries: Any) -> Any:
-        key = f"amplitude_{self.unit}"
-        for number, entry in enumerate(entries if isinstance(entries, list) else (), start=1):
-            for kind, signal in entry.items() if isinstance(entry, dict) else ():
-                given = [name for name in signal if str(name).startswith("amplitude")] if signal else ()
-                if kind in _KINDS and isinstance(signal, dict) and given != [key]:
-                    wrong = [name for name in given if name != key]
-                    problem = f"unknown key `{wrong[0]}`; the amplitude is" if wrong else "missing key"
-                    raise ValueError(f"entry {number}, {kind}: {problem} `{key}`")
-        return entries
+def _require_unit(unit: str, entries: Any) -> Any:
+    """Refuse keys of amplitudes that do not end with the unit of their axis."""
+    key = f"amplitude_{unit}"
+    for number, entry in enumerate(entries if isinstance(entries, list) else (), start=1):
+        for kind, signal in entry.items() if isinstance(entry, dict) else ():
+            given = [name for name in signal if str(name).startswith("amplitude")] if signal else ()
+            if kind in _KINDS and isinstance(signal, dict) and given != [key]:
+                wrong = [name for name in given if name != key]
+                problem = f"unknown key `{wrong[0]}`; the amplitude is" if wrong else "missing key"
+                raise ValueError(f"entry {number}, {kind}: {problem} `{key}`")
+    return entries
 
 
-Lengths: TypeAlias = Annotated[tuple[_Entry, ...], ReadBy(_AxisUnit("m"), first=True)]
-Angles: TypeAlias = Annotated[tuple[_Entry, ...], ReadBy(_AxisUnit("deg"), first=True)]
-Shares: TypeAlias = Annotated[tuple[_Entry, ...], ReadBy(_AxisUnit("share"), first=True)]
+Lengths: TypeAlias = Annotated[tuple[_Entry, ...], ReadBy(partial(_require_unit, "m"), first=True)]
+Angles: TypeAlias = Annotated[tuple[_Entry, ...], ReadBy(partial(_require_unit, "deg"), first=True)]
+Shares: TypeAlias = Annotated[tuple[_Entry, ...], ReadBy(partial(_require_unit, "share"), first=True)]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -157,7 +157,12 @@ class FlightPlan(Section):
     def reference(self, rate_hz: float) -> Reference:
         """The reference, from the first to the last instant of the flight."""
         time = np.arange(math.floor(self.duration_s * rate_hz + 0.5) + 1) / rate_hz
-        jets = {axis: self._jets(axis, time) for axis in AXES}
+        jets = {axis: np.zeros((len(time), 3)) for axis in AXES}
+        for axis, signals in self.motion.items():
+            for signal in signals:
+                jets[axis] += signal.jets(time)
+            if AXES[axis] == "deg":
+                jets[axis] *= math.radians(1.0)
         if self.orbit is not None:
             jets["x"], jets["y"], turn = self.orbit.jets(time)
             jets["yaw"] += turn
@@ -173,13 +178,6 @@ class FlightPlan(Section):
             tilt=np.stack((jets["roll"][:, 0], jets["pitch"][:, 0]), axis=1),
             thrust=jets["thrust"][:, 0],
         )
-
-    def _jets(self, axis: str, time: Array) -> Array:
-        """Sum of the signals of an axis (N, 3), SI."""
-        jets = np.zeros((len(time), 3))
-        for signal in self.motion.get(axis, ()):
-            jets += signal.jets(time)
-        return jets * math.radians(1.0) if AXES[axis] == "deg" else jets
 
 
 # Keys that a scenario may set for all flights in its file; the key of a flight takes precedence.
@@ -235,15 +233,23 @@ def _load(name_or_path: str | Path, including: tuple[Path, ...]) -> Scenario:
         circle = " includes ".join(str(file) for file in (*including, path))
         raise SimulationError(f"{circle}: a scenario cannot include itself")
     effects = read_effects(content.effects, str(path))
-    included = []
+    included: list[FlightPlan] = []
     for other in content.include:
         with named_in(f"{path}: `include`"):
             plans = _load(_beside(path, other), (*including, path.resolve())).flights
-        included += [_with_effects(plan, effects) for plan in plans]
+        if effects:
+            plans = tuple(plan.overridden(effects={**effects, **plan.effects}) for plan in plans)
+        included += plans
     flights = (*included, *_own_flights(path, content, effects))
     if not flights:
         raise SimulationError(f"{path}: holds no flights: `flights` and `include` are empty")
-    _require_different_names(path, flights)
+    seen: dict[str, str] = {}
+    for plan in flights:
+        if plan.name in seen:
+            raise SimulationError(
+                f"{path}: two flights are named `{plan.name}`: of {seen[plan.name]} and of {plan.scenario}"
+            )
+        seen[plan.name] = plan.scenario
     return Scenario(path.stem, content.description, flights)
 
 
@@ -274,23 +280,9 @@ def flight_seed(scenario_seed: int, name: str) -> int:
     return zlib.crc32(f"{scenario_seed} {name}".encode())
 
 
-def _with_effects(plan: FlightPlan, effects: Effects) -> FlightPlan:
-    return plan.overridden(effects=dict(effects) | dict(plan.effects)) if effects else plan
-
-
 def _beside(path: Path, other: str) -> str | Path:
     """A path relative to the folder of the file that names it; the name of a file in config unchanged."""
     return path.parent / other if is_config_path(other) else other
-
-
-def _require_different_names(path: Path, flights: Iterable[FlightPlan]) -> None:
-    seen: dict[str, str] = {}
-    for plan in flights:
-        if plan.name in seen:
-            raise SimulationError(
-                f"{path}: two flights are named `{plan.name}`: of {seen[plan.name]} and of {plan.scenario}"
-            )
-        seen[plan.name] = plan.scenario
 
 
 def choose_flights(
@@ -322,20 +314,17 @@ def choose_flights(
                 f"scenario {scenario.name}: no flight `{name}`; its flights: {', '.join(known)}"
                 f"{nearest(name, known)}"
             )
-    chosen = [plan for plan in scenario.flights if not names or plan.name in names]
-    return [_overridden(plan, vehicle, noise, seed, effects or {}) for plan in chosen]
-
-
-def _overridden(
-    plan: FlightPlan, vehicle: str | None, noise: str | None, seed: int | None, effects: Effects
-) -> FlightPlan:
-    changes: dict[str, Any] = {"vehicle": vehicle, "noise": noise}
-    if seed is not None:
-        changes["seed"] = flight_seed(seed, plan.name)
-    if effects:
-        changes["effects"] = {**plan.effects, **effects}
-    given = {key: value for key, value in changes.items() if value is not None}
-    return plan.overridden(**given) if given else plan
+    chosen = []
+    for plan in scenario.flights:
+        changes: dict[str, Any] = {"vehicle": vehicle, "noise": noise}
+        if seed is not None:
+            changes["seed"] = flight_seed(seed, plan.name)
+        if effects:
+            changes["effects"] = {**plan.effects, **effects}
+        given = {key: value for key, value in changes.items() if value is not None}
+        if not names or plan.name in names:
+            chosen.append(plan.overridden(**given) if given else plan)
+    return chosen
 
 
 def parse_effects(texts: Iterable[str]) -> Effects:

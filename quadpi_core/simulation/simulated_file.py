@@ -8,6 +8,7 @@ same.
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -106,7 +107,7 @@ def read_simulation(name_or_path: str | Path) -> SimulatedFile:
         vehicle = Vehicle.load(path)
     else:
         path = folder
-        vehicle, data = _of_model(folder)
+        _, vehicle, data = _of_model(folder)
     section = parse_config(SimulationSection, data, str(path), VehicleError, ("simulation",))
     return SimulatedFile(path, vehicle, section)
 
@@ -123,32 +124,22 @@ def model_vehicle(folder: Path) -> Vehicle:
     Raises:
         ModelError, VehicleError: for a folder that is no model, or whose vehicle is not known.
     """
-    model = AerodynamicModel.load(folder)
-    return model.load_vehicle()
+    return AerodynamicModel.load(folder).load_vehicle()
 
 
-def _of_model(folder: Path) -> tuple[Vehicle, dict[str, Any]]:
+def _of_model(folder: Path) -> tuple[AerodynamicModel, Vehicle, dict[str, Any]]:
+    """The model in a folder, its vehicle, and the key `simulation` that flies as the model."""
     model = AerodynamicModel.load(folder)
     section = model.simulation_section()
-    vehicle = model.load_vehicle()
-    known = _section_of_vehicle(vehicle)
-    time_constant = known.get("motor_time_constant_s", MOTOR_TIME_CONSTANT.value)
-    limits = IdentifiedRange(model.envelope.lower, model.envelope.upper)
-    return vehicle, {
-        "motor_time_constant_s": time_constant,
-        **section,
-        "identified_range": limits.to_section(),
-    }
-
-
-def _section_of_vehicle(vehicle: Vehicle) -> dict[str, Any]:
-    """The key `simulation` of the vehicle file of a vehicle's name, if it is this vehicle."""
-    try:
+    vehicle, known = model.load_vehicle(), {}
+    # Motors as the vehicle file of the vehicle's name has them, if it is of this vehicle.
+    with contextlib.suppress(VehicleError):
         _, data = simulation_section(vehicle.name)
-        same = Vehicle.load(vehicle.name).fingerprint == vehicle.fingerprint
-    except VehicleError:
-        return {}
-    return data if same else {}
+        if Vehicle.load(vehicle.name).fingerprint == vehicle.fingerprint:
+            known = data
+    motor = {"motor_time_constant_s": known.get("motor_time_constant_s", MOTOR_TIME_CONSTANT.value)}
+    limits = IdentifiedRange(model.envelope.lower, model.envelope.upper)
+    return model, vehicle, {**motor, **section, "identified_range": limits.to_section()}
 
 
 def vehicle_content(name_or_path: str | Path) -> tuple[str, dict[str, Any]]:
@@ -161,7 +152,7 @@ def vehicle_content(name_or_path: str | Path) -> tuple[str, dict[str, Any]]:
     if folder is None:
         path, data = read_config("vehicle", name_or_path, VehicleError)
         return path.name, data
-    vehicle, section = _of_model(folder)
+    _, vehicle, section = _of_model(folder)
     return folder.name, {**vehicle.to_file(), "simulation": section}
 
 
@@ -176,11 +167,9 @@ def write_vehicle_file(folder: Path, path: Path) -> None:
     if model_folder(folder) is None:
         AerodynamicModel.load(folder)
         raise VehicleError(f"{folder}: not the folder of a model")
-    _, data = vehicle_content(folder)
-    identity = AerodynamicModel.load(folder).identity
-    source = f"Identified by quadpi {__version__} from flights: model {identity}."
-    text: str = yaml.safe_dump(
-        {"source": source, **data}, sort_keys=False, default_flow_style=None, width=110
-    )
+    model, vehicle, section = _of_model(folder)
+    source = f"Identified by quadpi {__version__} from flights: model {model.identity}."
+    data = {"source": source, **vehicle.to_file(), "simulation": section}
+    text: str = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=110)
     with whole_output(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
