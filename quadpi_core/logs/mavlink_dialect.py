@@ -3,7 +3,7 @@
 """MAVLink messages that quadpi decodes: pymavlink's ardupilotmega dialect and two that it lacks.
 
 ESC_INFO (290) and ESC_STATUS (291) of common.xml are marked as work in progress there, so that pymavlink
-leaves them out; PX4 sends them. docs/mavlink.md shows them as XML.
+leaves them out; PX4 sends them. docs/esc_messages.xml defines them.
 """
 
 from __future__ import annotations

@@ -178,7 +178,7 @@ def keys(data: Any) -> Iterator[str]:
 def test_every_json_key_is_documented(quadpi, bags, predicting, tmp_path):
     model, data, scenario = tmp_path / "model", tmp_path / "data.json", tmp_path / "still.yaml"
     scenario.write_text("{description: still, vehicle: bebop2, seed: 1, flights: {still: {duration_s: 1}}}")
-    page = (ROOT / "docs" / "commands.md").read_text()
+    page = "".join((ROOT / "docs" / name).read_text() for name in ("commands.md", "alarm.md"))
     named = set(re.findall(r"`([^`\n]+)`", page))
     documented = {key for path in named for key in re.split(r"[.…\[\]]+", path)}
     other = tmp_path / "other"
