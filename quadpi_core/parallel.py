@@ -88,7 +88,7 @@ class Workers:
     answer_s: float = 30.0
 
     def found_by(self, mapping: MappingOrOptions) -> ReadingOptions:
-        """The options with the mapping file as the workers find it: a scheduler's run in other folders."""
+        """The options with the absolute path of the mapping file, for remote workers."""
         options = reading_options(mapping)
         if self.scheduler is None or options.mapping is None or not is_config_path(options.mapping):
             return options

@@ -62,7 +62,7 @@ class ImuRate(NamedTuple):
 
     @property
     def differs(self) -> bool:
-        """Whether the rate that was given is another than the measured one."""
+        """Whether the configured rate contradicts the measured one."""
         known = self.given_hz > 0.0 and self.measured_hz > 0.0
         return known and abs(self.measured_hz / self.given_hz - 1.0) > RATE_TOLERANCE
 

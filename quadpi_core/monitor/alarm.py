@@ -149,7 +149,7 @@ class Alarm:
         self.reset()
 
     def change(self, settings: MonitorSettings) -> None:
-        """Go on with other times and rates."""
+        """Update times and rates in flight."""
         self._limits["persistence_s"] = settings.persistence_s
         self._limits["release_s"] = settings.release_s
         self._limits["period_ns"] = round(1e9 / settings.alarm_rate_hz)

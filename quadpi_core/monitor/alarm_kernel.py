@@ -169,7 +169,7 @@ def advance(
         verdicts: (K,) :class:`quadpi_core.monitor.preparation.Verdict` of all samples.
         inputs: (U, 19) input vectors of the usable samples.
         measured: (U, 6) their wrench.
-        said: the fields of what the model says of them, with its own intervals.
+        said: fields of the model's :class:`Evaluation` of them, with its own intervals.
         rows: (K,) :class:`Row`.
     """
     limits, state = limits_of[0], states[0]

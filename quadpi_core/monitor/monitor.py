@@ -126,7 +126,7 @@ class Monitor:
         return self._evaluate(array_checks.instance("prepared", prepared, Prepared).checked())[0]
 
     def _evaluate(self, prepared: Prepared) -> tuple[Predictions, Prepared, Evaluation]:
-        """Predictions of the usable samples, these, and what the model says of them with its own intervals.
+        """Predictions, the samples that stay usable, and the model's evaluation with its own intervals.
 
         A sample one of whose numbers overflows is no longer usable.
         """
@@ -165,7 +165,7 @@ class Monitor:
         self.preparation.retune(rate)
 
     def change(self, settings: MonitorSettings) -> None:
-        """Go on with other times and rates of the alarm; which intervals go out stays as it is."""
+        """Update alarm settings in flight; the interval type cannot change."""
         array_checks.instance("settings", settings, MonitorSettings)
         self._alarm.change(settings)
 
@@ -221,7 +221,7 @@ class Monitors:
         self._put(name, monitor)
 
     def change(self, settings: MonitorSettings) -> None:
-        """Go on with other times and rates of the alarm."""
+        """Update the alarm settings of all models in flight; see :meth:`Monitor.change`."""
         for monitor in self._monitors.values():
             monitor.change(settings)
 
