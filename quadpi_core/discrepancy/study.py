@@ -257,8 +257,8 @@ def _spoiling(discovery: Discovery) -> dict[str, str]:
 def flown_again(discovery: Discovery) -> Discovery:
     """The discovery judged by roll-outs of flights left out; as it is where nothing was named.
 
-    Moment errors too small to matter in one step accumulate over 0.5 s. So coefficients that are moved with the
-    effects stay as stated, if roll-outs with the effects alone do better.
+    Moment errors too small to matter in one step accumulate over 0.5 s. So coefficients that are moved
+    with the effects stay as stated, if roll-outs with the effects alone do better.
 
     Raises:
         DiscrepancyError: for a flight shorter than a roll-out, and an effect that cannot be added to one that

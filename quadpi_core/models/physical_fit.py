@@ -30,8 +30,8 @@ from quadpi_core.vehicle import Vehicle
 
 # Time [s] over which errors may hang together.
 _LONGEST_LAG_S = 5.0
-# Lower bound on the effective sample rate [1/s], so that a biased axis keeps weight in the fit; standard errors
-# use the true value.
+# Lower bound on the effective sample rate [1/s], so that a biased axis keeps weight in the fit; standard
+# errors use the true value.
 _FEWEST_INDEPENDENT_HZ = 1.0
 # A bound holds within this share of the prior spread; what is said of it.
 _WITHIN = 1e-6
