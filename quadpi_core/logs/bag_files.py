@@ -9,9 +9,11 @@ each file and one block, and a bag with fewer messages than its index announces 
 from __future__ import annotations
 
 import heapq
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Generator, Iterable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from itertools import chain, pairwise
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection as Channel
 from operator import itemgetter
 from pathlib import Path, PurePath
 from types import MappingProxyType, TracebackType
@@ -67,7 +69,12 @@ class Bag:
             places = bag_places(path)
             self._files = [self._file(file, number, opened) for number, file in enumerate(places.files)]
             self._size = sum(file.stat().st_size for file in places.files)
-            self.connections, custom = next(read_apart(self._size, _contents, self._files))
+            asked, self._asking = Pipe(duplex=False)
+            with asked:
+                opened.enter_context(self._asking)
+                reader = read_apart(self._size, _contents_then_parts, self._files, asked, self._asking)
+                self._waiting: Generator[Any, None, None] | None = opened.enter_context(closing(reader))
+                self.connections, custom = next(reader)
             custom = custom if places.custom is None else places.custom
             self._notes = {key: text for key, text in custom.items() if isinstance(text, str)}
             self._opened = opened.pop_all()
@@ -86,6 +93,7 @@ class Bag:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
+        self._waiting = None
         self._opened.close()
 
     @property
@@ -127,12 +135,14 @@ class Bag:
             head: see :meth:`read`.
         """
         types = {one.topic: one.msgtype for one in self.connections if one.topic in names}
+        if not types:
+            return
         announced = dict.fromkeys(types, 0)
         for connection in self.connections:
             if connection.topic in types:
                 announced[connection.topic] += connection.msgcount
         found = dict.fromkeys(types, 0)
-        with self._reading(), closing(read_apart(self._size, _parts, self._files, types, head)) as parts:
+        with self._reading(), closing(self._parts(types, head)) as parts:
             for topics in _in_log_order(parts, messages or BLOCK_MESSAGES):
                 block = {}
                 for name, type_name in types.items():
@@ -145,6 +155,14 @@ class Bag:
                     f"{self.path}: topic {name}: damaged: holds {count} messages, "
                     f"its index announces {announced[name]}"
                 )
+
+    def _parts(self, types: dict[str, str], head: int | None) -> Generator[_Part, None, None]:
+        """From the reader that waits since the bag was opened, which spares a fork, or else from another."""
+        reader, self._waiting = self._waiting, None
+        if reader is None:
+            return read_apart(self._size, _parts, self._files, types, head)
+        self._asking.send((types, head))
+        return reader
 
     @contextmanager
     def _reading(self) -> Iterator[None]:
@@ -185,7 +203,15 @@ def _open(file: _File) -> McapFile | DatabaseFile | Ros1File:
     raise LogError(f"is no {_CALLED.get(file.named.suffix, 'bag')}")
 
 
-def _contents(files: Sequence[_File]) -> Iterator[tuple[list[Connection], dict[str, Any]]]:
+def _contents_then_parts(files: Sequence[_File], asked: Channel, asking: Channel) -> Iterator[object]:
+    """The contents, then those messages that are asked for: see :func:`_contents` and :func:`_parts`."""
+    # Else this would wait for ever where the process that asks has been killed.
+    asking.close()
+    yield _contents(files)
+    yield from _parts(files, *asked.recv())
+
+
+def _contents(files: Sequence[_File]) -> tuple[list[Connection], dict[str, Any]]:
     """The connections of all files by name and type, and the notes of their writer."""
     connections: dict[tuple[str, str], Connection] = {}
     custom: dict[str, Any] = {}
@@ -197,7 +223,7 @@ def _contents(files: Sequence[_File]) -> Iterator[tuple[list[Connection], dict[s
             count = one.msgcount + (known.msgcount if known else 0)
             connections[one.topic, one.msgtype] = (known or one)._replace(msgcount=count)
         custom |= opened.custom or {}
-    yield list(connections.values()), custom
+    return list(connections.values()), custom
 
 
 def _parts(files: Sequence[_File], types: dict[str, str], head: int | None) -> Iterator[_Part]:

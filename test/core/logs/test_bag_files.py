@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags of every container, whole and in blocks: folders, databases, split and compressed files."""
 
+import os
 import shutil
 
 import numpy as np
@@ -76,6 +77,19 @@ def test_head_reads_only_the_first_bytes(tmp_path, topics):
     with Bag(path) as bag:
         heads = bag.read(["/wind"], head=12)["/wind"].payloads
     assert list(heads) == [payload[:12] for payload in topics[1].payloads]
+
+
+def test_one_process_opens_a_bag_and_reads_it(tmp_path, topics, monkeypatch):
+    fork, forks = os.fork, []
+    monkeypatch.setattr(os, "fork", lambda: forks.append(1) or fork())
+    write_mcap(tmp_path / "flight.mcap", topics, {})
+    with Bag(tmp_path / "flight.mcap") as bag:
+        assert bag.read([]) == {}
+        first = bag.read(["/wind"])
+        assert len(forks) == 1
+        again = bag.read(["/wind"])
+    np.testing.assert_array_equal(first["/wind"].log_time_ns, again["/wind"].log_time_ns)
+    assert len(first["/wind"].payloads) == len(again["/wind"].payloads) > 0
 
 
 def test_topic_without_messages(tmp_path):

@@ -137,8 +137,7 @@ def test_a_reader_that_is_left_ends():
         os.kill(process, 0)
 
 
-_KILLED = """
-import os, time
+_READING = """
 from quadpi_core.logs.sandbox import read_apart
 
 def read():
@@ -147,16 +146,21 @@ def read():
 
 reading = read_apart(10**9, read)
 next(reading)
-print(flush=True)
-time.sleep(600.0)
 """
+_WAITING = """
+from quadpi_core.logs.bag_files import Bag
+from quadpi_core.paths import bags_directory
+
+bag = Bag(bags_directory() / "train_1.mcap")
+"""
+_THEN_SLEEP = "print(flush=True)\n__import__('time').sleep(600.0)"
 
 
-def test_a_reader_ends_whose_process_is_killed():
+@pytest.mark.parametrize("code", [_READING, _WAITING], ids=["reading", "waiting"])
+def test_a_reader_ends_whose_process_is_killed(code):
     ends, held = os.pipe()
-    with subprocess.Popen(
-        [sys.executable, "-c", _KILLED], stdout=subprocess.PIPE, pass_fds=(held,)
-    ) as process:
+    command = [sys.executable, "-c", code + _THEN_SLEEP]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, pass_fds=(held,)) as process:
         os.close(held)
         assert process.stdout.readline() == b"\n"
         process.kill()
