@@ -36,14 +36,6 @@ def changed(recording, topic, column, values):
     return replace(recording, **{topic: replace(stream, **{column: values(getattr(stream, column).copy())})})
 
 
-def with_sample(value):
-    def change(array):
-        array[SAMPLE, -1] = value
-        return array
-
-    return change
-
-
 def test_flight_with_every_topic_is_good(quadpi, recording, model, bad):
     write_bag(bad, recording)
     assert quadpi("evaluate", model, bad).status == 0
@@ -272,20 +264,19 @@ def followed(quadpi, model, bad, tmp_path):
 
 @pytest.fixture
 def left_out(bad, tmp_path):
-    """left_out(topic, limit): one sample is, by `import` and before identification, and nothing else."""
+    """left_out(topic, limit): these samples are, by `import` and before identification, and nothing else."""
 
-    def check(topic, limit):
+    def check(topic, limit, samples=1):
         vehicle = Vehicle.load("neurobem")
         (imported,) = import_logs([bad], vehicle, tmp_path / "bags")
         (prepared,) = prepare_flights([bad], vehicle)
         for quality in (imported.quality, prepared.quality):
             (said,) = quality.left_out
-            assert (said.topic, said.limit, said.samples, said.first) == (topic, limit, 1, SAMPLE)
+            assert (said.topic, said.limit, said.samples, said.first) == (topic, limit, samples, SAMPLE)
 
     return check
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize(
     ("topic", "name", "column"),
     [
@@ -297,24 +288,29 @@ def left_out(bad, tmp_path):
         ("wind", "wind", "velocity"),
     ],
 )
-def test_numbers_that_are_not_finite(left_out, followed, bad, recording, topic, name, column, value):
-    write_bag(bad, changed(recording, topic, column, with_sample(value)))
-    left_out(name, f"whose {column} is not finite")
+def test_numbers_that_are_not_finite(left_out, followed, bad, recording, topic, name, column):
+    def spoil(array):
+        array[SAMPLE : SAMPLE + 3, -1] = np.nan, np.inf, -np.inf
+        return array
+
+    write_bag(bad, changed(recording, topic, column, spoil))
+    left_out(name, f"whose {column} is not finite", samples=3)
     # The estimator still collects its first second at that sample; wind holds until the next.
     followed(reported=topic == "wind")
 
 
 @pytest.mark.parametrize("topic", ["pose", "odometry"])
 @pytest.mark.parametrize(
-    ("factor", "message"), [(0.0, "no unit quaternion"), (2.0, "no unit quaternion"), (np.nan, "not finite")]
+    ("factors", "message"), [([0.0, 2.0], "no unit quaternion"), ([np.nan], "not finite")]
 )
-def test_attitude_that_is_none(left_out, followed, bad, recording, topic, factor, message):
+def test_attitude_that_is_none(left_out, followed, bad, recording, topic, factors, message):
     def change(attitude):
-        attitude[SAMPLE] *= factor
+        for sample, factor in enumerate(factors, SAMPLE):
+            attitude[sample] *= factor
         return attitude
 
     write_bag(bad, changed(recording, topic, "attitude", change))
-    left_out(getattr(recording, topic).topic, f"whose attitude is {message}")
+    left_out(getattr(recording, topic).topic, f"whose attitude is {message}", samples=len(factors))
     followed(reported=False)
 
 
