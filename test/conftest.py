@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import importlib.util
 import os
 import re
@@ -248,12 +249,33 @@ def cluster() -> Iterator[str]:
 
 
 @pytest.fixture(scope="session")
-def physical_folder(tmp_path_factory) -> Path:
-    """Folder of a physical model of the Bebop 2, identified on four bundled bags."""
-    vehicle = Vehicle.load("bebop2")
-    bags = [bags_directory() / f"train_{k}.mcap" for k in (1, 2, 3, 4)]
-    flights = prepare_flights(bags, vehicle)
-    model = identify(flights, vehicle, load_pools("quadrotor"), IdentifyOptions(method="physical"))
-    folder = tmp_path_factory.mktemp("physical") / "flown"
-    learned_from(model, flights).save(folder)
-    return folder
+def made_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callable[[Path], object]], Path]:
+    """made_once(name, make) → folder that `make` fills, in the first worker that asks; others wait for it."""
+    own = tmp_path_factory.getbasetemp()
+    shared = own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
+
+    def made(name: str, make: Callable[[Path], object]) -> Path:
+        folder, partial = shared / name, shared / f"{name}.partial"
+        with (shared / f"{name}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not folder.exists():
+                partial.mkdir(exist_ok=True)
+                make(partial)
+                partial.rename(folder)
+        return folder
+
+    return made
+
+
+@pytest.fixture(scope="session")
+def physical_folder(made_once) -> Path:
+    """Folder of a physical model of the Bebop 2, identified on four bundled bags: half a minute."""
+
+    def identified(folder: Path) -> None:
+        vehicle = Vehicle.load("bebop2")
+        bags = [bags_directory() / f"train_{k}.mcap" for k in (1, 2, 3, 4)]
+        flights = prepare_flights(bags, vehicle)
+        model = identify(flights, vehicle, load_pools("quadrotor"), IdentifyOptions(method="physical"))
+        learned_from(model, flights).save(folder / "flown")
+
+    return made_once("physical", identified) / "flown"
