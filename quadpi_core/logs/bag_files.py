@@ -74,6 +74,7 @@ class Bag:
                 opened.enter_context(self._asking)
                 reader = read_apart(self._size, _contents_then_parts, self._files, asked, self._asking)
                 self._waiting: Generator[Any, None, None] | None = opened.enter_context(closing(reader))
+                self.connections: list[Connection]
                 self.connections, custom = next(reader)
             custom = custom if places.custom is None else places.custom
             self._notes = {key: text for key, text in custom.items() if isinstance(text, str)}
@@ -203,7 +204,7 @@ def _open(file: _File) -> McapFile | DatabaseFile | Ros1File:
     raise LogError(f"is no {_CALLED.get(file.named.suffix, 'bag')}")
 
 
-def _contents_then_parts(files: Sequence[_File], asked: Channel, asking: Channel) -> Iterator[object]:
+def _contents_then_parts(files: Sequence[_File], asked: Channel, asking: Channel) -> Iterator[Any]:
     """The contents, then those messages that are asked for: see :func:`_contents` and :func:`_parts`."""
     # Else this would wait for ever where the process that asks has been killed.
     asking.close()
