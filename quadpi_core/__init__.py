@@ -21,6 +21,11 @@ if TYPE_CHECKING:
     from quadpi_core.evaluation.evaluate import judge as judge
     from quadpi_core.identification.identify import identify as identify
     from quadpi_core.identification.prepared_flights import prepare_flights as prepare_flights
+    from quadpi_core.library.coverage_table import evaluate as evaluate
+    from quadpi_core.library.flights import Flights as Flights
+    from quadpi_core.library.flights import load_flights as load_flights
+    from quadpi_core.library.wrench_model import WrenchModel as WrenchModel
+    from quadpi_core.library.wrench_model import load_model as load_model
     from quadpi_core.logs import read_recording as read_recording
     from quadpi_core.models.aerodynamic import AerodynamicModel as AerodynamicModel
     from quadpi_core.models.candidate_pool import load_pools as load_pools
@@ -34,13 +39,18 @@ if TYPE_CHECKING:
 
 _ROOMS = {
     "AerodynamicModel": "models.aerodynamic",
+    "Flights": "library.flights",
     "IdentifyOptions": "models.model_kind",
     "Monitor": "monitor.monitor",
     "MonitorSettings": "monitor.alarm",
     "QuadpiError": "errors",
     "Vehicle": "vehicle",
+    "WrenchModel": "library.wrench_model",
+    "evaluate": "library.coverage_table",
     "identify": "identification.identify",
     "judge": "evaluation.evaluate",
+    "load_flights": "library.flights",
+    "load_model": "library.wrench_model",
     "load_pools": "models.candidate_pool",
     "load_scenario": "simulation.scenario",
     "load_simulation": "discrepancy.loading",

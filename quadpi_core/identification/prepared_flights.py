@@ -247,14 +247,29 @@ def _prepared(
     recording: Recording, name: str, file: FlightFile, task: tuple[Vehicle, float, ReadingOptions]
 ) -> PreparedFlight:
     vehicle, cutoff_hz, _ = task
-    recording = checked(replace(recording, name=name), vehicle)
+    return replace(prepare_recording(replace(recording, name=name), vehicle, cutoff_hz), file=file.name)
+
+
+def prepare_recording(recording: Recording, vehicle: Vehicle, cutoff_hz: float) -> PreparedFlight:
+    """Check, fuse and filter a recording; only the part in the air is kept.
+
+    Args:
+        recording: streams as a log gives them.
+        vehicle: that flew.
+        cutoff_hz: of the low-pass over all signals.
+
+    Raises:
+        LogError: for what cannot be used, naming source and topic.
+        SignalError: naming the source, where the signals cannot be fused.
+    """
+    recording = checked(recording, vehicle)
     require_streams(recording)
     causal = CausalPass.over(recording, vehicle)
     flight = fuse_airborne(recording, vehicle, cutoff_hz, causal.segments)
     live = causal.samples(vehicle, cutoff_hz, flight.stamps_ns)
     prepared = PreparedFlight.of(flight, vehicle, recording_hash(recording), live)
     recorded_ns = recording.imu.time_ns[-1] - recording.imu.time_ns[0]
-    return replace(prepared, file=file.name, recorded_s=1e-9 * float(recorded_ns))
+    return replace(prepared, file=recording.name, recorded_s=1e-9 * float(recorded_ns))
 
 
 def read_flight(path: Path, vehicle: Vehicle, cutoff_hz: float, mapping: MappingOrOptions = None) -> Flight:

@@ -19,7 +19,7 @@ from quadpi_core.paths import whole_output
 
 SUFFIXES = (".csv", ".parquet")
 # Columns by the field of a flight that they hold.
-_STATES = {
+STATES = {
     "position": ("north_m", "east_m", "down_m"),
     "attitude": ("qw", "qx", "qy", "qz"),
     "velocity": ("u_m_s", "v_m_s", "w_m_s"),
@@ -29,7 +29,8 @@ _STATES = {
     "rotor_speeds": ("rotor_1_rad_s", "rotor_2_rad_s", "rotor_3_rad_s", "rotor_4_rad_s"),
     "wind": ("wind_north_m_s", "wind_east_m_s", "wind_down_m_s"),
 }
-_WRENCH = ("fx_n", "fy_n", "fz_n", "mx_nm", "my_nm", "mz_nm")
+# Of the measured wrench.
+WRENCH = ("fx_n", "fy_n", "fz_n", "mx_nm", "my_nm", "mz_nm")
 
 
 def require_table(path: Path) -> None:
@@ -53,9 +54,9 @@ def write_flight_table(path: Path, flight: Flight, wrench: Array) -> None:
     require_table(path)
     pa, csv, parquet = (require_library(f"pyarrow{part}", "logs") for part in ("", ".csv", ".parquet"))
     columns = {"time_ns": flight.stamps_ns}
-    for name, headings in _STATES.items():
+    for name, headings in STATES.items():
         columns |= dict(zip(headings, getattr(flight, name).T, strict=True))
-    columns |= dict(zip(_WRENCH, wrench.T, strict=True))
+    columns |= dict(zip(WRENCH, wrench.T, strict=True))
     table = pa.table({name: np.ascontiguousarray(values) for name, values in columns.items()})
     with whole_output(path) as temporary:
         if path.suffix == ".csv":

@@ -1,0 +1,191 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Flights of arrays and tables of a user's own, prepared as those of logs are, and back."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.integrate import cumulative_trapezoid
+
+from quadpi_core import array_checks
+from quadpi_core.errors import ArgumentError, named_in
+from quadpi_core.flight import (
+    Flight,
+    ImuStream,
+    OdometryStream,
+    Recording,
+    RotorSpeedStream,
+    Stamps,
+    WindStream,
+    check_stamps,
+)
+from quadpi_core.frames import Array
+from quadpi_core.identification.prepared_flights import PreparedFlight, prepare_recording
+from quadpi_core.library.notebook import pandas
+from quadpi_core.logs.duplicates import recording_hash
+from quadpi_core.logs.flight_table import STATES, WRENCH
+from quadpi_core.rotations import rotate_body_to_world
+from quadpi_core.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+# Quantities that a table may lack; the second is taken only from signals that have been filtered.
+_OPTIONAL = ("position", "wind")
+_DERIVED = "angular_acceleration"
+_TIME, _FLIGHT = "time_ns", "flight"
+
+
+def prepared_from_arrays(
+    time_ns: npt.ArrayLike,
+    arrays: Mapping[str, npt.ArrayLike | None],
+    flight: npt.ArrayLike | None,
+    vehicle: Vehicle,
+    cutoff_hz: float,
+    *,
+    filtered: bool = False,
+) -> tuple[PreparedFlight, ...]:
+    """Flights by their labels, in the order of their first samples; see `Flights.from_arrays`."""
+    cutoff_hz = array_checks.number("cutoff_hz", cutoff_hz, above=0.0)
+    stamps = array_checks.stamps("time_ns", time_ns)
+    checked = {
+        name: array_checks.floats(name, values, len(STATES[name]), rows=len(stamps), of="time_ns")
+        for name, values in arrays.items()
+        if values is not None
+    }
+    prepared = []
+    for label, rows in _by_label(flight, len(stamps)):
+        own = {name: values[rows] for name, values in checked.items()}
+        with named_in(f"flight {label}"):
+            check_stamps("time_ns", stamps[rows])
+        recording = _recording(label, vehicle, stamps[rows], own)
+        if filtered:
+            prepared.append(_taken(recording, own[_DERIVED], vehicle))
+        else:
+            prepared.append(prepare_recording(recording, vehicle, cutoff_hz))
+    return tuple(prepared)
+
+
+def _by_label(flight: npt.ArrayLike | None, samples: int) -> Iterator[tuple[str, npt.NDArray[np.int64]]]:
+    """Rows of each flight."""
+    if samples == 0:
+        raise ArgumentError("time_ns: expected samples, found none")
+    if flight is None:
+        yield "flight", np.arange(samples)
+        return
+    labels = np.asarray(flight)
+    if labels.shape != (samples,):
+        raise ArgumentError(f"flight: expected shape ({samples},) for time_ns, found {labels.shape}")
+    texts = np.array([str(label) for label in labels])
+    for label in dict.fromkeys(texts.tolist()):
+        yield label, np.flatnonzero(texts == label)
+
+
+def _recording(name: str, vehicle: Vehicle, time_ns: Stamps, arrays: Mapping[str, Array]) -> Recording:
+    position = arrays.get("position")
+    if position is None:
+        velocity = rotate_body_to_world(arrays["attitude"], arrays["velocity"])
+        seconds = 1e-9 * (time_ns - time_ns[0])
+        position = cumulative_trapezoid(velocity, seconds, axis=0, initial=0.0)
+    attitude, velocity, rates = arrays["attitude"], arrays["velocity"], arrays["rates"]
+    return Recording(
+        name=name,
+        vehicle=vehicle.name,
+        source=f"flight {name}",
+        imu=ImuStream(time_ns, rates, arrays["specific_force"]),
+        rotor_speeds=RotorSpeedStream(time_ns, arrays["rotor_speeds"]),
+        odometry=OdometryStream(time_ns, position, attitude, velocity, rates),
+        wind=WindStream(time_ns, arrays["wind"]) if "wind" in arrays else None,
+    )
+
+
+def _taken(recording: Recording, angular_acceleration: Array, vehicle: Vehicle) -> PreparedFlight:
+    """A flight whose signals have been filtered, as they are."""
+    state, rotors, wind = recording.odometry, recording.rotor_speeds, recording.wind
+    assert state is not None
+    assert rotors is not None
+    flight = Flight(
+        name=recording.name,
+        vehicle=vehicle.name,
+        source=recording.source,
+        start_ns=int(recording.imu.time_ns[0]),
+        time=1e-9 * (recording.imu.time_ns - recording.imu.time_ns[0]),
+        position=state.position,
+        attitude=state.attitude,
+        velocity=state.velocity,
+        rates=state.rates,
+        angular_acceleration=angular_acceleration,
+        specific_force=recording.imu.specific_force,
+        rotor_speeds=rotors.speeds,
+        wind=np.zeros((len(recording.imu), 3)) if wind is None else wind.velocity,
+        biases_estimated=False,
+    )
+    prepared = PreparedFlight.of(flight, vehicle, recording_hash(recording))
+    return replace(prepared, file=recording.name, recorded_s=float(flight.time[-1]))
+
+
+def from_frame(
+    frame: pd.DataFrame,
+    vehicle: Vehicle,
+    cutoff_hz: float,
+    *,
+    flight: str | None,
+    time: str,
+    names: Mapping[str, Sequence[str]] | None,
+    filtered: bool,
+) -> tuple[PreparedFlight, ...]:
+    """Flights of a table; see `Flights.from_pandas`."""
+    array_checks.instance("frame", frame, pandas().DataFrame)
+    columns: dict[str, Sequence[str]] = {**STATES}
+    for quantity, own in (names or {}).items():
+        if quantity not in STATES:
+            raise ArgumentError(f"columns: no quantity {quantity!r}; there are {', '.join(STATES)}")
+        if isinstance(own, str) or len(own) != len(STATES[quantity]):
+            raise ArgumentError(f"columns, {quantity}: expected {len(STATES[quantity])} names, found {own!r}")
+        columns[quantity] = own
+    if not filtered:
+        if set(STATES[_DERIVED]) <= set(frame.columns):
+            raise ArgumentError(
+                f"frame: has angular accelerations ({STATES[_DERIVED][0]} …), so its signals were filtered: "
+                "pass filtered=True to take them as they are, or leave those columns out"
+            )
+        del columns[_DERIVED]
+    arrays: dict[str, npt.ArrayLike | None] = {}
+    for quantity, own in columns.items():
+        absent = [name for name in own if name not in frame.columns]
+        if not absent:
+            arrays[quantity] = frame[list(own)].to_numpy()
+        elif quantity not in _OPTIONAL or len(absent) < len(own):
+            raise ArgumentError(
+                f"frame: {quantity} needs the columns {', '.join(own)}: no {', '.join(absent)}; "
+                f'columns={{"{quantity}": […]}} names yours'
+            )
+    for name in (time, flight):
+        if name is not None and name not in frame.columns:
+            raise ArgumentError(f"frame: no column {name}; it has {', '.join(map(str, frame.columns))}")
+    labels = None if flight is None else frame[flight].to_numpy()
+    stamps = frame[time].to_numpy()
+    if stamps.dtype.kind == "M":
+        stamps = stamps.astype("datetime64[ns]").astype(np.int64)
+    return prepared_from_arrays(stamps, arrays, labels, vehicle, cutoff_hz, filtered=filtered)
+
+
+def to_frame(flights: Sequence[PreparedFlight]) -> pd.DataFrame:
+    """The table of flights; see `Flights.to_pandas`."""
+    parts = []
+    for prepared in flights:
+        flight = prepared.flight
+        if flight is None:
+            raise ArgumentError(f"flight {prepared.name}: was made of input vectors and has no states")
+        table: dict[str, Any] = {_FLIGHT: prepared.name, _TIME: flight.stamps_ns}
+        for quantity, columns in STATES.items():
+            table |= dict(zip(columns, getattr(flight, quantity).T, strict=True))
+        table |= dict(zip(WRENCH, prepared.wrench.T, strict=True))
+        parts.append(pandas().DataFrame(table))
+    frame: pd.DataFrame = pandas().concat(parts, ignore_index=True)
+    return frame
