@@ -22,8 +22,10 @@ if TYPE_CHECKING:
     from quadpi_core.identification.identify import identify as identify
     from quadpi_core.identification.prepared_flights import prepare_flights as prepare_flights
     from quadpi_core.library.coverage_table import evaluate as evaluate
+    from quadpi_core.library.found_discrepancy import find_discrepancy as find_discrepancy
     from quadpi_core.library.flights import Flights as Flights
     from quadpi_core.library.flights import load_flights as load_flights
+    from quadpi_core.library.live_monitor import Monitor as Monitor
     from quadpi_core.library.wrench_model import WrenchModel as WrenchModel
     from quadpi_core.library.wrench_model import load_model as load_model
     from quadpi_core.logs import read_recording as read_recording
@@ -31,7 +33,6 @@ if TYPE_CHECKING:
     from quadpi_core.models.candidate_pool import load_pools as load_pools
     from quadpi_core.models.model_kind import IdentifyOptions as IdentifyOptions
     from quadpi_core.monitor.alarm import MonitorSettings as MonitorSettings
-    from quadpi_core.monitor.monitor import Monitor as Monitor
     from quadpi_core.monitor.replay import replay as replay
     from quadpi_core.simulation.run import simulate as simulate
     from quadpi_core.simulation.scenario import load_scenario as load_scenario
@@ -41,12 +42,13 @@ _ROOMS = {
     "AerodynamicModel": "models.aerodynamic",
     "Flights": "library.flights",
     "IdentifyOptions": "models.model_kind",
-    "Monitor": "monitor.monitor",
+    "Monitor": "library.live_monitor",
     "MonitorSettings": "monitor.alarm",
     "QuadpiError": "errors",
     "Vehicle": "vehicle",
     "WrenchModel": "library.wrench_model",
     "evaluate": "library.coverage_table",
+    "find_discrepancy": "library.found_discrepancy",
     "identify": "identification.identify",
     "judge": "evaluation.evaluate",
     "load_flights": "library.flights",

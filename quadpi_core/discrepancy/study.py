@@ -102,11 +102,25 @@ def read_flights(
 
 
 def _read(task: tuple[Vehicle, float, MappingOrOptions], file: FlightFile) -> Flight:
-    flight = replace(longest_stretch(read_flight(file.path, *task)), name=file.name)
+    return study_flight(replace(read_flight(file.path, *task), name=file.name), file.path)
+
+
+def study_flight(flight: Flight, source: Path | str = "") -> Flight:
+    """The part of a flight that a study takes, for a flight that is long enough.
+
+    Args:
+        flight: fused, low-passed at the default of models, in the air.
+        source: of the flight in refusals; its own unless given.
+
+    Raises:
+        DiscrepancyError: for a flight shorter than a roll-out, and constant rotor speeds.
+    """
+    flight = longest_stretch(flight)
     length_s = float(flight.time[-1] - flight.time[0])
     if length_s <= HORIZON_S:
         raise DiscrepancyError(
-            f"{file.path}: {length_s:.2g} s in the air, shorter than the {HORIZON_S:g} s of a roll-out"
+            f"{source or flight.source}: {length_s:.2g} s in the air, "
+            f"shorter than the {HORIZON_S:g} s of a roll-out"
         )
     require_changes(flight)
     return flight

@@ -33,9 +33,8 @@ def new_axes(axes: Any, count: int = 1) -> Any:
     if axes is not None:
         return axes
     pyplot = require_library("matplotlib.pyplot", "notebook")
-    return pyplot.subplots(
-        count, 1, sharex=True, squeeze=count == 1, figsize=(8.0, max(3.0, 1.8 * count)), layout="constrained"
-    )[1]
+    height_in = max(3.0, 1.8 * count)
+    return pyplot.subplots(count, 1, sharex=True, figsize=(8.0, height_in), layout="constrained")[1]
 
 
 def pandas() -> Any:

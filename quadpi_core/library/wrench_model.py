@@ -166,7 +166,7 @@ class WrenchModel:
     def evaluations(self, flights: Flights, confidence: float | None) -> list[Evaluation]:
         """Predictions and bounds of each flight; errors are those of :meth:`predict_interval`."""
         given = flights_in("flights", flights)
-        model = self._fitted()
+        model = self.fitted
         model.require(given.vehicle)
         if given.cutoff_hz != model.cutoff_hz:
             raise ModelError(
@@ -207,7 +207,7 @@ class WrenchModel:
             ModelError: before `fit`; for any other regressor, which would be code.
             OutputError: if the folder cannot be written, or holds what is not part of a model.
         """
-        model = self._fitted()
+        model = self.fitted
         if isinstance(model, AerodynamicModel):
             self.model_ = model.save(folder)
         else:
@@ -217,9 +217,11 @@ class WrenchModel:
     @property
     def axes_(self) -> tuple[str, ...]:
         """Names of the axes held, in the order Fx … Mz."""
-        return self._fitted().axes
+        return self.fitted.axes
 
-    def _fitted(self) -> AerodynamicModel | RegressorModel:
+    @property
+    def fitted(self) -> AerodynamicModel | RegressorModel:
+        """The fitted model; ModelError before `fit`."""
         if not hasattr(self, "model_"):
             raise ModelError("the model is not fitted: call fit(flights) first")
         return self.model_
@@ -297,8 +299,8 @@ class WrenchModel:
         if len(given) != 1:
             raise ArgumentError(f"flights: expected one to draw, found {len(given)}: flights[0] is the first")
         interval, measured = self.predict_interval(given, confidence), given.wrench
-        axes = new_axes(axes, len(self.axes_))
-        for own, axis in zip(np.ravel(axes), self.axes_, strict=True):
+        axes = np.ravel(new_axes(axes, len(self.axes_)))
+        for own, axis in zip(axes, self.axes_, strict=True):
             column = AXES.index(axis)
             own.fill_between(
                 given.time,
@@ -309,8 +311,8 @@ class WrenchModel:
             )
             own.plot(given.time, measured[:, column], linewidth=0.7, color="black", label="measured")
             own.set_ylabel(f"{axis} [{_UNITS[column]}]")
-        np.ravel(axes)[0].legend(loc="upper right")
-        np.ravel(axes)[-1].set_xlabel("time [s]")
+        axes[0].legend(loc="upper right")
+        axes[-1].set_xlabel("time [s]")
         return axes
 
 

@@ -1,0 +1,231 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a simulation is missing beside flights, and the simulation that has it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from quadpi_core import array_checks
+from quadpi_core.discrepancy.augmented_simulation import augmented, write_addition
+from quadpi_core.discrepancy.discrepancy_result import Discovery, FoundEffect, Study
+from quadpi_core.discrepancy.loading import load_simulation
+from quadpi_core.discrepancy.other_simulations import CallableSimulation
+from quadpi_core.discrepancy.simulations import Simulation, VehicleSimulation
+from quadpi_core.discrepancy.study import study, study_flight
+from quadpi_core.errors import ArgumentError, DiscrepancyError
+from quadpi_core.flight import AXES, Flight
+from quadpi_core.frames import Array
+from quadpi_core.library.flights import Flights, flights_in
+from quadpi_core.library.notebook import html_table, new_axes, pandas
+from quadpi_core.models.model_kind import CUTOFF_HZ
+from quadpi_core.paths import require_file, scratch_folder, whole_output
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_COLUMNS = ("effect", "parameter", "value", "lower", "upper", "unit", "probability", "axes", "rivals")
+
+
+@dataclass(frozen=True, repr=False)
+class BetterSimulation:
+    """A simulation with the effects that flights showed to be missing.
+
+    Attributes:
+        discovery: what was found.
+    """
+
+    discovery: Discovery
+
+    def wrench(self, flights: Flights) -> Array:
+        """Simulated forces and moments (N, 6) N and Nm of all samples, columns Fx … Mz.
+
+        Raises:
+            ArgumentError: for what are no flights.
+        """
+        simulation = augmented(self.discovery)
+        return np.concatenate([simulation.wrench(flight) for flight in _states(flights)])
+
+    def save(self, path: str | Path) -> Path:
+        """Write it as a file that `find_discrepancy`, `quadpi discrepancy` and `quadpi simulate` take.
+
+        Args:
+            path: ends in .yaml for the simulation of a vehicle file, which this is too; in .json for any
+                other, to which the file refers.
+
+        Raises:
+            ArgumentError: for another ending.
+            DiscrepancyError: for a function of this session, which no file can name.
+            OutputError: if `path` cannot be written.
+        """
+        path = array_checks.path("path", path)
+        base = augmented(self.discovery).base
+        if isinstance(base, CallableSimulation) and not base.code:
+            raise DiscrepancyError(
+                f"{base.name}: a file cannot name this function: give it as text, module:function"
+            )
+        suffix = ".yaml" if isinstance(base, VehicleSimulation) else ".json"
+        if path.suffix != suffix:
+            raise ArgumentError(f"path: expected one that ends in {suffix}, found {path.name}")
+        require_file(path)
+        with scratch_folder() as folder, whole_output(path) as temporary:
+            written = write_addition(self.discovery, folder)
+            assert written is not None  # a verdict of effects
+            temporary.write_text(written.read_text())
+        return path
+
+    def __repr__(self) -> str:
+        simulation = augmented(self.discovery)
+        return f"<BetterSimulation {simulation.base.name:.60} with {', '.join(simulation.effects)}>"
+
+
+@dataclass(frozen=True, repr=False)
+class Discrepancy:
+    """What a search found in flights that a simulation lacks.
+
+    Attributes:
+        study: all that is known, of `quadpi_core.discrepancy.discrepancy_result`.
+    """
+
+    study: Study
+
+    @property
+    def verdict(self) -> str:
+        """ "effects"; "none"; or "unknown" where effects do not hold on flights left out, see `doubts`."""
+        return self.study.discovery.verdict
+
+    @property
+    def effects(self) -> tuple[FoundEffect, ...]:
+        """Named effects, the largest first, with parameters and what else could explain the same."""
+        return self.study.discovery.effects
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Why the verdict is "unknown"; empty for any other."""
+        return self.study.discovery.doubts
+
+    @property
+    def where(self) -> tuple[str, ...]:
+        """Conditions in which simulation and flights disagree, in words."""
+        return tuple(part.text for part in self.study.where.telling)
+
+    @property
+    def simulation(self) -> BetterSimulation:
+        """The simulation with the effects added, and coefficients moved within their tolerances.
+
+        Raises:
+            DiscrepancyError: for any other verdict than "effects".
+        """
+        if self.verdict != "effects":
+            raise DiscrepancyError(
+                f"nothing to add to {self.study.simulation.name}: the verdict is {self.verdict}"
+                f"{''.join(f': {doubt}' for doubt in self.doubts[:1])}"
+            )
+        return BetterSimulation(self.study.discovery)
+
+    def to_pandas(self) -> pd.DataFrame:
+        """A row for each parameter of each effect, with its interval of 95 %; empty where none was named.
+
+        Columns: effect, parameter, value, lower, upper, unit, probability, axes, rivals.
+
+        Raises:
+            LogError: without pandas.
+        """
+        rows = [
+            (*_of(effect), own.name, own.value, own.lower, own.upper, own.unit)
+            for effect in self.effects
+            for own in effect.parameters
+        ]
+        columns = ("effect", "probability", "axes", "rivals", "parameter", "value", "lower", "upper", "unit")
+        frame: pd.DataFrame = pandas().DataFrame(rows, columns=columns)[list(_COLUMNS)]
+        return frame
+
+    def __repr__(self) -> str:
+        study, gap = self.study, self.study.discovery.gap
+        names = ", ".join(effect.name for effect in self.effects) or "no effect named"
+        return (
+            f"<Discrepancy {study.simulation.name:.60} and {len(study.flights)} flights: {self.verdict}, "
+            f"{names:.80}, {gap.reduction:.0%} of the gap closed>"
+        )
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (effect.name, own.name, f"{own.value:.3g}", f"{own.lower:.3g} to {own.upper:.3g}", own.unit)
+            for effect in self.effects
+            for own in effect.parameters
+        ]
+        headings = ("effect", "parameter", "value", "95 %", "unit")
+        return html_table(" ".join((repr(self), *self.doubts)), headings, rows)
+
+    def plot(self, axes: Any = None) -> Any:
+        """Draw the differences of each axis before and after, over their floor; returns axes of matplotlib.
+
+        Args:
+            axes: one of matplotlib; a new figure unless given.
+
+        Raises:
+            LogError: without matplotlib.
+        """
+        axes, gap, places = new_axes(axes), self.study.discovery.gap, np.arange(len(AXES))
+        axes.bar(places - 0.2, gap.before / gap.floor, 0.4, label="before")
+        axes.bar(places + 0.2, gap.after / gap.floor, 0.4, label="with the effects")
+        axes.axhline(1.0, color="black", linestyle="--", linewidth=0.8, label="floor: noise of the sensors")
+        axes.set_xticks(places, AXES)
+        axes.set_ylabel("difference / floor")
+        axes.legend()
+        return axes
+
+
+def _of(effect: FoundEffect) -> tuple[str, float, str, str]:
+    return effect.name, effect.probability, " ".join(effect.axes), ", ".join(effect.rivals)
+
+
+def find_discrepancy(
+    simulation: str | Path | Simulation | Callable[[Flight], Array],
+    flights: Flights,
+    *,
+    effects: Sequence[str] | None = None,
+    seed: int = 0,
+) -> Discrepancy:
+    """Find the physical effects that a simulation lacks beside flights; as `quadpi discrepancy` does.
+
+    Args:
+        simulation: a vehicle that can be simulated, by name or file; a folder of an identified model; a
+            function of yours from a `quadpi_core.flight.Flight` to its wrench (N, 6), itself or as text
+            "module:function"; or what :func:`load_simulation` gave.
+        flights: two or more of its vehicle, low-passed at the 30 Hz of `load_flights`.
+        effects: names of effects to look for; all unless given.
+        seed: of all draws.
+
+    Raises:
+        ArgumentError: for what are no simulation or flights.
+        DiscrepancyError: for too few or too short flights, flights of another vehicle, of hover alone.
+    """
+    given = flights_in("flights", flights)
+    if given.cutoff_hz != CUTOFF_HZ["default"]:
+        raise DiscrepancyError(
+            f"flights: low-passed at {given.cutoff_hz:g} Hz; a search compares at {CUTOFF_HZ['default']:g}"
+        )
+    if isinstance(simulation, str | Path):
+        named = isinstance(simulation, str) and ":" in simulation
+        simulation = load_simulation(simulation, given.vehicle.name if named else None)
+    elif not isinstance(simulation, Simulation) and callable(simulation):
+        name = getattr(simulation, "__name__", type(simulation).__name__)
+        simulation = CallableSimulation(name, given.vehicle, simulation)
+    return Discrepancy(study(simulation, _states(given), names=effects, seed=seed))
+
+
+def _states(flights: Flights) -> list[Flight]:
+    """The states of flights, as a search compares them."""
+    states = []
+    for prepared in flights_in("flights", flights).prepared:
+        if prepared.flight is None:
+            raise ArgumentError(f"flight {prepared.name}: was made of input vectors and has no states")
+        known = replace(prepared.flight, name=prepared.name, sha256=prepared.sha256)
+        states.append(study_flight(known))
+    return states
