@@ -2,12 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Aerodynamic models of quadrotors with prediction intervals, and the monitor that watches them.
 
+    import quadpi_core as qp
+
+    flights = qp.load_flights("bags/train_*.mcap", vehicle="bebop2")
+    model = qp.WrenchModel(estimator="physical").fit(flights)
+
 The names here are those that most programs need; docs/library.md shows them with their units. Each is
 imported from its room when it is first used, so that `import quadpi_core` costs next to nothing.
 """
 
 from __future__ import annotations
 
+import warnings
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -22,9 +28,9 @@ if TYPE_CHECKING:
     from quadpi_core.identification.identify import identify as identify
     from quadpi_core.identification.prepared_flights import prepare_flights as prepare_flights
     from quadpi_core.library.coverage_table import evaluate as evaluate
-    from quadpi_core.library.found_discrepancy import find_discrepancy as find_discrepancy
     from quadpi_core.library.flights import Flights as Flights
     from quadpi_core.library.flights import load_flights as load_flights
+    from quadpi_core.library.found_discrepancy import find_discrepancy as find_discrepancy
     from quadpi_core.library.live_monitor import Monitor as Monitor
     from quadpi_core.library.wrench_model import WrenchModel as WrenchModel
     from quadpi_core.library.wrench_model import load_model as load_model
@@ -63,12 +69,22 @@ _ROOMS = {
     "simulate": "simulation.run",
     "study": "discrepancy.study",
 }
+# Names that others replace here; their functions stay what the rooms call.
+_REPLACED = {
+    "identify": "WrenchModel(estimator).fit(flights)",
+    "judge": "evaluate(model, flights)",
+    "prepare_flights": "load_flights(logs, vehicle)",
+    "read_flights": "load_flights(logs, vehicle)",
+    "study": "find_discrepancy(simulation, flights)",
+}
 
 
 def __getattr__(name: str) -> Any:
     """Import a public name from its room."""
     if name not in _ROOMS:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    if name in _REPLACED:
+        warnings.warn(f"{__name__}.{name}: use {_REPLACED[name]}", DeprecationWarning, stacklevel=2)
     return getattr(import_module(f"{__name__}.{_ROOMS[name]}"), name)
 
 

@@ -93,9 +93,7 @@ class CoverageTable:
         rows = self.pooled if pooled else self.rows
         frame: pd.DataFrame = pandas().DataFrame(rows, columns=CoverageRow._fields)
         if self.by is not None:
-            frame["bin"] = pandas().arrays.IntervalArray.from_tuples(
-                [row.bin for row in rows], closed="left"
-            )
+            frame["bin"] = pandas().arrays.IntervalArray.from_tuples([row.bin for row in rows], closed="left")
         return frame
 
     def __len__(self) -> int:
@@ -180,9 +178,7 @@ def evaluate(
     edges = _edges(np.concatenate(values), 1 if by is None else bins)
     said = model.evaluations(given, confidence)
     confidence = model.model_.confidence if confidence is None else confidence
-    places = [
-        np.clip(np.searchsorted(edges, own, side="right") - 1, 0, len(edges) - 2) for own in values
-    ]
+    places = [np.clip(np.searchsorted(edges, own, side="right") - 1, 0, len(edges) - 2) for own in values]
 
     def rows_of(name: str, members: Sequence[int]) -> list[CoverageRow]:
         of = np.repeat(members, [len(values[k]) for k in members])

@@ -53,6 +53,11 @@ def prepared_from_arrays(
     """Flights by their labels, in the order of their first samples; see `Flights.from_arrays`."""
     cutoff_hz = array_checks.number("cutoff_hz", cutoff_hz, above=0.0)
     stamps = array_checks.stamps("time_ns", time_ns)
+    for name, values in arrays.items():
+        if values is None and name not in _OPTIONAL:
+            raise ArgumentError(
+                f"{name}: expected numbers, found None; only position and wind may be left out"
+            )
     checked = {
         name: array_checks.floats(name, values, len(STATES[name]), rows=len(stamps), of="time_ns")
         for name, values in arrays.items()

@@ -80,8 +80,8 @@ class BetterSimulation:
         return path
 
     def __repr__(self) -> str:
-        simulation = augmented(self.discovery)
-        return f"<BetterSimulation {simulation.base.name:.60} with {', '.join(simulation.effects)}>"
+        effects = ", ".join(effect.name for effect in self.discovery.effects)
+        return f"<BetterSimulation {augmented(self.discovery).base.name:.60} with {effects:.80}>"
 
 
 @dataclass(frozen=True, repr=False)

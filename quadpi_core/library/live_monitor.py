@@ -95,7 +95,9 @@ class Monitor:
             hint = "load_model(folder) reads one"
             if isinstance(model, WrenchModel):
                 hint = "a regressor of your own judges flights offline; docs/add-a-kind-of-model.md goes on"
-            raise ArgumentError(f"model: expected a kind of model, found {array_checks.found(fitted)}; {hint}")
+            raise ArgumentError(
+                f"model: expected a kind of model, found {array_checks.found(fitted)}; {hint}"
+            )
         flown = vehicle if isinstance(vehicle, Vehicle) else fitted.load_vehicle(vehicle)
         self._monitor = BlockMonitor(fitted, flown, rate_hz, confidence, settings)
         # Of the stamps; None where it was given.

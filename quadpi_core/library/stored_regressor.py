@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
 import numpy as np
@@ -15,9 +15,11 @@ from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
 
-# How far a stored form may be from its regressor on the samples that it was fitted to, as a share of their
-# spread: rounding of sums in another order, and nothing that a user could see.
+# How far a stored form may be from its regressor, as a share of the spread of its predictions: rounding of
+# sums in another order, and nothing that a user could see. It is compared on the samples that it was fitted
+# to, and as many times further from their mean.
 _SAME = 1e-9
+_FAR = 10.0
 _INPUTS = len(INPUT_NAMES)
 
 
@@ -52,7 +54,7 @@ class StoredRegressor(ABC):
         known: dict[str, type[Affine | Trees]] = {own.form: own for own in (Affine, Trees)}
         if form not in known:
             raise ModelError(f"unknown form of a regressor {form!r}; known: {', '.join(known)}")
-        names = known[form].__dataclass_fields__
+        names = [column.name for column in fields(known[form])]
         if set(arrays) != set(names):
             raise ModelError(f"{form}: expected arrays {', '.join(names)}, found {', '.join(arrays)}")
         return known[form](**arrays)
@@ -141,6 +143,8 @@ def stored_form(regressor: Any, X: Array, name: str) -> StoredRegressor:
     """
     if isinstance(regressor, StoredRegressor):
         return regressor
+    # Far from the samples too: what is affine among them alone is another regressor.
+    X = np.vstack((X, X.mean(axis=0) + _FAR * (X - X.mean(axis=0))))
     expected = np.asarray(regressor.predict(X), dtype=float).ravel()
     allowed = _SAME * max(float(np.ptp(expected)), np.finfo(float).tiny)
     for form in _forms(regressor, X, expected):

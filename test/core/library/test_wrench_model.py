@@ -91,7 +91,9 @@ def test_parameters_are_set_by_name():
     model = qp.WrenchModel()
     assert model.set_params(estimator=Ridge(), estimator__alpha=3.0) is model
     assert model.get_params()["estimator__alpha"] == 3.0
-    with pytest.raises(ValueError, match="unknown parameter 'alpha'; known: estimator, confidence, candidates"):
+    with pytest.raises(
+        ValueError, match="unknown parameter 'alpha'; known: estimator, confidence, candidates"
+    ):
         model.set_params(alpha=1.0)
     with pytest.raises(ValueError, match="unknown parameter 'estimator__alpha'"):
         qp.WrenchModel().set_params(estimator__alpha=1.0)
@@ -112,7 +114,10 @@ def test_flights_with_a_flaw_are_left_out(training):
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda m, _: m.predict(INPUTS), r"flights: expected Flights, found an array \(5, 19\).*load_flights"),
+        (
+            lambda m, _: m.predict(INPUTS),
+            r"flights: expected Flights, found an array \(5, 19\).*load_flights",
+        ),
         (lambda m, _: m.fit(INPUTS, INPUTS[:, 0]), "flights: expected Flights.*Flights.from_arrays"),
         (lambda m, f: m.fit(f, INPUTS), "y: expected None, as flights hold the wrench"),
         (lambda m, f: m.predict_interval(f, 1.5), "confidence 1.5 is not between 0 and 1"),
@@ -122,7 +127,10 @@ def test_flights_with_a_flaw_are_left_out(training):
         (lambda _, f: qp.WrenchModel(estimator=Ridge).fit(f), "estimator: expected the name of a kind"),
         (lambda _, f: qp.WrenchModel(axes="Fx").fit(f), "axes: expected a list of names, found 'Fx'"),
         (lambda _, f: qp.WrenchModel("polynomial").fit(f), "too few flights: 1 given"),
-        (lambda m, f: m.predict(qp.Flights(f.prepared, f.vehicle, 50.0)), "low-passed at 50 Hz, the model at 30"),
+        (
+            lambda m, f: m.predict(qp.Flights(f.prepared, f.vehicle, 50.0)),
+            "low-passed at 50 Hz, the model at 30",
+        ),
         (lambda m, f: m.plot(qp.Flights((*f.prepared, *other_name(f)), f.vehicle)), "expected one to draw"),
     ],
 )

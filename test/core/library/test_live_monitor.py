@@ -1,0 +1,141 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The monitor with named arrays: the bits of the internal one, in blocks of any length; what it refuses."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from sklearn.linear_model import Ridge
+
+import quadpi_core as qp
+from quadpi_core.flight import AXES
+from quadpi_core.monitor.monitor import Monitor as BlockMonitor
+from quadpi_core.results import CAUSES, EXTRAPOLATION
+
+NAMES = ("velocity", "attitude", "rates", "specific_force", "rotor_speeds", "wind")
+SAMPLES = 3000
+
+
+def samples(flights, count=SAMPLES, **change):
+    """Stamps and named arrays of the first samples of a flight."""
+    flight = flights.prepared[0].flight
+    arrays = {name: getattr(flight, name)[:count].copy() for name in NAMES}
+    return flight.stamps_ns[:count], arrays | change
+
+
+def test_rows_are_those_of_the_internal_monitor(quick, unseen):
+    stamps, arrays = samples(unseen)
+    rows = qp.Monitor(quick, rate_hz=500.0).step(stamps, **arrays)
+    block = np.hstack([arrays[name] for name in NAMES])
+    said, _, _ = BlockMonitor(quick.model_, unseen.vehicle, 500.0).step(stamps, block)
+    assert [row.time_ns for row in rows] == said.time_ns.tolist()
+    for name in ("predicted", "lower", "upper", "measured"):
+        assert np.array_equal([getattr(row, name) for row in rows], getattr(said, name))
+    outside = (said.measured < said.lower) | (said.measured > said.upper)
+    for row, missed in zip(rows, outside, strict=True):
+        assert row.outside == tuple(axis for axis in ("Fx", "Fz") if missed[AXES.index(axis)])
+    assert {row.alarm for row in rows} == {"ok"}
+    assert not any(row.cause for row in rows)
+
+
+def test_one_by_one_as_in_a_block_while_the_rate_is_measured(quick, unseen):
+    stamps, arrays = samples(unseen)
+    block = qp.Monitor(quick).step(stamps, **arrays)
+    monitor, single = qp.Monitor(quick), []
+    for k in range(SAMPLES):
+        single += monitor.step(int(stamps[k]), **{name: own[k] for name, own in arrays.items()})
+    # The first second tells the rate.
+    assert block[0].time_ns == stamps[500]
+    assert len(block) == len(single) == SAMPLES - 500
+    for one, other in zip(block, single, strict=True):
+        assert np.array_equal(one.predicted, other.predicted)
+        assert (one.time_ns, one.outside, one.alarm, one.cause) == (
+            other.time_ns,
+            other.outside,
+            other.alarm,
+            other.cause,
+        )
+    monitor.reset()
+    again = monitor.step(stamps, **arrays)
+    assert np.array_equal([row.predicted for row in again], [row.predicted for row in block])
+
+
+def test_it_says_why_it_warns(quick, unseen):
+    """At thrice the speed of training; the alarm of a row is that of the internal monitor at its stamp."""
+    stamps, arrays = samples(unseen)
+    arrays["velocity"][1000:] += 20.0
+    monitor = qp.Monitor(quick, rate_hz=500.0)
+    rows = monitor.step(stamps, **arrays)
+    alarmed = [row for row in rows if row.alarm == "alarm"]
+    assert alarmed
+    assert alarmed[0].time_ns > stamps[1000]
+    assert "x the training range" in alarmed[-1].cause
+    assert monitor.events[0].cause == EXTRAPOLATION == CAUSES[0]
+    assert repr(monitor).endswith(": alarm>")
+    assert "alarm: " in repr(alarmed[-1])
+    block = np.hstack([arrays[name] for name in NAMES])
+    said, alarms, _ = BlockMonitor(quick.model_, unseen.vehicle, 500.0).step(stamps, block)
+    place = np.searchsorted(alarms.time_ns, said.time_ns, side="right") - 1
+    levels = np.where(place < 0, 0, alarms.level[np.maximum(place, 0)])
+    assert [row.alarm for row in rows] == [("ok", "warning", "alarm")[level] for level in levels]
+
+
+def test_samples_that_cannot_be_used_give_no_row(quick, unseen):
+    stamps, arrays = samples(unseen, 1000)
+    arrays["rates"][700] = np.nan
+    rows = qp.Monitor(quick, rate_hz=500.0).step(stamps, **arrays)
+    assert stamps[700] not in [row.time_ns for row in rows]
+    assert len(rows) == 999
+
+
+def test_wind_may_be_left_out(quick, unseen):
+    stamps, arrays = samples(unseen, 800)
+    still = qp.Monitor(quick, rate_hz=500.0).step(stamps, **arrays | {"wind": np.zeros((800, 3))})
+    del arrays["wind"]
+    rows = qp.Monitor(quick, rate_hz=500.0).step(stamps, **arrays)
+    assert np.array_equal([row.predicted for row in rows], [row.predicted for row in still])
+
+
+def test_the_old_call_warns_and_gives_what_it_gave(quick, unseen):
+    stamps, arrays = samples(unseen)
+    block = np.hstack([arrays[name] for name in NAMES])
+    with pytest.warns(DeprecationWarning, match="name the quantities, step"):
+        said, alarms, events = qp.Monitor(quick.model_, unseen.vehicle, 500.0).step(stamps, block)
+    expected, of_alarm, _ = BlockMonitor(quick.model_, unseen.vehicle, 500.0).step(stamps, block)
+    assert np.array_equal(said.upper, expected.upper)
+    assert np.array_equal(alarms.level, of_alarm.level)
+    assert events == []
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"rates": None}, "rates: expected numbers, found None; only wind may be left out"),
+        ({"rotor_speeds": np.zeros((9, 3))}, r"rotor_speeds: expected shape \(9, 4\) for time_ns"),
+        ({"attitude": np.zeros(4)}, r"attitude: expected shape \(9, 4\) for time_ns"),
+        ({"velocity": "fast"}, "velocity: expected numbers, found"),
+    ],
+)
+def test_bad_arrays_are_refused_by_name(quick, unseen, change, message):
+    stamps, arrays = samples(unseen, 9)
+    with pytest.raises(qp.QuadpiError, match=message):
+        qp.Monitor(quick).step(stamps, **arrays | change)
+
+
+def test_stamps_that_are_no_nanoseconds_are_refused(quick, unseen):
+    _, arrays = samples(unseen, 1)
+    with pytest.raises(qp.QuadpiError, match="time_ns: expected whole nanoseconds"):
+        qp.Monitor(quick).step(0.5, **arrays)
+
+
+def test_what_is_no_model_is_refused(training):
+    with pytest.raises(qp.QuadpiError, match=r"not fitted: call fit\(flights\) first"):
+        qp.Monitor(qp.WrenchModel())
+    with pytest.raises(
+        qp.QuadpiError, match="model: expected a kind of model, found str 'my-model'; load_model"
+    ):
+        qp.Monitor("my-model")
+    own = qp.WrenchModel(Ridge(), axes=["Fx"]).fit(training[:2])
+    with pytest.raises(qp.QuadpiError, match="a regressor of your own judges flights offline"):
+        qp.Monitor(own)

@@ -1,0 +1,127 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Regressors of a user's own: calibrated by flight, judged like kinds of model, refused where they cannot go."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from sklearn.linear_model import Ridge
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
+
+import quadpi_core as qp
+from quadpi_core.models.interval_rules import FlightErrors, calibrate, inside_range
+
+
+@pytest.fixture(scope="module")
+def scaled(training) -> qp.WrenchModel:
+    return qp.WrenchModel(make_pipeline(StandardScaler(), Ridge()), axes=["Fx", "Fz"]).fit(training)
+
+
+class Mean:
+    """Knows no scikit-learn: predicts the mean."""
+
+    def __init__(self):
+        self.fits = 0
+
+    def fit(self, X, y):
+        self.fits += 1
+        self.mean = y.mean()
+
+    def predict(self, X):
+        return np.full((len(X), 1), self.mean)
+
+
+def test_intervals_are_calibrated_on_flights_left_out(training, unseen):
+    """By the rules of the package: the width is what covers flights that the regressor did not see."""
+    regressor = Mean()
+    model = qp.WrenchModel(regressor, axes=["Fx"]).fit(training)
+    assert regressor.fits == 0
+    X, y = [own.inputs for own in training], [own.wrench[:, 0] for own in training]
+    held_out, trained = [], []
+    for k in range(4):
+        others = np.concatenate([y[j] for j in range(4) if j != k]).mean()
+        inside = inside_range(X[k], of=np.concatenate([X[j] for j in range(4) if j != k]))
+        held_out.append(FlightErrors(y[k] - others, np.ones(len(y[k])), inside))
+        everywhere = np.ones(len(y[k]), dtype=bool)
+        trained.append(FlightErrors(y[k] - np.concatenate(y).mean(), np.ones(len(y[k])), everywhere))
+    half = calibrate(held_out, trained).factor(0.9)
+    interval = model.predict_interval(unseen, confidence=0.9)
+    assert np.allclose(interval.upper[:, 0] - interval.lower[:, 0], 2.0 * half, rtol=1e-12)
+    assert np.allclose(model.predict(unseen)[:, 0], np.concatenate(y).mean(), rtol=1e-12)
+    assert not model.predict(unseen)[:, 1:].any()
+
+
+def test_most_of_an_unseen_flight_is_covered(scaled, unseen):
+    table = qp.evaluate(scaled, unseen, by=None, confidence=0.95)
+    assert all(0.9 < row.coverage <= 1.0 for row in table.rows)
+    assert scaled.score(unseen) > 0.8
+    assert "intervals calibrated on" in scaled._repr_html_()
+
+
+def test_it_is_stored_as_numbers(scaled, unseen, tmp_path):
+    scaled.save(tmp_path / "own")
+    assert sorted(file.name for file in (tmp_path / "own").iterdir()) == ["arrays.safetensors", "model.json"]
+    read = qp.load_model(tmp_path / "own")
+    assert repr(read) == "<WrenchModel Pipeline, confidence 0.95: bebop2, Fx Fz, 4 flights>"
+    assert np.allclose(read.predict(unseen), scaled.predict(unseen), rtol=0.0, atol=1e-8)
+    assert np.allclose(
+        read.predict_interval(unseen, 0.9), scaled.predict_interval(unseen, 0.9), rtol=0.0, atol=1e-8
+    )
+    again = read.save(tmp_path / "again")
+    assert np.array_equal(qp.load_model(tmp_path / "again").predict(unseen), again.predict(unseen))
+    with pytest.raises(qp.QuadpiError, match="method 'Pipeline' is not known to this version"):
+        read.fit(unseen)
+
+
+def test_a_folder_that_was_altered_is_refused(scaled, tmp_path):
+    scaled.save(tmp_path / "own")
+    for old, new, message in (
+        ('"form": "affine"', '"form": "pickle"', "unknown form of a regressor 'pickle'"),
+        ('"form": "affine"', '"form": "trees"', "trees: expected arrays feature, threshold"),
+        ('"vehicle": "bebop2"', '"vehicle": 3', "`vehicle` must be text, found 3"),
+    ):
+        altered, file = tmp_path / "altered", "model.json"
+        altered.mkdir(exist_ok=True)
+        text = (tmp_path / "own" / file).read_text()
+        assert old in text
+        (altered / file).write_text(text.replace(old, new))
+        (altered / "arrays.safetensors").write_bytes((tmp_path / "own" / "arrays.safetensors").read_bytes())
+        with pytest.raises(qp.QuadpiError, match=message):
+            qp.load_model(altered)
+
+
+class NotFinite(Mean):
+    def predict(self, X):
+        return np.where(np.arange(len(X)) == 7, np.nan, self.mean)
+
+
+class TooFew(Mean):
+    def predict(self, X):
+        return np.zeros(3)
+
+
+@pytest.mark.parametrize(
+    ("regressor", "flights", "message"),
+    [
+        (NotFinite(), 4, "NotFinite: sample 7: prediction is not finite"),
+        (TooFew(), 4, r"TooFew: gives predictions of shape \(3,\) for \d+ samples"),
+        (Mean(), 1, "too few flights: 1 given, 2 or more needed to calibrate"),
+    ],
+)
+def test_what_cannot_be_used_is_refused(training, regressor, flights, message):
+    with pytest.raises(qp.QuadpiError, match=message):
+        qp.WrenchModel(regressor, axes=["Fx"]).fit(training[:flights])
+
+
+def test_another_vehicle_is_refused(scaled):
+    others = qp.Flights(scaled_flights(scaled), qp.Vehicle.load("neurobem"))
+    with pytest.raises(qp.QuadpiError, match="the model is of vehicle bebop2"):
+        scaled.predict(others)
+
+
+def scaled_flights(_):
+    from quadpi_core.paths import bags_directory
+
+    return qp.load_flights(bags_directory() / "train_1.mcap", "bebop2").prepared
