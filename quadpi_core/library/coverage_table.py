@@ -107,7 +107,8 @@ class CoverageTable:
         bins = f" by {self.by}" if self.by else ""
         return (
             f"<CoverageTable{bins}: {flights} flights{learned}, coverage {min(shares):.1%} to "
-            f"{max(shares):.1%} of {self.confidence:.4g} stated; {below} of {len(shares)} cells cover too little>"
+            f"{max(shares):.1%} of {self.confidence:.4g} stated; "
+            f"{below} of {len(shares)} cells cover too little>"
         )
 
     def _repr_html_(self) -> str:
