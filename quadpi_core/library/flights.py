@@ -63,7 +63,7 @@ class Flights:
                 raise ArgumentError(f"flights: two are called {name}: give each another name")
 
     @classmethod
-    def from_arrays(
+    def from_arrays(  # noqa: PLR0913 - a name for each array
         cls,
         time_ns: npt.ArrayLike,
         *,
@@ -311,7 +311,7 @@ def _matching(log: Path) -> list[str | Path]:
     """The files that a pattern fits, in order of their names; a path that exists is no pattern."""
     if log.exists() or not glob.has_magic(str(log)):
         return [log]
-    found = sorted(glob.glob(str(log), recursive=True))
+    found = sorted(glob.glob(str(log), recursive=True))  # noqa: PTH207 - takes no absolute pattern
     if not found:
         raise LogError(f"{log}: no file fits this pattern")
     return list(found)

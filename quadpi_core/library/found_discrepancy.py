@@ -96,7 +96,7 @@ class Discrepancy:
 
     @property
     def verdict(self) -> str:
-        """ "effects"; "none"; or "unknown" where effects do not hold on flights left out, see `doubts`."""
+        """One of "effects", "none" and "unknown", for effects that do not hold elsewhere; see `doubts`."""
         return self.study.discovery.verdict
 
     @property

@@ -60,8 +60,8 @@ class MonitorRow(NamedTuple):
     cause: str
 
     def __repr__(self) -> str:
-        outside = " ".join(self.outside) or "none"
-        return f"<MonitorRow {self.time_ns} ns: outside {outside}, {self.alarm}{self.cause and f': {self.cause}'}>"
+        outside, why = " ".join(self.outside) or "none", f": {self.cause}" if self.cause else ""
+        return f"<MonitorRow {self.time_ns} ns: outside {outside}, {self.alarm}{why}>"
 
 
 class Monitor:
@@ -209,7 +209,8 @@ class Monitor:
 
     def __repr__(self) -> str:
         model = self._monitor.model
-        return f"<Monitor of {model.vehicle:.40} with {model.name or 'a model not saved':.40}: {LEVELS[self._level]}>"
+        name = model.name or "a model not saved"
+        return f"<Monitor of {model.vehicle:.40} with {name:.40}: {LEVELS[self._level]}>"
 
 
 def _columns(name: str, given: npt.ArrayLike | None, stamps: npt.NDArray[np.int64]) -> Array:

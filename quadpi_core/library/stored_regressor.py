@@ -164,7 +164,9 @@ def _forms(regressor: Any, X: Array, expected: Array) -> Iterator[StoredRegresso
     slopes = (asked[1:] - asked[0]) / step
     yield Affine(np.append(slopes, asked[0] - slopes @ middle))
     members = getattr(regressor, "estimators_", [regressor])
-    trees = [getattr(member, "tree_", None) for member in np.ravel(np.array(members, dtype=object))]
+    trees: list[Any] = [
+        getattr(member, "tree_", None) for member in np.ravel(np.array(members, dtype=object))
+    ]
     if None in trees or any(tree.n_features != _INPUTS for tree in trees):
         return
     begins = np.cumsum([0, *(tree.node_count for tree in trees)])

@@ -152,7 +152,8 @@ class RegressorModel:
             ModelError: for a regressor that is no numbers to quadpi, see :func:`.stored_form`.
             OutputError: if the folder cannot be written.
         """
-        axes, arrays = {}, {}
+        axes: dict[str, Any] = {}
+        arrays: dict[str, Array] = {}
         for axis, fitted in self.fitted.items():
             form = stored_form(fitted, self.sample, self.regressor)
             axes[axis] = {

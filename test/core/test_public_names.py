@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import ast
 import importlib
+import os
 import re
 import subprocess
 import sys
@@ -53,6 +54,42 @@ def test_the_import_brings_nothing_heavy():
     assert done.stdout.split() == ["False", "bebop2"]
 
 
+def test_a_name_that_was_replaced_names_the_new_one():
+    page = (ROOT / "docs" / "library.md").read_text()
+    for name, new in quadpi_core._REPLACED.items():
+        with pytest.warns(DeprecationWarning, match=rf"quadpi_core\.{name}: use {re.escape(new)}"):
+            getattr(quadpi_core, name)
+        assert new.partition("(")[0] in NAMES
+        assert f"`{name}`" in page
+
+
+USER_SCRIPT = """
+import numpy as np
+import quadpi_core as qp
+
+flights: qp.Flights = qp.load_flights("bags/train_*.mcap", vehicle="bebop2")
+model = qp.WrenchModel(estimator="physical", confidence=0.95).fit(flights)
+interval = model.predict_interval(flights[:1], confidence=0.9)
+width: np.ndarray[tuple[int, ...], np.dtype[np.float64]] = interval.upper - interval.lower
+score: float = model.score(flights)
+for row in qp.evaluate(model, flights, by="speed", bins=5).rows:
+    print(row.axis, row.low + row.high)
+monitor = qp.Monitor(qp.load_model("my-model"))
+found = qp.find_discrepancy("bebop2", flights)
+names: list[str] = [effect.name for effect in found.effects]
+"""
+
+
+@pytest.mark.slow
+def test_type_checkers_understand_a_users_script(tmp_path):
+    pytest.importorskip("mypy", reason="mypy is not installed")
+    (tmp_path / "script.py").write_text(USER_SCRIPT)
+    command = [sys.executable, "-m", "mypy", "--strict", "--follow-imports=silent", "script.py"]
+    environment = os.environ | {"MYPYPATH": str(ROOT)}
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout
+
+
 def test_dir_shows_nothing_else():
     others = [name for name in dir(quadpi_core) if name not in quadpi_core._ROOMS]
     assert all(name.startswith("__") and name.endswith("__") for name in others)
@@ -60,6 +97,7 @@ def test_dir_shows_nothing_else():
     assert issubclass(VehicleError, quadpi_core.QuadpiError)
 
 
+@pytest.mark.filterwarnings("ignore:quadpi_core:DeprecationWarning")
 @pytest.mark.parametrize(
     ("call", "message"),
     [
@@ -90,7 +128,7 @@ def test_dir_shows_nothing_else():
         ),
         (
             lambda flown: quadpi_core.Monitor(flown, "model", 500.0),
-            "model: expected AerodynamicModel, found Vehicle",
+            "model: expected a kind of model, found Vehicle; load_model",
         ),
         (
             lambda flown: quadpi_core.identify([], flown, "quadrotor", quadpi_core.IdentifyOptions()),

@@ -69,7 +69,7 @@ def test_what_cannot_be_used_is_left_out_where_it_is_asked_for(tmp_path):
         (lambda f: f[:1] + replace(f[1:2], cutoff_hz=20.0), "low-passed at 30 and at 20 Hz: load them alike"),
         (
             lambda f: f[:1] + replace(f[1:2], vehicle=qp.Vehicle.load("neurobem")),
-            "of two vehicles, bebop2 and",
+            "of two vehicles, bebop2",
         ),
         (lambda f: qp.Flights([f], f.vehicle), "prepared, entry 1: expected PreparedFlight"),
     ],

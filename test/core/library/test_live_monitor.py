@@ -132,9 +132,7 @@ def test_stamps_that_are_no_nanoseconds_are_refused(quick, unseen):
 def test_what_is_no_model_is_refused(training):
     with pytest.raises(qp.QuadpiError, match=r"not fitted: call fit\(flights\) first"):
         qp.Monitor(qp.WrenchModel())
-    with pytest.raises(
-        qp.QuadpiError, match="model: expected a kind of model, found str 'my-model'; load_model"
-    ):
+    with pytest.raises(qp.QuadpiError, match="expected a kind of model, found str 'my-model'; load_model"):
         qp.Monitor("my-model")
     own = qp.WrenchModel(Ridge(), axes=["Fx"]).fit(training[:2])
     with pytest.raises(qp.QuadpiError, match="a regressor of your own judges flights offline"):

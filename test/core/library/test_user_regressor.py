@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Regressors of a user's own: calibrated by flight, judged like kinds of model, refused where they cannot go."""
+"""Regressors of a user's own: calibrated by flight, judged like kinds of model, stored as numbers."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Mean:
     def __init__(self):
         self.fits = 0
 
-    def fit(self, X, y):
+    def fit(self, _X, y):
         self.fits += 1
         self.mean = y.mean()
 
@@ -98,7 +98,7 @@ class NotFinite(Mean):
 
 
 class TooFew(Mean):
-    def predict(self, X):
+    def predict(self, _X):
         return np.zeros(3)
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Models by the protocol of scikit-learn: the bits of `quadpi identify`, folds by flight, one-line refusals."""
+"""Models by the protocol of scikit-learn: the bits of `quadpi identify`, folds by flight, refusals."""
 
 from __future__ import annotations
 
@@ -91,9 +91,7 @@ def test_parameters_are_set_by_name():
     model = qp.WrenchModel()
     assert model.set_params(estimator=Ridge(), estimator__alpha=3.0) is model
     assert model.get_params()["estimator__alpha"] == 3.0
-    with pytest.raises(
-        ValueError, match="unknown parameter 'alpha'; known: estimator, confidence, candidates"
-    ):
+    with pytest.raises(ValueError, match="unknown parameter 'alpha'; known: estimator, confidence"):
         model.set_params(alpha=1.0)
     with pytest.raises(ValueError, match="unknown parameter 'estimator__alpha'"):
         qp.WrenchModel().set_params(estimator__alpha=1.0)
