@@ -26,7 +26,7 @@ def without_side_force(flight: Flight) -> Array:
 
 
 # %% Which effect is missing, and where it shows.
-found = find_discrepancy(without_side_force, flights, effects=["body_drag", "rotor_drag", "payload"])
+found = find_discrepancy(without_side_force, flights, effects=["body_drag", "rotor_drag"])
 print(found)
 print(*found.where, *found.doubts, sep="\n")
 print(found.to_pandas())
