@@ -18,7 +18,7 @@ logs = real or [
     bags_directory() / f"{name}.mcap" for name in ("train_1", "train_2", "train_3", "interpolation")
 ]
 flights = qp.load_flights(logs, vehicle)
-training, unseen = flights[:3], flights[3:]
+training, unseen = flights[[0, 2, 3]], flights[1]
 print(training)
 
 # %% A polynomial of the forces takes seconds; "physical" extrapolates better.
