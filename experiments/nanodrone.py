@@ -234,15 +234,15 @@ def train(flights: Sequence[BenchmarkFlight], vehicle: Vehicle) -> Trained:
     delays = [DELAYS_S[int(np.argmin(delay_costs(flight, start)[-1]))] for flight in own]
     # Each flight with its own delay, to models without any.
     late = [flight.delayed(there) for flight, there in zip(own, delays, strict=True)]
-    apart = [first_step(k).delayed(0.0) for k in range(len(own))]
-    whole, problem = start.delayed(0.0), Problem.of(vehicle, study.reference)
+    apart = [replace(first_step(k), rotor_delay_s=0.0) for k in range(len(own))]
+    whole, problem = replace(start, rotor_delay_s=0.0), Problem.of(vehicle, study.reference)
     process = disturbance_left(apart, late)
     for _ in range(_ROUNDS):
         # By the terms, not by the first step: central differences of the logged states are mostly noise.
         found = fit_multi_step(late, replace(whole, disturbance=process), apart, problem, by_terms=True)
         process = disturbance_left(found.left_out, late)
     model = replace(found.model, disturbance=process)
-    return Trained(model.delayed(float(np.median(delays))), PositionLink.of(flights))
+    return Trained(replace(model, rotor_delay_s=float(np.median(delays))), PositionLink.of(flights))
 
 
 def delay_costs(flight: RolloutFlight, model: RolloutModel) -> Array:
@@ -250,7 +250,7 @@ def delay_costs(flight: RolloutFlight, model: RolloutModel) -> Array:
     span = max(1, round(_DELAY_SPAN_S / flight.step))
     costs = []
     for delay in DELAYS_S:
-        moments = model.delayed(delay).residuals(flight)[:, 3:5] / np.diag(model.inertia)[:2]
+        moments = replace(model, rotor_delay_s=delay).residuals(flight)[:, 3:5] / np.diag(model.inertia)[:2]
         summed = np.cumsum(np.vstack((np.zeros(2), moments)), axis=0)
         means = (summed[span:] - summed[:-span]) / span
         squares = np.sum(np.square(means), axis=1)
@@ -269,7 +269,7 @@ def predict(trained: Trained, flight: BenchmarkFlight) -> Array:
         rows = starts[first : first + every]
         # Of the flight so far, but for the sample whose derivative needs the next one.
         delay = DELAYS_S[int(np.argmin(costs[first - 2]))] if first else trained.model.rotor_delay_s
-        rolled = trained.model.delayed(delay).predicted(own, rows, horizons)
+        rolled = replace(trained.model, rotor_delay_s=delay).predicted(own, rows, horizons)
         for place, steps in enumerate(STEPS):
             errors = rolled.errors[:, place]
             end = rows + steps
