@@ -3,8 +3,7 @@
 """Plug-ins: what files of a folder and other installed packages declare, such as log formats and effects.
 
 A plug-in is a file of the folder, or an entry point of an installed package: `module`, or `module:attribute`
-for one thing in it. It declares instances of one class, at the top level of its module. A new one needs no
-change to another file.
+for one thing in it. It declares instances of one class, at the top level of its module.
 """
 
 from __future__ import annotations
@@ -15,38 +14,21 @@ from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
 from pathlib import Path
-from traceback import walk_tb
+from traceback import extract_tb
 from types import ModuleType
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 from quadpi_core.errors import QuadpiError, one_line
 
 Declared = TypeVar("Declared")
 
 
-class _Named(Protocol):
-    @property
-    def name(self) -> str: ...
-
-
-_WithName = TypeVar("_WithName", bound=_Named)
-
-
-class Plugin(NamedTuple):
-    """A plug-in that was found, not yet imported.
-
-    Attributes:
-        name: of its file, with dashes for underscores, or of its entry point.
-        package: that has it, with its version.
-        target: `module` or `module:attribute`.
-    """
-
+class _Plugin(NamedTuple):
     name: str
     package: str
     target: str
 
     def __str__(self) -> str:
-        """Name and place, for messages."""
         return f"`{self.name}` of {self.package} ({self.target})"
 
 
@@ -59,13 +41,8 @@ def names_in(folder: ModuleType) -> tuple[str, ...]:
 def imported(target: str, where: str, error: type[QuadpiError]) -> Any:
     """What `module` or `module:attribute` names, imported.
 
-    Args:
-        target: to import.
-        where: begins the message of an error.
-        error: class of the error.
-
     Raises:
-        QuadpiError: of that class, with the file and line where the module failed.
+        QuadpiError: of the class `error`, beginning with `where`, with the file and line where it failed.
     """
     module, _, attribute = target.partition(":")
     try:
@@ -73,7 +50,10 @@ def imported(target: str, where: str, error: type[QuadpiError]) -> Any:
         for part in filter(None, attribute.split(".")):
             value = getattr(value, part)
     except Exception as reason:  # of any kind, as it is the user's or another package's code
-        text = f"{_place(module, reason)}{type(reason).__name__}: {one_line(reason)}"
+        failed = [frame for frame in extract_tb(reason.__traceback__) if frame.name == "<module>"]
+        own = next((f for f in failed if Path(f.filename).stem == module.rpartition(".")[2]), None)
+        place = f"{own.filename}, line {own.lineno}: " if own else ""
+        text = f"{place}{type(reason).__name__}: {one_line(reason)}"
         raise error(f"{where}: cannot be imported: {text}") from reason
     return value
 
@@ -107,39 +87,43 @@ class Plugins(Generic[Declared]):
         """What all plug-ins declare, those of this package first, each in the order of its file."""
         return (declared for name in self.names() for declared in self._declared(self._plugin(name)))
 
-    def by_name(self: Plugins[_WithName]) -> dict[str, _WithName]:
+    def by_name(self) -> dict[str, Declared]:
         """What all plug-ins declare, by the name that it has itself; of two of the same name, an error."""
-        found: dict[str, tuple[_WithName, Plugin]] = {}
+        found: dict[str, tuple[Any, _Plugin]] = {}
         for plugin in map(self._plugin, self.names()):
             for declared in self._declared(plugin):
                 known, where = found.setdefault(declared.name, (declared, plugin))
                 if known is not declared:
-                    raise self.error(f"{self.sort} `{declared.name}` is declared twice: {where} and {plugin}")
+                    raise self._twice(declared.name, where, plugin)
         return {name: declared for name, (declared, _) in found.items()}
 
-    def named(self: Plugins[_WithName], name: str) -> _WithName | None:
+    def named(self, name: str) -> Declared | None:
         """What the plug-in of a name declares by the same name; None where there is no such plug-in."""
         if name not in self.names():
             return None
         plugin = self._plugin(name)
         for declared in self._declared(plugin):
             if declared.name == name:
-                return declared
+                own: Declared = declared
+                return own
         raise self.error(f"{self.sort} {plugin}: nothing there has that name")
 
-    def _found(self) -> list[Plugin]:
+    def _found(self) -> list[_Plugin]:
         here = self.folder.__name__
         package = here.partition(".")[0]
-        own = [Plugin(name, package, f"{here}.{name.replace('-', '_')}") for name in names_in(self.folder)]
+        own = [_Plugin(name, package, f"{here}.{name.replace('-', '_')}") for name in names_in(self.folder)]
         return own + _installed(self.group, tuple(sys.path))
 
-    def _plugin(self, name: str) -> Plugin:
+    def _plugin(self, name: str) -> _Plugin:
         plugin, *others = (plugin for plugin in self._found() if plugin.name == name)
         if others:
-            raise self.error(f"{self.sort} `{name}` is declared twice: {plugin} and {others[0]}")
+            raise self._twice(name, plugin, others[0])
         return plugin
 
-    def _declared(self, plugin: Plugin) -> list[Declared]:
+    def _twice(self, name: str, one: _Plugin, other: _Plugin) -> QuadpiError:
+        return self.error(f"{self.sort} `{name}` is declared twice: {one} and {other}")
+
+    def _declared(self, plugin: _Plugin) -> list[Any]:
         value = imported(plugin.target, f"{self.sort} {plugin}", self.error)
         values = vars(value).values() if isinstance(value, ModuleType) else (value,)
         declared = [value for value in values if isinstance(value, self.of)]
@@ -149,7 +133,7 @@ class Plugins(Generic[Declared]):
 
 
 @cache
-def _installed(group: str, _path: tuple[str, ...]) -> list[Plugin]:
+def _installed(group: str, _path: tuple[str, ...]) -> list[_Plugin]:
     """Plug-ins that packages announce, sorted; `_path` is where packages are looked for."""
     # Imported here as it takes longer than all else that `quadpi --help` needs.
     from importlib.metadata import entry_points
@@ -157,13 +141,5 @@ def _installed(group: str, _path: tuple[str, ...]) -> list[Plugin]:
     found = []
     for entry in entry_points(group=group):
         package = f"{entry.dist.name} {entry.dist.version}" if entry.dist else "?"
-        found.append(Plugin(entry.name, package, f"{entry.module}:{entry.attr or ''}".rstrip(":")))
+        found.append(_Plugin(entry.name, package, f"{entry.module}:{entry.attr}".rstrip(":")))
     return sorted(found)
-
-
-def _place(module: str, error: Exception) -> str:
-    """File and line of a module that an error came by; empty where its code has not run."""
-    for frame, line in walk_tb(error.__traceback__):
-        if frame.f_globals.get("__name__") == module:
-            return f"{frame.f_code.co_filename}, line {line}: "
-    return ""

@@ -19,11 +19,7 @@ KINDS = Plugins("method", kinds, "quadpi.model_kinds", Kind, ModelError)  # type
 
 
 def kind_of(options: IdentifyOptions) -> Kind:
-    """The kind that options name or hold; unless they do, the first default that has their settings.
-
-    Raises:
-        ModelError: see :func:`kind_named`.
-    """
+    """The kind that options name or hold; unless they do, the first default that has their settings."""
     if isinstance(options.method, Kind):
         return options.method
     if options.method is not None:
@@ -32,11 +28,7 @@ def kind_of(options: IdentifyOptions) -> Kind:
 
 
 def default_kind(has_what_is_asked: Callable[[Kind], bool]) -> Kind:
-    """The first kind of `kinds.DEFAULTS` that has what is asked for; the first of all if none has.
-
-    Raises:
-        ModelError: see :func:`kind_named`.
-    """
+    """The first kind of `kinds.DEFAULTS` that has what is asked for; the first of all if none has."""
     defaults = [kind_named(name) for name in kinds.DEFAULTS]
     return next(filter(has_what_is_asked, defaults), defaults[0])
 
