@@ -8,7 +8,6 @@ kernel starts from input vectors, in double precision. Both use one thread.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -18,9 +17,8 @@ from benchmarks.random_ensembles import random_ensembles, simulation_inputs
 from benchmarks.synthetic_inputs import smooth_inputs
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.models.ensemble_kernel import CompiledEnsembles
-from quadpi_core.models.kinds.bootstrap import FittedBootstrap
-from quadpi_core.models.model_kind import interval_factors
+from quadpi_core.models.model_kind import Fitted
+from quadpi_core.models.regressors import RegressorProgram
 from quadpi_core.training.networks import Networks
 
 NAMES = ("inference_million_vs_torch",)
@@ -37,16 +35,15 @@ def run() -> list[Result]:
         raise UnavailableError("PyTorch is not installed") from error
     X = smooth_inputs(SAMPLES, seed=1)
     fitted = random_ensembles("bootstrap", X[:10_000], simulation_inputs())
-    compiled = CompiledEnsembles.pack(fitted)
-    factors = interval_factors(fitted, 0.95)
+    factors = fitted.factors(0.95)
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
-        eager = EagerBatches(fitted, X, factors)  # type: ignore[arg-type]  # all are bootstraps
-        check_equal(eager, compiled.evaluate(X[:1000], factors))
+        eager = EagerBatches(fitted, X, factors)
+        check_equal(eager, fitted.evaluate(X[:1000], factors))
         few = [lambda size=size: eager.evaluate(SAMPLES_PER_BLOCK_SIZE, size) for size in BLOCKS]
         block = BLOCKS[int(np.argmin(interleaved_seconds(few, repetitions=3).min(axis=0)))]
-        functions = (lambda: eager.evaluate(SAMPLES, block), lambda: compiled.evaluate(X, factors))
+        functions = (lambda: eager.evaluate(SAMPLES, block), lambda: fitted.evaluate(X, factors))
         theirs, ours = interleaved_seconds(functions).T
     finally:
         torch.set_num_threads(threads)
@@ -60,10 +57,10 @@ def run() -> list[Result]:
 class EagerBatches:
     """The same ensembles in PyTorch, all members of all axes as one batch; missing inputs are zeros."""
 
-    def __init__(self, fitted: Mapping[str, FittedBootstrap], X: Array, factors: Array) -> None:
+    def __init__(self, fitted: Fitted, X: Array, factors: Array) -> None:
         import torch
 
-        widest = max(len(ensemble.scaling.input_mean) for ensemble in fitted.values())
+        widest = max(len(ensemble.scaling.input_mean) for ensemble in fitted.axes.values())
 
         def tensor(values: Array) -> Any:
             return torch.from_numpy(values.astype(np.float32))
@@ -79,8 +76,11 @@ class EagerBatches:
                 tensor(np.concatenate([bank.output_biases for bank in banks])[:, None]),
             )
 
-        ensembles = [fitted[axis] for axis in AXES]
-        self.inputs = torch.stack([tensor(filled_up(ensemble.features(X))) for ensemble in ensembles])
+        ensembles = [fitted.axes[axis] for axis in AXES]
+        features = [
+            own.scaling.standardised(RegressorProgram.compile(own.inputs).evaluate(X)) for own in ensembles
+        ]
+        self.inputs = torch.stack([tensor(filled_up(own)) for own in features])
         self.members = layers([ensemble.members for ensemble in ensembles])
         self.noise = layers([ensemble.noise for ensemble in ensembles])
         columns = [[e.scaling.target_mean, e.scaling.target_scale, e.floor, e.model_share] for e in ensembles]

@@ -13,7 +13,7 @@ from benchmarks.random_ensembles import random_ensembles, simulation_inputs
 from benchmarks.synthetic_inputs import smooth_inputs
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.models.ensemble_kernel import CompiledEnsembles
+from quadpi_core.models.model_kind import Fitted
 
 NAMES = ("inference_one_sample_us",)
 
@@ -24,10 +24,8 @@ def run() -> list[Result]:
     X = smooth_inputs(SAMPLES, seed=1)
     inputs = simulation_inputs()
     widest = max(inputs.values(), key=len)
-    own = microseconds(CompiledEnsembles.pack(random_ensembles("bootstrap", X, inputs)), X)
-    wide = microseconds(
-        CompiledEnsembles.pack(random_ensembles("bootstrap", X, dict.fromkeys(inputs, widest))), X
-    )
+    own = microseconds(random_ensembles("bootstrap", X, inputs), X)
+    wide = microseconds(random_ensembles("bootstrap", X, dict.fromkeys(inputs, widest)), X)
     baseline = (
         f"6 axes x 10 members of 20 units and a variance network of 25, called from Python; "
         f"inputs of the paper's simulation: {_summary(own)}; {len(widest)} inputs on every axis: "
@@ -36,15 +34,15 @@ def run() -> list[Result]:
     return [Result(NAMES[0], float(np.median(own)), "µs", baseline, goal=10.0, at_most=True)]
 
 
-def microseconds(compiled: CompiledEnsembles, X: Array) -> Array:
+def microseconds(fitted: Fitted, X: Array) -> Array:
     """How long (N,) each row of X (N, 19) takes alone."""
     factors = np.full(len(AXES), 1.96)
-    compiled.evaluate(X[:1], factors)
+    fitted.evaluate(X[:1], factors)
     nanoseconds = np.empty(len(X))
     for i in range(len(X)):
         row = X[i : i + 1]
         start = time.perf_counter_ns()
-        compiled.evaluate(row, factors)
+        fitted.evaluate(row, factors)
         nanoseconds[i] = time.perf_counter_ns() - start
     return nanoseconds / 1e3
 

@@ -11,21 +11,24 @@ import numpy as np
 
 from quadpi_core.frames import Array
 from quadpi_core.models.candidate_pool import load_pools
-from quadpi_core.models.fitted_ensemble import FittedEnsemble, Scaling
+from quadpi_core.models.fitted_ensemble import EnsembleAxis, FittedEnsembles, Scaling
 from quadpi_core.models.interval_rules import NormalRule, Rule
-from quadpi_core.models.kinds.bootstrap import FittedBootstrap
-from quadpi_core.models.kinds.quality_driven import FittedQualityDriven
+from quadpi_core.models.kinds.bootstrap import BootstrapAxis, FittedBootstrap
+from quadpi_core.models.kinds.quality_driven import FittedQualityDriven, QualityDrivenAxis
 from quadpi_core.models.regressors import Regressor, RegressorProgram
 from quadpi_core.training.networks import Networks
 
 NOISE_UNITS = 25
 
 
-def random_ensembles(
-    method: str, X: Array, inputs: Mapping[str, Sequence[Regressor]]
-) -> dict[str, FittedEnsemble]:
+FITTED = {own.method: own for own in (FittedBootstrap, FittedQualityDriven)}
+
+
+def random_ensembles(method: str, X: Array, inputs: Mapping[str, Sequence[Regressor]]) -> FittedEnsembles:
     """Ten networks of 20 units for each axis, over input vectors X (N, 19)."""
-    return {axis: random_ensemble(method, X, own, seed=k) for k, (axis, own) in enumerate(inputs.items())}
+    return FITTED[method](
+        {axis: random_ensemble(method, X, own, seed=k) for k, (axis, own) in enumerate(inputs.items())}
+    )
 
 
 def simulation_inputs() -> dict[str, tuple[Regressor, ...]]:
@@ -42,22 +45,23 @@ def random_ensemble(
     units: int = 20,
     rule: Rule | None = None,
     seed: int = 0,
-) -> FittedEnsemble:
+) -> EnsembleAxis:
     """One axis of about 1 ± 0.3 N or Nm."""
     rng = np.random.default_rng(seed)
     features = RegressorProgram.compile(inputs).evaluate(X)
     scaling = Scaling(features.mean(axis=0), features.std(axis=0), target_mean=1.0, target_scale=0.3)
     rule = NormalRule() if rule is None else rule
-    fitted: FittedEnsemble
+    fitted: EnsembleAxis
     if method == FittedBootstrap.method:
         networks = _random_networks(rng, members, len(inputs), units, outputs=1)
         noise = _random_networks(rng, 1, len(inputs), NOISE_UNITS, outputs=1)
-        fitted = FittedBootstrap(tuple(inputs), scaling, networks, rule, 1.0, noise, 1.0 + 1.0 / members)
+        fitted = BootstrapAxis(tuple(inputs), scaling, networks, rule, 1.0, noise, 1.0 + 1.0 / members)
     else:
         networks = _random_networks(rng, members, len(inputs), units, outputs=2)
         networks = replace(networks, output_biases=networks.output_biases + np.array([-1.0, 1.0]))
-        fitted = FittedQualityDriven(tuple(inputs), scaling, networks, rule, 1.0, outward=1.96)
-    spread = fitted.centre_and_spread(X)[1]
+        fitted = QualityDrivenAxis(tuple(inputs), scaling, networks, rule, 1.0, outward=1.96)
+    evaluation = FITTED[method]({"Fx": fitted}).evaluate(X, np.ones(6))
+    spread = evaluation.upper[:, 0] - evaluation.predicted[:, 0]
     return replace(fitted, rms_spread=float(np.sqrt(np.mean(spread**2))))
 
 

@@ -8,6 +8,7 @@ The direct way, one least-squares fit per candidate and step, is also the refere
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
@@ -16,8 +17,9 @@ from benchmarks import Result, interleaved_seconds
 from benchmarks.synthetic_inputs import planted_target, smooth_inputs
 from quadpi_core.frames import Array
 from quadpi_core.models.candidate_pool import load_pools
-from quadpi_core.models.kinds.polynomial import StepwisePolynomial
+from quadpi_core.models.kinds.polynomial import TermSearch
 from quadpi_core.models.regressors import RegressorProgram
+from quadpi_core.models.selection import SelectionSettings
 
 NAMES = ("stepwise_vs_direct", "stepwise_vs_gram")
 
@@ -34,31 +36,40 @@ def run() -> list[Result]:
     inputs = smooth_inputs(SAMPLES, seed=1)
     matrix = RegressorProgram.compile(dict.fromkeys(pool.fixed + pool.candidates)).evaluate(inputs)
     target = planted_target(matrix, len(pool.fixed), PLANTED_TERMS, seed=1)
-    model = StepwisePolynomial.paper(pool).fit(inputs, target)
-    return [against_direct(model, inputs, matrix, target), against_gram(model, inputs, matrix, target)]
+
+    def fit() -> TermSearch:
+        search = TermSearch(pool, SelectionSettings("pse"), inputs, target, np.zeros(len(target), np.int64))
+        search.by_residuals()
+        return search
+
+    return [against_direct(fit, len(pool.candidates), matrix, target), against_gram(fit, matrix)]
 
 
-def against_gram(model: StepwisePolynomial, inputs: Array, matrix: Array, target: Array) -> Result:
+def against_gram(fit: Callable[[], TermSearch], matrix: Array) -> Result:
     """A whole identification, from inputs to intervals, beside one XᵀX of the finished regressors."""
-    functions = (lambda: model.fit(inputs, target), lambda: matrix.T @ matrix)
-    fit, gram = interleaved_seconds(functions, repetitions=9).T
+    functions = (fit, lambda: matrix.T @ matrix)
+    fitting, gram = interleaved_seconds(functions, repetitions=9).T
     samples, size = matrix.shape
     baseline = f"XᵀX of the finished {samples} x {size} matrix by numpy: {np.median(gram):.3f} s"
-    return Result("stepwise_vs_gram", float(np.median(fit / gram)), "times", baseline, goal=2.0, at_most=True)
+    return Result(
+        "stepwise_vs_gram", float(np.median(fitting / gram)), "times", baseline, goal=2.0, at_most=True
+    )
 
 
-def against_direct(model: StepwisePolynomial, inputs: Array, matrix: Array, target: Array) -> Result:
+def against_direct(
+    fit: Callable[[], TermSearch], candidates_of_pool: int, matrix: Array, target: Array
+) -> Result:
     """A whole identification, beside the direct way on the same steps.
 
     Raises:
         RuntimeError: if the direct way finds a better term.
     """
-    columns, steps = unit_columns(matrix), model.steps_
+    columns, steps = unit_columns(matrix), fit().steps
     fast_seconds, direct_seconds = [], 0.0
     for before, after in pairwise(steps):
         time.sleep(REST_S)
         start = time.perf_counter()
-        model.fit(inputs, target)
+        fit()
         fast_seconds.append(time.perf_counter() - start)
 
         active = list(before.active)
@@ -73,7 +84,7 @@ def against_direct(model: StepwisePolynomial, inputs: Array, matrix: Array, targ
 
     fast = float(np.median(fast_seconds))
     baseline = (
-        f"numpy lstsq per candidate, {len(steps) - 1} steps of {len(model.pool.candidates)} candidates, "
+        f"numpy lstsq per candidate, {len(steps) - 1} steps of {candidates_of_pool} candidates, "
         f"{SAMPLES} samples: {direct_seconds:.0f} s, scaled from 1 in {ONE_IN} candidates; ours {fast:.3f} s"
     )
     return Result("stepwise_vs_direct", direct_seconds / fast, "times faster", baseline, goal=300.0)

@@ -20,7 +20,7 @@ from quadpi_core.logs.bag_writer import mcap_writer
 from quadpi_core.logs.bags import recording_topics, write_bag
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.candidate_pool import load_pools
-from quadpi_core.models.model_kind import FittedAxis, IdentifyOptions
+from quadpi_core.models.model_kind import IdentifyOptions
 from quadpi_core.rotations import rotate_world_to_body
 from quadpi_core.vehicle import Vehicle
 
@@ -50,9 +50,7 @@ def three_models(folder: Path, vehicle: Vehicle) -> dict[str, AerodynamicModel]:
     polynomial = identify(flights, vehicle, load_pools("quadrotor"), options).save(folder / METHODS[0])
     models = {METHODS[0]: polynomial}
     for method in METHODS[1:]:
-        ensembles: dict[str, FittedAxis] = {
-            **random_ensembles(method, flights[0].inputs, simulation_inputs())
-        }
+        ensembles = random_ensembles(method, flights[0].inputs, simulation_inputs())
         model = replace(polynomial, name="", fitted=ensembles, identity="")
         # Names of models are parts of topics, which know no hyphen.
         models[method] = model.save(folder / method.replace("-", "_"))

@@ -68,7 +68,7 @@ def three_methods() -> ValidationCase:
     X = np.concatenate([flight.inputs for flight in training])
     inputs = simulation_inputs()
     ensembles = {
-        method: replace(polynomial, fitted={**random_ensembles(method, X, inputs)})
+        method: replace(polynomial, fitted=random_ensembles(method, X, inputs))
         for method in ("bootstrap", "quality-driven")
     }
     plans = load_scenario("validation").flights

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Split conformal prediction by flight, for any estimator that gives intervals.
 
-`python examples/conformal_by_flight.py` calibrates an ensemble on flights that it was not trained on, with
+`python examples/conformal_by_flight.py` calibrates a regression on flights that it was not fitted to, with
 the rules of :mod:`quadpi_core.models.interval_rules`. Models of `quadpi identify` need no such step: they are
 calibrated on each of their flights left out in turn.
 """
@@ -14,6 +14,7 @@ from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import ndtri
 
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
@@ -145,18 +146,35 @@ def _content(X: Array, y: Array, samples: npt.NDArray[np.bool_]) -> bytes:
     return digest.digest()
 
 
-def main() -> None:
-    """Calibrate a quality-driven ensemble on ten synthetic flights; training needs PyTorch."""
-    from quadpi_core.models.kinds.quality_driven import QualityDrivenEnsemble
+class Parabola:
+    """Least squares on the first input and its square; its intervals take residuals as independent."""
 
+    def fit(self, X: Array, y: Array, groups: npt.ArrayLike | None = None) -> Parabola:  # noqa: ARG002
+        """Fit coefficients and the standard deviation of the residuals."""
+        self.coefficients_ = np.polyfit(X[:, 0], y, 2)
+        self.deviation_ = float(np.std(y - self.predict(X)))
+        return self
+
+    def predict(self, X: Array) -> Array:
+        """Predictions (N,)."""
+        predicted: Array = np.polyval(self.coefficients_, X[:, 0])
+        return predicted
+
+    def predict_interval(self, X: Array, confidence: float = 0.95) -> tuple[Array, Array]:
+        """Bounds of normal errors."""
+        half = self.deviation_ * float(ndtri(0.5 + confidence / 2.0))
+        return self.predict(X) - half, self.predict(X) + half
+
+
+def main() -> None:
+    """Calibrate a parabola on ten synthetic flights."""
     rng = np.random.default_rng(1)
     groups = np.repeat(np.arange(20), 200)
     X = rng.uniform(-1.0, 1.0, size=(len(groups), 2))
     y = X[:, 0] ** 2 + 0.1 * rng.normal(size=len(X))
 
     apart = groups >= 10
-    ensemble = QualityDrivenEnsemble.paper(epochs=10, batch=100)
-    conformal = ConformalByFlight(ensemble).fit(X[~apart], y[~apart], groups[~apart])
+    conformal = ConformalByFlight(Parabola()).fit(X[~apart], y[~apart], groups[~apart])
     conformal.conformalize(X[apart], y[apart], groups[apart])
     print(f"{conformal.flight_share:.0%} of new flights reach their confidence")
 

@@ -5,52 +5,45 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from functools import cached_property
+from typing import Annotated
 
 import numpy as np
 
 from quadpi_core.compiled import njit
-from quadpi_core.config_schema import Positive
-from quadpi_core.errors import ModelError
+from quadpi_core.config_schema import Numbers, Positive
 from quadpi_core.flight import AXES
+from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
-from quadpi_core.models.interval_rules import FlightErrors, Rule, calibrate, inside_range, rule_from_json
-from quadpi_core.models.model_kind import Evaluation, Fit, Kind, option
+from quadpi_core.models.interval_rules import FlightErrors, StoredRule, calibrate, inside_range
+from quadpi_core.models.model_kind import Evaluation, Fit, Fitted, FittedAxis, Kind, option
 from quadpi_core.parallel import Progress
 
 TERMS = ["1", *INPUT_NAMES, *(f"{name}^2" for name in INPUT_NAMES)]
 
 
 @dataclass(frozen=True)
-class FittedRidge:
-    """One axis: coefficients (39,) of `TERMS`. Its intervals are equally wide everywhere."""
+class RidgeAxis(FittedAxis):
+    """One axis, as a model folder keeps it. Its intervals are equally wide everywhere."""
 
-    method: ClassVar[str] = "ridge"
-    coefficients: np.ndarray
-    rule: Rule
+    coefficients: Annotated[Array, Numbers(len(TERMS))]
+    rule: StoredRule
     terms = TERMS
 
-    def arrays(self):
-        """What a model folder keeps as arrays."""
-        return {"coefficients": self.coefficients}
 
-    def to_json(self):
-        """What it keeps in model.json."""
-        return {"rule": self.rule.to_json()}
+class FittedRidge(Fitted):
+    """The axes of a model."""
 
-    @classmethod
-    def stored(cls, data, arrays):
-        """The axis again; refuses what no fit gives."""
-        if arrays["coefficients"].shape != (len(TERMS),):
-            raise ModelError(f"{len(arrays['coefficients'])} coefficients, expected {len(TERMS)}")
-        return cls(arrays["coefficients"], rule_from_json(data["rule"]))
+    method = "ridge"
+    axis_type = RidgeAxis
 
-
-@dataclass(frozen=True)
-class CompiledRidge:
-    """All axes: coefficients (6, 39), zero for axes not held."""
-
-    coefficients: np.ndarray
+    @cached_property
+    def coefficients(self):
+        """Coefficients (6, 39), zero for axes not held."""
+        coefficients = np.zeros((len(AXES), len(TERMS)))
+        for axis, own in self.axes.items():
+            coefficients[AXES.index(axis)] = own.coefficients
+        return coefficients
 
     def evaluate(self, inputs, factors, derivatives=None):  # noqa: ARG002
         """Predictions and intervals (N, 6), by the factors (6,) of the rules."""
@@ -79,15 +72,15 @@ class Ridge(Kind):
     """Each axis a ridge regression (Hoerl and Kennard 1970)."""
 
     penalty: Positive = option(1e-4, "Penalty on squared coefficients of standardised inputs, per sample.")
-    name = "ridge"
+    name = FittedRidge.method
     label = "ridge regression"
     colour = "#009E73"
     normal_errors = True
-    axis_type = FittedRidge
+    fitted_type = FittedRidge
 
     def fit(self, samples, pools, options, progress):  # noqa: ARG002
         """Fit each axis to all flights, and without each in turn."""
-        X, fitted, held_out = samples.inputs, {}, {}
+        X, axes, held_out = samples.inputs, {}, {}
         flights = [samples.flight == k for k in range(samples.flight.max() + 1)]
         for done, axis in enumerate(pools):
             progress(Progress(f"Identifying {axis}", done, len(pools)))
@@ -98,15 +91,8 @@ class Ridge(Kind):
             ]
             coefficients = self.solve(X, y)
             trained = [errors(coefficients, X[k], y[k], np.ones(k.sum(), dtype=bool)) for k in flights]
-            fitted[axis] = FittedRidge(coefficients, calibrate(held_out[axis], trained))
-        return Fit(fitted, held_out)
-
-    def compile(self, fitted):
-        """Pack the axes that are held."""
-        coefficients = np.zeros((len(AXES), len(TERMS)))
-        for axis, own in fitted.items():
-            coefficients[AXES.index(axis)] = own.coefficients
-        return CompiledRidge(coefficients)
+            axes[axis] = RidgeAxis(coefficients, calibrate(held_out[axis], trained))
+        return Fit(FittedRidge(axes), held_out)
 
     def solve(self, X, y):
         """Coefficients (39,) for inputs (N, 19) and target (N,)."""

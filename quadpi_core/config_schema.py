@@ -365,6 +365,10 @@ class Numbers:
         """The array."""
         amount = "numbers" if self.count is None else f"{self.count} numbers"
         words = f"must hold {'rows of ' if self.rows else ''}{amount}"
+        if isinstance(data, np.ndarray):
+            if data.ndim != 1 + self.rows or self.count not in {None, data.shape[-1]}:
+                raise RefusedError(f"{words}, is of shape {data.shape}")
+            return data
         numbers = Expected(words).read(list[list[Real]] if self.rows else list[Real], data)
         for row in numbers if self.rows else [numbers]:
             if self.count not in {None, len(row)}:

@@ -107,7 +107,7 @@ def test_models_are_kept_and_taken_from_the_same_data_only(identified, tmp_path)
     again = case().case.models["polynomial"]
     assert identified == ["polynomial"]
     assert again.identity == first.identity == AerodynamicModel.load(folder / "polynomial").identity
-    np.testing.assert_array_equal(again.fitted["Fx"].coefficients, first.fitted["Fx"].coefficients)
+    np.testing.assert_array_equal(again.fitted.axes["Fx"].coefficients, first.fitted.axes["Fx"].coefficients)
 
     case(seed=1)
     case(seed=1, settings="default")

@@ -67,7 +67,7 @@ class KindCommand(TyperCommand):
             ctx.meta[_CHOICE] = f"--method {kind.name}: {first.name}, the default, takes no {others}"
         ctx.meta[_OPTIONS] = _options(kind)
         left = super().parse_args(ctx, args)
-        ctx.obj = replace(kind, **{field.name: ctx.params.pop(field.name) for field in fields(kind)})
+        ctx.obj = replace(kind, **{own.name: ctx.params.pop(own.name) for own in ctx.meta[_OPTIONS]})
         return left
 
 
@@ -87,7 +87,7 @@ def _takes(kind: Kind) -> set[str]:
 def _options(kind: Kind) -> list[Any]:
     """The options that the fields of a kind declare."""
     parameters = []
-    for field in fields(kind):
+    for field in (field for field in fields(kind) if "help" in field.metadata):
         panel = f"Options of --method {kind.name}"
         declared = typer.Option(help=field.metadata["help"], rich_help_panel=panel)
         hint = Annotated[get_type_hints(type(kind))[field.name], declared]  # type: ignore[valid-type]

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -25,7 +24,7 @@ from quadpi_core.models.envelope import Envelope
 from quadpi_core.models.interval_rules import HeldOutRule, require_confidence
 from quadpi_core.models.kind_registry import kind_of
 from quadpi_core.models.least_squares import identifiable
-from quadpi_core.models.model_kind import IdentifyOptions, Pools, Settings, TrainingSamples, interval_factors
+from quadpi_core.models.model_kind import IdentifyOptions, Pools, Settings, TrainingSamples
 from quadpi_core.parallel import ReportProgress, ignore_progress
 from quadpi_core.vehicle import LOAD_VEHICLE, Vehicle
 
@@ -65,26 +64,24 @@ def identify(
     axes = [axis for axis in AXES if axis in pools]
     with identifiable(f"a {options.method or kind.name} model"):
         fit = kind.fit(samples, {axis: pools[axis] for axis in axes}, options, progress)
-    fitted = dict(fit.axes)
-    compiled = kind.compile(fitted)
-    factors = interval_factors(fitted, options.confidence)
+    fitted = fit.fitted
+    factors = fitted.factors(options.confidence)
 
     # Intervals: the held-out errors must be covered for the causal states of the live path too.
     held_out = fit.held_out
     live = (
-        live_errors(flights, held_out, lambda rows, moving: compiled.evaluate(rows, factors, moving))
+        live_errors(flights, held_out, lambda rows, moving: fitted.evaluate(rows, factors, moving))
         if held_out
         else []
     )
     rules = {
         axis: rule.covering([flight.errors[axis] for flight in live])
         for axis in held_out
-        if isinstance(rule := fitted[axis].rule, HeldOutRule)
+        if isinstance(rule := fitted.axes[axis].rule, HeldOutRule)
     }
-    fitted |= {axis: replace(fitted[axis], rule=rule) for axis, rule in rules.items()}
 
     # Alarm: the envelope of all flights, with limits from the flights left out.
-    evidence = compiled.evaluate(samples.inputs, factors, samples.derivatives)
+    evidence = fitted.evaluate(samples.inputs, factors, samples.derivatives)
     envelope, limits = calibrate_alarm(
         Envelope.fit(samples.inputs, samples.flight, evidence.leverage, evidence.relative_width),
         left_out(flights, rules, live, options.confidence) if rules else [],
@@ -102,7 +99,7 @@ def identify(
         settings=options.settings,
         cutoff_hz=options.cutoff_hz,
         confidence=options.confidence,
-        fitted=fitted,
+        fitted=fitted.with_rules(rules),
         envelope=envelope,
         training_range={axis: float(np.ptp(samples.target(axis))) for axis in axes},
         flights=tuple(TrainingFlight(f.name, f.sha256, len(f.time)) for f in flights),
@@ -116,7 +113,6 @@ def identify(
         rollouts=fit.rollouts,
         alarm_limits=limits,
         left_out=tuple(fit.left_out),
-        compiled=compiled,
     )
 
 

@@ -31,15 +31,7 @@ from quadpi_core.models.model_folder import (
     read_folder,
     write_folder,
 )
-from quadpi_core.models.model_kind import (
-    CompiledAxes,
-    Evaluation,
-    FittedAxis,
-    Kind,
-    StoredAxes,
-    interval_factors,
-    named_arrays,
-)
+from quadpi_core.models.model_kind import Evaluation, Fitted, Kind, StoredAxes, named_arrays
 from quadpi_core.models.rollout_model import RolloutModel
 from quadpi_core.models.sound_flights import SoundFlights
 from quadpi_core.records import Records
@@ -98,7 +90,7 @@ class AerodynamicModel:
         settings: "default" or "paper".
         cutoff_hz: of the low-pass that every signal passed before identification, and must pass before use.
         confidence: nominal coverage that the monitor uses by default.
-        fitted: axes by name, in the order of `AXES`, all of one method.
+        fitted: what the kind of model keeps, its axes in the order of `AXES`.
         envelope: what the training flights showed.
         training_range: per axis, range (max − min) of the measured training data, the denominator of NMPIW.
         flights: that the model was identified on.
@@ -109,9 +101,8 @@ class AerodynamicModel:
         rollouts: predicts the state ahead; None for a model that cannot.
         alarm_limits: limits of the alarm other than those of `envelope`; uncalibrated by default.
         sound: what flights leave of a model identified without them; None where they do not tell.
-        left_out: the fitted axes without each of `flights` in turn; empty in a model that was read.
+        left_out: `fitted` without each of `flights` in turn; empty in a model that was read.
         flown: the vehicle of the flights; None for a model of an earlier version, which knows its name.
-        compiled: `fitted` packed for evaluation; packed at first use unless given.
     """
 
     name: str
@@ -120,7 +111,7 @@ class AerodynamicModel:
     settings: str
     cutoff_hz: float
     confidence: float
-    fitted: dict[str, FittedAxis]
+    fitted: Fitted
     envelope: Envelope
     training_range: dict[str, float]
     flights: tuple[TrainingFlight, ...]
@@ -130,9 +121,8 @@ class AerodynamicModel:
     rollouts: RolloutModel | None = None
     alarm_limits: AlarmLimits = field(default_factory=AlarmLimits)
     sound: SoundFlights | None = None
-    left_out: tuple[Mapping[str, FittedAxis], ...] = field(default=(), repr=False, compare=False)
+    left_out: tuple[Fitted, ...] = field(default=(), repr=False, compare=False)
     flown: Vehicle | None = field(default=None, repr=False, compare=False)
-    compiled: CompiledAxes | None = field(default=None, repr=False, compare=False)
 
     def __repr__(self) -> str:
         return (
@@ -143,12 +133,12 @@ class AerodynamicModel:
     @cached_property
     def axes(self) -> tuple[str, ...]:
         """Names of the axes held, in the order of `AXES`."""
-        return tuple(axis for axis in AXES if axis in self.fitted)
+        return tuple(axis for axis in AXES if axis in self.fitted.axes)
 
     @property
     def method(self) -> str:
         """Name of the kind of model."""
-        return next(iter(self.fitted.values())).method
+        return self.fitted.method
 
     @property
     def kind(self) -> Kind:
@@ -210,16 +200,16 @@ class AerodynamicModel:
         Raises:
             ModelError: for a model of some axes, or of a kind that is no simulation.
         """
-        lacking = [axis for axis in AXES if axis not in self.fitted]
+        lacking = [axis for axis in AXES if axis not in self.fitted.axes]
         if lacking:
             raise ModelError(f"model {self.name}: lacks {', '.join(lacking)}; a simulation has all six axes")
         with named_in(f"model {self.name}"):
-            return self.kind.simulation_section(self.fitted)
+            return self.fitted.simulation_section()
 
     @property
     def sections_left_out(self) -> list[dict[str, Any]]:
         """:meth:`simulation_section` of the model identified without each of its flights in turn."""
-        return [self.kind.simulation_section(fitted) for fitted in self.left_out]
+        return [fitted.simulation_section() for fitted in self.left_out]
 
     def require_rollouts(self) -> RolloutModel:
         """What predicts the state ahead.
@@ -239,7 +229,7 @@ class AerodynamicModel:
 
     def calibration(self) -> str:
         """A sentence that says how the width of the intervals was calibrated."""
-        rule = next(iter(self.fitted.values())).rule
+        rule = next(iter(self.fitted.axes.values())).rule
         if not isinstance(rule, HeldOutRule):
             return f"intervals by the paper's {rule.kind} rule, uncalibrated: they cover less of new flights"
         total, inside = len(rule.flight_factors), rule.flights_inside
@@ -254,22 +244,18 @@ class AerodynamicModel:
     def support(self, confidence: float) -> LevelSupport:
         """What a confidence means for flights to come, by the flights that calibrated the intervals."""
         confidence = array_checks.number("confidence", confidence)
-        rules = [own.rule for own in self.fitted.values()]
+        rules = [own.rule for own in self.fitted.axes.values()]
         inside = min(rule.flights_inside if isinstance(rule, HeldOutRule) else 0 for rule in rules)
         return LevelSupport.of(confidence, inside)
 
     @cached_property
-    def _axes(self) -> CompiledAxes:
-        return self.compiled or self.kind.compile(self.fitted)
-
-    @cached_property
     def _factors(self) -> Callable[[float], Array]:
-        return lru_cache(maxsize=16)(lambda confidence: interval_factors(self.fitted, confidence))
+        return lru_cache(maxsize=16)(self.fitted.factors)
 
     @property
     def force_bandwidth_hz(self) -> float | None:
-        """See :meth:`.model_kind.Kind.force_bandwidth_hz`."""
-        return self.kind.force_bandwidth_hz(self.fitted)
+        """See :attr:`.model_kind.Fitted.force_bandwidth_hz`."""
+        return self.fitted.force_bandwidth_hz
 
     def evaluate(
         self,
@@ -340,8 +326,8 @@ class AerodynamicModel:
         return ratio
 
     def __getstate__(self) -> dict[str, Any]:
-        """State for pickling: another process compiles for itself."""
-        return {column.name: getattr(self, column.name) for column in fields(self)} | {"compiled": None}
+        """State for pickling, without what is cached."""
+        return {column.name: getattr(self, column.name) for column in fields(self)}
 
     def save(self, folder: str | Path) -> AerodynamicModel:
         """Write the model as a folder, whole or not at all; returns it with name and identity.
@@ -350,7 +336,7 @@ class AerodynamicModel:
             OutputError: if the folder cannot be written, or holds what is not part of a model.
         """
         folder = array_checks.path("folder", folder)
-        stored = self.kind.store(self.fitted)
+        stored = self.fitted.store()
         axes = {
             axis: {
                 **entry,
@@ -410,7 +396,7 @@ class AerodynamicModel:
                 settings=described.settings,
                 cutoff_hz=described.cutoff_hz,
                 confidence=described.confidence,
-                fitted=kind.read(StoredAxes(entries, content.arrays, content.files)),
+                fitted=kind.fitted_type.read(StoredAxes(entries, content.arrays, content.files)),
                 envelope=described.envelope,
                 training_range={axis: entry.training_range for axis, entry in axes.items()},
                 flights=described.flights,
@@ -423,8 +409,7 @@ class AerodynamicModel:
                 flown=described.flown(),
             )
             # A confidence that has no intervals is the fault of the file, not of whoever asks for them.
-            for fitted in model.fitted.values():
-                fitted.rule.factor(model.confidence)
+            model.fitted.factors(model.confidence)
             return model
 
 
@@ -443,7 +428,7 @@ def unchecked_evaluation(
     """
     if confidence is None:
         confidence = model.confidence
-    return model._axes.evaluate(inputs, model._factors(confidence), derivatives)
+    return model.fitted.evaluate(inputs, model._factors(confidence), derivatives)
 
 
 def recorded_evaluation(

@@ -1,32 +1,42 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""The fitted physical model as a model folder keeps it and as it is packed for evaluation."""
+"""The fitted physical model: what it predicts, says and stores."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from quadpi_core.bounded_files import parse_json
 from quadpi_core.config_schema import NotNegative, Positive, Text, parse_config
-from quadpi_core.errors import ModelError
+from quadpi_core.errors import ModelError, named_in
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.models.fitted_polynomial import SpreadEntry, SpreadShape, spread_json
-from quadpi_core.models.interval_rules import Rule
-from quadpi_core.models.model_kind import Evaluation
-from quadpi_core.models.physical_fit import FitStep, worst_pairs
-from quadpi_core.models.physical_flight import PhysicalFlight, Sensing
-from quadpi_core.models.physical_kernel import COMMON, KEPT, PackedPhysical, evaluate_physical
-from quadpi_core.models.physical_regressors import control_signs
+from quadpi_core.inputs import DERIVATIVES
+from quadpi_core.models.fitted_polynomial import RmsSpread
+from quadpi_core.models.interval_rules import StoredRule
+from quadpi_core.models.model_kind import Evaluation, Facts, Fitted, FittedAxis, RotorDelay, StoredAxes
+from quadpi_core.models.physical_advice import delay_words, missing_flying
+from quadpi_core.models.physical_fit import AT_BOUND, FitStep, bounded_terms, worst_pairs
+from quadpi_core.models.physical_flight import DELAYS_S, PhysicalFlight, Sensing
+from quadpi_core.models.physical_kernel import COMMON, KEPT, PackedPhysical, evaluate_physical, motions
+from quadpi_core.models.physical_regressors import control_signs, regressors
 from quadpi_core.models.physical_terms import TERM_INDEX, TERM_NAMES, TERMS
 from quadpi_core.models.regressors import check_inputs
+from quadpi_core.models.rollout_model import MOVES, RolloutModel
 from quadpi_core.models.stored_body import StoredBody, require_arrays, require_known
 from quadpi_core.records import Records
+from quadpi_core.vehicle import Vehicle
+
+FIT_FILE, TABLE_FILE = "fit.json", "parameters.csv"
+# Least variance of a direction of correlated parameters: hover leaves some that are known to 1e-13 of others.
+_LEAST_VARIANCE = 1e-12
 
 
 @dataclass(frozen=True)
@@ -114,54 +124,6 @@ class PhysicalFit:
 
 
 @dataclass(frozen=True)
-class FittedPhysical:
-    """One axis of the physical model.
-
-    Attributes:
-        parameters: of all axes.
-        whitening: (S, S) lower triangular Wᵀ with leverage h = |W z|², of the terms that act on the axis.
-        acting: (S,) numbers of these terms.
-        shape: of the spread over the inputs.
-        rule: gives the interval's factor on the spread.
-        rms_spread: root mean square of the spread over the training samples, the unit of relative width.
-    """
-
-    method: ClassVar[str] = "physical"
-    parameters: PhysicalFit
-    whitening: Array
-    acting: npt.NDArray[np.int64]
-    shape: SpreadShape
-    rule: Rule
-    rms_spread: float
-
-    @property
-    def terms(self) -> list[str]:
-        """Names of the parameters that act on the axis."""
-        return [TERM_NAMES[k] for k in self.acting]
-
-    def arrays(self) -> dict[str, Array]:
-        """What a stored model keeps of the axis alone as arrays, by name."""
-        return {"whitening": np.ascontiguousarray(self.whitening)}
-
-    def to_json(self) -> dict[str, Any]:
-        """What a stored model keeps of the axis alone beside the arrays."""
-        return {"acting": self.terms, **spread_json(self.shape, self.rule, self.rms_spread)}
-
-    @classmethod
-    def stored(cls, data: Any, arrays: Mapping[str, Array]) -> FittedPhysical:
-        """Read what `to_json` and `arrays` gave, with the `parameters` among the data.
-
-        Raises:
-            ModelError: for numbers that no fit gives, and parameters that this version does not know.
-        """
-        entry = parse_config(_AxisEntry, data, cls.method, ModelError)
-        require_known(entry.acting)
-        acting = np.array([TERM_INDEX[name] for name in entry.acting], dtype=np.int64)
-        require_arrays(arrays, {"whitening": (len(acting), len(acting))})
-        return cls(data["parameters"], arrays["whitening"], acting, *entry.spread())
-
-
-@dataclass(frozen=True)
 class _FitEntry:
     """What a stored model keeps of all axes beside the arrays."""
 
@@ -174,29 +136,63 @@ class _FitEntry:
 
 
 @dataclass(frozen=True)
-class _AxisEntry(SpreadEntry):
-    """What a stored model keeps of an axis beside the arrays."""
+class PhysicalAxis(FittedAxis):
+    """One axis of the physical model.
+
+    Attributes:
+        acting: S terms that act on the axis.
+        whitening: (S, S) lower triangular Wᵀ with leverage h = |W z|², of these terms.
+        inflation, growth: of the spread, see :class:`.spread_shape.SpreadShape`.
+        rule: gives the interval's factor on the spread.
+        rms_spread: root mean square of the spread over the training samples, the unit of relative width.
+    """
 
     acting: tuple[Text, ...]
+    whitening: Array
+    inflation: NotNegative
+    growth: NotNegative
+    rule: StoredRule
+    rms_spread: RmsSpread
+
+    def __post_init__(self) -> None:
+        require_known(self.acting)
+        require_arrays({"whitening": self.whitening}, {"whitening": (len(self.acting), len(self.acting))})
+
+    @property
+    def terms(self) -> list[str]:
+        """Names of the parameters that act on the axis."""
+        return list(self.acting)
+
+    @property
+    def numbers(self) -> list[int]:
+        """Their numbers, (S,)."""
+        return [TERM_INDEX[name] for name in self.acting]
 
 
 @dataclass(frozen=True)
-class CompiledPhysical:
-    """The fitted axes packed for compiled evaluation."""
+class FittedPhysical(Fitted):
+    """The physical model of a vehicle.
 
-    fitted: Mapping[str, FittedPhysical]
+    Attributes:
+        parameters: of all axes.
+    """
+
+    parameters: PhysicalFit
+
+    method = "physical"
+    axis_type = PhysicalAxis
 
     @cached_property
     def _packed(self) -> PackedPhysical:
-        longest = max(len(own.acting) for own in self.fitted.values())
+        longest = max(len(own.acting) for own in self.axes.values())
         common = np.zeros(1, COMMON)
         acting = np.zeros((len(AXES), longest), dtype=np.int64)
         whitening = np.zeros((len(AXES), longest, longest))
-        for axis, own in self.fitted.items():
+        for axis, own in self.axes.items():
             k, size = AXES.index(axis), len(own.acting)
-            common["axes"][0, k] = size, own.shape.inflation, own.shape.growth, own.rms_spread
-            acting[k, :size], whitening[k, :size, :size] = own.acting, own.whitening
-        fit = next(iter(self.fitted.values())).parameters
+            common["axes"][0, k] = size, own.inflation, own.growth, own.rms_spread
+            acting[k, :size], whitening[k, :size, :size] = own.numbers, own.whitening
+        fit = self.parameters
         common["vehicle"], common["controls"] = fit.vehicle, control_signs(fit.vehicle)
         common["delay_s"] = fit.sensing.rotor_delay_s
         kept = np.zeros(len(fit.kept), KEPT)
@@ -204,7 +200,7 @@ class CompiledPhysical:
         return PackedPhysical(common, kept, acting, whitening)
 
     def evaluate(self, inputs: Array, factors: Array, derivatives: Records | None = None) -> Evaluation:
-        """Evaluate input vectors (N, 19) with half widths from :func:`.model_kind.interval_factors`.
+        """See the base class.
 
         Raises:
             ModelError: without derivatives (N,): rotor speeds act late, and their change has a torque.
@@ -215,3 +211,123 @@ class CompiledPhysical:
         out = np.zeros((5, len(inputs), len(AXES)))
         evaluate_physical(inputs, derivatives, *self._packed, factors, out)
         return Evaluation(out[0], out[1], out[2], out[3], out[4])
+
+    def store(self) -> StoredAxes:
+        """Parameters once, what belongs to an axis by axis, and a table of parameters for people."""
+        shared, by_axis = self.parameters, super().store()
+        fit = json.dumps(shared.to_json(), indent=1, allow_nan=False) + "\n"
+        files = {FIT_FILE: fit.encode(), TABLE_FILE: shared.csv().encode()}
+        return StoredAxes(by_axis.entries, {**shared.arrays(), **by_axis.arrays}, files)
+
+    @classmethod
+    def read(cls, stored: StoredAxes) -> FittedPhysical:
+        """What :meth:`store` gave."""
+        if FIT_FILE not in stored.files:
+            raise ModelError(f"{FIT_FILE}: missing")
+        with named_in(FIT_FILE):
+            content = parse_json(stored.files[FIT_FILE].decode(errors="replace"))
+            shared = PhysicalFit.stored(content, stored.arrays)
+        return cls(cls.read_axes(stored), shared)
+
+    @property
+    def force_bandwidth_hz(self) -> float | None:
+        """As it was found."""
+        return self.parameters.sensing.force_bandwidth_hz
+
+    @property
+    def rotor_delay(self) -> RotorDelay:
+        """As it was found."""
+        return RotorDelay(self.parameters.sensing.rotor_delay_s, self.parameters.delay_range_s)
+
+    def simulation_section(self) -> dict[str, Any]:
+        """The parameters; the place of the accelerometer, which moves no body, as an effect on sensors."""
+        shared = self.parameters
+        values = {TERM_NAMES[k]: float(shared.values[k]) for k in shared.kept}
+        lever_arm = {f"{axis}_m": values.pop(f"imu_{axis}", 0.0) for axis in "xyz"}
+        flying = [TERM_INDEX[name] for name in values]
+        scale = shared.standard_errors[flying]
+        correlation = shared.covariance[np.ix_(flying, flying)] / np.outer(scale, scale)
+        triangle = scale[:, np.newaxis] * triangular(correlation)
+        section: dict[str, Any] = {
+            "physical": {
+                "reference_thrust_n_s2": float(shared.vehicle["reference_thrust"][0]),
+                "parameters": values,
+                "deviations": {name: triangle[row, : row + 1].tolist() for row, name in enumerate(values)},
+                **asdict(shared.sensing),
+            }
+        }
+        if any(lever_arm.values()):
+            section["effects"] = {"imu_lever_arm": lever_arm}
+        return section
+
+    def facts(self, rollouts: RolloutModel | None) -> list[Facts]:
+        """Parameters, their most correlated pairs, those that predict ahead, and the log of the fit."""
+        shared = self.parameters
+        return [
+            *_parameter_facts(
+                "parameters",
+                [(name, value, error, unit, note) for name, value, error, unit, _, note in shared.rows()],
+                _sensing_words(shared),
+                shared.covariance,
+            ),
+            *([] if rollouts is None else _facts_ahead(rollouts)),
+            Facts(
+                "log of the fit",
+                ("step", "of", "error"),
+                [(step.step, step.of, step.error) for step in shared.log],
+            ),
+        ]
+
+    def standard_error(self, axis: str, inputs: Array, weights: Array, vehicle: Vehicle) -> float:
+        """By the covariance of the parameters, with the thrust that differs from flight to flight."""
+        own, column, shared = self.axes[axis], AXES.index(axis), self.parameters
+        steady = np.zeros(len(inputs), DERIVATIVES)
+        z = regressors(motions(inputs, steady, vehicle), shared.vehicle)[:, own.numbers, column]
+        # The whitening is in units of the noise: of the force or moment at rest, both errors are known.
+        rest = TERM_INDEX[f"bias_{('x', 'y', 'z', 'roll', 'pitch', 'yaw')[column]}"]
+        place = np.flatnonzero(np.array(own.numbers) == rest)
+        noise = shared.standard_errors[rest] / np.linalg.norm(own.whitening[place])
+        return float(noise * np.linalg.norm(weights @ z @ own.whitening))
+
+
+def _parameter_facts(
+    title: str, rows: Sequence[tuple[str | float, ...]], note: str, covariance: Array
+) -> list[Facts]:
+    """Parameters, and their most correlated pairs."""
+    columns = ("parameter", "value", "standard error", "unit", "note")
+    pairs = ("one", "other", "correlation")
+    return [
+        Facts(title, columns, rows, note),
+        Facts(f"most correlated {title}", pairs, worst_pairs(covariance)),
+    ]
+
+
+def _facts_ahead(rollouts: RolloutModel) -> list[Facts]:
+    values, errors = rollouts.parameters, np.sqrt(np.diag(rollouts.covariance))
+    bounded = bounded_terms(values, errors)
+    rows = [
+        (term.name, float(values[k]), float(errors[k]), term.unit, AT_BOUND if term.name in bounded else "")
+        for k, term in enumerate(TERMS)
+        if MOVES[k] and errors[k] > 0.0
+    ]
+    return _parameter_facts("parameters that predict ahead", rows, rollouts.remark, rollouts.covariance)
+
+
+def _sensing_words(shared: PhysicalFit) -> str:
+    words = delay_words(shared.sensing.rotor_delay_s, shared.delay_range_s, DELAYS_S[-1])
+    if (bandwidth := shared.sensing.force_bandwidth_hz) is not None:
+        words += (
+            f"; measured forces of these flights end at {bandwidth:g} Hz, so predicted forces are judged "
+            "smoothed alike"
+        )
+    untold = [name for name, note in shared.notes.items() if note != AT_BOUND]
+    missing = missing_flying(untold, len(shared.kept))
+    return f"{words}. {missing}" if missing else words
+
+
+def triangular(correlation: Array) -> Array:
+    """Lower triangular L (s, s) with L Lᵀ the correlation (s, s), which rounding may leave indefinite."""
+    values, vectors = np.linalg.eigh(correlation)
+    half = vectors * np.sqrt(np.maximum(values, _LEAST_VARIANCE))
+    lower: Array = np.transpose(np.linalg.qr(half.T).R)
+    return lower * np.where(np.diag(lower) < 0.0, -1.0, 1.0)

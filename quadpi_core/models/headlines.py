@@ -50,7 +50,7 @@ def headlines(model: AerodynamicModel, vehicle: Vehicle) -> list[Headline]:
         vehicle: of the model.
     """
     found = list(_near_hover(model, vehicle)) if model.alarm_limits.hover_rotor_speed > 0.0 else []
-    if (delay := model.kind.rotor_delay(model.fitted)) is not None:
+    if (delay := model.fitted.rotor_delay) is not None:
         low, high = (1e3 * bound for bound in delay.range_s or (delay.used_s, delay.used_s))
         note = f"not ruled out: {low:g} to {high:g}" if high > low else ""
         found.append(Headline("delay of the rotor speeds", 1e3 * delay.used_s, None, None, "ms", note))
@@ -126,7 +126,7 @@ def _weighted_sum(
     factors = np.array([weight for weight, _, _ in weighted])
     steady = np.zeros(len(inputs), DERIVATIVES)
     predicted = model.evaluate(inputs, derivatives=steady).predicted[:, AXES.index(axis)]
-    error = model.kind.standard_error(model.fitted, axis, inputs, factors, vehicle)
+    error = model.fitted.standard_error(axis, inputs, factors, vehicle)
     return float(factors @ predicted), error
 
 

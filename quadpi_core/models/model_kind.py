@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol, TypeAlias, TypeVar, get_args
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, TypeAlias, TypeVar, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -24,7 +24,7 @@ from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.models.alarm_limits import RATE_PER_HOUR
 from quadpi_core.models.candidate_pool import CandidatePool
-from quadpi_core.models.interval_rules import FlightErrors, Rule
+from quadpi_core.models.interval_rules import FlightErrors, Rule, StoredRule
 from quadpi_core.models.rollout_model import RolloutModel
 from quadpi_core.parallel import ReportProgress
 from quadpi_core.records import Records
@@ -55,61 +55,6 @@ class Evaluation(NamedTuple):
 
     def __repr__(self) -> str:
         return brief_repr(self)
-
-
-class FittedAxis(Protocol):
-    """One fitted axis, a frozen dataclass: numbers that can be stored, and that a kernel evaluates.
-
-    Its interval is centre ± rule.factor(confidence) · spread (see :mod:`.interval_rules`).
-    """
-
-    __dataclass_fields__: ClassVar[dict[str, Any]]
-    method: ClassVar[str]
-
-    @property
-    def rule(self) -> Rule:
-        """Gives the interval's factor on the spread."""
-
-    @property
-    def terms(self) -> list[str]:
-        """What the prediction is made of, in words."""
-
-    def arrays(self) -> dict[str, Array]:
-        """What a stored model keeps as arrays, by name."""
-
-    def to_json(self) -> dict[str, Any]:
-        """What a stored model keeps beside the arrays."""
-
-    @classmethod
-    def stored(cls, data: dict[str, Any], arrays: dict[str, Array]) -> FittedAxis:
-        """Read what `to_json` and `arrays` gave.
-
-        Raises:
-            ModelError: for numbers that no fit gives.
-        """
-
-
-class CompiledAxes(Protocol):
-    """The fitted axes of a model packed for compiled evaluation."""
-
-    def evaluate(self, inputs: Array, factors: Array, derivatives: Records | None = None) -> Evaluation:
-        """Evaluate input vectors (N, 19) with what :func:`interval_factors` gave.
-
-        The derivatives (N,) are what the motion has beside the input vector, where they are known. The bits
-        of a sample must not depend on the samples beside it: live they come one by one.
-        """
-
-
-def interval_factors(fitted: Mapping[str, FittedAxis], confidence: float) -> Array:
-    """Half width (6,) of each axis' interval per unit of spread; 0 for axes not held.
-
-    Raises:
-        ModelError: for a confidence that the calibration cannot support.
-    """
-    factors = np.zeros(len(AXES))
-    for axis, own in fitted.items():
-        factors[AXES.index(axis)] = own.rule.factor(confidence)
-    return factors
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,26 +118,6 @@ class TrainingSamples:
 
 
 @dataclass(frozen=True)
-class Fit:
-    """What a fit gives, by axis.
-
-    Attributes:
-        axes: the fitted axes.
-        held_out: errors on each flight, in order, of a model fitted without it; empty where the intervals are
-            not calibrated on flights. Of a flight they may be every k-th sample.
-        log: the steps of a selection of terms, see `kinds.polynomial`; empty for a kind that selects none.
-        rollouts: predicts the state ahead; None where the kind, or these flights, give none.
-        left_out: the fitted axes without each flight in turn, of a kind that is a simulation.
-    """
-
-    axes: Mapping[str, FittedAxis]
-    held_out: Mapping[str, list[FlightErrors]] = field(default_factory=dict)
-    log: Mapping[str, list[dict[str, Any]]] = field(default_factory=dict)
-    rollouts: RolloutModel | None = None
-    left_out: Sequence[Mapping[str, FittedAxis]] = ()
-
-
-@dataclass(frozen=True)
 class StoredAxes:
     """What a model folder keeps of the fitted axes.
 
@@ -230,6 +155,191 @@ class RotorDelay(NamedTuple):
     range_s: tuple[float, float] | None
 
 
+class FittedAxis(ABC):
+    """Base of what is fitted of one axis: a frozen dataclass whose fields a model folder keeps.
+
+    Arrays, and dataclasses of arrays alone, are kept as arrays, all else as JSON. Annotations check what is
+    read (see :mod:`quadpi_core.config_schema`); rules between fields raise ValueError in `__post_init__`.
+
+    Attributes:
+        rule: gives the factor of the interval centre ± factor · spread (see :mod:`.interval_rules`).
+    """
+
+    rule: StoredRule
+
+    @property
+    @abstractmethod
+    def terms(self) -> Sequence[str]:
+        """What the prediction is made of, in words."""
+
+    def arrays(self) -> dict[str, Array]:
+        """What a model folder keeps as arrays, by name."""
+        kept = {}
+        for name, value in _fields(self):
+            if isinstance(value, np.ndarray):
+                kept[name] = np.ascontiguousarray(value)
+            elif _is_of_arrays(value):
+                kept |= {f"{name}.{key}": np.ascontiguousarray(own) for key, own in _fields(value)}
+        return kept
+
+    def to_json(self) -> dict[str, Any]:
+        """What a model folder keeps beside the arrays."""
+        return {
+            name: _plain(value)
+            for name, value in _fields(self)
+            if not isinstance(value, np.ndarray) and not _is_of_arrays(value)
+        }
+
+
+def _fields(of: Any) -> list[tuple[str, Any]]:
+    return [(column.name, getattr(of, column.name)) for column in fields(of)]
+
+
+def _is_of_arrays(value: Any) -> bool:
+    return is_dataclass(value) and {type(own) for _, own in _fields(value)} == {np.ndarray}
+
+
+def _plain(value: Any) -> Any:
+    """A value as JSON has it: what is not plain in itself, by its text."""
+    if hasattr(value, "to_json"):
+        return value.to_json()
+    if isinstance(value, list | tuple):
+        return [_plain(own) for own in value]
+    if isinstance(value, Mapping):
+        return {name: _plain(own) for name, own in value.items()}
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, str | int | float | bool | None):
+        return value
+    return str(value)
+
+
+@dataclass(frozen=True)
+class Fitted(ABC):
+    """A fitted model: it predicts, says what there is to say of it, and a model folder keeps it.
+
+    Attributes:
+        axes: by name, each of `axis_type`.
+        method: name of the kind.
+    """
+
+    axes: Mapping[str, Any]
+    method: ClassVar[str]
+    axis_type: ClassVar[type[FittedAxis]]
+
+    @abstractmethod
+    def evaluate(self, inputs: Array, factors: Array, derivatives: Records | None = None) -> Evaluation:
+        """Evaluate input vectors (N, 19) with what :meth:`factors` gave.
+
+        The derivatives (N,) are what the motion has beside the input vector, where they are known. The bits
+        of a sample must not depend on the samples beside it: live they come one by one.
+        """
+
+    def factors(self, confidence: float) -> Array:
+        """Half width (6,) of each axis' interval per unit of spread; 0 for axes not held.
+
+        Raises:
+            ModelError: for a confidence that the calibration cannot support.
+        """
+        factors = np.zeros(len(AXES))
+        for axis, own in self.axes.items():
+            factors[AXES.index(axis)] = own.rule.factor(confidence)
+        return factors
+
+    def with_rules(self: FittedSelf, rules: Mapping[str, Rule]) -> FittedSelf:
+        """The same with other rules of some axes."""
+        changed = {axis: replace(self.axes[axis], rule=rule) for axis, rule in rules.items()}
+        return replace(self, axes={**self.axes, **changed})
+
+    def store(self) -> StoredAxes:
+        """What a model folder keeps; unless overridden, each axis by itself."""
+        return StoredAxes(
+            {axis: own.to_json() for axis, own in self.axes.items()},
+            {f"{axis}.{name}": a for axis, own in self.axes.items() for name, a in own.arrays().items()},
+        )
+
+    @classmethod
+    def read(cls: type[FittedSelf], stored: StoredAxes) -> FittedSelf:
+        """What :meth:`store` gave.
+
+        Raises:
+            ModelError: naming the axis, for numbers that no fit gives.
+        """
+        return cls(cls.read_axes(stored))
+
+    @classmethod
+    def read_axes(cls, stored: StoredAxes) -> dict[str, Any]:
+        """The axes of what :meth:`store` gave; raises as :meth:`read` does."""
+        axes = {}
+        for axis, entry in stored.entries.items():
+            data = {**entry, **_nested(named_arrays(stored.arrays, axis))}
+            with named_in(axis):
+                axes[axis] = parse_config(cls.axis_type, data, cls.method, ModelError)
+        return axes
+
+    @property
+    def force_bandwidth_hz(self) -> float | None:
+        """Bandwidth of the measured forces of the flights, where it ends below that of the other signals.
+
+        Predicted forces are then compared with those of such a flight as it would have recorded them.
+        """
+        return None
+
+    @property
+    def rotor_delay(self) -> RotorDelay | None:
+        """The delay of the rotor speeds that was found; None for a kind that looks for none."""
+        return None
+
+    def simulation_section(self) -> dict[str, Any]:
+        """The key `simulation` of a vehicle file that flies as the model says, its motors apart.
+
+        Raises:
+            ModelError: for a kind that is no simulation, saying why.
+        """
+        raise ModelError(
+            f"a model of method {self.method} cannot be simulated: it knows forces and moments where its "
+            "flights have been, and nothing that holds in trim and beyond; identify with --method physical"
+        )
+
+    def facts(self, rollouts: RolloutModel | None) -> list[Facts]:  # noqa: ARG002 - for kinds that have any
+        """What there is to say of the model, and of how it predicts ahead, beside its terms."""
+        return []
+
+    def standard_error(
+        self,
+        axis: str,  # noqa: ARG002 - for kinds that know it
+        inputs: Array,  # noqa: ARG002
+        weights: Array,  # noqa: ARG002
+        vehicle: Vehicle,  # noqa: ARG002
+    ) -> float | None:
+        """Of the sum of predictions with weights (N,) at steady inputs (N, 19); None where not known."""
+        return None
+
+
+FittedSelf = TypeVar("FittedSelf", bound=Fitted)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """What a fit gives.
+
+    Attributes:
+        fitted: the model.
+        held_out: by axis, errors on each flight, in order, of a model fitted without it; empty where the
+            intervals are not calibrated on flights. Of a flight they may be every k-th sample.
+        log: by axis, the steps of a selection of terms, see `kinds.polynomial`; empty for a kind that selects
+            none.
+        rollouts: predicts the state ahead; None where the kind, or these flights, give none.
+        left_out: the model without each flight in turn, of a kind that is a simulation.
+    """
+
+    fitted: Fitted
+    held_out: Mapping[str, list[FlightErrors]] = field(default_factory=dict)
+    log: Mapping[str, list[dict[str, Any]]] = field(default_factory=dict)
+    rollouts: RolloutModel | None = None
+    left_out: Sequence[Fitted] = ()
+
+
 Self = TypeVar("Self", bound="Kind")
 
 
@@ -258,7 +368,7 @@ class Kind(Section, ABC):
         uses_derivatives: whether its predictions need `inputs.Derivatives` beside the input vector.
         is_simulation: whether it holds beyond single samples, so that a vehicle can fly by it.
         shortest_s: least time in the air of a flight that it can be identified on.
-        axis_type: of the fitted axes.
+        fitted_type: of the models that it fits; only their kind's name is in a model folder.
         seed: of all that is drawn, such as initial weights and the parts that members are trained on.
     """
 
@@ -275,7 +385,7 @@ class Kind(Section, ABC):
     is_simulation: ClassVar[bool] = False
     uses_derivatives: ClassVar[bool] = False
     shortest_s: ClassVar[float] = 0.0
-    axis_type: ClassVar[type[FittedAxis]]
+    fitted_type: ClassVar[type[Fitted]]
 
     def having(self: Self, **options: Any) -> Self:
         """This kind with those of some options that it has."""
@@ -303,72 +413,14 @@ class Kind(Section, ABC):
             ModelError: naming the axis, for what cannot be identified.
         """
 
-    @abstractmethod
-    def compile(self, fitted: Mapping[str, Any]) -> CompiledAxes:
-        """Pack the fitted axes of a model for evaluation."""
-
-    def force_bandwidth_hz(self, fitted: Mapping[str, Any]) -> float | None:  # noqa: ARG002 - for kinds that know it
-        """Bandwidth of the measured forces of the flights, where it ends below that of the other signals.
-
-        Predicted forces are then compared with those of such a flight as it would have recorded them.
-        """
-        return None
-
-    def simulation_section(self, fitted: Mapping[str, Any]) -> dict[str, Any]:  # noqa: ARG002 - for kinds that are one
-        """The key `simulation` of a vehicle file that flies as the model says, its motors apart.
-
-        Raises:
-            ModelError: for a kind that is no simulation, saying why.
-        """
-        raise ModelError(
-            f"a model of method {self.name} cannot be simulated: it knows forces and moments where its "
-            "flights have been, and nothing that holds in trim and beyond; identify with --method physical"
-        )
-
-    def facts(
-        self,
-        fitted: Mapping[str, Any],  # noqa: ARG002 - for kinds that have any
-        rollouts: RolloutModel | None,  # noqa: ARG002
-    ) -> list[Facts]:
-        """What there is to say of a fitted model, and of how it predicts ahead, beside its terms."""
-        return []
-
-    def standard_error(
-        self,
-        fitted: Mapping[str, Any],  # noqa: ARG002 - for kinds that know it
-        axis: str,  # noqa: ARG002
-        inputs: Array,  # noqa: ARG002
-        weights: Array,  # noqa: ARG002
-        vehicle: Vehicle,  # noqa: ARG002
-    ) -> float | None:
-        """Of the sum of predictions with weights (N,) at steady inputs (N, 19); None where not known."""
-        return None
-
-    def rotor_delay(self, fitted: Mapping[str, Any]) -> RotorDelay | None:  # noqa: ARG002 - for kinds that find one
-        """The delay of the rotor speeds that was found; None for a kind that looks for none."""
-        return None
-
-    def store(self, fitted: Mapping[str, FittedAxis]) -> StoredAxes:
-        """What a model folder keeps; unless overridden, each axis by itself."""
-        return StoredAxes(
-            {axis: own.to_json() for axis, own in fitted.items()},
-            {f"{axis}.{name}": a for axis, own in fitted.items() for name, a in own.arrays().items()},
-        )
-
-    def read(self, stored: StoredAxes) -> dict[str, FittedAxis]:
-        """The fitted axes of what :meth:`store` gave.
-
-        Raises:
-            ModelError: naming the axis, for numbers that no fit gives.
-        """
-        fitted = {}
-        for axis, entry in stored.entries.items():
-            with named_in(axis):
-                fitted[axis] = self.axis_type.stored(dict(entry), named_arrays(stored.arrays, axis))
-        return fitted
-
 
 def named_arrays(arrays: Mapping[str, Array], part: str) -> dict[str, Array]:
     """Those of the arrays of a model folder that belong to a part of it, by their name there."""
     start = f"{part}."
     return {name.removeprefix(start): a for name, a in arrays.items() if name.startswith(start)}
+
+
+def _nested(arrays: Mapping[str, Array]) -> dict[str, Any]:
+    """Arrays by field, those of a dataclass of arrays by its own fields."""
+    parts = dict.fromkeys(name.partition(".")[0] for name in arrays)
+    return {part: arrays.get(part, named_arrays(arrays, part)) for part in parts}

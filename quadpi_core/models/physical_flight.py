@@ -25,6 +25,9 @@ from quadpi_core.signals.force_bandwidth import band_limited
 _FIT_HZ = 100.0
 # Time in the air below which a flight tells no delay or bandwidth [s].
 SHORTEST_S = 1.0
+# Delays of the rotor speeds that are tried [s]: NeuroBEM has 2.5 ms, Crazyflies 7.5 ms. Beyond the last, the
+# series of `physical_kernel.delayed` is wrong by a third at 15 Hz, up to which moments follow rotor speeds.
+DELAYS_S = (0.0, 0.0025, 0.005, 0.0075, 0.01, 0.0125, 0.015)
 # Samples whose regressors are held at a time: 28 MB.
 _PART = 6000
 FORCE, MOMENT = slice(0, 3), slice(3, 6)

@@ -29,15 +29,19 @@ from quadpi_core.models.physical_fit import (
     bounded_terms,
     total,
 )
-from quadpi_core.models.physical_flight import FORCE, MOMENT, PhysicalFlight, Sensing, reference_thrust
+from quadpi_core.models.physical_flight import (
+    DELAYS_S,
+    FORCE,
+    MOMENT,
+    PhysicalFlight,
+    Sensing,
+    reference_thrust,
+)
 from quadpi_core.models.physical_regressors import physical_vehicle
 from quadpi_core.models.physical_terms import TERM_INDEX, TERMS
 from quadpi_core.records import Records
 from quadpi_core.vehicle import Vehicle
 
-# Delays of the rotor speeds that are tried [s]: NeuroBEM has 2.5 ms, Crazyflies 7.5 ms. Beyond the last, the
-# series of `physical_kernel.delayed` is wrong by a third at 15 Hz, up to which moments follow rotor speeds.
-DELAYS_S = (0.0, 0.0025, 0.005, 0.0075, 0.01, 0.0125, 0.015)
 # A delay is ruled out where twice the logarithm of the likelihood falls by this: χ² of one number, 95 %.
 _WITHIN_CHI_SQUARE = 3.84
 # Bandwidths of the force measurement that are tried [Hz]. The specific force of the NeuroBEM data set ends at

@@ -4,9 +4,6 @@
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal, TypeAlias
@@ -14,14 +11,12 @@ from typing import Literal, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.errors import ModelError, named_in
+from quadpi_core.errors import named_in
 from quadpi_core.frames import Array
-from quadpi_core.models.axis_estimator import flight_labels
 from quadpi_core.models.fitted_ensemble import Scaling
 from quadpi_core.models.interval_rules import FEWEST_INSIDE
-from quadpi_core.models.regressors import Regressor, RegressorProgram, check_inputs
-
-_log = logging.getLogger(__name__)
+from quadpi_core.models.model_kind import Pools, TrainingSamples
+from quadpi_core.models.regressors import RegressorProgram
 
 
 @dataclass(frozen=True)
@@ -29,12 +24,11 @@ class Table:
     """Samples of A axes.
 
     Attributes:
-        X: (N, 19) input vectors, or (N, D) of any table.
+        X: (N, 19) input vectors.
         features: (N, A, D) standardised inputs of the networks, zero beyond the last of an axis.
         targets: (A, N) standardised.
         flights: (N,) numbered from 0.
         scalings: of each axis.
-        rejected: rows that were not finite.
     """
 
     X: Array
@@ -42,45 +36,32 @@ class Table:
     targets: npt.NDArray[np.float32]
     flights: Indices
     scalings: tuple[Scaling, ...]
-    rejected: int
 
     @classmethod
-    def make(
-        cls,
-        inputs: Sequence[tuple[Regressor, ...] | None],
-        names: Sequence[str],
-        X: Array,
-        Y: Array,
-        groups: npt.ArrayLike | None,
-        most_samples: int | None,
-    ) -> Table:
-        """Prepare samples for axes with their `inputs` and targets Y (N, A).
+    def make(cls, samples: TrainingSamples, pools: Pools, most_samples: int | None) -> Table:
+        """Prepare samples for the axes of pools.
 
         Inputs and targets are standardised over all flights, those that will be left out included: a choice
         of units, from which no network learns anything of a flight.
 
         Raises:
-            ModelError: for shapes that do not fit, no finite row, and a constant target, naming the axis.
+            ModelError: for a constant target, naming the axis.
         """
-        X, Y, flights, rejected = _finite(X, Y, groups)
-        if most_samples is not None:
-            kept = _every_other(flights, -(-len(X) // most_samples))
-            X, Y, flights = X[kept], Y[kept], flights[kept]
-        scaled, scalings = [], []
-        for name, regressors, y in zip(names, inputs, Y.T, strict=True):
-            features = X
-            if regressors is not None:
-                check_inputs(X)
-                features = RegressorProgram.compile(regressors).evaluate(X)
-            with named_in(name) if name else nullcontext():
-                scaling = Scaling.of(features, y)
+        kept = _every_other(
+            samples.flight, 1 if most_samples is None else -(-len(samples.time) // most_samples)
+        )
+        X, scaled, scalings, targets = samples.inputs[kept], [], [], []
+        for axis, pool in pools.items():
+            features, target = RegressorProgram.compile(pool.inputs).evaluate(X), samples.target(axis)[kept]
+            with named_in(axis):
+                scaling = Scaling.of(features, target)
             scaled.append(scaling.standardised(features))
             scalings.append(scaling)
+            targets.append((target - scaling.target_mean) / scaling.target_scale)
         filled = np.zeros((len(X), len(scaled), max(part.shape[1] for part in scaled)), dtype=np.float32)
-        for axis, part in enumerate(scaled):
-            filled[:, axis, : part.shape[1]] = part
-        targets = [(y - s.target_mean) / s.target_scale for y, s in zip(Y.T, scalings, strict=True)]
-        return cls(X, filled, np.array(targets, dtype=np.float32), flights, tuple(scalings), rejected)
+        for k, part in enumerate(scaled):
+            filled[:, k, : part.shape[1]] = part
+        return cls(X, filled, np.array(targets, dtype=np.float32), samples.flight[kept], tuple(scalings))
 
     @cached_property
     def rows(self) -> list[Indices]:
@@ -104,22 +85,6 @@ class Table:
     def mostly_inside(self, flight: int, others: Indices) -> bool:
         """Whether the errors on a flight count for intervals (see :class:`.interval_rules.HeldOutRule`)."""
         return float(np.mean(self.inside(flight, others))) >= FEWEST_INSIDE
-
-
-def _finite(X: Array, Y: Array, groups: npt.ArrayLike | None) -> tuple[Array, Array, Indices, int]:
-    """Finite rows of inputs and targets, their flights numbered from 0, and the number of other rows."""
-    X, Y = np.ascontiguousarray(X, dtype=float), np.ascontiguousarray(Y, dtype=float)
-    if X.ndim != 2 or Y.ndim != 2 or len(X) != len(Y):
-        raise ModelError(f"inputs of shape {X.shape} and targets of shape {Y.shape} do not fit together")
-    labels = flight_labels(groups, len(X))
-    finite = np.isfinite(X).all(axis=1) & np.isfinite(Y).all(axis=1)
-    rejected = len(X) - int(finite.sum())
-    if rejected == len(X):
-        raise ModelError(f"none of {len(X)} rows is finite: there is nothing to train on")
-    if rejected:
-        _log.warning("%d of %d rows are not finite: left out", rejected, len(X))
-    flights = np.unique(labels[finite], return_inverse=True)[1].astype(np.int64)
-    return X[finite], Y[finite], flights, rejected
 
 
 def _every_other(flights: Indices, step: int) -> Flags:

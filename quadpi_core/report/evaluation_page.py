@@ -320,7 +320,7 @@ def _terms(model: AerodynamicModel) -> dict[str, Table | str]:
     """The terms or inputs of each axis, by a heading with their number."""
     terms: dict[str, Table | str] = {}
     for axis in model.axes:
-        names = model.fitted[axis].terms
+        names = model.fitted.axes[axis].terms
         if log := model.selection[axis]:
             terms[f"{axis}: {len(names)} terms"] = selection_table(log)
         else:

@@ -181,10 +181,10 @@ def _model_json(model: AerodynamicModel) -> dict[str, Any]:
             "rate_extrapolated": limits.rate_extrapolated,
         },
         "confidence": model.confidence,
-        "axes": {axis: model.fitted[axis].terms for axis in model.axes},
+        "axes": {axis: model.fitted.axes[axis].terms for axis in model.axes},
         "facts": {
             facts.title: [dict(zip(facts.columns, row, strict=True)) for row in facts.rows]
-            for facts in model.kind.facts(model.fitted, model.rollouts)
+            for facts in model.fitted.facts(model.rollouts)
         },
         "flights": [asdict(flight) for flight in model.flights],
         "envelope": {

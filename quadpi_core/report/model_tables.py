@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 # Columns of what a kind says of its parameters, as far as they are shown in short.
 _NUMBERS = ("value", "standard error")
 _PARAMETER = ("parameter", *_NUMBERS, "unit")
-# Steps of a selection, as `StepwisePolynomial.selection_log` gives them.
+# Steps of a selection, as `kinds.polynomial` gives them.
 SelectionLog = Sequence[Mapping[str, Any]]
 
 
@@ -105,7 +105,7 @@ def best_known_table(model: AerodynamicModel, most: int) -> Table | None:
         model: of any kind.
         most: parameters to show.
     """
-    for facts in model.kind.facts(model.fitted, model.rollouts):
+    for facts in model.fitted.facts(model.rollouts):
         if not set(_PARAMETER) <= set(facts.columns):
             continue
         places = [facts.columns.index(heading) for heading in _PARAMETER]
@@ -124,7 +124,7 @@ def best_known_table(model: AerodynamicModel, most: int) -> Table | None:
 def fact_tables(model: AerodynamicModel) -> list[Table]:
     """What the kind of the model has to say of it."""
     tables = []
-    for facts in model.kind.facts(model.fitted, model.rollouts):
+    for facts in model.fitted.facts(model.rollouts):
         numeric = [not isinstance(cell, str) for cell in facts.rows[0]] if facts.rows else []
         columns = [
             Column(heading, number) if is_number else Column(heading, is_text=True, wraps=True)
@@ -138,7 +138,7 @@ def term_tables(model: AerodynamicModel) -> list[Table]:
     """Terms of each axis of a polynomial; of other kinds, one table with the inputs of all axes."""
     if not all(model.selection[axis] for axis in model.axes):
         columns = [Column("axis", is_text=True), Column("inputs", is_text=True, wraps=True)]
-        return [Table(columns, [[axis, ", ".join(model.fitted[axis].terms)] for axis in model.axes])]
+        return [Table(columns, [[axis, ", ".join(model.fitted.axes[axis].terms)] for axis in model.axes])]
     return [structure_table(model.selection, [axis]) for axis in model.axes]
 
 

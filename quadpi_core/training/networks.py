@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -48,22 +49,17 @@ class Networks:
         outputs: Array = np.einsum("boh,bnh->bno", self.output_weights, np.maximum(hidden, 0.0))
         return outputs + self.output_biases[:, None]
 
-    def arrays(self, prefix: str) -> dict[str, Array]:
-        """The arrays by name, as stored."""
-        return {
-            f"{prefix}.{column.name}": np.ascontiguousarray(getattr(self, column.name))
-            for column in fields(self)
-        }
-
     @classmethod
-    def stored(cls, arrays: dict[str, Array], prefix: str) -> Networks:
-        """Read what :meth:`arrays` gave.
+    def stored(cls, arrays: Mapping[str, Array]) -> Networks:
+        """Read the arrays of a model folder.
 
         Raises:
-            ModelError: for shapes that do not fit together, or networks of nothing.
-            KeyError: for a missing array.
+            ModelError: for an array that is missing, shapes that do not fit together, or networks of nothing.
         """
-        values = [arrays[f"{prefix}.{column.name}"].astype(float) for column in fields(cls)]
+        names = [column.name for column in fields(cls)]
+        if missing := [name for name in names if name not in arrays]:
+            raise ModelError(f"networks without {missing[0]}")
+        values = [arrays[name].astype(float) for name in names]
         if [value.ndim for value in values] != [3, 2, 3, 2] or any(value.size == 0 for value in values):
-            raise ModelError(f"{prefix}: networks of shapes {[value.shape for value in values]}")
+            raise ModelError(f"networks of shapes {[value.shape for value in values]}")
         return cls(*values)

@@ -91,8 +91,7 @@ class ValidationCase:
                 raise ValidationError(f"flight {name}: present twice")
         for model in self.models.values():
             model.require(self.vehicle)
-            for fitted in model.fitted.values():
-                fitted.rule.factor(self.confidence)
+            model.fitted.factors(self.confidence)
         cutoffs = {name: f"{model.cutoff_hz:g} Hz" for name, model in self.models.items()}
         if len(set(cutoffs.values())) > 1:
             listed = ", ".join(f"{name} {cutoff}" for name, cutoff in cutoffs.items())
@@ -178,7 +177,7 @@ def flight_hash(flight: Flight) -> str:
 
 def _numbers(model: AerodynamicModel) -> dict[str, Any]:
     """The numbers that determine the predictions of a model."""
-    stored = model.kind.store(model.fitted)
+    stored = model.fitted.store()
     numbers = [*(own for _, own in sorted(stored.arrays.items())), *stored.files.values()]
     return {
         "method": model.method,

@@ -9,8 +9,6 @@ import pytest
 
 from examples.conformal_by_flight import ConformalByFlight, main
 from quadpi_core.errors import ModelError
-from quadpi_core.models.candidate_pool import CandidatePool
-from quadpi_core.models.kinds.polynomial import StepwisePolynomial
 
 SAMPLES = 150
 
@@ -145,33 +143,6 @@ def test_what_cannot_calibrate_is_refused(change, message):
         conformal.predict_interval(np.ones((1, 1)))
 
 
-def test_polynomial_of_the_paper_is_calibrated():
-    """Its own intervals rest on training residuals and miss on flights with a bias of their own."""
-    rng = np.random.default_rng(6)
-    pool = CandidatePool.parse(["u"], ["P^2(u, w)"])
-
-    def fly(count):
-        X = 0.1 * rng.standard_normal((count * SAMPLES, 19))
-        X[:, 0] = rng.uniform(-5.0, 5.0, len(X))
-        bias = np.repeat(rng.normal(size=count), SAMPLES)
-        return (
-            X,
-            0.5 * X[:, 0] + bias + 0.1 * rng.standard_normal(len(X)),
-            np.repeat(np.arange(count), SAMPLES),
-        )
-
-    def covered(estimator, X, y):
-        lower, upper = estimator.predict_interval(X, 0.95)
-        return np.mean((lower <= y) & (y <= upper))
-
-    polynomial = StepwisePolynomial.paper(pool).fit(*fly(1))
-    new = fly(40)
-    conformal = ConformalByFlight(polynomial).conformalize(*fly(19))
-    assert covered(polynomial, *new[:2]) < 0.5
-    assert covered(conformal, *new[:2]) > 0.85
-
-
 def test_example_runs(capsys):
-    pytest.importorskip("torch")
     main()
     assert capsys.readouterr().out == "91% of new flights reach their confidence\n"

@@ -18,7 +18,7 @@ from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import write_bag
 from quadpi_core.models import kinds
 from quadpi_core.models.candidate_pool import load_pools
-from quadpi_core.models.ensemble_estimator import EnsembleKind
+from quadpi_core.models.ensemble import Ensemble
 from quadpi_core.models.kind_registry import kind_named
 from quadpi_core.models.model_kind import IdentifyOptions
 from quadpi_core.plugins import names_in
@@ -26,7 +26,7 @@ from quadpi_core.vehicle import Vehicle
 from test.conftest import run_without_torch
 
 METHODS = names_in(kinds)
-ENSEMBLES = [method for method in METHODS if isinstance(kind_named(method), EnsembleKind)]
+ENSEMBLES = [method for method in METHODS if isinstance(kind_named(method), Ensemble)]
 # With the settings that each method has.
 SETTINGS = [
     (method, settings)

@@ -19,7 +19,7 @@ from quadpi_core.inputs import aerodynamic_inputs
 from quadpi_core.logs.bags import write_bag
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.envelope import Envelope
-from quadpi_core.models.fitted_polynomial import FittedPolynomial, SpreadShape
+from quadpi_core.models.fitted_polynomial import FittedPolynomials, PolynomialAxis
 from quadpi_core.models.interval_rules import ResidualRule
 from quadpi_core.models.regressors import Regressor, RegressorProgram
 from quadpi_core.vehicle import Vehicle
@@ -119,13 +119,9 @@ def trained_on_hover(vehicle: Vehicle) -> AerodynamicModel:
         z = RegressorProgram.compile(regressors).evaluate(inputs)
         whitening = np.linalg.inv(np.linalg.cholesky(z.T @ z))
         rule = ResidualRule(0.2, 500.0)
-        polynomials[axis] = FittedPolynomial(
-            regressors, np.array([0.1, 0.01]), whitening, SpreadShape(1.0, 0.0), rule, 1.0
-        )
-    leverage, width = np.zeros((count, len(AXES))), np.zeros((count, len(AXES)))
-    for axis, polynomial in polynomials.items():
-        leverage[:, AXES.index(axis)] = polynomial.leverage(inputs)
-        width[:, AXES.index(axis)] = polynomial.spread(inputs)
+        polynomials[axis] = PolynomialAxis(regressors, np.array([0.1, 0.01]), whitening, 1.0, 0.0, rule, 1.0)
+    fitted = FittedPolynomials(polynomials)
+    evidence = fitted.evaluate(inputs, np.ones(len(AXES)))
     return AerodynamicModel(
         name="hover",
         vehicle=vehicle.name,
@@ -133,8 +129,8 @@ def trained_on_hover(vehicle: Vehicle) -> AerodynamicModel:
         settings="default",
         cutoff_hz=30.0,
         confidence=0.95,
-        fitted=polynomials,
-        envelope=Envelope.fit(inputs, np.zeros(count), leverage, width),
+        fitted=fitted,
+        envelope=Envelope.fit(inputs, np.zeros(count), evidence.leverage, evidence.relative_width),
         training_range=dict.fromkeys(polynomials, 1.0),
         flights=(),
         selection={axis: [] for axis in polynomials},

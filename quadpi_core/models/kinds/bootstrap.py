@@ -6,16 +6,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from scipy.special import ndtri, stdtrit
 
-from quadpi_core.config_schema import Positive
-from quadpi_core.errors import ModelError
-from quadpi_core.frames import Array
-from quadpi_core.models.ensemble_estimator import Ensemble, EnsembleKind, Floats, Trained, mean_over
-from quadpi_core.models.fitted_ensemble import EnsembleEntry, FittedEnsemble
+from quadpi_core.config_schema import Positive, ReadBy
+from quadpi_core.models.ensemble import Ensemble, Floats, Trained, mean_over
+from quadpi_core.models.fitted_ensemble import EnsembleAxis, FittedEnsembles
 from quadpi_core.models.interval_rules import NormalRule, Rule
 from quadpi_core.models.training_table import Plan, Table
 from quadpi_core.training.networks import Networks
@@ -23,16 +21,9 @@ from quadpi_core.training.networks import Networks
 if TYPE_CHECKING:
     from quadpi_core.training.train import Report, Training
 
-NoiseTarget: TypeAlias = Literal["error", "excess"]
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Entry(EnsembleEntry):
-    model_share: Positive
-
 
 @dataclass(frozen=True)
-class FittedBootstrap(FittedEnsemble):
+class BootstrapAxis(EnsembleAxis):
     """Members that predict the target, and one network that predicts the variance of the noise.
 
     centre = mean of the members, spread² = model_share · their variance (B − 1) + noise² (van Beers and de
@@ -40,42 +31,38 @@ class FittedBootstrap(FittedEnsemble):
 
     Attributes:
         noise: one network; noise = softplus(output) + floor, as a share of the target's scale.
-        model_share: 1 in the paper; more in the default, for there are few members (see `BootstrapEnsemble`).
+        model_share: 1 in the paper; more in the default, for there are few members (see `Bootstrap`).
     """
 
-    method: ClassVar[str] = "bootstrap"
-    entry: ClassVar[type[EnsembleEntry]] = _Entry
-    noise: Networks
-    model_share: float
+    noise: Annotated[Networks, ReadBy(Networks.stored)]
+    model_share: Positive
 
-    def centre_and_spread(self, X: Array) -> tuple[Array, Array]:
-        """Centre and spread (N,) in numpy: the reference for the compiled kernels."""
-        features = self.features(X)
-        predictions = self.members.outputs(features)[:, :, 0]
-        noise = np.logaddexp(0.0, self.noise.outputs(features)[0, :, 0]) + self.floor
-        variance = self.model_share * predictions.var(axis=0, ddof=1) + noise**2
-        scale = self.scaling.target_scale
-        return self.scaling.target_mean + scale * predictions.mean(axis=0), scale * np.sqrt(variance)
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        members, noise = self.members, self.noise
+        shapes = (members.output_biases.shape[1], noise.output_biases.shape, noise.hidden_weights.shape[2])
+        if shapes != (1, (1, 1), members.hidden_weights.shape[2]):
+            raise ValueError("members and noise network do not fit together")
 
     @property
     def deviation_weight(self) -> float:
         """Of the members' variance."""
         return self.model_share
 
-    def require_networks(self) -> None:
-        """One output each, one noise network, of as many inputs."""
-        members, noise = self.members, self.noise
-        shapes = (members.output_biases.shape[1], noise.output_biases.shape, noise.hidden_weights.shape[2])
-        if shapes != (1, (1, 1), members.hidden_weights.shape[2]) or len(members) < 2:
-            raise ModelError("members and noise network do not fit together")
+
+class FittedBootstrap(FittedEnsembles):
+    """Bootstrap ensembles of all axes."""
+
+    method = "bootstrap"
+    axis_type = BootstrapAxis
 
 
-@dataclass(eq=False)
-class BootstrapEnsemble(Ensemble):
+@dataclass(frozen=True)
+class Bootstrap(Ensemble):
     """Members trained on different subsets, and a network for the variance of the noise.
 
-    Intervals follow from the variance of the members and that of the noise. The paper's rules, given by
-    :meth:`paper`, take all samples as independent. The defaults deviate:
+    Intervals follow from the variance of the members and that of the noise. The paper's rules take all
+    samples as independent. The defaults deviate:
 
     - a member leaves out whole flights instead of single samples, whose neighbours in time it would have
       seen; with too few flights, contiguous parts. It keeps the weights of its best epoch on them;
@@ -85,24 +72,25 @@ class BootstrapEnsemble(Ensemble):
     - the variance of a mean of few members counts more: by 1 + 1/B and by Student's quantile;
     - intervals are calibrated on flights left out in turn, with ensembles of their own.
 
-    Args:
+    Attributes:
         noise_hidden: units of the variance network.
         noise: target of the variance network, "error" by the likelihood of the whole error e² or "excess",
             the paper's max(e² − model variance, 0).
         few_members: whether the members' variance counts more.
-
-    The other arguments are those of :class:`.ensemble_estimator.Ensemble`.
     """
 
     noise_hidden: int = 25
-    noise: NoiseTarget = "error"
+    noise: Literal["error", "excess"] = "error"
     few_members: bool = True
 
+    name = FittedBootstrap.method
+    label = "bootstrap ensemble"
+    colour = "#56B4E9"  # as in the paper
+    normal_errors = True
+    fitted_type = FittedBootstrap
     PAPER: ClassVar[dict[str, Any]] = Ensemble.PAPER | {"noise": "excess", "few_members": False}
-    fitted_type: ClassVar[type[FittedEnsemble]] = FittedBootstrap
 
-    @property
-    def _uncalibrated(self) -> Rule:
+    def _uncalibrated(self, confidence: float) -> Rule:  # noqa: ARG002 - for bounds trained for one
         return NormalRule()
 
     @property
@@ -112,7 +100,13 @@ class BootstrapEnsemble(Ensemble):
         quantiles = stdtrit(self.members - 1, 0.975) / ndtri(0.975)
         return float((1.0 + 1.0 / self.members) * quantiles**2)
 
-    def _train(self, table: Table, plan: Plan, report: Report | None) -> Trained:
+    def _train(
+        self,
+        table: Table,
+        plan: Plan,
+        confidence: float,  # noqa: ARG002 - for bounds trained for one
+        report: Report | None,
+    ) -> Trained:
         from quadpi_core.training.losses import SquaredError
         from quadpi_core.training.train import train
 
@@ -178,17 +172,6 @@ class BootstrapEnsemble(Ensemble):
         noise = train(samples, loss, schedule, "noise", report)
         level = np.logaddexp(0.0, noise.predictions(slice(None))[:, :, 0]) + floors.T[:, :, None]
         return noise, level.swapaxes(0, 1)
-
-
-class Bootstrap(EnsembleKind):
-    """Each axis a bootstrap ensemble."""
-
-    name = FittedBootstrap.method
-    label = "bootstrap ensemble"
-    colour = "#56B4E9"  # as in the paper
-    normal_errors = True
-    axis_type = FittedBootstrap
-    estimator = BootstrapEnsemble
 
 
 KIND = Bootstrap()

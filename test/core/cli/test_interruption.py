@@ -22,7 +22,7 @@ from quadpi_core.paths import bags_directory, whole_output
 COMMAND = """
 import signal, sys, time
 from quadpi_core import parallel
-from quadpi_core.models import ensemble_estimator
+from quadpi_core.models import ensemble
 from quadpi_core.cli import main
 
 # Ignored where the tests run as a background job of a shell.
@@ -36,7 +36,7 @@ def announced(step, waits):
         return result
     return announce
 
-ensemble_estimator.training_progress = announced(ensemble_estimator.training_progress, waits=0.0)
+ensemble.training_progress = announced(ensemble.training_progress, waits=0.0)
 map_tasks = parallel.Workers.map
 def announced_tasks(*arguments, done=lambda *_: None, **options):
     return map_tasks(*arguments, done=announced(done, waits=60.0), **options)

@@ -68,11 +68,11 @@ BANDWIDTH_HZ = 8.0
 def limited(physical_folder, tmp_path_factory):
     """A model of flights whose specific force ended at 8 Hz, and the simulation that its folder is."""
     model = AerodynamicModel.load(physical_folder)
-    parameters = next(iter(model.fitted.values())).parameters
+    parameters = model.fitted.parameters
     ending = replace(parameters, sensing=replace(parameters.sensing, force_bandwidth_hz=BANDWIDTH_HZ))
-    fitted = {axis: replace(own, parameters=ending) for axis, own in model.fitted.items()}
+    fitted = replace(model.fitted, parameters=ending)
     folder = tmp_path_factory.mktemp("limited") / "model"
-    model = replace(model, fitted=fitted, compiled=None, name="", identity="").save(folder)
+    model = replace(model, fitted=fitted, name="", identity="").save(folder)
     return model, VehicleSimulation.load(folder)
 
 

@@ -25,7 +25,7 @@ def vehicle():
 
 
 def coefficient(model, axis, term):
-    polynomial = model.fitted[axis]
+    polynomial = model.fitted.axes[axis]
     return dict(zip(map(str, polynomial.regressors), polynomial.coefficients, strict=True))[term]
 
 
@@ -50,9 +50,7 @@ def test_intervals_cover_what_the_live_path_would_have_measured(dragged_flights,
         pools,
         IdentifyOptions(method="polynomial", cutoff_hz=CUTOFF_HZ),
     )
-    np.testing.assert_array_equal(
-        wider.fitted["Fx"].arrays()["coefficients"], plain.fitted["Fx"].arrays()["coefficients"]
-    )
+    np.testing.assert_array_equal(wider.fitted.axes["Fx"].coefficients, plain.fitted.axes["Fx"].coefficients)
     for flight in map(noisier, flights[3:]):
         covered = []
         for model in (plain, wider):
@@ -86,7 +84,7 @@ def test_settings_of_the_paper(dragged_flights, vehicle):
         IdentifyOptions(method="polynomial", cutoff_hz=CUTOFF_HZ, settings="paper"),
     )
     assert model.settings == "paper"
-    assert model.fitted["Fx"].rule.to_json()["kind"] == "residual"
+    assert model.fitted.axes["Fx"].rule.to_json()["kind"] == "residual"
 
 
 def test_stop_rule_can_be_chosen(dragged_flights, vehicle):

@@ -12,18 +12,16 @@ from benchmarks.synthetic_inputs import smooth_inputs
 from quadpi_core.frames import Array
 from quadpi_core.models.aerodynamic import AerodynamicModel, TrainingFlight
 from quadpi_core.models.envelope import Envelope
-from quadpi_core.models.fitted_ensemble import FittedEnsemble
-from quadpi_core.models.kind_registry import kind_named
+from quadpi_core.models.fitted_ensemble import FittedEnsembles
 from quadpi_core.vehicle import Vehicle
 
 VEHICLE = "neurobem"
 METHOD_NAMES = ("bootstrap", "quality-driven")
 
 
-def model_of(fitted: dict[str, FittedEnsemble], X: Array) -> AerodynamicModel:
+def model_of(fitted: FittedEnsembles, X: Array) -> AerodynamicModel:
     """A model of axes that were fitted to X (N, 19)."""
-    method = next(iter(fitted.values())).method
-    evidence = kind_named(method).compile(fitted).evaluate(X, np.ones(6))
+    evidence = fitted.evaluate(X, np.ones(6))
     return AerodynamicModel(
         name="model",
         vehicle=VEHICLE,
@@ -31,12 +29,12 @@ def model_of(fitted: dict[str, FittedEnsemble], X: Array) -> AerodynamicModel:
         settings="default",
         cutoff_hz=30.0,
         confidence=0.95,
-        fitted=dict(fitted),
+        fitted=fitted,
         envelope=Envelope.fit(X, np.zeros(len(X)), evidence.leverage, evidence.relative_width),
-        training_range=dict.fromkeys(fitted, 1.0),
+        training_range=dict.fromkeys(fitted.axes, 1.0),
         flights=(TrainingFlight("first", "ab" * 32, len(X)),),
-        selection={axis: [] for axis in fitted},
-        held_out_coverage={axis: [] for axis in fitted},
+        selection={axis: [] for axis in fitted.axes},
+        held_out_coverage={axis: [] for axis in fitted.axes},
     )
 
 
@@ -47,11 +45,11 @@ def input_vectors() -> Array:
 
 
 @pytest.fixture(scope="session", params=METHOD_NAMES)
-def fitted(request: pytest.FixtureRequest, X: Array) -> dict[str, FittedEnsemble]:
+def fitted(request: pytest.FixtureRequest, X: Array) -> FittedEnsembles:
     """All six axes by each method."""
     return random_ensembles(request.param, X, simulation_inputs())
 
 
 @pytest.fixture(scope="session")
-def model(fitted: dict[str, FittedEnsemble], X: Array) -> AerodynamicModel:
+def model(fitted: FittedEnsembles, X: Array) -> AerodynamicModel:
     return model_of(fitted, X)

@@ -9,14 +9,13 @@ import numpy as np
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.inputs import DERIVATIVES, aerodynamic_inputs
-from quadpi_core.models.fitted_physical import FittedPhysical, PhysicalFit
-from quadpi_core.models.fitted_polynomial import SpreadShape
+from quadpi_core.models.fitted_physical import FittedPhysical, PhysicalAxis, PhysicalFit
 from quadpi_core.models.interval_rules import NormalRule
 from quadpi_core.models.model_kind import TrainingSamples
 from quadpi_core.models.physical_fit import FitStep
 from quadpi_core.models.physical_flight import PhysicalFlight, Sensing
 from quadpi_core.models.physical_regressors import MOTION, acting_terms, physical_vehicle, wrenches
-from quadpi_core.models.physical_terms import TERM_INDEX, TERMS, scales
+from quadpi_core.models.physical_terms import TERM_INDEX, TERM_NAMES, TERMS, scales
 from quadpi_core.records import Records
 from quadpi_core.rotations import from_rotation_vector, matrix, product
 from quadpi_core.vehicle import Vehicle
@@ -175,12 +174,11 @@ def samples_of(flights: list[PhysicalFlight]) -> TrainingSamples:
     )
 
 
-def fitted_axis(axis: str = "Fz", delay_s: float = 0.0, **values: float) -> FittedPhysical:
-    """An axis of the known model, whose terms all have the same leverage."""
+def fitted_physical(*axes: str, delay_s: float = 0.0, **values: float) -> FittedPhysical:
+    """Axes of the known model, whose terms all have the same leverage."""
     parameters = known_parameters()
     for name, value in values.items():
         parameters[TERM_INDEX[name]] = value
-    acting = np.flatnonzero(acting_terms()[:, AXES.index(axis)])
     shared = PhysicalFit(
         parameters,
         np.eye(len(TERMS)),
@@ -191,5 +189,8 @@ def fitted_axis(axis: str = "Fz", delay_s: float = 0.0, **values: float) -> Fitt
         {"drag_x": "not identified"},
         (FitStep("rotor delay", "0 ms", 1.0),),
     )
-    shape = SpreadShape(1.0, 0.01)
-    return FittedPhysical(shared, 1e-6 * np.eye(len(acting)), acting, shape, NormalRule(), 1.0)
+    own = {}
+    for axis in axes:
+        acting = tuple(TERM_NAMES[k] for k in np.flatnonzero(acting_terms()[:, AXES.index(axis)]))
+        own[axis] = PhysicalAxis(acting, 1e-6 * np.eye(len(acting)), 1.0, 0.01, NormalRule(), 1.0)
+    return FittedPhysical(own, shared)

@@ -21,9 +21,13 @@ from quadpi_core.inputs import DERIVATIVES, INPUT_INDEX
 from quadpi_core.models.aerodynamic import AerodynamicModel, TrainingFlight
 from quadpi_core.models.candidate_pool import CandidatePool, load_pools
 from quadpi_core.models.envelope import Envelope
-from quadpi_core.models.kinds.polynomial import StepwisePolynomial
+from quadpi_core.models.fitted_polynomial import FittedPolynomials
+from quadpi_core.models.kinds.polynomial import KIND
 from quadpi_core.models.model_folder import ARRAYS_FILE, MODEL_FILE
-from quadpi_core.models.model_kind import Evaluation, IdentifyOptions
+from quadpi_core.models.model_kind import Evaluation, IdentifyOptions, TrainingSamples
+from quadpi_core.models.regressors import RegressorProgram
+from quadpi_core.models.spread_shape import SpreadShape, leverage_of, squared_speed
+from quadpi_core.parallel import ignore_progress
 from quadpi_core.vehicle import Vehicle
 
 POOLS = {
@@ -38,12 +42,18 @@ def identified(pools: dict[str, CandidatePool], paper_axes: tuple[str, ...] = ()
     X = smooth_inputs(2400, seed=1, vehicle_name="bebop2")
     groups = np.arange(2400) // 600
     rng = np.random.default_rng(2)
-    fits, ranges = {}, {}
-    for axis, pool in pools.items():
+    wrench = np.zeros((2400, 6))
+    for axis in pools:
         y = 0.3 * X[:, INPUT_INDEX["u"]] + 20.0 * X[:, INPUT_INDEX["mu_x"]] ** 2 + rng.normal(size=2400)
-        fit = StepwisePolynomial.paper(pool) if axis in paper_axes else StepwisePolynomial(pool)
-        fits[axis] = fit.fit(X, y, groups)
-        ranges[axis] = float(np.ptp(y))
+        wrench[:, AXES.index(axis)] = y
+    samples = TrainingSamples(
+        Vehicle.load("bebop2"), np.arange(2400) / 100.0, X, np.zeros(2400, DERIVATIVES), wrench, groups, []
+    )
+    calibrated, paper = (
+        KIND.fit(samples, pools, IdentifyOptions(settings=settings), ignore_progress)
+        for settings in ("default", "paper")
+    )
+    fits = {axis: paper if axis in paper_axes else calibrated for axis in pools}
     model = AerodynamicModel(
         name="model",
         vehicle="bebop2",
@@ -51,11 +61,11 @@ def identified(pools: dict[str, CandidatePool], paper_axes: tuple[str, ...] = ()
         settings="default",
         cutoff_hz=25.0,
         confidence=0.95,
-        fitted={axis: fit.fitted_ for axis, fit in fits.items()},
+        fitted=FittedPolynomials({axis: fit.fitted.axes[axis] for axis, fit in fits.items()}),
         envelope=Envelope.fit(X, groups, np.zeros((2400, 6)), np.zeros((2400, 6))),
-        training_range=ranges,
+        training_range={axis: float(np.ptp(samples.target(axis))) for axis in pools},
         flights=(TrainingFlight("first", "ab" * 32, 1200), TrainingFlight("second", "cd" * 32, 1200)),
-        selection={axis: fit.selection_log() for axis, fit in fits.items()},
+        selection={axis: fit.log[axis] for axis, fit in fits.items()},
         held_out_coverage={axis: [0.9, 1.0] for axis in fits},
     )
     evaluation = model.evaluate(X)
@@ -88,18 +98,18 @@ def test_compiled_evaluation_equals_that_of_each_axis(
     model: AerodynamicModel, inputs: Array, confidence: float
 ) -> None:
     evaluation = model.evaluate(inputs, confidence)
-    for axis, pool in POOLS.items():
-        single = StepwisePolynomial(pool)
-        single.fitted_ = model.fitted[axis]
-        k = AXES.index(axis)
-        lower, upper = single.predict_interval(inputs, confidence)
-        spread = single.fitted_.spread(inputs)
+    for axis in POOLS:
+        own, k = model.fitted.axes[axis], AXES.index(axis)
+        z = RegressorProgram.compile(own.regressors).evaluate(inputs)
+        leverage, predicted = leverage_of(z, own.whitening), z @ own.coefficients
+        spread = SpreadShape(own.inflation, own.growth).of(leverage, squared_speed(inputs))
+        half = own.rule.factor(confidence) * spread
         expected = {
-            "predicted": single.predict(inputs),
-            "lower": lower,
-            "upper": upper,
-            "leverage": single.fitted_.leverage(inputs),
-            "relative_width": spread / single.fitted_.rms_spread,
+            "predicted": predicted,
+            "lower": predicted - half,
+            "upper": predicted + half,
+            "leverage": leverage,
+            "relative_width": spread / own.rms_spread,
         }
         for name, values in expected.items():
             np.testing.assert_allclose(

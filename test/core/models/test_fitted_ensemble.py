@@ -9,60 +9,58 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.random_ensembles import random_ensemble
+from benchmarks.random_ensembles import FITTED, random_ensemble
 from quadpi_core.config_schema import parse_config
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
-from quadpi_core.models.fitted_ensemble import FittedEnsemble, Scaling
-from quadpi_core.models.kinds.bootstrap import FittedBootstrap
-from quadpi_core.models.kinds.quality_driven import FittedQualityDriven
+from quadpi_core.models.fitted_ensemble import Scaling
+from quadpi_core.models.model_kind import StoredAxes
 
-from .small_ensembles import REGRESSORS
+from .small_fits import REGRESSORS
 
-KINDS = {"bootstrap": FittedBootstrap, "quality-driven": FittedQualityDriven}
-
-
-@pytest.fixture(params=KINDS)
-def ensemble(request: pytest.FixtureRequest, X: Array) -> FittedEnsemble:
-    return random_ensemble(request.param, X, REGRESSORS, members=4, units=5)
+EACH = pytest.mark.parametrize("method", FITTED)
 
 
-def test_says_what_it_is_made_of(ensemble: FittedEnsemble) -> None:
+def stored(method: str, X: Array) -> StoredAxes:
+    """What a folder keeps of an ensemble with random weights."""
+    axis = random_ensemble(method, X, REGRESSORS, members=4, units=5)
+    kept = FITTED[method]({"Fx": axis}).store()
+    return replace(kept, entries=json.loads(json.dumps(kept.entries)), arrays=dict(kept.arrays))
+
+
+@EACH
+def test_says_what_it_is_made_of(method: str, X: Array) -> None:
+    ensemble = random_ensemble(method, X, REGRESSORS, members=4, units=5)
     assert ensemble.terms == ["4 networks of 5 hidden units over", *map(str, REGRESSORS)]
-    assert replace(ensemble, inputs=None).terms[1:] == ["column 0", "column 1"]
 
 
-def test_takes_a_table_as_it_is(ensemble: FittedEnsemble, X: Array) -> None:
-    table = np.column_stack((X[:, 0], np.abs(X[:, 1]) * X[:, 2]))
-    for of_table, of_inputs in zip(
-        replace(ensemble, inputs=None).centre_and_spread(table), ensemble.centre_and_spread(X), strict=True
-    ):
-        np.testing.assert_allclose(of_table, of_inputs, rtol=1e-12)
-
-
-def test_stored_numbers_are_the_same(ensemble: FittedEnsemble, X: Array) -> None:
-    data = json.loads(json.dumps(ensemble.to_json()))
-    again = type(ensemble).stored(data, ensemble.arrays())
-    assert type(again) is type(ensemble)
-    for one, other in zip(again.centre_and_spread(X), ensemble.centre_and_spread(X), strict=True):
+@EACH
+def test_stored_numbers_are_the_same(method: str, X: Array) -> None:
+    kept = stored(method, X)
+    read = FITTED[method].read(kept)
+    own = FITTED[method]({"Fx": random_ensemble(method, X, REGRESSORS, members=4, units=5)})
+    for one, other in zip(read.evaluate(X, np.ones(6)), own.evaluate(X, np.ones(6)), strict=True):
         np.testing.assert_array_equal(one, other)
-    assert again.to_json() == ensemble.to_json()
+    assert read.store().entries == kept.entries
 
 
+@EACH
 @pytest.mark.parametrize(
     "changes",
     [
         {"inputs": ["u"]},
         {"inputs": ["u", "zeta"]},
+        {"inputs": None},
         {"rms_spread": 0.0},
         {"rms_spread": float("inf")},
         {"floor": 0.0},
         {"rule": {"kind": "magic"}},
     ],
 )
-def test_numbers_that_no_fit_gives_are_refused(ensemble: FittedEnsemble, changes: dict[str, Any]) -> None:
-    with pytest.raises(ModelError):
-        type(ensemble).stored(ensemble.to_json() | changes, ensemble.arrays())
+def test_numbers_that_no_fit_gives_are_refused(method: str, X: Array, changes: dict[str, Any]) -> None:
+    kept = stored(method, X)
+    with pytest.raises(ModelError, match=r"^Fx: "):
+        FITTED[method].read(replace(kept, entries={"Fx": {**kept.entries["Fx"], **changes}}))
 
 
 @pytest.mark.parametrize(
@@ -77,32 +75,37 @@ def test_numbers_that_no_fit_gives_are_refused(ensemble: FittedEnsemble, changes
 def test_weights_of_the_deviation_that_make_no_sense_are_refused(
     X: Array, method: str, name: str, value: float
 ) -> None:
-    ensemble = random_ensemble(method, X, REGRESSORS)
-    with pytest.raises(ModelError, match=name):
-        KINDS[method].stored(ensemble.to_json() | {name: value}, ensemble.arrays())
+    kept = stored(method, X)
+    with pytest.raises(ModelError, match=f"Fx: .*{name}"):
+        FITTED[method].read(replace(kept, entries={"Fx": {**kept.entries["Fx"], name: value}}))
 
 
 def test_members_of_the_other_kind_are_refused(X: Array) -> None:
-    bootstrap = random_ensemble("bootstrap", X, REGRESSORS)
-    bounds = random_ensemble("quality-driven", X, REGRESSORS)
+    bootstrap, bounds = stored("bootstrap", X), stored("quality-driven", X)
     with pytest.raises(ModelError, match="do not fit together"):
-        FittedBootstrap.stored(bootstrap.to_json(), bootstrap.arrays() | bounds.arrays())
+        FITTED["bootstrap"].read(replace(bootstrap, arrays={**bootstrap.arrays, **bounds.arrays}))
     with pytest.raises(ModelError, match="two bounds"):
-        FittedQualityDriven.stored(bounds.to_json(), bootstrap.arrays())
+        FITTED["quality-driven"].read(replace(bounds, arrays=bootstrap.arrays))
 
 
-@pytest.mark.parametrize("name", ["members.hidden_biases", "members.hidden_weights"])
-def test_networks_of_which_something_is_missing_are_refused(ensemble: FittedEnsemble, name: str) -> None:
-    arrays = ensemble.arrays()
-    arrays[name] = arrays[name][:, 1:].copy()
+@EACH
+@pytest.mark.parametrize("name", ["hidden_biases", "hidden_weights"])
+def test_networks_of_which_something_is_missing_are_refused(method: str, X: Array, name: str) -> None:
+    kept = stored(method, X)
+    place = f"Fx.members.{name}"
+    short = {**kept.arrays, place: kept.arrays[place][:, 1:].copy()}
     with pytest.raises(ModelError, match="networks of shapes"):
-        type(ensemble).stored(ensemble.to_json(), arrays)
+        FITTED[method].read(replace(kept, arrays=short))
+    del short[place]
+    with pytest.raises(ModelError, match=f"networks without {name}"):
+        FITTED[method].read(replace(kept, arrays=short))
 
 
-def test_a_single_member_has_no_deviation(ensemble: FittedEnsemble) -> None:
-    single = replace(ensemble, members=ensemble.members[:1])
-    with pytest.raises(ModelError):
-        type(ensemble).stored(single.to_json(), single.arrays())
+@EACH
+def test_a_single_member_has_no_deviation(method: str, X: Array) -> None:
+    ensemble = random_ensemble(method, X, REGRESSORS, members=4, units=5)
+    with pytest.raises(ValueError, match="a single member"):
+        replace(ensemble, members=ensemble.members[:1])
 
 
 def test_standardised_samples_have_mean_zero_and_unit_scale() -> None:

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,14 +10,14 @@ import pytest
 
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
-from quadpi_core.models.fitted_physical import CompiledPhysical, FittedPhysical, PhysicalFit
+from quadpi_core.models.fitted_physical import FittedPhysical, PhysicalFit
 from quadpi_core.models.physical_regressors import PHYSICAL_VEHICLE, physical_vehicle
 from quadpi_core.models.physical_terms import TERMS
 from test.core.models.physical_flights import (
     REFERENCE,
     VEHICLE,
     derivatives_of,
-    fitted_axis,
+    fitted_physical,
     inputs_of,
     swept,
 )
@@ -24,8 +25,8 @@ from test.core.models.physical_flights import (
 
 def test_the_prediction_is_that_of_the_terms() -> None:
     flight = swept(1.0, 0, delay_s=0.005, noise=0.0)
-    axes = {axis: fitted_axis(axis, delay_s=0.005, rotor_inertia_spin=1e-6) for axis in AXES}
-    result = CompiledPhysical(axes).evaluate(inputs_of(flight), np.ones(6), derivatives_of(flight))
+    fitted = fitted_physical(*AXES, delay_s=0.005, rotor_inertia_spin=1e-6)
+    result = fitted.evaluate(inputs_of(flight), np.ones(6), derivatives_of(flight))
     scale = np.std(flight.wrench, axis=0)
     assert np.all(np.abs(result.predicted - flight.wrench).max(axis=0) < 0.1 * scale)
     assert np.all(result.leverage > 0.0)
@@ -34,11 +35,11 @@ def test_the_prediction_is_that_of_the_terms() -> None:
 
 def test_a_sample_has_the_same_bits_alone_and_in_a_block() -> None:
     flight = swept(1.0, 0)
-    compiled = CompiledPhysical({axis: fitted_axis(axis) for axis in AXES})
+    fitted = fitted_physical(*AXES)
     inputs, derivatives = inputs_of(flight), derivatives_of(flight)
-    block = compiled.evaluate(inputs, np.ones(6), derivatives)
+    block = fitted.evaluate(inputs, np.ones(6), derivatives)
     for k in (0, 17, 99):
-        alone = compiled.evaluate(inputs[k : k + 1], np.ones(6), derivatives[k : k + 1])
+        alone = fitted.evaluate(inputs[k : k + 1], np.ones(6), derivatives[k : k + 1])
         for whole, one in zip(block, alone, strict=True):
             np.testing.assert_array_equal(whole[k], one[0])
 
@@ -46,7 +47,7 @@ def test_a_sample_has_the_same_bits_alone_and_in_a_block() -> None:
 def test_an_accelerometer_off_the_centre_feels_the_angular_acceleration() -> None:
     flight = swept(1.0, 0)
     inputs, derivatives = inputs_of(flight), derivatives_of(flight)
-    here, there = (CompiledPhysical({"Fz": fitted_axis("Fz", imu_x=x)}) for x in (0.0, 0.02))
+    here, there = (fitted_physical("Fz", imu_x=x) for x in (0.0, 0.02))
     change = (
         there.evaluate(inputs, np.ones(6), derivatives).predicted
         - here.evaluate(inputs, np.ones(6), derivatives).predicted
@@ -59,11 +60,11 @@ def test_an_accelerometer_off_the_centre_feels_the_angular_acceleration() -> Non
 
 
 def test_what_was_stored_is_read() -> None:
-    own = fitted_axis()
-    fit = PhysicalFit.stored(own.parameters.to_json(), own.parameters.arrays())
-    read = FittedPhysical.stored({**own.to_json(), "parameters": fit}, own.arrays())
+    own = fitted_physical("Fz")
+    read = FittedPhysical.read(own.store())
+    fit = read.parameters
     np.testing.assert_array_equal(fit.values, own.parameters.values)
-    assert (read.terms, read.shape) == (own.terms, own.shape)
+    assert read.axes["Fz"].to_json() == own.axes["Fz"].to_json()
     assert (fit.sensing, fit.notes, fit.log) == (
         own.parameters.sensing,
         own.parameters.notes,
@@ -94,16 +95,16 @@ def _vehicle(**changed: Any) -> dict[str, Any]:
     ],
 )
 def test_arrays_that_no_fit_gives_are_refused(damage: dict[str, Any], message: str) -> None:
-    fit = fitted_axis().parameters
+    fit = fitted_physical("Fz").parameters
     with pytest.raises(ModelError, match=message):
         PhysicalFit.stored(fit.to_json(), {**fit.arrays(), **damage})
 
 
 def test_an_axis_of_another_version_or_shape_is_refused() -> None:
-    own = fitted_axis()
-    data = {**own.to_json(), "parameters": own.parameters}
-    with pytest.raises(ModelError, match="parameter 'warp' is not known to this version"):
-        FittedPhysical.stored({**data, "acting": ["warp"]}, own.arrays())
-    with pytest.raises(ModelError, match="whitening of shape"):
-        FittedPhysical.stored(data, {"whitening": np.zeros(3)})
+    stored = fitted_physical("Fz").store()
+    entries = {"Fz": {**stored.entries["Fz"], "acting": ["warp"]}}
+    with pytest.raises(ModelError, match="Fz: parameter 'warp' is not known to this version"):
+        FittedPhysical.read(replace(stored, entries=entries))
+    with pytest.raises(ModelError, match="Fz: whitening of shape"):
+        FittedPhysical.read(replace(stored, arrays={**stored.arrays, "Fz.whitening": np.zeros(3)}))
     assert PHYSICAL_VEHICLE.itemsize == 8 * 19

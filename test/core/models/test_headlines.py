@@ -54,7 +54,7 @@ def test_any_kind_tells_the_inertia_that_a_vehicle_file_has_wrong() -> None:
         own = found[f"inertia {axis}, by arms and thrust"]
         assert (own.known, own.error) == (pytest.approx(1.3 * inertia), None)
         assert own.value == pytest.approx(inertia, rel=0.05)
-    forces = replace(model, fitted={"Fx": model.fitted["Fx"]})
+    forces = replace(model, fitted=replace(model.fitted, axes={"Fx": model.fitted.axes["Fx"]}))
     assert [one.quantity for one in headlines(forces, wrong)] == ["drag near hover, x"]
     elsewhere = replace(
         model.envelope, lower=model.envelope.lower + 100.0, upper=model.envelope.upper + 100.0

@@ -106,7 +106,7 @@ def test_a_package_may_declare_a_kind() -> None:
     ("content", "message"),
     [
         ("import not_there", r": cannot be imported: .*ridge.py, line 1: .*: No module named 'not_there'"),
-        (KIND.replace('name = "ridge"', 'name = "edge"'), ": nothing there has that name"),
+        (KIND.replace('method = "ridge"', 'method = "edge"'), ": nothing there has that name"),
         ("KIND = 1", ": there is no Kind"),
     ],
 )
@@ -147,8 +147,8 @@ def test_its_option_is_one_of_the_command_and_of_python(
     quadpi(*arguments, "--penalty", "0.5", "-o", tmp_path / "model")
     for penalty, same in ((0.5, True), (0.6, False)):
         model = identify(flights, vehicle, pools, IdentifyOptions(method=kind(penalty=penalty)))
-        stored = AerodynamicModel.load(tmp_path / "model").fitted["Fz"]
-        assert np.array_equal(model.fitted["Fz"].coefficients, stored.coefficients) == same
+        stored = AerodynamicModel.load(tmp_path / "model").fitted.axes["Fz"]
+        assert np.array_equal(model.fitted.axes["Fz"].coefficients, stored.coefficients) == same
 
 
 def test_a_kind_that_is_not_installed_is_refused_with_those_known() -> None:

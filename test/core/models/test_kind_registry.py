@@ -26,7 +26,7 @@ def test_a_kind_has_the_name_of_its_file() -> None:
     assert names_in(kinds) == ("bootstrap", "physical", "polynomial", "quality-driven")
     for name in names_in(kinds):
         kind = kind_named(name)
-        assert kind.name == kind.axis_type.method == name
+        assert kind.name == kind.fitted_type.method == name
         assert kind.label
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 import hashlib
 import json
 import pickle
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,21 +17,23 @@ from safetensors.numpy import save
 
 from quadpi_core.errors import ModelError, OutputError, QuadpiError
 from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.models.fitted_polynomial import FittedPolynomials
 from quadpi_core.models.kinds import polynomial
 from quadpi_core.models.model_folder import ARRAYS_FILE, MODEL_FILE, read_safetensors
-from quadpi_core.models.model_kind import FittedAxis, StoredAxes
+from quadpi_core.models.model_kind import StoredAxes
 
 GOLDEN_MODEL = Path(__file__).parents[2] / "golden" / "model"
 TABLE = "parameters.csv"
 
 
-class WithTable(polynomial.Polynomial):
-    """A kind with a table for people."""
+class WithTable(FittedPolynomials):
+    """Polynomials with a table for people."""
 
-    def store(self, fitted: Mapping[str, FittedAxis]) -> StoredAxes:
-        return replace(super().store(fitted), files={TABLE: b"axis,terms\nFx,3\n"})
+    def store(self) -> StoredAxes:
+        return replace(super().store(), files={TABLE: b"axis,terms\nFx,3\n"})
 
-    def read(self, stored: StoredAxes) -> dict[str, FittedAxis]:
+    @classmethod
+    def read(cls, stored: StoredAxes) -> WithTable:
         assert stored.files == {TABLE: b"axis,terms\nFx,3\n"}
         return super().read(stored)
 
@@ -49,8 +51,8 @@ def folder(model: AerodynamicModel, tmp_path: Path) -> Path:
 
 @pytest.fixture
 def with_table(model: AerodynamicModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr(polynomial, "KIND", WithTable())
-    model.save(tmp_path / "model")
+    monkeypatch.setattr(polynomial.Polynomial, "fitted_type", WithTable)
+    replace(model, fitted=WithTable(model.fitted.axes)).save(tmp_path / "model")
     return tmp_path / "model"
 
 
@@ -98,7 +100,7 @@ def test_saving_twice_gives_the_same_bytes(folder: Path, tmp_path: Path) -> None
 
 
 def test_saving_replaces_an_older_model_whole(model: AerodynamicModel, folder: Path) -> None:
-    replace(model, fitted={"Mz": model.fitted["Mz"]}).save(folder)
+    replace(model, fitted=replace(model.fitted, axes={"Mz": model.fitted.axes["Mz"]})).save(folder)
     assert sorted(path.name for path in folder.iterdir()) == [ARRAYS_FILE, MODEL_FILE]
     assert AerodynamicModel.load(folder).axes == ("Mz",)
     assert [path.name for path in folder.parent.iterdir()] == [folder.name]

@@ -4,60 +4,48 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import pytest
 
-from quadpi_core.config_schema import Positive
+from quadpi_core.config_schema import Numbers, Positive, Text
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.models.interval_rules import NormalRule, Rule, TrainedRule
-from quadpi_core.models.model_kind import (
-    CUTOFF_HZ,
-    IdentifyOptions,
-    Kind,
-    interval_factors,
-    option,
-)
+from quadpi_core.models.interval_rules import NormalRule, StoredRule, TrainedRule
+from quadpi_core.models.model_kind import CUTOFF_HZ, Fitted, FittedAxis, IdentifyOptions, Kind, option
 
 
 @dataclass(frozen=True)
-class Constant:
+class Constant(FittedAxis):
     """An axis that is one number."""
 
-    method: ClassVar[str] = "constant"
-    value: float
-    rule: Rule
+    value: Annotated[Array, Numbers(1)]
+    unit: Text
+    rule: StoredRule
     terms: ClassVar[list[str]] = ["1"]
 
-    def arrays(self) -> dict[str, Array]:
-        return {"value": np.array([self.value])}
 
-    def to_json(self) -> dict[str, Any]:
-        return {"rule": self.rule.to_json()}
+class FittedConstants(Fitted):
+    """One number for each axis."""
 
-    @classmethod
-    def stored(cls, data: dict[str, Any], arrays: dict[str, Array]) -> Constant:
-        if set(data) != {"rule"} or set(arrays) != {"value"}:
-            raise ModelError(f"keys {sorted(data)} and arrays {sorted(arrays)}")
-        return cls(float(arrays["value"][0]), NormalRule())
+    method = "constant"
+    axis_type = Constant
+
+    def evaluate(self, *_: Any) -> Any:
+        raise NotImplementedError
 
 
 class Constants(Kind):
     """A kind of model without options and without settings of the paper."""
 
-    name = Constant.method
+    name = "constant"
     label = "constants"
-    axis_type = Constant
+    fitted_type = FittedConstants
 
     def fit(self, *_: Any) -> Any:
-        raise NotImplementedError
-
-    def compile(self, fitted: Mapping[str, Any]) -> Any:
         raise NotImplementedError
 
 
@@ -71,18 +59,24 @@ class Adjustable(Constants):
 
 
 KIND = Constants()
-MODEL = {"Fx": Constant(1.5, NormalRule()), "Fxy": Constant(-2.0, NormalRule())}
+MODEL = FittedConstants(
+    {
+        "Fx": Constant(np.array([1.5]), "N", NormalRule()),
+        "Fxy": Constant(np.array([-2.0]), "N", TrainedRule(0.95)),
+    }
+)
 
 
 def test_factors_are_those_of_the_rules_and_zero_for_axes_not_held() -> None:
-    fitted = {"Fx": Constant(0.0, NormalRule()), "My": Constant(0.0, TrainedRule(0.95))}
-    factors = interval_factors(fitted, 0.95)
+    zero = Constant(np.zeros(1), "N", NormalRule())
+    fitted = FittedConstants({"Fx": zero, "My": zero}).with_rules({"My": TrainedRule(0.95)})
+    factors = fitted.factors(0.95)
     assert factors.shape == (6,)
     assert factors[AXES.index("Fx")] == pytest.approx(1.959964)
     assert factors[AXES.index("My")] == 1.0
     assert np.count_nonzero(factors) == 2
     with pytest.raises(ModelError, match=r"trained for a confidence of 0\.95, not 0\.9"):
-        interval_factors(fitted, 0.9)
+        fitted.factors(0.9)
 
 
 def test_settings_of_the_paper_are_refused_by_a_kind_without_them() -> None:
@@ -114,17 +108,31 @@ def test_a_kind_takes_those_of_some_options_that_it_has() -> None:
 
 def test_each_axis_is_stored_by_itself_and_read_again() -> None:
     """An axis takes the arrays that begin with its own name, not with one that is longer."""
-    stored = KIND.store(MODEL)
+    stored = MODEL.store()
     assert sorted(stored.arrays) == ["Fx.value", "Fxy.value"]
+    assert stored.entries["Fx"] == {"unit": "N", "rule": {"kind": "normal"}}
     assert stored.files == {}
-    assert KIND.read(stored) == MODEL
+    assert FittedConstants.read(stored).store() == stored
 
 
-def test_an_axis_that_cannot_be_read_is_named() -> None:
-    stored = KIND.store(MODEL)
-    stored.arrays["Fx.further"] = np.zeros(1)  # type: ignore[index]
-    with pytest.raises(ModelError, match=r"^Fx: keys \['rule'\] and arrays \['further', 'value'\]$"):
-        KIND.read(stored)
+@pytest.mark.parametrize(
+    ("entry", "arrays", "message"),
+    [
+        ({"unit": ""}, {}, "`unit` must be text, found ''"),
+        ({"rule": {"kind": "magic"}}, {}, "unknown kind of interval rule 'magic'"),
+        ({}, {"Fx.value": np.zeros(2)}, r"`value` must hold 1 numbers, is of shape \(2,\)"),
+    ],
+)
+def test_an_axis_that_cannot_be_read_is_named(entry: Any, arrays: Any, message: str) -> None:
+    stored = MODEL.store()
+    entries = {**stored.entries, "Fx": {**stored.entries["Fx"], **entry}}
+    with pytest.raises(ModelError, match=f"^Fx: .*{message}$"):
+        FittedConstants.read(replace(stored, entries=entries, arrays={**stored.arrays, **arrays}))
+
+
+def test_an_axis_without_its_array_is_named() -> None:
+    with pytest.raises(ModelError, match=r"^Fx: constant: missing key `value`$"):
+        FittedConstants.read(replace(MODEL.store(), arrays={}))
 
 
 def test_options_that_nobody_gave() -> None:

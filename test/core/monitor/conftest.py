@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -17,15 +16,14 @@ from quadpi_core.inputs import DERIVATIVES, INPUT_NAMES
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.alarm_limits import AlarmLimits
 from quadpi_core.models.envelope import Envelope
-from quadpi_core.models.fitted_polynomial import FittedPolynomial, SpreadShape
+from quadpi_core.models.fitted_polynomial import FittedPolynomials, PolynomialAxis
 from quadpi_core.models.interval_rules import ResidualRule
-from quadpi_core.models.kind_registry import kind_named
-from quadpi_core.models.model_kind import FittedAxis
+from quadpi_core.models.model_kind import Fitted
 from quadpi_core.models.regressors import Regressor, RegressorProgram
 from quadpi_core.monitor.pairing import PairedSamples
 from quadpi_core.monitor.preparation import Preparation
 from quadpi_core.vehicle import Vehicle
-from test.core.models.physical_flights import fitted_axis
+from test.core.models.physical_flights import fitted_physical
 
 RATE_HZ = 500.0
 CUTOFF_HZ = 12.0
@@ -86,15 +84,16 @@ def model(vehicle, training_inputs) -> AerodynamicModel:
         regressors = tuple(Regressor.parse(term) for term in terms)
         z = RegressorProgram.compile(regressors).evaluate(training_inputs)
         whitening = np.linalg.inv(np.linalg.cholesky(z.T @ z))
-        polynomials[axis] = FittedPolynomial(
+        polynomials[axis] = PolynomialAxis(
             regressors,
             np.linspace(0.1, 0.01, len(terms)),
             whitening,
-            SpreadShape(1.0, 0.0),
+            1.0,
+            0.0,
             ResidualRule(0.2, 1000.0),
             1.0,
         )
-    return model_of(polynomials, vehicle, training_inputs)
+    return model_of(FittedPolynomials(polynomials), vehicle, training_inputs)
 
 
 @pytest.fixture(scope="session", params=["polynomial", "physical", "bootstrap", "quality-driven"])
@@ -103,15 +102,14 @@ def each_model(request, model, vehicle, training_inputs) -> AerodynamicModel:
     if request.param == model.method:
         return model
     if request.param == "physical":
-        physical = {axis: fitted_axis(axis, 0.005, rotor_inertia_spin=1e-6) for axis in model.axes}
+        physical = fitted_physical(*model.axes, delay_s=0.005, rotor_inertia_spin=1e-6)
         return model_of(physical, vehicle, training_inputs)
     inputs = {axis: axis_inputs for axis, axis_inputs in simulation_inputs().items() if axis in model.axes}
     return model_of(random_ensembles(request.param, training_inputs, inputs), vehicle, training_inputs)
 
 
-def model_of(fitted: Mapping[str, FittedAxis], vehicle: Vehicle, inputs: Array) -> AerodynamicModel:
-    kind = kind_named(next(iter(fitted.values())).method)
-    evidence = kind.compile(fitted).evaluate(inputs, np.ones(len(AXES)), np.zeros(len(inputs), DERIVATIVES))
+def model_of(fitted: Fitted, vehicle: Vehicle, inputs: Array) -> AerodynamicModel:
+    evidence = fitted.evaluate(inputs, np.ones(len(AXES)), np.zeros(len(inputs), DERIVATIVES))
     return AerodynamicModel(
         name="swings",
         vehicle=vehicle.name,
@@ -119,12 +117,12 @@ def model_of(fitted: Mapping[str, FittedAxis], vehicle: Vehicle, inputs: Array) 
         settings="default",
         cutoff_hz=CUTOFF_HZ,
         confidence=0.95,
-        fitted=dict(fitted),
+        fitted=fitted,
         envelope=Envelope.fit(inputs, np.zeros(len(inputs)), evidence.leverage, evidence.relative_width),
-        training_range=dict.fromkeys(fitted, 1.0),
+        training_range=dict.fromkeys(fitted.axes, 1.0),
         flights=(),
-        selection={axis: [] for axis in fitted},
-        held_out_coverage={axis: [] for axis in fitted},
+        selection={axis: [] for axis in fitted.axes},
+        held_out_coverage={axis: [] for axis in fitted.axes},
         identity="swings@000000000000",
         # The coefficients mean nothing, so that the measured wrench is far off: no miss counts.
         alarm_limits=AlarmLimits(miscoverage_s=np.full(len(AXES), 1e9)),

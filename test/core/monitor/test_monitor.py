@@ -210,15 +210,13 @@ def test_all_samples_broken_give_alarms_and_no_predictions(monitor, samples):
 
 
 def test_prediction_that_overflows_is_bad_data(model, vehicle, samples):
-    axes = model.kind.compile(model.fitted)
-
-    class Overflowing:
+    class Overflowing(type(model.fitted)):
         def evaluate(self, inputs, factors, derivatives=None) -> Evaluation:
-            evaluation = axes.evaluate(inputs, factors, derivatives)
+            evaluation = super().evaluate(inputs, factors, derivatives)
             far = inputs[:, INPUT_INDEX["u"]] > 2.0
             return evaluation._replace(upper=np.where(far[:, None], np.inf, evaluation.upper))
 
-    monitor = Monitor(replace(model, compiled=Overflowing()), vehicle, RATE_HZ)
+    monitor = Monitor(replace(model, fitted=Overflowing(model.fitted.axes)), vehicle, RATE_HZ)
     predictions, alarms, _ = monitor.step(*samples)
     assert 0 < len(predictions.time_ns) < len(samples.time_ns)
     assert_finite(predictions, alarms)

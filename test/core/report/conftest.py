@@ -19,7 +19,7 @@ from quadpi_core.flight import AXES
 from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
 from quadpi_core.models.aerodynamic import AerodynamicModel, TrainingFlight
 from quadpi_core.models.envelope import Envelope
-from quadpi_core.models.fitted_polynomial import FittedPolynomial, SpreadShape
+from quadpi_core.models.fitted_polynomial import FittedPolynomials, PolynomialAxis
 from quadpi_core.models.interval_rules import LEVELS, HeldOutRule
 from quadpi_core.models.regressors import Regressor
 from quadpi_core.report.live_figure import LiveReplay
@@ -145,9 +145,7 @@ def case():
     out = {"term": "p", "coefficient": None, "r2": 0.95, "fixed": False, "criterion": 0.2}
     bias = {"term": "1", "coefficient": -0.2, "r2": None, "fixed": True}
     rule = HeldOutRule(np.ones((2, len(LEVELS))), flights_inside=1)
-    polynomial = FittedPolynomial(
-        (Regressor.parse("bias"),), np.zeros(1), np.eye(1), SpreadShape(1.0, 0.0), rule, 1.0
-    )
+    polynomial = PolynomialAxis((Regressor.parse("bias"),), np.zeros(1), np.eye(1), 1.0, 0.0, rule, 1.0)
     model = AerodynamicModel(
         name="m",
         vehicle="v",
@@ -155,7 +153,7 @@ def case():
         settings="default",
         cutoff_hz=15.0,
         confidence=0.95,
-        fitted=dict.fromkeys(AXES, polynomial),
+        fitted=FittedPolynomials(dict.fromkeys(AXES, polynomial)),
         envelope=Envelope.fit(inputs, labels, ones, ones),
         training_range=dict.fromkeys(AXES, 2.0),
         flights=tuple(TrainingFlight(result.name, "0" * 64, len(result)) for result in training),

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import pytest
 from rich.console import Console
 
-from quadpi_core.models.ensemble_estimator import training_progress
+from quadpi_core.models.ensemble import training_progress
 from quadpi_core.parallel import Progress
 from quadpi_core.report.progress_bar import progress_bar
 

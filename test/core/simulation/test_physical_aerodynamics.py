@@ -38,7 +38,7 @@ def random_motion(samples, seed):
 
 
 def test_the_wrench_is_that_of_the_model_without_its_accelerometer(law, physical_folder):
-    fitted = AerodynamicModel.load(physical_folder).fitted["Fx"].parameters
+    fitted = AerodynamicModel.load(physical_folder).fitted.parameters
     values = np.where([term.name.startswith("imu_") for term in TERMS], 0.0, fitted.values)
     motion = random_motion(50, seed=1)
     expected = wrenches(motion, fitted.vehicle, values)
@@ -75,7 +75,7 @@ def test_hover_carries_the_weight(law):
 
 
 def test_coefficients_move_by_the_covariance_of_their_fit(law, physical_folder):
-    fitted = AerodynamicModel.load(physical_folder).fitted["Fx"].parameters
+    fitted = AerodynamicModel.load(physical_folder).fitted.parameters
     names = law.coefficients_by_name
     moved = [law.scaled({name: 1.0}).coefficients.parameters for name in names]
     changes = np.array([[own[name] - law.coefficients.parameters[name] for name in names] for own in moved])

@@ -42,7 +42,7 @@ def test_a_folder_holds_the_vehicle_its_law_and_the_ranges_of_its_flights(physic
 
 
 def test_the_lever_arm_of_the_accelerometer_is_an_effect_on_sensors(physical_folder):
-    values = AerodynamicModel.load(physical_folder).fitted["Fx"].parameters.values
+    values = AerodynamicModel.load(physical_folder).fitted.parameters.values
     vehicle = SimulatedVehicle.load(physical_folder)
     assert list(vehicle.effects) == ["imu_lever_arm"]
     np.testing.assert_array_equal(list(vehicle.effects["imu_lever_arm"].values()), values[-3:])

@@ -174,14 +174,14 @@ def test_damaged_chunk_is_counted_again(case, same, tmp_path, counted, damage):
 
 
 def test_chunks_of_another_case_are_left_alone(case, model, tmp_path, counted):
-    narrower = replace(model.fitted["Fx"], rule=replace(model.fitted["Fx"].rule, std=1e-3))
+    narrower = model.fitted.with_rules({"Fx": replace(model.fitted.axes["Fx"].rule, std=1e-3)})
     others = [
         replace(case, seed=8),
         replace(case, confidence=0.9),
         replace(case, noise=replace(case.noise, rates=0.02)),
         replace(case, flights=case.flights[:1]),
         replace(case, flights=(replace(case.flights[0], wind=case.flights[0].wind + 0.1), case.flights[1])),
-        replace(case, models={"fitted": replace(model, fitted={**model.fitted, "Fx": narrower})}),
+        replace(case, models={"fitted": replace(model, fitted=narrower)}),
         replace(case, models={"named": model}),
     ]
     run_realisations(case, 3, workers=HERE, folder=tmp_path)

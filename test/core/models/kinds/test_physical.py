@@ -13,7 +13,7 @@ from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.models.candidate_pool import CandidatePool
 from quadpi_core.models.kind_registry import kind_named
-from quadpi_core.models.model_kind import Evaluation, Fit, IdentifyOptions, interval_factors
+from quadpi_core.models.model_kind import Evaluation, Fit, IdentifyOptions
 from quadpi_core.models.physical_flight import PhysicalFlight, Sensing
 from quadpi_core.parallel import ignore_progress
 from test.core.models.physical_flights import (
@@ -30,8 +30,7 @@ OPTIONS = IdentifyOptions(method="physical")
 
 
 def evaluated(fit: Fit, flight: PhysicalFlight) -> Evaluation:
-    evaluate = KIND.compile(fit.axes).evaluate
-    return evaluate(inputs_of(flight), interval_factors(fit.axes, 0.95), derivatives_of(flight))
+    return fit.fitted.evaluate(inputs_of(flight), fit.fitted.factors(0.95), derivatives_of(flight))
 
 
 def pools(*axes: str) -> dict[str, CandidatePool]:
@@ -64,8 +63,8 @@ def test_a_flight_of_another_day_with_less_thrust_is_covered(fit: Fit) -> None:
 
 
 def test_a_stored_model_is_read_with_the_same_bits(fit: Fit) -> None:
-    stored = KIND.store(fit.axes)
-    read = Fit(KIND.read(stored))
+    stored = fit.fitted.store()
+    read = Fit(KIND.fitted_type.read(stored))
     for before, after in zip(evaluated(fit, flown(1.0, 4)), evaluated(read, flown(1.0, 4)), strict=True):
         np.testing.assert_array_equal(before, after)
     lines = stored.files["parameters.csv"].decode().splitlines()
@@ -82,7 +81,7 @@ def test_a_stored_model_is_read_with_the_same_bits(fit: Fit) -> None:
 
 def test_a_folder_without_its_fit_is_refused(fit: Fit) -> None:
     with pytest.raises(ModelError, match=r"fit\.json: missing"):
-        KIND.read(replace(KIND.store(fit.axes), files={}))
+        KIND.fitted_type.read(replace(fit.fitted.store(), files={}))
 
 
 @pytest.mark.parametrize(
@@ -96,14 +95,14 @@ def test_a_folder_without_its_fit_is_refused(fit: Fit) -> None:
     ],
 )
 def test_a_fit_file_that_no_fit_gives_is_refused(fit: Fit, damage: dict[str, Any], message: str) -> None:
-    stored = KIND.store(fit.axes)
+    stored = fit.fitted.store()
     content = {**json.loads(stored.files["fit.json"]), **damage}
     with pytest.raises(ModelError, match=message):
-        KIND.read(replace(stored, files={"fit.json": json.dumps(content).encode()}))
+        KIND.fitted_type.read(replace(stored, files={"fit.json": json.dumps(content).encode()}))
 
 
 def test_facts_are_parameters_pairs_and_log(fit: Fit) -> None:
-    parameters, pairs, ahead, ahead_pairs, log = KIND.facts(fit.axes, fit.rollouts)
+    parameters, pairs, ahead, ahead_pairs, log = fit.fitted.facts(fit.rollouts)
     assert ahead.title == "parameters that predict ahead"
     assert "imu_x" in {row[0] for row in parameters.rows} - {row[0] for row in ahead.rows}
     assert abs(float(ahead_pairs.rows[0][2])) > 0.9
@@ -121,9 +120,9 @@ def test_errors_are_judged_by_forces_as_they_were_recorded() -> None:
         wrench[:, :3] = flight.recorded(wrench[:, :3, np.newaxis], Sensing(0.0, 7.0))[:, :, 0]
         flights.append(replace(flight, wrench=wrench))
     smoothed = KIND.fit(samples_of(flights), pools("Fz"), OPTIONS, ignore_progress)
-    bandwidth = KIND.force_bandwidth_hz(smoothed.axes)
+    bandwidth = smoothed.fitted.force_bandwidth_hz
     assert bandwidth is not None
-    assert "smoothed alike" in KIND.facts(smoothed.axes, smoothed.rollouts)[0].note
+    assert "smoothed alike" in smoothed.fitted.facts(smoothed.rollouts)[0].note
     raw = evaluated(smoothed, flights[0]).predicted[:, 2]
     unsmoothed = np.std(flights[0].wrench[:, 2] - raw)
     assert np.std(smoothed.held_out["Fz"][0].error) < 0.3 * unsmoothed
@@ -132,10 +131,10 @@ def test_errors_are_judged_by_forces_as_they_were_recorded() -> None:
 def test_some_axes_alone_give_the_same_parameters(fit: Fit) -> None:
     samples = samples_of([flown(20.0, seed) for seed in (1, 2, 3)])
     alone = KIND.fit(samples, pools("Fz"), OPTIONS, ignore_progress)
-    assert list(alone.axes) == ["Fz"]
-    np.testing.assert_allclose(alone.axes["Fz"].parameters.values, fit.axes["Fz"].parameters.values)  # type: ignore[attr-defined]
-    factors = interval_factors(alone.axes, 0.95)
-    result = KIND.compile(alone.axes).evaluate(samples.inputs[:5], factors, samples.derivatives[:5])
+    assert list(alone.fitted.axes) == ["Fz"]
+    np.testing.assert_allclose(alone.fitted.parameters.values, fit.fitted.parameters.values)  # type: ignore[attr-defined]
+    factors = alone.fitted.factors(0.95)
+    result = alone.fitted.evaluate(samples.inputs[:5], factors, samples.derivatives[:5])
     assert np.all(result.predicted[:, 2] < 0.0)
     assert np.all(result.predicted[:, :2] == 0.0)
 
@@ -155,6 +154,6 @@ def test_flights_that_stand_still_give_a_model() -> None:
     result = evaluated(fit, still[0])
     assert np.all(np.isfinite(result.lower))
     assert np.all(result.lower < result.upper)
-    words = KIND.facts(fit.axes, None)[0].note
+    words = fit.fitted.facts(None)[0].note
     assert "do not tell delays of 0 to 15 ms apart" in words
     assert "what would tell them, and how many: " in words
