@@ -8,6 +8,7 @@ Arrays of records are changed in place, and must be contiguous and writable; one
 from quadpi_core.estimator.filter_run import Arrivals, Trace
 from quadpi_core.estimator.smoother import Inputs, Tape
 from quadpi_core.frames import Array
+from quadpi_core.messages.payloads import Indices
 from quadpi_core.records import Records
 
 SOURCES: str
@@ -52,3 +53,20 @@ def same_motion(pair: Records, estimate: Records, noise: Records, /) -> bool: ..
 def motion_shows(estimate: Records, noise: Records, kind: int, elapsed: float, /) -> bool: ...
 def status_of(filter: Records, ring: Records, /) -> int: ...
 def fill_fused(estimate: Records, gyro_variance: float, fused: Records, /) -> None: ...
+
+# logs
+BLACKBOX_BROKEN: int
+BLACKBOX_CUT: int
+BLACKBOX_ENCODINGS: list[int]
+BLACKBOX_FIELDS_MAX: int
+BLACKBOX_KINDS: str
+BLACKBOX_NOTHING: int
+BLACKBOX_PREDICTORS: list[int]
+BLACKBOX_TAG8_4S16: int
+
+def decode_blackbox(
+    flight: bytes, start: int, rules: Records, chosen: Indices, table: Array, /
+) -> tuple[int, bool, int, int]: ...
+
+# A single frame, for tests.
+def read_blackbox_fields(data: bytes, position: int, encoding: Indices, values: Indices, /) -> int: ...

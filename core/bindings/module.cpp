@@ -4,10 +4,12 @@
 
 namespace quadpi {
 void bind_estimator(nanobind::module_& module);
+void bind_logs(nanobind::module_& module);
 }
 
 NB_MODULE(_core, module) {
     module.doc() = "The compiled core; quadpi_core/_core.pyi has its signatures.";
     module.attr("SOURCES") = QUADPI_SOURCES;
     quadpi::bind_estimator(module);
+    quadpi::bind_logs(module);
 }

@@ -1,12 +1,14 @@
 // SPDX-FileCopyrightText: 2026 The quadpi authors
 // SPDX-License-Identifier: Apache-2.0
-// Arrays of Python as records: any writable, contiguous buffer whose elements have the size of the type.
+// Arrays of Python as records: any contiguous buffer whose elements have the size of the type. It must be writable,
+// but for records that are const.
 #pragma once
 
 #include <nanobind/nanobind.h>
 
 #include <stdexcept>
 #include <string>
+#include <type_traits>
 #include <utility>
 
 #include "quadpi/records.hpp"
@@ -25,15 +27,19 @@ public:
         }
     }
 
-    bool hold(PyObject* object, std::size_t item_bytes) {
-        if (PyObject_GetBuffer(object, &view, PyBUF_C_CONTIGUOUS | PyBUF_WRITABLE) != 0) {
+    template <class T>
+    bool hold(PyObject* object) {
+        constexpr std::size_t item_bytes = sizeof(T);
+        constexpr int access = std::is_const_v<T> ? 0 : PyBUF_WRITABLE;
+        if (PyObject_GetBuffer(object, &view, PyBUF_C_CONTIGUOUS | access) != 0) {
             PyErr_Clear();
             view.obj = nullptr;
             return false;
         }
         // Of the type itself, or of its numbers.
         const auto item = static_cast<std::size_t>(view.itemsize);
-        return (item == item_bytes || item == sizeof(double)) && bytes() % item_bytes == 0;
+        const bool of_numbers = item == sizeof(double) && item_bytes % sizeof(double) == 0;
+        return (item == item_bytes || of_numbers) && bytes() % item_bytes == 0;
     }
 
     void* data() const { return view.buf; }
@@ -49,7 +55,7 @@ class Field {
 public:
     Field(nanobind::handle object, const char* name) {
         const nanobind::object value = object.attr(name);
-        if (!buffer.hold(value.ptr(), sizeof(T))) {
+        if (!buffer.hold<T>(value.ptr())) {
             throw nanobind::type_error((std::string(name) + ": not a writable array of its records").c_str());
         }
     }
@@ -70,7 +76,7 @@ struct type_caster<quadpi::Records<T>> {
     NB_TYPE_CASTER(quadpi::Records<T>, const_name("numpy.ndarray"))
 
     bool from_python(handle source, std::uint8_t, cleanup_list*) noexcept {
-        if (!buffer.hold(source.ptr(), sizeof(T))) {
+        if (!buffer.hold<T>(source.ptr())) {
             return false;
         }
         value = {static_cast<T*>(buffer.data()), buffer.bytes() / sizeof(T)};

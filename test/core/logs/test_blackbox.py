@@ -12,8 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from quadpi_core.core import compiled
 from quadpi_core.errors import LogError
-from quadpi_core.logs.blackbox import decode_blackbox
+from quadpi_core.logs.blackbox import RULES, decode_blackbox
 
 from .blackbox_writer import PLAIN, inter, intra, log, signed, unsigned
 
@@ -272,3 +273,20 @@ def test_a_real_log_value_by_value(shared_data: Path):
     assert (found.ended, found.damaged_at) == (True, None)
     table = np.stack([found.columns[name] for name in names], axis=1).astype(np.int64)
     assert hashlib.sha256(table.tobytes()).hexdigest() == KNOWN
+
+
+@pytest.mark.parametrize(
+    ("name", "number"),
+    [("sizes", 257), ("sizes", -1), ("time", 256), ("iteration", -1), ("motor", 256)]
+    + [(name, 0) for name in ("every", "numerator", "denominator")],
+)
+def test_rules_that_point_outside_a_frame_are_refused(name, number):
+    rules, table = np.zeros(1, RULES), np.empty(0)
+    rules["every"] = rules["numerator"] = rules["denominator"] = 1
+    assert compiled.decode_blackbox(b"", 0, rules, np.array([0, 255]), table) == (0, False, 0, 0)
+    for field in (-1, 256):
+        with pytest.raises(ValueError, match="a field that no frame has"):
+            compiled.decode_blackbox(b"", 0, rules, np.array([0, field]), table)
+    rules[name] = number
+    with pytest.raises(ValueError, match="rules that are none"):
+        compiled.decode_blackbox(b"", 0, rules, np.array([0]), table)

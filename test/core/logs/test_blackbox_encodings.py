@@ -9,18 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from quadpi_core.logs.blackbox_encodings import (
-    BROKEN,
-    CUT,
-    NEG_14BIT,
-    NULL,
-    SIGNED_VB,
-    TAG8_8SVB,
-    UNSIGNED_VB,
-    read_fields,
-)
+from quadpi_core.core import compiled
 
 from .blackbox_writer import signed, unsigned
+
+SIGNED_VB, UNSIGNED_VB, NEG_14BIT, TAG8_8SVB = 0, 1, 3, 6
+CUT, BROKEN = compiled.BLACKBOX_CUT, compiled.BLACKBOX_BROKEN
 
 # The bits of three values A, B and C, by encoding; the shortest form that holds them is taken.
 FORMS = {
@@ -89,7 +83,7 @@ def read(data: bytes, *encodings: int) -> tuple[list[int], int]:
     count = len(encodings)
     values = np.full(count, -99, dtype=np.int64)
     kinds = np.array(encodings, dtype=np.int64)
-    stop = read_fields(np.frombuffer(data, dtype=np.uint8), 0, kinds, count, values)
+    stop = compiled.read_blackbox_fields(data, 0, kinds, values)
     return values.tolist(), stop
 
 
@@ -108,7 +102,10 @@ def test_every_value_of_every_encoding(encoding, data):
 
 def test_numbers_without_sign_of_14_bits_and_none_at_all():
     packed = unsigned(2**32 - 1) + unsigned(40) + unsigned(-5 & 0x3FFF)
-    assert read(packed, UNSIGNED_VB, NEG_14BIT, NEG_14BIT, NULL) == ([2**32 - 1, -40, 5, 0], len(packed))
+    assert read(packed, UNSIGNED_VB, NEG_14BIT, NEG_14BIT, compiled.BLACKBOX_NOTHING) == (
+        [2**32 - 1, -40, 5, 0],
+        len(packed),
+    )
 
 
 def test_a_number_of_more_than_five_bytes_is_none():
