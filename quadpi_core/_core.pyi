@@ -7,8 +7,10 @@ Arrays of records are changed in place, and must be contiguous and writable; one
 
 from quadpi_core.estimator.filter_run import Arrivals, Trace
 from quadpi_core.estimator.smoother import Inputs, Tape
+from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
-from quadpi_core.messages.payloads import Indices
+from quadpi_core.messages.adapters.rotor_messages import EscReports
+from quadpi_core.messages.payloads import Bytes, Indices
 from quadpi_core.records import Records
 
 SOURCES: str
@@ -70,3 +72,26 @@ def decode_blackbox(
 
 # A single frame, for tests.
 def read_blackbox_fields(data: bytes, position: int, encoding: Indices, values: Indices, /) -> int: ...
+
+# messages
+FIRST_MOTOR: int
+LAST_MOTOR: int
+MOUNTING_LAG_S: float
+
+def copy_spans(
+    source: Bytes, source_starts: Indices, target: Bytes, target_starts: Indices, lengths: Indices, /
+) -> None: ...
+def move_mounted(imu: Records, time_ns: Stamps, rates: Array, force: Array, /) -> None: ...
+def take_numbered_escs(
+    counts: Indices, rpm: Array, marks: Indices, wanted: Indices, reports: EscReports, /
+) -> None: ...
+def take_escs_of_motors(
+    functions: Indices,
+    rpm: Array,
+    marks: Indices,
+    online: Indices,
+    wanted: Indices,
+    reports: EscReports,
+    /,
+) -> None: ...
+def judge_esc_news(reports: EscReports, memory: Records, /) -> None: ...

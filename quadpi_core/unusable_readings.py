@@ -19,9 +19,6 @@ import numpy.typing as npt
 
 from quadpi_core.findings import LeftOut
 
-# PX4 takes an ESC that has not reported for as long for gone (MavlinkStreamESCStatus).
-SILENT_NS = 100_000_000
-
 
 class Verdict(IntEnum):
     """Whether reports of speed controllers form a sample, or the reason why not."""

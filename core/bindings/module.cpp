@@ -5,6 +5,7 @@
 namespace quadpi {
 void bind_estimator(nanobind::module_& module);
 void bind_logs(nanobind::module_& module);
+void bind_messages(nanobind::module_& module);
 }
 
 NB_MODULE(_core, module) {
@@ -12,4 +13,5 @@ NB_MODULE(_core, module) {
     module.attr("SOURCES") = QUADPI_SOURCES;
     quadpi::bind_estimator(module);
     quadpi::bind_logs(module);
+    quadpi::bind_messages(module);
 }

@@ -21,10 +21,11 @@ from backports import zstd
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer, storage_mcap
 
+from quadpi_core.core import compiled
 from quadpi_core.errors import LogError
 from quadpi_core.flight import Stamps
 from quadpi_core.messages.definitions import definition_text, typestore
-from quadpi_core.messages.payloads import Bytes, Indices, Payloads, Topic, copy_spans, join_topics
+from quadpi_core.messages.payloads import Bytes, Indices, Payloads, Topic, join_topics
 from quadpi_core.messages.topics import qos_of
 from quadpi_core.paths import whole_output
 
@@ -293,11 +294,11 @@ def _framed(due: Sequence[tuple[int, Topic]]) -> _Framed:
 
     data = np.empty(int(lengths.sum()), dtype=np.uint8)
     rows = Payloads.from_rows(headers.view(np.uint8).reshape(len(headers), -1))
-    copy_spans(rows.data, rows.starts, data, starts, rows.lengths)
+    compiled.copy_spans(rows.data, rows.starts, data, starts, rows.lengths)
     first = 0
     for _, topic in due:
         own = starts[first : first + len(topic.payloads)] + _RECORD_HEADER.itemsize
-        copy_spans(topic.payloads.data, topic.payloads.starts, data, own, topic.payloads.lengths)
+        compiled.copy_spans(topic.payloads.data, topic.payloads.starts, data, own, topic.payloads.lengths)
         first += len(own)
     return _Framed(data, starts[order], lengths[order], channels[order], log_time_ns[order])
 

@@ -11,24 +11,11 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.compiled import njit
+from quadpi_core.core import compiled
 from quadpi_core.flight import Stamps
 
 Bytes: TypeAlias = npt.NDArray[np.uint8]
 Indices: TypeAlias = npt.NDArray[np.int64]
-
-
-@njit(cache=True)
-def copy_spans(
-    source: Bytes, source_starts: Indices, target: Bytes, target_starts: Indices, lengths: Indices
-) -> None:
-    """Copy `lengths[i]` bytes from `source_starts[i]` of `source` to `target_starts[i]` of `target`."""
-    for i in range(len(lengths)):
-        length = lengths[i]
-        span = source[source_starts[i] : source_starts[i] + length]
-        copy = target[target_starts[i] : target_starts[i] + length]
-        for offset in range(length):  # over views from 0 on, the compiler makes this one block copy
-            copy[offset] = span[offset]
 
 
 @dataclass(frozen=True)
@@ -98,7 +85,7 @@ class Payloads:
         lengths = self.lengths if head is None else np.minimum(self.lengths, head)
         starts = _starts(lengths)
         data = np.empty(int(lengths.sum()), dtype=np.uint8)
-        copy_spans(self.data, self.starts, data, starts, lengths)
+        compiled.copy_spans(self.data, self.starts, data, starts, lengths)
         return Payloads(data, starts, lengths)
 
     def rows(self, order: Indices, length: int) -> Bytes:

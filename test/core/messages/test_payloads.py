@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from quadpi_core.core import compiled
 from quadpi_core.messages.payloads import Payloads, Topic, join_topics
 
 MESSAGES = st.lists(st.binary(max_size=9), min_size=1, max_size=12)
@@ -70,3 +71,24 @@ def test_parts_are_joined_in_the_order_of_their_log_times_and_equal_ones_in_that
 
 def test_an_empty_topic_has_no_messages():
     assert (len(Topic.empty("/a", "b").payloads), Topic.empty("/a", "b").log_time_ns.dtype) == (0, np.int64)
+
+
+@pytest.mark.parametrize(
+    ("start", "target", "length"),
+    [
+        (-1, 0, 1),
+        (0, -1, 1),
+        (0, 0, -1),
+        (5, 0, 1),
+        (3, 0, 2),
+        (0, 3, 2),
+        (2**62, 0, 2**62),
+        (2, 0, 2**63 - 1),
+    ],
+)
+def test_no_byte_outside_a_buffer_is_read_or_written(start, target, length):
+    data, room = np.arange(4, dtype=np.uint8), np.full(4, 9, dtype=np.uint8)
+    starts, targets, lengths = (np.array([number]) for number in (start, target, length))
+    with pytest.raises(ValueError, match="a message outside its buffer"):
+        compiled.copy_spans(data, starts, room, targets, lengths)
+    assert room.tolist() == [9, 9, 9, 9]

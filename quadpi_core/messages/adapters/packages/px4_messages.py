@@ -93,14 +93,14 @@ def _read_imu(columns: Columns) -> ImuStream:
 def _status(columns: Columns, items: dict[str, Items], order: Indices) -> EscReports:
     """Reports of px4_msgs/EscStatus: `actuator_function` names the motor, in any place of the array."""
     array = items["esc"]
-    found = reports_of_motors(
+    return reports_of_motors(
         array.columns["actuator_function"].astype(np.int64),
         array.columns["esc_rpm"].astype(np.float64),
         array.columns["timestamp"].astype(np.int64),
         columns["esc_online_flags"].astype(np.int64),
         order + MOTORS[0],
+        microsecond_stamps(columns["timestamp"]),
     )
-    return EscReports(microsecond_stamps(columns["timestamp"]), *found)
 
 
 def _odometry(_settings: object, _vehicle: Vehicle | None) -> Reading:

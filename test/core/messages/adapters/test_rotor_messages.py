@@ -5,9 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from quadpi_core.core import compiled
 from quadpi_core.errors import LogError, VehicleError
 from quadpi_core.messages.adapters import AdapterSettings, known_adapters
 from quadpi_core.messages.adapters.adapter_settings import RotorSettings
+from quadpi_core.messages.adapters.rotor_messages import EscReports
 from quadpi_core.messages.payloads import Payloads
 from quadpi_core.vehicle import Vehicle
 
@@ -154,3 +156,13 @@ def test_one_esc_that_falls_silent_leaves_no_samples_after_a_tenth_of_a_second(v
     stream = unpacker.unpack(Payloads.join(payloads))
     assert stream.time_ns[-1] - START_NS == 15 * STEP_NS
     assert unpacker.dropped == {"an ESC has fallen silent": 14}
+
+
+@pytest.mark.parametrize("counts", [[4, 5], [-1, 5], [2**62, 2**62]])
+def test_more_reports_than_there_are_are_not_read(counts):
+    reports = EscReports.none(np.zeros(2, np.int64))
+    wanted, marks = np.arange(4), np.zeros(8, np.int64)
+    with pytest.raises(ValueError, match="reports of other numbers than their messages count"):
+        compiled.take_numbered_escs(np.array(counts), np.zeros(8), marks, wanted, reports)
+    with pytest.raises(ValueError, match="a negative number"):
+        compiled.take_numbered_escs(np.array([4, 4]), np.zeros(8), marks, wanted - 1, reports)
