@@ -77,6 +77,9 @@ def read_blackbox_fields(data: bytes, position: int, encoding: Indices, values: 
 FIRST_MOTOR: int
 LAST_MOTOR: int
 MOUNTING_LAG_S: float
+NORM_TOLERANCE: float
+ODOMETRY_VALUES: int
+PREDICTION_VALUES: int
 
 def copy_spans(
     source: Bytes, source_starts: Indices, target: Bytes, target_starts: Indices, lengths: Indices, /
@@ -95,3 +98,33 @@ def take_escs_of_motors(
     /,
 ) -> None: ...
 def judge_esc_news(reports: EscReports, memory: Records, /) -> None: ...
+
+# Numbers (N, K) of messages, and samples; returned is the first that is no rotation, else -1.
+def imu_values(values: Array, rates: Array, force: Array, /) -> None: ...
+def pose_values(values: Array, position: Array, attitude: Array, /) -> int: ...
+def state_values(
+    values: Array, position: Array, attitude: Array, velocity: Array, rates: Array, /
+) -> int: ...
+def wind_values(values: Array, velocity: Array, /) -> None: ...
+def twist_values(values: Array, in_body: bool, velocity: Array, /) -> None: ...
+def odometry_values(
+    position: Array,
+    attitude: Array,
+    velocity: Array,
+    rates: Array,
+    pose_covariance: Array,
+    twist_covariance: Array,
+    values: Array,
+    /,
+) -> None: ...
+def fill_odometry(samples: Records, values: Array, /) -> None: ...
+def prediction_values(
+    predicted: Array,
+    lower: Array,
+    upper: Array,
+    measured: Array,
+    relative_width: Array,
+    first: int,
+    values: Array,
+    /,
+) -> None: ...

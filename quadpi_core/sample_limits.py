@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from quadpi_core.compiled import njit
+from quadpi_core.core import compiled
 from quadpi_core.frames import Array
 
 # Gyros of flight controllers end at 2000 deg/s, 35 rad/s, or 4000 deg/s.
@@ -25,8 +26,8 @@ POSITION_MAX_M = 10_000.0
 MEASURED_SPEED_MAX_M_S = 300.0
 # Of a state. What an estimator is given may be off by any scale between the last two: it is normalised.
 QUATERNION_NORM_TOLERANCE = 0.1
-# Of an attitude in a log or message, which stores it rounded, perhaps in single precision or as integers.
-NORM_TOLERANCE = 0.05
+# Of an attitude in a log or message.
+NORM_TOLERANCE = compiled.NORM_TOLERANCE
 _MIN_QUATERNION_NORM, _MAX_QUATERNION_NORM = 0.5, 1e6
 
 

@@ -14,9 +14,10 @@ from geometry_msgs.msg import PoseStamped, TransformStamped, TwistStamped
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Imu
 
+from quadpi_core.core import compiled
 from quadpi_core.estimator.ekf import Ekf
 from quadpi_core.estimator.filter_state import WITHOUT_ESTIMATE, EstimatorStatus, Outcome
-from quadpi_core.estimator.output import FusedSamples, fill_odometry, with_gyro_faults
+from quadpi_core.estimator.output import FusedSamples, with_gyro_faults
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, TwistStream
 from quadpi_core.frames import Array
 from quadpi_core.messages import sensor_messages
@@ -24,7 +25,7 @@ from quadpi_core.messages.definitions import codec
 from quadpi_core.messages.frame_ids import TF_TYPE, BodyFrames
 from quadpi_core.messages.one_by_one import IncomingMessage, OutgoingMessage
 from quadpi_core.messages.result_messages import transform_message
-from quadpi_core.messages.values import ODOMETRY_VALUES, POSE
+from quadpi_core.messages.values import POSE
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros import diagnostics
 from quadpi_ros.input_sources import AdaptedSources, AdapterError, Source, message_class
@@ -189,7 +190,7 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
             return
         if self.listener:
             self.listener.take_estimate(sample)
-        fill_odometry(sample.rows, self._odometry.values)
+        compiled.fill_odometry(sample.rows, self._odometry.values)
         time_ns = int(sample.time_ns[0])
         self._publish(self._odometry.stamped(time_ns))
         if self._tf is not None:
@@ -262,7 +263,6 @@ def _warm_up(vehicle: Vehicle) -> None:
             ekf.update_velocity(time_ns, still, poses)
             sample = ekf.step(time_ns, still, hover).fused
         assert sample is not None  # the filter has started
-        fill_odometry(sample.rows, np.empty((1, ODOMETRY_VALUES)))
 
 
 def main() -> int:

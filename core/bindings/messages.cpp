@@ -8,6 +8,7 @@
 #include "bindings/records.hpp"
 #include "quadpi/messages/mounting.hpp"
 #include "quadpi/messages/rotor_messages.hpp"
+#include "quadpi/messages/values.hpp"
 
 namespace nb = nanobind;
 
@@ -16,6 +17,8 @@ namespace {
 
 using Stamps = Records<const std::int64_t>;
 using Bytes = Records<const std::uint8_t>;
+
+constexpr const char* DIFFERENT = "samples of different numbers";
 
 void require(bool holds, const char* what) {
     if (!holds) {
@@ -47,9 +50,109 @@ void copy_spans(
 }
 
 void move_mounted(Records<MountedImu> imu, Stamps time_ns, Records<Vector3> rates, Records<Vector3> force) {
-    require(imu.size == 1 && rates.size == time_ns.size && force.size == time_ns.size, "samples of different numbers");
+    require(imu.size == 1 && rates.size == time_ns.size && force.size == time_ns.size, DIFFERENT);
     for (std::size_t k = 0; k < time_ns.size; ++k) {
         move_to_body(imu[0], time_ns[k], rates[k], force[k]);
+    }
+}
+
+// The first of N rows that is no rotation, else -1.
+template <class Read>
+std::int64_t first_wrong(std::size_t rows, Read read) {
+    std::int64_t first = -1;
+    for (std::size_t row = 0; row < rows; ++row) {
+        if (!read(row) && first < 0) {
+            first = static_cast<std::int64_t>(row);
+        }
+    }
+    return first;
+}
+
+void imu_values(Records<const ImuNumbers> values, Records<Vector3> rates, Records<Vector3> force) {
+    require(rates.size == values.size && force.size == values.size, DIFFERENT);
+    for (std::size_t row = 0; row < values.size; ++row) {
+        read_imu(values[row], rates[row], force[row]);
+    }
+}
+
+std::int64_t pose_values(
+    Records<const PoseNumbers> values, Records<Vector3> position, Records<Quaternion> attitude
+) {
+    require(position.size == values.size && attitude.size == values.size, DIFFERENT);
+    return first_wrong(values.size, [&](std::size_t row) {
+        return read_pose(values[row].data(), position[row], attitude[row]);
+    });
+}
+
+std::int64_t state_values(
+    Records<const OdometryNumbers> values,
+    Records<Vector3> position,
+    Records<Quaternion> attitude,
+    Records<Vector3> velocity,
+    Records<Vector3> rates
+) {
+    require(position.size == values.size && attitude.size == values.size, DIFFERENT);
+    require(velocity.size == values.size && rates.size == values.size, DIFFERENT);
+    return first_wrong(values.size, [&](std::size_t row) {
+        return read_odometry(values[row], position[row], attitude[row], velocity[row], rates[row]);
+    });
+}
+
+void wind_values(Records<const Vector3> values, Records<Vector3> velocity) {
+    require(velocity.size == values.size, DIFFERENT);
+    for (std::size_t row = 0; row < values.size; ++row) {
+        velocity[row] = world_of(values[row].data());
+    }
+}
+
+void twist_values(Records<const TwistNumbers> values, bool in_body, Records<Vector3> velocity) {
+    require(velocity.size == values.size, DIFFERENT);
+    for (std::size_t row = 0; row < values.size; ++row) {
+        const double* linear = values[row].data();
+        velocity[row] = in_body ? body_of(linear) : world_of(linear);
+    }
+}
+
+void odometry_values(
+    Records<const Vector3> position,
+    Records<const Quaternion> attitude,
+    Records<const Vector3> velocity,
+    Records<const Vector3> rates,
+    Records<const Matrix6> pose_covariance,
+    Records<const Matrix6> twist_covariance,
+    Records<OdometryNumbers> values
+) {
+    require(position.size == values.size && attitude.size == values.size, DIFFERENT);
+    require(velocity.size == values.size && rates.size == values.size, DIFFERENT);
+    require(pose_covariance.size == values.size && twist_covariance.size == values.size, DIFFERENT);
+    for (std::size_t row = 0; row < values.size; ++row) {
+        const Motion motion{attitude[row], velocity[row], rates[row], {}};
+        write_odometry({0, position[row], motion, pose_covariance[row], twist_covariance[row]}, values[row]);
+    }
+}
+
+void fill_odometry(Records<const FusedSample> samples, Records<OdometryNumbers> values) {
+    require(values.size == samples.size, DIFFERENT);
+    for (std::size_t row = 0; row < samples.size; ++row) {
+        write_odometry(samples[row], values[row]);
+    }
+}
+
+void prediction_values(
+    Records<const Wrench> predicted,
+    Records<const Wrench> lower,
+    Records<const Wrench> upper,
+    Records<const Wrench> measured,
+    Records<const Wrench> relative_width,
+    std::size_t first,
+    Records<PredictionNumbers> values
+) {
+    for (const std::size_t rows : {predicted.size, lower.size, upper.size, measured.size, relative_width.size}) {
+        require(first <= rows && values.size <= rows - first, DIFFERENT);
+    }
+    for (std::size_t i = 0; i < values.size; ++i) {
+        const std::size_t row = first + i;
+        write_prediction({predicted[row], lower[row], upper[row], measured[row], relative_width[row]}, values[i]);
     }
 }
 
@@ -123,11 +226,22 @@ void bind_messages(nb::module_& module) {
     module.attr("FIRST_MOTOR") = FIRST_MOTOR;
     module.attr("LAST_MOTOR") = LAST_MOTOR;
     module.attr("MOUNTING_LAG_S") = MOUNTING_LAG_S;
+    module.attr("NORM_TOLERANCE") = NORM_TOLERANCE;
+    module.attr("ODOMETRY_VALUES") = OdometryNumbers{}.size();
+    module.attr("PREDICTION_VALUES") = PredictionNumbers{}.size();
     module.def("copy_spans", &copy_spans);
     module.def("move_mounted", &move_mounted);
     module.def("take_numbered_escs", &take_numbered_escs);
     module.def("take_escs_of_motors", &take_escs_of_motors);
     module.def("judge_esc_news", &judge_esc_news);
+    module.def("imu_values", &imu_values);
+    module.def("pose_values", &pose_values);
+    module.def("state_values", &state_values);
+    module.def("wind_values", &wind_values);
+    module.def("twist_values", &twist_values);
+    module.def("odometry_values", &odometry_values);
+    module.def("fill_odometry", &fill_odometry);
+    module.def("prediction_values", &prediction_values);
 }
 
 }  // namespace quadpi

@@ -9,10 +9,8 @@ from typing import Annotated, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.compiled import njit
 from quadpi_core.flight import ImuStream, OdometryStream, Stamps
 from quadpi_core.frames import Array
-from quadpi_core.messages.values import odometry_row
 from quadpi_core.records import Quaternion4, Records, Vector3, columns_of, record_dtype
 from quadpi_core.sample_limits import RATE_MAX_RAD_S, SPECIFIC_FORCE_MAX_M_S2
 
@@ -98,12 +96,3 @@ def with_gyro_faults(imu: ImuStream) -> ImuStream:
     fails = ~(np.abs(rates) <= RATE_MAX_RAD_S).all(axis=1, keepdims=True)
     shown = rates * (SPECIFIC_FORCE_MAX_M_S2 / RATE_MAX_RAD_S)
     return ImuStream(imu.time_ns, rates, np.where(fails, shown, imu.specific_force))
-
-
-@njit(cache=True)
-def fill_odometry(samples: Records, values: Array) -> None:
-    """Fill the numbers (K, 85) of odometry messages from :class:`FusedSample` (K,)."""
-    for k in range(len(samples)):
-        sample, motion = samples[k], samples[k].motion
-        covariances = sample.pose_covariance, sample.twist_covariance
-        odometry_row(sample.position, motion.attitude, motion.velocity, motion.rates, covariances, values[k])

@@ -50,8 +50,6 @@ class IncomingMessage(Generic[SomeStream]):
         self._known = self._count = b""
         self._counted = slice(0)
         self._mounting: Mounting | None = None
-        # Compiled now, not when the first message waits for it.
-        kind.fill(kind.no_values, kind.room(np.empty(0, dtype=np.int64), ("",) * kind.texts))
 
     def __call__(self, payload: bytes) -> SomeStream:
         """The sample in a message; the next message overwrites it.

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from quadpi_core.core import compiled
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
@@ -31,7 +32,7 @@ from quadpi_core.messages.sensor_messages import (
     mirrored,
     stamp_columns,
 )
-from quadpi_core.messages.values import PREDICTION_VALUES, prediction_values
+from quadpi_core.messages.values import PREDICTION_VALUES
 from quadpi_core.results import AlarmEvent, AlarmRows, Alarms, Predictions, ReportedAlarms
 
 
@@ -115,12 +116,12 @@ def write_predictions(predictions: Predictions, message: OutgoingMessage) -> lis
 
 
 def _fill(predictions: Predictions, first: int, values: Array) -> None:
-    prediction_values(
-        predictions.predicted,
-        predictions.lower,
-        predictions.upper,
-        predictions.measured,
-        predictions.relative_width,
+    compiled.prediction_values(
+        np.ascontiguousarray(predictions.predicted),
+        np.ascontiguousarray(predictions.lower),
+        np.ascontiguousarray(predictions.upper),
+        np.ascontiguousarray(predictions.measured),
+        np.ascontiguousarray(predictions.relative_width),
         first,
         values,
     )

@@ -16,6 +16,7 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
+from quadpi_core.core import compiled
 from quadpi_core.errors import SampleError
 from quadpi_core.flight import (
     ImuStream,
@@ -39,15 +40,7 @@ from quadpi_core.frames import (
 from quadpi_core.messages.cdr import NANOSECONDS, header_stamps
 from quadpi_core.messages.definitions import codec
 from quadpi_core.messages.payloads import Payloads
-from quadpi_core.messages.values import (
-    ODOMETRY_VALUES,
-    body_values,
-    imu_values,
-    odometry_values,
-    pose_values,
-    state_values,
-    world_values,
-)
+from quadpi_core.messages.values import ODOMETRY_VALUES
 from quadpi_core.sample_limits import NORM_TOLERANCE
 from quadpi_core.vehicle import ROTORS, Vehicle
 
@@ -109,11 +102,6 @@ class SampleKind(Generic[SomeStream]):
     texts: int = 1
     counts: Mapping[str, int] = field(default_factory=dict)
 
-    @property
-    def no_values(self) -> Array:
-        """The float64 fields (0, K) of no message."""
-        return codec(self.type_name).decode_stamped(Payloads.join([]), self.counts)[1]
-
     def unpack(self, payloads: Payloads | bytes, *, strict: bool = True) -> SomeStream:
         """The samples of N messages whose frames do not matter.
 
@@ -159,23 +147,25 @@ def _fill_rotor_speeds(values: Array, rotors: RotorSpeedStream) -> None:
 IMU_SAMPLES = SampleKind(
     IMU,
     _room(ImuStream, 3, 3),
-    lambda values, imu: imu_values(values, imu.angular_velocity, imu.specific_force),
+    lambda values, imu: compiled.imu_values(values, imu.angular_velocity, imu.specific_force),
 )
 POSE_SAMPLES = SampleKind(
     POSE,
     _room(PoseStream, 3, 4),
-    lambda values, pose: pose_values(values, pose.position, pose.attitude),
+    lambda values, pose: compiled.pose_values(values, pose.position, pose.attitude),
 )
 # The same numbers, of a transform from the world, its frame, to the body, its child frame.
 TRANSFORM_SAMPLES = replace(POSE_SAMPLES, type_name=TRANSFORM, texts=2)
 ODOMETRY_SAMPLES = SampleKind(
     ODOMETRY,
     _room(OdometryStream, 3, 4, 3, 3),
-    lambda values, state: state_values(values, state.position, state.attitude, state.velocity, state.rates),
+    lambda values, state: compiled.state_values(
+        values, state.position, state.attitude, state.velocity, state.rates
+    ),
     texts=2,
 )
 WIND_SAMPLES = SampleKind(
-    WIND, _room(WindStream, 3), lambda values, wind: world_values(values, wind.velocity)
+    WIND, _room(WindStream, 3), lambda values, wind: compiled.wind_values(values, wind.velocity)
 )
 ROTOR_SPEED_SAMPLES = SampleKind(
     ROTOR_SPEEDS, _room(RotorSpeedStream, ROTORS), _fill_rotor_speeds, counts={"rotor_speeds": ROTORS}
@@ -212,11 +202,8 @@ def twist_samples(body_frame: str) -> SampleKind[TwistStream]:
         return TwistStream(time_ns, np.empty((len(time_ns), 3)), np.full(len(time_ns), in_body))
 
     def fill(values: Array, twist: TwistStream) -> None:
-        convert = body_values if twist.in_body.all() else world_values
-        convert(values, twist.velocity)
+        compiled.twist_values(values, bool(twist.in_body.all()), twist.velocity)
 
-    # That of the body is compiled with the first stream, this one now.
-    world_values(np.empty((0, 6)), np.empty((0, 3)))
     return SampleKind(TWIST, room, fill)
 
 
@@ -268,13 +255,13 @@ def pack_odometry(
     count = len(stream.time_ns)
     unknown = np.zeros((count, 6, 6))
     values = np.empty((count, ODOMETRY_VALUES))
-    odometry_values(
-        stream.position,
-        stream.attitude,
-        stream.velocity,
-        stream.rates,
-        unknown if pose_covariance is None else pose_covariance,
-        unknown if twist_covariance is None else twist_covariance,
+    compiled.odometry_values(
+        np.ascontiguousarray(stream.position),
+        np.ascontiguousarray(stream.attitude),
+        np.ascontiguousarray(stream.velocity),
+        np.ascontiguousarray(stream.rates),
+        np.ascontiguousarray(unknown if pose_covariance is None else pose_covariance),
+        np.ascontiguousarray(unknown if twist_covariance is None else twist_covariance),
         values,
     )
     texts = odometry_constants(frame_id, child_frame_id)

@@ -15,7 +15,7 @@ from quadpi_core.estimator.filter_state import (
     VELOCITY,
     State,
 )
-from quadpi_core.estimator.output import FUSED, FusedSamples, fill_odometry, with_gyro_faults
+from quadpi_core.estimator.output import FUSED, FusedSamples, with_gyro_faults
 from quadpi_core.flight import ImuStream
 from quadpi_core.frames import Array
 from quadpi_core.messages.definitions import codec
@@ -60,7 +60,7 @@ def test_imu_is_corrected_and_velocity_in_body_axes() -> None:
 def test_odometry_is_that_of_the_states() -> None:
     sample = fused(make_state(np.random.default_rng(5)))
     values = np.empty((1, ODOMETRY_VALUES))
-    fill_odometry(sample.rows, values)
+    compiled.fill_odometry(sample.rows, values)
     packed = pack_odometry(sample.odometry, sample.pose_covariance, sample.twist_covariance)
     np.testing.assert_array_equal(codec(ODOMETRY).decode_stamped(packed)[1], values)
 

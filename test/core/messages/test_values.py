@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from quadpi_core.core import compiled
 from quadpi_core.messages import values
 from quadpi_core.messages.definitions import codec
 from quadpi_core.messages.sensor_messages import ODOMETRY, PREDICTION
@@ -44,7 +45,7 @@ def test_odometry_is_that_of_rotation_matrices(state, rng):
     position, attitude, velocity, rates = state
     numbers = np.full((N, values.ODOMETRY_VALUES), np.nan)
     wxyz = attitude.as_quat(scalar_first=True)
-    values.odometry_values(position, wxyz, velocity, rates, pose, twist, numbers)
+    compiled.odometry_values(position, wxyz, velocity, rates, pose, twist, numbers)
     np.testing.assert_array_equal(numbers[:, places["pose.pose.position"]], position @ WORLD.T)
     np.testing.assert_array_equal(numbers[:, places["twist.twist.linear"]], velocity @ BODY)
     np.testing.assert_array_equal(numbers[:, places["twist.twist.angular"]], rates @ BODY)
@@ -58,9 +59,10 @@ def test_odometry_is_that_of_rotation_matrices(state, rng):
 
 @pytest.mark.parametrize(("norm", "first"), [(1.049, -1), (0.951, -1), (1.051, 2), (0.949, 2), (0.0, 2)])
 def test_an_orientation_is_scaled_to_unit_length_if_it_is_off_by_a_twentieth_at_most(state, norm, first):
-    sent = state[1].as_quat()
+    sent = np.zeros((N, 7))
+    sent[:, 3:] = state[1].as_quat()
     sent[2] *= norm
     attitude = np.empty((N, 4))
-    assert values.attitude_values(sent, attitude) == first
+    assert compiled.pose_values(sent, np.empty((N, 3)), attitude) == first
     rows = slice(None) if first < 0 else slice(0, first)
     np.testing.assert_allclose(np.linalg.norm(attitude[rows], axis=1), 1.0)
