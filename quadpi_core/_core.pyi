@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The compiled core, see :mod:`quadpi_core.core`; what each function does stands in core/include/quadpi.
 
-Arrays of records are changed in place, and must be contiguous and writable; one of length one is a record.
+Arrays must be contiguous, and those that are changed in place writable; one of length one is a record.
 """
 
 from quadpi_core.estimator.filter_run import Arrivals, Trace
@@ -128,3 +128,122 @@ def prediction_values(
     values: Array,
     /,
 ) -> None: ...
+
+# signals, inputs and the rate of the IMU
+MEASURED_NS: int
+METER_ROOM: int
+NOTICED_NS: int
+RATE_SPAN: int
+
+def settle(design: Records, state: Array, sample: Array, /) -> None: ...
+def low_pass(design: Records, state: Array, samples: Array, value: Array, derivative: Array, /) -> None: ...
+def make_continuous(attitudes: Array, last: Array, /) -> None: ...
+def filter_sample(
+    design: Records, memory: Records, sample: Array, value: Array, slope: Array, curvature: Array, /
+) -> None: ...
+def forget_samples(memory: Records, /) -> None: ...
+def newton_euler(
+    specific_force: Array, rates: Array, acceleration: Array, mass_kg: float, inertia: Array, wrench: Array, /
+) -> None: ...
+def turn_by_rates(time: Array, rates: Array, attitudes: Array, /) -> None: ...
+def relative_to_air(velocity: Array, attitude: Array, wind: Array, out: Array, /) -> None: ...
+def fill_inputs(
+    velocity_air: Array, attitude: Array, rates: Array, rotor_speeds: Array, vehicle: Records, out: Array, /
+) -> None: ...
+def follow_rate(meter: Records, time_ns: int, /) -> None: ...
+def off_for(off_ns: int, span_ns: int, usual_ns: float, step_ns: int, /) -> int: ...
+
+# monitor
+ACCELEROMETER_FROZEN: int
+GAP: int
+GYRO_FROZEN: int
+NOT_FINITE: int
+NOT_PLAUSIBLE: int
+RATE_DIFFERS: int
+RATE_LOW: int
+RATE_UNKNOWN: int
+ROTORS_MISSING: int
+ROTOR_DIFFERS: int
+ROTOR_FROZEN: int
+ROTOR_HALF: int
+ROTOR_JUMPS: int
+ROTOR_ZERO: int
+SETTLE_NS: int
+STAMP_BACKWARD: int
+STAMP_REPEATED: int
+STATE_MISSING: int
+FINE_STEP: float
+GONE_M: float
+LARGEST_CHANGE: float
+LIFTED: float
+LOST_MOST: float
+LOST_S: float
+LOST_SHARE: float
+MOVES_G: float
+MOVES_M_S: float
+MOVES_RAD_S: float
+OTHERS_STEPS: float
+RESTING: float
+ROUNDING: float
+SILENT_LOST_S: float
+SILENT_S: float
+STEADY_SHARE: float
+STEP_MAX_S: float
+STUCK_RAD_S: float
+STUCK_S: float
+SUM_MOST: float
+SUM_OVER: float
+SUPPORTED_G: float
+SUPPORTED_S: float
+TOGETHER_SHARE: float
+TURNING: float
+UNDECIDED_S: float
+WARNING_CHARGE: float
+
+def add_imu(states: Records, rings: Records, time_ns: int, specific_force: Array, /) -> bool: ...
+def add_state(
+    states: Records, rings: Records, time_ns: int, velocity: Array, attitude: Array, rates: Array, /
+) -> bool: ...
+def add_estimate(states: Records, rings: Records, time_ns: int, motion: Array, /) -> bool: ...
+def add_sample(states: Records, rings: Records, topic: int, time_ns: int, values: Array, /) -> bool: ...
+def take_samples(states: Records, rings: Records, taken_ns: Stamps, taken: Array, /) -> tuple[int, bool]: ...
+def take_stretch(
+    states: Records, rings: Records, arriving: object, start: int, taken_ns: Stamps, taken: Array, /
+) -> tuple[int, int, int]: ...
+def prepare(
+    memory: Records,
+    time_ns: Stamps,
+    samples: Array,
+    verdicts: Records,
+    inputs: Array,
+    measured: Array,
+    derivatives: Records,
+    /,
+) -> int: ...
+def adapt(
+    measured: Array,
+    own_lower: Array,
+    own_upper: Array,
+    step: float,
+    miss_share: float,
+    log_factor: Array,
+    lower: Array,
+    upper: Array,
+    /,
+) -> None: ...
+def advance_alarm(
+    limits: Records,
+    state: Records,
+    verdicts: Records,
+    inputs: Array,
+    measured: Array,
+    lower: Array,
+    upper: Array,
+    leverage: Array,
+    relative_width: Array,
+    rows: Records,
+    /,
+) -> int: ...
+def all_finite(lower: Array, upper: Array, leverage: Array, /) -> bool: ...
+def lasts(values: Array, steps: Array, level: float, persistence_s: float, release_s: float, /) -> bool: ...
+def sum_misses(steps: Array, miss: Array, allowed: float, sums: Array, /) -> None: ...

@@ -8,11 +8,12 @@ in SI units and body axes forward-right-down. (u, v, w) is the velocity relative
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 
 from quadpi_core.compiled import njit
+from quadpi_core.core import compiled
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array
 from quadpi_core.records import Records, Vector3, record_dtype
@@ -45,8 +46,6 @@ VELOCITY_INPUTS = [INPUT_INDEX[name] for name in ("u", "v", "w")]
 # Which inputs are cosines of an angle: near 1 they go with its square.
 COSINES = np.array([name.startswith("cos_") for name in INPUT_NAMES])
 
-# Below this mean speed the rotors stand still and an advance ratio means nothing: it is set to 0.
-ROTORS_AT_REST_RAD_S = 1.0
 _NEWTON_STEPS_MAX = 80
 _CONVERGED = 1e-15
 
@@ -65,7 +64,18 @@ class Derivatives:
     rotor_jerks: Annotated[Array, ROTORS]
 
 
+class VehicleConstants:
+    """Numbers of a vehicle that inputs and wrench follow from, in SI units."""
+
+    control_signs: Annotated[Array, 3, ROTORS]  # of U_p, U_q, U_r
+    rotor_radius: float
+    hover_induced_velocity: float
+    mass: float
+    inertia: Annotated[Array, 3, 3]
+
+
 DERIVATIVES = record_dtype(Derivatives)
+_VEHICLE_CONSTANTS = record_dtype(VehicleConstants)
 
 
 def flight_derivatives(flight: Flight) -> Records:
@@ -100,38 +110,31 @@ def aerodynamic_inputs(
         vehicle: gives rotor radius, rotor layout and the induced velocity in hover.
     """
     inputs = np.empty((len(velocity_air), len(INPUT_NAMES)))
-    inputs_kernel(velocity_air, attitude, rates, rotor_speeds, *vehicle_constants(vehicle), inputs)
+    motion = map(np.ascontiguousarray, (velocity_air, attitude, rates, rotor_speeds))
+    compiled.fill_inputs(*motion, vehicle_constants(vehicle), inputs)
     return inputs
 
 
-def vehicle_constants(vehicle: Vehicle) -> tuple[Array, float, float]:
-    """What :func:`inputs_kernel` needs of a vehicle: control signs (3, 4), rotor radius, v_h.
+def vehicle_constants(vehicle: Vehicle) -> Records:
+    """The :class:`VehicleConstants` (1,) of a vehicle.
 
     The rows of the signs give U_p, U_q, U_r from the rotor speeds (Eq. 5 to 7) for any order of the
     rotors: left minus right, front minus rear, clockwise minus counterclockwise. Eq. 7 writes the last
     as S_R [(ω1 + ω3) − (ω2 + ω4)] with S_R = 1 where the first rotor turns clockwise.
     """
     x, y = vehicle.rotor_positions[:, 0], vehicle.rotor_positions[:, 1]
-    signs = np.stack((-np.sign(y), np.sign(x), vehicle.rotor_spins))
-    return signs, vehicle.rotor_radius_m, vehicle.hover_induced_velocity
+    constants = np.zeros(1, _VEHICLE_CONSTANTS)
+    constants["control_signs"] = np.stack((-np.sign(y), np.sign(x), vehicle.rotor_spins))
+    constants["rotor_radius"] = vehicle.rotor_radius_m
+    constants["hover_induced_velocity"] = vehicle.hover_induced_velocity
+    constants["mass"], constants["inertia"] = vehicle.mass_kg, vehicle.inertia
+    return constants
 
 
-@njit(cache=True)
-def relative_to_air(velocity: Any, attitude: Any, wind: Any) -> Any:
+def relative_to_air(velocity: Array, attitude: Array, wind: Array) -> Array:
     """Velocity (N, 3) m/s relative to the air, body axes: ground velocity (body) less wind (world)."""
-    out = np.empty((velocity.shape[0], 3))
-    for i in range(velocity.shape[0]):
-        w, x, y, z = attitude[i]
-        north, east, down = wind[i]
-        out[i, 0] = velocity[i, 0] - (
-            (1 - 2 * (y * y + z * z)) * north + 2 * (x * y + w * z) * east + 2 * (x * z - w * y) * down
-        )
-        out[i, 1] = velocity[i, 1] - (
-            2 * (x * y - w * z) * north + (1 - 2 * (x * x + z * z)) * east + 2 * (y * z + w * x) * down
-        )
-        out[i, 2] = velocity[i, 2] - (
-            2 * (x * z + w * y) * north + 2 * (y * z - w * x) * east + (1 - 2 * (x * x + y * y)) * down
-        )
+    out = np.empty((len(velocity), 3))
+    compiled.relative_to_air(*map(np.ascontiguousarray, (velocity, attitude, wind)), out)
     return out
 
 
@@ -164,46 +167,3 @@ def solve_induced_velocity(in_plane: float, through: float, hover: float) -> flo
         if abs(x - previous) <= _CONVERGED * x:
             break
     return x * hover
-
-
-@njit(cache=True)
-def inputs_kernel(
-    velocity_air: Any,
-    attitude: Any,
-    rates: Any,
-    rotor_speeds: Any,
-    control_signs: Any,
-    rotor_radius: float,
-    hover_induced_velocity: float,
-    out: Any,
-) -> None:
-    """Fill `out` (N, 19); see :func:`aerodynamic_inputs` and :func:`vehicle_constants`."""
-    for i in range(velocity_air.shape[0]):
-        u, v, w = velocity_air[i, 0], velocity_air[i, 1], velocity_air[i, 2]
-        q0, q1, q2, q3 = attitude[i, 0], attitude[i, 1], attitude[i, 2], attitude[i, 3]
-        v_in = solve_induced_velocity(np.sqrt(u * u + v * v), w, hover_induced_velocity)
-
-        square_sum = 0.0
-        for rotor in range(ROTORS):
-            square_sum += rotor_speeds[i, rotor] ** 2
-        omega_avg = np.sqrt(square_sum / ROTORS)
-        tip_speed = omega_avg * rotor_radius
-        per_tip_speed = 1.0 / tip_speed if omega_avg > ROTORS_AT_REST_RAD_S else 0.0
-
-        # Third row of the body-to-world matrix: −sin θ, sin φ cos θ, cos φ cos θ.
-        sin_theta = min(1.0, max(-1.0, 2.0 * (q0 * q2 - q1 * q3)))
-        cos_theta = np.sqrt(1.0 - sin_theta * sin_theta)
-        roll = np.arctan2(2.0 * (q2 * q3 + q0 * q1), 1.0 - 2.0 * (q1 * q1 + q2 * q2))
-
-        row = out[i]
-        row[0], row[1], row[2], row[3] = u, v, w, v_in
-        row[4], row[5], row[6] = rates[i, 0], rates[i, 1], rates[i, 2]
-        row[7] = omega_avg
-        row[8], row[9], row[10], row[11] = np.sin(roll), np.cos(roll), sin_theta, cos_theta
-        for control in range(3):
-            moment = 0.0
-            for rotor in range(ROTORS):
-                moment += control_signs[control, rotor] * rotor_speeds[i, rotor]
-            row[12 + control] = moment
-        row[15], row[16], row[17] = u * per_tip_speed, v * per_tip_speed, w * per_tip_speed
-        row[18] = v_in * per_tip_speed

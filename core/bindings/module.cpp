@@ -6,6 +6,8 @@ namespace quadpi {
 void bind_estimator(nanobind::module_& module);
 void bind_logs(nanobind::module_& module);
 void bind_messages(nanobind::module_& module);
+void bind_monitor(nanobind::module_& module);
+void bind_signals(nanobind::module_& module);
 }
 
 NB_MODULE(_core, module) {
@@ -14,4 +16,6 @@ NB_MODULE(_core, module) {
     quadpi::bind_estimator(module);
     quadpi::bind_logs(module);
     quadpi::bind_messages(module);
+    quadpi::bind_signals(module);
+    quadpi::bind_monitor(module);
 }

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2, t
 
-from quadpi_core.compiled import njit
+from quadpi_core.core import compiled
 from quadpi_core.frames import Array
-from quadpi_core.monitor.alarm_kernel import ROUNDING, STEP_MAX_S
+from quadpi_core.monitor.alarm_kernel import STEP_MAX_S
 
 # Much longer than the correlation time of the samples, much shorter than a flight.
 BLOCK_S = 5.0
@@ -67,11 +67,11 @@ def lasting_maximum(values: Array, time: Array, persistence_s: float, release_s:
         persistence_s: time above the level that raises the alarm.
         release_s: time below the level that clears the evidence.
     """
-    steps = _steps(time)
+    steps, values = _steps(time), np.ascontiguousarray(values)
     low, high = float(values.min()), float(values.max())
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
-        if _lasts(values, steps, middle, persistence_s, release_s):
+        if compiled.lasts(values, steps, middle, persistence_s, release_s):
             low = middle
         else:
             high = middle
@@ -127,7 +127,7 @@ def sums_of_misses(time: Array, miss: Array, allowed: float) -> Array:
         allowed: share of misses at which it neither rises nor falls.
     """
     sums = np.empty(miss.shape)
-    _sums_kernel(_steps(time), miss, allowed, sums)
+    compiled.sum_misses(_steps(time), np.ascontiguousarray(miss), allowed, sums)
     return sums
 
 
@@ -141,25 +141,3 @@ def _steps(time: Array) -> Array:
     """Seconds (N,) since the previous sample; a gap counts as one step, as in the alarm."""
     steps = np.diff(time, prepend=time[0])
     return np.minimum(steps, max(float(np.median(steps)), STEP_MAX_S))
-
-
-@njit(cache=True)
-def _lasts(values: Any, steps: Any, level: float, persistence_s: float, release_s: float) -> bool:
-    """Whether a signal exceeds a level long enough to raise the alarm."""
-    charge = 0.0
-    for i in range(values.size):
-        change = steps[i] / persistence_s if values[i] > level else -steps[i] / release_s
-        charge = max(0.0, charge + change)
-        if charge >= 1.0 - ROUNDING:
-            return True
-    return False
-
-
-@njit(cache=True)
-def _sums_kernel(steps: Any, miss: Any, allowed: float, sums: Any) -> None:
-    for axis in range(miss.shape[1]):
-        total = 0.0
-        for i in range(steps.size):
-            if not np.isnan(miss[i, axis]):
-                total = max(0.0, total + steps[i] * (miss[i, axis] - allowed))
-            sums[i, axis] = total

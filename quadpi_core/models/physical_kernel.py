@@ -65,7 +65,7 @@ class PackedPhysical(NamedTuple):
 def motions(inputs: Array, derivatives: Records, vehicle: Vehicle) -> Records:
     """Motion MOTION (N,) of input vectors (N, 19) and derivatives (N,), rotor speeds not delayed."""
     motion = np.zeros(len(inputs), MOTION)
-    _read_all(inputs, derivatives, vehicle_constants(vehicle)[0], motion)
+    _read_all(inputs, derivatives, vehicle_constants(vehicle)["control_signs"][0], motion)
     return motion
 
 

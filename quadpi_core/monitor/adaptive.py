@@ -33,14 +33,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from quadpi_core.compiled import njit
+from quadpi_core.core import compiled
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.models.interval_rules import inside_interval
 
 GAIN_PER_S = 5.0
-LARGEST_CHANGE = 1000.0
+LARGEST_CHANGE = compiled.LARGEST_CHANGE
 
 
 class AdaptiveFactor:
@@ -87,37 +86,7 @@ class AdaptiveFactor:
         Blocks of any length give the same bounds, bit for bit. A sample and axis with no width, or with a
         number that is not finite, leaves the factor as it was.
         """
-        bounds = np.empty((2, *lower.shape))
-        adapt(measured, lower, upper, self._step, self._miss_share, self._log_factor, bounds)
-        return bounds[0], bounds[1]
-
-
-_inside = njit(cache=True)(inside_interval)
-
-
-@njit(cache=True)
-def adapt(
-    measured: Array,
-    lower: Array,
-    upper: Array,
-    step: float,
-    miss_share: float,
-    log_factor: Array,
-    bounds: Array,
-) -> None:
-    """Fill `bounds` (2, K, 6) and advance `log_factor` (6,), sample by sample."""
-    for i in range(measured.shape[0]):
-        for axis in range(measured.shape[1]):
-            factor = np.exp(log_factor[axis])
-            centre = 0.5 * lower[i, axis] + 0.5 * upper[i, axis]
-            half = 0.5 * upper[i, axis] - 0.5 * lower[i, axis]
-            low, high = centre - factor * half, centre + factor * half
-            bounds[0, i, axis], bounds[1, i, axis] = low, high
-            if not (half > 0.0 and np.isfinite(low + high) and np.isfinite(measured[i, axis])):
-                continue
-            missed = not _inside(measured[i, axis], low, high)
-            if factor > LARGEST_CHANGE:
-                missed = False
-            elif factor < 1.0 / LARGEST_CHANGE:
-                missed = True
-            log_factor[axis] += step * (missed - miss_share)
+        bounds = np.empty(lower.shape), np.empty(upper.shape)
+        flown = map(np.ascontiguousarray, (measured, lower, upper))
+        compiled.adapt(*flown, self._step, self._miss_share, self._log_factor, *bounds)
+        return bounds

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from quadpi_core import array_checks
-from quadpi_core.compiled import njit
+from quadpi_core.core import compiled
 from quadpi_core.errors import ModelError, SignalError
 from quadpi_core.estimator.imu_rate import RATE_BEFORE_HZ, ImuRate
 from quadpi_core.flight import AXES, NO_STAMP, STAMP_MAX_NS, Stamps
@@ -135,7 +135,7 @@ class Monitor:
         predicted, lower, upper, leverage, relative_width = evaluation
         if self._adaptive is not None:
             lower, upper = self._adaptive.step(measured, lower, upper)
-        if not _all_finite(lower, upper, leverage):
+        if not compiled.all_finite(*map(np.ascontiguousarray, (lower, upper, leverage))):
             every = np.concatenate((lower, upper, leverage), axis=1)
             finite = np.asarray(np.isfinite(every).all(axis=1))
             prepared = prepared.where(finite)
@@ -177,12 +177,6 @@ class Monitor:
     def events(self) -> Events:
         """The last events of the alarm, the oldest first."""
         return self._log.events
-
-
-@njit(cache=True)
-def _all_finite(lower: Array, upper: Array, leverage: Array) -> bool:
-    """Whether all numbers of the samples (U, 6) are finite."""
-    return bool(np.isfinite(lower.sum() + upper.sum() + leverage.sum()))
 
 
 class Monitors:

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from quadpi_core.brief_repr import brief_repr
+from quadpi_core.core import compiled
 from quadpi_core.estimator.imu_rate import ImuRate
 from quadpi_core.flight import NO_STAMP, Stamps
 from quadpi_core.frames import Array
@@ -162,9 +163,8 @@ class Pairing:
         self._taken_ns = np.empty(capacity, dtype=np.int64)
         self._taken = np.empty((capacity, CHANNELS))
         self.rate = ImuRate.of(self._state["meter"], rate_hz)
-        # Whether :meth:`take` has something to do; the first call compiles its kernel.
-        self._ready = True
-        self.take()
+        # Whether :meth:`take` has something to do.
+        self._ready = False
 
     @property
     def counts(self) -> PairingCounts:
@@ -188,30 +188,30 @@ class Pairing:
 
     def add_imu(self, time_ns: int, specific_force: Array) -> None:
         """Take one IMU sample: specific_force (3,) m/s², body axes."""
-        self._ready |= kernel.add_imu_sample(self._state, self._rings, time_ns, specific_force)
+        self._ready |= compiled.add_imu(self._state, self._rings, time_ns, specific_force)
 
     def add_state(self, time_ns: int, velocity: Array, attitude: Array, rates: Array) -> None:
         """Take one state: velocity (3,) m/s and rates (3,) rad/s, body axes; attitude (4,) body to world."""
-        self._ready |= kernel.add_state_sample(self._state, self._rings, time_ns, velocity, attitude, rates)
+        self._ready |= compiled.add_state(self._state, self._rings, time_ns, velocity, attitude, rates)
 
     def add_estimate(self, time_ns: int, motion: Array) -> None:
         """Take an IMU sample and the state at its stamp in one: a row of `FusedSamples.motion`."""
-        self._ready |= kernel.add_estimate(self._state, self._rings, time_ns, motion)
+        self._ready |= compiled.add_estimate(self._state, self._rings, time_ns, motion)
 
     def add_rotor_speeds(self, time_ns: int, speeds: Array) -> None:
         """Take one sample of the rotor speeds (4,) rad/s."""
-        self._ready |= kernel.add_sample(self._state, self._rings, ROTORS, time_ns, speeds)
+        self._ready |= compiled.add_sample(self._state, self._rings, ROTORS, time_ns, speeds)
 
     def add_wind(self, time_ns: int, velocity: Array) -> None:
         """Take one sample of the wind (3,) m/s in the world."""
-        self._ready |= kernel.add_sample(self._state, self._rings, WIND_TOPIC, time_ns, velocity)
+        self._ready |= compiled.add_sample(self._state, self._rings, WIND_TOPIC, time_ns, velocity)
 
     def take(self) -> PairedSamples | None:
         """The IMU samples completed or given up since the last call, in order; None if there are none."""
         if not self._ready:
             return None
         self._ready = False
-        count, rate_changed = kernel.take_samples(self._state, self._rings, self._taken_ns, self._taken)
+        count, rate_changed = compiled.take_samples(self._state, self._rings, self._taken_ns, self._taken)
         if rate_changed:
             self.rate = ImuRate.of(self._state["meter"], self._given_hz)
         if count == 0:
@@ -229,7 +229,7 @@ class Pairing:
         stretches: list[Stretch] = []
         start, begin, filled, states = 0, CONTINUES, 0, 0
         while start < arriving.kind.size or not stretches:
-            stop, next_begin, count = kernel.take_stretch(
+            stop, next_begin, count = compiled.take_stretch(
                 self._state, self._rings, arriving, start, taken_ns[filled:], taken[filled:]
             )
             if stop > start or stop == arriving.kind.size:

@@ -11,55 +11,25 @@ import numpy.typing as npt
 
 from quadpi_core import array_checks
 from quadpi_core.brief_repr import brief_repr
-from quadpi_core.compiled import njit
+from quadpi_core.core import compiled
 from quadpi_core.estimator.imu_rate import RATE_BEFORE_HZ, ImuRate
-from quadpi_core.flight import AXES, MAX_GAP_NS, Stamps
+from quadpi_core.flight import AXES, Stamps
 from quadpi_core.frames import Array
-from quadpi_core.inputs import (
-    DERIVATIVES,
-    INPUT_NAMES,
-    inputs_kernel,
-    relative_to_air,
-    vehicle_constants,
-)
+from quadpi_core.inputs import DERIVATIVES, INPUT_NAMES, VehicleConstants, vehicle_constants
 from quadpi_core.monitor.data_quality import (
-    NOT_FINITE,
-    NOT_PLAUSIBLE,
     RATE_DIFFERS,
     RATE_LOW,
     RATE_UNKNOWN,
-    STAMP_BACKWARD,
-    STAMP_REPEATED,
-    STATE_MISSING,
     Quality,
     frozen_s,
-    judge,
     quality,
-    with_last_readings,
 )
 from quadpi_core.records import Records, Vector3, record_dtype
-from quadpi_core.rotations import matrix
-from quadpi_core.signals.chain import (
-    ATTITUDE,
-    CHANNELS,
-    RATES,
-    ROTOR_SPEEDS,
-    SPECIFIC_FORCE,
-    VELOCITY,
-    WIND,
-    ChainMemory,
-    filter_sample,
-    forget,
-)
+from quadpi_core.signals.chain import ChainMemory
 from quadpi_core.signals.filters import SETTLING_PERIODS, LowPass, design_low_pass
-from quadpi_core.signals.wrench import newton_euler
 from quadpi_core.vehicle import ROTORS, Vehicle
 
-# When a state begins or comes back, its accelerometer bias is still being found: measured forces then leave
-# their intervals up to ten times as often (experiments/results/alarm.md).
-SETTLE_NS = 1_000_000_000
-# Faults of samples that say nothing of the state.
-_WITHOUT_STATE = NOT_FINITE | NOT_PLAUSIBLE | STAMP_REPEATED | STAMP_BACKWARD | STATE_MISSING
+SETTLE_NS = compiled.SETTLE_NS
 
 
 class Verdict:
@@ -84,20 +54,10 @@ class Verdict:
     rotor_speeds: Annotated[Array, ROTORS]  # rad/s
 
 
-class _VehicleConstants:
-    """Numbers of a vehicle for inputs and wrench; see :func:`quadpi_core.inputs.vehicle_constants`."""
-
-    control_signs: Annotated[Array, 3, ROTORS]
-    rotor_radius: float
-    hover_induced_velocity: float
-    mass: float
-    inertia: Annotated[Array, 3, 3]
-
-
 class Memory:
     """All that the preparation knows and remembers."""
 
-    vehicle: _VehicleConstants
+    vehicle: VehicleConstants
     low_pass: LowPass  # of rate 0 while no rate of the IMU is known that fits: no sample is usable
     fault_without_rate: int  # bits of the fault of a sample that has no low-pass
     quality: Quality
@@ -193,13 +153,7 @@ class Preparation:
         self._rate: ImuRate | None = None
         self._quality_hz = rate_hz or RATE_BEFORE_HZ
         self._memory = np.zeros(1, MEMORY)
-        constants = self._memory["vehicle"]
-        for name, value in zip(
-            ("control_signs", "rotor_radius", "hover_induced_velocity", "mass", "inertia"),
-            (*vehicle_constants(vehicle), vehicle.mass_kg, vehicle.inertia),
-            strict=True,
-        ):
-            constants[name] = value
+        self._memory["vehicle"] = vehicle_constants(vehicle)
         self._memory["settling_ns"] = min(SETTLE_NS, round(1e9 * SETTLING_PERIODS / cutoff_hz))
         self.retune(ImuRate(rate_hz or 0.0))
         self.reset()
@@ -234,96 +188,8 @@ class Preparation:
         verdicts = np.zeros(count, VERDICT)
         inputs, measured = np.empty((count, len(INPUT_NAMES))), np.empty((count, len(AXES)))
         derivatives = np.empty(count, DERIVATIVES)
-        used = _prepare(self._memory, time_ns, values, verdicts, inputs, measured, derivatives)
+        used = compiled.prepare(self._memory, time_ns, values, verdicts, inputs, measured, derivatives)
         if used == count:
             return Prepared(verdicts, inputs, measured, time_ns, derivatives)
         usable_ns = time_ns[verdicts["usable"]]
         return Prepared(verdicts, inputs[:used], measured[:used], usable_ns, derivatives[:used])
-
-
-@njit(cache=True)
-def _prepare(
-    memories: Records,
-    time_ns: Stamps,
-    values: Array,
-    verdicts: Records,
-    inputs: Array,
-    measured: Array,
-    derivatives: Records,
-) -> int:
-    """Fill the verdicts of K samples (K, 20), and what the usable ones give; returns their number.
-
-    Args:
-        memories: (1,) the :class:`Memory`, which changes.
-        time_ns: (K,) stamps.
-        values: (K, 20) channels of :mod:`quadpi_core.signals.chain`.
-        verdicts: (K,) to fill with a :class:`Verdict` each.
-        inputs: (K, 19) to fill.
-        measured: (K, 6) to fill.
-        derivatives: (K,) to fill.
-    """
-    memory = memories[0]
-    vehicle, chain = memory.vehicle, memory.chain
-    used = 0
-    value, slope, curvature = np.empty((1, CHANNELS)), np.empty((1, CHANNELS)), np.empty(ROTORS)
-    for i in range(values.shape[0]):
-        row = values[i]
-        faults, usable, jump = judge(memory.quality, time_ns[i], row)
-        if usable and memory.low_pass.rate_hz == 0.0:
-            faults |= memory.fault_without_rate
-            usable = False
-        absent = 0
-        if not usable and chain.started:
-            absent, row = with_last_readings(memory.quality, time_ns[i], row)
-        if usable or absent != 0 or faults & _WITHOUT_STATE == 0:
-            if not 0 < time_ns[i] - memory.state_ns <= MAX_GAP_NS:
-                memory.begun_ns = time_ns[i]
-            memory.state_ns = time_ns[i]
-        verdict = verdicts[i]
-        verdict.time_ns, verdict.faults, verdict.usable = time_ns[i], faults, usable
-        verdict.absent = absent
-        if not usable and absent == 0:
-            continue
-        if not chain.started:
-            memory.begun_ns = time_ns[i]
-        if usable and jump:
-            forget(chain)
-        if not chain.started:
-            memory.filtered_ns = time_ns[i]
-        verdict.settled = (
-            time_ns[i] - memory.begun_ns >= SETTLE_NS
-            and time_ns[i] - memory.filtered_ns >= memory.settling_ns
-        )
-        filter_sample(memory.low_pass, chain, row, value[0], slope[0], curvature)
-        turn, velocity = matrix(value[0, ATTITUDE]), value[0, VELOCITY]
-        for k in range(3):
-            verdict.velocity[k] = (
-                turn[k, 0] * velocity[0] + turn[k, 1] * velocity[1] + turn[k, 2] * velocity[2]
-            )
-        verdict.rates[:] = value[0, RATES]
-        verdict.specific_force[:] = value[0, SPECIFIC_FORCE]
-        verdict.rotor_speeds[:] = value[0, ROTOR_SPEEDS]
-        attitude, rates, own = value[:, ATTITUDE], value[:, RATES], slice(used, used + 1)
-        measured[own] = newton_euler(
-            value[:, SPECIFIC_FORCE], rates, slope[:, RATES], vehicle.mass, vehicle.inertia
-        )
-        if not usable:
-            verdict.wrench[:] = measured[used]
-            continue
-        inputs_kernel(
-            relative_to_air(value[:, VELOCITY], attitude, value[:, WIND]),
-            attitude,
-            rates,
-            value[:, ROTOR_SPEEDS],
-            vehicle.control_signs,
-            vehicle.rotor_radius,
-            vehicle.hover_induced_velocity,
-            inputs[own],
-        )
-        derivatives[used].angular_acceleration[:] = slope[0, RATES]
-        derivatives[used].rotor_accelerations[:] = slope[0, ROTOR_SPEEDS]
-        derivatives[used].rotor_jerks[:] = curvature
-        # A sample one of whose numbers overflows is not usable.
-        verdict.usable = bool(np.isfinite(inputs[used].sum() + measured[used].sum()))
-        used += verdict.usable
-    return used

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from quadpi_core.core import compiled
 from quadpi_core.findings import Finding
 from quadpi_core.flight import Recording, Stamps
 from quadpi_core.frames import Array
@@ -30,14 +31,14 @@ ZERO_RAD_S = Threshold(
 )
 STUCK_RAD_S = Threshold(
     "extent of a stuck rotor speed",
-    1e-3,
+    compiled.STUCK_RAD_S,
     "rad/s",
     "below the resolution of any sensor: a speed that changes no more is not measured",
     CONVENTION,
 )
 STUCK_S = Threshold(
     "duration of a stuck rotor speed in flight",
-    0.5,
+    compiled.STUCK_S,
     "s",
     "sound flights read the same for 0.11 s at most, those with a sensor that fails for 0.6 s and more",
     "91 real recordings of five vehicles and the bundled bags; four of them with such a sensor",
@@ -51,7 +52,7 @@ STUCK_SAMPLES = Threshold(
 )
 OTHERS_STEPS = Threshold(
     "change of the other rotors' speeds while one is stuck",
-    4.0,
+    compiled.OTHERS_STEPS,
     "steps of its resolution",
     "in a calm hover all stay within a step or two",
     "bundled flights in steps of 100 eRPM",

@@ -10,14 +10,14 @@ and its trapezoidal integral is the filtered signal exactly.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple
 
 import numpy as np
 
-from quadpi_core.compiled import njit
+from quadpi_core.core import compiled
 from quadpi_core.errors import SignalError
 from quadpi_core.frames import Array
-from quadpi_core.records import record_dtype
+from quadpi_core.records import Records, record_dtype
 
 ORDER = 4
 SECTIONS = 2
@@ -52,8 +52,8 @@ class Filtered(NamedTuple):
     derivative: Array
 
 
-def design_low_pass(cutoff_hz: float, rate_hz: float) -> LowPass:
-    """Design the filter; its gain at `cutoff_hz` is √½.
+def design_low_pass(cutoff_hz: float, rate_hz: float) -> Records:
+    """Design the filter, a :class:`LowPass` (1,); its gain at `cutoff_hz` is √½.
 
     Raises:
         SignalError: if the cut-off is not between zero and half the sample rate.
@@ -67,44 +67,12 @@ def design_low_pass(cutoff_hz: float, rate_hz: float) -> LowPass:
     # at a rate of 2 maps those of the cut-off, pre-warped, to the unit disc.
     angles = np.pi * np.arange(1, ORDER, 2) / (2 * ORDER)
     poles = -np.exp(1j * angles) * 4.0 * np.tan(np.pi * (2.0 * cutoff_hz / rate_hz) / 2.0)
-    design: Any = np.zeros(1, _LOW_PASS)[0]
+    design = np.zeros(1, _LOW_PASS)
     for name, pole in zip(("first", "second"), (4.0 + poles) / (4.0 - poles), strict=True):
         a1, a2 = -2.0 * pole.real, (pole * pole.conjugate()).real
         design[name] = float(1.0 + a1 + a2) / 4.0, a1, a2
     design["rate_hz"] = rate_hz
-    return cast(LowPass, design)
-
-
-@njit(cache=True)
-def settled_state(design: LowPass, sample: Array) -> Array:
-    """Delay lines (2 sections, 2 delays, C) of a filter whose input has always been `sample` (C,)."""
-    state = np.empty((SECTIONS, DELAYS, len(sample)))
-    for channel in range(len(sample)):
-        state[0, :, channel] = sample[channel] / (1.0 + design.first.a1 + design.first.a2)
-        state[1, :, channel] = sample[channel] / (1.0 + design.second.a1 + design.second.a2)
-    return state
-
-
-@njit(cache=True)
-def low_pass(design: LowPass, state: Array, samples: Array, value: Array, derivative: Array) -> None:
-    """Filter finite `samples` (K, C) into `value` and `derivative` (K, C), and advance `state` (2, 2, C).
-
-    Blocks of any length give the same samples, bit for bit. The sample rate is taken as constant.
-    """
-    first, second = design.first, design.second
-    slope_gain = 2.0 * design.rate_hz * second.gain
-    for row in range(samples.shape[0]):
-        for channel in range(samples.shape[1]):
-            last, before = state[0, 0, channel], state[0, 1, channel]
-            newest = samples[row, channel] - first.a1 * last - first.a2 * before
-            between = first.gain * (newest + 2.0 * last + before)
-            state[0, 0, channel], state[0, 1, channel] = newest, last
-
-            last, before = state[1, 0, channel], state[1, 1, channel]
-            newest = between - second.a1 * last - second.a2 * before
-            value[row, channel] = second.gain * (newest + 2.0 * last + before)
-            derivative[row, channel] = slope_gain * (newest - before)
-            state[1, 0, channel], state[1, 1, channel] = newest, last
+    return design
 
 
 def zero_phase(
@@ -139,11 +107,13 @@ def zero_phase(
     return Filtered(value[keep].copy(), derivative[keep].copy())
 
 
-def filter_settled(design: LowPass, samples: Array) -> Filtered:
+def filter_settled(design: Records, samples: Array) -> Filtered:
     """Filter a whole signal (N, C) from the settled state of its first sample, as live."""
     samples = np.ascontiguousarray(samples)
     filtered = Filtered(np.empty_like(samples), np.empty_like(samples))
-    low_pass(design, settled_state(design, samples[0]), samples, filtered.value, filtered.derivative)
+    state = np.empty((SECTIONS, DELAYS, samples.shape[1]))
+    compiled.settle(design, state, samples[0])
+    compiled.low_pass(design, state, samples, filtered.value, filtered.derivative)
     return filtered
 
 

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from quadpi_core.compiled import njit
+from quadpi_core.core import compiled
 from quadpi_core.flight import mean_rate_hz
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_INDEX
-from quadpi_core.rotations import from_rotation_vector, product, rotation_matrix
+from quadpi_core.rotations import rotation_matrix
 
 _ORDER = 2
 _RATES = slice(INPUT_INDEX["p"], INPUT_INDEX["r"] + 1)
@@ -37,7 +37,10 @@ def band_limited(time: Array, rates: Array, forces: Array, bandwidth_hz: float |
     # Slow to import, and most importers of this module smooth nothing.
     from scipy.signal import butter, sosfiltfilt
 
-    rotation = rotation_matrix(_turned(time, np.ascontiguousarray(rates)))
+    # Attitudes since the first sample, by the rates alone: they hardly drift in a smoothing time.
+    attitude = np.empty((len(time), 4))
+    compiled.turn_by_rates(np.ascontiguousarray(time), np.ascontiguousarray(rates), attitude)
+    rotation = rotation_matrix(attitude)
     still = (rotation @ forces).reshape(len(forces), -1)
     smooth = sosfiltfilt(butter(_ORDER, bandwidth_hz, fs=rate_hz, output="sos"), still, axis=0)
     body: Array = rotation.transpose(0, 2, 1) @ smooth.reshape(forces.shape)
@@ -55,15 +58,3 @@ def as_recorded(time: Array, inputs: Array, wrench: Array, bandwidth_hz: float |
     """
     forces = band_limited(time, inputs[:, _RATES], wrench[:, :3, np.newaxis], bandwidth_hz)
     return np.concatenate((forces[:, :, 0], wrench[:, 3:]), axis=1)
-
-
-@njit(cache=True)
-def _turned(time: Array, rates: Array) -> Array:
-    """Attitudes (N, 4) since the first sample, by the rates alone: they hardly drift in a smoothing time."""
-    attitude = np.zeros((len(time), 4))
-    attitude[0, 0] = 1.0
-    for k in range(1, len(time)):
-        turn = 0.5 * (time[k] - time[k - 1]) * (rates[k] + rates[k - 1])
-        attitude[k] = np.array(product(attitude[k - 1], from_rotation_vector(turn)))
-        attitude[k] /= np.sqrt(np.sum(attitude[k] * attitude[k]))
-    return attitude

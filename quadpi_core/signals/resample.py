@@ -9,12 +9,12 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from quadpi_core.core import compiled
 from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
 from quadpi_core.signals.chain import make_continuous
 
-# Number of steps that a rate is measured over: enough for stamps that are rounded to a millisecond.
-RATE_SPAN = 10
+RATE_SPAN = compiled.RATE_SPAN
 # Share of a step by which the last sample may be early, as stamps are whole nanoseconds.
 _ROUNDING = 1e-4
 
@@ -58,9 +58,7 @@ def interpolate_attitude(time_ns: Stamps, attitude: Array, at_ns: Stamps, max_ga
     Between samples that differ by an angle a this strays from the constant-rate rotation by less than a³/200
     rad: 5e-6 rad for 0.1 rad.
     """
-    continuous = np.array(attitude, dtype=np.float64)
-    make_continuous(continuous, continuous[0])
-    values, valid = interpolate(time_ns, continuous, at_ns, max_gap_ns)
+    values, valid = interpolate(time_ns, make_continuous(attitude), at_ns, max_gap_ns)
     return Resampled(values / np.linalg.norm(values, axis=1, keepdims=True), valid)
 
 

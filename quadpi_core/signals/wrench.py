@@ -6,19 +6,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from quadpi_core.compiled import njit
+from quadpi_core.core import compiled
 from quadpi_core.flight import AXES, Flight
 from quadpi_core.frames import Array
 from quadpi_core.vehicle import Vehicle
 
 
-@njit(cache=True)
 def newton_euler(
     specific_force: Array, rates: Array, angular_acceleration: Array, mass_kg: float, inertia: Array
 ) -> Array:
     """Wrench (N, 6) on a rigid body, gravity not included: F = m f, M = I Ω̇ + Ω × IΩ.
-
-    Compiled, and callable from other compiled functions.
 
     Args:
         specific_force: (N, 3) m/s², body axes.
@@ -31,19 +28,8 @@ def newton_euler(
         (N, 6) force [N] and moment [Nm] in body axes, columns as :data:`quadpi_core.flight.AXES`.
     """
     wrench = np.empty((len(rates), len(AXES)))
-    momentum = np.empty(3)
-    for row in range(len(rates)):
-        rate = rates[row]
-        for axis in range(3):
-            wrench[row, axis] = mass_kg * specific_force[row, axis]
-            momentum[axis] = 0.0
-            wrench[row, 3 + axis] = 0.0
-            for other in range(3):
-                momentum[axis] += inertia[axis, other] * rate[other]
-                wrench[row, 3 + axis] += inertia[axis, other] * angular_acceleration[row, other]
-        wrench[row, 3] += rate[1] * momentum[2] - rate[2] * momentum[1]
-        wrench[row, 4] += rate[2] * momentum[0] - rate[0] * momentum[2]
-        wrench[row, 5] += rate[0] * momentum[1] - rate[1] * momentum[0]
+    motion = (np.ascontiguousarray(signal) for signal in (specific_force, rates, angular_acceleration))
+    compiled.newton_euler(*motion, mass_kg, np.ascontiguousarray(inertia), wrench)
     return wrench
 
 
@@ -53,7 +39,6 @@ def measured_wrench(flight: Flight, vehicle: Vehicle) -> Array:
     All factors have passed the low-pass of the flight; its angular acceleration is the consistent derivative
     of its rates.
     """
-    wrench: Array = newton_euler(
+    return newton_euler(
         flight.specific_force, flight.rates, flight.angular_acceleration, vehicle.mass_kg, vehicle.inertia
     )
-    return wrench

@@ -23,6 +23,12 @@ constexpr std::int64_t NO_STAMP = -(std::int64_t{1} << 62);
 constexpr double RATE_MAX_RAD_S = 70.0;
 // Accelerometers of flight controllers end at 16 g or 32 g.
 constexpr double SPECIFIC_FORCE_MAX_M_S2 = 320.0;
+// Of a state and of wind [m/s]; no quadrotor flies as fast.
+constexpr double AIRSPEED_MAX_M_S = 100.0;
+// Of a state, from 1.
+constexpr double QUATERNION_NORM_TOLERANCE = 0.1;
+// One g [m/s²], in which accelerometers are specified.
+constexpr double STANDARD_GRAVITY = 9.80665;
 // Of motion capture or satellites, which measure farther and faster than quadrotors fly.
 constexpr double POSITION_MAX_M = 10'000.0;
 constexpr double MEASURED_SPEED_MAX_M_S = 300.0;
@@ -43,6 +49,15 @@ inline bool usable_pose(const Vector3& position, const Quaternion& q) {
     const double norm2 = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3];
     return within(position, POSITION_MAX_M) && QUATERNION_NORM_MIN * QUATERNION_NORM_MIN <= norm2 &&
            norm2 <= QUATERNION_NORM_MAX * QUATERNION_NORM_MAX;
+}
+
+// Whether a quaternion is near unit length.
+inline bool unit_attitude(const Quaternion& q) {
+    double square = 0.0;
+    for (const double component : q) {
+        square += component * component;
+    }
+    return std::abs(std::sqrt(square) - 1.0) <= QUATERNION_NORM_TOLERANCE;
 }
 
 // Whether a measured velocity [m/s] can be that of a flight.

@@ -7,7 +7,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadpi_core.estimator.imu_rate import METER, ImuRate, follow, off_for
+from quadpi_core.core import compiled
+from quadpi_core.estimator.imu_rate import METER, ImuRate
 from quadpi_core.signals.resample import nominal_rate
 
 START_NS = 1_700_000_000_000_000_000
@@ -21,7 +22,7 @@ def told(time_ns: np.ndarray, given_hz: float = 0.0) -> list[ImuRate]:
     """What a meter says after each stamp."""
     meters, rates = np.zeros(1, METER), []
     for at_ns in time_ns.tolist():
-        follow(meters[0], at_ns)
+        compiled.follow_rate(meters, at_ns)
         rates.append(ImuRate.of(meters, given_hz))
     return rates
 
@@ -110,6 +111,6 @@ def test_a_rate_that_is_given_counts_unless_the_stamps_contradict(given_hz: floa
 )
 def test_spans_that_differ_by_an_eighth_add_up_and_those_that_fit_outweigh_them(span_ms, step_ms, off_ms):
     """Of usual spans of 20 ms, after 50 ms of others."""
-    found = off_for(50_000_000, round(1e6 * span_ms), 20_000_000.0, step_ms * 1_000_000)
+    found = compiled.off_for(50_000_000, round(1e6 * span_ms), 20_000_000.0, step_ms * 1_000_000)
     assert found == off_ms * 1_000_000
-    assert off_for(1_000_000, 20_000_000, 20_000_000.0, 2_000_000) == 0
+    assert compiled.off_for(1_000_000, 20_000_000, 20_000_000.0, 2_000_000) == 0

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from quadpi_core.records import record_dtype
+from quadpi_core.core import compiled
+from quadpi_core.records import Records, record_dtype
 from quadpi_core.signals.chain import (
     ATTITUDE,
     RATES,
@@ -13,9 +14,7 @@ from quadpi_core.signals.chain import (
     VELOCITY,
     WIND,
     ChainMemory,
-    filter_sample,
     filter_zero_phase,
-    forget,
     make_continuous,
 )
 from quadpi_core.signals.filters import design_low_pass, filter_settled
@@ -23,8 +22,8 @@ from quadpi_core.signals.filters import design_low_pass, filter_settled
 RATE, CUTOFF = 500.0, 40.0
 
 
-def empty_memory() -> np.void:
-    return np.zeros(1, record_dtype(ChainMemory))[0]
+def empty_memory() -> Records:
+    return np.zeros(1, record_dtype(ChainMemory))
 
 
 def random_signals(samples: int = 300, seed: int = 2):
@@ -50,7 +49,7 @@ def filtered_one_by_one(signals, memory):
     samples = np.concatenate(signals, axis=1)
     value, slope, curvature = np.empty_like(samples), np.empty_like(samples), np.empty((len(samples), 4))
     for row in range(len(samples)):
-        filter_sample(design, memory, samples[row], value[row], slope[row], curvature[row])
+        compiled.filter_sample(design, memory, samples[row], value[row], slope[row], curvature[row])
     return value, slope, curvature
 
 
@@ -58,7 +57,7 @@ def test_the_causal_chain_is_the_low_pass_of_a_continuous_attitude():
     signals = random_signals()
     value, slope, _ = filtered_one_by_one(signals, empty_memory())
     samples = np.concatenate(signals, axis=1)
-    make_continuous(samples[:, ATTITUDE], np.zeros(4))
+    samples[:, ATTITUDE] = make_continuous(samples[:, ATTITUDE])
     expected = filter_settled(design_low_pass(CUTOFF, RATE), samples)
     norm = np.linalg.norm(expected.value[:, ATTITUDE], axis=1, keepdims=True)
     np.testing.assert_allclose(value[:, ATTITUDE], expected.value[:, ATTITUDE] / norm, rtol=1e-12)
@@ -80,7 +79,7 @@ def test_a_chain_that_forgets_starts_anew():
     memory = empty_memory()
     first = filtered_one_by_one(random_signals(), memory)
     filtered_one_by_one(random_signals(seed=3), memory)
-    forget(memory)
+    compiled.forget_samples(memory)
     again = filtered_one_by_one(random_signals(), memory)
     for before, after in zip(first, again, strict=True):
         assert np.array_equal(before, after)

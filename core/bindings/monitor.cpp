@@ -1,0 +1,253 @@
+// SPDX-FileCopyrightText: 2026 The quadpi authors
+// SPDX-License-Identifier: Apache-2.0
+// What Python calls of the monitor: pairing, preparation, adaptive intervals and the alarm.
+#include <nanobind/nanobind.h>
+
+#include "bindings/records.hpp"
+#include "quadpi/monitor/adaptive.hpp"
+#include "quadpi/monitor/alarm.hpp"
+#include "quadpi/monitor/pairing.hpp"
+
+namespace nb = nanobind;
+
+namespace quadpi {
+namespace {
+
+using PairingStates = Records<PairingState>;
+using Rings = Records<Entry>;
+
+bool add_imu(PairingStates states, Rings rings, std::int64_t time_ns, Records<const Vector3> specific_force) {
+    Pairing pairing(states[0], rings);
+    pairing.add_imu(time_ns, specific_force[0]);
+    return pairing.take_is_due();
+}
+
+bool add_state(
+    PairingStates states,
+    Rings rings,
+    std::int64_t time_ns,
+    Records<const Vector3> velocity,
+    Records<const Quaternion> attitude,
+    Records<const Vector3> rates
+) {
+    Pairing pairing(states[0], rings);
+    pairing.add_state(time_ns, velocity[0], attitude[0], rates[0]);
+    return pairing.take_is_due();
+}
+
+bool add_estimate(PairingStates states, Rings rings, std::int64_t time_ns, Records<const Motion> motion) {
+    Pairing pairing(states[0], rings);
+    const Motion& own = motion[0];
+    pairing.add_imu(time_ns, own.specific_force);
+    pairing.add_state(time_ns, own.velocity, own.attitude, own.rates);
+    return pairing.take_is_due();
+}
+
+bool add_sample(
+    PairingStates states, Rings rings, std::int64_t topic, std::int64_t time_ns, Records<const double> values
+) {
+    Pairing pairing(states[0], rings);
+    pairing.add(static_cast<Topic>(topic), time_ns, values.data, values.size);
+    return pairing.take_is_due();
+}
+
+nb::tuple take_samples(
+    PairingStates states, Rings rings, Records<std::int64_t> taken_ns, Records<Signals> taken
+) {
+    PairingState& state = states[0];
+    const bool changed = state.meter.changes != state.rate_changes;
+    state.rate_changes = state.meter.changes;
+    return nb::make_tuple(Pairing(state, rings).take(taken_ns.data, taken.data), changed);
+}
+
+nb::tuple take_stretch(
+    PairingStates states,
+    Rings rings,
+    nb::handle arriving,
+    std::int64_t start,
+    Records<std::int64_t> taken_ns,
+    Records<Signals> taken
+) {
+    const Field<const std::int64_t> kind(arriving, "kind"), row(arriving, "row"), imu_ns(arriving, "imu_ns");
+    const Field<const std::int64_t> state_ns(arriving, "state_ns"), rotor_ns(arriving, "rotor_ns");
+    const Field<const std::int64_t> wind_ns(arriving, "wind_ns");
+    const Field<const Vector3> specific_force(arriving, "specific_force"), wind(arriving, "wind");
+    const Field<const StateValues> values(arriving, "states");
+    const Field<const PerRotor> rotor_speeds(arriving, "rotor_speeds");
+    const ArrivingSamples samples{
+        kind.all(), row.all(), imu_ns.all(), specific_force.all(), state_ns.all(),
+        values.all(), rotor_ns.all(), rotor_speeds.all(), wind_ns.all(), wind.all(),
+    };
+    const StretchEnd end = Pairing(states[0], rings).take_stretch(samples, start, taken_ns.data, taken.data);
+    return nb::make_tuple(end.event, end.begin, end.count);
+}
+
+std::size_t prepare_all(
+    Records<PreparationMemory> memory,
+    Records<const std::int64_t> time_ns,
+    Records<const Signals> samples,
+    Records<Verdict> verdicts,
+    Records<InputVector> inputs,
+    Records<Wrench> measured,
+    Records<Derivatives> derivatives
+) {
+    return prepare(memory[0], time_ns, samples, {verdicts, inputs, measured, derivatives});
+}
+
+void adapt_all(
+    Records<const Wrench> measured,
+    Records<const Wrench> own_lower,
+    Records<const Wrench> own_upper,
+    double step,
+    double miss_share,
+    Records<Wrench> log_factor,
+    Records<Wrench> lower,
+    Records<Wrench> upper
+) {
+    for (std::size_t row = 0; row < measured.size; ++row) {
+        adapt(
+            measured[row], own_lower[row], own_upper[row], step, miss_share, log_factor[0], lower[row], upper[row]
+        );
+    }
+}
+
+std::size_t advance_alarm(
+    Records<const AlarmLimits> limits,
+    Records<AlarmState> state,
+    Records<const Verdict> verdicts,
+    Records<const InputVector> inputs,
+    Records<const Wrench> measured,
+    Records<const Wrench> lower,
+    Records<const Wrench> upper,
+    Records<const Wrench> leverage,
+    Records<const Wrench> relative_width,
+    Records<AlarmRow> rows
+) {
+    return advance(limits[0], state[0], verdicts, inputs, measured, {lower, upper, leverage, relative_width}, rows);
+}
+
+bool all_finite_in(Records<const double> lower, Records<const double> upper, Records<const double> leverage) {
+    double total = 0.0;
+    for (const Records<const double>& values : {lower, upper, leverage}) {
+        for (const double value : values) {
+            total += value;
+        }
+    }
+    return std::isfinite(total);
+}
+
+// Whether a signal exceeds a level long enough to raise the alarm.
+bool lasts(
+    Records<const double> values,
+    Records<const double> steps,
+    double level,
+    double persistence_s,
+    double release_s
+) {
+    double charge = 0.0;
+    for (std::size_t i = 0; i < values.size; ++i) {
+        const double change = values[i] > level ? steps[i] / persistence_s : -steps[i] / release_s;
+        charge = std::max(0.0, charge + change);
+        if (charge >= 1.0 - ROUNDING) {
+            return true;
+        }
+    }
+    return false;
+}
+
+// The sequential test of each axis, without its end at the limit.
+void sum_misses(
+    Records<const double> steps, Records<const Wrench> miss, double allowed, Records<Wrench> sums
+) {
+    Wrench total{};
+    for (std::size_t i = 0; i < steps.size; ++i) {
+        for (int axis = 0; axis < AXES; ++axis) {
+            if (!std::isnan(miss[i][axis])) {
+                total[axis] = std::max(0.0, total[axis] + steps[i] * (miss[i][axis] - allowed));
+            }
+            sums[i][axis] = total[axis];
+        }
+    }
+}
+
+void bind_faults(nb::module_& module) {
+    const std::pair<const char*, std::int64_t> faults[] = {
+        {"NOT_FINITE", NOT_FINITE},
+        {"NOT_PLAUSIBLE", NOT_PLAUSIBLE},
+        {"STAMP_REPEATED", STAMP_REPEATED},
+        {"STAMP_BACKWARD", STAMP_BACKWARD},
+        {"GAP", GAP},
+        {"STATE_MISSING", STATE_MISSING},
+        {"ROTORS_MISSING", ROTORS_MISSING},
+        {"GYRO_FROZEN", GYRO_FROZEN},
+        {"ACCELEROMETER_FROZEN", ACCELEROMETER_FROZEN},
+        {"ROTOR_FROZEN", ROTOR_FROZEN},
+        {"ROTOR_HALF", ROTOR_HALF},
+        {"ROTOR_JUMPS", ROTOR_JUMPS},
+        {"ROTOR_DIFFERS", ROTOR_DIFFERS},
+        {"RATE_DIFFERS", RATE_DIFFERS},
+        {"RATE_UNKNOWN", RATE_UNKNOWN},
+        {"RATE_LOW", RATE_LOW},
+        {"ROTOR_ZERO", ROTOR_ZERO},
+        {"SETTLE_NS", SETTLE_NS},
+    };
+    for (const auto& [name, value] : faults) {
+        module.attr(name) = value;
+    }
+}
+
+void bind_thresholds(nb::module_& module) {
+    const std::pair<const char*, double> thresholds[] = {
+        {"FINE_STEP", FINE_STEP},
+        {"GONE_M", GONE_M},
+        {"LARGEST_CHANGE", LARGEST_CHANGE},
+        {"LIFTED", LIFTED},
+        {"LOST_MOST", LOST_MOST},
+        {"LOST_S", LOST_S},
+        {"LOST_SHARE", LOST_SHARE},
+        {"MOVES_G", MOVES_G},
+        {"MOVES_M_S", MOVES_M_S},
+        {"MOVES_RAD_S", MOVES_RAD_S},
+        {"OTHERS_STEPS", OTHERS_STEPS},
+        {"RESTING", RESTING},
+        {"ROUNDING", ROUNDING},
+        {"SILENT_LOST_S", SILENT_LOST_S},
+        {"SILENT_S", SILENT_S},
+        {"STEADY_SHARE", STEADY_SHARE},
+        {"STEP_MAX_S", STEP_MAX_S},
+        {"STUCK_RAD_S", STUCK_RAD_S},
+        {"STUCK_S", STUCK_S},
+        {"SUM_MOST", SUM_MOST},
+        {"SUM_OVER", SUM_OVER},
+        {"SUPPORTED_G", SUPPORTED_G},
+        {"SUPPORTED_S", SUPPORTED_S},
+        {"TOGETHER_SHARE", TOGETHER_SHARE},
+        {"TURNING", TURNING},
+        {"UNDECIDED_S", UNDECIDED_S},
+        {"WARNING_CHARGE", WARNING_CHARGE},
+    };
+    for (const auto& [name, value] : thresholds) {
+        module.attr(name) = value;
+    }
+}
+
+}  // namespace
+
+void bind_monitor(nb::module_& module) {
+    bind_faults(module);
+    bind_thresholds(module);
+    module.def("add_imu", &add_imu);
+    module.def("add_state", &add_state);
+    module.def("add_estimate", &add_estimate);
+    module.def("add_sample", &add_sample);
+    module.def("take_samples", &take_samples);
+    module.def("take_stretch", &take_stretch);
+    module.def("prepare", &prepare_all);
+    module.def("adapt", &adapt_all);
+    module.def("advance_alarm", &advance_alarm);
+    module.def("all_finite", &all_finite_in);
+    module.def("lasts", &lasts);
+    module.def("sum_misses", &sum_misses);
+}
+
+}  // namespace quadpi

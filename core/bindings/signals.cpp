@@ -1,0 +1,104 @@
+// SPDX-FileCopyrightText: 2026 The quadpi authors
+// SPDX-License-Identifier: Apache-2.0
+// What Python calls of the signals, the input vectors and the rate of the IMU.
+#include <nanobind/nanobind.h>
+
+#include "bindings/records.hpp"
+#include "quadpi/estimator/imu_rate.hpp"
+#include "quadpi/inputs.hpp"
+#include "quadpi/signals/force_bandwidth.hpp"
+#include "quadpi/signals/wrench.hpp"
+
+namespace nb = nanobind;
+
+namespace quadpi {
+namespace {
+
+DelayLines delay_lines(Records<double> state) { return {state.data, state.size / (SECTIONS * DELAYS)}; }
+
+void settle_at(Records<const LowPass> design, Records<double> state, Records<const double> sample) {
+    settle(design[0], delay_lines(state), sample.data);
+}
+
+void filter_rows(
+    Records<const LowPass> design,
+    Records<double> state,
+    Records<const double> samples,
+    Records<double> value,
+    Records<double> derivative
+) {
+    const DelayLines delays = delay_lines(state);
+    low_pass(design[0], delays, samples.size / delays.channels, samples.data, value.data, derivative.data);
+}
+
+void filter_one(
+    Records<const LowPass> design,
+    Records<ChainMemory> memory,
+    Records<Signals> sample,
+    Records<Signals> value,
+    Records<Signals> slope,
+    Records<PerRotor> curvature
+) {
+    filter_sample(design[0], memory[0], sample[0], value[0], slope[0], curvature[0]);
+}
+
+void find_wrenches(
+    Records<const Vector3> specific_force,
+    Records<const Vector3> rates,
+    Records<const Vector3> acceleration,
+    double mass_kg,
+    Records<const Matrix3> inertia,
+    Records<Wrench> wrench
+) {
+    for (std::size_t row = 0; row < wrench.size; ++row) {
+        wrench[row] = newton_euler(specific_force[row], rates[row], acceleration[row], mass_kg, inertia[0]);
+    }
+}
+
+void find_air_velocities(
+    Records<const Vector3> velocity,
+    Records<const Quaternion> attitude,
+    Records<const Vector3> wind,
+    Records<Vector3> out
+) {
+    for (std::size_t row = 0; row < out.size; ++row) {
+        out[row] = relative_to_air(velocity[row], attitude[row], wind[row]);
+    }
+}
+
+void find_inputs(
+    Records<const Vector3> velocity_air,
+    Records<const Quaternion> attitude,
+    Records<const Vector3> rates,
+    Records<const PerRotor> rotor_speeds,
+    Records<const VehicleConstants> vehicle,
+    Records<InputVector> out
+) {
+    for (std::size_t row = 0; row < out.size; ++row) {
+        fill_inputs(velocity_air[row], attitude[row], rates[row], rotor_speeds[row], vehicle[0], out[row]);
+    }
+}
+
+}  // namespace
+
+void bind_signals(nb::module_& module) {
+    module.attr("MEASURED_NS") = MEASURED_NS;
+    module.attr("METER_ROOM") = METER_ROOM;
+    module.attr("NOTICED_NS") = NOTICED_NS;
+    module.attr("RATE_SPAN") = RATE_SPAN;
+    module.def("settle", &settle_at);
+    module.def("low_pass", &filter_rows);
+    module.def("make_continuous", [](Records<Quaternion> attitudes, Records<const Quaternion> last) {
+        make_continuous(attitudes, last[0]);
+    });
+    module.def("filter_sample", &filter_one);
+    module.def("forget_samples", [](Records<ChainMemory> memory) { forget(memory[0]); });
+    module.def("newton_euler", &find_wrenches);
+    module.def("turn_by_rates", &turn_by_rates);
+    module.def("relative_to_air", &find_air_velocities);
+    module.def("fill_inputs", &find_inputs);
+    module.def("follow_rate", [](Records<Meter> meter, std::int64_t time_ns) { follow(meter[0], time_ns); });
+    module.def("off_for", &off_for);
+}
+
+}  // namespace quadpi

@@ -1,0 +1,50 @@
+// SPDX-FileCopyrightText: 2026 The quadpi authors
+// SPDX-License-Identifier: Apache-2.0
+// Intervals that adapt to the measured wrench; see monitor/adaptive.py.
+#pragma once
+
+#include <cmath>
+
+#include "quadpi/records.hpp"
+#include "quadpi/signals/wrench.hpp"
+
+namespace quadpi {
+
+// The factor follows errors of 1/LARGEST_CHANGE to LARGEST_CHANGE half widths.
+constexpr double LARGEST_CHANGE = 1000.0;
+
+// Fill the bounds of one sample, and advance the logarithms of the factors by it.
+//
+// step: η.
+// miss_share: α.
+inline void adapt(
+    const Wrench& measured,
+    const Wrench& own_lower,
+    const Wrench& own_upper,
+    double step,
+    double miss_share,
+    Wrench& log_factor,
+    Wrench& lower,
+    Wrench& upper
+) {
+    for (int axis = 0; axis < AXES; ++axis) {
+        const double factor = std::exp(log_factor[axis]);
+        const double centre = 0.5 * own_lower[axis] + 0.5 * own_upper[axis];
+        const double half = 0.5 * own_upper[axis] - 0.5 * own_lower[axis];
+        const double low = centre - factor * half, high = centre + factor * half;
+        lower[axis] = low;
+        upper[axis] = high;
+        if (!(half > 0.0 && std::isfinite(low + high) && std::isfinite(measured[axis]))) {
+            continue;
+        }
+        bool missed = !(measured[axis] >= low && measured[axis] <= high);
+        if (factor > LARGEST_CHANGE) {
+            missed = false;
+        } else if (factor < 1.0 / LARGEST_CHANGE) {
+            missed = true;
+        }
+        log_factor[axis] += step * ((missed ? 1.0 : 0.0) - miss_share);
+    }
+}
+
+}  // namespace quadpi

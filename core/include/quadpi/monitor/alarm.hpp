@@ -1,0 +1,329 @@
+// SPDX-FileCopyrightText: 2026 The quadpi authors
+// SPDX-License-Identifier: Apache-2.0
+// How a sample changes the alarm; see monitor/alarm.py.
+#pragma once
+
+#include "quadpi/monitor/alarm_state.hpp"
+
+namespace quadpi {
+
+// Charge that BAD_DATA starts with, and from which on it and MISCOVERAGE are a warning.
+constexpr double WARNING_CHARGE = 0.5;
+// Sums of steps such as 50 × 0.02 miss 1 by rounding.
+constexpr double ROUNDING = 1e-9;
+// A gap between samples counts as this long [s], as nothing is known of what happened in it.
+constexpr double STEP_MAX_S = 0.02;
+// The cumulative sum of MISCOVERAGE stops at this multiple of its limit, so that it comes down again soon;
+// at or below the second one, its alarm or warning is cleared.
+constexpr double SUM_MOST = 1.5, SUM_OVER = 0.25;
+// Time constant [s] of the published share of misses.
+constexpr double SHARE_S = 2.0;
+// After this long without a usable sample [s], the model is not judged.
+constexpr double SILENT_S = 0.1;
+
+// Python's floor division, by a positive number.
+inline std::int64_t floor_divided(std::int64_t value, std::int64_t by) {
+    return value / by - (value % by < 0 ? 1 : 0);
+}
+
+// Distance of an input outside its range, in widths of the range; negative inside. See models/envelope.py.
+inline double distance_outside(double value, double lower, double upper, double width, bool is_cosine) {
+    const double distance = std::max(lower - value, value - upper) / width;
+    return is_cosine && distance > 0.0 ? 0.5 * (std::sqrt(1.0 + distance) - 1.0) : distance;
+}
+
+inline void raise_to(double& evidence, double value) { evidence = std::max(evidence, value); }
+
+// A charge after one more step with or without evidence.
+inline double charged(double charge, bool evidence, double step_s, const AlarmLimits& limits) {
+    const double change = evidence ? step_s / limits.persistence_s : -step_s / limits.release_s;
+    return std::min(1.0, std::max(0.0, charge + change));
+}
+
+// Level of a cause with one charge, from how full it is.
+inline std::int64_t level_of(double charge, double empty, std::int64_t before) {
+    if (charge >= 1.0 - ROUNDING) {
+        return LEVEL_ALARM;
+    }
+    if (charge <= empty + ROUNDING) {
+        return LEVEL_OK;
+    }
+    return charge >= WARNING_CHARGE && before == LEVEL_OK ? LEVEL_WARNING : before;
+}
+
+// Whether a level is raised that a full charge raises and an empty one clears.
+inline bool is_raised(double charge, bool was_raised) {
+    return charge >= 1.0 - ROUNDING || (was_raised && charge > ROUNDING);
+}
+
+// Level of EXTRAPOLATION: an alarm and a warning, each by its own charge.
+inline std::int64_t level_of_two(double far, double near, std::int64_t before) {
+    if (is_raised(far, before == LEVEL_ALARM)) {
+        return LEVEL_ALARM;
+    }
+    return is_raised(near, before != LEVEL_OK) ? LEVEL_WARNING : LEVEL_OK;
+}
+
+// Decide whether the vehicle flies, and with all rotors; returns the faults that count there.
+//
+// On the ground the evidence against the model is forgotten.
+inline std::int64_t follow_vehicle(
+    const AlarmLimits& limits, AlarmState& state, const Verdict& sample, const Wrench& measured, double step_s
+) {
+    follow_ground(state.ground, limits.hover_square, sample, step_s);
+    if (state.ground.flying) {
+        return follow_thrust(limits.rotors, state.thrust, sample, measured, step_s);
+    }
+    forget_thrust(state.thrust);
+    state.miss_sum_s = {};
+    state.miss_share = {};
+    state.charge[EXTRAPOLATION] = state.charge[MISCOVERAGE] = state.near_charge = 0.0;
+    return sample.faults;
+}
+
+// Note why the model is not judged, and for what share of the time.
+inline void count_time(AlarmState& state, double step_s) {
+    AlarmRow& row = state.row;
+    if (state.silent_s >= SILENT_S) {
+        row.why_not_judged = NO_SAMPLES;
+    } else if (state.ground.why == JUDGED && !state.settled) {
+        row.why_not_judged = SETTLES;
+    } else {
+        row.why_not_judged = state.ground.why;
+    }
+    state.since_first_s += step_s;
+    if (row.why_not_judged != JUDGED) {
+        state.not_judged_s += step_s;
+    }
+    row.not_judged_share = state.since_first_s > 0.0 ? state.not_judged_s / state.since_first_s : 1.0;
+}
+
+// Charge alarm and warning of EXTRAPOLATION; returns the inputs beyond their near limit as bits.
+inline std::int64_t judge_extrapolation(
+    const AlarmLimits& limits,
+    AlarmState& state,
+    const InputVector& inputs,
+    const Wrench& leverages,
+    const Wrench& widths,
+    double step_s
+) {
+    AlarmRow& row = state.row;
+    double worst = 0.0;
+    std::int64_t beyond = 0;
+    bool near = false;
+    for (int k = 0; k < INPUTS; ++k) {
+        const double outside =
+            distance_outside(inputs[k], limits.lower[k], limits.upper[k], limits.scale[k], IS_COSINE[k]);
+        const double distance = 1.0 + 2.0 * outside;
+        if (distance > limits.near_distance[k]) {
+            beyond |= std::int64_t{1} << k;
+        }
+        const double score = distance / limits.distance[k];
+        raise_to(worst, score);
+        raise_to(row.input_score[k], score);
+        raise_to(row.input_excess[k], outside);
+    }
+    for (int axis = 0; axis < AXES; ++axis) {
+        near |= leverages[axis] > limits.near_leverage[axis] || widths[axis] > limits.near_width[axis];
+        const double leverage = leverages[axis] / limits.leverage[axis];
+        const double width = widths[axis] / limits.width[axis];
+        raise_to(worst, leverage);
+        raise_to(worst, width);
+        raise_to(row.leverage[axis], leverage);
+        raise_to(row.width[axis], width);
+    }
+    raise_to(row.cause_evidence[EXTRAPOLATION], worst);
+    state.charge[EXTRAPOLATION] = charged(state.charge[EXTRAPOLATION], worst > 1.0, step_s, limits);
+    state.near_charge = charged(state.near_charge, near || beyond != 0, step_s, limits);
+    return beyond;
+}
+
+// Advance the sequential test of each axis; while the state settles, that of Fz alone.
+inline void judge_miscoverage(
+    const AlarmLimits& limits,
+    AlarmState& state,
+    const Wrench& measured,
+    const Wrench& lower,
+    const Wrench& upper,
+    double step_s
+) {
+    AlarmRow& row = state.row;
+    double worst = 0.0;
+    const double keep = SHARE_S / (SHARE_S + step_s);
+    for (int axis = 0; axis < AXES; ++axis) {
+        const double limit = limits.miscoverage_s[axis];
+        if (limit == INF) {
+            continue;
+        }
+        if (state.settled || axis == FZ) {
+            const double half = 0.5 * (upper[axis] - lower[axis]) * limits.interval_ratio[axis];
+            const double miss = std::abs(measured[axis] - 0.5 * (upper[axis] + lower[axis])) > half ? 1.0 : 0.0;
+            const double total = state.miss_sum_s[axis] + step_s * (miss - limits.allowance);
+            state.miss_sum_s[axis] = std::min(std::max(total, 0.0), SUM_MOST * limit);
+            state.miss_share[axis] = keep * state.miss_share[axis] + (1.0 - keep) * miss;
+            raise_to(row.miss_share[axis], state.miss_share[axis]);
+        }
+        const double score = state.miss_sum_s[axis] / limit;
+        raise_to(worst, score);
+        raise_to(row.miscoverage[axis], score);
+    }
+    state.charge[MISCOVERAGE] = worst;
+}
+
+// Raise MISCOVERAGE for a rotor without thrust, which contradicts every model of four.
+inline void judge_rotors(AlarmState& state) {
+    AlarmRow& row = state.row;
+    if (state.thrust.stopped != 0) {
+        state.charge[MISCOVERAGE] = SUM_MOST;
+        row.stopped |= state.thrust.stopped;
+    }
+    raise_to(row.cause_evidence[MISCOVERAGE], state.charge[MISCOVERAGE]);
+}
+
+// Charge BAD_DATA; returns the faults of the sample that count where the vehicle is.
+inline std::int64_t judge_data(
+    const AlarmLimits& limits, AlarmState& state, const Verdict& sample, std::int64_t faults, double step_s
+) {
+    AlarmRow& row = state.row;
+    double charge = state.charge[BAD_DATA];
+    if (!state.ground.flying) {
+        faults &= ~IN_FLIGHT_ONLY;
+    }
+    bool judged = sample.usable;
+    if (are_stopped(state.thrust, sample.absent)) {
+        // No reading of a rotor that has stopped is no fault: what was said of it is taken back.
+        faults &= ~std::int64_t{NOT_FINITE | ROTORS_MISSING | GAP};
+        judged = true;
+        charge = 0.0;
+    }
+    const bool bad = faults != 0 || !judged;
+    if (bad) {
+        raise_to(charge, WARNING_CHARGE);
+    }
+    charge = charged(charge, bad, step_s, limits);
+    if (state.ground.why == CARRIED) {
+        raise_to(charge, WARNING_CHARGE);
+    }
+    state.charge[BAD_DATA] = charge;
+    raise_to(row.cause_evidence[BAD_DATA], charge);
+    row.faults |= faults;
+    return faults;
+}
+
+// Set level and health of each cause, and the highest level; true if any of a cause changed.
+inline bool set_levels(const AlarmLimits& limits, AlarmState& state) {
+    AlarmRow& row = state.row;
+    std::int64_t health_of_model = state.ground.why == JUDGED ? limits.health_in_flight : std::int64_t{WAITING};
+    if (state.silent_s >= SILENT_S) {
+        health_of_model = UNAVAILABLE;
+    }
+    bool changed = false;
+    row.level = LEVEL_OK;
+    row.causes = 0;
+    for (int cause = 0; cause < CAUSES; ++cause) {
+        std::int64_t health = cause == BAD_DATA ? std::int64_t{ACTIVE} : health_of_model;
+        if (cause == MISCOVERAGE && !state.settled && health != UNAVAILABLE) {
+            health = WAITING;
+        }
+        const double charge = state.charge[cause];
+        const std::int64_t before = row.cause_level[cause];
+        const std::int64_t level = cause == EXTRAPOLATION
+                                       ? level_of_two(charge, state.near_charge, before)
+                                       : level_of(charge, cause == MISCOVERAGE ? SUM_OVER : 0.0, before);
+        changed |= level != before || health != row.cause_health[cause];
+        row.cause_level[cause] = level;
+        row.cause_health[cause] = health;
+        row.level = std::max(row.level, level);
+        if (level != LEVEL_OK) {
+            row.causes |= 1 << cause;
+        }
+    }
+    return changed;
+}
+
+// Remember what the row reports, and clear its evidence; levels and health stay.
+inline void begin_next_row(const AlarmLimits& limits, AlarmState& state) {
+    AlarmRow& row = state.row;
+    for (int k = 0; k < INPUTS; ++k) {
+        if (1.0 + 2.0 * row.input_excess[k] > limits.near_distance[k]) {
+            state.reported_inputs |= std::int64_t{1} << k;
+        }
+    }
+    state.reported_faults |= row.faults;
+    row.faults = row.stopped = 0;
+    row.cause_evidence = {};
+    row.leverage = {};
+    row.width = {};
+    row.miscoverage = {};
+    row.miss_share = {};
+    row.input_score = {};
+    row.input_excess = {};
+}
+
+// Take K samples, of which U are usable; fill the rows to publish, up to K, and return their number.
+//
+// inputs, measured, said: of the U usable samples.
+inline std::size_t advance(
+    const AlarmLimits& limits,
+    AlarmState& state,
+    Records<const Verdict> verdicts,
+    Records<const InputVector> inputs,
+    Records<const Wrench> measured,
+    const Evaluations& said,
+    Records<AlarmRow> rows
+) {
+    std::size_t count = 0, used = 0;
+    for (const Verdict& sample : verdicts) {
+        const std::int64_t before_ns = state.previous_ns;
+        const bool first = before_ns == NO_STAMP;
+        double step_s = 0.0;
+        if (!first) {
+            step_s = std::min(std::max(static_cast<double>(sample.time_ns - before_ns) * 1e-9, 0.0), STEP_MAX_S);
+        }
+        state.previous_ns = sample.time_ns;
+        std::int64_t beyond = 0, faults = sample.faults;
+        const std::int64_t stopped = state.thrust.stopped, why = state.row.why_not_judged;
+        if (sample.usable) {
+            state.silent_s = 0.0;
+            state.settled = sample.settled;
+            faults = follow_vehicle(limits, state, sample, measured[used], step_s);
+            if (state.ground.flying) {
+                if (state.ground.why == JUDGED) {
+                    beyond = judge_extrapolation(
+                        limits, state, inputs[used], said.leverage[used], said.relative_width[used], step_s
+                    );
+                    judge_miscoverage(limits, state, measured[used], said.lower[used], said.upper[used], step_s);
+                }
+                judge_rotors(state);
+            }
+            ++used;
+        } else {
+            state.silent_s += step_s;
+            if (sample.absent != 0 && state.ground.flying) {
+                faults = follow_thrust(limits.rotors, state.thrust, sample, sample.wrench, step_s);
+                judge_rotors(state);
+            }
+        }
+        faults = judge_data(limits, state, sample, faults, step_s);
+        count_time(state, step_s);
+
+        bool is_due = set_levels(limits, state) || first;
+        is_due |= state.thrust.stopped != stopped || state.row.why_not_judged != why;
+        is_due |= floor_divided(sample.time_ns, limits.period_ns) != floor_divided(before_ns, limits.period_ns);
+        if (state.row.level == LEVEL_OK) {
+            state.reported_inputs = 0;
+            state.reported_faults = 0;
+        } else {
+            is_due |= (beyond & ~state.reported_inputs) != 0 || (faults & ~state.reported_faults) != 0;
+        }
+        if (is_due) {
+            state.row.time_ns = sample.time_ns;
+            rows[count] = state.row;
+            ++count;
+            begin_next_row(limits, state);
+        }
+    }
+    return count;
+}
+
+}  // namespace quadpi
