@@ -110,8 +110,9 @@ def aerodynamic_inputs(
         vehicle: gives rotor radius, rotor layout and the induced velocity in hover.
     """
     inputs = np.empty((len(velocity_air), len(INPUT_NAMES)))
-    motion = map(np.ascontiguousarray, (velocity_air, attitude, rates, rotor_speeds))
-    compiled.fill_inputs(*motion, vehicle_constants(vehicle), inputs)
+    velocity, rates, speeds = map(np.ascontiguousarray, (velocity_air, rates, rotor_speeds))
+    constants = vehicle_constants(vehicle)
+    compiled.fill_inputs(velocity, np.ascontiguousarray(attitude), rates, speeds, constants, inputs)
     return inputs
 
 
@@ -134,7 +135,8 @@ def vehicle_constants(vehicle: Vehicle) -> Records:
 def relative_to_air(velocity: Array, attitude: Array, wind: Array) -> Array:
     """Velocity (N, 3) m/s relative to the air, body axes: ground velocity (body) less wind (world)."""
     out = np.empty((len(velocity), 3))
-    compiled.relative_to_air(*map(np.ascontiguousarray, (velocity, attitude, wind)), out)
+    velocity, attitude, wind = map(np.ascontiguousarray, (velocity, attitude, wind))
+    compiled.relative_to_air(velocity, attitude, wind, out)
     return out
 
 

@@ -87,6 +87,7 @@ class AdaptiveFactor:
         number that is not finite, leaves the factor as it was.
         """
         bounds = np.empty(lower.shape), np.empty(upper.shape)
-        flown = map(np.ascontiguousarray, (measured, lower, upper))
-        compiled.adapt(*flown, self._step, self._miss_share, self._log_factor, *bounds)
+        measured, lower, upper = map(np.ascontiguousarray, (measured, lower, upper))
+        factors = self._step, self._miss_share, self._log_factor
+        compiled.adapt(measured, lower, upper, *factors, *bounds)
         return bounds

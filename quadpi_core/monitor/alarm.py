@@ -165,7 +165,8 @@ class Alarm:
         if len(self._rows) < len(verdicts):
             self._rows = np.empty(len(verdicts), kernel.ROW)
         # A model of somebody else may give columns of a larger array.
-        said = map(np.ascontiguousarray, evaluation[1:])
+        lower, upper, leverage, width = map(np.ascontiguousarray, evaluation[1:])
+        said = lower, upper, leverage, width
         count = compiled.advance_alarm(
             self._limits, self._state, verdicts, inputs, measured, *said, self._rows
         )

@@ -28,8 +28,9 @@ def newton_euler(
         (N, 6) force [N] and moment [Nm] in body axes, columns as :data:`quadpi_core.flight.AXES`.
     """
     wrench = np.empty((len(rates), len(AXES)))
-    motion = (np.ascontiguousarray(signal) for signal in (specific_force, rates, angular_acceleration))
-    compiled.newton_euler(*motion, mass_kg, np.ascontiguousarray(inertia), wrench)
+    motion = (specific_force, rates, angular_acceleration, inertia)
+    force, rates, acceleration, inertia = map(np.ascontiguousarray, motion)
+    compiled.newton_euler(force, rates, acceleration, mass_kg, inertia, wrench)
     return wrench
 
 
