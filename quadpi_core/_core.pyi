@@ -157,6 +157,7 @@ def off_for(off_ns: int, span_ns: int, usual_ns: float, step_ns: int, /) -> int:
 ACCELEROMETER_FROZEN: int
 GAP: int
 GYRO_FROZEN: int
+IN_FLIGHT_ONLY: int
 NOT_FINITE: int
 NOT_PLAUSIBLE: int
 RATE_DIFFERS: int
@@ -186,13 +187,10 @@ OTHERS_STEPS: float
 RESTING: float
 ROUNDING: float
 SILENT_LOST_S: float
-SILENT_S: float
 STEADY_SHARE: float
 STEP_MAX_S: float
 STUCK_RAD_S: float
 STUCK_S: float
-SUM_MOST: float
-SUM_OVER: float
 SUPPORTED_G: float
 SUPPORTED_S: float
 TOGETHER_SHARE: float

@@ -19,7 +19,6 @@ from quadpi_core.records import Records, record_dtype
 from quadpi_core.results import CAUSES, NO_SAMPLES
 
 WARNING_CHARGE, ROUNDING, STEP_MAX_S = compiled.WARNING_CHARGE, compiled.ROUNDING, compiled.STEP_MAX_S
-SUM_MOST, SUM_OVER, SILENT_S = compiled.SUM_MOST, compiled.SUM_OVER, compiled.SILENT_S
 
 _PerInput: TypeAlias = Annotated[Array, len(INPUT_NAMES)]
 _PerAxis: TypeAlias = Annotated[Array, len(AXES)]

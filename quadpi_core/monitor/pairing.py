@@ -223,6 +223,7 @@ class Pairing:
 
         Apart where the IMU's stamps step back, and where its rate changes.
         """
+        arriving = Arriving._make(map(np.ascontiguousarray, arriving))
         room = np.count_nonzero(arriving.kind == IMU) + int(self._state["tracks"][0, IMU]["count"])
         taken_ns, taken = np.empty(room, dtype=np.int64), np.empty((room, CHANNELS))
         state_count = np.cumsum(arriving.kind == STATE)
