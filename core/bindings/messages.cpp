@@ -36,14 +36,18 @@ bool lies_in(std::int64_t start, std::int64_t length, std::size_t size) {
 void copy_spans(
     Bytes source, Stamps source_starts, Records<std::uint8_t> target, Stamps target_starts, Stamps lengths
 ) {
-    require(source_starts.size == lengths.size && target_starts.size == lengths.size, "spans of different numbers");
+    require(
+        source_starts.size == lengths.size && target_starts.size == lengths.size, "spans of different numbers"
+    );
     for (std::size_t i = 0; i < lengths.size; ++i) {
         const bool inside = lies_in(source_starts[i], lengths[i], source.size) &&
                             lies_in(target_starts[i], lengths[i], target.size);
         require(inside, "a message outside its buffer");
         if (lengths[i] > 0) {
             std::memcpy(
-                target.data + target_starts[i], source.data + source_starts[i], static_cast<std::size_t>(lengths[i])
+                target.data + target_starts[i],
+                source.data + source_starts[i],
+                static_cast<std::size_t>(lengths[i])
             );
         }
     }
@@ -147,12 +151,15 @@ void prediction_values(
     std::size_t first,
     Records<PredictionNumbers> values
 ) {
-    for (const std::size_t rows : {predicted.size, lower.size, upper.size, measured.size, relative_width.size}) {
+    for (const std::size_t rows :
+         {predicted.size, lower.size, upper.size, measured.size, relative_width.size}) {
         require(first <= rows && values.size <= rows - first, DIFFERENT);
     }
     for (std::size_t i = 0; i < values.size; ++i) {
         const std::size_t row = first + i;
-        write_prediction({predicted[row], lower[row], upper[row], measured[row], relative_width[row]}, values[i]);
+        write_prediction(
+            {predicted[row], lower[row], upper[row], measured[row], relative_width[row]}, values[i]
+        );
     }
 }
 

@@ -8,7 +8,7 @@ void bind_logs(nanobind::module_& module);
 void bind_messages(nanobind::module_& module);
 void bind_monitor(nanobind::module_& module);
 void bind_signals(nanobind::module_& module);
-}
+}  // namespace quadpi
 
 NB_MODULE(_core, module) {
     module.doc() = "The compiled core; quadpi_core/_core.pyi has its signatures.";

@@ -75,8 +75,16 @@ nb::tuple take_stretch(
     const Field<const StateValues> values(arriving, "states");
     const Field<const PerRotor> rotor_speeds(arriving, "rotor_speeds");
     const ArrivingSamples samples{
-        kind.all(), row.all(), imu_ns.all(), specific_force.all(), state_ns.all(),
-        values.all(), rotor_ns.all(), rotor_speeds.all(), wind_ns.all(), wind.all(),
+        kind.all(),
+        row.all(),
+        imu_ns.all(),
+        specific_force.all(),
+        state_ns.all(),
+        values.all(),
+        rotor_ns.all(),
+        rotor_speeds.all(),
+        wind_ns.all(),
+        wind.all(),
     };
     const StretchEnd end = Pairing(states[0], rings).take_stretch(samples, start, taken_ns.data, taken.data);
     return nb::make_tuple(end.event, end.begin, end.count);
@@ -106,7 +114,14 @@ void adapt_all(
 ) {
     for (std::size_t row = 0; row < measured.size; ++row) {
         adapt(
-            measured[row], own_lower[row], own_upper[row], step, miss_share, log_factor[0], lower[row], upper[row]
+            measured[row],
+            own_lower[row],
+            own_upper[row],
+            step,
+            miss_share,
+            log_factor[0],
+            lower[row],
+            upper[row]
         );
     }
 }
@@ -123,7 +138,9 @@ std::size_t advance_alarm(
     Records<const Wrench> relative_width,
     Records<AlarmRow> rows
 ) {
-    return advance(limits[0], state[0], verdicts, inputs, measured, {lower, upper, leverage, relative_width}, rows);
+    return advance(
+        limits[0], state[0], verdicts, inputs, measured, {lower, upper, leverage, relative_width}, rows
+    );
 }
 
 bool all_finite_in(Records<const double> lower, Records<const double> upper, Records<const double> leverage) {

@@ -1,7 +1,7 @@
 // SPDX-FileCopyrightText: 2026 The quadpi authors
 // SPDX-License-Identifier: Apache-2.0
-// Arrays of Python as records: any contiguous buffer whose elements have the size of the type. It must be writable,
-// but for records that are const.
+// Arrays of Python as records: any contiguous buffer whose elements have the size of the type. It must be
+// writable, but for records that are const.
 #pragma once
 
 #include <nanobind/nanobind.h>

@@ -13,8 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core import array_checks
+from quadpi_core.core import compiled
 from quadpi_core.errors import ArgumentError
-from quadpi_core.estimator.imu_rate import METER, ImuRate, follow
+from quadpi_core.estimator.imu_rate import METER, ImuRate
 from quadpi_core.flight import AXES, STAMP_MAX_NS
 from quadpi_core.frames import Array
 from quadpi_core.library.wrench_model import WrenchModel
@@ -168,7 +169,7 @@ class Monitor:
             return
         for place, stamp in enumerate(stamps.tolist()):
             changes = int(self._meter["changes"][0])
-            follow(self._meter[0], stamp)
+            compiled.follow_rate(self._meter, stamp)
             if int(self._meter["changes"][0]) != changes:
                 yield place
 

@@ -13,8 +13,8 @@ constexpr int INPUTS = 19;
 using InputVector = std::array<double, INPUTS>;
 // Whether an input is the cosine of an angle: near 1 it goes with its square.
 constexpr bool IS_COSINE[INPUTS] = {
-    false, false, false, false, false, false, false, false, false, true, false, true,
-    false, false, false, false, false, false, false,
+    false, false, false, false, false, false, false, false, false, true,
+    false, true,  false, false, false, false, false, false, false,
 };
 
 // Below this mean speed the rotors stand still and an advance ratio means nothing: it is set to 0.
@@ -43,18 +43,21 @@ inline Vector3 relative_to_air(const Vector3& velocity, const Quaternion& attitu
     const auto [w, x, y, z] = attitude;
     const auto [north, east, down] = wind;
     return {
-        velocity[0] - ((1 - 2 * (y * y + z * z)) * north + 2 * (x * y + w * z) * east + 2 * (x * z - w * y) * down),
-        velocity[1] - (2 * (x * y - w * z) * north + (1 - 2 * (x * x + z * z)) * east + 2 * (y * z + w * x) * down),
-        velocity[2] - (2 * (x * z + w * y) * north + 2 * (y * z - w * x) * east + (1 - 2 * (x * x + y * y)) * down),
+        velocity[0] -
+            ((1 - 2 * (y * y + z * z)) * north + 2 * (x * y + w * z) * east + 2 * (x * z - w * y) * down),
+        velocity[1] -
+            (2 * (x * y - w * z) * north + (1 - 2 * (x * x + z * z)) * east + 2 * (y * z + w * x) * down),
+        velocity[2] -
+            (2 * (x * z + w * y) * north + 2 * (y * z - w * x) * east + (1 - 2 * (x * x + y * y)) * down),
     };
 }
 
 // Induced velocity [m/s] of momentum theory, from the velocity in the rotor plane and through it (Eq. 8).
 //
-// Solves v_in = v_h² / √((V cos α)² + (v_in − V sin α)²) in units of v_h. Where descent allows several roots, the
-// largest is taken: it belongs to the working state of the rotor and joins hover without a jump. The start lies
-// above the largest root, where the quartic rises and is convex, so Newton's method falls onto it; a bracket that
-// shrinks with each sign guards the few cases with an inflection between.
+// Solves v_in = v_h² / √((V cos α)² + (v_in − V sin α)²) in units of v_h. Where descent allows several roots,
+// the largest is taken: it belongs to the working state of the rotor and joins hover without a jump. The
+// start lies above the largest root, where the quartic rises and is convex, so Newton's method falls onto it;
+// a bracket that shrinks with each sign guards the few cases with an inflection between.
 inline double solve_induced_velocity(double in_plane, double through, double hover) {
     const double ratio = in_plane / hover;
     const double a = ratio * ratio, b = through / hover;

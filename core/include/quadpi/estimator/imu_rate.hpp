@@ -31,10 +31,10 @@ constexpr int METER_ROOM = 8192;
 
 // What is remembered of the stamps.
 struct Meter {
-    double span_ns;          // usual time of ten steps; 0 while it is not known
-    bool lost;               // whether the rate is being measured again, after a pause or a change
-    std::int64_t changes;    // how often `span_ns` or `lost` has changed
-    std::int64_t count;      // stamps since the measurement began
+    double span_ns;        // usual time of ten steps; 0 while it is not known
+    bool lost;             // whether the rate is being measured again, after a pause or a change
+    std::int64_t changes;  // how often `span_ns` or `lost` has changed
+    std::int64_t count;    // stamps since the measurement began
     std::int64_t newest_ns;
     std::int64_t jumped_ns;  // stamp of the previous sample, where that was far from all before it
     std::int64_t off_ns;     // for how long nearly all spans have differed from the usual one

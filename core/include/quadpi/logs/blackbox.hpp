@@ -7,8 +7,8 @@
 // it starts another one and its time continues that of the frame before. After a damaged frame the search
 // resumes at its second byte, and P frames are used again from the next I frame on.
 //
-// Source: Betaflight's documentation, "Blackbox Internals"; for the predictor of the motor's lowest output, the
-// values in logs.
+// Source: Betaflight's documentation, "Blackbox Internals"; for the predictor of the motor's lowest output,
+// the values in logs.
 #pragma once
 
 #include <algorithm>
@@ -24,8 +24,8 @@ namespace quadpi::blackbox {
 
 // Firmwares log up to 200 fields.
 constexpr std::size_t FIELDS_MAX = 256;
-// Largest number of fields read again behind damaged frames, per byte of the flight, before the rest counts as
-// damaged; random bytes take about four.
+// Largest number of fields read again behind damaged frames, per byte of the flight, before the rest counts
+// as damaged; random bytes take about four.
 constexpr std::int64_t REREAD_MAX = 16;
 // Largest step in time from frame to frame [µs]: longer than any pause of a logger that resumes by itself.
 constexpr std::int64_t LEAP_MAX_US = 10'000'000;
@@ -50,7 +50,16 @@ enum Predictor : std::int64_t {
     MINMOTOR = 11,
 };
 constexpr std::array<std::int64_t, 10> PREDICTORS = {
-    ZERO, PREVIOUS, LINE, AVERAGE, MINTHROTTLE, MOTOR_0, INCREMENT, MIDDLE, VBATREF, MINMOTOR,
+    ZERO,
+    PREVIOUS,
+    LINE,
+    AVERAGE,
+    MINTHROTTLE,
+    MOTOR_0,
+    INCREMENT,
+    MIDDLE,
+    VBATREF,
+    MINMOTOR,
 };
 
 using Fields = std::array<std::int64_t, FIELDS_MAX>;
@@ -60,10 +69,11 @@ using ByKind = std::array<T, KINDS.size()>;
 // Layout of the frames of a log, as its headers say.
 struct Rules {
     ByKind<Fields> encoding, predictor;
-    ByKind<std::int64_t> sizes;  // number of fields; 0 for a kind that the log does not have
-    Fields is_signed;            // whether a field of main frames is signed
+    ByKind<std::int64_t> sizes;           // number of fields; 0 for a kind that the log does not have
+    Fields is_signed;                     // whether a field of main frames is signed
     std::int64_t time, iteration, motor;  // indices of the fields time, loopIteration and motor[0]
-    // Logged iterations of the main loop: one in `every` as an I frame, `numerator` in `denominator` as P frames.
+    // Logged iterations of the main loop: one in `every` as an I frame, `numerator` in `denominator` as P
+    // frames.
     std::int64_t every, numerator, denominator;
     std::int64_t minthrottle, vbatref, minmotor;  // constants of predictors
 
@@ -223,7 +233,8 @@ private:
     // Add to the residuals of a main frame the predictions from the two frames before it and the headers.
     void predict(std::int64_t kind) {
         for (std::size_t place = 0; place < static_cast<std::size_t>(rules.sizes[kind]); ++place) {
-            const std::int64_t value = (values[place] + prediction(rules.predictor[kind][place], place)) & UINT32;
+            const std::int64_t value =
+                (values[place] + prediction(rules.predictor[kind][place], place)) & UINT32;
             values[place] = rules.is_signed[place] ? sign_extended(value, 32) : value;
         }
     }
@@ -262,7 +273,8 @@ private:
     // Predict a main frame, and keep it if it continues those before.
     bool continues(std::int64_t kind, std::int64_t frames) {
         predict(kind);
-        const auto time = static_cast<std::size_t>(rules.time), iteration = static_cast<std::size_t>(rules.iteration);
+        const auto time = static_cast<std::size_t>(rules.time),
+                   iteration = static_cast<std::size_t>(rules.iteration);
         bool whole = frames == 0 || (goes_on(before[time], values[time], LEAP_MAX_US) &&
                                      goes_on(before[iteration], values[iteration], UINT32 >> 1));
         // Two refused I frames that agree with each other are right, and the frame before them was wrong.

@@ -27,7 +27,14 @@ enum Encoding : std::int64_t {
     TAG2_3SVARIABLE = 10,
 };
 constexpr std::array<std::int64_t, 8> ENCODINGS = {
-    SIGNED_VB, UNSIGNED_VB, NEG_14BIT, TAG8_8SVB, TAG2_3S32, TAG8_4S16, NOTHING, TAG2_3SVARIABLE,
+    SIGNED_VB,
+    UNSIGNED_VB,
+    NEG_14BIT,
+    TAG8_8SVB,
+    TAG2_3S32,
+    TAG8_4S16,
+    NOTHING,
+    TAG2_3SVARIABLE,
 };
 
 // Given in place of the position behind a frame: the file ends within it, or its bytes are invalid.

@@ -19,11 +19,11 @@ constexpr double MOUNTING_LAG_S = 0.001;
 
 // Where an IMU is, and the last sample that could be used.
 struct MountedImu {
-    Matrix3 rotation;  // from the IMU's axes to the body's
-    Vector3 arm;       // m, its position in the body
+    Matrix3 rotation;        // from the IMU's axes to the body's
+    Vector3 arm;             // m, its position in the body
     std::int64_t before_ns;  // negative before the first sample
-    Vector3 rates;         // rad/s
-    Vector3 acceleration;  // rad/s²
+    Vector3 rates;           // rad/s
+    Vector3 acceleration;    // rad/s²
 };
 
 inline Vector3 turned(const Matrix3& matrix, const Vector3& vector) {
@@ -44,8 +44,9 @@ inline void move_to_body(MountedImu& imu, std::int64_t time_ns, Vector3& rates, 
     const bool known = within(omega, RATE_MAX_RAD_S);
     Vector3 alpha = imu.acceleration;
     // Stamps of messages are bounded; of unbounded ones the difference wraps instead of being undefined.
-    const auto step_ns =
-        static_cast<std::int64_t>(static_cast<std::uint64_t>(time_ns) - static_cast<std::uint64_t>(imu.before_ns));
+    const auto step_ns = static_cast<std::int64_t>(
+        static_cast<std::uint64_t>(time_ns) - static_cast<std::uint64_t>(imu.before_ns)
+    );
     if (imu.before_ns < 0 || step_ns < 0 || step_ns > MAX_GAP_NS) {
         alpha = {};
     } else if (known) {

@@ -99,8 +99,8 @@ inline void take_numbered(
 
 // Take the reports of the wanted motors, where each report names its motor.
 //
-// `functions` says what each report is of, as many in every message; `online` has bits by place in the array; a mark
-// of 0 is of an ESC that has never reported.
+// `functions` says what each report is of, as many in every message; `online` has bits by place in the array;
+// a mark of 0 is of an ESC that has never reported.
 inline void take_of_motors(
     Records<const std::int64_t> functions,
     const EscArray& array,
@@ -113,7 +113,8 @@ inline void take_of_motors(
         const std::size_t start = n * each;
         std::size_t turning = 0;
         for (std::size_t place = start; place < start + each; ++place) {
-            turning += FIRST_MOTOR <= functions[place] && functions[place] <= LAST_MOTOR && array.rpm[place] != 0.0;
+            turning +=
+                FIRST_MOTOR <= functions[place] && functions[place] <= LAST_MOTOR && array.rpm[place] != 0.0;
         }
         std::uint8_t& verdict = reports.verdict[n];
         for (std::size_t rotor = 0; rotor < ESCS; ++rotor) {

@@ -17,8 +17,8 @@ constexpr double NORM_TOLERANCE = 0.05;
 // √½ as the nearest double.
 constexpr double SQRT_HALF = 0.7071067811865476;
 
-// The float64 fields that end messages: of sensor_msgs/Imu, of a pose or transform, of nav_msgs/Odometry and of
-// quadpi/WrenchPrediction; three of a vector, six of a twist.
+// The float64 fields that end messages: of sensor_msgs/Imu, of a pose or transform, of nav_msgs/Odometry and
+// of quadpi/WrenchPrediction; three of a vector, six of a twist.
 using ImuNumbers = std::array<double, 37>;
 using PoseNumbers = std::array<double, 7>;
 using OdometryNumbers = std::array<double, 85>;
@@ -29,7 +29,8 @@ using TwistNumbers = std::array<double, 6>;
 //
 // It is of unit length where it is a rotation, else as it comes, or not finite.
 inline bool attitude_of(const double* orientation_xyzw, Quaternion& attitude) {
-    const double x = orientation_xyzw[0], y = orientation_xyzw[1], z = orientation_xyzw[2], w = orientation_xyzw[3];
+    const double x = orientation_xyzw[0], y = orientation_xyzw[1], z = orientation_xyzw[2],
+                 w = orientation_xyzw[3];
     double norm = std::sqrt(x * x + y * y + z * z + w * w);
     const bool off = std::abs(norm - 1.0) > NORM_TOLERANCE;
     if (off) {

@@ -157,7 +157,8 @@ inline void judge_miscoverage(
         }
         if (state.settled || axis == FZ) {
             const double half = 0.5 * (upper[axis] - lower[axis]) * limits.interval_ratio[axis];
-            const double miss = std::abs(measured[axis] - 0.5 * (upper[axis] + lower[axis])) > half ? 1.0 : 0.0;
+            const double miss =
+                std::abs(measured[axis] - 0.5 * (upper[axis] + lower[axis])) > half ? 1.0 : 0.0;
             const double total = state.miss_sum_s[axis] + step_s * (miss - limits.allowance);
             state.miss_sum_s[axis] = std::min(std::max(total, 0.0), SUM_MOST * limit);
             state.miss_share[axis] = keep * state.miss_share[axis] + (1.0 - keep) * miss;
@@ -213,7 +214,8 @@ inline std::int64_t judge_data(
 // Set level and health of each cause, and the highest level; true if any of a cause changed.
 inline bool set_levels(const AlarmLimits& limits, AlarmState& state) {
     AlarmRow& row = state.row;
-    std::int64_t health_of_model = state.ground.why == JUDGED ? limits.health_in_flight : std::int64_t{WAITING};
+    std::int64_t health_of_model =
+        state.ground.why == JUDGED ? limits.health_in_flight : std::int64_t{WAITING};
     if (state.silent_s >= SILENT_S) {
         health_of_model = UNAVAILABLE;
     }
@@ -278,7 +280,8 @@ inline std::size_t advance(
         const bool first = before_ns == NO_STAMP;
         double step_s = 0.0;
         if (!first) {
-            step_s = std::min(std::max(static_cast<double>(sample.time_ns - before_ns) * 1e-9, 0.0), STEP_MAX_S);
+            step_s =
+                std::min(std::max(static_cast<double>(sample.time_ns - before_ns) * 1e-9, 0.0), STEP_MAX_S);
         }
         state.previous_ns = sample.time_ns;
         std::int64_t beyond = 0, faults = sample.faults;
@@ -292,7 +295,9 @@ inline std::size_t advance(
                     beyond = judge_extrapolation(
                         limits, state, inputs[used], said.leverage[used], said.relative_width[used], step_s
                     );
-                    judge_miscoverage(limits, state, measured[used], said.lower[used], said.upper[used], step_s);
+                    judge_miscoverage(
+                        limits, state, measured[used], said.lower[used], said.upper[used], step_s
+                    );
                 }
                 judge_rotors(state);
             }
@@ -309,7 +314,8 @@ inline std::size_t advance(
 
         bool is_due = set_levels(limits, state) || first;
         is_due |= state.thrust.stopped != stopped || state.row.why_not_judged != why;
-        is_due |= floor_divided(sample.time_ns, limits.period_ns) != floor_divided(before_ns, limits.period_ns);
+        is_due |=
+            floor_divided(sample.time_ns, limits.period_ns) != floor_divided(before_ns, limits.period_ns);
         if (state.row.level == LEVEL_OK) {
             state.reported_inputs = 0;
             state.reported_faults = 0;

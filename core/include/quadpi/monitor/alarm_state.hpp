@@ -31,8 +31,10 @@ struct AlarmLimits {
     Wrench near_leverage;
     Wrench width;
     Wrench near_width;
-    Wrench miscoverage_s;   // of the cumulative sum of misses; infinite for an axis that the model does not hold
-    Wrench interval_ratio;  // width of the intervals that the limits were calibrated with over that of those used
+    Wrench
+        miscoverage_s;  // of the cumulative sum of misses; infinite for an axis that the model does not hold
+    Wrench interval_ratio;  // width of the intervals that the limits were calibrated with over that of those
+                            // used
     double allowance;       // share of misses at which the sum neither rises nor falls
     double persistence_s;
     double release_s;
@@ -74,11 +76,12 @@ struct AlarmState {
     double silent_s;  // since the last usable sample
     Ground ground;
     RotorThrust thrust;
-    double since_first_s;          // since the first sample
-    double not_judged_s;           // of that, for which the model was not judged
-    std::int64_t previous_ns;      // stamp of the last sample; NO_STAMP before the first
-    bool settled;                  // whether the misses of the last usable sample counted
-    std::int64_t reported_inputs;  // bits of the inputs outside that rows have reported since the level was last ok
+    double since_first_s;      // since the first sample
+    double not_judged_s;       // of that, for which the model was not judged
+    std::int64_t previous_ns;  // stamp of the last sample; NO_STAMP before the first
+    bool settled;              // whether the misses of the last usable sample counted
+    std::int64_t
+        reported_inputs;  // bits of the inputs outside that rows have reported since the level was last ok
     std::int64_t reported_faults;  // the same for faults
 };
 

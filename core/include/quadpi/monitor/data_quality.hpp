@@ -30,7 +30,8 @@ enum Fault : std::int64_t {
     RATE_DIFFERS = 1 << 25,  // the IMU's rate is not the one given
     RATE_UNKNOWN = 1 << 26,  // it is not known (any more)
     RATE_LOW = 1 << 27,      // it is too low for the model's low-pass
-    // A rotor reads 0 while others turn. Whether it has stopped or its telemetry fails, `rotor_thrust` decides.
+    // A rotor reads 0 while others turn. Whether it has stopped or its telemetry fails, `rotor_thrust`
+    // decides.
     ROTOR_ZERO = 1 << 28,
 };
 constexpr std::int64_t ROTOR_FAULTS = (RATE_DIFFERS - ROTOR_FROZEN) | (std::int64_t{ROTOR_ZERO} * 15);
@@ -60,8 +61,8 @@ constexpr double JUMP = 0.15, JUMP_PER_S = 20.0;
 constexpr double UNBALANCED = 0.15, BALANCED = 0.07, HALF_BELOW = 0.6;
 // A speed below or above these shares of the others' differs from them.
 constexpr double DIFFERS_BELOW = 0.4, DIFFERS_ABOVE = 1.9;
-// A rotor below this share of the second fastest reads 0: rotors idle in flight at a quarter of their speed in
-// hover (indiflight), and a reading between two samples, one of which is 0, is none.
+// A rotor below this share of the second fastest reads 0: rotors idle in flight at a quarter of their speed
+// in hover (indiflight), and a reading between two samples, one of which is 0, is none.
 constexpr double ZERO_BELOW = 0.1;
 // Slower rotors [rad/s] are at rest or starting: nothing is said of them.
 constexpr double TURNING_RAD_S = 50.0;
@@ -241,7 +242,8 @@ inline std::int64_t rotor_faults(Quality& memory, const PerRotor& speeds, double
         }
         const double square = memory.mean_squares[k];
         const double relative = std::sqrt((ROTORS - 1) * square / std::max(total - square, 1.0));
-        const double doubled = std::abs(balance + 3.0 * memory.rotor_spins[k] * square) / (total + 3.0 * square);
+        const double doubled =
+            std::abs(balance + 3.0 * memory.rotor_spins[k] * square) / (total + 3.0 * square);
         if (std::abs(balance) > UNBALANCED * total && doubled < BALANCED && relative < HALF_BELOW) {
             faults |= std::int64_t{ROTOR_HALF} << k;
         } else if (relative < DIFFERS_BELOW || relative > DIFFERS_ABOVE) {
@@ -252,7 +254,9 @@ inline std::int64_t rotor_faults(Quality& memory, const PerRotor& speeds, double
 }
 
 // For how long an inertial sensor has repeated its reading [s], after one more reading.
-inline double still_for(const Vector3& reading, const Vector3& last, double still_s, double creep, double step_s) {
+inline double still_for(
+    const Vector3& reading, const Vector3& last, double still_s, double creep, double step_s
+) {
     bool equal = true, small = true;
     for (int k = 0; k < 3; ++k) {
         const double change = std::abs(reading[k] - last[k]);
@@ -304,17 +308,16 @@ inline Judgement judge(Quality& memory, std::int64_t time_ns, const Signals& sam
     if (usable) {
         memory.previous_ns = memory.followed_ns = time_ns;
         const bool restarts = first || jump;
-        faults |= sensor_faults(
-            memory, sample, restarts ? 0.0 : static_cast<double>(step_ns) * 1e-9, restarts
-        );
+        faults |=
+            sensor_faults(memory, sample, restarts ? 0.0 : static_cast<double>(step_ns) * 1e-9, restarts);
     }
     return {faults, usable, jump};
 }
 
 // Give a sample that is not usable the last readings of the rotors that give none.
 //
-// Returns a bit per such rotor, 0 if none gives a reading, the sample is not usable for other reasons too or comes
-// after a gap.
+// Returns a bit per such rotor, 0 if none gives a reading, the sample is not usable for other reasons too or
+// comes after a gap.
 inline std::int64_t take_last_readings(Quality& memory, std::int64_t time_ns, Signals& sample) {
     std::int64_t absent = 0;
     for (int k = 0; k < ROTORS; ++k) {

@@ -7,13 +7,14 @@
 
 namespace quadpi {
 
-// Shares of the weight, as squares of the rotor speed in hover: that rotors carry in flight, below which they do
-// not carry the vehicle, and below which they are at rest or without telemetry.
+// Shares of the weight, as squares of the rotor speed in hover: that rotors carry in flight, below which they
+// do not carry the vehicle, and below which they are at rest or without telemetry.
 constexpr double LIFTED = 0.9, TURNING = 0.2, RESTING = 0.01;
-// Speed [m/s], rate [rad/s], difference of the specific force from that at rest [g], and way [m], of a vehicle that
-// moves.
+// Speed [m/s], rate [rad/s], difference of the specific force from that at rest [g], and way [m], of a
+// vehicle that moves.
 constexpr double MOVES_M_S = 0.3, MOVES_RAD_S = 0.5, MOVES_G = 0.2, GONE_M = 0.2;
-// Specific force [g] of a vehicle that something else than its rotors carries, and time [s] until it has landed.
+// Specific force [g] of a vehicle that something else than its rotors carries, and time [s] until it has
+// landed.
 constexpr double SUPPORTED_G = 0.6, SUPPORTED_S = 0.3;
 // Time [s] after which the way is forgotten, and for which a vehicle must move to be called carried.
 constexpr double WAY_S = 5.0, CARRIED_S = 0.3;

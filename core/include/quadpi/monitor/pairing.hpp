@@ -90,7 +90,9 @@ public:
     }
 
     // Add a state whose attitude has the sign nearest to the one before: q and −q are the same.
-    void add_state(std::int64_t time_ns, const Vector3& velocity, const Quaternion& attitude, const Vector3& rates) {
+    void add_state(
+        std::int64_t time_ns, const Vector3& velocity, const Quaternion& attitude, const Vector3& rates
+    ) {
         const Track& track = state.tracks[STATE];
         double sign = 1.0;
         if (track.count > 0) {
@@ -122,7 +124,9 @@ public:
     }
 
     // Whether the oldest IMU sample waits no longer, or the rate of the IMU has changed.
-    bool take_is_due() const { return state.meter.changes != state.rate_changes || fate_of_oldest() != WAITS; }
+    bool take_is_due() const {
+        return state.meter.changes != state.rate_changes || fate_of_oldest() != WAITS;
+    }
 
     // Fill stamps and rows of the samples that are complete or given up; returns their number.
     std::int64_t take(std::int64_t* taken_ns, Signals* taken) {
@@ -149,7 +153,8 @@ public:
 
     // Take arrivals from `start` on until the IMU's stamps step back, or its rate changes.
     //
-    // The stamp of the arrival at which the next stretch begins has been noted: the next call does not note it again.
+    // The stamp of the arrival at which the next stretch begins has been noted: the next call does not note
+    // it again.
     StretchEnd take_stretch(
         const ArrivingSamples& arriving, std::int64_t start, std::int64_t* taken_ns, Signals* taken
     ) {
@@ -236,7 +241,8 @@ private:
 
     // Whether the oldest IMU sample waits, is too early for anything to complete it, or is to be taken.
     Fate fate_of_oldest() const {
-        const Track &imu = state.tracks[IMU], &states = state.tracks[STATE], &rotors = state.tracks[ROTOR_SPEEDS];
+        const Track &imu = state.tracks[IMU], &states = state.tracks[STATE],
+                    &rotors = state.tracks[ROTOR_SPEEDS];
         if (imu.count == 0) {
             return WAITS;
         }

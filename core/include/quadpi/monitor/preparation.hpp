@@ -13,13 +13,15 @@ namespace quadpi {
 // their intervals up to ten times as often (experiments/results/alarm.md).
 constexpr std::int64_t SETTLE_NS = 1'000'000'000;
 // Faults of samples that say nothing of the state.
-constexpr std::int64_t WITHOUT_STATE = NOT_FINITE | NOT_PLAUSIBLE | STAMP_REPEATED | STAMP_BACKWARD | STATE_MISSING;
+constexpr std::int64_t WITHOUT_STATE =
+    NOT_FINITE | NOT_PLAUSIBLE | STAMP_REPEATED | STAMP_BACKWARD | STATE_MISSING;
 
 // What data quality and low-pass say of one sample.
 //
-// What follows `absent` means something for a sample that is usable, or but for absent rotors; the signals have
-// passed the low-pass. A sample has not settled in the first SETTLE_NS of a state, or after more than MAX_GAP_NS
-// without one, nor before the low-pass has settled. Where rotor speeds alone are missing, the state goes on.
+// What follows `absent` means something for a sample that is usable, or but for absent rotors; the signals
+// have passed the low-pass. A sample has not settled in the first SETTLE_NS of a state, or after more than
+// MAX_GAP_NS without one, nor before the low-pass has settled. Where rotor speeds alone are missing, the
+// state goes on.
 struct Verdict {
     std::int64_t time_ns;
     std::int64_t faults;  // bits of what is wrong
@@ -145,7 +147,10 @@ inline void prepare_sample(
 
 // Fill the verdicts of K samples, which are zero, and what the usable ones give; returns their number.
 inline std::size_t prepare(
-    PreparationMemory& memory, Records<const std::int64_t> time_ns, Records<const Signals> samples, PreparedSamples out
+    PreparationMemory& memory,
+    Records<const std::int64_t> time_ns,
+    Records<const Signals> samples,
+    PreparedSamples out
 ) {
     std::size_t used = 0;
     for (std::size_t index = 0; index < samples.size; ++index) {

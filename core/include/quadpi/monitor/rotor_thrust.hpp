@@ -1,7 +1,7 @@
 // SPDX-FileCopyrightText: 2026 The quadpi authors
 // SPDX-License-Identifier: Apache-2.0
-// Whether a rotor has stopped, or only its telemetry: the measured wrench tells whether its thrust is gone; see
-// monitor/rotor_thrust.py.
+// Whether a rotor has stopped, or only its telemetry: the measured wrench tells whether its thrust is gone;
+// see monitor/rotor_thrust.py.
 #pragma once
 
 #include "quadpi/monitor/preparation.hpp"
@@ -10,7 +10,8 @@ namespace quadpi {
 
 // Least and largest loss of a rotor that has stopped, as shares of its thrust, in each of Fz, Mx and My.
 constexpr double LOST_SHARE = 0.5, LOST_MOST = 2.0;
-// Time [s] for which a rotor's thrust is gone until it is called stopped, and that of one that gives no reading.
+// Time [s] for which a rotor's thrust is gone until it is called stopped, and that of one that gives no
+// reading.
 constexpr double LOST_S = 0.04, SILENT_LOST_S = 0.06;
 // Spread of a rotor's thrust, over its mean, up to which its loss tells without a reading.
 constexpr double STEADY_SHARE = 0.4;
@@ -29,9 +30,9 @@ constexpr std::array<int, 3> SHOWN = {2, 3, 4};
 
 // What is known of the rotors.
 struct RotorGeometry {
-    double thrust_per_square;            // N/(rad/s)², from hover; 0 where unknown: then no rotor is called stopped
-    double least_square;                 // (rad/s)², below which a rotor's thrust is too small to be missed
-    std::array<Vector3, ROTORS> lever;   // change of Fz, Mx, My per newton that a rotor loses: 1, m, m
+    double thrust_per_square;  // N/(rad/s)², from hover; 0 where unknown: then no rotor is called stopped
+    double least_square;       // (rad/s)², below which a rotor's thrust is too small to be missed
+    std::array<Vector3, ROTORS> lever;  // change of Fz, Mx, My per newton that a rotor loses: 1, m, m
 };
 
 // What is remembered of the samples.
@@ -161,7 +162,11 @@ inline std::int64_t named_faults(const RotorThrust& thrust, std::int64_t faults)
 // step_s: since the sample before.
 // Returns its faults, with what readings of 0 mean.
 inline std::int64_t follow_thrust(
-    const RotorGeometry& geometry, RotorThrust& thrust, const Verdict& sample, const Wrench& wrench, double step_s
+    const RotorGeometry& geometry,
+    RotorThrust& thrust,
+    const Verdict& sample,
+    const Wrench& wrench,
+    double step_s
 ) {
     const std::int64_t faults = sample.faults;
     if (faults & (std::int64_t{ROTOR_JUMPS} * 15 | GAP) && sample.usable && thrust.stopped == 0) {

@@ -73,11 +73,16 @@ inline void scale_to_unit(Quaternion& attitude) {
 
 // Pass one finite sample through the causal low-pass; the rate is taken as constant.
 //
-// Fills `value`, with an attitude of unit norm, `slope`, the derivative per second, and `curvature`, the second
-// derivative of the rotor speeds. The attitude in `sample` gets the sign nearest to the previous one. The filter
-// starts settled at its first sample.
+// Fills `value`, with an attitude of unit norm, `slope`, the derivative per second, and `curvature`, the
+// second derivative of the rotor speeds. The attitude in `sample` gets the sign nearest to the previous one.
+// The filter starts settled at its first sample.
 inline void filter_sample(
-    const LowPass& design, ChainMemory& memory, Signals& sample, Signals& value, Signals& slope, PerRotor& curvature
+    const LowPass& design,
+    ChainMemory& memory,
+    Signals& sample,
+    Signals& value,
+    Signals& slope,
+    PerRotor& curvature
 ) {
     make_continuous({&sample.attitude, 1}, memory.attitude);
     memory.attitude = sample.attitude;
@@ -94,7 +99,8 @@ inline void filter_sample(
     // s² H(s), as the derivative is s H(s): both factors (1 + z⁻¹) become 2 f (1 − z⁻¹).
     const double gain = 4.0 * (design.rate_hz * design.rate_hz) * design.second.gain;
     for (int rotor = 0; rotor < ROTORS; ++rotor) {
-        const double newest = delays.at(1, 0, ROTOR_CHANNEL + rotor), last = delays.at(1, 1, ROTOR_CHANNEL + rotor);
+        const double newest = delays.at(1, 0, ROTOR_CHANNEL + rotor),
+                     last = delays.at(1, 1, ROTOR_CHANNEL + rotor);
         curvature[rotor] = gain * (newest - 2.0 * last + before[rotor]);
     }
     scale_to_unit(value.attitude);

@@ -12,7 +12,11 @@ using Wrench = std::array<double, AXES>;
 
 // Wrench on a rigid body, gravity not included: F = m f, M = I Ω̇ + Ω × IΩ; see signals/wrench.py.
 inline Wrench newton_euler(
-    const Vector3& specific_force, const Vector3& rate, const Vector3& acceleration, double mass_kg, const Matrix3& inertia
+    const Vector3& specific_force,
+    const Vector3& rate,
+    const Vector3& acceleration,
+    double mass_kg,
+    const Matrix3& inertia
 ) {
     Wrench wrench;
     Vector3 momentum;
