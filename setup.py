@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -23,8 +24,12 @@ class BuildCore(build_ext):
         build = ROOT / "build" / f"core-{sys.implementation.cache_tag}"
         folder = Path(self.get_ext_fullpath(ext.name)).resolve().parent
         options = f"-DPython_EXECUTABLE={sys.executable}", f"-DQUADPI_MODULE_FOLDER={folder}"
+        cache = build / "CMakeCache.txt"
+        # Of a checkout that was copied or moved, CMake refuses what was built at its old place.
+        if cache.is_file() and f"CMAKE_HOME_DIRECTORY:INTERNAL={ROOT / 'core'}\n" not in cache.read_text():
+            shutil.rmtree(build)
         subprocess.run(["cmake", "-S", ROOT / "core", "-B", build, *options], check=True)
-        subprocess.run(["cmake", "--build", build, "--parallel", str(os.cpu_count())], check=True)
+        subprocess.run(["cmake", "--build", build, "--parallel", str(os.cpu_count() or 1)], check=True)
 
 
 setup(ext_modules=[Extension("quadpi_core._core", sources=[])], cmdclass={"build_ext": BuildCore})

@@ -13,21 +13,21 @@ from pathlib import Path
 try:
     import quadpi_core._core as compiled
 except ImportError as error:
-    raise ImportError(f"quadpi's compiled core cannot be used: {error}; install quadpi again") from error
+    raise ImportError(f"quadpi's compiled core cannot be used: {error}; run `make environment`, or install quadpi") from error
 
 __all__ = ["compiled"]
 
-_SUFFIXES = (".hpp", ".cpp")
+_SUFFIXES = (".hpp", ".cpp", ".txt")
 
 
 def _sources_digest(folder: Path) -> str:
     """SHA-256 of the sources, as core/CMakeLists.txt makes it."""
-    paths = [path for path in folder.rglob("*") if path.suffix in _SUFFIXES]
+    paths = [path for path in folder.rglob("*") if path.suffix in _SUFFIXES and path.is_file()]
     names = sorted((path.relative_to(folder).as_posix(), path) for path in paths)
     digests = "".join(sha256(path.read_bytes()).hexdigest() for _, path in names)
     return sha256(digests.encode()).hexdigest()
 
 
 _sources = Path(__file__).resolve().parent.parent / "core"
-if _sources.is_dir() and _sources_digest(_sources) != compiled.SOURCES:
-    raise ImportError("quadpi's compiled core is older than core/: run `make environment`")
+if (_sources / "include" / "quadpi").is_dir() and _sources_digest(_sources) != compiled.SOURCES:
+    raise ImportError("quadpi's compiled core is older than core/: run `make environment`, or install quadpi again")

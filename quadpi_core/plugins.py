@@ -141,5 +141,5 @@ def _installed(group: str, _path: tuple[str, ...]) -> list[_Plugin]:
     found = []
     for entry in entry_points(group=group):
         package = f"{entry.dist.name} {entry.dist.version}" if entry.dist else "?"
-        found.append(_Plugin(entry.name, package, f"{entry.module}:{entry.attr}".rstrip(":")))
+        found.append(_Plugin(entry.name, package, f"{entry.module}:{entry.attr or ''}".rstrip(":")))
     return sorted(found)

@@ -24,22 +24,22 @@ std::int64_t step_once(
     Records<Correction> journal,
     Records<FusedSample> fused
 ) {
-    Buffer buffer(filter[0], ring);
-    return step(buffer, filter[0], sample[0], journal, fused[0]);
+    Buffer buffer(only(filter), ring);
+    return step(buffer, only(filter), only(sample), journal, only(fused));
 }
 
 void catch_up(Filters filter, Ring ring, Records<ImuSample> samples) {
-    Buffer(filter[0], ring).catch_up(samples);
+    Buffer(only(filter), ring).catch_up(samples);
 }
 
 std::int64_t hold(Filters filter, Ring ring, Records<Measurement> measurement) {
-    return Buffer(filter[0], ring).hold(measurement[0]);
+    return Buffer(only(filter), ring).hold(only(measurement));
 }
 
-bool usable_measurement(Records<Measurement> measurement) { return usable(measurement[0]); }
+bool usable_measurement(Records<Measurement> measurement) { return usable(only(measurement)); }
 
 void fill_newest(Filters filter, Ring ring, Records<FusedSample> fused) {
-    fill_fused(ring[filter[0].newest], filter[0].noise.rates, fused[0]);
+    fill_fused(ring[only(filter).newest], only(filter).noise.rates, only(fused));
 }
 
 // The arrays of a trace, held as long as a call lasts.
@@ -66,13 +66,13 @@ void run_all(Filters filter, Ring ring, nb::handle arrivals, nb::handle trace) {
     const Field<Measurement> measurements(arrivals, "measurements");
     const Field<std::int64_t> after(arrivals, "after");
     Trace written = held.trace();
-    run(filter[0], ring, {samples.all(), measurements.all(), after.all()}, written);
+    run(only(filter), ring, {samples.all(), measurements.all(), after.all()}, written);
 }
 
 void record_newest(Filters filter, Ring ring, nb::handle trace, std::int64_t sample) {
     const HeldTrace held(trace);
     Trace written = held.trace();
-    record(Buffer(filter[0], ring), filter[0], written, sample);
+    record(Buffer(only(filter), ring), only(filter), written, sample);
 }
 
 // The arrays of a tape, held as long as a call lasts.
@@ -106,7 +106,7 @@ std::int64_t forward_pass(
     const Field<Noise> noise(inputs, "noise");
     const HeldTape held(tape);
     Tape written = held.tape();
-    return forward({imu.all(), journal.all(), noise.only()}, estimate[0], first, last, applied, written);
+    return forward({imu.all(), journal.all(), noise.only()}, only(estimate), first, last, applied, written);
 }
 
 void backward_pass(
@@ -117,7 +117,7 @@ void backward_pass(
 ) {
     const HeldTape held(tape);
     Tape read = held.tape();
-    backward(read, adjoint[0], information[0], smoothed);
+    backward(read, only(adjoint), only(information), smoothed);
 }
 
 void find_pose_information(
@@ -127,11 +127,13 @@ void find_pose_information(
     double poses,
     Records<std::array<double, 2>> found
 ) {
-    pose_information(steps, noise[0], limits[0], poses, found);
+    require(found.size == steps.size, DIFFERENT);
+    pose_information(steps, only(noise), only(limits), poses, found);
 }
 
 // Attitudes at IMU samples relative to the body at `last_ns`, by the gyro alone.
 void relative_attitudes(Records<ImuSample> imu, std::int64_t last_ns, Records<Quaternion> attitude) {
+    require(imu.size >= 1 && attitude.size == imu.size, DIFFERENT);
     attitude[imu.size - 1] = {1.0, 0.0, 0.0, 0.0};
     for (std::size_t index = imu.size - 1; index-- > 0;) {
         const ImuSample &sample = imu[index], &following = imu[index + 1];
@@ -159,52 +161,53 @@ void bind_steps(nb::module_& module) {
            Records<ImuSample> between,
            std::int64_t to_ns,
            Records<Transition> by) {
-            propagate_between(estimate[0], noise[0], between[0], between[1], to_ns, by[0]);
+            propagate_between(only(estimate), only(noise), between[0], between[1], to_ns, only(by));
         }
     );
     module.def("interpolate_sample", [](Estimates estimate, Records<ImuSample> between) {
-        interpolate_sample(estimate[0], between[0], between[1]);
+        interpolate_sample(only(estimate), between[0], between[1]);
     });
     module.def("apply_transposed", [](Records<Transition> by, Records<ErrorVector> vectors) {
         for (ErrorVector& vector : vectors) {
-            apply_transposed(by[0], vector);
+            apply_transposed(only(by), vector);
         }
     });
     module.def(
         "correct_scalar",
         [](Records<ErrorMatrix> covariance, Records<ErrorVector> error, Records<Scalar> scalar) {
-            correct_scalar(covariance[0], error[0], scalar[0]);
+            correct_scalar(only(covariance), only(error), only(scalar));
         }
     );
     module.def("inject", [](Estimates estimate, Records<ErrorVector> error) {
-        inject(estimate[0], error[0]);
+        inject(only(estimate), only(error));
     });
     module.def(
         "fuse", [](Estimates estimate, Noises noise, Measurements measurement, Records<Scalar> scalars) {
             Scalars found;
+            require(scalars.size == found.size(), "not six scalars");
             std::copy_n(scalars.begin(), found.size(), found.begin());
-            const double nis = fuse(estimate[0], noise[0], measurement[0], found);
+            const double nis = fuse(only(estimate), only(noise), only(measurement), found);
             std::copy_n(found.begin(), found.size(), scalars.begin());
             return nis;
         }
     );
     module.def("taken_ns", [](Estimates estimate, Measurements measurement) {
-        return taken_ns(estimate[0], measurement[0]);
+        return taken_ns(only(estimate), only(measurement));
     });
     module.def("significance", [](double x, double y, double z, double variance) {
         return significance({x, y, z}, variance);
     });
     module.def("same_motion", [](Measurements pair, Estimates estimate, Noises noise) {
-        return same_motion(pair[0], pair[1], estimate[0], noise[0]);
+        return same_motion(pair[0], pair[1], only(estimate), only(noise));
     });
     module.def("motion_shows", [](Estimates estimate, Noises noise, std::int64_t kind, double elapsed) {
-        return motion_shows(estimate[0], noise[0], kind, elapsed);
+        return motion_shows(only(estimate), only(noise), kind, elapsed);
     });
     module.def("status_of", [](Filters filter, Ring ring) {
-        return static_cast<std::int64_t>(Buffer(filter[0], ring).status());
+        return static_cast<std::int64_t>(Buffer(only(filter), ring).status());
     });
     module.def("fill_fused", [](Estimates estimate, double gyro_variance, Records<FusedSample> fused) {
-        fill_fused(estimate[0], gyro_variance, fused[0]);
+        fill_fused(only(estimate), gyro_variance, only(fused));
     });
 }
 

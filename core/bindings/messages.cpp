@@ -18,14 +18,6 @@ namespace {
 using Stamps = Records<const std::int64_t>;
 using Bytes = Records<const std::uint8_t>;
 
-constexpr const char* DIFFERENT = "samples of different numbers";
-
-void require(bool holds, const char* what) {
-    if (!holds) {
-        throw nb::value_error(what);
-    }
-}
-
 // Whether a span of bytes lies in a buffer.
 bool lies_in(std::int64_t start, std::int64_t length, std::size_t size) {
     return start >= 0 && length >= 0 && static_cast<std::uint64_t>(start) <= size &&

@@ -17,8 +17,8 @@ using PairingStates = Records<PairingState>;
 using Rings = Records<Entry>;
 
 bool add_imu(PairingStates states, Rings rings, std::int64_t time_ns, Records<const Vector3> specific_force) {
-    Pairing pairing(states[0], rings);
-    pairing.add_imu(time_ns, specific_force[0]);
+    Pairing pairing(only(states), rings);
+    pairing.add_imu(time_ns, only(specific_force));
     return pairing.take_is_due();
 }
 
@@ -30,14 +30,14 @@ bool add_state(
     Records<const Quaternion> attitude,
     Records<const Vector3> rates
 ) {
-    Pairing pairing(states[0], rings);
-    pairing.add_state(time_ns, velocity[0], attitude[0], rates[0]);
+    Pairing pairing(only(states), rings);
+    pairing.add_state(time_ns, only(velocity), only(attitude), only(rates));
     return pairing.take_is_due();
 }
 
 bool add_estimate(PairingStates states, Rings rings, std::int64_t time_ns, Records<const Motion> motion) {
-    Pairing pairing(states[0], rings);
-    const Motion& own = motion[0];
+    Pairing pairing(only(states), rings);
+    const Motion& own = only(motion);
     pairing.add_imu(time_ns, own.specific_force);
     pairing.add_state(time_ns, own.velocity, own.attitude, own.rates);
     return pairing.take_is_due();
@@ -46,7 +46,8 @@ bool add_estimate(PairingStates states, Rings rings, std::int64_t time_ns, Recor
 bool add_sample(
     PairingStates states, Rings rings, std::int64_t topic, std::int64_t time_ns, Records<const double> values
 ) {
-    Pairing pairing(states[0], rings);
+    require(0 <= topic && topic < TOPICS && values.size <= WIDEST, "not a sample of a topic");
+    Pairing pairing(only(states), rings);
     pairing.add(static_cast<Topic>(topic), time_ns, values.data, values.size);
     return pairing.take_is_due();
 }
@@ -54,7 +55,7 @@ bool add_sample(
 nb::tuple take_samples(
     PairingStates states, Rings rings, Records<std::int64_t> taken_ns, Records<Signals> taken
 ) {
-    PairingState& state = states[0];
+    PairingState& state = only(states);
     const bool changed = state.meter.changes != state.rate_changes;
     state.rate_changes = state.meter.changes;
     return nb::make_tuple(Pairing(state, rings).take(taken_ns.data, taken.data), changed);
@@ -86,7 +87,8 @@ nb::tuple take_stretch(
         wind_ns.all(),
         wind.all(),
     };
-    const StretchEnd end = Pairing(states[0], rings).take_stretch(samples, start, taken_ns.data, taken.data);
+    const StretchEnd end =
+        Pairing(only(states), rings).take_stretch(samples, start, taken_ns.data, taken.data);
     return nb::make_tuple(end.event, end.begin, end.count);
 }
 
@@ -99,7 +101,8 @@ std::size_t prepare_all(
     Records<Wrench> measured,
     Records<Derivatives> derivatives
 ) {
-    return prepare(memory[0], time_ns, samples, {verdicts, inputs, measured, derivatives});
+    require(samples.size == time_ns.size && verdicts.size == time_ns.size, DIFFERENT);
+    return prepare(only(memory), time_ns, samples, {verdicts, inputs, measured, derivatives});
 }
 
 void adapt_all(
@@ -112,14 +115,17 @@ void adapt_all(
     Records<Wrench> lower,
     Records<Wrench> upper
 ) {
-    for (std::size_t row = 0; row < measured.size; ++row) {
+    const std::size_t count = measured.size;
+    require(own_lower.size == count && own_upper.size == count, DIFFERENT);
+    require(lower.size == count && upper.size == count, DIFFERENT);
+    for (std::size_t row = 0; row < count; ++row) {
         adapt(
             measured[row],
             own_lower[row],
             own_upper[row],
             step,
             miss_share,
-            log_factor[0],
+            only(log_factor),
             lower[row],
             upper[row]
         );
@@ -138,8 +144,12 @@ std::size_t advance_alarm(
     Records<const Wrench> relative_width,
     Records<AlarmRow> rows
 ) {
+    const std::size_t used = inputs.size;
+    require(rows.size >= verdicts.size && used <= verdicts.size && measured.size == used, DIFFERENT);
+    require(lower.size == used && upper.size == used, DIFFERENT);
+    require(leverage.size == used && relative_width.size == used, DIFFERENT);
     return advance(
-        limits[0], state[0], verdicts, inputs, measured, {lower, upper, leverage, relative_width}, rows
+        only(limits), only(state), verdicts, inputs, measured, {lower, upper, leverage, relative_width}, rows
     );
 }
 
@@ -161,6 +171,7 @@ bool lasts(
     double persistence_s,
     double release_s
 ) {
+    require(steps.size == values.size, DIFFERENT);
     double charge = 0.0;
     for (std::size_t i = 0; i < values.size; ++i) {
         const double change = values[i] > level ? steps[i] / persistence_s : -steps[i] / release_s;
@@ -176,6 +187,7 @@ bool lasts(
 void sum_misses(
     Records<const double> steps, Records<const Wrench> miss, double allowed, Records<Wrench> sums
 ) {
+    require(miss.size == steps.size && sums.size == steps.size, DIFFERENT);
     Wrench total{};
     for (std::size_t i = 0; i < steps.size; ++i) {
         for (int axis = 0; axis < AXES; ++axis) {

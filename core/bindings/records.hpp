@@ -6,8 +6,9 @@
 
 #include <nanobind/nanobind.h>
 
-#include <stdexcept>
+#include <cstdint>
 #include <string>
+#include <string_view>
 #include <type_traits>
 #include <utility>
 
@@ -30,7 +31,7 @@ public:
     template <class T>
     bool hold(PyObject* object) {
         constexpr std::size_t item_bytes = sizeof(T);
-        constexpr int access = std::is_const_v<T> ? 0 : PyBUF_WRITABLE;
+        constexpr int access = std::is_const_v<T> ? PyBUF_FORMAT : PyBUF_FORMAT | PyBUF_WRITABLE;
         if (PyObject_GetBuffer(object, &view, PyBUF_C_CONTIGUOUS | access) != 0) {
             PyErr_Clear();
             view.obj = nullptr;
@@ -39,7 +40,9 @@ public:
         // Of the type itself, or of its numbers.
         const auto item = static_cast<std::size_t>(view.itemsize);
         const bool of_numbers = item == sizeof(double) && item_bytes % sizeof(double) == 0;
-        return (item == item_bytes || of_numbers) && bytes() % item_bytes == 0;
+        const bool is_aligned = reinterpret_cast<std::uintptr_t>(view.buf) % alignof(T) == 0;
+        return is_aligned && (item == item_bytes || of_numbers) && bytes() % item_bytes == 0 &&
+               is_number_of<T>(view.format == nullptr ? "B" : view.format);
     }
 
     void* data() const { return view.buf; }
@@ -47,7 +50,38 @@ public:
 
 private:
     Py_buffer view{};
+
+    // Whether a format of Python's buffers, where it is that of 64-bit numbers, is that of the type's.
+    template <class T>
+    static bool is_number_of(std::string_view format) {
+        const bool is_double = format == "d", is_integer = format == "l" || format == "q";
+        if constexpr (std::is_floating_point_v<T>) {
+            return is_double;
+        } else if constexpr (std::is_integral_v<T> && sizeof(T) == sizeof(std::int64_t)) {
+            return is_integer;
+        } else if constexpr (sizeof(T) >= sizeof(double)) {
+            return is_double || is_integer || format.substr(0, 2) == "T{";
+        } else {
+            return true;
+        }
+    }
 };
+
+// Refuse arguments that do not belong together.
+inline void require(bool holds, const char* what) {
+    if (!holds) {
+        throw nanobind::value_error(what);
+    }
+}
+
+constexpr const char* DIFFERENT = "samples of different numbers";
+
+// The only one of an array that stands for a record.
+template <class T>
+T& only(Records<T> records) {
+    require(records.size >= 1, "an empty array for a record");
+    return records[0];
+}
 
 // Records in an attribute of a Python object, held as long as this lives.
 template <class T>
@@ -56,12 +90,14 @@ public:
     Field(nanobind::handle object, const char* name) {
         const nanobind::object value = object.attr(name);
         if (!buffer.hold<T>(value.ptr())) {
-            throw nanobind::type_error((std::string(name) + ": not a writable array of its records").c_str());
+            throw nanobind::type_error(
+                (std::string(name) + ": not an array of its records, or not writable").c_str()
+            );
         }
     }
 
     Records<T> all() const { return {static_cast<T*>(buffer.data()), buffer.bytes() / sizeof(T)}; }
-    T& only() const { return all()[0]; }
+    T& only() const { return quadpi::only(all()); }
 
 private:
     HeldBuffer buffer;

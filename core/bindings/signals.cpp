@@ -17,7 +17,8 @@ namespace {
 DelayLines delay_lines(Records<double> state) { return {state.data, state.size / (SECTIONS * DELAYS)}; }
 
 void settle_at(Records<const LowPass> design, Records<double> state, Records<const double> sample) {
-    settle(design[0], delay_lines(state), sample.data);
+    require(delay_lines(state).channels == sample.size, "not a sample of these channels");
+    settle(only(design), delay_lines(state), sample.data);
 }
 
 void filter_rows(
@@ -28,7 +29,9 @@ void filter_rows(
     Records<double> derivative
 ) {
     const DelayLines delays = delay_lines(state);
-    low_pass(design[0], delays, samples.size / delays.channels, samples.data, value.data, derivative.data);
+    require(delays.channels > 0 && samples.size % delays.channels == 0, "no channels");
+    require(value.size == samples.size && derivative.size == samples.size, DIFFERENT);
+    low_pass(only(design), delays, samples.size / delays.channels, samples.data, value.data, derivative.data);
 }
 
 void filter_one(
@@ -39,7 +42,7 @@ void filter_one(
     Records<Signals> slope,
     Records<PerRotor> curvature
 ) {
-    filter_sample(design[0], memory[0], sample[0], value[0], slope[0], curvature[0]);
+    filter_sample(only(design), only(memory), only(sample), only(value), only(slope), only(curvature));
 }
 
 void find_wrenches(
@@ -50,8 +53,11 @@ void find_wrenches(
     Records<const Matrix3> inertia,
     Records<Wrench> wrench
 ) {
-    for (std::size_t row = 0; row < wrench.size; ++row) {
-        wrench[row] = newton_euler(specific_force[row], rates[row], acceleration[row], mass_kg, inertia[0]);
+    const std::size_t count = wrench.size;
+    require(specific_force.size == count && rates.size == count && acceleration.size == count, DIFFERENT);
+    for (std::size_t row = 0; row < count; ++row) {
+        wrench[row] =
+            newton_euler(specific_force[row], rates[row], acceleration[row], mass_kg, only(inertia));
     }
 }
 
@@ -61,6 +67,7 @@ void find_air_velocities(
     Records<const Vector3> wind,
     Records<Vector3> out
 ) {
+    require(velocity.size == out.size && attitude.size == out.size && wind.size == out.size, DIFFERENT);
     for (std::size_t row = 0; row < out.size; ++row) {
         out[row] = relative_to_air(velocity[row], attitude[row], wind[row]);
     }
@@ -74,8 +81,10 @@ void find_inputs(
     Records<const VehicleConstants> vehicle,
     Records<InputVector> out
 ) {
+    require(velocity_air.size == out.size && attitude.size == out.size, DIFFERENT);
+    require(rates.size == out.size && rotor_speeds.size == out.size, DIFFERENT);
     for (std::size_t row = 0; row < out.size; ++row) {
-        fill_inputs(velocity_air[row], attitude[row], rates[row], rotor_speeds[row], vehicle[0], out[row]);
+        fill_inputs(velocity_air[row], attitude[row], rates[row], rotor_speeds[row], only(vehicle), out[row]);
     }
 }
 
@@ -89,15 +98,17 @@ void bind_signals(nb::module_& module) {
     module.def("settle", &settle_at);
     module.def("low_pass", &filter_rows);
     module.def("make_continuous", [](Records<Quaternion> attitudes, Records<const Quaternion> last) {
-        make_continuous(attitudes, last[0]);
+        make_continuous(attitudes, only(last));
     });
     module.def("filter_sample", &filter_one);
-    module.def("forget_samples", [](Records<ChainMemory> memory) { forget(memory[0]); });
+    module.def("forget_samples", [](Records<ChainMemory> memory) { forget(only(memory)); });
     module.def("newton_euler", &find_wrenches);
     module.def("turn_by_rates", &turn_by_rates);
     module.def("relative_to_air", &find_air_velocities);
     module.def("fill_inputs", &find_inputs);
-    module.def("follow_rate", [](Records<Meter> meter, std::int64_t time_ns) { follow(meter[0], time_ns); });
+    module.def("follow_rate", [](Records<Meter> meter, std::int64_t time_ns) {
+        follow(only(meter), time_ns);
+    });
     module.def("off_for", &off_for);
 }
 

@@ -153,7 +153,7 @@ class Alarm:
         """Update times and rates in flight."""
         self._limits["persistence_s"] = settings.persistence_s
         self._limits["release_s"] = settings.release_s
-        self._limits["period_ns"] = round(1e9 / settings.alarm_rate_hz)
+        self._limits["period_ns"] = max(1, round(1e9 / settings.alarm_rate_hz))
 
     def reset(self) -> None:
         """Forget all evidence; the next sample gives a row."""

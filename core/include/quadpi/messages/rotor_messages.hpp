@@ -23,7 +23,7 @@ constexpr std::int64_t FIRST_MOTOR = 101, LAST_MOTOR = 112;
 constexpr std::int64_t ESC_SILENT_NS = 100'000'000;
 
 // Whether reports form a sample, or the reason why not; quadpi_core.unusable_readings has the words.
-enum Verdict : std::uint8_t {
+enum EscVerdict : std::uint8_t {
     SAMPLE,
     NONE_ANNOUNCED,
     TOO_FEW,
@@ -152,7 +152,7 @@ struct EscMemory {
 };
 
 // The verdict on a sample that may hold nothing new, or in which an ESC may have been silent for too long.
-inline Verdict judge_news(std::int64_t time_ns, const EscNumbers& marks, EscMemory& memory) {
+inline EscVerdict judge_news(std::int64_t time_ns, const EscNumbers& marks, EscMemory& memory) {
     bool news = false, silent = false;
     for (std::size_t rotor = 0; rotor < ESCS; ++rotor) {
         if (marks[rotor] != memory.latest[rotor]) {

@@ -3,6 +3,7 @@
 // Why a sample cannot be judged or trusted: one bit per fault, O(1) per sample; see monitor/data_quality.py.
 #pragma once
 
+#include <algorithm>
 #include <limits>
 
 #include "quadpi/limits.hpp"

@@ -261,7 +261,7 @@ private:
 
     // Fill state, rotor speeds and wind at a stamp; false if state or rotor speeds are not known there.
     bool complete(std::int64_t time_ns, Signals& row) {
-        bool known = interpolate(STATE, time_ns, row.velocity.data(), WIDEST);
+        bool known = interpolate(STATE, time_ns, numbers_of(row), WIDEST);
         scale_to_unit(row.attitude);
         known &= interpolate(ROTOR_SPEEDS, time_ns, row.rotor_speeds.data(), ROTORS);
         row.wind = {};

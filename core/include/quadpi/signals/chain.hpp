@@ -26,8 +26,8 @@ struct Signals {
 constexpr std::size_t CHANNELS = sizeof(Signals) / sizeof(double);
 constexpr std::size_t ROTOR_CHANNEL = offsetof(Signals, rotor_speeds) / sizeof(double);
 
-inline double* numbers_of(Signals& signals) { return signals.velocity.data(); }
-inline const double* numbers_of(const Signals& signals) { return signals.velocity.data(); }
+inline double* numbers_of(Signals& signals) { return reinterpret_cast<double*>(&signals); }
+inline const double* numbers_of(const Signals& signals) { return reinterpret_cast<const double*>(&signals); }
 
 // What the causal low-pass over all signals remembers; all zeros before the first sample.
 struct ChainMemory {
