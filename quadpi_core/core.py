@@ -10,10 +10,12 @@ from __future__ import annotations
 from hashlib import sha256
 from pathlib import Path
 
+_AGAIN = "run `make environment`, or install quadpi again"
+
 try:
     import quadpi_core._core as compiled
 except ImportError as error:
-    raise ImportError(f"quadpi's compiled core cannot be used: {error}; run `make environment`, or install quadpi") from error
+    raise ImportError(f"quadpi's compiled core cannot be used: {error}; {_AGAIN}") from error
 
 __all__ = ["compiled"]
 
@@ -30,4 +32,4 @@ def _sources_digest(folder: Path) -> str:
 
 _sources = Path(__file__).resolve().parent.parent / "core"
 if (_sources / "include" / "quadpi").is_dir() and _sources_digest(_sources) != compiled.SOURCES:
-    raise ImportError("quadpi's compiled core is older than core/: run `make environment`, or install quadpi again")
+    raise ImportError(f"quadpi's compiled core is older than core/: {_AGAIN}")

@@ -41,7 +41,7 @@ def test_a_module_older_than_its_sources_is_refused(tmp_path: Path) -> None:
         header.write("// changed\n")
     ran = subprocess.run(command, check=False, cwd=tmp_path, capture_output=True, text=True)
     last = ran.stderr.splitlines()[-1]
-    assert last == "ImportError: quadpi's compiled core is older than core/: run `make environment`, or install quadpi again"
+    assert last.startswith("ImportError: quadpi's compiled core is older than core/: run `make environment`")
 
 
 @pytest.mark.parametrize(
