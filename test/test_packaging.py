@@ -115,7 +115,7 @@ def test_a_program_runs_with_no_environment_active(program: str, prefix: Path) -
 
 
 # Imported only where an extra of pyproject.toml is asked for, or what it tests with.
-OPTIONAL = {"latex2mathml", "pyarrow", "sklearn", "torch"}
+OPTIONAL = {"latex2mathml", "matplotlib", "pandas", "pyarrow", "sklearn", "torch"}
 # These come with typer, and with rosbags in the versions that it works with.
 COME_WITH_OTHERS = {"backports", "lz4", "rich", "ruamel"}
 # Most that users must install, and the compiler of kernels, until the compiled core.

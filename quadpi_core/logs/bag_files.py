@@ -136,7 +136,8 @@ class Bag:
             head: see :meth:`read`.
         """
         types = {one.topic: one.msgtype for one in self.connections if one.topic in names}
-        if not types:
+        # A bag that shows no topic at all is read, to say what is wrong with it.
+        if not types and self.connections:
             return
         announced = dict.fromkeys(types, 0)
         for connection in self.connections:

@@ -61,7 +61,7 @@ def test_dotted_names() -> None:
     files += [path for folder in FOLDERS[:-1] for path in (ROOT / folder).rglob("*.py")]
     # Tests also name modules that do not exist.
     files = [file for file in files if file.parent != ROOT / "experiments" / "test"]
-    pattern = r"\bquadpi_(?:core|ros)(?:\.(?!__)[A-Za-z_]\w*)+"
+    pattern = r"\bquadpi_(?:core|ros)(?:\.(?!_)[A-Za-z]\w*)+"
     stale = {
         f"{file.relative_to(ROOT)}: {name}"
         for file in files

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.random_ensembles import random_ensembles, simulation_inputs
+from benchmarks.random_ensembles import FITTED, random_ensembles, simulation_inputs
 from quadpi_core.errors import QuadpiError
 from quadpi_core.estimator.filter_state import EstimatorStatus
 from quadpi_core.flight import OdometryStream, WindStream
@@ -19,13 +19,11 @@ from quadpi_core.identification.identify import identify
 from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.importing import import_logs
-from quadpi_core.models import kinds
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.model_kind import IdentifyOptions
 from quadpi_core.monitor.replay import replay
 from quadpi_core.paths import bags_directory
-from quadpi_core.plugins import names_in
 from quadpi_core.simulation.failures import Fault
 from quadpi_core.vehicle import Vehicle
 from test.faults.onboard import Onboard, sent_by, spoilt
@@ -66,7 +64,7 @@ def model(bags, pool, tmp_path_factory):
     return folder
 
 
-@pytest.fixture(scope="session", params=names_in(kinds))
+@pytest.fixture(scope="session", params=["polynomial", *FITTED])
 def each_model(request, model, bags, tmp_path_factory):
     """The folder of a good model of each method; ensembles have random weights."""
     if request.param == "polynomial":

@@ -35,7 +35,7 @@ def left_out(seconds: float, seed: int, correlation_s: float = 0.1) -> LeftOut:
     width = np.zeros((count, 6))
     width[:, FX] = 0.8 + 0.02 * wander[:, 0] ** 2
     leverage = np.zeros((count, 6))
-    inputs = wander[:, :-1]
+    inputs = wander[:, :-1].copy()
     return LeftOut(np.arange(count) / RATE_HZ, inputs, *Envelope.flight_range(inputs), leverage, width, miss)
 
 
