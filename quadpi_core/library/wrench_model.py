@@ -149,9 +149,13 @@ class WrenchModel:
         """Forces and moments (N, 6) N and Nm of all samples, columns Fx … Mz; zero for axes not held.
 
         Raises:
-            ArgumentError: for what are no flights, such as bare arrays.
+            ArgumentError: for what are no flights, such as bare arrays, and the lists of `cross_val_predict`.
             ModelError: before `fit`, and for flights of another vehicle or low-pass.
         """
+        if isinstance(flights, list | tuple):
+            raise ArgumentError(
+                "flights: predictions are by sample, and cross_val_predict counts flights: loop over flights"
+            )
         return np.concatenate([said.predicted for said in self.evaluations(flights, None)])
 
     def predict_interval(self, flights: Flights, confidence: float | None = None) -> Interval:
@@ -187,7 +191,8 @@ class WrenchModel:
         """
         if y is not None:
             raise ArgumentError("y: expected None, as flights hold the wrench that they measured")
-        predicted, measured = self.predict(flights), flights_in("flights", flights).wrench
+        predicted = np.concatenate([said.predicted for said in self.evaluations(flights, None)])
+        measured = flights_in("flights", flights).wrench
         scores = []
         for axis in self.axes_:
             column = AXES.index(axis)
