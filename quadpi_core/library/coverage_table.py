@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy import stats
 
 from quadpi_core import array_checks
 from quadpi_core.errors import ArgumentError
@@ -45,8 +46,8 @@ class CoverageRow(NamedTuple):
         axis: Fx … Mz.
         bin: from, to (not included, but in the last bin) of the quantity; None where there are no bins.
         coverage: share of measurements inside their interval.
-        low, high: 95 % confidence interval of the coverage that samples so correlated show, by blocks
-            within flights: see `evaluation.metrics.coverage_interval`.
+        low, high: 95 % confidence interval of the coverage. Of one flight: of this flight, by blocks within
+            it, see `evaluation.metrics.coverage_interval`; of all: of flights like these, by flight.
         width: mean of the interval, N or Nm.
         n: number of samples.
     """
@@ -67,7 +68,8 @@ class CoverageTable:
 
     Attributes:
         rows: by flight, axis and bin; bins without samples have none.
-        pooled: the same over the samples of all flights.
+        pooled: over the samples of all flights; their intervals are of flights to come like these, except
+            where a cell has samples of one flight: they are of this flight then.
         by: quantity of the bins; None without.
         unit: of the quantity.
         confidence: nominal coverage.
@@ -100,8 +102,7 @@ class CoverageTable:
         return len(self.rows)
 
     def __repr__(self) -> str:
-        below = sum(row.high < self.confidence for row in self.pooled)
-        flights = len({row.flight for row in self.rows})
+        below, flights = sum(row.high < self.confidence for row in self.pooled), self._flights
         shares = [row.coverage for row in self.pooled]
         learned = f", {len(self.in_sample)} of which it learned from" if self.in_sample else ""
         bins = f" by {self.by}" if self.by else ""
@@ -110,6 +111,10 @@ class CoverageTable:
             f"{max(shares):.1%} of {self.confidence:.4g} stated; "
             f"{below} of {len(shares)} cells cover too little>"
         )
+
+    @property
+    def _flights(self) -> int:
+        return len({row.flight for row in self.rows})
 
     def _repr_html_(self) -> str:
         rows = [
@@ -123,7 +128,8 @@ class CoverageTable:
             )
             for row in self.pooled
         ]
-        headings = ("axis", self.by or "", "coverage", "95 %", "width [N, Nm]", "n")
+        bounds = "95 % of this flight" if self._flights == 1 else "95 % by flight"
+        headings = ("axis", self.by or "", "coverage", bounds, "width [N, Nm]", "n")
         return html_table(repr(self), headings, rows)
 
     def plot(self, axes: Any = None) -> Any:
@@ -195,9 +201,7 @@ def evaluate(
                 cell, column = at == place, AXES.index(axis)
                 if cell.any():
                     y, low, high = (own[cell, column] for own in (measured, lower, upper))
-                    interval = coverage_interval(
-                        inside_interval(y, low, high), y - predicted[cell, column], of[cell]
-                    )
+                    interval = _bounds(inside_interval(y, low, high), y - predicted[cell, column], of[cell])
                     shown = None if by is None else ends
                     width = mpiw(low, high)
                     found.append(
@@ -214,6 +218,25 @@ def evaluate(
         confidence=confidence,
         in_sample=tuple(flight.name for flight in given.prepared if flight.sha256 in learned),
     )
+
+
+def _bounds(inside: npt.NDArray[np.bool_], errors: Array, of: npt.NDArray[np.int64]) -> tuple[float, float]:
+    """95 % confidence interval of a coverage; arrays (N,), `of` the flight of each sample.
+
+    Of several flights each is one cluster: the variance of the ratio of inside to all samples between them
+    (Cochran 1977, ch. 9A), Student's t with one degree of freedom less than
+    flights. It is never narrower than that of these flights alone, as flights may agree by chance.
+    """
+    low, high = coverage_interval(inside, errors, of)
+    _, flight, sizes = np.unique(of, return_inverse=True, return_counts=True)
+    flights = len(sizes)
+    if flights > 1:
+        apart = np.bincount(flight, inside) - np.mean(inside) * sizes
+        deviation = np.sqrt(flights / (flights - 1) * np.sum(np.square(apart / len(of))))
+        half = float(stats.t.ppf(0.975, flights - 1) * deviation)
+        centre = float(np.mean(inside))
+        low, high = max(min(low, centre - half), 0.0), min(max(high, centre + half), 1.0)
+    return low, high
 
 
 def _quantity(by: str | None) -> tuple[str, Callable[[PreparedFlight], Array]]:

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -37,8 +39,37 @@ def test_each_cell_is_of_its_samples(quick, both):
         expected = coverage_interval(
             inside[chosen, k], (both.wrench - predicted)[chosen, k], both.labels[chosen]
         )
-        assert (row.low, row.high) == expected
+        if row.flight == "all":
+            assert row.low <= expected[0] <= expected[1] <= row.high
+        else:
+            assert (row.low, row.high) == expected
     assert table.in_sample == ("train_1",)
+
+
+def test_the_interval_of_all_flights_is_by_flight(quick, unseen, training):
+    """Four flights, one beyond its intervals: variance between flights, Student's t of three degrees."""
+    beyond = replace(training.prepared[3], wrench=training.prepared[3].wrench + 1e3, sha256="")
+    flights = qp.Flights((*unseen.prepared, *training.prepared[:2], beyond), unseen.vehicle)
+    table = qp.evaluate(quick, flights, by=None)
+    assert table.rows[-1].coverage == 0.0
+    for row in table.pooled:
+        own = np.array([(one.coverage, one.n) for one in table.rows if one.axis == row.axis]).T
+        between = 4 / 3 * np.sum((own[1] / row.n * (own[0] - row.coverage)) ** 2)
+        half = 3.182446 * np.sqrt(between)
+        assert row.low == pytest.approx(max(row.coverage - half, 0.0), abs=1e-6)
+        assert row.high == pytest.approx(min(row.coverage + half, 1.0), abs=1e-6)
+        assert row.high - row.low > 0.9
+    assert "<th>95 % by flight</th>" in table._repr_html_()
+    one = qp.evaluate(quick, unseen, by=None)
+    assert [(row.low, row.high) for row in one.pooled] == [(row.low, row.high) for row in one.rows]
+    assert "<th>95 % of this flight</th>" in one._repr_html_()
+
+
+def test_flights_that_agree_give_no_certainty(quick, training):
+    flights = [replace(own, wrench=own.wrench + 1e3, sha256="") for own in training.prepared[:2]]
+    for row in qp.evaluate(quick, qp.Flights(flights, training.vehicle), by=None).pooled:
+        assert (row.coverage, row.low) == (0.0, 0.0)
+        assert row.high > 0.0
 
 
 def test_its_confidence_interval_is_not_that_of_independent_samples(quick, unseen):
