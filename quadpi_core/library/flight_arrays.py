@@ -13,7 +13,7 @@ import numpy.typing as npt
 from scipy.integrate import cumulative_trapezoid
 
 from quadpi_core import array_checks
-from quadpi_core.errors import ArgumentError, named_in
+from quadpi_core.errors import ArgumentError, LogError, named_in
 from quadpi_core.flight import (
     Flight,
     ImuStream,
@@ -23,6 +23,7 @@ from quadpi_core.flight import (
     Stamps,
     WindStream,
     check_stamps,
+    hole_ends,
 )
 from quadpi_core.frames import Array
 from quadpi_core.identification.prepared_flights import PreparedFlight, prepare_recording
@@ -30,6 +31,8 @@ from quadpi_core.library.notebook import pandas
 from quadpi_core.logs.duplicates import recording_hash
 from quadpi_core.logs.flight_table import STATES, WRENCH
 from quadpi_core.rotations import rotate_body_to_world
+from quadpi_core.sample_limits import QUATERNION_NORM_TOLERANCE
+from quadpi_core.screening.plausibility import check_plausible
 from quadpi_core.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -39,6 +42,8 @@ if TYPE_CHECKING:
 _OPTIONAL = ("position", "wind")
 _DERIVED = "angular_acceleration"
 _TIME, _FLIGHT = "time_ns", "flight"
+# Of a flight that is not filtered here: it has a length.
+_FEWEST_ROWS = 2
 
 
 def prepared_from_arrays(
@@ -110,16 +115,34 @@ def _recording(name: str, vehicle: Vehicle, time_ns: Stamps, arrays: Mapping[str
 
 
 def _taken(recording: Recording, angular_acceleration: Array, vehicle: Vehicle) -> PreparedFlight:
-    """A flight whose signals have been filtered, as they are."""
+    """A flight whose signals have been filtered, as they are.
+
+    Raises:
+        LogError: naming the flight, for rows that were left out, attitudes that are no rotations, and units
+            or axes that cannot be right.
+    """
     state, rotors, wind = recording.odometry, recording.rotor_speeds, recording.wind
     assert state is not None
     assert rotors is not None
+    source, time = recording.source, 1e-9 * (recording.imu.time_ns - recording.imu.time_ns[0])
+    if len(time) < _FEWEST_ROWS:
+        raise LogError(f"{source}: has {len(time)} row, expected {_FEWEST_ROWS} or more")
+    for end in hole_ends(time):
+        raise LogError(
+            f"{source}: sample {end}: rows before it are left out: filter rows after loading, not before"
+        )
+    norms = np.linalg.norm(state.attitude, axis=1)
+    off = np.abs(norms - 1.0) > QUATERNION_NORM_TOLERANCE
+    if off.any():
+        first = int(np.argmax(off))
+        raise LogError(f"{source}: attitude: sample {first}: norm of {norms[first]:.3g}, expected 1")
+    check_plausible(recording, vehicle)
     flight = Flight(
         name=recording.name,
         vehicle=vehicle.name,
         source=recording.source,
         start_ns=int(recording.imu.time_ns[0]),
-        time=1e-9 * (recording.imu.time_ns - recording.imu.time_ns[0]),
+        time=time,
         position=state.position,
         attitude=state.attitude,
         velocity=state.velocity,

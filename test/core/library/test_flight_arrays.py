@@ -11,6 +11,8 @@ import quadpi_core as qp
 
 NAMES = ("velocity", "attitude", "rates", "specific_force", "rotor_speeds", "position", "wind")
 
+FORCES = ("force_x_m_s2", "force_y_m_s2", "force_z_m_s2")
+
 
 @pytest.fixture(scope="module")
 def state(unseen):
@@ -131,6 +133,31 @@ def test_no_samples_are_refused():
 def test_bad_tables_are_refused_by_column(frame, change, message):
     with pytest.raises(qp.QuadpiError, match=message):
         qp.Flights.from_pandas(change(frame), vehicle="bebop2")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda table: table[:1], "flight train_1: has 1 row, expected 2 or more"),
+        (
+            lambda table: table.drop(index=range(300, 400)),
+            "flight train_1: sample 300: rows before it are left out: filter rows after loading, not before",
+        ),
+        (
+            lambda table: table.assign(qw=table["qw"].where(table.index != 7, 2.0)),
+            r"flight train_1: attitude: sample 7: norm of 2\.\d+, expected 1",
+        ),
+        (
+            lambda table: table.assign(**{name: table[name] / 9.81 for name in FORCES}),
+            "flight train_1: topic imu: the median specific force is .*: looks like g",
+        ),
+    ],
+)
+def test_filtered_tables_are_checked_as_raw_ones_are(training, change, message):
+    table = change(training[:1].to_pandas())
+    with pytest.raises(qp.QuadpiError, match=message) as caught:
+        qp.Flights.from_pandas(table, vehicle="bebop2", filtered=True)
+    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
