@@ -30,6 +30,7 @@ from quadpi_core.identification.prepared_flights import PreparedFlight, prepare_
 from quadpi_core.library.notebook import pandas
 from quadpi_core.logs.duplicates import recording_hash
 from quadpi_core.logs.flight_table import STATES, WRENCH
+from quadpi_core.models.model_kind import CUTOFF_HZ
 from quadpi_core.rotations import rotate_body_to_world
 from quadpi_core.sample_limits import QUATERNION_NORM_TOLERANCE
 from quadpi_core.screening.plausibility import check_plausible
@@ -42,6 +43,8 @@ if TYPE_CHECKING:
 _OPTIONAL = ("position", "wind")
 _DERIVED = "angular_acceleration"
 _TIME, _FLIGHT = "time_ns", "flight"
+# What `to_frame` says of a table beside its columns.
+_CUTOFF, _ROWS = "cutoff_hz", "rows"
 # Of a flight that is not filtered here: it has a length.
 _FEWEST_ROWS = 2
 
@@ -54,8 +57,12 @@ def prepared_from_arrays(
     cutoff_hz: float,
     *,
     filtered: bool = False,
+    whole: Mapping[str, int] | None = None,
 ) -> tuple[PreparedFlight, ...]:
-    """Flights by their labels, in the order of their first samples; see `Flights.from_arrays`."""
+    """Flights by their labels, in the order of their first samples; see `Flights.from_arrays`.
+
+    `whole` has the rows of flights that were filtered here: as many have no holes but those of their log.
+    """
     cutoff_hz = array_checks.number("cutoff_hz", cutoff_hz, above=0.0)
     stamps = array_checks.stamps("time_ns", time_ns)
     for name, values in arrays.items():
@@ -75,7 +82,8 @@ def prepared_from_arrays(
             check_stamps("time_ns", stamps[rows])
         recording = _recording(label, vehicle, stamps[rows], own)
         if filtered:
-            prepared.append(_taken(recording, own[_DERIVED], vehicle))
+            is_whole = (whole or {}).get(label) == len(rows)
+            prepared.append(_taken(recording, own[_DERIVED], vehicle, is_whole=is_whole))
         else:
             prepared.append(prepare_recording(recording, vehicle, cutoff_hz))
     return tuple(prepared)
@@ -114,7 +122,9 @@ def _recording(name: str, vehicle: Vehicle, time_ns: Stamps, arrays: Mapping[str
     )
 
 
-def _taken(recording: Recording, angular_acceleration: Array, vehicle: Vehicle) -> PreparedFlight:
+def _taken(
+    recording: Recording, angular_acceleration: Array, vehicle: Vehicle, *, is_whole: bool
+) -> PreparedFlight:
     """A flight whose signals have been filtered, as they are.
 
     Raises:
@@ -127,7 +137,7 @@ def _taken(recording: Recording, angular_acceleration: Array, vehicle: Vehicle) 
     source, time = recording.source, 1e-9 * (recording.imu.time_ns - recording.imu.time_ns[0])
     if len(time) < _FEWEST_ROWS:
         raise LogError(f"{source}: has {len(time)} row, expected {_FEWEST_ROWS} or more")
-    for end in hole_ends(time):
+    for end in () if is_whole else hole_ends(time):
         raise LogError(
             f"{source}: sample {end}: rows before it are left out: filter rows after loading, not before"
         )
@@ -160,15 +170,19 @@ def _taken(recording: Recording, angular_acceleration: Array, vehicle: Vehicle) 
 def from_frame(
     frame: pd.DataFrame,
     vehicle: Vehicle,
-    cutoff_hz: float,
+    cutoff_hz: float | None,
     *,
     flight: str | None,
     time: str,
     names: Mapping[str, Sequence[str]] | None,
     filtered: bool,
-) -> tuple[PreparedFlight, ...]:
-    """Flights of a table; see `Flights.from_pandas`."""
+) -> tuple[tuple[PreparedFlight, ...], float]:
+    """Flights of a table, and their low-pass; see `Flights.from_pandas`."""
     array_checks.instance("frame", frame, pandas().DataFrame)
+    if cutoff_hz is None:
+        cutoff_hz = frame.attrs.get(_CUTOFF) if filtered else CUTOFF_HZ["default"]
+    if cutoff_hz is None:
+        raise ArgumentError("cutoff_hz: the table does not say which low-pass its signals passed: pass it")
     columns: dict[str, Sequence[str]] = {**STATES}
     for quantity, own in (names or {}).items():
         if quantity not in STATES:
@@ -200,10 +214,14 @@ def from_frame(
     stamps = frame[time].to_numpy()
     if stamps.dtype.kind == "M":
         stamps = stamps.astype("datetime64[ns]").astype(np.int64)
-    return prepared_from_arrays(stamps, arrays, labels, vehicle, cutoff_hz, filtered=filtered)
+    whole = frame.attrs.get(_ROWS)
+    return (
+        prepared_from_arrays(stamps, arrays, labels, vehicle, cutoff_hz, filtered=filtered, whole=whole),
+        cutoff_hz,
+    )
 
 
-def to_frame(flights: Sequence[PreparedFlight]) -> pd.DataFrame:
+def to_frame(flights: Sequence[PreparedFlight], cutoff_hz: float) -> pd.DataFrame:
     """The table of flights; see `Flights.to_pandas`."""
     parts = []
     for prepared in flights:
@@ -216,4 +234,5 @@ def to_frame(flights: Sequence[PreparedFlight]) -> pd.DataFrame:
         table |= dict(zip(WRENCH, prepared.wrench.T, strict=True))
         parts.append(pandas().DataFrame(table))
     frame: pd.DataFrame = pandas().concat(parts, ignore_index=True)
+    frame.attrs = {_CUTOFF: cutoff_hz, _ROWS: {flight.name: len(flight.time) for flight in flights}}
     return frame

@@ -118,7 +118,7 @@ class Flights:
         flight: str | None = "flight",
         time: str = "time_ns",
         columns: Mapping[str, Sequence[str]] | None = None,
-        cutoff_hz: float = CUTOFF_HZ["default"],
+        cutoff_hz: float | None = None,
         filtered: bool = False,
     ) -> Flights:
         """Flights from a table with a row for each sample, the inverse of :meth:`to_pandas`.
@@ -131,7 +131,8 @@ class Flights:
             time: column of int64 nanoseconds.
             columns: your names of the columns of a quantity, such as `{"rates": ["p", "q", "r"]}`;
                 quantities, units and frames are those of :meth:`from_arrays`.
-            cutoff_hz: of the low-pass over all signals.
+            cutoff_hz: of the low-pass over all signals, 30 unless given; with `filtered` that of the table,
+                which `frame.attrs` keeps: give it where the table went through a file.
             filtered: the signals have passed that low-pass already and are taken as they are, as those of
                 `to_pandas` have, with their angular acceleration; a model fitted to them calibrates its alarm
                 on smoothed states, not on those that a monitor would have.
@@ -142,7 +143,7 @@ class Flights:
             LogError, SignalError: naming the flight that cannot be used.
         """
         flown = _vehicle(vehicle)
-        prepared = from_frame(
+        prepared, cutoff_hz = from_frame(
             frame, flown, cutoff_hz, flight=flight, time=time, names=columns, filtered=filtered
         )
         return cls(prepared, flown, cutoff_hz)
@@ -150,10 +151,12 @@ class Flights:
     def to_pandas(self) -> pd.DataFrame:
         """A row for each sample: flight, time_ns, the filtered state, and the measured wrench fx_n … mz_nm.
 
+        `attrs` of the table hold the low-pass, `cutoff_hz`, and the number of rows of each flight.
+
         Raises:
             LogError: without pandas.
         """
-        return to_frame(self.prepared)
+        return to_frame(self.prepared, self.cutoff_hz)
 
     def __len__(self) -> int:
         return len(self.prepared)

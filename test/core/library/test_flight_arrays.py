@@ -4,10 +4,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import quadpi_core as qp
+from quadpi_core.identification.prepared_flights import PreparedFlight
 
 NAMES = ("velocity", "attitude", "rates", "specific_force", "rotor_speeds", "position", "wind")
 
@@ -39,6 +42,28 @@ def test_filtered_flights_go_there_and_back(training):
     assert np.array_equal(again.wrench, training[:2].wrench)
     both = again.to_pandas()
     assert both.equals(table)
+
+
+def test_a_table_keeps_its_low_pass(training, quick):
+    slow = replace(training[:1], cutoff_hz=20.0)
+    table = slow.to_pandas()
+    assert qp.Flights.from_pandas(table, vehicle="bebop2", filtered=True).cutoff_hz == 20.0
+    table.attrs.clear()
+    with pytest.raises(qp.QuadpiError, match="cutoff_hz: the table does not say which low-pass"):
+        qp.Flights.from_pandas(table, vehicle="bebop2", filtered=True)
+    told = qp.Flights.from_pandas(table, vehicle="bebop2", filtered=True, cutoff_hz=30.0)
+    assert np.array_equal(quick.predict(told), quick.predict(training[:1]))
+
+
+def test_holes_of_a_log_go_there_and_back(training):
+    """Rotor speeds may be unknown for a while; rows that a user took out are another matter."""
+    flight = training.prepared[0].flight
+    holed = PreparedFlight.of(flight.slice(np.arange(len(flight)) // 100 != 3), training.vehicle, "")
+    table = qp.Flights((holed,), training.vehicle).to_pandas()
+    again = qp.Flights.from_pandas(table, vehicle="bebop2", filtered=True)
+    assert np.array_equal(again.inputs, holed.inputs)
+    with pytest.raises(qp.QuadpiError, match="sample 300: rows before it are left out"):
+        qp.Flights.from_pandas(table[:-1], vehicle="bebop2", filtered=True)
 
 
 def test_a_model_predicts_the_same_on_them(quick, training):
