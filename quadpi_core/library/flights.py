@@ -53,14 +53,21 @@ class Flights:
     cutoff_hz: float = CUTOFF_HZ["default"]
 
     def __post_init__(self) -> None:
-        """Refuse what are no flights, and two of one name."""
+        """Refuse what are no flights, two of one name, and one that is there twice."""
         prepared = array_checks.several("prepared", self.prepared, PreparedFlight, "load_flights gives them")
         object.__setattr__(self, "prepared", tuple(prepared))
         if not prepared:
             raise ArgumentError("flights: expected one at least, found none")
-        for place, name in enumerate(self.names):
+        known: dict[str, str] = {}
+        for place, (name, flight) in enumerate(zip(self.names, prepared, strict=True)):
             if name in self.names[:place]:
-                raise ArgumentError(f"flights: two are called {name}: give each another name")
+                raise ArgumentError(
+                    f"flights: two are called {name}: load them in one call, which names them by folder"
+                )
+            if flight.sha256 and known.setdefault(flight.sha256, name) != name:
+                raise ArgumentError(
+                    f"flights: {known[flight.sha256]} and {name} are the same flight: give it once"
+                )
 
     @classmethod
     def from_arrays(  # noqa: PLR0913 - a name for each array
@@ -291,7 +298,7 @@ def joined_flights(parts: Sequence[Flights]) -> Flights:
     """All flights of several.
 
     Raises:
-        ArgumentError: where vehicles or low-passes differ, and for two flights of one name.
+        ArgumentError: where vehicles or low-passes differ; for two flights of one name, and one given twice.
     """
     first = parts[0]
     for part in parts[1:]:

@@ -64,7 +64,11 @@ def test_what_cannot_be_used_is_left_out_where_it_is_asked_for(tmp_path):
         (lambda _: qp.load_flights("no.mcap", "bebop2"), r"no\.mcap: no such file"),
         (lambda _: qp.load_flights(7, "bebop2"), "logs: expected paths, found int 7"),
         (lambda _: qp.load_flights(BAGS / "train_1.mcap", "bebop3"), "bebop3"),
-        (lambda f: f + f, "flights: two are called train_1: give each another name"),
+        (lambda f: f + f, "flights: two are called train_1: load them in one call, which names them"),
+        (
+            lambda f: f[:1] + qp.Flights([replace(f.prepared[0], name="copy")], f.vehicle),
+            "flights: train_1 and copy are the same flight: give it once",
+        ),
         (lambda f: f[[]], "flights: expected one at least, found none"),
         (lambda f: f[:1] + replace(f[1:2], cutoff_hz=20.0), "low-passed at 30 and at 20 Hz: load them alike"),
         (

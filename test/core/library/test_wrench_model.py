@@ -147,7 +147,7 @@ def test_a_plausible_mistake_is_one_clear_line(quick, unseen, call, message):
 
 
 def other_name(flights):
-    return [replace(flights.prepared[0], name="other")]
+    return [replace(flights.prepared[0], name="other", sha256="")]
 
 
 def test_they_show_themselves(quick, unseen):
