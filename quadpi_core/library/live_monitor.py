@@ -18,7 +18,7 @@ from quadpi_core.errors import ArgumentError
 from quadpi_core.estimator.imu_rate import METER, ImuRate
 from quadpi_core.flight import AXES, STAMP_MAX_NS
 from quadpi_core.frames import Array
-from quadpi_core.library.wrench_model import WrenchModel
+from quadpi_core.library.wrench_model import WrenchModel, held_alone
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.interval_rules import inside_interval
 from quadpi_core.monitor.alarm import MonitorSettings
@@ -44,7 +44,7 @@ class MonitorRow(NamedTuple):
 
     Attributes:
         time_ns: its stamp.
-        predicted, lower, upper: (6,) the model's prediction and interval.
+        predicted, lower, upper: (6,) the model's prediction and interval; NaN for axes that it does not hold.
         measured: (6,) the wrench that the sample measured.
         outside: names of the axes whose measurement lies outside the interval.
         alarm: "ok", "warning" or "alarm", as of this sample.
@@ -177,14 +177,18 @@ class Monitor:
         if len(stamps) == 0 or (self._rate is not None and self._rate.begins):
             return []
         said, alarms, _ = self._monitor.step(stamps, np.ascontiguousarray(block))
-        held = [AXES.index(axis) for axis in self._monitor.model.axes]
+        axes = self._monitor.model.axes
+        of_model = [held_alone(own, axes) for own in (said.predicted, said.lower, said.upper)]
         missed = ~inside_interval(said.measured, said.lower, said.upper)
         rows, next_alarm = [], 0
         for k, stamp in enumerate(said.time_ns.tolist()):
             next_alarm = self._take(alarms, next_alarm, stamp)
-            outside = tuple(AXES[axis] for axis in held if missed[k, axis])
-            of_wrench = (said.predicted[k], said.lower[k], said.upper[k], said.measured[k])
-            rows.append(MonitorRow(stamp, *of_wrench, outside, LEVELS[self._level], self._cause))
+            outside = tuple(axis for axis in axes if missed[k, AXES.index(axis)])
+            predicted, lower, upper = (own[k] for own in of_model)
+            level = LEVELS[self._level]
+            rows.append(
+                MonitorRow(stamp, predicted, lower, upper, said.measured[k], outside, level, self._cause)
+            )
         self._take(alarms, next_alarm, STAMP_MAX_NS)
         return rows
 

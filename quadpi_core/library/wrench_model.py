@@ -44,6 +44,11 @@ class Interval(NamedTuple):
         return brief_repr(self)
 
 
+def held_alone(values: Array, axes: Sequence[str]) -> Array:
+    """Numbers (N, 6) of the axes that a model holds; NaN for the others, which it says nothing of."""
+    return np.where(np.isin(AXES, axes), values, np.nan)
+
+
 class WrenchModel:
     """Aerodynamic forces and moments of a quadrotor, with prediction intervals calibrated by flight.
 
@@ -146,7 +151,7 @@ class WrenchModel:
         return flights[kept]
 
     def predict(self, flights: Flights) -> Array:
-        """Forces and moments (N, 6) N and Nm of all samples, columns Fx … Mz; zero for axes not held.
+        """Forces and moments (N, 6) N and Nm of all samples, columns Fx … Mz; NaN for axes not held.
 
         Raises:
             ArgumentError: for what are no flights, such as bare arrays, and the lists of `cross_val_predict`.
@@ -156,19 +161,27 @@ class WrenchModel:
             raise ArgumentError(
                 "flights: predictions are by sample, and cross_val_predict counts flights: loop over flights"
             )
-        return np.concatenate([said.predicted for said in self.evaluations(flights, None)])
+        said = self.evaluations(flights, None)
+        return held_alone(np.concatenate([one.predicted for one in said]), self.axes_)
 
     def predict_interval(self, flights: Flights, confidence: float | None = None) -> Interval:
         """Bounds between which a measurement lies with a confidence; the model's own unless given.
+
+        NaN for axes not held.
 
         Raises:
             ArgumentError, ModelError: see :meth:`predict`; for a confidence that cannot be calibrated.
         """
         said = self.evaluations(flights, confidence)
-        return Interval(*(np.concatenate([getattr(one, name) for one in said]) for name in Interval._fields))
+        return Interval(
+            *(
+                held_alone(np.concatenate([getattr(one, name) for one in said]), self.axes_)
+                for name in Interval._fields
+            )
+        )
 
     def evaluations(self, flights: Flights, confidence: float | None) -> list[Evaluation]:
-        """Predictions and bounds of each flight; errors are those of :meth:`predict_interval`."""
+        """Those of each flight, zero for axes not held; errors are those of :meth:`predict_interval`."""
         given = flights_in("flights", flights)
         model = self.fitted
         model.require(given.vehicle)

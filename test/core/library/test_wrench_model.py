@@ -37,8 +37,8 @@ def test_the_bits_are_those_of_the_command_line(quadpi, quick, unseen, tmp_path)
     for name in ("model.json", "arrays.safetensors"):
         assert (tmp_path / "saved" / name).read_bytes() == (identified / name).read_bytes()
     read = qp.load_model(identified)
-    assert np.array_equal(read.predict(unseen), quick.predict(unseen))
-    assert np.array_equal(read.predict_interval(unseen), quick.predict_interval(unseen))
+    assert np.array_equal(read.predict(unseen), quick.predict(unseen), equal_nan=True)
+    assert np.array_equal(read.predict_interval(unseen), quick.predict_interval(unseen), equal_nan=True)
     unseen_bag = bags_directory() / "interpolation.mcap"
     assert quadpi("evaluate", identified, unseen_bag, "--json", table).status == 0
     said = json.loads(table.read_text())["flights"]["interpolation"]["axes"]
@@ -55,10 +55,13 @@ def test_predictions_have_a_row_for_each_sample(quick, training, unseen):
     both = qp.Flights((*training[:2].prepared, *unseen.prepared), training.vehicle)
     predicted, interval = quick.predict(both), quick.predict_interval(both, confidence=0.9)
     assert predicted.shape == interval.lower.shape == interval.upper.shape == (len(both.time), 6)
-    assert np.array_equal(predicted[both.labels == 2], quick.predict(unseen))
+    assert np.array_equal(predicted[both.labels == 2], quick.predict(unseen), equal_nan=True)
     held = [AXES.index(axis) for axis in quick.axes_]
     inside = (interval.lower < predicted) & (predicted < interval.upper)
     assert inside[:, held].all()
+    for values in (predicted, *interval):
+        assert np.array_equal(np.isnan(values).all(axis=0), ~np.isin(AXES, quick.axes_))
+        assert np.isfinite(values[:, held]).all()
     narrower = quick.predict_interval(both, confidence=0.5)
     assert np.all((narrower.upper - narrower.lower)[:, held] < (interval.upper - interval.lower)[:, held])
     assert repr(interval) == f"Interval(lower=array{predicted.shape}, upper=array{predicted.shape})"
@@ -240,8 +243,8 @@ def test_the_same_checks_on_flights(training, unseen):
     assert model.fit(training) is model
     assert {name: vars(model)[name] for name in before} == before
     first = model.predict(unseen)
-    assert np.array_equal(model.fit(training[:2]).fit(training).predict(unseen), first)
-    assert np.array_equal(pickle.loads(pickle.dumps(model)).predict(unseen), first)
+    assert np.array_equal(model.fit(training[:2]).fit(training).predict(unseen), first, equal_nan=True)
+    assert np.array_equal(pickle.loads(pickle.dumps(model)).predict(unseen), first, equal_nan=True)
 
 
 def test_scikit_learn_knows_what_is_fitted(quick):
