@@ -7,7 +7,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -24,7 +24,7 @@ from quadpi_core.models.interval_rules import inside_interval
 from quadpi_core.monitor.alarm import MonitorSettings
 from quadpi_core.monitor.alarm_log import reasons
 from quadpi_core.monitor.monitor import Monitor as BlockMonitor
-from quadpi_core.results import Alarms, Events
+from quadpi_core.results import Alarms, Events, Predictions
 from quadpi_core.vehicle import ROTORS, Vehicle
 
 LEVELS = ("ok", "warning", "alarm")
@@ -106,6 +106,23 @@ class Monitor:
         self._meter = np.zeros(1, METER)
         self._level, self._cause = 0, ""
 
+    @overload
+    def step(
+        self,
+        time_ns: npt.ArrayLike,
+        values: None = None,
+        *,
+        velocity: npt.ArrayLike,
+        attitude: npt.ArrayLike,
+        rates: npt.ArrayLike,
+        specific_force: npt.ArrayLike,
+        rotor_speeds: npt.ArrayLike,
+        wind: npt.ArrayLike | None = None,
+    ) -> list[MonitorRow]: ...
+
+    @overload
+    def step(self, time_ns: npt.ArrayLike, values: Array) -> tuple[Predictions, Alarms, Events]: ...
+
     def step(
         self,
         time_ns: npt.ArrayLike,
@@ -117,11 +134,13 @@ class Monitor:
         specific_force: npt.ArrayLike | None = None,
         rotor_speeds: npt.ArrayLike | None = None,
         wind: npt.ArrayLike | None = None,
-    ) -> Any:
+    ) -> list[MonitorRow] | tuple[Predictions, Alarms, Events]:
         """Take one sample or K of them; returns a list with a :class:`MonitorRow` for each that can be used.
 
-        A sample that is not finite, not plausible or not later than the one before gives no row and shows in
-        the alarm of the next. So do the samples of the first second where the rate is measured.
+        Samples are raw, as sensors and estimator give them: the monitor low-passes them, which those of
+        `load_flights` have been already. One that is not finite, not plausible or not later than the one
+        before gives no row and shows in the alarm of the next. So do the samples of the first second where
+        the rate is measured.
 
         Args:
             time_ns: int64 stamp, or (K,).

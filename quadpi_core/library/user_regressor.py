@@ -45,10 +45,10 @@ _FEWEST_FLIGHTS = 2
 class Regressor(Protocol):
     """What is needed of a regressor; those of scikit-learn are such."""
 
-    def fit(self, X: Array, y: Array) -> Any:
+    def fit(self, X: Array, y: Array, /) -> Any:
         """Fit inputs (N, 19) to one axis (N,) of the wrench."""
 
-    def predict(self, X: Array) -> Any:
+    def predict(self, X: Array, /) -> Any:
         """Predictions (N,)."""
 
 

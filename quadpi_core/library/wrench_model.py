@@ -22,7 +22,7 @@ from quadpi_core.frames import Array
 from quadpi_core.identification.identify import identify
 from quadpi_core.library.flights import Flights, flights_in
 from quadpi_core.library.notebook import html_table, new_axes
-from quadpi_core.library.user_regressor import RegressorModel, fitted_regressor, is_regressor
+from quadpi_core.library.user_regressor import Regressor, RegressorModel, fitted_regressor, is_regressor
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.candidate_pool import load_pools, select_axes
 from quadpi_core.models.kind_registry import kind_of
@@ -76,7 +76,7 @@ class WrenchModel:
 
     def __init__(
         self,
-        estimator: Any = "physical",
+        estimator: str | Kind | Regressor = "physical",
         confidence: float = 0.95,
         *,
         candidates: str | Path = "quadrotor",
@@ -106,20 +106,16 @@ class WrenchModel:
         if isinstance(self.axes, str):
             raise ArgumentError(f"axes: expected a list of names, found {self.axes!r}")
         pools = select_axes(load_pools(self.candidates), None if self.axes is None else ",".join(self.axes))
-        own = is_regressor(self.estimator)
-        if not own and not isinstance(self.estimator, str | Kind):
+        kind = self.estimator if isinstance(self.estimator, str | Kind) else None
+        if kind is None and not is_regressor(self.estimator):
             raise ArgumentError(
                 "estimator: expected the name of a kind of model, a kind, or a regressor with fit and "
                 f"predict, found {array_checks.found(self.estimator)}"
             )
-        options = IdentifyOptions(
-            cutoff_hz=given.cutoff_hz,
-            method=None if own else self.estimator,
-            confidence=self.confidence,
-        )
-        used = self._learned(given, 0.0 if own else kind_of(options).shortest_s)
+        options = IdentifyOptions(cutoff_hz=given.cutoff_hz, method=kind, confidence=self.confidence)
+        used = self._learned(given, 0.0 if kind is None else kind_of(options).shortest_s)
         self.left_out_ = tuple(name for name in given.names if name not in used.names)
-        if own:
+        if not isinstance(self.estimator, str | Kind):
             self.model_ = fitted_regressor(
                 self.estimator,
                 used.prepared,

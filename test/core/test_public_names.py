@@ -67,6 +67,15 @@ USER_SCRIPT = """
 import numpy as np
 import quadpi_core as qp
 
+
+class Mean:
+    def fit(self, inputs: np.ndarray, target: np.ndarray) -> None:
+        self.mean = target.mean()
+
+    def predict(self, inputs: np.ndarray) -> np.ndarray:
+        return np.full(len(inputs), self.mean)
+
+
 flights: qp.Flights = qp.load_flights("bags/train_*.mcap", vehicle="bebop2")
 model = qp.WrenchModel(estimator="physical", confidence=0.95).fit(flights)
 interval = model.predict_interval(flights[:1], confidence=0.9)
@@ -74,7 +83,19 @@ width: np.ndarray[tuple[int, ...], np.dtype[np.float64]] = interval.upper - inte
 score: float = model.score(flights)
 for row in qp.evaluate(model, flights, by="speed", bins=5).rows:
     print(row.axis, row.low + row.high)
+own = qp.WrenchModel(estimator=Mean(), axes=["Fz"])
 monitor = qp.Monitor(qp.load_model("my-model"))
+for said in monitor.step(
+    [0, 1],
+    velocity=np.zeros((2, 3)),
+    attitude=np.zeros((2, 4)),
+    rates=np.zeros((2, 3)),
+    specific_force=np.zeros((2, 3)),
+    rotor_speeds=np.zeros((2, 4)),
+):
+    alarm: str = said.alarm
+    said.alarms  # type: ignore[attr-defined]
+qp.WrenchModel(estimator=7)  # type: ignore[arg-type]
 found = qp.find_discrepancy("bebop2", flights)
 names: list[str] = [effect.name for effect in found.effects]
 """
