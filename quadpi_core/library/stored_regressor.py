@@ -102,13 +102,17 @@ class Trees(StoredRegressor):
 
     def __post_init__(self) -> None:
         """Refuse what is no tree: every walk must end, at a node that there is."""
-        nodes = len(self.feature)
+        nodes = self.feature.size
         own = np.arange(nodes)
         asks = self.feature >= 0
         fits = (
-            all(getattr(self, name).shape == (nodes,) for name in ("threshold", "left", "right", "value"))
+            all(
+                getattr(self, name).shape == (nodes,)
+                for name in ("feature", "threshold", "left", "right", "value")
+            )
             and self.constant.shape == (1,)
             and self.roots.ndim == 1
+            and all(_is_whole(places) for places in (self.feature, self.left, self.right, self.roots))
             and np.all(self.feature < _INPUTS)
             and np.all((self.roots >= 0) & (self.roots < nodes))
             and all(np.all((to > own)[asks] & (to < nodes)[asks]) for to in (self.left, self.right))
@@ -130,6 +134,10 @@ class Trees(StoredRegressor):
                 node[asking] = np.where(goes_left, left[at], right[at])
             total += self.value[node]
         return total
+
+
+def _is_whole(places: Array) -> bool:
+    return bool(np.all(np.isfinite(places) & (places == np.rint(places))))
 
 
 def stored_form(regressor: Any, X: Array, name: str) -> StoredRegressor:

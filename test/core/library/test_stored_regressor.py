@@ -81,6 +81,11 @@ def test_anything_else_is_refused_in_one_line(regressor):
         {"roots": 1e6},
         {"value": np.zeros(2)},
         {"constant": np.zeros(2)},
+        {"feature": np.array(1.0)},
+        {"feature": 1.5},
+        {"roots": 0.5},
+        {"left": np.array([1.0, 1.5, *[6.0] * 5])},
+        {"right": np.array([4.0, 3.0, *[np.nan] * 5])},
     ],
 )
 def test_arrays_that_are_no_trees_are_refused(change):
