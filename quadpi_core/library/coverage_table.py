@@ -64,7 +64,7 @@ class CoverageRow(NamedTuple):
 
 @dataclass(frozen=True, repr=False)
 class CoverageTable:
-    """How intervals hold on flights.
+    """How intervals hold on flights; LogError without pandas or matplotlib, where they are needed.
 
     Attributes:
         rows: by flight, axis and bin; bins without samples have none.
@@ -88,9 +88,6 @@ class CoverageTable:
 
         Args:
             pooled: over the samples of all flights instead of each, with "all" as the flight.
-
-        Raises:
-            LogError: without pandas.
         """
         rows = self.pooled if pooled else self.rows
         frame: pd.DataFrame = pandas().DataFrame(rows, columns=CoverageRow._fields)
@@ -137,9 +134,6 @@ class CoverageTable:
 
         Args:
             axes: one of matplotlib; a new figure unless given.
-
-        Raises:
-            LogError: without matplotlib.
         """
         axes = new_axes(axes)
         for place, axis in enumerate(dict.fromkeys(row.axis for row in self.pooled)):

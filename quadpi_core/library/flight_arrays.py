@@ -45,8 +45,6 @@ _DERIVED = "angular_acceleration"
 _TIME, _FLIGHT = "time_ns", "flight"
 # What `to_frame` says of a table beside its columns.
 _CUTOFF, _ROWS = "cutoff_hz", "rows"
-# Of a flight that is not filtered here: it has a length.
-_FEWEST_ROWS = 2
 
 
 def prepared_from_arrays(
@@ -135,8 +133,8 @@ def _taken(
     assert state is not None
     assert rotors is not None
     source, time = recording.source, 1e-9 * (recording.imu.time_ns - recording.imu.time_ns[0])
-    if len(time) < _FEWEST_ROWS:
-        raise LogError(f"{source}: has {len(time)} row, expected {_FEWEST_ROWS} or more")
+    if len(time) == 1:
+        raise LogError(f"{source}: has 1 row, expected 2 or more")
     for end in () if is_whole else hole_ends(time):
         raise LogError(
             f"{source}: sample {end}: rows before it are left out: filter rows after loading, not before"

@@ -158,10 +158,7 @@ class Flights:
     def to_pandas(self) -> pd.DataFrame:
         """A row for each sample: flight, time_ns, the filtered state, and the measured wrench fx_n … mz_nm.
 
-        `attrs` of the table hold the low-pass, `cutoff_hz`, and the number of rows of each flight.
-
-        Raises:
-            LogError: without pandas.
+        `attrs` of the table hold the low-pass, `cutoff_hz`, and `rows` by flight. LogError without pandas.
         """
         return to_frame(self.prepared, self.cutoff_hz)
 

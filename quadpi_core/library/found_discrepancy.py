@@ -86,7 +86,7 @@ class BetterSimulation:
 
 @dataclass(frozen=True, repr=False)
 class Discrepancy:
-    """What a search found in flights that a simulation lacks.
+    """What a search found in flights that a simulation lacks; LogError without pandas or matplotlib.
 
     Attributes:
         study: all that is known, of `quadpi_core.discrepancy.discrepancy_result`.
@@ -132,17 +132,13 @@ class Discrepancy:
         """A row for each parameter of each effect, with its interval of 95 %; empty where none was named.
 
         Columns: effect, parameter, value, lower, upper, unit, probability, axes, rivals.
-
-        Raises:
-            LogError: without pandas.
         """
         rows = [
-            (*_of(effect), own.name, own.value, own.lower, own.upper, own.unit)
+            (effect.name, own.name, own.value, own.lower, own.upper, own.unit, *_of(effect))
             for effect in self.effects
             for own in effect.parameters
         ]
-        columns = ("effect", "probability", "axes", "rivals", "parameter", "value", "lower", "upper", "unit")
-        frame: pd.DataFrame = pandas().DataFrame(rows, columns=columns)[list(_COLUMNS)]
+        frame: pd.DataFrame = pandas().DataFrame(rows, columns=_COLUMNS)
         return frame
 
     def __repr__(self) -> str:
@@ -167,9 +163,6 @@ class Discrepancy:
 
         Args:
             axes: one of matplotlib; a new figure unless given.
-
-        Raises:
-            LogError: without matplotlib.
         """
         axes, gap, places = new_axes(axes), self.study.discovery.gap, np.arange(len(AXES))
         axes.bar(places - 0.2, gap.before / gap.floor, 0.4, label="before")
@@ -181,8 +174,8 @@ class Discrepancy:
         return axes
 
 
-def _of(effect: FoundEffect) -> tuple[str, float, str, str]:
-    return effect.name, effect.probability, " ".join(effect.axes), ", ".join(effect.rivals)
+def _of(effect: FoundEffect) -> tuple[float, str, str]:
+    return effect.probability, " ".join(effect.axes), ", ".join(effect.rivals)
 
 
 def find_discrepancy(

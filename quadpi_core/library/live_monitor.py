@@ -197,17 +197,14 @@ class Monitor:
             return []
         said, alarms, _ = self._monitor.step(stamps, np.ascontiguousarray(block))
         axes = self._monitor.model.axes
-        of_model = [held_alone(own, axes) for own in (said.predicted, said.lower, said.upper)]
+        predicted, lower, upper = (held_alone(own, axes) for own in (said.predicted, said.lower, said.upper))
         missed = ~inside_interval(said.measured, said.lower, said.upper)
         rows, next_alarm = [], 0
         for k, stamp in enumerate(said.time_ns.tolist()):
             next_alarm = self._take(alarms, next_alarm, stamp)
             outside = tuple(axis for axis in axes if missed[k, AXES.index(axis)])
-            predicted, lower, upper = (own[k] for own in of_model)
-            level = LEVELS[self._level]
-            rows.append(
-                MonitorRow(stamp, predicted, lower, upper, said.measured[k], outside, level, self._cause)
-            )
+            of_wrench = (predicted[k], lower[k], upper[k], said.measured[k])
+            rows.append(MonitorRow(stamp, *of_wrench, outside, LEVELS[self._level], self._cause))
         self._take(alarms, next_alarm, STAMP_MAX_NS)
         return rows
 

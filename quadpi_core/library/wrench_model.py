@@ -44,6 +44,12 @@ class Interval(NamedTuple):
         return brief_repr(self)
 
 
+class StoredEstimator(str):
+    """Name of the estimator of a model folder, which does not hold the estimator's options."""
+
+    __slots__ = ()
+
+
 def held_alone(values: Array, axes: Sequence[str]) -> Array:
     """Numbers (N, 6) of the axes that a model holds; NaN for the others, which it says nothing of."""
     return np.where(np.isin(AXES, axes), values, np.nan)
@@ -98,7 +104,8 @@ class WrenchModel:
 
         Raises:
             ArgumentError: for what are no flights, a `y`, and no estimator.
-            ModelError: for what cannot be identified, naming flight or axis.
+            ModelError: for what cannot be identified, naming flight or axis; for the estimator of a folder,
+                whose options are not known.
         """
         given = flights_in("flights", flights)
         if y is not None:
@@ -106,6 +113,11 @@ class WrenchModel:
         if isinstance(self.axes, str):
             raise ArgumentError(f"axes: expected a list of names, found {self.axes!r}")
         pools = select_axes(load_pools(self.candidates), None if self.axes is None else ",".join(self.axes))
+        if isinstance(self.estimator, StoredEstimator):
+            raise ModelError(
+                f"estimator {self.estimator}: read from a folder, which does not hold its options, so it "
+                "cannot be fitted again: WrenchModel(estimator=…) makes a model anew"
+            )
         kind = self.estimator if isinstance(self.estimator, str | Kind) else None
         if kind is None and not is_regressor(self.estimator):
             raise ArgumentError(
@@ -157,24 +169,19 @@ class WrenchModel:
             raise ArgumentError(
                 "flights: predictions are by sample, and cross_val_predict counts flights: loop over flights"
             )
-        said = self.evaluations(flights, None)
-        return held_alone(np.concatenate([one.predicted for one in said]), self.axes_)
+        return self._held(self.evaluations(flights, None), "predicted")
 
     def predict_interval(self, flights: Flights, confidence: float | None = None) -> Interval:
-        """Bounds between which a measurement lies with a confidence; the model's own unless given.
-
-        NaN for axes not held.
+        """Bounds between which a measurement lies with a confidence, the model's own unless given; or NaN.
 
         Raises:
             ArgumentError, ModelError: see :meth:`predict`; for a confidence that cannot be calibrated.
         """
         said = self.evaluations(flights, confidence)
-        return Interval(
-            *(
-                held_alone(np.concatenate([getattr(one, name) for one in said]), self.axes_)
-                for name in Interval._fields
-            )
-        )
+        return Interval(*(self._held(said, name) for name in Interval._fields))
+
+    def _held(self, said: Sequence[Evaluation], name: str) -> Array:
+        return held_alone(np.concatenate([getattr(one, name) for one in said]), self.axes_)
 
     def evaluations(self, flights: Flights, confidence: float | None) -> list[Evaluation]:
         """Those of each flight, zero for axes not held; errors are those of :meth:`predict_interval`."""
@@ -200,7 +207,7 @@ class WrenchModel:
         """
         if y is not None:
             raise ArgumentError("y: expected None, as flights hold the wrench that they measured")
-        predicted = np.concatenate([said.predicted for said in self.evaluations(flights, None)])
+        predicted = self._held(self.evaluations(flights, None), "predicted")
         measured = flights_in("flights", flights).wrench
         scores = []
         for axis in self.axes_:
@@ -280,11 +287,13 @@ class WrenchModel:
 
     def __repr__(self) -> str:
         estimator = self.estimator if isinstance(self.estimator, str) else type(self.estimator).__name__
-        how = f"WrenchModel {estimator:.40}, confidence {self.confidence:g}"
         if not hasattr(self, "model_"):
-            return f"<{how}, not fitted>"
+            return f"<WrenchModel {estimator:.40}, confidence {self.confidence:g}, not fitted>"
         model = self.model_
-        return f"<{how}: {model.vehicle:.40}, {' '.join(model.axes)}, {len(model.flights)} flights>"
+        return (
+            f"<WrenchModel {estimator:.40}, confidence {model.confidence:g}: {model.vehicle:.40}, "
+            f"{' '.join(model.axes)}, {len(model.flights)} flights>"
+        )
 
     def _repr_html_(self) -> str:
         if not hasattr(self, "model_"):
@@ -316,13 +325,8 @@ class WrenchModel:
         axes = np.ravel(new_axes(axes, len(self.axes_)))
         for own, axis in zip(axes, self.axes_, strict=True):
             column = AXES.index(axis)
-            own.fill_between(
-                given.time,
-                interval.lower[:, column],
-                interval.upper[:, column],
-                alpha=0.4,
-                label="interval",
-            )
+            bounds = (bound[:, column] for bound in interval)
+            own.fill_between(given.time, *bounds, alpha=0.4, label="interval")
             own.plot(given.time, measured[:, column], linewidth=0.7, color="black", label="measured")
             own.set_ylabel(f"{axis} [{_UNITS[column]}]")
         axes[0].legend(loc="upper right")
@@ -332,6 +336,8 @@ class WrenchModel:
 
 def load_model(folder: str | Path) -> WrenchModel:
     """A model of `quadpi identify` or `WrenchModel.save`; nothing in the folder is executed.
+
+    It predicts and is judged, but not fitted again: the folder does not hold the options of its estimator.
 
     Raises:
         ModelError: naming the file that is missing, altered or not understood.
@@ -346,6 +352,6 @@ def load_model(folder: str | Path) -> WrenchModel:
     else:
         model = AerodynamicModel.load(folder)
         estimator = model.method
-    of = WrenchModel(estimator, model.confidence)
+    of = WrenchModel(StoredEstimator(estimator), model.confidence, axes=list(model.axes))
     of.model_, of.left_out_ = model, ()
     return of

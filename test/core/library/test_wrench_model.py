@@ -153,6 +153,24 @@ def other_name(flights):
     return [replace(flights.prepared[0], name="other", sha256="")]
 
 
+def test_a_model_that_was_read_has_parameters_of_its_own(quick, training, tmp_path):
+    pickle.loads(pickle.dumps(quick)).save(tmp_path / "saved")
+    read = qp.load_model(tmp_path / "saved")
+    assert read.get_params(deep=False) | {"candidates": None, "keep_flawed": None} == {
+        "estimator": "polynomial",
+        "confidence": 0.95,
+        "candidates": None,
+        "axes": ["Fx", "Fz"],
+        "keep_flawed": None,
+    }
+    for model in (read, clone(read)):
+        with pytest.raises(qp.QuadpiError, match="estimator polynomial: read from a folder") as caught:
+            model.fit(training)
+        assert "\n" not in str(caught.value)
+    assert repr(read) == repr(quick) == repr(read.set_params(confidence=0.5))
+    assert read.set_params(estimator="polynomial").fit(training).confidence == 0.5
+
+
 def test_they_show_themselves(quick, unseen):
     assert repr(quick) == "<WrenchModel polynomial, confidence 0.95: bebop2, Fx Fz, 4 flights>"
     assert repr(qp.WrenchModel(RandomForestRegressor())) == (
