@@ -210,6 +210,10 @@ def find_discrepancy(
     elif not isinstance(simulation, Simulation) and callable(simulation):
         name = getattr(simulation, "__name__", type(simulation).__name__)
         simulation = CallableSimulation(name, given.vehicle, simulation)
+    if isinstance(simulation, Simulation) and simulation.vehicle.fingerprint != given.vehicle.fingerprint:
+        raise DiscrepancyError(
+            f"{simulation.name}: of another vehicle than the flights of {given.vehicle.name}: numbers differ"
+        )
     return Discrepancy(study(simulation, _states(given), names=effects, seed=seed))
 
 

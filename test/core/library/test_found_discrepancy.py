@@ -97,6 +97,10 @@ def test_a_function_of_the_session_has_no_file(simulation, dragged, tmp_path):
     [
         (lambda f: qp.find_discrepancy("bebop3", f), "bebop3: no simulation"),
         (lambda f: qp.find_discrepancy(7, f), "simulation: expected Simulation, found int 7"),
+        (
+            lambda f: qp.find_discrepancy("bebop2", replace(f, vehicle=replace(f.vehicle, mass_kg=0.5))),
+            "bebop2: of another vehicle than the flights of bebop2: numbers differ",
+        ),
         (lambda f: qp.find_discrepancy("bebop2", f[:1]), "flight"),
         (lambda f: qp.find_discrepancy("bebop2", f, effects=["ghosts"]), "ghosts"),
         (lambda f: qp.find_discrepancy("bebop2", replace(f, cutoff_hz=20.0)), "low-passed at 20 Hz"),
