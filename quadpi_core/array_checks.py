@@ -223,7 +223,7 @@ def _as(dtype: np.dtype[Any], kinds: str, words: str, name: str, values: Any) ->
         raise ArgumentError(f"{name}: expected {words}, found {found(values)}") from None
     if array.dtype.kind not in kinds and array.size:
         hint = ""
-        if dtype is _INT and array.dtype.kind == "f":
+        if dtype is _INT and array.dtype.kind == "f" and not np.any(array >= 1e11):  # beyond stamps in s
             hint = "; of seconds, np.rint(1e9 * seconds).astype(np.int64) makes them"
         shown = found(array) if array.dtype.kind != "O" or array.ndim else found(values)
         raise ArgumentError(f"{name}: expected {words}, found {shown}{hint}")

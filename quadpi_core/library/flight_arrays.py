@@ -43,6 +43,7 @@ if TYPE_CHECKING:
 _OPTIONAL = ("position", "wind")
 _DERIVED = "angular_acceleration"
 _TIME, _FLIGHT = "time_ns", "flight"
+_NO_LABEL = ("nan", "NaT", "None", "<NA>")
 # What `to_frame` says of a table beside its columns.
 _CUTOFF, _ROWS = "cutoff_hz", "rows"
 
@@ -98,6 +99,9 @@ def _by_label(flight: npt.ArrayLike | None, samples: int) -> Iterator[tuple[str,
     if labels.shape != (samples,):
         raise ArgumentError(f"flight: expected shape ({samples},) for time_ns, found {labels.shape}")
     texts = np.array([str(label) for label in labels])
+    for row in np.flatnonzero(np.isin(texts, _NO_LABEL)):
+        if not isinstance(labels[row], str):
+            raise ArgumentError(f"flight: no label in row {row}")
     for label in dict.fromkeys(texts.tolist()):
         yield label, np.flatnonzero(texts == label)
 
@@ -199,7 +203,9 @@ def from_frame(
     for quantity, own in columns.items():
         absent = [name for name in own if name not in frame.columns]
         if not absent:
-            arrays[quantity] = frame[list(own)].to_numpy()
+            part = frame[list(own)]
+            numbers = all(dtype.kind in "iuf" for dtype in part.dtypes)
+            arrays[quantity] = part.to_numpy(dtype=float, na_value=np.nan) if numbers else part.to_numpy()
         elif quantity not in _OPTIONAL or len(absent) < len(own):
             raise ArgumentError(
                 f"frame: {quantity} needs the columns {', '.join(own)}: no {', '.join(absent)}; "
@@ -207,7 +213,9 @@ def from_frame(
             )
     for name in (time, flight):
         if name is not None and name not in frame.columns:
-            raise ArgumentError(f"frame: no column {name}; it has {', '.join(map(str, frame.columns))}")
+            known = ", ".join(map(str, frame.columns))
+            hint = "; reset_index() makes it one" if name in frame.index.names else f"; it has {known}"
+            raise ArgumentError(f"frame: no column {name}{hint}")
     labels = None if flight is None else frame[flight].to_numpy()
     stamps = frame[time].to_numpy()
     if stamps.dtype.kind == "M":

@@ -120,8 +120,14 @@ def test_position_and_wind_may_be_absent(state):
     [
         ({"rates": np.zeros((3, 2))}, r"rates: expected shape \(\d+, 3\) for time_ns"),
         ({"rotor_speeds": None}, "rotor_speeds: expected numbers, found None; only position and wind may"),
-        ({"time_ns": np.linspace(0.0, 1.0, 9501)}, "time_ns: expected whole nanoseconds, int64"),
+        ({"time_ns": np.linspace(0.0, 1.0, 9501)}, "time_ns: expected whole nanoseconds, int64.* of seconds"),
         ({"time_ns": np.zeros(9501, dtype=int)}, "flight flight: time_ns: sample 1: the stamp repeats"),
+        (
+            {"time_ns": np.arange(9501) * 2e6 + 1e18},
+            "whole nanoseconds, int64, found an array .* of float64$",
+        ),
+        ({"flight": np.where(np.arange(9501) < 3, 1.0, np.nan)}, "flight: no label in row 3"),
+        ({"flight": [None] * 9501}, "flight: no label in row 0"),
         ({"flight": [1, 2]}, r"flight: expected shape \(9501,\) for time_ns, found \(2,\)"),
         ({"vehicle": "no_vehicle"}, "no_vehicle"),
         ({"cutoff_hz": -1.0}, "cutoff_hz: expected a positive number"),
@@ -144,6 +150,13 @@ def test_no_samples_are_refused():
     ("change", "message"),
     [
         (lambda frame: frame.drop(columns="qw"), "frame: attitude needs the columns qw, qx, qy, qz: no qw"),
+        (lambda frame: frame.set_index("flight"), r"frame: no column flight; reset_index\(\) makes it one$"),
+        (
+            lambda frame: frame.astype({"u_m_s": "Float64"}).assign(
+                u_m_s=lambda own: own["u_m_s"].mask(own.index == 7)
+            ),
+            "velocity: expected finite numbers, .* first in row 7",
+        ),
         (lambda frame: frame.drop(columns="flight"), "frame: no column flight; it has time_ns, north_m"),
         (
             lambda frame: frame.drop(columns="down_m"),
