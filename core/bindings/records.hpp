@@ -7,6 +7,8 @@
 #include <nanobind/nanobind.h>
 
 #include <cstdint>
+#include <cstring>
+#include <memory>
 #include <string>
 #include <string_view>
 #include <type_traits>
@@ -40,20 +42,32 @@ public:
         // Of the type itself, or of its numbers.
         const auto item = static_cast<std::size_t>(view.itemsize);
         const bool of_numbers = item == sizeof(double) && item_bytes % sizeof(double) == 0;
-        const bool is_aligned = reinterpret_cast<std::uintptr_t>(view.buf) % alignof(T) == 0;
-        return is_aligned && (item == item_bytes || of_numbers) && bytes() % item_bytes == 0 &&
+        if (reinterpret_cast<std::uintptr_t>(view.buf) % alignof(T) != 0) {
+            // Arrays that came from another process may begin anywhere.
+            if constexpr (!std::is_const_v<T> || alignof(T) > alignof(double)) {
+                return false;
+            }
+            copy.reset(new double[bytes() / sizeof(double) + 1]);
+            std::memcpy(copy.get(), view.buf, bytes());
+        }
+        return (item == item_bytes || of_numbers) && bytes() % item_bytes == 0 &&
                is_number_of<T>(view.format == nullptr ? "B" : view.format);
     }
 
-    void* data() const { return view.buf; }
+    void* data() const { return copy ? copy.get() : view.buf; }
     std::size_t bytes() const { return static_cast<std::size_t>(view.len); }
 
 private:
     Py_buffer view{};
+    std::unique_ptr<double[]> copy;
 
     // Whether a format of Python's buffers, where it is that of 64-bit numbers, is that of the type's.
     template <class T>
     static bool is_number_of(std::string_view format) {
+        // Numpy says by a prefix that an array is not aligned; only ">" is another order of bytes.
+        if (!format.empty() && std::string_view("@=^<").find(format.front()) != std::string_view::npos) {
+            format.remove_prefix(1);
+        }
         const bool is_double = format == "d", is_integer = format == "l" || format == "q";
         if constexpr (std::is_floating_point_v<T>) {
             return is_double;

@@ -59,3 +59,12 @@ def test_records_that_cannot_be_written_are_refused() -> None:
     estimate.flags.writeable = False
     with pytest.raises(TypeError):
         compiled.inject(estimate, np.zeros(16))
+
+
+def test_what_begins_anywhere_is_read_all_the_same() -> None:
+    raw = np.zeros(8 * 9 + 1, np.uint8)
+    force = np.frombuffer(raw.data, np.float64, 9, offset=1).reshape(3, 3)
+    force[:] = np.arange(9.0).reshape(3, 3)
+    still, wrench = np.zeros((3, 3)), np.empty((3, 6))
+    compiled.newton_euler(force, still, still, 2.0, np.eye(3), wrench)
+    np.testing.assert_array_equal(wrench[:, :3], 2.0 * np.arange(9.0).reshape(3, 3))
