@@ -329,16 +329,17 @@ class Compared:
     earlier: Mapping[str, frozenset[str]] = field(default_factory=dict)
 
 
-def read(job: Job, data_set: DataSet) -> tuple[list[PreparedFlight], Vehicle, list[str]]:
-    """Flights of a data set, its vehicle, and what could not be read."""
+def flights_by_log(
+    data_set: DataSet, data: Path, bags: Path
+) -> tuple[dict[Path, PreparedFlight], Vehicle, dict[str, list[str]]]:
+    """Flights of a data set by their log, or its bag in a folder; its vehicle; logs not read, by reason."""
     changes: dict[str, Any] = dict(data_set.changes)
     vehicle = replace(Vehicle.load(data_set.vehicle), **changes)
-    flights, remarks = list[PreparedFlight](), dict[str, list[str]]()
-    for log in sorted(job.data.glob(data_set.pattern)):
+    flights, remarks = dict[Path, PreparedFlight](), dict[str, list[str]]()
+    for log in sorted(data.glob(data_set.pattern)):
         try:
             path = log
             if data_set.mapping is not None:
-                bags = job.work / "bags" / data_set.vehicle
                 bags.mkdir(parents=True, exist_ok=True)
                 path = import_logs([log], vehicle, bags, data_set.mapping, workers=Workers(1))[0].bag
             (flight,) = prepare_flights([path], vehicle, workers=Workers(1))
@@ -349,11 +350,18 @@ def read(job: Job, data_set: DataSet) -> tuple[list[PreparedFlight], Vehicle, li
         if is_spoiled(flight):
             remarks.setdefault(SPOILED_WORDS, []).append(log.stem)
         else:
-            flights.append(flight)
+            flights[path] = flight
+    return flights, vehicle, remarks
+
+
+def read(job: Job, data_set: DataSet) -> tuple[list[PreparedFlight], Vehicle, list[str]]:
+    """Flights of a data set, its vehicle, and what could not be read."""
+    bags = job.work / "bags" / data_set.vehicle
+    flights, vehicle, remarks = flights_by_log(data_set, job.data, bags)
     sentences = [f"{', '.join(names)}: {why}" for why, names in remarks.items()]
     if not flights and not remarks:
         sentences.append(f"no flights in {data_set.pattern} of the folder of real flights")
-    return flights, vehicle, sentences
+    return list(flights.values()), vehicle, sentences
 
 
 def compared(job: Job, data_set: DataSet) -> Compared:

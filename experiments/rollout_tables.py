@@ -10,25 +10,19 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-from model_methods import DATA_SETS, SPOILED_WORDS, DataSet, is_spoiled, speed, spread_over_speeds
+from model_methods import DATA_SETS, DataSet, flights_by_log, speed, spread_over_speeds
 from page_tables import RESULTS, ROOT, renew, stamp
 
 from quadpi_core.errors import QuadpiError, one_line
 from quadpi_core.evaluation.rollouts import FlightRolloutMetrics, TubeMetrics, evaluate_rollouts
 from quadpi_core.identification.identify import identify
-from quadpi_core.identification.prepared_flights import PreparedFlight, prepare_flights
-from quadpi_core.logs.importing import import_logs
 from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.model_kind import IdentifyOptions
-from quadpi_core.parallel import Workers
 from quadpi_core.paths import data_directory
 from quadpi_core.report.style import number
 from quadpi_core.report.table import Column, Row, Table, markdown_table
-from quadpi_core.vehicle import Vehicle
 
 PAGE = RESULTS / "rollouts.md"
 # Of a data set, spread evenly over its speeds, as of results/models.md.
@@ -39,35 +33,9 @@ HORIZONS = ("0.1", "0.5")
 _QUANTITIES = ("position_m", "velocity_m_s", "attitude_deg", "rates_rad_s")
 
 
-def read(
-    data_set: DataSet, data: Path, work: Path
-) -> tuple[dict[Path, PreparedFlight], Vehicle, dict[str, list[str]]]:
-    """Flights of a data set by their log or bag, its vehicle, and logs that could not be read by reason."""
-    changes: dict[str, Any] = dict(data_set.changes)
-    vehicle = replace(Vehicle.load(data_set.vehicle), **changes)
-    flights, remarks = dict[Path, PreparedFlight](), dict[str, list[str]]()
-    for log in sorted(data.glob(data_set.pattern)):
-        try:
-            path = log
-            if data_set.mapping is not None:
-                bags = work / data_set.vehicle
-                bags.mkdir(parents=True, exist_ok=True)
-                path = import_logs([log], vehicle, bags, data_set.mapping, workers=Workers(1))[0].bag
-            (flight,) = prepare_flights([path], vehicle, workers=Workers(1))
-        except QuadpiError as error:
-            why = one_line(error).replace(str(log), "").removeprefix(": ")
-            remarks.setdefault(why, []).append(log.stem)
-            continue
-        if is_spoiled(flight):
-            remarks.setdefault(SPOILED_WORDS, []).append(log.stem)
-        else:
-            flights[path] = flight
-    return flights, vehicle, remarks
-
-
 def predicted(data_set: DataSet, data: Path, work: Path) -> tuple[list[Row], list[str]]:
     """Rows of the table for a data set, and what there is to say of it."""
-    flights, vehicle, remarks = read(data_set, data, work)
+    flights, vehicle, remarks = flights_by_log(data_set, data, work / data_set.vehicle)
     said = []
     if remarks:
         first = next(iter(remarks.values()))[0]
