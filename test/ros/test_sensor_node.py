@@ -46,7 +46,8 @@ pytestmark = pytest.mark.usefixtures("ros_domain")
 
 ROOT = Path(__file__).parents[2]
 VEHICLE = "bebop2"
-RATE = 4.0
+# A computer that is busy keeps up with real time, and what it misses is played again.
+RATE = 1.0
 DEADLINE_S = 360.0
 LEVEL = np.array([[1.0, 0.0, 0.0, 0.0]])
 
@@ -71,7 +72,8 @@ def test_mistakes_are_said(mistake: str, status: str, said: str, tmp_path: Path)
     given = {"vehicle": VEHICLE, "model": str(ROOT / "test/golden/model")}
     parameters = [part for name, value in given.items() for part in ("-p", f"{name}:={value}")]
     topics = ("imu", "rotor_speeds", "mocap/pose")
-    played = (str(tmp_path / "flight.mcap"), "--rate", str(RATE), "--topics", *topics, "--wait", "300")
+    bag = str(tmp_path / "flight.mcap")
+    played = (bag, "--rate", str(RATE), "--loop", "--topics", *topics, "--wait", "300")
     with (
         Child("quadpi_ros.live_process", ("--ros-args", *parameters), tmp_path) as live,
         Child("quadpi_ros.player", (*played, "--nodes", "estimator", "monitor"), tmp_path) as player,
