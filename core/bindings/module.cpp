@@ -3,6 +3,7 @@
 #include <nanobind/nanobind.h>
 
 namespace quadpi {
+void bind_elementary(nanobind::module_& module);
 void bind_estimator(nanobind::module_& module);
 void bind_logs(nanobind::module_& module);
 void bind_messages(nanobind::module_& module);
@@ -13,6 +14,7 @@ void bind_signals(nanobind::module_& module);
 NB_MODULE(_core, module) {
     module.doc() = "The compiled core; quadpi_core/_core.pyi has its signatures.";
     module.attr("SOURCES") = QUADPI_SOURCES;
+    quadpi::bind_elementary(module);
     quadpi::bind_estimator(module);
     quadpi::bind_logs(module);
     quadpi::bind_messages(module);
