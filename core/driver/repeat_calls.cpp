@@ -1,0 +1,242 @@
+// SPDX-FileCopyrightText: 2026 The quadpi authors
+// SPDX-License-Identifier: Apache-2.0
+// Repeats recorded calls of the core, and prints a checksum of what each function left in its arguments.
+//
+// Of a replay in Python (test/core/recorded_calls.py), built for any processor, without Python: two
+// processors give the same bits where they print the same. A file is a sequence of calls: the name of the
+// function, and its arguments in the order of quadpi_core/_core.pyi, each as a length in bytes and that many
+// bytes.
+#include <array>
+#include <cstdint>
+#include <cstdio>
+#include <cstring>
+#include <fstream>
+#include <map>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+#include "quadpi/estimator/filter_run.hpp"
+#include "quadpi/monitor/adaptive.hpp"
+#include "quadpi/monitor/alarm.hpp"
+#include "quadpi/monitor/pairing.hpp"
+
+namespace quadpi {
+namespace {
+
+// What a file holds in its order; it ends where a length would begin.
+class Reader {
+public:
+    explicit Reader(const char* path) : file(path, std::ios::binary) {
+        if (!file) {
+            throw std::runtime_error(std::string(path) + ": cannot be read");
+        }
+    }
+
+    bool ended() { return file.peek() == std::ifstream::traits_type::eof(); }
+
+    std::int64_t length() {
+        std::int64_t value = 0;
+        fill(&value, sizeof value);
+        return value;
+    }
+
+    void fill(void* into, std::size_t bytes) {
+        if (!file.read(static_cast<char*>(into), static_cast<std::streamsize>(bytes))) {
+            throw std::runtime_error("the file ends within a call");
+        }
+    }
+
+private:
+    std::ifstream file;
+};
+
+// The arguments of a call, taken one after the other.
+class Arguments {
+public:
+    explicit Arguments(Reader& reader) {
+        for (std::int64_t left = reader.length(); left > 0; --left) {
+            const auto bytes = static_cast<std::size_t>(reader.length());
+            sizes.push_back(bytes);
+            // Of doubles, so that records are aligned.
+            memory.emplace_back(bytes / sizeof(double) + 1);
+            reader.fill(memory.back().data(), bytes);
+        }
+    }
+
+    template <class T>
+    Records<T> records() {
+        const std::size_t bytes = sizes.at(taken);
+        if (bytes % sizeof(T) != 0) {
+            throw std::runtime_error("an argument of another size than its records");
+        }
+        return {reinterpret_cast<T*>(memory[taken++].data()), bytes / sizeof(T)};
+    }
+
+    template <class T>
+    T& one() {
+        const Records<T> all = records<T>();
+        if (all.size == 0) {
+            throw std::runtime_error("an empty argument for a record");
+        }
+        return all[0];
+    }
+
+    // CRC-32 as of zip files, of all arguments.
+    std::uint32_t checksum(std::uint32_t sum) const {
+        sum = ~sum;
+        for (std::size_t argument = 0; argument < sizes.size(); ++argument) {
+            const auto* bytes = reinterpret_cast<const unsigned char*>(memory[argument].data());
+            for (std::size_t i = 0; i < sizes[argument]; ++i) {
+                sum ^= bytes[i];
+                for (int bit = 0; bit < 8; ++bit) {
+                    sum = (sum >> 1) ^ ((sum & 1) != 0 ? 0xEDB88320u : 0u);
+                }
+            }
+        }
+        return ~sum;
+    }
+
+private:
+    std::vector<std::vector<double>> memory;
+    std::vector<std::size_t> sizes;
+    std::size_t taken = 0;
+};
+
+void catch_up_call(Arguments& given) {
+    Filter& filter = given.one<Filter>();
+    const auto ring = given.records<Estimate>();
+    Buffer(filter, ring).catch_up(given.records<ImuSample>());
+}
+
+void hold_call(Arguments& given) {
+    Filter& filter = given.one<Filter>();
+    const auto ring = given.records<Estimate>();
+    Buffer(filter, ring).hold(given.one<Measurement>());
+}
+
+Trace trace_of(Arguments& given) {
+    auto& progress = given.one<Progress>();
+    const auto outcomes = given.records<std::int64_t>();
+    const auto rows = given.records<FilteredSample>();
+    const auto fused = given.records<FusedSample>();
+    return {progress, outcomes, rows, fused, given.records<Correction>()};
+}
+
+void run_call(Arguments& given) {
+    Filter& filter = given.one<Filter>();
+    const auto ring = given.records<Estimate>();
+    const auto samples = given.records<ImuSample>();
+    const auto measurements = given.records<Measurement>();
+    const auto after = given.records<std::int64_t>();
+    Trace trace = trace_of(given);
+    run(filter, ring, {samples, measurements, after}, trace);
+}
+
+void record_call(Arguments& given) {
+    Filter& filter = given.one<Filter>();
+    const auto ring = given.records<Estimate>();
+    Trace trace = trace_of(given);
+    record(Buffer(filter, ring), filter, trace, given.one<std::int64_t>());
+}
+
+void take_stretch_call(Arguments& given) {
+    auto& state = given.one<PairingState>();
+    const auto rings = given.records<Entry>();
+    ArrivingSamples arriving{};
+    arriving.kind = given.records<const std::int64_t>();
+    arriving.row = given.records<const std::int64_t>();
+    arriving.imu_ns = given.records<const std::int64_t>();
+    arriving.specific_force = given.records<const Vector3>();
+    arriving.state_ns = given.records<const std::int64_t>();
+    arriving.states = given.records<const StateValues>();
+    arriving.rotor_ns = given.records<const std::int64_t>();
+    arriving.rotor_speeds = given.records<const PerRotor>();
+    arriving.wind_ns = given.records<const std::int64_t>();
+    arriving.wind = given.records<const Vector3>();
+    const auto start = given.one<std::int64_t>();
+    const auto taken_ns = given.records<std::int64_t>();
+    Pairing(state, rings).take_stretch(arriving, start, taken_ns.data, given.records<Signals>().data);
+}
+
+void prepare_call(Arguments& given) {
+    auto& memory = given.one<PreparationMemory>();
+    const auto time_ns = given.records<const std::int64_t>();
+    const auto samples = given.records<const Signals>();
+    const auto verdicts = given.records<Verdict>();
+    const auto inputs = given.records<InputVector>();
+    const auto measured = given.records<Wrench>();
+    prepare(memory, time_ns, samples, {verdicts, inputs, measured, given.records<Derivatives>()});
+}
+
+void adapt_call(Arguments& given) {
+    const auto measured = given.records<const Wrench>();
+    const auto own_lower = given.records<const Wrench>();
+    const auto own_upper = given.records<const Wrench>();
+    const auto step = given.one<double>();
+    const auto miss_share = given.one<double>();
+    auto& log_factor = given.one<Wrench>();
+    const auto lower = given.records<Wrench>();
+    const auto upper = given.records<Wrench>();
+    for (std::size_t i = 0; i < measured.size; ++i) {
+        adapt(measured[i], own_lower[i], own_upper[i], step, miss_share, log_factor, lower[i], upper[i]);
+    }
+}
+
+void advance_alarm_call(Arguments& given) {
+    const auto& limits = given.one<const AlarmLimits>();
+    auto& state = given.one<AlarmState>();
+    const auto verdicts = given.records<const Verdict>();
+    const auto inputs = given.records<const InputVector>();
+    const auto measured = given.records<const Wrench>();
+    const auto lower = given.records<const Wrench>();
+    const auto upper = given.records<const Wrench>();
+    const auto leverage = given.records<const Wrench>();
+    const auto width = given.records<const Wrench>();
+    const auto rows = given.records<AlarmRow>();
+    advance(limits, state, verdicts, inputs, measured, {lower, upper, leverage, width}, rows);
+}
+
+using Call = void (*)(Arguments&);
+const std::map<std::string, Call> CALLS = {
+    {"adapt", &adapt_call},
+    {"advance_alarm", &advance_alarm_call},
+    {"catch_up", &catch_up_call},
+    {"hold", &hold_call},
+    {"prepare", &prepare_call},
+    {"record", &record_call},
+    {"run", &run_call},
+    {"take_stretch", &take_stretch_call},
+};
+
+void repeat(const char* path) {
+    Reader reader(path);
+    std::map<std::string, std::uint32_t> sums;
+    while (!reader.ended()) {
+        std::string name(static_cast<std::size_t>(reader.length()), ' ');
+        reader.fill(name.data(), name.size());
+        Arguments given(reader);
+        CALLS.at(name)(given);
+        sums[name] = given.checksum(sums[name]);
+    }
+    for (const auto& [name, sum] : sums) {
+        std::printf("%s %08x\n", name.c_str(), static_cast<unsigned>(sum));
+    }
+}
+
+}  // namespace
+}  // namespace quadpi
+
+int main(int count, char** arguments) {
+    if (count != 2) {
+        std::fprintf(stderr, "usage: repeat_calls FILE\n");
+        return 2;
+    }
+    try {
+        quadpi::repeat(arguments[1]);
+    } catch (const std::exception& error) {
+        std::fprintf(stderr, "repeat_calls: %s\n", error.what());
+        return 1;
+    }
+    return 0;
+}
