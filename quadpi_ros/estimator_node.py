@@ -8,7 +8,6 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, TransformStamped, TwistStamped
 from nav_msgs.msg import Odometry
@@ -36,8 +35,6 @@ from quadpi_ros.sensor_node import DIAGNOSTICS_PERIOD_S, ConsistencyWatch, Senso
 
 IMU_TOPIC = "imu"
 
-_WARM_UP_S = 1.1
-_WARM_UP_RATE_HZ = 100.0
 # Time in which the filter should have initialised.
 _INITIALISING_S = 3.0
 # Newest stamps of two topics that are further apart come from different clocks.
@@ -75,7 +72,7 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         self.listener: StateListener | None = None
 
     def configure(self) -> None:
-        """Load the vehicle and every compiled kernel."""
+        """Load the vehicle."""
         parameters = self.parameters
         vehicle = Vehicle.load(parameters.vehicle)
         self._odometry = OutgoingMessage(
@@ -86,7 +83,6 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         self._body = self.frames_of(parameters.body_frame, parameters.frames)
         self._imu = adapted.instead_of(framed_imu(self._body), "imu")
         self._mocap, self._take_mocap = self._motion_capture(adapted)
-        _warm_up(vehicle)
         self._ekf = Ekf(vehicle, parameters.imu_rate_hz or None)
         self._publish = self.announce(Odometry, "odometry")
         self._tf = TransformPublisher(self) if parameters.tf_rate_hz else None
@@ -248,21 +244,6 @@ def framed_imu(frames: BodyFrames) -> Source:
 
 def _reason(outcome: Outcome) -> str:
     return outcome.name.lower().replace("_", " ")
-
-
-def _warm_up(vehicle: Vehicle) -> None:
-    """Load every compiled kernel now, so that the first sample in flight need not wait for it."""
-    still, level = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
-    hover = np.array([0.0, 0.0, -vehicle.gravity_m_s2])
-    # The filter starts from poses in one way, from velocities alone in another.
-    for poses in (True, False):
-        ekf = Ekf(vehicle)
-        for time_ns in range(0, round(1e9 * _WARM_UP_S), round(1e9 / _WARM_UP_RATE_HZ)):
-            if poses:
-                ekf.update_pose(time_ns, still, level)
-            ekf.update_velocity(time_ns, still, poses)
-            sample = ekf.step(time_ns, still, hover).fused
-        assert sample is not None  # the filter has started
 
 
 def main() -> int:

@@ -169,7 +169,6 @@ def play(
     """
     sent_file = folder / "sent.npy"
     arguments = (str(bag), "--rate", str(rate), "--sent", str(sent_file), "--topics", *topics)
-    # The first start on a machine compiles the kernels.
     arguments += ("--wait", str(START_TIMEOUT_S))
     arguments += ("--nodes", *managed) if managed else ()
     with Child("quadpi_ros.player", arguments, folder) as player:

@@ -298,7 +298,7 @@ class LiveVehicle:
 
 
 def warm_up() -> None:
-    """Load decoders and compiled kernels: the first messages of a flight are not to wait for them."""
+    """Load decoders: the first messages of a flight are not to wait for them."""
     row, level = np.zeros((1, 3)), np.array([[1.0, 0.0, 0.0, 0.0]])
     time_ns, six = np.zeros(1, dtype=np.int64), np.zeros((1, 6))
     predictions = Predictions(time_ns, six, six, six, six, six)

@@ -94,7 +94,6 @@ class MavlinkBridge(GuardedNode):
             "mocap/pose": self.create_publisher(PoseStamped, "mocap/pose", SENSOR_QOS).publish,
             "odometry": self.create_publisher(Odometry, "mocap/odometry", SENSOR_QOS).publish,
         }
-        self._packed("odometry", 0, _LEVEL)  # compile its kernel before the first sample
         self._lock = threading.Lock()
         self._stop = threading.Event()
         self._problem: str | None = "not connected yet"

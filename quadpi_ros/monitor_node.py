@@ -42,7 +42,7 @@ from quadpi_ros.callbacks import SlowService
 from quadpi_ros.estimator_node import IMU_TOPIC, EstimatorNode, StateListener, framed_imu
 from quadpi_ros.input_sources import AdaptedSources, Source
 from quadpi_ros.node_parameters import FASTEST_IMU_HZ, MonitorParameters
-from quadpi_ros.result_publishers import Results, named, warm_up
+from quadpi_ros.result_publishers import Results, named
 from quadpi_ros.runtime import run, serve
 from quadpi_ros.sensor_node import ConsistencyWatch, SensorNode, Watch
 
@@ -74,7 +74,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
         self._rate_problem = ""
 
     def configure(self) -> None:
-        """Load the vehicle, the models and every compiled kernel."""
+        """Load the vehicle and the models."""
         parameters = self.parameters
         self._vehicle = Vehicle.load(parameters.vehicle)
         adapted = AdaptedSources(self.get_name(), parameters.adapters, self._vehicle)
@@ -279,15 +279,13 @@ class MonitorNode(SensorNode[MonitorParameters]):
 
     def _load(self, path: str) -> Monitor:
         parameters = self.parameters
-        monitor = Monitor(
+        return Monitor(
             AerodynamicModel.load(path),
             self._vehicle,
             parameters.imu_rate_hz or None,
             parameters.confidence or None,
             self._settings(),
         )
-        warm_up(monitor, self._vehicle)
-        return monitor
 
     def _settings(self) -> MonitorSettings:
         parameters = self.parameters
@@ -312,7 +310,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
         return str(permitted)
 
     def _prepare_model(self, request: LoadModel.Request) -> Callable[[LoadModel.Response], None]:
-        """Load and warm up in the service's thread; gives what is to be done between two samples."""
+        """Load in the service's thread; gives what is to be done between two samples."""
         monitors = self._results.monitors
         name = request.replaces or monitors.names[0]
         try:

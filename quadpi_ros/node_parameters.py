@@ -19,8 +19,8 @@ from quadpi_core.rotor_order import RPM
 
 # No IMU of a quadrotor is faster.
 FASTEST_IMU_HZ = 5000.0
-# Time for nodes to become active: the first start on a machine compiles the kernels.
-START_TIMEOUT_S = 300.0
+# Time for nodes to become active, on a computer that does much else.
+START_TIMEOUT_S = 120.0
 # Rate of /clock unless it is given, as of `ros2 bag play`.
 CLOCK_HZ = 40.0
 # Values of the parameter `frames`.

@@ -8,7 +8,6 @@ import re
 from collections.abc import Iterable
 from typing import Any
 
-import numpy as np
 from geometry_msgs.msg import WrenchStamped
 from quadpi.msg import AlarmEvent, ExtrapolationAlarm, WrenchPrediction
 from quadpi.srv import LoadModel
@@ -16,18 +15,16 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 
 from quadpi_core.errors import ModelError
-from quadpi_core.estimator.imu_rate import ImuRate
 from quadpi_core.flight import Stamps
-from quadpi_core.messages import result_messages, sensor_messages
+from quadpi_core.messages import result_messages
 from quadpi_core.messages.model_description import pack_description
 from quadpi_core.messages.one_by_one import OutgoingMessage
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor import Monitor
 from quadpi_core.monitor.alarm_log import reasons_by_row
 from quadpi_core.monitor.monitor import Monitors
-from quadpi_core.monitor.pairing import PairedSamples, Pairing
+from quadpi_core.monitor.pairing import PairedSamples
 from quadpi_core.results import LEVEL_OK, Predictions
-from quadpi_core.vehicle import ROTORS, Vehicle
 from quadpi_ros import diagnostics
 from quadpi_ros.dds_profile import DESCRIPTION_QOS, LOG_QOS
 from quadpi_ros.sensor_node import SensorNode
@@ -38,8 +35,6 @@ WRENCH_TOPICS = {name: f"wrench/{name}" for name in ("predicted", "measured", "r
 # Latched: the models, their training ranges and the topics below, whatever they are remapped to.
 DESCRIPTION_TOPIC = "~/description"
 DESCRIBED_TOPICS = ("prediction", "extrapolation_alarm", "alarm_log")
-# Sample rate of the warm-up, in cut-offs of the low-pass.
-_WARM_UP_RATE = 10.0
 
 
 def topic_name(model: AerodynamicModel) -> str:
@@ -61,37 +56,6 @@ def named(monitors: Iterable[Monitor]) -> dict[str, Monitor]:
             raise ModelError(f"parameter `model`: two models are named {name}; both would publish as that")
         by_name[name] = monitor
     return by_name
-
-
-def warm_up(monitor: Monitor, vehicle: Vehicle) -> None:
-    """Load every compiled kernel: no sample in flight may wait for it, good or bad."""
-    hover = PairedSamples.join(
-        np.zeros(1, dtype=np.int64),
-        velocity=np.zeros((1, 3)),
-        attitude=np.array([[1.0, 0.0, 0.0, 0.0]]),
-        rates=np.zeros((1, 3)),
-        specific_force=np.array([[0.0, 0.0, -vehicle.gravity_m_s2]]),
-        rotor_speeds=np.full((1, ROTORS), 1.0),
-        wind=np.zeros((1, 3)),
-    )
-    missing = PairedSamples(np.ones(1, dtype=np.int64), np.full_like(hover.values, np.nan))
-    # The rate in flight is measured there.
-    monitor.retune(ImuRate(_WARM_UP_RATE * monitor.model.cutoff_hz))
-    for samples in (hover, missing):
-        predictions, alarms, _ = monitor.step(*samples)
-        result_messages.write_predictions(predictions, _message(monitor, sensor_messages.BODY_FRAME))
-        result_messages.pack_alarms(alarms, reasons_by_row(alarms))
-    pairing = Pairing()
-    for time_ns in (0, 1):
-        pairing.add_wind(time_ns, hover.wind[0])
-        pairing.add_imu(time_ns, hover.specific_force[0])
-        pairing.add_state(time_ns, hover.velocity[0], hover.attitude[0], hover.rates[0])
-        pairing.add_estimate(time_ns + 2, np.zeros(13))
-        pairing.add_rotor_speeds(time_ns, hover.rotor_speeds[0])
-        pairing.take()
-    monitor.predict(monitor.preparation.step(*hover._replace(time_ns=np.full(1, 2))))
-    monitor.retune(ImuRate())
-    monitor.reset()
 
 
 class WrenchPublisher:

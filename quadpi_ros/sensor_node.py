@@ -10,7 +10,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from numpy.typing import NDArray
 from rclpy.clock import Clock, ClockType
@@ -24,7 +23,6 @@ from rclpy.type_hash import TypeHash
 from quadpi_core.errors import LogError
 from quadpi_core.flight import Recording, Stream
 from quadpi_core.messages.frame_ids import TF_TOPIC, TF_TYPE, BodyFrames
-from quadpi_core.messages.mounting import Mounting
 from quadpi_core.monitor.health import TopicHealth
 from quadpi_core.screening.first_seconds import STRETCHES, FirstSeconds, contradictions
 from quadpi_core.vehicle import Vehicle
@@ -198,7 +196,6 @@ class SensorNode(ManagedNode[Parameters]):
 
         Transforms are received after :meth:`hear_transforms`.
         """
-        Mounting(np.eye(3), np.zeros(3))  # compile now, not at the first sample
         try:
             message_class(TF_TYPE)
             patience_s, hint = _TRANSFORMS_COME_S, ""

@@ -14,7 +14,6 @@ from quadpi_core.errors import ModelError, SignalError
 from quadpi_core.estimator.imu_rate import RATE_BEFORE_HZ, ImuRate
 from quadpi_core.flight import AXES, NO_STAMP, STAMP_MAX_NS, Stamps
 from quadpi_core.frames import Array
-from quadpi_core.inputs import DERIVATIVES, INPUT_NAMES
 from quadpi_core.models.aerodynamic import LOAD_MODEL, AerodynamicModel, unchecked_evaluation
 from quadpi_core.models.model_kind import Evaluation
 from quadpi_core.monitor.adaptive import AdaptiveFactor
@@ -74,10 +73,6 @@ class Monitor:
         self._log = EventLog()
         self._adaptive = (
             AdaptiveFactor(self.confidence, rate_hz or RATE_BEFORE_HZ) if settings.adaptive else None
-        )
-        # Compiles the model before the first sample.
-        unchecked_evaluation(
-            model, np.zeros((1, len(INPUT_NAMES))), self.confidence, np.zeros(1, DERIVATIVES)
         )
 
     def step(self, time_ns: Stamps, values: Array) -> tuple[Predictions, Alarms, Events]:

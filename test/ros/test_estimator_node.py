@@ -65,16 +65,16 @@ def test_estimator_refuses_wrong_parameters(
     assert message in line
 
 
-def test_no_kernel_is_loaded_in_flight() -> None:
+def test_no_sample_waits_for_an_import() -> None:
     """Whichever motion capture comes, and of a monitor with and without an estimator beside it."""
-    child = Path(__file__).with_name("compiling_child.py")
+    child = Path(__file__).with_name("first_seconds_child.py")
     ended = subprocess.run([sys.executable, str(child)], capture_output=True, text=True, check=False)
     assert ended.returncode == 0, ended.stderr
     flown = json.loads(ended.stdout)
     motion_capture = {"mocap/pose", "mocap/transform", "mocap/odometry", "mocap/twist"}
     assert set(flown) == motion_capture | {"monitor", "both"}
     for name, found in flown.items():
-        assert found["loaded"] == [], name
+        assert found["imported"] == [], name
         assert found["exceptions"] == 0
         for topic in {"monitor": ["prediction"], "both": ["odometry", "prediction"]}.get(name, ["odometry"]):
             assert found["published"][topic] > 100
