@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Records: structured arrays whose fields are declared once, for numpy, numba and mypy.
+"""Records: structured arrays whose fields are declared once, for numpy, the core and mypy.
 
-A class names the fields, :func:`record_dtype` makes the dtype, and kernels take the class as a type::
+A class names the fields, :func:`record_dtype` makes the dtype::
 
     class ImuSample:
         time_ns: int
@@ -10,12 +10,9 @@ A class names the fields, :func:`record_dtype` makes the dtype, and kernels take
 
     samples = np.zeros(500, record_dtype(ImuSample))
 
-    @njit
-    def double(sample: ImuSample) -> None:
-        sample.rates[2] *= 2.0
-
-Python hands a kernel an array of records, of length one if need be; the kernel takes its elements. One
-structured array costs a call from Python less than half of what its fields would as arrays of their own.
+The core has a struct of the same fields in the same order, which is the same memory; Python hands its
+functions an array of records, of length one if need be. One structured array costs a call less than half of
+what its fields would as arrays of their own.
 """
 
 from __future__ import annotations

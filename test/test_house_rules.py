@@ -18,7 +18,7 @@ def rules(tool: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
         (tmp_path / "quadpi_core" / name).mkdir(parents=True)
         (tmp_path / "quadpi_core" / name / "__init__.py").touch()
     (tmp_path / "CONTRIBUTING.md").write_text(
-        "| `a` | 4 | 3 | 2 |\n| `b` | 4 | 3 | 2 |\n| numpy | arrays |\n"
+        "| `a` | 4 | 3 | 2 |\n| `b` | 4 | 3 | 2 |\n| `core` | 20 | 1 | 2 |\n| numpy | arrays |\n"
     )
     (tmp_path / "pyproject.toml").write_text('dependencies = [\n    "numpy>=1.26",\n]\n')
     (tmp_path / "test").mkdir()
@@ -28,8 +28,8 @@ def rules(tool: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def kernel(parameters: int) -> str:
-    names = ", ".join(f"p{number}" for number in range(parameters))
-    return f"@njit(cache=True)\ndef step({names}):\n    pass\n"
+    names = ",\n".join(f"const std::map<int, int>& p{number}" for number in range(parameters))
+    return f"inline std::array<double, 3> step({names}) {{\n}}\n"
 
 
 def test_two_files_of_one_name(rules: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
@@ -43,9 +43,10 @@ def test_two_files_of_one_name(rules: ModuleType, capsys: pytest.CaptureFixture[
 def test_kernels_of_many_parameters(
     rules: ModuleType, capsys: pytest.CaptureFixture[str], parameters: int, status: int
 ) -> None:
-    (rules.ROOT / "quadpi_core" / "a" / "kernel.py").write_text(kernel(parameters))
+    (rules.ROOT / "core").mkdir()
+    (rules.ROOT / "core" / "kernel.hpp").write_text(kernel(parameters))
     assert rules.main() == status
-    assert ("kernel.py:2: step takes 9" in capsys.readouterr().out) == bool(status)
+    assert ("core/kernel.hpp: step takes 9" in capsys.readouterr().out) == bool(status)
 
 
 def test_a_module_without_a_test_file(rules: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:

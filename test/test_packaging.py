@@ -118,8 +118,8 @@ def test_a_program_runs_with_no_environment_active(program: str, prefix: Path) -
 OPTIONAL = {"latex2mathml", "matplotlib", "pandas", "pyarrow", "sklearn", "torch"}
 # These come with typer, and with rosbags in the versions that it works with.
 COME_WITH_OTHERS = {"backports", "lz4", "rich", "ruamel"}
-# Most that users must install, and the compiler of kernels, until the compiled core.
-REQUIRED_MAX, COMPILER = 10, {"llvmlite", "numba"}
+# Most that users must install.
+REQUIRED_MAX = 10
 # Needed by the messages, or found by its name where it is installed; not imported.
 NOT_IMPORTED = {"rosidl_default_runtime", "tf2_msgs"}
 
@@ -151,11 +151,11 @@ def test_what_is_imported_is_declared() -> None:
     modules = imported() - OPTIONAL - COME_WITH_OTHERS
     ros = {module for module in modules if module in declared}
     assert {distributions.get(module, [module])[0].lower() for module in modules - ros} == required
-    assert len(required - COMPILER) <= REQUIRED_MAX
+    assert len(required) <= REQUIRED_MAX
     system = {name.removeprefix("python3-") for name in declared - ros}
     assert declared - ros == {f"python3-{name}" for name in system}
     by_pip = set(re.findall(r"[a-z][a-z0-9]+(?:\.[a-z]+)?", line[1]))
-    assert by_pip == required - system - {"llvmlite", "pyyaml"}
+    assert by_pip == required - system - {"pyyaml"}
 
 
 def test_maintainer_can_be_reached() -> None:

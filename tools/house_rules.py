@@ -2,15 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Check the house rules of CONTRIBUTING.md that no linter knows, and print the figures of the code's size.
 
-Run by `make lint`. File names are unique over both packages, so that a name finds one file. A compiled kernel
-takes at most eight parameters, because more of them are a record without a name; ruff limits other functions.
+Run by `make lint`. File names are unique over both packages, so that a name finds one file. A function
+of the core takes at most eight parameters, because more of them are a record without a name; ruff limits
+those of Python.
 Each module has a test file of its name, so that a change finds its tests. CONTRIBUTING.md has a budget of
 lines and files for each room, and a line for each package that users must install: nothing grows unseen.
 """
 
 from __future__ import annotations
 
-import ast
 import re
 import sys
 from collections import defaultdict
@@ -23,6 +23,8 @@ KERNEL_PARAMETERS_MAX = 8
 CORE_LINES_MAX = 400
 # Rows of the tables of CONTRIBUTING.md: rooms, lines, files, goal; and a package with its purpose.
 _BUDGET = re.compile(r"^\| `([^|]+)` \| ([\d ]+) \| (\d+) \| [\d ]+ \|$", re.MULTILINE)
+# A definition: its name, and what stands between its parentheses.
+_FUNCTION = re.compile(r"^[\w:&*\[\] ]*?\b(\w+)\(([^(){};]*)\)(?: const)? \{", re.MULTILINE)
 _REQUIRED = re.compile(r"^\| ([\w.-]+) \| [^|]+ \|$", re.MULTILINE)
 
 
@@ -48,15 +50,13 @@ def repeated_names(paths: list[Path]) -> Iterator[str]:
 
 
 def wide_kernels(paths: list[Path]) -> Iterator[str]:
-    """Kernels that numba compiles and that take more parameters than the rules allow."""
+    """Functions of the core that take more parameters than the rules allow; bindings take single arrays."""
     for path in paths:
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.FunctionDef) and any(
-                "njit" in ast.unparse(d) for d in node.decorator_list
-            ):
-                count = len([*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs])
+        if path.suffix == ".hpp":
+            for name, parameters in _FUNCTION.findall(re.sub(r"<[^<>;]*>", "", path.read_text())):
+                count = len(parameters.split(",")) if parameters.strip() else 0
                 if count > KERNEL_PARAMETERS_MAX:
-                    yield f"{path.relative_to(ROOT)}:{node.lineno}: {node.name} takes {count}"
+                    yield f"{path.relative_to(ROOT)}: {name} takes {count}"
 
 
 def without_tests(paths: list[Path]) -> Iterator[str]:
@@ -116,7 +116,10 @@ def main() -> int:
     print(f"files {len(paths)}, lines {sum(text.count(chr(10)) for text in texts)}")
     print(f"dict[str, Any] and Mapping[str, Any]: {sum(text.count('[str, Any]') for text in texts)}")
     for rule, found in (
-        (f"compiled kernels of more than {KERNEL_PARAMETERS_MAX} parameters", wide_kernels(paths)),
+        (
+            f"functions of more than {KERNEL_PARAMETERS_MAX} parameters in the core",
+            wide_kernels(core_sources()),
+        ),
         ("file names used twice", repeated_names(paths)),
         ("modules without a test file of their name", without_tests(paths)),
         ("budgets of rooms exceeded", over_budget([*paths, *core_sources()])),

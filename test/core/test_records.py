@@ -7,7 +7,6 @@ from typing import Annotated
 import numpy as np
 import pytest
 
-from quadpi_core.compiled import njit
 from quadpi_core.frames import Array
 from quadpi_core.records import Records, Vector3, columns_of, record_dtype
 
@@ -27,13 +26,6 @@ class Memory:
     held: Annotated[Records, Sample, 4]
 
 
-@njit
-def hold(memories: Records, samples: Records) -> None:
-    memory = memories[0]
-    memory.held[2] = samples[0]
-    memory.newest.covariance[1, 0] = memory.held[2].rates[1]
-
-
 def test_fields_have_the_types_and_shapes_of_their_annotations():
     dtype = record_dtype(Memory)
     estimate = dtype["newest"]
@@ -44,13 +36,6 @@ def test_fields_have_the_types_and_shapes_of_their_annotations():
     assert estimate["covariance"].shape == (2, 2)
     assert dtype["held"].shape == (4,)
     assert dtype["held"].base == record_dtype(Sample)
-
-
-def test_kernels_write_through_nested_records():
-    memories, samples = np.zeros(1, record_dtype(Memory)), np.ones(1, record_dtype(Sample))
-    hold(memories, samples)
-    assert memories["held"][0, 2] == samples[0]
-    assert memories["newest"]["covariance"][0, 1, 0] == 1.0
 
 
 def test_a_type_without_a_fixed_size_is_refused():

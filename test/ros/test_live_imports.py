@@ -19,7 +19,6 @@ from . import imports_child
 ROOT = Path(__file__).parents[2]
 # Distributions of the keys of package.xml that are Python packages, with what these depend on.
 OF_KEYS = {
-    "python3-numba": {"numba", "llvmlite"},
     "python3-numpy": {"numpy"},
     "python3-scipy": {"scipy"},
     "python3-tornado": {"tornado"},

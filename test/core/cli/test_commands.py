@@ -20,7 +20,6 @@ from quadpi_core.paths import config_directory
 
 COMMANDS = sorted(command.name or command.callback.__name__ for command in app.registered_commands)
 SLOW_TO_IMPORT = (
-    "numba",
     "scipy",
     "jinja2",
     "distributed",
