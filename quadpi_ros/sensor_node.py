@@ -448,6 +448,6 @@ class ConsistencyWatch:
         if found:
             level, message = diagnostics.WARN, "; ".join(found)
         elif judged == 0:
-            message = "not judged yet: it takes some seconds of motion"
+            message = f"not judged yet: {self._samples.lacking}"
         values = {"stretches": f"{judged} of {STRETCHES}"}
         return self._node.status("consistency", level, message, values)

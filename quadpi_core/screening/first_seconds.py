@@ -40,9 +40,13 @@ class FirstSeconds:
 
     Args:
         source: name of the stretches in messages.
+
+    Attributes:
+        lacking: why there is no stretch yet, or why the last one was of no use.
     """
 
     def __init__(self, source: str) -> None:
+        self.lacking = f"it takes {STRETCH_S:g} s of motion"
         self._source = source
         self._left = STRETCHES
         self._kept: dict[type[Stream] | None, list[tuple[NDArray[Any], ...]]] = {}
@@ -89,6 +93,7 @@ class FirstSeconds:
             # Rates come with the state: one that came too late is no fault of the gyro.
             paired = np.isfinite(values[:, RATES]).all(axis=1)
             if np.mean(paired) < PAIRED_SHARE:
+                self.lacking = f"only {np.mean(paired):.0%} of the samples had a state"
                 return None
             stamps, values = stamps[paired], values[paired]
             joined[ImuStream] = [stamps, values[:, RATES], values[:, SPECIFIC_FORCE]]
@@ -96,6 +101,7 @@ class FirstSeconds:
         streams: dict[str, Any] = {_FIELDS[kind]: kind(*columns) for kind, columns in joined.items() if kind}
         stretch = Recording(name=self._source, vehicle="", source=self._source, **streams)
         if not np.sqrt(np.nanmean(np.sum(stretch.imu.angular_velocity**2, axis=1))) >= MOVES_RAD_S:
+            self.lacking = f"in the last {STRETCH_S:g} s the vehicle did not move"
             return None
         self._left -= 1
         return stretch

@@ -119,6 +119,7 @@ def test_a_vehicle_at_rest_says_nothing_and_is_waited_for(flown: Recording) -> N
     kept = FirstSeconds("test")
     assert [taken(kept, block) for block in sent(still(flown))] == [None] * len(list(sent(flown)))
     assert not kept.complete
+    assert kept.lacking == "in the last 15 s the vehicle did not move"
 
 
 def test_samples_that_cannot_be_used_are_left_out(flown: Recording) -> None:
@@ -151,6 +152,7 @@ def test_samples_whose_state_came_too_late_are_no_fault_of_the_imu(
     found = [kept.take(None, imu.time_ns[k : k + 9], values[k : k + 9]) for k in range(0, len(imu), 9)]
     whole = [one for one in found if one is not None]
     assert len(whole) == judged
+    assert kept.lacking == ("it takes 15 s of motion" if judged else "only 20% of the samples had a state")
     assert all(np.all(np.isfinite(one.imu.angular_velocity)) for one in whole)
 
 
