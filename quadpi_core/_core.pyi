@@ -161,6 +161,45 @@ def fill_inputs(
 def follow_rate(meter: Records, time_ns: int, /) -> None: ...
 def off_for(off_ns: int, span_ns: int, usual_ns: float, step_ns: int, /) -> int: ...
 
+# models
+BASE_ROWS: int
+ENSEMBLE_BLOCK: int
+GRAM_BLOCK: int
+MOST_OUTPUTS: int
+TILE_ROWS: int
+
+def evaluate_regressors(
+    inputs: Array, operations: Records, outputs: Indices, rows: Array, values: Array, /
+) -> None: ...
+def evaluate_polynomials(
+    inputs: Array,
+    operations: Records,
+    axes: Records,
+    terms: Records,
+    whitening: Array,
+    rows: Array,
+    factors: Array,
+    out: Array,
+    /,
+) -> None: ...
+def evaluate_ensembles(
+    inputs: Array,
+    operations: Records,
+    axes: Records,
+    source: Indices,
+    weights: Array,
+    rows: Array,
+    activations: Array,
+    outputs: Array,
+    factors: Array,
+    out: Array,
+    /,
+) -> None: ...
+def add_to_gram(
+    inputs: Array, target: Array, operations: Records, factors: Indices, rows: Array, sums: Array, /
+) -> None: ...
+def distances_outside(inputs: Array, lower: Array, upper: Array, width: Array, out: Array, /) -> None: ...
+
 # monitor
 ACCELEROMETER_FROZEN: int
 GAP: int

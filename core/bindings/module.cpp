@@ -7,6 +7,7 @@ void bind_elementary(nanobind::module_& module);
 void bind_estimator(nanobind::module_& module);
 void bind_logs(nanobind::module_& module);
 void bind_messages(nanobind::module_& module);
+void bind_models(nanobind::module_& module);
 void bind_monitor(nanobind::module_& module);
 void bind_signals(nanobind::module_& module);
 }  // namespace quadpi
@@ -19,5 +20,6 @@ NB_MODULE(_core, module) {
     quadpi::bind_logs(module);
     quadpi::bind_messages(module);
     quadpi::bind_signals(module);
+    quadpi::bind_models(module);
     quadpi::bind_monitor(module);
 }

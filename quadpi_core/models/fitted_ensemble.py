@@ -13,27 +13,34 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.config_schema import Numbers, Positive, ReadBy, Real
+from quadpi_core.core import compiled
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.models.ensemble_kernel import (
-    BANKS,
-    BIAS,
-    ENSEMBLE_AXIS,
-    MOST_OUTPUTS,
-    UNITS_AT_ONCE,
-    WEIGHTS,
-    evaluate_kernel,
-)
 from quadpi_core.models.interval_rules import StoredRule
 from quadpi_core.models.model_kind import Evaluation, Fitted, FittedAxis
-from quadpi_core.models.regressors import Regressor, RegressorProgram
-from quadpi_core.models.simd_lanes import LANES
+from quadpi_core.models.regressors import BASE_ROWS, Regressor, RegressorProgram
 from quadpi_core.records import Records
 from quadpi_core.training.networks import Networks
 
 # Least floor of a spread, relative to the standard deviation of the target.
 NOISE_FLOOR = 1e-3
+# Two banks of networks share the inputs of an axis: its members, and the noise network if it has one.
+_BANKS = 2
+# Size of one bank, all zero where there is none, and where its weights start.
+_BANK = np.dtype([(name, np.int64) for name in ("inputs", "units", "networks", "outputs", "start")])
+# One axis: its banks; scale of the target; least noise or spread, in the target's own unit; weight of the
+# members' disagreement; `rms_spread`.
+_AXIS = np.dtype(
+    [
+        ("banks", _BANK, (_BANKS,)),
+        ("scale", np.float64),
+        ("floor", np.float64),
+        ("share", np.float64),
+        ("rms_spread", np.float64),
+    ],
+    align=True,
+)
 
 
 @dataclass(frozen=True)
@@ -120,19 +127,27 @@ class EnsembleAxis(FittedAxis):
 
 
 def _prepared(networks: Networks, scaling: Scaling, mean: float, scale: float) -> Networks:
-    """Networks that give mean + scale · output on inputs in their own units; an even number of units each."""
-    added = (0, networks.hidden_biases.shape[1] % UNITS_AT_ONCE)
-    weights = np.pad(networks.hidden_weights / scaling.input_scale, ((0, 0), added, (0, 0)))
+    """Networks that give mean + scale · output on inputs in their own units."""
+    weights = networks.hidden_weights / scaling.input_scale
     return Networks(
         weights,
-        np.pad(networks.hidden_biases, ((0, 0), added)) - weights @ scaling.input_mean,
-        np.pad(scale * networks.output_weights, ((0, 0), (0, 0), added)),
+        networks.hidden_biases - weights @ scaling.input_mean,
+        scale * networks.output_weights,
         scale * networks.output_biases + mean,
     )
 
 
+def _flat(networks: Networks) -> Array:
+    """The weights of a bank one after the other, as `Bank` of the compiled core has them."""
+    count, units, inputs = networks.hidden_weights.shape
+    hidden = networks.hidden_weights.reshape(count * units, inputs).T
+    output = np.concatenate((networks.output_biases[..., np.newaxis], networks.output_weights), axis=2)
+    parts = networks.hidden_biases, hidden, output.swapaxes(0, 1)
+    return np.concatenate([part.ravel() for part in parts])
+
+
 class _Packed(NamedTuple):
-    """What the kernel takes of the axes held, padded to the largest with zeros.
+    """What the compiled core takes of the axes held, and memory for a block of samples.
 
     The scaling of inputs, and that of what members give, is in the weights.
 
@@ -140,26 +155,19 @@ class _Packed(NamedTuple):
         operations: of the program of all inputs; common products are computed once.
         axes: (6,) sizes and scales.
         source: (6, D) rows of the program that are the inputs.
-        hidden: (6, banks, 1 + D, units) biases, then weights; units lie network by network.
-        output: (6, banks, outputs, networks, 1 + units) bias, then the weight of each unit.
+        weights: of all banks, one after the other.
+        rows: of the program.
+        activations: of all hidden units of a bank.
+        outputs: (banks, outputs, networks, samples).
     """
 
     operations: Records
     axes: Records
     source: npt.NDArray[np.int64]
-    hidden: Array
-    output: Array
-
-    def fill(self, axis: int, bank: int, networks: Networks) -> None:
-        """Put a bank in its place."""
-        count, units, inputs = networks.hidden_weights.shape
-        outputs, total = networks.output_biases.shape[1], count * units
-        self.axes[axis]["banks"][bank] = inputs, units, count, outputs
-        hidden, output = self.hidden[axis, bank], self.output[axis, bank, :outputs, :count]
-        hidden[BIAS, :total] = networks.hidden_biases.ravel()
-        hidden[WEIGHTS : WEIGHTS + inputs, :total] = networks.hidden_weights.reshape(total, inputs).T
-        output[:, :, BIAS] = networks.output_biases.T
-        output[:, :, WEIGHTS : WEIGHTS + units] = networks.output_weights.swapaxes(0, 1)
+    weights: Array
+    rows: Array
+    activations: Array
+    outputs: Array
 
 
 class FittedEnsembles(Fitted):
@@ -168,31 +176,33 @@ class FittedEnsembles(Fitted):
     @cached_property
     def _packed(self) -> _Packed:
         program = RegressorProgram.compile(r for own in self.axes.values() for r in own.inputs)
-        shapes = [bank.hidden_weights.shape for own in self.axes.values() for bank in own.banks]
-        networks, units, inputs = np.max(shapes, axis=0)
-        total = max(count * width for count, width, _ in shapes)
-        total += -total % LANES
-        n = len(AXES)
-        packed = _Packed(
-            program.operations,
-            axes=np.zeros(n, dtype=ENSEMBLE_AXIS),
-            source=np.zeros((n, inputs), dtype=np.int64),
-            hidden=np.zeros((n, BANKS, WEIGHTS + inputs, total)),
-            output=np.zeros((n, BANKS, MOST_OUTPUTS, networks, WEIGHTS + units)),
-        )
-        start = 0
+        axes = np.zeros(len(AXES), dtype=_AXIS)
+        source = np.zeros((len(AXES), max(len(own.inputs) for own in self.axes.values())), dtype=np.int64)
+        weights, first, start = [], 0, 0
         for axis, own in self.axes.items():
             k, size = AXES.index(axis), len(own.inputs)
-            packed.source[k, :size] = program.outputs[start : start + size]
-            start += size
-            for bank, part in enumerate(own.banks):
-                packed.fill(k, bank, part)
-            record = packed.axes[k]
+            source[k, :size] = program.outputs[first : first + size]
+            first += size
+            record = axes[k]
+            for bank, networks in enumerate(own.banks):
+                count, units, _ = networks.hidden_weights.shape
+                record["banks"][bank] = size, units, count, networks.output_biases.shape[1], start
+                weights.append(_flat(networks))
+                start += len(weights[-1])
             record["scale"] = own.scaling.target_scale
             record["floor"] = own.scaling.target_scale * own.floor
             record["share"] = own.deviation_weight
             record["rms_spread"] = own.rms_spread
-        return packed
+        banks, block = axes["banks"], compiled.ENSEMBLE_BLOCK
+        return _Packed(
+            program.operations,
+            axes,
+            source,
+            np.concatenate(weights),
+            rows=np.zeros((BASE_ROWS + len(program.operations), block)),
+            activations=np.empty((banks["networks"] * banks["units"]).max()),
+            outputs=np.empty((_BANKS, compiled.MOST_OUTPUTS, banks["networks"].max(), block)),
+        )
 
     def evaluate(
         self,
@@ -202,6 +212,6 @@ class FittedEnsembles(Fitted):
     ) -> Evaluation:
         """See the base class; the leverage is 0."""
         out = np.zeros((5, len(inputs), len(AXES)))
-        evaluate_kernel(inputs, *self._packed, factors, out)
+        compiled.evaluate_ensembles(np.ascontiguousarray(inputs), *self._packed, factors, out)
         # Faster one by one than by *out.
         return Evaluation(out[0], out[1], out[2], out[3], out[4])

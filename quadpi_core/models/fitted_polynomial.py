@@ -10,13 +10,13 @@ from typing import Annotated, NamedTuple, TypeAlias
 
 import numpy as np
 
-from quadpi_core.compiled import njit
 from quadpi_core.config_schema import NotNegative, ReadBy, Within
+from quadpi_core.core import compiled
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.models.interval_rules import StoredRule
 from quadpi_core.models.model_kind import Evaluation, Fitted, FittedAxis
-from quadpi_core.models.regressors import BASE_ROWS, Regressor, RegressorProgram, rows_kernel
+from quadpi_core.models.regressors import BASE_ROWS, Regressor, RegressorProgram
 from quadpi_core.records import Records
 
 # Root mean square of a spread over training samples: √(1 + κ h + γ V²) is never below 1.
@@ -64,19 +64,21 @@ class PolynomialAxis(FittedAxis):
 
 
 class _Packed(NamedTuple):
-    """What :func:`evaluate_kernel` takes of the axes held: tables padded to the longest.
+    """What the compiled core takes of the axes held: tables padded to the longest.
 
     Attributes:
         operations: of the program of all regressors; common products are computed once.
         axes: (6,) size, inflation, growth and rms_spread.
         terms: (6, s) row and coefficient.
         whitening: (6, s, s).
+        rows: room for those of the program, of one sample.
     """
 
     operations: Records
     axes: Records
     terms: Records
     whitening: Array
+    rows: Array
 
 
 class FittedPolynomials(Fitted):
@@ -100,7 +102,8 @@ class FittedPolynomials(Fitted):
             terms["coefficient"][k, :size] = own.coefficients
             whitening[k, :size, :size] = own.whitening
             start += size
-        return _Packed(program.operations, axes, terms, whitening)
+        rows = np.empty(BASE_ROWS + len(program.operations))
+        return _Packed(program.operations, axes, terms, whitening, rows)
 
     def evaluate(
         self,
@@ -110,42 +113,6 @@ class FittedPolynomials(Fitted):
     ) -> Evaluation:
         """See the base class."""
         out = np.zeros((5, len(inputs), len(AXES)))
-        evaluate_kernel(inputs, *self._packed, factors, out)
+        compiled.evaluate_polynomials(np.ascontiguousarray(inputs), *self._packed, factors, out)
         # Faster one by one than by *out.
         return Evaluation(out[0], out[1], out[2], out[3], out[4])
-
-
-@njit(cache=True)
-def evaluate_kernel(
-    inputs: Array,
-    operations: Records,
-    axes: Records,
-    terms: Records,
-    whitening: Array,
-    factors: Array,
-    out: Array,
-) -> None:
-    """Fill predicted, lower, upper, leverage and relative width of `out` (5, N, 6) for the axes held."""
-    rows = np.empty((BASE_ROWS + operations.shape[0], 1))
-    for i in range(inputs.shape[0]):
-        rows_kernel(inputs[i : i + 1], operations, rows)
-        # u, v and w come first.
-        speed_squared = inputs[i, 0] ** 2 + inputs[i, 1] ** 2 + inputs[i, 2] ** 2
-        for axis in range(axes.shape[0]):
-            fitted = axes[axis]
-            if fitted.size == 0:
-                continue
-            predicted = 0.0
-            leverage = 0.0
-            for a in range(fitted.size):
-                predicted += terms[axis, a].coefficient * rows[terms[axis, a].row, 0]
-                whitened = 0.0
-                for b in range(a + 1):
-                    whitened += whitening[axis, a, b] * rows[terms[axis, b].row, 0]
-                leverage += whitened * whitened
-            spread = np.sqrt(1.0 + fitted.inflation * leverage + fitted.growth * speed_squared)
-            out[0, i, axis] = predicted
-            out[1, i, axis] = predicted - factors[axis] * spread
-            out[2, i, axis] = predicted + factors[axis] * spread
-            out[3, i, axis] = leverage
-            out[4, i, axis] = spread / fitted.rms_spread

@@ -16,17 +16,13 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import solve_triangular
 
-from quadpi_core.compiled import njit
+from quadpi_core.core import compiled
 from quadpi_core.errors import ModelError, one_line
 from quadpi_core.frames import Array
-from quadpi_core.models.regressors import BASE_ROWS, RegressorProgram, rows_kernel
-from quadpi_core.records import Records
+from quadpi_core.models.regressors import BASE_ROWS, RegressorProgram
 
-# Samples per block: the regressors of one block stay in the cache of a core.
-_BLOCK = 192
 # Samples that a thread takes at a time; fixed, so that sums do not depend on the number of cores.
 _PIECE = 10_000
-_TILE_ROWS = 4
 # Numbers of 8 bytes in a cache line.
 _CACHE_LINE = 8
 
@@ -139,10 +135,12 @@ def _accumulate(program: RegressorProgram, inputs: Array, target: Array) -> Gram
     target_row = BASE_ROWS + len(program.operations)
     factors = np.append(program.outputs, target_row)
     size = len(factors)
-    factors = np.pad(factors, (0, -size % _TILE_ROWS), mode="edge")
+    factors = np.pad(factors, (0, -size % compiled.TILE_ROWS), mode="edge")
     sums = np.zeros((len(factors), len(factors)))
-    rows = _aligned_zeros(target_row + 1, _BLOCK)
-    _accumulate_kernel(inputs, target, program.operations, factors, rows, sums)
+    rows = _aligned_zeros(target_row + 1, compiled.GRAM_BLOCK)
+    compiled.add_to_gram(
+        np.ascontiguousarray(inputs), np.ascontiguousarray(target), program.operations, factors, rows, sums
+    )
     lower = np.tril(sums[:size, :size])
     sums = lower + np.tril(lower, -1).T
     return Gram(sums[:-1, :-1], sums[:-1, -1], float(sums[-1, -1]), len(target))
@@ -153,58 +151,6 @@ def _aligned_zeros(rows: int, columns: int) -> Array:
     buffer = np.zeros(rows * columns + _CACHE_LINE)
     skip = -(buffer.ctypes.data // buffer.itemsize) % _CACHE_LINE
     return buffer[skip : skip + rows * columns].reshape(rows, columns)
-
-
-@njit(cache=True, nogil=True)
-def _accumulate_kernel(
-    inputs: Array,
-    target: Array,
-    operations: Records,
-    factors: npt.NDArray[np.int64],
-    rows: Array,
-    sums: Array,
-) -> None:
-    """Add up the lower triangle of `sums` (m, m) for the rows `factors` (m,) of program and target."""
-    for start in range(0, inputs.shape[0], _BLOCK):
-        count = min(_BLOCK, inputs.shape[0] - start)
-        rows_kernel(inputs[start : start + count], operations, rows)
-        for i in range(count):
-            rows[-1, i] = target[start + i]
-        rows[:, count:] = 0.0
-        _add_products(rows, factors, sums)
-
-
-# Sums may be reordered for vector registers: no bit of a replay depends on them.
-@njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
-def _add_products(rows: Array, factors: npt.NDArray[np.int64], sums: Array) -> None:
-    """Add the products of rows to the lower triangle of `sums`, 4 x 2 of them at a time in registers.
-
-    The sums of squares and products are where identification spends its time. BLAS takes twice as long for
-    blocks of this shape, and its sums depend on the number of threads; these are the same on any of them.
-    """
-    for i in range(0, factors.shape[0], _TILE_ROWS):
-        a0, a1 = rows[factors[i]], rows[factors[i + 1]]
-        a2, a3 = rows[factors[i + 2]], rows[factors[i + 3]]
-        for j in range(0, i + _TILE_ROWS, 2):
-            b0, b1 = rows[factors[j]], rows[factors[j + 1]]
-            s00 = s01 = s10 = s11 = s20 = s21 = s30 = s31 = 0.0
-            for k in range(_BLOCK):
-                s00 += a0[k] * b0[k]
-                s01 += a0[k] * b1[k]
-                s10 += a1[k] * b0[k]
-                s11 += a1[k] * b1[k]
-                s20 += a2[k] * b0[k]
-                s21 += a2[k] * b1[k]
-                s30 += a3[k] * b0[k]
-                s31 += a3[k] * b1[k]
-            sums[i, j] += s00
-            sums[i, j + 1] += s01
-            sums[i + 1, j] += s10
-            sums[i + 1, j + 1] += s11
-            sums[i + 2, j] += s20
-            sums[i + 2, j + 1] += s21
-            sums[i + 3, j] += s30
-            sums[i + 3, j + 1] += s31
 
 
 # Huber's k: residuals up to this many standard deviations have weight 1. Two in 1e9 normal residuals lie

@@ -17,7 +17,7 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.compiled import njit
+from quadpi_core.core import compiled
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
@@ -27,6 +27,7 @@ from quadpi_core.records import Records
 Monomial: TypeAlias = tuple[tuple[str, int, int], ...]
 
 CONSTANT: Monomial = ()
+BASE_ROWS = compiled.BASE_ROWS
 # Samples evaluated at a time, so that the rows in between stay in the cache.
 _BLOCK = 1024
 # Far above any useful degree; refuses powers that overflow.
@@ -187,41 +188,12 @@ class RegressorProgram:
     def evaluate(self, inputs: Array) -> Array:
         """Regressors (N, p) of input vectors (N, 19); memory N × p, so meant for selected terms."""
         check_inputs(inputs)
-        inputs = np.ascontiguousarray(inputs)
         values = np.empty((len(inputs), len(self.outputs)))
         rows = np.empty((BASE_ROWS + len(self.operations), _BLOCK))
-        for start in range(0, len(inputs), _BLOCK):
-            block = inputs[start : start + _BLOCK]
-            rows_kernel(block, self.operations, rows)
-            values[start : start + _BLOCK] = rows[self.outputs, : len(block)].T
+        compiled.evaluate_regressors(
+            np.ascontiguousarray(inputs), self.operations, self.outputs, rows, values
+        )
         return values
-
-
-BASE_ROWS = 1 + 2 * len(INPUT_NAMES)
-
-
-@njit(cache=True)
-def rows_kernel(inputs: Array, operations: Records, rows: Array) -> None:
-    """Fill the first N columns of `rows` (BASE_ROWS + n, ≥ N) of a program for inputs (N, 19)."""
-    count = inputs.shape[0]
-    n_inputs = inputs.shape[1]
-    for i in range(count):
-        rows[0, i] = 1.0
-    for j in range(n_inputs):
-        for i in range(count):
-            rows[1 + j, i] = inputs[i, j]
-            rows[1 + n_inputs + j, i] = abs(inputs[i, j])
-    base = 1 + 2 * n_inputs
-    for k in range(operations.shape[0]):
-        operation = operations[k]
-        a, b, out = rows[operation.first], rows[operation.second], rows[base + k]
-        wa, wb = operation.first_weight, operation.second_weight
-        if wa == 0.0:
-            for i in range(count):
-                out[i] = a[i] * b[i]
-        else:
-            for i in range(count):
-                out[i] = wa * a[i] + wb * b[i]
 
 
 def check_inputs(inputs: Array) -> None:

@@ -74,5 +74,5 @@ def test_models_import_without_torch() -> None:
         "    importlib.import_module(found.name)\n"
         "print(*sys.modules)"
     ).split()
-    assert "quadpi_core.models.ensemble_kernel" in modules
+    assert "quadpi_core.models.fitted_ensemble" in modules
     assert "torch" not in modules

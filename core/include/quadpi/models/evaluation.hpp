@@ -1,0 +1,30 @@
+// SPDX-FileCopyrightText: 2026 The quadpi authors
+// SPDX-License-Identifier: Apache-2.0
+// What models give of samples; see `Evaluation` of models/model_kind.py.
+#pragma once
+
+#include "quadpi/records.hpp"
+#include "quadpi/signals/wrench.hpp"
+
+namespace quadpi {
+
+// Arrays of N samples, zero for axes that the model does not hold.
+struct Evaluation {
+    Wrench* predicted;  // N and Nm, body forward-right-down
+    Wrench* lower;
+    Wrench* upper;
+    Wrench* leverage;
+    Wrench* relative_width;
+
+    // Fill all but the leverage of a sample: the interval is `factor` spreads to each side.
+    void fill(
+        std::size_t sample, std::size_t axis, double centre, double spread, double factor, double rms_spread
+    ) const {
+        predicted[sample][axis] = centre;
+        lower[sample][axis] = centre - factor * spread;
+        upper[sample][axis] = centre + factor * spread;
+        relative_width[sample][axis] = spread / rms_spread;
+    }
+};
+
+}  // namespace quadpi

@@ -1,0 +1,74 @@
+// SPDX-FileCopyrightText: 2026 The quadpi authors
+// SPDX-License-Identifier: Apache-2.0
+// Fitted polynomials, one sample after the other; see models/fitted_polynomial.py.
+#pragma once
+
+#include "quadpi/models/evaluation.hpp"
+#include "quadpi/models/regressors.hpp"
+
+namespace quadpi {
+
+// One axis; its spread is √(1 + κ h + γ V²) of the leverage h and the airspeed V.
+struct PolynomialAxis {
+    std::int64_t size;  // terms, 0 where the axis is not held
+    double inflation;   // κ
+    double growth;      // γ
+    double rms_spread;  // root mean square of the spread over the training samples
+};
+
+// One term of an axis.
+struct PolynomialTerm {
+    std::int64_t row;  // of the program
+    double coefficient;
+};
+
+// The polynomials of a model, their tables padded to the longest.
+struct Polynomials {
+    Records<const Operation> operations;
+    Records<const PolynomialAxis> axes;
+    Records<const PolynomialTerm> terms;  // by axis
+    const double* whitening;              // by axis: lower triangular W, with leverage h = |W z|²
+
+    std::size_t longest() const { return terms.size / AXES; }
+};
+
+// Fill the evaluation of the axes held; `rows` has room for one sample.
+inline void evaluate(
+    const Polynomials& model,
+    Records<const InputVector> inputs,
+    const Wrench& factors,
+    const Rows& rows,
+    const Evaluation& out
+) {
+    const std::size_t longest = model.longest();
+    for (std::size_t i = 0; i < inputs.size; ++i) {
+        fill_rows(inputs.part(i, i + 1), model.operations, rows);
+        // u, v and w come first.
+        const double u = inputs[i][0], v = inputs[i][1], w = inputs[i][2];
+        const double speed_squared = u * u + v * v + w * w;
+        for (std::size_t axis = 0; axis < AXES; ++axis) {
+            const PolynomialAxis& fitted = model.axes[axis];
+            const PolynomialTerm* terms = model.terms.data + axis * longest;
+            const double* whitening = model.whitening + axis * longest * longest;
+            const auto size = static_cast<std::size_t>(fitted.size);
+            if (size == 0) {
+                continue;
+            }
+            double predicted = 0.0, leverage = 0.0;
+            for (std::size_t a = 0; a < size; ++a) {
+                predicted += terms[a].coefficient * *rows[terms[a].row];
+                double whitened = 0.0;
+                for (std::size_t b = 0; b <= a; ++b) {
+                    whitened += whitening[a * longest + b] * *rows[terms[b].row];
+                }
+                leverage += whitened * whitened;
+            }
+            const double spread =
+                std::sqrt(1.0 + fitted.inflation * leverage + fitted.growth * speed_squared);
+            out.fill(i, axis, predicted, spread, factors[axis], fitted.rms_spread);
+            out.leverage[i][axis] = leverage;
+        }
+    }
+}
+
+}  // namespace quadpi
