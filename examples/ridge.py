@@ -10,7 +10,6 @@ from typing import Annotated
 
 import numpy as np
 
-from quadpi_core.compiled import njit
 from quadpi_core.config_schema import Numbers, Positive
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
@@ -53,18 +52,13 @@ class FittedRidge(Fitted):
         return Evaluation(*out)
 
 
-@njit(cache=True)
 def predict(inputs, coefficients, out):
-    """Fill predictions (N, A) for inputs (N, 19): in loops, as a matrix product may round by its size."""
+    """Fill predictions (N, A) for inputs (N, 19): term by term, as a matrix product may round by its size."""
     count = inputs.shape[1]
-    for i in range(inputs.shape[0]):
-        for axis in range(coefficients.shape[0]):
-            out[i, axis] = coefficients[axis, 0]
-            for k in range(count):
-                value = inputs[i, k]
-                out[i, axis] += (
-                    coefficients[axis, 1 + k] + coefficients[axis, 1 + count + k] * value
-                ) * value
+    out[:] = coefficients[:, 0]
+    for k in range(count):
+        value = inputs[:, k, np.newaxis]
+        out += (coefficients[:, 1 + k] + coefficients[:, 1 + count + k] * value) * value
 
 
 @dataclass(frozen=True)
