@@ -5,6 +5,9 @@
 Arrays must be contiguous, and those that are changed in place writable; one of length one is a record.
 """
 
+import numpy as np
+import numpy.typing as npt
+
 from quadpi_core.estimator.filter_run import Arrivals, Trace
 from quadpi_core.estimator.smoother import Inputs, Tape
 from quadpi_core.flight import Stamps
@@ -136,6 +139,32 @@ def prediction_values(
     values: Array,
     /,
 ) -> None: ...
+
+# screening
+AIRSPEED_MAX_M_S: float
+ALONE: int
+FLIGHT_MAX_NS: int
+LATE: int
+MAX_GAP_NS: int
+MAX_JUMP_BACK_NS: int
+MEASURED_SPEED_MAX_M_S: float
+NO_STAMP: int
+POSITION_MAX_M: float
+QUATERNION_NORM_TOLERANCE: float
+RATE_MAX_RAD_S: float
+RISES: int
+SPECIFIC_FORCE_MAX_M_S2: float
+STANDARD_GRAVITY: float
+
+def scan_order(
+    time_ns: Stamps, hole_ns: float, rising: Stamps, kinds: npt.NDArray[np.int8], run_of: Indices, /
+) -> None: ...
+def usable_imu(rates: Array, specific_force: Array, /) -> bool: ...
+
+# For tests of the limits.
+def usable_pose(position: Array, attitude: Array, /) -> bool: ...
+def usable_velocity(velocity: Array, /) -> bool: ...
+def plausible(sample: Array, rotor_speed_max: float, /) -> bool: ...
 
 # signals, inputs and the rate of the IMU
 MEASURED_NS: int

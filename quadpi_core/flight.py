@@ -20,22 +20,18 @@ import numpy.typing as npt
 
 from quadpi_core import array_checks
 from quadpi_core.brief_repr import brief_repr
+from quadpi_core.core import compiled
 from quadpi_core.errors import LogError, named_in
 from quadpi_core.findings import NOTHING_TO_SAY, DataQuality
 from quadpi_core.frames import Array
 
 Stamps: TypeAlias = npt.NDArray[np.int64]
-# Longest pause of a sensor across which samples are interpolated, integrated or filtered.
-MAX_GAP_NS = 100_000_000
-# A stamp that steps further back is a restart (a bag played again), not a late sample.
-MAX_JUMP_BACK_NS = 1_000_000_000
+_DAY_NS = 86_400 * 1_000_000_000
+# What these are stands in core/include/quadpi/limits.hpp.
+FLIGHT_MAX_NS, MAX_GAP_NS = compiled.FLIGHT_MAX_NS, compiled.MAX_GAP_NS
+MAX_JUMP_BACK_NS, NO_STAMP = compiled.MAX_JUMP_BACK_NS, compiled.NO_STAMP
 # Seconds in messages have 32 bits.
 STAMP_MAX_NS = 2**31 * 1_000_000_000 - 1
-# Marks "no stamp": before every stamp, and its difference to any of them fits 64 bits.
-NO_STAMP = -(2**62)
-_DAY_NS = 86_400 * 1_000_000_000
-# A recording that spans more has a damaged stamp.
-FLIGHT_MAX_NS = 2 * _DAY_NS
 # Largest value of any quantity in SI units; sums of squares of such numbers keep their digits.
 VALUE_MAX = 1e6
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")

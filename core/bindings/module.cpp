@@ -9,6 +9,7 @@ void bind_logs(nanobind::module_& module);
 void bind_messages(nanobind::module_& module);
 void bind_models(nanobind::module_& module);
 void bind_monitor(nanobind::module_& module);
+void bind_screening(nanobind::module_& module);
 void bind_signals(nanobind::module_& module);
 }  // namespace quadpi
 
@@ -21,5 +22,6 @@ NB_MODULE(_core, module) {
     quadpi::bind_messages(module);
     quadpi::bind_signals(module);
     quadpi::bind_models(module);
+    quadpi::bind_screening(module);
     quadpi::bind_monitor(module);
 }

@@ -43,7 +43,6 @@ from quadpi_core.estimator.output import FUSED, FusedSamples
 from quadpi_core.flight import MAX_GAP_NS, MAX_JUMP_BACK_NS, Recording
 from quadpi_core.frames import Array
 from quadpi_core.records import Records
-from quadpi_core.sample_limits import usable_imu
 from quadpi_core.signals.resample import RATE_SPAN, nominal_rate
 from quadpi_core.vehicle import Vehicle
 
@@ -329,7 +328,7 @@ class Ekf:
 
     def _collect_imu(self) -> Outcome:
         """Keep the IMU sample at hand for the start, and start if a second has been collected."""
-        if not usable_imu(self._rates, self._force):
+        if not compiled.usable_imu(self._rates, self._force):
             return Outcome.UNUSABLE
         time_ns, imu = int(self._sample_ns[0]), self._collected.imu
         last_ns = int(imu[-1]["time_ns"][0]) if imu else time_ns - 1

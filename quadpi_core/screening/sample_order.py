@@ -34,12 +34,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.compiled import njit
+from quadpi_core.core import compiled
 from quadpi_core.errors import LogError
 from quadpi_core.findings import CLOCK_FALLS, CLOCK_JUMPS, Break, DataQuality, LeftOut, Reordered, UsedPart
 from quadpi_core.flight import (
     FLIGHT_MAX_NS,
-    MAX_GAP_NS,
     MAX_JUMP_BACK_NS,
     STAMP_MAX_NS,
     Recording,
@@ -72,7 +71,6 @@ HOLE_STEPS = Threshold(
 REPEATS, BACKWARD = "stamp repeats", "stamp runs backward"
 ALONE, OUTSIDE = "stamp is far from those around it", "stamp is no number from 1970 to 2038"
 NO_ROTATION = "attitude is no unit quaternion"
-_RISES, _LATE, _ALONE = 0, 1, 2
 
 
 class Found(NamedTuple):
@@ -196,13 +194,13 @@ def order_of(time_ns: Stamps, faults: Mapping[str, Mask] | None = None) -> Sampl
     steps = np.abs(np.diff(stamps))
     # The lower quartile: of samples stored in pairs that are swapped, half the steps are of three.
     usual_ns = float(np.percentile(steps[steps > 0], 25.0)) if steps.any() else 0.0
-    _scan(stamps, HOLE_STEPS.value * usual_ns, kinds, run_of)
-    late = np.flatnonzero(kinds == _LATE)
+    compiled.scan_order(stamps, HOLE_STEPS.value * usual_ns, np.empty_like(stamps), kinds, run_of)
+    late = np.flatnonzero(kinds == compiled.LATE)
     repeats, fits = _late_ones(stamps, kinds, run_of, HOLE_STEPS.value * usual_ns)
     for fault, places in (
         (REPEATS, late[repeats]),
         (BACKWARD, late[~repeats & ~fits]),
-        (ALONE, np.flatnonzero(kinds == _ALONE)),
+        (ALONE, np.flatnonzero(kinds == compiled.ALONE)),
     ):
         drop(fault, np.isin(np.arange(count), rows[places]))
     kept = usable[rows]
@@ -220,57 +218,14 @@ def order_of(time_ns: Stamps, faults: Mapping[str, Mask] | None = None) -> Sampl
     )
 
 
-@njit(cache=True)
-def _scan(time_ns: Stamps, hole_ns: float, kinds: npt.NDArray[np.int8], run_of: Rows) -> None:
-    """Fill the kind and the run of each sample."""
-    rising = np.empty(time_ns.size, np.int64)  # stamps of the present run
-    held, run, last = 0, 0, 0
-    for i in range(time_ns.size):
-        stamp = time_ns[i]
-        following = time_ns[min(i + 1, time_ns.size - 1)]
-        run_of[i] = run
-        if held > 0:
-            newest = rising[held - 1]
-            step = stamp - newest
-            is_last = i + 1 == time_ns.size
-            alone = is_last or abs(following - stamp) >= abs(following - newest)
-            if alone and step > (FLIGHT_MAX_NS if is_last else MAX_GAP_NS) and following <= stamp:
-                kinds[i] = _ALONE
-                continue
-            falls = step < -MAX_GAP_NS and following > stamp and not alone
-            far = step < -MAX_JUMP_BACK_NS
-            if step > FLIGHT_MAX_NS or (
-                falls and (far or not _one_hole(rising, held, stamp, following, hole_ns))
-            ):
-                if held == 1:
-                    kinds[last] = _ALONE
-                else:
-                    run += 1
-                held, run_of[i] = 0, run
-            elif step <= 0:
-                kinds[i] = _LATE
-                continue
-        rising[held], last = stamp, i
-        held += 1
-
-
-@njit(cache=True)
-def _one_hole(rising: Stamps, count: int, first: int, second: int, hole_ns: float) -> bool:
-    """Whether two stamps before the newest lie in one hole between the rising ones."""
-    high = np.searchsorted(rising[: count - 1], first)
-    low = high - 1
-    inside = rising[low] < first < rising[high] and first < second < rising[high]
-    return bool(low >= 0 and inside and rising[high] - rising[low] >= hole_ns)
-
-
 def _late_ones(
     stamps: Stamps, kinds: npt.NDArray[np.int8], run_of: Rows, hole_ns: float
 ) -> tuple[Mask, Mask]:
     """Of the samples that came late: masks of those that repeat a stamp, and of those that fit a hole."""
-    late = np.flatnonzero(kinds == _LATE)
+    late = np.flatnonzero(kinds == compiled.LATE)
     repeats, fits = np.zeros(len(late), np.bool_), np.zeros(len(late), np.bool_)
     for run in np.unique(run_of[late]).tolist():
-        in_order = np.flatnonzero((kinds == _RISES) & (run_of == run))
+        in_order = np.flatnonzero((kinds == compiled.RISES) & (run_of == run))
         own = np.flatnonzero(run_of[late] == run)
         rising, came = stamps[in_order], stamps[late[own]]
         again = np.ones(len(came), np.bool_)

@@ -6,14 +6,9 @@ import numpy as np
 import pytest
 
 from quadpi_core import sample_limits
-from quadpi_core.sample_limits import (
-    unit_attitude,
-    usable_airspeed,
-    usable_imu,
-    usable_pose,
-    usable_rotor_speeds,
-    usable_velocity,
-)
+from quadpi_core.core import compiled
+from quadpi_core.records import record_dtype
+from quadpi_core.signals.chain import Signals
 
 ZERO, LEVEL = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
 
@@ -22,15 +17,24 @@ def second(value):
     return np.array([0.0, value, 0.0])
 
 
+def usable_state(**values):
+    """Whether a sample is plausible that has other values than at rest; rotors turn at 900 rad/s at most."""
+    sample = np.zeros(1, record_dtype(Signals))
+    sample["attitude"] = LEVEL
+    for name, value in values.items():
+        sample[name] = value
+    return compiled.plausible(sample, 900.0)
+
+
 LIMITS = {
-    "rates, rad/s: twice 2000 deg/s": (70.0, lambda x: usable_imu(second(x), ZERO)),
-    "specific force, m/s²: 32 g and a little": (320.0, lambda x: usable_imu(ZERO, second(x))),
-    "position, m": (10_000.0, lambda x: usable_pose(second(x), LEVEL)),
-    "speed that a sensor gives, m/s": (300.0, lambda x: usable_velocity(second(x))),
-    "speed of a vehicle, m/s": (100.0, lambda x: usable_airspeed(second(x))),
-    "rotor speed that its sensor reads, rad/s": (900.0, lambda x: usable_rotor_speeds(np.full(4, x), 900.0)),
-    "norm of an attitude that is normalised": (1e6, lambda x: usable_pose(ZERO, x * LEVEL)),
-    "norm of an attitude of a state": (1.1, lambda x: unit_attitude(x * LEVEL)),
+    "rates, rad/s: twice 2000 deg/s": (70.0, lambda x: compiled.usable_imu(second(x), ZERO)),
+    "specific force, m/s²: 32 g and a little": (320.0, lambda x: compiled.usable_imu(ZERO, second(x))),
+    "position, m": (10_000.0, lambda x: compiled.usable_pose(second(x), LEVEL)),
+    "speed that a sensor gives, m/s": (300.0, lambda x: compiled.usable_velocity(second(x))),
+    "speed of a vehicle, m/s": (100.0, lambda x: usable_state(velocity=second(x))),
+    "rotor speed that its sensor reads, rad/s": (900.0, lambda x: usable_state(rotor_speeds=x)),
+    "norm of an attitude that is normalised": (1e6, lambda x: compiled.usable_pose(ZERO, x * LEVEL)),
+    "norm of an attitude of a state": (1.1, lambda x: usable_state(attitude=x * LEVEL)),
 }
 
 
@@ -47,15 +51,15 @@ def test_magnitudes_count_but_rotors_never_turn_backward():
         value, usable = LIMITS[name]
         assert usable(-0.999 * value)
         assert not usable(-1.001 * value)
-    assert usable_rotor_speeds(np.zeros(4), 900.0)
-    assert not usable_rotor_speeds(np.array([0.0, 0.0, 0.0, -1e-9]), 900.0)
+    assert usable_state(rotor_speeds=0.0)
+    assert not usable_state(rotor_speeds=np.array([0.0, 0.0, 0.0, -1e-9]))
 
 
 def test_norms_have_a_least_one_too():
-    assert usable_pose(ZERO, 0.501 * LEVEL)
-    assert not usable_pose(ZERO, 0.499 * LEVEL)
-    assert unit_attitude(0.901 * LEVEL)
-    assert not unit_attitude(0.899 * LEVEL)
+    assert compiled.usable_pose(ZERO, 0.501 * LEVEL)
+    assert not compiled.usable_pose(ZERO, 0.499 * LEVEL)
+    assert usable_state(attitude=0.901 * LEVEL)
+    assert not usable_state(attitude=0.899 * LEVEL)
 
 
 def test_gravity_is_the_standard_one():

@@ -12,11 +12,13 @@
 
 namespace quadpi {
 
-// A longer pause between two samples is a gap [ns].
+// Longest pause [ns] of a sensor across which samples are interpolated, integrated or filtered.
 constexpr std::int64_t MAX_GAP_NS = 100'000'000;
-// A clock that is set back by more has begun again [ns].
+// A stamp that steps further back [ns] is a restart (a bag played again), not a late sample.
 constexpr std::int64_t MAX_JUMP_BACK_NS = 1'000'000'000;
-// A stamp before all others.
+// A recording that spans more has a damaged stamp [ns].
+constexpr std::int64_t FLIGHT_MAX_NS = 2 * 86'400 * std::int64_t{1'000'000'000};
+// Marks "no stamp": before every stamp, and its difference to any of them fits 64 bits.
 constexpr std::int64_t NO_STAMP = -(std::int64_t{1} << 62);
 
 // Gyros of flight controllers end at 2000 deg/s, 35 rad/s, or 4000 deg/s.

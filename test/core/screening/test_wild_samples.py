@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from quadpi_core.core import compiled
 from quadpi_core.errors import LogError
 from quadpi_core.flight import (
     MAX_GAP_NS,
@@ -22,7 +23,7 @@ from quadpi_core.flight import (
 )
 from quadpi_core.logs import decode_recording, read_recording
 from quadpi_core.logs.bags import write_bag
-from quadpi_core.sample_limits import RATE_MAX_RAD_S, SPECIFIC_FORCE_MAX_M_S2, usable_imu
+from quadpi_core.sample_limits import RATE_MAX_RAD_S, SPECIFIC_FORCE_MAX_M_S2
 from quadpi_core.screening.plausibility import check_plausible
 from quadpi_core.screening.wild_samples import beyond_limits, screened, usable_samples
 from quadpi_core.vehicle import Vehicle
@@ -100,7 +101,7 @@ def test_limits_are_those_of_the_live_path(clean):
             rates[FIRST : FIRST + 10], force[FIRST : FIRST + 10] = sample[:3], sample[3:]
             imu = replace(clean.imu, angular_velocity=rates, specific_force=force)
             used = screened(replace(clean, imu=imu), None)
-            assert (len(used.imu) == len(imu)) == bool(usable_imu(sample[:3], sample[3:]))
+            assert (len(used.imu) == len(imu)) == compiled.usable_imu(sample[:3], sample[3:])
 
 
 def test_arrivals_count_what_is_left(clean, vehicle):
