@@ -14,6 +14,8 @@ from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
 from quadpi_core.messages.adapters.rotor_messages import EscReports
 from quadpi_core.messages.payloads import Bytes, Indices
+from quadpi_core.models.physical_rollout import Disturbances, Rolled, Track
+from quadpi_core.models.tubes import Uncertainty
 from quadpi_core.records import Records
 
 SOURCES: str
@@ -321,3 +323,39 @@ def advance_alarm(
 def all_finite(lower: Array, upper: Array, leverage: Array, /) -> bool: ...
 def lasts(values: Array, steps: Array, level: float, persistence_s: float, release_s: float, /) -> bool: ...
 def sum_misses(steps: Array, miss: Array, allowed: float, sums: Array, /) -> None: ...
+
+# physical model
+def solve_induced_velocity(in_plane: float, through: float, hover: float, /) -> float: ...
+def fill_regressors(motion: Records, vehicle: Records, rows: Array, /) -> None: ...
+def physical_wrenches(motion: Records, vehicle: Records, parameters: Array, out: Array, /) -> None: ...
+def read_motions(inputs: Array, derivatives: Records, controls: Array, motion: Records, /) -> None: ...
+def evaluate_physical(
+    inputs: Array,
+    derivatives: Records,
+    common: Records,
+    kept: Records,
+    acting: Indices,
+    whitening: Array,
+    factors: Array,
+    out: Array,
+    /,
+) -> None: ...
+def roll_out(
+    track: Track,
+    starts: Indices,
+    horizons: Indices,
+    parameters: Array,
+    disturbances: Disturbances,
+    rolled: Rolled,
+    /,
+) -> None: ...
+def error_covariance(
+    track: Track,
+    starts: Indices,
+    horizons: Indices,
+    path: Records,
+    parameters: Array,
+    uncertainty: Uncertainty,
+    covariance: Array,
+    /,
+) -> None: ...

@@ -12,7 +12,6 @@ from typing import Annotated
 
 import numpy as np
 
-from quadpi_core.compiled import njit
 from quadpi_core.core import compiled
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array
@@ -45,9 +44,6 @@ INPUT_INDEX = {name: index for index, name in enumerate(INPUT_NAMES)}
 VELOCITY_INPUTS = [INPUT_INDEX[name] for name in ("u", "v", "w")]
 # Which inputs are cosines of an angle: near 1 they go with its square.
 COSINES = np.array([name.startswith("cos_") for name in INPUT_NAMES])
-
-_NEWTON_STEPS_MAX = 80
-_CONVERGED = 1e-15
 
 
 class Derivatives:
@@ -138,34 +134,3 @@ def relative_to_air(velocity: Array, attitude: Array, wind: Array) -> Array:
     velocity, attitude, wind = map(np.ascontiguousarray, (velocity, attitude, wind))
     compiled.relative_to_air(velocity, attitude, wind, out)
     return out
-
-
-@njit(cache=True)
-def solve_induced_velocity(in_plane: float, through: float, hover: float) -> float:
-    """Induced velocity m/s of momentum theory, from the velocity in the rotor plane and through it (Eq. 8).
-
-    Solves v_in = v_h² / √((V cos α)² + (v_in − V sin α)²) with V cos α = √(u² + v²) and V sin α = w, in units
-    of v_h. Where descent allows several roots, the largest is taken: it belongs to the working state of the
-    rotor and joins hover without a jump.
-
-    The start lies above the largest root, where the quartic rises and is convex, so Newton's method
-    falls onto it; a bracket that shrinks with each sign guards the few cases with an inflection between.
-    """
-    a = (in_plane / hover) ** 2
-    b = through / hover
-    low = 0.0
-    high = max(b, 0.0) + 1.0
-    x = high
-    for _ in range(_NEWTON_STEPS_MAX):
-        excess = x * x * (a + (x - b) ** 2) - 1.0
-        slope = 2.0 * x * (a + (x - b) * (2.0 * x - b))
-        if excess > 0.0:
-            high = x
-        else:
-            low = x
-        newton = x - excess / slope if slope > 0.0 else low
-        previous = x
-        x = newton if low < newton <= high else 0.5 * (low + high)
-        if abs(x - previous) <= _CONVERGED * x:
-            break
-    return x * hover

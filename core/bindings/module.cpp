@@ -10,6 +10,7 @@ void bind_messages(nanobind::module_& module);
 void bind_models(nanobind::module_& module);
 void bind_monitor(nanobind::module_& module);
 void bind_screening(nanobind::module_& module);
+void bind_physical(nanobind::module_& module);
 void bind_signals(nanobind::module_& module);
 }  // namespace quadpi
 
@@ -24,4 +25,5 @@ NB_MODULE(_core, module) {
     quadpi::bind_models(module);
     quadpi::bind_screening(module);
     quadpi::bind_monitor(module);
+    quadpi::bind_physical(module);
 }

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from quadpi_core.bounded_files import parse_json
 from quadpi_core.config_schema import NotNegative, Positive, Text, parse_config
+from quadpi_core.core import compiled
 from quadpi_core.errors import ModelError, named_in
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
@@ -25,7 +26,7 @@ from quadpi_core.models.model_kind import Evaluation, Facts, Fitted, FittedAxis,
 from quadpi_core.models.physical_advice import delay_words, missing_flying
 from quadpi_core.models.physical_fit import AT_BOUND, FitStep, bounded_terms, worst_pairs
 from quadpi_core.models.physical_flight import DELAYS_S, PhysicalFlight, Sensing
-from quadpi_core.models.physical_kernel import COMMON, KEPT, PackedPhysical, evaluate_physical, motions
+from quadpi_core.models.physical_kernel import COMMON, KEPT, PackedPhysical, motions
 from quadpi_core.models.physical_regressors import control_signs, regressors
 from quadpi_core.models.physical_terms import TERM_INDEX, TERM_NAMES, TERMS
 from quadpi_core.models.regressors import check_inputs
@@ -209,7 +210,8 @@ class FittedPhysical(Fitted):
         if derivatives is None:
             raise ModelError("the physical model needs the derivatives of the motion")
         out = np.zeros((5, len(inputs), len(AXES)))
-        evaluate_physical(inputs, derivatives, *self._packed, factors, out)
+        inputs, derivatives, factors = map(np.ascontiguousarray, (inputs, derivatives, factors))
+        compiled.evaluate_physical(inputs, derivatives, *self._packed, factors, out)
         return Evaluation(out[0], out[1], out[2], out[3], out[4])
 
     def store(self) -> StoredAxes:

@@ -32,29 +32,13 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.compiled import njit
+from quadpi_core.core import compiled
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
 from quadpi_core.models.interval_rules import LEVELS, require_confidence
-from quadpi_core.models.physical_regressors import MOTION, REGRESSORS
-from quadpi_core.models.physical_rollout import (
-    ATTITUDE,
-    POSITION,
-    RATES,
-    STATES,
-    VELOCITY,
-    Track,
-    acceleration_slopes,
-    cross_matrix,
-    set_motion,
-    wrench_of,
-    wrench_slopes,
-)
+from quadpi_core.models.physical_rollout import ATTITUDE, POSITION, RATES, STATES, VELOCITY, Track
 from quadpi_core.records import Records
-from quadpi_core.rotations import matrix
 
-# Errors of the state, then those of the wrench.
-_ALL = STATES + 6
 # Rows of an error by the name of the quantity, with its unit.
 QUANTITIES = {
     "position_m": POSITION,
@@ -95,7 +79,6 @@ class Uncertainty(NamedTuple):
     parameters: Array
 
 
-@njit(cache=True, nogil=True)
 def error_covariance(
     track: Track,
     starts: npt.NDArray[np.int64],
@@ -115,53 +98,8 @@ def error_covariance(
         uncertainty: at the start.
     """
     covariance = np.zeros((len(starts), len(horizons), STATES, STATES))
-    row, now = np.zeros(1, REGRESSORS), np.zeros(1, MOTION)
-    h = track.step
-    measured, every = np.diag(uncertainty.state), np.eye(_ALL)
-    for window in range(len(starts)):
-        joint = np.zeros((_ALL, _ALL))
-        joint[:STATES, :STATES] = measured
-        joint[STATES:, STATES:] = np.diag(uncertainty.wrench)
-        sensitivity = np.zeros((STATES, len(parameters)))
-        horizon = 0
-        for step in range(horizons[-1]):
-            place, there = path[window, step], track.motion[starts[window] + step]
-            set_motion(now[0], there, there, place.attitude, place.velocity, place.rates)
-            wrench = wrench_of(now, track.vehicle, parameters, row)
-            own = np.ascontiguousarray(row.view(np.float64).reshape(len(parameters), 6).T)
-            by_motion = wrench_slopes(now, track.vehicle, parameters, row)
-            # Rate of change of all errors by all errors, but for the decay of the wrench.
-            accelerations = acceleration_slopes(
-                now, matrix(place.attitude), track, wrench, by_motion, every[STATES:], every[:STATES]
-            )
-            change = np.zeros((_ALL, _ALL))
-            change[POSITION, VELOCITY] = change[ATTITUDE, RATES] = np.eye(3)
-            change[ATTITUDE, ATTITUDE] = -cross_matrix(place.rates)
-            change[VELOCITY], change[RATES] = accelerations[:3], accelerations[3:]
-            share = _sine_share(np.trace(joint[ATTITUDE, ATTITUDE]) / 3.0)
-            change[VELOCITY, ATTITUDE] *= share
-            change[RATES, ATTITUDE] *= share
-            transition = every + h * change + (0.5 * h * h) * (change @ change)
-            for axis in range(6):
-                transition[STATES + axis, STATES + axis] = uncertainty.decay[axis]
-            joint = transition @ joint @ transition.T
-            for axis in range(6):
-                joint[STATES + axis, STATES + axis] += uncertainty.drive[axis]
-            sensitivity = np.ascontiguousarray(transition[:STATES, :STATES]) @ sensitivity
-            sensitivity += h * (np.ascontiguousarray(change[:STATES, STATES:]) @ own)
-            if step + 1 == horizons[horizon]:
-                of_parameters = sensitivity @ uncertainty.parameters @ sensitivity.T
-                covariance[window, horizon] = joint[:STATES, :STATES] + of_parameters + measured
-                horizon += 1
+    compiled.error_covariance(track.in_rows(), starts, horizons, path, parameters, uncertainty, covariance)
     return covariance
-
-
-@njit(cache=True, nogil=True)
-def _sine_share(variance: float) -> float:
-    """Deviation of the sine of a normal angle of a variance [rad²] over that of the angle."""
-    if variance < 1e-6:
-        return 1.0
-    return float(np.sqrt(-0.5 * np.expm1(-2.0 * variance) / variance))
 
 
 class TubeShape(NamedTuple):

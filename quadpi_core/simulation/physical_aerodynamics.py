@@ -18,31 +18,19 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.compiled import njit
 from quadpi_core.config_schema import NotNegative, Positive, Section, parse_config
 from quadpi_core.errors import SimulationError, VehicleError
 from quadpi_core.frames import Array
-from quadpi_core.models.physical_regressors import (
-    MOTION,
-    PHYSICAL_VEHICLE,
-    REGRESSORS,
-    fill_body,
-    fill_regressors,
-    fill_rotor,
-)
+from quadpi_core.models.physical_regressors import MOTION, numbers_of, regressors
 from quadpi_core.models.physical_terms import TERM_INDEX, TERMS
-from quadpi_core.records import Records
+from quadpi_core.simulation.physical_wrench import REFERENCE, VALUES, add_physical
 from quadpi_core.simulation.simulated_aerodynamics import SimulatedAerodynamics, vehicle_record
 from quadpi_core.simulation.simulated_file import read_simulation
-from quadpi_core.simulation.state_records import STATE, State, VehicleNumbers
+from quadpi_core.simulation.state_records import STATE
 from quadpi_core.simulation.wrench_functions import apply_to_all, passable
 from quadpi_core.vehicle import ROTORS, Vehicle
 
 _HOVER_ROUNDS = 20
-# Rows of the numbers of the compiled function.
-_VALUES, _REFERENCE = 0, 1
-# Of the terms of a rotor, those along its axis come first, then its torque, then those in its plane.
-_TORQUE, _IN_PLANE = TERM_INDEX["torque"], TERM_INDEX["rotor_drag"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,15 +149,15 @@ class PhysicalAerodynamics(SimulatedAerodynamics):
     @property
     def function(self) -> Any:
         """See :class:`.SimulatedAerodynamics`."""
-        return passable(_physical)
+        return passable(add_physical)
 
     @cached_property
     def numbers(self) -> Array:
         """Values of all terms, and the reference thrust."""
         numbers = np.zeros((2, len(TERMS)))
         for name, value in self.coefficients.parameters.items():
-            numbers[_VALUES, TERM_INDEX[name]] = value
-        numbers[_REFERENCE, 0] = self.coefficients.reference_thrust_n_s2
+            numbers[VALUES, TERM_INDEX[name]] = value
+        numbers[REFERENCE, 0] = self.coefficients.reference_thrust_n_s2
         return numbers
 
     @cached_property
@@ -224,7 +212,11 @@ class PhysicalAerodynamics(SimulatedAerodynamics):
 
     def added_by_coefficients(self, states: npt.NDArray[np.void]) -> Array:
         """See :class:`.SimulatedAerodynamics`; by the terms, which the wrench is linear in."""
-        terms = _terms(states, vehicle_record(self.vehicle, 0.0), self.numbers)
+        motion = np.zeros(len(states), MOTION)
+        motion["velocity"] = states["velocity_air"]
+        for name in ("rates", "rotor_speeds", "rotor_accelerations"):
+            motion[name] = states[name]
+        terms = regressors(motion, numbers_of(self.vehicle, self.coefficients.reference_thrust_n_s2))
         added: Array = np.tensordot(self._steps, terms, axes=(1, 1))
         return added
 
@@ -235,69 +227,3 @@ class PhysicalAerodynamics(SimulatedAerodynamics):
     def to_section(self) -> dict[str, Any]:
         """See :class:`.SimulatedAerodynamics`."""
         return {name: value for name, value in vars(self.coefficients).items() if value not in (None, {})}
-
-
-@njit(cache=True, nogil=True)
-def _physical(state: State, vehicle: VehicleNumbers, numbers: Array) -> None:
-    """Fill hub velocities, thrusts, torques and wrench of a STATE from the rest of it."""
-    motions, bodies = np.zeros(1, MOTION), np.zeros(1, PHYSICAL_VEHICLE)
-    rows = np.zeros(1, REGRESSORS)
-    motion, body, row = motions[0], bodies[0], rows[0]
-    regressors = rows.view(np.float64)
-    _set_sample(state, vehicle, numbers, motion, body)
-    _set_hubs(state, vehicle)
-
-    # Each rotor by itself, for the effects that scale thrusts and torques.
-    lift, torque, mean_induced = 0.0, 0.0, 0.0
-    for rotor in range(ROTORS):
-        mean_induced += 0.25 * fill_rotor(rotor, motion, body, row)
-        lift_so_far, torque_so_far = 0.0, 0.0
-        for term in range(_TORQUE):
-            lift_so_far -= numbers[_VALUES, term] * regressors[6 * term + 2]
-        for term in range(_TORQUE, _IN_PLANE):
-            torque_so_far += numbers[_VALUES, term] * regressors[6 * term + 5]
-        state.thrusts[rotor], state.torques[rotor] = lift_so_far - lift, torque_so_far - torque
-        lift, torque = lift_so_far, torque_so_far
-
-    fill_body(mean_induced, motion, body, row)
-    for axis in range(6):
-        state.wrench[axis] = 0.0
-    for term in range(numbers.shape[1]):
-        for axis in range(6):
-            state.wrench[axis] += numbers[_VALUES, term] * regressors[6 * term + axis]
-
-
-@njit(cache=True, nogil=True)
-def _terms(states: Records, vehicles: Records, numbers: Array) -> Array:
-    """Wrench (N, P, 6) of each term by unit, for STATE (N,)."""
-    motions, bodies = np.zeros(1, MOTION), np.zeros(1, PHYSICAL_VEHICLE)
-    rows = np.zeros(len(states), REGRESSORS)
-    for i in range(len(states)):
-        _set_sample(states[i], vehicles[0], numbers, motions[0], bodies[0])
-        fill_regressors(motions[0], bodies[0], rows[i])
-    return rows.view(np.float64).reshape(len(states), numbers.shape[1], 6)
-
-
-@njit(cache=True, nogil=True)
-def _set_sample(state: State, vehicle: VehicleNumbers, numbers: Array, motion: Any, body: Any) -> None:
-    """Set what the terms of a STATE follow from."""
-    body.mass, body.reference_thrust = vehicle.mass, numbers[_REFERENCE, 0]
-    body.disc = 2.0 * vehicle.air_density * np.pi * vehicle.rotor_radius**2
-    for axis in range(3):
-        motion.velocity[axis], motion.rates[axis] = state.velocity_air[axis], state.rates[axis]
-    for rotor in range(ROTORS):
-        motion.rotor_speeds[rotor] = state.rotor_speeds[rotor]
-        motion.rotor_accelerations[rotor] = state.rotor_accelerations[rotor]
-        body.spins[rotor] = vehicle.rotor_spins[rotor]
-        for axis in range(3):
-            body.positions[rotor, axis] = vehicle.rotor_positions[rotor, axis]
-
-
-@njit(cache=True, nogil=True)
-def _set_hubs(state: State, vehicle: VehicleNumbers) -> None:
-    p, q, r = state.rates[0], state.rates[1], state.rates[2]
-    for rotor in range(ROTORS):
-        place = vehicle.rotor_positions[rotor]
-        state.hub_velocity[rotor, 0] = state.velocity_air[0] + q * place[2] - r * place[1]
-        state.hub_velocity[rotor, 1] = state.velocity_air[1] + r * place[0] - p * place[2]
-        state.hub_velocity[rotor, 2] = state.velocity_air[2] + p * place[1] - q * place[0]

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from quadpi_core.core import compiled
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array
 from quadpi_core.inputs import (
@@ -15,7 +16,6 @@ from quadpi_core.inputs import (
     INPUT_NAMES,
     aerodynamic_inputs,
     flight_inputs,
-    solve_induced_velocity,
 )
 from quadpi_core.rotations import rotation_matrix
 from quadpi_core.vehicle import Vehicle
@@ -26,7 +26,9 @@ LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 
 def induced_velocity(velocity: Array) -> Array:
     """(N,) m/s at velocities (N, 3) relative to the air, of a rotor with :data:`HOVER`."""
-    return np.array([solve_induced_velocity(float(np.hypot(u, v)), w, HOVER) for u, v, w in velocity])
+    return np.array(
+        [compiled.solve_induced_velocity(float(np.hypot(u, v)), w, HOVER) for u, v, w in velocity]
+    )
 
 
 @pytest.fixture(scope="module")

@@ -20,6 +20,20 @@ inline Vector3 minus(const Vector3& vector, const Vector3& other, double scale =
     return {scale * (vector[0] - other[0]), scale * (vector[1] - other[1]), scale * (vector[2] - other[2])};
 }
 
+// Vector product.
+inline Vector3 cross(const Vector3& a, const Vector3& b) {
+    return {a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]};
+}
+
+// Product of a matrix and a vector.
+inline Vector3 times(const Matrix3& matrix, const Vector3& vector) {
+    Vector3 product;
+    for (int row = 0; row < 3; ++row) {
+        product[row] = matrix[row][0] * vector[0] + matrix[row][1] * vector[1] + matrix[row][2] * vector[2];
+    }
+    return product;
+}
+
 inline double square_of(const Vector3& vector) {
     return vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2];
 }

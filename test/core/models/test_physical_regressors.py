@@ -2,11 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import quadpi_core
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
 from quadpi_core.models.physical_regressors import MOTION, physical_vehicle, regressors, wrenches
@@ -16,6 +19,8 @@ from quadpi_core.vehicle import Vehicle
 
 VEHICLE = Vehicle.load("neurobem")
 REFERENCE = 1.55e-6
+CORE = Path(quadpi_core.__file__).parent.parent / "core" / "include" / "quadpi"
+HEADER = CORE / "models" / "physical_regressors.hpp"
 # Terms of what is not the same left and right, or of rotors that differ.
 UNEVEN = (
     *("thrust_incline_y", "bias_y", "bias_roll", "bias_yaw", "incline_y", "gravity_centre_y", "imu_y"),
@@ -38,6 +43,14 @@ def motions(count: int, seed: int = 0) -> Records:
 def of(motion: Records, name: str, vehicle: Vehicle = VEHICLE) -> Array:
     """Regressor (N, 6) of one term."""
     return regressors(motion, physical_vehicle(vehicle, REFERENCE))[:, TERM_INDEX[name]]
+
+
+@pytest.mark.skipif(not HEADER.is_file(), reason="an installed package has no sources beside it")
+def test_the_struct_of_the_core_has_the_terms_in_their_order() -> None:
+    body = re.search(r"struct Regressors \{(.*?)\n\};", HEADER.read_text(), re.S)
+    assert body is not None
+    names = [re.findall(r"\w+", line) for line in re.findall(r"Wrench ([^;]*);", body[1])]
+    assert tuple(name for line in names for name in line) == TERM_NAMES
 
 
 def test_every_term_pushes_or_turns() -> None:

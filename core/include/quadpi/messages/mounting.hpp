@@ -26,21 +26,9 @@ struct MountedImu {
     Vector3 acceleration;    // rad/s²
 };
 
-inline Vector3 turned(const Matrix3& matrix, const Vector3& vector) {
-    Vector3 result;
-    for (int row = 0; row < 3; ++row) {
-        result[row] = matrix[row][0] * vector[0] + matrix[row][1] * vector[1] + matrix[row][2] * vector[2];
-    }
-    return result;
-}
-
-inline Vector3 cross(const Vector3& a, const Vector3& b) {
-    return {a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]};
-}
-
 // Change rates [rad/s] and specific force [m/s²] of one sample to those of the body.
 inline void move_to_body(MountedImu& imu, std::int64_t time_ns, Vector3& rates, Vector3& force) {
-    const Vector3 omega = turned(imu.rotation, rates), felt = turned(imu.rotation, force);
+    const Vector3 omega = times(imu.rotation, rates), felt = times(imu.rotation, force);
     const bool known = within(omega, RATE_MAX_RAD_S);
     Vector3 alpha = imu.acceleration;
     // Stamps of messages are bounded; of unbounded ones the difference wraps instead of being undefined.

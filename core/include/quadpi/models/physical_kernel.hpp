@@ -1,0 +1,124 @@
+// SPDX-FileCopyrightText: 2026 The quadpi authors
+// SPDX-License-Identifier: Apache-2.0
+// Evaluation of the physical model: its wrench, and leverage and spread of each axis.
+#pragma once
+
+#include "quadpi/models/physical_regressors.hpp"
+
+namespace quadpi {
+
+// One axis of the model.
+struct PhysicalAxis {
+    std::int64_t size;  // terms that act on it, 0 where it is not held
+    double inflation;   // κ of its spread
+    double growth;      // γ of its spread [s²/m²]
+    double rms_spread;  // unit of the relative width
+};
+
+// What the axes share, and the axes.
+struct PhysicalCommon {
+    PhysicalVehicle vehicle;
+    std::array<PerRotor, 3> controls;  // signs that gave U_p, U_q and U_r of the rotor speeds
+    double delay_s;                    // that rotor speeds act after they were measured
+    std::array<PhysicalAxis, AXES> axes;
+};
+
+// A term in the model: its number, and its parameter.
+struct KeptTerm {
+    std::int64_t number;
+    double value;
+};
+
+// A physical model as it is stored; S is the largest number of terms that act on an axis.
+struct PhysicalModel {
+    const PhysicalCommon& common;
+    Records<const KeptTerm> kept;
+    Records<const std::int64_t> acting;  // (6, S) numbers of the terms that act on an axis
+    Records<const double> whitening;     // (6, S, S) lower triangular Wᵀ with leverage h = |W z|²
+
+    std::size_t longest() const { return acting.size / AXES; }
+};
+
+// What a model says of a sample, by axis.
+struct PhysicalPrediction {
+    Wrench predicted, spread, leverage;
+};
+
+// Motion of an input vector and derivatives, the rotor speeds as they were some time ago.
+//
+// ω_avg is a root mean square and the controls are orthogonal sums of the rotor speeds, so that
+// Σω = √(16 ω_avg² − U_p² − U_q² − U_r²), and each rotor's speed is a quarter of the signed sums.
+inline MotionSample motion_of(
+    const InputVector& inputs,
+    const Derivatives& derivatives,
+    const std::array<PerRotor, 3>& controls,
+    double delay_s
+) {
+    double total = 16.0 * (inputs[7] * inputs[7]) - inputs[12] * inputs[12] - inputs[13] * inputs[13] -
+                   inputs[14] * inputs[14];
+    total = std::sqrt(std::max(total, 0.0));
+    MotionSample motion;
+    motion.velocity = {inputs[0], inputs[1], inputs[2]};
+    motion.rates = {inputs[4], inputs[5], inputs[6]};
+    motion.angular_acceleration = derivatives.angular_acceleration;
+    for (int rotor = 0; rotor < ROTORS; ++rotor) {
+        double speed = total;
+        for (int control = 0; control < 3; ++control) {
+            speed += controls[control][rotor] * inputs[12 + control];
+        }
+        // By Taylor's series from now.
+        const double acceleration = derivatives.rotor_accelerations[rotor];
+        const double jerk = derivatives.rotor_jerks[rotor];
+        speed = 0.25 * speed - delay_s * (acceleration - 0.5 * delay_s * jerk);
+        motion.rotor_speeds[rotor] = std::max(speed, 0.0);
+        motion.rotor_accelerations[rotor] = acceleration - delay_s * jerk;
+    }
+    return motion;
+}
+
+// Leverage |W z|² of the regressors of a sample on an axis.
+inline double leverage_of(const PhysicalModel& model, const Regressors& row, int axis) {
+    const std::size_t longest = model.longest();
+    const auto size = static_cast<std::size_t>(model.common.axes[axis].size);
+    TermValues whitened{};
+    for (std::size_t b = 0; b < size; ++b) {
+        const double z = terms_of(row)[model.acting[axis * longest + b]][axis];
+        const double* weights = &model.whitening[(axis * longest + b) * longest];
+        for (std::size_t a = 0; a <= b; ++a) {
+            whitened[a] += weights[a] * z;
+        }
+    }
+    double leverage = 0.0;
+    for (std::size_t a = 0; a < size; ++a) {
+        leverage += whitened[a] * whitened[a];
+    }
+    return leverage;
+}
+
+// Wrench, spread and leverage of a sample; of axes that are not held the wrench alone.
+inline PhysicalPrediction predict(
+    const PhysicalModel& model, const InputVector& inputs, const Derivatives& derivatives
+) {
+    Regressors row;
+    fill_regressors(
+        motion_of(inputs, derivatives, model.common.controls, model.common.delay_s), model.common.vehicle, row
+    );
+    PhysicalPrediction found{};
+    for (const KeptTerm& term : model.kept) {
+        for (int axis = 0; axis < AXES; ++axis) {
+            found.predicted[axis] += term.value * terms_of(row)[term.number][axis];
+        }
+    }
+    const double speed_squared = inputs[0] * inputs[0] + inputs[1] * inputs[1] + inputs[2] * inputs[2];
+    for (int axis = 0; axis < AXES; ++axis) {
+        const PhysicalAxis& fitted = model.common.axes[axis];
+        if (fitted.size > 0) {
+            const double leverage = leverage_of(model, row, axis);
+            found.leverage[axis] = leverage;
+            found.spread[axis] = std::sqrt(1.0 + fitted.inflation * leverage + fitted.growth * speed_squared);
+        }
+    }
+    return found;
+}
+
+}  // namespace quadpi
