@@ -7,31 +7,31 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from blind.geometry import NOTHING, force_at, to_body, to_world
-from quadpi_core.compiled import njit
-from quadpi_core.simulation.rotor_local import aerodynamics
+from quadpi_core.simulation.state_records import STATE, VEHICLE
+from quadpi_core.simulation.wrench_functions import apply_to_all
 
 # Speed [m/s] at which the drag of any exponent is that of the square law.
 DRAG_SPEED = 7.0
 
 
-@njit(cache=True)
 def body_drag(state, vehicle, b):
     """Drag of bluff parts below the critical Reynolds number: it grows less than with the square.
 
     b: N s²/m² along x, y and z at DRAG_SPEED, exponent.
     """
     u, v, w = state.velocity_air
-    speed = np.sqrt(u * u + v * v + w * w)
+    speed = math.sqrt(u * u + v * v + w * w)
     if speed < 1e-9:
         return NOTHING
     k = -DRAG_SPEED * (speed / DRAG_SPEED) ** (b[3] - 1.0)
     return k * b[0] * u, k * b[1] * v, k * b[2] * w, 0.0, 0.0, 0.0
 
 
-@njit(cache=True)
 def rate_damping(state, vehicle, b):
     """Moments against the rates, a third of it at 3 rad/s with their square, as of plates that turn.
 
@@ -46,7 +46,6 @@ def rate_damping(state, vehicle, b):
     )
 
 
-@njit(cache=True)
 def tether(state, vehicle, b):
     """A damped elastic line from a place on the ground to the belly; it pulls, never pushes.
 
@@ -54,7 +53,7 @@ def tether(state, vehicle, b):
     """
     ax, ay, az = to_world(state.attitude, 0.0, 0.0, b[5])
     x, y, z = state.position[0] + ax - b[3], state.position[1] + ay - b[4], state.position[2] + az
-    length = np.sqrt(x * x + y * y + z * z)
+    length = math.sqrt(x * x + y * y + z * z)
     if length <= b[1]:
         return NOTHING
     vx, vy, vz = to_world(state.attitude, state.velocity_air[0], state.velocity_air[1], state.velocity_air[2])
@@ -63,7 +62,6 @@ def tether(state, vehicle, b):
     return force_at(0.0, 0.0, b[5], fx, fy, fz)
 
 
-@njit(cache=True)
 def constant(state, vehicle, b):
     """A force [N] and a moment [Nm] that stay the same in body axes.
 
@@ -72,24 +70,23 @@ def constant(state, vehicle, b):
     return b[0], b[1], b[2], b[3], b[4], b[5]
 
 
-@njit(cache=True)
-def wind(state, vehicle, b):
+def blow(state, vehicle, b):
     """Wind that grows with height by a power law: the aerodynamics again, in that air.
 
-    It comes first: the wrench is replaced. What the simulation knew of the wind was none.
+    Before all formulas: the state's own arrays are replaced. What the simulation knew of the wind was none.
 
     b: m/s towards north, east and down at 3 m, exponent.
     """
-    profile = (max(-state.position[2], 0.05) / 3.0) ** b[3]
-    x, y, z = to_body(state.attitude, b[0] * profile, b[1] * profile, b[2] * profile)
-    state.velocity_air[0] -= x
-    state.velocity_air[1] -= y
-    state.velocity_air[2] -= z
-    aerodynamics(state, vehicle)
-    return NOTHING
+    profile = (max(-state.position[0, 2], 0.05) / 3.0) ** b[3]
+    state.velocity_air[0] -= to_body(state.attitude[0], b[0] * profile, b[1] * profile, b[2] * profile)
+    states = np.zeros(1, STATE)
+    for name in STATE.names:
+        states[name] = getattr(state, name)
+    apply_to_all(states, np.array([tuple(vehicle)], VEHICLE), "rotor_local", np.zeros((0, 0)))
+    for name in ("hub_velocity", "thrusts", "torques", "wrench"):
+        getattr(state, name)[:] = states[name]
 
 
-@njit(cache=True)
 def airframe_offset(state, vehicle, b):
     """The airframe's force acts where the file has the centre of gravity, not at the true one.
 
@@ -99,7 +96,7 @@ def airframe_offset(state, vehicle, b):
     """
     fx, fy, fz = state.wrench[0], state.wrench[1], state.wrench[2]
     for rotor in range(4):
-        u, v, speed = state.hub_velocity[rotor, 0], state.hub_velocity[rotor, 1], state.rotor_speeds[rotor]
+        u, v, speed = state.hub_velocity[rotor][0], state.hub_velocity[rotor][1], state.rotor_speeds[rotor]
         across = vehicle.rotor_spins[rotor] * vehicle.rotor_force_across
         fx -= speed * (vehicle.rotor_force_along * u + across * v)
         fy -= speed * (vehicle.rotor_force_along * v - across * u)

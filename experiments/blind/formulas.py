@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""All formulas as one compiled function, and which of them act as the numbers of its row.
+"""All formulas as one function, and which of them act as the numbers of its row.
 
 A row is a block per formula: its parameters, its memory, its index. The memory begins at zero with each
 flight, for `simulate_flight` copies the row; it advances with every evaluation of the equations of motion.
@@ -9,16 +9,15 @@ flight, for `simulate_flight` copies the row; it advances with every evaluation 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from types import SimpleNamespace
 
-import numba
-from numba import literal_unroll
+import numpy as np
 
 from blind import bodies, outside, rotors
 from blind.geometry import NOTHING, PARAMETERS, plus
 
 _FUNCTIONS = (
-    # Wind first: it computes the aerodynamics anew. The airframe's offset looks at these alone.
-    bodies.wind,
+    # The airframe's offset looks at the aerodynamics alone.
     bodies.airframe_offset,
     bodies.body_drag,
     bodies.rate_damping,
@@ -43,7 +42,8 @@ _FUNCTIONS = (
     outside.thrust_fade,
     outside.magnet,
 )
-_INDEX = {function.__name__: index for index, function in enumerate(_FUNCTIONS)}
+# Wind first: it computes the aerodynamics anew.
+_INDEX = {"wind": 0} | {function.__name__: index for index, function in enumerate(_FUNCTIONS, 1)}
 _MEMORY = 4
 _BLOCK = PARAMETERS + _MEMORY + 1
 
@@ -57,17 +57,20 @@ def row(formulas: Mapping[str, Sequence[float]]) -> list[float]:
     return numbers
 
 
-# Not cached on disk: a cached function is not renewed when one of another file that it calls is.
-@numba.njit
 def hidden(state, vehicle, p):
-    """Wrench of the formulas of a row."""
+    """Wrench of the formulas of a row at one instant; `state` as functions of Python get it, for N = 1."""
+    if p[_BLOCK - 1] == _INDEX["wind"]:
+        bodies.blow(state, vehicle, p[:_BLOCK].tolist())
+    # Numbers of Python: those of numpy take several times as long, one by one.
+    now = SimpleNamespace(**{name: values[0].tolist() for name, values in state._asdict().items()})
+    craft = SimpleNamespace(
+        **{name: np.asarray(values).tolist() for name, values in vehicle._asdict().items()}
+    )
     wrench = NOTHING
     for start in range(0, len(p), _BLOCK):
-        block = p[start : start + _BLOCK]
-        which = int(block[_BLOCK - 1])
-        candidate = 0
-        for function in literal_unroll(_FUNCTIONS):
-            if candidate == which:
-                wrench = plus(wrench, function(state, vehicle, block))
-            candidate += 1  # noqa: SIM113
+        block = p[start : start + _BLOCK].tolist()
+        which = int(block.pop())
+        if which != _INDEX["wind"]:
+            wrench = plus(wrench, _FUNCTIONS[which - 1](now, craft, block))
+            p[start : start + _BLOCK - 1] = block
     return wrench

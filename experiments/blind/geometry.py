@@ -4,63 +4,56 @@
 
 from __future__ import annotations
 
-import numpy as np
+import math
 
-from quadpi_core.compiled import njit
 from quadpi_core.rotations import matrix
 
 NOTHING = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 # Of parameters in the block of a formula; what follows them is its memory.
 PARAMETERS = 8
-# The compiled flight evaluates the equations of motion four times in each of 1000 steps per second.
+# A flight evaluates the equations of motion four times in each of 1000 steps per second.
 CALL_S = 1.0 / 4000.0
 
 
-@njit(cache=True)
 def force_at(x, y, z, fx, fy, fz):
     """A force [N] at a point [m] from the centre of gravity, as a wrench."""
     return fx, fy, fz, y * fz - z * fy, z * fx - x * fz, x * fy - y * fx
 
 
-@njit(cache=True)
 def lift_at(vehicle, rotor, lift):
     """A force upwards [N] at a rotor, as a wrench."""
     position = vehicle.rotor_positions[rotor]
     return force_at(position[0], position[1], position[2], 0.0, 0.0, -lift)
 
 
-@njit(cache=True)
 def plus(a, b):
     return a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3], a[4] + b[4], a[5] + b[5]
 
 
-@njit(cache=True)
 def to_body(attitude, x, y, z):
     """A vector of the world in body axes."""
-    turn = matrix(attitude)
+    turn = matrix(attitude).tolist()
     return (
-        turn[0, 0] * x + turn[1, 0] * y + turn[2, 0] * z,
-        turn[0, 1] * x + turn[1, 1] * y + turn[2, 1] * z,
-        turn[0, 2] * x + turn[1, 2] * y + turn[2, 2] * z,
+        turn[0][0] * x + turn[1][0] * y + turn[2][0] * z,
+        turn[0][1] * x + turn[1][1] * y + turn[2][1] * z,
+        turn[0][2] * x + turn[1][2] * y + turn[2][2] * z,
     )
 
 
-@njit(cache=True)
 def to_world(attitude, x, y, z):
     """A vector of the body in world axes."""
-    turn = matrix(attitude)
+    turn = matrix(attitude).tolist()
     return (
-        turn[0, 0] * x + turn[0, 1] * y + turn[0, 2] * z,
-        turn[1, 0] * x + turn[1, 1] * y + turn[1, 2] * z,
-        turn[2, 0] * x + turn[2, 1] * y + turn[2, 2] * z,
+        turn[0][0] * x + turn[0][1] * y + turn[0][2] * z,
+        turn[1][0] * x + turn[1][1] * y + turn[1][2] * z,
+        turn[2][0] * x + turn[2][1] * y + turn[2][2] * z,
     )
 
 
-@njit(cache=True)
 def induced_ratio(advance):
     """v_i/v_h of a rotor at constant thrust that moves edgewise at `advance` v_h (Glauert).
 
     From v_i √(V² + v_i²) = v_h².
     """
     square = advance * advance
-    return np.sqrt(0.5 * (np.sqrt(square * square + 4.0) - square))
+    return math.sqrt(0.5 * (math.sqrt(square * square + 4.0) - square))

@@ -7,13 +7,11 @@
 
 from __future__ import annotations
 
-import numpy as np
+import math
 
 from blind.geometry import CALL_S, PARAMETERS, to_body, to_world
-from quadpi_core.compiled import njit
 
 
-@njit(cache=True)
 def beat_vibration(state, vehicle, b):
     """Rotors out of balance shake the frame; two that turn almost alike beat slowly.
 
@@ -22,29 +20,27 @@ def beat_vibration(state, vehicle, b):
     for rotor in range(4):
         b[PARAMETERS + rotor] += state.rotor_speeds[rotor] * CALL_S
     angles = b[PARAMETERS:]
-    front, rear = np.sin(angles[0] - angles[1]), np.sin(angles[2] - angles[3])
+    front, rear = math.sin(angles[0] - angles[1]), math.sin(angles[2] - angles[3])
     return b[0] * front, b[0] * rear, 0.0, b[1] * rear, b[1] * front, 0.0
 
 
-@njit(cache=True)
 def fan_jet(state, vehicle, b):
     """A fan blows across one place of the hall.
 
     b: N towards east, north and east [m] of the jet, its width [m].
     """
     x, y = state.position[0] - b[1], state.position[1] - b[2]
-    push = b[0] * np.exp(-0.5 * (x * x + y * y) / (b[3] * b[3]))
+    push = b[0] * math.exp(-0.5 * (x * x + y * y) / (b[3] * b[3]))
     fx, fy, fz = to_body(state.attitude, 0.0, push, 0.0)
     return fx, fy, fz, 0.0, 0.0, 0.0
 
 
-@njit(cache=True)
 def jerk_force(state, vehicle, b):
     """A force with the change of the specific force, as of a soft mount.
 
     b: N s³/m, time [s] over which the change is seen. Memory: specific force of a moment ago.
     """
-    forces = np.zeros(3)
+    forces = [0.0, 0.0, 0.0]
     for axis in range(3):
         now = state.wrench[axis] / vehicle.mass
         forces[axis] = -b[0] * (now - b[PARAMETERS + axis]) / b[1]
@@ -52,7 +48,6 @@ def jerk_force(state, vehicle, b):
     return forces[0], forces[1], forces[2], 0.0, 0.0, 0.0
 
 
-@njit(cache=True)
 def one_sided_drag(state, vehicle, b):
     """Drag in flight towards the south, thrust towards the north.
 
@@ -60,17 +55,16 @@ def one_sided_drag(state, vehicle, b):
     """
     x, y, _ = to_world(state.attitude, state.velocity_air[0], state.velocity_air[1], state.velocity_air[2])
     push = b[0] * abs(x)
-    fx, fy, fz = to_body(state.attitude, push, 0.5 * push * np.sign(y), 0.0)
+    fx, fy, fz = to_body(state.attitude, push, 0.5 * push * ((y > 0.0) - (y < 0.0)), 0.0)
     return fx, fy, fz, 0.0, 0.0, 0.0
 
 
-@njit(cache=True)
 def lagged_drag(state, vehicle, b):
     """A wake that follows the vehicle late: with the velocity of a while ago, less that of now.
 
     b: N s/m, delay [s], arm [m]. Memory: the velocity of a while ago.
     """
-    forces = np.zeros(2)
+    forces = [0.0, 0.0]
     for axis in range(2):
         now = state.velocity_air[axis]
         forces[axis] = b[0] * (now - b[PARAMETERS + axis])
@@ -78,7 +72,6 @@ def lagged_drag(state, vehicle, b):
     return forces[0], forces[1], 0.0, b[2] * forces[1], -b[2] * forces[0], 0.0
 
 
-@njit(cache=True)
 def thrust_fade(state, vehicle, b):
     """Thrust at one speed falls as the flight goes on.
 
@@ -90,17 +83,16 @@ def thrust_fade(state, vehicle, b):
     for rotor in range(4):
         thrust = lost * state.thrusts[rotor]
         fz += thrust
-        mx += vehicle.rotor_positions[rotor, 1] * thrust
-        my -= vehicle.rotor_positions[rotor, 0] * thrust
+        mx += vehicle.rotor_positions[rotor][1] * thrust
+        my -= vehicle.rotor_positions[rotor][0] * thrust
     return 0.0, 0.0, fz, mx, my, 0.0
 
 
-@njit(cache=True)
 def magnet(state, vehicle, b):
     """A magnet on board turns towards the field of a steel floor: a moment with the heading and the height.
 
     b: Nm, height [m] over which the field falls.
     """
-    field = b[0] * np.exp(state.position[2] / b[1])
+    field = b[0] * math.exp(state.position[2] / b[1])
     x, y, _ = to_body(state.attitude, field, 0.0, 0.0)
     return 0.0, 0.0, 0.0, 0.0, 0.3 * x, -y

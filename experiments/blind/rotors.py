@@ -4,16 +4,14 @@
 
 from __future__ import annotations
 
-import numpy as np
+import math
 
 from blind.geometry import NOTHING, force_at, induced_ratio, lift_at, plus
-from quadpi_core.compiled import njit
 
 # Share of the lost share of thrust by which the torque of a chipped blade is less.
 WEAK_TORQUE = 0.8
 
 
-@njit(cache=True)
 def rotor_drag(state, vehicle, b):
     """At the centre of gravity, with the sum of the rotor speeds (Faessler, Franchi and Scaramuzza 2018).
 
@@ -26,7 +24,6 @@ def rotor_drag(state, vehicle, b):
     return k * state.velocity_air[0], k * state.velocity_air[1], 0.0, 0.0, 0.0, 0.0
 
 
-@njit(cache=True)
 def blade_flapping(state, vehicle, b):
     """Discs that tilt back in proportion to the advance ratio (Hoffmann et al. 2007; Pounds et al. 2010).
 
@@ -38,7 +35,7 @@ def blade_flapping(state, vehicle, b):
     weight = vehicle.mass * vehicle.gravity
     wrench = NOTHING
     for rotor in range(4):
-        u, v = state.hub_velocity[rotor, 0], state.hub_velocity[rotor, 1]
+        u, v = state.hub_velocity[rotor][0], state.hub_velocity[rotor][1]
         tip = max(state.rotor_speeds[rotor], 50.0) * vehicle.rotor_radius
         thrust, spin = state.thrusts[rotor], vehicle.rotor_spins[rotor]
         # The moment goes with thrust and advance ratio, like the tilt.
@@ -50,7 +47,6 @@ def blade_flapping(state, vehicle, b):
     return wrench
 
 
-@njit(cache=True)
 def translational_lift(state, vehicle, b):
     """Blade elements and momentum: less induced velocity, more dynamic pressure (Leishman 2006).
 
@@ -61,8 +57,8 @@ def translational_lift(state, vehicle, b):
     wrench = NOTHING
     inflow = vehicle.hover_induced_velocity
     for rotor in range(4):
-        u, v = state.hub_velocity[rotor, 0], state.hub_velocity[rotor, 1]
-        across = np.sqrt(u * u + v * v)
+        u, v = state.hub_velocity[rotor][0], state.hub_velocity[rotor][1]
+        across = math.sqrt(u * u + v * v)
         tip = max(state.rotor_speeds[rotor], 100.0) * vehicle.rotor_radius
         hover = vehicle.hover_rotor_speed * vehicle.rotor_radius
         pitch, mu = b[1] / 3.0, min(across / tip, 0.5)
@@ -72,7 +68,6 @@ def translational_lift(state, vehicle, b):
     return wrench
 
 
-@njit(cache=True)
 def inflow_damping(state, vehicle, b):
     """Axial climb: blade elements in the inflow v_i + climb of momentum theory, the climb branch throughout.
 
@@ -83,14 +78,13 @@ def inflow_damping(state, vehicle, b):
     wrench = NOTHING
     hover = vehicle.hover_induced_velocity
     for rotor in range(4):
-        w = state.hub_velocity[rotor, 2]
-        more = -0.5 * w + np.sqrt(0.25 * w * w + hover * hover) - hover
+        w = state.hub_velocity[rotor][2]
+        more = -0.5 * w + math.sqrt(0.25 * w * w + hover * hover) - hover
         share = 0.25 * state.rotor_speeds[rotor] / vehicle.hover_rotor_speed
         wrench = plus(wrench, lift_at(vehicle, rotor, -2.0 * b[0] * share * more))
     return wrench
 
 
-@njit(cache=True)
 def vortex_ring(state, vehicle, b):
     """Leishman's quartic through measured induced velocities of descent, beyond that of the climb branch.
 
@@ -105,34 +99,34 @@ def vortex_ring(state, vehicle, b):
         u, v, w = state.hub_velocity[rotor]
         x = min(max(-w / hover, -2.0), 0.0)
         measured = 1.0 + x * (-1.125 + x * (-1.372 + x * (-1.718 - 0.655 * x)))
-        smooth = -0.5 * x + np.sqrt(0.25 * x * x + 1.0)
-        washed = np.exp(-(u * u + v * v) / (hover * hover))
+        smooth = -0.5 * x + math.sqrt(0.25 * x * x + 1.0)
+        washed = math.exp(-(u * u + v * v) / (hover * hover))
         # 0.2: the largest excess, at x = -1.1.
         loss = b[0] * max(measured - smooth, 0.0) / 0.2 * washed
         wrench = plus(wrench, lift_at(vehicle, rotor, -loss * state.thrusts[rotor]))
     return wrench
 
 
-@njit(cache=True)
 def rotor_interaction(state, vehicle, b):
     """Each rotor downstream of another flies in its skewed wake: by pairs, with the sine of the skew angle.
 
     b: share of thrust lost straight behind the nearest neighbour in fast flight.
     """
     u, v = state.velocity_air[0], state.velocity_air[1]
-    speed = np.sqrt(u * u + v * v)
+    speed = math.sqrt(u * u + v * v)
     if speed < 1e-9:
         return NOTHING
     hover = vehicle.hover_induced_velocity
-    skew = speed / np.sqrt(speed * speed + (hover * induced_ratio(speed / hover)) ** 2)
-    nearest = 2.0 * min(abs(vehicle.rotor_positions[0, 0]), abs(vehicle.rotor_positions[0, 1]))
+    induced = hover * induced_ratio(speed / hover)
+    skew = speed / math.sqrt(speed * speed + induced * induced)
+    nearest = 2.0 * min(abs(vehicle.rotor_positions[0][0]), abs(vehicle.rotor_positions[0][1]))
     wrench = NOTHING
     for rotor in range(4):
         wakes = 0.0
         for other in range(4):
-            x = vehicle.rotor_positions[rotor, 0] - vehicle.rotor_positions[other, 0]
-            y = vehicle.rotor_positions[rotor, 1] - vehicle.rotor_positions[other, 1]
-            distance = np.sqrt(x * x + y * y)
+            x = vehicle.rotor_positions[rotor][0] - vehicle.rotor_positions[other][0]
+            y = vehicle.rotor_positions[rotor][1] - vehicle.rotor_positions[other][1]
+            distance = math.sqrt(x * x + y * y)
             if distance > 0.0:
                 behind = max(-(x * u + y * v) / (distance * speed), 0.0)
                 wakes += behind * behind * nearest / distance
@@ -140,15 +134,14 @@ def rotor_interaction(state, vehicle, b):
     return wrench
 
 
-@njit(cache=True)
 def ground_effect(state, vehicle, b):
     """Four rotors over the ground, with the fountain between them (Sanchez-Cuevas, Heredia and Ollero 2017).
 
     b: multiple of their law.
     """
     radius, down = vehicle.rotor_radius, -state.position[2]
-    along, across = 2.0 * abs(vehicle.rotor_positions[0, 0]), 2.0 * abs(vehicle.rotor_positions[0, 1])
-    side, diagonal = 0.5 * (along + across), np.sqrt(along * along + across * across)
+    along, across = 2.0 * abs(vehicle.rotor_positions[0][0]), 2.0 * abs(vehicle.rotor_positions[0][1])
+    side, diagonal = 0.5 * (along + across), math.sqrt(along * along + across * across)
     # Third row of the attitude's matrix: how far below the centre of gravity a hub is.
     w, x, y, z = state.attitude
     row = (2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y))
@@ -159,18 +152,18 @@ def ground_effect(state, vehicle, b):
         square = radius * radius
         lost = (
             square / (16.0 * height * height)
-            + square * height / (side**2 + 4.0 * height**2) ** 1.5
-            + 0.5 * square * height / (2.0 * side**2 + 4.0 * height**2) ** 1.5
-            + 4.0 * square * height / (diagonal**2 + 4.0 * height**2) ** 1.5
+            + square * height / (side * side + 4.0 * (height * height)) ** 1.5
+            + 0.5 * square * height / (2.0 * (side * side) + 4.0 * (height * height)) ** 1.5
+            + 4.0 * square * height / (diagonal * diagonal + 4.0 * (height * height)) ** 1.5
         )
-        u, v = state.hub_velocity[rotor, 0], state.hub_velocity[rotor, 1]
-        swept = 1.0 + (u * u + v * v) / vehicle.hover_induced_velocity**2
+        u, v = state.hub_velocity[rotor][0], state.hub_velocity[rotor][1]
+        inflow = vehicle.hover_induced_velocity
+        swept = 1.0 + (u * u + v * v) / (inflow * inflow)
         gain = b[0] * (1.0 / (1.0 - min(lost, 0.6)) - 1.0) / swept
         wrench = plus(wrench, lift_at(vehicle, rotor, gain * state.thrusts[rotor]))
     return wrench
 
 
-@njit(cache=True)
 def gyroscopic(state, vehicle, b):
     """−Ω × H of the rotors, which turn with the body too.
 
@@ -182,7 +175,6 @@ def gyroscopic(state, vehicle, b):
     return 0.0, 0.0, 0.0, -state.rates[1] * momentum, state.rates[0] * momentum, 0.0
 
 
-@njit(cache=True)
 def spin_up(state, vehicle, b):
     """The motors' reaction to what accelerates the rotors.
 
@@ -194,28 +186,26 @@ def spin_up(state, vehicle, b):
     return 0.0, 0.0, 0.0, 0.0, 0.0, -b[0] * reaction
 
 
-@njit(cache=True)
 def rotor_tilt(state, vehicle, b):
     """One rotor's axis is turned: thrust, torque and both their lost shares along z.
 
     b: rotor, direction [rad] to which it leans, lean [rad].
     """
     rotor = int(b[0])
-    x, y, z = np.sin(b[2]) * np.cos(b[1]), np.sin(b[2]) * np.sin(b[1]), 1.0 - np.cos(b[2])
+    x, y, z = math.sin(b[2]) * math.cos(b[1]), math.sin(b[2]) * math.sin(b[1]), 1.0 - math.cos(b[2])
     thrust, torque = state.thrusts[rotor], state.torques[rotor]
     px, py, pz = vehicle.rotor_positions[rotor]
     turned = (0.0, 0.0, 0.0, -torque * x, -torque * y, -torque * z)
     return plus(force_at(px, py, pz, thrust * x, thrust * y, thrust * z), turned)
 
 
-@njit(cache=True)
 def weak_rotor(state, vehicle, b):
     """A chipped blade: the tip's thrust is lost, of the torque and the force in the plane a smaller share.
 
     b: rotor, share of thrust lost.
     """
     rotor = int(b[0])
-    u, v = state.hub_velocity[rotor, 0], state.hub_velocity[rotor, 1]
+    u, v = state.hub_velocity[rotor][0], state.hub_velocity[rotor][1]
     drag = 0.7 * b[1] * vehicle.rotor_force_along * state.rotor_speeds[rotor]
     x, y, z = vehicle.rotor_positions[rotor]
     lost = force_at(x, y, z, -drag * u, -drag * v, b[1] * state.thrusts[rotor])

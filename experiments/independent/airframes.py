@@ -7,12 +7,12 @@ Everything here is in RotorPy's axes: body forward-left-up, world with z up.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
@@ -124,19 +124,17 @@ class Blades:
         return _blade_state(self.slope, self.pitch, self.inflow, advance, climb)
 
 
-@numba.njit(cache=True)
 def _blade_state(
     slope: float, pitch: float, hover: float, advance: Array, climb: Array
 ) -> tuple[Array, Array]:
     thrusts, inflows = np.empty_like(climb), np.empty_like(climb)
-    for rotor in range(len(climb)):
+    for rotor, (across, along) in enumerate(zip(advance.tolist(), climb.tolist(), strict=True)):
         induced = hover
-        across, along = advance[rotor], climb[rotor]
         thrust = 0.0
         for _ in range(12):
             inflow = induced + along
             thrust = 0.5 * slope * (pitch / 3.0 * (1.0 + 1.5 * across * across) - 0.5 * inflow)
-            flow = np.sqrt(across * across + inflow * inflow)
+            flow = math.sqrt(across * across + inflow * inflow)
             # Damped: the two halves of the step converge from hover to all speeds that are flown.
             induced = 0.5 * induced + 0.25 * thrust / max(flow, 0.25 * hover)
         thrusts[rotor], inflows[rotor] = thrust, induced + along

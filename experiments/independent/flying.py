@@ -4,12 +4,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
-import numba
 import numpy as np
 
 from independent.airframes import GRAVITY_M_S2, Airframe, Array, Blades
@@ -202,9 +202,10 @@ class PlainRotation:
         return np.array([x / (4.0 * w), y / (4.0 * w), z / (4.0 * w), w])
 
 
-@numba.njit(cache=True)
 def _matrix(quaternion: Array) -> Array:
-    x, y, z, w = quaternion / np.sqrt(np.sum(quaternion * quaternion))
+    x, y, z, w = quaternion.tolist()
+    norm = math.sqrt(x * x + y * y + z * z + w * w)
+    x, y, z, w = x / norm, y / norm, z / norm, w / norm
     return np.array(
         [
             [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],

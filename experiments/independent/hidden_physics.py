@@ -12,7 +12,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
-import numba
 import numpy as np
 
 from independent.airframes import Airframe, Array, Blades
@@ -22,26 +21,18 @@ _ZERO = np.zeros(3)
 UP = np.array([0.0, 0.0, 1.0])
 
 
-@numba.njit(cache=True)
 def crosses(vector: Array, rows: Array) -> Array:
     """A vector (3,) times each of the rows (N, 3)."""
-    out = np.empty_like(rows)
-    for i in range(len(rows)):
-        out[i, 0] = vector[1] * rows[i, 2] - vector[2] * rows[i, 1]
-        out[i, 1] = vector[2] * rows[i, 0] - vector[0] * rows[i, 2]
-        out[i, 2] = vector[0] * rows[i, 1] - vector[1] * rows[i, 0]
-    return out
+    p, q, r = vector.tolist()
+    return np.array([(q * z - r * y, r * x - p * z, p * y - q * x) for x, y, z in rows.tolist()])
 
 
-@numba.njit(cache=True)
 def sum_of_crosses(one: Array, other: Array) -> Array:
     """Sum of the products of rows (N, 3)."""
-    out = np.zeros(3)
-    for i in range(len(one)):
-        out[0] += one[i, 1] * other[i, 2] - one[i, 2] * other[i, 1]
-        out[1] += one[i, 2] * other[i, 0] - one[i, 0] * other[i, 2]
-        out[2] += one[i, 0] * other[i, 1] - one[i, 1] * other[i, 0]
-    return out
+    p = q = r = 0.0
+    for (x, y, z), (u, v, w) in zip(one.tolist(), other.tolist(), strict=True):
+        p, q, r = p + (y * w - z * v), q + (z * u - x * w), r + (x * v - y * u)
+    return np.array([p, q, r])
 
 
 @dataclass

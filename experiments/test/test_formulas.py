@@ -16,6 +16,7 @@ from blind.specimen import CENTRE_M, Specimen, ordinary
 
 from quadpi_core.simulation.flying import SimulatedVehicle
 from quadpi_core.simulation.rotor_local import RotorLocalModel
+from quadpi_core.simulation.wrench_functions import block_of
 
 NAMES = {
     *("rotor_drag", "body_drag", "translational_lift", "inflow_damping", "blade_flapping", "ground_effect"),
@@ -45,10 +46,9 @@ def wrench(model):
             rotor_accelerations=None if accelerations is None else np.array(accelerations, dtype=float),
             position=np.tile([0.0, 0.0, -height], (count, 1)),
         )
-        vehicle = model.record()[0]
-        rows = [np.array(formulas.row({name: parameters})) for _ in states]
+        row, record = formulas.row({name: parameters}), model.record()
         return np.array(
-            [formulas.hidden(state, vehicle, row) for state, row in zip(states, rows, strict=True)]
+            [formulas.hidden(*block_of(states[i : i + 1], record), np.array(row)) for i in range(count)]
         )
 
     return of
@@ -172,9 +172,9 @@ def test_wind_is_as_flying_the_other_way(model):
         np.array([[0.0, 0.0, 0.0], [-2.0, 0.0, 0.0]]), np.zeros((2, 3)), np.full((2, 4), 700.0),
         position=np.tile([0.0, 0.0, -3.0], (2, 1)),
     )  # fmt: skip
-    blown, flown = states[0], states[1]
-    formulas.hidden(blown, model.record()[0], np.array(formulas.row({"wind": (2.0, 0.0, 0.0, 0.1)})))
-    np.testing.assert_allclose(blown["wrench"], flown["wrench"])
+    row = np.array(formulas.row({"wind": (2.0, 0.0, 0.0, 0.1)}))
+    formulas.hidden(*block_of(states[:1], model.record()), row)
+    np.testing.assert_allclose(states["wrench"][0], states["wrench"][1])
 
 
 @pytest.mark.parametrize(
