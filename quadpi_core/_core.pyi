@@ -5,6 +5,8 @@
 Arrays must be contiguous, and those that are changed in place writable; one of length one is a record.
 """
 
+from collections.abc import Callable, Sequence
+
 import numpy as np
 import numpy.typing as npt
 
@@ -17,6 +19,8 @@ from quadpi_core.messages.payloads import Bytes, Indices
 from quadpi_core.models.physical_rollout import Disturbances, Rolled, Track
 from quadpi_core.models.tubes import Uncertainty
 from quadpi_core.records import Records
+from quadpi_core.simulation.controller import Controls, Demand
+from quadpi_core.simulation.wrench_functions import AddedEffect
 
 SOURCES: str
 
@@ -359,3 +363,66 @@ def error_covariance(
     covariance: Array,
     /,
 ) -> None: ...
+
+# simulation
+ADVANCE_RATIO_MAX: float
+FLOWN_RATE_MAX_RAD_S: float
+NEAREST_SURFACE: float
+NOT_SIX: str
+OWN_STATE_CHANGE_MAX: float
+POSITION_ERROR_MAX_M: float
+SHAPE_MAX: float
+SHORTEST_CABLE_M: float
+SPECIFIC_FORCE_MIN: float
+STEP_HZ: int
+TILT_COSINE_MIN: float
+TILT_MAX_DEG: float
+WRENCH_EFFECTS: tuple[str, ...]
+
+def fly(
+    vehicle: Records,
+    aerodynamics: str | Callable[[], object],
+    numbers: Array,
+    effects: Sequence[AddedEffect],
+    controls: Controls,
+    demand: Demand,
+    motions: Records,
+    state: Records,
+    log: Records,
+    done: Stamps,
+    /,
+) -> None: ...
+def control(controls: Controls, motion: Records, demand: Demand, step: int, /) -> None: ...
+def observe(controls: Controls, state: Records, /) -> None: ...
+def is_lost(motion: Records, position: Array, /) -> bool: ...
+def fill_aerodynamics(states: Records, vehicle: Records, law: str, numbers: Array, /) -> None: ...
+def effect_wrenches(
+    effect: str, states: Records, vehicle: Records, parameters: Array, shape: Array, wrenches: Array, /
+) -> None: ...
+def remember(effect: str, states: Records, vehicle: Records, parameters: Array, step_s: float, /) -> None: ...
+def remembered_wrenches(
+    effect: str,
+    states: Records,
+    vehicle: Records,
+    parameters: Array,
+    memory: Array,
+    step_s: float,
+    added: Array,
+    /,
+) -> None: ...
+def wave_jets(
+    time: Array,
+    amplitude: float,
+    frequencies: Array,
+    phases: Array,
+    sweep: float,
+    window: Array,
+    jets: Array,
+    /,
+) -> None: ...
+def edge_jets(time: Array, instants: Array, heights: Array, rise: float, jets: Array, /) -> None: ...
+def orbit_jets(
+    time: Array, radius: float, turn_rate: float, bearing: float, window: Array, jets: Array, /
+) -> None: ...
+def quaternions_of(vectors: Array, quaternions: Array, /) -> None: ...
+def rotation_vectors_of(quaternions: Array, vectors: Array, /) -> None: ...

@@ -2,17 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rotations: unit quaternions (w, x, y, z) from body to world, rotation vectors in radians, matrices.
 
-The first functions are compiled and take one rotation, as array or tuple. They return tuples: an array would
-cost an allocation per operation, several per sample of the filter. The others take arrays of rotations.
+The first functions take one rotation, as array or tuple, and give the bits of the compiled core; the others
+take arrays of rotations.
 """
 
 from __future__ import annotations
 
-from typing import TypeAlias
+import math
+from typing import Any, TypeAlias
 
 import numpy as np
 
-from quadpi_core.compiled import njit
+from quadpi_core.core import compiled
 from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
 
@@ -23,11 +24,10 @@ RotationVector: TypeAlias = tuple[float, float, float]
 _SMALL_ANGLE = 1e-8
 
 
-@njit(cache=True)
-def product(left: Array | Quaternion, right: Array | Quaternion) -> Quaternion:
-    """Quaternion product: the rotation `right` followed by `left`."""
-    w, x, y, z = left[0], left[1], left[2], left[3]
-    a, b, c, d = right[0], right[1], right[2], right[3]
+def product(left: Any, right: Any) -> tuple[Any, Any, Any, Any]:
+    """Quaternion product: the rotation `right` followed by `left`; of numbers, or of arrays of one shape."""
+    w, x, y, z = left
+    a, b, c, d = right
     return (
         w * a - x * b - y * c - z * d,
         w * b + x * a + y * d - z * c,
@@ -36,66 +36,60 @@ def product(left: Array | Quaternion, right: Array | Quaternion) -> Quaternion:
     )
 
 
-@njit(cache=True)
-def inverse(quaternion: Array | Quaternion) -> Quaternion:
-    """Inverse of a unit quaternion: world to body."""
-    return quaternion[0], -quaternion[1], -quaternion[2], -quaternion[3]
+def inverse(quaternion: Any) -> tuple[Any, Any, Any, Any]:
+    """Inverse of a unit quaternion: world to body; of numbers, or of arrays of one shape."""
+    w, x, y, z = quaternion
+    return w, -x, -y, -z
 
 
-@njit(cache=True)
 def normalised(quaternion: Array | Quaternion) -> Quaternion:
     """The quaternion scaled to unit norm."""
-    w, x, y, z = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
-    scale = 1.0 / np.sqrt(w * w + x * x + y * y + z * z)
+    w, x, y, z = map(float, quaternion)
+    scale = 1.0 / math.sqrt(w * w + x * x + y * y + z * z)
     return w * scale, x * scale, y * scale, z * scale
 
 
-@njit(cache=True)
 def from_rotation_vector(vector: Array | RotationVector) -> Quaternion:
     """Unit quaternion of a rotation vector (3,) rad (the exponential map)."""
-    x, y, z = vector[0], vector[1], vector[2]
-    angle = np.sqrt(x * x + y * y + z * z)
-    scale = 0.5 if angle < _SMALL_ANGLE else np.sin(0.5 * angle) / angle
-    return np.cos(0.5 * angle), scale * x, scale * y, scale * z
+    x, y, z = map(float, vector)
+    angle = math.sqrt(x * x + y * y + z * z)
+    scale = 0.5 if angle < _SMALL_ANGLE else math.sin(0.5 * angle) / angle
+    return math.cos(0.5 * angle), scale * x, scale * y, scale * z
 
 
-@njit(cache=True)
 def to_rotation_vector(quaternion: Array | Quaternion) -> RotationVector:
     """Shortest rotation vector (3,) rad of a unit quaternion of either sign (the logarithm map)."""
     sign = -1.0 if quaternion[0] < 0.0 else 1.0
-    w, x, y, z = sign * quaternion[0], sign * quaternion[1], sign * quaternion[2], sign * quaternion[3]
-    sine = np.sqrt(x * x + y * y + z * z)
-    scale = 2.0 if sine < _SMALL_ANGLE else 2.0 * np.arctan2(sine, w) / sine
+    w, x, y, z = (sign * float(component) for component in quaternion)
+    sine = math.sqrt(x * x + y * y + z * z)
+    scale = 2.0 if sine < _SMALL_ANGLE else 2.0 * math.atan2(sine, w) / sine
     return scale * x, scale * y, scale * z
 
 
-@njit(cache=True)
 def matrix(quaternion: Array | Quaternion) -> Array:
     """Rotation matrix (3, 3), body to world, of a unit quaternion."""
-    w, x, y, z = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
-    rotation = np.empty((3, 3))
-    rotation[0, 0] = 1.0 - 2.0 * (y * y + z * z)
-    rotation[0, 1] = 2.0 * (x * y - w * z)
-    rotation[0, 2] = 2.0 * (x * z + w * y)
-    rotation[1, 0] = 2.0 * (x * y + w * z)
-    rotation[1, 1] = 1.0 - 2.0 * (x * x + z * z)
-    rotation[1, 2] = 2.0 * (y * z - w * x)
-    rotation[2, 0] = 2.0 * (x * z - w * y)
-    rotation[2, 1] = 2.0 * (y * z + w * x)
-    rotation[2, 2] = 1.0 - 2.0 * (x * x + y * y)
-    return rotation
+    w, x, y, z = map(float, quaternion)
+    return np.array(
+        (
+            (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
+            (2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)),
+            (2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)),
+        )
+    )
 
 
-@njit(cache=True)
+def quaternions_of(vectors: Array) -> Array:
+    """:func:`from_rotation_vector` of each of (N, 3)."""
+    quaternions = np.empty((len(vectors), 4))
+    compiled.quaternions_of(np.ascontiguousarray(vectors), quaternions)
+    return quaternions
+
+
 def body_rates(time_ns: Stamps, attitude: Array) -> Array:
     """Mean body rates (N-1, 3) rad/s between consecutive attitudes (N, 4) at stamps (N,)."""
-    rates = np.empty((len(attitude) - 1, 3))
-    for row in range(len(rates)):
-        turn = to_rotation_vector(product(inverse(attitude[row]), attitude[row + 1]))
-        dt = 1e-9 * (time_ns[row + 1] - time_ns[row])
-        for axis in range(3):
-            rates[row, axis] = turn[axis] / dt
-    return rates
+    turns = np.empty((len(attitude) - 1, 3))
+    compiled.rotation_vectors_of(products(inverses(attitude[:-1]), attitude[1:]), turns)
+    return turns / (1e-9 * np.diff(time_ns))[:, None]
 
 
 def rotation_matrix(quaternion: Array) -> Array:

@@ -12,6 +12,7 @@ void bind_monitor(nanobind::module_& module);
 void bind_screening(nanobind::module_& module);
 void bind_physical(nanobind::module_& module);
 void bind_signals(nanobind::module_& module);
+void bind_simulation(nanobind::module_& module);
 }  // namespace quadpi
 
 NB_MODULE(_core, module) {
@@ -26,4 +27,5 @@ NB_MODULE(_core, module) {
     quadpi::bind_screening(module);
     quadpi::bind_monitor(module);
     quadpi::bind_physical(module);
+    quadpi::bind_simulation(module);
 }

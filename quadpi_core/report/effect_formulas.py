@@ -77,9 +77,9 @@ def wrench_of(effect, p, states, vehicle, shape=np.zeros({len(SHAPE)})):
     vehicle: by name: mass, rotor_positions (4, 3), rotor_spins (4,), rotor_radius, hover_induced_velocity,
         hover_rotor_speed.
     """
-    vehicle = SimpleNamespace(**vehicle)
-    rows = [SimpleNamespace(**dict(zip(states, row))) for row in zip(*states.values())]
-    return np.array([shaped(effect(row, vehicle, p), row, vehicle, shape) for row in rows])
+    state, vehicle = SimpleNamespace(**states), SimpleNamespace(**vehicle)
+    wrench = shaped(effect(state, vehicle, p), state, vehicle, shape)
+    return np.stack(np.broadcast_arrays(*wrench, state.wrench[:, 0])[:6], axis=1)
 '''
 
 
@@ -139,19 +139,18 @@ def _add(name: str, value: Any, imports: set[str], definitions: dict[str, tuple[
     Raises:
         ValueError: for a name with different meanings in two files of effects.
     """
-    function = getattr(value, "py_func", value)
     if isinstance(value, ModuleType):
         imports.add(f"import {value.__name__} as {name}")
-    elif inspect.isfunction(function) and not function.__module__.startswith("quadpi_core"):
-        imports.add(f"from {function.__module__} import {function.__name__} as {name}")
+    elif inspect.isfunction(value) and not value.__module__.startswith("quadpi_core"):
+        imports.add(f"from {value.__module__} import {value.__name__} as {name}")
     elif name in definitions:
         if definitions[name][0] is not value:
             raise ValueError(f"two files of effects define `{name}`: an exported file holds one of them")
-    elif inspect.isfunction(function):
-        for used in sorted(_names(function.__code__) & function.__globals__.keys() - {name}):
-            _add(used, function.__globals__[used], imports, definitions)
+    elif inspect.isfunction(value):
+        for used in sorted(_names(value.__code__) & value.__globals__.keys() - {name}):
+            _add(used, value.__globals__[used], imports, definitions)
         # Without decorators, and without remarks for linters and type checkers.
-        source = "def " + f"\n{inspect.getsource(function)}".partition("\ndef ")[2]
+        source = "def " + f"\n{inspect.getsource(value)}".partition("\ndef ")[2]
         definitions[name] = value, re.sub(r"(?m)  # (?:noqa|type:).*$", "", source).rstrip()
     elif isinstance(value, type) and issubclass(value, Exception):
         text = (value.__doc__ or name).strip()

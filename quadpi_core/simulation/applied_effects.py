@@ -1,115 +1,38 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Application of effects: in the compiled flight, to vehicle, air and sensors, and to recorded states."""
+"""Application of effects: in a flight, to vehicle, air and sensors, and to recorded states."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.compiled import njit, once
 from quadpi_core.config import nearest
+from quadpi_core.core import compiled
 from quadpi_core.errors import SimulationError
 from quadpi_core.flight import Recording
 from quadpi_core.frames import Array
 from quadpi_core.records import Records
-from quadpi_core.simulation.effect_definition import (
-    MODULATORS,
-    SHAPE,
-    Effect,
-    Effects,
-    Wrench,
-    modulators,
-    shaped,
-)
-from quadpi_core.simulation.effect_registry import (
-    EFFECTS,
-    MEMORY_INDEX,
-    WRENCH_INDEX,
-    added_wrench,
-    remembering_wrench,
-)
-from quadpi_core.simulation.state_records import MEMORY, State, VehicleNumbers
-from quadpi_core.simulation.wrench_functions import SIGNATURE, passable
+from quadpi_core.simulation.effect_definition import SHAPE, Effect, Effects, Wrench, modulators, shaped
+from quadpi_core.simulation.effect_registry import EFFECTS
+from quadpi_core.simulation.state_records import MEMORY
+from quadpi_core.simulation.wrench_functions import AddedEffect, Law, block_of, six_columns
 from quadpi_core.vehicle import Vehicle, is_rigid_body
 
-# In place of a registry index: a function that is not in the registry.
-_EXTRA = -1
-# A row of parameters ends with the shape of its law and that index.
-_SHAPES = len(SHAPE)
-_SHAPE_AT = -1 - _SHAPES
-# Largest change of a number of an effect's own state over a step of a recording: 125 rad/s² of a load at
-# 62.5 Hz, which one on a cable of 0.1 m does not reach.
-_LARGEST_CHANGE = 2.0
 
-
-def compose(effects: Effects, extra: Sequence[tuple[Any, Sequence[float]]] = ()) -> tuple[Any, Array]:
-    """The wrench effects as one compiled function, and its parameters.
-
-    Without `extra` it is always the same function, compiled once and cached on disk; the parameters say which
-    effects act.
+def compose(effects: Effects, extra: Sequence[tuple[Law, Sequence[float]]] = ()) -> list[AddedEffect]:
+    """The wrench effects of a flight, in the order in which they act.
 
     Args:
         effects: effects of any kind, of which only wrench effects are used.
-        extra: compiled functions with the signature of a wrench effect that are not in the registry, each
-            with its parameters. They act before the effects.
-
-    Returns:
-        A function of type `wrench_functions.FUNCTION_TYPE` that adds to `state.wrench`, one effect after the
-        other, and its parameters (K, P): a row for each, with the shape of its law and its index in the last
-        columns.
+        extra: functions as those of wrench effects that are not in the registry, each with its parameters,
+            of which it gets a copy. They act before the effects.
     """
-    rows = [(np.asarray(values, dtype=float), _shape({}), _EXTRA) for _, values in extra]
-    for effect, own in _of_kind(effects, "wrench"):
-        rows.append((own, _shape(effects[effect.name]), WRENCH_INDEX[effect.name]))
-    longest = max((len(values) for values, _, _ in rows), default=0)
-    parameters = np.zeros((len(rows), longest + _SHAPES + 1))
-    for row, (values, shape, index) in zip(parameters, rows, strict=True):
-        row[: len(values)] = values
-        row[_SHAPE_AT:-1] = shape
-        row[-1] = index
-    if not rows:
-        # A flight without effects need not wait until all effects are compiled for the first time.
-        return passable(_none), parameters
-    return _chain(tuple(function for function, _ in extra)), parameters
-
-
-@njit(cache=True)
-def _registered(state: State, vehicle: VehicleNumbers, parameters: Array) -> None:
-    for row in range(len(parameters)):
-        p = parameters[row]
-        wrench = added_wrench(int(p[-1]), state, vehicle, p)
-        _add(state, shaped(wrench, state, vehicle, p[_SHAPE_AT:-1]))
-
-
-@njit(cache=True)
-def _none(state: State, vehicle: VehicleNumbers, parameters: Array) -> None:
-    pass
-
-
-@njit(cache=True)
-def _add(state: State, wrench: Wrench) -> None:
-    total = state.wrench
-    for axis in range(6):
-        total[axis] += wrench[axis]
-
-
-@once
-def _chain(extra: tuple[Any, ...], row: int = 0) -> Any:
-    """The functions `extra`, whose parameters begin at a row, then the registered effects."""
-    if not extra:
-        return passable(_registered)
-    first, others = extra[0], _chain(extra[1:], row + 1)
-
-    @njit(SIGNATURE)
-    def both(state: State, vehicle: VehicleNumbers, parameters: Array) -> None:
-        _add(state, first(state, vehicle, parameters[row, :_SHAPE_AT]))
-        others(state, vehicle, parameters)
-
-    return both
+    own = [AddedEffect(law, np.array(values, dtype=float), _shape({})) for law, values in extra]
+    wrench = _of_kind(effects, "wrench")
+    return own + [AddedEffect(one.law, values, _shape(effects[one.name])) for one, values in wrench]
 
 
 def effect_wrench(
@@ -126,10 +49,16 @@ def effect_wrench(
     Raises:
         SimulationError: if there is no such wrench effect.
     """
-    if name not in WRENCH_INDEX:
-        raise SimulationError(f"`{name}` is no effect on the wrench{nearest(name, WRENCH_INDEX)}")
-    values, shape = _values(EFFECTS[name], parameters), _shape(parameters)
-    return _added_to_all(WRENCH_INDEX[name], states, vehicle, values, shape)
+    known = [effect.name for effect in EFFECTS.values() if effect.kind == "wrench"]
+    if name not in known:
+        raise SimulationError(f"`{name}` is no effect on the wrench{nearest(name, known)}")
+    law, values, shape = EFFECTS[name].law, _values(EFFECTS[name], parameters), _shape(parameters)
+    if not isinstance(law, str):
+        block = block_of(states, vehicle)
+        return six_columns(shaped(law(*block, values), *block, shape), len(states))
+    wrench = np.empty((len(states), 6))
+    compiled.effect_wrenches(law, states, vehicle, values, shape, wrench)
+    return wrench
 
 
 def state_modulators(states: npt.NDArray[np.void], vehicle: npt.NDArray[np.void]) -> Array:
@@ -139,29 +68,7 @@ def state_modulators(states: npt.NDArray[np.void], vehicle: npt.NDArray[np.void]
         states: (N,) of `state_records.STATE`.
         vehicle: (1,) of `state_records.VEHICLE`.
     """
-    found: Array = _modulators_of_all(states, vehicle)
-    return found
-
-
-@njit(cache=True)
-def _modulators_of_all(states: Records, vehicles: Records) -> Array:
-    found = np.empty((len(states), MODULATORS))
-    for i in range(len(states)):
-        of = modulators(states[i], vehicles[0])
-        for index in range(MODULATORS):
-            found[i, index] = of[index]
-    return found
-
-
-@njit(cache=True)
-def _added_to_all(index: int, states: Records, vehicles: Records, p: Array, shape: Array) -> Array:
-    added = np.empty((len(states), 6))
-    for i in range(len(states)):
-        wrench = added_wrench(index, states[i], vehicles[0], p)
-        wrench = shaped(wrench, states[i], vehicles[0], shape)
-        for axis in range(6):
-            added[i, axis] = wrench[axis]
-    return added
+    return np.stack(modulators(*block_of(states, vehicle)), axis=1)
 
 
 def memory_at_rest(effects: Effects) -> Array:
@@ -196,36 +103,28 @@ def with_memory(
         step_s: seconds between them.
     """
     filled = states.copy()
-    if len(filled):
-        filled["memory"][0] = start
-        _remember(MEMORY_INDEX[name], filled, vehicle, _values(EFFECTS[name], parameters), step_s)
+    law, values = EFFECTS[name].law, _values(EFFECTS[name], parameters)
+    if len(filled) == 0:
+        return filled
+    filled["memory"][0] = start
+    if isinstance(law, str):
+        compiled.remember(law, filled, vehicle, values, step_s)
+    else:
+        for i in range(len(filled) - 1):
+            _stepped(law, filled[i : i + 1], filled[i + 1 : i + 2], vehicle, values, step_s)
     return filled
 
 
-@njit(cache=True)
-def _limited(change: float) -> float:
-    """A change over one step; what is faster than the steps stays finite."""
-    return min(max(change, -_LARGEST_CHANGE), _LARGEST_CHANGE)
-
-
-@njit(cache=True)
-def _remember(index: int, states: Records, vehicles: Records, p: Array, step_s: float) -> None:
-    for i in range(len(states) - 1):
-        _stepped(index, states[i], states[i + 1], vehicles[0], p, step_s)
-
-
-@njit(cache=True)
 def _stepped(
-    index: int, now: State, ahead: State, vehicle: VehicleNumbers, p: Array, step_s: float
-) -> Wrench:
-    """Wrench of an effect with a state of its own, which is brought forward by a step."""
-    wrench = remembering_wrench(index, now, vehicle, p)
-    for number in range(MEMORY):
-        ahead.memory[number] = now.memory[number] + _limited(step_s * now.memory_slope[number])
-    remembering_wrench(index, ahead, vehicle, p)
-    for number in range(MEMORY):
-        slope = 0.5 * (now.memory_slope[number] + ahead.memory_slope[number])
-        ahead.memory[number] = now.memory[number] + _limited(step_s * slope)
+    law: Callable[..., Wrench], now: Records, ahead: Records, vehicle: Records, values: Array, step_s: float
+) -> Array:
+    """Wrenches (K, 6) of an effect with a state of its own, brought forward by a step as in the core."""
+    wrench = six_columns(law(*block_of(now, vehicle), values), len(now))
+    most, slope = compiled.OWN_STATE_CHANGE_MAX, now["memory_slope"]
+    ahead["memory"] = now["memory"] + np.clip(step_s * slope, -most, most)
+    law(*block_of(ahead, vehicle), values)
+    slope = 0.5 * (slope + ahead["memory_slope"])
+    ahead["memory"] = now["memory"] + np.clip(step_s * slope, -most, most)
     return wrench
 
 
@@ -249,29 +148,17 @@ def remembered_wrenches(
         starts: (K, 6) the effect's own state at the first of them.
         step_s: seconds between them.
     """
-    values = _values(EFFECTS[name], parameters)
-    found: Array = _remembered_wrenches(MEMORY_INDEX[name], states, vehicle, values, starts, step_s)
-    return found
-
-
-@njit(cache=True)
-def _remembered_wrenches(
-    index: int, states: Records, vehicles: Records, p: Array, starts: Array, step_s: float
-) -> Array:
-    memory, added = starts.copy(), np.empty((len(states), 6, len(starts)))
-    # No copy of the flight: a page of memory costs more than the steps in it.
-    pair = np.empty(2, states.dtype)
-    now, ahead = pair[0], pair[1]
-    for i in range(len(states)):
-        pair[0], pair[1] = states[i], states[min(i + 1, len(states) - 1)]
-        for start in range(len(starts)):
-            for number in range(MEMORY):
-                now.memory[number] = memory[start, number]
-            wrench = _stepped(index, now, ahead, vehicles[0], p, step_s)
-            for number in range(MEMORY):
-                memory[start, number] = ahead.memory[number]
-            for axis in range(6):
-                added[i, axis, start] = wrench[axis]
+    law, values = EFFECTS[name].law, _values(EFFECTS[name], parameters)
+    memory, added = np.array(starts, dtype=float), np.empty((len(states), 6, len(starts)))
+    if isinstance(law, str):
+        compiled.remembered_wrenches(law, states, vehicle, values, memory, step_s, added)
+        return added
+    for i, wrenches in enumerate(added):
+        now = np.repeat(states[i : i + 1], len(starts))
+        ahead = np.repeat(states[min(i + 1, len(states) - 1)], len(starts))
+        now["memory"] = memory
+        wrenches[:] = _stepped(law, now, ahead, vehicle, values, step_s).T
+        memory = ahead["memory"]
     return added
 
 

@@ -4,14 +4,16 @@
 
 Its kind says what the function changes, and with it what it takes:
 
-    wrench   (state, vehicle, p) -> (fx, fy, fz, mx, my, mz), compiled; adds to the wrench of the aerodynamics
+    wrench   (state, vehicle, p) -> (fx, fy, fz, mx, my, mz); adds to the wrench of the aerodynamics
     vehicle  (vehicle, p) -> Vehicle as it truly is
     wind     (time, p, rng) -> (N, 3) m/s of the air over ground, world
     sensor   (recording, vehicle, p) -> Recording as the sensors would give it
 
-`p` holds the parameters in their order, in the unit that their names end with. State and vehicle of a wrench
-effect are one record of `state_records.STATE` and of `state_records.VEHICLE`. Compiled functions that several
-wrench effects use are at the end of the file.
+`p` holds the parameters in their order, in the unit that their names end with. A wrench effect takes N
+instants at once: the state has the fields of `state_records.State`, each an array whose first axis is N, and
+the vehicle those of `state_records.VehicleNumbers`; forces and moments are numbers or arrays (N,). In a
+flight N is 1. The compiled core has the library's wrench effects, too: a function here says the law that
+people read and that is exported. Functions that several of them use are at the end of the file.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from quadpi_core.compiled import njit
+from quadpi_core.core import compiled
 from quadpi_core.frames import Array
 from quadpi_core.rotations import inverse, product
 from quadpi_core.simulation.state_records import State, VehicleNumbers
@@ -45,9 +47,9 @@ AERODYNAMIC = FORM_OF_AIR.value
 # `Effect.indistinguishable_group` of a weak rotor and a misread rotor speed: they differ only in how the
 # thrust depends on the airflow, which is known within a tolerance.
 STRENGTH_OF_ONE_ROTOR = "strength of one rotor"
-# Fx, Fy, Fz [N] and Mx, My, Mz [Nm], body axes.
-Wrench: TypeAlias = tuple[float, float, float, float, float, float]
-NO_WRENCH: Wrench = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+Component: TypeAlias = Array | float
+# Fx, Fy, Fz [N] and Mx, My, Mz [Nm], body axes, each a number or an array (N,).
+Wrench: TypeAlias = tuple[Component, Component, Component, Component, Component, Component]
 
 
 @dataclass(frozen=True)
@@ -83,7 +85,7 @@ SHAPE = tuple(
 )
 SHAPE_MAX = Threshold(
     "largest factor on a law that flights shape",
-    3.0,
+    compiled.SHAPE_MAX,
     "factor, the smallest being 0",
     "beyond what was flown a law neither changes sign nor grows without bound",
     CONVENTION,
@@ -158,6 +160,11 @@ class Effect:
         """Parameters by which flights may shape its law; none for an exact law and effects on the air."""
         return SHAPE if self.kind == "wrench" and self.form > 0.0 else ()
 
+    @property
+    def law(self) -> str | Callable[..., Wrench]:
+        """Of a wrench effect: its name where the compiled core has it, else its function."""
+        return self.name if self.name in compiled.WRENCH_EFFECTS else self.function
+
     def undo(self, values: Array) -> Array:
         """Parameters of the inverse effect, to first order at least."""
         return -values if self.inverse is None else self.inverse(values)
@@ -203,98 +210,69 @@ def three(
     )
 
 
-@njit(cache=True)
-def modulators(
-    state: State, vehicle: VehicleNumbers
-) -> tuple[float, float, float, float, float, float, float, float]:
-    """What a shaped law may depend on beyond its formula, as in `effect_definition.SHAPE` after the axes.
+def modulators(state: State, vehicle: VehicleNumbers) -> tuple[Array, ...]:
+    """What a shaped law may depend on beyond its formula, each (N,), as in `SHAPE` after the axes.
 
     Airspeed and its components over the induced velocity of hover, mean square of the rotor speeds over that
     of hover, speed of a rotor's radius at the body rates over the induced velocity, radius over height, and
     the square of the velocity along z over the induced one: climb and descent alike.
     """
     induced, radius = vehicle.hover_induced_velocity, vehicle.rotor_radius
-    u, v, w = (
-        state.velocity_air[0] / induced,
-        state.velocity_air[1] / induced,
-        state.velocity_air[2] / induced,
-    )
-    p, q, r = state.rates[0], state.rates[1], state.rates[2]
-    load = 0.0
-    for rotor in range(4):
-        load += 0.25 * (state.rotor_speeds[rotor] / vehicle.hover_rotor_speed) ** 2
+    u, v, w = state.velocity_air.T / induced
+    p, q, r = state.rates.T
+    first, second, third, fourth = 0.25 * (state.rotor_speeds.T / vehicle.hover_rotor_speed) ** 2
     speed = np.sqrt(u * u + v * v + w * w)
     turning = radius * np.sqrt(p * p + q * q + r * r)
-    ground = radius / max(-state.position[2], radius)
-    return speed, u, v, w, load, turning / induced, ground, w * w
+    ground = radius / np.maximum(-state.position[:, 2], radius)
+    return speed, u, v, w, first + second + third + fourth, turning / induced, ground, w * w
 
 
-@njit(cache=True)
 def shaped(wrench: Wrench, state: State, vehicle: VehicleNumbers, shape: Array) -> Wrench:
     """The wrench of a law as shaped by the values of `effect_definition.SHAPE`."""
-    if not shape.any():
+    if not np.any(shape):
         return wrench
-    more = 1.0
     of = modulators(state, vehicle)
-    for index in range(MODULATORS):
-        more += shape[_AXES + index] * of[index]
-    return (
-        wrench[0] * min(max(more + shape[0], 0.0), _MOST),
-        wrench[1] * min(max(more + shape[1], 0.0), _MOST),
-        wrench[2] * min(max(more + shape[2], 0.0), _MOST),
-        wrench[3] * min(max(more + shape[3], 0.0), _MOST),
-        wrench[4] * min(max(more + shape[4], 0.0), _MOST),
-        wrench[5] * min(max(more + shape[5], 0.0), _MOST),
-    )
+    more = 1.0 + sum(slope * modulator for slope, modulator in zip(shape[_AXES:], of, strict=True))
+    factors = [np.clip(more + share, 0.0, _MOST) for share in shape[:_AXES]]
+    fx, fy, fz, mx, my, mz = (part * factor for part, factor in zip(wrench, factors, strict=True))
+    return fx, fy, fz, mx, my, mz
 
 
-@njit(cache=True)
-def with_hub_force(
-    wrench: Wrench, vehicle: VehicleNumbers, rotor: int, fx: float, fy: float, fz: float
-) -> Wrench:
-    """The wrench with a force at the hub of a rotor added, and its moment r × F."""
-    x = vehicle.rotor_positions[rotor, 0]
-    y = vehicle.rotor_positions[rotor, 1]
-    z = vehicle.rotor_positions[rotor, 2]
-    return (
-        wrench[0] + fx,
-        wrench[1] + fy,
-        wrench[2] + fz,
-        wrench[3] + (y * fz - z * fy),
-        wrench[4] + (z * fx - x * fz),
-        wrench[5] + (x * fy - y * fx),
-    )
+def at_hubs(vehicle: VehicleNumbers, fx: Component, fy: Component, fz: Component) -> Wrench:
+    """Wrench of forces (N, 4), or 0, at the hubs of the rotors, each with its moment r × F."""
+    x, y, z = vehicle.rotor_positions.T
+
+    def total(force: Component, arm: Component = 1.0) -> Component:
+        return (force * arm).sum(axis=1) if isinstance(force, np.ndarray) else 0.0
+
+    moment = total(fz, y) - total(fy, z), total(fx, z) - total(fz, x), total(fy, x) - total(fx, y)
+    return total(fx), total(fy), total(fz), *moment
 
 
-@njit(cache=True)
-def in_plane_speed(state: State, rotor: int) -> float:
-    """Airspeed [m/s] of a hub within the plane of its disc."""
-    u, v = state.hub_velocity[rotor, 0], state.hub_velocity[rotor, 1]
-    speed: float = np.sqrt(u * u + v * v)
-    return speed
+def in_plane_speeds(state: State) -> Array:
+    """Airspeeds (N, 4) m/s of the hubs within the plane of their discs."""
+    u, v = state.hub_velocity[:, :, 0], state.hub_velocity[:, :, 1]
+    speeds: Array = np.sqrt(u * u + v * v)
+    return speeds
 
 
-@njit(cache=True)
-def hub_height(state: State, vehicle: VehicleNumbers, rotor: int) -> float:
-    """Height [m] of a hub above the ground, negative below it."""
-    x, y, z = world_to_body(state.attitude, 0.0, 0.0, 1.0)
-    hub = vehicle.rotor_positions[rotor]
-    below_centre = x * hub[0] + y * hub[1] + z * hub[2]
-    height: float = -(state.position[2] + below_centre)
-    return height
+def hub_heights(state: State, vehicle: VehicleNumbers) -> Array:
+    """Heights (N, 4) m of the hubs above the ground, negative below it."""
+    down = np.stack(world_to_body(state.attitude, 0.0, 0.0, 1.0), axis=1)
+    below_centre = np.sum(down[:, None] * vehicle.rotor_positions, axis=2)
+    heights: Array = -(state.position[:, 2, None] + below_centre)
+    return heights
 
 
-@njit(cache=True)
-def world_to_body(attitude: Array, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """A vector of the world in body axes."""
-    quaternion = (attitude[0], attitude[1], attitude[2], attitude[3])
-    turned = product(inverse(quaternion), product((0.0, x, y, z), quaternion))
-    return turned[1], turned[2], turned[3]
+def world_to_body(attitude: Array, x: Component, y: Component, z: Component) -> tuple[Array, Array, Array]:
+    """Vectors of the world in body axes, by attitudes (N, 4)."""
+    quaternion = tuple(attitude.T)
+    _, forward, right, down = product(inverse(quaternion), product((0.0, x, y, z), quaternion))
+    return forward, right, down
 
 
-@njit(cache=True)
-def body_to_world(attitude: Array, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """A vector of body axes in the world."""
-    quaternion = (attitude[0], attitude[1], attitude[2], attitude[3])
-    turned = product(product(quaternion, (0.0, x, y, z)), inverse(quaternion))
-    return turned[1], turned[2], turned[3]
+def body_to_world(attitude: Array, x: Component, y: Component, z: Component) -> tuple[Array, Array, Array]:
+    """Vectors of body axes in the world, by attitudes (N, 4)."""
+    quaternion = tuple(attitude.T)
+    _, north, east, down = product(product(quaternion, (0.0, x, y, z)), inverse(quaternion))
+    return north, east, down

@@ -9,28 +9,19 @@ the file. An effect that must act after all others of its kind declares `last`.
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Mapping
-from inspect import getfile
 from typing import Any
 
-from numba import literal_unroll
-
-from quadpi_core.compiled import depends_on, njit
 from quadpi_core.config import nearest
 from quadpi_core.errors import SimulationError
-from quadpi_core.frames import Array
 from quadpi_core.plugins import Plugins
 from quadpi_core.simulation import effects
 from quadpi_core.simulation.effect_definition import (
     EFFECT_KINDS,
-    NO_WRENCH,
     Effect,
     Effects,
     Parameter,
-    Wrench,
 )
-from quadpi_core.simulation.state_records import State, VehicleNumbers
 
 _PLUGINS = Plugins("effect", effects, "quadpi.effects", Effect, SimulationError)
 EFFECTS = {
@@ -39,40 +30,6 @@ EFFECTS = {
         _PLUGINS.by_name().values(), key=lambda effect: (EFFECT_KINDS.index(effect.kind), effect.last)
     )
 }
-depends_on(__file__, {getfile(sys.modules[effect.function.__module__]) for effect in EFFECTS.values()})
-
-_WRENCH_EFFECTS = tuple(effect for effect in EFFECTS.values() if effect.kind == "wrench")
-WRENCH_INDEX = {effect.name: index for index, effect in enumerate(_WRENCH_EFFECTS)}
-_WRENCH_FUNCTIONS = tuple(effect.function for effect in _WRENCH_EFFECTS)
-_REMEMBERING = tuple(effect for effect in _WRENCH_EFFECTS if effect.at_rest)
-MEMORY_INDEX = {effect.name: index for index, effect in enumerate(_REMEMBERING)}
-_REMEMBERING_FUNCTIONS = tuple(effect.function for effect in _REMEMBERING)
-
-
-# In this file because its cache on disk must be renewed whenever the set or the order of effects changes.
-@njit(cache=True)
-def added_wrench(index: int, state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
-    """Wrench of the effect with this index of `WRENCH_INDEX`; zero for any other index."""
-    wrench = NO_WRENCH
-    candidate = 0
-    for function in literal_unroll(_WRENCH_FUNCTIONS):
-        if candidate == index:
-            wrench = function(state, vehicle, p)
-        candidate += 1  # noqa: SIM113
-    return wrench
-
-
-# To find one of all effects takes as long as its wrench; here there are few.
-@njit(cache=True)
-def remembering_wrench(index: int, state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
-    """Wrench of the effect with this index of `MEMORY_INDEX`; zero for any other index."""
-    wrench = NO_WRENCH
-    candidate = 0
-    for function in literal_unroll(_REMEMBERING_FUNCTIONS):
-        if candidate == index:
-            wrench = function(state, vehicle, p)
-        candidate += 1  # noqa: SIM113
-    return wrench
 
 
 def read_effects(data: Any, where: str) -> Effects:

@@ -8,7 +8,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +19,7 @@ from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
 from quadpi_core.simulation.applied_effects import added_wind, altered_vehicle, compose, memory_at_rest
 from quadpi_core.simulation.controller import Controls, Demand
-from quadpi_core.simulation.dynamics import LOGGED, Memory, PhysicsNumbers, flight_kernel
+from quadpi_core.simulation.dynamics import LOGGED, Memory, Physics, fly
 from quadpi_core.simulation.effect_definition import Effects
 from quadpi_core.simulation.effect_registry import read_effects
 from quadpi_core.simulation.excursion import excursion
@@ -30,6 +30,7 @@ from quadpi_core.simulation.sensor_noise import generator
 from quadpi_core.simulation.simulated_aerodynamics import SimulatedAerodynamics
 from quadpi_core.simulation.simulated_file import IdentifiedRange, read_simulation
 from quadpi_core.simulation.truth import LOG_HZ, STEP_HZ, Reference, Truth
+from quadpi_core.simulation.wrench_functions import Law
 from quadpi_core.vehicle import ROTORS, Vehicle
 
 # First stamp of every simulated flight: fixed, so that equal plans give equal bytes.
@@ -139,7 +140,7 @@ def simulate_flight(
     *,
     known_wind: Array | None = None,
     effects: Effects = _NO_EFFECTS,
-    extra: Sequence[tuple[Any, Sequence[float]]] = (),
+    extra: Sequence[tuple[Law, Sequence[float]]] = (),
     seed: int = 0,
     done: Stamps | None = None,
 ) -> Truth:
@@ -171,30 +172,23 @@ def simulate_flight(
     still = np.zeros(3) if known_wind is None else known_wind
     wind = still + added_wind(effects, time, generator(seed, "air"))
     flown = vehicle.altered(altered_vehicle(effects, vehicle.vehicle))
-    function, parameters = compose(effects, extra)
+    physics = Physics(
+        flown.record(), flown.aerodynamics.function, flown.aerodynamics.numbers, compose(effects, extra)
+    )
 
     start = trim(vehicle.aerodynamics, still, float(reference.yaw[0]))
     memory = Memory.at(reference.position[0], reference.velocity[0], *start, memory_at_rest(effects))
-    nominal, altered = vehicle.record(), flown.record()
+    nominal = vehicle.record()
     # The quantities that coefficients of effects refer to do not change with a payload.
     for hover in ("hover_rotor_speed", "hover_induced_velocity"):
-        altered[hover] = nominal[hover]
+        physics.vehicle[hover] = nominal[hover]
     controls = Controls.of(nominal, vehicle.aerodynamics.effectiveness)
     if not np.all(np.isfinite(controls.allocation)):
         raise SimulationError(f"vehicle {vehicle.vehicle.name}: its rotors cannot turn it about every axis")
     controls.command[:] = start.rotor_speeds
     log = np.zeros(samples, dtype=LOGGED)
     done = np.zeros(1, dtype=np.int64) if done is None else done
-    flight_kernel()(
-        PhysicsNumbers(altered, flown.aerodynamics.numbers, parameters),
-        flown.aerodynamics.function,
-        function,
-        controls,
-        _demand(reference, wind, last=(samples - 1) * every),
-        memory,
-        log,
-        done,
-    )
+    fly(physics, controls, _demand(reference, wind, last=(samples - 1) * every), memory, log, done)
     flown_wind = wind[::every][:samples].copy()
     if done[0] < (samples - 1) * every:
         logged = int(done[0]) // every
@@ -224,7 +218,7 @@ def simulate_flight(
 
 
 def _demand(reference: Reference, wind: Array, last: int) -> Demand:
-    """The reference and wind of the compiled flight, up to the instant `last`."""
+    """The reference and wind of the flight, up to the instant `last`."""
     jerk = np.zeros_like(reference.acceleration)
     jerk[:-1] = np.diff(reference.acceleration, axis=0) * STEP_HZ
     columns = (

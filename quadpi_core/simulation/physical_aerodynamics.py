@@ -23,14 +23,15 @@ from quadpi_core.errors import SimulationError, VehicleError
 from quadpi_core.frames import Array
 from quadpi_core.models.physical_regressors import MOTION, numbers_of, regressors
 from quadpi_core.models.physical_terms import TERM_INDEX, TERMS
-from quadpi_core.simulation.physical_wrench import REFERENCE, VALUES, add_physical
 from quadpi_core.simulation.simulated_aerodynamics import SimulatedAerodynamics, vehicle_record
 from quadpi_core.simulation.simulated_file import read_simulation
 from quadpi_core.simulation.state_records import STATE
-from quadpi_core.simulation.wrench_functions import apply_to_all, passable
+from quadpi_core.simulation.wrench_functions import Law, apply_to_all
 from quadpi_core.vehicle import ROTORS, Vehicle
 
 _HOVER_ROUNDS = 20
+# Rows of the numbers of the law in the core.
+_VALUES, _REFERENCE = 0, 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,17 +148,17 @@ class PhysicalAerodynamics(SimulatedAerodynamics):
         return self.coefficients.force_bandwidth_hz
 
     @property
-    def function(self) -> Any:
+    def function(self) -> Law:
         """See :class:`.SimulatedAerodynamics`."""
-        return passable(add_physical)
+        return self.key
 
     @cached_property
     def numbers(self) -> Array:
         """Values of all terms, and the reference thrust."""
         numbers = np.zeros((2, len(TERMS)))
         for name, value in self.coefficients.parameters.items():
-            numbers[VALUES, TERM_INDEX[name]] = value
-        numbers[REFERENCE, 0] = self.coefficients.reference_thrust_n_s2
+            numbers[_VALUES, TERM_INDEX[name]] = value
+        numbers[_REFERENCE, 0] = self.coefficients.reference_thrust_n_s2
         return numbers
 
     @cached_property

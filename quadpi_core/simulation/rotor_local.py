@@ -17,20 +17,19 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.compiled import njit
 from quadpi_core.config_schema import Numbers, ReadBy, Real, Section, Text, check_config, parse_config
+from quadpi_core.core import compiled
 from quadpi_core.errors import SimulationError, VehicleError, named_in
 from quadpi_core.frames import Array
 from quadpi_core.simulation.simulated_aerodynamics import SimulatedAerodynamics, airframe_area
 from quadpi_core.simulation.simulated_file import SimulatedFile, read_simulation
-from quadpi_core.simulation.state_records import State, VehicleNumbers
-from quadpi_core.simulation.wrench_functions import passable
+from quadpi_core.simulation.wrench_functions import Law
 from quadpi_core.thresholds import Threshold
 from quadpi_core.vehicle import ROTORS, Vehicle
 
 FITTED_ADVANCE_RATIO = Threshold(
     "largest advance ratio",
-    0.6,
+    compiled.ADVANCE_RATIO_MAX,
     "airspeed of the hub over speed of the blade tip",
     "the largest of the fit: its polynomials grow without bound beyond",
     "Bebop 2 in a wind tunnel, as published in SihaoSun/INDI_Quadrotor_FTC",
@@ -184,9 +183,9 @@ class RotorLocalModel(SimulatedAerodynamics):
         return float(np.sqrt(weight / (ROTORS * self.coefficients.thrust[0] * per_square_speed)))
 
     @property
-    def function(self) -> Any:
+    def function(self) -> Law:
         """See :class:`.SimulatedAerodynamics`."""
-        return passable(_rotor_local)
+        return self.key
 
     @property
     def numbers(self) -> Array:
@@ -229,99 +228,3 @@ class RotorLocalModel(SimulatedAerodynamics):
         for column in fields(self.coefficients):
             record[column.name] = getattr(self.coefficients, column.name)
         return record
-
-
-@njit(cache=True, nogil=True)
-def aerodynamics(state: State, vehicle: VehicleNumbers) -> None:
-    """Fill hub velocities, thrusts, torques and wrench of a STATE from the rest of it.
-
-    Source: equations of the Bebop 2 rotor-local model as in the module's docstring. A rotor at rest has the
-    largest advance ratio of the fit; air at rest has disc angle 0.
-    """
-    p, q, r = state.rates[0], state.rates[1], state.rates[2]
-    radius = vehicle.rotor_radius
-    disc = vehicle.air_density * np.pi * radius**4
-    wrench = state.wrench
-    wrench[:] = 0.0
-    for rotor in range(ROTORS):
-        x, y, z = (
-            vehicle.rotor_positions[rotor, 0],
-            vehicle.rotor_positions[rotor, 1],
-            vehicle.rotor_positions[rotor, 2],
-        )
-        spin, speed = vehicle.rotor_spins[rotor], state.rotor_speeds[rotor]
-        u = state.velocity_air[0] + q * z - r * y
-        v = state.velocity_air[1] + r * x - p * z
-        w = state.velocity_air[2] + p * y - q * x
-        in_plane = np.sqrt(u * u + v * v)
-        airspeed = np.sqrt(in_plane * in_plane + w * w)
-        tip_speed = speed * radius
-        advance_ratio = ADVANCE_RATIO_MAX
-        if airspeed < ADVANCE_RATIO_MAX * tip_speed:
-            advance_ratio = airspeed / tip_speed
-        disc_angle = np.arctan2(w, in_plane)
-
-        thrust = _coefficient(vehicle.thrust, advance_ratio, disc_angle) * disc * speed * speed
-        torque = (
-            spin * _coefficient(vehicle.torque, advance_ratio, disc_angle) * disc * radius * speed * speed
-        )
-        force_x = speed * (vehicle.rotor_force_along * u + spin * vehicle.rotor_force_across * v)
-        force_y = speed * (vehicle.rotor_force_along * v - spin * vehicle.rotor_force_across * u)
-        hub_x = speed * (spin * vehicle.rotor_moment_across * u - vehicle.rotor_moment_along * v)
-        hub_y = speed * (vehicle.rotor_moment_along * u + spin * vehicle.rotor_moment_across * v)
-
-        state.hub_velocity[rotor, 0], state.hub_velocity[rotor, 1], state.hub_velocity[rotor, 2] = u, v, w
-        state.thrusts[rotor], state.torques[rotor] = thrust, torque
-        wrench[0] += force_x
-        wrench[1] += force_y
-        wrench[2] -= thrust
-        wrench[3] += hub_x - y * thrust
-        wrench[4] += hub_y + x * thrust
-        wrench[5] += torque - y * force_x + x * force_y
-    _add_airframe(state, vehicle)
-
-
-@njit(cache=True, nogil=True)
-def _coefficient(c: Array, m: float, a: float) -> float:
-    """C_T or C_Q of advance ratio m and disc angle a, as nested products of the 16 terms."""
-    free: float = c[0] + m * (c[1] + m * (c[2] + m * (c[3] + m * (c[4] + m * c[5]))))
-    first = m * (c[6] + m * (c[7] + m * (c[8] + m * c[9])))
-    second = m * (c[10] + m * (c[11] + m * c[12]))
-    third = m * (c[13] + m * c[14])
-    coefficient: float = free + a * (first + a * (second + a * (third + a * m * c[15])))
-    return coefficient
-
-
-@njit(cache=True, nogil=True)
-def _add_airframe(state: State, vehicle: VehicleNumbers) -> None:
-    u, v, w = state.velocity_air[0], state.velocity_air[1], state.velocity_air[2]
-    square = u * u + v * v + w * w
-    if square == 0.0:
-        return
-    airspeed = np.sqrt(square)
-    u, v, w = u / airspeed, v / airspeed, w / airspeed
-    pressure_area = 0.5 * vehicle.air_density * vehicle.airframe_area * square
-    wrench = state.wrench
-    wrench[0] += pressure_area * _odd(vehicle.airframe_fx, u)
-    wrench[1] += pressure_area * _odd(vehicle.airframe_fy, v)
-    wrench[2] += pressure_area * _odd(vehicle.airframe_fz, w)
-    wrench[3] += pressure_area * np.sign(v) * _airframe_moment(vehicle.airframe_mx, abs(v), w)
-    wrench[4] += pressure_area * np.sign(u) * _airframe_moment(vehicle.airframe_my, abs(u), w)
-    wrench[5] += (
-        pressure_area * np.sign(u) * np.sign(v) * _airframe_moment(vehicle.airframe_mz, abs(v), abs(u))
-    )
-
-
-@njit(cache=True, nogil=True)
-def _odd(c: Array, x: float) -> float:
-    return float(np.sign(x) * (c[0] * abs(x) + c[1] * x * x))
-
-
-@njit(cache=True, nogil=True)
-def _airframe_moment(c: Array, x: float, y: float) -> float:
-    return float(x * (c[0] + x * (c[1] + x * c[3] + y * c[5]) + y * (c[2] + y * c[4])))
-
-
-@njit(cache=True, nogil=True)
-def _rotor_local(state: State, vehicle: VehicleNumbers, parameters: Array) -> None:  # noqa: ARG001
-    aerodynamics(state, vehicle)

@@ -16,12 +16,11 @@ from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 
-from quadpi_core.compiled import njit
 from quadpi_core.config_schema import Key, NotNegative, Section, Share, Vector, Within, load_config
 from quadpi_core.errors import SimulationError
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array
-from quadpi_core.rotations import from_rotation_vector, product
+from quadpi_core.rotations import products, quaternions_of
 from quadpi_core.simulation.simulated_file import model_folder, model_vehicle
 from quadpi_core.vehicle import SensorNoise, Vehicle
 
@@ -242,15 +241,9 @@ def inertial_samples(
     return sensor.resolution * np.rint(samples / sensor.resolution) if sensor.resolution else samples
 
 
-@njit(cache=True)
 def turned(attitude: Array, rotation: Array) -> Array:
     """Attitudes (N, 4) turned by rotation vectors (N, 3) rad, body axes."""
-    result = np.empty_like(attitude)
-    for row in range(len(attitude)):
-        quaternion = product(attitude[row], from_rotation_vector(rotation[row]))
-        for component in range(4):
-            result[row, component] = quaternion[component]
-    return result
+    return products(attitude, quaternions_of(rotation))
 
 
 def rotor_speed_unit(vehicle: Vehicle) -> float:

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from quadpi_core.compiled import njit
 from quadpi_core.errors import SimulationError
 from quadpi_core.flight import (
     MAX_GAP_NS,
@@ -182,7 +181,6 @@ def _tilted(attitude: Array, angle: float) -> Mask:
     return tilted
 
 
-@njit(cache=True)
 def _hidden(tilted: Mask, draws: Array, share: float, ending: float) -> Mask:
     """Frames in which the markers are hidden: a share of those tilted, in bursts.
 
@@ -190,16 +188,15 @@ def _hidden(tilted: Mask, draws: Array, share: float, ending: float) -> Mask:
     """
     ending = min(ending, 1.0) if share < 1.0 else 0.0
     beginning = min(ending * share / (1.0 - share), 1.0) if share < 1.0 else 1.0
-    hidden = np.zeros_like(tilted)
-    for frame in range(len(tilted)):
-        if not tilted[frame]:
-            continue
-        if frame == 0 or not tilted[frame - 1]:
+    hidden, before = np.zeros_like(tilted), -1
+    for frame in np.flatnonzero(tilted).tolist():
+        if frame != before + 1 or frame == 0:
             hidden[frame] = draws[frame] < share
-        elif hidden[frame - 1]:
+        elif hidden[before]:
             hidden[frame] = draws[frame] >= ending
         else:
             hidden[frame] = draws[frame] < beginning
+        before = frame
     return hidden
 
 

@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a simulation needs of the aerodynamics of a vehicle: the interface of all laws that can fly.
 
-A law is one compiled function that fills the wrench of a state, with a table of numbers. Each is one file,
-read from a key of its own in the mapping `simulation` of a vehicle file (see :func:`.load_aerodynamics`).
+A law fills the wrench of states, with a table of numbers: one of the compiled core, or a function of Python.
+Each is one file, read from a key of its own in the mapping `simulation` of a vehicle file (see
+:func:`.load_aerodynamics`).
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from quadpi_core.errors import SimulationError
 from quadpi_core.frames import Array
 from quadpi_core.simulation.linear_algebra import inverse
 from quadpi_core.simulation.state_records import STATE, VEHICLE
-from quadpi_core.simulation.wrench_functions import apply_to_all
+from quadpi_core.simulation.wrench_functions import Law, apply_to_all
 from quadpi_core.vehicle import ROTORS, Vehicle
 
 Own = TypeVar("Own", bound="SimulatedAerodynamics")
@@ -68,10 +69,10 @@ class SimulatedAerodynamics(ABC):
 
     @property
     @abstractmethod
-    def function(self) -> Any:
-        """Compiled function as `wrench_functions.passable` gives it.
+    def function(self) -> Law:
+        """Name of a law of the compiled core, or (state, vehicle, numbers) over N states.
 
-        It fills hub velocities, thrusts, torques and wrench of a state.
+        It fills hub velocities, thrusts, torques and wrench of the states.
         """
 
     @property

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from quadpi_core.bounded_files import parse_json
-from quadpi_core.compiled import njit
 from quadpi_core.config_schema import Positive, Section, Vector, parse_config
 from quadpi_core.errors import LogError, one_line
 from quadpi_core.flight import OdometryStream, PoseStream, RotorSpeedStream, Stamps, WindStream
@@ -25,7 +24,7 @@ from quadpi_core.logs.bags import output_topic
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.payloads import Payloads, Topic
 from quadpi_core.messages.topics import TOPIC_TYPES
-from quadpi_core.rotations import from_rotation_vector, rotate_body_to_world, rotation_matrix
+from quadpi_core.rotations import quaternions_of, rotate_body_to_world, rotation_matrix
 from quadpi_core.simulation.sensors import Sensed
 from quadpi_core.simulation.truth import Truth
 from quadpi_core.vehicle import is_rigid_body
@@ -156,15 +155,10 @@ def _into_body(attitude: Array, world: Array) -> Array:
     return in_body
 
 
-@njit(cache=True)
 def _headings(yaw: Array) -> Array:
     """Level attitudes (N, 4) of headings (N,) rad."""
-    attitude = np.empty((len(yaw), 4))
-    for row in range(len(yaw)):
-        quaternion = from_rotation_vector((0.0, 0.0, yaw[row]))
-        for component in range(4):
-            attitude[row, component] = quaternion[component]
-    return attitude
+    level = np.zeros_like(yaw)
+    return quaternions_of(np.stack((level, level, yaw), axis=1))
 
 
 def read_truth(path: Path | str) -> RecordedTruth:

@@ -3,14 +3,12 @@
 """Records that the compiled physics works on: the state at an instant, and the vehicle.
 
 Body axes forward-right-down, world north-east-down with the ground at height 0, SI units. Rotors in the
-order of the vehicle file. Kernels read `state.rates[2]` instead of an offset into a bare array.
+order of the vehicle file.
 """
 
 from __future__ import annotations
 
 from typing import Annotated
-
-import numba
 
 from quadpi_core.frames import Array
 from quadpi_core.records import Quaternion4, Vector3, record_dtype
@@ -96,4 +94,3 @@ class VehicleNumbers:
 
 
 STATE, VEHICLE = record_dtype(State), record_dtype(VehicleNumbers)
-STATE_TYPE, VEHICLE_TYPE = numba.from_dtype(STATE), numba.from_dtype(VEHICLE)

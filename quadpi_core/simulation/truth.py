@@ -9,6 +9,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from quadpi_core.brief_repr import brief_repr
+from quadpi_core.core import compiled
 from quadpi_core.flight import Flight, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.rotations import rotate_body_to_world
@@ -16,7 +17,7 @@ from quadpi_core.simulation.excursion import Excursion
 from quadpi_core.vehicle import Vehicle
 
 # Instants per second at which a flight is simulated, and a reference followed.
-STEP_HZ = 1000
+STEP_HZ = compiled.STEP_HZ
 # Instants per second that are logged: those of the fastest sensors.
 LOG_HZ = 500
 

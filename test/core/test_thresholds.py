@@ -72,6 +72,7 @@ from quadpi_core.simulation.scenario import FlightPlan
 from quadpi_core.simulation.sensor_noise import MotionCapture, SensorSuite
 from quadpi_core.simulation.sensors import ideal_recording
 from quadpi_core.simulation.truth import Reference
+from quadpi_core.simulation.wrench_functions import block_of
 from quadpi_core.thresholds import Threshold
 from quadpi_core.vehicle import Vehicle
 
@@ -476,7 +477,7 @@ def leaning(degrees):
 def lost(*, attitude=(1.0, 0.0, 0.0, 0.0), rates=0.0, distance=0.0):
     motion = np.zeros(1, dtype=MOTION)
     motion["attitude"], motion["rates"][0, 1], motion["position"][0, 2] = attitude, rates, -20.0
-    return bool(is_lost(motion[0], np.array([distance, 0.0, -20.0])))
+    return bool(is_lost(motion, np.array([distance, 0.0, -20.0])))
 
 
 def tilted_to(cosine):
@@ -494,7 +495,7 @@ def commanded(acceleration):
     demand = Demand(
         none, none, np.array([acceleration], dtype=float), none, level, level, np.zeros((1, 2)), level, none
     )
-    control(controls, motion[0], demand, 0)
+    control(controls, motion, demand, 0)
     return controls.command.tolist()
 
 
@@ -509,24 +510,24 @@ def upward(force):
 def instant(**columns):
     model = RotorLocalModel.load("bebop2")
     still = {"velocity": np.zeros((1, 3)), "rates": np.zeros((1, 3)), "rotor_speeds": np.full((1, 4), 300.0)}
-    return model.states(**still | columns)[0], model.record()[0]
+    return block_of(model.states(**still | columns), model.record())
 
 
 def shaped_force(share_more):
     wrench = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    return shaped(wrench, *instant(), np.append(first_axis(share_more), np.zeros(8)))
+    fx, *others = shaped(wrench, *instant(), np.append(first_axis(share_more), np.zeros(8)))
+    return fx.item(), *others
 
 
 def gain_at(radii):
     state, record = instant(position=np.array([[0.0, 0.0, -radii * BEBOP.rotor_radius_m]]))
-    flat = record.copy()
-    flat["rotor_positions"][:, 2] = 0.0
+    flat = record._replace(rotor_positions=record.rotor_positions * [1.0, 1.0, 0.0])
     return ground_effect.function(state, flat, np.ones(1))[2]
 
 
 def thrust_at(advance_ratio):
     velocity = np.array([[advance_ratio * 300.0 * BEBOP.rotor_radius_m, 0.0, 0.0]])
-    return instant(velocity=velocity)[0]["thrusts"].tolist()
+    return instant(velocity=velocity)[0].thrusts.tolist()
 
 
 def largest_jitter():

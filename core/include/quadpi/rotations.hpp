@@ -15,6 +15,8 @@ using Matrix3 = std::array<Vector3, 3>;
 // Below this angle [rad] the next term of the series, angle²/24, is under the rounding of a double.
 constexpr double SMALL_ANGLE = 1e-8;
 
+inline double sign_of(double number) { return number > 0.0 ? 1.0 : number < 0.0 ? -1.0 : 0.0; }
+
 // The scaled difference of two vectors.
 inline Vector3 minus(const Vector3& vector, const Vector3& other, double scale = 1.0) {
     return {scale * (vector[0] - other[0]), scale * (vector[1] - other[1]), scale * (vector[2] - other[2])};

@@ -4,9 +4,10 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from quadpi_core.compiled import njit
 from quadpi_core.frames import Array
 from quadpi_core.simulation.effect_definition import Parameter, effect
 
@@ -47,12 +48,13 @@ def gust(time: Array, p: Array, rng: np.random.Generator) -> Array:
     return _ornstein_uhlenbeck(time, p[0], p[1], rng.standard_normal((len(time), 3)))
 
 
-@njit(cache=True)
 def _ornstein_uhlenbeck(time: Array, deviation: float, time_constant: float, noise: Array) -> Array:
-    process = np.empty_like(noise)
-    process[0] = deviation * noise[0]
-    for i in range(1, len(time)):
-        kept = np.exp(-(time[i] - time[i - 1]) / time_constant)
-        fresh = deviation * np.sqrt(1.0 - kept * kept)
-        process[i] = kept * process[i - 1] + fresh * noise[i]
-    return process
+    # Of the C library, as the bits of numpy's exponential depend on the processor.
+    kept = np.array([math.exp(-step / time_constant) for step in np.diff(time).tolist()])
+    added = deviation * np.sqrt(1.0 - kept * kept)[:, None] * noise[1:]
+    x, y, z = (deviation * noise[0]).tolist()
+    process = [(x, y, z)]
+    for keep, (dx, dy, dz) in zip(kept.tolist(), added.tolist(), strict=True):
+        x, y, z = keep * x + dx, keep * y + dy, keep * z + dz
+        process.append((x, y, z))
+    return np.array(process)

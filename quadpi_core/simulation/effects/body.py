@@ -6,11 +6,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from quadpi_core.compiled import njit
 from quadpi_core.frames import Array
 from quadpi_core.simulation.effect_definition import (
     AERODYNAMIC,
-    NO_WRENCH,
     Parameter,
     Wrench,
     effect,
@@ -31,13 +29,12 @@ from quadpi_core.simulation.state_records import State, VehicleNumbers
     formula=r"F = -|V|\,(k_x u,\ k_y v,\ k_z w)",
     symbols="k_x k_y k_z",
 )
-@njit(cache=True)
 def body_drag(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:  # noqa: ARG001
     """Parasitic drag of the airframe, with the square of the airspeed.
 
     Each k is ½ ρ C_D S. Sizes in x and y: Bebop 2 in the wind tunnel; z as y.
     """
-    u, v, w = state.velocity_air[0], state.velocity_air[1], state.velocity_air[2]
+    u, v, w = state.velocity_air.T
     airspeed = np.sqrt(u * u + v * v + w * w)
     return -p[0] * airspeed * u, -p[1] * airspeed * v, -p[2] * airspeed * w, 0.0, 0.0, 0.0
 
@@ -49,13 +46,12 @@ def body_drag(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:  # noq
     formula=r"(F_x, F_y) = -k\,|V|^2\,(u,\ v)",
     symbols="k",
 )
-@njit(cache=True)
 def cubic_drag(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:  # noqa: ARG001
     """In-plane drag with the cube of the airspeed, as where induced and profile power grow in a dash.
 
     Size: 0.075 N at 10 m/s.
     """
-    u, v, w = state.velocity_air[0], state.velocity_air[1], state.velocity_air[2]
+    u, v, w = state.velocity_air.T
     factor = -p[0] * (u * u + v * v + w * w)
     return factor * u, factor * v, 0.0, 0.0, 0.0, 0.0
 
@@ -69,13 +65,13 @@ def cubic_drag(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:  # no
     formula=r"M = -(k_x p,\ k_y q,\ k_z r)",
     symbols="k_x k_y k_z",
 )
-@njit(cache=True)
 def rate_damping(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:  # noqa: ARG001
     """Moment against the body rates.
 
     Size: yaw of the Bebop 2.
     """
-    return 0.0, 0.0, 0.0, -p[0] * state.rates[0], -p[1] * state.rates[1], -p[2] * state.rates[2]
+    roll, pitch, yaw = state.rates.T
+    return 0.0, 0.0, 0.0, -p[0] * roll, -p[1] * pitch, -p[2] * yaw
 
 
 @effect(
@@ -96,18 +92,16 @@ def rate_damping(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:  # 
     ),
     symbols="k L_0 a_N a_E a_h h",
 )
-@njit(cache=True)
 def tether(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:  # noqa: ARG001
     """Elastic tether from a point of the world to the belly.
 
     L and n are distance and direction of the centre of gravity from the anchor. It pulls at the hook, h below
     the centre. Size: 0.6 N at 3 m over an anchor on the ground.
     """
-    north, east, down = state.position[0] - p[2], state.position[1] - p[3], state.position[2] + p[4]
+    x, y, z = state.position.T
+    north, east, down = x - p[2], y - p[3], z + p[4]
     distance = np.sqrt(north * north + east * east + down * down)
-    if distance <= p[1]:
-        return NO_WRENCH
-    pull = -p[0] * (distance - p[1]) / distance
+    pull = -p[0] * np.maximum(distance - p[1], 0.0) / np.where(distance > 0.0, distance, 1.0)
     fx, fy, fz = world_to_body(state.attitude, pull * north, pull * east, pull * down)
     return fx, fy, fz, -p[5] * fy, p[5] * fx, 0.0
 
@@ -121,7 +115,6 @@ def tether(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:  # noqa: 
     symbols="b_x b_y b_z",
     of_a_flight="a steady pull, or an accelerometer that is off",
 )
-@njit(cache=True)
 def force_bias(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:  # noqa: ARG001
     """Constant force in body axes.
 
@@ -141,7 +134,6 @@ def force_bias(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:  # no
     symbols="b_x b_y b_z",
     of_a_flight="a battery mounted elsewhere",
 )
-@njit(cache=True)
 def moment_bias(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:  # noqa: ARG001
     """Constant moment in body axes.
 
@@ -164,12 +156,11 @@ def moment_bias(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:  # n
     formula=r"M = -(d_x,\ d_y,\ d_z) \times F",
     symbols="d_x d_y d_z",
 )
-@njit(cache=True)
 def cg_offset(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:  # noqa: ARG001
     """Centre of gravity away from where the vehicle file has it.
 
     F is the force of the aerodynamics and of every effect before, d points from the nominal centre to the
     true one. First order in d: inertia and hub velocities are those about the nominal centre. Size: 5 mm.
     """
-    fx, fy, fz = state.wrench[0], state.wrench[1], state.wrench[2]
+    fx, fy, fz, *_ = state.wrench.T
     return 0.0, 0.0, 0.0, p[2] * fy - p[1] * fz, p[0] * fz - p[2] * fx, p[1] * fx - p[0] * fy

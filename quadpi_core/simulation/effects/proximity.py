@@ -4,25 +4,25 @@
 
 from __future__ import annotations
 
-from quadpi_core.compiled import njit
+import numpy as np
+
+from quadpi_core.core import compiled
 from quadpi_core.frames import Array
 from quadpi_core.simulation.effect_definition import (
     AERODYNAMIC,
-    NO_WRENCH,
     Parameter,
     Wrench,
+    at_hubs,
     effect,
-    hub_height,
-    in_plane_speed,
-    with_hub_force,
+    hub_heights,
+    in_plane_speeds,
 )
 from quadpi_core.simulation.state_records import State, VehicleNumbers
 from quadpi_core.thresholds import Threshold
-from quadpi_core.vehicle import ROTORS
 
 NEAREST_SURFACE = Threshold(
     "nearest surface",
-    0.5,
+    compiled.NEAREST_SURFACE,
     "rotor radii",
     "nearer to a surface the formulas are not valid, and the effect grows no more",
     "Cheeseman and Bennett, ARC R&M 3021, 1955",
@@ -43,21 +43,17 @@ NEAREST = NEAREST_SURFACE.value
     ),
     symbols="k",
 )
-@njit(cache=True)
 def ground_effect(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """Thrust gained near the ground, at each rotor by its own height.
 
     Source: Cheeseman and Bennett, ARC R&M 3021, 1955, for which k = 1: 6.7 % at h = R. Whole vehicles gain
     several times more.
     """
-    wrench = NO_WRENCH
-    for rotor in range(ROTORS):
-        height = max(hub_height(state, vehicle, rotor), NEAREST * vehicle.rotor_radius)
-        ratio = vehicle.rotor_radius / (4.0 * height)
-        across = in_plane_speed(state, rotor) / vehicle.hover_induced_velocity
-        gain = 1.0 / (1.0 - ratio * ratio / (1.0 + across * across)) - 1.0
-        wrench = with_hub_force(wrench, vehicle, rotor, 0.0, 0.0, -p[0] * gain * state.thrusts[rotor])
-    return wrench
+    height = np.maximum(hub_heights(state, vehicle), NEAREST * vehicle.rotor_radius)
+    ratio = vehicle.rotor_radius / (4.0 * height)
+    across = in_plane_speeds(state) / vehicle.hover_induced_velocity
+    gain = 1.0 / (1.0 - ratio * ratio / (1.0 + across * across)) - 1.0
+    return at_hubs(vehicle, 0.0, 0.0, -p[0] * gain * state.thrusts)
 
 
 @effect(
@@ -68,17 +64,12 @@ def ground_effect(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     formula=r"\Delta T_i = k\,T_i\left(\frac{R}{d_i}\right)^2,\quad d_i = \max(d - h_i,\ R/2)",
     symbols="k d",
 )
-@njit(cache=True)
 def ceiling_effect(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """Thrust gained below a ceiling, at each rotor by its own distance.
 
     Source: leading term of Hsiao and Chirarattananon, "Ceiling effects for hybrid aerial–surface locomotion
     of small rotorcraft", 2019. Size: literature has 10 to 30 % at d = R.
     """
-    wrench = NO_WRENCH
-    for rotor in range(ROTORS):
-        distance = max(p[1] - hub_height(state, vehicle, rotor), NEAREST * vehicle.rotor_radius)
-        ratio = vehicle.rotor_radius / distance
-        gain = p[0] * ratio * ratio
-        wrench = with_hub_force(wrench, vehicle, rotor, 0.0, 0.0, -gain * state.thrusts[rotor])
-    return wrench
+    distance = np.maximum(p[1] - hub_heights(state, vehicle), NEAREST * vehicle.rotor_radius)
+    ratio = vehicle.rotor_radius / distance
+    return at_hubs(vehicle, 0.0, 0.0, -p[0] * ratio * ratio * state.thrusts)

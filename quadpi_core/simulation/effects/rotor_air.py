@@ -10,26 +10,23 @@ from __future__ import annotations
 
 import numpy as np
 
-from quadpi_core.compiled import njit
 from quadpi_core.frames import Array
 from quadpi_core.simulation.effect_definition import (
     AERODYNAMIC,
-    NO_WRENCH,
     Parameter,
     Wrench,
+    at_hubs,
     effect,
-    in_plane_speed,
-    with_hub_force,
+    in_plane_speeds,
 )
 from quadpi_core.simulation.rotor_local import ADVANCE_RATIO_MAX
 from quadpi_core.simulation.state_records import State, VehicleNumbers
 from quadpi_core.vehicle import ROTORS
 
 
-@njit(cache=True)
-def _share(state: State, vehicle: VehicleNumbers, rotor: int) -> float:
-    share: float = state.rotor_speeds[rotor] / (ROTORS * vehicle.hover_rotor_speed)
-    return share
+def _shares(state: State, vehicle: VehicleNumbers) -> Array:
+    shares: Array = state.rotor_speeds / (ROTORS * vehicle.hover_rotor_speed)
+    return shares
 
 
 @effect(
@@ -41,19 +38,15 @@ def _share(state: State, vehicle: VehicleNumbers, rotor: int) -> float:
     formula=r"F_i = -k\,\tfrac14\,\frac{\omega_i}{\omega_h}\,(u_i,\ v_i,\ 0)",
     symbols="k",
 )
-@njit(cache=True)
 def rotor_drag(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """Drag of the rotors in their plane (H-force), with rotor speed times airspeed.
 
     k < 0 where the rotors have less of it than their model. Source: term k4 of the rotor-local model; Martin
     and Salaün, "The true role of accelerometer feedback in quadrotor control", 2010. Size: Bebop 2.
     """
-    wrench = NO_WRENCH
-    for rotor in range(ROTORS):
-        k = -p[0] * _share(state, vehicle, rotor)
-        u, v = state.hub_velocity[rotor, 0], state.hub_velocity[rotor, 1]
-        wrench = with_hub_force(wrench, vehicle, rotor, k * u, k * v, 0.0)
-    return wrench
+    k = -p[0] * _shares(state, vehicle)
+    u, v, _ = state.hub_velocity.T
+    return at_hubs(vehicle, k * u.T, k * v.T, 0.0)
 
 
 @effect(
@@ -63,18 +56,14 @@ def rotor_drag(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     formula=r"F_i = s_i\,k\,\tfrac14\,\frac{\omega_i}{\omega_h}\,(v_i,\ -u_i,\ 0)",
     symbols="k",
 )
-@njit(cache=True)
 def cross_flow(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """Force of the rotors across the airflow in their plane; cancels where all turn at one speed.
 
     Source: term k5 of the rotor-local model. Size: Bebop 2.
     """
-    wrench = NO_WRENCH
-    for rotor in range(ROTORS):
-        k = p[0] * vehicle.rotor_spins[rotor] * _share(state, vehicle, rotor)
-        u, v = state.hub_velocity[rotor, 0], state.hub_velocity[rotor, 1]
-        wrench = with_hub_force(wrench, vehicle, rotor, k * v, -k * u, 0.0)
-    return wrench
+    k = p[0] * vehicle.rotor_spins * _shares(state, vehicle)
+    u, v, _ = state.hub_velocity.T
+    return at_hubs(vehicle, k * v.T, -k * u.T, 0.0)
 
 
 @effect(
@@ -86,18 +75,14 @@ def cross_flow(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     formula=r"M = \sum_i k\,\tfrac14\,\frac{\omega_i}{\omega_h}\,(-v_i,\ u_i,\ 0)",
     symbols="k",
 )
-@njit(cache=True)
 def blade_flapping(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """Moment at the hubs of blades that flap in translation: nose up in forward flight.
 
     Source: term k6 of the rotor-local model. Size: Bebop 2.
     """
-    mx = my = 0.0
-    for rotor in range(ROTORS):
-        k = p[0] * _share(state, vehicle, rotor)
-        mx -= k * state.hub_velocity[rotor, 1]
-        my += k * state.hub_velocity[rotor, 0]
-    return 0.0, 0.0, 0.0, mx, my, 0.0
+    k = p[0] * _shares(state, vehicle)
+    u, v, _ = state.hub_velocity.T
+    return 0.0, 0.0, 0.0, -np.sum(k * v.T, axis=1), np.sum(k * u.T, axis=1), 0.0
 
 
 @effect(
@@ -109,7 +94,6 @@ def blade_flapping(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     formula=r"\Delta T_i = \tfrac14\,k\,\min\!\left(u_i^2 + v_i^2,\ (0.6\,\omega_i R)^2\right)",
     symbols="k",
 )
-@njit(cache=True)
 def translational_lift(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """Thrust gained by rotors in translation, with the square of the airspeed in their plane.
 
@@ -117,12 +101,9 @@ def translational_lift(state: State, vehicle: VehicleNumbers, p: Array) -> Wrenc
     ratio μ is held at the largest of the rotor-local model, so that a rotor at rest lifts nothing. Source:
     Leishman, Principles of Helicopter Aerodynamics. Size: 31 % of the weight of the Bebop 2 at 14 m/s.
     """
-    wrench = NO_WRENCH
-    for rotor in range(ROTORS):
-        fastest = ADVANCE_RATIO_MAX * vehicle.rotor_radius * state.rotor_speeds[rotor]
-        speed = min(in_plane_speed(state, rotor), fastest)
-        wrench = with_hub_force(wrench, vehicle, rotor, 0.0, 0.0, -p[0] / ROTORS * speed * speed)
-    return wrench
+    fastest = ADVANCE_RATIO_MAX * vehicle.rotor_radius * state.rotor_speeds
+    speed = np.minimum(in_plane_speeds(state), fastest)
+    return at_hubs(vehicle, 0.0, 0.0, -p[0] / ROTORS * speed * speed)
 
 
 @effect(
@@ -134,18 +115,14 @@ def translational_lift(state: State, vehicle: VehicleNumbers, p: Array) -> Wrenc
     formula=r"F_{z,i} = -k\,\tfrac14\,\frac{\omega_i}{\omega_h}\,w_i",
     symbols="k",
 )
-@njit(cache=True)
 def inflow_damping(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """Thrust lost in climb and gained in descent, by the inflow through each rotor; damps roll and pitch too.
 
     Blade element theory, the term −½ λ of C_T with λ = −w_i/(ω R). Source: Leishman. Size: 9 % of the weight
     of the Bebop 2 at 1 m/s.
     """
-    wrench = NO_WRENCH
-    for rotor in range(ROTORS):
-        k = -p[0] * _share(state, vehicle, rotor)
-        wrench = with_hub_force(wrench, vehicle, rotor, 0.0, 0.0, k * state.hub_velocity[rotor, 2])
-    return wrench
+    k = -p[0] * _shares(state, vehicle)
+    return at_hubs(vehicle, 0.0, 0.0, k * state.hub_velocity[:, :, 2])
 
 
 @effect(
@@ -158,22 +135,16 @@ def inflow_damping(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     ),
     symbols="k",
 )
-@njit(cache=True)
 def rotor_dissymmetry(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """Moment of rotors that meet different airspeeds because the vehicle turns while it translates.
 
     Of the thrust that it adds the moment alone is taken. Size: 3e-4 Nm, at 10 rad/s of roll with 3 m/s along
     z and 0.1 m to the rotors.
     """
-    u, v, w = state.velocity_air[0], state.velocity_air[1], state.velocity_air[2]
-    square = u * u + v * v + w * w
-    wrench = NO_WRENCH
-    for rotor in range(ROTORS):
-        hub = state.hub_velocity[rotor]
-        more = hub[0] * hub[0] + hub[1] * hub[1] + hub[2] * hub[2] - square
-        thrust = p[0] * _share(state, vehicle, rotor) * more
-        wrench = with_hub_force(wrench, vehicle, rotor, 0.0, 0.0, -thrust)
-    return 0.0, 0.0, 0.0, wrench[3], wrench[4], 0.0
+    square = np.sum(state.velocity_air**2, axis=1)
+    more = np.sum(state.hub_velocity**2, axis=2) - square[:, None]
+    *_, mx, my, _ = at_hubs(vehicle, 0.0, 0.0, -p[0] * _shares(state, vehicle) * more)
+    return 0.0, 0.0, 0.0, mx, my, 0.0
 
 
 @effect(
@@ -189,7 +160,6 @@ def rotor_dissymmetry(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench
     ),
     symbols="k",
 )
-@njit(cache=True)
 def vortex_ring(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """Thrust lost by rotors that descend into their own wake.
 
@@ -198,13 +168,10 @@ def vortex_ring(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     (Leishman, Principles of Helicopter Aerodynamics, 2006). It is gone once the vehicle flies out of its wake
     (near μ = 1: Johnson, NASA TP-2005-213477). Size: 0.64 N of 4.9 N.
     """
-    wrench = NO_WRENCH
-    for rotor in range(ROTORS):
-        x = max(state.hub_velocity[rotor, 2], 0.0) / vehicle.hover_induced_velocity
-        across = in_plane_speed(state, rotor) / vehicle.hover_induced_velocity
-        loss = p[0] * state.thrusts[rotor] * x * np.exp(0.25 * (1.0 - x**4) - across * across)
-        wrench = with_hub_force(wrench, vehicle, rotor, 0.0, 0.0, loss)
-    return wrench
+    x = np.maximum(state.hub_velocity[:, :, 2], 0.0) / vehicle.hover_induced_velocity
+    across = in_plane_speeds(state) / vehicle.hover_induced_velocity
+    loss = p[0] * state.thrusts * x * np.exp(0.25 * (1.0 - x**4) - across * across)
+    return at_hubs(vehicle, 0.0, 0.0, loss)
 
 
 @effect(
@@ -220,22 +187,16 @@ def vortex_ring(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     ),
     symbols="k",
 )
-@njit(cache=True)
 def rotor_interaction(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """Thrust lost by the rotors that fly in the wake of those ahead.
 
     V and e are speed and direction of the airspeed in the plane of the rotors; a rotor straight behind the
     centre loses the whole share k. Size: 10 % of the rear thrust in forward flight of an x layout.
     """
-    u, v = state.velocity_air[0], state.velocity_air[1]
+    u, v, _ = state.velocity_air.T
+    x, y, _ = vehicle.rotor_positions.T
     speed = np.sqrt(u * u + v * v)
-    if speed == 0.0:
-        return NO_WRENCH
     strength = p[0] * np.tanh(speed / vehicle.hover_induced_velocity)
-    wrench = NO_WRENCH
-    for rotor in range(ROTORS):
-        x, y = vehicle.rotor_positions[rotor, 0], vehicle.rotor_positions[rotor, 1]
-        behind = max(0.0, -(x * u + y * v) / (speed * np.sqrt(x * x + y * y)))
-        loss = strength * behind * state.thrusts[rotor]
-        wrench = with_hub_force(wrench, vehicle, rotor, 0.0, 0.0, loss)
-    return wrench
+    across = np.outer(np.where(speed > 0.0, speed, 1.0), np.sqrt(x * x + y * y))
+    behind = np.maximum(0.0, -(np.outer(u, x) + np.outer(v, y)) / across)
+    return at_hubs(vehicle, 0.0, 0.0, strength[:, None] * behind * state.thrusts)

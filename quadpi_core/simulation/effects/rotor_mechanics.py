@@ -6,16 +6,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from quadpi_core.compiled import njit
 from quadpi_core.frames import Array
 from quadpi_core.simulation.effect_definition import (
     AERODYNAMIC,
-    NO_WRENCH,
     STRENGTH_OF_ONE_ROTOR,
     Parameter,
     Wrench,
+    at_hubs,
     effect,
-    with_hub_force,
 )
 from quadpi_core.simulation.state_records import State, VehicleNumbers
 from quadpi_core.vehicle import ROTORS
@@ -32,17 +30,14 @@ _INERTIA = Parameter("rotor_inertia_kg_m2", "kg m²", 8e-6, 0.0, 1e-3)
     formula=r"M = I_r \sum_i s_i \omega_i\,(-q,\ p,\ 0)",
     symbols="I_r",
 )
-@njit(cache=True)
 def gyroscopic(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """Precession of the rotors when the body turns; does no work.
 
     A rotor that turns clockwise seen from above (s = 1) has its angular momentum along z, down. Size: a rotor
     of the Bebop 2 with its motor's bell.
     """
-    momentum = 0.0
-    for rotor in range(ROTORS):
-        momentum += p[0] * vehicle.rotor_spins[rotor] * state.rotor_speeds[rotor]
-    return 0.0, 0.0, 0.0, -state.rates[1] * momentum, state.rates[0] * momentum, 0.0
+    momentum = p[0] * np.sum(vehicle.rotor_spins * state.rotor_speeds, axis=1)
+    return 0.0, 0.0, 0.0, -state.rates[:, 1] * momentum, state.rates[:, 0] * momentum, 0.0
 
 
 @effect(
@@ -53,15 +48,12 @@ def gyroscopic(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     formula=r"M_z = -I_r \sum_i s_i \dot\omega_i",
     symbols="I_r",
 )
-@njit(cache=True)
 def spin_up(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """Reaction of the body to rotors that change their speed.
 
     Size: 0.096 Nm when the rotors of the Bebop 2 begin a step of 100 rad/s.
     """
-    torque = 0.0
-    for rotor in range(ROTORS):
-        torque -= p[0] * vehicle.rotor_spins[rotor] * state.rotor_accelerations[rotor]
+    torque = -p[0] * np.sum(vehicle.rotor_spins * state.rotor_accelerations, axis=1)
     return 0.0, 0.0, 0.0, 0.0, 0.0, torque
 
 
@@ -76,15 +68,14 @@ def spin_up(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     symbols="k",
     of_a_flight="the air, or a battery that is low",
 )
-@njit(cache=True)
 def thrust_coefficient(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:  # noqa: ARG001
     """Another air density, or other blades: thrust, torque and drag grow together.
 
     Aerodynamic forces and moments are in proportion to the density, and those of a rotor to the lift of its
     blades. Size: 10 %.
     """
-    f = state.aerodynamics
-    return p[0] * f[0], p[0] * f[1], p[0] * f[2], p[0] * f[3], p[0] * f[4], p[0] * f[5]
+    fx, fy, fz, mx, my, mz = state.aerodynamics.T
+    return p[0] * fx, p[0] * fy, p[0] * fz, p[0] * mx, p[0] * my, p[0] * mz
 
 
 @effect(
@@ -95,16 +86,12 @@ def thrust_coefficient(state: State, vehicle: VehicleNumbers, p: Array) -> Wrenc
     formula=r"\Delta T_i = k_i\,T_i,\quad \Delta Q_i = k_i\,Q_i,\quad k = (k_1, k_2, k_3, k_4)",
     symbols="k_1 k_2 k_3 k_4",
 )
-@njit(cache=True)
 def rotor_thrusts(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """Each rotor has a thrust and torque coefficient of its own.
 
     Size: 1 %, as rotors of one batch differ.
     """
-    wrench = NO_WRENCH
-    for rotor in range(ROTORS):
-        wrench = _with_shares(wrench, state, vehicle, rotor, p[rotor], p[rotor])
-    return wrench
+    return _with_shares(state, vehicle, p, p)
 
 
 @effect(
@@ -119,28 +106,29 @@ def rotor_thrusts(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     formula=r"\Delta T_j = -k\,T_j,\quad (\Delta Q_j,\ \Delta H_j) = k_Q\,(Q_j,\ H_j)",
     symbols="j k k_Q",
 )
-@njit(cache=True)
 def weak_rotor(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """One rotor is damaged and gives less thrust than its speed promises, and another torque.
 
     Its torque and its drag in the plane H_j grow, or fall: a nick costs lift and adds drag, a blade cut short
     costs both. Size: 10 % less of all.
     """
-    rotor = int(p[0]) - 1
-    fx, fy, fz, mx, my, mz = _with_shares(NO_WRENCH, state, vehicle, rotor, -p[1], p[2])
-    u, v = state.hub_velocity[rotor, 0], state.hub_velocity[rotor, 1]
-    x, y = vehicle.rotor_positions[rotor, 0], vehicle.rotor_positions[rotor, 1]
-    drag = p[2] * vehicle.rotor_force_along * state.rotor_speeds[rotor]
-    return fx + drag * u, fy + drag * v, fz, mx, my, mz + drag * (x * v - y * u)
+    hit = _rotor(p[0])
+    fx, fy, fz, mx, my, mz = _with_shares(state, vehicle, -p[1] * hit, p[2] * hit)
+    u, v, _ = state.hub_velocity.T
+    drag = p[2] * vehicle.rotor_force_along * state.rotor_speeds * hit
+    ax, ay, _, _, _, az = at_hubs(vehicle, drag * u.T, drag * v.T, 0.0)
+    return fx + ax, fy + ay, fz, mx, my, mz + az
 
 
-@njit(cache=True)
-def _with_shares(
-    wrench: Wrench, state: State, vehicle: VehicleNumbers, rotor: int, of_thrust: float, of_torque: float
-) -> Wrench:
-    more = -of_thrust * state.thrusts[rotor]
-    fx, fy, fz, mx, my, mz = with_hub_force(wrench, vehicle, rotor, 0.0, 0.0, more)
-    return fx, fy, fz, mx, my, mz + of_torque * state.torques[rotor]
+def _rotor(number: float) -> Array:
+    """1 for the rotor of that number, counted from 1, and 0 for others."""
+    return np.where(np.arange(ROTORS) == int(number) - 1, 1.0, 0.0)
+
+
+def _with_shares(state: State, vehicle: VehicleNumbers, of_thrust: Array, of_torque: Array) -> Wrench:
+    """Wrench of shares (4,) of the rotors' thrusts and torques."""
+    fx, fy, fz, mx, my, mz = at_hubs(vehicle, 0.0, 0.0, -of_thrust * state.thrusts)
+    return fx, fy, fz, mx, my, mz + np.sum(of_torque * state.torques, axis=1)
 
 
 @effect(
@@ -156,15 +144,14 @@ def _with_shares(
     ),
     symbols=r"j \alpha \beta",
 )
-@njit(cache=True)
 def rotor_tilt(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """One rotor is mounted askew.
 
     Thrust and torque turn and stay as large; the angles are forward and right. Size: 2° together.
     """
-    rotor = int(p[0]) - 1
-    thrust, torque = state.thrusts[rotor], state.torques[rotor]
+    hit = _rotor(p[0])
+    thrust, torque = state.thrusts * hit, np.sum(state.torques * hit, axis=1)
     x, y = np.sin(np.radians(p[1])), np.sin(np.radians(p[2]))
     z = 1.0 - np.sqrt(1.0 - x * x - y * y)
-    fx, fy, fz, mx, my, mz = with_hub_force(NO_WRENCH, vehicle, rotor, thrust * x, thrust * y, thrust * z)
+    fx, fy, fz, mx, my, mz = at_hubs(vehicle, thrust * x, thrust * y, thrust * z)
     return fx, fy, fz, mx - torque * x, my - torque * y, mz - torque * z

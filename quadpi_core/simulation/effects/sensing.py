@@ -9,7 +9,6 @@ from typing import TypeVar
 
 import numpy as np
 
-from quadpi_core.compiled import njit
 from quadpi_core.flight import Recording, Stamps, Stream
 from quadpi_core.frames import Array
 from quadpi_core.rotations import from_rotation_vector, matrix
@@ -171,35 +170,24 @@ def _stamped_later(stream: _Late | None, delay_ns: int) -> _Late | None:
     return None if stream is None else replace(stream, time_ns=stream.time_ns + delay_ns)
 
 
-@njit(cache=True)
 def _at_lever_arm(time_ns: Stamps, rates: Array, specific_force: Array, arm: Array) -> Array:
-    x, y, z = arm[0], arm[1], arm[2]
-    shifted = specific_force.copy()
-    last = len(rates) - 1
-    for i in range(len(rates)):
-        before, after = max(i - 1, 0), min(i + 1, last)
-        step = 1e-9 * max(time_ns[after] - time_ns[before], 1)
-        p, q, r = rates[i, 0], rates[i, 1], rates[i, 2]
-        dp = (rates[after, 0] - rates[before, 0]) / step
-        dq = (rates[after, 1] - rates[before, 1]) / step
-        dr = (rates[after, 2] - rates[before, 2]) / step
-        along = p * x + q * y + r * z
-        square = p * p + q * q + r * r
-        shifted[i, 0] += dq * z - dr * y + p * along - x * square
-        shifted[i, 1] += dr * x - dp * z + q * along - y * square
-        shifted[i, 2] += dp * y - dq * x + r * along - z * square
-    return shifted
+    rows = np.arange(len(rates))
+    before, after = np.maximum(rows - 1, 0), np.minimum(rows + 1, len(rows) - 1)
+    step = 1e-9 * np.maximum(time_ns[after] - time_ns[before], 1)
+    x, y, z = arm
+    p, q, r = rates.T
+    dp, dq, dr = (rates[after] - rates[before]).T / step
+    along = p * x + q * y + r * z
+    square = p * p + q * q + r * r
+    swept = (
+        dq * z - dr * y + p * along - x * square,
+        dr * x - dp * z + q * along - y * square,
+        dp * y - dq * x + r * along - z * square,
+    )
+    return np.asarray(specific_force + np.stack(swept, axis=1))
 
 
-@njit(cache=True)
 def _in_turned_axes(vectors: Array, angles_deg: Array) -> Array:
     rotation = matrix(from_rotation_vector(np.radians(angles_deg)))
-    turned = np.empty_like(vectors)
-    for i in range(len(vectors)):
-        for j in range(3):
-            turned[i, j] = (
-                rotation[0, j] * vectors[i, 0]
-                + rotation[1, j] * vectors[i, 1]
-                + rotation[2, j] * vectors[i, 2]
-            )
-    return turned
+    x, y, z = vectors.T
+    return np.stack([one * x + other * y + last * z for one, other, last in rotation.T], axis=1)

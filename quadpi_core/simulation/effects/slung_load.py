@@ -6,10 +6,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from quadpi_core.compiled import njit
+from quadpi_core.core import compiled
 from quadpi_core.frames import Array
 from quadpi_core.simulation.effect_definition import (
-    NO_WRENCH,
     Parameter,
     Wrench,
     body_to_world,
@@ -19,14 +18,14 @@ from quadpi_core.simulation.effect_definition import (
 from quadpi_core.simulation.state_records import State, VehicleNumbers
 
 # Shortest cable [m]: on a shorter one the load swings faster than flights are integrated.
-_SHORTEST_M = 0.05
+SHORTEST_CABLE_M = compiled.SHORTEST_CABLE_M
 
 
 @effect(
     "wrench",
     "Fx Fy Fz Mx My",
     Parameter("mass_kg", "kg", 0.03, 0.0, 5.0),
-    Parameter("length_m", "m", 0.5, _SHORTEST_M, 20.0),
+    Parameter("length_m", "m", 0.5, SHORTEST_CABLE_M, 20.0),
     Parameter("damping_1_s", "1/s", 0.1, 0.0, 5.0),
     Parameter("hook_m", "m", 0.01, -0.5, 0.5),
     shown_by="lateral stops from two speeds",
@@ -41,7 +40,6 @@ _SHORTEST_M = 0.05
     ),
     symbols="m_L l c h",
 )
-@njit(cache=True)
 def slung_load(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """A load on a cable below the centre of gravity: a spherical pendulum that the vehicle's motion drives.
 
@@ -50,32 +48,18 @@ def slung_load(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     taut, and pulls at a hook so near the centre of gravity that it moves alike. Its own state is n and its
     derivative. Size: 30 g on half a metre, 0.3 N.
     """
-    mass, length, damping = p[0], max(p[1], _SHORTEST_M), p[2]
-    memory, slope = state.memory, state.memory_slope
-    size = np.sqrt(memory[0] ** 2 + memory[1] ** 2 + memory[2] ** 2)
-    force = state.wrench
-    fx, fy, fz = body_to_world(state.attitude, force[0], force[1], force[2])
-    fx, fy, fz = fx / vehicle.mass, fy / vehicle.mass, fz / vehicle.mass
-    if size == 0.0:
-        # Without a state of its own, as in records of single instants, the load hangs along the force.
-        along = np.sqrt(fx * fx + fy * fy + fz * fz)
-        if along == 0.0:
-            return NO_WRENCH
-        nx, ny, nz = -fx / along, -fy / along, -fz / along
-    else:
-        nx, ny, nz = memory[0] / size, memory[1] / size, memory[2] / size
-    vx, vy, vz = memory[3], memory[4], memory[5]
-    along = nx * vx + ny * vy + nz * vz
-    vx, vy, vz = vx - along * nx, vy - along * ny, vz - along * nz
-    turning = vx * vx + vy * vy + vz * vz
-    pulled = nx * fx + ny * fy + nz * fz
-    tension = mass * max(length * turning - pulled, 0.0)
-    if state.force_is_measured == 0.0:
-        # The force is that without the cable, which pulls the vehicle towards the load.
-        tension *= vehicle.mass / (vehicle.mass + mass)
-    slope[0], slope[1], slope[2] = size * vx, size * vy, size * vz
-    slope[3] = -(fx - pulled * nx) / length - turning * nx - damping * vx
-    slope[4] = -(fy - pulled * ny) / length - turning * ny - damping * vy
-    slope[5] = -(fz - pulled * nz) / length - turning * nz - damping * vz
-    x, y, z = world_to_body(state.attitude, tension * nx, tension * ny, tension * nz)
+    mass, length, damping = p[0], max(p[1], SHORTEST_CABLE_M), p[2]
+    own, force = state.memory.T, np.array(body_to_world(state.attitude, *state.wrench.T[:3])) / vehicle.mass
+    size, along = np.sqrt(np.sum(own[:3] ** 2, axis=0)), np.sqrt(np.sum(force**2, axis=0))
+    # Without a state of its own, as in records of single instants, the load hangs along the force.
+    hanging = -force / np.where(along > 0.0, along, 1.0)
+    n = np.where(size == 0.0, hanging, own[:3] / np.where(size > 0.0, size, 1.0))
+    v = own[3:] - np.sum(n * own[3:], axis=0) * n
+    turning, pulled = np.sum(v * v, axis=0), np.sum(n * force, axis=0)
+    tension = mass * np.maximum(length * turning - pulled, 0.0)
+    # A force that is not measured is that without the cable, which pulls the vehicle towards the load.
+    tension *= np.where(state.force_is_measured == 0.0, vehicle.mass / (vehicle.mass + mass), 1.0)
+    state.memory_slope.T[:3] = size * v
+    state.memory_slope.T[3:] = -(force - pulled * n) / length - turning * n - damping * v
+    x, y, z = world_to_body(state.attitude, *(tension * n))
     return x, y, z, -p[3] * y, p[3] * x, 0.0

@@ -70,17 +70,20 @@ def test_exported_effects_share_one_file_with_the_source_of_the_library():
     exported = python_source({name: defaults(effect) for name, effect in EFFECTS.items()})
     module = run(exported)
     assert all(callable(module[name]) for name in EFFECTS)
-    source = inspect.getsource(EFFECTS["ground_effect"].function.py_func)
+    source = inspect.getsource(EFFECTS["ground_effect"].function)
     assert source[source.index("def ") :].strip() in exported
-    assert "njit" not in exported
+    assert "quadpi_core" not in exported
     assert "noqa" not in exported
 
 
 _USE = """
 import numpy as np
+from quadpi_core.rotations import rotate_world_to_body
 from quadpi_core.simulation.applied_effects import effect_wrench
 from quadpi_core.simulation.effect_registry import EFFECTS, read_effects
+from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight
 from quadpi_core.simulation.rotor_local import RotorLocalModel
+from quadpi_core.simulation.truth import Reference
 
 assert list(EFFECTS).index("canopy_lift") < list(EFFECTS).index("cg_offset")
 model = RotorLocalModel.load("bebop2")
@@ -88,6 +91,15 @@ states = model.states(np.array([[5.0, 0.0, 0.0]]), np.zeros((1, 3)), np.full((1,
 parameters = read_effects({"canopy_lift": {"lift_n_s2_m2": 0.004}}, "test")["canopy_lift"]
 wrench = effect_wrench("canopy_lift", parameters, states, model.record())
 np.testing.assert_allclose(wrench, [[0.0, 0.0, -0.1, 0.0, 0.0, 0.0]])
+
+reference = Reference.hover(np.array([0.0, 0.0, -3.0]), 501)
+truth = simulate_flight(
+    "hop", SimulatedVehicle.load("bebop2"), reference, known_wind=np.array([-5.0, 0.0, 0.0]),
+    effects={"canopy_lift": parameters},
+)
+air = truth.velocity - rotate_world_to_body(truth.attitude, truth.wind)
+bare = model.wrench(air, truth.rates, truth.rotor_speeds)
+np.testing.assert_allclose(truth.wrench[:, 2] - bare[:, 2], -0.004 * air[:, 0] ** 2, rtol=1e-9)
 """
 GUIDE = (ROOT / "docs" / "effects.md").read_text()
 

@@ -1,14 +1,15 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Several effects as one compiled function, in the order of the registry."""
+"""Several effects in the order of the registry, and effects of one's own."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from numba import types
 
-from quadpi_core.compiled import njit
+from quadpi_core.core import compiled
 from quadpi_core.errors import SimulationError
 from quadpi_core.simulation.applied_effects import (
     compose,
@@ -16,24 +17,35 @@ from quadpi_core.simulation.applied_effects import (
     remembered_wrenches,
     with_memory,
 )
+from quadpi_core.simulation.effect_definition import shaped
 from quadpi_core.simulation.effect_registry import EFFECTS, read_effects
-from quadpi_core.simulation.state_records import STATE_TYPE, VEHICLE_TYPE
-from quadpi_core.simulation.wrench_functions import FUNCTION_TYPE
+from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight
+from quadpi_core.simulation.wrench_functions import block_of, six_columns
+
+from .references import sines
+
+SWING = sines([2.0, 1.5, 0.6], [0.3, 0.23, 0.35], seconds=3.0)
 
 WRENCH = [name for name, effect in EFFECTS.items() if effect.kind == "wrench"]
-_STATES, _VEHICLES = types.Array(STATE_TYPE, 1, "C"), types.Array(VEHICLE_TYPE, 1, "C")
-
-
-@njit(types.void(FUNCTION_TYPE, types.float64[:, ::1], _STATES, _VEHICLES))
-def apply(function, parameters, states, vehicles):
-    for i in range(len(states)):
-        function(states[i], vehicles[0], parameters)
 
 
 def composed(states, record, names, extra=()):
-    function, parameters = compose(read_effects(dict.fromkeys(names), "test"), extra)
+    return applied(states, record, read_effects(dict.fromkeys(names), "test"), extra)
+
+
+def applied(states, record, effects, extra=()):
+    """Wrench as an integrator's steps compute it: effect after effect, instant by instant."""
     states = states.copy()
-    apply(function, parameters, states, record)
+    for i in range(len(states)):
+        one = states[i : i + 1]
+        for law, values, shape in compose(effects, extra):
+            if isinstance(law, str):
+                wrench = np.empty((1, 6))
+                compiled.effect_wrenches(law, one, record, values, shape, wrench)
+            else:
+                block = block_of(one, record)
+                wrench = six_columns(shaped(law(*block, values), *block, shape), 1)
+            one["wrench"] += wrench
     return states["wrench"]
 
 
@@ -51,15 +63,12 @@ def test_one_effect_is_that_effect(name, states, record):
 
 
 def test_shaped_laws_beside_others(states, record):
-    shaped = {"rotor_drag": {"shape_u": 0.3, "shape_fy": -0.5}, "body_drag": None, "vortex_ring": None}
-    function, parameters = compose(read_effects(shaped, "test"))
-    expected, found = states.copy(), states.copy()
-    for name, values in read_effects(shaped, "test").items():
+    laws = {"rotor_drag": {"shape_u": 0.3, "shape_fy": -0.5}, "body_drag": None, "vortex_ring": None}
+    effects, expected = read_effects(laws, "test"), states.copy()
+    for name, values in effects.items():
         expected["wrench"] += effect_wrench(name, values, expected, record)
-    for state in found:
-        function(state, record[0], parameters)
-    np.testing.assert_array_equal(found["wrench"], expected["wrench"])
-    assert np.any(found["wrench"] != composed(states, record, list(shaped)))
+    np.testing.assert_array_equal(applied(states, record, effects), expected["wrench"])
+    assert np.any(expected["wrench"] != composed(states, record, list(laws)))
 
 
 def test_all_effects_add_up_in_order(states, record):
@@ -84,13 +93,11 @@ def test_without_effects_nothing_changes(states, record):
 
 
 def test_functions_of_ones_own_act_first_with_their_own_parameters(states, record):
-    @njit
     def push(state, vehicle, p):  # noqa: ARG001
         return p[0] * vehicle.mass, p[1], p[2], 0.0, 0.0, 0.0
 
-    @njit
     def follow(state, vehicle, p):  # noqa: ARG001
-        return p[0] * state.wrench[0], 0.0, 0.0, 0.0, 0.0, 0.0
+        return p[0] * state.wrench[:, 0], 0.0, 0.0, 0.0, 0.0, 0.0
 
     extra = ((push, (0.5, 1.5, -2.5)), (follow, (0.5,)))
     expected = states.copy()
@@ -103,9 +110,64 @@ def test_functions_of_ones_own_act_first_with_their_own_parameters(states, recor
     )
 
 
-def test_the_same_function_for_all_effects_is_not_compiled_again():
-    function, _ = compose(read_effects({"rotor_drag": None}, "test"))
-    assert compose(read_effects({"tether": None, "gyroscopic": None}, "test"))[0] is function
+def test_the_core_has_the_wrench_effects_of_the_library():
+    assert sorted(compiled.WRENCH_EFFECTS) == sorted(WRENCH)
+
+
+@pytest.fixture
+def own(monkeypatch):
+    """own(name) → name of an effect with the function of another, as a package of one's own declares it."""
+
+    def declare(name):
+        effect = replace(EFFECTS[name], name=f"own_{name}")
+        monkeypatch.setitem(EFFECTS, effect.name, effect)
+        assert effect.law is EFFECTS[name].function
+        return effect.name
+
+    return declare
+
+
+SOME_SHAPE = {"shape_fx": 0.2, "shape_mz": -0.4, "shape_speed": 0.1, "shape_ground": -0.2}
+
+
+@pytest.mark.parametrize("name", WRENCH)
+def test_an_effect_of_ones_own_gives_what_that_of_the_core_gives(name, own, states, record):
+    shape = SOME_SHAPE if EFFECTS[name].shape else {}
+    values = read_effects({name: dict(shape)}, "test")[name]
+    expected = effect_wrench(name, values, states.copy(), record)
+    found = effect_wrench(own(name), values, states.copy(), record)
+    np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-12 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("name", ["body_drag", "ground_effect", "rotor_tilt", "slung_load"])
+def test_an_effect_of_ones_own_flies_as_that_of_the_core(name, own):
+    """Beside others of the core, and with a state of its own that the flight integrates."""
+    vehicle = SimulatedVehicle.load("bebop2")
+    others = {"rotor_drag": None, "payload": None}
+    expected, found = (
+        simulate_flight("swing", vehicle, SWING, effects=read_effects({one: None, **others}, "test"))
+        for one in (name, own(name))
+    )
+    np.testing.assert_allclose(found.position, expected.position, atol=1e-9)
+    np.testing.assert_allclose(found.wrench, expected.wrench, atol=1e-9)
+    without = simulate_flight("swing", vehicle, SWING, effects=read_effects(others, "test"))
+    assert np.abs(without.wrench - found.wrench).max() > 1e-4
+
+
+@pytest.mark.parametrize("given", [(0.0,) * 5, 1.0, ("push",) * 6, (np.zeros(2),) * 6])
+def test_an_effect_that_gives_no_wrench_is_refused(given):
+    vehicle = SimulatedVehicle.load("bebop2")
+    with pytest.raises(ValueError, match="an effect gives six forces and moments"):
+        simulate_flight("swing", vehicle, SWING, extra=[(lambda *_: given, ())])
+
+
+def test_what_fails_in_an_effect_of_ones_own_is_raised():
+    def fail(*_):
+        raise ZeroDivisionError("no air")
+
+    vehicle = SimulatedVehicle.load("bebop2")
+    with pytest.raises(ZeroDivisionError, match="no air"):
+        simulate_flight("swing", vehicle, SWING, extra=[(fail, ())])
 
 
 def test_what_is_no_wrench_effect_is_refused(states, record):
@@ -129,3 +191,17 @@ def test_wrenches_from_several_starts_are_those_from_each(states, record, name, 
     for start, wrench in zip(starts, found.transpose(2, 0, 1), strict=True):
         own = with_memory(name, parameters, flight, record, start, 0.01)
         assert np.array_equal(wrench, effect_wrench(name, parameters, own, record))
+
+
+@pytest.mark.parametrize("name", [name for name in WRENCH if EFFECTS[name].at_rest])
+def test_a_state_of_ones_own_goes_on_as_in_the_core(name, own, states, record):
+    (parameters,), starts = read_effects({name: None}, "test").values(), np.array(EFFECTS[name].at_rest)
+    starts = starts + 0.1 * np.diag(EFFECTS[name].start_spread)
+    expected = remembered_wrenches(name, parameters, states, record, starts, 0.01)
+    found = remembered_wrenches(own(name), parameters, states, record, starts, 0.01)
+    np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-7)
+    memory, other = (
+        with_memory(one, parameters, states, record, starts[0], 0.01)["memory"]
+        for one in (name, f"own_{name}")
+    )
+    np.testing.assert_allclose(other, memory, rtol=1e-7, atol=1e-7)

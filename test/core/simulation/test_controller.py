@@ -50,12 +50,12 @@ def wanted(vehicle):
         if wrench is not None:
             state = np.zeros(1, dtype=STATE)
             state["rotor_speeds"], state["wrench"] = speeds, wrench
-            observe(controls, state[0])
+            observe(controls, state)
         none, level, tilt = np.zeros((1, 3)), np.zeros(1), np.zeros((1, 2))
         demanded, turning = np.array([acceleration], dtype=float), np.array([yaw_rate])
         demand = Demand(none, none, demanded, none, level, turning, tilt, level, none)
         for _ in range(100):
-            control(controls, motion[0], demand, 0)
+            control(controls, motion, demand, 0)
             speeds += 0.4 * (controls.command - speeds)
         return effect @ speeds**2, speeds**2
 

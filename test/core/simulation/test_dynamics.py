@@ -13,7 +13,7 @@ from quadpi_core.rotations import rotate_body_to_world, rotation_matrix
 from quadpi_core.signals.wrench import newton_euler
 from quadpi_core.simulation.applied_effects import compose, effect_wrench, memory_at_rest, with_memory
 from quadpi_core.simulation.controller import Controls, Demand
-from quadpi_core.simulation.dynamics import LOGGED, Memory, PhysicsNumbers, flight_kernel
+from quadpi_core.simulation.dynamics import LOGGED, Memory, Physics, fly
 from quadpi_core.simulation.effect_registry import EFFECTS, read_effects
 from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight
 from quadpi_core.simulation.truth import LOG_HZ, STEP_HZ, Truth
@@ -43,10 +43,8 @@ def thrown():
     memory = Memory.at(position, start, np.array([1.0, 0.0, 0.0, 0.0]), np.full(4, 500.0), np.zeros(6))
     memory.motions[0]["rates"] = [0.6, -0.4, 9.0]
     log, done = np.zeros(HALF_A_SECOND, dtype=LOGGED), np.zeros(1, dtype=np.int64)
-    effects, parameters = compose({})
     law = vehicle.aerodynamics
-    numbers = PhysicsNumbers(record, law.numbers, parameters)
-    flight_kernel()(numbers, law.function, effects, controls, demand, memory, log, done)
+    fly(Physics(record, law.function, law.numbers, compose({})), controls, demand, memory, log, done)
     assert done[0] == HALF_A_SECOND - 1
     return log, vehicle
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadpi_core.simulation.linear_algebra import cross, inverse, matrix_times, product3
+from quadpi_core.simulation.linear_algebra import inverse, matrix_times
 
 RANDOM = np.random.default_rng(0)
 
@@ -33,10 +33,3 @@ def test_a_singular_matrix_has_no_finite_inverse():
 def test_a_matrix_times_a_vector():
     matrix, vector = RANDOM.normal(size=(4, 6)), RANDOM.normal(size=6)
     np.testing.assert_allclose(matrix_times(matrix, vector), matrix @ vector, rtol=1e-12)
-
-
-# As Python: compiled, they are parts of other kernels alone.
-def test_products_of_three():
-    matrix, left, right = RANDOM.normal(size=(3, 3)), RANDOM.normal(size=3), RANDOM.normal(size=3)
-    np.testing.assert_allclose(product3.py_func(matrix, left), matrix @ left, rtol=1e-12)
-    np.testing.assert_allclose(cross.py_func(left, right), np.cross(left, right), rtol=1e-12)

@@ -1,35 +1,27 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-import subprocess
-import sys
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from quadpi_core.errors import OutputError
 from quadpi_core.parallel import Progress, Workers
+from quadpi_core.simulation.effect_registry import EFFECTS
 from quadpi_core.simulation.run import simulate
 from quadpi_core.simulation.scenario import FlightPlan
 
 HOVER = FlightPlan(name="hover", scenario="test", vehicle="bebop2", seed=1, duration_s=0.5)
 
-# In a process of its own, for the effects to be compiled, or loaded from the cache, by `simulate`.
-SEVERAL_WITH_EFFECTS = """
-import sys
-from pathlib import Path
-from quadpi_core.parallel import Workers
-from quadpi_core.simulation.scenario import FlightPlan
-from quadpi_core.simulation.run import simulate
 
-hover = FlightPlan(name="one", scenario="test", vehicle="bebop2", seed=1, duration_s=0.5)
-plans = [hover.overridden(name=f"hover_{k}", effects={"gyroscopic": None}) for k in range(4)]
-print(len(simulate(plans, Path(sys.argv[1]), workers=Workers(4))))
-"""
-
-
-def test_several_flights_with_effects_at_a_time_from_a_cold_start(tmp_path):
-    command = [sys.executable, "-c", SEVERAL_WITH_EFFECTS, tmp_path / "bags"]
-    ran = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert (ran.returncode, ran.stdout) == (0, "4\n"), ran.stderr
+def test_several_flights_at_a_time_with_effects_of_the_core_and_of_python(tmp_path, monkeypatch):
+    monkeypatch.setitem(EFFECTS, "own", replace(EFFECTS["gyroscopic"], name="own"))
+    hover = FlightPlan(name="one", scenario="test", vehicle="bebop2", seed=1, duration_s=0.5)
+    effects = ({"gyroscopic": None}, {"own": None}) * 2
+    plans = [hover.overridden(name=f"hover_{k}", effects=own) for k, own in enumerate(effects)]
+    flights = simulate(plans, tmp_path / "bags", workers=Workers(4))
+    for flight in flights:
+        np.testing.assert_allclose(flight.truth.wrench, flights[0].truth.wrench, rtol=1e-12, atol=1e-15)
     assert len(list((tmp_path / "bags").iterdir())) == 4
 
 

@@ -5,10 +5,9 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from quadpi_core.simulation.flying import SimulatedVehicle
-from quadpi_core.simulation.state_records import STATE, STATE_TYPE, VEHICLE, VEHICLE_TYPE
+from quadpi_core.simulation.state_records import STATE, VEHICLE
 
 
 def test_the_record_of_a_vehicle_is_its_file():
@@ -47,11 +46,3 @@ def test_states_hold_what_they_are_made_of(states, model):
     # What belongs to an effect is not filled by the aerodynamics.
     for name in set(STATE.names) - {"force_is_measured", "memory", "memory_slope"}:
         assert states[name].any(), name
-
-
-@pytest.mark.parametrize(("record", "compiled"), [(STATE, STATE_TYPE), (VEHICLE, VEHICLE_TYPE)])
-def test_kernels_read_fields_where_numpy_has_them(record, compiled):
-    assert compiled.size == record.itemsize
-    assert {name: compiled.offset(name) for name in record.names} == {
-        name: record.fields[name][1] for name in record.names
-    }

@@ -93,8 +93,6 @@ struct Hub {
     double turning;  // rad/s, the speed that terms may divide by
 };
 
-inline double sign_of(double number) { return number > 0.0 ? 1.0 : number < 0.0 ? -1.0 : 0.0; }
-
 // Add the moments alone of a force along -z at a hub.
 inline void add_arm(Wrench& term, const Hub& hub, double thrust) {
     term[3] -= hub.y * thrust;

@@ -44,14 +44,4 @@ inline PhysicalWrench physical_wrench(
     return found;
 }
 
-// Velocity [m/s] of a rotor's hub relative to the air, body axes.
-inline Vector3 hub_velocity(const Vector3& velocity_air, const Vector3& rates, const Vector3& place) {
-    const auto [p, q, r] = rates;
-    return {
-        velocity_air[0] + q * place[2] - r * place[1],
-        velocity_air[1] + r * place[0] - p * place[2],
-        velocity_air[2] + p * place[1] - q * place[0],
-    };
-}
-
 }  // namespace quadpi

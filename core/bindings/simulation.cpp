@@ -1,0 +1,344 @@
+// SPDX-FileCopyrightText: 2026 The quadpi authors
+// SPDX-License-Identifier: Apache-2.0
+// What Python calls of the simulation.
+//
+// A law of the aerodynamics or an effect is the name of one of this core, or a function of Python that is
+// called without arguments: it reads and writes the state that the flight works on.
+#include <nanobind/nanobind.h>
+#include <nanobind/stl/string.h>
+
+#include <list>
+#include <string>
+
+#include "bindings/records.hpp"
+#include "quadpi/simulation/dynamics.hpp"
+#include "quadpi/simulation/effects/table.hpp"
+#include "quadpi/simulation/physical_aerodynamics.hpp"
+#include "quadpi/simulation/reference_signals.hpp"
+#include "quadpi/simulation/rotor_local.hpp"
+
+namespace nb = nanobind;
+
+namespace quadpi {
+namespace {
+
+using Parameters = Records<const double>;
+using Law = std::function<void(State&)>;
+using Vehicles = Records<const VehicleNumbers>;
+
+constexpr const char* NOT_SIX = "an effect gives six forces and moments, each a number or one per instant";
+
+const WrenchEffect& effect_of(const std::string& name, Parameters parameters) {
+    const WrenchEffect* effect = find_effect(name);
+    require(effect != nullptr, "no such effect");
+    require(parameters.size >= effect->parameters, "too few parameters of an effect");
+    return *effect;
+}
+
+// A law of the aerodynamics by name, with its table of numbers.
+Law aerodynamics_of(const std::string& name, const VehicleNumbers& vehicle, Parameters numbers) {
+    if (name == "physical") {
+        require(numbers.size == 2 * TERMS, "not the numbers of the physical model");
+        const auto& values = *reinterpret_cast<const TermValues*>(numbers.data);
+        const double reference_thrust = numbers[TERMS];
+        return [&vehicle, &values, reference_thrust](State& state) {
+            physical_aerodynamics(state, vehicle, values, reference_thrust);
+        };
+    }
+    require(name == "rotor_local", "no such law of the aerodynamics");
+    return [&vehicle](State& state) { rotor_local(state, vehicle); };
+}
+
+double number_of(nb::handle value) {
+    if (PyFloat_Check(value.ptr())) {
+        return PyFloat_AS_DOUBLE(value.ptr());
+    }
+    HeldBuffer buffer;
+    if (buffer.hold<const double>(value.ptr()) && buffer.bytes() == sizeof(double)) {
+        return *static_cast<const double*>(buffer.data());
+    }
+    double number = 0.0;
+    require(nb::try_cast(value, number), NOT_SIX);
+    return number;
+}
+
+// An `AddedEffect` of Python: the name of an effect or a function, its parameters, and the shape of its law.
+class AddedEffect {
+public:
+    AddedEffect(nb::handle given, const VehicleNumbers& vehicle)
+        : vehicle(vehicle),
+          parameters(given, "parameters"),
+          shape(given, "shape"),
+          function(given.attr("law")) {
+        if (nb::isinstance<nb::str>(function)) {
+            effect = effect_of(nb::cast<std::string>(function), parameters.all()).function;
+        }
+    }
+
+    void add_to(State& state) const {
+        const Wrench law = effect != nullptr ? effect(state, vehicle, parameters.all().data) : called();
+        const Wrench added = shaped(law, state, vehicle, shape.only());
+        for (int axis = 0; axis < AXES; ++axis) {
+            state.wrench[axis] += added[axis];
+        }
+    }
+
+private:
+    Wrench called() const {
+        const nb::gil_scoped_acquire locked;
+        const nb::object given = function();
+        require(nb::isinstance<nb::sequence>(given) && nb::len(given) == AXES, NOT_SIX);
+        Wrench wrench;
+        for (int axis = 0; axis < AXES; ++axis) {
+            wrench[axis] = number_of(given[axis]);
+        }
+        return wrench;
+    }
+
+    const VehicleNumbers& vehicle;
+    Field<const double> parameters;
+    Field<const Shape> shape;
+    nb::object function;
+    EffectFunction effect = nullptr;
+};
+
+Law law_of(nb::handle given, const VehicleNumbers& vehicle, Parameters numbers) {
+    if (nb::isinstance<nb::str>(given)) {
+        return aerodynamics_of(nb::cast<std::string>(given), vehicle, numbers);
+    }
+    return [given](State&) {
+        const nb::gil_scoped_acquire locked;
+        given();
+    };
+}
+
+// What of a demand and of controls Python holds, as long as a call lasts.
+struct HeldDemand {
+    explicit HeldDemand(nb::handle given)
+        : position(given, "position"),
+          velocity(given, "velocity"),
+          acceleration(given, "acceleration"),
+          jerk(given, "jerk"),
+          wind(given, "wind"),
+          yaw(given, "yaw"),
+          yaw_rate(given, "yaw_rate"),
+          thrust(given, "thrust"),
+          tilt(given, "tilt") {
+        const std::size_t count = yaw.all().size;
+        for (const auto* vectors : {&position, &velocity, &acceleration, &jerk, &wind}) {
+            require(vectors->all().size == count, DIFFERENT);
+        }
+        const bool same = yaw_rate.all().size == count && thrust.all().size == count;
+        require(count > 0 && same && tilt.all().size == count, DIFFERENT);
+    }
+
+    Demand demand() const {
+        return {
+            position.all(),
+            velocity.all(),
+            acceleration.all(),
+            jerk.all(),
+            yaw.all(),
+            yaw_rate.all(),
+            tilt.all(),
+            thrust.all(),
+            wind.all(),
+        };
+    }
+
+    Field<const Vector3> position, velocity, acceleration, jerk, wind;
+    Field<const double> yaw, yaw_rate, thrust;
+    Field<const std::array<double, 2>> tilt;
+};
+
+struct HeldControls {
+    explicit HeldControls(nb::handle given)
+        : nominal(given, "nominal"),
+          allocation(given, "allocation"),
+          effectiveness(given, "effectiveness"),
+          disturbance(given, "disturbance"),
+          command(given, "command") {}
+
+    Controls controls() const {
+        return {nominal.only(), allocation.only(), effectiveness.only(), disturbance.only(), command.only()};
+    }
+
+    Field<const VehicleNumbers> nominal;
+    Field<const Matrix4> allocation, effectiveness;
+    Field<Wrench> disturbance;
+    Field<PerRotor> command;
+};
+
+void fly_along(
+    Vehicles vehicle,
+    nb::handle aerodynamics,
+    Parameters numbers,
+    nb::sequence effects,
+    nb::handle given_controls,
+    nb::handle given_demand,
+    Records<Motion> motions,
+    Records<State> state,
+    Records<Logged> log,
+    Records<std::int64_t> done
+) {
+    std::list<AddedEffect> added;
+    Physics physics{only(vehicle), law_of(aerodynamics, only(vehicle), numbers), {}};
+    for (const nb::handle effect : effects) {
+        const AddedEffect& one = added.emplace_back(effect, only(vehicle));
+        physics.effects.push_back([&one](State& now) { one.add_to(now); });
+    }
+    const HeldControls held_controls(given_controls);
+    const HeldDemand held_demand(given_demand);
+    Controls controls = held_controls.controls();
+    const Demand demand = held_demand.demand();
+    require(log.size >= 2 && log.size <= demand.yaw.size, DIFFERENT);
+    require((demand.yaw.size - 1) % (log.size - 1) == 0, "a log of other instants than those of the demand");
+    require(motions.size == MOTIONS, "not the memory of the integrator");
+    State& now = only(state);
+    std::int64_t& flown = only(done);
+    const nb::gil_scoped_release unlocked;
+    fly(physics, controls, demand, motions, now, log, flown);
+}
+
+void fill_aerodynamics(Records<State> states, Vehicles vehicle, const std::string& name, Parameters numbers) {
+    const Law law = aerodynamics_of(name, only(vehicle), numbers);
+    for (State& state : states) {
+        law(state);
+    }
+}
+
+void effect_wrenches(
+    const std::string& name,
+    Records<State> states,
+    Vehicles vehicle,
+    Parameters parameters,
+    Records<const Shape> shape,
+    Records<Wrench> wrenches
+) {
+    const WrenchEffect& effect = effect_of(name, parameters);
+    require(states.size == wrenches.size, DIFFERENT);
+    for (std::size_t i = 0; i < states.size; ++i) {
+        const Wrench law = effect.function(states[i], only(vehicle), parameters.data);
+        wrenches[i] = shaped(law, states[i], only(vehicle), only(shape));
+    }
+}
+
+void remember_along(
+    const std::string& name, Records<State> states, Vehicles vehicle, Parameters parameters, double step_s
+) {
+    remember(effect_of(name, parameters).function, states, only(vehicle), parameters.data, step_s);
+}
+
+void remembered_along(
+    const std::string& name,
+    Records<const State> states,
+    Vehicles vehicle,
+    Parameters parameters,
+    Records<OwnState> memory,
+    double step_s,
+    Records<double> added
+) {
+    const EffectFunction effect = effect_of(name, parameters).function;
+    require(added.size == states.size * AXES * memory.size, DIFFERENT);
+    remembered_wrenches(effect, states, only(vehicle), parameters.data, memory, step_s, added.data);
+}
+
+void fill_waves(
+    Parameters time,
+    double amplitude,
+    Parameters frequencies,
+    Parameters phases,
+    double sweep,
+    Records<const Span> window,
+    Records<Jet> jets
+) {
+    require(jets.size == time.size && frequencies.size == phases.size, DIFFERENT);
+    wave_jets(time, amplitude, frequencies, phases, sweep, only(window), jets);
+}
+
+void fill_edges(Parameters time, Parameters instants, Parameters heights, double rise, Records<Jet> jets) {
+    require(jets.size == time.size && instants.size == heights.size, DIFFERENT);
+    edge_jets(time, instants, heights, rise, jets);
+}
+
+void fill_orbit(
+    Parameters time,
+    double radius,
+    double turn_rate,
+    double bearing,
+    Records<const Span> window,
+    Records<Jet> jets
+) {
+    require(jets.size == 3 * time.size, DIFFERENT);
+    orbit_jets(time, radius, turn_rate, bearing, only(window), jets);
+}
+
+void fill_quaternions(Records<const Vector3> vectors, Records<Quaternion> quaternions) {
+    require(vectors.size == quaternions.size, DIFFERENT);
+    for (std::size_t i = 0; i < vectors.size; ++i) {
+        quaternions[i] = from_rotation_vector(vectors[i]);
+    }
+}
+
+void fill_rotation_vectors(Records<const Quaternion> quaternions, Records<Vector3> vectors) {
+    require(vectors.size == quaternions.size, DIFFERENT);
+    for (std::size_t i = 0; i < vectors.size; ++i) {
+        vectors[i] = to_rotation_vector(quaternions[i]);
+    }
+}
+
+void bind_constants(nb::module_& module) {
+    module.attr("ADVANCE_RATIO_MAX") = ADVANCE_RATIO_MAX;
+    module.attr("FLOWN_RATE_MAX_RAD_S") = FLOWN_RATE_MAX_RAD_S;
+    module.attr("OWN_STATE_CHANGE_MAX") = OWN_STATE_CHANGE_MAX;
+    module.attr("NOT_SIX") = NOT_SIX;
+    module.attr("NEAREST_SURFACE") = effects::NEAREST_SURFACE;
+    module.attr("POSITION_ERROR_MAX_M") = POSITION_ERROR_MAX_M;
+    module.attr("SHAPE_MAX") = SHAPE_MAX;
+    module.attr("SHORTEST_CABLE_M") = effects::SHORTEST_CABLE_M;
+    module.attr("SPECIFIC_FORCE_MIN") = SPECIFIC_FORCE_MIN;
+    module.attr("STEP_HZ") = STEP_HZ;
+    module.attr("TILT_COSINE_MIN") = TILT_COSINE_MIN;
+    module.attr("TILT_MAX_DEG") = TILT_MAX_DEG;
+    nb::list names;
+    for (const WrenchEffect& effect : WRENCH_EFFECTS) {
+        names.append(nb::str(effect.name.data(), effect.name.size()));
+    }
+    module.attr("WRENCH_EFFECTS") = nb::tuple(names);
+}
+
+}  // namespace
+
+void bind_simulation(nb::module_& module) {
+    bind_constants(module);
+    const nb::call_guard<nb::gil_scoped_release> unlocked;
+    module.def("fly", &fly_along);
+    module.def(
+        "control", [](nb::handle given, Records<const Motion> motion, nb::handle demand, std::size_t step) {
+            const HeldControls held(given);
+            const HeldDemand held_demand(demand);
+            require(step < held_demand.demand().yaw.size, "no such instant");
+            Controls controls = held.controls();
+            control(controls, only(motion), held_demand.demand(), step);
+        }
+    );
+    module.def("observe", [](nb::handle given, Records<const State> state) {
+        const HeldControls held(given);
+        Controls controls = held.controls();
+        observe(controls, only(state));
+    });
+    module.def("is_lost", [](Records<const Motion> motion, Records<const Vector3> position) {
+        return is_lost(only(motion), only(position));
+    });
+    module.def("fill_aerodynamics", &fill_aerodynamics, unlocked);
+    module.def("effect_wrenches", &effect_wrenches, unlocked);
+    module.def("remember", &remember_along, unlocked);
+    module.def("remembered_wrenches", &remembered_along, unlocked);
+    module.def("wave_jets", &fill_waves);
+    module.def("edge_jets", &fill_edges);
+    module.def("orbit_jets", &fill_orbit);
+    module.def("quaternions_of", &fill_quaternions);
+    module.def("rotation_vectors_of", &fill_rotation_vectors);
+}
+
+}  // namespace quadpi
