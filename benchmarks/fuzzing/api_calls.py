@@ -9,13 +9,10 @@ entry here: a test looks for those that have none.
 
 from __future__ import annotations
 
-import atexit
 import inspect
 import random
-import shutil
-import tempfile
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import fields, is_dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -24,7 +21,24 @@ import numpy as np
 import numpy.typing as npt
 
 import quadpi_core as quadpi
-from benchmarks.fuzzing.argument_changes import Argument, Must, Number, Other, Rows
+from benchmarks.fuzzing.argument_changes import (
+    Argument,
+    Call,
+    Must,
+    Number,
+    Rows,
+    confidence_level,
+    figure,
+    folder,
+    named,
+    no_value,
+    of_kinds,
+    output,
+    rows_of,
+    short,
+    thing,
+)
+from benchmarks.fuzzing.library_calls import library_calls
 from benchmarks.fuzzing.mutation import Finding
 from quadpi_core.errors import QuadpiError
 from quadpi_core.estimator.imu_rate import ImuRate
@@ -52,30 +66,7 @@ _MISCALLED = 0.05
 _SLOW_MADE = 0.02
 
 
-@dataclass(frozen=True)
-class Call:
-    """A public call.
-
-    Attributes:
-        function: what is called, with `arguments` by keyword.
-        arguments: by parameter.
-        share: of all calls.
-        slow: whether it takes more than some milliseconds to give a result.
-        keeps: whether it gives a record that keeps what it is given, finite or not.
-    """
-
-    function: Callable[..., Any]
-    arguments: Mapping[str, Argument]
-    share: float = 1.0
-    slow: bool = False
-    keeps: bool = False
-
-
-# Clean arguments: numbers that fit 32 bits, so that arrays of them say the same.
-
-
-def _short(values: Any) -> npt.NDArray[np.float64]:
-    return np.asarray(values, np.float32).astype(np.float64)
+# Clean arguments.
 
 
 @cache
@@ -88,20 +79,20 @@ def _inputs() -> npt.NDArray[np.float64]:
     rng = np.random.default_rng(0)
     velocity, rates = rng.normal(size=(_ROWS, 3)), 0.3 * rng.normal(size=(_ROWS, 3))
     speeds = rng.normal(750.0, 40.0, (_ROWS, ROTORS))
-    return _short(aerodynamic_inputs(velocity, _attitudes(), rates, speeds, _vehicle()))
+    return short(aerodynamic_inputs(velocity, _attitudes(), rates, speeds, _vehicle()))
 
 
 @cache
 def _attitudes() -> npt.NDArray[np.float64]:
     attitude = np.array([1.0, 0.0, 0.0, 0.0]) + 0.1 * np.random.default_rng(1).normal(size=(_ROWS, 4))
-    return _short(attitude / np.linalg.norm(attitude, axis=1)[:, None])
+    return short(attitude / np.linalg.norm(attitude, axis=1)[:, None])
 
 
 @cache
 def _derivatives() -> npt.NDArray[Any]:
     derivatives = np.zeros(_ROWS, DERIVATIVES)
     numbers = derivatives.view(np.float64)
-    numbers[:] = _short(np.random.default_rng(2).normal(size=numbers.shape))
+    numbers[:] = short(np.random.default_rng(2).normal(size=numbers.shape))
     return derivatives
 
 
@@ -116,15 +107,15 @@ def _samples() -> npt.NDArray[np.float64]:
     samples = 0.1 * rng.normal(size=(_ROWS, 20))
     samples[:, 3:7], samples[:, 12] = _attitudes(), samples[:, 12] - 9.8
     samples[:, 13:17] = rng.normal(750.0, 5.0, (_ROWS, ROTORS))
-    return _short(samples)
+    return short(samples)
 
 
 @cache
 def _flight(name: str = "flight", seed: int = 4) -> PreparedFlight:
     rng = np.random.default_rng(seed)
-    wrench = _short(0.01 * rng.normal(size=(_ROWS, 6)) + _inputs()[:, :1] * [0.1, 0.0, 0.2, 0.0, 0.0, 0.01])
-    time = _short(0.002 * np.arange(_ROWS))
-    return PreparedFlight(name, 32 * "ab", time, _inputs(), _derivatives(), wrench, _short(time + 2.0))
+    wrench = short(0.01 * rng.normal(size=(_ROWS, 6)) + _inputs()[:, :1] * [0.1, 0.0, 0.2, 0.0, 0.0, 0.01])
+    time = short(0.002 * np.arange(_ROWS))
+    return PreparedFlight(name, 32 * "ab", time, _inputs(), _derivatives(), wrench, short(time + 2.0))
 
 
 @cache
@@ -137,9 +128,9 @@ def _physical() -> AerodynamicModel:
     """Fitted to made-up flights: it is about the call, not about what it says."""
     flights, rows = [], np.arange(1200) % _ROWS
     for seed in (5, 6):
-        short = _flight(f"flight {seed}", seed)
-        columns = {name: getattr(short, name)[rows] for name in ("inputs", "derivatives", "wrench", "height")}
-        flights.append(replace(short, time=_short(0.002 * np.arange(len(rows))), **columns))
+        part = _flight(f"flight {seed}", seed)
+        columns = {name: getattr(part, name)[rows] for name in ("inputs", "derivatives", "wrench", "height")}
+        flights.append(replace(part, time=short(0.002 * np.arange(len(rows))), **columns))
     options = IdentifyOptions(method=Physical(multi_step=False))
     return quadpi.identify(flights, _vehicle(), quadpi.load_pools("quadrotor"), options)
 
@@ -153,17 +144,8 @@ def _pools() -> dict[str, CandidatePool]:
 def _prepared() -> Prepared:
     prepared = _monitor().preparation.step(_stamps(), _samples())
     return prepared._replace(
-        inputs=_short(prepared.inputs), measured=_short(prepared.measured), derivatives=_derivatives()
+        inputs=short(prepared.inputs), measured=short(prepared.measured), derivatives=_derivatives()
     )
-
-
-@cache
-def _folder() -> Path:
-    """A folder for what calls write, until this process ends."""
-    place = "/dev/shm" if Path("/dev/shm").is_dir() else None
-    folder = tempfile.mkdtemp(prefix="quadpi.fuzz.", dir=place)
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    return Path(folder)
 
 
 def _monitor() -> Monitor:
@@ -185,46 +167,6 @@ class _ByRotor(Rows):
         return (array, Must.GIVE_THE_SAME) if must is Must.END_WELL else (changed, must)
 
 
-def _any(*kinds: type) -> Callable[[Any], bool]:
-    return lambda value: isinstance(value, kinds) and not isinstance(value, bool)
-
-
-def _output(name: str) -> Argument:
-    """A path to write to; no other one, as files of the calls would lie about."""
-    path = _folder() / name
-
-    def change(rng: random.Random, _value: Any) -> tuple[Any, Must]:
-        if rng.random() < 0.5:
-            return rng.choice((path, str(path))), Must.GIVE_THE_SAME
-        return rng.choice((None, 5, 1.5, b"x", [], [str(path)], 1j, "\0", "")), Must.REFUSE
-
-    return Argument(str(path), change, "name")
-
-
-def _none(value: Any) -> bool:
-    return value is None
-
-
-def _rows(clean: Any, **how: bool) -> Argument:
-    return Argument(clean, Rows(**how), f"array {np.shape(clean)[1:]} {np.asarray(clean).dtype.kind}")
-
-
-def _a(clean: Any, kind: str = "", *, required: bool = True, **how: Any) -> Argument:
-    return Argument(clean, Other(**how), kind or type(clean).__name__, required)
-
-
-def _number(
-    clean: float, *others: float, optional: bool = False, refused: tuple[float, ...] = ()
-) -> Argument:
-    refused = (*Number.refused, *refused)
-    return Argument(clean, Number(others, refused, optional), "number", required=False)
-
-
-def _name(clean: str, *same: Any, **how: Any) -> Argument:
-    how.setdefault("allowed", lambda value: isinstance(value, str | Path))
-    return _a(clean, "name", same=(Path(clean), clean, *same), **how)
-
-
 @cache
 def _flown() -> Flight:
     still = np.zeros((_ROWS, 3))
@@ -241,45 +183,41 @@ def _flown() -> Flight:
     )
 
 
-def _confidence() -> Argument:
-    return _number(0.95, 0.9, 0.5, 0.99, 0.0, -1.0, 95.0, 1.0, optional=True)
-
-
 def calls() -> dict[str, Call]:
     """Every public call, by its name."""
-    return {**array_calls(), **file_calls()}
+    return {**array_calls(), **file_calls(), **library_calls()}
 
 
 @cache
 def array_calls() -> dict[str, Call]:
     """Those that take numbers and arrays."""
-    vehicle, flight, flown = _a(_vehicle(), refused=(Vehicle.load("neurobem"),)), _flight(), _flown()
-    model, confidence = _a(_polynomial()), _confidence()
+    vehicle, flight, flown = thing(_vehicle(), refused=(Vehicle.load("neurobem"),)), _flight(), _flown()
+    model, confidence = thing(_polynomial()), confidence_level()
     evaluated = {"confidence": confidence}
     return {
         "AerodynamicModel.evaluate, physical": Call(
             _physical().evaluate,
             {
-                "flight": _rows(_inputs()),
+                "flight": rows_of(_inputs()),
                 **evaluated,
-                "derivatives": replace(_rows(_derivatives()), required=False),
+                "derivatives": replace(rows_of(_derivatives()), required=False),
             },
             share=15.0,
         ),
         "AerodynamicModel.evaluate, polynomial": Call(
             _polynomial().evaluate,
             {
-                "flight": _rows(_inputs()),
+                "flight": rows_of(_inputs()),
                 **evaluated,
                 "derivatives": Argument(_derivatives(), Rows(optional=True), "derivatives", required=False),
             },
             share=15.0,
         ),
         "AerodynamicModel.evaluate": Call(
-            _physical().evaluate, {"flight": _a(flight), **evaluated}, share=2.0
+            _physical().evaluate, {"flight": thing(flight), **evaluated}, share=2.0
         ),
-        "AerodynamicModel.load": Call(AerodynamicModel.load, {"folder": _name(str(GOLDEN_MODEL))}, slow=True),
-        "AerodynamicModel.save": Call(_saved, {"folder": _output("saved")}, slow=True),
+        "AerodynamicModel.load": Call(AerodynamicModel.load, {"folder": named(str(GOLDEN_MODEL))}, slow=True),
+        "AerodynamicModel.save": Call(_saved, {"folder": output("saved")}, slow=True),
         "AerodynamicModel.interval_ratio": Call(
             _polynomial().interval_ratio,
             {"confidence": replace(confidence, required=True, change=Number((0.9, 0.0, 95.0)))},
@@ -290,7 +228,7 @@ def array_calls() -> dict[str, Call]:
         ),
         "AerodynamicModel.load_vehicle": Call(
             _polynomial().load_vehicle,
-            {"given": _name("bebop2", None, required=False, allowed=_any(str, Path, type(None)))},
+            {"given": named("bebop2", None, required=False, allowed=of_kinds(str, Path, type(None)))},
         ),
         "AerodynamicModel.require": Call(_polynomial().require, {"vehicle": vehicle}),
         **{
@@ -300,22 +238,22 @@ def array_calls() -> dict[str, Call]:
         "AerodynamicModel.simulation_section": Call(_physical().simulation_section, {}, share=0.1),
         "AerodynamicModel.require_rollouts": Call(_physical().require_rollouts, {}, share=0.1),
         "AerodynamicModel.learned_from": Call(
-            _polynomial().learned_from, {"sha256": _a("ab", "name", allowed=_any(str))}, share=0.1
+            _polynomial().learned_from, {"sha256": thing("ab", "name", allowed=of_kinds(str))}, share=0.1
         ),
         "IdentifyOptions": Call(
             IdentifyOptions,
             {
-                "cutoff_hz": _number(30.0, 50.0, refused=(0.0, -1.0)),
-                "method": _a(
+                "cutoff_hz": figure(30.0, 50.0, refused=(0.0, -1.0)),
+                "method": thing(
                     "polynomial",
                     "method",
                     required=False,
                     same=("polynomial",),
-                    allowed=_any(str, type(None)),
+                    allowed=of_kinds(str, type(None)),
                 ),
-                "settings": _a("default", "settings", required=False, same=("default",)),
-                "confidence": _number(0.95, 0.5, 1.0),
-                "false_alarms_per_hour": _number(1.0, 2.0, refused=(0.0, -1.0)),
+                "settings": thing("default", "settings", required=False, same=("default",)),
+                "confidence": figure(0.95, 0.5, 1.0),
+                "false_alarms_per_hour": figure(1.0, 2.0, refused=(0.0, -1.0)),
             },
         ),
         "Monitor": Call(
@@ -324,36 +262,38 @@ def array_calls() -> dict[str, Call]:
                 "model": model,
                 "vehicle": vehicle,
                 "rate_hz": replace(
-                    _number(_RATE_HZ, 100.0, 10.0, 1e9, optional=True, refused=(0.0, -500.0)), required=True
+                    figure(_RATE_HZ, 100.0, 10.0, 1e9, optional=True, refused=(0.0, -500.0)), required=True
                 ),
                 "confidence": confidence,
-                "settings": _a(MonitorSettings(), required=False, same=(MonitorSettings(),), allowed=_none),
+                "settings": thing(
+                    MonitorSettings(), required=False, same=(MonitorSettings(),), allowed=no_value
+                ),
             },
             share=2.0,
         ),
         "Monitor.step": Call(
             lambda **given: _monitor().step(**given),
-            {"time_ns": _rows(_stamps()), "values": _rows(_samples(), finite=False)},
+            {"time_ns": rows_of(_stamps()), "values": rows_of(_samples(), finite=False)},
             share=30.0,
         ),
         **{
             f"Monitor.{name}": Call(
                 lambda name=name, **given: getattr(_monitor(), name)(Prepared(**given)),
                 {
-                    "verdicts": _rows(_prepared().verdicts, finite=False),
-                    "inputs": _rows(_prepared().inputs),
-                    "measured": _rows(_prepared().measured),
-                    "usable_ns": _rows(_prepared().usable_ns),
-                    "derivatives": _rows(_prepared().derivatives),
+                    "verdicts": rows_of(_prepared().verdicts, finite=False),
+                    "inputs": rows_of(_prepared().inputs),
+                    "measured": rows_of(_prepared().measured),
+                    "usable_ns": rows_of(_prepared().usable_ns),
+                    "derivatives": rows_of(_prepared().derivatives),
                 },
                 share=2.0,
             )
             for name in ("judge", "predict")
         },
         "Monitor.reset": Call(lambda: _monitor().reset(), {}, share=0.1),
-        "Monitor.retune": Call(lambda **given: _monitor().retune(**given), {"rate": _a(ImuRate(400.0))}),
+        "Monitor.retune": Call(lambda **given: _monitor().retune(**given), {"rate": thing(ImuRate(400.0))}),
         "Monitor.change": Call(
-            lambda **given: _monitor().change(**given), {"settings": _a(MonitorSettings())}
+            lambda **given: _monitor().change(**given), {"settings": thing(MonitorSettings())}
         ),
         "Monitor.alarm_without_sample": Call(
             lambda **given: _monitor().alarm_without_sample(**given),
@@ -363,20 +303,22 @@ def array_calls() -> dict[str, Call]:
             MonitorSettings,
             {
                 **{
-                    name: _number(1.0, 0.5, refused=(0.0, -1.0))
+                    name: figure(1.0, 0.5, refused=(0.0, -1.0))
                     for name in ("persistence_s", "release_s", "alarm_rate_hz")
                 },
-                "adaptive": _a(True, "flag", required=False, allowed=lambda value: isinstance(value, bool)),
+                "adaptive": thing(
+                    True, "flag", required=False, allowed=lambda value: isinstance(value, bool)
+                ),
             },
         ),
         "QuadpiError": Call(QuadpiError, {}, share=0.1),
         "Vehicle": Call(
             Vehicle,
             {
-                "name": _a("bebop2", "name", allowed=lambda _: True),
+                "name": thing("bebop2", "name", allowed=lambda _: True),
                 **{
                     name: replace(
-                        _number(getattr(_vehicle(), name), 1.0, refused=(0.0, -1.0)),
+                        figure(getattr(_vehicle(), name), 1.0, refused=(0.0, -1.0)),
                         required=name in {"mass_kg", "rotor_radius_m"},
                     )
                     for name in (
@@ -388,21 +330,21 @@ def array_calls() -> dict[str, Call]:
                     )
                 },
                 **{
-                    name: _rows(_short(getattr(_vehicle(), name)))
+                    name: rows_of(short(getattr(_vehicle(), name)))
                     for name in ("inertia", "rotor_positions", "rotor_spins")
                 },
-                "pole_pairs": _a(None, "name", allowed=lambda _: True),
-                "noise": _a(SensorNoise(), required=False),
+                "pole_pairs": thing(None, "name", allowed=lambda _: True),
+                "noise": thing(SensorNoise(), required=False),
             },
             share=4.0,
         ),
-        "Vehicle.load": Call(Vehicle.load, {"name_or_path": _name("bebop2")}),
+        "Vehicle.load": Call(Vehicle.load, {"name_or_path": named("bebop2")}),
         "Vehicle.of_file": Call(
             Vehicle.of_file,
             {
-                "data": _a(_vehicle().to_file()),
-                "name": _a("bebop2", "name", allowed=lambda _: True),
-                "where": _a("file", "name", allowed=lambda _: True),
+                "data": thing(_vehicle().to_file()),
+                "name": thing("bebop2", "name", allowed=lambda _: True),
+                "where": thing("file", "name", allowed=lambda _: True),
             },
         ),
         "Vehicle.to_file": Call(_vehicle().to_file, {}, share=0.1),
@@ -414,10 +356,10 @@ def array_calls() -> dict[str, Call]:
         "PreparedFlight": Call(
             PreparedFlight,
             {
-                "name": _a("flight", "name", allowed=lambda _: True),
-                "sha256": _a("ab", "name", allowed=lambda _: True),
+                "name": thing("flight", "name", allowed=lambda _: True),
+                "sha256": thing("ab", "name", allowed=lambda _: True),
                 **{
-                    name: _rows(getattr(flight, name), finite=False)
+                    name: rows_of(getattr(flight, name), finite=False)
                     for name in ("time", "inputs", "derivatives", "wrench", "height")
                 },
             },
@@ -428,10 +370,10 @@ def array_calls() -> dict[str, Call]:
             lambda **given: replace(flight, live=LiveSamples(**given)),
             {
                 **{
-                    name: _rows(getattr(flight, name), finite=False)
+                    name: rows_of(getattr(flight, name), finite=False)
                     for name in ("inputs", "derivatives", "wrench")
                 },
-                "known": _rows(np.ones(_ROWS, bool)),
+                "known": rows_of(np.ones(_ROWS, bool)),
             },
             keeps=True,
             share=3.0,
@@ -439,7 +381,7 @@ def array_calls() -> dict[str, Call]:
         "Flight": Call(
             lambda **given: Flight("flight", "bebop2", "flight.mcap", _START_NS, **given),
             {
-                name: _rows(getattr(flown, name), finite=False)
+                name: rows_of(getattr(flown, name), finite=False)
                 for name in (
                     "time",
                     "position",
@@ -458,11 +400,11 @@ def array_calls() -> dict[str, Call]:
         "Recording.check": Call(
             _recorded,
             {
-                "time_ns": _rows(_stamps(), exact=True),
-                "angular_velocity": _rows(_samples()[:, 7:10].copy(), exact=True),
-                "specific_force": _rows(_samples()[:, 10:13].copy(), exact=True),
-                "position": _rows(np.zeros((_ROWS, 3)), exact=True),
-                "attitude": _rows(_attitudes(), exact=True),
+                "time_ns": rows_of(_stamps(), exact=True),
+                "angular_velocity": rows_of(_samples()[:, 7:10].copy(), exact=True),
+                "specific_force": rows_of(_samples()[:, 10:13].copy(), exact=True),
+                "position": rows_of(np.zeros((_ROWS, 3)), exact=True),
+                "attitude": rows_of(_attitudes(), exact=True),
             },
             share=4.0,
         ),
@@ -472,20 +414,20 @@ def array_calls() -> dict[str, Call]:
 @cache
 def file_calls() -> dict[str, Call]:
     """Those that read or write files, and those that fit or judge."""
-    vehicle, flight, flown = _a(_vehicle(), refused=(Vehicle.load("neurobem"),)), _flight(), _flown()
-    model, confidence = _a(_polynomial()), _confidence()
+    vehicle, flight, flown = thing(_vehicle(), refused=(Vehicle.load("neurobem"),)), _flight(), _flown()
+    model, confidence = thing(_polynomial()), confidence_level()
     return {
         "identify": Call(
             quadpi.identify,
             {
-                "flights": _a(
+                "flights": thing(
                     [_flight("a", 7), _flight("b", 8)],
                     same=((_flight("a", 7), _flight("b", 8)),),
                     refused=(flight, "ab", [flight, None]),
                 ),
-                "vehicle": _a(_vehicle()),
-                "pools": _a(_pools(), refused=({"Fz": None}, {"Fq": _pools()["Fz"]}, ["Fz"])),
-                "options": _a(
+                "vehicle": thing(_vehicle()),
+                "pools": thing(_pools(), refused=({"Fz": None}, {"Fq": _pools()["Fz"]}, ["Fz"])),
+                "options": thing(
                     IdentifyOptions(method="polynomial"), refused=("polynomial", MonitorSettings())
                 ),
             },
@@ -495,10 +437,10 @@ def file_calls() -> dict[str, Call]:
             quadpi.judge,
             {
                 "model": model,
-                "flights": _a(
+                "flights": thing(
                     [flight], same=(flight, (flight,)), refused=([flight, flight], [flown], [flight.inputs])
                 ),
-                "groups": _a(
+                "groups": thing(
                     {"all": ["flight"]},
                     same=({"all": "flight"}, {"all": ("flight",)}),
                     refused=({"all": ["other"]}, {"all": []}, {"all": None}),
@@ -508,20 +450,20 @@ def file_calls() -> dict[str, Call]:
             },
             slow=True,
         ),
-        "load_pools": Call(quadpi.load_pools, {"name_or_path": _name("quadrotor")}, slow=True),
-        "load_scenario": Call(quadpi.load_scenario, {"name_or_path": _name("bundled")}, slow=True),
+        "load_pools": Call(quadpi.load_pools, {"name_or_path": named("quadrotor")}, slow=True),
+        "load_scenario": Call(quadpi.load_scenario, {"name_or_path": named("bundled")}, slow=True),
         "load_simulation": Call(
             slow=True,
             function=quadpi.load_simulation,
             arguments={
-                "text": _name("bebop2"),
-                "vehicle": _name("bebop2", None, required=False, allowed=_any(str, Path, type(None))),
-                "bags": _a(
+                "text": named("bebop2"),
+                "vehicle": named("bebop2", None, required=False, allowed=of_kinds(str, Path, type(None))),
+                "bags": thing(
                     [],
                     "paths",
                     required=False,
                     same=((), "a.mcap", [Path("a.mcap")]),
-                    allowed=_any(str, Path, list, tuple),
+                    allowed=of_kinds(str, Path, list, tuple),
                 ),
             },
         ),
@@ -529,9 +471,9 @@ def file_calls() -> dict[str, Call]:
             quadpi.prepare_flights,
             {
                 "paths": _paths(),
-                "vehicle": _a(_vehicle()),
-                "cutoff_hz": _number(30.0, 20.0, refused=(0.0, -1.0, 1e9)),
-                "workers": _a(Workers(), required=False),
+                "vehicle": thing(_vehicle()),
+                "cutoff_hz": figure(30.0, 20.0, refused=(0.0, -1.0, 1e9)),
+                "workers": thing(Workers(), required=False),
             },
             slow=True,
         ),
@@ -539,17 +481,17 @@ def file_calls() -> dict[str, Call]:
             quadpi.read_flights,
             {
                 "paths": _paths(),
-                "simulation": _a(quadpi.load_simulation("bebop2")),
-                "workers": _a(Workers(), required=False),
+                "simulation": thing(quadpi.load_simulation("bebop2")),
+                "workers": thing(Workers(), required=False),
             },
             slow=True,
         ),
         "read_recording": Call(
             quadpi.read_recording,
             {
-                "path": _name(str(_bag())),
-                "vehicle": _a(_vehicle(), allowed=_none),
-                "mapping": _a(None, "name", required=False, refused=("nanodrone",), allowed=_none),
+                "path": named(str(_bag())),
+                "vehicle": thing(_vehicle(), allowed=no_value),
+                "mapping": thing(None, "name", required=False, refused=("nanodrone",), allowed=no_value),
             },
             slow=True,
         ),
@@ -558,33 +500,33 @@ def file_calls() -> dict[str, Call]:
             {
                 "model": model,
                 "vehicle": vehicle,
-                "bag": _name(str(_bag())),
-                "output": _output("replayed.mcap"),
+                "bag": named(str(_bag())),
+                "output": output("replayed.mcap"),
                 "confidence": confidence,
-                "settings": _a(MonitorSettings(), required=False, allowed=_none),
+                "settings": thing(MonitorSettings(), required=False, allowed=no_value),
             },
             slow=True,
         ),
         "simulate": Call(
             quadpi.simulate,
             {
-                "plans": _a(
+                "plans": thing(
                     [_plan()],
                     same=(_plan(), (_plan(),)),
                     refused=("bundled", quadpi.load_scenario("bundled"), [_plan(), "bundled"]),
-                    allowed=_any(list, tuple),
+                    allowed=of_kinds(list, tuple),
                 ),
-                "output": _output(""),
-                "workers": _a(Workers(), required=False),
+                "output": output(""),
+                "workers": thing(Workers(), required=False),
             },
             slow=True,
         ),
         "study": Call(
             quadpi.study,
             {
-                "simulation": _a(quadpi.load_simulation("bebop2")),
-                "flights": _a([flown, flown], refused=([flown], flown, [flight, flight])),
-                "names": _a(None, "names", required=False, allowed=_any(str, list, tuple, type(None))),
+                "simulation": thing(quadpi.load_simulation("bebop2")),
+                "flights": thing([flown, flown], refused=([flown], flown, [flight, flight])),
+                "names": thing(None, "names", required=False, allowed=of_kinds(str, list, tuple, type(None))),
                 "seed": Argument(0, Number((1, 5), (-1, 0.5, float("nan"))), "number", required=False),
             },
             slow=True,
@@ -605,7 +547,7 @@ def _recorded(time_ns: Any, angular_velocity: Any, specific_force: Any, position
 @cache
 def _bag() -> Path:
     """A simulated flight of a second and a half."""
-    (flown,) = quadpi.simulate([_plan()], _folder())
+    (flown,) = quadpi.simulate([_plan()], folder())
     return flown.bag
 
 
@@ -617,7 +559,7 @@ def _plan() -> Any:
 
 def _paths() -> Argument:
     bag = _bag()
-    return _a(
+    return thing(
         [bag, _BAGS / "train_1.mcap"],
         "paths",
         same=([str(bag), str(_BAGS / "train_1.mcap")], (bag, _BAGS / "train_1.mcap")),
@@ -649,7 +591,10 @@ def read_call(path: Path, _number: int) -> None:
 
 def _named(name: str) -> Call:
     """A call, without the others' files and models where it needs none."""
-    return array_calls()[name] if name in array_calls() else file_calls()[name]
+    for known in (array_calls, library_calls, file_calls):
+        if name in known():
+            return known()[name]
+    raise KeyError(name)
 
 
 def check_call(call: Call, name: str, rng: random.Random) -> None:
@@ -706,7 +651,8 @@ def _changed(call: Call, rng: random.Random) -> tuple[dict[str, Any], Must, str]
         argument = call.arguments[name]
         value, own = argument.change(rng, argument.clean)
         lengths = [len(value) for value in given.values() if isinstance(value, np.ndarray) and value.ndim]
-        if isinstance(value, np.ndarray) and value.ndim and len(value) != _ROWS and len(value) in lengths:
+        rows = argument.clean.shape[:1] if isinstance(argument.clean, np.ndarray) else None
+        if isinstance(value, np.ndarray) and value.ndim and value.shape[:1] != rows and len(value) in lengths:
             continue  # arrays that were changed alike fit each other
         given[name] = value
         must = max(must, own)

@@ -1,13 +1,17 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Random changes to the arguments of a call, each with what the call must then do."""
+"""Calls, and random changes to their arguments, each with what the call must then do."""
 
 from __future__ import annotations
 
+import atexit
 import random
-from collections.abc import Callable, Sequence
+import shutil
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -232,3 +236,78 @@ class Other:
             return rng.choice(self.refused), Must.REFUSE
         wrong = rng.choice(_NO_OBJECTS)
         return wrong, Must.END_WELL if self.allowed(wrong) else Must.REFUSE
+
+
+@dataclass(frozen=True)
+class Call:
+    """A public call.
+
+    Attributes:
+        function: what is called, with `arguments` by keyword.
+        arguments: by parameter.
+        share: of all calls.
+        slow: whether it takes more than some milliseconds to give a result.
+        keeps: whether it gives a record that keeps what it is given, finite or not.
+    """
+
+    function: Callable[..., Any]
+    arguments: Mapping[str, Argument]
+    share: float = 1.0
+    slow: bool = False
+    keeps: bool = False
+
+
+def short(values: Any) -> npt.NDArray[np.float64]:
+    """Numbers that fit 32 bits, so that arrays of them say the same."""
+    return np.asarray(values, np.float32).astype(np.float64)
+
+
+@cache
+def folder() -> Path:
+    """A folder for what calls write, until this process ends."""
+    place = "/dev/shm" if Path("/dev/shm").is_dir() else None
+    path = tempfile.mkdtemp(prefix="quadpi.fuzz.", dir=place)
+    atexit.register(shutil.rmtree, path, ignore_errors=True)
+    return Path(path)
+
+
+def of_kinds(*kinds: type) -> Callable[[Any], bool]:
+    return lambda value: isinstance(value, kinds) and not isinstance(value, bool)
+
+
+def output(name: str) -> Argument:
+    """A path to write to; no other one, as files of the calls would lie about."""
+    path = folder() / name
+
+    def change(rng: random.Random, _value: Any) -> tuple[Any, Must]:
+        if rng.random() < 0.5:
+            return rng.choice((path, str(path))), Must.GIVE_THE_SAME
+        return rng.choice((None, 5, 1.5, b"x", [], [str(path)], 1j, "\0", "")), Must.REFUSE
+
+    return Argument(str(path), change, "name")
+
+
+def no_value(value: Any) -> bool:
+    return value is None
+
+
+def rows_of(clean: Any, **how: bool) -> Argument:
+    return Argument(clean, Rows(**how), f"array {np.shape(clean)[1:]} {np.asarray(clean).dtype.kind}")
+
+
+def thing(clean: Any, kind: str = "", *, required: bool = True, **how: Any) -> Argument:
+    return Argument(clean, Other(**how), kind or type(clean).__name__, required)
+
+
+def figure(clean: float, *others: float, optional: bool = False, refused: tuple[float, ...] = ()) -> Argument:
+    refused = (*Number.refused, *refused)
+    return Argument(clean, Number(others, refused, optional), "number", required=False)
+
+
+def named(clean: str, *same: Any, **how: Any) -> Argument:
+    how.setdefault("allowed", lambda value: isinstance(value, str | Path))
+    return thing(clean, "name", same=(Path(clean), clean, *same), **how)
+
+
+def confidence_level() -> Argument:
+    return figure(0.95, 0.9, 0.5, 0.99, 0.0, -1.0, 95.0, 1.0, optional=True)

@@ -135,7 +135,7 @@ class CoverageTable:
         Args:
             axes: one of matplotlib; a new figure unless given.
         """
-        axes = new_axes(axes)
+        (axes,) = new_axes(axes)
         for place, axis in enumerate(dict.fromkeys(row.axis for row in self.pooled)):
             rows = [row for row in self.pooled if row.axis == axis]
             shares = np.array([(row.coverage, row.low, row.high) for row in rows]).T
@@ -237,6 +237,7 @@ def _quantity(by: str | None) -> tuple[str, Callable[[PreparedFlight], Array]]:
     """Unit of a quantity, and its values (N,) of a flight."""
     if by is None:
         return "", lambda flight: np.zeros(len(flight.time))
+    array_checks.instance("by", by, str)
     if by in INPUT_INDEX:
         return "", lambda flight: flight.inputs[:, INPUT_INDEX[by]]
     if by not in _QUANTITIES:

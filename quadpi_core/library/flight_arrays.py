@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -43,6 +43,10 @@ if TYPE_CHECKING:
 _OPTIONAL = ("position", "wind")
 _DERIVED = "angular_acceleration"
 _TIME, _FLIGHT = "time_ns", "flight"
+# Types of the names of columns.
+_COLUMN = (str, int, np.integer)
+# No quantity of a flight is larger in its SI unit; those of raw signals are looked at one by one.
+_LARGEST = 1e6
 _NO_LABEL = ("nan", "NaT", "None", "<NA>")
 # What `to_frame` says of a table beside its columns.
 _CUTOFF, _ROWS = "cutoff_hz", "rows"
@@ -81,6 +85,11 @@ def prepared_from_arrays(
             check_stamps("time_ns", stamps[rows])
         recording = _recording(label, vehicle, stamps[rows], own)
         if filtered:
+            for name, values in own.items():
+                largest = np.abs(values).max(axis=1)
+                for sample in np.flatnonzero(largest > _LARGEST)[:1]:
+                    found = f"{largest[sample]:.3g}, which no flight has"
+                    raise LogError(f"flight {label}: {name}: sample {sample}: magnitude of {found}")
             is_whole = (whole or {}).get(label) == len(rows)
             prepared.append(_taken(recording, own[_DERIVED], vehicle, is_whole=is_whole))
         else:
@@ -181,6 +190,8 @@ def from_frame(
 ) -> tuple[tuple[PreparedFlight, ...], float]:
     """Flights of a table, and their low-pass; see `Flights.from_pandas`."""
     array_checks.instance("frame", frame, pandas().DataFrame)
+    array_checks.instance("filtered", filtered, bool)
+    array_checks.instance("columns", {} if names is None else names, Mapping)
     if cutoff_hz is None:
         cutoff_hz = frame.attrs.get(_CUTOFF) if filtered else CUTOFF_HZ["default"]
     if cutoff_hz is None:
@@ -189,7 +200,8 @@ def from_frame(
     for quantity, own in (names or {}).items():
         if quantity not in STATES:
             raise ArgumentError(f"columns: no quantity {quantity!r}; there are {', '.join(STATES)}")
-        if isinstance(own, str) or len(own) != len(STATES[quantity]):
+        listed = own if isinstance(own, list | tuple | np.ndarray) else ()
+        if len(listed) != len(STATES[quantity]) or not all(isinstance(name, _COLUMN) for name in listed):
             raise ArgumentError(f"columns, {quantity}: expected {len(STATES[quantity])} names, found {own!r}")
         columns[quantity] = own
     if not filtered:
@@ -208,23 +220,33 @@ def from_frame(
             arrays[quantity] = part.to_numpy(dtype=float, na_value=np.nan) if numbers else part.to_numpy()
         elif quantity not in _OPTIONAL or len(absent) < len(own):
             raise ArgumentError(
-                f"frame: {quantity} needs the columns {', '.join(own)}: no {', '.join(absent)}; "
+                f"frame: {quantity} needs the columns {_listed(own)}: no {_listed(absent)}; "
                 f'columns={{"{quantity}": […]}} names yours'
             )
-    for name in (time, flight):
-        if name is not None and name not in frame.columns:
-            known = ", ".join(map(str, frame.columns))
-            hint = "; reset_index() makes it one" if name in frame.index.names else f"; it has {known}"
+    for argument, name in (("time", time), ("flight", _FLIGHT if flight is None else flight)):
+        if not isinstance(name, _COLUMN):
+            raise ArgumentError(
+                f"{argument}: expected the name of a column, found {array_checks.found(name)}"
+            )
+        if name not in frame.columns and (argument, flight) != ("flight", None):
+            indexed = name in frame.index.names
+            hint = "; reset_index() makes it one" if indexed else f"; it has {_listed(frame.columns)}"
             raise ArgumentError(f"frame: no column {name}{hint}")
     labels = None if flight is None else frame[flight].to_numpy()
     stamps = frame[time].to_numpy()
-    if stamps.dtype.kind == "M":
-        stamps = stamps.astype("datetime64[ns]").astype(np.int64)
+    if getattr(frame[time], "dtype", stamps.dtype).kind == "M":  # of a time zone too
+        stamps = frame[time].to_numpy("datetime64[ns]").astype(np.int64)
     whole = frame.attrs.get(_ROWS)
+    if not isinstance(whole, Mapping):
+        whole = None  # another library's
     return (
         prepared_from_arrays(stamps, arrays, labels, vehicle, cutoff_hz, filtered=filtered, whole=whole),
         cutoff_hz,
     )
+
+
+def _listed(names: Iterable[Any]) -> str:
+    return ", ".join(map(str, names))
 
 
 def to_frame(flights: Sequence[PreparedFlight], cutoff_hz: float) -> pd.DataFrame:

@@ -25,12 +25,14 @@ from quadpi_core.library.notebook import html_table
 from quadpi_core.models.model_kind import CUTOFF_HZ
 from quadpi_core.parallel import Workers
 from quadpi_core.reading_options import MappingOrOptions
-from quadpi_core.vehicle import Vehicle
+from quadpi_core.vehicle import LOAD_VEHICLE, Vehicle
 
 if TYPE_CHECKING:
     import pandas as pd
 
 _NAMES_SHOWN = 4
+# More processes than any machine has cores are a slip.
+_WORKERS_MAX = 4096
 
 
 # Compared and hashed by identity: arrays have no truth value.
@@ -55,6 +57,8 @@ class Flights:
     def __post_init__(self) -> None:
         """Refuse what are no flights, two of one name, and one that is there twice."""
         prepared = array_checks.several("prepared", self.prepared, PreparedFlight, "load_flights gives them")
+        array_checks.instance("vehicle", self.vehicle, Vehicle, LOAD_VEHICLE)
+        array_checks.number("cutoff_hz", self.cutoff_hz, above=0.0)
         object.__setattr__(self, "prepared", tuple(prepared))
         if not prepared:
             raise ArgumentError("flights: expected one at least, found none")
@@ -258,12 +262,16 @@ def load_flights(
         workers: processes that read; as many as pay unless given.
 
     Raises:
-        ArgumentError: for what are no paths, vehicle or frequency.
+        ArgumentError: for what are no paths, vehicle, frequency, list or number of processes.
         LogError: for a pattern that fits no file, and what cannot be read or used, naming the file.
         SignalError: naming the file, where the signals cannot be fused.
         VehicleError: for a vehicle file that cannot be used.
     """
     flown = _vehicle(vehicle)
+    if left_out is not None:
+        array_checks.instance("left_out", left_out, list)
+    if workers is not None:
+        workers = array_checks.whole("workers", workers, 1, _WORKERS_MAX)
     paths = [path for log in array_checks.paths("logs", logs) for path in _matching(log)]
     prepared = prepare_flights(
         paths, flown, cutoff_hz, mapping=mapping, workers=Workers(workers), left_out=left_out

@@ -164,7 +164,7 @@ class Discrepancy:
         Args:
             axes: one of matplotlib; a new figure unless given.
         """
-        axes, gap, places = new_axes(axes), self.study.discovery.gap, np.arange(len(AXES))
+        (axes,), gap, places = new_axes(axes), self.study.discovery.gap, np.arange(len(AXES))
         axes.bar(places - 0.2, gap.before / gap.floor, 0.4, label="before")
         axes.bar(places + 0.2, gap.after / gap.floor, 0.4, label="with the effects")
         axes.axhline(1.0, color="black", linestyle="--", linewidth=0.8, label="floor: noise of the sensors")

@@ -163,7 +163,7 @@ class Monitor:
                 stacklevel=2,
             )
             return self._monitor.step(np.asarray(time_ns), values)
-        stamps = array_checks.stamps("time_ns", np.atleast_1d(np.asarray(time_ns)))
+        stamps = array_checks.stamps("time_ns", np.atleast_1d(_array("time_ns", time_ns)))
         given = {
             "velocity": velocity,
             "attitude": attitude,
@@ -234,10 +234,17 @@ class Monitor:
         return f"<Monitor of {model.vehicle:.40} with {name:.40}: {LEVELS[self._level]}>"
 
 
+def _array(name: str, given: npt.ArrayLike) -> npt.NDArray[Any]:
+    try:
+        return np.asarray(given)
+    except ValueError:
+        raise ArgumentError(f"{name}: expected numbers, found {array_checks.found(given)}") from None
+
+
 def _columns(name: str, given: npt.ArrayLike | None, stamps: npt.NDArray[np.int64]) -> Array:
     """A quantity of each sample (K, columns); it need not be finite."""
     if given is None:
         raise ArgumentError(f"{name}: expected numbers, found None; only wind may be left out")
-    values = np.asarray(given)
+    values = _array(name, given)
     values = values[np.newaxis] if values.ndim == 1 and len(stamps) == 1 else values
     return array_checks.floats(name, values, _WIDTHS[name], rows=len(stamps), of="time_ns", finite=False)

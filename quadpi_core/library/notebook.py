@@ -8,7 +8,10 @@ from collections.abc import Iterable, Sequence
 from html import escape
 from typing import Any
 
-from quadpi_core.errors import require_library
+import numpy as np
+
+from quadpi_core.array_checks import found
+from quadpi_core.errors import ArgumentError, require_library
 
 _ROWS_SHOWN = 12
 
@@ -25,16 +28,21 @@ def _row(cell: str, values: Iterable[Any]) -> str:
 
 
 def new_axes(axes: Any, count: int = 1) -> Any:
-    """Axes of matplotlib to draw on: those given, else `count` of a new figure, one below another.
+    """Axes (count,) of matplotlib to draw on: those given, else of a new figure, one below another.
 
     Raises:
+        ArgumentError: for what are no axes, or another number of them.
         LogError: without matplotlib.
     """
     if axes is not None:
-        return axes
+        given = np.ravel(np.array(axes, dtype=object))
+        if len(given) != count or not all(hasattr(one, "fill_between") for one in given):
+            raise ArgumentError(f"axes: expected {count} of matplotlib, found {found(axes)}")
+        return given
     pyplot = require_library("matplotlib.pyplot", "notebook")
     height_in = max(3.0, 1.8 * count)
-    return pyplot.subplots(count, 1, sharex=True, figsize=(8.0, height_in), layout="constrained")[1]
+    figure = {"figsize": (8.0, height_in), "layout": "constrained"}
+    return np.ravel(pyplot.subplots(count, 1, sharex=True, **figure)[1])
 
 
 def pandas() -> Any:

@@ -9,7 +9,8 @@ monitor takes kinds of model alone (docs/add-a-kind-of-model.md).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -17,8 +18,9 @@ from typing import Annotated, Any, ClassVar, Protocol
 
 import numpy as np
 
+from quadpi_core import array_checks
 from quadpi_core.config_schema import NotEmpty, OneOf, Real, Text, parse_config
-from quadpi_core.errors import ModelError
+from quadpi_core.errors import ModelError, QuadpiError, one_line
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.identification.prepared_flights import PreparedFlight
@@ -201,15 +203,28 @@ def predictions(regressor: Regressor, X: Array) -> Array:
     """Predictions (N,) of a regressor.
 
     Raises:
-        ModelError: for another shape, and numbers that are not finite.
+        ModelError: for another shape, and what are no finite numbers; for whatever it raises.
     """
-    values = np.asarray(regressor.predict(X), dtype=float)
     name = type(regressor).__name__
-    if values.size != len(X):
-        raise ModelError(f"{name}: gives predictions of shape {values.shape} for {len(X)} samples")
+    with _named(regressor):
+        values = np.asarray(regressor.predict(X))
+    if values.size != len(X) or values.dtype.kind not in "iuf":
+        raise ModelError(f"{name}: predicts {array_checks.found(values)} for {len(X)} samples")
     if not np.isfinite(values).all():
         raise ModelError(f"{name}: sample {np.argmin(np.isfinite(values.ravel()))}: prediction is not finite")
-    return values.reshape(len(X))
+    return values.astype(float).reshape(len(X))
+
+
+@contextmanager
+def _named(regressor: Regressor) -> Iterator[None]:
+    """Name the regressor in what it raises, which remains the cause."""
+    try:
+        yield
+    except QuadpiError:
+        raise
+    except Exception as error:
+        name, kind = type(regressor).__name__, type(error).__name__
+        raise ModelError(f"estimator {name}: {kind}: {one_line(error)}") from error
 
 
 def fitted_regressor(
@@ -271,7 +286,8 @@ def fitted_regressor(
 
 def _fit(regressor: Regressor, X: Array, y: Array) -> Regressor:
     own = deepcopy(regressor)
-    own.fit(X, y)
+    with _named(own):
+        own.fit(X, y)
     return own
 
 

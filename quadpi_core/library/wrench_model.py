@@ -44,6 +44,10 @@ class Interval(NamedTuple):
         return brief_repr(self)
 
 
+class ParameterError(ArgumentError, ValueError):
+    """A parameter that an estimator does not have; scikit-learn's own raise ValueError."""
+
+
 class StoredEstimator(str):
     """Name of the estimator of a model folder, which does not hold the estimator's options."""
 
@@ -110,9 +114,12 @@ class WrenchModel:
         given = flights_in("flights", flights)
         if y is not None:
             raise ArgumentError("y: expected None, as flights hold the wrench that they measured")
+        array_checks.instance("keep_flawed", self.keep_flawed, bool)
         if isinstance(self.axes, str):
             raise ArgumentError(f"axes: expected a list of names, found {self.axes!r}")
-        pools = select_axes(load_pools(self.candidates), None if self.axes is None else ",".join(self.axes))
+        given_axes = self.axes.tolist() if isinstance(self.axes, np.ndarray) else self.axes
+        axes = None if given_axes is None else ",".join(array_checks.several("axes", given_axes, str))
+        pools = select_axes(load_pools(self.candidates), axes)
         if isinstance(self.estimator, StoredEstimator):
             raise ModelError(
                 f"estimator {self.estimator}: read from a folder, which does not hold its options, so it "
@@ -256,7 +263,11 @@ class WrenchModel:
         return own
 
     def set_params(self: Self, **params: Any) -> Self:
-        """Change constructor arguments by name, `estimator` before what is nested in it."""
+        """Change constructor arguments by name, `estimator` before what is nested in it.
+
+        Raises:
+            ParameterError: for a name that there is not.
+        """
         known = self.get_params(deep=False)
         for name, value in params.items():
             if name in known:
@@ -266,7 +277,7 @@ class WrenchModel:
             if name in known:
                 continue
             if outer != "estimator" or not nested or not hasattr(self.estimator, "set_params"):
-                raise ValueError(f"unknown parameter {name!r}; known: {', '.join(self.get_params())}")
+                raise ParameterError(f"unknown parameter {name!r}; known: {', '.join(self.get_params())}")
             self.estimator.set_params(**{inner: value})
         return self
 
@@ -288,7 +299,7 @@ class WrenchModel:
     def __repr__(self) -> str:
         estimator = self.estimator if isinstance(self.estimator, str) else type(self.estimator).__name__
         if not hasattr(self, "model_"):
-            return f"<WrenchModel {estimator:.40}, confidence {self.confidence:g}, not fitted>"
+            return f"<WrenchModel {estimator:.40}, confidence {self.confidence!s:.12}, not fitted>"
         model = self.model_
         return (
             f"<WrenchModel {estimator:.40}, confidence {model.confidence:g}: {model.vehicle:.40}, "
@@ -322,7 +333,7 @@ class WrenchModel:
         if len(given) != 1:
             raise ArgumentError(f"flights: expected one to draw, found {len(given)}: flights[0] is the first")
         interval, measured = self.predict_interval(given, confidence), given.wrench
-        axes = np.ravel(new_axes(axes, len(self.axes_)))
+        axes = new_axes(axes, len(self.axes_))
         for own, axis in zip(axes, self.axes_, strict=True):
             column = AXES.index(axis)
             bounds = (bound[:, column] for bound in interval)

@@ -107,6 +107,7 @@ def test_edges_of_a_users_own(quick, unseen):
     ("change", "message"),
     [
         ({"by": "colour"}, "by: no quantity 'colour'; there are speed, rotor_speed, height, time, u, v"),
+        ({"by": ["speed"]}, "by: expected str, found list"),
         ({"bins": 0}, "bins: expected a whole number from 1 to 1000, found int 0"),
         ({"bins": [1.0]}, "bins: expected edges that rise"),
         ({"bins": [1.0, 2.0]}, "lie beyond the edges 1 to 2"),

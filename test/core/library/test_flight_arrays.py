@@ -100,8 +100,9 @@ def test_arrays_and_tables_are_the_same(frame):
     renamed = one.rename(columns={"p_rad_s": "p", "q_rad_s": "q", "r_rad_s": "r", "time_ns": "t"})
     mine = qp.Flights.from_pandas(renamed, vehicle="bebop2", time="t", columns={"rates": ["p", "q", "r"]})
     assert np.array_equal(mine.inputs, table.inputs)
-    dated = one.assign(time_ns=one["time_ns"].astype("datetime64[ns]"))
-    assert np.array_equal(qp.Flights.from_pandas(dated, vehicle="bebop2").inputs, table.inputs)
+    for dates in ("datetime64[ns]", "datetime64[ns, UTC]"):
+        dated = one.assign(time_ns=one["time_ns"].astype(dates))
+        assert np.array_equal(qp.Flights.from_pandas(dated, vehicle="bebop2").inputs, table.inputs)
 
 
 def test_position_and_wind_may_be_absent(state):
@@ -189,6 +190,10 @@ def test_bad_tables_are_refused_by_column(frame, change, message):
             lambda table: table.assign(**{name: table[name] / 9.81 for name in FORCES}),
             "flight train_1: topic imu: the median specific force is .*: looks like g",
         ),
+        (
+            lambda table: table.assign(u_m_s=table["u_m_s"].where(table.index != 7, 1e300)),
+            r"flight train_1: velocity: sample 7: magnitude of 1e\+300, which no flight has",
+        ),
     ],
 )
 def test_filtered_tables_are_checked_as_raw_ones_are(training, change, message):
@@ -202,6 +207,9 @@ def test_filtered_tables_are_checked_as_raw_ones_are(training, change, message):
     ("columns", "message"),
     [
         ({"rate": ["p", "q", "r"]}, "columns: no quantity 'rate'; there are position, attitude"),
+        ({"rates": 5}, "columns, rates: expected 3 names, found 5"),
+        ({"rates": ["p", "q", None]}, "columns, rates: expected 3 names"),
+        (["p", "q", "r"], "columns: expected Mapping, found list"),
         ({"rates": ["p", "q"]}, r"columns, rates: expected 3 names, found \['p', 'q'\]"),
         ({"rates": ["p", "q", "r"]}, "frame: rates needs the columns p, q, r: no p, q, r"),
     ],

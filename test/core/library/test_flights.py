@@ -64,6 +64,16 @@ def test_what_cannot_be_used_is_left_out_where_it_is_asked_for(tmp_path):
         (lambda _: qp.load_flights("no.mcap", "bebop2"), r"no\.mcap: no such file"),
         (lambda _: qp.load_flights(7, "bebop2"), "logs: expected paths, found int 7"),
         (lambda _: qp.load_flights(BAGS / "train_1.mcap", "bebop3"), "bebop3"),
+        (
+            lambda f: qp.load_flights(BAGS / "train_1.mcap", f.vehicle, workers=0),
+            "workers: expected a whole num",
+        ),
+        (
+            lambda f: qp.load_flights("no.mcap", f.vehicle, left_out=()),
+            "left_out: expected list, found tuple",
+        ),
+        (lambda f: qp.Flights(f.prepared, "bebop2"), "vehicle: expected Vehicle, found str 'bebop2'"),
+        (lambda f: qp.Flights(f.prepared, f.vehicle, -1.0), "cutoff_hz: expected a positive number"),
         (lambda f: f + f, "flights: two are called train_1: load them in one call, which names them"),
         (
             lambda f: f[:1] + qp.Flights([replace(f.prepared[0], name="copy")], f.vehicle),

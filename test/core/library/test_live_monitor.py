@@ -120,6 +120,7 @@ def test_the_old_call_warns_and_gives_what_it_gave(quick, unseen):
         ({"rates": None}, "rates: expected numbers, found None; only wind may be left out"),
         ({"rotor_speeds": np.zeros((9, 3))}, r"rotor_speeds: expected shape \(9, 4\) for time_ns"),
         ({"attitude": np.zeros(4)}, r"attitude: expected shape \(9, 4\) for time_ns"),
+        ({"velocity": [[0.0], [0.0, 1.0]]}, "velocity: expected numbers, found list"),
         ({"velocity": "fast"}, "velocity: expected numbers, found"),
     ],
 )

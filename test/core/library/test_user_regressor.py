@@ -102,6 +102,16 @@ class NotFinite(Mean):
         return np.where(np.arange(len(X)) == 7, np.nan, self.mean)
 
 
+class Words(Mean):
+    def predict(self, X):
+        return len(X) * ["much"]
+
+
+class Picky(Mean):
+    def fit(self, _X, _y):
+        raise ValueError("expected alpha > 0,\nfound -1")
+
+
 class TooFew(Mean):
     def predict(self, _X):
         return np.zeros(3)
@@ -111,7 +121,9 @@ class TooFew(Mean):
     ("regressor", "flights", "message"),
     [
         (NotFinite(), 4, "NotFinite: sample 7: prediction is not finite"),
-        (TooFew(), 4, r"TooFew: gives predictions of shape \(3,\) for \d+ samples"),
+        (TooFew(), 4, r"TooFew: predicts an array \(3,\) of float64 for \d+ samples"),
+        (Words(), 4, r"Words: predicts an array \(\d+,\) of <U4 for \d+ samples"),
+        (Picky(), 4, "estimator Picky: ValueError: expected alpha > 0, found -1$"),
         (Mean(), 1, "too few flights: 1 given, 2 or more needed to calibrate"),
     ],
 )

@@ -102,8 +102,9 @@ def test_parameters_are_set_by_name():
     model = qp.WrenchModel()
     assert model.set_params(estimator=Ridge(), estimator__alpha=3.0) is model
     assert model.get_params()["estimator__alpha"] == 3.0
-    with pytest.raises(ValueError, match="unknown parameter 'alpha'; known: estimator, confidence"):
+    with pytest.raises(qp.QuadpiError, match="unknown parameter 'alpha'; known: estimator, confidence"):
         model.set_params(alpha=1.0)
+    assert repr(qp.WrenchModel(confidence=None)) == "<WrenchModel physical, confidence None, not fitted>"
     with pytest.raises(ValueError, match="unknown parameter 'estimator__alpha'"):
         qp.WrenchModel().set_params(estimator__alpha=1.0)
 
@@ -135,6 +136,9 @@ def test_flights_with_a_flaw_are_left_out(training):
         (lambda _, f: qp.WrenchModel("physics").fit(f), "method 'physics' is not known to this version"),
         (lambda _, f: qp.WrenchModel(estimator=Ridge).fit(f), "estimator: expected the name of a kind"),
         (lambda _, f: qp.WrenchModel(axes="Fx").fit(f), "axes: expected a list of names, found 'Fx'"),
+        (lambda _, f: qp.WrenchModel(axes=[5]).fit(f), "axes, entry 1: expected str, found int 5"),
+        (lambda _, f: qp.WrenchModel(keep_flawed="no").fit(f), "keep_flawed: expected bool, found str 'no'"),
+        (lambda m, f: m.plot(f, axes=5), "axes: expected 2 of matplotlib, found int 5"),
         (lambda _, f: qp.WrenchModel("polynomial").fit(f), "too few flights: 1 given"),
         (
             lambda m, f: m.predict(qp.Flights(f.prepared, f.vehicle, 50.0)),
