@@ -21,7 +21,7 @@ from quadpi_core.frames import Array
 from quadpi_core.identification.prepared_flights import PreparedFlight
 from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES, VELOCITY_INPUTS
 from quadpi_core.library.flights import Flights, flights_in
-from quadpi_core.library.notebook import html_table, new_axes, pandas
+from quadpi_core.library.notebook import counted, html_table, new_axes, pandas
 from quadpi_core.library.wrench_model import WrenchModel
 from quadpi_core.models.interval_rules import inside_interval
 
@@ -104,9 +104,8 @@ class CoverageTable:
         learned = f", {len(self.in_sample)} of which it learned from" if self.in_sample else ""
         bins = f" by {self.by}" if self.by else ""
         return (
-            f"<CoverageTable{bins}: {flights} flights{learned}, coverage {min(shares):.1%} to "
-            f"{max(shares):.1%} of {self.confidence:.4g} stated; "
-            f"{below} of {len(shares)} cells cover too little>"
+            f"<CoverageTable{bins}: {counted(flights)}{learned}, coverage {min(shares):.1%} to "
+            f"{max(shares):.1%}, stated {self.confidence:.4g}; {below} of {len(shares)} cover too little>"
         )
 
     @property
@@ -117,7 +116,7 @@ class CoverageTable:
         rows = [
             (
                 row.axis,
-                "" if row.bin is None else f"{row.bin[0]:g} to {row.bin[1]:g} {self.unit}",
+                "" if row.bin is None else f"{row.bin[0]:.3g} to {row.bin[1]:.3g} {self.unit}",
                 f"{row.coverage:.1%}",
                 f"{row.low:.1%} to {row.high:.1%}",
                 f"{row.width:.3g}",
@@ -125,8 +124,8 @@ class CoverageTable:
             )
             for row in self.pooled
         ]
-        bounds = "95 % of this flight" if self._flights == 1 else "95 % by flight"
-        headings = ("axis", self.by or "", "coverage", bounds, "width [N, Nm]", "n")
+        bounds = f"95 % interval, {'this flight' if self._flights == 1 else 'by flight'}"
+        headings = ("axis", self.by or "", "coverage", bounds, "mean width [N, Nm]", "samples")
         return html_table(repr(self), headings, rows)
 
     def plot(self, axes: Any = None) -> Any:

@@ -21,7 +21,7 @@ from quadpi_core.frames import Array
 from quadpi_core.identification.prepared_flights import PreparedFlight, prepare_flights
 from quadpi_core.inputs import VELOCITY_INPUTS
 from quadpi_core.library.flight_arrays import from_frame, prepared_from_arrays, to_frame
-from quadpi_core.library.notebook import html_table
+from quadpi_core.library.notebook import counted, html_table
 from quadpi_core.models.model_kind import CUTOFF_HZ
 from quadpi_core.parallel import Workers
 from quadpi_core.reading_options import MappingOrOptions
@@ -217,10 +217,9 @@ class Flights:
     def __repr__(self) -> str:
         shown = ", ".join(f"{name:.24}" for name in self.names[:_NAMES_SHOWN])
         more = ", …" if len(self) > _NAMES_SHOWN else ""
-        count = "1 flight" if len(self) == 1 else f"{len(self)} flights"
         seconds = sum(float(flight.time[-1] - flight.time[0]) for flight in self.prepared)
         return (
-            f"<Flights: {count} of {self.vehicle.name:.40} ({shown}{more}), {seconds:.0f} s, "
+            f"<Flights: {counted(len(self))} of {self.vehicle.name:.40} ({shown}{more}), {seconds:.0f} s, "
             f"{len(self.time)} samples, up to {self.speed.max():.1f} m/s, low-pass {self.cutoff_hz:g} Hz>"
         )
 
@@ -237,7 +236,7 @@ class Flights:
             for place, flight in enumerate(self.prepared)
         ]
         return html_table(
-            repr(self), ("flight", "in the air [s]", "samples", "[Hz]", "up to [m/s]", "flaw"), rows
+            repr(self), ("flight", "in the air [s]", "samples", "rate [Hz]", "up to [m/s]", "flaw"), rows
         )
 
 

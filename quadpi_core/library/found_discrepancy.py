@@ -22,7 +22,7 @@ from quadpi_core.errors import ArgumentError, DiscrepancyError
 from quadpi_core.flight import AXES, Flight
 from quadpi_core.frames import Array
 from quadpi_core.library.flights import Flights, flights_in
-from quadpi_core.library.notebook import html_table, new_axes, pandas
+from quadpi_core.library.notebook import counted, html_table, new_axes, pandas
 from quadpi_core.models.model_kind import CUTOFF_HZ
 from quadpi_core.paths import require_file, scratch_folder, whole_output
 
@@ -145,7 +145,7 @@ class Discrepancy:
         study, gap = self.study, self.study.discovery.gap
         names = ", ".join(effect.name for effect in self.effects) or "no effect named"
         return (
-            f"<Discrepancy {study.simulation.name:.60} and {len(study.flights)} flights: {self.verdict}, "
+            f"<Discrepancy {study.simulation.name:.60} and {counted(len(study.flights))}: {self.verdict}, "
             f"{names:.80}, {gap.reduction:.0%} of the gap closed>"
         )
 
@@ -155,7 +155,7 @@ class Discrepancy:
             for effect in self.effects
             for own in effect.parameters
         ]
-        headings = ("effect", "parameter", "value", "95 %", "unit")
+        headings = ("effect", "parameter", "value", "95 % interval", "unit")
         return html_table(" ".join((repr(self), *self.doubts)), headings, rows)
 
     def plot(self, axes: Any = None) -> Any:

@@ -23,6 +23,11 @@ def html_table(sentence: str, headings: Sequence[str], rows: Sequence[Sequence[A
     return f"<p>{escape(sentence)}</p><table>{_row('th', headings)}{body}</table>{more}"
 
 
+def counted(flights: int) -> str:
+    """Their number in words."""
+    return "1 flight" if flights == 1 else f"{flights} flights"
+
+
 def _row(cell: str, values: Iterable[Any]) -> str:
     return f"<tr>{''.join(f'<{cell}>{escape(str(value))}</{cell}>' for value in values)}</tr>"
 

@@ -21,7 +21,7 @@ from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.identification.identify import identify
 from quadpi_core.library.flights import Flights, flights_in
-from quadpi_core.library.notebook import html_table, new_axes
+from quadpi_core.library.notebook import counted, html_table, new_axes
 from quadpi_core.library.user_regressor import Regressor, RegressorModel, fitted_regressor, is_regressor
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.candidate_pool import load_pools, select_axes
@@ -303,7 +303,7 @@ class WrenchModel:
         model = self.model_
         return (
             f"<WrenchModel {estimator:.40}, confidence {model.confidence:g}: {model.vehicle:.40}, "
-            f"{' '.join(model.axes)}, {len(model.flights)} flights>"
+            f"{' '.join(model.axes)}, {counted(len(model.flights))}>"
         )
 
     def _repr_html_(self) -> str:
@@ -314,7 +314,7 @@ class WrenchModel:
             for axis, shares in self.model_.held_out_coverage.items()
             if shares
         ]
-        headings = ("axis", "coverage of flights left out", "least of them")
+        headings = ("axis", "coverage of flights left out", "of the worst of them")
         return html_table(f"{self!r} {self.model_.calibration()}", headings, rows)
 
     def plot(self, flights: Flights, confidence: float | None = None, axes: Any = None) -> Any:

@@ -59,10 +59,10 @@ def test_the_interval_of_all_flights_is_by_flight(quick, unseen, training):
         assert row.low == pytest.approx(max(row.coverage - half, 0.0), abs=1e-6)
         assert row.high == pytest.approx(min(row.coverage + half, 1.0), abs=1e-6)
         assert row.high - row.low > 0.9
-    assert "<th>95 % by flight</th>" in table._repr_html_()
+    assert "<th>95 % interval, by flight</th>" in table._repr_html_()
     one = qp.evaluate(quick, unseen, by=None)
     assert [(row.low, row.high) for row in one.pooled] == [(row.low, row.high) for row in one.rows]
-    assert "<th>95 % of this flight</th>" in one._repr_html_()
+    assert "<th>95 % interval, this flight</th>" in one._repr_html_()
 
 
 def test_flights_that_agree_give_no_certainty(quick, training):
