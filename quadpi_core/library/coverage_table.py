@@ -176,31 +176,31 @@ def evaluate(
     unit, quantity = _quantity(by)
     values = [quantity(flight) for flight in given.prepared]
     edges = _edges(np.concatenate(values), 1 if by is None else bins)
-    said = model.evaluations(given, confidence)
+    evaluated = model.evaluations(given, confidence)
     confidence = model.model_.confidence if confidence is None else confidence
-    places = [np.clip(np.searchsorted(edges, own, side="right") - 1, 0, len(edges) - 2) for own in values]
+    places = [np.clip(np.searchsorted(edges, each, side="right") - 1, 0, len(edges) - 2) for each in values]
 
     def rows_of(name: str, members: Sequence[int]) -> list[CoverageRow]:
         of = np.repeat(members, [len(values[k]) for k in members])
         at = np.concatenate([places[k] for k in members])
         lower, upper, predicted = (
-            np.concatenate([getattr(said[k], bound) for k in members])
+            np.concatenate([getattr(evaluated[k], bound) for k in members])
             for bound in ("lower", "upper", "predicted")
         )
         measured = np.concatenate([given.prepared[k].wrench for k in members])
-        found = []
+        rows = []
         for axis in model.axes_:
             for place, ends in enumerate(pairwise(edges.tolist())):
                 cell, column = at == place, AXES.index(axis)
                 if cell.any():
-                    y, low, high = (own[cell, column] for own in (measured, lower, upper))
+                    y, low, high = (array[cell, column] for array in (measured, lower, upper))
                     interval = _bounds(inside_interval(y, low, high), y - predicted[cell, column], of[cell])
-                    shown = None if by is None else ends
+                    bounds = None if by is None else ends
                     width = mpiw(low, high)
-                    found.append(
-                        CoverageRow(name, axis, shown, picp(y, low, high), *interval, width, int(cell.sum()))
+                    rows.append(
+                        CoverageRow(name, axis, bounds, picp(y, low, high), *interval, width, int(cell.sum()))
                     )
-        return found
+        return rows
 
     learned = {flight.sha256 for flight in model.model_.flights} - {""}
     return CoverageTable(

@@ -134,9 +134,9 @@ class Discrepancy:
         Columns: effect, parameter, value, lower, upper, unit, probability, axes, rivals.
         """
         rows = [
-            (effect.name, own.name, own.value, own.lower, own.upper, own.unit, *_of(effect))
+            (effect.name, size.name, size.value, size.lower, size.upper, size.unit, *_evidence(effect))
             for effect in self.effects
-            for own in effect.parameters
+            for size in effect.parameters
         ]
         frame: pd.DataFrame = pandas().DataFrame(rows, columns=_COLUMNS)
         return frame
@@ -151,9 +151,9 @@ class Discrepancy:
 
     def _repr_html_(self) -> str:
         rows = [
-            (effect.name, own.name, f"{own.value:.3g}", f"{own.lower:.3g} to {own.upper:.3g}", own.unit)
+            (effect.name, size.name, f"{size.value:.3g}", f"{size.lower:.3g} to {size.upper:.3g}", size.unit)
             for effect in self.effects
-            for own in effect.parameters
+            for size in effect.parameters
         ]
         headings = ("effect", "parameter", "value", "95 % interval", "unit")
         return html_table(" ".join((repr(self), *self.doubts)), headings, rows)
@@ -174,7 +174,7 @@ class Discrepancy:
         return axes
 
 
-def _of(effect: FoundEffect) -> tuple[float, str, str]:
+def _evidence(effect: FoundEffect) -> tuple[float, str, str]:
     return effect.probability, " ".join(effect.axes), ", ".join(effect.rivals)
 
 

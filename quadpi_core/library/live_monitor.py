@@ -18,7 +18,7 @@ from quadpi_core.errors import ArgumentError
 from quadpi_core.estimator.imu_rate import METER, ImuRate
 from quadpi_core.flight import AXES, STAMP_MAX_NS
 from quadpi_core.frames import Array
-from quadpi_core.library.wrench_model import WrenchModel, held_alone
+from quadpi_core.library.wrench_model import WrenchModel, only_axes
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.interval_rules import inside_interval
 from quadpi_core.monitor.alarm import MonitorSettings
@@ -172,7 +172,7 @@ class Monitor:
             "rotor_speeds": rotor_speeds,
             "wind": np.zeros((len(stamps), 3)) if wind is None else wind,
         }
-        block = np.hstack([_columns(name, own, stamps) for name, own in given.items()])
+        block = np.hstack([_columns(name, values, stamps) for name, values in given.items()])
         rows: list[MonitorRow] = []
         begin = 0
         for place in self._new_rates(stamps):
@@ -195,15 +195,16 @@ class Monitor:
     def _rows(self, stamps: npt.NDArray[np.int64], block: Array) -> list[MonitorRow]:
         if len(stamps) == 0 or (self._rate is not None and self._rate.begins):
             return []
-        said, alarms, _ = self._monitor.step(stamps, np.ascontiguousarray(block))
+        predictions, alarms, _ = self._monitor.step(stamps, np.ascontiguousarray(block))
         axes = self._monitor.model.axes
-        predicted, lower, upper = (held_alone(own, axes) for own in (said.predicted, said.lower, said.upper))
-        missed = ~inside_interval(said.measured, said.lower, said.upper)
+        bounds = (predictions.predicted, predictions.lower, predictions.upper)
+        predicted, lower, upper = (only_axes(array, axes) for array in bounds)
+        missed = ~inside_interval(predictions.measured, predictions.lower, predictions.upper)
         rows, next_alarm = [], 0
-        for k, stamp in enumerate(said.time_ns.tolist()):
+        for k, stamp in enumerate(predictions.time_ns.tolist()):
             next_alarm = self._take(alarms, next_alarm, stamp)
             outside = tuple(axis for axis in axes if missed[k, AXES.index(axis)])
-            of_wrench = (predicted[k], lower[k], upper[k], said.measured[k])
+            of_wrench = (predicted[k], lower[k], upper[k], predictions.measured[k])
             rows.append(MonitorRow(stamp, *of_wrench, outside, LEVELS[self._level], self._cause))
         self._take(alarms, next_alarm, STAMP_MAX_NS)
         return rows

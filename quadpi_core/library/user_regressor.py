@@ -133,14 +133,14 @@ class RegressorModel:
             ModelError: for a confidence that cannot be calibrated, and predictions that are not finite.
         """
         level = self.confidence if confidence is None else confidence
-        said = Evaluation(*np.zeros((5, len(flight.time), len(AXES))))
+        evaluation = Evaluation(*np.zeros((5, len(flight.time), len(AXES))))
         with one_blas_thread():
             for axis, regressor in self.fitted.items():
                 column, half = AXES.index(axis), self.rules[axis].factor(level)
                 centre = predictions(regressor, flight.inputs)
-                said.predicted[:, column] = centre
-                said.lower[:, column], said.upper[:, column] = centre - half, centre + half
-        return said
+                evaluation.predicted[:, column] = centre
+                evaluation.lower[:, column], evaluation.upper[:, column] = centre - half, centre + half
+        return evaluation
 
     def calibration(self) -> str:
         """A sentence that says how the width of the intervals was calibrated."""
@@ -165,8 +165,8 @@ class RegressorModel:
                 "held_out_coverage": self.held_out_coverage[axis],
             }
             arrays |= {f"{axis}.{name}": values for name, values in form.arrays().items()}
-        own = ("regressor", "vehicle", "vehicle_fingerprint", "cutoff_hz", "confidence")
-        description = {name: getattr(self, name) for name in own}
+        names = ("regressor", "vehicle", "vehicle_fingerprint", "cutoff_hz", "confidence")
+        description = {name: getattr(self, name) for name in names}
         flights = [asdict(flight) for flight in self.flights]
         write_folder(FolderContent({**description, "axes": axes, "flights": flights}, arrays), Path(folder))
 

@@ -54,7 +54,7 @@ class StoredEstimator(str):
     __slots__ = ()
 
 
-def held_alone(values: Array, axes: Sequence[str]) -> Array:
+def only_axes(values: Array, axes: Sequence[str]) -> Array:
     """Numbers (N, 6) of the axes that a model holds; NaN for the others, which it says nothing of."""
     return np.where(np.isin(AXES, axes), values, np.nan)
 
@@ -150,7 +150,7 @@ class WrenchModel:
 
     def _learned(self, flights: Flights, shortest_s: float) -> Flights:
         """The flights without those that no model should learn from, each of which is a warning."""
-        kept = []
+        usable = []
         for place, flight in enumerate(flights.prepared):
             aloft_s, flaw = float(flight.time[-1] - flight.time[0]), flight.quality.flaw
             if flaw is not None and not self.keep_flawed:
@@ -158,12 +158,12 @@ class WrenchModel:
             elif aloft_s < shortest_s:
                 why = f"{aloft_s:.2g} s in the air, of {shortest_s:g} s that this kind of model needs"
             else:
-                kept.append(place)
+                usable.append(place)
                 continue
             warnings.warn(f"flight {flight.name} left out: {why}", stacklevel=3)
-        if not kept:
+        if not usable:
             raise ModelError("no flight is left to learn from: the warnings say why")
-        return flights[kept]
+        return flights[usable]
 
     def predict(self, flights: Flights) -> Array:
         """Forces and moments (N, 6) N and Nm of all samples, columns Fx … Mz; NaN for axes not held.
@@ -184,11 +184,11 @@ class WrenchModel:
         Raises:
             ArgumentError, ModelError: see :meth:`predict`; for a confidence that cannot be calibrated.
         """
-        said = self.evaluations(flights, confidence)
-        return Interval(*(self._held(said, name) for name in Interval._fields))
+        evaluations = self.evaluations(flights, confidence)
+        return Interval(*(self._held(evaluations, name) for name in Interval._fields))
 
-    def _held(self, said: Sequence[Evaluation], name: str) -> Array:
-        return held_alone(np.concatenate([getattr(one, name) for one in said]), self.axes_)
+    def _held(self, evaluations: Sequence[Evaluation], name: str) -> Array:
+        return only_axes(np.concatenate([getattr(one, name) for one in evaluations]), self.axes_)
 
     def evaluations(self, flights: Flights, confidence: float | None) -> list[Evaluation]:
         """Those of each flight, zero for axes not held; errors are those of :meth:`predict_interval`."""
@@ -363,6 +363,6 @@ def load_model(folder: str | Path) -> WrenchModel:
     else:
         model = AerodynamicModel.load(folder)
         estimator = model.method
-    of = WrenchModel(StoredEstimator(estimator), model.confidence, axes=list(model.axes))
-    of.model_, of.left_out_ = model, ()
-    return of
+    read = WrenchModel(StoredEstimator(estimator), model.confidence, axes=list(model.axes))
+    read.model_, read.left_out_ = model, ()
+    return read
