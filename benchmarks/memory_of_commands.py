@@ -52,7 +52,7 @@ def run() -> list[Result]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         three_models(folder, vehicle)
-        # The first run compiles the kernels, which takes more memory.
+        # The first run writes caches of Python, which takes more memory.
         for minutes in (1, *MEASURED_MIN):
             write_long_bag(folder / BAG, vehicle, 60.0 * minutes)
             for command, arguments in _COMMANDS.items():

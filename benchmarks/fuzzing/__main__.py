@@ -209,7 +209,7 @@ def summary(run: Run) -> str:
 
 
 def warm_up(names: list[str]) -> None:
-    """Import and compile what the readers need before forking the workers, then bound their memory."""
+    """Import what the readers need before forking the workers, then bound their memory."""
     logging.disable(logging.CRITICAL)
     warnings.simplefilter("ignore")
     with tempfile.TemporaryDirectory() as folder:

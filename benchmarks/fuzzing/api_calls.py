@@ -707,7 +707,7 @@ def _alike(one: npt.NDArray[Any], other: npt.NDArray[Any]) -> bool:
 
 
 def warm_up(known: Mapping[str, Call]) -> None:
-    """Compile what calls need, before processes are forked that have little time for each."""
+    """Import what calls need, before processes are forked that have little time for each."""
     for name in known:
         clean_result(name)
 

@@ -61,8 +61,8 @@ def folder(tmp_path_factory):
 
 
 @pytest.fixture(scope="module", autouse=True)
-def kernels_compiled(folder):
-    """Compilation would count as memory of the first example."""
+def modules_imported(folder):
+    """Imports would count as memory of the first example."""
     small_bag(folder / "good.mcap")
     read_bag(folder / "good.mcap")
 

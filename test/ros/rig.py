@@ -48,9 +48,8 @@ TOPICS = {
     "extrapolation_alarm": ExtrapolationAlarm,
 }
 SENSORS = (("imu", Imu), ("rotor_speeds", RotorSpeeds), ("mocap/pose", PoseStamped))
-# The first start on a machine compiles the kernels.
 START_S = 300.0
-# A test that fails may take this long; one that passes does not wait. A node may have kernels to compile.
+# A test that fails may take this long; one that passes does not wait.
 PATIENCE_S = 180.0
 # Whether the nodes have died is seen this often while they are awaited.
 GLANCE_S = 5.0

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""The estimator node: what it refuses, when it compiles, and the stamps of its odometry."""
+"""The estimator node: what it refuses, what it imports in flight, and the stamps of its odometry."""
 
 from __future__ import annotations
 

@@ -40,7 +40,6 @@ from . import launch_child
 
 ROOT = Path(__file__).parents[2]
 GOLDEN_MODEL = ROOT / "test" / "golden" / "model"
-# The first start on a machine compiles the kernels.
 START_S = 300.0
 Launch = Callable[..., AbstractContextManager["Launched"]]
 NOT_INSTALLED = re.compile(r"the package (\w+) that defines it is not installed")
