@@ -38,6 +38,8 @@ _VALUES: dict[QoSPolicyKind, type[HistoryPolicy | ReliabilityPolicy | Durability
 _NAME = re.compile(r"/[^.]+\.(?:publisher|subscription)\.(?P<policy>\w+)")
 
 _POLL_S = 0.02
+# When a publisher knows one subscriber, others may not have found each other yet: they do within this.
+_MATCHED_S = 1.0
 # A node that is being configured does not answer; after this time it is asked again.
 _ANSWER_S = 1.0
 
@@ -136,6 +138,8 @@ def await_listeners(
             _await_active(node, executor, client, name, deadline)
             node.destroy_client(client)
         await_subscribers(node, publishers, deadline - time.monotonic())
+        if managed:
+            time.sleep(_MATCHED_S)
     finally:
         executor.remove_node(node)
         executor.shutdown()

@@ -61,20 +61,14 @@ void evaluate_physical(
     const std::size_t count = inputs.size, longest = model.longest();
     require(derivatives.size == count && out.size == 5 * count, DIFFERENT);
     require(longest <= TERMS && whitening.size == AXES * longest * longest, "not the terms of six axes");
-    for (std::size_t i = 0; i < count; ++i) {
-        const PhysicalPrediction found = predict(model, inputs[i], derivatives[i]);
-        for (int axis = 0; axis < AXES; ++axis) {
-            const PhysicalAxis& fitted = model.common.axes[axis];
-            if (fitted.size > 0) {
-                const double half = only(factors)[axis] * found.spread[axis];
-                out[i][axis] = found.predicted[axis];
-                out[count + i][axis] = found.predicted[axis] - half;
-                out[2 * count + i][axis] = found.predicted[axis] + half;
-                out[3 * count + i][axis] = found.leverage[axis];
-                out[4 * count + i][axis] = found.spread[axis] / fitted.rms_spread;
-            }
-        }
-    }
+    Wrench* first = out.data;
+    evaluate(
+        model,
+        inputs,
+        derivatives,
+        only(factors),
+        {first, first + count, first + 2 * count, first + 3 * count, first + 4 * count}
+    );
 }
 
 // The arrays of a flight that is rolled out, held as long as a call lasts.

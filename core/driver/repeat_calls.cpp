@@ -17,6 +17,9 @@
 #include <vector>
 
 #include "quadpi/estimator/filter_run.hpp"
+#include "quadpi/models/ensembles.hpp"
+#include "quadpi/models/physical_kernel.hpp"
+#include "quadpi/models/polynomials.hpp"
 #include "quadpi/monitor/adaptive.hpp"
 #include "quadpi/monitor/alarm.hpp"
 #include "quadpi/monitor/pairing.hpp"
@@ -197,11 +200,60 @@ void advance_alarm_call(Arguments& given) {
     advance(limits, state, verdicts, inputs, measured, {lower, upper, leverage, width}, rows);
 }
 
+Evaluation evaluation(Records<Wrench> out) {
+    const std::size_t samples = out.size / 5;
+    Wrench* first = out.data;
+    return {first, first + samples, first + 2 * samples, first + 3 * samples, first + 4 * samples};
+}
+
+void evaluate_polynomials_call(Arguments& given) {
+    const auto inputs = given.records<const InputVector>();
+    Polynomials model{};
+    model.operations = given.records<const Operation>();
+    model.axes = given.records<const PolynomialAxis>();
+    model.terms = given.records<const PolynomialTerm>();
+    model.whitening = given.records<const double>().data;
+    const Rows rows{given.records<double>().data, 1};
+    const auto& factors = given.one<const Wrench>();
+    evaluate(model, inputs, factors, rows, evaluation(given.records<Wrench>()));
+}
+
+void evaluate_physical_call(Arguments& given) {
+    const auto inputs = given.records<const InputVector>();
+    const auto derivatives = given.records<const Derivatives>();
+    const auto& common = given.one<const PhysicalCommon>();
+    const auto kept = given.records<const KeptTerm>();
+    const auto acting = given.records<const std::int64_t>();
+    const PhysicalModel model{common, kept, acting, given.records<const double>()};
+    const auto& factors = given.one<const Wrench>();
+    evaluate(model, inputs, derivatives, factors, evaluation(given.records<Wrench>()));
+}
+
+void evaluate_ensembles_call(Arguments& given) {
+    const auto inputs = given.records<const InputVector>();
+    Ensembles model{};
+    model.operations = given.records<const Operation>();
+    model.axes = given.records<const EnsembleAxis>();
+    model.source = given.records<const std::int64_t>();
+    model.weights = given.records<const double>().data;
+    EnsembleScratch scratch{};
+    scratch.rows = given.records<double>().data;
+    scratch.activations = given.records<double>().data;
+    const auto outputs = given.records<double>();
+    scratch.outputs = outputs.data;
+    scratch.networks = outputs.size / (BANKS * MOST_OUTPUTS * ENSEMBLE_BLOCK);
+    const auto& factors = given.one<const Wrench>();
+    evaluate(model, inputs, factors, scratch, evaluation(given.records<Wrench>()));
+}
+
 using Call = void (*)(Arguments&);
 const std::map<std::string, Call> CALLS = {
     {"adapt", &adapt_call},
     {"advance_alarm", &advance_alarm_call},
     {"catch_up", &catch_up_call},
+    {"evaluate_ensembles", &evaluate_ensembles_call},
+    {"evaluate_physical", &evaluate_physical_call},
+    {"evaluate_polynomials", &evaluate_polynomials_call},
     {"hold", &hold_call},
     {"prepare", &prepare_call},
     {"record", &record_call},

@@ -6,10 +6,15 @@ from __future__ import annotations
 
 import shutil
 import subprocess
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from benchmarks.random_ensembles import random_ensembles, simulation_inputs
+from benchmarks.synthetic_inputs import smooth_inputs
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor.alarm import MonitorSettings
 from quadpi_core.monitor.replay import replay
@@ -33,16 +38,25 @@ PROCESSORS = {
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[Path, str]:
-    """Calls of the replays of flights, and what the driver prints of each where the bits are the same."""
+def recorded(tmp_path_factory: pytest.TempPathFactory, physical_folder: Path) -> dict[Path, str]:
+    """Calls of replays and of ensembles, and what the driver prints of each where the bits are the same."""
     folder = tmp_path_factory.mktemp("calls")
-    vehicle, model = Vehicle.load("bebop2"), AerodynamicModel.load(ROOT / "test/golden/model")
-    settings, expected = MonitorSettings(adaptive=True), {}
-    for flight in FLIGHTS:
-        calls = folder / flight
-        with recorded_calls(calls) as sums:
-            replay(model, vehicle, ROOT / f"bags/{flight}.mcap", folder / "out.mcap", settings=settings)
-        expected[calls] = "".join(f"{name} {sums[name]:08x}\n" for name in sorted(sums))
+    vehicle, settings = Vehicle.load("bebop2"), MonitorSettings(adaptive=True)
+    polynomial, physical = map(AerodynamicModel.load, (ROOT / "test/golden/model", physical_folder))
+    expected = {}
+
+    def record(name: str, work: Callable[[], object]) -> None:
+        with recorded_calls(folder / name) as sums:
+            work()
+        expected[folder / name] = "".join(f"{called} {sums[called]:08x}\n" for called in sorted(sums))
+
+    for flight, model in zip(FLIGHTS, (polynomial, physical, polynomial), strict=True):
+        bag = ROOT / "bags" / f"{flight}.mcap"
+        record(flight, partial(replay, model, vehicle, bag, folder / "out.mcap", settings=settings))
+    inputs = smooth_inputs(1000, seed=3, vehicle_name="neurobem")
+    for method in ("bootstrap", "quality-driven"):
+        ensembles = random_ensembles(method, inputs, simulation_inputs())
+        record(method, partial(ensembles.evaluate, inputs, np.ones(6)))
     return expected
 
 

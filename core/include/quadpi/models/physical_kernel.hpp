@@ -3,6 +3,7 @@
 // Evaluation of the physical model: its wrench, and leverage and spread of each axis.
 #pragma once
 
+#include "quadpi/models/evaluation.hpp"
 #include "quadpi/models/physical_regressors.hpp"
 
 namespace quadpi {
@@ -119,6 +120,28 @@ inline PhysicalPrediction predict(
         }
     }
     return found;
+}
+
+// Fill the evaluation of the axes held.
+inline void evaluate(
+    const PhysicalModel& model,
+    Records<const InputVector> inputs,
+    Records<const Derivatives> derivatives,
+    const Wrench& factors,
+    const Evaluation& out
+) {
+    for (std::size_t i = 0; i < inputs.size; ++i) {
+        const PhysicalPrediction found = predict(model, inputs[i], derivatives[i]);
+        for (std::size_t axis = 0; axis < AXES; ++axis) {
+            const PhysicalAxis& fitted = model.common.axes[axis];
+            if (fitted.size > 0) {
+                out.fill(
+                    i, axis, found.predicted[axis], found.spread[axis], factors[axis], fitted.rms_spread
+                );
+                out.leverage[i][axis] = found.leverage[axis];
+            }
+        }
+    }
 }
 
 }  // namespace quadpi
