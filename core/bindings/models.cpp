@@ -17,14 +17,6 @@ namespace {
 using Inputs = Records<const InputVector>;
 using Operations = Records<const Operation>;
 
-// Evaluations in an array (5, N, 6).
-Evaluation evaluation(Inputs inputs, Records<Wrench> out) {
-    const std::size_t samples = inputs.size;
-    require(out.size == 5 * samples, DIFFERENT);
-    Wrench* first = out.data;
-    return {first, first + samples, first + 2 * samples, first + 3 * samples, first + 4 * samples};
-}
-
 // The rows of a program in memory that Python allocated.
 Rows rows_in(Records<double> memory, std::size_t rows, std::size_t samples) {
     require(memory.size >= rows * samples, "no room for the rows of the program");
@@ -65,9 +57,10 @@ void evaluate_polynomials(
 ) {
     const Polynomials model{operations, axes, terms, whitening.data};
     const std::size_t longest = model.longest();
+    require(out.size == 5 * inputs.size, DIFFERENT);
     require(axes.size == AXES && whitening.size == AXES * longest * longest, "tables of different sizes");
     const Rows rows = rows_in(memory, BASE_ROWS + operations.size, 1);
-    evaluate(model, inputs, only(factors), rows, evaluation(inputs, out));
+    evaluate(model, inputs, only(factors), rows, Evaluation::in(out, inputs.size));
 }
 
 void evaluate_ensembles(
@@ -82,6 +75,7 @@ void evaluate_ensembles(
     Records<const Wrench> factors,
     Records<Wrench> out
 ) {
+    require(out.size == 5 * inputs.size, DIFFERENT);
     require(axes.size == AXES, "tables of different sizes");
     rows_in(rows, BASE_ROWS + operations.size, ENSEMBLE_BLOCK);
     const std::size_t networks = outputs.size / (BANKS * MOST_OUTPUTS * ENSEMBLE_BLOCK);
@@ -97,7 +91,11 @@ void evaluate_ensembles(
     }
     const EnsembleScratch scratch{rows.data, activations.data, outputs.data, networks};
     evaluate(
-        {operations, axes, source, weights.data}, inputs, only(factors), scratch, evaluation(inputs, out)
+        {operations, axes, source, weights.data},
+        inputs,
+        only(factors),
+        scratch,
+        Evaluation::in(out, inputs.size)
     );
 }
 

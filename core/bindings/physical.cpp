@@ -61,14 +61,7 @@ void evaluate_physical(
     const std::size_t count = inputs.size, longest = model.longest();
     require(derivatives.size == count && out.size == 5 * count, DIFFERENT);
     require(longest <= TERMS && whitening.size == AXES * longest * longest, "not the terms of six axes");
-    Wrench* first = out.data;
-    evaluate(
-        model,
-        inputs,
-        derivatives,
-        only(factors),
-        {first, first + count, first + 2 * count, first + 3 * count, first + 4 * count}
-    );
+    evaluate(model, inputs, derivatives, only(factors), Evaluation::in(out, count));
 }
 
 // The arrays of a flight that is rolled out, held as long as a call lasts.

@@ -200,12 +200,6 @@ void advance_alarm_call(Arguments& given) {
     advance(limits, state, verdicts, inputs, measured, {lower, upper, leverage, width}, rows);
 }
 
-Evaluation evaluation(Records<Wrench> out) {
-    const std::size_t samples = out.size / 5;
-    Wrench* first = out.data;
-    return {first, first + samples, first + 2 * samples, first + 3 * samples, first + 4 * samples};
-}
-
 void evaluate_polynomials_call(Arguments& given) {
     const auto inputs = given.records<const InputVector>();
     Polynomials model{};
@@ -215,7 +209,7 @@ void evaluate_polynomials_call(Arguments& given) {
     model.whitening = given.records<const double>().data;
     const Rows rows{given.records<double>().data, 1};
     const auto& factors = given.one<const Wrench>();
-    evaluate(model, inputs, factors, rows, evaluation(given.records<Wrench>()));
+    evaluate(model, inputs, factors, rows, Evaluation::in(given.records<Wrench>(), inputs.size));
 }
 
 void evaluate_physical_call(Arguments& given) {
@@ -226,7 +220,7 @@ void evaluate_physical_call(Arguments& given) {
     const auto acting = given.records<const std::int64_t>();
     const PhysicalModel model{common, kept, acting, given.records<const double>()};
     const auto& factors = given.one<const Wrench>();
-    evaluate(model, inputs, derivatives, factors, evaluation(given.records<Wrench>()));
+    evaluate(model, inputs, derivatives, factors, Evaluation::in(given.records<Wrench>(), inputs.size));
 }
 
 void evaluate_ensembles_call(Arguments& given) {
@@ -243,7 +237,7 @@ void evaluate_ensembles_call(Arguments& given) {
     scratch.outputs = outputs.data;
     scratch.networks = outputs.size / (BANKS * MOST_OUTPUTS * ENSEMBLE_BLOCK);
     const auto& factors = given.one<const Wrench>();
-    evaluate(model, inputs, factors, scratch, evaluation(given.records<Wrench>()));
+    evaluate(model, inputs, factors, scratch, Evaluation::in(given.records<Wrench>(), inputs.size));
 }
 
 using Call = void (*)(Arguments&);

@@ -203,7 +203,7 @@ def predictions(regressor: Regressor, X: Array) -> Array:
     """Predictions (N,) of a regressor.
 
     Raises:
-        ModelError: for another shape, and what are no finite numbers; for whatever it raises.
+        ModelError: for predictions of another shape or not finite, and for any error of the regressor.
     """
     name = type(regressor).__name__
     with _named(regressor):

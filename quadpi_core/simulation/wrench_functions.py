@@ -62,7 +62,7 @@ def six_columns(wrench: Any, count: int) -> Array:
     """Forces and moments (N, 6) of a function of Python.
 
     Raises:
-        ValueError: where they are not six, or not of so many instants.
+        ValueError: unless there are six, each a number or one for each of `count` instants.
     """
     columns = np.empty((count, 6))
     try:

@@ -16,6 +16,12 @@ struct Evaluation {
     Wrench* leverage;
     Wrench* relative_width;
 
+    // Those of `samples` samples, one after the other in an array (5, N, 6).
+    static Evaluation in(Records<Wrench> array, std::size_t samples) {
+        Wrench* first = array.data;
+        return {first, first + samples, first + 2 * samples, first + 3 * samples, first + 4 * samples};
+    }
+
     // Fill all but the leverage of a sample: the interval is `factor` spreads to each side.
     void fill(
         std::size_t sample, std::size_t axis, double centre, double spread, double factor, double rms_spread

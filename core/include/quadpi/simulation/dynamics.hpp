@@ -61,12 +61,7 @@ inline void differentiate(
     state.position = motion.position;
     state.rates = motion.rates;
     state.attitude = motion.attitude;
-    for (int axis = 0; axis < 3; ++axis) {
-        state.velocity_air[axis] = 0.0;
-        for (int world = 0; world < 3; ++world) {
-            state.velocity_air[axis] += rotation[world][axis] * (motion.velocity[world] - wind[world]);
-        }
-    }
+    state.velocity_air = into_body(rotation, minus(motion.velocity, wind));
     for (int rotor = 0; rotor < ROTORS; ++rotor) {
         const double lag = command[rotor] - motion.rotor_speeds[rotor];
         slope.rotor_speeds[rotor] = lag / vehicle.motor_time_constant;
@@ -109,12 +104,7 @@ inline void log_instant(const Motion& motion, const Motion& slope, const State& 
     row.rates = motion.rates;
     row.acceleration = slope.velocity;
     row.angular_acceleration = slope.rates;
-    for (int axis = 0; axis < 3; ++axis) {
-        row.velocity[axis] = 0.0;
-        for (int world = 0; world < 3; ++world) {
-            row.velocity[axis] += rotation[world][axis] * motion.velocity[world];
-        }
-    }
+    row.velocity = into_body(rotation, motion.velocity);
     row.attitude = motion.attitude;
     row.rotor_speeds = motion.rotor_speeds;
     row.rotor_accelerations = slope.rotor_speeds;
