@@ -33,15 +33,20 @@ public:
     template <class T>
     bool hold(PyObject* object) {
         constexpr std::size_t item_bytes = sizeof(T);
-        constexpr int access = std::is_const_v<T> ? PyBUF_FORMAT : PyBUF_FORMAT | PyBUF_WRITABLE;
-        if (PyObject_GetBuffer(object, &view, PyBUF_C_CONTIGUOUS | access) != 0) {
-            PyErr_Clear();
-            view.obj = nullptr;
+        constexpr bool may_be_records = item_bytes > sizeof(double);
+        // Of the type itself, or of its numbers. Only of numbers is the format asked for: numpy writes that
+        // of records anew in every call, in 10 µs for a filter's.
+        if (!get<T>(object, may_be_records ? 0 : PyBUF_FORMAT)) {
             return false;
         }
-        // Of the type itself, or of its numbers.
-        const auto item = static_cast<std::size_t>(view.itemsize);
-        const bool of_numbers = item == sizeof(double) && item_bytes % sizeof(double) == 0;
+        bool fits = item() == item_bytes;
+        if (may_be_records && item() == sizeof(double) && item_bytes % sizeof(double) == 0) {
+            PyBuffer_Release(&view);
+            if (!get<T>(object, PyBUF_FORMAT)) {
+                return false;
+            }
+            fits = true;
+        }
         if (reinterpret_cast<std::uintptr_t>(view.buf) % alignof(T) != 0) {
             // Arrays that came from another process may begin anywhere.
             if constexpr (!std::is_const_v<T> || alignof(T) > alignof(double)) {
@@ -50,8 +55,7 @@ public:
             copy.reset(new double[bytes() / sizeof(double) + 1]);
             std::memcpy(copy.get(), view.buf, bytes());
         }
-        return (item == item_bytes || of_numbers) && bytes() % item_bytes == 0 &&
-               is_number_of<T>(view.format == nullptr ? "B" : view.format);
+        return fits && bytes() % item_bytes == 0 && (view.format == nullptr || is_number_of<T>(view.format));
     }
 
     void* data() const { return copy ? copy.get() : view.buf; }
@@ -60,6 +64,19 @@ public:
 private:
     Py_buffer view{};
     std::unique_ptr<double[]> copy;
+
+    template <class T>
+    bool get(PyObject* object, int wanted) {
+        constexpr int access = PyBUF_C_CONTIGUOUS | (std::is_const_v<T> ? 0 : PyBUF_WRITABLE);
+        if (PyObject_GetBuffer(object, &view, access | wanted) != 0) {
+            PyErr_Clear();
+            view.obj = nullptr;
+            return false;
+        }
+        return true;
+    }
+
+    std::size_t item() const { return static_cast<std::size_t>(view.itemsize); }
 
     // Whether a format of Python's buffers, where it is that of 64-bit numbers, is that of the type's.
     template <class T>
