@@ -13,7 +13,8 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from benchmarks import Result
-from quadpi_core.discrepancy import VehicleSimulation, discover
+from quadpi_core.discrepancy.simulations import VehicleSimulation
+from quadpi_core.discrepancy.study import discover
 from quadpi_core.estimator.fusion import fuse_airborne
 from quadpi_core.flight import Flight
 from quadpi_core.models.model_kind import CUTOFF_HZ

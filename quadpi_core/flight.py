@@ -11,7 +11,7 @@ the vehicle file. Stamps are integer nanoseconds; samples are on the first axis.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, ClassVar, TypeAlias, TypeVar
 
@@ -22,7 +22,7 @@ from quadpi_core import array_checks
 from quadpi_core.brief_repr import brief_repr
 from quadpi_core.core import compiled
 from quadpi_core.errors import LogError, named_in
-from quadpi_core.findings import NOTHING_TO_SAY, DataQuality
+from quadpi_core.findings import NOTHING_TO_SAY, DataQuality, UsedPart
 from quadpi_core.frames import Array
 
 Stamps: TypeAlias = npt.NDArray[np.int64]
@@ -444,3 +444,20 @@ class Flight:
             column.name: getattr(self, column.name) for column in fields(self) if column.name not in arrays
         }
         return Flight(**scalars, **arrays)
+
+    def longest_stretch(self) -> Flight:
+        """The longest part without a hole, as spectra and roll-outs need; `quality` says so."""
+        ends = hole_ends(self.time)
+        if len(ends) == 0:
+            return self
+        begins, lasts = np.r_[0, ends], np.r_[ends, len(self)] - 1
+        k = int(np.argmax(self.time[lasts] - self.time[begins]))
+        part = self.slice(slice(int(begins[k]), int(lasts[k]) + 1))
+        used = UsedPart(
+            float(part.time[0]),
+            float(part.time[-1]),
+            len(part),
+            float(self.time[-1] - self.time[0]),
+            f"the longest of {len(begins)} parts with rotor speeds",
+        )
+        return replace(part, quality=self.quality.joined(DataQuality(used=(used,))))

@@ -16,7 +16,7 @@ import numpy as np
 from blind import elsewhere
 from blind.effects import EFFECTS, OUTSIDE, altered
 from blind.specimen import Specimen, flights_of, ordinary
-from quadpi_core.discrepancy import Simulation, VehicleSimulation
+from quadpi_core.discrepancy.simulations import Simulation, VehicleSimulation
 from quadpi_core.flight import Flight
 from quadpi_core.simulation.flying import SimulatedVehicle
 from quadpi_core.simulation.scenario import FlightPlan, load_scenario

@@ -15,7 +15,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from quadpi_core.discrepancy import CallableSimulation
+from quadpi_core.discrepancy.other_simulations import CallableSimulation
 from quadpi_core.estimator.fusion import fuse_airborne
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from blind.cases import Case, noise_alone
-from quadpi_core.discrepancy import Simulation
 from quadpi_core.discrepancy.augmented_simulation import augmented
 from quadpi_core.discrepancy.discrepancy_result import Rollouts, discovery_json
 from quadpi_core.discrepancy.reflight import rollouts
+from quadpi_core.discrepancy.simulations import Simulation
 from quadpi_core.discrepancy.study import found_and_flown
 from quadpi_core.errors import one_line
 from quadpi_core.flight import Flight

@@ -21,14 +21,11 @@ from blind.searching import rollout_changes
 from hidden.cases import FLEETS, Case, Fleet
 from hidden.changes import CHANGES, Given
 from hidden.measures import REFUSED
-from quadpi_core.discrepancy import (
-    AugmentedSimulation,
-    Simulation,
-    VehicleSimulation,
-    load_simulation,
-)
+from quadpi_core.discrepancy.augmented_simulation import AugmentedSimulation
 from quadpi_core.discrepancy.discrepancy_result import discovery_json, reflights_json
 from quadpi_core.discrepancy.effect_response import residual
+from quadpi_core.discrepancy.loading import load_simulation
+from quadpi_core.discrepancy.simulations import Simulation, VehicleSimulation
 from quadpi_core.discrepancy.sound_learning import learned_from
 from quadpi_core.discrepancy.study import FEWEST_FLIGHTS, found_and_flown
 from quadpi_core.discrepancy.unexplained import as_many_as_stated

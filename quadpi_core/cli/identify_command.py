@@ -89,7 +89,6 @@ def identify(
     html_file: options.HtmlFile = None,
 ) -> None:
     """Identify a model on flights; every flight calibrates the intervals while it is left out."""
-    from quadpi_core.discrepancy.sound_learning import learned_from
     from quadpi_core.evaluation.evaluate import ComparisonCase
     from quadpi_core.identification.identify import check_options
     from quadpi_core.identification.identify import identify as identify_model
@@ -136,7 +135,11 @@ def identify(
             model = identify_model(flights, the_vehicle, pools, chosen, progress)
             # First without, so that nothing is lost where flights cannot be compared.
             model.save(output)
-            model = learned_from(model, flights, progress).save(output)
+            if model.kind.is_simulation:
+                # No other kind needs the room of the search.
+                from quadpi_core.discrepancy.sound_learning import learned_from
+
+                model = learned_from(model, flights, progress).save(output)
         _print_model(console, model, verbose=verbose, choice=choice_of_kind(context))
         console.print(f"written to {output}; quadpi info {output} shows every parameter", soft_wrap=True)
         if json_file or html_file:

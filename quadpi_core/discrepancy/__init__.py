@@ -13,23 +13,3 @@
 5. Flights left out in turn show how far the gap closes (`closure`), where it was (`by_condition`), and how
    the simulation with the effects flies (`augmented_simulation`, `reflight`).
 """
-
-from quadpi_core.discrepancy.augmented_simulation import AugmentedSimulation
-from quadpi_core.discrepancy.discrepancy_result import Discovery, FoundEffect, FoundParameter
-from quadpi_core.discrepancy.loading import load_simulation
-from quadpi_core.discrepancy.other_simulations import CallableSimulation
-from quadpi_core.discrepancy.simulations import Simulation, Tolerances, VehicleSimulation
-from quadpi_core.discrepancy.study import discover
-
-__all__ = [
-    "AugmentedSimulation",
-    "CallableSimulation",
-    "Discovery",
-    "FoundEffect",
-    "FoundParameter",
-    "Simulation",
-    "Tolerances",
-    "VehicleSimulation",
-    "discover",
-    "load_simulation",
-]

@@ -28,7 +28,6 @@ from quadpi_core.discrepancy.acceptance import FEW_FLIGHTS, LARGEST
 from quadpi_core.discrepancy.candidates import Candidate, candidates, linearise
 from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.loading import simulation_of
-from quadpi_core.discrepancy.study import longest_stretch
 from quadpi_core.discrepancy.whitening import EDGES_HZ, Columns, Indices, Spectrum
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
@@ -95,7 +94,7 @@ def learned_from(
             progress(Progress("Learning what sound flights leave", place, len(flights)))
             if prepared.flight is None:
                 return model
-            flight = longest_stretch(prepared.flight)
+            flight = prepared.flight.longest_stretch()
             compared, without = Compared(flight, whole), Compared(flight, simulation_of(section, vehicle))
             columns = [linearise(own, [compared], np.zeros(len(own.free)))[0][1] for own in sought]
             # What the other flights leave open of the coefficients is in these residuals, and in no search,

@@ -44,8 +44,7 @@ from quadpi_core.discrepancy.search import Prepared, search
 from quadpi_core.discrepancy.simulations import Simulation
 from quadpi_core.discrepancy.whitening import BAND_HZ
 from quadpi_core.errors import DiscrepancyError
-from quadpi_core.findings import DataQuality, UsedPart
-from quadpi_core.flight import AXES, Flight, hole_ends
+from quadpi_core.flight import AXES, Flight
 from quadpi_core.flight_files import FlightFile, LeftOutFlights, for_each_flight, once_each
 from quadpi_core.identification.prepared_flights import read_flight
 from quadpi_core.models.model_kind import CUTOFF_HZ
@@ -115,7 +114,7 @@ def study_flight(flight: Flight, source: Path | str = "") -> Flight:
     Raises:
         DiscrepancyError: for a flight shorter than a roll-out, and constant rotor speeds.
     """
-    flight = longest_stretch(flight)
+    flight = flight.longest_stretch()
     length_s = float(flight.time[-1] - flight.time[0])
     if length_s <= HORIZON_S:
         raise DiscrepancyError(
@@ -124,24 +123,6 @@ def study_flight(flight: Flight, source: Path | str = "") -> Flight:
         )
     require_changes(flight)
     return flight
-
-
-def longest_stretch(flight: Flight) -> Flight:
-    """The longest part without a hole, as spectra and roll-outs need; `quality` says so."""
-    ends = hole_ends(flight.time)
-    if len(ends) == 0:
-        return flight
-    begins, lasts = np.r_[0, ends], np.r_[ends, len(flight)] - 1
-    k = int(np.argmax(flight.time[lasts] - flight.time[begins]))
-    part = flight.slice(slice(int(begins[k]), int(lasts[k]) + 1))
-    used = UsedPart(
-        float(part.time[0]),
-        float(part.time[-1]),
-        len(part),
-        float(flight.time[-1] - flight.time[0]),
-        f"the longest of {len(begins)} parts with rotor speeds",
-    )
-    return replace(part, quality=flight.quality.joined(DataQuality(used=(used,))))
 
 
 def study(

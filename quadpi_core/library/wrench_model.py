@@ -14,7 +14,6 @@ import numpy as np
 
 from quadpi_core import array_checks
 from quadpi_core.brief_repr import brief_repr
-from quadpi_core.discrepancy.sound_learning import learned_from
 from quadpi_core.errors import ArgumentError, ModelError
 from quadpi_core.evaluation.metrics import r_squared
 from quadpi_core.flight import AXES
@@ -144,8 +143,12 @@ class WrenchModel:
                 axes=[axis for axis in AXES if axis in pools],
             )
         else:
-            model = identify(used.prepared, used.vehicle, pools, options)
-            self.model_ = learned_from(model, used.prepared)
+            self.model_ = identify(used.prepared, used.vehicle, pools, options)
+            if self.model_.kind.is_simulation:
+                # No other kind needs the room of the search.
+                from quadpi_core.discrepancy.sound_learning import learned_from
+
+                self.model_ = learned_from(self.model_, used.prepared)
         return self
 
     def _learned(self, flights: Flights, shortest_s: float) -> Flights:

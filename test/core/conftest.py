@@ -12,8 +12,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from quadpi_core.discrepancy import VehicleSimulation
 from quadpi_core.discrepancy.discrepancy_result import Study
+from quadpi_core.discrepancy.simulations import VehicleSimulation
 from quadpi_core.discrepancy.study import study
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array

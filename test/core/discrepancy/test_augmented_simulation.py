@@ -10,15 +10,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from quadpi_core.discrepancy import (
+from quadpi_core.discrepancy.augmented_simulation import (
     AugmentedSimulation,
-    CallableSimulation,
-    VehicleSimulation,
-    discover,
-    load_simulation,
+    augmented,
+    merged,
+    write_addition,
 )
-from quadpi_core.discrepancy.augmented_simulation import augmented, merged, write_addition
 from quadpi_core.discrepancy.discrepancy_result import discovery_json
+from quadpi_core.discrepancy.loading import load_simulation
+from quadpi_core.discrepancy.other_simulations import CallableSimulation
+from quadpi_core.discrepancy.simulations import VehicleSimulation
+from quadpi_core.discrepancy.study import discover
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.report.effect_formulas import write_formulas
 from quadpi_core.signals.wrench import measured_wrench
@@ -148,7 +150,7 @@ def test_coefficients_move_within_their_tolerances(flown):
 
 def test_an_addition_to_a_function(flown, tmp_path, monkeypatch):
     (tmp_path / "outside.py").write_text(
-        "from quadpi_core.discrepancy import VehicleSimulation\n"
+        "from quadpi_core.discrepancy.simulations import VehicleSimulation\n"
         "def wrench(flight):\n"
         "    return VehicleSimulation.load('bebop2').wrench(flight)\n"
     )

@@ -10,9 +10,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from quadpi_core.discrepancy import CallableSimulation
 from quadpi_core.discrepancy.candidates import candidates, first_point, linearise, typical_sizes
 from quadpi_core.discrepancy.effect_response import Compared
+from quadpi_core.discrepancy.other_simulations import CallableSimulation
 from quadpi_core.discrepancy.unmeasured_states import Started
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.rotations import rotate_world_to_body

@@ -10,10 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from quadpi_core.discrepancy import (
-    AugmentedSimulation,
-    load_simulation,
-)
+from quadpi_core.discrepancy.augmented_simulation import AugmentedSimulation
+from quadpi_core.discrepancy.loading import load_simulation
 from quadpi_core.discrepancy.simulations import VehicleSimulation
 from quadpi_core.errors import DiscrepancyError, QuadpiError
 from quadpi_core.signals.wrench import measured_wrench

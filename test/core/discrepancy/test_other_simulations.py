@@ -9,13 +9,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from quadpi_core.discrepancy import AugmentedSimulation, CallableSimulation, discover, load_simulation
+from quadpi_core.discrepancy.augmented_simulation import AugmentedSimulation
 from quadpi_core.discrepancy.effect_response import Compared, explained_wrench, quiet
+from quadpi_core.discrepancy.loading import load_simulation
 from quadpi_core.discrepancy.other_simulations import (
     EVEN,
     LINEAR,
     OF_ROTORS,
     SQUARED,
+    CallableSimulation,
     Part,
     RecordedSimulation,
     learned_weights,
@@ -24,7 +26,7 @@ from quadpi_core.discrepancy.other_simulations import (
 )
 from quadpi_core.discrepancy.reflight import rollout
 from quadpi_core.discrepancy.simulations import Tolerances, VehicleSimulation, airspeed
-from quadpi_core.discrepancy.study import read_flights
+from quadpi_core.discrepancy.study import discover, read_flights
 from quadpi_core.discrepancy.unmeasured_states import INDEPENDENT_HZ
 from quadpi_core.errors import DiscrepancyError, QuadpiError
 from quadpi_core.estimator.fusion import fuse, fuse_airborne

@@ -9,9 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from quadpi_core.discrepancy import AugmentedSimulation, VehicleSimulation, discover, load_simulation
+from quadpi_core.discrepancy.augmented_simulation import AugmentedSimulation
 from quadpi_core.discrepancy.discrepancy_result import reflights_json
 from quadpi_core.discrepancy.effect_response import Compared
+from quadpi_core.discrepancy.loading import load_simulation
 from quadpi_core.discrepancy.reflight import (
     coverages,
     fly_again,
@@ -21,7 +22,8 @@ from quadpi_core.discrepancy.reflight import (
     rollouts,
     squared_distances,
 )
-from quadpi_core.discrepancy.simulations import Margins
+from quadpi_core.discrepancy.simulations import Margins, VehicleSimulation
+from quadpi_core.discrepancy.study import discover
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.estimator.fusion import fuse_airborne
 from quadpi_core.logs import read_recording

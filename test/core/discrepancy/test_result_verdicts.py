@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from quadpi_core.discrepancy import CallableSimulation, discover, effect_regression
+from quadpi_core.discrepancy import effect_regression
 from quadpi_core.discrepancy.augmented_simulation import write_addition
 from quadpi_core.discrepancy.closure import Closing
 from quadpi_core.discrepancy.discrepancy_result import (
@@ -22,6 +22,7 @@ from quadpi_core.discrepancy.discrepancy_result import (
     Reflights,
     Rollouts,
 )
+from quadpi_core.discrepancy.other_simulations import CallableSimulation
 from quadpi_core.discrepancy.result_verdicts import (
     Unexplained,
     checks,
@@ -38,6 +39,7 @@ from quadpi_core.discrepancy.result_verdicts import (
     unexplained_share,
     with_stated_coefficients,
 )
+from quadpi_core.discrepancy.study import discover
 from quadpi_core.discrepancy.unexplained import Inside
 from quadpi_core.rotations import rotate_world_to_body
 

@@ -9,13 +9,10 @@ import pytest
 import yaml
 
 from quadpi_core.config import read_config
-from quadpi_core.discrepancy import (
-    AugmentedSimulation,
-    Tolerances,
-    VehicleSimulation,
-    discover,
-    load_simulation,
-)
+from quadpi_core.discrepancy.augmented_simulation import AugmentedSimulation
+from quadpi_core.discrepancy.loading import load_simulation
+from quadpi_core.discrepancy.simulations import Tolerances, VehicleSimulation
+from quadpi_core.discrepancy.study import discover
 from quadpi_core.errors import VehicleError
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.effect_registry import EFFECTS, read_effects

@@ -9,8 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from quadpi_core.discrepancy import discover, load_simulation
+from quadpi_core.discrepancy.loading import load_simulation
 from quadpi_core.discrepancy.sound_learning import known_errors, learned, learned_from
+from quadpi_core.discrepancy.study import discover
 from quadpi_core.discrepancy.whitening import EDGES_HZ, Spectrum
 from quadpi_core.identification.prepared_flights import PreparedFlight, read_flight
 from quadpi_core.models.aerodynamic import AerodynamicModel

@@ -10,7 +10,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from quadpi_core.discrepancy import discover, load_simulation
 from quadpi_core.discrepancy.acceptance import Verdict
 from quadpi_core.discrepancy.augmented_simulation import AugmentedSimulation, augmented
 from quadpi_core.discrepancy.candidates import ALLOWED, CLOSES_NOTHING
@@ -23,9 +22,10 @@ from quadpi_core.discrepancy.discrepancy_result import (
     Rollouts,
     discovery_json,
 )
+from quadpi_core.discrepancy.loading import load_simulation
 from quadpi_core.discrepancy.result_verdicts import judge_closed
 from quadpi_core.discrepancy.simulations import Margins
-from quadpi_core.discrepancy.study import found_and_flown, study
+from quadpi_core.discrepancy.study import discover, found_and_flown, study
 from quadpi_core.discrepancy.unexplained import Inside
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import AXES
