@@ -206,30 +206,19 @@ TILE_ROWS: int
 def evaluate_regressors(
     inputs: Array, operations: Records, outputs: Indices, rows: Array, values: Array, /
 ) -> None: ...
-def evaluate_polynomials(
-    inputs: Array,
-    operations: Records,
-    axes: Records,
-    terms: Records,
-    whitening: Array,
-    rows: Array,
-    factors: Array,
-    out: Array,
-    /,
-) -> None: ...
-def evaluate_ensembles(
-    inputs: Array,
-    operations: Records,
-    axes: Records,
-    source: Indices,
-    weights: Array,
-    rows: Array,
-    activations: Array,
-    outputs: Array,
-    factors: Array,
-    out: Array,
-    /,
-) -> None: ...
+
+# Fitted models, which hold their arrays; see models/compiled_model.py.
+class Model:
+    @property
+    def arrays(self) -> object: ...
+
+class Polynomials(Model):
+    def __init__(self, arrays: object, /) -> None: ...
+
+class Ensembles(Model):
+    def __init__(self, arrays: object, /) -> None: ...
+
+def evaluate(model: Model, inputs: Array, derivatives: Records, factors: Array, out: Array, /) -> None: ...
 def add_to_gram(
     inputs: Array, target: Array, operations: Records, factors: Indices, rows: Array, sums: Array, /
 ) -> None: ...
@@ -301,15 +290,7 @@ def prepare(
     /,
 ) -> int: ...
 def adapt(
-    measured: Array,
-    own_lower: Array,
-    own_upper: Array,
-    step: float,
-    miss_share: float,
-    log_factor: Array,
-    lower: Array,
-    upper: Array,
-    /,
+    memory: Records, measured: Array, own_lower: Array, own_upper: Array, lower: Array, upper: Array, /
 ) -> None: ...
 def advance_alarm(
     limits: Records,
@@ -324,7 +305,31 @@ def advance_alarm(
     rows: Records,
     /,
 ) -> int: ...
-def all_finite(lower: Array, upper: Array, leverage: Array, /) -> bool: ...
+
+class Monitor:
+    def __init__(self, arrays: object, /) -> None: ...
+    @property
+    def arrays(self) -> object: ...
+
+def step_monitor(
+    monitor: Monitor,
+    preparation: Records,
+    time_ns: Stamps,
+    samples: Array,
+    predicted_ns: Stamps,
+    wrenches: Array,
+    alarms: Records,
+    /,
+) -> tuple[int, int]: ...
+def judge_prepared(
+    monitor: Monitor,
+    prepared: object,
+    said: Array,
+    predicted_ns: Stamps,
+    wrenches: Array,
+    alarms: Records,
+    /,
+) -> tuple[int, int]: ...
 def lasts(values: Array, steps: Array, level: float, persistence_s: float, release_s: float, /) -> bool: ...
 def sum_misses(steps: Array, miss: Array, allowed: float, sums: Array, /) -> None: ...
 
@@ -333,17 +338,10 @@ def solve_induced_velocity(in_plane: float, through: float, hover: float, /) -> 
 def fill_regressors(motion: Records, vehicle: Records, rows: Array, /) -> None: ...
 def physical_wrenches(motion: Records, vehicle: Records, parameters: Array, out: Array, /) -> None: ...
 def read_motions(inputs: Array, derivatives: Records, controls: Array, motion: Records, /) -> None: ...
-def evaluate_physical(
-    inputs: Array,
-    derivatives: Records,
-    common: Records,
-    kept: Records,
-    acting: Indices,
-    whitening: Array,
-    factors: Array,
-    out: Array,
-    /,
-) -> None: ...
+
+class Physical(Model):
+    def __init__(self, arrays: object, /) -> None: ...
+
 def roll_out(
     track: Track,
     starts: Indices,

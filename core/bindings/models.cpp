@@ -3,7 +3,7 @@
 // What Python calls of fitted models, but for those of physical terms.
 #include <nanobind/nanobind.h>
 
-#include "bindings/records.hpp"
+#include "bindings/held_model.hpp"
 #include "quadpi/models/ensembles.hpp"
 #include "quadpi/models/gram.hpp"
 #include "quadpi/models/polynomials.hpp"
@@ -45,58 +45,96 @@ void evaluate_regressors(
     }
 }
 
-void evaluate_polynomials(
-    Inputs inputs,
-    Operations operations,
-    Records<const PolynomialAxis> axes,
-    Records<const PolynomialTerm> terms,
-    Records<const double> whitening,
-    Records<double> memory,
-    Records<const Wrench> factors,
-    Records<Wrench> out
-) {
-    const Polynomials model{operations, axes, terms, whitening.data};
-    const std::size_t longest = model.longest();
-    require(out.size == 5 * inputs.size, DIFFERENT);
-    require(axes.size == AXES && whitening.size == AXES * longest * longest, "tables of different sizes");
-    const Rows rows = rows_in(memory, BASE_ROWS + operations.size, 1);
-    evaluate(model, inputs, only(factors), rows, Evaluation::in(out, inputs.size));
-}
+// The arrays of `FittedPolynomials`.
+class HeldPolynomials final : public HeldModel {
+public:
+    explicit HeldPolynomials(nb::object arrays)
+        : HeldModel(arrays),
+          operations(arrays, "operations"),
+          axes(arrays, "axes"),
+          terms(arrays, "terms"),
+          whitening(arrays, "whitening"),
+          memory(arrays, "rows"),
+          model(
+              {operations.all(), axes.all(), terms.all(), whitening.all().data},
+              rows_in(memory.all(), BASE_ROWS + operations.all().size, 1)
+          ) {
+        const std::size_t longest = model.model.longest();
+        require(
+            axes.all().size == AXES && whitening.all().size == AXES * longest * longest,
+            "tables of different sizes"
+        );
+    }
 
-void evaluate_ensembles(
-    Inputs inputs,
-    Operations operations,
-    Records<const EnsembleAxis> axes,
-    Records<const std::int64_t> source,
-    Records<const double> weights,
-    Records<double> rows,
-    Records<double> activations,
-    Records<double> outputs,
-    Records<const Wrench> factors,
-    Records<Wrench> out
-) {
-    require(out.size == 5 * inputs.size, DIFFERENT);
-    require(axes.size == AXES, "tables of different sizes");
-    rows_in(rows, BASE_ROWS + operations.size, ENSEMBLE_BLOCK);
-    const std::size_t networks = outputs.size / (BANKS * MOST_OUTPUTS * ENSEMBLE_BLOCK);
-    for (const EnsembleAxis& axis : axes) {
-        for (const Bank& bank : axis.banks) {
-            const BankTables tables(bank, weights.data, source.data);
-            require(
-                tables.networks <= networks && tables.all_units() <= activations.size &&
-                    tables.output(tables.outputs, 0) <= weights.end(),
-                "tables of different sizes"
-            );
+    Evaluator& evaluator() override { return model; }
+
+private:
+    Field<const Operation> operations;
+    Field<const PolynomialAxis> axes;
+    Field<const PolynomialTerm> terms;
+    Field<const double> whitening;
+    Field<double> memory;
+    PolynomialEvaluator model;
+};
+
+// The arrays of `FittedEnsembles`.
+class HeldEnsembles final : public HeldModel {
+public:
+    explicit HeldEnsembles(nb::object arrays)
+        : HeldModel(arrays),
+          operations(arrays, "operations"),
+          axes(arrays, "axes"),
+          source(arrays, "source"),
+          weights(arrays, "weights"),
+          rows(arrays, "rows"),
+          activations(arrays, "activations"),
+          outputs(arrays, "outputs"),
+          model(
+              {operations.all(), axes.all(), source.all(), weights.all().data},
+              {
+                  rows_in(rows.all(), BASE_ROWS + operations.all().size, ENSEMBLE_BLOCK)[0],
+                  activations.all().data,
+                  outputs.all().data,
+                  outputs.all().size / (BANKS * MOST_OUTPUTS * ENSEMBLE_BLOCK),
+              }
+          ) {
+        require(axes.all().size == AXES, "tables of different sizes");
+        for (const EnsembleAxis& axis : axes.all()) {
+            for (const Bank& bank : axis.banks) {
+                const BankTables tables(bank, weights.all().data, source.all().data);
+                require(
+                    tables.networks <= model.scratch.networks &&
+                        tables.all_units() <= activations.all().size &&
+                        tables.output(tables.outputs, 0) <= weights.all().end(),
+                    "tables of different sizes"
+                );
+            }
         }
     }
-    const EnsembleScratch scratch{rows.data, activations.data, outputs.data, networks};
-    evaluate(
-        {operations, axes, source, weights.data},
-        inputs,
-        only(factors),
-        scratch,
-        Evaluation::in(out, inputs.size)
-    );
+
+    Evaluator& evaluator() override { return model; }
+
+private:
+    Field<const Operation> operations;
+    Field<const EnsembleAxis> axes;
+    Field<const std::int64_t> source;
+    Field<const double> weights;
+    Field<double> rows, activations, outputs;
+    EnsembleEvaluator model;
+};
+
+// Fill predicted, lower, upper, leverage and relative width of `out` (5, N, 6) for the axes held.
+void evaluate_held(
+    HeldModel& model,
+    Inputs inputs,
+    Records<const Derivatives> derivatives,
+    Records<const Wrench> factors,
+    Records<Wrench> out
+) {
+    Evaluator& evaluator = model.evaluator();
+    require(out.size == 5 * inputs.size, DIFFERENT);
+    require(derivatives.size == inputs.size || !evaluator.uses_derivatives(), DIFFERENT);
+    evaluator.evaluate(inputs, derivatives, only(factors), Evaluation::in(out, inputs.size));
 }
 
 void add_to_gram(
@@ -140,8 +178,12 @@ void bind_models(nb::module_& module) {
     module.attr("MOST_OUTPUTS") = MOST_OUTPUTS;
     module.attr("TILE_ROWS") = TILE_ROWS;
     module.def("evaluate_regressors", &evaluate_regressors);
-    module.def("evaluate_polynomials", &evaluate_polynomials);
-    module.def("evaluate_ensembles", &evaluate_ensembles);
+    nb::class_<HeldModel>(module, "Model")
+        .def_ro("arrays", &HeldModel::arrays)
+        .def("__reduce__", &made_again);
+    nb::class_<HeldPolynomials, HeldModel>(module, "Polynomials").def(nb::init<nb::object>());
+    nb::class_<HeldEnsembles, HeldModel>(module, "Ensembles").def(nb::init<nb::object>());
+    module.def("evaluate", &evaluate_held);
     module.def("add_to_gram", &add_to_gram, nb::call_guard<nb::gil_scoped_release>());
     module.def("distances_outside", &find_distances_outside);
 }

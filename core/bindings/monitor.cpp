@@ -3,9 +3,8 @@
 // What Python calls of the monitor: pairing, preparation, adaptive intervals and the alarm.
 #include <nanobind/nanobind.h>
 
-#include "bindings/records.hpp"
-#include "quadpi/monitor/adaptive.hpp"
-#include "quadpi/monitor/alarm.hpp"
+#include "bindings/held_model.hpp"
+#include "quadpi/monitor/monitor_step.hpp"
 #include "quadpi/monitor/pairing.hpp"
 
 namespace nb = nanobind;
@@ -106,12 +105,10 @@ std::size_t prepare_all(
 }
 
 void adapt_all(
+    Records<AdaptiveMemory> memory,
     Records<const Wrench> measured,
     Records<const Wrench> own_lower,
     Records<const Wrench> own_upper,
-    double step,
-    double miss_share,
-    Records<Wrench> log_factor,
     Records<Wrench> lower,
     Records<Wrench> upper
 ) {
@@ -119,16 +116,7 @@ void adapt_all(
     require(own_lower.size == count && own_upper.size == count, DIFFERENT);
     require(lower.size == count && upper.size == count, DIFFERENT);
     for (std::size_t row = 0; row < count; ++row) {
-        adapt(
-            measured[row],
-            own_lower[row],
-            own_upper[row],
-            step,
-            miss_share,
-            only(log_factor),
-            lower[row],
-            upper[row]
-        );
+        adapt(only(memory), measured[row], own_lower[row], own_upper[row], lower[row], upper[row]);
     }
 }
 
@@ -153,14 +141,80 @@ std::size_t advance_alarm(
     );
 }
 
-bool all_finite_in(Records<const double> lower, Records<const double> upper, Records<const double> leverage) {
-    double total = 0.0;
-    for (const Records<const double>& values : {lower, upper, leverage}) {
-        for (const double value : values) {
-            total += value;
+// The arrays of a monitor, and room for a block of samples.
+class HeldMonitor {
+public:
+    explicit HeldMonitor(nb::object its_arrays)
+        : arrays(its_arrays),
+          limits(arrays, "limits"),
+          alarm(arrays, "alarm"),
+          adaptive(arrays, "adaptive"),
+          factors(arrays, "factors"),
+          block(new MonitorBlock) {
+        const nb::object its_model = arrays.attr("model");
+        if (!its_model.is_none()) {
+            model = &nb::cast<HeldModel&>(its_model).evaluator();
         }
     }
-    return std::isfinite(total);
+
+    MonitorMemory memory() const { return {limits.only(), alarm.only(), adaptive.all(), factors.only()}; }
+
+    nb::object arrays;
+    Field<const AlarmLimits> limits;
+    Field<AlarmState> alarm;
+    Field<AdaptiveMemory> adaptive;
+    Field<const Wrench> factors;
+    Evaluator* model = nullptr;  // None for one that Python evaluates
+    std::unique_ptr<MonitorBlock> block;
+};
+
+nb::tuple step_monitor(
+    HeldMonitor& monitor,
+    Records<PreparationMemory> preparation,
+    Records<const std::int64_t> time_ns,
+    Records<const Signals> samples,
+    Records<std::int64_t> predicted_ns,
+    Records<Wrench> wrenches,
+    Records<AlarmRow> alarms
+) {
+    const std::size_t count = samples.size;
+    require(monitor.model != nullptr, "a model that Python evaluates");
+    require(time_ns.size == count && predicted_ns.size == count, DIFFERENT);
+    require(wrenches.size == 5 * count && alarms.size >= count, DIFFERENT);
+    MonitorRows rows{predicted_ns, wrenches, alarms};
+    step(monitor.memory(), only(preparation), *monitor.model, time_ns, samples, *monitor.block, rows);
+    return nb::make_tuple(rows.predictions, rows.raised);
+}
+
+// said: (5, U) what Python evaluated, or nothing where the model is compiled.
+// alarms: none where the alarm is not wanted.
+nb::tuple judge_prepared(
+    HeldMonitor& monitor,
+    nb::handle prepared,
+    Records<const Wrench> said,
+    Records<std::int64_t> predicted_ns,
+    Records<Wrench> wrenches,
+    Records<AlarmRow> alarms
+) {
+    const Field<const Verdict> verdicts(prepared, "verdicts");
+    const Field<const InputVector> inputs(prepared, "inputs");
+    const Field<const Wrench> measured(prepared, "measured");
+    const Field<const Derivatives> derivatives(prepared, "derivatives");
+    const GivenSamples given{verdicts.all(), inputs.all(), measured.all(), derivatives.all()};
+    std::size_t used = 0;
+    for (const Verdict& verdict : given.verdicts) {
+        used += verdict.usable ? 1 : 0;
+    }
+    require(given.inputs.size == used && given.measured.size == used, DIFFERENT);
+    require(given.derivatives.size == used && predicted_ns.size == used, DIFFERENT);
+    require(wrenches.size == 5 * used, DIFFERENT);
+    require(alarms.size == 0 || alarms.size >= given.verdicts.size, DIFFERENT);
+    require(said.size == (monitor.model == nullptr ? 5 * used : 0), DIFFERENT);
+    MonitorRows rows{predicted_ns, wrenches, alarms};
+    SaidBefore of_python(said);
+    Evaluator& model = monitor.model == nullptr ? of_python : *monitor.model;
+    judge_given(monitor.memory(), model, given, *monitor.block, rows);
+    return nb::make_tuple(rows.predictions, rows.raised);
 }
 
 // Whether a signal exceeds a level long enough to raise the alarm.
@@ -272,7 +326,12 @@ void bind_monitor(nb::module_& module) {
     module.def("prepare", &prepare_all);
     module.def("adapt", &adapt_all);
     module.def("advance_alarm", &advance_alarm);
-    module.def("all_finite", &all_finite_in);
+    nb::class_<HeldMonitor>(module, "Monitor")
+        .def(nb::init<nb::object>())
+        .def_ro("arrays", &HeldMonitor::arrays)
+        .def("__reduce__", &made_again);
+    module.def("step_monitor", &step_monitor);
+    module.def("judge_prepared", &judge_prepared);
     module.def("lasts", &lasts);
     module.def("sum_misses", &sum_misses);
 }

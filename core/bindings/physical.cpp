@@ -3,7 +3,7 @@
 // What Python calls of the physical model.
 #include <nanobind/nanobind.h>
 
-#include "bindings/records.hpp"
+#include "bindings/held_model.hpp"
 #include "quadpi/models/physical_kernel.hpp"
 #include "quadpi/models/tubes.hpp"
 
@@ -46,23 +46,31 @@ void read_motions(
     }
 }
 
-// Fill predicted, lower, upper, leverage and relative width of `out` (5, N, 6) for the axes held.
-void evaluate_physical(
-    Records<const InputVector> inputs,
-    Records<const Derivatives> derivatives,
-    Records<const PhysicalCommon> common,
-    Records<const KeptTerm> kept,
-    Records<const std::int64_t> acting,
-    Records<const double> whitening,
-    Records<const Wrench> factors,
-    Records<Wrench> out
-) {
-    const PhysicalModel model{only(common), kept, acting, whitening};
-    const std::size_t count = inputs.size, longest = model.longest();
-    require(derivatives.size == count && out.size == 5 * count, DIFFERENT);
-    require(longest <= TERMS && whitening.size == AXES * longest * longest, "not the terms of six axes");
-    evaluate(model, inputs, derivatives, only(factors), Evaluation::in(out, count));
-}
+// The arrays of `FittedPhysical`.
+class HeldPhysical final : public HeldModel {
+public:
+    explicit HeldPhysical(nb::object arrays)
+        : HeldModel(arrays),
+          common(arrays, "common"),
+          kept(arrays, "kept"),
+          acting(arrays, "acting"),
+          whitening(arrays, "whitening"),
+          model({common.only(), kept.all(), acting.all(), whitening.all()}) {
+        const std::size_t longest = model.model.longest();
+        require(
+            longest <= TERMS && whitening.all().size == AXES * longest * longest, "not the terms of six axes"
+        );
+    }
+
+    Evaluator& evaluator() override { return model; }
+
+private:
+    Field<const PhysicalCommon> common;
+    Field<const KeptTerm> kept;
+    Field<const std::int64_t> acting;
+    Field<const double> whitening;
+    PhysicalEvaluator model;
+};
 
 // The arrays of a flight that is rolled out, held as long as a call lasts.
 struct HeldTrack {
@@ -172,7 +180,7 @@ void bind_physical(nb::module_& module) {
     module.def("fill_regressors", &find_regressors, Unlocked());
     module.def("physical_wrenches", &find_physical_wrenches, Unlocked());
     module.def("read_motions", &read_motions);
-    module.def("evaluate_physical", &evaluate_physical);
+    nb::class_<HeldPhysical, HeldModel>(module, "Physical").def(nb::init<nb::object>());
     module.def("roll_out", &roll_out_all);
     module.def("error_covariance", &spread_errors);
 }

@@ -17,8 +17,9 @@ from quadpi_core.core import compiled
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
+from quadpi_core.models.compiled_model import CompiledFitted
 from quadpi_core.models.interval_rules import StoredRule
-from quadpi_core.models.model_kind import Evaluation, Fitted, FittedAxis
+from quadpi_core.models.model_kind import FittedAxis
 from quadpi_core.models.regressors import BASE_ROWS, Regressor, RegressorProgram
 from quadpi_core.records import Records
 from quadpi_core.training.networks import Networks
@@ -170,11 +171,12 @@ class _Packed(NamedTuple):
     outputs: Array
 
 
-class FittedEnsembles(Fitted):
-    """The ensembles of a model; each kind says what an axis of it is."""
+class FittedEnsembles(CompiledFitted):
+    """The ensembles of a model, of leverage 0; each kind says what an axis of it is."""
 
     @cached_property
-    def _packed(self) -> _Packed:
+    def compiled(self) -> compiled.Ensembles:
+        """See the base class."""
         program = RegressorProgram.compile(r for own in self.axes.values() for r in own.inputs)
         axes = np.zeros(len(AXES), dtype=_AXIS)
         source = np.zeros((len(AXES), max(len(own.inputs) for own in self.axes.values())), dtype=np.int64)
@@ -194,7 +196,7 @@ class FittedEnsembles(Fitted):
             record["share"] = own.deviation_weight
             record["rms_spread"] = own.rms_spread
         banks, block = axes["banks"], compiled.ENSEMBLE_BLOCK
-        return _Packed(
+        packed = _Packed(
             program.operations,
             axes,
             source,
@@ -203,15 +205,4 @@ class FittedEnsembles(Fitted):
             activations=np.empty((banks["networks"] * banks["units"]).max()),
             outputs=np.empty((_BANKS, compiled.MOST_OUTPUTS, banks["networks"].max(), block)),
         )
-
-    def evaluate(
-        self,
-        inputs: Array,
-        factors: Array,
-        derivatives: Records | None = None,  # noqa: ARG002 - for kinds that use them
-    ) -> Evaluation:
-        """See the base class; the leverage is 0."""
-        out = np.zeros((5, len(inputs), len(AXES)))
-        compiled.evaluate_ensembles(np.ascontiguousarray(inputs), *self._packed, factors, out)
-        # Faster one by one than by *out.
-        return Evaluation(out[0], out[1], out[2], out[3], out[4])
+        return compiled.Ensembles(packed)

@@ -20,16 +20,16 @@ from quadpi_core.errors import ModelError, named_in
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.inputs import DERIVATIVES
+from quadpi_core.models.compiled_model import CompiledFitted
 from quadpi_core.models.fitted_polynomial import RmsSpread
 from quadpi_core.models.interval_rules import StoredRule
-from quadpi_core.models.model_kind import Evaluation, Facts, Fitted, FittedAxis, RotorDelay, StoredAxes
+from quadpi_core.models.model_kind import Facts, FittedAxis, RotorDelay, StoredAxes
 from quadpi_core.models.physical_advice import delay_words, missing_flying
 from quadpi_core.models.physical_fit import AT_BOUND, FitStep, bounded_terms, worst_pairs
 from quadpi_core.models.physical_flight import DELAYS_S, PhysicalFlight, Sensing
 from quadpi_core.models.physical_kernel import COMMON, KEPT, PackedPhysical, motions
 from quadpi_core.models.physical_regressors import control_signs, regressors
 from quadpi_core.models.physical_terms import TERM_INDEX, TERM_NAMES, TERMS
-from quadpi_core.models.regressors import check_inputs
 from quadpi_core.models.rollout_model import MOVES, RolloutModel
 from quadpi_core.models.stored_body import StoredBody, require_arrays, require_known
 from quadpi_core.records import Records
@@ -171,7 +171,7 @@ class PhysicalAxis(FittedAxis):
 
 
 @dataclass(frozen=True)
-class FittedPhysical(Fitted):
+class FittedPhysical(CompiledFitted):
     """The physical model of a vehicle.
 
     Attributes:
@@ -182,9 +182,12 @@ class FittedPhysical(Fitted):
 
     method = "physical"
     axis_type = PhysicalAxis
+    # Rotor speeds act late, and their change has a torque.
+    needs_derivatives = True
 
     @cached_property
-    def _packed(self) -> PackedPhysical:
+    def compiled(self) -> compiled.Physical:
+        """See the base class."""
         longest = max(len(own.acting) for own in self.axes.values())
         common = np.zeros(1, COMMON)
         acting = np.zeros((len(AXES), longest), dtype=np.int64)
@@ -198,21 +201,7 @@ class FittedPhysical(Fitted):
         common["delay_s"] = fit.sensing.rotor_delay_s
         kept = np.zeros(len(fit.kept), KEPT)
         kept["number"], kept["value"] = fit.kept, fit.values[fit.kept]
-        return PackedPhysical(common, kept, acting, whitening)
-
-    def evaluate(self, inputs: Array, factors: Array, derivatives: Records | None = None) -> Evaluation:
-        """See the base class.
-
-        Raises:
-            ModelError: without derivatives (N,): rotor speeds act late, and their change has a torque.
-        """
-        check_inputs(inputs)
-        if derivatives is None:
-            raise ModelError("the physical model needs the derivatives of the motion")
-        out = np.zeros((5, len(inputs), len(AXES)))
-        inputs, derivatives, factors = map(np.ascontiguousarray, (inputs, derivatives, factors))
-        compiled.evaluate_physical(inputs, derivatives, *self._packed, factors, out)
-        return Evaluation(out[0], out[1], out[2], out[3], out[4])
+        return compiled.Physical(PackedPhysical(common, kept, acting, whitening))
 
     def store(self) -> StoredAxes:
         """Parameters once, what belongs to an axis by axis, and a table of parameters for people."""

@@ -14,8 +14,9 @@ from quadpi_core.config_schema import NotNegative, ReadBy, Within
 from quadpi_core.core import compiled
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
+from quadpi_core.models.compiled_model import CompiledFitted
 from quadpi_core.models.interval_rules import StoredRule
-from quadpi_core.models.model_kind import Evaluation, Fitted, FittedAxis
+from quadpi_core.models.model_kind import FittedAxis
 from quadpi_core.models.regressors import BASE_ROWS, Regressor, RegressorProgram
 from quadpi_core.records import Records
 
@@ -81,14 +82,15 @@ class _Packed(NamedTuple):
     rows: Array
 
 
-class FittedPolynomials(Fitted):
+class FittedPolynomials(CompiledFitted):
     """The polynomials of a model."""
 
     method = "polynomial"
     axis_type = PolynomialAxis
 
     @cached_property
-    def _packed(self) -> _Packed:
+    def compiled(self) -> compiled.Polynomials:
+        """See the base class."""
         longest = max(len(own.regressors) for own in self.axes.values())
         program = RegressorProgram.compile(r for own in self.axes.values() for r in own.regressors)
         axes = np.zeros(len(AXES), dtype=_AXIS)
@@ -103,16 +105,4 @@ class FittedPolynomials(Fitted):
             whitening[k, :size, :size] = own.whitening
             start += size
         rows = np.empty(BASE_ROWS + len(program.operations))
-        return _Packed(program.operations, axes, terms, whitening, rows)
-
-    def evaluate(
-        self,
-        inputs: Array,
-        factors: Array,
-        derivatives: Records | None = None,  # noqa: ARG002 - for kinds that use them
-    ) -> Evaluation:
-        """See the base class."""
-        out = np.zeros((5, len(inputs), len(AXES)))
-        compiled.evaluate_polynomials(np.ascontiguousarray(inputs), *self._packed, factors, out)
-        # Faster one by one than by *out.
-        return Evaluation(out[0], out[1], out[2], out[3], out[4])
+        return compiled.Polynomials(_Packed(program.operations, axes, terms, whitening, rows))

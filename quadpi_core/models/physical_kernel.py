@@ -47,7 +47,7 @@ COMMON, KEPT = record_dtype(_Common), record_dtype(_Kept)
 
 
 class PackedPhysical(NamedTuple):
-    """All axes for `evaluate_physical` of the compiled core.
+    """All axes for `Physical` of the compiled core.
 
     Attributes:
         common: (1,) of COMMON.

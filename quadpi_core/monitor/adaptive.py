@@ -31,15 +31,29 @@ leave a short flight uncorrected.
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 
 from quadpi_core.core import compiled
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
+from quadpi_core.records import record_dtype
 
 GAIN_PER_S = 5.0
 LARGEST_CHANGE = compiled.LARGEST_CHANGE
+
+
+class Memory:
+    """How the factors follow the measured wrench, and where they are."""
+
+    step: float  # η
+    miss_share: float  # α
+    log_factor: Annotated[Array, len(AXES)]
+
+
+MEMORY = record_dtype(Memory)
 
 
 class AdaptiveFactor:
@@ -52,6 +66,9 @@ class AdaptiveFactor:
         rate_hz: of the samples.
         gain_per_s: how fast the factor follows, see the module.
 
+    Attributes:
+        memory: a :class:`Memory` (1,), which compiled code changes in place.
+
     Raises:
         ModelError: for a confidence that is not between 0 and 1, or a rate or gain that is not positive.
     """
@@ -62,23 +79,23 @@ class AdaptiveFactor:
         for name, value in (("rate_hz", rate_hz), ("gain_per_s", gain_per_s)):
             if not 0.0 < value < np.inf:
                 raise ModelError(f"adaptive intervals: {name} must be positive, found {value}")
-        self._miss_share = 1.0 - confidence
+        self.memory = np.zeros(1, MEMORY)
+        self.memory["miss_share"] = 1.0 - confidence
         self._gain_per_s = gain_per_s
         self.retune(rate_hz)
-        self._log_factor = np.zeros(len(AXES))
 
     @property
     def factor(self) -> Array:
         """Factor (6,) for the next sample."""
-        return np.exp(self._log_factor)
+        return np.exp(self.memory["log_factor"][0])
 
     def reset(self) -> None:
         """Forget the past: the next interval is the model's own."""
-        self._log_factor[:] = 0.0
+        self.memory["log_factor"] = 0.0
 
     def retune(self, rate_hz: float) -> None:
         """Go on with samples of another rate."""
-        self._step = self._gain_per_s / rate_hz
+        self.memory["step"] = self._gain_per_s / rate_hz
 
     def step(self, measured: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
         """Adapted bounds (K, 6) of K samples, from their measured wrench and the model's own bounds (K, 6).
@@ -88,6 +105,5 @@ class AdaptiveFactor:
         """
         bounds = np.empty(lower.shape), np.empty(upper.shape)
         measured, lower, upper = map(np.ascontiguousarray, (measured, lower, upper))
-        factors = self._step, self._miss_share, self._log_factor
-        compiled.adapt(measured, lower, upper, *factors, *bounds)
+        compiled.adapt(self.memory, measured, lower, upper, *bounds)
         return bounds

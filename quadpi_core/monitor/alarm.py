@@ -102,6 +102,10 @@ class Alarm:
         interval_ratio: (6,) width of the intervals that the limits were calibrated with over the width of
             those that :meth:`step` will be given.
         vehicle: whose rotors may stop; without one they are not watched.
+
+    Attributes:
+        limits: :class:`.alarm_kernel.Limits` (1,).
+        state: :class:`.alarm_kernel.State` (1,), which compiled code changes in place.
     """
 
     def __init__(
@@ -114,7 +118,7 @@ class Alarm:
         vehicle: Vehicle | None = None,
     ) -> None:
         near = envelope.near
-        self._limits = np.zeros(1, kernel.LIMITS)
+        self.limits = np.zeros(1, kernel.LIMITS)
         for name, values in {
             "lower": envelope.lower,
             "upper": envelope.upper,
@@ -133,16 +137,16 @@ class Alarm:
             "hover_square": limits.hover_rotor_speed**2,
             "health_in_flight": ACTIVE if limits.calibrated else UNCALIBRATED,
         }.items():
-            self._limits[name] = values
+            self.limits[name] = values
         if vehicle is not None:
             geometry = rotor_geometry(vehicle, limits.hover_rotor_speed)
-            for name, number in zip(self._limits.dtype["rotors"].names or (), geometry, strict=True):
-                self._limits["rotors"][name] = number
+            for name, number in zip(self.limits.dtype["rotors"].names or (), geometry, strict=True):
+                self.limits["rotors"][name] = number
         # Limits of leverage and width over their peaks in training: a score times this is a multiple of the
         # peak.
         self._leverage_per_peak = envelope.leverage_limit * _inverse(envelope.leverage_peak)
         self._width_per_peak = envelope.width_limit * _inverse(envelope.width_peak)
-        self._state = np.zeros(1, kernel.STATE)
+        self.state = np.zeros(1, kernel.STATE)
         # Kept while it is not given to anyone: most samples fill no row, and numpy takes 1.4 µs to make one.
         self._rows = np.empty(0, kernel.ROW)
         self._no_rows = self._alarms(self._rows)
@@ -151,25 +155,32 @@ class Alarm:
 
     def change(self, settings: MonitorSettings) -> None:
         """Update times and rates in flight."""
-        self._limits["persistence_s"] = settings.persistence_s
-        self._limits["release_s"] = settings.release_s
-        self._limits["period_ns"] = max(1, round(1e9 / settings.alarm_rate_hz))
+        self.limits["persistence_s"] = settings.persistence_s
+        self.limits["release_s"] = settings.release_s
+        self.limits["period_ns"] = max(1, round(1e9 / settings.alarm_rate_hz))
 
     def reset(self) -> None:
         """Forget all evidence; the next sample gives a row."""
-        kernel.forget(self._state)
+        kernel.forget(self.state)
 
     def step(self, prepared: Prepared, evaluation: Evaluation) -> Alarms:
         """Take K samples, and what the model says of the U usable ones with its own intervals."""
         verdicts, inputs, measured = prepared.verdicts, prepared.inputs, prepared.measured
-        if len(self._rows) < len(verdicts):
-            self._rows = np.empty(len(verdicts), kernel.ROW)
         # A model of somebody else may give columns of a larger array.
-        lower, upper, leverage, width = map(np.ascontiguousarray, evaluation[1:])
-        said = lower, upper, leverage, width
-        count = compiled.advance_alarm(
-            self._limits, self._state, verdicts, inputs, measured, *said, self._rows
+        said = map(np.ascontiguousarray, evaluation[1:])
+        rows = self.room(len(verdicts))
+        return self.taken(
+            compiled.advance_alarm(self.limits, self.state, verdicts, inputs, measured, *said, rows)
         )
+
+    def room(self, samples: int) -> Records:
+        """Room for the rows (K,) of as many samples, or more; :meth:`taken` takes those that were filled."""
+        if len(self._rows) < samples:
+            self._rows = np.empty(samples, kernel.ROW)
+        return self._rows
+
+    def taken(self, count: int) -> Alarms:
+        """The first rows of :meth:`room`."""
         if not count:
             return self._no_rows
         # Whoever is given rows keeps them.
@@ -178,7 +189,7 @@ class Alarm:
 
     def without_sample(self, time_ns: int) -> Alarms:
         """A row for an instant without a sample: BAD_DATA beside the causes raised; changes nothing."""
-        row = self._state["row"].copy()
+        row = self.state["row"].copy()
         bad_data = CAUSES.index(BAD_DATA)
         row["time_ns"], row["faults"], row["why_not_judged"] = time_ns, 0, NO_SAMPLES
         row["level"] = row["cause_level"][:, bad_data] = LEVEL_ALARM

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,15 +16,62 @@ from quadpi_core.estimator.imu_rate import RATE_BEFORE_HZ, ImuRate
 from quadpi_core.flight import AXES, NO_STAMP, STAMP_MAX_NS, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.models.aerodynamic import LOAD_MODEL, AerodynamicModel, unchecked_evaluation
-from quadpi_core.models.model_kind import Evaluation
-from quadpi_core.monitor.adaptive import AdaptiveFactor
+from quadpi_core.models.compiled_model import compiled_model
+from quadpi_core.monitor.adaptive import MEMORY, AdaptiveFactor
 from quadpi_core.monitor.alarm import Alarm, MonitorSettings
+from quadpi_core.monitor.alarm_kernel import ROW
 from quadpi_core.monitor.alarm_log import EventLog
 from quadpi_core.monitor.pairing import PairedSamples
 from quadpi_core.monitor.preparation import Preparation, Prepared
+from quadpi_core.records import Records
 from quadpi_core.results import Alarms, Events, Predictions
 from quadpi_core.signals.chain import CHANNELS
 from quadpi_core.vehicle import Vehicle
+
+
+class _Arrays(NamedTuple):
+    """What compiled code knows and remembers of a monitor, but for its preparation.
+
+    Attributes:
+        limits, alarm: see :class:`Alarm`.
+        adaptive: see :class:`AdaptiveFactor`; empty where intervals do not adapt.
+        factors: (6,) half width of each axis' interval per unit of spread.
+        model: None for one that Python evaluates.
+    """
+
+    limits: Records
+    alarm: Records
+    adaptive: Records
+    factors: Array
+    model: compiled.Model | None
+
+
+class _Rows(NamedTuple):
+    """Room for predictions of K samples.
+
+    Attributes:
+        time_ns: (K,).
+        wrenches: (5, K, 6) predicted, lower, upper, measured and relative width.
+    """
+
+    time_ns: Stamps
+    wrenches: Array
+
+    @classmethod
+    def room(cls, samples: int) -> _Rows:
+        return cls(np.empty(samples, np.int64), np.empty((5, samples, len(AXES))))
+
+    def predictions(self, count: int) -> Predictions:
+        """The first ones."""
+        time_ns, wrenches = self
+        if count < len(time_ns):
+            time_ns, wrenches = time_ns[:count], wrenches[:, :count]
+        # Faster one by one than by *wrenches.
+        return Predictions(time_ns, wrenches[0], wrenches[1], wrenches[2], wrenches[3], wrenches[4])
+
+
+_NOTHING_SAID = np.empty((5, 0, len(AXES)))
+_NO_ALARM = np.empty(0, ROW)
 
 
 class Monitor:
@@ -74,6 +122,13 @@ class Monitor:
         self._adaptive = (
             AdaptiveFactor(self.confidence, rate_hz or RATE_BEFORE_HZ) if settings.adaptive else None
         )
+        own = compiled_model(model.fitted)
+        self._is_compiled = own is not None
+        adaptive = np.empty(0, MEMORY) if self._adaptive is None else self._adaptive.memory
+        factors = model.fitted.factors(self.confidence)
+        self._compiled = compiled.Monitor(
+            _Arrays(self._alarm.limits, self._alarm.state, adaptive, factors, own)
+        )
 
     def step(self, time_ns: Stamps, values: Array) -> tuple[Predictions, Alarms, Events]:
         """Take K samples; blocks of any length give the same rows, bit for bit.
@@ -95,9 +150,17 @@ class Monitor:
             values = array_checks.floats(
                 "values", values, CHANNELS, rows=len(time_ns), of="time_ns", finite=False
             )
-        # Judge the data; from the samples that can be used, filter inputs and measured wrench.
-        prepared = self.preparation.step(time_ns, values)
-        return self._judge(prepared)
+        return self._step(time_ns, values)
+
+    def _step(self, time_ns: Stamps, values: Array) -> tuple[Predictions, Alarms, Events]:
+        if not self._is_compiled:
+            return self._judge(self.preparation.step(time_ns, values))
+        # Judge and filter the samples, predict, gather evidence: all of it in the core.
+        rows = _Rows.room(len(time_ns))
+        alarms = self._alarm.room(len(time_ns))
+        memory = self.preparation.memory
+        predicted, raised = compiled.step_monitor(self._compiled, memory, time_ns, values, *rows, alarms)
+        return self._results(rows, predicted, raised)
 
     def judge(self, prepared: Prepared) -> tuple[Predictions, Alarms, Events]:
         """Take K samples as a :class:`Preparation` of the model's cut-off gives them; see :meth:`step`.
@@ -108,37 +171,35 @@ class Monitor:
         return self._judge(array_checks.instance("prepared", prepared, Prepared).checked())
 
     def _judge(self, prepared: Prepared) -> tuple[Predictions, Alarms, Events]:
-        # The model's prediction, its own interval, leverage and width of each usable sample.
-        predictions, prepared, evaluation = self._evaluate(prepared)
-        # Evidence of the three causes, their charges and levels; rows where something changes.
-        alarms = self._alarm.step(prepared, evaluation)
-        # Alarms that were raised or cleared, with their reasons.
-        events = self._log.take(alarms) if len(alarms.time_ns) else []
-        return predictions, alarms, events
+        rows = _Rows.room(len(prepared.inputs))
+        return self._results(rows, *self._filled(prepared, rows, self._alarm.room(len(prepared.verdicts))))
 
     def predict(self, prepared: Prepared) -> Predictions:
         """Predictions alone, without an alarm; see :meth:`judge`."""
-        return self._evaluate(array_checks.instance("prepared", prepared, Prepared).checked())[0]
+        return self._predict(array_checks.instance("prepared", prepared, Prepared).checked())
 
-    def _evaluate(self, prepared: Prepared) -> tuple[Predictions, Prepared, Evaluation]:
-        """Predictions, the samples that stay usable, and the model's evaluation with its own intervals.
+    def _predict(self, prepared: Prepared) -> Predictions:
+        rows = _Rows.room(len(prepared.inputs))
+        predicted, _ = self._filled(prepared, rows, _NO_ALARM)
+        return rows.predictions(predicted)
+
+    def _filled(self, prepared: Prepared, rows: _Rows, alarms: Records) -> tuple[int, int]:
+        """How many rows of predictions and of the alarm, unless there is room for none, samples fill.
 
         A sample one of whose numbers overflows is no longer usable.
         """
-        inputs, measured = prepared.inputs, prepared.measured
-        evaluation = unchecked_evaluation(self.model, inputs, self.confidence, prepared.derivatives)
-        predicted, lower, upper, leverage, relative_width = evaluation
-        if self._adaptive is not None:
-            lower, upper = self._adaptive.step(measured, lower, upper)
-        if not compiled.all_finite(*map(np.ascontiguousarray, (lower, upper, leverage))):
-            every = np.concatenate((lower, upper, leverage), axis=1)
-            finite = np.asarray(np.isfinite(every).all(axis=1))
-            prepared = prepared.where(finite)
-            evaluation = Evaluation._make(column[finite] for column in evaluation)
-            predicted, _, _, _, relative_width = evaluation
-            lower, upper, measured = lower[finite], upper[finite], prepared.measured
-        predictions = Predictions(prepared.usable_ns, predicted, lower, upper, measured, relative_width)
-        return predictions, prepared, evaluation
+        said = _NOTHING_SAID
+        if not self._is_compiled:
+            said = np.stack(
+                unchecked_evaluation(self.model, prepared.inputs, self.confidence, prepared.derivatives)
+            )
+        return compiled.judge_prepared(self._compiled, prepared, said, *rows, alarms)
+
+    def _results(self, rows: _Rows, predicted: int, raised: int) -> tuple[Predictions, Alarms, Events]:
+        alarms = self._alarm.taken(raised)
+        # Alarms that were raised or cleared, with their reasons.
+        events = self._log.take(alarms) if raised else []
+        return rows.predictions(predicted), alarms, events
 
     def reset(self) -> None:
         """Forget the past: as after construction."""
@@ -233,16 +294,16 @@ class Monitors:
     def step(self, samples: PairedSamples) -> tuple[tuple[Predictions, Alarms, Events], list[Predictions]]:
         """Take K samples: the results of the first monitor, see :meth:`Monitor.step`; others' predictions."""
         first, *others = self._monitors.values()
+        if not others:
+            return first._step(*samples), []
         prepared = first.preparation.step(*samples)
         results = first._judge(prepared)
-        if not others:
-            return results, []
         by_preparation = {first.preparation: prepared}
         predictions = []
         for monitor in others:
             if monitor.preparation not in by_preparation:
                 by_preparation[monitor.preparation] = monitor.preparation.step(*samples)
-            predictions.append(monitor._evaluate(by_preparation[monitor.preparation])[0])
+            predictions.append(monitor._predict(by_preparation[monitor.preparation]))
         return results, predictions
 
     def _put(self, name: str, monitor: Monitor) -> None:

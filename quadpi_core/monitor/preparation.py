@@ -122,18 +122,6 @@ class Prepared(NamedTuple):
         settled: npt.NDArray[np.bool_] = self.verdicts["settled"][self.usable]
         return settled
 
-    def where(self, chosen: npt.NDArray[np.bool_]) -> Prepared:
-        """The same with only those of the usable samples (U,) left that a mask chooses."""
-        verdicts = self.verdicts.copy()
-        verdicts["usable"][self.usable] = chosen
-        return Prepared(
-            verdicts,
-            self.inputs[chosen],
-            self.measured[chosen],
-            self.usable_ns[chosen],
-            self.derivatives[chosen],
-        )
-
 
 class Preparation:
     """Judges and filters the samples of one vehicle; memory and time per sample are constant.
@@ -142,6 +130,9 @@ class Preparation:
         vehicle: as in its vehicle file.
         rate_hz: sample rate of the IMU; None if :meth:`retune` will give it.
         cutoff_hz: of the low-pass.
+
+    Attributes:
+        memory: a :class:`Memory` (1,), which compiled code changes in place.
 
     Raises:
         SignalError: if the sample rate is too low for the cut-off.
@@ -152,16 +143,16 @@ class Preparation:
         self._cutoff_hz = cutoff_hz
         self._rate: ImuRate | None = None
         self._quality_hz = rate_hz or RATE_BEFORE_HZ
-        self._memory = np.zeros(1, MEMORY)
-        self._memory["vehicle"] = vehicle_constants(vehicle)
-        self._memory["settling_ns"] = min(SETTLE_NS, round(1e9 * SETTLING_PERIODS / cutoff_hz))
+        self.memory = np.zeros(1, MEMORY)
+        self.memory["vehicle"] = vehicle_constants(vehicle)
+        self.memory["settling_ns"] = min(SETTLE_NS, round(1e9 * SETTLING_PERIODS / cutoff_hz))
         self.retune(ImuRate(rate_hz or 0.0))
         self.reset()
 
     def reset(self) -> None:
         """Forget the past: as after construction."""
-        self._memory["quality"] = quality(self._vehicle, self._quality_hz)
-        self._memory["chain"] = 0
+        self.memory["quality"] = quality(self._vehicle, self._quality_hz)
+        self.memory["chain"] = 0
 
     def retune(self, rate: ImuRate) -> None:
         """Go on with samples of another rate, with an empty low-pass. Without one, no sample is usable.
@@ -172,7 +163,7 @@ class Preparation:
         if rate == self._rate:
             return
         self._rate = rate
-        memory = self._memory
+        memory = self.memory
         memory["chain"] = 0
         memory["low_pass"]["rate_hz"] = 0.0
         memory["fault_without_rate"] = RATE_DIFFERS if rate.differs else RATE_UNKNOWN
@@ -188,7 +179,7 @@ class Preparation:
         verdicts = np.zeros(count, VERDICT)
         inputs, measured = np.empty((count, len(INPUT_NAMES))), np.empty((count, len(AXES)))
         derivatives = np.empty(count, DERIVATIVES)
-        used = compiled.prepare(self._memory, time_ns, values, verdicts, inputs, measured, derivatives)
+        used = compiled.prepare(self.memory, time_ns, values, verdicts, inputs, measured, derivatives)
         if used == count:
             return Prepared(verdicts, inputs, measured, time_ns, derivatives)
         usable_ns = time_ns[verdicts["usable"]]

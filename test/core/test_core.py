@@ -19,12 +19,12 @@ from quadpi_core.estimator.filter_state import ESTIMATE, NOISE
 
 PACKAGE = Path(quadpi_core.__file__).parent
 SOURCES = PACKAGE.parent / "core"
-_DECLARED = ast.FunctionDef, ast.AnnAssign
+_DECLARED = ast.FunctionDef, ast.ClassDef, ast.AnnAssign
 
 
 def test_the_stub_names_what_is_there() -> None:
     parts = [one for one in ast.parse((PACKAGE / "_core.pyi").read_text()).body if isinstance(one, _DECLARED)]
-    named = {one.name if isinstance(one, ast.FunctionDef) else ast.unparse(one.target) for one in parts}
+    named = {ast.unparse(one.target) if isinstance(one, ast.AnnAssign) else one.name for one in parts}
     assert named == {name for name in dir(compiled) if not name.startswith("__")}
 
 

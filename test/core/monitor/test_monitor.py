@@ -14,6 +14,7 @@ from quadpi_core.models.model_kind import Evaluation
 from quadpi_core.monitor.alarm import MonitorSettings
 from quadpi_core.monitor.monitor import Monitor, Monitors
 from quadpi_core.monitor.pairing import PairedSamples
+from quadpi_core.monitor.preparation import Preparation
 from quadpi_core.results import BAD_DATA, EXTRAPOLATION, LEVEL_ALARM, LEVEL_OK, Alarms, Predictions
 from quadpi_core.rotations import rotate_world_to_body
 
@@ -209,6 +210,21 @@ def test_all_samples_broken_give_alarms_and_no_predictions(monitor, samples):
     assert alarms.level[-1] == LEVEL_ALARM
 
 
+@pytest.mark.parametrize("settings", [MonitorSettings(), ADAPTIVE], ids=["static", "adaptive"])
+@pytest.mark.parametrize("block", [1, 7, 100, 256, None])
+def test_a_model_that_python_evaluates_gives_the_same(model, vehicle, samples, settings, block):
+    class InPython(type(model.fitted)):
+        def evaluate(self, inputs, factors, derivatives=None) -> Evaluation:
+            return super().evaluate(inputs, factors, derivatives)
+
+    few = cut(samples, slice(0, 2000))
+    in_python = replace(model, fitted=InPython(model.fitted.axes))
+    expected = run(Monitor(model, vehicle, RATE_HZ, settings=settings), few)
+    found = run(Monitor(in_python, vehicle, RATE_HZ, settings=settings), few, block)
+    for left, right in zip(found, expected, strict=True):
+        assert_same(left, right)
+
+
 def test_prediction_that_overflows_is_bad_data(model, vehicle, samples):
     class Overflowing(type(model.fitted)):
         def evaluate(self, inputs, factors, derivatives=None) -> Evaluation:
@@ -216,11 +232,21 @@ def test_prediction_that_overflows_is_bad_data(model, vehicle, samples):
             far = inputs[:, INPUT_INDEX["u"]] > 2.0
             return evaluation._replace(upper=np.where(far[:, None], np.inf, evaluation.upper))
 
-    monitor = Monitor(replace(model, fitted=Overflowing(model.fitted.axes)), vehicle, RATE_HZ)
-    predictions, alarms, _ = monitor.step(*samples)
+    overflowing = replace(model, fitted=Overflowing(model.fitted.axes))
+    predictions, alarms, _ = Monitor(overflowing, vehicle, RATE_HZ).step(*samples)
     assert 0 < len(predictions.time_ns) < len(samples.time_ns)
     assert_finite(predictions, alarms)
     assert BAD_DATA in alarms.causes
+    prepared = Preparation(vehicle, RATE_HZ, model.cutoff_hz).step(*samples)
+    kept = prepared.inputs[:, INPUT_INDEX["u"]] <= 2.0
+    np.testing.assert_array_equal(predictions.time_ns, prepared.usable_ns[kept])
+    np.testing.assert_array_equal(predictions.measured, prepared.measured[kept])
+    said = model.evaluate(prepared.inputs[kept], derivatives=prepared.derivatives[kept])
+    np.testing.assert_array_equal(predictions.predicted, said.predicted)
+    for block in (1, 7, 256):
+        parts = run(Monitor(overflowing, vehicle, RATE_HZ), samples, block)
+        assert_same(predictions, parts[0])
+        assert_same(alarms, parts[1])
 
 
 @pytest.mark.parametrize("settings", [MonitorSettings(), ADAPTIVE], ids=["static", "adaptive"])

@@ -130,18 +130,3 @@ def test_no_sample_is_used_without_a_rate_that_fits(vehicle, samples, rate, faul
     assert np.all(prepared.verdicts["faults"] == fault)
     assert prepared.usable.any() == (fault == 0)
     assert len(prepared.inputs) == len(prepared.measured) == prepared.usable.sum()
-
-
-def test_a_mask_chooses_among_the_usable_samples(vehicle, samples):
-    time_ns = samples.time_ns[:50].copy()
-    time_ns[10] = time_ns[9]
-    few = changed(cut(samples, slice(0, 50)), time_ns=time_ns)
-    prepared = Preparation(vehicle, RATE_HZ, CUTOFF_HZ).step(*few)
-    chosen = np.arange(49) % 3 == 0
-    kept = prepared.where(chosen)
-    expected = np.insert(chosen, 10, False)
-    np.testing.assert_array_equal(kept.usable, expected)
-    np.testing.assert_array_equal(kept.usable_ns, few.time_ns[expected])
-    np.testing.assert_array_equal(kept.inputs, prepared.inputs[chosen])
-    np.testing.assert_array_equal(kept.measured, prepared.measured[chosen])
-    assert prepared.usable.sum() == 49

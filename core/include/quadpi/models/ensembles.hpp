@@ -340,4 +340,22 @@ inline void evaluate(
     }
 }
 
+// The ensembles of a model, with room for a block.
+struct EnsembleEvaluator final : Evaluator {
+    EnsembleEvaluator(const Ensembles& its_model, const EnsembleScratch& its_scratch)
+        : model(its_model), scratch(its_scratch) {}
+
+    Ensembles model;
+    EnsembleScratch scratch;
+
+    void evaluate(
+        Records<const InputVector> inputs,
+        Records<const Derivatives>,
+        const Wrench& factors,
+        const Evaluation& out
+    ) override {
+        quadpi::evaluate(model, inputs, factors, scratch, out);
+    }
+};
+
 }  // namespace quadpi

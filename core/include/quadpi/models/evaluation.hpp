@@ -3,6 +3,7 @@
 // What models give of samples; see `Evaluation` of models/model_kind.py.
 #pragma once
 
+#include "quadpi/inputs.hpp"
 #include "quadpi/records.hpp"
 #include "quadpi/signals/wrench.hpp"
 
@@ -31,6 +32,25 @@ struct Evaluation {
         upper[sample][axis] = centre + factor * spread;
         relative_width[sample][axis] = spread / rms_spread;
     }
+};
+
+// A fitted model with room to work in: it allocates nothing.
+class Evaluator {
+public:
+    virtual ~Evaluator() = default;
+
+    // Whether samples need derivatives; else there may be none.
+    virtual bool uses_derivatives() const { return false; }
+
+    // Fill the evaluation of samples, which is zero, for the axes held.
+    //
+    // factors: half width of each axis' interval per unit of spread.
+    virtual void evaluate(
+        Records<const InputVector> inputs,
+        Records<const Derivatives> derivatives,
+        const Wrench& factors,
+        const Evaluation& out
+    ) = 0;
 };
 
 }  // namespace quadpi

@@ -144,4 +144,22 @@ inline void evaluate(
     }
 }
 
+// A physical model, which needs no room.
+struct PhysicalEvaluator final : Evaluator {
+    explicit PhysicalEvaluator(const PhysicalModel& its_model) : model(its_model) {}
+
+    bool uses_derivatives() const override { return true; }
+
+    PhysicalModel model;
+
+    void evaluate(
+        Records<const InputVector> inputs,
+        Records<const Derivatives> derivatives,
+        const Wrench& factors,
+        const Evaluation& out
+    ) override {
+        quadpi::evaluate(model, inputs, derivatives, factors, out);
+    }
+};
+
 }  // namespace quadpi

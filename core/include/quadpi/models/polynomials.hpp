@@ -71,4 +71,22 @@ inline void evaluate(
     }
 }
 
+// The polynomials of a model, with room for the rows of one sample.
+struct PolynomialEvaluator final : Evaluator {
+    PolynomialEvaluator(const Polynomials& its_model, const Rows& its_rows)
+        : model(its_model), rows(its_rows) {}
+
+    Polynomials model;
+    Rows rows;
+
+    void evaluate(
+        Records<const InputVector> inputs,
+        Records<const Derivatives>,
+        const Wrench& factors,
+        const Evaluation& out
+    ) override {
+        quadpi::evaluate(model, inputs, factors, rows, out);
+    }
+};
+
 }  // namespace quadpi

@@ -13,22 +13,24 @@ namespace quadpi {
 // The factor follows errors of 1/LARGEST_CHANGE to LARGEST_CHANGE half widths.
 constexpr double LARGEST_CHANGE = 1000.0;
 
-// Fill the bounds of one sample, and advance the logarithms of the factors by it.
-//
-// step: η.
-// miss_share: α.
+// How the factors follow the measured wrench, and where they are.
+struct AdaptiveMemory {
+    double step;        // η
+    double miss_share;  // α
+    Wrench log_factor;
+};
+
+// Fill the bounds of one sample from the model's own, and advance the factors by it.
 inline void adapt(
+    AdaptiveMemory& memory,
     const Wrench& measured,
     const Wrench& own_lower,
     const Wrench& own_upper,
-    double step,
-    double miss_share,
-    Wrench& log_factor,
     Wrench& lower,
     Wrench& upper
 ) {
     for (int axis = 0; axis < AXES; ++axis) {
-        const double factor = std::exp(log_factor[axis]);
+        const double factor = std::exp(memory.log_factor[axis]);
         const double centre = 0.5 * own_lower[axis] + 0.5 * own_upper[axis];
         const double half = 0.5 * own_upper[axis] - 0.5 * own_lower[axis];
         const double low = centre - factor * half, high = centre + factor * half;
@@ -43,7 +45,7 @@ inline void adapt(
         } else if (factor < 1.0 / LARGEST_CHANGE) {
             missed = true;
         }
-        log_factor[axis] += step * ((missed ? 1.0 : 0.0) - miss_share);
+        memory.log_factor[axis] += memory.step * ((missed ? 1.0 : 0.0) - memory.miss_share);
     }
 }
 
