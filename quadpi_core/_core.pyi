@@ -287,8 +287,19 @@ def prepare(
     inputs: Array,
     measured: Array,
     derivatives: Records,
+    filtered: Array,
     /,
 ) -> int: ...
+def take_conditions(
+    memory: Records,
+    conditions: Records,
+    verdicts: Records,
+    filtered: Array,
+    derivatives: Records,
+    erring: Array,
+    /,
+) -> None: ...
+def scale_by_density(derivatives: Records, evaluation: Array, /) -> None: ...
 def adapt(
     memory: Records, measured: Array, own_lower: Array, own_upper: Array, lower: Array, upper: Array, /
 ) -> None: ...
@@ -324,6 +335,7 @@ def step_monitor(
 def judge_prepared(
     monitor: Monitor,
     prepared: object,
+    added: Array,
     said: Array,
     predicted_ns: Stamps,
     wrenches: Array,

@@ -53,11 +53,13 @@ class Derivatives:
         angular_acceleration: rad/s², measured, body axes.
         rotor_accelerations: rad/s².
         rotor_jerks: rad/s³, the derivative of `rotor_accelerations`.
+        density_excess: by what share the air is denser than the vehicle file says; 0 where nothing tells.
     """
 
     angular_acceleration: Vector3
     rotor_accelerations: Annotated[Array, ROTORS]
     rotor_jerks: Annotated[Array, ROTORS]
+    density_excess: float
 
 
 class VehicleConstants:
@@ -66,6 +68,7 @@ class VehicleConstants:
     control_signs: Annotated[Array, 3, ROTORS]  # of U_p, U_q, U_r
     rotor_radius: float
     hover_induced_velocity: float
+    air_density: float
     mass: float
     inertia: Annotated[Array, 3, 3]
 
@@ -124,6 +127,7 @@ def vehicle_constants(vehicle: Vehicle) -> Records:
     constants["control_signs"] = np.stack((-np.sign(y), np.sign(x), vehicle.rotor_spins))
     constants["rotor_radius"] = vehicle.rotor_radius_m
     constants["hover_induced_velocity"] = vehicle.hover_induced_velocity
+    constants["air_density"] = vehicle.air_density_kg_m3
     constants["mass"], constants["inertia"] = vehicle.mass_kg, vehicle.inertia
     return constants
 

@@ -4,6 +4,7 @@
 #include <nanobind/nanobind.h>
 
 #include "bindings/held_model.hpp"
+#include "quadpi/monitor/conditions.hpp"
 #include "quadpi/monitor/monitor_step.hpp"
 #include "quadpi/monitor/pairing.hpp"
 
@@ -98,10 +99,29 @@ std::size_t prepare_all(
     Records<Verdict> verdicts,
     Records<InputVector> inputs,
     Records<Wrench> measured,
-    Records<Derivatives> derivatives
+    Records<Derivatives> derivatives,
+    Records<Signals> filtered
 ) {
     require(samples.size == time_ns.size && verdicts.size == time_ns.size, DIFFERENT);
-    return prepare(only(memory), time_ns, samples, {verdicts, inputs, measured, derivatives});
+    return prepare(only(memory), time_ns, samples, {verdicts, inputs, measured, derivatives, filtered});
+}
+
+void take_all_conditions(
+    Records<const PreparationMemory> memory,
+    Records<const Conditions> conditions,
+    Records<const Verdict> verdicts,
+    Records<const Signals> filtered,
+    Records<Derivatives> derivatives,
+    Records<ErringInputs> erring
+) {
+    require(verdicts.size == conditions.size, DIFFERENT);
+    require(filtered.size == erring.size && derivatives.size == erring.size, DIFFERENT);
+    take_conditions(conditions, verdicts, filtered, only(memory).vehicle, derivatives, erring);
+}
+
+void scale_evaluation_by_density(Records<const Derivatives> derivatives, Records<Wrench> evaluation) {
+    require(evaluation.size == 5 * derivatives.size, DIFFERENT);
+    scale_by_density(derivatives, Evaluation::in(evaluation, derivatives.size));
 }
 
 void adapt_all(
@@ -186,11 +206,13 @@ nb::tuple step_monitor(
     return nb::make_tuple(rows.predictions, rows.raised);
 }
 
+// added: (U) squares of what the states add to half widths, or nothing.
 // said: (5, U) what Python evaluated, or nothing where the model is compiled.
 // alarms: none where the alarm is not wanted.
 nb::tuple judge_prepared(
     HeldMonitor& monitor,
     nb::handle prepared,
+    Records<const Wrench> added,
     Records<const Wrench> said,
     Records<std::int64_t> predicted_ns,
     Records<Wrench> wrenches,
@@ -200,14 +222,14 @@ nb::tuple judge_prepared(
     const Field<const InputVector> inputs(prepared, "inputs");
     const Field<const Wrench> measured(prepared, "measured");
     const Field<const Derivatives> derivatives(prepared, "derivatives");
-    const GivenSamples given{verdicts.all(), inputs.all(), measured.all(), derivatives.all()};
+    const GivenSamples given{verdicts.all(), inputs.all(), measured.all(), derivatives.all(), added};
     std::size_t used = 0;
     for (const Verdict& verdict : given.verdicts) {
         used += verdict.usable ? 1 : 0;
     }
     require(given.inputs.size == used && given.measured.size == used, DIFFERENT);
     require(given.derivatives.size == used && predicted_ns.size == used, DIFFERENT);
-    require(wrenches.size == 5 * used, DIFFERENT);
+    require(wrenches.size == 5 * used && (added.size == 0 || added.size == used), DIFFERENT);
     require(alarms.size == 0 || alarms.size >= given.verdicts.size, DIFFERENT);
     require(said.size == (monitor.model == nullptr ? 5 * used : 0), DIFFERENT);
     MonitorRows rows{predicted_ns, wrenches, alarms};
@@ -324,6 +346,8 @@ void bind_monitor(nb::module_& module) {
     module.def("take_samples", &take_samples);
     module.def("take_stretch", &take_stretch);
     module.def("prepare", &prepare_all);
+    module.def("take_conditions", &take_all_conditions);
+    module.def("scale_by_density", &scale_evaluation_by_density);
     module.def("adapt", &adapt_all);
     module.def("advance_alarm", &advance_alarm);
     nb::class_<HeldMonitor>(module, "Monitor")

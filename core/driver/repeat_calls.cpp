@@ -169,7 +169,9 @@ void prepare_call(Arguments& given) {
     const auto verdicts = given.records<Verdict>();
     const auto inputs = given.records<InputVector>();
     const auto measured = given.records<Wrench>();
-    prepare(memory, time_ns, samples, {verdicts, inputs, measured, given.records<Derivatives>()});
+    const auto derivatives = given.records<Derivatives>();
+    const auto filtered = given.records<Signals>();
+    prepare(memory, time_ns, samples, {verdicts, inputs, measured, derivatives, filtered});
 }
 
 void adapt_call(Arguments& given) {

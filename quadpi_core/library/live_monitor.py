@@ -23,7 +23,9 @@ from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.interval_rules import inside_interval
 from quadpi_core.monitor.alarm import MonitorSettings
 from quadpi_core.monitor.alarm_log import reasons
+from quadpi_core.monitor.conditions import conditions
 from quadpi_core.monitor.monitor import Monitor as BlockMonitor
+from quadpi_core.records import Records
 from quadpi_core.results import Alarms, Events, Predictions
 from quadpi_core.vehicle import ROTORS, Vehicle
 
@@ -118,6 +120,8 @@ class Monitor:
         specific_force: npt.ArrayLike,
         rotor_speeds: npt.ArrayLike,
         wind: npt.ArrayLike | None = None,
+        air_density: npt.ArrayLike | None = None,
+        state_covariance: npt.ArrayLike | None = None,
     ) -> list[MonitorRow]: ...
 
     @overload
@@ -134,6 +138,8 @@ class Monitor:
         specific_force: npt.ArrayLike | None = None,
         rotor_speeds: npt.ArrayLike | None = None,
         wind: npt.ArrayLike | None = None,
+        air_density: npt.ArrayLike | None = None,
+        state_covariance: npt.ArrayLike | None = None,
     ) -> list[MonitorRow] | tuple[Predictions, Alarms, Events]:
         """Take one sample or K of them; returns a list with a :class:`MonitorRow` for each that can be used.
 
@@ -151,6 +157,9 @@ class Monitor:
             specific_force: (3,) or (K, 3) m/s², body axes: z near −9.8 in hover.
             rotor_speeds: (4,) or (K, 4) rad/s, rotors in the order of the vehicle file.
             wind: (3,) or (K, 3) m/s of the air, world; none unless given.
+            air_density: kg/m³, one or (K,); that of the vehicle file unless given.
+            state_covariance: (9, 9) or (K, 9, 9) of velocity, attitude and rates, by what they are less sure
+                than in the flights of the model, see `monitor.conditions.Conditions`; it widens intervals.
 
         Raises:
             ArgumentError: naming the quantity that is absent or of another shape.
@@ -173,14 +182,19 @@ class Monitor:
             "wind": np.zeros((len(stamps), 3)) if wind is None else wind,
         }
         block = np.hstack([_columns(name, values, stamps) for name, values in given.items()])
+        known = conditions(
+            len(stamps),
+            None if air_density is None else _array("air_density", air_density),
+            None if state_covariance is None else _array("state_covariance", state_covariance),
+        )
         rows: list[MonitorRow] = []
         begin = 0
         for place in self._new_rates(stamps):
-            rows += self._rows(stamps[begin:place], block[begin:place])
+            rows += self._rows(stamps, block, known, slice(begin, place))
             self._rate = ImuRate.of(self._meter, 0.0)
             self._monitor.retune(self._rate)
             begin = place
-        return rows + self._rows(stamps[begin:], block[begin:])
+        return rows + self._rows(stamps, block, known, slice(begin, None))
 
     def _new_rates(self, stamps: npt.NDArray[np.int64]) -> Iterator[int]:
         """Places of the samples from which on another rate is known; none where it was given."""
@@ -192,10 +206,14 @@ class Monitor:
             if int(self._meter["changes"][0]) != changes:
                 yield place
 
-    def _rows(self, stamps: npt.NDArray[np.int64], block: Array) -> list[MonitorRow]:
+    def _rows(
+        self, stamps: npt.NDArray[np.int64], block: Array, known: Records | None, part: slice
+    ) -> list[MonitorRow]:
+        stamps = stamps[part]
         if len(stamps) == 0 or (self._rate is not None and self._rate.begins):
             return []
-        predictions, alarms, _ = self._monitor.step(stamps, np.ascontiguousarray(block))
+        known = None if known is None else known[part]
+        predictions, alarms, _ = self._monitor.step(stamps, np.ascontiguousarray(block[part]), known)
         axes = self._monitor.model.axes
         bounds = (predictions.predicted, predictions.lower, predictions.upper)
         predicted, lower, upper = (only_axes(array, axes) for array in bounds)

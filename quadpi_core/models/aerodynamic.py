@@ -15,12 +15,14 @@ import numpy as np
 
 from quadpi_core import array_checks
 from quadpi_core.config_schema import Flag, NotEmpty, OneOf, ReadBy, Real, Text, Within, parse_config
+from quadpi_core.core import compiled
 from quadpi_core.errors import ArgumentError, ModelError, named_in
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.inputs import DERIVATIVES, INPUT_NAMES
 from quadpi_core.messages.model_description import DescribedModel
 from quadpi_core.models.alarm_limits import AlarmLimits
+from quadpi_core.models.compiled_model import compiled_model
 from quadpi_core.models.envelope import Envelope
 from quadpi_core.models.interval_rules import HeldOutRule, LevelSupport
 from quadpi_core.models.kind_registry import kind_named
@@ -428,7 +430,13 @@ def unchecked_evaluation(
     """
     if confidence is None:
         confidence = model.confidence
-    return model.fitted.evaluate(inputs, model._factors(confidence), derivatives)
+    said = model.fitted.evaluate(inputs, model._factors(confidence), derivatives)
+    if derivatives is None or compiled_model(model.fitted) or not derivatives["density_excess"].any():
+        return said
+    # One that Python evaluates knows nothing of the density of the air.
+    scaled = np.stack(said)
+    compiled.scale_by_density(derivatives, scaled)
+    return Evaluation(*scaled)
 
 
 def recorded_evaluation(

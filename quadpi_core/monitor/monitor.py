@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
@@ -15,12 +16,14 @@ from quadpi_core.errors import ModelError, SignalError
 from quadpi_core.estimator.imu_rate import RATE_BEFORE_HZ, ImuRate
 from quadpi_core.flight import AXES, NO_STAMP, STAMP_MAX_NS, Stamps
 from quadpi_core.frames import Array
+from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.models.aerodynamic import LOAD_MODEL, AerodynamicModel, unchecked_evaluation
 from quadpi_core.models.compiled_model import compiled_model
 from quadpi_core.monitor.adaptive import MEMORY, AdaptiveFactor
 from quadpi_core.monitor.alarm import Alarm, MonitorSettings
 from quadpi_core.monitor.alarm_kernel import ROW
 from quadpi_core.monitor.alarm_log import EventLog
+from quadpi_core.monitor.conditions import CONDITIONS, STATE_ERRORS
 from quadpi_core.monitor.pairing import PairedSamples
 from quadpi_core.monitor.preparation import Preparation, Prepared
 from quadpi_core.records import Records
@@ -70,6 +73,8 @@ class _Rows(NamedTuple):
         return Predictions(time_ns, wrenches[0], wrenches[1], wrenches[2], wrenches[3], wrenches[4])
 
 
+# Samples whose erring inputs, 18 of each, are evaluated together.
+_ERRING_BLOCK = 256
 _NOTHING_SAID = np.empty((5, 0, len(AXES)))
 _NO_ALARM = np.empty(0, ROW)
 
@@ -130,7 +135,9 @@ class Monitor:
             _Arrays(self._alarm.limits, self._alarm.state, adaptive, factors, own)
         )
 
-    def step(self, time_ns: Stamps, values: Array) -> tuple[Predictions, Alarms, Events]:
+    def step(
+        self, time_ns: Stamps, values: Array, conditions: Records | None = None
+    ) -> tuple[Predictions, Alarms, Events]:
         """Take K samples; blocks of any length give the same rows, bit for bit.
 
         A sample that is not finite, not plausible or not later than the one before gives no prediction and
@@ -140,6 +147,7 @@ class Monitor:
         Args:
             time_ns: (K,) stamps.
             values: (K, 20), see :class:`quadpi_core.monitor.pairing.PairedSamples`.
+            conditions: (K,) of :func:`.conditions.conditions`, where more is known of the samples.
 
         Raises:
             ArgumentError: for arrays of other shapes, another number of stamps than rows, and stamps that are
@@ -150,7 +158,12 @@ class Monitor:
             values = array_checks.floats(
                 "values", values, CHANNELS, rows=len(time_ns), of="time_ns", finite=False
             )
-        return self._step(time_ns, values)
+        if conditions is None:
+            return self._step(time_ns, values)
+        conditions = array_checks.records(
+            "conditions", conditions, CONDITIONS, rows=len(time_ns), of="time_ns"
+        )
+        return self._judge(self.preparation.step(time_ns, values, conditions))
 
     def _step(self, time_ns: Stamps, values: Array) -> tuple[Predictions, Alarms, Events]:
         if not self._is_compiled:
@@ -193,7 +206,20 @@ class Monitor:
             said = np.stack(
                 unchecked_evaluation(self.model, prepared.inputs, self.confidence, prepared.derivatives)
             )
-        return compiled.judge_prepared(self._compiled, prepared, said, *rows, alarms)
+        return compiled.judge_prepared(self._compiled, prepared, self._added(prepared), said, *rows, alarms)
+
+    def _added(self, prepared: Prepared) -> Array:
+        """Squares (U, 6) of what the errors of the states add to half widths; (0, 6) where none are known."""
+        added = np.empty((len(prepared.erring), len(AXES)))
+        quantile = NormalDist().inv_cdf(0.5 + 0.5 * self.confidence)
+        for start in range(0, len(added), _ERRING_BLOCK):
+            part = slice(start, start + _ERRING_BLOCK)
+            inputs = prepared.erring[part].reshape(-1, len(INPUT_NAMES))
+            derivatives = np.repeat(prepared.derivatives[part], 2 * STATE_ERRORS)
+            said = unchecked_evaluation(self.model, inputs, self.confidence, derivatives)
+            ways = said.predicted.reshape(-1, STATE_ERRORS, 2, len(AXES))
+            added[part] = np.sum(np.square(0.5 * quantile * (ways[:, :, 0] - ways[:, :, 1])), axis=1)
+        return added
 
     def _results(self, rows: _Rows, predicted: int, raised: int) -> tuple[Predictions, Alarms, Events]:
         alarms = self._alarm.taken(raised)

@@ -16,6 +16,7 @@ from quadpi_core.estimator.imu_rate import RATE_BEFORE_HZ, ImuRate
 from quadpi_core.flight import AXES, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.inputs import DERIVATIVES, INPUT_NAMES, VehicleConstants, vehicle_constants
+from quadpi_core.monitor.conditions import STATE_ERRORS
 from quadpi_core.monitor.data_quality import (
     RATE_DIFFERS,
     RATE_LOW,
@@ -25,7 +26,7 @@ from quadpi_core.monitor.data_quality import (
     quality,
 )
 from quadpi_core.records import Records, Vector3, record_dtype
-from quadpi_core.signals.chain import ChainMemory
+from quadpi_core.signals.chain import CHANNELS, ChainMemory
 from quadpi_core.signals.filters import SETTLING_PERIODS, LowPass, design_low_pass
 from quadpi_core.vehicle import ROTORS, Vehicle
 
@@ -72,6 +73,8 @@ class Memory:
 _USABLE = "usable verdicts"
 
 VERDICT, MEMORY = record_dtype(Verdict), record_dtype(Memory)
+ERRING_COLUMNS = STATE_ERRORS * 2 * len(INPUT_NAMES)
+_NOT_ERRING, _NOT_ASKED = np.empty((0, ERRING_COLUMNS)), np.empty((0, CHANNELS))
 
 
 class Prepared(NamedTuple):
@@ -83,6 +86,8 @@ class Prepared(NamedTuple):
         measured: (U, 6) their measured wrench, N and Nm, body axes.
         usable_ns: (U,) their stamps.
         derivatives: (U,) what their motion has beside the input vectors, see `inputs.Derivatives`.
+        erring: (U, 342) their input vectors if the state errs by one standard deviation: for each of nine
+            independent errors one way, then the other; (0, 342) where samples came without conditions.
     """
 
     verdicts: Records
@@ -90,6 +95,7 @@ class Prepared(NamedTuple):
     measured: Array
     usable_ns: Stamps
     derivatives: Records
+    erring: Array = _NOT_ERRING
 
     def __repr__(self) -> str:
         return brief_repr(self)
@@ -108,7 +114,13 @@ class Prepared(NamedTuple):
             array_checks.floats("measured", self.measured, len(AXES), rows=usable, of=_USABLE),
             array_checks.stamps("usable_ns", self.usable_ns, rows=usable, of=_USABLE),
             array_checks.records("derivatives", self.derivatives, DERIVATIVES, rows=usable, of=_USABLE),
+            self._checked_erring(usable),
         )
+
+    def _checked_erring(self, usable: int) -> Array:
+        if len(self.erring) == 0:
+            return _NOT_ERRING
+        return array_checks.floats("erring", self.erring, ERRING_COLUMNS, rows=usable, of=_USABLE)
 
     @property
     def usable(self) -> npt.NDArray[np.bool_]:
@@ -173,14 +185,20 @@ class Preparation:
             self._quality_hz = rate.filter_hz
             memory["quality"]["frozen_after_s"] = frozen_s(rate.filter_hz)
 
-    def step(self, time_ns: Stamps, values: Array) -> Prepared:
+    def step(self, time_ns: Stamps, values: Array, conditions: Records | None = None) -> Prepared:
         """Take K samples; see :meth:`quadpi_core.monitor.Monitor.step`."""
         count = len(time_ns)
         verdicts = np.zeros(count, VERDICT)
         inputs, measured = np.empty((count, len(INPUT_NAMES))), np.empty((count, len(AXES)))
         derivatives = np.empty(count, DERIVATIVES)
-        used = compiled.prepare(self.memory, time_ns, values, verdicts, inputs, measured, derivatives)
-        if used == count:
-            return Prepared(verdicts, inputs, measured, time_ns, derivatives)
-        usable_ns = time_ns[verdicts["usable"]]
-        return Prepared(verdicts, inputs[:used], measured[:used], usable_ns, derivatives[:used])
+        filtered = _NOT_ASKED if conditions is None else np.empty((count, CHANNELS))
+        used = compiled.prepare(
+            self.memory, time_ns, values, verdicts, inputs, measured, derivatives, filtered
+        )
+        inputs, measured, derivatives = inputs[:used], measured[:used], derivatives[:used]
+        usable_ns = time_ns if used == count else time_ns[verdicts["usable"]]
+        erring = _NOT_ERRING
+        if conditions is not None:
+            erring = np.empty((used, ERRING_COLUMNS))
+            compiled.take_conditions(self.memory, conditions, verdicts, filtered[:used], derivatives, erring)
+        return Prepared(verdicts, inputs, measured, usable_ns, derivatives, erring)

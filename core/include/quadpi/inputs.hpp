@@ -27,6 +27,7 @@ struct VehicleConstants {
     std::array<PerRotor, 3> control_signs;  // of U_p, U_q, U_r
     double rotor_radius;                    // m
     double hover_induced_velocity;          // m/s
+    double air_density;                     // kg/m³
     double mass;                            // kg
     Matrix3 inertia;                        // kg m²
 };
@@ -36,6 +37,7 @@ struct Derivatives {
     Vector3 angular_acceleration;  // rad/s², measured, body axes
     PerRotor rotor_accelerations;  // rad/s²
     PerRotor rotor_jerks;          // rad/s³
+    double density_excess;         // by what share the air is denser than the vehicle file says
 };
 
 // Velocity [m/s] relative to the air, body axes: ground velocity (body) less wind (world).

@@ -350,11 +350,12 @@ struct EnsembleEvaluator final : Evaluator {
 
     void evaluate(
         Records<const InputVector> inputs,
-        Records<const Derivatives>,
+        Records<const Derivatives> derivatives,
         const Wrench& factors,
         const Evaluation& out
     ) override {
         quadpi::evaluate(model, inputs, factors, scratch, out);
+        scale_by_density(derivatives, out);
     }
 };
 

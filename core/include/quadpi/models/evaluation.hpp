@@ -34,6 +34,44 @@ struct Evaluation {
     }
 };
 
+// Scale, by the density of the air, what a model says that does not know of it; no interval gets narrower.
+//
+// At the same velocities and rotor speeds the wrench of the air goes with its density.
+inline void scale_by_density(Records<const Derivatives> derivatives, const Evaluation& out) {
+    for (std::size_t i = 0; i < derivatives.size; ++i) {
+        if (derivatives[i].density_excess == 0.0) {
+            continue;
+        }
+        const double ratio = 1.0 + derivatives[i].density_excess, widened = std::max(1.0, ratio);
+        for (int axis = 0; axis < AXES; ++axis) {
+            double &centre = out.predicted[i][axis], &lower = out.lower[i][axis], &upper = out.upper[i][axis];
+            const double below = widened * (centre - lower), above = widened * (upper - centre);
+            centre *= ratio;
+            lower = centre - below, upper = centre + above;
+            out.relative_width[i][axis] *= widened;
+        }
+    }
+}
+
+// Widen the intervals of a sample by what is independent of their own spread.
+//
+// added: squares of the half widths that it has alone, N² and (Nm)².
+inline void widen(const Wrench& added, const Evaluation& out, std::size_t sample) {
+    for (int axis = 0; axis < AXES; ++axis) {
+        if (added[axis] == 0.0) {
+            continue;
+        }
+        const double centre = out.predicted[sample][axis];
+        double &lower = out.lower[sample][axis], &upper = out.upper[sample][axis];
+        const double below = centre - lower, above = upper - centre, width = upper - lower;
+        lower = centre - std::sqrt(below * below + added[axis]);
+        upper = centre + std::sqrt(above * above + added[axis]);
+        if (width > 0.0) {
+            out.relative_width[sample][axis] *= (upper - lower) / width;
+        }
+    }
+}
+
 // A fitted model with room to work in: it allocates nothing.
 class Evaluator {
 public:

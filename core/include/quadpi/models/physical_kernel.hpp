@@ -104,6 +104,9 @@ inline PhysicalPrediction predict(
     fill_regressors(
         motion_of(inputs, derivatives, model.common.controls, model.common.delay_s), model.common.vehicle, row
     );
+    if (derivatives.density_excess != 0.0) {
+        scale_by_density(row, 1.0 + derivatives.density_excess);
+    }
     PhysicalPrediction found{};
     for (const KeptTerm& term : model.kept) {
         for (int axis = 0; axis < AXES; ++axis) {

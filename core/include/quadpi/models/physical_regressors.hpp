@@ -82,6 +82,24 @@ inline Wrench wrench_of(const Regressors& row, const TermValues& parameters) {
     return wrench;
 }
 
+// Scale the wrench that the air gives: at the same velocities and rotor speeds it goes with the density.
+//
+// What is left is inertia, the rotors' too, and what the sensors have of their own.
+inline void scale_by_density(Regressors& row, double ratio) {
+    Wrench* terms = reinterpret_cast<Wrench*>(&row);
+    constexpr std::size_t parts[][2] = {
+        {0, offsetof(Regressors, rotor_inertia_gyro) / sizeof(Wrench)},
+        {offsetof(Regressors, incline_x) / sizeof(Wrench), offsetof(Regressors, imu_x) / sizeof(Wrench)},
+    };
+    for (const auto& [first, end] : parts) {
+        for (std::size_t term = first; term < end; ++term) {
+            for (double& value : terms[term]) {
+                value *= ratio;
+            }
+        }
+    }
+}
+
 // A rotor, and the air there.
 struct Hub {
     double x, y;     // m

@@ -81,11 +81,12 @@ struct PolynomialEvaluator final : Evaluator {
 
     void evaluate(
         Records<const InputVector> inputs,
-        Records<const Derivatives>,
+        Records<const Derivatives> derivatives,
         const Wrench& factors,
         const Evaluation& out
     ) override {
         quadpi::evaluate(model, inputs, factors, rows, out);
+        scale_by_density(derivatives, out);
     }
 };
 

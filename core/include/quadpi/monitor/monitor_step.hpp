@@ -32,6 +32,7 @@ struct MonitorBlock {
     std::array<Wrench, MONITOR_BLOCK> measured;
     std::array<Derivatives, MONITOR_BLOCK> derivatives;
     std::array<Wrench, MONITOR_BLOCK> predicted, lower, upper, leverage, relative_width;
+    std::array<Wrench, MONITOR_BLOCK> added;  // by the state, see widen(); zero where nothing is
     std::size_t samples, used;
 
     Evaluation evaluation() {
@@ -119,6 +120,9 @@ inline void judge(const MonitorMemory& memory, Evaluator& model, MonitorBlock& b
     model.evaluate(
         {block.inputs.data(), used}, {block.derivatives.data(), used}, memory.factors, block.evaluation()
     );
+    for (std::size_t row = 0; row < used; ++row) {
+        widen(block.added[row], block.evaluation(), row);
+    }
     write_predictions(memory, block, rows);
     if (rows.alarms.size == 0) {
         return;
@@ -156,6 +160,7 @@ inline void step(
         std::fill_n(block.verdicts.begin(), block.samples, Verdict{});
         block.used =
             prepare(preparation, time_ns.part(start, stop), samples.part(start, stop), block.prepared());
+        std::fill_n(block.added.begin(), block.used, Wrench{});
         judge(memory, model, block, rows);
     }
 }
@@ -166,6 +171,7 @@ struct GivenSamples {
     Records<const InputVector> inputs;
     Records<const Wrench> measured;
     Records<const Derivatives> derivatives;
+    Records<const Wrench> added;  // by their states, see widen(); or none
 };
 
 // Take K samples that are prepared.
@@ -187,6 +193,7 @@ inline void judge_given(
                 block.inputs[block.used] = given.inputs[taken];
                 block.measured[block.used] = given.measured[taken];
                 block.derivatives[block.used] = given.derivatives[taken];
+                block.added[block.used] = given.added.size > 0 ? given.added[taken] : Wrench{};
                 ++block.used, ++taken;
             }
         }

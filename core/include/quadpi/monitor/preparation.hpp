@@ -55,6 +55,7 @@ struct PreparedSamples {
     Records<InputVector> inputs;
     Records<Wrench> measured;
     Records<Derivatives> derivatives;
+    Records<Signals> filtered = {};  // none where nobody asks for them
 };
 
 inline bool sums_are_finite(const InputVector& inputs, const Wrench& measured) {
@@ -140,7 +141,10 @@ inline void prepare_sample(
         vehicle,
         out.inputs[used]
     );
-    out.derivatives[used] = {slope.rates, slope.rotor_speeds, curvature};
+    out.derivatives[used] = {slope.rates, slope.rotor_speeds, curvature, 0.0};
+    if (out.filtered.size > 0) {
+        out.filtered[used] = value;
+    }
     // A sample one of whose numbers overflows is not usable.
     verdict.usable = sums_are_finite(out.inputs[used], measured);
 }
