@@ -5,13 +5,14 @@
 // Of a replay in Python (test/core/recorded_calls.py), built for any processor, without Python: two
 // processors give the same bits where they print the same. A file is a sequence of calls: the name of the
 // function, and its arguments in the order of quadpi_core/_core.pyi, each as a length in bytes and that many
-// bytes.
+// bytes; in the place of an object are its arrays, those of a model behind the name of its class.
 #include <array>
 #include <cstdint>
 #include <cstdio>
 #include <cstring>
 #include <fstream>
 #include <map>
+#include <memory>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -20,8 +21,7 @@
 #include "quadpi/models/ensembles.hpp"
 #include "quadpi/models/physical_kernel.hpp"
 #include "quadpi/models/polynomials.hpp"
-#include "quadpi/monitor/adaptive.hpp"
-#include "quadpi/monitor/alarm.hpp"
+#include "quadpi/monitor/monitor_step.hpp"
 #include "quadpi/monitor/pairing.hpp"
 
 namespace quadpi {
@@ -162,71 +162,28 @@ void take_stretch_call(Arguments& given) {
     Pairing(state, rings).take_stretch(arriving, start, taken_ns.data, given.records<Signals>().data);
 }
 
-void prepare_call(Arguments& given) {
-    auto& memory = given.one<PreparationMemory>();
-    const auto time_ns = given.records<const std::int64_t>();
-    const auto samples = given.records<const Signals>();
-    const auto verdicts = given.records<Verdict>();
-    const auto inputs = given.records<InputVector>();
-    const auto measured = given.records<Wrench>();
-    const auto derivatives = given.records<Derivatives>();
-    const auto filtered = given.records<Signals>();
-    prepare(memory, time_ns, samples, {verdicts, inputs, measured, derivatives, filtered});
-}
+// Models of recorded calls, by the name of their class in quadpi_core/_core.pyi.
+using Model = std::unique_ptr<Evaluator>;
 
-void adapt_call(Arguments& given) {
-    const auto measured = given.records<const Wrench>();
-    const auto own_lower = given.records<const Wrench>();
-    const auto own_upper = given.records<const Wrench>();
-    const auto step = given.one<double>();
-    const auto miss_share = given.one<double>();
-    auto& log_factor = given.one<Wrench>();
-    const auto lower = given.records<Wrench>();
-    const auto upper = given.records<Wrench>();
-    for (std::size_t i = 0; i < measured.size; ++i) {
-        adapt(measured[i], own_lower[i], own_upper[i], step, miss_share, log_factor, lower[i], upper[i]);
-    }
-}
-
-void advance_alarm_call(Arguments& given) {
-    const auto& limits = given.one<const AlarmLimits>();
-    auto& state = given.one<AlarmState>();
-    const auto verdicts = given.records<const Verdict>();
-    const auto inputs = given.records<const InputVector>();
-    const auto measured = given.records<const Wrench>();
-    const auto lower = given.records<const Wrench>();
-    const auto upper = given.records<const Wrench>();
-    const auto leverage = given.records<const Wrench>();
-    const auto width = given.records<const Wrench>();
-    const auto rows = given.records<AlarmRow>();
-    advance(limits, state, verdicts, inputs, measured, {lower, upper, leverage, width}, rows);
-}
-
-void evaluate_polynomials_call(Arguments& given) {
-    const auto inputs = given.records<const InputVector>();
+Model polynomials(Arguments& given) {
     Polynomials model{};
     model.operations = given.records<const Operation>();
     model.axes = given.records<const PolynomialAxis>();
     model.terms = given.records<const PolynomialTerm>();
     model.whitening = given.records<const double>().data;
-    const Rows rows{given.records<double>().data, 1};
-    const auto& factors = given.one<const Wrench>();
-    evaluate(model, inputs, factors, rows, Evaluation::in(given.records<Wrench>(), inputs.size));
+    return std::make_unique<PolynomialEvaluator>(model, Rows{given.records<double>().data, 1});
 }
 
-void evaluate_physical_call(Arguments& given) {
-    const auto inputs = given.records<const InputVector>();
-    const auto derivatives = given.records<const Derivatives>();
+Model physical(Arguments& given) {
     const auto& common = given.one<const PhysicalCommon>();
     const auto kept = given.records<const KeptTerm>();
     const auto acting = given.records<const std::int64_t>();
-    const PhysicalModel model{common, kept, acting, given.records<const double>()};
-    const auto& factors = given.one<const Wrench>();
-    evaluate(model, inputs, derivatives, factors, Evaluation::in(given.records<Wrench>(), inputs.size));
+    return std::make_unique<PhysicalEvaluator>(
+        PhysicalModel{common, kept, acting, given.records<const double>()}
+    );
 }
 
-void evaluate_ensembles_call(Arguments& given) {
-    const auto inputs = given.records<const InputVector>();
+Model ensembles(Arguments& given) {
     Ensembles model{};
     model.operations = given.records<const Operation>();
     model.axes = given.records<const EnsembleAxis>();
@@ -238,22 +195,52 @@ void evaluate_ensembles_call(Arguments& given) {
     const auto outputs = given.records<double>();
     scratch.outputs = outputs.data;
     scratch.networks = outputs.size / (BANKS * MOST_OUTPUTS * ENSEMBLE_BLOCK);
+    return std::make_unique<EnsembleEvaluator>(model, scratch);
+}
+
+const std::map<std::string, Model (*)(Arguments&)> MODELS = {
+    {"Ensembles", &ensembles},
+    {"Physical", &physical},
+    {"Polynomials", &polynomials},
+};
+
+Model model_of(Arguments& given) {
+    const auto name = given.records<char>();
+    return MODELS.at(std::string(name.data, name.size))(given);
+}
+
+void evaluate_call(Arguments& given) {
+    const Model model = model_of(given);
+    const auto inputs = given.records<const InputVector>();
+    const auto derivatives = given.records<const Derivatives>();
     const auto& factors = given.one<const Wrench>();
-    evaluate(model, inputs, factors, scratch, Evaluation::in(given.records<Wrench>(), inputs.size));
+    model->evaluate(inputs, derivatives, factors, Evaluation::in(given.records<Wrench>(), inputs.size));
+}
+
+void step_monitor_call(Arguments& given) {
+    const auto& limits = given.one<const AlarmLimits>();
+    auto& alarm = given.one<AlarmState>();
+    const auto adaptive = given.records<AdaptiveMemory>();
+    const auto& factors = given.one<const Wrench>();
+    const Model model = model_of(given);
+    auto& preparation = given.one<PreparationMemory>();
+    const auto time_ns = given.records<const std::int64_t>();
+    const auto samples = given.records<const Signals>();
+    const auto predicted_ns = given.records<std::int64_t>();
+    const auto wrenches = given.records<Wrench>();
+    MonitorRows rows{predicted_ns, wrenches, given.records<AlarmRow>()};
+    const auto block = std::make_unique<MonitorBlock>();
+    step({limits, alarm, adaptive, factors}, preparation, *model, time_ns, samples, *block, rows);
 }
 
 using Call = void (*)(Arguments&);
 const std::map<std::string, Call> CALLS = {
-    {"adapt", &adapt_call},
-    {"advance_alarm", &advance_alarm_call},
     {"catch_up", &catch_up_call},
-    {"evaluate_ensembles", &evaluate_ensembles_call},
-    {"evaluate_physical", &evaluate_physical_call},
-    {"evaluate_polynomials", &evaluate_polynomials_call},
+    {"evaluate", &evaluate_call},
     {"hold", &hold_call},
-    {"prepare", &prepare_call},
     {"record", &record_call},
     {"run", &run_call},
+    {"step_monitor", &step_monitor_call},
     {"take_stretch", &take_stretch_call},
 };
 

@@ -17,9 +17,8 @@ from quadpi_core.core import compiled
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.models.compiled_model import CompiledFitted
 from quadpi_core.models.interval_rules import StoredRule
-from quadpi_core.models.model_kind import FittedAxis
+from quadpi_core.models.model_kind import CompiledFitted, FittedAxis
 from quadpi_core.models.regressors import BASE_ROWS, Regressor, RegressorProgram
 from quadpi_core.records import Records
 from quadpi_core.training.networks import Networks

@@ -20,10 +20,9 @@ from quadpi_core.errors import ModelError, named_in
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.inputs import DERIVATIVES
-from quadpi_core.models.compiled_model import CompiledFitted
 from quadpi_core.models.fitted_polynomial import RmsSpread
 from quadpi_core.models.interval_rules import StoredRule
-from quadpi_core.models.model_kind import Facts, FittedAxis, RotorDelay, StoredAxes
+from quadpi_core.models.model_kind import CompiledFitted, Facts, FittedAxis, RotorDelay, StoredAxes
 from quadpi_core.models.physical_advice import delay_words, missing_flying
 from quadpi_core.models.physical_fit import AT_BOUND, FitStep, bounded_terms, worst_pairs
 from quadpi_core.models.physical_flight import DELAYS_S, PhysicalFlight, Sensing

@@ -19,12 +19,15 @@ import numpy.typing as npt
 from quadpi_core import array_checks
 from quadpi_core.brief_repr import brief_repr
 from quadpi_core.config_schema import Section, Within, parse_config
+from quadpi_core.core import compiled
 from quadpi_core.errors import ArgumentError, ModelError, named_in
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
+from quadpi_core.inputs import DERIVATIVES
 from quadpi_core.models.alarm_limits import RATE_PER_HOUR
 from quadpi_core.models.candidate_pool import CandidatePool
 from quadpi_core.models.interval_rules import FlightErrors, Rule, StoredRule
+from quadpi_core.models.regressors import check_inputs
 from quadpi_core.models.rollout_model import RolloutModel
 from quadpi_core.parallel import ReportProgress
 from quadpi_core.records import Records
@@ -36,6 +39,8 @@ Pools: TypeAlias = Mapping[str, CandidatePool]
 # Cut-off of the low-pass over all signals [Hz], by settings. The default keeps the band in which rotor speeds
 # and measured moments are coherent (above about 25 Hz they are not, on two data sets).
 CUTOFF_HZ: dict[Settings, float] = {"default": 30.0, "paper": 100.0}
+
+_NO_DERIVATIVES = np.empty(0, DERIVATIVES)
 
 
 class Evaluation(NamedTuple):
@@ -314,6 +319,45 @@ class Fitted(ABC):
     ) -> float | None:
         """Of the sum of predictions with weights (N,) at steady inputs (N, 19); None where not known."""
         return None
+
+
+class CompiledFitted(Fitted):
+    """Base of fitted models whose arrays the core takes once.
+
+    Attributes:
+        needs_derivatives: whether its predictions need them.
+    """
+
+    needs_derivatives: ClassVar[bool] = False
+
+    @property
+    @abstractmethod
+    def compiled(self) -> compiled.Model:
+        """The model as the core has it; always the same."""
+
+    def evaluate(self, inputs: Array, factors: Array, derivatives: Records | None = None) -> Evaluation:
+        """See the base class.
+
+        Raises:
+            ModelError: for inputs of another shape, and without derivatives where they are needed.
+        """
+        check_inputs(inputs)
+        if derivatives is None:
+            if self.needs_derivatives:
+                raise ModelError(f"the {self.method} model needs the derivatives of the motion")
+            derivatives = _NO_DERIVATIVES
+        out = np.zeros((5, len(inputs), len(AXES)))
+        inputs, derivatives = np.ascontiguousarray(inputs), np.ascontiguousarray(derivatives)
+        compiled.evaluate(self.compiled, inputs, derivatives, np.ascontiguousarray(factors), out)
+        # Faster one by one than by *out.
+        return Evaluation(out[0], out[1], out[2], out[3], out[4])
+
+
+def compiled_model(fitted: Fitted) -> compiled.Model | None:
+    """The model as the core evaluates it; None for another kind, or another `evaluate`: Python does that."""
+    if isinstance(fitted, CompiledFitted) and type(fitted).evaluate is CompiledFitted.evaluate:
+        return fitted.compiled
+    return None
 
 
 FittedSelf = TypeVar("FittedSelf", bound=Fitted)

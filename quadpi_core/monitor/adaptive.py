@@ -87,7 +87,8 @@ class AdaptiveFactor:
     @property
     def factor(self) -> Array:
         """Factor (6,) for the next sample."""
-        return np.exp(self.memory["log_factor"][0])
+        factor: Array = np.exp(self.memory["log_factor"][0])
+        return factor
 
     def reset(self) -> None:
         """Forget the past: the next interval is the model's own."""

@@ -167,8 +167,8 @@ class Alarm:
         """Take K samples, and what the model says of the U usable ones with its own intervals."""
         verdicts, inputs, measured = prepared.verdicts, prepared.inputs, prepared.measured
         # A model of somebody else may give columns of a larger array.
-        said = map(np.ascontiguousarray, evaluation[1:])
-        rows = self.room(len(verdicts))
+        lower, upper, leverage, width = map(np.ascontiguousarray, evaluation[1:])
+        said, rows = (lower, upper, leverage, width), self.room(len(verdicts))
         return self.taken(
             compiled.advance_alarm(self.limits, self.state, verdicts, inputs, measured, *said, rows)
         )

@@ -18,7 +18,7 @@ from quadpi_core.flight import AXES, NO_STAMP, STAMP_MAX_NS, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.models.aerodynamic import LOAD_MODEL, AerodynamicModel, unchecked_evaluation
-from quadpi_core.models.compiled_model import compiled_model
+from quadpi_core.models.model_kind import compiled_model
 from quadpi_core.monitor.adaptive import MEMORY, AdaptiveFactor
 from quadpi_core.monitor.alarm import Alarm, MonitorSettings
 from quadpi_core.monitor.alarm_kernel import ROW

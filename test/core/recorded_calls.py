@@ -18,16 +18,12 @@ from quadpi_core.core import compiled
 
 # What a replay calls for each block of samples.
 FUNCTIONS = (
-    "adapt",
-    "advance_alarm",
     "catch_up",
-    "evaluate_ensembles",
-    "evaluate_physical",
-    "evaluate_polynomials",
+    "evaluate",
     "hold",
-    "prepare",
     "record",
     "run",
+    "step_monitor",
     "take_stretch",
 )
 
@@ -57,15 +53,22 @@ def recorded_calls(path: Path) -> Iterator[dict[str, int]]:
 
 
 def _flat(arguments: tuple[Any, ...]) -> Iterator[Any]:
-    """The arguments, and the fields of those that are tuples of arrays."""
+    """The arguments, the fields of those that are tuples, and what objects of the core hold."""
     for argument in arguments:
         if isinstance(argument, tuple):
-            yield from argument
+            yield from _flat(argument)
+        elif isinstance(argument, compiled.Model):
+            yield type(argument).__name__.encode()
+            yield from _flat(argument.arrays)
+        elif isinstance(argument, compiled.Monitor):
+            yield from _flat(argument.arrays)
         else:
             yield argument
 
 
 def _bytes(argument: Any) -> bytes:
+    if isinstance(argument, bytes):
+        return argument
     if isinstance(argument, np.ndarray):
         return argument.tobytes()
     return struct.pack("<d" if isinstance(argument, float) else "<q", argument)
