@@ -14,6 +14,8 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from quadpi_core.elementary import arcsine, arctangent, cosine, sine
+
 Array: TypeAlias = npt.NDArray[np.float64]
 
 _FLIP_YZ: Array = np.array([1.0, -1.0, -1.0])
@@ -85,7 +87,7 @@ def quaternion_world_enu_to_ned(quaternion: Array) -> Array:
 
 def quaternion_from_roll_pitch_yaw(angles: Array) -> Array:
     """Quaternions (..., 4), w first, of angles (..., 3) rad: yaw about z, then pitch, then roll."""
-    (cr, cp, cy), (sr, sp, sy) = (np.moveaxis(f(0.5 * angles), -1, 0) for f in (np.cos, np.sin))
+    (cr, cp, cy), (sr, sp, sy) = (np.moveaxis(f(0.5 * angles), -1, 0) for f in (cosine, sine))
     quaternion: Array = np.stack(
         (
             cr * cp * cy + sr * sp * sy,
@@ -103,9 +105,9 @@ def roll_pitch_yaw_from_quaternion(quaternion: Array) -> Array:
     w, x, y, z = np.moveaxis(quaternion, -1, 0)
     angles: Array = np.stack(
         (
-            np.arctan2(2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-            np.arcsin(np.clip(2 * (w * y - x * z), -1.0, 1.0)),
-            np.arctan2(2 * (x * y + w * z), 1 - 2 * (y * y + z * z)),
+            arctangent(2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+            arcsine(np.clip(2 * (w * y - x * z), -1.0, 1.0)),
+            arctangent(2 * (x * y + w * z), 1 - 2 * (y * y + z * z)),
         ),
         axis=-1,
     )

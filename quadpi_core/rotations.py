@@ -2,26 +2,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rotations: unit quaternions (w, x, y, z) from body to world, rotation vectors in radians, matrices.
 
-The first functions take one rotation, as array or tuple, and give the bits of the compiled core; the others
-take arrays of rotations.
+All give the bits of the compiled core. Up to :func:`matrix` they take one rotation, then arrays of them.
 """
 
 from __future__ import annotations
 
-import math
 from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from quadpi_core.core import compiled
 from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
 
 Quaternion: TypeAlias = tuple[float, float, float, float]
-RotationVector: TypeAlias = tuple[float, float, float]
-
-# Below this angle [rad] the next term of the series, angle²/24, is under the rounding of a double.
-_SMALL_ANGLE = 1e-8
 
 
 def product(left: Any, right: Any) -> tuple[Any, Any, Any, Any]:
@@ -42,30 +37,6 @@ def inverse(quaternion: Any) -> tuple[Any, Any, Any, Any]:
     return w, -x, -y, -z
 
 
-def normalised(quaternion: Array | Quaternion) -> Quaternion:
-    """The quaternion scaled to unit norm."""
-    w, x, y, z = map(float, quaternion)
-    scale = 1.0 / math.sqrt(w * w + x * x + y * y + z * z)
-    return w * scale, x * scale, y * scale, z * scale
-
-
-def from_rotation_vector(vector: Array | RotationVector) -> Quaternion:
-    """Unit quaternion of a rotation vector (3,) rad (the exponential map)."""
-    x, y, z = map(float, vector)
-    angle = math.sqrt(x * x + y * y + z * z)
-    scale = 0.5 if angle < _SMALL_ANGLE else math.sin(0.5 * angle) / angle
-    return math.cos(0.5 * angle), scale * x, scale * y, scale * z
-
-
-def to_rotation_vector(quaternion: Array | Quaternion) -> RotationVector:
-    """Shortest rotation vector (3,) rad of a unit quaternion of either sign (the logarithm map)."""
-    sign = -1.0 if quaternion[0] < 0.0 else 1.0
-    w, x, y, z = (sign * float(component) for component in quaternion)
-    sine = math.sqrt(x * x + y * y + z * z)
-    scale = 2.0 if sine < _SMALL_ANGLE else 2.0 * math.atan2(sine, w) / sine
-    return scale * x, scale * y, scale * z
-
-
 def matrix(quaternion: Array | Quaternion) -> Array:
     """Rotation matrix (3, 3), body to world, of a unit quaternion."""
     w, x, y, z = map(float, quaternion)
@@ -78,17 +49,25 @@ def matrix(quaternion: Array | Quaternion) -> Array:
     )
 
 
-def quaternions_of(vectors: Array) -> Array:
-    """:func:`from_rotation_vector` of each of (N, 3)."""
-    quaternions = np.empty((len(vectors), 4))
-    compiled.quaternions_of(np.ascontiguousarray(vectors), quaternions)
+def from_rotation_vector(vector: ArrayLike) -> Array:
+    """Unit quaternions (..., 4) of rotation vectors (..., 3) rad (the exponential map)."""
+    vectors = np.ascontiguousarray(vector, float)
+    quaternions = np.empty((*vectors.shape[:-1], 4))
+    compiled.quaternions_of(vectors, quaternions)
     return quaternions
+
+
+def to_rotation_vector(quaternion: ArrayLike) -> Array:
+    """Shortest rotation vectors (..., 3) rad of unit quaternions (..., 4) of either sign (the logarithm)."""
+    quaternions = np.ascontiguousarray(quaternion, float)
+    vectors = np.empty((*quaternions.shape[:-1], 3))
+    compiled.rotation_vectors_of(quaternions, vectors)
+    return vectors
 
 
 def body_rates(time_ns: Stamps, attitude: Array) -> Array:
     """Mean body rates (N-1, 3) rad/s between consecutive attitudes (N, 4) at stamps (N,)."""
-    turns = np.empty((len(attitude) - 1, 3))
-    compiled.rotation_vectors_of(products(inverses(attitude[:-1]), attitude[1:]), turns)
+    turns = to_rotation_vector(products(inverses(attitude[:-1]), attitude[1:]))
     return turns / (1e-9 * np.diff(time_ns))[:, None]
 
 
@@ -105,14 +84,19 @@ def rotation_matrix(quaternion: Array) -> Array:
 
 def rotate_body_to_world(quaternion: Array, vector: Array) -> Array:
     """Rotate body vectors (..., 3) into the world by unit quaternions (..., 4), w first."""
-    rotated: Array = np.einsum("...ij,...j->...i", rotation_matrix(quaternion), vector)
-    return rotated
+    return _times(rotation_matrix(quaternion), vector)
 
 
 def rotate_world_to_body(quaternion: Array, vector: Array) -> Array:
     """Rotate world vectors (..., 3) into the body by unit quaternions (..., 4), w first."""
-    rotated: Array = np.einsum("...ji,...j->...i", rotation_matrix(quaternion), vector)
-    return rotated
+    return _times(np.swapaxes(rotation_matrix(quaternion), -1, -2), vector)
+
+
+def _times(matrix: Array, vector: Array) -> Array:
+    """Products (..., 3) by sums of one order: those of numpy differ by processor."""
+    x, y, z = (matrix[..., k] * vector[..., k, None] for k in range(3))
+    product: Array = x + y + z
+    return product
 
 
 def products(left: Array, right: Array) -> Array:
@@ -134,21 +118,6 @@ def products(left: Array, right: Array) -> Array:
 def inverses(quaternions: Array) -> Array:
     """Inverses of unit quaternions (..., 4): world to body."""
     return np.asarray(quaternions * [1.0, -1.0, -1.0, -1.0])
-
-
-def from_rotation_vectors(vectors: Array) -> Array:
-    """Unit quaternions (..., 4) of rotation vectors (..., 3)."""
-    angle = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return np.concatenate((np.cos(0.5 * angle), 0.5 * np.sinc(0.5 * angle / np.pi) * vectors), axis=-1)
-
-
-def to_rotation_vectors(quaternions: Array) -> Array:
-    """Shortest rotation vectors (..., 3) of unit quaternions (..., 4) of either sign."""
-    quaternions = np.where(quaternions[..., :1] < 0.0, -quaternions, quaternions)
-    vector = quaternions[..., 1:]
-    sine = np.linalg.norm(vector, axis=-1, keepdims=True)
-    angle = 2.0 * np.arctan2(sine, quaternions[..., :1])
-    return np.asarray(vector * np.where(sine > _SMALL_ANGLE, angle / np.maximum(sine, _SMALL_ANGLE), 2.0))
 
 
 def quaternion_of(rotation: Array) -> Array:

@@ -150,7 +150,7 @@ class Vehicle:
     @cached_property
     def hover_induced_velocity(self) -> float:
         """v_h [m/s]: induced velocity in hover by momentum theory, from weight and disc area."""
-        disc_area = ROTORS * np.pi * self.rotor_radius_m**2
+        disc_area = ROTORS * np.pi * np.square(self.rotor_radius_m)
         weight = self.mass_kg * self.gravity_m_s2
         return float(np.sqrt(weight / (2.0 * self.air_density_kg_m3 * disc_area)))
 

@@ -49,6 +49,17 @@ def test_kernels_of_many_parameters(
     assert ("core/kernel.hpp: step takes 9" in capsys.readouterr().out) == bool(status)
 
 
+@pytest.mark.parametrize(("call", "status"), [("std::exp", 1), ("atan2", 1), ("std::sqrt", 0), ("// exp", 0)])
+def test_elementary_functions_of_the_c_library(
+    rules: ModuleType, capsys: pytest.CaptureFixture[str], call: str, status: int
+) -> None:
+    (rules.ROOT / "core").mkdir()
+    (rules.ROOT / "core" / "kernel.hpp").write_text(f"double f(double x) {{ return {call}(x); }}\n")
+    assert rules.main() == status
+    name = call.removeprefix("std::")
+    assert (f"core/kernel.hpp:1: {name}\n" in capsys.readouterr().out) == bool(status)
+
+
 def test_a_module_without_a_test_file(rules: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
     for name in ("tested", "untested"):
         (rules.ROOT / "quadpi_core" / "a" / f"{name}.py").touch()

@@ -36,6 +36,7 @@ void bind_elementary(nb::module_& module) {
     module.def("exponential", &each<exponential>);
     module.def("exponential_minus_1", &each<exponential_minus_1>);
     module.def("hyperbolic_tangent", &each<hyperbolic_tangent>);
+    module.def("logarithm_of_1_plus", &each<logarithm_of_1_plus>);
 }
 
 }  // namespace quadpi

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from typing import NamedTuple
 
@@ -321,9 +322,9 @@ def _integrals(imu: Records, values: Array, edges: Stamps) -> Array:
 
 def _level(down: Array) -> Array:
     """Rotation (3, 3) body to world of heading zero, for which `down` (3,) in body axes points down."""
-    x, y, z = down / np.linalg.norm(down)
-    roll, pitch = np.arctan2(y, z), -np.arcsin(np.clip(x, -1.0, 1.0))
-    sr, cr, sp, cp = np.sin(roll), np.cos(roll), np.sin(pitch), np.cos(pitch)
+    x, y, z = down / math.sqrt(sum(component * component for component in down.tolist()))
+    cp = math.sqrt(y * y + z * z)
+    sr, cr, sp = (y / cp, z / cp, -x) if cp > 0.0 else (0.0, 1.0, -x)
     return np.array([[cp, sr * sp, cr * sp], [0.0, cr, -sr], [-sp, sr * cp, cr * cp]])
 
 

@@ -24,7 +24,7 @@ from quadpi_core.frames import (
     quaternion_world_enu_to_ned,
     world_enu_to_ned,
 )
-from quadpi_core.rotations import rotate_world_to_body
+from quadpi_core.rotations import from_rotation_vector, product, rotate_world_to_body
 from quadpi_core.rotor_order import RotorOrder
 from quadpi_core.sample_limits import NORM_TOLERANCE, STANDARD_GRAVITY
 from quadpi_core.unusable_readings import REASONS, UnusableReports, Verdict
@@ -342,12 +342,4 @@ def _half_turn_about_x(quaternion: Array) -> Array:
 
 def _extrapolated(attitude: Array, rates: Array, seconds: float) -> Array:
     """The attitude after a time at constant body rates."""
-    speed = float(np.sqrt(rates @ rates))
-    half = 0.5 * speed * seconds
-    axis = rates * (math.sin(half) / speed) if speed > 0.0 else np.zeros(3)
-    w, v = attitude[0], attitude[1:]
-    turn_w = math.cos(half)
-    turned: Array = np.concatenate(
-        ([w * turn_w - v @ axis], w * axis + turn_w * v + np.cross(v, axis)),
-    )
-    return turned
+    return np.array(product(attitude, from_rotation_vector(seconds * rates)))

@@ -22,7 +22,6 @@ from quadpi_core.frames import Array
 from quadpi_core.inputs import DERIVATIVES, INPUT_NAMES
 from quadpi_core.messages.model_description import DescribedModel
 from quadpi_core.models.alarm_limits import AlarmLimits
-from quadpi_core.models.compiled_model import compiled_model
 from quadpi_core.models.envelope import Envelope
 from quadpi_core.models.interval_rules import HeldOutRule, LevelSupport
 from quadpi_core.models.kind_registry import kind_named
@@ -33,7 +32,14 @@ from quadpi_core.models.model_folder import (
     read_folder,
     write_folder,
 )
-from quadpi_core.models.model_kind import Evaluation, Fitted, Kind, StoredAxes, named_arrays
+from quadpi_core.models.model_kind import (
+    Evaluation,
+    Fitted,
+    Kind,
+    StoredAxes,
+    compiled_model,
+    named_arrays,
+)
 from quadpi_core.models.rollout_model import RolloutModel
 from quadpi_core.models.sound_flights import SoundFlights
 from quadpi_core.records import Records

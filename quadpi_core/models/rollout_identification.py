@@ -37,7 +37,7 @@ from quadpi_core.models.tubes import (
     error_norms,
     tube_scores,
 )
-from quadpi_core.rotations import from_rotation_vectors, inverses, products
+from quadpi_core.rotations import from_rotation_vector, inverses, products
 from quadpi_core.vehicle import Vehicle
 
 # Between the starts that calibrate [s].
@@ -159,7 +159,7 @@ def _level_attitude(angles: Array) -> Array:
 
 def _with_heading(attitude: Array, rates: Array, time: Array) -> Array:
     """Attitudes (N, 4) turned about the vertical so that they follow rates (N, 3)."""
-    turns = from_rotation_vectors(0.5 * np.diff(time)[:, np.newaxis] * (rates[:-1] + rates[1:]))
+    turns = from_rotation_vector(0.5 * np.diff(time)[:, np.newaxis] * (rates[:-1] + rates[1:]))
     # The turn about the vertical that brings the next attitude nearest to the one that the rates give.
     between = products(products(attitude[:-1], turns), inverses(attitude[1:]))
     half = np.concatenate(([0.0], np.cumsum(np.arctan2(between[:, 3], between[:, 0]))))

@@ -36,6 +36,7 @@ from typing import Annotated
 import numpy as np
 
 from quadpi_core.core import compiled
+from quadpi_core.elementary import exponential
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
@@ -87,8 +88,7 @@ class AdaptiveFactor:
     @property
     def factor(self) -> Array:
         """Factor (6,) for the next sample."""
-        factor: Array = np.exp(self.memory["log_factor"][0])
-        return factor
+        return exponential(self.memory["log_factor"][0])
 
     def reset(self) -> None:
         """Forget the past: the next interval is the model's own."""

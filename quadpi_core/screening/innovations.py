@@ -15,11 +15,11 @@ import numpy.typing as npt
 
 from quadpi_core.frames import Array
 from quadpi_core.rotations import (
-    from_rotation_vectors,
+    from_rotation_vector,
     inverses,
     products,
     rotate_body_to_world,
-    to_rotation_vectors,
+    to_rotation_vector,
 )
 from quadpi_core.sample_limits import STANDARD_GRAVITY
 from quadpi_core.screening.excerpt import Excerpt
@@ -74,13 +74,13 @@ def innovation(sample: Excerpt) -> Innovation:
     span, half = round(TURN_S / sample.step_s), round(FALL_S / sample.step_s)
     stride = max(1, span // 2)
     begin = np.arange(0, cells + 1 - span, stride)
-    cell_turns = from_rotation_vectors(sample.rates * sample.step_s)
+    cell_turns = from_rotation_vector(sample.rates * sample.step_s)
     by_gyro = cell_turns[:, begin]
     for cell in range(1, span):
         by_gyro = products(by_gyro, cell_turns[:, begin + cell])
     by_attitude = products(inverses(sample.attitude[:, begin]), sample.attitude[:, begin + span])
     turned, turned_attitude = (
-        to_rotation_vectors(turn) / (span * sample.step_s) for turn in (by_gyro, by_attitude)
+        to_rotation_vector(turn) / (span * sample.step_s) for turn in (by_gyro, by_attitude)
     )
     middle = sample.attitude[:, 1:] + sample.attitude[:, :-1]
     middle = middle / np.linalg.norm(middle, axis=2, keepdims=True)

@@ -18,13 +18,13 @@ import numpy as np
 from quadpi_core.frames import Array
 from quadpi_core.rotations import (
     best_rotation,
-    from_rotation_vectors,
+    from_rotation_vector,
     inverses,
     products,
     quaternion_of,
     rotate_body_to_world,
     rotation_matrix,
-    to_rotation_vectors,
+    to_rotation_vector,
 )
 from quadpi_core.sample_limits import STANDARD_GRAVITY
 from quadpi_core.screening.excerpt import Excerpt, continuous
@@ -105,7 +105,7 @@ def hypotheses(sample: Excerpt, found: Innovation) -> Iterator[Hypothesis]:
         )
     for axis in "zxy":
         for degrees in (90, 180, -90):
-            turn = rotation_matrix(from_rotation_vectors(np.radians(degrees) * _EYE["xyz".index(axis)]))
+            turn = rotation_matrix(from_rotation_vector(np.radians(degrees) * _EYE["xyz".index(axis)]))
             yield _of_axes(
                 "imu turned",
                 f"the axes of the IMU and those of {topic} look turned against each other by {degrees}° "
@@ -255,7 +255,7 @@ def _body_rotation(found: Innovation) -> Array:
 
 def _turn_of(rotation: Array) -> tuple[float, Array, str]:
     """Angle, rotation vector (3,) and words of a rotation (3, 3), in degrees."""
-    angle = np.degrees(to_rotation_vectors(quaternion_of(rotation)))
+    angle = np.degrees(to_rotation_vector(quaternion_of(rotation)))
     size = float(np.linalg.norm(angle))
     return size, angle, f"{size:.0f}° about ({angle[0]:.0f}, {angle[1]:.0f}, {angle[2]:.0f})°"
 

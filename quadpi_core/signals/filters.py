@@ -10,11 +10,13 @@ and its trapezoidal integral is the filtered signal exactly.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from quadpi_core.core import compiled
+from quadpi_core.elementary import cosine, sine
 from quadpi_core.errors import SignalError
 from quadpi_core.frames import Array
 from quadpi_core.records import Records, record_dtype
@@ -62,15 +64,16 @@ def design_low_pass(cutoff_hz: float, rate_hz: float) -> Records:
         raise SignalError(
             f"cut-off {cutoff_hz:g} Hz must lie between 0 and half the sample rate ({0.5 * rate_hz:g} Hz)"
         )
-    # As scipy.signal.butter, to the bit; importing that takes as long as all else that a live node imports.
-    # The poles of the prototype lie on a half circle, one of each conjugate pair here; the bilinear transform
-    # at a rate of 2 maps those of the cut-off, pre-warped, to the unit disc.
-    angles = np.pi * np.arange(1, ORDER, 2) / (2 * ORDER)
-    poles = -np.exp(1j * angles) * 4.0 * np.tan(np.pi * (2.0 * cutoff_hz / rate_hz) / 2.0)
+    # As scipy.signal.butter, whose import takes as long as all else of a live node. Poles of the prototype lie
+    # on a half circle, in conjugate pairs at these angles off the negative axis; then the bilinear transform.
+    half = math.pi * cutoff_hz / rate_hz
+    cutoff = float(sine(half) / cosine(half))
     design = np.zeros(1, _LOW_PASS)
-    for name, pole in zip(("first", "second"), (4.0 + poles) / (4.0 - poles), strict=True):
-        a1, a2 = -2.0 * pole.real, (pole * pole.conjugate()).real
-        design[name] = float(1.0 + a1 + a2) / 4.0, a1, a2
+    for name, angle in (("first", math.pi / (2 * ORDER)), ("second", 3.0 * math.pi / (2 * ORDER))):
+        across, square = 2.0 * float(cosine(angle)) * cutoff, cutoff * cutoff
+        a1 = 2.0 * (square - 1.0) / (1.0 + across + square)
+        a2 = (1.0 - across + square) / (1.0 + across + square)
+        design[name] = (1.0 + a1 + a2) / 4.0, a1, a2
     design["rate_hz"] = rate_hz
     return design
 

@@ -4,8 +4,7 @@
 
 The fields of a signal are its keys in a scenario file, where it is listed under its axis, by its kind; an
 amplitude's key ends with the unit of the axis. A signal is computed as jets, each a value with its first and
-second derivative by time, in compiled loops: there, unlike in array functions, a sine gives the same bits on
-every machine.
+second derivative by time, in compiled loops.
 """
 
 from __future__ import annotations

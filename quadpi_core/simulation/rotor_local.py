@@ -70,7 +70,7 @@ class RotorLocalCoefficients(Section):
         moment coefficients with L.
         """
         radius = target.rotor_radius_m / source.rotor_radius_m
-        force = target.air_density_kg_m3 / source.air_density_kg_m3 * radius**3
+        force = target.air_density_kg_m3 / source.air_density_kg_m3 * (radius * radius * radius)
         length = float(np.sqrt(airframe_area(target) / airframe_area(source)))
         return RotorLocalCoefficients(
             thrust=self.thrust,
@@ -179,7 +179,7 @@ class RotorLocalModel(SimulatedAerodynamics):
             raise SimulationError(f"vehicle {self.vehicle.name}: its rotors give no thrust at rest")
         vehicle = self.vehicle
         weight = vehicle.mass_kg * vehicle.gravity_m_s2
-        per_square_speed = vehicle.air_density_kg_m3 * np.pi * vehicle.rotor_radius_m**4
+        per_square_speed = vehicle.air_density_kg_m3 * np.pi * np.square(np.square(vehicle.rotor_radius_m))
         return float(np.sqrt(weight / (ROTORS * self.coefficients.thrust[0] * per_square_speed)))
 
     @property
@@ -217,7 +217,7 @@ class RotorLocalModel(SimulatedAerodynamics):
     def effectiveness(self) -> Array:
         """See :class:`.SimulatedAerodynamics`; of the coefficients at rest."""
         vehicle, c = self.vehicle, self.coefficients
-        disc = vehicle.air_density_kg_m3 * np.pi * vehicle.rotor_radius_m**4
+        disc = vehicle.air_density_kg_m3 * np.pi * np.square(np.square(vehicle.rotor_radius_m))
         slope, yaw_slope = c.thrust[0] * disc, c.torque[0] * disc * vehicle.rotor_radius_m
         x, y, _ = vehicle.rotor_positions.T
         return np.stack((np.full(ROTORS, slope), -y * slope, x * slope, vehicle.rotor_spins * yaw_slope))

@@ -14,6 +14,7 @@ import numpy as np
 
 from quadpi_core import array_checks
 from quadpi_core.brief_repr import brief_repr
+from quadpi_core.elementary import arctangent
 from quadpi_core.errors import SimulationError, named_in
 from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
@@ -137,7 +138,7 @@ def require_reachable(plan: FlightPlan, vehicle: SimulatedVehicle, reference: Re
     wind = 0.0 if plan.known_wind is None else plan.known_wind
     gravity = np.array([0.0, 0.0, nominal.gravity_m_s2])
     force = reference.acceleration - gravity
-    upright = np.arctan2(np.hypot(force[:, 0], force[:, 1]), -force[:, 2])
+    upright = arctangent(_size(force[:, :2]), -force[:, 2])
     thrust = _size(force) + reference.thrust * nominal.gravity_m_s2
     limits: tuple[tuple[str, str, Array, float], ...] = (
         ("specific force", "m/s²", thrust, vehicle.greatest_thrust / nominal.mass_kg),

@@ -20,7 +20,7 @@ from quadpi_core.config_schema import Key, NotNegative, Section, Share, Vector, 
 from quadpi_core.errors import SimulationError
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array
-from quadpi_core.rotations import products, quaternions_of
+from quadpi_core.rotations import from_rotation_vector, products
 from quadpi_core.simulation.simulated_file import model_folder, model_vehicle
 from quadpi_core.vehicle import SensorNoise, Vehicle
 
@@ -243,7 +243,7 @@ def inertial_samples(
 
 def turned(attitude: Array, rotation: Array) -> Array:
     """Attitudes (N, 4) turned by rotation vectors (N, 3) rad, body axes."""
-    return products(attitude, quaternions_of(rotation))
+    return products(attitude, from_rotation_vector(rotation))
 
 
 def rotor_speed_unit(vehicle: Vehicle) -> float:

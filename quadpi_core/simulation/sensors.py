@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from quadpi_core.elementary import cosine, sine
 from quadpi_core.errors import SimulationError
 from quadpi_core.flight import (
     MAX_GAP_NS,
@@ -175,8 +176,8 @@ def _tilted(attitude: Array, angle: float) -> Mask:
     w, x, y, z = attitude.T
     sine_of_pitch = 2.0 * (w * y - x * z)
     roll_x, roll_y = 1.0 - 2.0 * (x * x + y * y), 2.0 * (y * z + w * x)
-    rolled = roll_x < math.cos(angle) * np.sqrt(roll_x * roll_x + roll_y * roll_y)
-    pitched = np.abs(sine_of_pitch) > math.sin(min(angle, 0.5 * math.pi))
+    rolled = roll_x < cosine(angle) * np.sqrt(roll_x * roll_x + roll_y * roll_y)
+    pitched = np.abs(sine_of_pitch) > sine(min(angle, 0.5 * math.pi))
     tilted: Mask = rolled | pitched
     return tilted
 

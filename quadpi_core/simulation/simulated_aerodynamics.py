@@ -113,7 +113,7 @@ class SimulatedAerodynamics(ABC):
     @cached_property
     def effectiveness(self) -> Array:
         """Change (4, 4) of thrust [N] and moments [Nm] by the squared speed of each rotor, in hover."""
-        hover = self.hover_rotor_speed**2
+        hover = np.square(self.hover_rotor_speed)
         squares = hover * (1.0 + _DIFFERENCE * np.vstack((np.eye(ROTORS), -np.eye(ROTORS))))
         still = np.zeros((len(squares), 3))
         wrench = self.wrench(still, still, np.sqrt(squares))

@@ -24,7 +24,7 @@ from quadpi_core.logs.bags import output_topic
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.payloads import Payloads, Topic
 from quadpi_core.messages.topics import TOPIC_TYPES
-from quadpi_core.rotations import quaternions_of, rotate_body_to_world, rotation_matrix
+from quadpi_core.rotations import from_rotation_vector, rotate_body_to_world, rotate_world_to_body
 from quadpi_core.simulation.sensors import Sensed
 from quadpi_core.simulation.truth import Truth
 from quadpi_core.vehicle import is_rigid_body
@@ -126,7 +126,7 @@ def _truth_topics(truth: Truth, step: int) -> list[Topic]:
     """The truth, every `step`-th instant; accelerations as a message of body axes holds them."""
     taken = slice(None, None, step)
     time_ns, attitude = truth.time_ns[taken], truth.attitude[taken]
-    acceleration = _into_body(attitude, truth.acceleration[taken])
+    acceleration = rotate_world_to_body(attitude, truth.acceleration[taken])
     accelerations = np.concatenate((acceleration, truth.angular_acceleration[taken]), axis=1)
     reference = PoseStream(time_ns, truth.reference.position[taken], _headings(truth.reference.yaw[taken]))
     odometry = OdometryStream(
@@ -147,18 +147,10 @@ def _truth_topics(truth: Truth, step: int) -> list[Topic]:
     return [output_topic(f"truth/{name}", time_ns, payloads) for name, payloads in packed.items()]
 
 
-def _into_body(attitude: Array, world: Array) -> Array:
-    """World vectors (N, 3) in body axes, the same bits on every machine."""
-    rotation = rotation_matrix(attitude)
-    north, east, down = (rotation[:, row] * world[:, row, None] for row in range(3))
-    in_body: Array = north + east + down
-    return in_body
-
-
 def _headings(yaw: Array) -> Array:
     """Level attitudes (N, 4) of headings (N,) rad."""
     level = np.zeros_like(yaw)
-    return quaternions_of(np.stack((level, level, yaw), axis=1))
+    return from_rotation_vector(np.stack((level, level, yaw), axis=1))
 
 
 def read_truth(path: Path | str) -> RecordedTruth:

@@ -39,7 +39,7 @@ constexpr double EXACT_MAX = 40.0;
 // Beyond this tanh is 1 to the last bit.
 constexpr double TANH_MAX = 20.0;
 // What the series leave out is less than 2⁻⁵⁷ of their sums.
-constexpr std::size_t SINE_TERMS = 9, EXPONENTIAL_TERMS = 15, ARCTANGENT_TERMS = 7;
+constexpr std::size_t SINE_TERMS = 9, EXPONENTIAL_TERMS = 15, ARCTANGENT_TERMS = 7, LOGARITHM_TERMS = 17;
 // Arctangents of k/8.
 constexpr double ARCTANGENT_STEPS = 8.0;
 constexpr std::array<Angle, 9> ARCTANGENTS = {{
@@ -69,14 +69,35 @@ constexpr std::array<double, N> reciprocal_factorials(int first, int step, doubl
     return coefficients;
 }
 
-// Σ cₙ xⁿ.
+// first/3, first sign/5, first/7, ...
+template <std::size_t N>
+constexpr std::array<double, N> odd_reciprocals(double first, double sign) {
+    std::array<double, N> coefficients{};
+    double own = first;
+    for (std::size_t n = 0; n < N; ++n, own *= sign) {
+        coefficients[n] = own / (2.0 * static_cast<double>(n) + 3.0);
+    }
+    return coefficients;
+}
+
+// Σ cₙ xⁿ; even and odd powers on their own, side by side.
 template <std::size_t N>
 double polynomial(const std::array<double, N>& coefficients, double x) {
-    double sum = coefficients[N - 1];
-    for (std::size_t n = N - 1; n-- > 0;) {
-        sum = coefficients[n] + x * sum;
+    const double square = x * x;
+    double sum = coefficients[N - 2], other = coefficients[N - 1];
+    for (std::size_t n = N - 2; n-- > 0;) {
+        const double next = coefficients[n] + square * other;
+        other = sum;
+        sum = next;
     }
-    return sum;
+    return sum + x * other;
+}
+
+// The nearest whole number, the even one of two; of numbers below 2⁵¹, whose sum with this has no place for
+// more.
+inline double nearest(double x) {
+    constexpr double whole = 0x1.8p+52;
+    return (x + whole) - whole;
 }
 
 // A power of two, exactly; the exponent of a normal number.
@@ -97,7 +118,7 @@ inline ReducedAngle reduced(double angle) {
     if (!(std::fabs(angle) < QUARTER_TURNS_MAX)) {
         angle = std::fmod(angle, 4.0 * HALF_PI.value);
     }
-    const double turns = std::nearbyint(angle / HALF_PI.value);
+    const double turns = nearest(angle * (1.0 / HALF_PI.value));
     const double first = angle - turns * QuarterTurn::FIRST, second = turns * QuarterTurn::SECOND;
     const double near = first - second, third = turns * QuarterTurn::THIRD, value = near - third;
     const double rest = ((near - value) - third) + ((first - near) - second);
@@ -124,7 +145,16 @@ inline double of_quarter_turn(const ReducedAngle& angle, std::int64_t quarter_tu
     return (quarter_turns & 2) != 0 ? -size : size;
 }
 
+struct SineAndCosine {
+    double sine, cosine;
+};
+
 // Sine and cosine of an angle [rad]; NaN of an infinite one.
+inline SineAndCosine sine_and_cosine(double angle) {
+    const ReducedAngle own = reduced(angle);
+    return {of_quarter_turn(own, own.quarter_turns), of_quarter_turn(own, own.quarter_turns + 1)};
+}
+
 inline double sine(double angle) {
     const ReducedAngle own = reduced(angle);
     return of_quarter_turn(own, own.quarter_turns);
@@ -143,17 +173,14 @@ inline Angle angle_in_quadrant(double y, double x) {
         return {value, ((HALF_PI.value - value) - other.value) + (HALF_PI.rest - other.rest)};
     }
     const double slope = y / x;
-    const double step = std::nearbyint(ARCTANGENT_STEPS * slope), near = step / ARCTANGENT_STEPS;
+    const double step = nearest(ARCTANGENT_STEPS * slope), near = step / ARCTANGENT_STEPS;
     double rest = slope;
     if (step != 0.0) {
         // A product by a multiple of 1/8 is exact without the last bits.
         const double scale = power_of_2(30) + 1.0, split = scale * x, coarse = split - (split - x);
         rest = ((y - near * coarse) - near * (x - coarse)) / (x + near * y);
     }
-    std::array<double, ARCTANGENT_TERMS - 1> coefficients{};
-    for (std::size_t n = 0; n < coefficients.size(); ++n) {
-        coefficients[n] = (n % 2 == 0 ? -1.0 : 1.0) / (2.0 * static_cast<double>(n) + 3.0);
-    }
+    constexpr auto coefficients = odd_reciprocals<ARCTANGENT_TERMS - 1>(-1.0, -1.0);
     const double square = rest * rest, cubic = rest * square * polynomial(coefficients, square);
     const Angle tabulated = ARCTANGENTS[static_cast<std::size_t>(step)];
     const double value = tabulated.value + rest;
@@ -195,7 +222,7 @@ struct ReducedExponent {
 };
 
 inline ReducedExponent reduced_exponent(double exponent) {
-    const double power = std::nearbyint(exponent / (LogarithmOf2::FIRST + LogarithmOf2::SECOND));
+    const double power = nearest(exponent * (1.0 / (LogarithmOf2::FIRST + LogarithmOf2::SECOND)));
     const double near = exponent - power * LogarithmOf2::FIRST, second = power * LogarithmOf2::SECOND;
     const double value = near - second;
     return {value, (near - value) - second, static_cast<std::int64_t>(power)};
@@ -229,6 +256,13 @@ inline double exponential_minus_1(double x) {
     const ReducedExponent own = reduced_exponent(x);
     const double power = power_of_2(own.power);
     return (power - 1.0) + power * exponential_less_1(own);
+}
+
+// ln(1 + x) for x from 0 to 1: twice the inverse hyperbolic tangent of x / (2 + x).
+inline double logarithm_of_1_plus(double x) {
+    constexpr auto coefficients = odd_reciprocals<LOGARITHM_TERMS - 1>(2.0, 1.0);
+    const double ratio = x / (2.0 + x), square = ratio * ratio;
+    return 2.0 * ratio + ratio * square * polynomial(coefficients, square);
 }
 
 inline double hyperbolic_tangent(double x) {

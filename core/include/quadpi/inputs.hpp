@@ -104,12 +104,15 @@ inline void fill_inputs(
     // Third row of the body-to-world matrix: −sin θ, sin φ cos θ, cos φ cos θ.
     const double sin_theta = std::min(1.0, std::max(-1.0, 2.0 * (q0 * q2 - q1 * q3)));
     const double cos_theta = std::sqrt(1.0 - sin_theta * sin_theta);
-    const double roll = std::atan2(2.0 * (q2 * q3 + q0 * q1), 1.0 - 2.0 * (q1 * q1 + q2 * q2));
+    const double across = 2.0 * (q2 * q3 + q0 * q1), along = 1.0 - 2.0 * (q1 * q1 + q2 * q2);
+    const double size = std::sqrt(across * across + along * along);
+    // With the nose straight up or down roll is free: it is 0.
+    const double sin_phi = size == 0.0 ? 0.0 : across / size, cos_phi = size == 0.0 ? 1.0 : along / size;
 
     row[0] = u, row[1] = v, row[2] = w, row[3] = v_in;
     row[4] = rates[0], row[5] = rates[1], row[6] = rates[2];
     row[7] = omega_avg;
-    row[8] = std::sin(roll), row[9] = std::cos(roll), row[10] = sin_theta, row[11] = cos_theta;
+    row[8] = sin_phi, row[9] = cos_phi, row[10] = sin_theta, row[11] = cos_theta;
     for (int control = 0; control < 3; ++control) {
         double moment = 0.0;
         for (int rotor = 0; rotor < ROTORS; ++rotor) {

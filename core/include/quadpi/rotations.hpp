@@ -3,8 +3,7 @@
 // Rotations: unit quaternions (w, x, y, z) from body to world, rotation vectors in radians, matrices.
 #pragma once
 
-#include <array>
-#include <cmath>
+#include "quadpi/elementary.hpp"
 
 namespace quadpi {
 
@@ -68,16 +67,17 @@ inline Quaternion normalised(const Quaternion& q) {
 inline Quaternion from_rotation_vector(const Vector3& vector) {
     const auto [x, y, z] = vector;
     const double angle = std::sqrt(x * x + y * y + z * z);
-    const double scale = angle < SMALL_ANGLE ? 0.5 : std::sin(0.5 * angle) / angle;
-    return {std::cos(0.5 * angle), scale * x, scale * y, scale * z};
+    const SineAndCosine half = sine_and_cosine(0.5 * angle);
+    const double scale = angle < SMALL_ANGLE ? 0.5 : half.sine / angle;
+    return {half.cosine, scale * x, scale * y, scale * z};
 }
 
 // Shortest rotation vector [rad] of a unit quaternion of either sign (the logarithm map).
 inline Vector3 to_rotation_vector(const Quaternion& q) {
     const double sign = q[0] < 0.0 ? -1.0 : 1.0;
     const double w = sign * q[0], x = sign * q[1], y = sign * q[2], z = sign * q[3];
-    const double sine = std::sqrt(x * x + y * y + z * z);
-    const double scale = sine < SMALL_ANGLE ? 2.0 : 2.0 * std::atan2(sine, w) / sine;
+    const double size = std::sqrt(x * x + y * y + z * z);
+    const double scale = size < SMALL_ANGLE ? 2.0 : 2.0 * arctangent(size, w) / size;
     return {scale * x, scale * y, scale * z};
 }
 

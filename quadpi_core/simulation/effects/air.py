@@ -4,10 +4,9 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
+from quadpi_core.elementary import exponential
 from quadpi_core.frames import Array
 from quadpi_core.simulation.effect_definition import Parameter, effect
 
@@ -49,8 +48,7 @@ def gust(time: Array, p: Array, rng: np.random.Generator) -> Array:
 
 
 def _ornstein_uhlenbeck(time: Array, deviation: float, time_constant: float, noise: Array) -> Array:
-    # Of the C library, as the bits of numpy's exponential depend on the processor.
-    kept = np.array([math.exp(-step / time_constant) for step in np.diff(time).tolist()])
+    kept = exponential(-np.diff(time) / time_constant)
     added = deviation * np.sqrt(1.0 - kept * kept)[:, None] * noise[1:]
     x, y, z = (deviation * noise[0]).tolist()
     process = [(x, y, z)]

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from quadpi_core.elementary import exponential, hyperbolic_tangent
 from quadpi_core.frames import Array
 from quadpi_core.simulation.effect_definition import (
     AERODYNAMIC,
@@ -170,7 +171,7 @@ def vortex_ring(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """
     x = np.maximum(state.hub_velocity[:, :, 2], 0.0) / vehicle.hover_induced_velocity
     across = in_plane_speeds(state) / vehicle.hover_induced_velocity
-    loss = p[0] * state.thrusts * x * np.exp(0.25 * (1.0 - x**4) - across * across)
+    loss = p[0] * state.thrusts * x * exponential(0.25 * (1.0 - np.square(x * x)) - across * across)
     return at_hubs(vehicle, 0.0, 0.0, loss)
 
 
@@ -196,7 +197,7 @@ def rotor_interaction(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench
     u, v, _ = state.velocity_air.T
     x, y, _ = vehicle.rotor_positions.T
     speed = np.sqrt(u * u + v * v)
-    strength = p[0] * np.tanh(speed / vehicle.hover_induced_velocity)
+    strength = p[0] * hyperbolic_tangent(speed / vehicle.hover_induced_velocity)
     across = np.outer(np.where(speed > 0.0, speed, 1.0), np.sqrt(x * x + y * y))
     behind = np.maximum(0.0, -(np.outer(u, x) + np.outer(v, y)) / across)
     return at_hubs(vehicle, 0.0, 0.0, strength[:, None] * behind * state.thrusts)

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from quadpi_core.elementary import sine
 from quadpi_core.frames import Array
 from quadpi_core.simulation.effect_definition import (
     AERODYNAMIC,
@@ -151,7 +152,7 @@ def rotor_tilt(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     """
     hit = _rotor(p[0])
     thrust, torque = state.thrusts * hit, np.sum(state.torques * hit, axis=1)
-    x, y = np.sin(np.radians(p[1])), np.sin(np.radians(p[2]))
+    x, y = sine(np.radians(p[1])), sine(np.radians(p[2]))
     z = 1.0 - np.sqrt(1.0 - x * x - y * y)
     fx, fy, fz, mx, my, mz = at_hubs(vehicle, thrust * x, thrust * y, thrust * z)
     return fx, fy, fz, mx - torque * x, my - torque * y, mz - torque * z

@@ -17,7 +17,7 @@ from quadpi_core.models.physical_terms import TERM_INDEX, TERMS
 from quadpi_core.models.rollout_identification import calibrated_rollouts, rollout_flights
 from quadpi_core.models.rollout_model import RolloutFlight, RolloutModel, horizon_steps
 from quadpi_core.models.tubes import HORIZONS_S, error_norms, tube_scores
-from quadpi_core.rotations import inverses, products, to_rotation_vectors
+from quadpi_core.rotations import inverses, products, to_rotation_vector
 from test.core.models.flights_ahead import with_attitude
 from test.core.models.physical_flights import VEHICLE, flown, known_parameters, samples_of
 
@@ -55,7 +55,7 @@ def test_attitude_and_heading_come_back_from_the_input_vector(flights: list[Phys
     (found,) = rollout_flights(samples(flights[0], truth))
     # Both from the same start: what is left is the drift of integrated rates.
     turned = products(products(truth.attitude[0:1], inverses(found.attitude[0:1])), found.attitude)
-    error = to_rotation_vectors(products(inverses(truth.attitude), turned))
+    error = to_rotation_vector(products(inverses(truth.attitude), turned))
     assert np.abs(error).max() < 0.02
     np.testing.assert_array_equal(found.motion["rates"], truth.motion["rates"])
 

@@ -88,7 +88,7 @@ struct BankTables {
 inline double rectified(double value) { return value < 0.0 ? 0.0 : value; }
 
 inline double softplus(double value) {
-    return std::max(value, 0.0) + std::log(1.0 + std::exp(-std::abs(value)));
+    return std::max(value, 0.0) + logarithm_of_1_plus(exponential(-std::abs(value)));
 }
 
 // Add N inputs of the first sample to the sums of all hidden units.

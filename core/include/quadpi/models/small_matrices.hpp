@@ -99,8 +99,9 @@ inline Matrix3 right_jacobian(const Vector3& vector) {
     const double angle = length_of(vector);
     const Matrix3 by = cross_matrix(vector), square = multiplied(by, by);
     const bool is_small = angle < small;
-    const double first = is_small ? 0.5 : (1.0 - std::cos(angle)) / (angle * angle);
-    const double second = (angle - std::sin(angle)) / (angle * (angle * angle));
+    const auto [height, along] = sine_and_cosine(angle);
+    const double first = is_small ? 0.5 : (1.0 - along) / (angle * angle);
+    const double second = (angle - height) / (angle * (angle * angle));
     Matrix3 jacobian;
     for (int row = 0; row < 3; ++row) {
         for (int column = 0; column < 3; ++column) {

@@ -25,7 +25,8 @@ struct Uncertainty {
 
 // Deviation of the sine of a normal angle of a variance [rad²] over that of the angle.
 inline double sine_share(double variance) {
-    return variance < SMALL_VARIANCE ? 1.0 : std::sqrt(-0.5 * std::expm1(-2.0 * variance) / variance);
+    return variance < SMALL_VARIANCE ? 1.0
+                                     : std::sqrt(-0.5 * exponential_minus_1(-2.0 * variance) / variance);
 }
 
 // The uncertainty of one roll-out as it goes along its path.

@@ -3,8 +3,7 @@
 // Intervals that adapt to the measured wrench; see monitor/adaptive.py.
 #pragma once
 
-#include <cmath>
-
+#include "quadpi/elementary.hpp"
 #include "quadpi/records.hpp"
 #include "quadpi/signals/wrench.hpp"
 
@@ -30,7 +29,7 @@ inline void adapt(
     Wrench& upper
 ) {
     for (int axis = 0; axis < AXES; ++axis) {
-        const double factor = std::exp(memory.log_factor[axis]);
+        const double factor = exponential(memory.log_factor[axis]);
         const double centre = 0.5 * own_lower[axis] + 0.5 * own_upper[axis];
         const double half = 0.5 * own_upper[axis] - 0.5 * own_lower[axis];
         const double low = centre - factor * half, high = centre + factor * half;

@@ -21,7 +21,7 @@ constexpr double MOTOR_LEAD = 2.0;
 constexpr double TILT_MAX_DEG = 65.0;
 // Least upward specific force demanded [m/s²]: near zero the attitude of the thrust is undefined.
 constexpr double SPECIFIC_FORCE_MIN = 2.0;
-inline const double TAN_TILT_MAX = std::tan(TILT_MAX_DEG * (PI / 180.0));
+inline const double TAN_TILT_MAX = sine(TILT_MAX_DEG * (PI / 180.0)) / cosine(TILT_MAX_DEG * (PI / 180.0));
 // Least cosine between the nose and its heading that a yaw rate is divided by.
 constexpr double SIDE_MIN = 0.3;
 
@@ -77,7 +77,7 @@ inline void observe(Controls& controls, const State& state) {
 inline Matrix3 attitude_of(const Vector3& force, double yaw, const std::array<double, 2>& tilt) {
     double size = length_of(force);
     const double z0 = -force[0] / size, z1 = -force[1] / size, z2 = -force[2] / size;
-    const double north = std::cos(yaw), east = std::sin(yaw);
+    const auto [east, north] = sine_and_cosine(yaw);
     // x = side × z in the vertical plane of the heading, y = z × x.
     double x0 = north * z2, x1 = east * z2, x2 = -east * z1 - north * z0;
     size = std::sqrt(x0 * x0 + x1 * x1 + x2 * x2);
@@ -90,8 +90,8 @@ inline Matrix3 attitude_of(const Vector3& force, double yaw, const std::array<do
     if (tilt[0] == 0.0 && tilt[1] == 0.0) {
         return target;
     }
-    const double cos_roll = std::cos(tilt[0]), sin_roll = std::sin(tilt[0]);
-    const double cos_pitch = std::cos(tilt[1]), sin_pitch = std::sin(tilt[1]);
+    const auto [sin_roll, cos_roll] = sine_and_cosine(tilt[0]);
+    const auto [sin_pitch, cos_pitch] = sine_and_cosine(tilt[1]);
     Matrix3 tilted;
     for (int axis = 0; axis < 3; ++axis) {
         const auto [x, y, z] = target[axis];
@@ -189,7 +189,7 @@ inline void control(Controls& controls, const Motion& motion, const Demand& dema
         rates[1] -= demand.jerk[step][axis] * rotation[axis][0] / specific_thrust;
     }
     // The nose stays in the vertical plane of the heading while the vehicle tilts.
-    const double north = std::cos(demand.yaw[step]), east = std::sin(demand.yaw[step]);
+    const auto [east, north] = sine_and_cosine(demand.yaw[step]);
     const double ahead = rotation[0][0] * north + rotation[1][0] * east;
     const double side = rotation[1][1] * north - rotation[0][1] * east;
     const double tilted_side = rotation[1][2] * north - rotation[0][2] * east;

@@ -20,8 +20,8 @@ struct Span {
 
 // Sine of a jet.
 inline Jet sine_jet(double angle, double rate, double curve) {
-    const double sine = std::sin(angle), cosine = std::cos(angle);
-    return {sine, cosine * rate, cosine * curve - sine * rate * rate};
+    const auto [height, slope] = sine_and_cosine(angle);
+    return {height, slope * rate, slope * curve - height * rate * rate};
 }
 
 // From 0 to 1 by the polynomial of fifth degree that begins and ends without slope and curvature.

@@ -66,7 +66,7 @@ inline void rotor_local(State& state, const VehicleNumbers& vehicle) {
         const double tip_speed = speed * radius;
         const bool fitted = airspeed < ADVANCE_RATIO_MAX * tip_speed;
         const double advance_ratio = fitted ? airspeed / tip_speed : ADVANCE_RATIO_MAX;
-        const double disc_angle = std::atan2(w, in_plane);
+        const double disc_angle = arctangent(w, in_plane);
 
         const double thrust =
             rotor_coefficient(vehicle.thrust, advance_ratio, disc_angle) * disc * speed * speed;

@@ -11,7 +11,6 @@
 
 namespace quadpi {
 
-constexpr double PI = 3.141592653589793;
 // Numbers that an effect may keep as a state of its own.
 constexpr int MEMORY = 6;
 using OwnState = std::array<double, MEMORY>;

@@ -80,7 +80,7 @@ inline Wrench vortex_ring(State& state, const VehicleNumbers& vehicle, const dou
         const double across = in_plane_speed(state, rotor) / vehicle.hover_induced_velocity;
         const double fourth = (x * x) * (x * x);
         const double loss =
-            p[0] * state.thrusts[rotor] * x * std::exp(0.25 * (1.0 - fourth) - across * across);
+            p[0] * state.thrusts[rotor] * x * exponential(0.25 * (1.0 - fourth) - across * across);
         wrench = with_hub_force(wrench, vehicle, rotor, 0.0, 0.0, loss);
     }
     return wrench;
@@ -92,7 +92,7 @@ inline Wrench rotor_interaction(State& state, const VehicleNumbers& vehicle, con
     if (speed == 0.0) {
         return NO_WRENCH;
     }
-    const double strength = p[0] * std::tanh(speed / vehicle.hover_induced_velocity);
+    const double strength = p[0] * hyperbolic_tangent(speed / vehicle.hover_induced_velocity);
     Wrench wrench = NO_WRENCH;
     for (int rotor = 0; rotor < ROTORS; ++rotor) {
         const double x = vehicle.rotor_positions[rotor][0], y = vehicle.rotor_positions[rotor][1];

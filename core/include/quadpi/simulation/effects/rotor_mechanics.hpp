@@ -69,7 +69,7 @@ inline Wrench weak_rotor(State& state, const VehicleNumbers& vehicle, const doub
 inline Wrench rotor_tilt(State& state, const VehicleNumbers& vehicle, const double* p) {
     const int rotor = rotor_of(p[0]);
     const double thrust = state.thrusts[rotor], torque = state.torques[rotor];
-    const double x = std::sin(p[1] * (PI / 180.0)), y = std::sin(p[2] * (PI / 180.0));
+    const double x = sine(p[1] * (PI / 180.0)), y = sine(p[2] * (PI / 180.0));
     const double z = 1.0 - std::sqrt(1.0 - x * x - y * y);
     Wrench wrench = with_hub_force(NO_WRENCH, vehicle, rotor, thrust * x, thrust * y, thrust * z);
     wrench[3] -= torque * x;
