@@ -17,6 +17,8 @@ from quadpi_core.simulation.wrench_functions import apply_to_all
 
 # Speed [m/s] at which the drag of any exponent is that of the square law.
 DRAG_SPEED = 7.0
+# Of a law of the aerodynamics that takes all from the vehicle.
+_NO_NUMBERS = np.zeros((0, 0))
 
 
 def body_drag(state, vehicle, b):
@@ -80,9 +82,9 @@ def blow(state, vehicle, b):
     profile = (max(-state.position[0, 2], 0.05) / 3.0) ** b[3]
     state.velocity_air[0] -= to_body(state.attitude[0], b[0] * profile, b[1] * profile, b[2] * profile)
     states = np.zeros(1, STATE)
-    for name in STATE.names:
+    for name in ("velocity_air", "rates", "rotor_speeds", "rotor_accelerations"):
         states[name] = getattr(state, name)
-    apply_to_all(states, np.array([tuple(vehicle)], VEHICLE), "rotor_local", np.zeros((0, 0)))
+    apply_to_all(states, np.array([tuple(vehicle)], VEHICLE), "rotor_local", _NO_NUMBERS)
     for name in ("hub_velocity", "thrusts", "torques", "wrench"):
         getattr(state, name)[:] = states[name]
 
@@ -94,12 +96,13 @@ def airframe_offset(state, vehicle, b):
 
     b: true centre [m] from that of the file.
     """
-    fx, fy, fz = state.wrench[0], state.wrench[1], state.wrench[2]
-    for rotor in range(4):
-        u, v, speed = state.hub_velocity[rotor][0], state.hub_velocity[rotor][1], state.rotor_speeds[rotor]
-        across = vehicle.rotor_spins[rotor] * vehicle.rotor_force_across
-        fx -= speed * (vehicle.rotor_force_along * u + across * v)
-        fy -= speed * (vehicle.rotor_force_along * v - across * u)
-        fz += state.thrusts[rotor]
+    fx, fy, fz = state.wrench[:3]
+    along, sideways = vehicle.rotor_force_along, vehicle.rotor_force_across
+    rotors = zip(state.hub_velocity, state.rotor_speeds, state.thrusts, vehicle.rotor_spins, strict=True)
+    for (u, v, _), speed, thrust, spin in rotors:
+        across = spin * sideways
+        fx -= speed * (along * u + across * v)
+        fy -= speed * (along * v - across * u)
+        fz += thrust
     _, _, _, mx, my, mz = force_at(-b[0], -b[1], -b[2], fx, fy, fz)
     return 0.0, 0.0, 0.0, mx, my, mz

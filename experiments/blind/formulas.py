@@ -1,15 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""All formulas as one function, and which of them act as the numbers of its row.
-
-A row is a block per formula: its parameters, its memory, its index. The memory begins at zero with each
-flight, for `simulate_flight` copies the row; it advances with every evaluation of the equations of motion.
-"""
+"""All formulas as one function of a flight, which calls those that act in it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from types import SimpleNamespace
 
 import numpy as np
 
@@ -42,35 +37,44 @@ _FUNCTIONS = (
     outside.thrust_fade,
     outside.magnet,
 )
-# Wind first: it computes the aerodynamics anew.
-_INDEX = {"wind": 0} | {function.__name__: index for index, function in enumerate(_FUNCTIONS, 1)}
+_BY_NAME = {function.__name__: function for function in _FUNCTIONS}
 _MEMORY = 4
-_BLOCK = PARAMETERS + _MEMORY + 1
 
 
-def row(formulas: Mapping[str, Sequence[float]]) -> list[float]:
-    """Numbers for :func:`hidden` of formulas with their parameters, in the order in which they act."""
-    numbers: list[float] = []
-    for name in sorted(formulas, key=_INDEX.__getitem__):
-        block = [*map(float, formulas[name])]
-        numbers += [*block, *[0.0] * (_BLOCK - 1 - len(block)), float(_INDEX[name])]
-    return numbers
+class Formulas:
+    """Formulas with their parameters as one law of a flight, (state, vehicle, numbers) -> wrench.
+
+    Their memory begins at zero and advances with every evaluation of the equations of motion: one for each
+    flight.
+    """
+
+    def __init__(self, formulas: Mapping[str, Sequence[float]]) -> None:
+        def block(name):
+            return [*map(float, formulas[name])] + [0.0] * (PARAMETERS + _MEMORY - len(formulas[name]))
+
+        # Wind first: it computes the aerodynamics anew. The others act in the order of their table.
+        self._wind = block("wind") if "wind" in formulas else None
+        self._acting = [(function, block(name)) for name, function in _BY_NAME.items() if name in formulas]
+        self._vehicle, self._craft = None, None
+
+    def __call__(self, state, vehicle, numbers):  # noqa: ARG002
+        """Wrench at one instant; `state` as functions of Python get it, for N = 1."""
+        if self._wind is not None:
+            bodies.blow(state, vehicle, self._wind)
+        if vehicle is not self._vehicle:
+            self._vehicle, self._craft = vehicle, _Plain(vehicle, np.asarray)
+        now, wrench = _Plain(state, lambda values: values[0]), NOTHING
+        for function, block in self._acting:
+            wrench = plus(wrench, function(now, self._craft, block))
+        return wrench
 
 
-def hidden(state, vehicle, p):
-    """Wrench of the formulas of a row at one instant; `state` as functions of Python get it, for N = 1."""
-    if p[_BLOCK - 1] == _INDEX["wind"]:
-        bodies.blow(state, vehicle, p[:_BLOCK].tolist())
-    # Numbers of Python: those of numpy take several times as long, one by one.
-    now = SimpleNamespace(**{name: values[0].tolist() for name, values in state._asdict().items()})
-    craft = SimpleNamespace(
-        **{name: np.asarray(values).tolist() for name, values in vehicle._asdict().items()}
-    )
-    wrench = NOTHING
-    for start in range(0, len(p), _BLOCK):
-        block = p[start : start + _BLOCK].tolist()
-        which = int(block.pop())
-        if which != _INDEX["wind"]:
-            wrench = plus(wrench, _FUNCTIONS[which - 1](now, craft, block))
-            p[start : start + _BLOCK - 1] = block
-    return wrench
+class _Plain:
+    """Fields as numbers of Python, each when it is first read: those of numpy take several times as long."""
+
+    def __init__(self, fields, array_of) -> None:
+        self._fields, self._array_of = fields, array_of
+
+    def __getattr__(self, name):
+        value = self.__dict__[name] = self._array_of(getattr(self._fields, name)).tolist()
+        return value

@@ -6,8 +6,6 @@ from __future__ import annotations
 
 import math
 
-from quadpi_core.rotations import matrix
-
 NOTHING = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 # Of parameters in the block of a formula; what follows them is its memory.
 PARAMETERS = 8
@@ -32,21 +30,17 @@ def plus(a, b):
 
 def to_body(attitude, x, y, z):
     """A vector of the world in body axes."""
-    turn = matrix(attitude).tolist()
-    return (
-        turn[0][0] * x + turn[1][0] * y + turn[2][0] * z,
-        turn[0][1] * x + turn[1][1] * y + turn[2][1] * z,
-        turn[0][2] * x + turn[1][2] * y + turn[2][2] * z,
-    )
+    w, i, j, k = attitude
+    return to_world((w, -i, -j, -k), x, y, z)
 
 
 def to_world(attitude, x, y, z):
     """A vector of the body in world axes."""
-    turn = matrix(attitude).tolist()
+    w, i, j, k = attitude
     return (
-        turn[0][0] * x + turn[0][1] * y + turn[0][2] * z,
-        turn[1][0] * x + turn[1][1] * y + turn[1][2] * z,
-        turn[2][0] * x + turn[2][1] * y + turn[2][2] * z,
+        (1.0 - 2.0 * (j * j + k * k)) * x + 2.0 * (i * j - w * k) * y + 2.0 * (i * k + w * j) * z,
+        2.0 * (i * j + w * k) * x + (1.0 - 2.0 * (i * i + k * k)) * y + 2.0 * (j * k - w * i) * z,
+        2.0 * (i * k - w * j) * x + 2.0 * (j * k + w * i) * y + (1.0 - 2.0 * (i * i + j * j)) * z,
     )
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from blind.formulas import hidden, row
+from blind.formulas import Formulas
 from quadpi_core.estimator.fusion import fuse_airborne
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array
@@ -96,12 +96,15 @@ class Specimen:
         return fuse_airborne(sensed.recording, owned, CUTOFF_HZ["default"])
 
     def _truth(self, plan: FlightPlan) -> Truth:
-        formulas = {**self.formulas, "airframe_offset": tuple(self.centre)}
+        formulas = dict(self.formulas)
+        if self.centre.any():
+            formulas["airframe_offset"] = tuple(self.centre)
         about_centre = self.with_vehicle(rotor_positions=self.vehicle.rotor_positions - self.centre).flown
         torque = self.coefficients.torque * self.yaw_authority
         believed = replace(self, flown=about_centre).with_coefficients(torque=torque).flown
         steered = _Steered(believed.aerodynamics, believed.motor_time_constant, true=about_centre)
-        return simulate_flight(plan.name, steered, plan.reference(STEP_HZ), extra=[(hidden, row(formulas))])
+        extra = [(Formulas(formulas), ())] if formulas else []
+        return simulate_flight(plan.name, steered, plan.reference(STEP_HZ), extra=extra)
 
     def _at_nominal_centre(self, truth: Truth) -> Truth:
         arm = np.broadcast_to(-self.centre, truth.position.shape)

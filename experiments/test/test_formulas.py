@@ -7,10 +7,11 @@ from __future__ import annotations
 import ast
 from pathlib import Path
 
+import blind
 import numpy as np
 import pytest
-from blind import formulas
 from blind.effects import EFFECTS, OUTSIDE, altered
+from blind.formulas import Formulas
 from blind.geometry import induced_ratio
 from blind.specimen import CENTRE_M, Specimen, ordinary
 
@@ -46,9 +47,9 @@ def wrench(model):
             rotor_accelerations=None if accelerations is None else np.array(accelerations, dtype=float),
             position=np.tile([0.0, 0.0, -height], (count, 1)),
         )
-        row, record = formulas.row({name: parameters}), model.record()
+        record = model.record()
         return np.array(
-            [formulas.hidden(*block_of(states[i : i + 1], record), np.array(row)) for i in range(count)]
+            [Formulas({name: parameters})(*block_of(states[i : i + 1], record), ()) for i in range(count)]
         )
 
     return of
@@ -60,7 +61,7 @@ def test_every_effect_of_the_vocabulary_is_hidden():
 
 
 def test_nothing_comes_from_the_library():
-    for path in Path(formulas.__file__).parent.glob("*.py"):
+    for path in Path(blind.__file__).parent.glob("*.py"):
         for node in ast.walk(ast.parse(path.read_text())):
             modules = []
             if isinstance(node, ast.Import):
@@ -172,8 +173,7 @@ def test_wind_is_as_flying_the_other_way(model):
         np.array([[0.0, 0.0, 0.0], [-2.0, 0.0, 0.0]]), np.zeros((2, 3)), np.full((2, 4), 700.0),
         position=np.tile([0.0, 0.0, -3.0], (2, 1)),
     )  # fmt: skip
-    row = np.array(formulas.row({"wind": (2.0, 0.0, 0.0, 0.1)}))
-    formulas.hidden(*block_of(states[:1], model.record()), row)
+    Formulas({"wind": (2.0, 0.0, 0.0, 0.1)})(*block_of(states[:1], model.record()), ())
     np.testing.assert_allclose(states["wrench"][0], states["wrench"][1])
 
 
@@ -191,10 +191,13 @@ def test_what_comes_with_speed_is_nothing_at_rest(wrench, name, parameters):
     assert np.all(wrench(name, parameters) == 0.0)
 
 
-def test_memory_begins_anew_with_each_flight():
-    first, second = formulas.row({"thrust_fade": (0.1,)}), formulas.row({"thrust_fade": (0.1,)})
-    assert first == second
-    assert not np.any(first[1:-1])
+def test_memory_begins_anew_with_each_flight(model):
+    still, hover = np.zeros((1, 3)), np.full((1, 4), model.hover_rotor_speed)
+    block = block_of(model.states(still, still, hover), model.record())
+    first, second = Formulas({"thrust_fade": (0.1,)}), Formulas({"thrust_fade": (0.1,)})
+    begun = first(*block, ())
+    assert first(*block, ()) != begun
+    assert second(*block, ()) == begun
 
 
 def test_specimens_differ_as_their_tolerances_say():
