@@ -74,9 +74,12 @@ def test_flights_can_be_flown(scenario):
 
 @pytest.fixture(scope="module")
 def residuals():
-    """residuals(specimen) → (N, 6) measured less simulated wrench, always with the same noise."""
+    """residuals(specimen) → (N, 6) measured less simulated wrench, always with the same noise.
+
+    Of three of the flights: near the ground, in translation, in rotation. Each effect shows in one of them.
+    """
     vehicle, suite = SimulatedVehicle.load(VEHICLE), SensorSuite.load("paper")
-    plans = load_scenario(RICH).flights
+    plans = [plan for plan in load_scenario(RICH).flights if plan.name in {"low", "coupled", "attitude"}]
 
     def of(specimen):
         flights = flights_of(specimen, plans, suite, 1)

@@ -38,6 +38,12 @@ from .regressions import of_sound_flights
 ALIKE = ("payload", "thrust_coefficient", "body_drag")
 
 
+@pytest.fixture(scope="module")
+def sought(simulation, dragged):
+    """What the first search finds, before its roll-outs."""
+    return discover(simulation, dragged, names=SOUGHT)
+
+
 def test_nothing_is_missing_in_flights_of_the_simulation(simulation, flights):
     found = discover(simulation, flights)
     assert (found.verdict, found.effects, found.unexplained) == ("none", (), 0.0)
@@ -123,19 +129,18 @@ def test_what_explains_only_axes_that_intervals_hold_explains_nothing(
     assert [search.regression.candidates[index].name for index in search.allowed] == allowed
 
 
-def test_what_intervals_allow_for_is_barred_from_another_search(simulation, dragged, monkeypatch):
+def test_what_intervals_allow_for_is_barred_from_another_search(simulation, dragged, sought, monkeypatch):
     """Where that finds nothing else, nothing is missing."""
-    found, searches = discover(simulation, dragged, names=SOUGHT), []
-    (drag,) = found.found.chosen
-    allowed = replace(found, found=replace(found.found, allowed={drag: 3.0}))
+    found, searches = sought.found, []
+    (drag,) = found.chosen
+    allowed = replace(sought, found=replace(found, allowed={drag: 3.0}))
 
     def searched(_, barred):
         searches.append(dict(barred))
-        nothing = replace(found.found, chosen=())
-        return replace(found, effects=(), checks=(), found=nothing) if barred else allowed
+        return replace(sought, effects=(), checks=(), found=replace(found, chosen=())) if barred else allowed
 
     monkeypatch.setattr("quadpi_core.discrepancy.study.discovered", searched)
-    result = found_and_flown(simulation, dragged)
+    result = found_and_flown(simulation, dragged, names=SOUGHT)
     assert searches == [{}, {"body_drag": ALLOWED}]
     assert (result.verdict, result.effects, result.flown) == ("none", (), None)
 
@@ -304,13 +309,12 @@ def test_a_barred_effect_is_not_named_and_the_page_says_why(simulation, dragged)
 
 @pytest.mark.parametrize("others", [(), ("closed",)])
 def test_what_alone_takes_an_axis_out_of_its_intervals_is_barred_from_another_search(
-    simulation, dragged, monkeypatch, others
+    simulation, dragged, sought, monkeypatch, others
 ):
     """Only where nothing else speaks against the first result."""
-    found = discover(simulation, dragged, names=SOUGHT)
-    drag, searches = found.effects[0], []
-    within = replace(found.found, inside=Inside(np.ones((4, 6)), 0.95))
-    two = replace(found, effects=(drag, replace(drag, name="wind")), found=within)
+    drag, searches = sought.effects[0], []
+    within = replace(sought.found, inside=Inside(np.ones((4, 6)), 0.95))
+    two = replace(sought, effects=(drag, replace(drag, name="wind")), found=within)
     both = AugmentedSimulation(simulation, {"body_drag": DRAG, "wind": {}})
 
     def searched(_, barred):
@@ -327,32 +331,31 @@ def test_what_alone_takes_an_axis_out_of_its_intervals_is_barred_from_another_se
     for name, made in (("discovered", searched), ("flown_again", flown), ("coverages", covered)):
         monkeypatch.setattr(f"quadpi_core.discrepancy.study.{name}", made)
     monkeypatch.setattr("quadpi_core.discrepancy.study.augmented", lambda *_, **__: both)
-    result = found_and_flown(simulation, dragged)
+    result = found_and_flown(simulation, dragged, names=SOUGHT)
     assert searches == ([{}] if others else [{}, {"wind": "coverage"}])
     assert result.verdict == ("unknown" if others else "effects")
 
 
 @pytest.mark.parametrize("again", ["effects", "unknown"])
 def test_what_closes_nothing_beside_another_effect_is_barred_from_another_search(
-    simulation, dragged, monkeypatch, again
+    simulation, dragged, sought, monkeypatch, again
 ):
     """Drag is there, damping of rates beside it is not; both are doubted if no search does without."""
-    found, searches = discover(simulation, dragged, names=SOUGHT), []
-    regression = found.found.regression
+    searches, regression = [], sought.found.regression
     chosen = tuple(
         i for i, own in enumerate(regression.candidates) if own.name in ("body_drag", "rate_damping")
     )
     closing = Closing.of(regression, chosen)
-    whole = replace(found.found, chosen=chosen, closing=closing)
-    two = replace(found, effects=(found.effects[0],) * 2, found=whole)
+    whole = replace(sought.found, chosen=chosen, closing=closing)
+    two = replace(sought, effects=(sought.effects[0],) * 2, found=whole)
 
     def searched(_, barred):
         searches.append(dict(barred))
-        return replace(found, checks=(judge_closed(0.5 + (again == "effects")),)) if barred else two
+        return replace(sought, checks=(judge_closed(0.5 + (again == "effects")),)) if barred else two
 
     monkeypatch.setattr("quadpi_core.discrepancy.study.discovered", searched)
     monkeypatch.setattr("quadpi_core.discrepancy.study.flown_again", lambda discovery: discovery)
-    result = found_and_flown(simulation, dragged)
+    result = found_and_flown(simulation, dragged, names=SOUGHT)
     assert searches == [{}, {"rate_damping": CLOSES_NOTHING}]
     assert (result.verdict, len(result.effects)) == (("effects", 1) if again == "effects" else ("unknown", 2))
     assert ("closes" in [check.test for check in result.checks if not check.passed]) == (again == "unknown")
