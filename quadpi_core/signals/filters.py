@@ -64,8 +64,8 @@ def design_low_pass(cutoff_hz: float, rate_hz: float) -> Records:
         raise SignalError(
             f"cut-off {cutoff_hz:g} Hz must lie between 0 and half the sample rate ({0.5 * rate_hz:g} Hz)"
         )
-    # As scipy.signal.butter, whose import takes as long as all else of a live node. The prototype's poles lie on
-    # a half circle, in conjugate pairs at these angles off the negative axis; then the bilinear transform.
+    # As scipy.signal.butter, whose import takes as long as all else of a live node. The prototype's poles lie
+    # on a half circle, in conjugate pairs at these angles off the negative axis; then the bilinear transform.
     half = math.pi * cutoff_hz / rate_hz
     cutoff = float(sine(half) / cosine(half))
     design = np.zeros(1, _LOW_PASS)

@@ -18,7 +18,7 @@ from quadpi_core.models.model_kind import Fitted
 from quadpi_core.monitor.conditions import STATE_ERRORS, conditions
 from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.pairing import PairedSamples
-from quadpi_core.rotations import from_rotation_vectors, products
+from quadpi_core.rotations import from_rotation_vector, products
 from test.core.models.physical_flights import fitted_physical
 
 RATE_HZ = 500.0
@@ -147,7 +147,7 @@ def test_an_unsure_state_widens_intervals_by_what_it_does(each_model, vehicle):
     covariance = root @ root.T
 
     def predicted(errors):
-        turned = products(from_rotation_vectors(errors[:, 3:6]), np.tile(state["attitude"], (len(errors), 1)))
+        turned = products(from_rotation_vector(errors[:, 3:6]), np.tile(state["attitude"], (len(errors), 1)))
         inputs = aerodynamic_inputs(
             state["velocity"] + errors[:, :3],
             turned,
