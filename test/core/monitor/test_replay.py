@@ -191,19 +191,33 @@ def odd_bag(with_pose, tmp_path) -> Path:
     return set_back(odd, 3.5, 2.2, tmp_path / "odd.mcap")
 
 
-@pytest.mark.parametrize(("messages", "seconds"), [(1, 1.3), (7, 6.0), (1000, 6.0)])
-def test_the_bytes_do_not_depend_on_the_blocks(
-    each_model, vehicle, with_pose, odd_bag, bag_of, tmp_path, monkeypatch, messages, seconds
-):
+@pytest.fixture
+def same_in_blocks(vehicle, tmp_path, monkeypatch):
+    """same_in_blocks(model, flight, messages, …): replay in blocks of that many writes the same bytes."""
     settings = MonitorSettings(adaptive=True)
-    flights = [bag_of(cut(with_pose, seconds))] + ([odd_bag] if messages > 1 else [])
-    for flight in flights:
-        whole, blocks = tmp_path / "whole.mcap", tmp_path / "blocks.mcap"
-        monkeypatch.setattr(bag_files, "BLOCK_MESSAGES", 10**6)
-        expected = replay(each_model, vehicle, flight, whole, settings=settings)
-        monkeypatch.setattr(bag_files, "BLOCK_MESSAGES", messages)
-        assert replay(each_model, vehicle, flight, blocks, settings=settings) == expected
-        assert blocks.read_bytes() == whole.read_bytes()
+
+    def replayed(model, flight, size):
+        monkeypatch.setattr(bag_files, "BLOCK_MESSAGES", size)
+        output = tmp_path / f"blocks{size}.mcap"
+        return replay(model, vehicle, flight, output, settings=settings), output.read_bytes()
+
+    def check(model, flight, *sizes):
+        whole = replayed(model, flight, 10**6)
+        for size in sizes:
+            assert replayed(model, flight, size) == whole
+
+    return check
+
+
+def test_the_bytes_do_not_depend_on_the_blocks(each_model, with_pose, odd_bag, bag_of, same_in_blocks):
+    same_in_blocks(each_model, bag_of(cut(with_pose, 1.3)), 1)
+    same_in_blocks(each_model, odd_bag, 1000)
+
+
+@pytest.mark.parametrize("each_model", ["physical"], indirect=True)
+def test_what_is_odd_at_the_border_of_blocks(each_model, odd_bag, same_in_blocks):
+    """Of the model whose rotor speeds have a past of their own, in blocks that begin everywhere."""
+    same_in_blocks(each_model, odd_bag, 7)
 
 
 def test_a_clock_that_is_set_back_keeps_what_was_before(model, vehicle, odd_bag, tmp_path):
