@@ -35,16 +35,16 @@ RUN_ELSEWHERE = {
     "tools.md",
 }
 ON_REAL_FLIGHTS = {"commands.md", "import-logs.md"}
-# `quadpi view` serves until it is ended: after this time it has said what is wrong, or nothing is.
-VIEW_S = 30
-QUADPI = f"""
-quadpi() {{
+# `quadpi view` serves until it is ended, which it is once it has said where.
+QUADPI = """
+quadpi() {
     if [ "$1" = view ]; then
-        timeout {VIEW_S} "$PYTHON" -m quadpi_core.cli "$@" --port 0 --no-open; [ $? = 124 ]
-    else
-        "$PYTHON" -m quadpi_core.cli "$@"
+        exec {said}< <(exec "$PYTHON" -m quadpi_core.cli "$@" --port 0 --no-open)
+        grep --quiet "Page at http" <&$said && kill -INT $! && wait $!
+        return
     fi
-}}
+    "$PYTHON" -m quadpi_core.cli "$@"
+}
 """
 
 

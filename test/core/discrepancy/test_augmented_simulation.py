@@ -151,8 +151,7 @@ def test_coefficients_move_within_their_tolerances(flown):
 def test_an_addition_to_a_function(flown, tmp_path, monkeypatch):
     (tmp_path / "outside.py").write_text(
         "from quadpi_core.discrepancy.simulations import VehicleSimulation\n"
-        "def wrench(flight):\n"
-        "    return VehicleSimulation.load('bebop2').wrench(flight)\n"
+        "wrench = VehicleSimulation.load('bebop2').wrench\n"
     )
     monkeypatch.chdir(tmp_path)
     simulation = load_simulation("outside:wrench", "bebop2")

@@ -81,11 +81,10 @@ def test_a_function_is_a_simulation(training):
     assert found.study.discovery.gap.before.max() > 0.0
 
 
-def test_a_function_of_the_session_has_no_file(simulation, dragged, tmp_path):
+def test_a_function_of_the_session_has_no_file(found, simulation, dragged, tmp_path):
     function = CallableSimulation("mine", simulation.vehicle, simulation.wrench)
-    found = study(function, dragged, names=SOUGHT)
-    passed = tuple(check for check in found.discovery.checks if check.passed)
-    mine = Discrepancy(replace(found, discovery=replace(found.discovery, checks=passed))).simulation
+    discovery = qp.discrepancy.discover(function, dragged, names=SOUGHT)
+    mine = Discrepancy(replace(found, simulation=function, discovery=discovery)).simulation
     assert repr(mine) == "<BetterSimulation mine with body_drag>"
     with pytest.raises(qp.QuadpiError, match="mine: a file cannot name this function: give it as text"):
         mine.save(tmp_path / "better.json")
