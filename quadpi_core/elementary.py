@@ -7,7 +7,7 @@ Those of numpy and of the C library differ by processor.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TypeAlias
 
 import numpy as np
@@ -47,6 +47,17 @@ def exponential(exponents: ArrayLike) -> Array:
 def hyperbolic_tangent(arguments: ArrayLike) -> Array:
     """Hyperbolic tangent of each of (...)."""
     return _of_each(compiled.hyperbolic_tangent, arguments)
+
+
+# The numpy function of the same values, for code that is to run without quadpi.
+IN_NUMPY: Mapping[Callable[..., Array], str] = {
+    sine: "np.sin",
+    cosine: "np.cos",
+    arctangent: "np.arctan2",
+    arcsine: "np.arcsin",
+    exponential: "np.exp",
+    hyperbolic_tangent: "np.tanh",
+}
 
 
 def _of_each(function: Callable[..., None], *arguments: ArrayLike) -> Array:

@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Formulas of effects that were found: text with LaTeX, and Python that needs numpy alone.
 
-The Python is the source of each effect with all that it calls, so it computes the same.
+The Python is the source of each effect with all that it calls, elementary functions by numpy, so it computes
+the same to the last digits.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from types import CodeType, ModuleType
 from typing import Any
 
 from quadpi_core.discrepancy.discrepancy_result import FoundEffect
+from quadpi_core.elementary import IN_NUMPY
 from quadpi_core.simulation.effect_definition import SHAPE, shaped
 from quadpi_core.simulation.effect_registry import EFFECTS
 
@@ -146,6 +148,8 @@ def _add(name: str, value: Any, imports: set[str], definitions: dict[str, tuple[
     elif name in definitions:
         if definitions[name][0] is not value:
             raise ValueError(f"two files of effects define `{name}`: an exported file holds one of them")
+    elif inspect.isfunction(value) and value in IN_NUMPY:
+        definitions[name] = value, f"{name} = {IN_NUMPY[value]}"
     elif inspect.isfunction(value):
         for used in sorted(_names(value.__code__) & value.__globals__.keys() - {name}):
             _add(used, value.__globals__[used], imports, definitions)

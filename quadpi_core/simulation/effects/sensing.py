@@ -9,9 +9,10 @@ from typing import TypeVar
 
 import numpy as np
 
+from quadpi_core.elementary import cosine, sine
 from quadpi_core.flight import Recording, Stamps, Stream
 from quadpi_core.frames import Array
-from quadpi_core.rotations import from_rotation_vector, matrix
+from quadpi_core.rotations import matrix
 from quadpi_core.simulation.effect_definition import STRENGTH_OF_ONE_ROTOR, Parameter, effect, three
 from quadpi_core.vehicle import ROTORS, Vehicle
 
@@ -188,6 +189,10 @@ def _at_lever_arm(time_ns: Stamps, rates: Array, specific_force: Array, arm: Arr
 
 
 def _in_turned_axes(vectors: Array, angles_deg: Array) -> Array:
-    rotation = matrix(from_rotation_vector(np.radians(angles_deg)))
+    # By the half angle, as an exported effect has no compiled rotations.
+    half_x, half_y, half_z = 0.5 * np.radians(angles_deg)
+    half = np.sqrt(half_x * half_x + half_y * half_y + half_z * half_z)
+    scale = sine(half) / half if half > 0.0 else 1.0
+    rotation = matrix(np.array([cosine(half), scale * half_x, scale * half_y, scale * half_z]))
     x, y, z = vectors.T
     return np.stack([one * x + other * y + last * z for one, other, last in rotation.T], axis=1)
