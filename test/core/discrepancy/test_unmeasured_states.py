@@ -194,11 +194,11 @@ def test_each_stretch_begins_where_the_one_before_ended(record, monkeypatch):
 
 def test_the_first_stretch_is_explained_from_several_states(record, monkeypatch):
     """From rest alone, so wide a swing ends in a wrong optimum."""
-    wide = flown(MASS, 0.03, 1.0, aside=1.6, seconds=24.0, step_s=STEP_S)
+    wide = flown(MASS, 0.03, 1.0, aside=1.5, seconds=24.0, step_s=STEP_S)
     several = found(wide, record, length=1.0).explained
     monkeypatch.setattr(unmeasured_states, "_FIRST_STATES", unmeasured_states._FIRST_STATES[:1])
     assert found(wide, record, length=1.0).explained < 0.1 * several
-    assert several > 0.5
+    assert several > 0.3
 
 
 def test_a_swing_that_is_not_found_is_left_at_rest(record):
