@@ -97,9 +97,10 @@ def test_commands_run_as_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.usefixtures("package")
-def test_a_package_may_declare_a_kind() -> None:
+def test_a_package_may_declare_a_kind(quadpi: Callable[..., Any]) -> None:
     assert KINDS.names()[-1] == "ridge"
     assert kind_named("ridge").label == "ridge regression"
+    assert "--penalty" in quadpi("identify", "--method", "ridge", "--help").output
 
 
 @pytest.mark.parametrize(
@@ -127,11 +128,8 @@ def test_options_that_the_kind_does_not_have_are_refused(quadpi: Callable[..., A
     assert outcome.errors == "quadpi: --stop: an option of --method polynomial, not of ridge\n"
 
 
-@pytest.mark.parametrize("where", ["in_folder", "package"])
-def test_its_option_is_one_of_the_command_and_of_python(
-    where: str, request: pytest.FixtureRequest, quadpi: Callable[..., Any], tmp_path: Path
-) -> None:
-    request.getfixturevalue(where)
+@pytest.mark.usefixtures("in_folder")
+def test_its_option_is_one_of_the_command_and_of_python(quadpi: Callable[..., Any], tmp_path: Path) -> None:
     shown = quadpi("identify", "--method", "ridge", "--help").output
     assert "Options of --method ridge" in shown
     assert "--penalty" in shown
