@@ -37,6 +37,13 @@ def test_a_few_cases_of_every_format():
         assert f"\n{name} " in done.stdout
 
 
+@pytest.mark.parametrize(("name", "cases"), [("mcap", 40), ("configuration", 240)])
+def test_damaged_files(name, cases, tmp_path):
+    for number in range(cases):
+        outcome = judge(FORMATS[name], make(FORMATS[name], 1, number), number, tmp_path)
+        assert not outcome.is_finding, (number, outcome)
+
+
 @pytest.mark.parametrize("file", CORPUS, ids=lambda file: file.name)
 @pytest.mark.parametrize("number", [0, 1, 2, 3])
 def test_what_was_found_before(file, number, tmp_path):
