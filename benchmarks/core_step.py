@@ -28,7 +28,7 @@ from quadpi_core.logs.bags import write_bag
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.model_kind import IdentifyOptions
-from quadpi_core.monitor import Monitor
+from quadpi_core.monitor.monitor import Monitor, Monitors
 from quadpi_core.monitor.pairing import Pairing
 from quadpi_core.vehicle import Vehicle
 
@@ -73,7 +73,8 @@ def microseconds(model: AerodynamicModel, vehicle: Vehicle, recording: Recording
     imu, poses, rotors = recording.imu, recording.pose, recording.rotor_speeds
     assert poses
     assert rotors
-    ekf, pairing, monitor = Ekf(vehicle, IMU_HZ), Pairing(), Monitor(model, vehicle, IMU_HZ)
+    ekf, pairing = Ekf(vehicle, IMU_HZ), Pairing()
+    monitors = Monitors({"model": Monitor(model, vehicle, IMU_HZ)})
     steps, corrections = [], []
     pose = 0
     for k in range(len(imu)):
@@ -93,6 +94,6 @@ def microseconds(model: AerodynamicModel, vehicle: Vehicle, recording: Recording
         pairing.add_rotor_speeds(time_ns, speeds)
         complete = pairing.take()
         assert complete
-        monitor.step(*complete)
+        monitors.step(complete)
         steps.append(time.perf_counter_ns() - start)
     return np.array(steps[1:]) / 1e3, np.array(corrections) / 1e3

@@ -17,15 +17,40 @@ namespace {
 using Filters = Records<Filter>;
 using Ring = Records<Estimate>;
 
-std::int64_t step_once(
-    Filters filter,
-    Ring ring,
-    Records<ImuSample> sample,
-    Records<Correction> journal,
-    Records<FusedSample> fused
+// The arrays of a filter that takes sample by sample.
+class LiveFilter {
+public:
+    explicit LiveFilter(nb::object its_arrays)
+        : arrays(its_arrays),
+          filter(arrays, "filter"),
+          ring(arrays, "ring"),
+          sample(arrays, "sample"),
+          fused(arrays, "fused") {}
+
+    nb::object arrays;
+    Field<Filter> filter;
+    Field<Estimate> ring;
+    Field<ImuSample> sample;
+    Field<FusedSample> fused;
+};
+
+nb::tuple step_live(
+    LiveFilter& live,
+    std::int64_t time_ns,
+    Records<const Vector3> rates,
+    Records<const Vector3> specific_force
 ) {
-    Buffer buffer(only(filter), ring);
-    return step(buffer, only(filter), only(sample), journal, only(fused));
+    ImuSample& sample = live.sample.only();
+    sample.time_ns = time_ns;
+    sample.rates = only(rates);
+    sample.specific_force = only(specific_force);
+    Filter& filter = live.filter.only();
+    Outcome outcome = COLLECTED;
+    if (filter.filled > 0) {
+        Buffer buffer(filter, live.ring.all());
+        outcome = step(buffer, filter, sample, {}, live.fused.only());
+    }
+    return nb::make_tuple(static_cast<std::int64_t>(outcome), filter.status);
 }
 
 void catch_up(Filters filter, Ring ring, Records<ImuSample> samples) {
@@ -231,7 +256,11 @@ void bind_estimator(nb::module_& module) {
     bind_constants(module);
     bind_steps(module);
     module.def("pose_information", &find_pose_information);
-    module.def("step", &step_once);
+    nb::class_<LiveFilter>(module, "LiveFilter")
+        .def(nb::init<nb::object>())
+        .def_ro("arrays", &LiveFilter::arrays)
+        .def("__reduce__", &made_again);
+    module.def("step", &step_live);
     module.def("catch_up", &catch_up);
     module.def("hold", &hold);
     module.def("usable_measurement", &usable_measurement);

@@ -13,57 +13,65 @@ namespace nb = nanobind;
 namespace quadpi {
 namespace {
 
-using PairingStates = Records<PairingState>;
-using Rings = Records<Entry>;
+// The arrays of a pairing.
+class HeldPairing {
+public:
+    explicit HeldPairing(nb::object its_arrays)
+        : arrays(its_arrays), state(arrays, "state"), rings(arrays, "rings") {}
 
-bool add_imu(PairingStates states, Rings rings, std::int64_t time_ns, Records<const Vector3> specific_force) {
-    Pairing pairing(only(states), rings);
-    pairing.add_imu(time_ns, only(specific_force));
-    return pairing.take_is_due();
+    Pairing pairing() const { return Pairing(state.only(), rings.all()); }
+
+    // How many samples take_samples() may give; −1 where it has nothing to do.
+    std::int64_t due() const { return pairing().take_is_due() ? state.only().tracks[IMU].count : -1; }
+
+    nb::object arrays;
+    Field<PairingState> state;
+    Field<Entry> rings;
+};
+
+std::int64_t add_imu(HeldPairing& held, std::int64_t time_ns, Records<const Vector3> specific_force) {
+    held.pairing().add_imu(time_ns, only(specific_force));
+    return held.due();
 }
 
-bool add_state(
-    PairingStates states,
-    Rings rings,
+std::int64_t add_state(
+    HeldPairing& held,
     std::int64_t time_ns,
     Records<const Vector3> velocity,
     Records<const Quaternion> attitude,
     Records<const Vector3> rates
 ) {
-    Pairing pairing(only(states), rings);
-    pairing.add_state(time_ns, only(velocity), only(attitude), only(rates));
-    return pairing.take_is_due();
+    held.pairing().add_state(time_ns, only(velocity), only(attitude), only(rates));
+    return held.due();
 }
 
-bool add_estimate(PairingStates states, Rings rings, std::int64_t time_ns, Records<const Motion> motion) {
-    Pairing pairing(only(states), rings);
+std::int64_t add_estimate(HeldPairing& held, std::int64_t time_ns, Records<const Motion> motion) {
+    Pairing pairing = held.pairing();
     const Motion& own = only(motion);
     pairing.add_imu(time_ns, own.specific_force);
     pairing.add_state(time_ns, own.velocity, own.attitude, own.rates);
-    return pairing.take_is_due();
+    return held.due();
 }
 
-bool add_sample(
-    PairingStates states, Rings rings, std::int64_t topic, std::int64_t time_ns, Records<const double> values
+std::int64_t add_sample(
+    HeldPairing& held, std::int64_t topic, std::int64_t time_ns, Records<const double> values
 ) {
     require(0 <= topic && topic < TOPICS && values.size <= WIDEST, "not a sample of a topic");
-    Pairing pairing(only(states), rings);
-    pairing.add(static_cast<Topic>(topic), time_ns, values.data, values.size);
-    return pairing.take_is_due();
+    held.pairing().add(static_cast<Topic>(topic), time_ns, values.data, values.size);
+    return held.due();
 }
 
-nb::tuple take_samples(
-    PairingStates states, Rings rings, Records<std::int64_t> taken_ns, Records<Signals> taken
-) {
-    PairingState& state = only(states);
+nb::tuple take_samples(HeldPairing& held, Records<std::int64_t> taken_ns, Records<Signals> taken) {
+    const auto room = static_cast<std::int64_t>(taken.size);
+    require(taken_ns.size == taken.size && room >= held.due(), DIFFERENT);
+    PairingState& state = held.state.only();
     const bool changed = state.meter.changes != state.rate_changes;
     state.rate_changes = state.meter.changes;
-    return nb::make_tuple(Pairing(state, rings).take(taken_ns.data, taken.data), changed);
+    return nb::make_tuple(held.pairing().take(taken_ns.data, taken.data), changed);
 }
 
 nb::tuple take_stretch(
-    PairingStates states,
-    Rings rings,
+    HeldPairing& pairing,
     nb::handle arriving,
     std::int64_t start,
     Records<std::int64_t> taken_ns,
@@ -87,8 +95,7 @@ nb::tuple take_stretch(
         wind_ns.all(),
         wind.all(),
     };
-    const StretchEnd end =
-        Pairing(only(states), rings).take_stretch(samples, start, taken_ns.data, taken.data);
+    const StretchEnd end = pairing.pairing().take_stretch(samples, start, taken_ns.data, taken.data);
     return nb::make_tuple(end.event, end.begin, end.count);
 }
 
@@ -339,6 +346,10 @@ void bind_thresholds(nb::module_& module) {
 void bind_monitor(nb::module_& module) {
     bind_faults(module);
     bind_thresholds(module);
+    nb::class_<HeldPairing>(module, "Pairing")
+        .def(nb::init<nb::object>())
+        .def_ro("arrays", &HeldPairing::arrays)
+        .def("__reduce__", &made_again);
     module.def("add_imu", &add_imu);
     module.def("add_state", &add_state);
     module.def("add_estimate", &add_estimate);

@@ -134,6 +134,11 @@ private:
     HeldBuffer buffer;
 };
 
+// How pickle makes an object again that holds `arrays`.
+inline nanobind::tuple made_again(nanobind::handle self) {
+    return nanobind::make_tuple(self.type(), nanobind::make_tuple(self.attr("arrays")));
+}
+
 }  // namespace quadpi
 
 namespace nanobind::detail {

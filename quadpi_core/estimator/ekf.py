@@ -91,6 +91,7 @@ class Ekf:
         self._rates, self._force = self._sample["rates"][0], self._sample["specific_force"][0]
         self._measurement = np.zeros(1, MEASUREMENT)
         self._fused = FusedSamples.of(np.empty(1, FUSED))
+        self._live = self._held()
 
     @property
     def initialised(self) -> bool:
@@ -167,18 +168,15 @@ class Ekf:
         Propagates the estimate to its stamp, then fuses the measurements whose time has come. Never raises on
         bad samples: they are refused, counted, and the outcome says why.
         """
-        self._sample_ns[0] = time_ns
-        self._rates[:] = gyro
-        self._force[:] = specific_force
-        outcome = Outcome.COLLECTED
-        if self._initial is not None:
-            outcome = _OUTCOMES[compiled.step(*self._memory, self._sample, _NO_JOURNAL, self._fused.rows)]
+        code, status = compiled.step(self._live, time_ns, gyro, specific_force)
+        outcome = _OUTCOMES[code]
         if outcome is not Outcome.USED:
             outcome = self._take_unused(outcome)
             if outcome is not Outcome.COLLECTED or self._initial is None:
                 return Step(outcome, self.status, None)
             compiled.fill_newest(*self._memory, self._fused.rows)
-        return Step(outcome, _STATUSES[self._memory.filter["status"][0]], self._fused)
+            status = self._memory.filter["status"][0]
+        return Step(outcome, _STATUSES[status], self._fused)
 
     def update_pose(self, time_ns: int, position: Array, attitude: Array) -> Outcome:
         """Take one pose: position (3,) m in the world, attitude (4,) body to world, of either sign.
@@ -386,7 +384,11 @@ class Ekf:
             counts = self._memory.filter["counts"]
             self._memory = filter_state.allocate(self._vehicle, rate_hz)
             self._memory.filter["counts"] = counts
+            self._live = self._held()
             self._rate_hz = rate_hz
+
+    def _held(self) -> compiled.LiveFilter:
+        return compiled.LiveFilter(filter_state.Live(*self._memory, self._sample, self._fused.rows))
 
     def _counts(self, source: int) -> dict[Outcome, int]:
         counts = self._memory.filter["counts"][0, source]

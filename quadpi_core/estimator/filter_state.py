@@ -284,6 +284,21 @@ class Memory(NamedTuple):
     ring: Records
 
 
+class Live(NamedTuple):
+    """The same, as it takes one IMU sample after the other.
+
+    Attributes:
+        filter, ring: as there.
+        sample: (1,) an :class:`ImuSample`, the one at hand.
+        fused: (1,) the `output.FusedSample` after it.
+    """
+
+    filter: Records
+    ring: Records
+    sample: Records
+    fused: Records
+
+
 def allocate(vehicle: Vehicle, rate_hz: float) -> Memory:
     """An empty memory for a vehicle whose IMU has this rate."""
     length = max(int(np.ceil(1e-9 * compiled.BUFFER_NS * rate_hz)), RATE_SPAN) + 3

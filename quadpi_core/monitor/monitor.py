@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from statistics import NormalDist
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -49,33 +49,28 @@ class _Arrays(NamedTuple):
     model: compiled.Model | None
 
 
-class _Rows(NamedTuple):
-    """Room for predictions of K samples.
-
-    Attributes:
-        time_ns: (K,).
-        wrenches: (5, K, 6) predicted, lower, upper, measured and relative width.
-    """
-
-    time_ns: Stamps
-    wrenches: Array
-
-    @classmethod
-    def room(cls, samples: int) -> _Rows:
-        return cls(np.empty(samples, np.int64), np.empty((5, samples, len(AXES))))
-
-    def predictions(self, count: int) -> Predictions:
-        """The first ones."""
-        time_ns, wrenches = self
-        if count < len(time_ns):
-            time_ns, wrenches = time_ns[:count], wrenches[:, :count]
-        # Faster one by one than by *wrenches.
-        return Predictions(time_ns, wrenches[0], wrenches[1], wrenches[2], wrenches[3], wrenches[4])
-
-
+_AXES = len(AXES)
 # Samples whose erring inputs, 18 of each, are evaluated together.
 _ERRING_BLOCK = 256
-_NOTHING_SAID = np.empty((5, 0, len(AXES)))
+# Room for predictions of K samples: stamps (K,), and predicted, lower, upper, measured and relative width
+# (5, K, 6).
+_Room: TypeAlias = tuple[Stamps, Array]
+
+
+def _room(samples: int) -> _Room:
+    return np.empty(samples, np.int64), np.empty((5, samples, _AXES))
+
+
+def _predictions(room: _Room, count: int) -> Predictions:
+    """The first ones."""
+    time_ns, wrenches = room
+    if count < len(time_ns):
+        time_ns, wrenches = time_ns[:count], wrenches[:, :count]
+    # Faster one by one than by *wrenches.
+    return Predictions(time_ns, wrenches[0], wrenches[1], wrenches[2], wrenches[3], wrenches[4])
+
+
+_NOTHING_SAID = np.empty((5, 0, _AXES))
 _NO_ALARM = np.empty(0, ROW)
 
 
@@ -169,11 +164,11 @@ class Monitor:
         if not self._is_compiled:
             return self._judge(self.preparation.step(time_ns, values))
         # Judge and filter the samples, predict, gather evidence: all of it in the core.
-        rows = _Rows.room(len(time_ns))
+        room = _room(len(time_ns))
         alarms = self._alarm.room(len(time_ns))
         memory = self.preparation.memory
-        predicted, raised = compiled.step_monitor(self._compiled, memory, time_ns, values, *rows, alarms)
-        return self._results(rows, predicted, raised)
+        predicted, raised = compiled.step_monitor(self._compiled, memory, time_ns, values, *room, alarms)
+        return self._results(room, predicted, raised)
 
     def judge(self, prepared: Prepared) -> tuple[Predictions, Alarms, Events]:
         """Take K samples as a :class:`Preparation` of the model's cut-off gives them; see :meth:`step`.
@@ -184,19 +179,19 @@ class Monitor:
         return self._judge(array_checks.instance("prepared", prepared, Prepared).checked())
 
     def _judge(self, prepared: Prepared) -> tuple[Predictions, Alarms, Events]:
-        rows = _Rows.room(len(prepared.inputs))
-        return self._results(rows, *self._filled(prepared, rows, self._alarm.room(len(prepared.verdicts))))
+        room = _room(len(prepared.inputs))
+        return self._results(room, *self._filled(prepared, room, self._alarm.room(len(prepared.verdicts))))
 
     def predict(self, prepared: Prepared) -> Predictions:
         """Predictions alone, without an alarm; see :meth:`judge`."""
         return self._predict(array_checks.instance("prepared", prepared, Prepared).checked())
 
     def _predict(self, prepared: Prepared) -> Predictions:
-        rows = _Rows.room(len(prepared.inputs))
-        predicted, _ = self._filled(prepared, rows, _NO_ALARM)
-        return rows.predictions(predicted)
+        room = _room(len(prepared.inputs))
+        predicted, _ = self._filled(prepared, room, _NO_ALARM)
+        return _predictions(room, predicted)
 
-    def _filled(self, prepared: Prepared, rows: _Rows, alarms: Records) -> tuple[int, int]:
+    def _filled(self, prepared: Prepared, room: _Room, alarms: Records) -> tuple[int, int]:
         """How many rows of predictions and of the alarm, unless there is room for none, samples fill.
 
         A sample one of whose numbers overflows is no longer usable.
@@ -206,26 +201,26 @@ class Monitor:
             said = np.stack(
                 unchecked_evaluation(self.model, prepared.inputs, self.confidence, prepared.derivatives)
             )
-        return compiled.judge_prepared(self._compiled, prepared, self._added(prepared), said, *rows, alarms)
+        return compiled.judge_prepared(self._compiled, prepared, self._added(prepared), said, *room, alarms)
 
     def _added(self, prepared: Prepared) -> Array:
         """Squares (U, 6) of what the errors of the states add to half widths; (0, 6) where none are known."""
-        added = np.empty((len(prepared.erring), len(AXES)))
+        added = np.empty((len(prepared.erring), _AXES))
         quantile = NormalDist().inv_cdf(0.5 + 0.5 * self.confidence)
         for start in range(0, len(added), _ERRING_BLOCK):
             part = slice(start, start + _ERRING_BLOCK)
             inputs = prepared.erring[part].reshape(-1, len(INPUT_NAMES))
             derivatives = np.repeat(prepared.derivatives[part], 2 * STATE_ERRORS)
             said = unchecked_evaluation(self.model, inputs, self.confidence, derivatives)
-            ways = said.predicted.reshape(-1, STATE_ERRORS, 2, len(AXES))
+            ways = said.predicted.reshape(-1, STATE_ERRORS, 2, _AXES)
             added[part] = np.sum(np.square(0.5 * quantile * (ways[:, :, 0] - ways[:, :, 1])), axis=1)
         return added
 
-    def _results(self, rows: _Rows, predicted: int, raised: int) -> tuple[Predictions, Alarms, Events]:
+    def _results(self, room: _Room, predicted: int, raised: int) -> tuple[Predictions, Alarms, Events]:
         alarms = self._alarm.taken(raised)
         # Alarms that were raised or cleared, with their reasons.
         events = self._log.take(alarms) if raised else []
-        return rows.predictions(predicted), alarms, events
+        return _predictions(room, predicted), alarms, events
 
     def reset(self) -> None:
         """Forget the past: as after construction."""

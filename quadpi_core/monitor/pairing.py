@@ -160,11 +160,10 @@ class Pairing:
         for stamps in (self._state["tracks"]["newest_ns"], self._state["newest_ns"], self._state["last_ns"]):
             stamps[:] = NO_STAMP
         self._rings = np.zeros((TOPICS, capacity), kernel.ENTRY)
-        self._taken_ns = np.empty(capacity, dtype=np.int64)
-        self._taken = np.empty((capacity, CHANNELS))
+        self._compiled = compiled.Pairing(kernel.Arrays(self._state, self._rings))
         self.rate = ImuRate.of(self._state["meter"], rate_hz)
-        # Whether :meth:`take` has something to do.
-        self._ready = False
+        # How many samples :meth:`take` may give; −1 where it has nothing to do.
+        self._due = -1
 
     @property
     def counts(self) -> PairingCounts:
@@ -188,35 +187,41 @@ class Pairing:
 
     def add_imu(self, time_ns: int, specific_force: Array) -> None:
         """Take one IMU sample: specific_force (3,) m/s², body axes."""
-        self._ready |= compiled.add_imu(self._state, self._rings, time_ns, specific_force)
+        self._due = compiled.add_imu(self._compiled, time_ns, specific_force)
 
     def add_state(self, time_ns: int, velocity: Array, attitude: Array, rates: Array) -> None:
         """Take one state: velocity (3,) m/s and rates (3,) rad/s, body axes; attitude (4,) body to world."""
-        self._ready |= compiled.add_state(self._state, self._rings, time_ns, velocity, attitude, rates)
+        self._due = compiled.add_state(self._compiled, time_ns, velocity, attitude, rates)
 
     def add_estimate(self, time_ns: int, motion: Array) -> None:
         """Take an IMU sample and the state at its stamp in one: a row of `FusedSamples.motion`."""
-        self._ready |= compiled.add_estimate(self._state, self._rings, time_ns, motion)
+        self._due = compiled.add_estimate(self._compiled, time_ns, motion)
 
     def add_rotor_speeds(self, time_ns: int, speeds: Array) -> None:
         """Take one sample of the rotor speeds (4,) rad/s."""
-        self._ready |= compiled.add_sample(self._state, self._rings, ROTORS, time_ns, speeds)
+        self._due = compiled.add_sample(self._compiled, ROTORS, time_ns, speeds)
 
     def add_wind(self, time_ns: int, velocity: Array) -> None:
         """Take one sample of the wind (3,) m/s in the world."""
-        self._ready |= compiled.add_sample(self._state, self._rings, WIND_TOPIC, time_ns, velocity)
+        self._due = compiled.add_sample(self._compiled, WIND_TOPIC, time_ns, velocity)
 
     def take(self) -> PairedSamples | None:
         """The IMU samples completed or given up since the last call, in order; None if there are none."""
-        if not self._ready:
+        room = self._due
+        if room < 0:
             return None
-        self._ready = False
-        count, rate_changed = compiled.take_samples(self._state, self._rings, self._taken_ns, self._taken)
+        self._due = -1
+        taken_ns, taken = np.empty(room, np.int64), np.empty((room, CHANNELS))
+        count, rate_changed = compiled.take_samples(self._compiled, taken_ns, taken)
         if rate_changed:
             self.rate = ImuRate.of(self._state["meter"], self._given_hz)
         if count == 0:
             return None
-        return PairedSamples(self._taken_ns[:count].copy(), self._taken[:count].copy())
+        return (
+            PairedSamples(taken_ns, taken)
+            if count == room
+            else PairedSamples(taken_ns[:count], taken[:count])
+        )
 
     def take_all(self, arriving: Arriving) -> list[Stretch]:
         """What :meth:`take` gives after each arrival, joined.
@@ -231,7 +236,7 @@ class Pairing:
         start, begin, filled, states = 0, CONTINUES, 0, 0
         while start < arriving.kind.size or not stretches:
             stop, next_begin, count = compiled.take_stretch(
-                self._state, self._rings, arriving, start, taken_ns[filled:], taken[filled:]
+                self._compiled, arriving, start, taken_ns[filled:], taken[filled:]
             )
             if stop > start or stop == arriving.kind.size:
                 rows = slice(filled, filled + count)

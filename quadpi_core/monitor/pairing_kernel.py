@@ -79,3 +79,15 @@ class PairingState:
 
 
 PAIRING_STATE, ENTRY = record_dtype(PairingState), record_dtype(Entry)
+
+
+class Arrays(NamedTuple):
+    """The memory of a pairing, which compiled code holds.
+
+    Attributes:
+        state: (1,) a :class:`PairingState`.
+        rings: (TOPICS, capacity) each an :class:`Entry`.
+    """
+
+    state: Records
+    rings: Records

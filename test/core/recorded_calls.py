@@ -60,7 +60,7 @@ def _flat(arguments: tuple[Any, ...]) -> Iterator[Any]:
         elif isinstance(argument, compiled.Model):
             yield type(argument).__name__.encode()
             yield from _flat(argument.arrays)
-        elif isinstance(argument, compiled.Monitor):
+        elif isinstance(argument, compiled.Monitor | compiled.Pairing):
             yield from _flat(argument.arrays)
         else:
             yield argument
