@@ -85,10 +85,8 @@ class Ekf:
         self._log: SegmentLog | None = None
         # Of the IMU samples, those since the initial estimate stay after the start.
         self._collected = CollectedSamples(vehicle)
-        # The sample at hand, and views of its fields.
+        # The sample at hand.
         self._sample = np.zeros(1, IMU_SAMPLE)
-        self._sample_ns = self._sample["time_ns"]
-        self._rates, self._force = self._sample["rates"][0], self._sample["specific_force"][0]
         self._measurement = np.zeros(1, MEASUREMENT)
         self._fused = FusedSamples.of(np.empty(1, FUSED))
         self._live = self._held()
@@ -326,9 +324,9 @@ class Ekf:
 
     def _collect_imu(self) -> Outcome:
         """Keep the IMU sample at hand for the start, and start if a second has been collected."""
-        if not compiled.usable_imu(self._rates, self._force):
+        if not compiled.usable_imu(self._sample["rates"], self._sample["specific_force"]):
             return Outcome.UNUSABLE
-        time_ns, imu = int(self._sample_ns[0]), self._collected.imu
+        time_ns, imu = int(self._sample["time_ns"][0]), self._collected.imu
         last_ns = int(imu[-1]["time_ns"][0]) if imu else time_ns - 1
         if not -MAX_JUMP_BACK_NS <= time_ns - last_ns <= MAX_GAP_NS:
             self.reset()
