@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from quadpi_core.core import compiled
 from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
+from quadpi_core.linear_algebra import eigen, times_each
 
 Quaternion: TypeAlias = tuple[float, float, float, float]
 
@@ -84,19 +85,12 @@ def rotation_matrix(quaternion: Array) -> Array:
 
 def rotate_body_to_world(quaternion: Array, vector: Array) -> Array:
     """Rotate body vectors (..., 3) into the world by unit quaternions (..., 4), w first."""
-    return _times(rotation_matrix(quaternion), vector)
+    return times_each(rotation_matrix(quaternion), vector)
 
 
 def rotate_world_to_body(quaternion: Array, vector: Array) -> Array:
     """Rotate world vectors (..., 3) into the body by unit quaternions (..., 4), w first."""
-    return _times(np.swapaxes(rotation_matrix(quaternion), -1, -2), vector)
-
-
-def _times(matrix: Array, vector: Array) -> Array:
-    """Products (..., 3) by sums of one order: those of numpy differ by processor."""
-    x, y, z = (matrix[..., k] * vector[..., k, None] for k in range(3))
-    product: Array = x + y + z
-    return product
+    return times_each(np.swapaxes(rotation_matrix(quaternion), -1, -2), vector)
 
 
 def products(left: Array, right: Array) -> Array:
@@ -122,18 +116,31 @@ def inverses(quaternions: Array) -> Array:
 
 def quaternion_of(rotation: Array) -> Array:
     """Unit quaternion (4,) of a rotation matrix (3, 3)."""
-    # Slow to import, and much that imports this module never needs it.
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_matrix(rotation).as_quat(scalar_first=True))
+    # Four times the products of its numbers: the row of the largest one has lost the fewest digits.
+    products = _attitude_profile(rotation) + np.eye(4)
+    row = products[np.argmax(np.diag(products))]
+    return np.asarray(row / np.sqrt(np.sum(row * row)))
 
 
 def best_rotation(vectors: Array, turned: Array) -> tuple[Array, Array]:
     """Rotation R (3, 3) with `turned` ≈ `vectors` Rᵀ, both (K, 3), by least squares; singular values (3,).
 
-    Wahba's problem, solved by the singular values of the sum of outer products as Markley does. The rotation
-    about an axis is free where the second singular value vanishes.
+    Wahba's problem, solved by Davenport's eigenvectors (Markley and Crassidis, Fundamentals of Spacecraft
+    Attitude Determination and Control, section 5.3); singular values are those of the sum of outer products.
+    The rotation about an axis is free where the second one vanishes.
     """
-    left, sizes, right = np.linalg.svd(turned.T @ vectors)
-    handed = np.linalg.det(left) * np.linalg.det(right)
-    return np.asarray(left @ np.diag([1.0, 1.0, handed]) @ right), sizes
+    values, quaternions = eigen(_attitude_profile(np.sum(turned[:, :, None] * vectors[:, None, :], axis=0)))
+    return rotation_matrix(quaternions[0]), np.abs(0.5 * (values[0] + values[1:]))
+
+
+def _attitude_profile(matrix: Array) -> Array:
+    """Davenport's K (4, 4) of a matrix (3, 3): 4 q qᵀ − 1 of a rotation whose quaternion is q."""
+    (a, b, c), (d, e, f), (g, h, i) = matrix.tolist()
+    return np.array(
+        (
+            (a + e + i, h - f, c - g, d - b),
+            (h - f, a - e - i, b + d, c + g),
+            (c - g, b + d, e - a - i, f + h),
+            (d - b, c + g, f + h, i - a - e),
+        )
+    )

@@ -327,18 +327,19 @@ def begin(memory: Memory, estimate: Records, imu_ns: int) -> None:
 
 def assumed_noise(vehicle: Vehicle, rate_hz: float) -> Records:
     """The :class:`Noise` (1,) that the filter assumes of a vehicle whose IMU has this rate."""
+    # Python's powers are those of the C library, which differ by processor.
     sensors = vehicle.noise
     noise = np.zeros(1, NOISE)
-    noise["gyro"] = sensors.gyro_noise_rad_s**2 / rate_hz
-    noise["accelerometer"] = sensors.accelerometer_noise_m_s2**2 / rate_hz
-    noise["gyro_bias"] = sensors.gyro_bias_walk**2
-    noise["accelerometer_bias"] = sensors.accelerometer_bias_walk**2
-    noise["delay"] = _DELAY_WALK_S**2 if sensors.mocap_delay_std_s > 0.0 else 0.0
-    noise["position"] = sensors.mocap_position_m**2
-    noise["attitude"] = sensors.mocap_attitude_rad**2
-    noise["velocity"] = sensors.mocap_velocity_m_s**2
-    noise["delay_prior"] = sensors.mocap_delay_std_s**2
-    noise["rates"] = sensors.gyro_noise_rad_s**2
-    noise["specific_force"] = sensors.accelerometer_noise_m_s2**2
+    noise["gyro"] = np.square(sensors.gyro_noise_rad_s) / rate_hz
+    noise["accelerometer"] = np.square(sensors.accelerometer_noise_m_s2) / rate_hz
+    noise["gyro_bias"] = np.square(sensors.gyro_bias_walk)
+    noise["accelerometer_bias"] = np.square(sensors.accelerometer_bias_walk)
+    noise["delay"] = np.square(_DELAY_WALK_S) if sensors.mocap_delay_std_s > 0.0 else 0.0
+    noise["position"] = np.square(sensors.mocap_position_m)
+    noise["attitude"] = np.square(sensors.mocap_attitude_rad)
+    noise["velocity"] = np.square(sensors.mocap_velocity_m_s)
+    noise["delay_prior"] = np.square(sensors.mocap_delay_std_s)
+    noise["rates"] = np.square(sensors.gyro_noise_rad_s)
+    noise["specific_force"] = np.square(sensors.accelerometer_noise_m_s2)
     noise["gravity"] = vehicle.gravity_m_s2
     return noise

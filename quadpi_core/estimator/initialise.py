@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from typing import NamedTuple
 
@@ -26,9 +25,11 @@ from quadpi_core.estimator.filter_state import (
 )
 from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
+from quadpi_core.linear_algebra import matrix_times, times_each
 from quadpi_core.records import Records
-from quadpi_core.rotations import best_rotation, rotation_matrix
+from quadpi_core.rotations import best_rotation, rotate_body_to_world, rotation_matrix
 from quadpi_core.screening.rates import START_NS, START_POSES
+from quadpi_core.signals.resample import interpolate_columns
 from quadpi_core.vehicle import SensorNoise, Vehicle
 
 COLLECT_NS = 1_000_000_000
@@ -164,13 +165,14 @@ def initial_from_poses(imu: Records, poses: Records, noise: SensorNoise, gravity
 
     last = int(np.flatnonzero(within)[-1])
     first_rates, last_rates = imu["rates"][within][0], imu["rates"][last]
-    acceleration = rotation_matrix(attitude[-1:])[0] @ imu["specific_force"][last] + [0.0, 0.0, gravity]
+    acceleration = _over_ground(rotation_matrix(attitude[-1]), imu["specific_force"][last], gravity)
     span_s = 1e-9 * float(time_ns[-1] - time_ns[0])
+    rate_std = np.sqrt(2.0) * noise.mocap_attitude_rad / span_s
     covariance = _covariance(
         position=noise.mocap_position_m,
         velocity=_VELOCITY_STD_M_S,
         attitude=noise.mocap_attitude_rad,
-        gyro_bias=float(np.hypot(_GYRO_BIAS_STD_RAD_S, np.sqrt(2.0) * noise.mocap_attitude_rad / span_s)),
+        gyro_bias=float(np.sqrt(np.square(_GYRO_BIAS_STD_RAD_S) + np.square(rate_std))),
     )
     by_delay = np.zeros(ERROR_STATES)
     by_delay[POSITION], by_delay[VELOCITY] = velocity, acceleration
@@ -212,18 +214,17 @@ def initial_from_velocities(
     last_ns = int(time_ns[-1])
     into_last = rotation_matrix(_relative_attitudes(imu, last_ns))
     edges = np.linspace(time_ns[0], last_ns, _BLOCKS + 1).astype(np.int64)
-    pushed = _integrals(imu, np.einsum("nij,nj->ni", into_last, imu["specific_force"]), edges)
+    pushed = _integrals(imu, times_each(into_last, imu["specific_force"]), edges)
     duration = 1e-9 * np.diff(edges)
     velocity = velocities["vector"]
     if in_body:
         nearest = np.searchsorted(imu["time_ns"], time_ns).clip(0, len(imu) - 1)
-        velocity = np.einsum("nij,nj->ni", into_last[nearest], velocity)
-    at_edges = np.stack([np.interp(edges, time_ns, velocity[:, axis]) for axis in range(3)], axis=1)
-    gained = np.diff(at_edges, axis=0)
+        velocity = times_each(into_last[nearest], velocity)
+    gained = np.diff(interpolate_columns(time_ns, velocity, edges), axis=0)
     if in_body:
         # Nothing will ever show this heading: it is a choice, as the origin is.
         rotation, heading_std = _level((gained - pushed).sum(axis=0) / duration.sum()), _TILT_STD_RAD
-        velocity = velocity @ rotation.T
+        velocity = times_each(rotation, velocity)
     else:
         gained = gained - gravity * duration[:, None] * [0.0, 0.0, 1.0]
         rotation, heading_std = _align(pushed, gained, noise.mocap_velocity_m_s)
@@ -235,16 +236,23 @@ def initial_from_velocities(
         gyro_bias=float(np.sqrt(2.0) * _GYRO_BIAS_STD_RAD_S),
     )
     if in_body:
-        covariance[VELOCITY, VELOCITY] += _TILT_STD_RAD**2 * float(velocity[-1] @ velocity[-1]) * np.eye(3)
+        covariance[VELOCITY, VELOCITY] += (
+            np.square(_TILT_STD_RAD) * np.sum(np.square(velocity[-1])) * np.eye(3)
+        )
     down = rotation.T[:, 2]
-    covariance[ATTITUDE, ATTITUDE] += heading_std**2 * np.outer(down, down)
+    covariance[ATTITUDE, ATTITUDE] += np.square(heading_std) * np.outer(down, down)
     last = _last_before(imu, last_ns)
-    acceleration = rotation @ imu["specific_force"][last] + [0.0, 0.0, gravity]
+    acceleration = _over_ground(rotation, imu["specific_force"][last], gravity)
     by_delay = np.zeros(ERROR_STATES)
     by_delay[VELOCITY], by_delay[DELAY] = acceleration, 1.0
     attitude, zero = rotations.quaternion_of(rotation), np.zeros(3)
     state = _State(zero, velocity[-1], attitude, zero, covariance, by_delay, acceleration)
     return _initial(imu, last_ns, state, noise)
+
+
+def _over_ground(rotation: Array, specific_force: Array, gravity: float) -> Array:
+    """Acceleration (3,) m/s² in the world of a body that feels a specific force (3,) m/s²."""
+    return matrix_times(rotation, specific_force) + np.array([0.0, 0.0, gravity])
 
 
 def _covariance(position: float, velocity: float, attitude: float, gyro_bias: float) -> Array:
@@ -279,12 +287,12 @@ def _last_before(imu: Records, time_ns: int) -> int:
 def _initial(imu: Records, time_ns: int, state: _State, noise: SensorNoise) -> Initial:
     """The estimate, its covariance including the effect of the delay."""
     last = imu[_last_before(imu, time_ns)]
-    delay_variance = noise.mocap_delay_std_s**2
+    delay_variance = np.square(noise.mocap_delay_std_s)
     covariance = state.covariance + delay_variance * np.outer(state.by_delay, state.by_delay)
     # Half the curvature times the squared delay, which the linear model leaves out.
-    left_out = 0.5 * delay_variance**2
+    left_out = 0.5 * np.square(delay_variance)
     covariance[POSITION, POSITION] += left_out * np.diag(state.acceleration**2)
-    covariance[ATTITUDE, ATTITUDE] += left_out * compiled.ANGULAR_ACCELERATION**2 * np.eye(3)
+    covariance[ATTITUDE, ATTITUDE] += left_out * np.square(compiled.ANGULAR_ACCELERATION) * np.eye(3)
     covariance[DELAY, DELAY] = delay_variance
     estimate = np.zeros(1, ESTIMATE)
     estimate["time_ns"] = time_ns
@@ -299,7 +307,7 @@ def _slope(time_ns: Stamps, values: Array) -> Array:
     """Slope (3,) per second of the least-squares line through values (N, 3) at stamps (N,)."""
     time = 1e-9 * (time_ns - time_ns[0]).astype(np.float64)
     centred = time - time.mean()
-    slope: Array = centred @ values / (centred @ centred)
+    slope: Array = np.sum(centred[:, None] * values, axis=0) / np.sum(centred * centred)
     return slope
 
 
@@ -315,15 +323,14 @@ def _integrals(imu: Records, values: Array, edges: Stamps) -> Array:
     time_ns = imu["time_ns"]
     steps = 0.5e-9 * np.diff(time_ns)[:, None] * (values[1:] + values[:-1])
     total = np.concatenate((np.zeros((1, 3)), np.cumsum(steps, axis=0)))
-    at_edges = np.stack([np.interp(edges, time_ns, total[:, axis]) for axis in range(3)], axis=1)
-    integrals: Array = np.diff(at_edges, axis=0)
+    integrals: Array = np.diff(interpolate_columns(time_ns, total, edges), axis=0)
     return integrals
 
 
 def _level(down: Array) -> Array:
     """Rotation (3, 3) body to world of heading zero, for which `down` (3,) in body axes points down."""
-    x, y, z = down / math.sqrt(sum(component * component for component in down.tolist()))
-    cp = math.sqrt(y * y + z * z)
+    x, y, z = down / np.sqrt(np.sum(np.square(down)))
+    cp = np.sqrt(y * y + z * z)
     sr, cr, sp = (y / cp, z / cp, -x) if cp > 0.0 else (0.0, 1.0, -x)
     return np.array([[cp, sr * sp, cr * sp], [0.0, cr, -sr], [-sp, sr * cp, cr * cp]])
 
@@ -339,10 +346,10 @@ def _align(body: Array, world: Array, velocity_std: float) -> tuple[Array, float
         heading_std = 2.0 * velocity_std / turning
         return rotation, float(np.clip(heading_std, _HEADING_STD_LEAST_RAD, _HEADING_STD_RAD))
     level = _level(-body.sum(axis=0))
-    tilted, wanted = level @ body.sum(axis=0), world.sum(axis=0)
-    axis = np.cross(tilted, wanted) / (np.linalg.norm(tilted) * np.linalg.norm(wanted))
-    turn = np.array(rotations.from_rotation_vector(axis))
-    return rotation_matrix(turn[None])[0] @ level, _HEADING_STD_RAD
+    tilted, wanted = matrix_times(level, body.sum(axis=0)), world.sum(axis=0)
+    axis = np.cross(tilted, wanted) / np.sqrt(np.sum(np.square(tilted)) * np.sum(np.square(wanted)))
+    turned = rotate_body_to_world(rotations.from_rotation_vector(axis), level.T)
+    return turned.T, _HEADING_STD_RAD
 
 
 def _joined(records: deque[Records]) -> Records:

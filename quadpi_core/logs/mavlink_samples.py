@@ -271,7 +271,7 @@ class MavlinkSamples:
 
     def _unit(self, name: str, quaternion: Sequence[float]) -> Array | None:
         attitude = np.array(quaternion, dtype=np.float64)
-        norm = float(np.sqrt(attitude @ attitude))
+        norm = float(np.sqrt(np.sum(attitude * attitude)))
         if not abs(norm - 1.0) <= NORM_TOLERANCE:
             self._refuse(name, "the attitude is no unit quaternion")
             return None

@@ -24,6 +24,7 @@ import numpy as np
 from quadpi_core.errors import LogError, SampleError
 from quadpi_core.flight import ImuStream
 from quadpi_core.frames import Array
+from quadpi_core.linear_algebra import matrix_times
 from quadpi_core.messages.cdr import ORIGIN
 from quadpi_core.messages.definitions import standard_types
 from quadpi_core.messages.foreign_messages import ForeignCodec
@@ -60,12 +61,13 @@ class Transform(NamedTuple):
     def then(self, other: Transform) -> Transform:
         """This transform followed by another."""
         return Transform(
-            other.rotation @ self.rotation, other.rotation @ self.translation + other.translation
+            matrix_times(other.rotation, self.rotation),
+            matrix_times(other.rotation, self.translation) + other.translation,
         )
 
     def inverse(self) -> Transform:
         """The inverse transform."""
-        return Transform(self.rotation.T, -self.rotation.T @ self.translation)
+        return Transform(self.rotation.T, -matrix_times(self.rotation.T, self.translation))
 
 
 def plain_name(frame: str) -> str:
@@ -108,7 +110,7 @@ class StaticTransforms:
         ):
             parent, child = (plain_name(name.decode()) for name in (frame, child_frame))
             quaternion = np.roll(x_y_z_w, 1)
-            norm = float(np.linalg.norm(quaternion))
+            norm = float(np.sqrt(np.sum(np.square(quaternion))))
             if not (abs(norm - 1.0) <= _NORM_TOLERANCE and np.isfinite(translation).all()):
                 wrong.append(
                     f"the transform from {parent} to {child} is none (quaternion of norm {norm:.3g})"

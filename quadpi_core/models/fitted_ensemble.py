@@ -131,7 +131,7 @@ def _prepared(networks: Networks, scaling: Scaling, mean: float, scale: float) -
     weights = networks.hidden_weights / scaling.input_scale
     return Networks(
         weights,
-        networks.hidden_biases - weights @ scaling.input_mean,
+        networks.hidden_biases - np.sum(weights * scaling.input_mean, axis=-1),
         scale * networks.output_weights,
         scale * networks.output_biases + mean,
     )

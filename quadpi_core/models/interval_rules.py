@@ -23,6 +23,7 @@ from scipy.special import ndtri, stdtrit
 from quadpi_core.config_schema import NotNegative, Numbers, Positive, ReadBy, Real, Within, parse_config
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
+from quadpi_core.signals.resample import interpolate_columns
 
 # Share of new flights whose coverage should reach the nominal one.
 FLIGHT_SHARE = 0.9
@@ -31,8 +32,14 @@ FLIGHT_SHARE = 0.9
 FEWEST_INSIDE = 0.5
 # Quantile of a quantity over a flight that counts as its peak: single spikes do not.
 PEAK_QUANTILE = 0.999
-# Confidence levels at which the held-out flights' quantiles are stored.
-LEVELS: Array = np.concatenate((np.arange(0.50, 0.99, 0.01), np.arange(0.99, 0.9991, 0.001)))
+# Confidence levels at which the held-out flights' quantiles are stored: np.arange(0.50, 0.99, 0.01), then
+# np.arange(0.99, 0.9991, 0.001), as they are where a product is rounded before it is added.
+LEVELS: Array = np.concatenate(
+    [
+        start + ((start + step) - start) * np.arange(n)
+        for start, step, n in ((0.50, 0.01, 49), (0.99, 0.001, 10))
+    ]
+)
 
 
 class Rule(ABC):
@@ -283,7 +290,7 @@ def conformal_rank(flights: int) -> int:
 
 
 def _ranked_factor(flight_factors: Array, confidence: float) -> float:
-    factors = np.sort([np.interp(confidence, LEVELS, row) for row in flight_factors])
+    factors = np.sort(interpolate_columns(LEVELS, flight_factors.T, np.array([confidence]))[0])
     return float(factors[conformal_rank(len(factors)) - 1])
 
 

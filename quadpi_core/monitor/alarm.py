@@ -134,7 +134,7 @@ class Alarm:
             else np.where(held, limits.miscoverage_s, np.inf),
             "interval_ratio": 1.0 if interval_ratio is None else interval_ratio,
             "allowance": limits.allowance,
-            "hover_square": limits.hover_rotor_speed**2,
+            "hover_square": limits.hover_rotor_speed * limits.hover_rotor_speed,
             "health_in_flight": ACTIVE if limits.calibrated else UNCALIBRATED,
         }.items():
             self.limits[name] = values

@@ -103,7 +103,7 @@ class RotorThrust:
 
 def rotor_geometry(vehicle: Vehicle, hover_rotor_speed: float) -> tuple[float, float, Array]:
     """The fields of :class:`RotorGeometry`."""
-    square = hover_rotor_speed**2
+    square = hover_rotor_speed * hover_rotor_speed
     x, y = vehicle.rotor_positions[:, 0], vehicle.rotor_positions[:, 1]
     # A rotor on an axis shows in one moment alone.
     tells = square > 0.0 and bool(np.all(x * y != 0.0))

@@ -49,7 +49,14 @@ def interpolate(time_ns: Stamps, values: Array, at_ns: Stamps, max_gap_ns: int) 
 
 def interpolate_columns(time: Array | Stamps, values: Array, at: Array | Stamps) -> Array:
     """Values (M, C) at times (M,), linear between samples (N, C) at times (N,), constant beyond them."""
-    return np.stack([np.interp(at, time, column) for column in values.T], axis=1)
+    # np.interp rounds otherwise by processor.
+    time, at = time.astype(np.float64), np.clip(at, time[0], time[-1]).astype(np.float64)
+    before = np.clip(np.searchsorted(time, at, side="right") - 1, 0, max(len(time) - 2, 0))
+    after = np.minimum(before + 1, len(time) - 1)
+    since, span = at - time[before], time[after] - time[before]
+    share = np.divide(since, span, out=np.zeros_like(since), where=span > 0.0)[:, None]
+    interpolated: Array = (1.0 - share) * values[before] + share * values[after]
+    return interpolated
 
 
 def interpolate_attitude(time_ns: Stamps, attitude: Array, at_ns: Stamps, max_gap_ns: int) -> Resampled:

@@ -17,8 +17,8 @@ import numpy as np
 
 from quadpi_core.core import compiled
 from quadpi_core.frames import Array
+from quadpi_core.linear_algebra import inverse
 from quadpi_core.records import Records
-from quadpi_core.simulation.linear_algebra import inverse
 from quadpi_core.thresholds import CONVENTION, Threshold
 from quadpi_core.vehicle import ROTORS
 

@@ -17,13 +17,13 @@ from quadpi_core import rotations
 from quadpi_core.errors import SimulationError, VehicleError
 from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
+from quadpi_core.linear_algebra import inverse, matrix_times
 from quadpi_core.simulation.applied_effects import added_wind, altered_vehicle, compose, memory_at_rest
 from quadpi_core.simulation.controller import Controls, Demand
 from quadpi_core.simulation.dynamics import LOGGED, Memory, Physics, fly
 from quadpi_core.simulation.effect_definition import Effects
 from quadpi_core.simulation.effect_registry import read_effects
 from quadpi_core.simulation.excursion import excursion
-from quadpi_core.simulation.linear_algebra import inverse, matrix_times
 from quadpi_core.simulation.physical_aerodynamics import PhysicalAerodynamics
 from quadpi_core.simulation.rotor_local import RotorLocalModel
 from quadpi_core.simulation.sensor_noise import generator

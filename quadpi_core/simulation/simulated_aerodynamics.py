@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from quadpi_core.errors import SimulationError
 from quadpi_core.frames import Array
-from quadpi_core.simulation.linear_algebra import inverse
+from quadpi_core.linear_algebra import inverse
 from quadpi_core.simulation.state_records import STATE, VEHICLE
 from quadpi_core.simulation.wrench_functions import Law, apply_to_all
 from quadpi_core.vehicle import ROTORS, Vehicle

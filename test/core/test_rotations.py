@@ -45,3 +45,23 @@ def test_body_rates_of_a_constant_turn():
     attitude = np.array([rotations.from_rotation_vector(rate * t * 1e-9) for t in time_ns])
     attitude[2] *= -1.0
     np.testing.assert_allclose(rotations.body_rates(time_ns, attitude), np.tile(rate, (3, 1)), rtol=1e-9)
+
+
+def test_the_quaternion_of_a_matrix_has_its_largest_number_positive():
+    for quaternion in (*random_quaternions(), *np.eye(4), np.array([0.5, -0.5, 0.5, -0.5])):
+        sign = np.sign(quaternion[np.argmax(np.abs(quaternion))])
+        np.testing.assert_allclose(
+            rotations.quaternion_of(rotation_matrix(quaternion)), sign * quaternion, atol=1e-15
+        )
+
+
+def test_the_best_rotation_is_that_of_singular_values():
+    rng = np.random.default_rng(7)
+    for quaternion in random_quaternions():
+        vectors = rng.normal(size=(30, 3)) * [3.0, 1.0, 0.3]
+        turned = vectors @ rotation_matrix(quaternion).T + rng.normal(scale=0.1, size=(30, 3))
+        rotation, sizes = rotations.best_rotation(vectors, turned)
+        left, expected, right = np.linalg.svd(turned.T @ vectors)
+        handed = np.diag([1.0, 1.0, np.linalg.det(left @ right)])
+        np.testing.assert_allclose(rotation, left @ handed @ right, atol=1e-13)
+        np.testing.assert_allclose(sizes, expected, rtol=1e-12)

@@ -85,7 +85,7 @@ class BodyReader:
                 self._seen |= others - {self._body}
         position = bodies.columns[members.position][rows]
         orientation = bodies.columns[members.orientation][rows][:, _WXYZ]
-        norm = np.sqrt(np.einsum("ni,ni->n", orientation, orientation))
+        norm = np.sqrt(np.sum(orientation * orientation, axis=1))
         tracked = (np.abs(norm - 1.0) <= NORM_TOLERANCE) & np.isfinite(position).all(axis=1)
         if not tracked.all():
             self._untracked += int(np.sum(~tracked))
