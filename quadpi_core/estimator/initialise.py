@@ -252,8 +252,8 @@ def initial_from_velocities(
 
 def _over_ground(rotation: Array, specific_force: Array, gravity: float) -> Array:
     """Acceleration (3,) m/s² in the world of a body that feels a specific force (3,) m/s²."""
-    felt: Array = matrix_times(rotation, specific_force)
-    return felt + np.array([0.0, 0.0, gravity])
+    acceleration: Array = matrix_times(rotation, specific_force) + np.array([0.0, 0.0, gravity])
+    return acceleration
 
 
 def _covariance(position: float, velocity: float, attitude: float, gyro_bias: float) -> Array:
