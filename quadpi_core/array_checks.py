@@ -25,6 +25,8 @@ from quadpi_core.records import Records
 _Kind = TypeVar("_Kind")
 _FLOAT, _INT, _BOOL = np.dtype(np.float64), np.dtype(np.int64), np.dtype(np.bool_)
 _SHOWN_MAX = 60
+# Length of an axis that may have any.
+ANY = -1
 # What compiled code takes: contiguous, aligned, writable, no class of its own beside ndarray.
 REQUIREMENTS: Any = ["C", "A", "W", "E"]
 
@@ -37,7 +39,7 @@ def floats(
     Args:
         name: of the argument.
         values: an array, or what numpy makes one of; masked values count as not finite.
-        columns: lengths of the axes behind the first; none for (N,).
+        columns: lengths of the axes behind the first, ANY for any; none for (N,).
         rows: N, where another argument decides it.
         of: name of that argument.
         finite: whether to refuse what is not finite.
@@ -123,8 +125,9 @@ def records(
         values = np.ascontiguousarray(values.astype(dtype))
     _require_shape(name, values, (), rows, of)
     array: Records = values
-    if finite and not np.isfinite(array.view(_FLOAT)).all():
-        raise _not_finite(name, np.isfinite(array.view(_FLOAT).reshape(len(array), -1)))
+    for field in (dtype.names or ()) if finite else ():
+        if not np.isfinite(array[field]).all():
+            raise _not_finite(name, np.isfinite(array[field]))
     return array
 
 
@@ -237,10 +240,15 @@ def _require_shape(
     name: str, array: npt.NDArray[Any], columns: tuple[int, ...], rows: int | None, of: str
 ) -> None:
     shape = array.shape
-    if shape and shape[1:] == columns and (rows is None or shape[0] == rows):
+    fits = len(shape) == 1 + len(columns) and all(
+        width in (ANY, length) for width, length in zip(columns, shape[1:], strict=True)
+    )
+    if fits and (rows is None or shape[0] == rows):
         return
     count = "N" if rows is None else rows
-    expected = ", ".join(map(str, (count, *columns))) + ("" if columns else ",")
+    expected = ", ".join(str(width) if width != ANY else "K" for width in (count, *columns)) + (
+        "" if columns else ","
+    )
     why = f" for {of} ({rows},)" if of else ""
     raise ArgumentError(f"{name}: expected shape ({expected}){why}, found {array.shape}")
 

@@ -289,6 +289,19 @@ class Recording:
     quality: DataQuality = NOTHING_TO_SAY
     remedies: Mapping[str, str] = field(default_factory=dict)
 
+    def require_rotors(self, vehicle: str, rotors: int) -> None:
+        """Refuse rotor speeds of another number of rotors than a vehicle has.
+
+        Raises:
+            LogError: naming source and topic.
+        """
+        speeds = self.rotor_speeds
+        if speeds is not None and speeds.speeds.shape[1] != rotors:
+            raise LogError(
+                f"{self.source}: topic {speeds.topic}: {speeds.speeds.shape[1]} rotors, "
+                f"vehicle {vehicle} has {rotors}"
+            )
+
     def arrivals_of(self, stream: Stream) -> Stamps:
         """Number of IMU samples that arrived before each sample (N,): from the log, else from the stamps.
 
@@ -333,7 +346,7 @@ _FLIGHT_COLUMNS = {
     "rates": 3,
     "angular_acceleration": 3,
     "specific_force": 3,
-    "rotor_speeds": 4,
+    "rotor_speeds": array_checks.ANY,
     "wind": 3,
 }
 
@@ -369,7 +382,7 @@ class Flight:
         rates: (N, 3) rad/s.
         angular_acceleration: (N, 3) rad/s², the derivative of `rates`.
         specific_force: (N, 3) m/s².
-        rotor_speeds: (N, 4) rad/s.
+        rotor_speeds: (N, rotors) rad/s.
         wind: (N, 3) m/s, world; zero where it was not measured.
         quality: problems found in the data of the recording.
         biases_estimated: whether biases of the IMU were estimated and removed; false with odometry.

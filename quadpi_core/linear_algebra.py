@@ -68,3 +68,19 @@ def inverse(matrix: Array) -> Array:
             others = np.arange(size) != column
             both[others] -= both[others, column, None] * both[column]
     return np.ascontiguousarray(both[:, size:])
+
+
+def pseudo_inverse(matrix: Array) -> Array:
+    """The least of all X (N, M) with M X = 1 for a matrix (M, N) of full rank; not finite for another one.
+
+    Rows are scaled to their largest entry, as they may have different units.
+    """
+    if matrix.shape[0] == matrix.shape[1]:
+        return inverse(matrix)
+    scale = np.abs(matrix).max(axis=1)
+    with np.errstate(all="ignore"):
+        rows = matrix / scale[:, np.newaxis]
+    gram = np.stack([matrix_times(rows, row) for row in rows], axis=1)
+    across = inverse(gram)
+    inverted: Array = np.stack([matrix_times(rows.T, column) for column in across.T], axis=1) / scale
+    return inverted

@@ -17,16 +17,27 @@ what its fields would as arrays of their own.
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Annotated, Any, TypeAlias, get_args, get_origin, get_type_hints
 
 import numpy as np
 import numpy.typing as npt
 
+from quadpi_core.core import compiled
 from quadpi_core.frames import Array
 
 Records: TypeAlias = npt.NDArray[Any]
 Vector3: TypeAlias = Annotated[Array, 3]
 Quaternion4: TypeAlias = Annotated[Array, 4]
+
+
+class _Rotors(int):
+    """Length of an axis of a field that has a place for each rotor."""
+
+
+# Room for the rotors of a vehicle: the first places are of its rotors, those beyond mean nothing.
+ROTORS_MAX: int = _Rotors(compiled.ROTORS_MAX)
+PerRotor: TypeAlias = Annotated[Array, ROTORS_MAX]
 
 _NUMBERS: dict[Any, Any] = {
     bool: np.bool_,
@@ -37,27 +48,35 @@ _NUMBERS: dict[Any, Any] = {
 }
 
 
-def record_dtype(declaration: type) -> np.dtype[np.void]:
+@cache
+def record_dtype(declaration: type, rotors: int = ROTORS_MAX) -> np.dtype[np.void]:
     """The dtype of a class whose annotated fields are numbers, arrays and other such classes.
 
     `float` and `int` have 64 bits, `bool` has one byte, `Annotated[Array, 3, 3]` is an array of that shape,
-    and `Annotated[Records, Other, 2]` an array of two records of another class.
+    and `Annotated[Records, Other, 2]` an array of two records of another class. Where the first length is
+    ROTORS_MAX, the field has as many places as there are rotors; the memory has room for all.
 
     Raises:
         TypeError: for a class without annotated fields.
     """
-    fields = []
+    fields, seen = [], []
     for name, hint in get_type_hints(declaration, include_extras=True).items():
         kind, shape = hint, []
         if get_origin(hint) is Annotated:
             kind, *shape = get_args(hint)
         if kind == Records:
             kind, *shape = shape
-        dtype = _NUMBERS[kind] if kind in _NUMBERS else record_dtype(kind)
-        fields.append((name, dtype, tuple(shape)))
+        whole = _NUMBERS[kind] if kind in _NUMBERS else record_dtype(kind)
+        dtype = _NUMBERS[kind] if kind in _NUMBERS else record_dtype(kind, rotors)
+        fields.append((name, whole, tuple(shape)))
+        by_rotor = bool(shape) and isinstance(shape[0], _Rotors)
+        seen.append(np.dtype((dtype, (rotors, *shape[1:]) if by_rotor else tuple(shape))))
     if not fields:
         raise TypeError(f"{declaration.__name__} declares no fields")
-    return np.dtype(fields, align=True)
+    layout = np.dtype(fields, align=True)
+    names, offsets = list(layout.names or ()), [place[1] for place in (layout.fields or {}).values()]
+    own: Any = {"names": names, "formats": seen, "offsets": offsets, "itemsize": layout.itemsize}
+    return layout if rotors == ROTORS_MAX else np.dtype(own, align=True)
 
 
 def columns_of(declaration: type) -> tuple[slice, ...]:

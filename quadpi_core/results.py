@@ -104,6 +104,7 @@ class Alarms(AlarmRows):
         input_excess: (M, 19) how far each input lies outside its training range, in widths of that range,
             zero inside.
         faults: (M,) what is wrong with the data, bits of `monitor.data_quality`.
+        more_faults: (M, 2) the same of rotors 5 to 8, and 9 to 12.
         stopped: (M,) rotors that have stopped, one bit each.
         why_not_judged: (M,) keys of `WHY_NOT_JUDGED`, or JUDGED.
         not_judged_share: (M,) of the time since the first sample.
@@ -114,6 +115,7 @@ class Alarms(AlarmRows):
     input_score: Array
     input_excess: Array
     faults: npt.NDArray[np.int64]
+    more_faults: npt.NDArray[np.int64]
     stopped: npt.NDArray[np.int64]
     why_not_judged: npt.NDArray[np.int64]
     not_judged_share: Array

@@ -26,7 +26,10 @@ from quadpi_core.config_schema import (
 )
 from quadpi_core.errors import VehicleError, named_in
 from quadpi_core.frames import Array
+from quadpi_core.records import ROTORS_MAX
 
+# Rotors of a quadrotor, the only vehicle that logs, messages, screening and the search for what is missing in
+# a simulation know so far; they refuse others.
 ROTORS = 4
 _SPIKE_MARGIN = 1.1
 # Moment of inertia about z, over mass times squared distance of the rotors. Quadrotors from 27 g to 0.8 kg
@@ -65,12 +68,12 @@ class SensorNoise(Section):
 # Compared and hashed by identity: arrays have no truth value.
 @dataclass(frozen=True, eq=False)
 class Vehicle:
-    """A quadrotor as the model sees it; SI units, body axes forward-right-down.
+    """A multicopter with up to 12 rotors as the model sees it; SI units, body axes forward-right-down.
 
     Attributes:
         inertia: (3, 3), about the centre of gravity.
-        rotor_positions: (4, 3), from the centre of gravity; the row order is the rotor order.
-        rotor_spins: (4,), +1 where the rotor turns clockwise seen from above, else -1.
+        rotor_positions: (rotors, 3), from the centre of gravity; the row order is the rotor order.
+        rotor_spins: (rotors,), +1 where the rotor turns clockwise seen from above, else -1.
         pole_pairs: mechanical speed = electrical speed / pole_pairs; None where the source of the
             vehicle does not say it; electrical speeds are then refused.
         thrust_coefficient: C_T = thrust / (ρ π R⁴ ω²) of a rotor in still air, where it is known; flights are
@@ -97,12 +100,20 @@ class Vehicle:
         with named_in(f"vehicle {self.name}"):
             for name in ("mass_kg", "rotor_radius_m", *_CONSTANTS):
                 array_checks.number(name, getattr(self, name), above=0.0)
-            for name, shape in (
-                ("inertia", (3, 3)),
-                ("rotor_positions", (ROTORS, 3)),
-                ("rotor_spins", (ROTORS,)),
+            inertia = array_checks.floats("inertia", self.inertia, 3, rows=3)
+            positions = array_checks.floats("rotor_positions", self.rotor_positions, 3)
+            if not 1 <= len(positions) <= ROTORS_MAX:
+                raise VehicleError(
+                    f"rotor_positions: expected 1 to {ROTORS_MAX} rotors, found {len(positions)}"
+                )
+            spins = array_checks.floats(
+                "rotor_spins", self.rotor_spins, rows=len(positions), of="rotor_positions"
+            )
+            for name, checked in (
+                ("inertia", inertia),
+                ("rotor_positions", positions),
+                ("rotor_spins", spins),
             ):
-                checked = array_checks.floats(name, getattr(self, name), *shape[1:], rows=shape[0])
                 object.__setattr__(self, name, checked)
             if not np.all(np.abs(self.rotor_spins) == 1.0):
                 raise VehicleError(f"rotor_spins: expected 1 or -1 each, found {self.rotor_spins.tolist()}")
@@ -147,10 +158,15 @@ class Vehicle:
             "noise": asdict(self.noise),
         }
 
+    @property
+    def rotor_count(self) -> int:
+        """Number of rotors."""
+        return len(self.rotor_spins)
+
     @cached_property
     def hover_induced_velocity(self) -> float:
         """v_h [m/s]: induced velocity in hover by momentum theory, from weight and disc area."""
-        disc_area = ROTORS * np.pi * np.square(self.rotor_radius_m)
+        disc_area = self.rotor_count * np.pi * np.square(self.rotor_radius_m)
         weight = self.mass_kg * self.gravity_m_s2
         return float(np.sqrt(weight / (2.0 * self.air_density_kg_m3 * disc_area)))
 
@@ -173,13 +189,13 @@ class Vehicle:
         return hashlib.sha256(numbers.astype("<f8").tobytes()).hexdigest()
 
     def rotor_speeds_from_erpm(self, erpm: Array) -> Array:
-        """Convert electrical rev/min (..., 4) to mechanical rad/s.
+        """Convert electrical rev/min (..., rotors) to mechanical rad/s.
 
         Raises:
-            ArgumentError: for what are no numbers of four rotors.
+            ArgumentError: for what are no numbers of its rotors.
             VehicleError: if the vehicle file does not give the pole pairs.
         """
-        erpm = array_checks.by_rotor("erpm", erpm, ROTORS)
+        erpm = array_checks.by_rotor("erpm", erpm, self.rotor_count)
         if self.pole_pairs is None:
             raise VehicleError(
                 f"vehicle {self.name}: electrical rotor speeds need `pole_pairs` in the vehicle file"
@@ -204,10 +220,6 @@ class _Rotor(Section):
     position_m: Vector
     spin: Annotated[str, OneOf(*SPIN_SIGN)]
 
-    def __post_init__(self) -> None:
-        if 0.0 in self.position_m[:2]:
-            raise ValueError("the rotor lies on a body axis; only x layouts are known")
-
 
 @dataclass(frozen=True, kw_only=True)
 class _VehicleFile(Section):
@@ -231,30 +243,42 @@ class _VehicleFile(Section):
     source: Any = None
 
     def __post_init__(self) -> None:
-        """Refuse numbers that no quadrotor has."""
-        if len(self.rotors) != ROTORS:
-            raise ValueError(f"`rotors` must list {ROTORS} rotors")
+        """Refuse numbers that no multicopter has."""
+        if not 1 <= len(self.rotors) <= ROTORS_MAX:
+            raise ValueError(f"`rotors` must list 1 to {ROTORS_MAX} rotors")
         if not is_rigid_body(self._inertia):
             raise ValueError(
                 "`inertia_kg_m2` is not the inertia of a rigid body "
                 "(symmetric, principal moments positive and obeying the triangle inequality)"
             )
-        quadrants = np.sign(self._positions[:, :2])
-        if len({tuple(signs) for signs in quadrants.tolist()}) < ROTORS:
-            raise ValueError(
-                "`rotors` must lie one in each quadrant: front left, front right, rear left, rear right"
-            )
-        if abs(float(np.sum(quadrants[:, 0] * quadrants[:, 1] * self._spins))) < ROTORS:
-            raise ValueError(
-                "`rotors`: opposite rotors must turn the same way and neighbours the other way, or nothing "
-                "holds the yaw"
-            )
+        if len(self.rotors) == 4:
+            self._check_four()
+        if len(self.rotors) < 3:
+            return
         arm_squared = np.mean(np.sum(self._positions[:, :2] ** 2, axis=1))
         ratio = float(self._inertia[2, 2] / (self.mass_kg * arm_squared))
         if not _YAW_INERTIA[0] < ratio < _YAW_INERTIA[1]:
             raise ValueError(
                 f"`inertia_kg_m2`: about z it is {ratio:.3g} times mass times squared distance of the rotors "
                 "from the centre, expected 0.2 to 1: wrong unit?"
+            )
+
+    def _check_four(self) -> None:
+        """Refuse four rotors in another layout than x: of more, any layout may hold thrust and moments."""
+        for place, rotor in enumerate(self.rotors, 1):
+            if 0.0 in rotor.position_m[:2]:
+                raise ValueError(
+                    f"rotors, entry {place}: the rotor lies on a body axis; of four only x layouts are known"
+                )
+        quadrants = np.sign(self._positions[:, :2])
+        if len({tuple(signs) for signs in quadrants.tolist()}) < 4:
+            raise ValueError(
+                "`rotors` must lie one in each quadrant: front left, front right, rear left, rear right"
+            )
+        if abs(float(np.sum(quadrants[:, 0] * quadrants[:, 1] * self._spins))) < 4:
+            raise ValueError(
+                "`rotors`: opposite rotors must turn the same way and neighbours the other way, or nothing "
+                "holds the yaw"
             )
 
     @property

@@ -259,7 +259,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
         timeout_s, rate_hz = self.parameters.pairing_timeout_s, self.parameters.imu_rate_hz
         # Room for all that may come while a sample waits, or the timeout would be shorter than it says.
         waiting = math.ceil(timeout_s * (rate_hz or FASTEST_IMU_HZ))
-        self._pairing = Pairing(timeout_s, max(CAPACITY, 2 * waiting), rate_hz)
+        self._pairing = Pairing(timeout_s, max(CAPACITY, 2 * waiting), rate_hz, self._vehicle.rotor_count)
         self._follow_rate()
         self._dropped = self._judged = 0
         self._silence = Silence()

@@ -4,6 +4,7 @@
 #include <nanobind/nanobind.h>
 
 #include "bindings/held_model.hpp"
+#include "bindings/rotors.hpp"
 #include "quadpi/monitor/conditions.hpp"
 #include "quadpi/monitor/monitor_step.hpp"
 #include "quadpi/monitor/pairing.hpp"
@@ -57,14 +58,17 @@ std::int64_t add_sample(
     HeldPairing& held, std::int64_t topic, std::int64_t time_ns, Records<const double> values
 ) {
     require(0 <= topic && topic < TOPICS && values.size <= WIDEST, "not a sample of a topic");
+    PairingState& state = held.state.only();
+    require(topic != ROTOR_SPEEDS || values.size == checked_rotors(state.rotors), "not of these rotors");
     held.pairing().add(static_cast<Topic>(topic), time_ns, values.data, values.size);
     return held.due();
 }
 
-nb::tuple take_samples(HeldPairing& held, Records<std::int64_t> taken_ns, Records<Signals> taken) {
-    const auto room = static_cast<std::int64_t>(taken.size);
-    require(taken_ns.size == taken.size && room >= held.due(), DIFFERENT);
+nb::tuple take_samples(HeldPairing& held, Records<std::int64_t> taken_ns, Records<double> taken) {
     PairingState& state = held.state.only();
+    const auto room = static_cast<std::int64_t>(taken_ns.size);
+    require_rows({taken.data, taken.size}, taken_ns.size, state.rotors);
+    require(room >= held.due(), DIFFERENT);
     const bool changed = state.meter.changes != state.rate_changes;
     state.rate_changes = state.meter.changes;
     return nb::make_tuple(held.pairing().take(taken_ns.data, taken.data), changed);
@@ -75,14 +79,14 @@ nb::tuple take_stretch(
     nb::handle arriving,
     std::int64_t start,
     Records<std::int64_t> taken_ns,
-    Records<Signals> taken
+    Records<double> taken
 ) {
     const Field<const std::int64_t> kind(arriving, "kind"), row(arriving, "row"), imu_ns(arriving, "imu_ns");
     const Field<const std::int64_t> state_ns(arriving, "state_ns"), rotor_ns(arriving, "rotor_ns");
     const Field<const std::int64_t> wind_ns(arriving, "wind_ns");
     const Field<const Vector3> specific_force(arriving, "specific_force"), wind(arriving, "wind");
     const Field<const StateValues> values(arriving, "states");
-    const Field<const PerRotor> rotor_speeds(arriving, "rotor_speeds");
+    const Field<const double> rotor_speeds(arriving, "rotor_speeds");
     const ArrivingSamples samples{
         kind.all(),
         row.all(),
@@ -95,6 +99,8 @@ nb::tuple take_stretch(
         wind_ns.all(),
         wind.all(),
     };
+    const auto rotors = checked_rotors(pairing.state.only().rotors);
+    require(rotor_speeds.all().size == rotor_ns.all().size * rotors, DIFFERENT);
     const StretchEnd end = pairing.pairing().take_stretch(samples, start, taken_ns.data, taken.data);
     return nb::make_tuple(end.event, end.begin, end.count);
 }
@@ -102,14 +108,15 @@ nb::tuple take_stretch(
 std::size_t prepare_all(
     Records<PreparationMemory> memory,
     Records<const std::int64_t> time_ns,
-    Records<const Signals> samples,
+    Records<const double> samples,
     Records<Verdict> verdicts,
     Records<InputVector> inputs,
     Records<Wrench> measured,
     Records<Derivatives> derivatives,
     Records<Signals> filtered
 ) {
-    require(samples.size == time_ns.size && verdicts.size == time_ns.size, DIFFERENT);
+    require_rows(samples, time_ns.size, only(memory).vehicle.rotors);
+    require(verdicts.size == time_ns.size, DIFFERENT);
     return prepare(only(memory), time_ns, samples, {verdicts, inputs, measured, derivatives, filtered});
 }
 
@@ -160,6 +167,7 @@ std::size_t advance_alarm(
     Records<AlarmRow> rows
 ) {
     const std::size_t used = inputs.size;
+    checked_rotors(only(limits).rotors.rotors);
     require(rows.size >= verdicts.size && used <= verdicts.size && measured.size == used, DIFFERENT);
     require(lower.size == used && upper.size == used, DIFFERENT);
     require(leverage.size == used && relative_width.size == used, DIFFERENT);
@@ -178,6 +186,7 @@ public:
           adaptive(arrays, "adaptive"),
           factors(arrays, "factors"),
           block(new MonitorBlock) {
+        checked_rotors(limits.only().rotors.rotors);
         const nb::object its_model = arrays.attr("model");
         if (!its_model.is_none()) {
             model = &nb::cast<HeldModel&>(its_model).evaluator();
@@ -199,14 +208,15 @@ nb::tuple step_monitor(
     HeldMonitor& monitor,
     Records<PreparationMemory> preparation,
     Records<const std::int64_t> time_ns,
-    Records<const Signals> samples,
+    Records<const double> samples,
     Records<std::int64_t> predicted_ns,
     Records<Wrench> wrenches,
     Records<AlarmRow> alarms
 ) {
-    const std::size_t count = samples.size;
+    const std::size_t count = time_ns.size;
     require(monitor.model != nullptr, "a model that Python evaluates");
-    require(time_ns.size == count && predicted_ns.size == count, DIFFERENT);
+    require_rows(samples, count, only(preparation).vehicle.rotors);
+    require(predicted_ns.size == count, DIFFERENT);
     require(wrenches.size == 5 * count && alarms.size >= count, DIFFERENT);
     MonitorRows rows{predicted_ns, wrenches, alarms};
     step(monitor.memory(), only(preparation), *monitor.model, time_ns, samples, *monitor.block, rows);

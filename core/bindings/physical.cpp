@@ -4,6 +4,7 @@
 #include <nanobind/nanobind.h>
 
 #include "bindings/held_model.hpp"
+#include "bindings/rotors.hpp"
 #include "quadpi/models/physical_kernel.hpp"
 #include "quadpi/models/tubes.hpp"
 
@@ -18,6 +19,7 @@ using Vehicles = Records<const PhysicalVehicle>;
 
 void find_regressors(Motions motion, Vehicles vehicle, Records<Regressors> rows) {
     require(rows.size == motion.size, DIFFERENT);
+    checked_rotors(only(vehicle).rotors);
     for (std::size_t i = 0; i < rows.size; ++i) {
         fill_regressors(motion[i], only(vehicle), rows[i]);
     }
@@ -27,6 +29,7 @@ void find_physical_wrenches(
     Motions motion, Vehicles vehicle, Records<const TermValues> parameters, Records<Wrench> out
 ) {
     require(out.size == motion.size, DIFFERENT);
+    checked_rotors(only(vehicle).rotors);
     Regressors row;
     for (std::size_t i = 0; i < out.size; ++i) {
         fill_regressors(motion[i], only(vehicle), row);
@@ -37,12 +40,14 @@ void find_physical_wrenches(
 void read_motions(
     Records<const InputVector> inputs,
     Records<const Derivatives> derivatives,
-    Records<const std::array<PerRotor, 3>> controls,
+    Records<const VehicleConstants> vehicle,
     Records<MotionSample> motion
 ) {
     require(inputs.size == motion.size && derivatives.size == motion.size, DIFFERENT);
+    const VehicleConstants& flown = only(vehicle);
+    checked_rotors(flown.rotors);
     for (std::size_t i = 0; i < motion.size; ++i) {
-        motion[i] = motion_of(inputs[i], derivatives[i], only(controls), 0.0);
+        motion[i] = motion_of(inputs[i], derivatives[i], flown.control_signs, flown.rotors, 0.0);
     }
 }
 
@@ -56,6 +61,7 @@ public:
           acting(arrays, "acting"),
           whitening(arrays, "whitening"),
           model({common.only(), kept.all(), acting.all(), whitening.all()}) {
+        checked_rotors(common.only().vehicle.rotors);
         const std::size_t longest = model.model.longest();
         require(
             longest <= TERMS && whitening.all().size == AXES * longest * longest, "not the terms of six axes"
@@ -111,6 +117,7 @@ void require_within(const RolloutTrack& track, const RollOuts& wanted) {
         require(horizon > before, "horizons must rise from one step on");
         before = horizon;
     }
+    checked_rotors(track.vehicle.rotors);
     require(before > 0 && track.attitude.size == track.motion.size, DIFFERENT);
     for (const std::int64_t start : wanted.starts) {
         const auto end = static_cast<std::size_t>(start + before);

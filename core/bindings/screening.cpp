@@ -3,7 +3,7 @@
 // What Python calls to judge samples.
 #include <nanobind/nanobind.h>
 
-#include "bindings/records.hpp"
+#include "bindings/rotors.hpp"
 #include "quadpi/monitor/data_quality.hpp"
 #include "quadpi/screening/sample_order.hpp"
 
@@ -66,8 +66,8 @@ void bind_screening(nb::module_& module) {
     module.def("usable_velocity", [](Records<const Vector3> velocity) {
         return usable_velocity(only(velocity));
     });
-    module.def("plausible", [](Records<const Signals> sample, double rotor_speed_max) {
-        return plausible(only(sample), rotor_speed_max);
+    module.def("plausible", [](Records<const double> sample, double rotor_speed_max) {
+        return plausible(signals_in(sample.data, rotors_of_row(sample)), rotor_speed_max);
     });
 }
 

@@ -3,7 +3,7 @@
 // What Python calls of the signals, the input vectors and the rate of the IMU.
 #include <nanobind/nanobind.h>
 
-#include "bindings/records.hpp"
+#include "bindings/rotors.hpp"
 #include "quadpi/estimator/imu_rate.hpp"
 #include "quadpi/inputs.hpp"
 #include "quadpi/signals/force_bandwidth.hpp"
@@ -40,12 +40,20 @@ void filter_rows(
 void filter_one(
     Records<const LowPass> design,
     Records<ChainMemory> memory,
-    Records<Signals> sample,
-    Records<Signals> value,
-    Records<Signals> slope,
-    Records<PerRotor> curvature
+    Records<const double> sample,
+    Records<double> value,
+    Records<double> slope,
+    Records<double> curvature
 ) {
-    filter_sample(only(design), only(memory), only(sample), only(value), only(slope), only(curvature));
+    const std::int64_t rotors = rotors_of_row(sample);
+    require(value.size == sample.size && slope.size == sample.size, DIFFERENT);
+    require(curvature.size == static_cast<std::size_t>(rotors), DIFFERENT);
+    Signals raw = signals_in(sample.data, rotors), filtered{}, derivative{};
+    PerRotor second{};
+    filter_sample(only(design), only(memory), raw, filtered, derivative, second, rotors);
+    fill_row(filtered, rotors, value.data);
+    fill_row(derivative, rotors, slope.data);
+    std::copy_n(second.begin(), rotors, curvature.data);
 }
 
 void find_wrenches(
@@ -80,14 +88,18 @@ void find_inputs(
     Records<const Vector3> velocity_air,
     Records<const Quaternion> attitude,
     Records<const Vector3> rates,
-    Records<const PerRotor> rotor_speeds,
+    Records<const double> rotor_speeds,
     Records<const VehicleConstants> vehicle,
     Records<InputVector> out
 ) {
     require(velocity_air.size == out.size && attitude.size == out.size, DIFFERENT);
-    require(rates.size == out.size && rotor_speeds.size == out.size, DIFFERENT);
+    const VehicleConstants& flown = only(vehicle);
+    const auto rotors = checked_rotors(flown.rotors);
+    require(rates.size == out.size && rotor_speeds.size == out.size * rotors, DIFFERENT);
     for (std::size_t row = 0; row < out.size; ++row) {
-        fill_inputs(velocity_air[row], attitude[row], rates[row], rotor_speeds[row], only(vehicle), out[row]);
+        PerRotor speeds{};
+        std::copy_n(rotor_speeds.data + row * rotors, rotors, speeds.begin());
+        fill_inputs(velocity_air[row], attitude[row], rates[row], speeds, flown, out[row]);
     }
 }
 
@@ -96,6 +108,7 @@ void find_inputs(
 void bind_signals(nb::module_& module) {
     module.attr("MEASURED_NS") = MEASURED_NS;
     module.attr("METER_ROOM") = METER_ROOM;
+    module.attr("ROTORS_MAX") = ROTORS_MAX;
     module.attr("NOTICED_NS") = NOTICED_NS;
     module.attr("RATE_SPAN") = RATE_SPAN;
     module.def("settle", &settle_at);

@@ -10,7 +10,7 @@
 #include <list>
 #include <string>
 
-#include "bindings/records.hpp"
+#include "bindings/rotors.hpp"
 #include "quadpi/simulation/dynamics.hpp"
 #include "quadpi/simulation/effects/table.hpp"
 #include "quadpi/simulation/physical_aerodynamics.hpp"
@@ -25,6 +25,11 @@ namespace {
 using Parameters = Records<const double>;
 using Law = std::function<void(State&)>;
 using Vehicles = Records<const VehicleNumbers>;
+
+const VehicleNumbers& flown(Vehicles vehicle) {
+    checked_rotors(only(vehicle).rotors);
+    return only(vehicle);
+}
 
 constexpr const char* NOT_SIX = "an effect gives six forces and moments, each a number or one per instant";
 
@@ -157,14 +162,17 @@ struct HeldControls {
           allocation(given, "allocation"),
           effectiveness(given, "effectiveness"),
           disturbance(given, "disturbance"),
-          command(given, "command") {}
+          command(given, "command") {
+        checked_rotors(nominal.only().rotors);
+    }
 
     Controls controls() const {
         return {nominal.only(), allocation.only(), effectiveness.only(), disturbance.only(), command.only()};
     }
 
     Field<const VehicleNumbers> nominal;
-    Field<const Matrix4> allocation, effectiveness;
+    Field<const Allocation> allocation;
+    Field<const Effectiveness> effectiveness;
     Field<Wrench> disturbance;
     Field<PerRotor> command;
 };
@@ -182,9 +190,9 @@ void fly_along(
     Records<std::int64_t> done
 ) {
     std::list<AddedEffect> added;
-    Physics physics{only(vehicle), law_of(aerodynamics, only(vehicle), numbers), {}};
+    Physics physics{flown(vehicle), law_of(aerodynamics, flown(vehicle), numbers), {}};
     for (const nb::handle effect : effects) {
-        const AddedEffect& one = added.emplace_back(effect, only(vehicle));
+        const AddedEffect& one = added.emplace_back(effect, flown(vehicle));
         physics.effects.push_back([&one](State& now) { one.add_to(now); });
     }
     const HeldControls held_controls(given_controls);
@@ -201,7 +209,7 @@ void fly_along(
 }
 
 void fill_aerodynamics(Records<State> states, Vehicles vehicle, const std::string& name, Parameters numbers) {
-    const Law law = aerodynamics_of(name, only(vehicle), numbers);
+    const Law law = aerodynamics_of(name, flown(vehicle), numbers);
     for (State& state : states) {
         law(state);
     }
@@ -218,15 +226,15 @@ void effect_wrenches(
     const WrenchEffect& effect = effect_of(name, parameters);
     require(states.size == wrenches.size, DIFFERENT);
     for (std::size_t i = 0; i < states.size; ++i) {
-        const Wrench law = effect.function(states[i], only(vehicle), parameters.data);
-        wrenches[i] = shaped(law, states[i], only(vehicle), only(shape));
+        const Wrench law = effect.function(states[i], flown(vehicle), parameters.data);
+        wrenches[i] = shaped(law, states[i], flown(vehicle), only(shape));
     }
 }
 
 void remember_along(
     const std::string& name, Records<State> states, Vehicles vehicle, Parameters parameters, double step_s
 ) {
-    remember(effect_of(name, parameters).function, states, only(vehicle), parameters.data, step_s);
+    remember(effect_of(name, parameters).function, states, flown(vehicle), parameters.data, step_s);
 }
 
 void remembered_along(
@@ -240,7 +248,7 @@ void remembered_along(
 ) {
     const EffectFunction effect = effect_of(name, parameters).function;
     require(added.size == states.size * AXES * memory.size, DIFFERENT);
-    remembered_wrenches(effect, states, only(vehicle), parameters.data, memory, step_s, added.data);
+    remembered_wrenches(effect, states, flown(vehicle), parameters.data, memory, step_s, added.data);
 }
 
 void fill_waves(

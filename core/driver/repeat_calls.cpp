@@ -154,12 +154,12 @@ void take_stretch_call(Arguments& given) {
     arriving.state_ns = given.records<const std::int64_t>();
     arriving.states = given.records<const StateValues>();
     arriving.rotor_ns = given.records<const std::int64_t>();
-    arriving.rotor_speeds = given.records<const PerRotor>();
+    arriving.rotor_speeds = given.records<const double>();
     arriving.wind_ns = given.records<const std::int64_t>();
     arriving.wind = given.records<const Vector3>();
     const auto start = given.one<std::int64_t>();
     const auto taken_ns = given.records<std::int64_t>();
-    Pairing(state, rings).take_stretch(arriving, start, taken_ns.data, given.records<Signals>().data);
+    Pairing(state, rings).take_stretch(arriving, start, taken_ns.data, given.records<double>().data);
 }
 
 // Models of recorded calls, by the name of their class in quadpi_core/_core.pyi.
@@ -225,7 +225,7 @@ void step_monitor_call(Arguments& given) {
     const Model model = model_of(given);
     auto& preparation = given.one<PreparationMemory>();
     const auto time_ns = given.records<const std::int64_t>();
-    const auto samples = given.records<const Signals>();
+    const auto samples = given.records<const double>();
     const auto predicted_ns = given.records<std::int64_t>();
     const auto wrenches = given.records<Wrench>();
     MonitorRows rows{predicted_ns, wrenches, given.records<AlarmRow>()};

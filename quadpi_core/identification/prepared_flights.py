@@ -30,7 +30,14 @@ from quadpi_core.flight_files import (
     require_flights_left,
 )
 from quadpi_core.frames import Array
-from quadpi_core.inputs import DERIVATIVES, INPUT_NAMES, flight_derivatives, flight_inputs
+from quadpi_core.inputs import (
+    DERIVATIVES,
+    INPUT_NAMES,
+    Derivatives,
+    derivatives_like,
+    flight_derivatives,
+    flight_inputs,
+)
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.duplicates import recording_hash
 from quadpi_core.models.model_kind import CUTOFF_HZ
@@ -39,7 +46,7 @@ from quadpi_core.monitor.preparation import Preparation
 from quadpi_core.monitor.replay import Followed, follow, recorded_flight
 from quadpi_core.parallel import DEFAULT_WORKERS, Workers
 from quadpi_core.reading_options import MappingOrOptions, ReadingOptions
-from quadpi_core.records import Records
+from quadpi_core.records import Records, record_dtype
 from quadpi_core.screening.consistency import checked
 from quadpi_core.screening.flight_runs import long_enough, parts_without_pause
 from quadpi_core.signals.resample import interpolate, nominal_rate
@@ -154,7 +161,7 @@ def _checked(time: Array, inputs: Any, derivatives: Any, wrench: Any, where: str
     return {
         "inputs": _like(time, f"{where}inputs", inputs, len(INPUT_NAMES)),
         "derivatives": array_checks.records(
-            name, derivatives, DERIVATIVES, rows=len(time), of="time", finite=False
+            name, derivatives, derivatives_like(derivatives), rows=len(time), of="time", finite=False
         ),
         "wrench": _like(time, f"{where}wrench", wrench, len(AXES)),
     }
@@ -387,4 +394,6 @@ class CausalPass:
         values, known = interpolate(time_ns, values, at_ns, MAX_GAP_NS)
         inputs, derivatives, wrench, settled = map(np.ascontiguousarray, np.split(values, _COLUMNS, axis=1))
         known &= settled[:, 0] == 1.0
-        return LiveSamples(inputs, derivatives.view(DERIVATIVES)[:, 0], wrench, known)
+        return LiveSamples(
+            inputs, derivatives.view(record_dtype(Derivatives, vehicle.rotor_count))[:, 0], wrench, known
+        )

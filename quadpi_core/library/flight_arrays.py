@@ -73,8 +73,9 @@ def prepared_from_arrays(
             raise ArgumentError(
                 f"{name}: expected numbers, found None; only position and wind may be left out"
             )
+    widths = {name: len(columns) for name, columns in STATES.items()} | {"rotor_speeds": vehicle.rotor_count}
     checked = {
-        name: array_checks.floats(name, values, len(STATES[name]), rows=len(stamps), of="time_ns")
+        name: array_checks.floats(name, values, widths[name], rows=len(stamps), of="time_ns")
         for name, values in arrays.items()
         if values is not None
     }

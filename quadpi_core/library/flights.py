@@ -98,7 +98,7 @@ class Flights:
             attitude: (N, 4) unit quaternions w, x, y, z, body to world (north-east-down).
             rates: (N, 3) rad/s, body axes.
             specific_force: (N, 3) m/s² of the accelerometer, body axes: z near −9.8 in hover.
-            rotor_speeds: (N, 4) rad/s, rotors in the order of the vehicle file.
+            rotor_speeds: (N, rotors) rad/s, rotors in the order of the vehicle file.
             position: (N, 3) m, world; the integrated velocity unless given.
             wind: (N, 3) m/s of the air, world; none unless given.
             flight: (N,) label of the flight of each sample; all of one unless given.

@@ -27,7 +27,7 @@ from quadpi_core.monitor.conditions import conditions
 from quadpi_core.monitor.monitor import Monitor as BlockMonitor
 from quadpi_core.records import Records
 from quadpi_core.results import Alarms, Events, Predictions
-from quadpi_core.vehicle import ROTORS, Vehicle
+from quadpi_core.vehicle import Vehicle
 
 LEVELS = ("ok", "warning", "alarm")
 # Numbers per sample of each quantity.
@@ -36,7 +36,6 @@ _WIDTHS = {
     "attitude": 4,
     "rates": 3,
     "specific_force": 3,
-    "rotor_speeds": ROTORS,
     "wind": 3,
 }
 
@@ -150,12 +149,13 @@ class Monitor:
 
         Args:
             time_ns: int64 stamp, or (K,).
-            values: (K, 20), deprecated, with the results of `quadpi_core.monitor.monitor.Monitor.step`.
+            values: (K, 16 + rotors), deprecated, with the results of
+                `quadpi_core.monitor.monitor.Monitor.step`.
             velocity: (3,) or (K, 3) m/s over ground, body axes.
             attitude: (4,) or (K, 4) unit quaternions w, x, y, z, body to world (north-east-down).
             rates: (3,) or (K, 3) rad/s, body axes.
             specific_force: (3,) or (K, 3) m/s², body axes: z near −9.8 in hover.
-            rotor_speeds: (4,) or (K, 4) rad/s, rotors in the order of the vehicle file.
+            rotor_speeds: (rotors,) or (K, rotors) rad/s, rotors in the order of the vehicle file.
             wind: (3,) or (K, 3) m/s of the air, world; none unless given.
             air_density: kg/m³, one or (K,); that of the vehicle file unless given.
             state_covariance: (9, 9) or (K, 9, 9) of velocity, attitude and rates, by what they are less sure
@@ -181,7 +181,8 @@ class Monitor:
             "rotor_speeds": rotor_speeds,
             "wind": np.zeros((len(stamps), 3)) if wind is None else wind,
         }
-        block = np.hstack([_columns(name, values, stamps) for name, values in given.items()])
+        widths = {**_WIDTHS, "rotor_speeds": self._monitor.vehicle.rotor_count}
+        block = np.hstack([_columns(name, values, stamps, widths[name]) for name, values in given.items()])
         known = conditions(
             len(stamps),
             None if air_density is None else _array("air_density", air_density),
@@ -260,10 +261,10 @@ def _array(name: str, given: npt.ArrayLike) -> npt.NDArray[Any]:
         raise ArgumentError(f"{name}: expected numbers, found {array_checks.found(given)}") from None
 
 
-def _columns(name: str, given: npt.ArrayLike | None, stamps: npt.NDArray[np.int64]) -> Array:
-    """A quantity of each sample (K, columns); it need not be finite."""
+def _columns(name: str, given: npt.ArrayLike | None, stamps: npt.NDArray[np.int64], width: int) -> Array:
+    """A quantity of each sample (K, width); it need not be finite."""
     if given is None:
         raise ArgumentError(f"{name}: expected numbers, found None; only wind may be left out")
     values = _array(name, given)
     values = values[np.newaxis] if values.ndim == 1 and len(stamps) == 1 else values
-    return array_checks.floats(name, values, _WIDTHS[name], rows=len(stamps), of="time_ns", finite=False)
+    return array_checks.floats(name, values, width, rows=len(stamps), of="time_ns", finite=False)

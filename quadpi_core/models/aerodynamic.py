@@ -19,7 +19,7 @@ from quadpi_core.core import compiled
 from quadpi_core.errors import ArgumentError, ModelError, named_in
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.inputs import DERIVATIVES, INPUT_NAMES
+from quadpi_core.inputs import INPUT_NAMES, derivatives_like, whole_derivatives
 from quadpi_core.messages.model_description import DescribedModel
 from quadpi_core.models.alarm_limits import AlarmLimits
 from quadpi_core.models.envelope import Envelope
@@ -299,7 +299,7 @@ class AerodynamicModel:
         inputs = array_checks.floats("inputs", inputs, len(INPUT_NAMES))
         if derivatives is not None:
             derivatives = array_checks.records(
-                "derivatives", derivatives, DERIVATIVES, rows=len(inputs), of="inputs"
+                "derivatives", derivatives, derivatives_like(derivatives), rows=len(inputs), of="inputs"
             )
         elif self.kind.uses_derivatives:
             raise ArgumentError(
@@ -441,7 +441,7 @@ def unchecked_evaluation(
         return said
     # One that Python evaluates knows nothing of the density of the air.
     scaled = np.stack(said)
-    compiled.scale_by_density(derivatives, scaled)
+    compiled.scale_by_density(whole_derivatives(derivatives), scaled)
     return Evaluation(*scaled)
 
 

@@ -19,19 +19,18 @@ from quadpi_core.core import compiled
 from quadpi_core.errors import ModelError, named_in
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.inputs import DERIVATIVES
 from quadpi_core.models.fitted_polynomial import RmsSpread
 from quadpi_core.models.interval_rules import StoredRule
 from quadpi_core.models.model_kind import CompiledFitted, Facts, FittedAxis, RotorDelay, StoredAxes
 from quadpi_core.models.physical_advice import delay_words, missing_flying
 from quadpi_core.models.physical_fit import AT_BOUND, FitStep, bounded_terms, worst_pairs
 from quadpi_core.models.physical_flight import DELAYS_S, PhysicalFlight, Sensing
-from quadpi_core.models.physical_kernel import COMMON, KEPT, PackedPhysical, motions
+from quadpi_core.models.physical_kernel import KEPT, Common, PackedPhysical, motions
 from quadpi_core.models.physical_regressors import control_signs, regressors
 from quadpi_core.models.physical_terms import TERM_INDEX, TERM_NAMES, TERMS
 from quadpi_core.models.rollout_model import MOVES, RolloutModel
 from quadpi_core.models.stored_body import StoredBody, require_arrays, require_known
-from quadpi_core.records import Records
+from quadpi_core.records import Records, record_dtype
 from quadpi_core.vehicle import Vehicle
 
 FIT_FILE, TABLE_FILE = "fit.json", "parameters.csv"
@@ -188,15 +187,16 @@ class FittedPhysical(CompiledFitted):
     def compiled(self) -> compiled.Physical:
         """See the base class."""
         longest = max(len(own.acting) for own in self.axes.values())
-        common = np.zeros(1, COMMON)
+        fit = self.parameters
+        rotors = int(fit.vehicle["rotors"][0])
+        common = np.zeros(1, record_dtype(Common, rotors))
         acting = np.zeros((len(AXES), longest), dtype=np.int64)
         whitening = np.zeros((len(AXES), longest, longest))
         for axis, own in self.axes.items():
             k, size = AXES.index(axis), len(own.acting)
             common["axes"][0, k] = size, own.inflation, own.growth, own.rms_spread
             acting[k, :size], whitening[k, :size, :size] = own.numbers, own.whitening
-        fit = self.parameters
-        common["vehicle"], common["controls"] = fit.vehicle, control_signs(fit.vehicle)
+        common["vehicle"], common["controls"][..., :rotors] = fit.vehicle, control_signs(fit.vehicle)
         common["delay_s"] = fit.sensing.rotor_delay_s
         kept = np.zeros(len(fit.kept), KEPT)
         kept["number"], kept["value"] = fit.kept, fit.values[fit.kept]
@@ -268,11 +268,12 @@ class FittedPhysical(CompiledFitted):
             ),
         ]
 
-    def standard_error(self, axis: str, inputs: Array, weights: Array, vehicle: Vehicle) -> float:
+    def standard_error(
+        self, axis: str, inputs: Array, derivatives: Records, weights: Array, vehicle: Vehicle
+    ) -> float:
         """By the covariance of the parameters, with the thrust that differs from flight to flight."""
         own, column, shared = self.axes[axis], AXES.index(axis), self.parameters
-        steady = np.zeros(len(inputs), DERIVATIVES)
-        z = regressors(motions(inputs, steady, vehicle), shared.vehicle)[:, own.numbers, column]
+        z = regressors(motions(inputs, derivatives, vehicle), shared.vehicle)[:, own.numbers, column]
         # The whitening is in units of the noise: of the force or moment at rest, both errors are known.
         rest = TERM_INDEX[f"bias_{('x', 'y', 'z', 'roll', 'pitch', 'yaw')[column]}"]
         place = np.flatnonzero(np.array(own.numbers) == rest)

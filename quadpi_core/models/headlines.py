@@ -15,9 +15,10 @@ import numpy as np
 
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.inputs import DERIVATIVES, aerodynamic_inputs
+from quadpi_core.inputs import Derivatives, aerodynamic_inputs
 from quadpi_core.models.aerodynamic import AerodynamicModel
-from quadpi_core.vehicle import ROTORS, Vehicle
+from quadpi_core.records import Records, record_dtype
+from quadpi_core.vehicle import Vehicle
 
 _SPEED_M_S, _CHANGE = 1.0, 0.1
 
@@ -59,7 +60,7 @@ def headlines(model: AerodynamicModel, vehicle: Vehicle) -> list[Headline]:
 
 def _near_hover(model: AerodynamicModel, vehicle: Vehicle) -> Iterator[Headline]:
     speed = model.alarm_limits.hover_rotor_speed
-    squares = ROTORS * speed**2
+    squares = vehicle.rotor_count * speed**2
     x, y, _ = vehicle.rotor_positions.T
 
     def of(axis: str, *weighted: _Weighted) -> tuple[float, float | None] | None:
@@ -119,24 +120,32 @@ def _weighted_sum(
     """
     if axis not in model.axes:
         return None
-    inputs = np.concatenate([_inputs(vehicle, model, way, amount) for _, way, amount in weighted])
+    inputs, steady = map(
+        np.concatenate,
+        zip(*(_steady(vehicle, model, way, amount) for _, way, amount in weighted), strict=True),
+    )
     envelope = model.envelope
     if np.any(envelope.input_excess(inputs) > envelope.near.margin):
         return None
     factors = np.array([weight for weight, _, _ in weighted])
-    steady = np.zeros(len(inputs), DERIVATIVES)
     predicted = model.evaluate(inputs, derivatives=steady).predicted[:, AXES.index(axis)]
-    error = model.fitted.standard_error(axis, inputs, factors, vehicle)
+    error = model.fitted.standard_error(axis, inputs, steady, factors, vehicle)
     return float(factors @ predicted), error
 
 
-def _inputs(vehicle: Vehicle, model: AerodynamicModel, way: str, amount: float) -> Array:
+def _steady(vehicle: Vehicle, model: AerodynamicModel, way: str, amount: float) -> tuple[Array, Records]:
+    """Input vector (1, 19) and derivatives (1,) of a state."""
     x, y, _ = vehicle.rotor_positions.T
     turns = {"turn x": -np.sign(y), "turn y": np.sign(x), "turn z": -vehicle.rotor_spins}
-    velocity, squares = np.zeros((1, 3)), np.full(ROTORS, model.alarm_limits.hover_rotor_speed**2)
+    velocity, squares = (
+        np.zeros((1, 3)),
+        np.full(vehicle.rotor_count, model.alarm_limits.hover_rotor_speed**2),
+    )
     if way in turns:
         squares = squares * (1.0 + amount * turns[way])
     elif way:
         velocity[0, "xyz".index(way)] = amount
     level = np.array([[1.0, 0.0, 0.0, 0.0]])
-    return aerodynamic_inputs(velocity, level, np.zeros((1, 3)), np.sqrt(squares)[np.newaxis], vehicle)
+    speeds, steady = np.sqrt(squares)[np.newaxis], np.zeros(1, record_dtype(Derivatives, vehicle.rotor_count))
+    steady["rotor_speeds"] = speeds
+    return aerodynamic_inputs(velocity, level, np.zeros((1, 3)), speeds, vehicle), steady

@@ -23,7 +23,7 @@ from quadpi_core.core import compiled
 from quadpi_core.errors import ArgumentError, ModelError, named_in
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.inputs import DERIVATIVES
+from quadpi_core.inputs import DERIVATIVES, whole_derivatives
 from quadpi_core.models.alarm_limits import RATE_PER_HOUR
 from quadpi_core.models.candidate_pool import CandidatePool
 from quadpi_core.models.interval_rules import FlightErrors, Rule, StoredRule
@@ -314,6 +314,7 @@ class Fitted(ABC):
         self,
         axis: str,  # noqa: ARG002 - for kinds that know it
         inputs: Array,  # noqa: ARG002
+        derivatives: Records,  # noqa: ARG002
         weights: Array,  # noqa: ARG002
         vehicle: Vehicle,  # noqa: ARG002
     ) -> float | None:
@@ -347,7 +348,7 @@ class CompiledFitted(Fitted):
                 raise ModelError(f"the {self.method} model needs the derivatives of the motion")
             derivatives = _NO_DERIVATIVES
         out = np.zeros((5, len(inputs), len(AXES)))
-        inputs, derivatives = np.ascontiguousarray(inputs), np.ascontiguousarray(derivatives)
+        inputs, derivatives = np.ascontiguousarray(inputs), whole_derivatives(derivatives)
         compiled.evaluate(self.compiled, inputs, derivatives, np.ascontiguousarray(factors), out)
         # Faster one by one than by *out.
         return Evaluation(out[0], out[1], out[2], out[3], out[4])

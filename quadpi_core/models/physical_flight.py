@@ -56,7 +56,7 @@ class PhysicalFlight:
         name: of the flight.
         time: (N,) s.
         motion: MOTION (N,), rotor speeds not delayed.
-        rotor_jerks: (N, 4) rad/s³.
+        rotor_jerks: (N, rotors) rad/s³.
         wrench: (N, 6) measured, N and Nm.
     """
 
@@ -134,9 +134,8 @@ def flights_of(samples: TrainingSamples) -> list[PhysicalFlight]:
         rows = thinned_rows(samples, k)
         derivatives = samples.derivatives[rows]
         motion = motions(samples.inputs[rows], derivatives, samples.vehicle)
-        flights.append(
-            PhysicalFlight(name, samples.time[rows], motion, derivatives["rotor_jerks"], samples.wrench[rows])
-        )
+        jerks = derivatives["rotor_jerks"]
+        flights.append(PhysicalFlight(name, samples.time[rows], motion, jerks, samples.wrench[rows]))
     return flights
 
 

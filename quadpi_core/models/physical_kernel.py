@@ -12,10 +12,10 @@ import numpy.typing as npt
 from quadpi_core.core import compiled
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.inputs import vehicle_constants
-from quadpi_core.models.physical_regressors import MOTION, PhysicalVehicle
-from quadpi_core.records import Records, record_dtype
-from quadpi_core.vehicle import ROTORS, Vehicle
+from quadpi_core.inputs import vehicle_constants, whole_derivatives
+from quadpi_core.models.physical_regressors import MotionSample, PhysicalVehicle
+from quadpi_core.records import ROTORS_MAX, Records, record_dtype
+from quadpi_core.vehicle import Vehicle
 
 
 class _Axis:
@@ -27,11 +27,11 @@ class _Axis:
     rms_spread: float
 
 
-class _Common:
+class Common:
     """Records of a fixed size: what the axes share, and the axes."""
 
     vehicle: PhysicalVehicle
-    controls: Annotated[Array, 3, ROTORS]  # signs that gave U_p, U_q and U_r of the rotor speeds
+    controls: Annotated[Array, 3, ROTORS_MAX]  # signs that gave U_p, U_q and U_r of the rotor speeds
     delay_s: float  # that rotor speeds act after they were measured
     axes: Annotated[Records, _Axis, len(AXES)]
 
@@ -43,7 +43,8 @@ class _Kept:
     value: float
 
 
-COMMON, KEPT = record_dtype(_Common), record_dtype(_Kept)
+# The first of four rotors.
+COMMON, KEPT = record_dtype(Common, 4), record_dtype(_Kept)
 
 
 class PackedPhysical(NamedTuple):
@@ -64,10 +65,9 @@ class PackedPhysical(NamedTuple):
 
 def motions(inputs: Array, derivatives: Records, vehicle: Vehicle) -> Records:
     """Motion MOTION (N,) of input vectors (N, 19) and derivatives (N,), rotor speeds not delayed."""
-    motion = np.zeros(len(inputs), MOTION)
-    controls = vehicle_constants(vehicle)["control_signs"]
-    inputs, derivatives, controls = map(np.ascontiguousarray, (inputs, derivatives, controls))
-    compiled.read_motions(inputs, derivatives, controls, motion)
+    motion = np.zeros(len(inputs), record_dtype(MotionSample, vehicle.rotor_count))
+    derivatives = whole_derivatives(derivatives)
+    compiled.read_motions(np.ascontiguousarray(inputs), derivatives, vehicle_constants(vehicle), motion)
     return motion
 
 

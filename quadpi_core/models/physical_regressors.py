@@ -19,8 +19,8 @@ from quadpi_core.errors import ModelError, named_in
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.models.physical_terms import TERMS
-from quadpi_core.records import Records, record_dtype
-from quadpi_core.vehicle import ROTORS, Vehicle
+from quadpi_core.records import ROTORS_MAX, PerRotor, Records, record_dtype
+from quadpi_core.vehicle import Vehicle
 
 
 class MotionSample:
@@ -37,8 +37,8 @@ class MotionSample:
     velocity: Annotated[Array, 3]
     rates: Annotated[Array, 3]
     angular_acceleration: Annotated[Array, 3]
-    rotor_speeds: Annotated[Array, 4]
-    rotor_accelerations: Annotated[Array, 4]
+    rotor_speeds: PerRotor
+    rotor_accelerations: PerRotor
 
 
 class PhysicalVehicle:
@@ -48,6 +48,7 @@ class PhysicalVehicle:
         mass: kg.
         reference_thrust: N s², of a rotor per ω², for the induced velocity.
         disc: kg/m, 2 ρ π R² of momentum theory.
+        rotors: their number.
         positions: m, of the rotors.
         spins: +1 where a rotor turns clockwise seen from above.
     """
@@ -55,12 +56,14 @@ class PhysicalVehicle:
     mass: float
     reference_thrust: float
     disc: float
-    positions: Annotated[Array, 4, 3]
-    spins: Annotated[Array, 4]
+    rotors: int
+    positions: Annotated[Array, ROTORS_MAX, 3]
+    spins: PerRotor
 
 
-MOTION = record_dtype(MotionSample)
-PHYSICAL_VEHICLE = record_dtype(PhysicalVehicle)
+# Of four rotors.
+MOTION = record_dtype(MotionSample, 4)
+PHYSICAL_VEHICLE = record_dtype(PhysicalVehicle, 4)
 
 
 def physical_vehicle(vehicle: Vehicle, reference_thrust: float) -> Records:
@@ -81,7 +84,8 @@ def physical_vehicle(vehicle: Vehicle, reference_thrust: float) -> Records:
 
 def numbers_of(vehicle: Vehicle, reference_thrust: float) -> Records:
     """Record PHYSICAL_VEHICLE (1,) as `physical_vehicle` gives it, for any layout of the rotors."""
-    record = np.zeros(1, PHYSICAL_VEHICLE)
+    record = np.zeros(1, record_dtype(PhysicalVehicle, vehicle.rotor_count))
+    record["rotors"] = vehicle.rotor_count
     record["mass"] = vehicle.mass_kg
     record["reference_thrust"] = reference_thrust
     record["disc"] = 2.0 * vehicle.air_density_kg_m3 * np.pi * vehicle.rotor_radius_m**2
@@ -91,15 +95,15 @@ def numbers_of(vehicle: Vehicle, reference_thrust: float) -> Records:
 
 
 def control_signs(vehicle: Records) -> Array:
-    """Signs (3, 4) that give U_p, U_q and U_r of the rotor speeds, see `inputs.vehicle_constants`.
+    """Signs (3, rotors) that give U_p, U_q and U_r of the rotor speeds, see `inputs.vehicle_constants`.
 
     Raises:
-        ModelError: where the rotor speeds do not follow from these three and their root mean square.
+        ModelError: where the rotor speeds of four rotors do not follow from these and their root mean square.
     """
     positions, spins = vehicle["positions"][0], vehicle["spins"][0]
     signs: Array = np.stack((-np.sign(positions[:, 1]), np.sign(positions[:, 0]), spins))
-    every = np.vstack((np.ones(ROTORS), signs))
-    if not np.array_equal(every @ every.T, ROTORS * np.eye(ROTORS)):
+    every = np.vstack((np.ones(len(spins)), signs))
+    if len(spins) == 4 and not np.array_equal(every @ every.T, 4.0 * np.eye(4)):
         raise ModelError(
             "the physical model needs a rotor in each quadrant, neighbours turning in opposite ways"
         )
@@ -118,7 +122,7 @@ def acting_terms() -> npt.NDArray[np.bool_]:
     vehicle = np.zeros(1, PHYSICAL_VEHICLE)
     vehicle["mass"], vehicle["reference_thrust"], vehicle["disc"] = 1.0, 1e-6, 0.1
     vehicle["positions"] = [[-0.1, 0.11, 0.0], [0.12, 0.13, 0.0], [-0.14, -0.15, 0.0], [0.16, -0.17, 0.0]]
-    vehicle["spins"] = [1.0, -1.0, -1.0, 1.0]
+    vehicle["spins"], vehicle["rotors"] = [1.0, -1.0, -1.0, 1.0], 4
     acts: npt.NDArray[np.bool_] = np.any(regressors(motion, vehicle) != 0.0, axis=0)
     return acts
 
@@ -131,12 +135,17 @@ def regressors(motion: Records, vehicle: Records) -> Array:
         vehicle: PHYSICAL_VEHICLE (1,).
     """
     rows = np.empty((len(motion), len(TERMS), len(AXES)))
-    compiled.fill_regressors(np.ascontiguousarray(motion), vehicle, rows)
+    compiled.fill_regressors(_whole(motion, vehicle), vehicle, rows)
     return rows
 
 
 def wrenches(motion: Records, vehicle: Records, parameters: Array) -> Array:
     """Wrench (N, 6) of samples, by parameters (P,) in the order of TERMS."""
     out = np.empty((len(motion), len(AXES)))
-    compiled.physical_wrenches(np.ascontiguousarray(motion), vehicle, np.ascontiguousarray(parameters), out)
+    compiled.physical_wrenches(_whole(motion, vehicle), vehicle, np.ascontiguousarray(parameters), out)
     return out
+
+
+def _whole(motion: Records, vehicle: Records) -> Records:
+    """Motion with room for more rotors, which what numpy has joined lacks."""
+    return np.ascontiguousarray(motion, record_dtype(MotionSample, int(vehicle["rotors"][0])))

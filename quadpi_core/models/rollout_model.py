@@ -22,12 +22,12 @@ from quadpi_core.flight import Flight, hole_ends
 from quadpi_core.frames import Array
 from quadpi_core.inputs import relative_to_air
 from quadpi_core.models.disturbance import Disturbance
-from quadpi_core.models.physical_regressors import MOTION, wrenches
+from quadpi_core.models.physical_regressors import MotionSample, wrenches
 from quadpi_core.models.physical_rollout import POSITION, STATES, Disturbances, Rolled, Track, roll_out
 from quadpi_core.models.physical_terms import TERM_NAMES
 from quadpi_core.models.stored_body import StoredBody, require_arrays
 from quadpi_core.models.tubes import TubeCalibration, Uncertainty, error_covariance
-from quadpi_core.records import Records
+from quadpi_core.records import Records, record_dtype
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.vehicle import Vehicle
 
@@ -70,7 +70,7 @@ class RolloutFlight:
     @classmethod
     def of(cls, flight: Flight, vehicle: Vehicle) -> RolloutFlight:
         """Of a flight that passed its low-pass, thinned to about 100 Hz."""
-        motion = np.zeros(len(flight), MOTION)
+        motion = np.zeros(len(flight), record_dtype(MotionSample, vehicle.rotor_count))
         motion["velocity"] = relative_to_air(flight.velocity, flight.attitude, flight.wind)
         motion["rates"] = flight.rates
         motion["angular_acceleration"] = flight.angular_acceleration
@@ -172,8 +172,13 @@ class RolloutModel:
         """Refuse a vehicle whose rotors are at other places than those that the model was fitted with.
 
         Raises:
-            ModelError: naming the first rotor that is.
+            ModelError: naming the first rotor that is, or the numbers of rotors where they differ.
         """
+        own, count = int(self.vehicle["rotors"][0]), vehicle.rotor_count
+        if own != count:
+            raise ModelError(
+                f"was identified with {own} rotors, vehicle {vehicle.name} has {count}; identify it again"
+            )
         apart = np.linalg.norm(self.vehicle["positions"][0] - vehicle.rotor_positions, axis=1)
         if np.any(elsewhere := apart > _SAME_PLACE_M):
             rotor = int(np.argmax(elsewhere))

@@ -11,9 +11,9 @@ import numpy as np
 
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
-from quadpi_core.models.physical_regressors import PHYSICAL_VEHICLE, control_signs
+from quadpi_core.models.physical_regressors import PhysicalVehicle, control_signs
 from quadpi_core.models.physical_terms import TERM_INDEX, TERMS
-from quadpi_core.records import Records
+from quadpi_core.records import ROTORS_MAX, Records, record_dtype
 
 
 class StoredBody(NamedTuple):
@@ -36,7 +36,7 @@ class StoredBody(NamedTuple):
         return {
             values: self.values,
             "covariance": np.ascontiguousarray(self.covariance),
-            "vehicle": self.vehicle.view(np.float64).copy(),
+            "vehicle": _stored_vehicle(self.vehicle),
             "inertia": np.ascontiguousarray(self.inertia),
         }
 
@@ -50,10 +50,10 @@ class StoredBody(NamedTuple):
         require_known(names)
         order, count = [TERM_INDEX[name] for name in names], len(names)
         shapes = {values: (count,), "covariance": (count, count), "inertia": (3, 3)}
-        require_arrays(arrays, {**shapes, "vehicle": (PHYSICAL_VEHICLE.itemsize // 8,)})
+        require_arrays(arrays, shapes)
         parameters, covariance = np.zeros(len(TERMS)), np.zeros((len(TERMS), len(TERMS)))
         parameters[order], covariance[np.ix_(order, order)] = arrays[values], arrays["covariance"]
-        vehicle = np.ascontiguousarray(arrays["vehicle"]).view(PHYSICAL_VEHICLE)
+        vehicle = _read_vehicle(arrays)
         if np.any(np.diag(covariance) < 0.0):
             raise ModelError("covariance: a negative variance")
         for name in ("mass", "reference_thrust", "disc"):
@@ -64,6 +64,25 @@ class StoredBody(NamedTuple):
         if not np.allclose(inertia, inertia.T) or np.any(np.linalg.eigvalsh(inertia) <= 0.0):
             raise ModelError("inertia: not that of a body")
         return cls(parameters, covariance, vehicle, inertia)
+
+
+def _stored_vehicle(vehicle: Records) -> Array:
+    """Mass, reference thrust, disc, places and spins of a PHYSICAL_VEHICLE (1,): (3 + 4 rotors,)."""
+    numbers = [vehicle[name].ravel() for name in ("mass", "reference_thrust", "disc", "positions", "spins")]
+    return np.concatenate(numbers)
+
+
+def _read_vehicle(arrays: Mapping[str, Array]) -> Records:
+    """What :func:`_stored_vehicle` gave."""
+    count = (np.size(arrays.get("vehicle", ())) - 3) // 4
+    if not 1 <= count <= ROTORS_MAX:
+        count = 4
+    require_arrays(arrays, {"vehicle": (3 + 4 * count,)})
+    numbers, vehicle = arrays["vehicle"], np.zeros(1, record_dtype(PhysicalVehicle, count))
+    vehicle["mass"], vehicle["reference_thrust"], vehicle["disc"] = numbers[:3]
+    vehicle["rotors"], vehicle["spins"] = count, numbers[3 + 3 * count :]
+    vehicle["positions"] = numbers[3 : 3 + 3 * count].reshape(count, 3)
+    return vehicle
 
 
 def require_known(names: Sequence[str]) -> None:

@@ -138,6 +138,7 @@ class Alarm:
             "health_in_flight": ACTIVE if limits.calibrated else UNCALIBRATED,
         }.items():
             self.limits[name] = values
+        self.limits["rotors"]["rotors"] = 4
         if vehicle is not None:
             geometry = rotor_geometry(vehicle, limits.hover_rotor_speed)
             for name, number in zip(self.limits.dtype["rotors"].names or (), geometry, strict=True):
@@ -192,6 +193,7 @@ class Alarm:
         row = self.state["row"].copy()
         bad_data = CAUSES.index(BAD_DATA)
         row["time_ns"], row["faults"], row["why_not_judged"] = time_ns, 0, NO_SAMPLES
+        row["more_faults"] = 0
         row["level"] = row["cause_level"][:, bad_data] = LEVEL_ALARM
         row["causes"] |= BAD_DATA
         row["cause_health"] = UNAVAILABLE

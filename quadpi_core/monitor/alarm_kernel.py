@@ -13,6 +13,7 @@ from quadpi_core.core import compiled
 from quadpi_core.flight import AXES, NO_STAMP
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
+from quadpi_core.monitor.data_quality import MoreFaults
 from quadpi_core.monitor.ground import Ground
 from quadpi_core.monitor.rotor_thrust import RotorGeometry, RotorThrust
 from quadpi_core.records import Records, record_dtype
@@ -72,6 +73,7 @@ class Row:
     input_score: _PerInput
     input_excess: _PerInput
     faults: int
+    more_faults: MoreFaults
     stopped: int  # bit per rotor
     why_not_judged: int  # of `quadpi_core.results.WHY_NOT_JUDGED`, or JUDGED
     not_judged_share: float  # of the time since the first sample
@@ -96,6 +98,7 @@ class State:
     settled: bool  # whether the misses of the last usable sample counted
     reported_inputs: int  # bits of the inputs outside that rows have reported since the level was last ok
     reported_faults: int  # the same for faults
+    reported_more_faults: MoreFaults
 
 
 LIMITS, ROW, STATE = record_dtype(Limits), record_dtype(Row), record_dtype(State)

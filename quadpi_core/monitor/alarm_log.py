@@ -14,6 +14,7 @@ from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.models.envelope import LEVERAGE_HEADROOM, WIDTH_HEADROOM
 from quadpi_core.monitor.alarm_kernel import WARNING_CHARGE
 from quadpi_core.monitor.data_quality import fault_words
+from quadpi_core.records import ROTORS_MAX
 from quadpi_core.results import (
     BAD_DATA,
     CARRIED,
@@ -29,7 +30,6 @@ from quadpi_core.results import (
     Alarms,
     Events,
 )
-from quadpi_core.vehicle import ROTORS
 
 # Inputs or axes named of each kind of evidence, the strongest.
 _MOST = 3
@@ -105,13 +105,13 @@ def reasons(alarms: Alarms, row: int, causes: int | None = None) -> tuple[str, .
             far = np.where((ratios > headroom) | (scores > 1.0), ratios, 0.0)
             words += [f"{AXES[k]} {name} {far[k]:.1f} x its peak in training" for k in _beyond(far, 0.0)]
     if wanted & MISCOVERAGE:
-        words += [f"rotor {k + 1} stopped" for k in range(ROTORS) if alarms.stopped[row] & 1 << k]
+        words += [f"rotor {k + 1} stopped" for k in range(ROTORS_MAX) if alarms.stopped[row] & 1 << k]
         words += [
             f"{AXES[k]} outside its interval {100.0 * alarms.miss_share[row, k]:.0f} % of the time"
             for k in _beyond(alarms.miscoverage[row], WARNING_CHARGE)
         ]
     if wanted & BAD_DATA:
-        words += fault_words(int(alarms.faults[row]))
+        words += fault_words(int(alarms.faults[row]), alarms.more_faults[row].tolist())
     why = int(alarms.why_not_judged[row])
     if causes is None and why != JUDGED:
         of_what = "coverage not judged" if why == SETTLES else "not judged"

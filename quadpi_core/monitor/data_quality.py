@@ -4,7 +4,7 @@
 
 Some faults make a sample unusable: it is not finite, not plausible, or its stamp does not advance. The others
 are reported of samples that are used: a sensor that repeats its reading for longer than noise allows, a rotor
-whose speed contradicts the other three.
+whose speed contradicts the others.
 
 The yaw moment of four rotors in flight is small, so the squared speeds of those turning one way and of those
 turning the other have about the same sum. A rotor reads half its speed where these sums differ, its own speed
@@ -13,23 +13,27 @@ is far below that of the others, and doubling its reading makes the sums agree.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Annotated, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
 from quadpi_core.core import compiled
 from quadpi_core.flight import NO_STAMP
 from quadpi_core.frames import Array
-from quadpi_core.records import Records, Vector3, record_dtype
+from quadpi_core.records import ROTORS_MAX, PerRotor, Records, Vector3, record_dtype
 from quadpi_core.thresholds import Threshold
-from quadpi_core.vehicle import ROTORS, Vehicle
+from quadpi_core.vehicle import Vehicle
 
 NOT_FINITE, NOT_PLAUSIBLE = compiled.NOT_FINITE, compiled.NOT_PLAUSIBLE
 STAMP_REPEATED, STAMP_BACKWARD, GAP = compiled.STAMP_REPEATED, compiled.STAMP_BACKWARD, compiled.GAP
 STATE_MISSING, ROTORS_MISSING = compiled.STATE_MISSING, compiled.ROTORS_MISSING
 GYRO_FROZEN, ACCELEROMETER_FROZEN = compiled.GYRO_FROZEN, compiled.ACCELEROMETER_FROZEN
-# One bit per rotor from each of these on.
+# One bit per rotor from each of these on, for rotors 1 to 4. Of `more_faults` the first has the bits of
+# rotors 5 to 8 at the same places, the second those of rotors 9 to 12.
+MoreFaults: TypeAlias = Annotated[npt.NDArray[np.int64], 2]
+_OF_WORD = 4
 ROTOR_FROZEN, ROTOR_HALF, ROTOR_JUMPS = compiled.ROTOR_FROZEN, compiled.ROTOR_HALF, compiled.ROTOR_JUMPS
 ROTOR_DIFFERS, ROTOR_ZERO = compiled.ROTOR_DIFFERS, compiled.ROTOR_ZERO
 # The IMU's rate.
@@ -46,12 +50,11 @@ FINE_STEP = Threshold(
     "24 real flights of five vehicles, in steps of 0 to 0.05 %",
 )
 
-PerRotor: TypeAlias = Annotated[Array, ROTORS]
-
 
 class Quality:
     """What the checks know of the vehicle, and remember of the samples."""
 
+    rotors: int
     rotor_speed_max: float  # rad/s, beyond which a reading is not plausible
     rotor_spins: PerRotor  # ±1
     frozen_after_s: float  # for which an inertial sensor may repeat a reading
@@ -65,8 +68,8 @@ class Quality:
     rotor_speeds: PerRotor
     rotor_still_s: PerRotor
     # Of all rotors, since each of them has not changed.
-    rotors_lowest: Annotated[Array, ROTORS, ROTORS]
-    rotors_highest: Annotated[Array, ROTORS, ROTORS]
+    rotors_lowest: Annotated[Array, ROTORS_MAX, ROTORS_MAX]
+    rotors_highest: Annotated[Array, ROTORS_MAX, ROTORS_MAX]
     # The last reading that a rotor held, for how long it has not, and the smallest step between two [rad/s].
     rotor_held: PerRotor
     rotor_moves_s: PerRotor
@@ -79,7 +82,8 @@ def quality(vehicle: Vehicle, rate_hz: float) -> Records:
     """The :class:`Quality` (1,) of a vehicle, and the sample rate of its IMU, before the first sample."""
     memory = np.zeros(1, record_dtype(Quality))
     memory["rotor_speed_max"] = vehicle.rotor_speed_spike_rad_s
-    memory["rotor_spins"] = vehicle.rotor_spins
+    memory["rotors"] = vehicle.rotor_count
+    memory["rotor_spins"][:, : vehicle.rotor_count] = vehicle.rotor_spins
     memory["frozen_after_s"] = frozen_s(rate_hz)
     memory["rotor_step"] = np.inf
     memory["previous_ns"] = memory["followed_ns"] = NO_STAMP
@@ -91,8 +95,8 @@ def frozen_s(rate_hz: float) -> float:
     return max(_FROZEN_S, _FROZEN_SAMPLES / rate_hz)
 
 
-def fault_words(faults: int) -> Iterator[str]:
-    """What the bits of faults mean, in plain words."""
+def fault_words(faults: int, more: Iterable[int] = ()) -> Iterator[str]:
+    """What the bits of faults, and of those of more rotors than four, mean, in plain words."""
     words = {
         NOT_FINITE: "sample not finite",
         NOT_PLAUSIBLE: "sample not plausible",
@@ -118,6 +122,6 @@ def fault_words(faults: int) -> Iterator[str]:
         (ROTOR_DIFFERS, "differs from the others"),
         (ROTOR_ZERO, "reads 0"),
     ):
-        for rotor in range(ROTORS):
-            if faults & first << rotor:
-                yield f"rotor {rotor + 1} {text}"
+        every = [bits & first << k for bits in (faults, *more) for k in range(_OF_WORD)]
+        for rotor in np.flatnonzero(every).tolist():
+            yield f"rotor {rotor + 1} {text}"

@@ -28,7 +28,7 @@ from quadpi_core.monitor.pairing import PairedSamples
 from quadpi_core.monitor.preparation import Preparation, Prepared
 from quadpi_core.records import Records
 from quadpi_core.results import Alarms, Events, Predictions
-from quadpi_core.signals.chain import CHANNELS
+from quadpi_core.signals.chain import channels
 from quadpi_core.vehicle import Vehicle
 
 
@@ -109,6 +109,7 @@ class Monitor:
         settings = MonitorSettings() if settings is None else settings
         array_checks.instance("settings", settings, MonitorSettings)
         self.vehicle = vehicle
+        self._channels = channels(vehicle.rotor_count)
         self.preparation = Preparation(vehicle, rate_hz, model.cutoff_hz)
         self._alarm = Alarm(
             model.envelope,
@@ -141,17 +142,17 @@ class Monitor:
 
         Args:
             time_ns: (K,) stamps.
-            values: (K, 20), see :class:`quadpi_core.monitor.pairing.PairedSamples`.
+            values: (K, 16 + rotors), see :class:`quadpi_core.monitor.pairing.PairedSamples`.
             conditions: (K,) of :func:`.conditions.conditions`, where more is known of the samples.
 
         Raises:
             ArgumentError: for arrays of other shapes, another number of stamps than rows, and stamps that are
                 no whole nanoseconds.
         """
-        if not array_checks.are_samples(time_ns, values, CHANNELS):
+        if not array_checks.are_samples(time_ns, values, self._channels):
             time_ns = array_checks.stamps("time_ns", time_ns)
             values = array_checks.floats(
-                "values", values, CHANNELS, rows=len(time_ns), of="time_ns", finite=False
+                "values", values, self._channels, rows=len(time_ns), of="time_ns", finite=False
             )
         if conditions is None:
             return self._step(time_ns, values)

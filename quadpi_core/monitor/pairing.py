@@ -26,12 +26,12 @@ from quadpi_core.monitor.health import Arrived
 from quadpi_core.monitor.pairing_kernel import CONTINUES, IMU, ROTORS, STATE, TOPICS, WIND_TOPIC, Arriving
 from quadpi_core.signals.chain import (
     ATTITUDE,
-    CHANNELS,
     RATES,
     ROTOR_SPEEDS,
     SPECIFIC_FORCE,
     VELOCITY,
     WIND,
+    channels,
 )
 
 # How long, in stamps, an IMU sample waits for its state and rotor speed; live and in replay.
@@ -45,9 +45,9 @@ class PairedSamples(NamedTuple):
 
     Attributes:
         time_ns: (K,) stamps.
-        values: (K, 20) channels of :mod:`quadpi_core.signals.chain`: velocity over ground m/s, body axes;
-            attitude body to world; rates rad/s; specific force m/s², body axes; rotor speeds rad/s; wind m/s,
-            world.
+        values: (K, 16 + rotors) channels of :mod:`quadpi_core.signals.chain`: velocity over ground m/s, body
+            axes; attitude body to world; rates rad/s; specific force m/s², body axes; rotor speeds rad/s;
+            wind m/s, world.
     """
 
     time_ns: Stamps
@@ -96,7 +96,7 @@ class PairedSamples(NamedTuple):
 
     @property
     def rotor_speeds(self) -> Array:
-        """(K, 4) view."""
+        """(K, rotors) view."""
         return self.values[:, ROTOR_SPEEDS]
 
     @property
@@ -148,19 +148,28 @@ class Pairing:
         timeout_s: how far, in stamps, the IMU may run ahead of an incomplete sample before it is given up.
         capacity: samples kept per topic; the oldest makes room.
         rate_hz: of the IMU, as the user gives it; 0 where its stamps alone count.
+        rotors: of the vehicle.
 
     Attributes:
         rate: of the IMU, by its stamps up to the last :meth:`take`; the samples taken have it.
     """
 
-    def __init__(self, timeout_s: float = TIMEOUT_S, capacity: int = CAPACITY, rate_hz: float = 0.0) -> None:
+    def __init__(
+        self,
+        timeout_s: float = TIMEOUT_S,
+        capacity: int = CAPACITY,
+        rate_hz: float = 0.0,
+        rotors: int = 4,
+    ) -> None:
         self._given_hz = rate_hz
         self._state = np.zeros(1, kernel.PAIRING_STATE)
+        self._state["rotors"] = rotors
         self._state["timeout_ns"] = round(timeout_s * 1e9)
         for stamps in (self._state["tracks"]["newest_ns"], self._state["newest_ns"], self._state["last_ns"]):
             stamps[:] = NO_STAMP
         self._rings = np.zeros((TOPICS, capacity), kernel.ENTRY)
         self._compiled = compiled.Pairing(kernel.Arrays(self._state, self._rings))
+        self._channels = channels(rotors)
         self.rate = ImuRate.of(self._state["meter"], rate_hz)
         # How many samples :meth:`take` may give; −1 where it has nothing to do.
         self._due = -1
@@ -198,7 +207,7 @@ class Pairing:
         self._due = compiled.add_estimate(self._compiled, time_ns, motion)
 
     def add_rotor_speeds(self, time_ns: int, speeds: Array) -> None:
-        """Take one sample of the rotor speeds (4,) rad/s."""
+        """Take one sample of the rotor speeds (rotors,) rad/s."""
         self._due = compiled.add_sample(self._compiled, ROTORS, time_ns, speeds)
 
     def add_wind(self, time_ns: int, velocity: Array) -> None:
@@ -230,7 +239,7 @@ class Pairing:
         """
         arriving = Arriving._make(map(np.ascontiguousarray, arriving))
         room = np.count_nonzero(arriving.kind == IMU) + int(self._state["tracks"][0, IMU]["count"])
-        taken_ns, taken = np.empty(room, dtype=np.int64), np.empty((room, CHANNELS))
+        taken_ns, taken = np.empty(room, dtype=np.int64), np.empty((room, self._taken.shape[1]))
         state_count = np.cumsum(arriving.kind == STATE)
         stretches: list[Stretch] = []
         start, begin, filled, states = 0, CONTINUES, 0, 0

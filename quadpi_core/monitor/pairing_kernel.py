@@ -9,13 +9,13 @@ from typing import Annotated, NamedTuple
 from quadpi_core.estimator.imu_rate import Meter
 from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
-from quadpi_core.records import Records, record_dtype
+from quadpi_core.records import ROTORS_MAX, Records, record_dtype
 from quadpi_core.signals.chain import RATES
 
 # The topics.
 IMU, STATE, ROTORS, WIND_TOPIC, TOPICS = 0, 1, 2, 3, 4
-# A state has the most numbers: the first signals of a sample.
-_WIDEST = RATES.stop
+# A state, the first signals of a sample, or many rotors have the most numbers.
+_WIDEST = max(RATES.stop, ROTORS_MAX)
 # How a stretch begins: where the previous one ended; with a stamp more than MAX_JUMP_BACK_NS before the
 # newest; with one that far before the stamp of the previous sample, as the IMU's clock was set back.
 CONTINUES, STEPS_BACK, SET_BACK = 0, 1, 2
@@ -29,7 +29,7 @@ class Arriving(NamedTuple):
         row: (E,) its row in the arrays of that topic.
         imu_ns, specific_force: (N,), (N, 3).
         state_ns, states: (S,), (S, 10) velocity, attitude and rates; see :meth:`.pairing.Pairing.add_state`.
-        rotor_ns, rotor_speeds: (R,), (R, 4).
+        rotor_ns, rotor_speeds: (R,), (R, rotors).
         wind_ns, wind: (W,), (W, 3).
     """
 
@@ -65,6 +65,7 @@ class PairingState:
 
     tracks: Annotated[Records, Track, TOPICS]
     meter: Meter
+    rotors: int
     timeout_ns: int
     # Of the IMU: the newest stamp since one stepped back, and that of the last sample. Of replays only.
     newest_ns: int

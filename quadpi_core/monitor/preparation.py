@@ -15,20 +15,21 @@ from quadpi_core.core import compiled
 from quadpi_core.estimator.imu_rate import RATE_BEFORE_HZ, ImuRate
 from quadpi_core.flight import AXES, Stamps
 from quadpi_core.frames import Array
-from quadpi_core.inputs import DERIVATIVES, INPUT_NAMES, VehicleConstants, vehicle_constants
+from quadpi_core.inputs import INPUT_NAMES, Derivatives, VehicleConstants, derivatives_like, vehicle_constants
 from quadpi_core.monitor.conditions import STATE_ERRORS
 from quadpi_core.monitor.data_quality import (
     RATE_DIFFERS,
     RATE_LOW,
     RATE_UNKNOWN,
+    MoreFaults,
     Quality,
     frozen_s,
     quality,
 )
-from quadpi_core.records import Records, Vector3, record_dtype
-from quadpi_core.signals.chain import CHANNELS, ChainMemory
+from quadpi_core.records import ROTORS_MAX, PerRotor, Records, Vector3, record_dtype
+from quadpi_core.signals.chain import ChainMemory, channels
 from quadpi_core.signals.filters import SETTLING_PERIODS, LowPass, design_low_pass
-from quadpi_core.vehicle import ROTORS, Vehicle
+from quadpi_core.vehicle import Vehicle
 
 SETTLE_NS = compiled.SETTLE_NS
 
@@ -44,6 +45,7 @@ class Verdict:
 
     time_ns: int
     faults: int  # bits of what is wrong, see :mod:`quadpi_core.monitor.data_quality`
+    more_faults: MoreFaults  # of rotors 5 to 12
     usable: bool
     # Bit per rotor without a reading, in a sample that is usable but for these: the last ones hold.
     absent: int
@@ -52,7 +54,7 @@ class Verdict:
     velocity: Vector3  # over ground, m/s, world axes
     rates: Vector3  # rad/s
     specific_force: Vector3  # m/s², body axes
-    rotor_speeds: Annotated[Array, ROTORS]  # rad/s
+    rotor_speeds: PerRotor  # rad/s
 
 
 class Memory:
@@ -72,9 +74,13 @@ class Memory:
 # What the rows of the other arrays go by, in the words of a refusal.
 _USABLE = "usable verdicts"
 
-VERDICT, MEMORY = record_dtype(Verdict), record_dtype(Memory)
+MEMORY = record_dtype(Memory)
+# Of four rotors.
+VERDICT = record_dtype(Verdict, 4)
+# Filtered signals, which the core alone reads, have room for all rotors.
+_CHANNELS = channels(ROTORS_MAX)
 ERRING_COLUMNS = STATE_ERRORS * 2 * len(INPUT_NAMES)
-_NOT_ERRING, _NOT_ASKED = np.empty((0, ERRING_COLUMNS)), np.empty((0, CHANNELS))
+_NOT_ERRING, _NOT_ASKED = np.empty((0, ERRING_COLUMNS)), np.empty((0, _CHANNELS))
 
 
 class Prepared(NamedTuple):
@@ -106,14 +112,18 @@ class Prepared(NamedTuple):
         Raises:
             ArgumentError: naming the array that does not.
         """
-        verdicts = array_checks.records("verdicts", self.verdicts, VERDICT, finite=False)
+        derivatives = derivatives_like(self.derivatives)
+        rotors = derivatives["rotor_speeds"].shape[0]
+        verdicts = array_checks.records(
+            "verdicts", self.verdicts, record_dtype(Verdict, rotors), finite=False
+        )
         usable = int(np.count_nonzero(verdicts["usable"]))
         return Prepared(
             verdicts,
             array_checks.floats("inputs", self.inputs, len(INPUT_NAMES), rows=usable, of=_USABLE),
             array_checks.floats("measured", self.measured, len(AXES), rows=usable, of=_USABLE),
             array_checks.stamps("usable_ns", self.usable_ns, rows=usable, of=_USABLE),
-            array_checks.records("derivatives", self.derivatives, DERIVATIVES, rows=usable, of=_USABLE),
+            array_checks.records("derivatives", self.derivatives, derivatives, rows=usable, of=_USABLE),
             self._checked_erring(usable),
         )
 
@@ -152,6 +162,8 @@ class Preparation:
 
     def __init__(self, vehicle: Vehicle, rate_hz: float | None, cutoff_hz: float) -> None:
         self._vehicle = vehicle
+        self._verdict = record_dtype(Verdict, vehicle.rotor_count)
+        self._derivatives = record_dtype(Derivatives, vehicle.rotor_count)
         self._cutoff_hz = cutoff_hz
         self._rate: ImuRate | None = None
         self._quality_hz = rate_hz or RATE_BEFORE_HZ
@@ -188,10 +200,10 @@ class Preparation:
     def step(self, time_ns: Stamps, values: Array, conditions: Records | None = None) -> Prepared:
         """Take K samples; see :meth:`quadpi_core.monitor.Monitor.step`."""
         count = len(time_ns)
-        verdicts = np.zeros(count, VERDICT)
+        verdicts = np.zeros(count, self._verdict)
         inputs, measured = np.empty((count, len(INPUT_NAMES))), np.empty((count, len(AXES)))
-        derivatives = np.empty(count, DERIVATIVES)
-        filtered = _NOT_ASKED if conditions is None else np.empty((count, CHANNELS))
+        derivatives = np.empty(count, self._derivatives)
+        filtered = _NOT_ASKED if conditions is None else np.empty((count, _CHANNELS))
         used = compiled.prepare(
             self.memory, time_ns, values, verdicts, inputs, measured, derivatives, filtered
         )

@@ -270,8 +270,9 @@ def follow(flight: RecordedFlight, vehicle: Vehicle, ekf: Ekf | None = None) -> 
         ekf = Ekf(vehicle)
     spans, started, measured = Spans(), False, False
     rates = RunningRates()
-    meeting = Pairing()
+    meeting = Pairing(rotors=vehicle.rotor_count)
     for block in flight.blocks:
+        block.require_rotors(vehicle.name, vehicle.rotor_count)
         rates.add(block)
         odometry, state_of, states = block.odometry, None, None
         imu = _Imu(block.imu.time_ns, with_gyro_faults(block.imu).specific_force, np.arange(len(block.imu)))

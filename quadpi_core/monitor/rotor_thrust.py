@@ -18,10 +18,9 @@ import numpy as np
 
 from quadpi_core.core import compiled
 from quadpi_core.frames import Array
-from quadpi_core.monitor.data_quality import PerRotor
-from quadpi_core.records import Vector3
+from quadpi_core.records import ROTORS_MAX, PerRotor, Vector3
 from quadpi_core.thresholds import Threshold
-from quadpi_core.vehicle import ROTORS, Vehicle
+from quadpi_core.vehicle import Vehicle
 
 _CUTS = "simulated motor cuts of the Bebop 2, and 70 real flights without any"
 _TAKEN_AWAY = "simulated motor cuts, and 14 INDIflight flights of up to 10 m/s, readings taken away"
@@ -81,9 +80,10 @@ _LEAST_SHARE = 0.3
 class RotorGeometry:
     """What is known of the rotors."""
 
+    rotors: int
     thrust_per_square: float  # N/(rad/s)², from hover; 0 where unknown: then no rotor is called stopped
     least_square: float  # (rad/s)², below which a rotor's thrust is too small to be missed
-    lever: Annotated[Array, ROTORS, 3]  # change of Fz, Mx, My per newton that a rotor loses: 1, m, m
+    lever: Annotated[Array, ROTORS_MAX, 3]  # change of Fz, Mx, My per newton that a rotor loses: 1, m, m
 
 
 class RotorThrust:
@@ -101,11 +101,11 @@ class RotorThrust:
     zeros: int  # bit per rotor whose last such reading was a 0
 
 
-def rotor_geometry(vehicle: Vehicle, hover_rotor_speed: float) -> tuple[float, float, Array]:
+def rotor_geometry(vehicle: Vehicle, hover_rotor_speed: float) -> tuple[int, float, float, Array]:
     """The fields of :class:`RotorGeometry`."""
-    square = hover_rotor_speed * hover_rotor_speed
+    square, rotors = hover_rotor_speed * hover_rotor_speed, vehicle.rotor_count
+    thrust = vehicle.mass_kg * vehicle.gravity_m_s2 / (rotors * square) if square > 0.0 else 0.0
+    lever = np.zeros((ROTORS_MAX, 3))
     x, y = vehicle.rotor_positions[:, 0], vehicle.rotor_positions[:, 1]
-    # A rotor on an axis shows in one moment alone.
-    tells = square > 0.0 and bool(np.all(x * y != 0.0))
-    thrust = vehicle.mass_kg * vehicle.gravity_m_s2 / (ROTORS * square) if tells else 0.0
-    return thrust, _LEAST_SHARE * square, np.stack((np.ones(ROTORS), y, -x), axis=1)
+    lever[:rotors] = np.stack((np.ones(rotors), y, -x), axis=1)
+    return rotors, thrust, _LEAST_SHARE * square, lever

@@ -148,6 +148,11 @@ def findings(recording: Recording, vehicle: Vehicle | None) -> Iterator[Finding]
         return
     if rotors is not None and turned is not None:
         rotors = replace(rotors, rates=rotors.rates @ turned.T)
+    if vehicle.rotor_count != ROTORS:
+        yield _of_rotors(
+            "rotors not checked",
+            f"order, places and spins of {vehicle.rotor_count} rotors are not checked: those of four are",
+        )
     evidence = None if rotors is None else rotor_evidence(rotors, vehicle)
     if evidence is not None:
         yield from _rotor_findings(recording, evidence, vehicle)

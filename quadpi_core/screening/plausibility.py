@@ -89,6 +89,7 @@ def check_plausible(
     Raises:
         LogError: naming file and topic, and what the numbers look like.
     """
+    recording.require_rotors(vehicle.name, vehicle.rotor_count)
     for problem in implausibilities(recording, vehicle, beyond):
         raise LogError(f"{recording.source}: {problem}")
 

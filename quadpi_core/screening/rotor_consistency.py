@@ -167,7 +167,9 @@ class RotorEvidence:
 
 
 def rotor_evidence(sample: RotorExcerpt, vehicle: Vehicle) -> RotorEvidence | None:
-    """Compare rotor speeds and motion of an excerpt; None if the rotors never turn."""
+    """Compare rotor speeds and motion of an excerpt; None if the rotors never turn, or are not four."""
+    if vehicle.rotor_count != ROTORS:
+        return None
     inside = slice(sample.margin, sample.margin + sample.rates.shape[1])
     level = sample.squares[:, inside].sum(axis=2).mean(axis=1)
     if level.max() <= 0.0:

@@ -10,24 +10,19 @@ import numpy as np
 
 from quadpi_core.core import compiled
 from quadpi_core.frames import Array
-from quadpi_core.records import Quaternion4, Vector3, columns_of
+from quadpi_core.records import ROTORS_MAX, Quaternion4
 from quadpi_core.signals.filters import DELAYS, SECTIONS, zero_phase
-from quadpi_core.vehicle import ROTORS
+
+# Columns of the signals of a sample, offline and live: velocity over ground [m/s] in body axes, attitude body
+# to world, rates [rad/s], specific force [m/s²] in body axes, rotor speeds [rad/s], as many as the vehicle
+# has rotors, and wind [m/s] in the world.
+VELOCITY, ATTITUDE, RATES, SPECIFIC_FORCE = slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 13)
+ROTOR_SPEEDS, WIND = slice(13, -3), slice(-3, None)
 
 
-class Signals:
-    """The signals of a sample, offline and live. The low-pass takes them as one row of numbers."""
-
-    velocity: Vector3  # m/s over ground, body axes
-    attitude: Quaternion4  # body to world
-    rates: Vector3  # rad/s
-    specific_force: Vector3  # m/s², body axes
-    rotor_speeds: Annotated[Array, ROTORS]  # rad/s
-    wind: Vector3  # m/s, world
-
-
-VELOCITY, ATTITUDE, RATES, SPECIFIC_FORCE, ROTOR_SPEEDS, WIND = columns_of(Signals)
-CHANNELS = WIND.stop
+def channels(rotors: int) -> int:
+    """Number of columns of the signals of a vehicle with so many rotors."""
+    return 16 + rotors
 
 
 class FilteredSignals(NamedTuple):
@@ -38,7 +33,7 @@ class FilteredSignals(NamedTuple):
         attitude: (K, 4) body to world, of unit norm.
         rates: (K, 3) rad/s.
         specific_force: (K, 3) m/s², body axes.
-        rotor_speeds: (K, 4) rad/s.
+        rotor_speeds: (K, rotors) rad/s.
         wind: (K, 3) m/s, world.
         angular_acceleration: (K, 3) rad/s², the derivative of `rates`.
     """
@@ -55,7 +50,8 @@ class FilteredSignals(NamedTuple):
 class ChainMemory:
     """What the causal low-pass over all signals remembers; all zeros before the first sample."""
 
-    delays: Annotated[Array, SECTIONS, DELAYS, CHANNELS]
+    # Of a vehicle with fewer rotors, its channels one after the other, and the rest unused.
+    delays: Annotated[Array, SECTIONS, DELAYS, channels(ROTORS_MAX)]
     attitude: Quaternion4  # the last one, with the sign that it was filtered with
     started: bool
 

@@ -17,10 +17,9 @@ import numpy as np
 
 from quadpi_core.core import compiled
 from quadpi_core.frames import Array
-from quadpi_core.linear_algebra import inverse
+from quadpi_core.linear_algebra import pseudo_inverse
 from quadpi_core.records import Records
 from quadpi_core.thresholds import CONVENTION, Threshold
-from quadpi_core.vehicle import ROTORS
 
 TILT_MAX_DEG = Threshold(
     "largest tilt of a path",
@@ -57,10 +56,11 @@ class Controls(NamedTuple):
 
     Attributes:
         nominal: record VEHICLE (1,).
-        allocation: (4, 4) squares of the rotor speeds from thrust and moments.
-        effectiveness: (4, 4) its inverse.
+        allocation: (ROTORS_MAX, 4) squares of the rotor speeds from thrust and moments.
+        effectiveness: (4, ROTORS_MAX) whose inverse it is, of other numbers of rotors than four its
+            pseudo-inverse.
         disturbance: (6,) wrench of the last instant less that of the rotors in hover.
-        command: (4,) commanded rotor speeds [rad/s].
+        command: (ROTORS_MAX,) commanded rotor speeds [rad/s].
     """
 
     nominal: Records
@@ -75,15 +75,15 @@ class Controls(NamedTuple):
 
         Args:
             nominal: record VEHICLE (1,).
-            effectiveness: (4, 4) change of thrust and moments by the squared speed of each rotor, in hover.
+            effectiveness: (4, rotors) change of thrust and moments by the squared speed of each rotor, in
+                hover.
         """
-        return cls(
-            nominal=nominal,
-            allocation=inverse(effectiveness),
-            effectiveness=effectiveness,
-            disturbance=np.zeros(6),
-            command=np.full(ROTORS, float(nominal[0]["hover_rotor_speed"])),
-        )
+        rotors = effectiveness.shape[1]
+        allocation, padded = np.zeros((ROTORS_MAX, 4)), np.zeros((4, ROTORS_MAX))
+        allocation[:rotors], padded[:, :rotors] = pseudo_inverse(effectiveness), effectiveness
+        command = np.zeros(ROTORS_MAX)
+        command[:rotors] = nominal[0]["hover_rotor_speed"]
+        return cls(nominal, allocation, padded, np.zeros(6), command)
 
 
 def observe(controls: Controls, state: Records) -> None:

@@ -16,9 +16,9 @@ import numpy as np
 from quadpi_core.core import compiled
 from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
-from quadpi_core.records import Quaternion4, Records, Vector3, record_dtype
+from quadpi_core.records import PerRotor, Quaternion4, Records, Vector3, record_dtype
 from quadpi_core.simulation.controller import Controls, Demand
-from quadpi_core.simulation.state_records import MEMORY, STATE
+from quadpi_core.simulation.state_records import MEMORY, State
 from quadpi_core.simulation.wrench_functions import AddedEffect, Law, called_on
 from quadpi_core.thresholds import CONVENTION, Threshold
 
@@ -33,8 +33,8 @@ class Motion:
     velocity: Vector3
     attitude: Quaternion4
     rates: Vector3
-    rotor_speeds: Annotated[Array, 4]
     memory: Annotated[Array, MEMORY]
+    rotor_speeds: PerRotor
 
 
 class Logged:
@@ -46,12 +46,13 @@ class Logged:
     rates: Vector3
     acceleration: Vector3
     angular_acceleration: Vector3
-    rotor_speeds: Annotated[Array, 4]
-    rotor_accelerations: Annotated[Array, 4]
+    rotor_speeds: PerRotor
+    rotor_accelerations: PerRotor
     wrench: Annotated[Array, 6]
 
 
-MOTION, LOGGED = record_dtype(Motion), record_dtype(Logged)
+# Of four rotors.
+MOTION, LOGGED = record_dtype(Motion, 4), record_dtype(Logged, 4)
 
 
 class Memory(NamedTuple):
@@ -70,11 +71,12 @@ class Memory(NamedTuple):
         cls, position: Array, velocity: Array, attitude: Array, rotor_speeds: Array, at_rest: Array
     ) -> Memory:
         """The memory with an initial state, without rotation; `at_rest` (6,) is that of an effect."""
-        motions = np.zeros(6, dtype=MOTION)
+        rotors = len(rotor_speeds)
+        motions = np.zeros(6, dtype=record_dtype(Motion, rotors))
         motions[0]["position"], motions[0]["velocity"] = position, velocity
         motions[0]["attitude"], motions[0]["rotor_speeds"] = attitude, rotor_speeds
         motions[0]["memory"] = at_rest
-        return cls(motions, np.zeros(1, dtype=STATE))
+        return cls(motions, np.zeros(1, dtype=record_dtype(State, rotors)))
 
 
 class Physics(NamedTuple):

@@ -220,11 +220,12 @@ def modulators(state: State, vehicle: VehicleNumbers) -> tuple[Array, ...]:
     induced, radius = vehicle.hover_induced_velocity, vehicle.rotor_radius
     u, v, w = state.velocity_air.T / induced
     p, q, r = state.rates.T
-    first, second, third, fourth = 0.25 * (state.rotor_speeds.T / vehicle.hover_rotor_speed) ** 2
+    squares = 1.0 / vehicle.rotors * (state.rotor_speeds.T / vehicle.hover_rotor_speed) ** 2
+    load: Array = sum(squares[1:], squares[0])
     speed = np.sqrt(u * u + v * v + w * w)
     turning = radius * np.sqrt(p * p + q * q + r * r)
     ground = radius / np.maximum(-state.position[:, 2], radius)
-    return speed, u, v, w, first + second + third + fourth, turning / induced, ground, w * w
+    return speed, u, v, w, load, turning / induced, ground, w * w
 
 
 def shaped(wrench: Wrench, state: State, vehicle: VehicleNumbers, shape: Array) -> Wrench:
@@ -239,7 +240,7 @@ def shaped(wrench: Wrench, state: State, vehicle: VehicleNumbers, shape: Array) 
 
 
 def at_hubs(vehicle: VehicleNumbers, fx: Component, fy: Component, fz: Component) -> Wrench:
-    """Wrench of forces (N, 4), or 0, at the hubs of the rotors, each with its moment r × F."""
+    """Wrench of forces (N, rotors), or 0, at the hubs of the rotors, each with its moment r × F."""
     x, y, z = vehicle.rotor_positions.T
 
     def total(force: Component, arm: Component = 1.0) -> Component:
@@ -250,14 +251,14 @@ def at_hubs(vehicle: VehicleNumbers, fx: Component, fy: Component, fz: Component
 
 
 def in_plane_speeds(state: State) -> Array:
-    """Airspeeds (N, 4) m/s of the hubs within the plane of their discs."""
+    """Airspeeds (N, rotors) m/s of the hubs within the plane of their discs."""
     u, v = state.hub_velocity[:, :, 0], state.hub_velocity[:, :, 1]
     speeds: Array = np.sqrt(u * u + v * v)
     return speeds
 
 
 def hub_heights(state: State, vehicle: VehicleNumbers) -> Array:
-    """Heights (N, 4) m of the hubs above the ground, negative below it."""
+    """Heights (N, rotors) m of the hubs above the ground, negative below it."""
     down = np.stack(world_to_body(state.attitude, 0.0, 0.0, 1.0), axis=1)
     below_centre = np.sum(down[:, None] * vehicle.rotor_positions, axis=2)
     heights: Array = -(state.position[:, 2, None] + below_centre)

@@ -18,9 +18,10 @@ from quadpi_core.errors import SimulationError, VehicleError
 from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
 from quadpi_core.linear_algebra import inverse, matrix_times
+from quadpi_core.records import record_dtype
 from quadpi_core.simulation.applied_effects import added_wind, altered_vehicle, compose, memory_at_rest
 from quadpi_core.simulation.controller import Controls, Demand
-from quadpi_core.simulation.dynamics import LOGGED, Memory, Physics, fly
+from quadpi_core.simulation.dynamics import Logged, Memory, Physics, fly
 from quadpi_core.simulation.effect_definition import Effects
 from quadpi_core.simulation.effect_registry import read_effects
 from quadpi_core.simulation.excursion import excursion
@@ -31,7 +32,7 @@ from quadpi_core.simulation.simulated_aerodynamics import SimulatedAerodynamics
 from quadpi_core.simulation.simulated_file import IdentifiedRange, read_simulation
 from quadpi_core.simulation.truth import LOG_HZ, STEP_HZ, Reference, Truth
 from quadpi_core.simulation.wrench_functions import Law
-from quadpi_core.vehicle import ROTORS, Vehicle
+from quadpi_core.vehicle import Vehicle
 
 # First stamp of every simulated flight: fixed, so that equal plans give equal bytes.
 START_NS = 1_700_000_000_000_000_000
@@ -86,7 +87,7 @@ class SimulatedVehicle:
 
     @property
     def greatest_thrust(self) -> float:
-        """Thrust [N] of four rotors at their greatest speed, in still air."""
+        """Thrust [N] of all rotors at their greatest speed, in still air."""
         vehicle = self.vehicle
         ratio = vehicle.rotor_speed_max_rad_s / self.aerodynamics.hover_rotor_speed
         return float(vehicle.mass_kg * vehicle.gravity_m_s2 * ratio**2)
@@ -185,8 +186,9 @@ def simulate_flight(
     controls = Controls.of(nominal, vehicle.aerodynamics.effectiveness)
     if not np.all(np.isfinite(controls.allocation)):
         raise SimulationError(f"vehicle {vehicle.vehicle.name}: its rotors cannot turn it about every axis")
-    controls.command[:] = start.rotor_speeds
-    log = np.zeros(samples, dtype=LOGGED)
+    rotors = vehicle.vehicle.rotor_count
+    controls.command[:rotors] = start.rotor_speeds
+    log = np.zeros(samples, dtype=record_dtype(Logged, rotors))
     done = np.zeros(1, dtype=np.int64) if done is None else done
     fly(physics, controls, _demand(reference, wind, last=(samples - 1) * every), memory, log, done)
     flown_wind = wind[::every][:samples].copy()
@@ -250,7 +252,7 @@ def _lost(motion: np.void, position: Array, step: int) -> str:
 
 
 class Trim(NamedTuple):
-    """Attitude (4,) body to world, rotor speeds (4,) rad/s."""
+    """Attitude (4,) body to world, rotor speeds (rotors,) rad/s."""
 
     attitude: Array
     rotor_speeds: Array
@@ -259,28 +261,46 @@ class Trim(NamedTuple):
 def trim(model: SimulatedAerodynamics, wind: Array, yaw: float = 0.0) -> Trim:
     """Equilibrium in a wind (3,) m/s of the world, nose at a yaw [rad].
 
-    Newton's method on six unknowns, a tilt about two axes and four rotor speeds, for six equations.
+    Newton's method on six unknowns, a tilt about two axes and four rotor speeds, for six equations. Of
+    another number of rotors the four are their mean, and what turns the vehicle about each axis.
 
     Raises:
         SimulationError: if there is none within the limits of the rotors.
     """
     vehicle = model.vehicle
     heading = np.array(rotations.from_rotation_vector(np.array([0.0, 0.0, yaw])))
-    unknowns = np.append(np.zeros(2), np.ones(ROTORS))
+    mixing = _mixing(vehicle)
+    unknowns = np.append(np.zeros(2), np.ones(4) if len(mixing) == 4 else (1.0, 0.0, 0.0, 0.0))
     speed = math.sqrt(sum(component * component for component in wind.tolist()))
     steps = max(1, math.ceil(speed / _WIND_STEP))
     for step in range(steps + 1):
         found = _solve(model, wind * (step / steps), heading, unknowns)
-        if found is None or not np.all(found[2:] > 0.0):
+        if found is None or not np.all(_mixed(mixing, found[2:]) > 0.0):
             raise SimulationError(f"vehicle {vehicle.name}: cannot stand still in a wind of {speed:.1f} m/s")
         unknowns = found
-    rotor_speeds = unknowns[2:] * model.hover_rotor_speed
+    rotor_speeds = _mixed(mixing, unknowns[2:]) * model.hover_rotor_speed
     if rotor_speeds.max() > vehicle.rotor_speed_max_rad_s:
         raise SimulationError(
             f"vehicle {vehicle.name}: to stand still in a wind of {speed:.1f} m/s takes "
             f"{rotor_speeds.max():.0f} rad/s, beyond its {vehicle.rotor_speed_max_rad_s:.0f} rad/s"
         )
     return Trim(_tilted(heading, unknowns), rotor_speeds)
+
+
+def _mixing(vehicle: Vehicle) -> Array:
+    """Speeds (rotors, 4) by each of four unknowns: of four rotors their own."""
+    if vehicle.rotor_count == 4:
+        return np.eye(4)
+    x, y, _ = (vehicle.rotor_positions / np.abs(vehicle.rotor_positions).max()).T
+    return np.stack((np.ones_like(x), -y, x, vehicle.rotor_spins), axis=1)
+
+
+def _mixed(mixing: Array, unknowns: Array) -> Array:
+    """Speeds (..., rotors) of unknowns (..., 4), in the same bits on every machine."""
+    if len(mixing) == 4:
+        return unknowns
+    mixed: Array = sum((unknowns[..., k, None] * mixing[:, k] for k in range(1, 4)), unknowns[..., :1])
+    return mixed
 
 
 def _solve(model: SimulatedAerodynamics, wind: Array, heading: Array, start: Array) -> Array | None:
@@ -304,7 +324,7 @@ def _unbalance(model: SimulatedAerodynamics, wind: Array, heading: Array, unknow
     vehicle = model.vehicle
     turns = np.array([rotations.matrix(_tilted(heading, row)) for row in unknowns])
     velocity = np.array([matrix_times(np.ascontiguousarray(turn.T), -wind) for turn in turns])
-    rotor_speeds = unknowns[:, 2:] * model.hover_rotor_speed
+    rotor_speeds = _mixed(_mixing(vehicle), unknowns[:, 2:]) * model.hover_rotor_speed
     wrench = model.wrench(velocity, np.zeros((len(unknowns), 3)), rotor_speeds)
     weight = vehicle.mass_kg * vehicle.gravity_m_s2
     wrench[:, :3] += weight * turns[:, 2, :]

@@ -21,13 +21,14 @@ import numpy.typing as npt
 from quadpi_core.config_schema import NotNegative, Positive, Section, parse_config
 from quadpi_core.errors import SimulationError, VehicleError
 from quadpi_core.frames import Array
-from quadpi_core.models.physical_regressors import MOTION, numbers_of, regressors
+from quadpi_core.models.physical_regressors import MotionSample, numbers_of, regressors
 from quadpi_core.models.physical_terms import TERM_INDEX, TERMS
+from quadpi_core.records import record_dtype
 from quadpi_core.simulation.simulated_aerodynamics import SimulatedAerodynamics, vehicle_record
 from quadpi_core.simulation.simulated_file import read_simulation
-from quadpi_core.simulation.state_records import STATE
+from quadpi_core.simulation.state_records import State
 from quadpi_core.simulation.wrench_functions import Law, apply_to_all
-from quadpi_core.vehicle import ROTORS, Vehicle
+from quadpi_core.vehicle import Vehicle
 
 _HOVER_ROUNDS = 20
 # Rows of the numbers of the law in the core.
@@ -165,8 +166,9 @@ class PhysicalAerodynamics(SimulatedAerodynamics):
     def hover_rotor_speed(self) -> float:
         """See :class:`.SimulatedAerodynamics`; by iteration, as thrust is about quadratic in the speed."""
         weight = self.vehicle.mass_kg * self.vehicle.gravity_m_s2
-        speed = float(np.sqrt(weight / (ROTORS * self.coefficients.reference_thrust_n_s2)))
-        hover, record = np.zeros(1, STATE), vehicle_record(self.vehicle, speed)
+        speed = float(np.sqrt(weight / (self.vehicle.rotor_count * self.coefficients.reference_thrust_n_s2)))
+        record = vehicle_record(self.vehicle, speed)
+        hover = np.zeros(1, record_dtype(State, self.vehicle.rotor_count))
         for _ in range(_HOVER_ROUNDS):
             hover["rotor_speeds"] = speed
             apply_to_all(hover, record, self.function, self.numbers)
@@ -213,7 +215,7 @@ class PhysicalAerodynamics(SimulatedAerodynamics):
 
     def added_by_coefficients(self, states: npt.NDArray[np.void]) -> Array:
         """See :class:`.SimulatedAerodynamics`; by the terms, which the wrench is linear in."""
-        motion = np.zeros(len(states), MOTION)
+        motion = np.zeros(len(states), record_dtype(MotionSample, self.vehicle.rotor_count))
         motion["velocity"] = states["velocity_air"]
         for name in ("rates", "rotor_speeds", "rotor_accelerations"):
             motion[name] = states[name]

@@ -25,7 +25,7 @@ from quadpi_core.simulation.simulated_aerodynamics import SimulatedAerodynamics,
 from quadpi_core.simulation.simulated_file import SimulatedFile, read_simulation
 from quadpi_core.simulation.wrench_functions import Law
 from quadpi_core.thresholds import Threshold
-from quadpi_core.vehicle import ROTORS, Vehicle
+from quadpi_core.vehicle import Vehicle
 
 FITTED_ADVANCE_RATIO = Threshold(
     "largest advance ratio",
@@ -170,7 +170,7 @@ class RotorLocalModel(SimulatedAerodynamics):
 
     @cached_property
     def hover_rotor_speed(self) -> float:
-        """Rotor speed [rad/s] at which four rotors in still air carry the weight.
+        """Rotor speed [rad/s] at which the rotors in still air carry the weight.
 
         Raises:
             SimulationError: if the thrust coefficient at rest is not positive.
@@ -180,7 +180,7 @@ class RotorLocalModel(SimulatedAerodynamics):
         vehicle = self.vehicle
         weight = vehicle.mass_kg * vehicle.gravity_m_s2
         per_square_speed = vehicle.air_density_kg_m3 * np.pi * np.square(np.square(vehicle.rotor_radius_m))
-        return float(np.sqrt(weight / (ROTORS * self.coefficients.thrust[0] * per_square_speed)))
+        return float(np.sqrt(weight / (vehicle.rotor_count * self.coefficients.thrust[0] * per_square_speed)))
 
     @property
     def function(self) -> Law:
@@ -220,7 +220,9 @@ class RotorLocalModel(SimulatedAerodynamics):
         disc = vehicle.air_density_kg_m3 * np.pi * np.square(np.square(vehicle.rotor_radius_m))
         slope, yaw_slope = c.thrust[0] * disc, c.torque[0] * disc * vehicle.rotor_radius_m
         x, y, _ = vehicle.rotor_positions.T
-        return np.stack((np.full(ROTORS, slope), -y * slope, x * slope, vehicle.rotor_spins * yaw_slope))
+        return np.stack(
+            (np.full(vehicle.rotor_count, slope), -y * slope, x * slope, vehicle.rotor_spins * yaw_slope)
+        )
 
     def record(self, motor_time_constant: float = np.inf) -> npt.NDArray[np.void]:
         """Record VEHICLE (1,) for the compiled physics."""

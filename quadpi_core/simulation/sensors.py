@@ -61,8 +61,9 @@ class Sensed:
     Attributes:
         recording: recording as a bag of the flight holds it; with some faults :meth:`Recording.check` refuses
             it.
-        erpm: (M, 4) electrical speeds, whole numbers, whose mechanical ones are `recording.rotor_speeds`;
-            None for a vehicle without pole pairs, whose mechanical speeds are measured directly.
+        erpm: (M, rotors) electrical speeds, whole numbers, whose mechanical ones are
+            `recording.rotor_speeds`; None for a vehicle without pole pairs, whose mechanical speeds are
+            measured directly.
         arrival_ns: when each sample arrived, by topic.
     """
 

@@ -21,9 +21,10 @@ import numpy.typing as npt
 from quadpi_core.errors import SimulationError
 from quadpi_core.frames import Array
 from quadpi_core.linear_algebra import inverse
-from quadpi_core.simulation.state_records import STATE, VEHICLE
+from quadpi_core.records import record_dtype
+from quadpi_core.simulation.state_records import State, VehicleNumbers
 from quadpi_core.simulation.wrench_functions import Law, apply_to_all
-from quadpi_core.vehicle import ROTORS, Vehicle
+from quadpi_core.vehicle import Vehicle
 
 Own = TypeVar("Own", bound="SimulatedAerodynamics")
 
@@ -83,7 +84,7 @@ class SimulatedAerodynamics(ABC):
     @property
     @abstractmethod
     def hover_rotor_speed(self) -> float:
-        """Rotor speed [rad/s] at which four rotors in still air carry the weight.
+        """Rotor speed [rad/s] at which the rotors in still air carry the weight.
 
         Raises:
             SimulationError: if there is none.
@@ -112,12 +113,12 @@ class SimulatedAerodynamics(ABC):
 
     @cached_property
     def effectiveness(self) -> Array:
-        """Change (4, 4) of thrust [N] and moments [Nm] by the squared speed of each rotor, in hover."""
-        hover = np.square(self.hover_rotor_speed)
-        squares = hover * (1.0 + _DIFFERENCE * np.vstack((np.eye(ROTORS), -np.eye(ROTORS))))
+        """Change (4, rotors) of thrust [N] and moments [Nm] by the squared speed of each rotor, in hover."""
+        hover, rotors = np.square(self.hover_rotor_speed), self.vehicle.rotor_count
+        squares = hover * (1.0 + _DIFFERENCE * np.vstack((np.eye(rotors), -np.eye(rotors))))
         still = np.zeros((len(squares), 3))
         wrench = self.wrench(still, still, np.sqrt(squares))
-        slopes = (wrench[:ROTORS] - wrench[ROTORS:]).T / (2.0 * _DIFFERENCE * hover)
+        slopes = (wrench[:rotors] - wrench[rotors:]).T / (2.0 * _DIFFERENCE * hover)
         return np.ascontiguousarray(np.vstack((-slopes[2], slopes[3:])))
 
     def wrench(
@@ -142,15 +143,15 @@ class SimulatedAerodynamics(ABC):
         Args:
             velocity: (N, 3) m/s relative to the air, body axes.
             rates: (N, 3) rad/s.
-            rotor_speeds: (N, 4) rad/s.
-            rotor_accelerations: (N, 4) rad/s²; zero where not given.
+            rotor_speeds: (N, rotors) rad/s.
+            rotor_accelerations: (N, rotors) rad/s²; zero where not given.
             position: (N, 3) m, world; the origin where not given.
             attitude: (N, 4) body to world; level where not given.
 
         Raises:
             SimulationError: for another shape, and for values that are not finite.
         """
-        states = np.zeros(len(velocity), dtype=STATE)
+        states = np.zeros(len(velocity), dtype=record_dtype(State, self.vehicle.rotor_count))
         states["attitude"][:, 0] = 1.0
         given = {
             "velocity_air": velocity,
@@ -189,13 +190,14 @@ def vehicle_record(
         hover_rotor_speed: rotor speed [rad/s] that carries the weight in still air.
         motor_time_constant: time constant [s] of the rotors.
     """
-    record = np.zeros(1, dtype=VEHICLE)
+    record = np.zeros(1, dtype=record_dtype(VehicleNumbers, vehicle.rotor_count))
     for name, value in {
         "mass": vehicle.mass_kg,
         "gravity": vehicle.gravity_m_s2,
         "air_density": vehicle.air_density_kg_m3,
         "inertia": vehicle.inertia,
         "inverse_inertia": inverse(vehicle.inertia),
+        "rotors": vehicle.rotor_count,
         "rotor_positions": vehicle.rotor_positions,
         "rotor_spins": vehicle.rotor_spins,
         "rotor_radius": vehicle.rotor_radius_m,

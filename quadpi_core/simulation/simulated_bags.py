@@ -48,7 +48,7 @@ class RecordedTruth:
         odometry: position, attitude, velocity over ground and rates.
         acceleration: (N, 3) m/s², second derivative of the position, world.
         angular_acceleration: (N, 3) rad/s².
-        rotor_speeds: (N, 4) rad/s.
+        rotor_speeds: (N, rotors) rad/s.
         wrench: (N, 6) aerodynamics and effects, gravity not included.
         wind: (N, 3) m/s, world.
         reference: position and heading that the controller was to follow.

@@ -11,7 +11,7 @@ from __future__ import annotations
 from typing import Annotated
 
 from quadpi_core.frames import Array
-from quadpi_core.records import Quaternion4, Vector3, record_dtype
+from quadpi_core.records import ROTORS_MAX, PerRotor, Quaternion4, Vector3, record_dtype
 
 # Numbers that an effect may keep as a state of its own.
 MEMORY = 6
@@ -42,11 +42,11 @@ class State:
     attitude: Quaternion4
     velocity_air: Vector3
     rates: Vector3
-    rotor_speeds: Annotated[Array, 4]
-    rotor_accelerations: Annotated[Array, 4]
-    hub_velocity: Annotated[Array, 4, 3]
-    thrusts: Annotated[Array, 4]
-    torques: Annotated[Array, 4]
+    rotor_speeds: PerRotor
+    rotor_accelerations: PerRotor
+    hub_velocity: Annotated[Array, ROTORS_MAX, 3]
+    thrusts: PerRotor
+    torques: PerRotor
     aerodynamics: Annotated[Array, 6]
     wrench: Annotated[Array, 6]
     force_is_measured: float
@@ -58,6 +58,7 @@ class VehicleNumbers:
     """A vehicle and its rotor-local aerodynamics, see `rotor_local`.
 
     Attributes:
+        rotors: their number.
         rotor_spins: +1 where the rotor turns clockwise seen from above.
         hover_induced_velocity, hover_rotor_speed: m/s and rad/s in hover, of the vehicle as in its file.
         motor_time_constant: s.
@@ -70,8 +71,9 @@ class VehicleNumbers:
     air_density: float
     inertia: Annotated[Array, 3, 3]
     inverse_inertia: Annotated[Array, 3, 3]
-    rotor_positions: Annotated[Array, 4, 3]
-    rotor_spins: Annotated[Array, 4]
+    rotors: int
+    rotor_positions: Annotated[Array, ROTORS_MAX, 3]
+    rotor_spins: PerRotor
     rotor_radius: float
     hover_induced_velocity: float
     hover_rotor_speed: float
@@ -93,4 +95,5 @@ class VehicleNumbers:
     airframe_mz: Annotated[Array, 6]
 
 
-STATE, VEHICLE = record_dtype(State), record_dtype(VehicleNumbers)
+# Of four rotors.
+STATE, VEHICLE = record_dtype(State, 4), record_dtype(VehicleNumbers, 4)

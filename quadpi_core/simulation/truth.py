@@ -73,8 +73,8 @@ class Truth:
         rates: (N, 3) rad/s.
         acceleration: (N, 3) m/s², second derivative of the position, world.
         angular_acceleration: (N, 3) rad/s².
-        rotor_speeds: (N, 4) rad/s.
-        rotor_accelerations: (N, 4) rad/s².
+        rotor_speeds: (N, rotors) rad/s.
+        rotor_accelerations: (N, rotors) rad/s².
         wrench: (N, 6) aerodynamics and every effect, gravity not included.
         wind: (N, 3) m/s of the air over ground, world.
         known_wind: (N, 3) m/s, the part of it that an anemometer measures; None without one.

@@ -7,8 +7,7 @@ import pytest
 
 from quadpi_core import sample_limits
 from quadpi_core.core import compiled
-from quadpi_core.records import record_dtype
-from quadpi_core.signals.chain import Signals
+from quadpi_core.signals.chain import ATTITUDE, ROTOR_SPEEDS, VELOCITY, channels
 
 ZERO, LEVEL = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
 
@@ -19,10 +18,11 @@ def second(value):
 
 def usable_state(**values):
     """Whether a sample is plausible that has other values than at rest; rotors turn at 900 rad/s at most."""
-    sample = np.zeros(1, record_dtype(Signals))
-    sample["attitude"] = LEVEL
+    columns = {"velocity": VELOCITY, "attitude": ATTITUDE, "rotor_speeds": ROTOR_SPEEDS}
+    sample = np.zeros(channels(4))
+    sample[ATTITUDE] = LEVEL
     for name, value in values.items():
-        sample[name] = value
+        sample[columns[name]] = value
     return compiled.plausible(sample, 900.0)
 
 

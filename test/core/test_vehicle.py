@@ -106,7 +106,7 @@ def test_every_key_is_required(tmp_path: Path, key: str):
         ({"inertia_kg_m2": [1e-3, 1e-3, 3e-3]}, "not the inertia of a rigid body"),
         ({"inertia_kg_m2": [[1, 1, 0], [0, 1, 0], [0, 0, 1]]}, "not the inertia of a rigid body"),
         ({"pole_pairs": 3.5}, "`pole_pairs` must be a positive whole number or null, found 3.5"),
-        ({"rotors": []}, "`rotors` must list 4 rotors"),
+        ({"rotors": []}, "`rotors` must list 1 to 12 rotors"),
         ({"noise": {"gyro": 1.0}}, "noise: unknown key `gyro`; known: accelerometer_noise_m_s2, "),
         ({"noise": {"gyro_noise": 1.0}}, "did you mean `gyro_noise_rad_s`?"),
         (

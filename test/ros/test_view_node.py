@@ -76,6 +76,7 @@ def alarms(time_ns: int, level: int) -> Alarms:
         input_score=inputs,
         input_excess=inputs,
         faults=np.zeros(1, dtype=np.int64),
+        more_faults=np.zeros((1, 2), dtype=np.int64),
         stopped=np.zeros(1, dtype=np.int64),
         why_not_judged=np.zeros(1, dtype=np.int64),
         not_judged_share=np.zeros(1),

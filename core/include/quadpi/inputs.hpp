@@ -24,6 +24,7 @@ constexpr double NEWTON_CONVERGED = 1e-15;
 
 // Numbers of a vehicle that inputs and wrench follow from.
 struct VehicleConstants {
+    std::int64_t rotors;
     std::array<PerRotor, 3> control_signs;  // of U_p, U_q, U_r
     double rotor_radius;                    // m
     double hover_induced_velocity;          // m/s
@@ -35,6 +36,7 @@ struct VehicleConstants {
 // What a model may know of the motion beside the input vector; it has passed the same low-pass.
 struct Derivatives {
     Vector3 angular_acceleration;  // rad/s², measured, body axes
+    PerRotor rotor_speeds;         // rad/s
     PerRotor rotor_accelerations;  // rad/s²
     PerRotor rotor_jerks;          // rad/s³
     double density_excess;         // by what share the air is denser than the vehicle file says
@@ -94,10 +96,10 @@ inline void fill_inputs(
     const double v_in = solve_induced_velocity(std::sqrt(u * u + v * v), w, vehicle.hover_induced_velocity);
 
     double square_sum = 0.0;
-    for (const double speed : rotor_speeds) {
-        square_sum += speed * speed;
+    for (int rotor = 0; rotor < vehicle.rotors; ++rotor) {
+        square_sum += rotor_speeds[rotor] * rotor_speeds[rotor];
     }
-    const double omega_avg = std::sqrt(square_sum / ROTORS);
+    const double omega_avg = std::sqrt(square_sum / static_cast<double>(vehicle.rotors));
     const double tip_speed = omega_avg * vehicle.rotor_radius;
     const double per_tip_speed = omega_avg > ROTORS_AT_REST_RAD_S ? 1.0 / tip_speed : 0.0;
 
@@ -115,7 +117,7 @@ inline void fill_inputs(
     row[8] = sin_phi, row[9] = cos_phi, row[10] = sin_theta, row[11] = cos_theta;
     for (int control = 0; control < 3; ++control) {
         double moment = 0.0;
-        for (int rotor = 0; rotor < ROTORS; ++rotor) {
+        for (int rotor = 0; rotor < vehicle.rotors; ++rotor) {
             moment += vehicle.control_signs[control][rotor] * rotor_speeds[rotor];
         }
         row[12 + control] = moment;

@@ -22,11 +22,10 @@ from quadpi_core.simulation.effect_definition import (
 )
 from quadpi_core.simulation.rotor_local import ADVANCE_RATIO_MAX
 from quadpi_core.simulation.state_records import State, VehicleNumbers
-from quadpi_core.vehicle import ROTORS
 
 
 def _shares(state: State, vehicle: VehicleNumbers) -> Array:
-    shares: Array = state.rotor_speeds / (ROTORS * vehicle.hover_rotor_speed)
+    shares: Array = state.rotor_speeds / (vehicle.rotors * vehicle.hover_rotor_speed)
     return shares
 
 
@@ -104,7 +103,7 @@ def translational_lift(state: State, vehicle: VehicleNumbers, p: Array) -> Wrenc
     """
     fastest = ADVANCE_RATIO_MAX * vehicle.rotor_radius * state.rotor_speeds
     speed = np.minimum(in_plane_speeds(state), fastest)
-    return at_hubs(vehicle, 0.0, 0.0, -p[0] / ROTORS * speed * speed)
+    return at_hubs(vehicle, 0.0, 0.0, -p[0] / vehicle.rotors * speed * speed)
 
 
 @effect(

@@ -113,7 +113,7 @@ def weak_rotor(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     Its torque and its drag in the plane H_j grow, or fall: a nick costs lift and adds drag, a blade cut short
     costs both. Size: 10 % less of all.
     """
-    hit = _rotor(p[0])
+    hit = _rotor(p[0], vehicle)
     fx, fy, fz, mx, my, mz = _with_shares(state, vehicle, -p[1] * hit, p[2] * hit)
     u, v, _ = state.hub_velocity.T
     drag = p[2] * vehicle.rotor_force_along * state.rotor_speeds * hit
@@ -121,13 +121,13 @@ def weak_rotor(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
     return fx + ax, fy + ay, fz, mx, my, mz + az
 
 
-def _rotor(number: float) -> Array:
+def _rotor(number: float, vehicle: VehicleNumbers) -> Array:
     """1 for the rotor of that number, counted from 1, and 0 for others."""
-    return np.where(np.arange(ROTORS) == int(number) - 1, 1.0, 0.0)
+    return np.where(np.arange(vehicle.rotors) == int(number) - 1, 1.0, 0.0)
 
 
 def _with_shares(state: State, vehicle: VehicleNumbers, of_thrust: Array, of_torque: Array) -> Wrench:
-    """Wrench of shares (4,) of the rotors' thrusts and torques."""
+    """Wrench of shares (rotors,) of the rotors' thrusts and torques."""
     fx, fy, fz, mx, my, mz = at_hubs(vehicle, 0.0, 0.0, -of_thrust * state.thrusts)
     return fx, fy, fz, mx, my, mz + np.sum(of_torque * state.torques, axis=1)
 
@@ -150,7 +150,7 @@ def rotor_tilt(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:
 
     Thrust and torque turn and stay as large; the angles are forward and right. Size: 2° together.
     """
-    hit = _rotor(p[0])
+    hit = _rotor(p[0], vehicle)
     thrust, torque = state.thrusts * hit, np.sum(state.torques * hit, axis=1)
     x, y = sine(np.radians(p[1])), sine(np.radians(p[2]))
     z = 1.0 - np.sqrt(1.0 - x * x - y * y)

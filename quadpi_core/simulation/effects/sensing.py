@@ -138,7 +138,7 @@ def rotor_speed_scale(recording: Recording, vehicle: Vehicle, p: Array) -> Recor
     stream = recording.rotor_speeds
     if stream is None:
         return recording
-    scale = np.ones(ROTORS)
+    scale = np.ones(stream.speeds.shape[1])
     scale[slice(None) if p[0] == 0 else int(p[0]) - 1] += p[1]
     return replace(recording, rotor_speeds=replace(stream, speeds=stream.speeds * scale))
 

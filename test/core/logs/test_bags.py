@@ -97,7 +97,9 @@ def test_outputs_of_the_monitor(tmp_path, recording, rng):
         *np.zeros((6, N, 6)),
         excess,
         excess,
-        *np.zeros((3, N), np.int64),
+        np.zeros(N, np.int64),
+        np.zeros((N, 2), np.int64),
+        *np.zeros((2, N), np.int64),
         np.zeros(N),
     )
     packed = result_messages.pack_predictions(predictions, model="m", confidence=0.95, axes=AXES)

@@ -76,6 +76,7 @@ def test_alarms_name_the_inputs_outside_farthest_first(rng):
         input_score=(1.0 + 2.0 * excess) / 1.2,
         input_excess=excess,
         faults=np.full(N, GYRO_FROZEN),
+        more_faults=np.zeros((N, 2), dtype=np.int64),
         stopped=np.zeros(N, dtype=np.int64),
         why_not_judged=np.zeros(N, dtype=np.int64),
         not_judged_share=np.zeros(N),

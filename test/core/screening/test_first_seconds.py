@@ -20,7 +20,7 @@ from quadpi_core.screening.first_seconds import (
     FirstSeconds,
     contradictions,
 )
-from quadpi_core.signals.chain import CHANNELS, RATES, ROTOR_SPEEDS, SPECIFIC_FORCE
+from quadpi_core.signals.chain import RATES, ROTOR_SPEEDS, SPECIFIC_FORCE, channels
 from quadpi_core.vehicle import Vehicle
 from test.core.mistakes import MISTAKES
 
@@ -132,8 +132,8 @@ def test_samples_that_cannot_be_used_are_left_out(flown: Recording) -> None:
 
 
 def paired(flown: Recording) -> np.ndarray:
-    """Values (N, CHANNELS) as the monitor has them: all at the stamps of the IMU."""
-    values = np.zeros((len(flown.imu), CHANNELS))
+    """Values (N, 20) as the monitor has them: all at the stamps of the IMU."""
+    values = np.zeros((len(flown.imu), channels(4)))
     values[:, RATES], values[:, SPECIFIC_FORCE] = flown.imu.angular_velocity, flown.imu.specific_force
     values[:, ROTOR_SPEEDS] = 700.0
     return values

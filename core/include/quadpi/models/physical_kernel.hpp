@@ -47,30 +47,33 @@ struct PhysicalPrediction {
 
 // Motion of an input vector and derivatives, the rotor speeds as they were some time ago.
 //
-// ω_avg is a root mean square and the controls are orthogonal sums of the rotor speeds, so that
-// Σω = √(16 ω_avg² − U_p² − U_q² − U_r²), and each rotor's speed is a quarter of the signed sums.
+// Of four rotors, ω_avg is a root mean square and the controls are orthogonal sums of the rotor speeds, so
+// that Σω = √(16 ω_avg² − U_p² − U_q² − U_r²), and each rotor's speed is a quarter of the signed sums. The
+// speeds of others do not follow from these.
 inline MotionSample motion_of(
     const InputVector& inputs,
     const Derivatives& derivatives,
     const std::array<PerRotor, 3>& controls,
+    std::int64_t rotors,
     double delay_s
 ) {
     double total = 16.0 * (inputs[7] * inputs[7]) - inputs[12] * inputs[12] - inputs[13] * inputs[13] -
                    inputs[14] * inputs[14];
     total = std::sqrt(std::max(total, 0.0));
-    MotionSample motion;
+    MotionSample motion{};
     motion.velocity = {inputs[0], inputs[1], inputs[2]};
     motion.rates = {inputs[4], inputs[5], inputs[6]};
     motion.angular_acceleration = derivatives.angular_acceleration;
-    for (int rotor = 0; rotor < ROTORS; ++rotor) {
+    for (int rotor = 0; rotor < rotors; ++rotor) {
         double speed = total;
         for (int control = 0; control < 3; ++control) {
             speed += controls[control][rotor] * inputs[12 + control];
         }
+        speed = rotors == 4 ? 0.25 * speed : derivatives.rotor_speeds[rotor];
         // By Taylor's series from now.
         const double acceleration = derivatives.rotor_accelerations[rotor];
         const double jerk = derivatives.rotor_jerks[rotor];
-        speed = 0.25 * speed - delay_s * (acceleration - 0.5 * delay_s * jerk);
+        speed -= delay_s * (acceleration - 0.5 * delay_s * jerk);
         motion.rotor_speeds[rotor] = std::max(speed, 0.0);
         motion.rotor_accelerations[rotor] = acceleration - delay_s * jerk;
     }
@@ -101,8 +104,11 @@ inline PhysicalPrediction predict(
     const PhysicalModel& model, const InputVector& inputs, const Derivatives& derivatives
 ) {
     Regressors row;
+    const PhysicalVehicle& vehicle = model.common.vehicle;
     fill_regressors(
-        motion_of(inputs, derivatives, model.common.controls, model.common.delay_s), model.common.vehicle, row
+        motion_of(inputs, derivatives, model.common.controls, vehicle.rotors, model.common.delay_s),
+        vehicle,
+        row
     );
     if (derivatives.density_excess != 0.0) {
         scale_by_density(row, 1.0 + derivatives.density_excess);

@@ -27,11 +27,12 @@ struct MotionSample {
 
 // The numbers of a vehicle that the regressors need.
 struct PhysicalVehicle {
-    double mass;                            // kg
-    double reference_thrust;                // N s², of a rotor per ω², for the induced velocity
-    double disc;                            // kg/m, 2 ρ π R² of momentum theory
-    std::array<Vector3, ROTORS> positions;  // m, of the rotors
-    PerRotor spins;                         // +1 where a rotor turns clockwise seen from above
+    double mass;              // kg
+    double reference_thrust;  // N s², of a rotor per ω², for the induced velocity
+    double disc;              // kg/m, 2 ρ π R² of momentum theory
+    std::int64_t rotors;
+    std::array<Vector3, ROTORS_MAX> positions;  // m
+    PerRotor spins;                             // +1 where a rotor turns clockwise seen from above
 };
 
 // Regressors of one sample by the name of their parameter, in the order of TERMS of physical_terms.py.
@@ -148,16 +149,17 @@ inline Hub hub_of(int rotor, const MotionSample& motion, const PhysicalVehicle& 
     return {x, y, vehicle.spins[rotor], speed, u, v, w, in_plane, induced, turning};
 }
 
-// Add what rotors have more than the last: thrust by ω² and torque by s ω².
-inline void add_unlike(int rotor, const Hub& hub, Regressors& row) {
+// Add what rotors have more than the last: thrust by ω² and torque by s ω². Of more than four rotors, the
+// first three.
+inline void add_unlike(int rotor, int rotors, const Hub& hub, Regressors& row) {
     Wrench* const thrusts[] = {&row.thrust_rotor_1, &row.thrust_rotor_2, &row.thrust_rotor_3};
     Wrench* const torques[] = {&row.torque_rotor_1, &row.torque_rotor_2, &row.torque_rotor_3};
     const double square = hub.speed * hub.speed, torque = hub.spin * square;
-    for (int other = 0; other < ROTORS - 1; ++other) {
+    for (int other = 0; other < std::min(rotors - 1, 3); ++other) {
         if (rotor == other) {
             add_thrust(*thrusts[other], hub, square);
             (*torques[other])[5] -= torque;
-        } else if (rotor == ROTORS - 1) {
+        } else if (rotor == rotors - 1) {
             add_thrust(*thrusts[other], hub, -square);
             (*torques[other])[5] += torque;
         }
@@ -245,7 +247,7 @@ inline double fill_rotor(
 ) {
     const Hub hub = hub_of(rotor, motion, vehicle);
     add_thrusts(hub, row);
-    add_unlike(rotor, hub, row);
+    add_unlike(rotor, static_cast<int>(vehicle.rotors), hub, row);
     add_hub(hub, motion.rotor_accelerations[rotor], motion.rates, row);
     return hub.induced;
 }
@@ -285,9 +287,10 @@ inline void fill_body(
     double mean_induced, const MotionSample& motion, const PhysicalVehicle& vehicle, Regressors& row
 ) {
     const auto [p, q, r] = motion.rates;
+    const double share = 1.0 / static_cast<double>(vehicle.rotors);
     double mean_speed = 0.0;
-    for (const double speed : motion.rotor_speeds) {
-        mean_speed += 0.25 * speed;
+    for (int rotor = 0; rotor < vehicle.rotors; ++rotor) {
+        mean_speed += share * motion.rotor_speeds[rotor];
     }
     fill_airframe(mean_speed, mean_induced, motion, row);
     row.inertia_x[3] = q * r, row.inertia_y[4] = r * p, row.inertia_z[5] = p * q;
@@ -299,9 +302,10 @@ inline void fill_body(
 // The regressors of a sample.
 inline void fill_regressors(const MotionSample& motion, const PhysicalVehicle& vehicle, Regressors& row) {
     row = {};
+    const double share = 1.0 / static_cast<double>(vehicle.rotors);
     double mean_induced = 0.0;
-    for (int rotor = 0; rotor < ROTORS; ++rotor) {
-        mean_induced += 0.25 * fill_rotor(rotor, motion, vehicle, row);
+    for (int rotor = 0; rotor < vehicle.rotors; ++rotor) {
+        mean_induced += share * fill_rotor(rotor, motion, vehicle, row);
     }
     fill_body(mean_induced, motion, vehicle, row);
 }

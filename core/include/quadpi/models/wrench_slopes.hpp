@@ -32,7 +32,7 @@ inline MotionSample set_motion(
     MotionSample now{};
     now.velocity = into_body(rotation_matrix(attitude), velocity);
     now.rates = rates;
-    for (int rotor = 0; rotor < ROTORS; ++rotor) {
+    for (int rotor = 0; rotor < ROTORS_MAX; ++rotor) {
         now.rotor_speeds[rotor] = 0.5 * (left.rotor_speeds[rotor] + right.rotor_speeds[rotor]);
         now.rotor_accelerations[rotor] =
             0.5 * (left.rotor_accelerations[rotor] + right.rotor_accelerations[rotor]);

@@ -67,10 +67,10 @@ inline std::int64_t level_of_two(double far, double near, std::int64_t before) {
 // Decide whether the vehicle flies, and with all rotors; returns the faults that count there.
 //
 // On the ground the evidence against the model is forgotten.
-inline std::int64_t follow_vehicle(
+inline Faults follow_vehicle(
     const AlarmLimits& limits, AlarmState& state, const Verdict& sample, const Wrench& measured, double step_s
 ) {
-    follow_ground(state.ground, limits.hover_square, sample, step_s);
+    follow_ground(state.ground, limits.hover_square, sample, limits.rotors.rotors, step_s);
     if (state.ground.flying) {
         return follow_thrust(limits.rotors, state.thrust, sample, measured, step_s);
     }
@@ -171,7 +171,7 @@ inline void judge_miscoverage(
     state.charge[MISCOVERAGE] = worst;
 }
 
-// Raise MISCOVERAGE for a rotor without thrust, which contradicts every model of four.
+// Raise MISCOVERAGE for a rotor without thrust, which contradicts every model of all.
 inline void judge_rotors(AlarmState& state) {
     AlarmRow& row = state.row;
     if (state.thrust.stopped != 0) {
@@ -182,22 +182,22 @@ inline void judge_rotors(AlarmState& state) {
 }
 
 // Charge BAD_DATA; returns the faults of the sample that count where the vehicle is.
-inline std::int64_t judge_data(
-    const AlarmLimits& limits, AlarmState& state, const Verdict& sample, std::int64_t faults, double step_s
+inline Faults judge_data(
+    const AlarmLimits& limits, AlarmState& state, const Verdict& sample, Faults faults, double step_s
 ) {
     AlarmRow& row = state.row;
     double charge = state.charge[BAD_DATA];
     if (!state.ground.flying) {
-        faults &= ~IN_FLIGHT_ONLY;
+        faults.keep(~IN_FLIGHT_ONLY);
     }
     bool judged = sample.usable;
     if (are_stopped(state.thrust, sample.absent)) {
         // No reading of a rotor that has stopped is no fault: what was said of it is taken back.
-        faults &= ~std::int64_t{NOT_FINITE | ROTORS_MISSING | GAP};
+        faults.keep(~std::int64_t{NOT_FINITE | ROTORS_MISSING | GAP});
         judged = true;
         charge = 0.0;
     }
-    const bool bad = faults != 0 || !judged;
+    const bool bad = faults.any() || !judged;
     if (bad) {
         raise_to(charge, WARNING_CHARGE);
     }
@@ -207,7 +207,7 @@ inline std::int64_t judge_data(
     }
     state.charge[BAD_DATA] = charge;
     raise_to(row.cause_evidence[BAD_DATA], charge);
-    row.faults |= faults;
+    row.faults.add(faults);
     return faults;
 }
 
@@ -251,8 +251,9 @@ inline void begin_next_row(const AlarmLimits& limits, AlarmState& state) {
             state.reported_inputs |= std::int64_t{1} << k;
         }
     }
-    state.reported_faults |= row.faults;
-    row.faults = row.stopped = 0;
+    state.reported_faults.add(row.faults);
+    row.faults = {};
+    row.stopped = 0;
     row.cause_evidence = {};
     row.leverage = {};
     row.width = {};
@@ -284,7 +285,8 @@ inline std::size_t advance(
                 std::min(std::max(static_cast<double>(sample.time_ns - before_ns) * 1e-9, 0.0), STEP_MAX_S);
         }
         state.previous_ns = sample.time_ns;
-        std::int64_t beyond = 0, faults = sample.faults;
+        std::int64_t beyond = 0;
+        Faults faults = sample.faults;
         const std::int64_t stopped = state.thrust.stopped, why = state.row.why_not_judged;
         if (sample.usable) {
             state.silent_s = 0.0;
@@ -318,9 +320,9 @@ inline std::size_t advance(
             floor_divided(sample.time_ns, limits.period_ns) != floor_divided(before_ns, limits.period_ns);
         if (state.row.level == LEVEL_OK) {
             state.reported_inputs = 0;
-            state.reported_faults = 0;
+            state.reported_faults = {};
         } else {
-            is_due |= (beyond & ~state.reported_inputs) != 0 || (faults & ~state.reported_faults) != 0;
+            is_due |= (beyond & ~state.reported_inputs) != 0 || faults.any_beyond(state.reported_faults);
         }
         if (is_due) {
             state.row.time_ns = sample.time_ns;

@@ -58,7 +58,7 @@ struct AlarmRow {
     Wrench miss_share;
     InputVector input_score;
     InputVector input_excess;
-    std::int64_t faults;
+    Faults faults;
     std::int64_t stopped;         // bit per rotor
     std::int64_t why_not_judged;  // see WhyNotJudged
     double not_judged_share;      // of the time since the first sample
@@ -81,8 +81,8 @@ struct AlarmState {
     std::int64_t previous_ns;  // stamp of the last sample; NO_STAMP before the first
     bool settled;              // whether the misses of the last usable sample counted
     std::int64_t
-        reported_inputs;  // bits of the inputs outside that rows have reported since the level was last ok
-    std::int64_t reported_faults;  // the same for faults
+        reported_inputs;     // bits of the inputs outside that rows have reported since the level was last ok
+    Faults reported_faults;  // the same for faults
 };
 
 // What the model says of U usable samples, with its own intervals.

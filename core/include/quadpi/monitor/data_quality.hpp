@@ -13,7 +13,7 @@ namespace quadpi {
 
 constexpr double INF = std::numeric_limits<double>::infinity();
 
-// One bit per rotor from each of the first ROTOR_ ones on.
+// One bit per rotor from each of the ROTOR_ ones on, for four rotors; see Faults.
 enum Fault : std::int64_t {
     NOT_FINITE = 1 << 0,
     NOT_PLAUSIBLE = 1 << 1,
@@ -35,9 +35,50 @@ enum Fault : std::int64_t {
     // decides.
     ROTOR_ZERO = 1 << 28,
 };
-constexpr std::int64_t ROTOR_FAULTS = (RATE_DIFFERS - ROTOR_FROZEN) | (std::int64_t{ROTOR_ZERO} * 15);
+// Rotors whose bits have a place in a word of faults, and the bits of all of them.
+constexpr int ROTORS_OF_WORD = 4;
+constexpr std::int64_t every_rotor(Fault fault) { return std::int64_t{fault} * ((1 << ROTORS_OF_WORD) - 1); }
+constexpr std::int64_t ROTOR_FAULTS = (RATE_DIFFERS - ROTOR_FROZEN) | every_rotor(ROTOR_ZERO);
 // Faults that mean nothing on the ground, where motors start one after the other and sensors may rest.
 constexpr std::int64_t IN_FLIGHT_ONLY = (RATE_DIFFERS - GYRO_FROZEN) | ROTOR_FAULTS;
+
+// Bits of the faults of a sample: one word with those of rotors 1 to 4, and one for each four rotors more,
+// which have their bits at the same places.
+struct Faults {
+    std::array<std::int64_t, ROTORS_MAX / ROTORS_OF_WORD> words;
+
+    static Faults of(std::int64_t faults) { return {{faults}}; }
+
+    void add(std::int64_t faults) { words[0] |= faults; }
+    void add(const Faults& faults) {
+        for (std::size_t word = 0; word < words.size(); ++word) {
+            words[word] |= faults.words[word];
+        }
+    }
+    void add(Fault fault, int rotor) {
+        words[rotor / ROTORS_OF_WORD] |= std::int64_t{fault} << rotor % ROTORS_OF_WORD;
+    }
+    void keep(std::int64_t faults) {
+        for (std::int64_t& word : words) {
+            word &= faults;
+        }
+    }
+    bool any(std::int64_t faults = -1) const {
+        return std::any_of(words.begin(), words.end(), [=](std::int64_t word) {
+            return (word & faults) != 0;
+        });
+    }
+    bool any_beyond(const Faults& others) const {
+        bool found = false;
+        for (std::size_t word = 0; word < words.size(); ++word) {
+            found |= (words[word] & ~others.words[word]) != 0;
+        }
+        return found;
+    }
+    bool has(Fault fault, int rotor) const {
+        return (words[rotor / ROTORS_OF_WORD] & std::int64_t{fault} << rotor % ROTORS_OF_WORD) != 0;
+    }
+};
 
 // The estimator moves its biases at every correction, so the readings of a frozen sensor less its bias still
 // creep, by at most this much per sample [rad/s, m/s²].
@@ -58,7 +99,8 @@ constexpr double SQUARES_MEAN_S = 0.3;
 // a motor changes its speed by less than 3 % in a millisecond.
 constexpr double JUMP = 0.15, JUMP_PER_S = 20.0;
 // Difference between the squares of the two directions of rotation over their sum: clearly unbalanced, and
-// balanced again with one reading doubled. Such a rotor reads below this share of the others' speed.
+// balanced again with one reading doubled; of four rotors, and of more in proportion to the share of one.
+// Such a rotor reads below this share of the others' speed.
 constexpr double UNBALANCED = 0.15, BALANCED = 0.07, HALF_BELOW = 0.6;
 // A speed below or above these shares of the others' differs from them.
 constexpr double DIFFERS_BELOW = 0.4, DIFFERS_ABOVE = 1.9;
@@ -70,6 +112,7 @@ constexpr double TURNING_RAD_S = 50.0;
 
 // What the checks know of the vehicle, and remember of the samples.
 struct Quality {
+    std::int64_t rotors;
     double rotor_speed_max;    // rad/s, beyond which a reading is not plausible
     PerRotor rotor_spins;      // ±1
     double frozen_after_s;     // for which an inertial sensor may repeat a reading
@@ -83,8 +126,8 @@ struct Quality {
     PerRotor rotor_speeds;
     PerRotor rotor_still_s;
     // Of all rotors, since each of them has not changed.
-    std::array<PerRotor, ROTORS> rotors_lowest;
-    std::array<PerRotor, ROTORS> rotors_highest;
+    std::array<PerRotor, ROTORS_MAX> rotors_lowest;
+    std::array<PerRotor, ROTORS_MAX> rotors_highest;
     // The last reading that a rotor held, for how long it has not, and the smallest step between two [rad/s].
     PerRotor rotor_held;
     PerRotor rotor_moves_s;
@@ -94,7 +137,7 @@ struct Quality {
 };
 
 struct Judgement {
-    std::int64_t faults;
+    Faults faults;
     bool usable;
     bool jump;  // the sample comes after a gap or a jump of the clock: nothing may be filtered across
 };
@@ -109,15 +152,18 @@ bool all_missing(const std::array<double, N>& values) {
     return std::all_of(values.begin(), values.end(), [](double value) { return std::isnan(value); });
 }
 
-inline bool all_finite(const Signals& sample) {
+inline bool all_finite(const Signals& sample, std::int64_t rotors) {
     const double* numbers = numbers_of(sample);
-    return std::all_of(numbers, numbers + CHANNELS, [](double value) { return std::isfinite(value); });
+    return std::all_of(numbers, numbers + channels_of(rotors), [](double value) {
+        return std::isfinite(value);
+    });
 }
 
-// The second largest of the rotors' speeds.
-inline double second_fastest(const PerRotor& speeds) {
+// The second largest of the rotors' speeds; of one rotor its own.
+inline double second_fastest(const PerRotor& speeds, std::int64_t rotors) {
     double first = 0.0, second = 0.0;
-    for (const double speed : speeds) {
+    for (int rotor = 0; rotor < rotors; ++rotor) {
+        const double speed = speeds[rotor];
         if (speed > first) {
             second = first;
             first = speed;
@@ -125,7 +171,7 @@ inline double second_fastest(const PerRotor& speeds) {
             second = speed;
         }
     }
-    return second;
+    return rotors == 1 ? first : second;
 }
 
 // Bits of what is wrong with a stamp, by the step from the last usable one.
@@ -143,12 +189,13 @@ inline std::int64_t stamp_faults(bool first, bool jump, std::int64_t step_ns) {
 }
 
 // Bits of the topics without which the sample was given up: all their channels are NaN.
-inline std::int64_t missing_channels(const Signals& sample) {
+inline std::int64_t missing_channels(const Signals& sample, std::int64_t rotors) {
     std::int64_t missing = 0;
     if (all_missing(sample.velocity) && all_missing(sample.attitude)) {
         missing |= STATE_MISSING;
     }
-    if (all_missing(sample.rotor_speeds)) {
+    const auto is_missing = [](double speed) { return std::isnan(speed); };
+    if (std::all_of(sample.rotor_speeds.begin(), sample.rotor_speeds.begin() + rotors, is_missing)) {
         missing |= ROTORS_MISSING;
     }
     return missing;
@@ -181,7 +228,7 @@ inline void take_reading(Quality& memory, int rotor, const PerRotor& speeds, dou
     memory.rotor_held[rotor] = speed;
     memory.rotor_moves_s[rotor] = 0.0;
     memory.rotor_still_s[rotor] += step_s;
-    for (int k = 0; k < ROTORS; ++k) {
+    for (int k = 0; k < memory.rotors; ++k) {
         lowest[k] = std::min(lowest[k], speeds[k]);
         highest[k] = std::max(highest[k], speeds[k]);
     }
@@ -189,13 +236,13 @@ inline void take_reading(Quality& memory, int rotor, const PerRotor& speeds, dou
 
 // Whether a rotor that turned would have changed its reading meanwhile, in the resolution of the stream.
 //
-// It would in a fine one, and wherever the others change by several steps.
+// It would in a fine one, and wherever the others, but for the least and the most, change by several steps.
 inline bool would_change(const Quality& memory, int rotor) {
     if (memory.rotor_step == INF || memory.rotor_step < FINE_STEP * memory.rotor_speeds[rotor]) {
         return true;
     }
     double total = 0.0, least = INF, most = 0.0;
-    for (int k = 0; k < ROTORS; ++k) {
+    for (int k = 0; k < memory.rotors; ++k) {
         if (k != rotor) {
             const double extent = memory.rotors_highest[rotor][k] - memory.rotors_lowest[rotor][k];
             total += extent;
@@ -203,30 +250,58 @@ inline bool would_change(const Quality& memory, int rotor) {
             most = std::max(most, extent);
         }
     }
-    return total - least - most >= OTHERS_STEPS * memory.rotor_step;
+    const auto between = static_cast<double>(memory.rotors - 3);
+    return between > 0.0 && total - least - most >= between * (OTHERS_STEPS * memory.rotor_step);
 }
 
-// Bits of the faults of the rotors' readings, which are remembered.
-inline std::int64_t rotor_faults(Quality& memory, const PerRotor& speeds, double step_s, bool restarts) {
-    std::int64_t faults = 0;
+// Note readings of rotors that no flight has, by the balance of the squares of their speeds.
+//
+// Of one or two rotors there are no others to compare one with.
+inline void compare_rotors(const Quality& memory, double total, double balance, Faults& faults) {
+    const auto rotors = static_cast<double>(memory.rotors);
+    if (memory.rotors < 3 || memory.averaged_s < 2.0 * SQUARES_MEAN_S ||
+        total < rotors * TURNING_RAD_S * TURNING_RAD_S) {
+        return;
+    }
+    const double share = 4.0 / rotors;
+    for (int k = 0; k < memory.rotors; ++k) {
+        if (faults.has(ROTOR_ZERO, k)) {
+            continue;
+        }
+        const double square = memory.mean_squares[k];
+        const double relative = std::sqrt((rotors - 1.0) * square / std::max(total - square, 1.0));
+        const double doubled =
+            std::abs(balance + 3.0 * memory.rotor_spins[k] * square) / (total + 3.0 * square);
+        if (std::abs(balance) > share * UNBALANCED * total && doubled < share * BALANCED &&
+            relative < HALF_BELOW) {
+            faults.add(ROTOR_HALF, k);
+        } else if (relative < DIFFERS_BELOW || relative > DIFFERS_ABOVE) {
+            faults.add(ROTOR_DIFFERS, k);
+        }
+    }
+}
+
+// Faults of the rotors' readings, which are remembered.
+inline Faults rotor_faults(Quality& memory, const PerRotor& speeds, double step_s, bool restarts) {
+    Faults faults{};
     const double share = restarts ? 1.0 : step_s / (SQUARES_MEAN_S + step_s);
     double total = 0.0, balance = 0.0;
-    const double zero = ZERO_BELOW * second_fastest(speeds);
+    const double zero = ZERO_BELOW * second_fastest(speeds, memory.rotors);
     const bool others_turn = zero > ZERO_BELOW * TURNING_RAD_S;
-    for (int k = 0; k < ROTORS; ++k) {
+    for (int k = 0; k < memory.rotors; ++k) {
         const double before = memory.rotor_speeds[k];
         if (others_turn && speeds[k] < zero) {
-            faults |= std::int64_t{ROTOR_ZERO} << k;
+            faults.add(ROTOR_ZERO, k);
         }
         take_reading(memory, k, speeds, step_s);
         if (memory.rotor_still_s[k] >= STUCK_S && would_change(memory, k)) {
-            faults |= std::int64_t{ROTOR_FROZEN} << k;
+            faults.add(ROTOR_FROZEN, k);
         }
         const double larger = std::max(speeds[k], before);
         const double most = (JUMP + JUMP_PER_S * step_s) * larger;
         const bool jumps = !restarts && larger > TURNING_RAD_S && std::abs(speeds[k] - before) > most;
-        if (jumps && !(faults & std::int64_t{ROTOR_ZERO} << k)) {
-            faults |= std::int64_t{ROTOR_JUMPS} << k;
+        if (jumps && !faults.has(ROTOR_ZERO, k)) {
+            faults.add(ROTOR_JUMPS, k);
         }
         memory.rotor_speeds[k] = speeds[k];
         memory.mean_squares[k] += share * (speeds[k] * speeds[k] - memory.mean_squares[k]);
@@ -234,23 +309,7 @@ inline std::int64_t rotor_faults(Quality& memory, const PerRotor& speeds, double
         balance += memory.rotor_spins[k] * memory.mean_squares[k];
     }
     memory.averaged_s = restarts ? 0.0 : memory.averaged_s + step_s;
-    if (memory.averaged_s < 2.0 * SQUARES_MEAN_S || total < 4.0 * TURNING_RAD_S * TURNING_RAD_S) {
-        return faults;
-    }
-    for (int k = 0; k < ROTORS; ++k) {
-        if (faults & std::int64_t{ROTOR_ZERO} << k) {
-            continue;
-        }
-        const double square = memory.mean_squares[k];
-        const double relative = std::sqrt((ROTORS - 1) * square / std::max(total - square, 1.0));
-        const double doubled =
-            std::abs(balance + 3.0 * memory.rotor_spins[k] * square) / (total + 3.0 * square);
-        if (std::abs(balance) > UNBALANCED * total && doubled < BALANCED && relative < HALF_BELOW) {
-            faults |= std::int64_t{ROTOR_HALF} << k;
-        } else if (relative < DIFFERS_BELOW || relative > DIFFERS_ABOVE) {
-            faults |= std::int64_t{ROTOR_DIFFERS} << k;
-        }
-    }
+    compare_rotors(memory, total, balance, faults);
     return faults;
 }
 
@@ -270,9 +329,9 @@ inline double still_for(
     return small ? std::max(0.0, still_s - 0.5 * step_s) : 0.0;
 }
 
-// Bits of the faults of sensors in a usable sample, which is remembered.
-inline std::int64_t sensor_faults(Quality& memory, const Signals& sample, double step_s, bool restarts) {
-    std::int64_t faults = rotor_faults(memory, sample.rotor_speeds, step_s, restarts);
+// Faults of sensors in a usable sample, which is remembered.
+inline Faults sensor_faults(Quality& memory, const Signals& sample, double step_s, bool restarts) {
+    Faults faults = rotor_faults(memory, sample.rotor_speeds, step_s, restarts);
     memory.rates_still_s = still_for(sample.rates, memory.rates, memory.rates_still_s, CREEP_RAD_S, step_s);
     memory.specific_force_still_s = still_for(
         sample.specific_force, memory.specific_force, memory.specific_force_still_s, CREEP_M_S2, step_s
@@ -280,10 +339,10 @@ inline std::int64_t sensor_faults(Quality& memory, const Signals& sample, double
     memory.rates = sample.rates;
     memory.specific_force = sample.specific_force;
     if (memory.rates_still_s >= memory.frozen_after_s) {
-        faults |= GYRO_FROZEN;
+        faults.add(GYRO_FROZEN);
     }
     if (memory.specific_force_still_s >= memory.frozen_after_s) {
-        faults |= ACCELEROMETER_FROZEN;
+        faults.add(ACCELEROMETER_FROZEN);
     }
     return faults;
 }
@@ -293,24 +352,24 @@ inline Judgement judge(Quality& memory, std::int64_t time_ns, const Signals& sam
     const std::int64_t step_ns = time_ns - memory.previous_ns;
     const bool first = memory.previous_ns == NO_STAMP;
     const bool jump = !first && std::abs(step_ns) > MAX_GAP_NS;
-    std::int64_t faults = stamp_faults(first, jump, step_ns);
-    const std::int64_t missing = missing_channels(sample);
-    faults |= missing;
+    Faults faults = Faults::of(stamp_faults(first, jump, step_ns));
+    const std::int64_t missing = missing_channels(sample, memory.rotors);
+    faults.add(missing);
     bool possible = false;
-    if (all_finite(sample)) {
+    if (all_finite(sample, memory.rotors)) {
         possible = plausible(sample, memory.rotor_speed_max);
         if (!possible) {
-            faults |= NOT_PLAUSIBLE;
+            faults.add(NOT_PLAUSIBLE);
         }
     } else if (missing == 0 || !all_finite(sample.specific_force)) {
-        faults |= NOT_FINITE;
+        faults.add(NOT_FINITE);
     }
     const bool usable = possible && (first || jump || step_ns > 0);
     if (usable) {
         memory.previous_ns = memory.followed_ns = time_ns;
         const bool restarts = first || jump;
-        faults |=
-            sensor_faults(memory, sample, restarts ? 0.0 : static_cast<double>(step_ns) * 1e-9, restarts);
+        const double step_s = restarts ? 0.0 : static_cast<double>(step_ns) * 1e-9;
+        faults.add(sensor_faults(memory, sample, step_s, restarts));
     }
     return {faults, usable, jump};
 }
@@ -321,7 +380,7 @@ inline Judgement judge(Quality& memory, std::int64_t time_ns, const Signals& sam
 // comes after a gap.
 inline std::int64_t take_last_readings(Quality& memory, std::int64_t time_ns, Signals& sample) {
     std::int64_t absent = 0;
-    for (int k = 0; k < ROTORS; ++k) {
+    for (int k = 0; k < memory.rotors; ++k) {
         if (!std::isfinite(sample.rotor_speeds[k])) {
             absent |= 1 << k;
             sample.rotor_speeds[k] = memory.rotor_speeds[k];
@@ -329,8 +388,8 @@ inline std::int64_t take_last_readings(Quality& memory, std::int64_t time_ns, Si
     }
     const std::int64_t since_ns = time_ns - memory.followed_ns;
     const bool continues = memory.followed_ns != NO_STAMP && 0 < since_ns && since_ns <= MAX_GAP_NS;
-    if (absent == 0 || absent == (1 << ROTORS) - 1 || !continues || !all_finite(sample) ||
-        !plausible(sample, memory.rotor_speed_max)) {
+    if (absent == 0 || absent == (1 << memory.rotors) - 1 || !continues ||
+        !all_finite(sample, memory.rotors) || !plausible(sample, memory.rotor_speed_max)) {
         return 0;
     }
     memory.followed_ns = time_ns;

@@ -35,7 +35,9 @@ struct Ground {
 //
 // hover_square: (rad/s)², of the rotor speed in hover; 0 where unknown: then the vehicle always flies.
 // step_s: since the sample before.
-inline void follow_ground(Ground& ground, double hover_square, const Verdict& sample, double step_s) {
+inline void follow_ground(
+    Ground& ground, double hover_square, const Verdict& sample, std::int64_t rotors, double step_s
+) {
     const double keep = WAY_S / (WAY_S + step_s);
     for (int k = 0; k < 3; ++k) {
         ground.way[k] = keep * (ground.way[k] + step_s * sample.velocity[k]);
@@ -44,7 +46,7 @@ inline void follow_ground(Ground& ground, double hover_square, const Verdict& sa
     const bool moves = length_of(sample.velocity) >= MOVES_M_S || length_of(sample.rates) >= MOVES_RAD_S ||
                        std::abs(force - 1.0) >= MOVES_G || length_of(ground.way) >= GONE_M;
     ground.moving_s = std::min(std::max(ground.moving_s + (moves ? step_s : -step_s), 0.0), 2.0 * CARRIED_S);
-    const double speed = second_fastest(sample.rotor_speeds), square = speed * speed;
+    const double speed = second_fastest(sample.rotor_speeds, rotors), square = speed * speed;
     if (!ground.flying) {
         ground.flying = square >= (moves ? TURNING : LIFTED) * hover_square;
         ground.supported_s = 0.0;

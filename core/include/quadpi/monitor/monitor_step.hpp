@@ -144,22 +144,23 @@ inline void judge(const MonitorMemory& memory, Evaluator& model, MonitorBlock& b
     );
 }
 
-// Take K samples as the pairing gives them.
+// Take K samples as the pairing gives them, in rows.
 inline void step(
     const MonitorMemory& memory,
     PreparationMemory& preparation,
     Evaluator& model,
     Records<const std::int64_t> time_ns,
-    Records<const Signals> samples,
+    Records<const double> samples,
     MonitorBlock& block,
     MonitorRows& rows
 ) {
-    for (std::size_t start = 0; start < samples.size; start += block.samples) {
-        const std::size_t stop = std::min(samples.size, start + MONITOR_BLOCK);
+    const std::size_t channels = channels_of(preparation.vehicle.rotors);
+    for (std::size_t start = 0; start < time_ns.size; start += block.samples) {
+        const std::size_t stop = std::min(time_ns.size, start + MONITOR_BLOCK);
         block.samples = stop - start;
         std::fill_n(block.verdicts.begin(), block.samples, Verdict{});
-        block.used =
-            prepare(preparation, time_ns.part(start, stop), samples.part(start, stop), block.prepared());
+        const auto rows_of_block = samples.part(start * channels, stop * channels);
+        block.used = prepare(preparation, time_ns.part(start, stop), rows_of_block, block.prepared());
         std::fill_n(block.added.begin(), block.used, Wrench{});
         judge(memory, model, block, rows);
     }

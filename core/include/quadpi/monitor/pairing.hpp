@@ -3,6 +3,7 @@
 // Rings of samples by topic, and what completes an IMU sample; see monitor/pairing.py.
 #pragma once
 
+#include <algorithm>
 #include <limits>
 
 #include "quadpi/estimator/imu_rate.hpp"
@@ -32,7 +33,8 @@ struct StateValues {
     Vector3 rates;
 };
 
-constexpr std::size_t WIDEST = sizeof(StateValues) / sizeof(double);
+constexpr std::size_t STATE_NUMBERS = sizeof(StateValues) / sizeof(double);
+constexpr std::size_t WIDEST = std::max(STATE_NUMBERS, std::size_t{ROTORS_MAX});
 
 // A sample of a topic: as many of the numbers as it has are used.
 struct Entry {
@@ -44,6 +46,7 @@ struct Entry {
 struct PairingState {
     std::array<Track, TOPICS> tracks;
     Meter meter;
+    std::int64_t rotors;
     std::int64_t timeout_ns;
     // Of the IMU: the newest stamp since one stepped back, and that of the last sample. Of replays only.
     std::int64_t newest_ns;
@@ -66,7 +69,7 @@ struct ArrivingSamples {
     Records<const std::int64_t> state_ns;
     Records<const StateValues> states;
     Records<const std::int64_t> rotor_ns;
-    Records<const PerRotor> rotor_speeds;
+    Records<const double> rotor_speeds;  // rows of n
     Records<const std::int64_t> wind_ns;
     Records<const Vector3> wind;
 };
@@ -129,21 +132,23 @@ public:
     }
 
     // Fill stamps and rows of the samples that are complete or given up; returns their number.
-    std::int64_t take(std::int64_t* taken_ns, Signals* taken) {
+    std::int64_t take(std::int64_t* taken_ns, double* taken) {
         Track& imu = state.tracks[IMU];
-        std::int64_t count = 0;
+        const std::size_t channels = channels_of(state.rotors);
+        std::size_t count = 0;
         while (true) {
             const Fate fate = fate_of_oldest();
             if (fate == WAITS) {
-                return count;
+                return static_cast<std::int64_t>(count);
             }
             if (fate == EARLY) {
                 ++state.early;
             } else {
                 const Entry& sample = entry(IMU, imu.oldest);
-                Signals& row = taken[count];
+                Signals row;
                 ++(complete(sample.time_ns, row) ? state.paired : state.dropped);
                 std::copy_n(sample.values.begin(), 3, row.specific_force.begin());
+                fill_row(row, state.rotors, taken + count * channels);
                 taken_ns[count] = sample.time_ns;
                 ++count;
             }
@@ -156,9 +161,10 @@ public:
     // The stamp of the arrival at which the next stretch begins has been noted: the next call does not note
     // it again.
     StretchEnd take_stretch(
-        const ArrivingSamples& arriving, std::int64_t start, std::int64_t* taken_ns, Signals* taken
+        const ArrivingSamples& arriving, std::int64_t start, std::int64_t* taken_ns, double* taken
     ) {
         std::int64_t count = 0;
+        const auto rotors = static_cast<std::size_t>(state.rotors), channels = channels_of(state.rotors);
         const auto events = static_cast<std::int64_t>(arriving.kind.size);
         for (std::int64_t event = start; event < events; ++event) {
             const std::int64_t kind = arriving.kind[event], row = arriving.row[event];
@@ -179,11 +185,12 @@ public:
                 const StateValues& values = arriving.states[row];
                 add_state(arriving.state_ns[row], values.velocity, values.attitude, values.rates);
             } else if (kind == ROTOR_SPEEDS) {
-                add(ROTOR_SPEEDS, arriving.rotor_ns[row], arriving.rotor_speeds[row].data(), ROTORS);
+                const double* speeds = arriving.rotor_speeds.data + static_cast<std::size_t>(row) * rotors;
+                add(ROTOR_SPEEDS, arriving.rotor_ns[row], speeds, rotors);
             } else {
                 add(WIND, arriving.wind_ns[row], arriving.wind[row].data(), 3);
             }
-            count += take(taken_ns + count, taken + count);
+            count += take(taken_ns + count, taken + static_cast<std::size_t>(count) * channels);
         }
         return {events, CONTINUES, count};
     }
@@ -261,9 +268,10 @@ private:
 
     // Fill state, rotor speeds and wind at a stamp; false if state or rotor speeds are not known there.
     bool complete(std::int64_t time_ns, Signals& row) {
-        bool known = interpolate(STATE, time_ns, numbers_of(row), WIDEST);
+        bool known = interpolate(STATE, time_ns, numbers_of(row), STATE_NUMBERS);
         scale_to_unit(row.attitude);
-        known &= interpolate(ROTOR_SPEEDS, time_ns, row.rotor_speeds.data(), ROTORS);
+        const auto rotors = static_cast<std::size_t>(state.rotors);
+        known &= interpolate(ROTOR_SPEEDS, time_ns, row.rotor_speeds.data(), rotors);
         row.wind = {};
         const std::int64_t held = hold(WIND, time_ns);
         if (held >= 0) {

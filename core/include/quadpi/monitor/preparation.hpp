@@ -24,7 +24,7 @@ constexpr std::int64_t WITHOUT_STATE =
 // state goes on.
 struct Verdict {
     std::int64_t time_ns;
-    std::int64_t faults;  // bits of what is wrong
+    Faults faults;  // what is wrong
     bool usable;
     // Bit per rotor without a reading, in a sample that is usable but for these: the last ones hold.
     std::int64_t absent;
@@ -69,27 +69,27 @@ inline bool sums_are_finite(const InputVector& inputs, const Wrench& measured) {
     return std::isfinite(of_inputs + of_measured);
 }
 
-// Fill the verdict of one sample, and place `used` of the other arrays if it is usable.
+// Fill the verdict of one sample, whose row is changed, and place `used` of the other arrays if it is usable.
 inline void prepare_sample(
     PreparationMemory& memory,
     std::int64_t time_ns,
-    const Signals& sample,
+    Signals& row,
     Verdict& verdict,
     std::size_t used,
     PreparedSamples& out
 ) {
     ChainMemory& chain = memory.chain;
-    Signals row = sample;
+    const std::int64_t rotors = memory.vehicle.rotors;
     auto [faults, usable, jump] = judge(memory.quality, time_ns, row);
     if (usable && memory.low_pass.rate_hz == 0.0) {
-        faults |= memory.fault_without_rate;
+        faults.add(memory.fault_without_rate);
         usable = false;
     }
     std::int64_t absent = 0;
     if (!usable && chain.started) {
         absent = take_last_readings(memory.quality, time_ns, row);
     }
-    if (usable || absent != 0 || (faults & WITHOUT_STATE) == 0) {
+    if (usable || absent != 0 || !faults.any(WITHOUT_STATE)) {
         const std::int64_t since_ns = time_ns - memory.state_ns;
         if (!(0 < since_ns && since_ns <= MAX_GAP_NS)) {
             memory.begun_ns = time_ns;
@@ -114,9 +114,9 @@ inline void prepare_sample(
     }
     verdict.settled =
         time_ns - memory.begun_ns >= SETTLE_NS && time_ns - memory.filtered_ns >= memory.settling_ns;
-    Signals value, slope;
-    PerRotor curvature;
-    filter_sample(memory.low_pass, chain, row, value, slope, curvature);
+    Signals value{}, slope{};
+    PerRotor curvature{};
+    filter_sample(memory.low_pass, chain, row, value, slope, curvature, rotors);
     const Matrix3 turn = rotation_matrix(value.attitude);
     for (int k = 0; k < 3; ++k) {
         verdict.velocity[k] =
@@ -141,7 +141,7 @@ inline void prepare_sample(
         vehicle,
         out.inputs[used]
     );
-    out.derivatives[used] = {slope.rates, slope.rotor_speeds, curvature, 0.0};
+    out.derivatives[used] = {slope.rates, value.rotor_speeds, slope.rotor_speeds, curvature, 0.0};
     if (out.filtered.size > 0) {
         out.filtered[used] = value;
     }
@@ -150,15 +150,19 @@ inline void prepare_sample(
 }
 
 // Fill the verdicts of K samples, which are zero, and what the usable ones give; returns their number.
+//
+// samples: K rows, see signals_in().
 inline std::size_t prepare(
     PreparationMemory& memory,
     Records<const std::int64_t> time_ns,
-    Records<const Signals> samples,
+    Records<const double> samples,
     PreparedSamples out
 ) {
     std::size_t used = 0;
-    for (std::size_t index = 0; index < samples.size; ++index) {
-        prepare_sample(memory, time_ns[index], samples[index], out.verdicts[index], used, out);
+    const std::int64_t rotors = memory.vehicle.rotors;
+    for (std::size_t index = 0; index < time_ns.size; ++index) {
+        Signals sample = signals_in(samples.data + index * channels_of(rotors), rotors);
+        prepare_sample(memory, time_ns[index], sample, out.verdicts[index], used, out);
         used += out.verdicts[index].usable ? 1 : 0;
     }
     return used;

@@ -30,9 +30,10 @@ constexpr std::array<int, 3> SHOWN = {2, 3, 4};
 
 // What is known of the rotors.
 struct RotorGeometry {
+    std::int64_t rotors;
     double thrust_per_square;  // N/(rad/s)², from hover; 0 where unknown: then no rotor is called stopped
     double least_square;       // (rad/s)², below which a rotor's thrust is too small to be missed
-    std::array<Vector3, ROTORS> lever;  // change of Fz, Mx, My per newton that a rotor loses: 1, m, m
+    std::array<Vector3, ROTORS_MAX> lever;  // change of Fz, Mx, My per newton that a rotor loses: 1, m, m
 };
 
 // What is remembered of the samples.
@@ -85,13 +86,13 @@ inline void find_stopped(
     Vector3 change;
     for (std::size_t shown = 0; shown < SHOWN.size(); ++shown) {
         double rest = wrench[SHOWN[shown]];
-        for (int k = 0; k < ROTORS; ++k) {
+        for (int k = 0; k < geometry.rotors; ++k) {
             rest += geometry.thrust_per_square * squares[k] * geometry.lever[k][shown];
         }
         change[shown] = rest - thrust.mean_rest[shown];
     }
     bool suspected = thrust.stopped != 0;
-    for (int k = 0; k < ROTORS; ++k) {
+    for (int k = 0; k < geometry.rotors; ++k) {
         double least = INF, most = -INF;
         const bool silent = thrust.since_zero_s[k] == 0.0;
         const double mean = thrust.mean_squares[k];
@@ -100,8 +101,16 @@ inline void find_stopped(
                             thrust.known_s >= KNOWN_S && (!silent || (steady && carries));
         if (judged) {
             const double expected = geometry.thrust_per_square * squares[k];
+            const double roll = geometry.lever[k][1], pitch = geometry.lever[k][2];
             for (std::size_t shown = 0; shown < SHOWN.size(); ++shown) {
-                const double share = change[shown] / (geometry.lever[k][shown] * expected);
+                const double lever = geometry.lever[k][shown];
+                if (lever == 0.0) {
+                    // A rotor on an axis does not turn the body about it: that is the loss of another one.
+                    const double turn = LOST_SHARE * std::max(std::abs(roll), std::abs(pitch)) * expected;
+                    least = std::abs(change[shown]) > turn ? -INF : least;
+                    continue;
+                }
+                const double share = change[shown] / (lever * expected);
                 least = std::min(least, share);
                 most = std::max(most, share);
             }
@@ -128,7 +137,7 @@ inline void find_stopped(
     for (std::size_t shown = 0; shown < SHOWN.size(); ++shown) {
         thrust.mean_rest[shown] += share * change[shown];
     }
-    for (int k = 0; k < ROTORS; ++k) {
+    for (int k = 0; k < geometry.rotors; ++k) {
         const double off = squares[k] - thrust.mean_squares[k];
         thrust.variances[k] += share * (off * off - thrust.variances[k]);
         thrust.mean_squares[k] += share * off;
@@ -136,22 +145,25 @@ inline void find_stopped(
 }
 
 // Faults with a reading of 0 reported once it is decided that the thrust is there, and for a while.
-inline std::int64_t named_faults(const RotorThrust& thrust, std::int64_t faults) {
-    std::int64_t named = faults & ~(std::int64_t{ROTOR_ZERO} * 15);
+inline Faults named_faults(const RotorThrust& thrust, const Faults& faults, std::int64_t rotors) {
+    Faults named = faults;
+    named.keep(~every_rotor(ROTOR_ZERO));
     if (thrust.stopped != 0) {
         // Rotors are no longer compared: one that is slow may balance the one that stopped.
-        named &= ~ROTOR_FAULTS;
-        for (int k = 0; k < ROTORS; ++k) {
-            if (!(thrust.stopped & 1 << k)) {
-                named |= faults & (std::int64_t{ROTOR_FROZEN | ROTOR_JUMPS} << k);
+        named.keep(~ROTOR_FAULTS);
+        for (int k = 0; k < rotors; ++k) {
+            for (const Fault own : {ROTOR_FROZEN, ROTOR_JUMPS}) {
+                if (!(thrust.stopped & 1 << k) && faults.has(own, k)) {
+                    named.add(own, k);
+                }
             }
         }
         return named;
     }
-    for (int k = 0; k < ROTORS; ++k) {
+    for (int k = 0; k < rotors; ++k) {
         const bool is_reported = thrust.since_zero_s[k] <= REPORTED_S && thrust.zero_s[k] >= UNDECIDED_S;
         if (is_reported && thrust.zeros & 1 << k) {
-            named |= std::int64_t{ROTOR_ZERO} << k;
+            named.add(ROTOR_ZERO, k);
         }
     }
     return named;
@@ -161,24 +173,24 @@ inline std::int64_t named_faults(const RotorThrust& thrust, std::int64_t faults)
 //
 // step_s: since the sample before.
 // Returns its faults, with what readings of 0 mean.
-inline std::int64_t follow_thrust(
+inline Faults follow_thrust(
     const RotorGeometry& geometry,
     RotorThrust& thrust,
     const Verdict& sample,
     const Wrench& wrench,
     double step_s
 ) {
-    const std::int64_t faults = sample.faults;
-    if (faults & (std::int64_t{ROTOR_JUMPS} * 15 | GAP) && sample.usable && thrust.stopped == 0) {
+    const Faults& faults = sample.faults;
+    if (faults.any(every_rotor(ROTOR_JUMPS) | GAP) && sample.usable && thrust.stopped == 0) {
         // A reading that was wrong, or is now, or none for long: what the means know is worth nothing.
         thrust.known_s = 0.0;
     }
     bool unknown = false;
     double now = 0.0, before = 0.0;
-    PerRotor squares;
-    for (int k = 0; k < ROTORS; ++k) {
+    PerRotor squares{};
+    for (int k = 0; k < geometry.rotors; ++k) {
         squares[k] = sample.rotor_speeds[k] * sample.rotor_speeds[k];
-        const bool reads_zero = (faults & std::int64_t{ROTOR_ZERO} << k) != 0;
+        const bool reads_zero = faults.has(ROTOR_ZERO, k);
         const std::int64_t own = 1 << k;
         if (reads_zero || sample.absent & own) {
             thrust.zeros = reads_zero ? thrust.zeros | own : thrust.zeros & ~own;
@@ -199,7 +211,7 @@ inline std::int64_t follow_thrust(
     }
     const bool carries = now >= TOGETHER_SHARE * before;
     find_stopped(geometry, thrust, squares, wrench, unknown ? 0.0 : step_s, carries);
-    return named_faults(thrust, faults);
+    return named_faults(thrust, faults, geometry.rotors);
 }
 
 }  // namespace quadpi

@@ -25,7 +25,9 @@ inline const double TAN_TILT_MAX = sine(TILT_MAX_DEG * (PI / 180.0)) / cosine(TI
 // Least cosine between the nose and its heading that a yaw rate is divided by.
 constexpr double SIDE_MIN = 0.3;
 
-using Matrix4 = std::array<PerRotor, ROTORS>;
+// Squares of the rotor speeds from thrust and moments, and the other way round.
+using Allocation = std::array<std::array<double, 4>, ROTORS_MAX>;
+using Effectiveness = std::array<PerRotor, 4>;
 
 // The integrated state, or its derivative; position and velocity in the world.
 struct Motion {
@@ -33,8 +35,8 @@ struct Motion {
     Vector3 velocity;
     Quaternion attitude;
     Vector3 rates;
-    PerRotor rotor_speeds;
-    OwnState memory;  // of an effect that has a state of its own
+    OwnState memory;        // of an effect that has a state of its own
+    PerRotor rotor_speeds;  // the last: numbers beyond the vehicle's rotors are not integrated
 };
 
 // The reference, its jerk [m/s³], and the wind [m/s] in the world, at every step.
@@ -49,10 +51,10 @@ struct Demand {
 // Parameters of the nominal vehicle, and memory of the controller.
 struct Controls {
     const VehicleNumbers& nominal;
-    const Matrix4& allocation;     // squares of the rotor speeds from thrust and moments
-    const Matrix4& effectiveness;  // its inverse
-    Wrench& disturbance;           // wrench of the last instant less that of the rotors in hover
-    PerRotor& command;             // commanded rotor speeds
+    const Allocation& allocation;  // the inverse of the next, of four rotors; of others the pseudo-inverse
+    const Effectiveness& effectiveness;
+    Wrench& disturbance;  // wrench of the last instant less that of the rotors in hover
+    PerRotor& command;    // commanded rotor speeds
 };
 
 // Update the disturbance: the wrench less that of rotors in hover at the present rotor speeds.
@@ -62,7 +64,7 @@ struct Controls {
 inline void observe(Controls& controls, const State& state) {
     Wrench& disturbance = controls.disturbance;
     disturbance = state.wrench;
-    for (int rotor = 0; rotor < ROTORS; ++rotor) {
+    for (int rotor = 0; rotor < controls.nominal.rotors; ++rotor) {
         const double square = state.rotor_speeds[rotor] * state.rotor_speeds[rotor];
         disturbance[2] += controls.effectiveness[0][rotor] * square;
         for (int axis = 0; axis < 3; ++axis) {
@@ -111,27 +113,29 @@ inline void allocate(
 ) {
     const double fastest = controls.nominal.rotor_speed_max;
     const double largest = fastest * fastest;
-    PerRotor lift, turn;
-    for (int rotor = 0; rotor < ROTORS; ++rotor) {
-        const PerRotor& row = controls.allocation[rotor];
+    const auto rotors = controls.nominal.rotors;
+    PerRotor lift{}, turn{};
+    for (int rotor = 0; rotor < rotors; ++rotor) {
+        const auto& row = controls.allocation[rotor];
         lift[rotor] = row[0] * thrust + row[1] * moments[0] + row[2] * moments[1];
         turn[rotor] = row[3] * moments[2];
     }
-    const double excess = *std::max_element(lift.begin(), lift.end()) - largest;
+    const double excess = *std::max_element(lift.begin(), lift.begin() + rotors) - largest;
     if (excess > 0.0) {
-        const double lowered = std::min(excess, std::max(*std::min_element(lift.begin(), lift.end()), 0.0));
+        const double lowered =
+            std::min(excess, std::max(*std::min_element(lift.begin(), lift.begin() + rotors), 0.0));
         for (double& one : lift) {
             one -= lowered;
         }
     }
     double share = 1.0;
-    for (int rotor = 0; rotor < ROTORS; ++rotor) {
+    for (int rotor = 0; rotor < rotors; ++rotor) {
         if (turn[rotor] != 0.0) {
             const double bound = turn[rotor] > 0.0 ? largest : 0.0;
             share = std::min(share, std::max(0.0, (bound - lift[rotor]) / turn[rotor]));
         }
     }
-    for (int rotor = 0; rotor < ROTORS; ++rotor) {
+    for (int rotor = 0; rotor < rotors; ++rotor) {
         const double square = lift[rotor] + share * turn[rotor];
         const double wanted = std::sqrt(std::min(std::max(square, 0.0), largest));
         const double led = rotor_speeds[rotor] + MOTOR_LEAD * (wanted - rotor_speeds[rotor]);

@@ -42,7 +42,7 @@ struct Physics {
 
 // The integrator's memory: the state, a state ahead of it and the slopes of four stages.
 constexpr std::size_t MOTIONS = 6;
-constexpr std::size_t MOTION_NUMBERS = sizeof(Motion) / sizeof(double);
+constexpr std::size_t ROTOR_SPEEDS_OF_MOTION = offsetof(Motion, rotor_speeds) / sizeof(double);
 
 inline double* numbers_of(Motion& motion) { return reinterpret_cast<double*>(&motion); }
 
@@ -62,7 +62,7 @@ inline void differentiate(
     state.rates = motion.rates;
     state.attitude = motion.attitude;
     state.velocity_air = into_body(rotation, minus(motion.velocity, wind));
-    for (int rotor = 0; rotor < ROTORS; ++rotor) {
+    for (int rotor = 0; rotor < vehicle.rotors; ++rotor) {
         const double lag = command[rotor] - motion.rotor_speeds[rotor];
         slope.rotor_speeds[rotor] = lag / vehicle.motor_time_constant;
     }
@@ -141,6 +141,7 @@ inline void fly(
     Records<Logged> log,
     volatile std::int64_t& done
 ) {
+    const std::size_t numbers = ROTOR_SPEEDS_OF_MOTION + static_cast<std::size_t>(physics.vehicle.rotors);
     const std::size_t steps = demand.yaw.size, every = (steps - 1) / (log.size - 1);
     constexpr double step = 1.0 / STEP_HZ;
     Motion& motion = motions[0];
@@ -164,12 +165,12 @@ inline void fly(
         for (int stage = 0; stage < 3; ++stage) {
             const double ahead = stage == 2 ? step : 0.5 * step;
             const double* slope = numbers_of(motions[2 + stage]);
-            for (std::size_t j = 0; j < MOTION_NUMBERS; ++j) {
+            for (std::size_t j = 0; j < numbers; ++j) {
                 ahead_of_it[j] = now[j] + ahead * slope[j];
             }
             differentiate(motions[1], controls.command, wind, physics, state, motions[3 + stage]);
         }
-        for (std::size_t j = 0; j < MOTION_NUMBERS; ++j) {
+        for (std::size_t j = 0; j < numbers; ++j) {
             now[j] += step / 6.0 * (first[j] + 2.0 * second[j] + 2.0 * third[j] + fourth[j]);
         }
         scale_to_unit(motion.attitude);

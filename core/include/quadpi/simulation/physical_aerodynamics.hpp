@@ -21,6 +21,7 @@ inline void physical_aerodynamics(
         vehicle.mass,
         reference_thrust,
         2.0 * vehicle.air_density * PI * (vehicle.rotor_radius * vehicle.rotor_radius),
+        vehicle.rotors,
         vehicle.rotor_positions,
         vehicle.rotor_spins,
     };

@@ -24,10 +24,11 @@ inline PhysicalWrench physical_wrench(
 ) {
     Regressors row{};
     const Wrench* const terms = terms_of(row);
-    PhysicalWrench found;
+    PhysicalWrench found{};
+    const double share = 1.0 / static_cast<double>(vehicle.rotors);
     double lift = 0.0, torque = 0.0, mean_induced = 0.0;
-    for (int rotor = 0; rotor < ROTORS; ++rotor) {
-        mean_induced += 0.25 * fill_rotor(rotor, motion, vehicle, row);
+    for (int rotor = 0; rotor < vehicle.rotors; ++rotor) {
+        mean_induced += share * fill_rotor(rotor, motion, vehicle, row);
         double lift_so_far = 0.0, torque_so_far = 0.0;
         for (std::size_t term = 0; term < TORQUE_TERM; ++term) {
             lift_so_far -= values[term] * terms[term][2];

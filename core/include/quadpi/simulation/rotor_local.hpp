@@ -57,7 +57,7 @@ inline void rotor_local(State& state, const VehicleNumbers& vehicle) {
     Wrench& wrench = state.wrench;
     wrench = {};
     fill_hub_velocities(state, vehicle);
-    for (int rotor = 0; rotor < ROTORS; ++rotor) {
+    for (int rotor = 0; rotor < vehicle.rotors; ++rotor) {
         const double x = vehicle.rotor_positions[rotor][0], y = vehicle.rotor_positions[rotor][1];
         const double spin = vehicle.rotor_spins[rotor], speed = state.rotor_speeds[rotor];
         const auto [u, v, w] = state.hub_velocity[rotor];

@@ -23,11 +23,11 @@ struct State {
     Vector3 rates;
     PerRotor rotor_speeds;
     PerRotor rotor_accelerations;
-    std::array<Vector3, ROTORS> hub_velocity;  // of each rotor's hub relative to the air, body axes
-    PerRotor thrusts;                          // along -z, of the aerodynamics alone
-    PerRotor torques;                          // on the body about z, of the aerodynamics alone
-    Wrench aerodynamics;                       // alone
-    Wrench wrench;                             // with the effects applied so far
+    std::array<Vector3, ROTORS_MAX> hub_velocity;  // of each rotor's hub relative to the air, body axes
+    PerRotor thrusts;                              // along -z, of the aerodynamics alone
+    PerRotor torques;                              // on the body about z, of the aerodynamics alone
+    Wrench aerodynamics;                           // alone
+    Wrench wrench;                                 // with the effects applied so far
     double force_is_measured;  // 1 where every effect is already part of the force of `wrench`, else 0
     OwnState memory;           // of an effect that has a state of its own
     OwnState memory_slope;     // its derivative in time, which the effect fills
@@ -40,7 +40,8 @@ struct VehicleNumbers {
     double air_density;
     Matrix3 inertia;
     Matrix3 inverse_inertia;
-    std::array<Vector3, ROTORS> rotor_positions;
+    std::int64_t rotors;
+    std::array<Vector3, ROTORS_MAX> rotor_positions;
     PerRotor rotor_spins;  // +1 where the rotor turns clockwise seen from above
     double rotor_radius;
     double hover_induced_velocity;  // of the vehicle as in its file, like the next
@@ -66,7 +67,7 @@ struct VehicleNumbers {
 // Fill the velocities of the hubs: that of the body and its turning.
 inline void fill_hub_velocities(State& state, const VehicleNumbers& vehicle) {
     const auto [p, q, r] = state.rates;
-    for (int rotor = 0; rotor < ROTORS; ++rotor) {
+    for (int rotor = 0; rotor < vehicle.rotors; ++rotor) {
         const auto [x, y, z] = vehicle.rotor_positions[rotor];
         state.hub_velocity[rotor] = {
             state.velocity_air[0] + q * z - r * y,

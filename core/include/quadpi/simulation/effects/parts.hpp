@@ -67,10 +67,11 @@ inline std::array<double, MODULATORS> modulators(const State& state, const Vehic
     const double induced = vehicle.hover_induced_velocity, radius = vehicle.rotor_radius;
     const double u = state.velocity_air[0] / induced, v = state.velocity_air[1] / induced;
     const double w = state.velocity_air[2] / induced;
+    const double of_one = 1.0 / static_cast<double>(vehicle.rotors);
     double load = 0.0;
-    for (const double speed : state.rotor_speeds) {
-        const double share = speed / vehicle.hover_rotor_speed;
-        load += 0.25 * (share * share);
+    for (int rotor = 0; rotor < vehicle.rotors; ++rotor) {
+        const double share = state.rotor_speeds[rotor] / vehicle.hover_rotor_speed;
+        load += of_one * (share * share);
     }
     const double speed = std::sqrt(u * u + v * v + w * w);
     const double turning = radius * length_of(state.rates);

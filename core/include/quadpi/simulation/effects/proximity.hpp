@@ -13,7 +13,7 @@ constexpr double NEAREST_SURFACE = 0.5;
 
 inline Wrench ground_effect(State& state, const VehicleNumbers& vehicle, const double* p) {
     Wrench wrench = NO_WRENCH;
-    for (int rotor = 0; rotor < ROTORS; ++rotor) {
+    for (int rotor = 0; rotor < vehicle.rotors; ++rotor) {
         const double height =
             std::max(hub_height(state, vehicle, rotor), NEAREST_SURFACE * vehicle.rotor_radius);
         const double ratio = vehicle.rotor_radius / (4.0 * height);
@@ -26,7 +26,7 @@ inline Wrench ground_effect(State& state, const VehicleNumbers& vehicle, const d
 
 inline Wrench ceiling_effect(State& state, const VehicleNumbers& vehicle, const double* p) {
     Wrench wrench = NO_WRENCH;
-    for (int rotor = 0; rotor < ROTORS; ++rotor) {
+    for (int rotor = 0; rotor < vehicle.rotors; ++rotor) {
         const double distance =
             std::max(p[1] - hub_height(state, vehicle, rotor), NEAREST_SURFACE * vehicle.rotor_radius);
         const double ratio = vehicle.rotor_radius / distance;

@@ -8,14 +8,14 @@
 
 namespace quadpi::effects {
 
-// Share of a rotor of coefficients that belong to all four at hover speed.
+// Share of a rotor of coefficients that belong to all together at hover speed.
 inline double share_of(const State& state, const VehicleNumbers& vehicle, int rotor) {
-    return state.rotor_speeds[rotor] / (ROTORS * vehicle.hover_rotor_speed);
+    return state.rotor_speeds[rotor] / (static_cast<double>(vehicle.rotors) * vehicle.hover_rotor_speed);
 }
 
 inline Wrench rotor_drag(State& state, const VehicleNumbers& vehicle, const double* p) {
     Wrench wrench = NO_WRENCH;
-    for (int rotor = 0; rotor < ROTORS; ++rotor) {
+    for (int rotor = 0; rotor < vehicle.rotors; ++rotor) {
         const double k = -p[0] * share_of(state, vehicle, rotor);
         const double u = state.hub_velocity[rotor][0], v = state.hub_velocity[rotor][1];
         wrench = with_hub_force(wrench, vehicle, rotor, k * u, k * v, 0.0);
@@ -25,7 +25,7 @@ inline Wrench rotor_drag(State& state, const VehicleNumbers& vehicle, const doub
 
 inline Wrench cross_flow(State& state, const VehicleNumbers& vehicle, const double* p) {
     Wrench wrench = NO_WRENCH;
-    for (int rotor = 0; rotor < ROTORS; ++rotor) {
+    for (int rotor = 0; rotor < vehicle.rotors; ++rotor) {
         const double k = p[0] * vehicle.rotor_spins[rotor] * share_of(state, vehicle, rotor);
         const double u = state.hub_velocity[rotor][0], v = state.hub_velocity[rotor][1];
         wrench = with_hub_force(wrench, vehicle, rotor, k * v, -k * u, 0.0);
@@ -35,7 +35,7 @@ inline Wrench cross_flow(State& state, const VehicleNumbers& vehicle, const doub
 
 inline Wrench blade_flapping(State& state, const VehicleNumbers& vehicle, const double* p) {
     double mx = 0.0, my = 0.0;
-    for (int rotor = 0; rotor < ROTORS; ++rotor) {
+    for (int rotor = 0; rotor < vehicle.rotors; ++rotor) {
         const double k = p[0] * share_of(state, vehicle, rotor);
         mx -= k * state.hub_velocity[rotor][1];
         my += k * state.hub_velocity[rotor][0];
@@ -44,18 +44,19 @@ inline Wrench blade_flapping(State& state, const VehicleNumbers& vehicle, const 
 }
 
 inline Wrench translational_lift(State& state, const VehicleNumbers& vehicle, const double* p) {
+    const double share = p[0] / static_cast<double>(vehicle.rotors);
     Wrench wrench = NO_WRENCH;
-    for (int rotor = 0; rotor < ROTORS; ++rotor) {
+    for (int rotor = 0; rotor < vehicle.rotors; ++rotor) {
         const double fastest = ADVANCE_RATIO_MAX * vehicle.rotor_radius * state.rotor_speeds[rotor];
         const double speed = std::min(in_plane_speed(state, rotor), fastest);
-        wrench = with_hub_force(wrench, vehicle, rotor, 0.0, 0.0, -p[0] / ROTORS * speed * speed);
+        wrench = with_hub_force(wrench, vehicle, rotor, 0.0, 0.0, -share * speed * speed);
     }
     return wrench;
 }
 
 inline Wrench inflow_damping(State& state, const VehicleNumbers& vehicle, const double* p) {
     Wrench wrench = NO_WRENCH;
-    for (int rotor = 0; rotor < ROTORS; ++rotor) {
+    for (int rotor = 0; rotor < vehicle.rotors; ++rotor) {
         const double k = -p[0] * share_of(state, vehicle, rotor);
         wrench = with_hub_force(wrench, vehicle, rotor, 0.0, 0.0, k * state.hub_velocity[rotor][2]);
     }
@@ -65,7 +66,7 @@ inline Wrench inflow_damping(State& state, const VehicleNumbers& vehicle, const 
 inline Wrench rotor_dissymmetry(State& state, const VehicleNumbers& vehicle, const double* p) {
     const double square = square_of(state.velocity_air);
     Wrench wrench = NO_WRENCH;
-    for (int rotor = 0; rotor < ROTORS; ++rotor) {
+    for (int rotor = 0; rotor < vehicle.rotors; ++rotor) {
         const double more = square_of(state.hub_velocity[rotor]) - square;
         const double thrust = p[0] * share_of(state, vehicle, rotor) * more;
         wrench = with_hub_force(wrench, vehicle, rotor, 0.0, 0.0, -thrust);
@@ -75,7 +76,7 @@ inline Wrench rotor_dissymmetry(State& state, const VehicleNumbers& vehicle, con
 
 inline Wrench vortex_ring(State& state, const VehicleNumbers& vehicle, const double* p) {
     Wrench wrench = NO_WRENCH;
-    for (int rotor = 0; rotor < ROTORS; ++rotor) {
+    for (int rotor = 0; rotor < vehicle.rotors; ++rotor) {
         const double x = std::max(state.hub_velocity[rotor][2], 0.0) / vehicle.hover_induced_velocity;
         const double across = in_plane_speed(state, rotor) / vehicle.hover_induced_velocity;
         const double fourth = (x * x) * (x * x);
@@ -94,7 +95,7 @@ inline Wrench rotor_interaction(State& state, const VehicleNumbers& vehicle, con
     }
     const double strength = p[0] * hyperbolic_tangent(speed / vehicle.hover_induced_velocity);
     Wrench wrench = NO_WRENCH;
-    for (int rotor = 0; rotor < ROTORS; ++rotor) {
+    for (int rotor = 0; rotor < vehicle.rotors; ++rotor) {
         const double x = vehicle.rotor_positions[rotor][0], y = vehicle.rotor_positions[rotor][1];
         const double behind = std::max(0.0, -(x * u + y * v) / (speed * std::sqrt(x * x + y * y)));
         const double loss = strength * behind * state.thrusts[rotor];

@@ -8,11 +8,13 @@
 namespace quadpi::effects {
 
 // Rotor that a parameter names, from 1 on.
-inline int rotor_of(double number) { return std::clamp(static_cast<int>(number) - 1, 0, ROTORS - 1); }
+inline int rotor_of(double number, const VehicleNumbers& vehicle) {
+    return std::clamp(static_cast<int>(number) - 1, 0, static_cast<int>(vehicle.rotors) - 1);
+}
 
 inline Wrench gyroscopic(State& state, const VehicleNumbers& vehicle, const double* p) {
     double momentum = 0.0;
-    for (int rotor = 0; rotor < ROTORS; ++rotor) {
+    for (int rotor = 0; rotor < vehicle.rotors; ++rotor) {
         momentum += p[0] * vehicle.rotor_spins[rotor] * state.rotor_speeds[rotor];
     }
     return {0.0, 0.0, 0.0, -state.rates[1] * momentum, state.rates[0] * momentum, 0.0};
@@ -20,7 +22,7 @@ inline Wrench gyroscopic(State& state, const VehicleNumbers& vehicle, const doub
 
 inline Wrench spin_up(State& state, const VehicleNumbers& vehicle, const double* p) {
     double torque = 0.0;
-    for (int rotor = 0; rotor < ROTORS; ++rotor) {
+    for (int rotor = 0; rotor < vehicle.rotors; ++rotor) {
         torque -= p[0] * vehicle.rotor_spins[rotor] * state.rotor_accelerations[rotor];
     }
     return {0.0, 0.0, 0.0, 0.0, 0.0, torque};
@@ -51,14 +53,15 @@ inline Wrench with_shares(
 
 inline Wrench rotor_thrusts(State& state, const VehicleNumbers& vehicle, const double* p) {
     Wrench wrench = NO_WRENCH;
-    for (int rotor = 0; rotor < ROTORS; ++rotor) {
+    // There are parameters for four rotors.
+    for (int rotor = 0; rotor < std::min<std::int64_t>(vehicle.rotors, 4); ++rotor) {
         wrench = with_shares(wrench, state, vehicle, rotor, p[rotor], p[rotor]);
     }
     return wrench;
 }
 
 inline Wrench weak_rotor(State& state, const VehicleNumbers& vehicle, const double* p) {
-    const int rotor = rotor_of(p[0]);
+    const int rotor = rotor_of(p[0], vehicle);
     const auto [fx, fy, fz, mx, my, mz] = with_shares(NO_WRENCH, state, vehicle, rotor, -p[1], p[2]);
     const double u = state.hub_velocity[rotor][0], v = state.hub_velocity[rotor][1];
     const double x = vehicle.rotor_positions[rotor][0], y = vehicle.rotor_positions[rotor][1];
@@ -67,7 +70,7 @@ inline Wrench weak_rotor(State& state, const VehicleNumbers& vehicle, const doub
 }
 
 inline Wrench rotor_tilt(State& state, const VehicleNumbers& vehicle, const double* p) {
-    const int rotor = rotor_of(p[0]);
+    const int rotor = rotor_of(p[0], vehicle);
     const double thrust = state.thrusts[rotor], torque = state.torques[rotor];
     const double x = sine(p[1] * (PI / 180.0)), y = sine(p[2] * (PI / 180.0));
     const double z = 1.0 - std::sqrt(1.0 - x * x - y * y);
