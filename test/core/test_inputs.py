@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from quadpi_core.core import compiled
+from quadpi_core.errors import LogError
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array
 from quadpi_core.inputs import (
@@ -19,6 +21,7 @@ from quadpi_core.inputs import (
 )
 from quadpi_core.rotations import rotation_matrix
 from quadpi_core.vehicle import Vehicle
+from test.core.multicopters import multicopter
 
 HOVER = 4.6  # m/s, the scale of the induced velocity of a small quadrotor
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
@@ -251,3 +254,26 @@ def test_finite_state_gives_finite_inputs(bebop: Vehicle, scale: float) -> None:
     inputs = aerodynamic_inputs(velocity * scale, attitude, rates * scale, rotor_speeds * scale, bebop)
     assert inputs.shape == (2000, len(INPUT_NAMES))
     assert np.all(np.isfinite(inputs))
+
+
+@pytest.mark.parametrize("rotors", [1, 6, 8, 12])
+def test_inputs_of_any_number_of_rotors(tmp_path: Path, rotors: int) -> None:
+    vehicle = multicopter(tmp_path, rotors)
+    velocity, attitude, rates, _ = random_state(np.random.default_rng(rotors), 50)
+    speeds = np.random.default_rng(1).uniform(300.0, 900.0, (50, rotors))
+    found = inputs_of(vehicle, velocity, attitude, rates, speeds)
+    x, y, _ = vehicle.rotor_positions.T
+    mean = np.sqrt(np.mean(np.square(speeds), axis=1))
+    moments = np.stack((-np.sign(y), np.sign(x), vehicle.rotor_spins)) @ speeds.T
+    np.testing.assert_allclose(columns(found, "omega_avg")[:, 0], mean, rtol=1e-14)
+    np.testing.assert_allclose(columns(found, "U_p", "U_q", "U_r"), moments.T, atol=1e-10)
+    advance = velocity / (mean * vehicle.rotor_radius_m)[:, np.newaxis]
+    np.testing.assert_allclose(columns(found, "mu_x", "mu_y", "mu_z"), advance, rtol=1e-12)
+
+
+def test_a_flight_with_another_number_of_rotors_than_the_vehicle_is_refused(
+    bebop: Vehicle, tmp_path: Path
+) -> None:
+    flown = flight_of(bebop, random_state(np.random.default_rng(0), 5), np.zeros((5, 3)))
+    with pytest.raises(LogError, match="rotor_speeds: 4 rotors, vehicle rotors_6 has 6"):
+        flight_inputs(flown, multicopter(tmp_path, 6))

@@ -12,10 +12,17 @@ import pytest
 import quadpi_core
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
-from quadpi_core.models.physical_regressors import MOTION, physical_vehicle, regressors, wrenches
+from quadpi_core.models.physical_regressors import (
+    MOTION,
+    MotionSample,
+    physical_vehicle,
+    regressors,
+    wrenches,
+)
 from quadpi_core.models.physical_terms import TERM_INDEX, TERM_NAMES, TERMS, scales
-from quadpi_core.records import Records
+from quadpi_core.records import Records, record_dtype
 from quadpi_core.vehicle import Vehicle
+from test.core.multicopters import multicopter
 
 VEHICLE = Vehicle.load("neurobem")
 REFERENCE = 1.55e-6
@@ -163,3 +170,42 @@ def test_rotors_at_rest_give_finite_numbers() -> None:
     motion = motions(5)
     motion["rotor_speeds"] = 0.0
     assert np.all(np.isfinite(regressors(motion, physical_vehicle(VEHICLE, REFERENCE))))
+
+
+@pytest.mark.parametrize("rotors", [2, 6, 8, 12])
+def test_terms_of_any_number_of_rotors(tmp_path: Path, rotors: int) -> None:
+    vehicle, rng = multicopter(tmp_path, rotors), np.random.default_rng(rotors)
+    motion = np.zeros(20, record_dtype(MotionSample, rotors))
+    motion["velocity"] = rng.normal(0.0, 5.0, (20, 3))
+    motion["rates"] = rng.normal(size=(20, 3))
+    motion["rotor_speeds"] = speeds = rng.uniform(900.0, 1500.0, (20, rotors))
+    motion["rotor_accelerations"] = changes = rng.normal(0.0, 1000.0, (20, rotors))
+    (x, y, _), spins = vehicle.rotor_positions.T, vehicle.rotor_spins
+    hubs = motion["velocity"][:, np.newaxis] + np.cross(
+        motion["rates"][:, np.newaxis], vehicle.rotor_positions
+    )
+    u, v = hubs[:, :, 0], hubs[:, :, 1]
+    zero, square = np.zeros(20), np.square(speeds)
+    one = square[:, 0] - square[:, -1]
+    for name, expected in {
+        "thrust": (zero, zero, -square.sum(1), -square @ y, square @ x, zero),
+        "torque": (zero, zero, zero, zero, zero, -square @ spins),
+        "rotor_drag": (
+            *(-(speeds * u).sum(1), -(speeds * v).sum(1), zero, zero, zero),
+            (-x * speeds * v + y * speeds * u).sum(1),
+        ),
+        "rotor_inertia_spin": (zero, zero, zero, zero, zero, -changes @ spins),
+        "body_x_speed": (-speeds.mean(1) * motion["velocity"][:, 0], zero, zero, zero, zero, zero),
+        "thrust_rotor_1": (
+            *(zero, zero, -one, y[-1] * square[:, -1] - y[0] * square[:, 0]),
+            *(x[0] * square[:, 0] - x[-1] * square[:, -1], zero),
+        ),
+    }.items():
+        scale = np.abs(np.stack(expected)).max()
+        np.testing.assert_allclose(of(motion, name, vehicle), np.stack(expected, axis=1), atol=1e-12 * scale)
+    parameters = rng.normal(size=len(TERMS))
+    record = physical_vehicle(vehicle, REFERENCE)
+    total = np.einsum("p,npa->na", parameters, regressors(motion, record))
+    np.testing.assert_allclose(wrenches(motion, record, parameters), total, rtol=1e-9)
+    joined = np.concatenate((motion, motion))
+    np.testing.assert_array_equal(regressors(joined, record)[20:], regressors(motion, record))
