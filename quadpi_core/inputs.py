@@ -90,7 +90,7 @@ def derivatives_like(values: object) -> np.dtype[np.void]:
 
 
 def whole_derivatives(values: Records) -> Records:
-    """Derivatives (N,) as the core takes them: with room for more rotors, which numpy drops where it joins."""
+    """Derivatives (N,) as the core takes them: with room for more rotors, which numpy drops in joining."""
     return np.ascontiguousarray(values, derivatives_like(values))
 
 

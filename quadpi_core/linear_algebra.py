@@ -82,5 +82,5 @@ def pseudo_inverse(matrix: Array) -> Array:
         rows = matrix / scale[:, np.newaxis]
     gram = np.stack([matrix_times(rows, row) for row in rows], axis=1)
     across = inverse(gram)
-    inverted: Array = np.stack([matrix_times(rows.T, column) for column in across.T], axis=1) / scale
-    return inverted
+    inverted = np.stack([matrix_times(rows.T, column) for column in across.T], axis=1) / scale
+    return np.ascontiguousarray(inverted)

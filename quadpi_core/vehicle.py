@@ -28,8 +28,8 @@ from quadpi_core.errors import VehicleError, named_in
 from quadpi_core.frames import Array
 from quadpi_core.records import ROTORS_MAX
 
-# Rotors of a quadrotor, the only vehicle that logs, messages, screening and the search for what is missing in
-# a simulation know so far; they refuse others.
+# Rotors of a quadrotor, the only vehicle that logs, bags, live nodes and the search for what is missing in a
+# simulation know so far; they refuse others.
 ROTORS = 4
 _SPIKE_MARGIN = 1.1
 # Moment of inertia about z, over mass times squared distance of the rotors. Quadrotors from 27 g to 0.8 kg
@@ -162,6 +162,15 @@ class Vehicle:
     def rotor_count(self) -> int:
         """Number of rotors."""
         return len(self.rotor_spins)
+
+    def require_four(self, what: str) -> None:
+        """Refuse another number of rotors for what knows four.
+
+        Raises:
+            VehicleError: that says what does.
+        """
+        if self.rotor_count != ROTORS:
+            raise VehicleError(f"vehicle {self.name} has {self.rotor_count} rotors: {what} with four alone")
 
     @cached_property
     def hover_induced_velocity(self) -> float:

@@ -84,6 +84,7 @@ class MavlinkBridge(GuardedNode):
         self._given = read_parameters(self, BridgeParameters)
         check_connection(self._given.connection)
         vehicle = Vehicle.load(self._given.vehicle)
+        vehicle.require_four("the live nodes fly")
         self._session = MavlinkSession(vehicle, _order(self._given, vehicle), _settings(self._given))
         # A link is opened again after a failure; a log that cannot be read is an error at once.
         self._link: Link | None = open_link(self._given.connection) if self._is_replay else None

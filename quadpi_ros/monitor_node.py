@@ -77,6 +77,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
         """Load the vehicle and the models."""
         parameters = self.parameters
         self._vehicle = Vehicle.load(parameters.vehicle)
+        self._vehicle.require_four("the live nodes fly")
         adapted = AdaptedSources(self.get_name(), parameters.adapters, self._vehicle)
         self._rotors = self._rotor_source(adapted)
         self._body = self.frames_of(parameters.body_frame, parameters.frames)

@@ -156,25 +156,36 @@ struct HeldDemand {
     Field<const std::array<double, 2>> tilt;
 };
 
+// Of arrays by the vehicle's rotors there is a copy with room for more; give_back() ends with it.
 struct HeldControls {
     explicit HeldControls(nb::handle given)
         : nominal(given, "nominal"),
-          allocation(given, "allocation"),
-          effectiveness(given, "effectiveness"),
           disturbance(given, "disturbance"),
-          command(given, "command") {
-        checked_rotors(nominal.only().rotors);
+          command_given(given, "command"),
+          rotors(checked_rotors(nominal.only().rotors)) {
+        const Field<const double> mixing(given, "allocation"), acting(given, "effectiveness");
+        require(mixing.all().size == 4 * rotors && acting.all().size == 4 * rotors, DIFFERENT);
+        require(command_given.all().size == rotors, DIFFERENT);
+        for (std::size_t rotor = 0; rotor < rotors; ++rotor) {
+            command[rotor] = command_given.all()[rotor];
+            for (std::size_t control = 0; control < 4; ++control) {
+                allocation[rotor][control] = mixing.all()[4 * rotor + control];
+                effectiveness[control][rotor] = acting.all()[control * rotors + rotor];
+            }
+        }
     }
 
-    Controls controls() const {
-        return {nominal.only(), allocation.only(), effectiveness.only(), disturbance.only(), command.only()};
-    }
+    Controls controls() { return {nominal.only(), allocation, effectiveness, disturbance.only(), command}; }
+
+    void give_back() const { std::copy_n(command.begin(), rotors, command_given.all().data); }
 
     Field<const VehicleNumbers> nominal;
-    Field<const Allocation> allocation;
-    Field<const Effectiveness> effectiveness;
     Field<Wrench> disturbance;
-    Field<PerRotor> command;
+    Field<double> command_given;
+    std::size_t rotors;
+    Allocation allocation{};
+    Effectiveness effectiveness{};
+    PerRotor command{};
 };
 
 void fly_along(
@@ -195,7 +206,7 @@ void fly_along(
         const AddedEffect& one = added.emplace_back(effect, flown(vehicle));
         physics.effects.push_back([&one](State& now) { one.add_to(now); });
     }
-    const HeldControls held_controls(given_controls);
+    HeldControls held_controls(given_controls);
     const HeldDemand held_demand(given_demand);
     Controls controls = held_controls.controls();
     const Demand demand = held_demand.demand();
@@ -204,8 +215,11 @@ void fly_along(
     require(motions.size == MOTIONS, "not the memory of the integrator");
     State& now = only(state);
     std::int64_t& flown = only(done);
-    const nb::gil_scoped_release unlocked;
-    fly(physics, controls, demand, motions, now, log, flown);
+    {
+        const nb::gil_scoped_release unlocked;
+        fly(physics, controls, demand, motions, now, log, flown);
+    }
+    held_controls.give_back();
 }
 
 void fill_aerodynamics(Records<State> states, Vehicles vehicle, const std::string& name, Parameters numbers) {
@@ -323,15 +337,16 @@ void bind_simulation(nb::module_& module) {
     module.def("fly", &fly_along);
     module.def(
         "control", [](nb::handle given, Records<const Motion> motion, nb::handle demand, std::size_t step) {
-            const HeldControls held(given);
+            HeldControls held(given);
             const HeldDemand held_demand(demand);
             require(step < held_demand.demand().yaw.size, "no such instant");
             Controls controls = held.controls();
             control(controls, only(motion), held_demand.demand(), step);
+            held.give_back();
         }
     );
     module.def("observe", [](nb::handle given, Records<const State> state) {
-        const HeldControls held(given);
+        HeldControls held(given);
         Controls controls = held.controls();
         observe(controls, only(state));
     });

@@ -220,7 +220,7 @@ class Pairing:
         if room < 0:
             return None
         self._due = -1
-        taken_ns, taken = np.empty(room, np.int64), np.empty((room, CHANNELS))
+        taken_ns, taken = np.empty(room, np.int64), np.empty((room, self._channels))
         count, rate_changed = compiled.take_samples(self._compiled, taken_ns, taken)
         if rate_changed:
             self.rate = ImuRate.of(self._state["meter"], self._given_hz)
@@ -239,7 +239,7 @@ class Pairing:
         """
         arriving = Arriving._make(map(np.ascontiguousarray, arriving))
         room = np.count_nonzero(arriving.kind == IMU) + int(self._state["tracks"][0, IMU]["count"])
-        taken_ns, taken = np.empty(room, dtype=np.int64), np.empty((room, self._taken.shape[1]))
+        taken_ns, taken = np.empty(room, dtype=np.int64), np.empty((room, self._channels))
         state_count = np.cumsum(arriving.kind == STATE)
         stretches: list[Stretch] = []
         start, begin, filled, states = 0, CONTINUES, 0, 0

@@ -56,11 +56,11 @@ class Controls(NamedTuple):
 
     Attributes:
         nominal: record VEHICLE (1,).
-        allocation: (ROTORS_MAX, 4) squares of the rotor speeds from thrust and moments.
-        effectiveness: (4, ROTORS_MAX) whose inverse it is, of other numbers of rotors than four its
+        allocation: (rotors, 4) squares of the rotor speeds from thrust and moments.
+        effectiveness: (4, rotors) whose inverse it is, of other numbers of rotors than four its
             pseudo-inverse.
         disturbance: (6,) wrench of the last instant less that of the rotors in hover.
-        command: (ROTORS_MAX,) commanded rotor speeds [rad/s].
+        command: (rotors,) commanded rotor speeds [rad/s].
     """
 
     nominal: Records
@@ -78,12 +78,14 @@ class Controls(NamedTuple):
             effectiveness: (4, rotors) change of thrust and moments by the squared speed of each rotor, in
                 hover.
         """
-        rotors = effectiveness.shape[1]
-        allocation, padded = np.zeros((ROTORS_MAX, 4)), np.zeros((4, ROTORS_MAX))
-        allocation[:rotors], padded[:, :rotors] = pseudo_inverse(effectiveness), effectiveness
-        command = np.zeros(ROTORS_MAX)
-        command[:rotors] = nominal[0]["hover_rotor_speed"]
-        return cls(nominal, allocation, padded, np.zeros(6), command)
+        hover, rotors = float(nominal[0]["hover_rotor_speed"]), effectiveness.shape[1]
+        return cls(
+            nominal=nominal,
+            allocation=pseudo_inverse(effectiveness),
+            effectiveness=effectiveness,
+            disturbance=np.zeros(6),
+            command=np.full(rotors, hover),
+        )
 
 
 def observe(controls: Controls, state: Records) -> None:

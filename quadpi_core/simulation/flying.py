@@ -170,6 +170,8 @@ def simulate_flight(
         raise SimulationError(f"flight {name}: lasts no longer than one sample")
     time = np.arange(steps) / STEP_HZ
     effects = vehicle.with_own(effects)
+    if "rotor_thrusts" in effects:
+        vehicle.vehicle.require_four("`rotor_thrusts` flies")
     still = np.zeros(3) if known_wind is None else known_wind
     wind = still + added_wind(effects, time, generator(seed, "air"))
     flown = vehicle.altered(altered_vehicle(effects, vehicle.vehicle))
@@ -187,7 +189,7 @@ def simulate_flight(
     if not np.all(np.isfinite(controls.allocation)):
         raise SimulationError(f"vehicle {vehicle.vehicle.name}: its rotors cannot turn it about every axis")
     rotors = vehicle.vehicle.rotor_count
-    controls.command[:rotors] = start.rotor_speeds
+    controls.command[:] = start.rotor_speeds
     log = np.zeros(samples, dtype=record_dtype(Logged, rotors))
     done = np.zeros(1, dtype=np.int64) if done is None else done
     fly(physics, controls, _demand(reference, wind, last=(samples - 1) * every), memory, log, done)

@@ -21,6 +21,7 @@ def test_the_record_of_a_vehicle_is_its_file():
         "air_density": vehicle.air_density_kg_m3,
         "inertia": vehicle.inertia,
         "inverse_inertia": np.linalg.inv(vehicle.inertia),
+        "rotors": 4,
         "rotor_positions": vehicle.rotor_positions,
         "rotor_spins": vehicle.rotor_spins,
         "rotor_radius": vehicle.rotor_radius_m,
