@@ -123,7 +123,7 @@ std::size_t prepare_all(
 void take_all_conditions(
     Records<const PreparationMemory> memory,
     Records<const Conditions> conditions,
-    Records<const Verdict> verdicts,
+    Records<Verdict> verdicts,
     Records<const Signals> filtered,
     Records<Derivatives> derivatives,
     Records<ErringInputs> erring

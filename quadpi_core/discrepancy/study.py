@@ -143,7 +143,7 @@ def study(
     Raises:
         ArgumentError: for what are no simulation, flights, names or seed.
         LogError: for samples of a flight that are not finite.
-        DiscrepancyError: see :func:`quadpi_core.discrepancy.discover`; for flights of hover alone, and rotor
+        DiscrepancyError: see :func:`discover`; for flights of hover alone, and rotor
             speeds that do not change.
     """
     array_checks.instance("simulation", simulation, Simulation, _LOAD_SIMULATION)

@@ -1,17 +1,20 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""What may be known of samples beside their signals: density of the air, and how sure their state is."""
+"""What may be known of samples beside their signals.
+
+The density of the air, how sure the state is, and which rotor speeds are commands.
+"""
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 
 from quadpi_core import array_checks
 from quadpi_core.errors import ArgumentError
 from quadpi_core.frames import Array
-from quadpi_core.records import Records, record_dtype
+from quadpi_core.records import ROTORS_MAX, Records, record_dtype
 
 STATE_ERRORS = 9
 # Of air that multirotors fly in [kg/m³]: from 9 km above the sea (ISO 2533) to sea level at -60 °C.
@@ -29,54 +32,68 @@ class Conditions:
         covariance: of the errors of the state: velocity in body axes m/s, rotation about the world's axes
             rad, rates rad/s; as `nav_msgs/Odometry` has them. Zero where nothing is known. What the model's
             flights were unsure of is in its intervals already: give what goes beyond.
+        commanded: bit per rotor, the first 1, whose speed follows from its command, as nothing measured it.
+            Verdicts carry it on; nothing is decided by it yet.
     """
 
     air_density: float
     covariance: Annotated[Array, STATE_ERRORS, STATE_ERRORS]
+    commanded: int
 
 
 CONDITIONS = record_dtype(Conditions)
 
 
 def conditions(
-    samples: int, air_density: Array | float | None = None, covariance: Array | None = None
+    samples: int,
+    air_density: Any = None,
+    state_covariance: Any = None,
+    commanded: Any = None,
 ) -> Records | None:
     """The :class:`Conditions` (K,) of samples; None where nothing is given.
 
     Args:
         samples: K.
         air_density: kg/m³, one or (K,).
-        covariance: (9, 9) or (K, 9, 9), see :class:`Conditions`.
+        state_covariance: (9, 9) or (K, 9, 9), see :class:`Conditions`.
+        commanded: (n,) or (K, n) which rotors' speeds are commands.
 
     Raises:
-        ArgumentError: naming what is no density of air, or no covariance.
+        ArgumentError: naming what is no density of air, no covariance, or of other shapes.
     """
-    if air_density is None and covariance is None:
+    if air_density is None and state_covariance is None and commanded is None:
         return None
     found = np.zeros(samples, CONDITIONS)
     if air_density is not None:
-        density = np.broadcast_to(np.atleast_1d(np.asarray(air_density, np.float64)), samples)
-        found["air_density"] = array_checks.floats("air_density", density, rows=samples, of="time_ns")
+        if np.ndim(air_density) == 0:
+            air_density = np.full(samples, air_density)
+        density = array_checks.floats("air_density", air_density, rows=samples, of="time_ns")
         if wrong := np.flatnonzero((density < DENSITY_MIN) | (density > DENSITY_MAX)).tolist():
             raise ArgumentError(
                 f"air_density: sample {wrong[0]} has {density[wrong[0]]:g}, no density of air in kg/m³ "
                 f"({DENSITY_MIN:g} to {DENSITY_MAX:g})"
             )
-    if covariance is not None:
-        found["covariance"] = _checked(covariance, samples)
+        found["air_density"] = density
+    if commanded is not None:
+        flags = np.atleast_2d(np.asarray(commanded))
+        fits = flags.ndim == 2 and len(flags) in (1, samples) and flags.shape[1] <= ROTORS_MAX
+        if flags.dtype != np.bool_ or not fits:
+            raise ArgumentError(
+                f"commanded: expected true or false for each rotor, found {array_checks.found(flags)}"
+            )
+        found["commanded"] = flags @ (1 << np.arange(flags.shape[1]))
+    if state_covariance is not None:
+        found["covariance"] = _checked(state_covariance, samples)
     return found
 
 
-def _checked(covariance: Array, samples: int) -> Array:
-    rows = np.asarray(covariance)
-    if rows.shape == (STATE_ERRORS, STATE_ERRORS):
-        rows = np.broadcast_to(rows, (samples, *rows.shape))
-    if rows.shape != (samples, STATE_ERRORS, STATE_ERRORS):
-        raise ArgumentError(
-            f"covariance: expected (9, 9) or ({samples}, 9, 9) numbers, found {array_checks.found(rows)}"
-        )
-    flat = array_checks.floats("covariance", rows.reshape(samples, -1), STATE_ERRORS**2)
-    rows = flat.reshape(rows.shape)
+def _checked(covariance: Any, samples: int) -> Array:
+    if np.ndim(covariance) == 2:
+        one = array_checks.floats("state_covariance", covariance, STATE_ERRORS, rows=STATE_ERRORS)
+        covariance = np.broadcast_to(one, (samples, *one.shape))
+    rows = array_checks.floats(
+        "state_covariance", covariance, STATE_ERRORS, STATE_ERRORS, rows=samples, of="time_ns"
+    )
     scale = np.sqrt(np.maximum(np.einsum("kii->ki", rows), 0.0))
     limits = _ROUNDING * scale[:, :, np.newaxis] * scale[:, np.newaxis]
     uneven = (np.abs(rows - np.swapaxes(rows, 1, 2)) > limits).any(axis=(1, 2))
@@ -85,6 +102,6 @@ def _checked(covariance: Array, samples: int) -> Array:
     least = np.linalg.eigvalsh(rows / (units[:, :, np.newaxis] * units[:, np.newaxis]))[:, 0]
     if wrong := np.flatnonzero(uneven | (least < -STATE_ERRORS * _ROUNDING)).tolist():
         raise ArgumentError(
-            f"covariance: that of sample {wrong[0]} is none: not symmetric, or a variance below 0"
+            f"state_covariance: that of sample {wrong[0]} is none: not symmetric, or a variance below 0"
         )
     return rows

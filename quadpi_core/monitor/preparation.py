@@ -55,6 +55,7 @@ class Verdict:
     rates: Vector3  # rad/s
     specific_force: Vector3  # m/s², body axes
     rotor_speeds: PerRotor  # rad/s
+    commanded: int  # bit per rotor whose speed follows from its command, see :mod:`.conditions`
 
 
 class Memory:

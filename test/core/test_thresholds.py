@@ -835,6 +835,6 @@ def test_three_effects_are_the_most(simulation, flights, pushed):
         wrench += rng.standard_normal(wrench.shape) * [0.03, 0.03, 0.03, 3e-4, 3e-4, 3e-4]
         made.append(pushed(flight, simulation.vehicle, wrench))
     names = ["force_bias", "moment_bias", "body_drag", "rate_damping", "thrust_coefficient"]
-    discovery_ = discrepancy.discover(simulation, made, names=names)
+    discovery_ = study.discover(simulation, made, names=names)
     assert len(discovery_.effects) == 3
     assert any(own.reason.passed for own in discovery_.found.judgements)

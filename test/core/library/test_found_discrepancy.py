@@ -13,7 +13,7 @@ import quadpi_core as qp
 from quadpi_core.discrepancy.discrepancy_result import study_json
 from quadpi_core.discrepancy.loading import load_simulation
 from quadpi_core.discrepancy.other_simulations import CallableSimulation
-from quadpi_core.discrepancy.study import read_flights, study
+from quadpi_core.discrepancy.study import discover, read_flights, study
 from quadpi_core.library.found_discrepancy import Discrepancy
 from quadpi_core.paths import bags_directory
 
@@ -83,7 +83,7 @@ def test_a_function_is_a_simulation(training):
 
 def test_a_function_of_the_session_has_no_file(found, simulation, dragged, tmp_path):
     function = CallableSimulation("mine", simulation.vehicle, simulation.wrench)
-    discovery = qp.discrepancy.discover(function, dragged, names=SOUGHT)
+    discovery = discover(function, dragged, names=SOUGHT)
     mine = Discrepancy(replace(found, simulation=function, discovery=discovery)).simulation
     assert repr(mine) == "<BetterSimulation mine with body_drag>"
     with pytest.raises(qp.QuadpiError, match="mine: a file cannot name this function: give it as text"):

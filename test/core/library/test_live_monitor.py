@@ -9,6 +9,7 @@ import pytest
 from sklearn.linear_model import Ridge
 
 import quadpi_core as qp
+from quadpi_core.errors import ArgumentError
 from quadpi_core.flight import AXES
 from quadpi_core.monitor.monitor import Monitor as BlockMonitor
 from quadpi_core.results import CAUSES, EXTRAPOLATION
@@ -144,3 +145,24 @@ def test_what_is_no_model_is_refused(training):
     own = qp.WrenchModel(Ridge(), axes=["Fx"]).fit(training[:2])
     with pytest.raises(qp.QuadpiError, match="a regressor of your own judges flights offline"):
         qp.Monitor(own)
+
+
+def test_what_may_be_known_beside_the_samples(quick, unseen):
+    stamps, arrays = samples(unseen, 700)
+    plain = qp.Monitor(quick, rate_hz=500.0).step(stamps, **arrays)
+    unsure = np.diag(np.r_[np.full(3, 0.25), np.full(3, 0.01), np.full(3, 0.01)])
+    monitor = qp.Monitor(quick, rate_hz=500.0)
+    known = monitor.step(
+        stamps,
+        **arrays,
+        air_density=1.0,
+        state_covariance=unsure,
+    )
+    held = np.isin(AXES, quick.axes_)
+    assert len(known) == len(plain)
+    for row, own in zip(known, plain, strict=True):
+        assert np.allclose(row.predicted[held], own.predicted[held] / 1.225)
+        assert np.all((row.upper - row.lower)[held] > (own.upper - own.lower)[held])
+    for name, wrong in (("air_density", 101325.0), ("state_covariance", np.eye(3))):
+        with pytest.raises(ArgumentError, match=name):
+            monitor.step(stamps, **arrays, **{name: wrong})

@@ -18,6 +18,7 @@ from quadpi_core.models.model_kind import Fitted
 from quadpi_core.monitor.conditions import STATE_ERRORS, conditions
 from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.pairing import PairedSamples
+from quadpi_core.monitor.preparation import Preparation
 from quadpi_core.rotations import from_rotation_vector, products
 from test.core.models.physical_flights import fitted_physical
 
@@ -163,7 +164,7 @@ def test_an_unsure_state_widens_intervals_by_what_it_does(each_model, vehicle):
     by_state = np.einsum("ai,ij,aj->a", slopes, covariance, slopes)
 
     _, lower, upper, width = step(each_model, vehicle, steady)
-    known = conditions(count, covariance=1e4 * covariance)
+    known = conditions(count, state_covariance=1e4 * covariance)
     centre, wide_lower, wide_upper, wide = step(each_model, vehicle, steady, known)
     axes = held(each_model)
     half, wide_half = 0.5 * (upper - lower)[-1, axes], 0.5 * (wide_upper - wide_lower)[-1, axes]
@@ -174,16 +175,35 @@ def test_an_unsure_state_widens_intervals_by_what_it_does(each_model, vehicle):
     np.testing.assert_allclose(wide[-1, axes] / width[-1, axes], wide_half / half, rtol=1e-9)
 
 
+def test_verdicts_know_which_speeds_are_commands(vehicle, samples):
+    few = PairedSamples(samples.time_ns[:3], samples.values[:3])
+    flags = np.array([[True, False, False, True], [False] * 4, [False, True, False, False]])
+    preparation = Preparation(vehicle, RATE_HZ, 12.0)
+    verdicts = preparation.step(*few, conditions(3, commanded=flags)).verdicts
+    assert verdicts["commanded"].tolist() == [9, 0, 2]
+    assert conditions(3, commanded=flags[0])["commanded"].tolist() == [9, 9, 9]
+    assert preparation.step(*few).verdicts["commanded"].tolist() == [0, 0, 0]
+
+
 @pytest.mark.parametrize(
     ("given", "message"),
     [
         ({"air_density": 101325.0}, "air_density: sample 0 has 101325, no density of air in kg/m³"),
         ({"air_density": [1.2, 1.2, 0.1]}, "air_density: sample 2 has 0.1"),
         ({"air_density": [1.2, np.nan, 1.2]}, "air_density.*1"),
-        ({"covariance": np.eye(6)}, r"covariance: expected \(9, 9\) or \(3, 9, 9\)"),
-        ({"covariance": -np.eye(9)}, "covariance: that of sample 0 is none"),
-        ({"covariance": np.triu(np.ones((9, 9)))}, "covariance: that of sample 0 is none: not symmetric"),
-        ({"covariance": np.full((9, 9), np.inf)}, "covariance.*finite"),
+        ({"air_density": [1.2, 1.2]}, r"air_density: expected shape \(3,\)"),
+        ({"air_density": "thin"}, "air_density: expected"),
+        ({"state_covariance": np.eye(6)}, r"state_covariance: expected shape \(9, 9\)"),
+        ({"state_covariance": np.zeros((2, 9, 9))}, r"state_covariance: expected shape \(3, 9, 9\)"),
+        ({"commanded": [0, 1, 0, 1]}, "commanded: expected true or false for each rotor"),
+        ({"commanded": np.zeros((2, 4), bool)}, "commanded: expected true or false"),
+        ({"commanded": np.zeros((3, 13), bool)}, "commanded: expected true or false"),
+        ({"state_covariance": -np.eye(9)}, "state_covariance: that of sample 0 is none"),
+        (
+            {"state_covariance": np.triu(np.ones((9, 9)))},
+            "state_covariance: that of sample 0 is none: not symmetric",
+        ),
+        ({"state_covariance": np.full((9, 9), np.inf)}, "state_covariance.*finite"),
     ],
 )
 def test_refused(given, message):

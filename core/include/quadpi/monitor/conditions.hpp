@@ -1,6 +1,7 @@
 // SPDX-FileCopyrightText: 2026 The quadpi authors
 // SPDX-License-Identifier: Apache-2.0
-// What may be known of a sample beside its signals: the density of the air, and how well its state is known.
+// What may be known of a sample beside its signals: density of the air, how sure its state is, and which
+// rotor speeds are commands.
 #pragma once
 
 #include "quadpi/models/small_matrices.hpp"
@@ -16,6 +17,7 @@ struct Conditions {
     double air_density;  // kg/m³, 0 where only the vehicle file tells
     // Of the state, in what it is less sure of than in the flights of the model; zero where nothing tells.
     StateCovariance covariance;
+    std::int64_t commanded;  // bit per rotor whose speed follows from its command, as nothing measured it
 };
 
 // Lower triangular root L of a covariance L Lᵀ (Cholesky); what rounding leaves of no variance is zero.
@@ -68,12 +70,13 @@ inline ErringInputs erring_inputs(
     return inputs;
 }
 
-// Tell models the density of the air, and fill the inputs that the errors of the state give.
+// Tell verdicts which speeds are commands and models the density of the air, and fill the inputs that the
+// errors of the state give.
 //
 // filtered, derivatives, erring: of the usable ones of the samples alone.
 inline void take_conditions(
     Records<const Conditions> conditions,
-    Records<const Verdict> verdicts,
+    Records<Verdict> verdicts,
     Records<const Signals> filtered,
     const VehicleConstants& vehicle,
     Records<Derivatives> derivatives,
@@ -81,10 +84,11 @@ inline void take_conditions(
 ) {
     std::size_t used = 0;
     for (std::size_t sample = 0; sample < conditions.size; ++sample) {
+        const Conditions& own = conditions[sample];
+        verdicts[sample].commanded = own.commanded;
         if (!verdicts[sample].usable) {
             continue;
         }
-        const Conditions& own = conditions[sample];
         if (own.air_density > 0.0) {
             derivatives[used].density_excess = own.air_density / vehicle.air_density - 1.0;
         }

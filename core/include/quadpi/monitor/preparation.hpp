@@ -34,6 +34,7 @@ struct Verdict {
     Vector3 rates;           // rad/s
     Vector3 specific_force;  // m/s², body axes
     PerRotor rotor_speeds;   // rad/s
+    std::int64_t commanded;  // bit per rotor whose speed follows from its command
 };
 
 // All that the preparation knows and remembers.
