@@ -24,6 +24,8 @@ OF_KEYS = {
     "python3-tornado": {"tornado"},
     "python3-yaml": {"PyYAML"},
 }
+# quadpi by pip, and as colcon installs its packages.
+OF_QUADPI = {"quadpi-monitor", "quadpi_core", "quadpi_ros"}
 # Of rclpy and rosidl.
 OF_ROS = {"empy", "lark", "lark-parser"}
 # A player of bags and a bridge read logs and links by packages of pip; nothing that flies needs them.
@@ -44,7 +46,7 @@ def foreign(modules: set[str]) -> set[str]:
     assert {key for key in keys if key.startswith("python3-")} == set(OF_KEYS)
     prefixes = os.environ.get("AMENT_PREFIX_PATH", sys.prefix).split(os.pathsep)
     ros = {path.name for prefix in prefixes for path in Path(prefix, _PACKAGES).iterdir()}
-    known = {*ros, *OF_ROS, "quadpi-monitor", *(name for names in OF_KEYS.values() for name in names)}
+    known = {*ros, *OF_ROS, *OF_QUADPI, *(name for names in OF_KEYS.values() for name in names)}
     owners = packages_distributions()
     found = {name for module in modules - ros for name in owners.get(module, ())}
     return {name for name in found - known if not name.startswith("ros-")}
