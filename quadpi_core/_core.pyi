@@ -143,16 +143,7 @@ def odometry_values(
     /,
 ) -> None: ...
 def fill_odometry(samples: Records, values: Array, /) -> None: ...
-def prediction_values(
-    predicted: Array,
-    lower: Array,
-    upper: Array,
-    measured: Array,
-    relative_width: Array,
-    first: int,
-    values: Array,
-    /,
-) -> None: ...
+def prediction_values(wrenches: Array, first: int, values: Array, /) -> None: ...
 
 # screening
 AIRSPEED_MAX_M_S: float
@@ -345,6 +336,11 @@ def step_monitor(
     alarms: Records,
     /,
 ) -> tuple[int, int]: ...
+
+class PairedMonitor:
+    def __init__(self, arrays: object, /) -> None: ...
+
+def step_paired(paired: PairedMonitor, /) -> tuple[int, list[int], int, int] | None: ...
 def judge_prepared(
     monitor: Monitor,
     prepared: object,

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -57,6 +57,30 @@ class Predictions:
     upper: Array
     measured: Array
     relative_width: Array
+
+
+class PredictionRows(NamedTuple):
+    """U predictions as the core leaves them, for whoever is done with them before the next ones come.
+
+    Attributes:
+        time_ns: (U,) stamps.
+        wrenches: (5, R, 6) room whose first U rows are predicted, lower, upper, measured and relative width,
+            see :class:`Predictions`.
+    """
+
+    time_ns: list[int]
+    wrenches: Array
+
+    @classmethod
+    def of(cls, predictions: Predictions) -> PredictionRows:
+        """A copy of predictions."""
+        time_ns, *columns = vars(predictions).values()
+        return cls(time_ns.tolist(), np.stack(columns))
+
+    @property
+    def predictions(self) -> Predictions:
+        """The same; views."""
+        return Predictions(np.array(self.time_ns, np.int64), *self.wrenches[:, : len(self.time_ns)])
 
 
 @dataclass(frozen=True)

@@ -34,6 +34,7 @@ from quadpi_core.messages.one_by_one import IncomingMessage
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor import Monitor, MonitorSettings
 from quadpi_core.monitor.health import SILENT_S, WATCH_S, Latency, Silence
+from quadpi_core.monitor.monitor import Judged
 from quadpi_core.monitor.pairing import CAPACITY, Pairing
 from quadpi_core.paths import resolved_below
 from quadpi_core.vehicle import Vehicle
@@ -181,7 +182,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
         """Take an IMU sample and the state at its stamp."""
         time_ns = int(sample.time_ns[0])
         self._note_arrival(time_ns)
-        self._pairing.add_estimate(time_ns, sample.motion[0])
+        self._pairing.add_estimate(time_ns, sample.motion)
         self._judge_completed()
 
     def _note_arrival(self, time_ns: int) -> None:
@@ -211,20 +212,33 @@ class MonitorNode(SensorNode[MonitorParameters]):
 
     def _judge_completed(self) -> None:
         """Judge the samples that are complete by now, and publish what follows from them."""
+        while self._pairing.due >= 0:
+            judged = self._judge_due()
+            if judged is None:
+                return
+            self._results.publish(judged)
+            now_ns, predicted_ns = time.monotonic_ns(), judged.predictions[0].time_ns
+            for time_ns in predicted_ns:
+                self._latency.published(time_ns, now_ns)
+            if len(predicted_ns) < judged.samples:
+                self.warn("IMU samples without a prediction", f"so far {self._pairing.counts}")
+
+    def _judge_due(self) -> Judged | None:
+        """Judge samples that are complete; None where none is to be judged."""
+        monitors = self._results.monitors
+        if self._consistency.complete and not self._rate_begins:
+            judged = monitors.take(self._pairing)
+            if judged is not None:
+                return judged
         samples = self._pairing.take()
         if self._pairing.rate is not self._rate:
             self._follow_rate()
         # In the first second the rate of the IMU is measured: nothing can be filtered.
         if samples is None or self._rate_begins:
-            return
+            return None
         if not self._consistency.complete:
             self._consistency.take(None, *samples)
-        predicted_ns = self._results.publish(samples)
-        now_ns = time.monotonic_ns()
-        for time_ns in predicted_ns.tolist():
-            self._latency.published(time_ns, now_ns)
-        if len(predicted_ns) < len(samples.time_ns):
-            self.warn("IMU samples without a prediction", f"so far {self._pairing.counts}")
+        return monitors.judge(samples)
 
     def _watch_inputs(self) -> None:
         """Raise the alarm while nothing arrives, by this process's clock, at the alarm's rate or slower."""

@@ -15,15 +15,13 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 
 from quadpi_core.errors import ModelError
-from quadpi_core.flight import Stamps
 from quadpi_core.messages import result_messages
 from quadpi_core.messages.model_description import pack_description
 from quadpi_core.messages.one_by_one import OutgoingMessage
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor import Monitor
 from quadpi_core.monitor.alarm_log import reasons_by_row
-from quadpi_core.monitor.monitor import Monitors
-from quadpi_core.monitor.pairing import PairedSamples
+from quadpi_core.monitor.monitor import Judged, Monitors
 from quadpi_core.results import LEVEL_OK, Predictions
 from quadpi_ros import diagnostics
 from quadpi_ros.dds_profile import DESCRIPTION_QOS, LOG_QOS
@@ -116,12 +114,13 @@ class Results:
             self._wrenches = [WrenchPublisher(node, frame_id, name) for name in ("", *others)]
         self._alarm = (LEVEL_OK, 0)
 
-    def publish(self, samples: PairedSamples) -> Stamps:
-        """Judge samples and publish the results; returns the stamps of the first model's predictions."""
-        (predictions, alarms, events), others = self.monitors.step(samples)
-        for payload in result_messages.write_predictions(predictions, self._messages[self._first]):
+    def publish(self, judged: Judged) -> None:
+        """Publish what the monitors said of samples."""
+        first, *others = judged.predictions
+        for payload in result_messages.write_predictions(first, self._messages[self._first]):
             self._publish_first(payload)
-        if len(alarms.time_ns):
+        alarms, events = judged.alarms, judged.events
+        if len(alarms):
             self._alarm = (int(alarms.level[-1]), int(alarms.causes[-1]))
             for payload in result_messages.pack_alarms(alarms, reasons_by_row(alarms), self._frame_id):
                 self._publish_alarm(payload)
@@ -132,9 +131,8 @@ class Results:
             for payload in result_messages.write_predictions(other, self._messages[name]):
                 publish(payload)
         if self._wrenches:
-            for publisher, of_model in zip(self._wrenches, (predictions, *others), strict=True):
-                publisher.publish(of_model)
-        return predictions.time_ns
+            for publisher, rows in zip(self._wrenches, judged.predictions, strict=True):
+                publisher.publish(rows.predictions)
 
     def publish_silence(self, time_ns: int, reasons: tuple[str, ...]) -> None:
         """Publish an alarm at an instant without a sample."""

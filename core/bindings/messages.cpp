@@ -134,24 +134,13 @@ void fill_odometry(Records<const FusedSample> samples, Records<OdometryNumbers> 
     }
 }
 
-void prediction_values(
-    Records<const Wrench> predicted,
-    Records<const Wrench> lower,
-    Records<const Wrench> upper,
-    Records<const Wrench> measured,
-    Records<const Wrench> relative_width,
-    std::size_t first,
-    Records<PredictionNumbers> values
-) {
-    for (const std::size_t rows :
-         {predicted.size, lower.size, upper.size, measured.size, relative_width.size}) {
-        require(first <= rows && values.size <= rows - first, DIFFERENT);
-    }
+// wrenches: (5, N) predicted, lower, upper, measured and relative width; those from `first` on are written.
+void prediction_values(Records<const Wrench> wrenches, std::size_t first, Records<PredictionNumbers> values) {
+    const std::size_t rows = wrenches.size / 5;
+    require(wrenches.size == 5 * rows && first <= rows && values.size <= rows - first, DIFFERENT);
     for (std::size_t i = 0; i < values.size; ++i) {
-        const std::size_t row = first + i;
-        write_prediction(
-            {predicted[row], lower[row], upper[row], measured[row], relative_width[row]}, values[i]
-        );
+        const Wrench* own = &wrenches[first + i];
+        write_prediction({own[0], own[rows], own[2 * rows], own[3 * rows], own[4 * rows]}, values[i]);
     }
 }
 

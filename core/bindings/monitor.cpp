@@ -3,32 +3,13 @@
 // What Python calls of the monitor: pairing, preparation, adaptive intervals and the alarm.
 #include <nanobind/nanobind.h>
 
-#include "bindings/held_model.hpp"
-#include "bindings/rotors.hpp"
+#include "bindings/held_monitor.hpp"
 #include "quadpi/monitor/conditions.hpp"
-#include "quadpi/monitor/monitor_step.hpp"
-#include "quadpi/monitor/pairing.hpp"
 
 namespace nb = nanobind;
 
 namespace quadpi {
 namespace {
-
-// The arrays of a pairing.
-class HeldPairing {
-public:
-    explicit HeldPairing(nb::object its_arrays)
-        : arrays(its_arrays), state(arrays, "state"), rings(arrays, "rings") {}
-
-    Pairing pairing() const { return Pairing(state.only(), rings.all()); }
-
-    // How many samples take_samples() may give; −1 where it has nothing to do.
-    std::int64_t due() const { return pairing().take_is_due() ? state.only().tracks[IMU].count : -1; }
-
-    nb::object arrays;
-    Field<PairingState> state;
-    Field<Entry> rings;
-};
 
 std::int64_t add_imu(HeldPairing& held, std::int64_t time_ns, Records<const Vector3> specific_force) {
     held.pairing().add_imu(time_ns, only(specific_force));
@@ -69,9 +50,9 @@ nb::tuple take_samples(HeldPairing& held, Records<std::int64_t> taken_ns, Record
     const auto room = static_cast<std::int64_t>(taken_ns.size);
     require_rows({taken.data, taken.size}, taken_ns.size, state.rotors);
     require(room >= held.due(), DIFFERENT);
-    const bool changed = state.meter.changes != state.rate_changes;
+    const bool changed = held.pairing().rate_has_changed();
     state.rate_changes = state.meter.changes;
-    return nb::make_tuple(held.pairing().take(taken_ns.data, taken.data), changed);
+    return nb::make_tuple(held.pairing().take(taken_ns, taken.data), changed);
 }
 
 nb::tuple take_stretch(
@@ -101,7 +82,7 @@ nb::tuple take_stretch(
     };
     const auto rotors = checked_rotors(pairing.state.only().rotors);
     require(rotor_speeds.all().size == rotor_ns.all().size * rotors, DIFFERENT);
-    const StretchEnd end = pairing.pairing().take_stretch(samples, start, taken_ns.data, taken.data);
+    const StretchEnd end = pairing.pairing().take_stretch(samples, start, taken_ns, taken.data);
     return nb::make_tuple(end.event, end.begin, end.count);
 }
 
@@ -176,34 +157,6 @@ std::size_t advance_alarm(
     );
 }
 
-// The arrays of a monitor, and room for a block of samples.
-class HeldMonitor {
-public:
-    explicit HeldMonitor(nb::object its_arrays)
-        : arrays(its_arrays),
-          limits(arrays, "limits"),
-          alarm(arrays, "alarm"),
-          adaptive(arrays, "adaptive"),
-          factors(arrays, "factors"),
-          block(new MonitorBlock) {
-        checked_rotors(limits.only().rotors.rotors);
-        const nb::object its_model = arrays.attr("model");
-        if (!its_model.is_none()) {
-            model = &nb::cast<HeldModel&>(its_model).evaluator();
-        }
-    }
-
-    MonitorMemory memory() const { return {limits.only(), alarm.only(), adaptive.all(), factors.only()}; }
-
-    nb::object arrays;
-    Field<const AlarmLimits> limits;
-    Field<AlarmState> alarm;
-    Field<AdaptiveMemory> adaptive;
-    Field<const Wrench> factors;
-    Evaluator* model = nullptr;  // None for one that Python evaluates
-    std::unique_ptr<MonitorBlock> block;
-};
-
 nb::tuple step_monitor(
     HeldMonitor& monitor,
     Records<PreparationMemory> preparation,
@@ -221,6 +174,31 @@ nb::tuple step_monitor(
     MonitorRows rows{predicted_ns, wrenches, alarms};
     step(monitor.memory(), only(preparation), *monitor.model, time_ns, samples, *monitor.block, rows);
     return nb::make_tuple(rows.predictions, rows.raised);
+}
+
+// How many samples were taken, the stamps of the predictions, how many rows of the alarm were raised, and
+// what adding to the pairing gives. None where the rate of the IMU has changed: nothing is taken.
+nb::object step_paired(PairedMonitor& paired) {
+    Pairing pairing = paired.pairing->pairing();
+    if (pairing.rate_has_changed()) {
+        return nb::none();
+    }
+    MonitorRows rows{all(paired.predicted_ns), paired.wrenches.all(), paired.alarms.all()};
+    const auto taken = static_cast<std::size_t>(pairing.take(all(paired.taken_ns), paired.taken.data()));
+    step(
+        paired.monitor->memory(),
+        paired.preparation.only(),
+        *paired.monitor->model,
+        {paired.taken_ns.data(), taken},
+        {paired.taken.data(), paired.taken.size()},
+        *paired.monitor->block,
+        rows
+    );
+    nb::list predicted_ns;
+    for (std::size_t row = 0; row < rows.predictions; ++row) {
+        predicted_ns.append(paired.predicted_ns[row]);
+    }
+    return nb::make_tuple(taken, predicted_ns, rows.raised, paired.pairing->due());
 }
 
 // added: (U) squares of what the states add to half widths, or nothing.
@@ -375,7 +353,9 @@ void bind_monitor(nb::module_& module) {
         .def(nb::init<nb::object>())
         .def_ro("arrays", &HeldMonitor::arrays)
         .def("__reduce__", &made_again);
+    nb::class_<PairedMonitor>(module, "PairedMonitor").def(nb::init<nb::object>());
     module.def("step_monitor", &step_monitor);
+    module.def("step_paired", &step_paired);
     module.def("judge_prepared", &judge_prepared);
     module.def("lasts", &lasts);
     module.def("sum_misses", &sum_misses);

@@ -159,7 +159,7 @@ void take_stretch_call(Arguments& given) {
     arriving.wind = given.records<const Vector3>();
     const auto start = given.one<std::int64_t>();
     const auto taken_ns = given.records<std::int64_t>();
-    Pairing(state, rings).take_stretch(arriving, start, taken_ns.data, given.records<double>().data);
+    Pairing(state, rings).take_stretch(arriving, start, taken_ns, given.records<double>().data);
 }
 
 // Models of recorded calls, by the name of their class in quadpi_core/_core.pyi.

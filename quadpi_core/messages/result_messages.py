@@ -33,7 +33,7 @@ from quadpi_core.messages.sensor_messages import (
     stamp_columns,
 )
 from quadpi_core.messages.values import PREDICTION_VALUES
-from quadpi_core.results import AlarmEvent, AlarmRows, Alarms, Predictions, ReportedAlarms
+from quadpi_core.results import AlarmEvent, AlarmRows, Alarms, PredictionRows, Predictions, ReportedAlarms
 
 
 def unpack_predictions(payloads: Payloads | bytes) -> Predictions:
@@ -94,7 +94,7 @@ def pack_predictions(
         frame_id: body frame.
     """
     values = np.empty((len(predictions.time_ns), PREDICTION_VALUES))
-    _fill(predictions, 0, values)
+    compiled.prediction_values(PredictionRows.of(predictions).wrenches, 0, values)
     constants = _prediction_constants(model, confidence, axes, frame_id)
     return codec(PREDICTION).encode_stamped(predictions.time_ns, values, constants)
 
@@ -106,25 +106,13 @@ def prediction_message(
     return OutgoingMessage(codec(PREDICTION), _prediction_constants(model, confidence, axes, frame_id))
 
 
-def write_predictions(predictions: Predictions, message: OutgoingMessage) -> list[bytes]:
+def write_predictions(rows: PredictionRows, message: OutgoingMessage) -> list[bytes]:
     """Encode predictions one by one in the buffer of a message: the bytes of :func:`pack_predictions`."""
     written = []
-    for row, time_ns in enumerate(predictions.time_ns.tolist()):
-        _fill(predictions, row, message.values)
+    for row, time_ns in enumerate(rows.time_ns):
+        compiled.prediction_values(rows.wrenches, row, message.values)
         written.append(message.stamped(time_ns))
     return written
-
-
-def _fill(predictions: Predictions, first: int, values: Array) -> None:
-    compiled.prediction_values(
-        np.ascontiguousarray(predictions.predicted),
-        np.ascontiguousarray(predictions.lower),
-        np.ascontiguousarray(predictions.upper),
-        np.ascontiguousarray(predictions.measured),
-        np.ascontiguousarray(predictions.relative_width),
-        first,
-        values,
-    )
 
 
 def _prediction_constants(

@@ -106,6 +106,7 @@ class Alarm:
     Attributes:
         limits: :class:`.alarm_kernel.Limits` (1,).
         state: :class:`.alarm_kernel.State` (1,), which compiled code changes in place.
+        no_rows: what most samples give.
     """
 
     def __init__(
@@ -150,7 +151,7 @@ class Alarm:
         self.state = np.zeros(1, kernel.STATE)
         # Kept while it is not given to anyone: most samples fill no row, and numpy takes 1.4 µs to make one.
         self._rows = np.empty(0, kernel.ROW)
-        self._no_rows = self._alarms(self._rows)
+        self.no_rows = self.alarms(self._rows)
         self.change(settings)
         self.reset()
 
@@ -183,10 +184,10 @@ class Alarm:
     def taken(self, count: int) -> Alarms:
         """The first rows of :meth:`room`."""
         if not count:
-            return self._no_rows
+            return self.no_rows
         # Whoever is given rows keeps them.
         rows, self._rows = self._rows[:count], self._rows[:0]
-        return self._alarms(rows)
+        return self.alarms(rows)
 
     def without_sample(self, time_ns: int) -> Alarms:
         """A row for an instant without a sample: BAD_DATA beside the causes raised; changes nothing."""
@@ -201,9 +202,9 @@ class Alarm:
             row[name] = 0.0
         row["cause_evidence"] = 0.0
         row["cause_evidence"][:, bad_data] = 1.0
-        return self._alarms(row)
+        return self.alarms(row)
 
-    def _alarms(self, rows: Records) -> Alarms:
+    def alarms(self, rows: Records) -> Alarms:
         """Rows (M,) as the kernel filled them, with leverage and width in multiples of their peaks too."""
         columns = {name: rows[name] for name in kernel.ROW.names or ()}
         for name in ("level", "causes", "cause_level", "cause_health"):

@@ -24,10 +24,10 @@ from quadpi_core.monitor.alarm import Alarm, MonitorSettings
 from quadpi_core.monitor.alarm_kernel import ROW
 from quadpi_core.monitor.alarm_log import EventLog
 from quadpi_core.monitor.conditions import CONDITIONS, STATE_ERRORS
-from quadpi_core.monitor.pairing import PairedSamples
+from quadpi_core.monitor.pairing import PairedSamples, Pairing
 from quadpi_core.monitor.preparation import Preparation, Prepared
 from quadpi_core.records import Records
-from quadpi_core.results import Alarms, Events, Predictions
+from quadpi_core.results import Alarms, Events, PredictionRows, Predictions
 from quadpi_core.signals.chain import channels
 from quadpi_core.vehicle import Vehicle
 
@@ -72,6 +72,9 @@ def _predictions(room: _Room, count: int) -> Predictions:
 
 _NOTHING_SAID = np.empty((5, 0, _AXES))
 _NO_ALARM = np.empty(0, ROW)
+_NO_EVENTS: Events = []
+# Samples of a pairing that go through a monitor in one call; live it is one but after a pause of a topic.
+_TAKEN = 32
 
 
 class Monitor:
@@ -257,6 +260,62 @@ class Monitor:
         return self._log.events
 
 
+class Judged(NamedTuple):
+    """What monitors say of samples.
+
+    Attributes:
+        samples: how many they are.
+        predictions: of each monitor, the first one first; the next samples overwrite them.
+        alarms, events: of the first.
+    """
+
+    samples: int
+    predictions: Sequence[PredictionRows]
+    alarms: Alarms
+    events: Events
+
+
+class _PairedArrays(NamedTuple):
+    """What compiled code knows of a monitor that takes its samples from a pairing.
+
+    Attributes:
+        preparation: see :class:`Preparation`.
+        wrenches: (5, R, 6) see :class:`PredictionRows`.
+        alarms: (R,) room for rows of the alarm.
+    """
+
+    pairing: compiled.Pairing
+    monitor: compiled.Monitor
+    preparation: Records
+    wrenches: Array
+    alarms: Records
+
+
+class _PairedMonitor:
+    """A monitor whose model is compiled, with the pairing that it takes its samples from."""
+
+    def __init__(self, monitor: Monitor, pairing: Pairing) -> None:
+        self.pairing = pairing
+        self._alarm, self._log = monitor._alarm, monitor._log
+        self._wrenches, self._rows = np.empty((5, _TAKEN, _AXES)), np.empty(_TAKEN, ROW)
+        memory = monitor.preparation.memory
+        self._compiled = compiled.PairedMonitor(
+            _PairedArrays(pairing.compiled, monitor._compiled, memory, self._wrenches, self._rows)
+        )
+
+    def step(self) -> Judged | None:
+        """See :meth:`Monitors.take`."""
+        taken = compiled.step_paired(self._compiled)
+        if taken is None:
+            return None
+        samples, time_ns, raised, self.pairing.due = taken
+        alarms, events = self._alarm.no_rows, _NO_EVENTS
+        if raised:
+            alarms = self._alarm.alarms(self._rows[:raised].copy())
+            events = self._log.take(alarms)
+        return Judged(samples, (PredictionRows(time_ns, self._wrenches),), alarms, events)
+
+
 class Monitors:
     """Monitors of one vehicle, by name. The first gives predictions and the alarm, the others predictions.
 
@@ -266,6 +325,7 @@ class Monitors:
     def __init__(self, monitors: Mapping[str, Monitor]) -> None:
         self._monitors: dict[str, Monitor] = {}
         self._rate: ImuRate | None = None
+        self._paired: _PairedMonitor | None = None
         for name, monitor in monitors.items():
             self._put(name, monitor)
 
@@ -328,7 +388,27 @@ class Monitors:
             predictions.append(monitor._predict(by_preparation[monitor.preparation]))
         return results, predictions
 
+    def take(self, pairing: Pairing) -> Judged | None:
+        """Take samples that a pairing has completed, in one call of the core; as long as any are due.
+
+        None where :meth:`judge` must take them instead: where the rate of the IMU has changed, and but for a
+        single monitor whose model is compiled.
+        """
+        if self._paired is None or self._paired.pairing is not pairing:
+            first, *others = self._monitors.values()
+            if others or not first._is_compiled:
+                return None
+            self._paired = _PairedMonitor(first, pairing)
+        return self._paired.step()
+
+    def judge(self, samples: PairedSamples) -> Judged:
+        """Take K samples, see :meth:`step`."""
+        (first, alarms, events), others = self.step(samples)
+        rows = [PredictionRows.of(predictions) for predictions in (first, *others)]
+        return Judged(len(samples.time_ns), rows, alarms, events)
+
     def _put(self, name: str, monitor: Monitor) -> None:
+        self._paired = None
         for other in self._monitors.values():
             if other.model.cutoff_hz == monitor.model.cutoff_hz:
                 monitor.preparation = other.preparation

@@ -152,6 +152,8 @@ class Pairing:
 
     Attributes:
         rate: of the IMU, by its stamps up to the last :meth:`take`; the samples taken have it.
+        due: how many samples :meth:`take` may give; −1 where it has nothing to do.
+        compiled: what compiled code knows it by.
     """
 
     def __init__(
@@ -168,11 +170,10 @@ class Pairing:
         for stamps in (self._state["tracks"]["newest_ns"], self._state["newest_ns"], self._state["last_ns"]):
             stamps[:] = NO_STAMP
         self._rings = np.zeros((TOPICS, capacity), kernel.ENTRY)
-        self._compiled = compiled.Pairing(kernel.Arrays(self._state, self._rings))
+        self.compiled = compiled.Pairing(kernel.Arrays(self._state, self._rings))
         self._channels = channels(rotors)
         self.rate = ImuRate.of(self._state["meter"], rate_hz)
-        # How many samples :meth:`take` may give; −1 where it has nothing to do.
-        self._due = -1
+        self.due = -1
 
     @property
     def counts(self) -> PairingCounts:
@@ -196,32 +197,32 @@ class Pairing:
 
     def add_imu(self, time_ns: int, specific_force: Array) -> None:
         """Take one IMU sample: specific_force (3,) m/s², body axes."""
-        self._due = compiled.add_imu(self._compiled, time_ns, specific_force)
+        self.due = compiled.add_imu(self.compiled, time_ns, specific_force)
 
     def add_state(self, time_ns: int, velocity: Array, attitude: Array, rates: Array) -> None:
         """Take one state: velocity (3,) m/s and rates (3,) rad/s, body axes; attitude (4,) body to world."""
-        self._due = compiled.add_state(self._compiled, time_ns, velocity, attitude, rates)
+        self.due = compiled.add_state(self.compiled, time_ns, velocity, attitude, rates)
 
     def add_estimate(self, time_ns: int, motion: Array) -> None:
-        """Take an IMU sample and the state at its stamp in one: a row of `FusedSamples.motion`."""
-        self._due = compiled.add_estimate(self._compiled, time_ns, motion)
+        """Take an IMU sample and the state at its stamp in one, whose `FusedSamples.motion` this is."""
+        self.due = compiled.add_estimate(self.compiled, time_ns, motion)
 
     def add_rotor_speeds(self, time_ns: int, speeds: Array) -> None:
         """Take one sample of the rotor speeds (rotors,) rad/s."""
-        self._due = compiled.add_sample(self._compiled, ROTORS, time_ns, speeds)
+        self.due = compiled.add_sample(self.compiled, ROTORS, time_ns, speeds)
 
     def add_wind(self, time_ns: int, velocity: Array) -> None:
         """Take one sample of the wind (3,) m/s in the world."""
-        self._due = compiled.add_sample(self._compiled, WIND_TOPIC, time_ns, velocity)
+        self.due = compiled.add_sample(self.compiled, WIND_TOPIC, time_ns, velocity)
 
     def take(self) -> PairedSamples | None:
         """The IMU samples completed or given up since the last call, in order; None if there are none."""
-        room = self._due
+        room = self.due
         if room < 0:
             return None
-        self._due = -1
+        self.due = -1
         taken_ns, taken = np.empty(room, np.int64), np.empty((room, self._channels))
-        count, rate_changed = compiled.take_samples(self._compiled, taken_ns, taken)
+        count, rate_changed = compiled.take_samples(self.compiled, taken_ns, taken)
         if rate_changed:
             self.rate = ImuRate.of(self._state["meter"], self._given_hz)
         if count == 0:
@@ -245,7 +246,7 @@ class Pairing:
         start, begin, filled, states = 0, CONTINUES, 0, 0
         while start < arriving.kind.size or not stretches:
             stop, next_begin, count = compiled.take_stretch(
-                self._compiled, arriving, start, taken_ns[filled:], taken[filled:]
+                self.compiled, arriving, start, taken_ns[filled:], taken[filled:]
             )
             if stop > start or stop == arriving.kind.size:
                 rows = slice(filled, filled + count)

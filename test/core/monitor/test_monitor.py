@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+from collections.abc import Iterator
+from copy import deepcopy
 from dataclasses import fields, replace
 
 import numpy as np
@@ -13,9 +15,9 @@ from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
 from quadpi_core.models.model_kind import Evaluation
 from quadpi_core.monitor.alarm import MonitorSettings
 from quadpi_core.monitor.monitor import Monitor, Monitors
-from quadpi_core.monitor.pairing import PairedSamples
+from quadpi_core.monitor.pairing import PairedSamples, Pairing
 from quadpi_core.monitor.preparation import Preparation
-from quadpi_core.results import BAD_DATA, EXTRAPOLATION, LEVEL_ALARM, LEVEL_OK, Alarms, Predictions
+from quadpi_core.results import BAD_DATA, EXTRAPOLATION, LEVEL_ALARM, LEVEL_OK, Alarms, Events, Predictions
 from quadpi_core.rotations import rotate_world_to_body
 
 RATE_HZ = 500.0
@@ -324,6 +326,81 @@ def test_each_model_says_what_it_says_alone(model, vehicle, samples):
     assert_same(alarms, alone[1])
     assert_same(others[0], alone[0])
     assert_same(others[1], Monitor(slower, vehicle, RATE_HZ).step(*samples)[0])
+
+
+def arrive(pairing: Pairing, samples: PairedSamples) -> None:
+    """All that completes samples, the rotor speeds last."""
+    for row, time_ns in enumerate(samples.time_ns.tolist()):
+        pairing.add_imu(time_ns, samples.specific_force[row])
+        pairing.add_state(time_ns, samples.velocity[row], samples.attitude[row], samples.rates[row])
+    for row, time_ns in enumerate(samples.time_ns.tolist()):
+        pairing.add_rotor_speeds(time_ns, samples.rotor_speeds[row])
+
+
+def begun(samples: PairedSamples) -> Pairing:
+    """A pairing that was given a sample and has said that its rate is not known yet."""
+    pairing = Pairing()
+    arrive(pairing, cut(samples, slice(1)))
+    assert pairing.take()
+    return pairing
+
+
+def taken(monitors: Monitors, pairing: Pairing) -> Iterator[tuple[int, Predictions, Alarms, Events]]:
+    while pairing.due >= 0:
+        judged = monitors.take(pairing)
+        assert judged
+        (rows,) = judged.predictions
+        yield judged.samples, deepcopy(rows).predictions, judged.alarms, judged.events
+
+
+def test_samples_of_a_pairing_give_what_they_give_as_arrays(model, vehicle, samples):
+    spoiled = changed(samples)
+    spoiled.specific_force[100:140] = np.nan
+    parts = [cut(spoiled, slice(start, start + 200)) for start in range(1, 400, 200)]
+    pairings, steps = (begun(samples), begun(samples)), Monitor(model, vehicle, RATE_HZ)
+    monitors = Monitors({"first": Monitor(model, vehicle, RATE_HZ)})
+    for part in parts:
+        for pairing in pairings:
+            arrive(pairing, part)
+        predictions, alarms, events = steps.step(*pairings[0].take())
+        counts, *columns, found = zip(*taken(monitors, pairings[1]), strict=True)
+        assert len(counts) > 1
+        assert sum(counts) == len(part.time_ns)
+        assert_same(predictions, joined(Predictions, columns[0]))
+        assert_same(alarms, joined(Alarms, columns[1]))
+        assert events == [event for block in found for event in block]
+        assert len(alarms.time_ns) > 1
+    assert pairings[0].counts == pairings[1].counts
+
+
+def test_a_pairing_is_asked_for_samples_where_the_core_cannot_go_on(model, vehicle, samples):
+    monitor = Monitor(model, vehicle, RATE_HZ)
+    pairing = begun(samples)
+    arrive(pairing, cut(samples, slice(1, 11)))
+    assert Monitors({"first": monitor, "second": Monitor(model, vehicle, RATE_HZ)}).take(pairing) is None
+    monitors = Monitors({"first": monitor})
+    judged = monitors.take(pairing)
+    assert judged
+    assert judged.samples == 10
+    assert pairing.due == -1
+    # After a second the rate is known, and filters are designed for it before anything is judged.
+    arrive(pairing, cut(samples, slice(11, 520)))
+    assert monitors.take(pairing) is None
+    paired = pairing.take()
+    assert pairing.rate.filter_hz == pytest.approx(RATE_HZ)
+    assert not monitors.retune(pairing.rate)
+    assert monitors.judge(paired).samples == len(paired.time_ns)
+    arrive(pairing, cut(samples, slice(520, 530)))
+    assert monitors.take(pairing)
+    # A monitor that is replaced is no longer asked.
+    before = monitors["first"].preparation
+    monitors.replace("first", Monitor(replace(model, cutoff_hz=20.0), vehicle, RATE_HZ))
+    arrive(pairing, cut(samples, slice(530, 540)))
+    quiet = before.memory.tobytes()
+    judged = monitors.take(pairing)
+    assert judged
+    assert judged.samples == 10
+    assert before.memory.tobytes() == quiet
 
 
 def test_models_of_one_cutoff_share_the_low_pass(model, vehicle):

@@ -126,21 +126,19 @@ public:
         }
     }
 
-    // Whether the oldest IMU sample waits no longer, or the rate of the IMU has changed.
-    bool take_is_due() const {
-        return state.meter.changes != state.rate_changes || fate_of_oldest() != WAITS;
-    }
+    // Whether the rate of the IMU has changed since somebody was told.
+    bool rate_has_changed() const { return state.meter.changes != state.rate_changes; }
 
-    // Fill stamps and rows of the samples that are complete or given up; returns their number.
-    std::int64_t take(std::int64_t* taken_ns, double* taken) {
+    // Whether the oldest IMU sample waits no longer, or the rate of the IMU has changed.
+    bool take_is_due() const { return rate_has_changed() || fate_of_oldest() != WAITS; }
+
+    // Fill stamps and rows of the samples that are complete or given up, while there is room; returns their
+    // number.
+    std::int64_t take(Records<std::int64_t> taken_ns, double* taken) {
         Track& imu = state.tracks[IMU];
         const std::size_t channels = channels_of(state.rotors);
         std::size_t count = 0;
-        while (true) {
-            const Fate fate = fate_of_oldest();
-            if (fate == WAITS) {
-                return static_cast<std::int64_t>(count);
-            }
+        for (Fate fate = fate_of_oldest(); fate != WAITS && count < taken_ns.size; fate = fate_of_oldest()) {
             if (fate == EARLY) {
                 ++state.early;
             } else {
@@ -154,6 +152,7 @@ public:
             }
             drop_oldest(imu);
         }
+        return static_cast<std::int64_t>(count);
     }
 
     // Take arrivals from `start` on until the IMU's stamps step back, or its rate changes.
@@ -161,7 +160,7 @@ public:
     // The stamp of the arrival at which the next stretch begins has been noted: the next call does not note
     // it again.
     StretchEnd take_stretch(
-        const ArrivingSamples& arriving, std::int64_t start, std::int64_t* taken_ns, double* taken
+        const ArrivingSamples& arriving, std::int64_t start, Records<std::int64_t> taken_ns, double* taken
     ) {
         std::int64_t count = 0;
         const auto rotors = static_cast<std::size_t>(state.rotors), channels = channels_of(state.rotors);
@@ -190,7 +189,8 @@ public:
             } else {
                 add(WIND, arriving.wind_ns[row], arriving.wind[row].data(), 3);
             }
-            count += take(taken_ns + count, taken + static_cast<std::size_t>(count) * channels);
+            const auto filled = static_cast<std::size_t>(count);
+            count += take(taken_ns.part(filled, taken_ns.size), taken + filled * channels);
         }
         return {events, CONTINUES, count};
     }

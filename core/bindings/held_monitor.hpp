@@ -1,0 +1,95 @@
+// SPDX-FileCopyrightText: 2026 The quadpi authors
+// SPDX-License-Identifier: Apache-2.0
+// A pairing and a monitor, whose arrays are of Python, and both together.
+#pragma once
+
+#include <vector>
+
+#include "bindings/held_model.hpp"
+#include "bindings/rotors.hpp"
+#include "quadpi/monitor/monitor_step.hpp"
+#include "quadpi/monitor/pairing.hpp"
+
+namespace quadpi {
+
+// The whole of a vector.
+template <class T>
+Records<T> all(std::vector<T>& of) {
+    return {of.data(), of.size()};
+}
+
+// The arrays of a pairing.
+class HeldPairing {
+public:
+    explicit HeldPairing(nanobind::object its_arrays)
+        : arrays(its_arrays), state(arrays, "state"), rings(arrays, "rings") {
+        checked_rotors(state.only().rotors);
+    }
+
+    Pairing pairing() const { return Pairing(state.only(), rings.all()); }
+
+    // How many samples take_samples() may give; −1 where it has nothing to do.
+    std::int64_t due() const { return pairing().take_is_due() ? state.only().tracks[IMU].count : -1; }
+
+    nanobind::object arrays;
+    Field<PairingState> state;
+    Field<Entry> rings;
+};
+
+// The arrays of a monitor, and room for a block of samples.
+class HeldMonitor {
+public:
+    explicit HeldMonitor(nanobind::object its_arrays)
+        : arrays(its_arrays),
+          limits(arrays, "limits"),
+          alarm(arrays, "alarm"),
+          adaptive(arrays, "adaptive"),
+          factors(arrays, "factors"),
+          block(new MonitorBlock) {
+        checked_rotors(limits.only().rotors.rotors);
+        const nanobind::object its_model = arrays.attr("model");
+        if (!its_model.is_none()) {
+            model = &nanobind::cast<HeldModel&>(its_model).evaluator();
+        }
+    }
+
+    MonitorMemory memory() const { return {limits.only(), alarm.only(), adaptive.all(), factors.only()}; }
+
+    nanobind::object arrays;
+    Field<const AlarmLimits> limits;
+    Field<AlarmState> alarm;
+    Field<AdaptiveMemory> adaptive;
+    Field<const Wrench> factors;
+    Evaluator* model = nullptr;  // None for one that Python evaluates
+    std::unique_ptr<MonitorBlock> block;
+};
+
+// A monitor that takes samples from a pairing, with room for some of them and for what it says of them.
+class PairedMonitor {
+public:
+    explicit PairedMonitor(nanobind::object its_arrays)
+        : arrays(its_arrays),
+          pairing(nanobind::cast<HeldPairing*>(arrays.attr("pairing"))),
+          monitor(nanobind::cast<HeldMonitor*>(arrays.attr("monitor"))),
+          preparation(arrays, "preparation"),
+          wrenches(arrays, "wrenches"),
+          alarms(arrays, "alarms"),
+          taken_ns(alarms.all().size),
+          predicted_ns(alarms.all().size),
+          taken(taken_ns.size() * channels_of(pairing->state.only().rotors)) {
+        require(monitor->model != nullptr, "a model that Python evaluates");
+        require(pairing->state.only().rotors == preparation.only().vehicle.rotors, "of other rotors");
+        require(wrenches.all().size == 5 * taken_ns.size(), DIFFERENT);
+    }
+
+    nanobind::object arrays;
+    HeldPairing* pairing;
+    HeldMonitor* monitor;
+    Field<PreparationMemory> preparation;
+    Field<Wrench> wrenches;
+    Field<AlarmRow> alarms;
+    std::vector<std::int64_t> taken_ns, predicted_ns;
+    std::vector<double> taken;  // rows of samples
+};
+
+}  // namespace quadpi
