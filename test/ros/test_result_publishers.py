@@ -95,7 +95,9 @@ def test_every_model_predicts_and_the_first_one_raises_the_alarm(models):
     results = Results(outputs, named(monitor_of(model) for model in models.values()), "body")
     for k in range(300):
         one = PairedSamples(samples.time_ns[k : k + 1], samples.values[k : k + 1])
-        assert results.publish(one).tolist() == one.time_ns.tolist()
+        judged = results.monitors.judge(one)
+        assert judged.predictions[0].time_ns == one.time_ns.tolist()
+        results.publish(judged)
     topics = ("prediction", "/uav/prediction/other", "extrapolation_alarm", "alarm_log", "~/description")
     assert set(outputs.sent) == set(topics)
     for topic, model in (("prediction", models["model"]), ("/uav/prediction/other", models["other"])):
@@ -132,7 +134,7 @@ def test_silence_and_alarms_are_published_and_logged(models):
     results = Results(outputs, named([monitor_of(models["model"])]), "body")
     broken = PairedSamples(samples.time_ns[300:500], np.full((200, 20), np.nan))
     for part in (PairedSamples(samples.time_ns[:300], samples.values[:300]), broken):
-        results.publish(part)
+        results.publish(results.monitors.judge(part))
     assert results.alarm_status()[:2] == (diagnostics.WARN, "alarm")
     (event,) = result_messages.unpack_events(Payloads.join(outputs.sent["alarm_log"]))
     assert event.cause == BAD_DATA
@@ -151,7 +153,7 @@ def test_a_model_that_is_replaced_publishes_as_the_one_before(models):
     response = LoadModel.Response()
     results.swap("model", monitor_of(models["other"]), None, response)
     assert (response.success, response.model) == (True, models["other"].identity)
-    results.publish(samples)
+    results.publish(results.monitors.judge(samples))
     assert set(outputs.sent) >= {"prediction"}
     assert models["other"].identity.encode() in outputs.sent["prediction"][0]
     for name, error, message in (
@@ -196,7 +198,7 @@ def test_wrenches_are_those_of_the_predictions(models) -> None:
     """Of the first model by their names, of another one below these; read as any tool reads them."""
     outputs = Outputs()
     results = Results(outputs, named(map(monitor_of, models.values())), "uav/base_link", wrenches=True)
-    results.publish(hover(50))
+    results.publish(results.monitors.judge(hover(50)))
     for prediction, below in (("prediction", ""), ("/uav/prediction/other", "other")):
         predictions = [deserialize_message(one, WrenchPrediction) for one in outputs.sent[prediction]]
         assert len(predictions) == 50
