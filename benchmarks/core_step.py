@@ -65,7 +65,7 @@ def run() -> list[Result]:
             f"{method}: median {calmest[-1]:.0f} to {most:.0f} in {TURNS} turns, "
             f"p99 {np.quantile(steps, 0.99):.0f}, correction by a pose {np.median(poses):.0f}"
         )
-    return [Result(NAMES[0], max(calmest), "µs", "; ".join(medians), goal=40.0, at_most=True)]
+    return [Result(NAMES[0], max(calmest), "µs", "; ".join(medians), goal=10.0, at_most=True)]
 
 
 def microseconds(model: AerodynamicModel, vehicle: Vehicle, recording: Recording) -> tuple[Array, Array]:
