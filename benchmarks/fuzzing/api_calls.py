@@ -91,8 +91,9 @@ def _attitudes() -> npt.NDArray[np.float64]:
 @cache
 def _derivatives() -> npt.NDArray[Any]:
     derivatives = np.zeros(_ROWS, DERIVATIVES)
-    numbers = derivatives.view(np.float64)
-    numbers[:] = short(np.random.default_rng(2).normal(size=numbers.shape))
+    rng = np.random.default_rng(2)
+    for name in DERIVATIVES.names or ():
+        derivatives[name] = short(rng.normal(size=derivatives[name].shape))
     return derivatives
 
 

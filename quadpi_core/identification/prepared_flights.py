@@ -115,8 +115,9 @@ class PreparedFlight:
         Raises:
             ModelError: naming the flight and the first of them.
         """
-        moving = self.derivatives.view(np.float64).reshape(len(self.time), -1)
-        samples = np.column_stack((self.time, self.inputs, moving, self.wrench))
+        # By field: what lies between the fields means nothing.
+        moving = [self.derivatives[name] for name in self.derivatives.dtype.names or ()]
+        samples = np.column_stack((self.time, self.inputs, *moving, self.wrench))
         finite = np.asarray(np.isfinite(samples).all(axis=1))
         if not finite.all():
             raise ModelError(
