@@ -348,6 +348,7 @@ def array_calls() -> dict[str, Call]:
                 "where": thing("file", "name", allowed=lambda _: True),
             },
         ),
+        "Vehicle.require_four": Call(_vehicle().require_four, {}, share=0.1),
         "Vehicle.to_file": Call(_vehicle().to_file, {}, share=0.1),
         "Vehicle.rotor_speeds_from_erpm": Call(
             replace(_vehicle(), pole_pairs=7).rotor_speeds_from_erpm,

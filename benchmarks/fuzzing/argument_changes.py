@@ -121,9 +121,11 @@ class Rows:
         if array.dtype.kind in "ib":
             return array[::-1].copy(), Must.END_WELL
         changed = array.copy()
-        numbers = changed.view(np.float64).reshape(-1) if changed.dtype.names else changed.reshape(-1)
+        # Of records a field: what lies between the fields means nothing.
+        names = changed.dtype.names
+        field = changed[rng.choice(names)] if names else changed
         value = rng.choice((np.nan, np.inf, -np.inf, 1e300, -1e300, 1e30, 0.0, 5e-324, 1e6))
-        numbers[rng.randrange(len(numbers))] = value
+        field[np.unravel_index(rng.randrange(field.size), field.shape)] = value
         if self.finite and not np.isfinite(value):
             return changed, Must.REFUSE
         return changed, Must.END_WELL
