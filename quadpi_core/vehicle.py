@@ -163,7 +163,7 @@ class Vehicle:
         """Number of rotors."""
         return len(self.rotor_spins)
 
-    def require_four(self, what: str = "this works") -> None:
+    def require_four(self, what: str) -> None:
         """Refuse another number of rotors for what knows four.
 
         Raises:

@@ -13,7 +13,7 @@ import inspect
 import random
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields, is_dataclass, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -348,7 +348,7 @@ def array_calls() -> dict[str, Call]:
                 "where": thing("file", "name", allowed=lambda _: True),
             },
         ),
-        "Vehicle.require_four": Call(_vehicle().require_four, {}, share=0.1),
+        "Vehicle.require_four": Call(partial(_vehicle().require_four, "this works"), {}, share=0.1),
         "Vehicle.to_file": Call(_vehicle().to_file, {}, share=0.1),
         "Vehicle.rotor_speeds_from_erpm": Call(
             replace(_vehicle(), pole_pairs=7).rotor_speeds_from_erpm,

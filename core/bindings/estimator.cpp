@@ -256,10 +256,7 @@ void bind_estimator(nb::module_& module) {
     bind_constants(module);
     bind_steps(module);
     module.def("pose_information", &find_pose_information);
-    nb::class_<LiveFilter>(module, "LiveFilter")
-        .def(nb::init<nb::object>())
-        .def_ro("arrays", &LiveFilter::arrays)
-        .def("__reduce__", &made_again);
+    bind_held<LiveFilter>(module, "LiveFilter").def(nb::init<nb::object>());
     module.def("step", &step_live);
     module.def("catch_up", &catch_up);
     module.def("hold", &hold);

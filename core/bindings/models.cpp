@@ -178,9 +178,7 @@ void bind_models(nb::module_& module) {
     module.attr("MOST_OUTPUTS") = MOST_OUTPUTS;
     module.attr("TILE_ROWS") = TILE_ROWS;
     module.def("evaluate_regressors", &evaluate_regressors);
-    nb::class_<HeldModel>(module, "Model")
-        .def_ro("arrays", &HeldModel::arrays)
-        .def("__reduce__", &made_again);
+    bind_held<HeldModel>(module, "Model");
     nb::class_<HeldPolynomials, HeldModel>(module, "Polynomials").def(nb::init<nb::object>());
     nb::class_<HeldEnsembles, HeldModel>(module, "Ensembles").def(nb::init<nb::object>());
     module.def("evaluate", &evaluate_held);

@@ -334,10 +334,7 @@ void bind_thresholds(nb::module_& module) {
 void bind_monitor(nb::module_& module) {
     bind_faults(module);
     bind_thresholds(module);
-    nb::class_<HeldPairing>(module, "Pairing")
-        .def(nb::init<nb::object>())
-        .def_ro("arrays", &HeldPairing::arrays)
-        .def("__reduce__", &made_again);
+    bind_held<HeldPairing>(module, "Pairing").def(nb::init<nb::object>());
     module.def("add_imu", &add_imu);
     module.def("add_state", &add_state);
     module.def("add_estimate", &add_estimate);
@@ -349,10 +346,7 @@ void bind_monitor(nb::module_& module) {
     module.def("scale_by_density", &scale_evaluation_by_density);
     module.def("adapt", &adapt_all);
     module.def("advance_alarm", &advance_alarm);
-    nb::class_<HeldMonitor>(module, "Monitor")
-        .def(nb::init<nb::object>())
-        .def_ro("arrays", &HeldMonitor::arrays)
-        .def("__reduce__", &made_again);
+    bind_held<HeldMonitor>(module, "Monitor").def(nb::init<nb::object>());
     nb::class_<PairedMonitor>(module, "PairedMonitor").def(nb::init<nb::object>());
     module.def("step_monitor", &step_monitor);
     module.def("step_paired", &step_paired);

@@ -139,6 +139,14 @@ inline nanobind::tuple made_again(nanobind::handle self) {
     return nanobind::make_tuple(self.type(), nanobind::make_tuple(self.attr("arrays")));
 }
 
+// A class of Python whose objects hold their arrays, and are pickled with them.
+template <class Held>
+nanobind::class_<Held> bind_held(nanobind::module_& module, const char* name) {
+    nanobind::class_<Held> bound(module, name);
+    bound.def_ro("arrays", &Held::arrays).def("__reduce__", &made_again);
+    return bound;
+}
+
 }  // namespace quadpi
 
 namespace nanobind::detail {

@@ -7,9 +7,10 @@ The density of the air, how sure the state is, and which rotor speeds are comman
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
+import numpy.typing as npt
 
 from quadpi_core import array_checks
 from quadpi_core.errors import ArgumentError
@@ -46,9 +47,9 @@ CONDITIONS = record_dtype(Conditions)
 
 def conditions(
     samples: int,
-    air_density: Any = None,
-    state_covariance: Any = None,
-    commanded: Any = None,
+    air_density: npt.ArrayLike | None = None,
+    state_covariance: npt.ArrayLike | None = None,
+    commanded: npt.ArrayLike | None = None,
 ) -> Records | None:
     """The :class:`Conditions` (K,) of samples; None where nothing is given.
 
@@ -87,7 +88,7 @@ def conditions(
     return found
 
 
-def _checked(covariance: Any, samples: int) -> Array:
+def _checked(covariance: npt.ArrayLike, samples: int) -> Array:
     if np.ndim(covariance) == 2:
         one = array_checks.floats("state_covariance", covariance, STATE_ERRORS, rows=STATE_ERRORS)
         covariance = np.broadcast_to(one, (samples, *one.shape))

@@ -70,7 +70,7 @@ def _predictions(room: _Room, count: int) -> Predictions:
     return Predictions(time_ns, wrenches[0], wrenches[1], wrenches[2], wrenches[3], wrenches[4])
 
 
-_NOTHING_SAID = np.empty((5, 0, _AXES))
+_NOTHING_SAID, _NOTHING_ADDED = np.empty((5, 0, _AXES)), np.empty((0, _AXES))
 _NO_ALARM = np.empty(0, ROW)
 _NO_EVENTS: Events = []
 # Samples of a pairing that go through a monitor in one call; live it is one but after a pause of a topic.
@@ -209,6 +209,8 @@ class Monitor:
 
     def _added(self, prepared: Prepared) -> Array:
         """Squares (U, 6) of what the errors of the states add to half widths; (0, 6) where none are known."""
+        if len(prepared.erring) == 0:
+            return _NOTHING_ADDED
         added = np.empty((len(prepared.erring), _AXES))
         quantile = NormalDist().inv_cdf(0.5 + 0.5 * self.confidence)
         for start in range(0, len(added), _ERRING_BLOCK):

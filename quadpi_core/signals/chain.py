@@ -21,7 +21,7 @@ ROTOR_SPEEDS, WIND = slice(13, -3), slice(-3, None)
 
 
 def channels(rotors: int) -> int:
-    """Number of columns of the signals of a vehicle with so many rotors."""
+    """Number of signals of a vehicle, by the number of its rotors."""
     return 16 + rotors
 
 
