@@ -8,6 +8,7 @@ import fcntl
 import importlib.util
 import os
 import re
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -36,6 +37,8 @@ from quadpi_core.vehicle import Vehicle
 # The same examples in every run: what fails on one computer fails on all.
 settings.register_profile("same", derandomize=True, database=None)
 settings.load_profile("same")
+# Tests interrupt commands, which would ignore it where a shell has started the tests in the background.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 ROOT = Path(__file__).parents[1]
 ROS_IS_HERE = all(importlib.util.find_spec(name) for name in ("rclpy", "domain_coordinator", "quadpi"))
