@@ -16,6 +16,8 @@ void bind_simulation(nanobind::module_& module);
 }  // namespace quadpi
 
 NB_MODULE(_core, module) {
+    // What a node holds when it is interrupted ends with its process; nobody needs a list of it.
+    nanobind::set_leak_warnings(false);
     module.doc() = "The compiled core; quadpi_core/_core.pyi has its signatures.";
     module.attr("SOURCES") = QUADPI_SOURCES;
     quadpi::bind_elementary(module);

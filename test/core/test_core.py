@@ -19,6 +19,7 @@ from quadpi_core.estimator.filter_state import ESTIMATE, NOISE
 
 PACKAGE = Path(quadpi_core.__file__).parent
 SOURCES = PACKAGE.parent / "core"
+GOLDEN_MODEL = Path(__file__).parents[1] / "golden" / "model"
 _DECLARED = ast.FunctionDef, ast.ClassDef, ast.AnnAssign
 
 
@@ -42,6 +43,13 @@ def test_a_module_older_than_its_sources_is_refused(tmp_path: Path) -> None:
     ran = subprocess.run(command, check=False, cwd=tmp_path, capture_output=True, text=True)
     last = ran.stderr.splitlines()[-1]
     assert last.startswith("ImportError: quadpi's compiled core is older than core/: run `make environment`")
+
+
+def test_nothing_is_said_of_what_a_program_still_holds_as_it_ends() -> None:
+    kept = f"monitor = quadpi_core.Monitor(quadpi_core.load_model({str(GOLDEN_MODEL)!r}))"
+    command = f"import ctypes, quadpi_core; {kept}; ctypes.pythonapi.Py_IncRef(ctypes.py_object(monitor))"
+    ran = subprocess.run((sys.executable, "-c", command), check=True, capture_output=True, text=True)
+    assert ran.stderr == ""
 
 
 @pytest.mark.parametrize(
