@@ -18,7 +18,6 @@ from typing import Annotated, Any, ClassVar, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import ndtri, stdtrit
 
 from quadpi_core.config_schema import NotNegative, Numbers, Positive, ReadBy, Real, Within, parse_config
 from quadpi_core.errors import ModelError
@@ -72,6 +71,8 @@ class ResidualRule(Rule):
     def factor(self, confidence: float) -> float:
         """Standard deviation times the quantile of Student's distribution."""
         _check_confidence(confidence, 0.0, 1.0)
+        from scipy.special import stdtrit
+
         return self.std * float(stdtrit(self.freedom, 0.5 + confidence / 2.0))
 
 
@@ -84,6 +85,8 @@ class NormalRule(Rule):
     def factor(self, confidence: float) -> float:
         """Quantile of the standard normal distribution."""
         _check_confidence(confidence, 0.0, 1.0)
+        from scipy.special import ndtri
+
         return float(ndtri(0.5 + confidence / 2.0))
 
 

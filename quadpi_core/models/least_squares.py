@@ -14,7 +14,6 @@ from functools import reduce
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import solve_triangular
 
 from quadpi_core.core import compiled
 from quadpi_core.errors import ModelError, one_line
@@ -94,6 +93,8 @@ def fit_coefficients(gram: Gram, active: list[int]) -> tuple[Array, Array]:
     Raises:
         numpy.linalg.LinAlgError: if a regressor is zero on all samples, or they are linearly dependent.
     """
+    from scipy.linalg import solve_triangular
+
     matrix = gram.matrix[np.ix_(active, active)]
     squares = np.diag(matrix)
     if not np.all(squares > 0.0):

@@ -17,8 +17,6 @@ from operator import add, sub
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import cho_factor, cho_solve
-from scipy.optimize import lsq_linear
 
 from quadpi_core.config_schema import Real, Text
 from quadpi_core.flight import AXES
@@ -209,11 +207,13 @@ class Problem:
 
 def bounded_solution(matrix: Array, right: Array, lower: Array) -> Array:
     """Least xᵀ M x / 2 - rᵀ x for a positive definite matrix (s, s), right side (s,) and bounds (s,)."""
-    free: Array = cho_solve(cho_factor(matrix), right)
+    from scipy import linalg, optimize
+
+    free: Array = linalg.cho_solve(linalg.cho_factor(matrix), right)
     if not np.any(free < lower):
         return free
     factor = np.linalg.cholesky(matrix)
-    bounded: Array = lsq_linear(factor.T, np.linalg.solve(factor, right), bounds=(lower, np.inf)).x
+    bounded: Array = optimize.lsq_linear(factor.T, np.linalg.solve(factor, right), bounds=(lower, np.inf)).x
     return bounded
 
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import correlate
 
 from quadpi_core.errors import SignalError
 from quadpi_core.flight import MAX_GAP_NS, ImuStream, OdometryStream, PoseStream, RotorSpeedStream, Stamps
@@ -236,8 +235,12 @@ def _on_grid(
 
 
 def _correlate(x: Array, y: Array) -> Array:
-    correlation: Array = correlate(x, y, mode="full", method="fft")
-    return correlation
+    """Σ x(n + k) y(n) for k of -(len(y) - 1) to len(x) - 1."""
+    # scipy.signal has it, but takes longer to import than all else that a live node needs.
+    lags = len(x) + len(y) - 1
+    length = 1 << (lags - 1).bit_length()
+    circular = np.fft.irfft(np.fft.rfft(x, length) * np.conj(np.fft.rfft(y, length)), length)
+    return np.roll(circular, len(y) - 1)[:lags]
 
 
 def _normalised(x: Array, x_there: Array, y: Array, y_there: Array) -> Array:

@@ -65,6 +65,7 @@ def test_what_flies_imports_nothing_of_pip(imported: str) -> None:
     modules = set(json.loads(found.stdout.splitlines()[-1]))
     assert {"numpy", "quadpi_core"} <= modules
     assert foreign(modules) == set()
+    assert "scipy" not in modules, "it takes as long to import as all else"
 
 
 def test_a_package_of_pip_is_found() -> None:

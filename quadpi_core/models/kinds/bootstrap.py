@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from scipy.special import ndtri, stdtrit
 
 from quadpi_core.config_schema import Positive, ReadBy
 from quadpi_core.models.ensemble import Ensemble, Floats, Trained, mean_over
@@ -97,6 +96,8 @@ class Bootstrap(Ensemble):
     def _model_share(self) -> float:
         if not self.few_members:
             return 1.0
+        from scipy.special import ndtri, stdtrit
+
         quantiles = stdtrit(self.members - 1, 0.975) / ndtri(0.975)
         return float((1.0 + 1.0 / self.members) * quantiles**2)
 

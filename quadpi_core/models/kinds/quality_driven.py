@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
-from scipy.special import ndtri
 
 from quadpi_core.config_schema import NotNegative
 from quadpi_core.models.ensemble import Ensemble, Floats, Trained, mean_over
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
     from quadpi_core.training.train import Report, Training
 
 # Of the normal distribution, for bounds of 95 %.
-_QUANTILE = float(ndtri(0.975))
+_QUANTILE = 1.959963984540054
 
 
 @dataclass(frozen=True)
