@@ -33,7 +33,7 @@ WHY_NOT_JUDGED = {
     MOVED: "moved by something else: its rotors turn too slowly to fly",
     LANDS: "it lands: its rotors slow down, and something else carries it",
     NO_SAMPLES: "no usable samples",
-    SETTLES: "the state settles, Fz alone is judged",
+    SETTLES: "the state settles, the downward force alone is judged",
 }
 # Of a flight before the first sample that a monitor could take.
 NOT_BEGUN = "state or rotor speeds have not begun"

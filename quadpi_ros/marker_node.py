@@ -23,7 +23,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from quadpi_core.errors import LogError
 from quadpi_core.messages import result_messages
 from quadpi_core.results import ReportedAlarms
-from quadpi_core.view.trust import State, plain, states_of
+from quadpi_core.view.trust import State, states_of
 from quadpi_ros.callbacks import GuardedNode
 from quadpi_ros.inbox import NEWEST_QOS, Inbox
 from quadpi_ros.node_parameters import MarkerParameters
@@ -126,8 +126,7 @@ def words(odometry: Odometry, alarm: ReportedAlarms) -> Marker:
     marker.pose.position.y = odometry.pose.pose.position.y
     marker.pose.position.z = odometry.pose.pose.position.z + _TEXT_ABOVE_M
     marker.scale.z = _TEXT_HEIGHT_M
-    reasons = [plain(reason) for reason in alarm.reasons[-1][:_REASONS_SHOWN]]
-    marker.text = "\n".join((state.name.replace("_", " "), *reasons))
+    marker.text = "\n".join((state.name.replace("_", " "), *alarm.reasons[-1][:_REASONS_SHOWN]))
     return marker
 
 

@@ -5,19 +5,22 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from quadpi_core.flight import AXES
-from quadpi_core.inputs import INPUT_NAMES
+from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
 from quadpi_core.models.envelope import LEVERAGE_HEADROOM, WIDTH_HEADROOM
 from quadpi_core.monitor.alarm_kernel import WARNING_CHARGE
 from quadpi_core.monitor.data_quality import fault_words
+from quadpi_core.monitor.quantity_words import AXIS_WORDS, INPUT_WORDS, OF_RANGE, piloted_first
 from quadpi_core.records import ROTORS_MAX
 from quadpi_core.results import (
     BAD_DATA,
     CARRIED,
+    CAUSE_NAMES,
     CAUSES,
     EVENTS_KEPT,
     EXTRAPOLATION,
@@ -36,6 +39,9 @@ _MOST = 3
 # Distance of an input from the middle of its training range, in half widths, from which on it is named:
 # below its limits, as leverage and width may come from it.
 _OUTSIDE = 1.05
+# Percent of recent samples outside from which on an axis is said to be outside now: intervals that hold have
+# 5 to 10 %, and what raised the alarm may have ended.
+_MISSES_NOW = 10.0
 
 
 class EventLog:
@@ -75,17 +81,13 @@ class EventLog:
                     self._closed.append(replace(self._open.pop(cause), time_ns=now, end_ns=now))
                     changed.append(self._closed[-1])
                 elif event is not None and evidence > event.peak_evidence:
-                    why = reasons(alarms, row, cause) or event.reasons
+                    why = reasons(alarms, row, cause)
                     self._open[cause] = replace(event, peak_evidence=evidence, reasons=why)
         return changed
 
 
 def reasons(alarms: Alarms, row: int, causes: int | None = None) -> tuple[str, ...]:
-    """Why the causes are not ok in one row, strongest evidence first, and why the model is not judged.
-
-    Inputs are given by their distance from the middle of their training range over half of that range,
-    leverage and width by the multiple of their peaks in training, miscoverage by the share of recent
-    samples outside the interval.
+    """Why the causes are not ok in one row, and why the model is not judged; never empty where one is not ok.
 
     Args:
         alarms: of the monitor.
@@ -94,32 +96,65 @@ def reasons(alarms: Alarms, row: int, causes: int | None = None) -> tuple[str, .
     """
     wanted = int(alarms.causes[row]) if causes is None else causes
     words: list[str] = []
-    if wanted & EXTRAPOLATION:
-        ratio = 1.0 + 2.0 * alarms.input_excess[row]
-        words += [f"{INPUT_NAMES[k]} {ratio[k]:.1f} x the training range" for k in _beyond(ratio, _OUTSIDE)]
-        for name, ratios, scores, headroom in (
-            ("leverage", alarms.leverage_ratio[row], alarms.leverage[row], LEVERAGE_HEADROOM),
-            ("width", alarms.width_ratio[row], alarms.width[row], WIDTH_HEADROOM),
-        ):
-            # Beyond the limit of the warning, or that of the alarm where it is nearer.
-            far = np.where((ratios > headroom) | (scores > 1.0), ratios, 0.0)
-            words += [f"{AXES[k]} {name} {far[k]:.1f} x its peak in training" for k in _beyond(far, 0.0)]
-    if wanted & MISCOVERAGE:
-        words += [f"rotor {k + 1} stopped" for k in range(ROTORS_MAX) if alarms.stopped[row] & 1 << k]
-        words += [
-            f"{AXES[k]} outside its interval {100.0 * alarms.miss_share[row, k]:.0f} % of the time"
-            for k in _beyond(alarms.miscoverage[row], WARNING_CHARGE)
-        ]
-    if wanted & BAD_DATA:
-        words += fault_words(int(alarms.faults[row]), alarms.more_faults[row].tolist())
+    for column, cause in enumerate(CAUSES):
+        if wanted & cause:
+            said, ends = WORDS[cause]
+            judged = alarms.cause_evidence[row, column] > 0.0
+            words += said(alarms, row) or [ends if judged else f"{CAUSE_NAMES[cause]} when last judged"]
     why = int(alarms.why_not_judged[row])
     if causes is None and why != JUDGED:
         of_what = "coverage not judged" if why == SETTLES else "not judged"
         share = 100.0 * alarms.not_judged_share[row]
+        words = [text for text in words if text != WHY_NOT_JUDGED[why]]
         words.append(f"{of_what}: {WHY_NOT_JUDGED[why]} ({share:.0f} % of the time so far)")
-    elif wanted & BAD_DATA and why == CARRIED:
-        words.append(WHY_NOT_JUDGED[why])
     return tuple(words)
+
+
+def _extrapolation(alarms: Alarms, row: int) -> list[str]:
+    """Inputs beyond their training range, what a pilot controls first, then leverage and width.
+
+    Inputs are given by their distance from the middle of their training range over half of that range.
+    """
+    ratio = 1.0 + 2.0 * alarms.input_excess[row]
+    beyond = piloted_first([INPUT_NAMES[k] for k in _beyond(ratio, _OUTSIDE, len(ratio))])[:_MOST]
+    words = [f"{INPUT_WORDS[name].name} {ratio[INPUT_INDEX[name]]:.1f} {OF_RANGE}" for name in beyond]
+    for says, ratios, scores, headroom in (
+        ("leverage {:.1f} x its peak", alarms.leverage_ratio[row], alarms.leverage[row], LEVERAGE_HEADROOM),
+        ("interval {:.1f} x its widest", alarms.width_ratio[row], alarms.width[row], WIDTH_HEADROOM),
+    ):
+        # Beyond the limit of the warning, or that of the alarm where it is nearer.
+        far = np.where((ratios > headroom) | (scores > 1.0), ratios, 0.0)
+        words += [f"{AXIS_WORDS[AXES[k]]}: {says.format(far[k])} in training" for k in _beyond(far, 0.0)]
+    return words
+
+
+def _miscoverage(alarms: Alarms, row: int) -> list[str]:
+    """Rotors that have stopped, and axes outside their intervals; those whose test still remembers it."""
+    words = [f"rotor {k + 1} stopped" for k in range(ROTORS_MAX) if alarms.stopped[row] & 1 << k]
+    for k in _beyond(alarms.miscoverage[row], WARNING_CHARGE):
+        share = 100.0 * alarms.miss_share[row, k]
+        words.append(
+            f"{AXIS_WORDS[AXES[k]]} outside its interval {share:.0f} % of the time"
+            if share >= _MISSES_NOW
+            else f"{AXIS_WORDS[AXES[k]]} was outside its interval too often a moment ago"
+        )
+    return words
+
+
+def _bad_data(alarms: Alarms, row: int) -> list[str]:
+    words = list(fault_words(int(alarms.faults[row]), alarms.more_faults[row].tolist()))
+    if alarms.why_not_judged[row] == CARRIED:
+        words.append(WHY_NOT_JUDGED[CARRIED])
+    return words
+
+
+# Of each cause: what it says of a row, the strongest first, and what between the last evidence and its end,
+# `release_s` later.
+WORDS: dict[int, tuple[Callable[[Alarms, int], list[str]], str]] = {
+    EXTRAPOLATION: (_extrapolation, "inside what was flown in training again: ends if that lasts"),
+    MISCOVERAGE: (_miscoverage, "inside its intervals again: ends if that lasts"),
+    BAD_DATA: (_bad_data, "the data are good again: ends if that lasts"),
+}
 
 
 def reasons_by_row(alarms: Alarms) -> list[tuple[str, ...]]:
@@ -127,7 +162,7 @@ def reasons_by_row(alarms: Alarms) -> list[tuple[str, ...]]:
     return [reasons(alarms, row) for row in range(len(alarms))]
 
 
-def _beyond(scores: np.ndarray, limit: float) -> list[int]:
+def _beyond(scores: np.ndarray, limit: float, most: int = _MOST) -> list[int]:
     """Indices of the largest scores beyond the limit, the largest first."""
-    order = np.argsort(-scores, kind="stable")[:_MOST]
+    order = np.argsort(-scores, kind="stable")[:most]
     return [int(k) for k in order if scores[k] > limit]

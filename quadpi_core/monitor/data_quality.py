@@ -95,6 +95,11 @@ def frozen_s(rate_hz: float) -> float:
     return max(_FROZEN_S, _FROZEN_SAMPLES / rate_hz)
 
 
+STATE_MISSING_WORDS, ROTORS_MISSING_WORDS = "state missing", "rotor speeds missing"
+# Which of the two nobody can tell from a sample alone.
+EITHER_MISSING_WORDS = "state or rotor speeds missing"
+
+
 def fault_words(faults: int, more: Iterable[int] = ()) -> Iterator[str]:
     """What the bits of faults, and of those of more rotors than four, mean, in plain words."""
     words = {
@@ -103,8 +108,8 @@ def fault_words(faults: int, more: Iterable[int] = ()) -> Iterator[str]:
         STAMP_REPEATED: "stamp repeated",
         STAMP_BACKWARD: "stamp runs backward",
         GAP: "gap in the samples",
-        STATE_MISSING: "state missing",
-        ROTORS_MISSING: "rotor speeds missing",
+        STATE_MISSING: STATE_MISSING_WORDS,
+        ROTORS_MISSING: ROTORS_MISSING_WORDS,
         GYRO_FROZEN: "gyro frozen",
         ACCELEROMETER_FROZEN: "accelerometer frozen",
         RATE_DIFFERS: "imu rate is not imu_rate_hz",
@@ -112,7 +117,7 @@ def fault_words(faults: int, more: Iterable[int] = ()) -> Iterator[str]:
         RATE_LOW: "imu rate too low for the model",
     }
     if faults & STATE_MISSING and faults & ROTORS_MISSING:
-        yield "state or rotor speeds missing"
+        yield EITHER_MISSING_WORDS
         faults &= ~(STATE_MISSING | ROTORS_MISSING)
     yield from (text for bit, text in words.items() if faults & bit)
     for first, text in (

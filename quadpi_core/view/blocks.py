@@ -18,6 +18,7 @@ from quadpi_core.flight import AXES, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.vehicle import ROTORS
+from quadpi_core.view.trust import State
 
 Rows = npt.NDArray[np.float32]
 
@@ -160,6 +161,22 @@ class BlockStore:
             return np.full(width, np.nan, dtype=np.float32)
         row: Rows = self._rows[number % self.capacity, place : place + width]
         return row
+
+    def inside(self, last: int, model: int, seconds: float, least_s: float) -> Array:
+        """Share (6,) of a model's samples inside their intervals, over the seconds up to a block.
+
+        Blocks that nobody judged do not count; NaN with fewer than `least_s` of others.
+        """
+        first = max(self.oldest, last + 1 - round(1e9 * seconds / self.block_ns))
+        slots = np.arange(first, min(last, self.newest) + 1) % self.capacity
+        place, _ = self.columns[f"{model}.count"]
+        rows = self._rows[slots, place : place + 1 + _AXES]
+        rows = rows[(self._rows[slots, self.columns["state"][0]] < State.NO_DATA) & ~np.isnan(rows[:, 0])]
+        if len(rows) * self.block_ns < 1e9 * least_s:
+            return np.full(_AXES, np.nan)
+        count, *misses = rows.sum(axis=0, dtype=float)
+        shares: Array = 1.0 - np.array(misses) / count
+        return shares
 
     def take_changed(self) -> int | None:
         """Number of the first block that has changed since the last call; None if none has."""

@@ -22,6 +22,7 @@ from quadpi_core.logs.cut_off import is_cut_off, whole_part
 from quadpi_core.logs.readers import identify_format
 from quadpi_core.messages import result_messages, sensor_messages
 from quadpi_core.messages.definitions import codec
+from quadpi_core.messages.foreign_messages import foreign_codec
 from quadpi_core.messages.model_description import DescribedModel, MonitorDescription, unpack_description
 from quadpi_core.messages.payloads import Payloads, Topic
 from quadpi_core.models.aerodynamic import AerodynamicModel
@@ -34,9 +35,11 @@ from quadpi_core.reading_options import MappingOrOptions, reading_options
 from quadpi_core.results import AlarmEvent, Predictions, ReportedAlarms
 from quadpi_core.vehicle import ROTORS, Vehicle
 from quadpi_core.view.motion_inputs import MotionInputs
+from quadpi_core.view.vehicle_reports import REPORTS, Told
 
 CUT_OFF = "the file is cut off, what comes before is shown; `mcap recover` rebuilds the file"
 _RESULTS = ("prediction", "extrapolation_alarm", "alarm_log", "odometry", "rotor_speeds", "erpm", "wind")
+_STAMP = {"header.stamp.sec": 1, "header.stamp.nanosec": 1}
 _STRING, _DESCRIPTION = "std_msgs/msg/String", "description"
 # What is not shown without a topic of a bag of results.
 _WITHOUT = {
@@ -68,6 +71,9 @@ class FlightTaker(Protocol):
 
     def take_events(self, events: Sequence[AlarmEvent]) -> None:
         """Take alarms that were raised or cleared."""
+
+    def take_told(self, told: Sequence[Told]) -> None:
+        """Take what battery, autopilot and link say, in the order of time."""
 
     def take_missing(self, topics: Sequence[tuple[str, str]]) -> None:
         """Take topics that something is missing of or to be said of, with the words for it."""
@@ -114,13 +120,41 @@ def flight_parts(
             raise QuadpiError(f"{bag}: --from and --to cut flights that --model judges, not recorded results")
         else:
             parts = recorded(readable, command, models)
+        is_bag = identify_format(readable).container is not None
+        told, unread = _told_in(readable) if is_bag else ([], [])
         for number, part in enumerate(parts):
+            if number == 0 and told:
+                yield lambda view: view.take_told(told)
             yield part
+            if number == 0 and unread:
+                yield lambda view: view.take_missing(unread)
             if number == 0 and is_cut_off(bag):
                 yield lambda view: view.take_missing([("bag", CUT_OFF)])
         if vehicle is not None and not holds_only_results(readable):
             known = _identified_on(readable, models, vehicle, mapping)
             yield lambda view: view.take_missing([("bag", text) for text in known])
+
+
+def _told_in(bag: Path) -> tuple[list[Told], list[tuple[str, str]]]:
+    """What battery and autopilot say, in the order of time, and topics that cannot be read, with why."""
+    told: list[Told] = []
+    lacks = []
+    with Bag(bag) as opened:
+        found = {one.topic: one for one in opened.connections if one.msgtype in REPORTS and one.msgcount}
+        for name, topic in opened.read(found).items() if found else ():
+            report = REPORTS[topic.type_name]
+            wanted = tuple((report.fields | _STAMP).items())
+            try:
+                codec = foreign_codec(topic.type_name, found[name].definition, wanted)
+                columns, _ = codec.decode(topic.payloads)
+            except LogError as error:
+                lacks.append((name, f"not shown: {error}"))
+                continue
+            for row, logged_ns in enumerate(topic.log_time_ns.tolist()):
+                sec, nanosec = (int(columns[field][row]) for field in _STAMP)
+                words = report.words({field: columns[field][row] for field in report.fields})
+                told += [Told(10**9 * sec + nanosec or logged_ns, *one) for one in words.items()]
+    return sorted(told), lacks
 
 
 def _identified_on(

@@ -19,10 +19,12 @@ from quadpi_core.flight import AXES, OdometryStream, RotorSpeedStream, Stamps
 from quadpi_core.frames import Array, quaternion_frd_ned_to_flu_enu, world_ned_to_enu
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.messages.model_description import DescribedModel
+from quadpi_core.monitor.quantity_words import INPUT_WORDS
 from quadpi_core.paths import whole_output
 from quadpi_core.results import CAUSE_NAMES, AlarmEvent, Predictions, ReportedAlarms
 from quadpi_core.view.flight_parts import Part
-from quadpi_core.view.trust import INPUT_WORDS, State, plain, states_of
+from quadpi_core.view.trust import State, states_of
+from quadpi_core.view.vehicle_reports import Told
 
 TIMELINE = "stamp"
 # Rows a second of each series: an hour takes 230 MB, and every sample at 500 Hz 1.6 GB.
@@ -160,10 +162,14 @@ class RerunRecording:
         ):
             if (state, reasons) != self._said:
                 self._said = state, reasons
-                words = "; ".join(plain(reason) for reason in reasons)
+                words = "; ".join(reasons)
                 text = state.name.replace("_", " ") + (f": {words}" if words else "")
                 texts.append((time_ns, _LOG_LEVELS.get(state, "INFO"), text))
         self._text(texts)
+
+    def take_told(self, told: Sequence[Told]) -> None:
+        """Take what battery, autopilot and link say."""
+        self._text([(one.time_ns, "INFO", f"{one.name}: {one.words}") for one in told])
 
     def take_missing(self, topics: Sequence[tuple[str, str]]) -> None:
         """Take topics that are missing, which the recording itself does not say."""

@@ -9,9 +9,11 @@ import numpy.typing as npt
 
 from quadpi_core.frames import Array
 
-# One per two pixels of a wide screen.
-BINS = 1000
-FIRST_BIN_S = 0.25
+# One per pixel of a wide screen, of which the first is as long as a block.
+BINS = 2000
+FIRST_BIN_S = 0.05
+# Of the track, which is a line in space.
+POINTS, FIRST_POINT_S = 1000, 0.25
 # Ranks of the states of `trust.State` by code: of several in one bin the highest is shown.
 _RANK = np.array([1, 3, 4, 2, 0], dtype=np.uint8)
 _EMPTY = 255
@@ -53,10 +55,10 @@ class Timeline:
 
 
 class Track:
-    """Positions of a whole session, at most :data:`BINS`; every other one goes when it is full."""
+    """Positions of a whole session, at most :data:`POINTS`; every other one goes when it is full."""
 
     def __init__(self) -> None:
-        self._every_s = FIRST_BIN_S
+        self._every_s = FIRST_POINT_S
         self._points: list[tuple[float, ...]] = []
         self._next_s = 0.0
 
@@ -69,7 +71,7 @@ class Track:
             at = float(time_s[place])
             self._next_s = at + self._every_s
             self._points.append((round(at, 2), *(round(float(value), 2) for value in position[place])))
-            if len(self._points) >= BINS:
+            if len(self._points) >= POINTS:
                 self._points = self._points[::2]
                 self._every_s *= 2.0
 

@@ -6,15 +6,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from enum import IntEnum
-from typing import NamedTuple
 
 import numpy as np
 
+from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.messages.model_description import DescribedModel
+from quadpi_core.models.alarm_limits import allowance
+from quadpi_core.monitor.quantity_words import AXIS_WORDS, INPUT_WORDS, OF_RANGE, piloted_first
 from quadpi_core.results import (
     ACTIVE,
+    CAUSE_NAMES,
     CAUSES,
     EXTRAPOLATION,
     LEVEL_ALARM,
@@ -41,43 +44,10 @@ SILENCE_S = 1.0
 _JUDGED = (ACTIVE, UNCALIBRATED)
 # Inputs that a reason names; the envelope's panel shows all.
 _MOST = 3
-
-
-class InputWords(NamedTuple):
-    """An input in plain words: its name, what it is where positive and where negative, and its unit."""
-
-    name: str
-    positive: str
-    negative: str
-    unit: str
-    angle: str = ""  # of which this is the "sin" or "cos"
-
-
-INPUT_WORDS = {
-    "u": InputWords("longitudinal speed", "forward speed", "backward speed", "m/s"),
-    "v": InputWords("lateral speed", "speed to the right", "speed to the left", "m/s"),
-    "w": InputWords(
-        "vertical speed in body axes", "speed downward in body axes", "speed upward in body axes", "m/s"
-    ),
-    "v_in": InputWords("induced velocity", "induced velocity", "induced velocity", "m/s"),
-    "p": InputWords("roll rate", "roll rate to the right", "roll rate to the left", "rad/s"),
-    "q": InputWords("pitch rate", "pitch rate nose up", "pitch rate nose down", "rad/s"),
-    "r": InputWords("yaw rate", "yaw rate to the right", "yaw rate to the left", "rad/s"),
-    "omega_avg": InputWords("mean rotor speed", "mean rotor speed", "mean rotor speed", "rad/s"),
-    "sin_phi": InputWords("roll angle", "roll angle to the right", "roll angle to the left", "°", "sin"),
-    "cos_phi": InputWords("roll angle", "roll angle", "roll angle", "°", "cos"),
-    "sin_theta": InputWords("pitch angle", "pitch angle nose up", "pitch angle nose down", "°", "sin"),
-    "cos_theta": InputWords("pitch angle", "pitch angle", "pitch angle", "°", "cos"),
-    "U_p": InputWords("roll control", "roll control to the right", "roll control to the left", "rad/s"),
-    "U_q": InputWords("pitch control", "pitch control nose up", "pitch control nose down", "rad/s"),
-    "U_r": InputWords("yaw control", "yaw control", "yaw control, negative", "rad/s"),
-    "mu_x": InputWords("longitudinal advance ratio", "forward advance ratio", "backward advance ratio", ""),
-    "mu_y": InputWords(
-        "lateral advance ratio", "advance ratio to the right", "advance ratio to the left", ""
-    ),
-    "mu_z": InputWords("vertical advance ratio", "downward advance ratio", "upward advance ratio", ""),
-    "mu_v_in": InputWords("induced inflow ratio", "induced inflow ratio", "induced inflow ratio", ""),
-}
+# Share of the training range from which on an input is said to be outside, as of the monitor's own words.
+_OUTSIDE = 0.025
+# The coverage beside the word is that of so many seconds, once there are so many.
+COVERED_S, LEAST_COVERED_S = 10.0, 2.0
 
 
 def states_of(alarms: ReportedAlarms) -> list[State]:
@@ -122,24 +92,34 @@ def reasons_of(
     words: list[str] = []
     if training is not None and alarms.causes[row] & EXTRAPOLATION:
         words = _outside(alarms.inputs_outside[row], training, low, high)
-    said = INPUT_NAMES if words else ()
-    words += [plain(text) for text in given if text.partition(" ")[0] not in said]
+    words += [text for text in given if not (words and text.endswith(OF_RANGE))]
+    if not words:
+        named = " and ".join(CAUSE_NAMES[cause] for cause in CAUSES if alarms.causes[row] & cause)
+        words = [f"{named or 'no cause'}: the message says no more"]
     return tuple(words)
 
 
-def plain(reason: str) -> str:
-    """A reason of a message with the words of an input behind its symbol."""
-    symbol, _, rest = reason.partition(" ")
-    if symbol not in INPUT_WORDS:
-        return reason
-    return f"outside: {INPUT_WORDS[symbol].name} ({symbol}) {rest}"
+def too_many_misses(inside: Array, held: Sequence[str], confidence: float) -> str | None:
+    """Which axis lay outside its interval too often of late for any trust; None if none did.
+
+    Too often is where more misses than allowed are likelier than the allowed ones: the reference value of
+    the monitor's own test, which waits for more of them before it warns.
+
+    Args:
+        inside: (6,) share of the samples of the last :data:`COVERED_S` inside; NaN where there are too few.
+        held: axes of the model.
+        confidence: nominal coverage of its intervals.
+    """
+    least, axis = min((float(inside[AXES.index(axis)]), axis) for axis in held or AXES)
+    if not 0.0 < confidence < 1.0 or not least < 1.0 - allowance(confidence):
+        return None
+    outside = f"{100.0 * (1.0 - least):.0f} % of the last {COVERED_S:.0f} s"
+    return f"{AXIS_WORDS[axis]} outside its interval {outside}, {100.0 * (1.0 - confidence):.3g} % allowed"
 
 
 def _outside(names: Sequence[str], training: DescribedModel, low: Array, high: Array) -> list[str]:
     sentences = []
-    for name in names:
-        if name not in INPUT_WORDS:
-            continue
+    for name in piloted_first([name for name in names if name in INPUT_WORDS]):
         k = INPUT_NAMES.index(name)
         sentence = outside_words(name, (low[k], high[k]), (training.lower[k], training.upper[k]))
         if sentence:
@@ -148,15 +128,15 @@ def _outside(names: Sequence[str], training: DescribedModel, low: Array, high: A
 
 
 def outside_words(name: str, values: tuple[float, float], training: tuple[float, float]) -> str | None:
-    """Such as "outside: forward speed 9.8 of 8.1 m/s flown in training"; None for an input inside.
+    """Such as "forward speed 11.3 m/s, trained up to 5.6"; None for an input that is inside, or nearly.
 
     Args:
         name: of the input.
         values: smallest and largest of the last moments.
         training: its training range.
     """
-    low, high = training
-    if not np.isfinite(values).all() or low <= values[0] <= values[1] <= high:
+    (low, high), margin = training, _OUTSIDE * (training[1] - training[0])
+    if not np.isfinite(values).all() or low - margin <= values[0] <= values[1] <= high + margin:
         return None
     words = INPUT_WORDS[name]
     above = values[1] - high >= low - values[0]
@@ -165,12 +145,12 @@ def outside_words(name: str, values: tuple[float, float], training: tuple[float,
         value, limit = _angle(value, words.angle), _angle(limit, words.angle)
         # The least cosine is the largest angle.
         above = above != (words.angle == "cos")
-    called = words.positive if value >= 0.0 else words.negative
-    unit = words.unit if words.unit in ("", "°") else f" {words.unit}"
-    if limit != 0.0 and (limit > 0.0) == above:
-        return f"outside: {called} {_number(abs(value))} of {_number(abs(limit))}{unit} flown in training"
-    side = "above" if above else "below"
-    return f"outside: {called} {_number(value)}{unit}, {side} the {_number(limit)}{unit} flown in training"
+    called = words.name
+    if value < 0.0:
+        called, value, limit, above = words.negative, -value, -limit, not above
+    of_number, of_limit = ("°", "°") if words.unit == "°" else (f" {words.unit}".rstrip(), "")
+    way = "up" if above else "down"
+    return f"{called} {_number(value)}{of_number}, trained {way} to {_number(limit)}{of_limit}"
 
 
 def _angle(value: float, kind: str) -> float:

@@ -5,8 +5,10 @@
 from __future__ import annotations
 
 import bisect
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -15,11 +17,21 @@ from quadpi_core.flight import AXES, OdometryStream, RotorSpeedStream, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.messages.model_description import DescribedModel
+from quadpi_core.monitor.quantity_words import INPUT_WORDS
 from quadpi_core.results import CAUSE_NAMES, AlarmEvent, Predictions, ReportedAlarms
 from quadpi_core.view.blocks import BlockStore, Rows
 from quadpi_core.view.flight_clock import FlightClock
 from quadpi_core.view.timeline import Timeline, Track
-from quadpi_core.view.trust import INPUT_WORDS, State, plain, reasons_of, states_of
+from quadpi_core.view.trust import (
+    COVERED_S,
+    LEAST_COVERED_S,
+    SILENCE_S,
+    State,
+    reasons_of,
+    states_of,
+    too_many_misses,
+)
+from quadpi_core.view.vehicle_reports import Told
 
 # 20 blocks a second: as fine as a line on a screen, as slow as an eye can follow.
 BLOCK_NS = 50_000_000
@@ -32,6 +44,7 @@ ROTORS_MAX = 16
 # A message's inputs are those of this many blocks before it as well: alarms come at 10 Hz, blocks at 20 Hz.
 _BLOCKS_OF_A_MESSAGE = 2
 _NANOSECONDS = 1e-9
+_SILENCE_NS = round(1e9 * SILENCE_S)
 
 
 @dataclass
@@ -75,13 +88,18 @@ class VehicleView:
         self.start_ns = 0
         self.state = State.NO_DATA
         self.reasons: tuple[str, ...] = ("nothing has come yet",)
+        # What battery, autopilot and link say, by name.
+        self.told: dict[str, str] = {}
         # Why what is said now cannot be relied on, whatever it is.
         self.doubts: tuple[str, ...] = ()
         self._known = dict(known)
         self._clock = FlightClock(self._jumped)
         self._events: dict[tuple[int, int], dict[str, Any]] = {}
-        # Block and words at every change of the words; ends with the blocks.
-        self._words: list[tuple[int, tuple[str, ...]]] = []
+        # Time and state of the last message; none before the first.
+        self._said: list[tuple[int, State]] = []
+        # Block, words and what is told at every change of them; ends with the blocks.
+        self._words: list[tuple[int, tuple[str, ...], dict[str, str]]] = []
+        self._coming: deque[Told] = deque()
 
     @property
     def training(self) -> DescribedModel | None:
@@ -172,14 +190,28 @@ class VehicleView:
             alarms, times = alarms.where(near), times[near]
         if len(alarms) == 0:
             return
-        states = np.array(states_of(alarms), dtype=np.uint8)
-        self.blocks.add(times, state=states.astype(float))
-        self.timeline.add(_seconds(times), states)
-        training = self.training
+        states, training = states_of(alarms), self.training
+        # A message holds until the next one: they are rarer than blocks.
+        held = [*self._said, *zip(times.tolist(), states, strict=True)]
+        spans = [
+            np.arange(one, other, self.blocks.block_ns) if 0 < other - one <= _SILENCE_NS else np.array([one])
+            for (one, _), (other, _) in pairwise([*held, (held[-1][0] + 1, None)])
+        ]
+        drawn, of = np.concatenate(spans), np.repeat(np.arange(len(held)), [len(span) for span in spans])
+        self.blocks.add(drawn, state=np.array([state for _, state in held], dtype=float)[of])
         for row, number in enumerate((times // self.blocks.block_ns).tolist()):
             words = reasons_of(alarms, row, training, *self._inputs_before(number))
+            while self._coming and self._coming[0].time_ns <= alarms.time_ns[row]:
+                told = self._coming.popleft()
+                self.told = {**self.told, told.name: told.words}
+            if states[row] is State.TRUSTED and not words and (misses := self._misses(number)):
+                words, states[row] = (misses,), State.WARNING
             self._note(number, words)
-        self.state, self.reasons = State(int(states[-1])), self._words[-1][1]
+        said = np.array([*(state for _, state in self._said), *states], dtype=np.uint8)[of]
+        self.blocks.add(drawn, state=said.astype(float))
+        self.timeline.add(_seconds(drawn), said)
+        self.state, self.reasons = states[-1], self._words[-1][1]
+        self._said = [(int(times[-1]), self.state)]
 
     def take_events(self, events: Sequence[AlarmEvent]) -> None:
         """Take alarms that were raised or cleared."""
@@ -191,11 +223,16 @@ class VehicleView:
                 "start": round(start_s, 3),
                 "end": round(_NANOSECONDS * self._clock.time_of(event.end_ns), 3) if event.end_ns else None,
                 "peak": round(event.peak_evidence, 3),
-                "reasons": [plain(reason) for reason in event.reasons],
+                "reasons": list(event.reasons),
             }
             self._events[event.number, event.start_ns] = kept
         while len(self._events) > EVENTS_SHOWN:
             del self._events[next(iter(self._events))]
+
+    def take_told(self, told: Sequence[Told]) -> None:
+        """Take what battery, autopilot and link say; it is shown from its stamp on."""
+        self.told = {**self.told, **{one.name: one.words for one in told if not one.time_ns}}
+        self._coming.extend(one for one in told if one.time_ns)
 
     def take_missing(self, topics: Sequence[tuple[str, str]]) -> None:
         """Take topics that are missing, with what is not shown for that."""
@@ -243,6 +280,7 @@ class VehicleView:
             "id": self.name,
             "state": int(doubted),
             "reasons": [*self.doubts, *self.reasons],
+            "told": self.told,
             "oldest": self.blocks.oldest,
             "newest": self.blocks.newest,
             "version": self.version,
@@ -259,15 +297,17 @@ class VehicleView:
             "health": self.health,
         }
 
-    def window(self, first: int, last: int) -> tuple[int, Rows, list[tuple[int, tuple[str, ...]]]]:
-        """Blocks of a range: number of the first, rows, and words with the blocks that they begin at."""
+    def window(
+        self, first: int, last: int
+    ) -> tuple[int, Rows, list[tuple[int, tuple[str, ...], dict[str, str]]]]:
+        """Blocks of a range: number of the first, rows; words, and what is told, with the block of each."""
         first, rows = self.blocks.get(first, last)
         begin = max(0, bisect.bisect_right(self._words, first, key=lambda entry: entry[0]) - 1)
         words = []
-        for number, text in self._words[begin:]:
-            if number > last:
+        for entry in self._words[begin:]:
+            if entry[0] > last:
                 break
-            words.append((number, text))
+            words.append(entry)
         return first, rows, words
 
     def _shown(self, name: str, identity: str, confidence: float, axes: tuple[str, ...]) -> ShownModel | None:
@@ -281,23 +321,34 @@ class VehicleView:
             self.version += 1
         return shown
 
+    def _misses(self, number: int) -> str | None:
+        """Why a first model without an alarm is not trusted all the same, in words."""
+        first = next(iter(self.models.values()), None)
+        if first is None:
+            return None
+        inside = self.blocks.inside(number, first.number, COVERED_S, LEAST_COVERED_S)
+        return too_many_misses(inside, first.axes, first.confidence)
+
     def _inputs_before(self, number: int) -> tuple[Array, Array]:
         numbers = range(number - _BLOCKS_OF_A_MESSAGE, number + 1)
         values = np.array([self.blocks.value(one, "inputs") for one in numbers], dtype=float)
         return np.fmin.reduce(values), np.fmax.reduce(values)
 
     def _note(self, number: int, words: tuple[str, ...]) -> None:
-        if self._words and self._words[-1][1] == words:
+        if self._words and self._words[-1][1:] == (words, self.told):
             return
         # One entry per block: the last words of a block are those that it shows.
         while self._words and self._words[-1][0] >= number:
             self._words.pop()
-        self._words.append((number, words))
+        self._words.append((number, words, self.told))
         if len(self._words) > 2 * self.blocks.capacity:
             del self._words[: self.blocks.capacity]
 
     def _jumped(self, time_ns: int, step_ns: int) -> None:
         seconds = _NANOSECONDS * step_ns
+        # Of what follows the stamps say another time of day.
+        self.start_ns = 0
+        self.version += 1
         # The monitor forgets what it was about to clear.
         for event in self._events.values():
             if event["end"] is None:

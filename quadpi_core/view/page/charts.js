@@ -29,7 +29,8 @@ class Chart {
   }
 }
 
-// Quantities over the last 30 s: `series` of {column, colour, width, sign}; a band lies between its first two.
+// Quantities over the last 30 s: `series` of {column, colour, width, sign}, or {of, …} with a function of rows and the place of
+// a block in them; a band lies between the first two.
 export class TimeChart extends Chart {
   draw(store, cursor, series, {band = false, misses = null, least = 0} = {}) {
     this.renew(series.map(({colour, width}) => [colour, width]).concat(band), () => ({
@@ -46,7 +47,7 @@ export class TimeChart extends Chart {
     for (let block = first; block <= last; block++) {
       const place = store.at(block), value = (column) => place && Number.isFinite(place[0][place[1] + column]) ? place[0][place[1] + column] : null;
       data[0].push((block + 0.5) * store.blockS);
-      series.forEach(({column, sign}, k) => { const found = value(column); data[k + 1].push(found !== null && sign ? sign * found : found); });
+      series.forEach(({column, sign, of}, k) => { const found = of ? place && of(...place) : value(column); data[k + 1].push(found !== null && sign ? sign * found : found); });
       if (misses && value(misses.count) > 0) this.missed.push([(block + 0.5) * store.blockS, value(misses.measured), value(misses.measured) > value(misses.middle)]);
     }
     this.chart.setData(data);

@@ -4,6 +4,9 @@
 
 const PAGE = 200;
 const PAGES_KEPT = 20;
+// Of the states: from here on nobody judges.
+const UNJUDGED = 3;
+const LEAST_COVERED_S = 2;
 
 export class Store {
   constructor() { this.clear(); }
@@ -54,11 +57,11 @@ export class Store {
     for (let number = Math.floor(head.first / PAGE); number * PAGE <= last; number++) {
       const page = this.page(number, true), begin = number * PAGE;
       const fresh = head.words.filter(([block]) => block < begin + PAGE);
-      // The words that held before the page are kept at its beginning.
+      // The words, and what is told beside them, that held before the page are kept at its beginning.
       page.words = page.words.filter(([block]) => block < head.first || block > last);
-      for (const [block, text] of fresh) {
-        if (block >= begin) page.words.push([block, text]);
-        else page.words = [[block, text], ...page.words.filter(([other]) => other >= begin)];
+      for (const one of fresh) {
+        if (one[0] >= begin) page.words.push(one);
+        else page.words = [one, ...page.words.filter(([other]) => other >= begin)];
       }
       page.words.sort((one, other) => one[0] - other[0]);
     }
@@ -112,23 +115,26 @@ export class Store {
   words(block) {
     for (const number of [Math.floor(block / PAGE), Math.floor(block / PAGE) - 1]) {
       const page = this.pages.get(number);
-      for (let k = (page?.words.length ?? 0) - 1; k >= 0; k--) if (page.words[k][0] <= block) return page.words[k][1];
+      for (let k = (page?.words.length ?? 0) - 1; k >= 0; k--) if (page.words[k][0] <= block) return page.words[k].slice(1);
     }
-    return [];
+    return [[], {}];
   }
 
-  // Share of the samples inside the interval: of each axis, over the seconds before a block.
+  // Share of the samples inside the interval: of each axis, over the seconds before a block. As `BlockStore.inside`:
+  // blocks that nobody judged do not count, and of less than 2 s nothing is said.
   coverage(block, model, seconds) {
     const misses = new Array(6).fill(0), first = Math.max(0, block - Math.round(seconds / this.blockS) + 1);
-    let count = 0;
+    let count = 0, blocks = 0;
     const [countAt] = this.columns[`${model}.count`] ?? [], [missesAt] = this.columns[`${model}.misses`] ?? [];
     if (countAt === undefined) return {count, inside: misses.map(() => NaN)};
     for (let at = first; at <= block; at++) {
       const place = this.at(at);
-      if (!place || Number.isNaN(place[0][place[1] + countAt])) continue;
+      if (!place || Number.isNaN(place[0][place[1] + countAt]) || place[0][place[1] + this.columns.state[0]] >= UNJUDGED) continue;
+      blocks++;
       count += place[0][place[1] + countAt];
       for (let k = 0; k < 6; k++) misses[k] += place[0][place[1] + missesAt + k];
     }
+    if (blocks * this.blockS < LEAST_COVERED_S - 1e-6) count = 0;
     return {count, inside: misses.map((missed) => count ? 1 - missed / count : NaN)};
   }
 }

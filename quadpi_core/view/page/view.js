@@ -3,15 +3,16 @@
 // The page: its connection, the moment that it shows, and what it says of that moment. All text from elsewhere is set
 // as textContent, so a name is never markup.
 
-import {drawEnvelope, flightInSpace, TimeChart, Timeline} from "./charts.js";
-import {element} from "./drawing.js";
+import {drawEnvelope, flightInSpace, stateColour, TimeChart, Timeline, WINDOW_S} from "./charts.js";
+import {element, ink} from "./drawing.js";
+import {allowSound, savePicture, saveTable, sound, soundAllowed} from "./export.js";
 import {SpaceView} from "./space.js";
 import {Store} from "./store.js";
 
 const AXES = [["Fx", "forward force", "N"], ["Fy", "force to the right", "N"], ["Fz", "downward force", "N"],
   ["Mx", "roll moment", "Nm"], ["My", "pitch moment", "Nm"], ["Mz", "yaw moment", "Nm"]];
 const WORDS = ["TRUSTED", "WARNING", "ALARM", "NO DATA", "NOT JUDGED"], SIGNS = ["✓", "!", "✕", "?", "–"];
-const NO_DATA = 3;
+const ALARM = 2, NO_DATA = 3;
 // Reasons in the banner, the strongest; the others are in its title.
 const REASONS = 3;
 // The longest coverage: all that is drawn lies in it.
@@ -24,7 +25,7 @@ const store = new Store();
 const page = {
   socket: null, retry: RETRY_MS, live: true, follow: true, playing: true, cursor: 0, selected: null, chosen: 0,
   vehicles: new Map(), overview: {events: [], track: [], codes: "", health: []}, wanted: true, before: 0, coveredAt: 0,
-  frames: 0, rate: 0, rateAt: 0, drawMs: 0, urgent: false, said: {}, named: null,
+  frames: 0, rate: 0, rateAt: 0, drawMs: 0, urgent: false, said: {}, named: null, sound: localStorage.getItem("sound") !== "off", sounded: NO_DATA, sounds: 0,
 };
 // For those who measure the page: what it shows, and when it was drawn.
 window.quadpi = {page, store, drawn: null};
@@ -245,13 +246,35 @@ function moment() {
   const vehicle = here();
   if (!vehicle) return {state: NO_DATA, reasons: [page.live ? "no vehicle publishes predictions or an alarm in this ROS domain" : "reading the bag"]};
   if (page.live && page.follow && page.playing) return vehicle;
-  const state = store.recent(block(), "state", 0, 1);
+  const state = store.recent(block(), "state", 0, 1), [reasons, told] = store.words(block());
   if (Number.isNaN(state)) return {state: NO_DATA, reasons: newest() < 0 ? vehicle.reasons : ["nothing is known of this moment"]};
-  return {state, reasons: store.words(block())};
+  return {state, reasons, told};
+}
+
+// The time of day at a moment of the flight, where its stamps tell it: those since the start of a computer do not.
+function timeOfDay(moment) {
+  const start = store.vehicle?.start ?? 0;
+  return start > 1e9 ? new Date(1000 * (start + moment)).toLocaleTimeString([], {hour12: false}) : "";
+}
+
+function soundAlarm(state) {
+  if (state === ALARM && page.sounded !== ALARM && page.playing && page.sound) { sound(); page.sounds++; }
+  page.sounded = state;
+  say("sound", page.sound ? soundAllowed() ? "Sound on" : "Sound on, once you click" : "Sound off");
+}
+
+// What battery, autopilot and link say of themselves.
+function showTold(told) {
+  const text = JSON.stringify(told);
+  if (page.said.told === text) return;
+  page.said.told = text;
+  $("told").replaceChildren(...Object.entries(told).map(([name, value]) => element("div", {}, element("dt", {}, name), element("dd", {}, value))));
 }
 
 function showBanner() {
-  const {state, reasons} = moment();
+  const {state, reasons, told} = moment();
+  soundAlarm(state);
+  showTold(told ?? {});
   if ($("banner").dataset.state !== String(state)) $("banner").dataset.state = state;
   say("state", WORDS[state]);
   say("sign", SIGNS[state]);
@@ -259,14 +282,14 @@ function showBanner() {
   const text = JSON.stringify(words);
   if (page.said.reasons !== text) {
     page.said.reasons = text;
-    const shown = words.slice(0, REASONS).map((one, k) => element("li", {}, k ? one.replace(/^outside: /, "") : one));
+    const shown = words.slice(0, REASONS).map((one) => element("li", {}, one));
     if (words.length > REASONS) shown[REASONS - 1].textContent += `, and ${words.length - REASONS} more`;
     $("reasons").title = words.join("\n");
     $("reasons").replaceChildren(...shown);
   }
   document.title = `${WORDS[state]} · quadpi`;
   say("since", since(state));
-  say("time", seconds(page.cursor));
+  say("time", [seconds(page.cursor), timeOfDay(page.cursor)].filter(Boolean).join(" · "));
   say("play", page.playing ? "Pause" : "Play");
   $("live").setAttribute("aria-pressed", String(page.live && page.follow && page.playing));
 }
@@ -285,12 +308,12 @@ function showCoverage(now) {
   if (page.playing && now - page.coveredAt < COVERAGE_EVERY_MS) return;
   page.coveredAt = now;
   const models = store.vehicle?.models ?? [], at = block();
-  // The axis that is inside least often, in words; of all axes together a bad one would not be seen.
+  // The axis that is inside least often; of all axes together a bad one would not be seen.
   const worst = ({inside, count}, model) => {
-    const held = AXES.map(([name], k) => [inside[k], name]).filter(([, name]) => model.axes.includes(name));
+    const held = AXES.map(([name, words], k) => [inside[k], words, name]).filter(([, , name]) => model.axes.includes(name));
     if (!count || !held.length) return "–";
-    const [share, name] = held.reduce((least, one) => one[0] < least[0] ? one : least);
-    return `${percent(share)} of ${name}`;
+    const [share, words] = held.reduce((least, one) => one[0] < least[0] ? one : least);
+    return `${percent(share)} of ${words}`;
   };
   models.forEach((model, number) => {
     const [ten, sixty] = [store.coverage(at, number, 10), store.coverage(at, number, 60)];
@@ -298,7 +321,7 @@ function showCoverage(now) {
     const least = [ten, sixty].map((one) => worst(one, model));
     if (cells) least.forEach((text, k) => { cells[k + 1].textContent = text; });
     if (number !== page.chosen) return;
-    ["covered10", "covered60"].forEach((id, k) => say(id, least[k]));
+    say("covered10", least[0]);
     AXES.forEach(([name], k) => {
       const chip = axes[k].covered;
       if (!model.axes.includes(name)) { chip.textContent = "not in this model"; return; }
@@ -316,9 +339,28 @@ const axes = AXES.map(([name, words, unit]) => {
   return {chart: new TimeChart(plot), covered};
 });
 const strips = Object.fromEntries(["speed", "height", "rotor"].map((name) => [name, new TimeChart($(`${name}_chart`))]));
-const timeline = new Timeline($("timeline")), flight = new SpaceView($("flight"));
+const residual = new TimeChart($("residual_chart")), timeline = new Timeline($("timeline")), flight = new SpaceView($("flight"));
 const column = (name, k = 0) => store.columns[name][0] + k;
 const modelColour = (number) => `model-${1 + number % 6}`;
+
+// Of each axis: measured less the middle of its interval, over half of its width.
+function drawResidual() {
+  const model = store.vehicle.models[page.chosen], held = AXES.map(([name], k) => [name, k]).filter(([name]) => model?.axes.includes(name));
+  const text = held.map(([name]) => name).join();
+  if (page.said.residual !== text) {
+    page.said.residual = text;
+    $("residual_legend").replaceChildren("in half widths: outside ±1 it is a miss", ...held.map(([, k]) => {
+      const key = element("b", {}, AXES[k][1]);
+      key.style.color = `var(--${modelColour(k)})`;
+      return key;
+    }));
+  }
+  const [lower, upper, measured] = [`${page.chosen}.lower`, `${page.chosen}.upper`, "measured"].map((name) => store.columns[name]?.[0]);
+  residual.draw(store, page.cursor, [-1, 1].map((edge) => ({of: () => edge, colour: "band", width: 1})).concat(held.map(([, k]) => ({colour: modelColour(k), width: 1.25, of: (rows, at) => {
+    const low = rows[at + lower + k], high = rows[at + upper + k], found = (2 * rows[at + measured + k] - low - high) / (high - low);
+    return Number.isFinite(found) ? found : null;
+  }}))), {band: true, least: 3});
+}
 
 function drawAxes() {
   const models = store.vehicle.models, m = page.chosen;
@@ -353,10 +395,12 @@ function draw(now) {
   $("timeline").setAttribute("aria-valuenow", page.cursor.toFixed(1));
   if (!store.vehicle || !store.width) return;
   store.prepare(block() - Math.round(COVERED_S / store.blockS), block());
+  drawResidual();
   drawAxes();
   drawStrips();
   const farthest = drawEnvelope($("envelope"), store, page.cursor);
-  say("farthest", farthest && farthest.out > 0 ? `farthest: ${farthest.input.words}, ${(100 * farthest.out).toFixed(0)} % of the range outside` : "");
+  const out = farthest ? Math.round(100 * farthest.out) : 0;
+  say("farthest", out > 0 ? `farthest: ${farthest.input.words}, ${out} % of the range outside` : "");
   const flown = flightInSpace(store, page.cursor, page.overview.track.filter(([time]) => time <= page.cursor));
   if (flown) flight.show(flown);
   showCoverage(now);
@@ -402,6 +446,22 @@ $("play").addEventListener("click", () => play(!page.playing));
 $("previous").addEventListener("click", () => alarm(-1));
 $("next").addEventListener("click", () => alarm(1));
 $("live").addEventListener("click", follow);
+$("sound").addEventListener("click", () => {
+  page.sound = !page.sound;
+  localStorage.setItem("sound", page.sound ? "on" : "off");
+  redraw();
+});
+const called = () => `${page.selected.replaceAll("/", "_").replace(/^_/, "") || "flight"}-${page.cursor.toFixed(1)}s`;
+$("picture").addEventListener("click", () => {
+  const {state, reasons} = moment();
+  const words = [`${WORDS[state]} · ${page.said.title} · ${page.said.time} · ${page.said.model}`, ...reasons];
+  savePicture(called(), words, ink(stateColour(state)), [[timeline], [residual], ...[0, 1, 2].map((k) => [axes[k].chart, axes[k + 3].chart]), Object.values(strips)]);
+});
+$("csv").addEventListener("click", () => {
+  const parts = {inputs: store.vehicle.inputs.map(({name}) => name), position: ["north", "east", "down"], attitude: ["w", "x", "y", "z"]};
+  saveTable(called(), store, block() - Math.round(WINDOW_S / store.blockS), block(), (quantity) => parts[quantity] ?? (quantity === "rotors" ? null : AXES.map(([name]) => name)));
+});
+for (const gesture of ["pointerdown", "keydown"]) addEventListener(gesture, () => { allowSound(); redraw(); }, {once: true});
 $("theme").addEventListener("click", () => theme(document.documentElement.dataset.theme === "dark" ? "light" : "dark"));
 let dragging = false;
 const seekTo = (event) => {
@@ -419,7 +479,7 @@ addEventListener("keydown", (event) => {
   const keys = {
     " ": () => play(!page.playing), ArrowLeft: () => seek(page.cursor - step), ArrowRight: () => seek(page.cursor + step),
     p: () => alarm(-1), n: () => alarm(1), l: () => page.live && follow(), "[": () => changeSpeed(-1), "]": () => changeSpeed(1),
-    t: () => $("theme").click(), Home: () => seek(0), End: () => seek(end()),
+    t: () => $("theme").click(), s: () => $("sound").click(), g: () => $("picture").click(), c: () => $("csv").click(), Home: () => seek(0), End: () => seek(end()),
   };
   const number = Number(event.key);
   if (number >= 1 && number <= page.vehicles.size) select([...page.vehicles.keys()][number - 1]);

@@ -42,13 +42,16 @@ def test_leaving_what_was_flown_is_a_warning_and_straying_further_than_ever_an_a
         (4.498, LEVEL_OK, 0),
     ]
     warned = int(np.argmax(rows.level == LEVEL_WARNING))
-    assert reasons(rows, warned) == ("u 1.4 x the training range",)
+    assert reasons(rows, warned) == ("forward speed 1.4 x the training range",)
     assert rows.cause_evidence[warned, 0] == pytest.approx(1.4 / 2.0)
 
 
 @pytest.mark.parametrize(
     ("evidence", "value", "words"),
-    [("leverage", 0.03, "My leverage 3.0 x its peak in training"), ("width", 1.8, "My width 1.5 x its peak")],
+    [
+        ("leverage", 0.03, "pitch moment: leverage 3.0 x its peak in training"),
+        ("width", 1.8, "pitch moment: interval 1.5 x its widest"),
+    ],
 )
 def test_leverage_and_width_warn_and_are_named_before_they_alarm(calibrated, evidence, value, words):
     samples = Samples(2.0)

@@ -48,7 +48,7 @@ def test_misses_beyond_the_allowance_raise_the_axis_when_their_sum_reaches_its_l
     assert rows.causes[raised] == MISCOVERAGE
     assert np.argmax(rows.miscoverage[raised]) == MY
     assert rows.miss_share[-1, MY] == pytest.approx(0.5, abs=0.05)
-    assert "My outside its interval" in reasons(rows, raised)[0]
+    assert "pitch moment outside its interval" in reasons(rows, raised)[0]
 
 
 @pytest.mark.parametrize(("axis", "from_s"), [(FX, 3.0), (FZ, 0.0), (MY, 3.0)])

@@ -4,13 +4,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.monitor.alarm import Alarm
 from quadpi_core.monitor.alarm_log import EventLog, reasons
-from quadpi_core.results import EVENTS_KEPT, EXTRAPOLATION
+from quadpi_core.monitor.quantity_words import INPUT_WORDS
+from quadpi_core.results import EVENTS_KEPT, EXTRAPOLATION, LEVEL_OK
 from test.core.monitor.alarm_samples import FX, LIMITS, MY, SETTINGS, Samples, U, missing_shares
 
 
@@ -21,9 +24,9 @@ def test_reasons_are_plain_words(envelope):
     samples.width[:, MY] = 1.8
     rows = samples.run(Alarm(envelope, LIMITS, SETTINGS))
     assert reasons(rows, len(rows) - 1) == (
-        "u 1.4 x the training range",
-        "Fx leverage 6.2 x its peak in training",
-        "My width 1.5 x its peak in training",
+        "forward speed 1.4 x the training range",
+        "forward force: leverage 6.2 x its peak in training",
+        "pitch moment: interval 1.5 x its widest in training",
     )
     assert reasons(rows, 0) == ()
 
@@ -33,11 +36,32 @@ def test_three_inputs_are_named_from_a_twentieth_beyond_their_range_on(envelope)
     for k, ratio in enumerate((1.06, 1.09, 1.04, 1.08, 1.07)):
         samples.inputs[:, k] = ratio
     rows = samples.run(Alarm(envelope, LIMITS, SETTINGS))
-    words = [f"{INPUT_NAMES[k]} 1.1 x the training range" for k in (1, 3, 4)]
+    words = [f"{INPUT_WORDS[INPUT_NAMES[k]].name} 1.1 x the training range" for k in (1, 3, 4)]
     assert reasons(rows, 0, EXTRAPOLATION) == tuple(words)
     samples.inputs[:, [1, 3, 4]] = 0.0
     rows = samples.run(Alarm(envelope, LIMITS, SETTINGS))
-    assert reasons(rows, 0, EXTRAPOLATION) == (f"{INPUT_NAMES[0]} 1.1 x the training range",)
+    assert reasons(rows, 0, EXTRAPOLATION) == ("forward speed 1.1 x the training range",)
+
+
+def test_no_row_is_without_a_reason_and_none_says_what_is_over(envelope):
+    samples = Samples(14.0)
+    samples.inputs[samples.between(1.0, 2.0), U] = 1.8
+    missing_shares(samples, MY, 0.9, 2.0, 5.0)
+    rows = samples.run(Alarm(envelope, LIMITS, SETTINGS))
+    words = [reasons(rows, row) for row in range(len(rows))]
+    assert [bool(one) for one in words] == [level != LEVEL_OK for level in rows.level.tolist()]
+    said = [text for one in words for text in one]
+    assert "inside what was flown in training again: ends if that lasts" in said
+    assert "pitch moment was outside its interval too often a moment ago" in said
+    assert not any(" interval 0 %" in text for text in said)
+
+
+def test_an_alarm_that_nothing_has_been_judged_of_since_does_not_say_inside(envelope):
+    samples = Samples(3.0)
+    samples.inputs[samples.between(1.0, 3.0), U] = 1.8
+    rows = samples.run(Alarm(envelope, LIMITS, SETTINGS))
+    unjudged = replace(rows, cause_evidence=0.0 * rows.cause_evidence, input_excess=0.0 * rows.input_excess)
+    assert reasons(unjudged, len(rows) - 1) == ("extrapolation when last judged",)
 
 
 def test_the_log_holds_start_end_peak_and_reasons(envelope):
@@ -50,7 +74,7 @@ def test_the_log_holds_start_end_peak_and_reasons(envelope):
     assert opened.start_ns == closed.start_ns == samples.time_ns[0] + 1_098_000_000
     assert closed.end_ns == closed.time_ns == samples.time_ns[0] + 2_498_000_000
     assert closed.peak_evidence == pytest.approx(3.6 / 1.2)
-    assert closed.reasons == ("u 3.6 x the training range",)
+    assert closed.reasons == ("forward speed 3.6 x the training range",)
 
 
 def test_the_log_holds_alarms_and_no_warnings(calibrated):

@@ -82,7 +82,7 @@ def test_ranges_and_inputs_come_with_the_description_of_the_monitor(
     assert given == judged
     assert given[0]["upper"] is not None
     number = round(10.5 / 0.05)
-    assert any("flown in training" in word for _, words in view.window(number, number)[2] for word in words)
+    assert any("trained up to" in word for _, words, _ in view.window(number, number)[2] for word in words)
     # But for the low-pass, see `test_motion_inputs`.
     assert np.isfinite(view.blocks.value(200, "inputs")).all()
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadpi_core.view.timeline import BINS, FIRST_BIN_S, Timeline, Track
+from quadpi_core.view.timeline import BINS, FIRST_BIN_S, POINTS, Timeline, Track
 from quadpi_core.view.trust import State
 
 
@@ -37,7 +37,7 @@ def test_the_track_spans_the_session_with_bounded_points():
         time_s = start + np.arange(0.0, 10.0, 0.002)
         track.add(time_s, np.stack((time_s, 0 * time_s, -time_s), axis=1))
     points = np.array(track.points)
-    assert BINS / 3 < len(points) < BINS
+    assert POINTS / 3 < len(points) < POINTS
     assert points[0, 0] == 0.0
     assert points[-1, 0] > 7180.0
     np.testing.assert_allclose(points[:, 1], points[:, 0], atol=0.02)

@@ -82,13 +82,13 @@ def test_words_come_with_the_blocks_from_which_they_hold(judged_view):
     assert first == 100
     assert len(rows) == 101
     assert words[0][0] <= 100
-    assert all(100 < number <= 200 for number, _ in words[1:])
-    assert any("flown in training" in text for _, texts in words for text in texts)
+    assert all(100 < number <= 200 for number, *_ in words[1:])
+    assert any("trained up to" in text for _, texts, _ in words for text in texts)
 
 
 def test_the_farthest_input_is_named_with_its_training_range(judged_view, model):
     event = next(one for one in judged_view.overview()["events"] if one["cause"] == "extrapolation")
-    assert event["reasons"][0].startswith("outside: ")
+    assert event["reasons"][0].endswith("x the training range")
     assert event["start"] < event["end"]
     described = {one["name"]: one for one in judged_view.describe()["inputs"]}
     assert described["u"]["upper"] == model.envelope.upper[INPUT_NAMES.index("u")]

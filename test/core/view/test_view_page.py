@@ -93,7 +93,7 @@ def test_state_and_reason_follow_the_moment(opened):
     assert opened.value("document.getElementById('state').textContent") == "TRUSTED"
     at(opened, 10.5)
     assert opened.value("document.getElementById('state').textContent") == "ALARM"
-    assert "flown in training" in opened.value("document.getElementById('reasons').textContent")
+    assert "trained up to" in opened.value("document.getElementById('reasons').textContent")
     assert "range outside" in opened.value("document.getElementById('farthest').textContent")
     assert opened.value("document.title") == "ALARM · quadpi"
 

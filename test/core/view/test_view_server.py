@@ -324,7 +324,7 @@ def test_an_address_that_is_not_here_is_refused():
 def test_the_page_is_small_and_needs_nothing_from_elsewhere():
     files = {path.name: path for path in (view_server.PAGE_FOLDER).iterdir()}
     files |= {name: ASSETS / name for name in SHARED_ASSETS}
-    own = {"index.html", "view.css", "view.js", "store.js", "charts.js"}
+    own = {"index.html", "view.css", "view.js", "store.js", "charts.js", "export.js"}
     assert set(files) == {*own, *SHARED_ASSETS}
     assert sum(path.stat().st_size for path in files.values()) < 1 << 20
     del files["uPlot.js"]
