@@ -26,35 +26,55 @@ OF_RANGE = "x the training range"
 
 
 class InputWords(NamedTuple):
-    """An input in plain words: its name, what it is called where negative, and its unit."""
+    """An input in plain words: its name, what it is where positive and where negative, and its unit."""
 
     name: str
+    positive: str
     negative: str
     unit: str = ""
     angle: str = ""  # of which this is the "sin" or "cos"
     piloted: bool = False  # whether a pilot has a hand on it: such inputs are named first
 
 
+def _rate(name: str, positive: str, negative: str) -> InputWords:
+    return InputWords(name, f"{name} {positive}", f"{name} {negative}", "rad/s", piloted=True)
+
+
+def _angle(name: str, positive: str, negative: str) -> tuple[InputWords, InputWords]:
+    sine = InputWords(name, f"{name} {positive}", f"{name} {negative}", "°", "sin", piloted=True)
+    return sine, InputWords(name, name, name, "°", "cos", piloted=True)
+
+
+def _plain(name: str, unit: str = "") -> InputWords:
+    return InputWords(name, name, name, unit)
+
+
+_ALONG = ("forward or backward speed", "forward speed", "backward speed")
+_ACROSS = ("sideways speed", "speed to the right", "speed to the left")
+_VERTICAL = ("vertical speed", "downward speed", "upward speed")
+_RIGHT_LEFT, _NOSE = ("to the right", "to the left"), ("nose up", "nose down")
+_ROLL, _PITCH = _angle("roll angle", *_RIGHT_LEFT), _angle("pitch angle", *_NOSE)
 INPUT_WORDS = {
-    "u": InputWords("forward speed", "backward speed", "m/s", piloted=True),
-    "v": InputWords("speed to the right", "speed to the left", "m/s", piloted=True),
-    "w": InputWords("speed downward in body axes", "speed upward in body axes", "m/s", piloted=True),
-    "v_in": InputWords("induced velocity", "induced velocity", "m/s"),
-    "p": InputWords("roll rate to the right", "roll rate to the left", "rad/s", piloted=True),
-    "q": InputWords("pitch rate nose up", "pitch rate nose down", "rad/s", piloted=True),
-    "r": InputWords("yaw rate to the right", "yaw rate to the left", "rad/s", piloted=True),
-    "omega_avg": InputWords("mean rotor speed", "mean rotor speed", "rad/s"),
-    "sin_phi": InputWords("roll angle to the right", "roll angle to the left", "°", "sin", piloted=True),
-    "cos_phi": InputWords("roll angle", "roll angle", "°", "cos", piloted=True),
-    "sin_theta": InputWords("pitch angle nose up", "pitch angle nose down", "°", "sin", piloted=True),
-    "cos_theta": InputWords("pitch angle", "pitch angle", "°", "cos", piloted=True),
-    "U_p": InputWords("roll control to the right", "roll control to the left", "rad/s"),
-    "U_q": InputWords("pitch control nose up", "pitch control nose down", "rad/s"),
-    "U_r": InputWords("yaw control to the left", "yaw control to the right", "rad/s"),
-    "mu_x": InputWords("forward speed over blade tip speed", "backward speed over blade tip speed"),
-    "mu_y": InputWords("speed to the right over blade tip speed", "speed to the left over blade tip speed"),
-    "mu_z": InputWords("downward speed over blade tip speed", "upward speed over blade tip speed"),
-    "mu_v_in": InputWords("induced velocity over blade tip speed", "induced velocity over blade tip speed"),
+    "u": InputWords(*_ALONG, "m/s", piloted=True),
+    "v": InputWords(*_ACROSS, "m/s", piloted=True),
+    "w": InputWords(*(f"{words} in body axes" for words in _VERTICAL), "m/s", piloted=True),
+    "v_in": _plain("induced velocity", "m/s"),
+    "p": _rate("roll rate", *_RIGHT_LEFT),
+    "q": _rate("pitch rate", *_NOSE),
+    "r": _rate("yaw rate", *_RIGHT_LEFT),
+    "omega_avg": _plain("mean rotor speed", "rad/s"),
+    "sin_phi": _ROLL[0],
+    "cos_phi": _ROLL[1],
+    "sin_theta": _PITCH[0],
+    "cos_theta": _PITCH[1],
+    "U_p": InputWords("roll control", "roll control to the right", "roll control to the left", "rad/s"),
+    "U_q": InputWords("pitch control", "pitch control nose up", "pitch control nose down", "rad/s"),
+    # Rotors that turn clockwise yaw the body to the left.
+    "U_r": InputWords("yaw control", "yaw control to the left", "yaw control to the right", "rad/s"),
+    "mu_x": InputWords(*(f"{words} over tip speed" for words in _ALONG)),
+    "mu_y": InputWords(*(f"{words} over tip speed" for words in _ACROSS)),
+    "mu_z": InputWords(*(f"{words} over tip speed" for words in _VERTICAL)),
+    "mu_v_in": _plain("induced velocity over tip speed"),
 }
 
 

@@ -46,6 +46,7 @@ _JUDGED = (ACTIVE, UNCALIBRATED)
 _MOST = 3
 # Share of the training range from which on an input is said to be outside, as of the monitor's own words.
 _OUTSIDE = 0.025
+TRAINED = ", trained "
 # The coverage beside the word is that of so many seconds, once there are so many.
 COVERED_S, LEAST_COVERED_S = 10.0, 2.0
 
@@ -145,12 +146,12 @@ def outside_words(name: str, values: tuple[float, float], training: tuple[float,
         value, limit = _angle(value, words.angle), _angle(limit, words.angle)
         # The least cosine is the largest angle.
         above = above != (words.angle == "cos")
-    called = words.name
+    called = words.positive
     if value < 0.0:
         called, value, limit, above = words.negative, -value, -limit, not above
     of_number, of_limit = ("°", "°") if words.unit == "°" else (f" {words.unit}".rstrip(), "")
     way = "up" if above else "down"
-    return f"{called} {_number(value)}{of_number}, trained {way} to {_number(limit)}{of_limit}"
+    return f"{called} {_number(value)}{of_number}{TRAINED}{way} to {_number(limit)}{of_limit}"
 
 
 def _angle(value: float, kind: str) -> float:

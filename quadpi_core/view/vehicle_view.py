@@ -17,8 +17,8 @@ from quadpi_core.flight import AXES, OdometryStream, RotorSpeedStream, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.messages.model_description import DescribedModel
-from quadpi_core.monitor.quantity_words import INPUT_WORDS
-from quadpi_core.results import CAUSE_NAMES, AlarmEvent, Predictions, ReportedAlarms
+from quadpi_core.monitor.quantity_words import INPUT_WORDS, OF_RANGE
+from quadpi_core.results import CAUSE_NAMES, EXTRAPOLATION, AlarmEvent, Predictions, ReportedAlarms
 from quadpi_core.view.blocks import BlockStore, Rows
 from quadpi_core.view.flight_clock import FlightClock
 from quadpi_core.view.timeline import Timeline, Track
@@ -26,6 +26,7 @@ from quadpi_core.view.trust import (
     COVERED_S,
     LEAST_COVERED_S,
     SILENCE_S,
+    TRAINED,
     State,
     reasons_of,
     states_of,
@@ -223,11 +224,19 @@ class VehicleView:
                 "start": round(start_s, 3),
                 "end": round(_NANOSECONDS * self._clock.time_of(event.end_ns), 3) if event.end_ns else None,
                 "peak": round(event.peak_evidence, 3),
-                "reasons": list(event.reasons),
+                "reasons": self._with_values(event),
             }
             self._events[event.number, event.start_ns] = kept
         while len(self._events) > EVENTS_SHOWN:
             del self._events[next(iter(self._events))]
+
+    def _with_values(self, event: AlarmEvent) -> list[str]:
+        """Reasons of an event; values of inputs, as they were said when it was raised, in the place of ratios."""
+        number = self._clock.time_of(event.start_ns) // self.blocks.block_ns
+        place = bisect.bisect_right(self._words, number, key=lambda entry: entry[0]) - 1
+        said = self._words[place][1] if place >= 0 and event.cause == EXTRAPOLATION else ()
+        values = [words for words in said if TRAINED in words]
+        return [*values, *(words for words in event.reasons if not (values and words.endswith(OF_RANGE)))]
 
     def take_told(self, told: Sequence[Told]) -> None:
         """Take what battery, autopilot and link say; it is shown from its stamp on."""

@@ -30,6 +30,8 @@ function save(blob, name) {
   setTimeout(() => URL.revokeObjectURL(link.href), 1000);
 }
 
+const leaves = (one) => one.childNodes.length ? [...one.childNodes].flatMap(leaves) : [one];
+
 // Charts in rows, below lines of text of which the first is on a field of a colour.
 export function savePicture(name, words, colour, rows) {
   const canvas = document.createElement("canvas"), heights = rows.map((charts) => Math.max(...charts.map(({chart}) => chart.ctx.canvas.height / chart.ctx.canvas.width)) * WIDTH / charts.length);
@@ -45,7 +47,11 @@ export function savePicture(name, words, colour, rows) {
   rows.forEach((charts, k) => {
     charts.forEach(({chart, place}, at) => {
       const {canvas: source} = chart.ctx, wide = WIDTH / charts.length, title = place.previousElementSibling;
-      if (title?.tagName === "H2") text(title.textContent, at * wide + MARGIN, y + 0.7 * LINE, ink("ink"), "14px");
+      let x = at * wide + MARGIN;
+      for (const leaf of title?.tagName === "H2" ? leaves(title) : []) {
+        text(leaf.textContent, x, y + 0.7 * LINE, getComputedStyle(leaf.parentElement).color, "14px");
+        x += draw.measureText(leaf.textContent).width + MARGIN;
+      }
       draw.drawImage(source, at * wide, y + LINE, wide, source.height * wide / source.width);
     });
     y += LINE + heights[k];

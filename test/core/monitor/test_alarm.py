@@ -42,7 +42,7 @@ def test_leaving_what_was_flown_is_a_warning_and_straying_further_than_ever_an_a
         (4.498, LEVEL_OK, 0),
     ]
     warned = int(np.argmax(rows.level == LEVEL_WARNING))
-    assert reasons(rows, warned) == ("forward speed 1.4 x the training range",)
+    assert reasons(rows, warned) == ("forward or backward speed 1.4 x the training range",)
     assert rows.cause_evidence[warned, 0] == pytest.approx(1.4 / 2.0)
 
 

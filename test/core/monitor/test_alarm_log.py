@@ -24,7 +24,7 @@ def test_reasons_are_plain_words(envelope):
     samples.width[:, MY] = 1.8
     rows = samples.run(Alarm(envelope, LIMITS, SETTINGS))
     assert reasons(rows, len(rows) - 1) == (
-        "forward speed 1.4 x the training range",
+        "forward or backward speed 1.4 x the training range",
         "forward force: leverage 6.2 x its peak in training",
         "pitch moment: interval 1.5 x its widest in training",
     )
@@ -40,7 +40,7 @@ def test_three_inputs_are_named_from_a_twentieth_beyond_their_range_on(envelope)
     assert reasons(rows, 0, EXTRAPOLATION) == tuple(words)
     samples.inputs[:, [1, 3, 4]] = 0.0
     rows = samples.run(Alarm(envelope, LIMITS, SETTINGS))
-    assert reasons(rows, 0, EXTRAPOLATION) == ("forward speed 1.1 x the training range",)
+    assert reasons(rows, 0, EXTRAPOLATION) == ("forward or backward speed 1.1 x the training range",)
 
 
 def test_no_row_is_without_a_reason_and_none_says_what_is_over(envelope):
@@ -74,7 +74,7 @@ def test_the_log_holds_start_end_peak_and_reasons(envelope):
     assert opened.start_ns == closed.start_ns == samples.time_ns[0] + 1_098_000_000
     assert closed.end_ns == closed.time_ns == samples.time_ns[0] + 2_498_000_000
     assert closed.peak_evidence == pytest.approx(3.6 / 1.2)
-    assert closed.reasons == ("forward speed 3.6 x the training range",)
+    assert closed.reasons == ("forward or backward speed 3.6 x the training range",)
 
 
 def test_the_log_holds_alarms_and_no_warnings(calibrated):

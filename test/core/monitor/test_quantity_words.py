@@ -13,7 +13,7 @@ from quadpi_core.view.view_server import PAGE_FOLDER
 def test_every_input_and_axis_has_a_name_of_its_own():
     assert tuple(INPUT_WORDS) == INPUT_NAMES
     assert tuple(AXIS_WORDS) == AXES
-    assert len({words.name for words in INPUT_WORDS.values()}) == len(INPUT_NAMES)
+    assert len({(words.name, words.angle) for words in INPUT_WORDS.values()}) == len(INPUT_NAMES)
 
 
 def test_the_page_calls_axes_the_same():

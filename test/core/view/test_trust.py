@@ -72,8 +72,8 @@ def test_state(alarm, state):
         ("cos_phi", (0.5, 0.6), (0.7, 1.0), "roll angle 60.0°, trained up to 45.6°"),
         ("cos_phi", (0.9, 1.0), (0.5, 0.8), "roll angle 0°, trained down to 36.9°"),
         ("sin_theta", (-0.9, 0.1), (-0.5, 0.5), "pitch angle nose down 64.2°, trained up to 30.0°"),
-        ("w", (1.0, 2.0), (-3.0, -1.0), "speed downward in body axes 2.0 m/s, trained up to -1.0"),
-        ("mu_x", (0.1, 0.25), (-0.1, 0.15), "forward speed over blade tip speed 0.25, trained up to 0.15"),
+        ("w", (1.0, 2.0), (-3.0, -1.0), "downward speed in body axes 2.0 m/s, trained up to -1.0"),
+        ("mu_x", (0.1, 0.25), (-0.1, 0.15), "forward speed over tip speed 0.25, trained up to 0.15"),
         ("r", (0.0, 0.5), (0.0, 0.0), "yaw rate to the right 0.5 rad/s, trained up to 0"),
     ],
 )
@@ -111,14 +111,14 @@ def test_what_a_pilot_controls_comes_first_then_what_is_farthest_and_the_rest_fo
         EXTRAPOLATION | MISCOVERAGE,
         outside=("mu_x", "p", "u", "v", "q"),
         reasons=(
-            "roll rate to the right 3.0 x the training range",
+            "roll rate 3.0 x the training range",
             "downward force: leverage 3.0 x its peak in training",
             "forward force outside its interval 31 % of the time",
         ),
     )
     assert reasons(alarm, envelope, u=2.0, p=-3.0, v=1.5, q=1.2, mu_x=4.0) == (
         "roll rate to the left 3.0 rad/s, trained up to 1.0",
-        "forward speed over blade tip speed 4.0, trained up to 1.0",
+        "forward speed over tip speed 4.0, trained up to 1.0",
         "forward speed 2.0 m/s, trained up to 1.0",
         "downward force: leverage 3.0 x its peak in training",
         "forward force outside its interval 31 % of the time",

@@ -88,7 +88,7 @@ def test_words_come_with_the_blocks_from_which_they_hold(judged_view):
 
 def test_the_farthest_input_is_named_with_its_training_range(judged_view, model):
     event = next(one for one in judged_view.overview()["events"] if one["cause"] == "extrapolation")
-    assert event["reasons"][0].endswith("x the training range")
+    assert ", trained up to" in event["reasons"][0]
     assert event["start"] < event["end"]
     described = {one["name"]: one for one in judged_view.describe()["inputs"]}
     assert described["u"]["upper"] == model.envelope.upper[INPUT_NAMES.index("u")]
