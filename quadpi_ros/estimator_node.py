@@ -114,6 +114,11 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         message_type, kind, take = standard[topic]
         return Source(message_type, topic, IncomingMessage(kind, self._body.world, self._body)), take
 
+    @property
+    def mocap_ns(self) -> int | None:
+        """Newest stamp of the motion capture; None before the first."""
+        return self._mocap_health.newest_ns
+
     def problem(self) -> str | None:
         """As the base class, and why samples arrive but give no state."""
         lack = super().problem()

@@ -71,6 +71,7 @@ def common_arguments(parameter_file: str, respawn: str) -> list[DeclareLaunchArg
         argument("parameters", "parameter file", str(config_directory() / "nodes" / parameter_file)),
         argument("namespace", "namespace of nodes and topics", ""),
         argument("respawn", "start a program that ends again", respawn),
+        argument("log_level", "least severe of what is logged, or LOGGER:=LEVEL", "info"),
     ]
 
 
@@ -82,7 +83,7 @@ def monitor_arguments(respawn: str) -> list[DeclareLaunchArgument]:
         argument("model", "model folder, or several as [first, second]"),
         argument("separate", "one process per node", "false"),
         argument("autostart", "configure and activate", "true"),
-        argument("use_sim_time", "clock from /clock", "false"),
+        argument("use_sim_time", "clock from /clock; default: as the launch file around this one says", ""),
         argument("rotor_topic", f"rotor speeds to use, such as erpm{of_the_file}", ""),
         argument("mocap_topic", f"motion capture to use, such as mocap/odometry{of_the_file}", ""),
         argument("imu_rate_hz", f"rate of the topic imu{of_the_file}", ""),
@@ -114,6 +115,10 @@ class Programs:
 
     def __init__(self, context: LaunchContext, file: str) -> None:
         self.values: dict[str, str] = dict(context.launch_configurations)
+        # What SetParameter of a launch file around this one says of all nodes.
+        around = dict(one for one in self.values.pop("global_params", ()) if isinstance(one, tuple))
+        if "use_sim_time" in around and not self.values.get("use_sim_time"):
+            self.values["use_sim_time"] = str(around["use_sim_time"])
         self._may_end_launch = _asked_for(Path(file))
 
     def is_on(self, name: str) -> bool:
@@ -180,6 +185,7 @@ class Programs:
             executable=executable,
             namespace=self.values["namespace"],
             output="screen",
+            ros_arguments=["--log-level", self.values["log_level"]],
             **options,
         )
 

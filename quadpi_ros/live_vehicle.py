@@ -7,6 +7,7 @@ from __future__ import annotations
 import gc
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -29,10 +30,12 @@ from quadpi_core.results import Predictions
 from quadpi_core.vehicle import Vehicle
 from quadpi_core.view.motion_inputs import MotionInputs
 from quadpi_core.view.trust import SILENCE_S
+from quadpi_core.view.vehicle_reports import REPORTS, Told
 from quadpi_core.view.vehicle_view import BLOCK_NS, VehicleView
 from quadpi_ros.dds_profile import DESCRIPTION_QOS, LOG_QOS
 from quadpi_ros.diagnostics import type_name
 from quadpi_ros.inbox import TAKEN_QOS, Inbox
+from quadpi_ros.input_sources import AdapterError, message_class
 
 # What is held at full resolution: a quarter of an hour, 15 MB with three models.
 _BLOCKS = 18_000
@@ -56,6 +59,10 @@ _HEARD: dict[str, tuple[type, QoSProfile]] = {
     ALARM: (ExtrapolationAlarm, TAKEN_QOS),
     _LOG: (AlarmEvent, LOG_QOS),
 }
+# Those of other packages, where these are installed; they are slow.
+for _report in REPORTS:
+    with suppress(AdapterError):
+        _HEARD[_report] = (message_class(_report), TAKEN_QOS)
 DESCRIPTION = type_name(String)
 DESCRIPTION_NAME = "description"
 
@@ -130,7 +137,7 @@ class LiveVehicle:
                 # Of predictions all are heard, of other types the first topic.
                 if type_ == PREDICTION or not inboxes:
                     message_type, qos = _HEARD[type_]
-                    inboxes[topic] = Inbox(self._node, message_type, topic, qos)
+                    inboxes[topic] = Inbox(self._node, message_type, topic, qos, raw=type_ not in REPORTS)
 
     def _is_description(self, topic: str, types: Sequence[str]) -> bool:
         namespace = self.view.name.rstrip("/")
@@ -149,10 +156,16 @@ class LiveVehicle:
         relative = topic.removeprefix(f"{namespace}/")
         if not topic.startswith(f"{namespace}/") or (self._topics and type_ in (PREDICTION, ALARM, _LOG)):
             return False
-        return type_ == PREDICTION or relative == "wind" or ("/" not in relative and type_ != _WIND)
+        return (
+            type_ == PREDICTION
+            or type_ in REPORTS
+            or relative == "wind"
+            or ("/" not in relative and type_ != _WIND)
+        )
 
     def take(self) -> None:
         """Take what has come; a message that cannot be read is counted and shown."""
+        self._take_reports()
         for take in (self._take_descriptions, self._take_predictions, self._take_motion, self._take_alarms):
             self._guarded(take)
         self._watch()
@@ -166,7 +179,17 @@ class LiveVehicle:
 
     def take_status(self, status: DiagnosticStatus) -> None:
         """Take a status of one of its nodes."""
-        self._statuses[status.name.rpartition("/")[2]] = status
+        name = status.name.rpartition("/")[2]
+        self._statuses[name] = status
+        if name == "mavlink_bridge: link":
+            self.view.take_told([Told(0, "link", status.message)])
+
+    def _take_reports(self) -> None:
+        for type_, report in REPORTS.items():
+            inbox = self._single(type_)
+            for message in inbox.take()[-1:] if inbox is not None else ():
+                words = report.words({field: getattr(message, field) for field in report.fields})
+                self.view.take_told([Told(0, *one) for one in words.items()])
 
     def _take_descriptions(self) -> None:
         for inbox in self._descriptions.values():
@@ -210,19 +233,19 @@ class LiveVehicle:
             self.view.take_inputs(*self._motion.take(states, rotors, wind))
 
     def _take_alarms(self) -> None:
-        events = self._unpacked(_LOG, result_messages.unpack_events)
-        if events is not None:
-            self.view.take_events(events)
         alarms = self._unpacked(ALARM, result_messages.unpack_alarms)
         if alarms is not None:
             self.view.take_alarms(alarms)
+        events = self._unpacked(_LOG, result_messages.unpack_events)
+        if events is not None:
+            self.view.take_events(events)
 
     def _unpacked(self, type_: str, unpack: Callable[[Payloads], Any]) -> Any:
         inbox = self._single(type_)
         return None if inbox is None else inbox.unpacked(unpack)
 
     def _single(self, type_: str) -> Inbox | None:
-        return next(iter(self._inboxes[type_].values()), None)
+        return next(iter(self._inboxes.get(type_, {}).values()), None)
 
     def _vehicle(self) -> Vehicle | None:
         """That of the model that gives the alarm, where it is known here."""

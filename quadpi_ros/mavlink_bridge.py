@@ -100,6 +100,8 @@ class MavlinkBridge(GuardedNode):
         self._problem: str | None = "not connected yet"
         self.connections = 0
         self._reported = _Reported(time.monotonic(), {}, {})
+        # Other autopilots that have been logged.
+        self._rivals: set[str] = set()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.create_timer(1.0, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._thread = threading.Thread(target=self._serve, name="mavlink", daemon=True)
@@ -206,6 +208,9 @@ class MavlinkBridge(GuardedNode):
         }
         rivals = [name for name, count in report.rivals.items() if count > before.rivals.get(name, 0)]
         level, text = self._judged(report, rates, rivals)
+        for name in sorted(set(rivals) - self._rivals):
+            self.get_logger().warning(_rival(name, report.system))
+        self._rivals |= set(rivals)
         values: dict[str, Any] = {
             "connection": self._given.connection,
             "connections": self.connections,
@@ -240,13 +245,14 @@ class MavlinkBridge(GuardedNode):
         if lacking:
             return diagnostics.ERROR, f"the autopilot sends no {', no '.join(lacking)}"
         if rivals:
-            return diagnostics.WARN, (
-                f"{', '.join(sorted(rivals))} sends heartbeats of an autopilot too; "
-                f"system {report.system} is used, as it came first"
-            )
+            return diagnostics.WARN, _rival(", ".join(sorted(rivals)), report.system)
         if report.clock is None or not report.clock.exchanged:
             return diagnostics.WARN, "the autopilot answers no TIMESYNC: stamps are late by the link's delay"
         return diagnostics.OK, f"system {report.system}: imu at {rates['imu_hz']:.0f} Hz"
+
+
+def _rival(names: str, system: int | None) -> str:
+    return f"{names} sends heartbeats of an autopilot too; system {system} is used, as it came first"
 
 
 def _clock_values(report: SessionReport) -> dict[str, Any]:

@@ -33,6 +33,11 @@ from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.one_by_one import IncomingMessage
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor import Monitor, MonitorSettings
+from quadpi_core.monitor.data_quality import (
+    EITHER_MISSING_WORDS,
+    ROTORS_MISSING_WORDS,
+    STATE_MISSING_WORDS,
+)
 from quadpi_core.monitor.health import SILENT_S, WATCH_S, Latency, Silence
 from quadpi_core.monitor.monitor import Judged
 from quadpi_core.monitor.pairing import CAPACITY, Pairing
@@ -46,6 +51,9 @@ from quadpi_ros.node_parameters import FASTEST_IMU_HZ, MonitorParameters
 from quadpi_ros.result_publishers import Results, named
 from quadpi_ros.runtime import run, serve
 from quadpi_ros.sensor_node import ConsistencyWatch, SensorNode, Watch
+
+# Begins what a message says where a sample lacks what other sensors give.
+_OF_A_SENSOR = (STATE_MISSING_WORDS, ROTORS_MISSING_WORDS, EITHER_MISSING_WORDS, "no state")
 
 
 class MonitorNode(SensorNode[MonitorParameters]):
@@ -73,6 +81,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
         self._rate = ImuRate()
         self._rate_begins = True
         self._rate_problem = ""
+        self._said = ""
 
     def configure(self) -> None:
         """Load the vehicle and the models."""
@@ -87,7 +96,9 @@ class MonitorNode(SensorNode[MonitorParameters]):
             odometry = IncomingMessage(sensor_messages.ODOMETRY_SAMPLES, self._body.world, self._body)
             self._odometry = adapted.instead_of(Source(Odometry, "odometry", odometry), "odometry")
         monitors = named(self._load(path) for path in parameters.model)
-        self._results = Results(self, monitors, parameters.body_frame, parameters.publish_wrenches)
+        self._results = Results(
+            self, monitors, parameters.body_frame, self._explained, parameters.publish_wrenches
+        )
 
     def activate(self) -> None:
         """Start to listen, with an empty memory."""
@@ -220,8 +231,6 @@ class MonitorNode(SensorNode[MonitorParameters]):
             now_ns, predicted_ns = time.monotonic_ns(), judged.predictions[0].time_ns
             for time_ns in predicted_ns:
                 self._latency.published(time_ns, now_ns)
-            if len(predicted_ns) < judged.samples:
-                self.warn("IMU samples without a prediction", f"so far {self._pairing.counts}")
 
     def _judge_due(self) -> Judged | None:
         """Judge samples that are complete; None where none is to be judged."""
@@ -250,7 +259,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
         if not self._silence.reasons or since_s < 1.0 / self.parameters.alarm_rate_hz - 0.5 * WATCH_S:
             return
         self._silence_published_s = now_s
-        time_ns, reasons = self.get_clock().now().nanoseconds, self._silence.reasons
+        time_ns, reasons = self.get_clock().now().nanoseconds, self._explained(self._silence.reasons)
         if self._newest_ns != NO_STAMP:
             time_ns = self._newest_ns + round(1e9 * self._silence.elapsed_s)
         if simulated_ns is not None:
@@ -259,6 +268,33 @@ class MonitorNode(SensorNode[MonitorParameters]):
             if now_s - self._clock_moved_s >= SILENT_S:
                 reasons = (*reasons, "/clock stands still")
         self._results.publish_silence(time_ns, reasons)
+
+    def _explained(self, reasons: tuple[str, ...]) -> tuple[str, ...]:
+        """Reasons with the sensor that a state or rotor speeds are missing for, and what is refused of it."""
+        told = self._lacks()
+        words = [
+            cause
+            for text in reasons
+            for cause in (told if told and text.startswith(_OF_A_SENSOR) else (text,))
+        ]
+        refused = self.refusals() + (self._estimator.refusals() if self._estimator else ())
+        return tuple(dict.fromkeys((*words, *refused)))
+
+    def _lacks(self) -> list[str]:
+        """Sensors that are behind the IMU, by their stamps, such as "no motion capture for 2.1 s"."""
+        arrived = self._pairing.arrived
+        if arrived.imu_ns is None:
+            return []
+        of_state = ("odometry", arrived.state_ns)
+        if self._estimator is not None:
+            of_state = ("motion capture", self._estimator.mocap_ns)
+        lacks = []
+        for name, newest_ns in (of_state, ("rotor speeds", arrived.rotors_ns)):
+            if newest_ns is None:
+                lacks.append(f"no {name} yet")
+            elif arrived.imu_ns - newest_ns > SILENT_S * 1e9:
+                lacks.append(f"no {name} for {1e-9 * (arrived.imu_ns - newest_ns):.1f} s")
+        return lacks
 
     def _follow_rate(self) -> None:
         """Design the filters for the rate of the IMU; nothing is predicted without one."""
@@ -269,6 +305,16 @@ class MonitorNode(SensorNode[MonitorParameters]):
         self._rate_problem = "; ".join(problems)
         if problems:
             self.get_logger().error(f"nothing is predicted: {self._rate_problem}")
+        elif not rate.begins:
+            monitors = self._results.monitors
+            models = ", ".join(monitors[name].model.identity for name in monitors.names)
+            self._say(f"active: {models}, {IMU_TOPIC} at {rate}")
+
+    def _say(self, text: str) -> None:
+        """Log what is so from now on, once: after each pause the rate is measured again."""
+        if text != self._said:
+            self._said = text
+            self.get_logger().info(text)
 
     def _restart(self) -> None:
         timeout_s, rate_hz = self.parameters.pairing_timeout_s, self.parameters.imu_rate_hz
@@ -318,7 +364,10 @@ class MonitorNode(SensorNode[MonitorParameters]):
         folders = (
             [Path(given)] if given else [Path(model).resolve().parent for model in self.parameters.model]
         )
-        permitted = resolved_below(path, folders)
+        # A relative path is below such a folder: nobody on the network knows where this process was started.
+        below = [folder / path for folder in folders]
+        below = [one for one in below if one.is_dir()] or below
+        permitted = resolved_below(below[0], folders)
         if permitted is None:
             listed = " or ".join(str(folder) for folder in dict.fromkeys(folders))
             raise ModelError(f"{path}: lies outside of {listed}: models are loaded from there (model_folder)")

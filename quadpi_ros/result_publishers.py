@@ -5,7 +5,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from dataclasses import replace
 from typing import Any
 
 from geometry_msgs.msg import WrenchStamped
@@ -22,7 +23,8 @@ from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor import Monitor
 from quadpi_core.monitor.alarm_log import reasons_by_row
 from quadpi_core.monitor.monitor import Judged, Monitors
-from quadpi_core.results import LEVEL_OK, Predictions
+from quadpi_core.results import BAD_DATA, CAUSE_NAMES, LEVEL_OK, Predictions
+from quadpi_core.results import AlarmEvent as Event
 from quadpi_ros import diagnostics
 from quadpi_ros.dds_profile import DESCRIPTION_QOS, LOG_QOS
 from quadpi_ros.sensor_node import SensorNode
@@ -90,13 +92,22 @@ class Results:
         node: to publish from.
         monitors: by name.
         frame_id: body frame.
+        explained: reasons of bad data, with what the node knows of its sensors.
         wrenches: whether the predictions are published as wrenches, too.
     """
 
     def __init__(
-        self, node: SensorNode[Any], monitors: dict[str, Monitor], frame_id: str, wrenches: bool = False
+        self,
+        node: SensorNode[Any],
+        monitors: dict[str, Monitor],
+        frame_id: str,
+        explained: Callable[[tuple[str, ...]], tuple[str, ...]] = lambda reasons: reasons,
+        wrenches: bool = False,
     ) -> None:
         self.monitors = Monitors(monitors)
+        self._log, self._explained = node.get_logger(), explained
+        # Reasons of the events that stand, by their numbers.
+        self._raised: dict[int, tuple[str, ...]] = {}
         self._frame_id = frame_id
         self._messages = {name: _message(monitor, frame_id) for name, monitor in monitors.items()}
         self._first, *others = monitors
@@ -122,10 +133,15 @@ class Results:
         alarms, events = judged.alarms, judged.events
         if len(alarms):
             self._alarm = (int(alarms.level[-1]), int(alarms.causes[-1]))
-            for payload in result_messages.pack_alarms(alarms, reasons_by_row(alarms), self._frame_id):
+            reasons = [
+                self._explained(words) if causes & BAD_DATA else words
+                for words, causes in zip(reasons_by_row(alarms), alarms.causes.tolist(), strict=True)
+            ]
+            for payload in result_messages.pack_alarms(alarms, reasons, self._frame_id):
                 self._publish_alarm(payload)
         if events:
-            for payload in result_messages.pack_events(events, self._frame_id):
+            told = [self._told(event) for event in events]
+            for payload in result_messages.pack_events(told, self._frame_id):
                 self._publish_log(payload)
         for (name, publish), other in zip(self._publish_others, others, strict=True):
             for payload in result_messages.write_predictions(other, self._messages[name]):
@@ -133,6 +149,20 @@ class Results:
         if self._wrenches:
             for publisher, rows in zip(self._wrenches, judged.predictions, strict=True):
                 publisher.publish(rows.predictions)
+
+    def _told(self, event: Event) -> Event:
+        """The event as it is published, and logged; bad data with what was known as it was raised."""
+        name = CAUSE_NAMES[event.cause]
+        if not event.end_ns:
+            reasons = self._explained(event.reasons) if event.cause == BAD_DATA else event.reasons
+            self._raised[event.number] = reasons
+            self._log.warning(f"alarm, {name}: {'; '.join(reasons)}")
+            return replace(event, reasons=reasons)
+        raised = self._raised.pop(event.number, event.reasons)
+        reasons = raised if event.cause == BAD_DATA else event.reasons
+        lasted_s = 1e-9 * (event.end_ns - event.start_ns)
+        self._log.info(f"alarm over after {lasted_s:.1f} s, {name}: {'; '.join(reasons)}")
+        return replace(event, reasons=reasons)
 
     def publish_silence(self, time_ns: int, reasons: tuple[str, ...]) -> None:
         """Publish an alarm at an instant without a sample."""

@@ -124,6 +124,7 @@ class SensorNode(ManagedNode[Parameters]):
         self._outputs: dict[str, _Output] = {}
         # What keeps the node from working, and in how many diagnostics in a row it was found.
         self._problem: tuple[str | None, int] = (None, 0)
+        self._lost = False
         self._transforms: Subscription | None = None
         self.lacking: dict[str, str] = {}
         self._diagnosed_s = time.monotonic()
@@ -171,6 +172,8 @@ class SensorNode(ManagedNode[Parameters]):
             self.look_at_watches()
             try:
                 sample = unpack(payload)
+                if not sample.time_ns[0]:
+                    raise LogError("stamps are zero")
             except LogError as error:
                 reason = str(error)
                 health.refuse(reason)
@@ -286,6 +289,17 @@ class SensorNode(ManagedNode[Parameters]):
         why = self.lacking.get(topic)
         return f"{why} {topic}" if why else None
 
+    def refusals(self) -> tuple[str, ...]:
+        """Why every message of a required topic is refused, such as "imu: stamps are zero"."""
+        unread = (name for name, why in self.lacking.items() if why == _UNREAD)
+        return tuple(
+            f"{name}: {reason}"
+            for name in unread
+            if name in self._inputs
+            and self._inputs[name].required
+            and (reason := self._reason(self._inputs[name]))
+        )
+
     def count_refused(self) -> None:
         """Count in the health of the topics the samples that were refused after they were received."""
 
@@ -294,7 +308,7 @@ class SensorNode(ManagedNode[Parameters]):
         return []
 
     def _diagnose(self) -> None:
-        """Publish the health of every topic, and log a persistent problem once until it changes."""
+        """Publish the health of every topic, and log a persistent problem once until it changes or ends."""
         now_s = time.monotonic()
         period_s, self._diagnosed_s = now_s - self._diagnosed_s, now_s
         problem = None
@@ -325,6 +339,10 @@ class SensorNode(ManagedNode[Parameters]):
         self._problem = problem, seen + 1 if problem == before else 1
         if problem and self._problem[1] == _LOGGED_AT:
             self.get_logger().warning(problem)
+            self._lost = True
+        elif self._lost and not problem and self.state == "active":
+            self.get_logger().info("all sensors are back")
+            self._lost = False
 
     def status(self, name: str, level: bytes, message: str, values: Mapping[str, Any]) -> DiagnosticStatus:
         """A status named after the node."""

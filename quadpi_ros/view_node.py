@@ -38,6 +38,8 @@ from quadpi_ros.runtime import run
 
 # The graph is looked at this often for vehicles and topics that have come.
 _DISCOVER_S = 0.5
+# Nodes whose statuses are shown.
+_TOLD_OF = {"monitor", "estimator", "mavlink_bridge"}
 
 
 class LiveSource:
@@ -130,7 +132,7 @@ class LiveSource:
         for status in array.status:
             node = "/" + status.name.partition(":")[0]
             vehicle = self._vehicles.get(node.rpartition("/")[0] or "/")
-            if vehicle is not None and node.rpartition("/")[2] in {"monitor", "estimator"}:
+            if vehicle is not None and node.rpartition("/")[2] in _TOLD_OF:
                 vehicle.take_status(status)
 
 

@@ -15,6 +15,7 @@ from __future__ import annotations
 import hashlib
 import re
 import time
+from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
@@ -77,7 +78,8 @@ class Framer:
         now: seconds since 1970; signatures of new senders must not be older than a minute.
 
     Attributes:
-        counts: what was seen.
+        counts: what was seen, of all senders.
+        lost: packets missing of each sender, by system and component.
         mav: pymavlink's protocol, also to pack what is sent.
 
     Raises:
@@ -96,6 +98,7 @@ class Framer:
         self._error: type[Exception] = dialect.MAVError
         self._sizes = {number: kind.unpacker.size for number, kind in dialect.mavlink_map.items()}
         self._buffer = bytearray()
+        self.lost: Counter[tuple[int, int]] = Counter()
         self._sequence: dict[tuple[int, int], int] = {}
 
     def feed(self, data: bytes, *, complete: bool = False) -> list[Any]:
@@ -163,6 +166,7 @@ class Framer:
         missing = (sequence - self._sequence.get(sender, sequence - 1) - 1) % _SEQUENCES
         if missing < _LOST_AT_MOST:
             self.counts.lost += missing
+            self.lost[sender] += missing
         self._sequence[sender] = sequence
 
 

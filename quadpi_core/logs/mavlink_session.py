@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 from quadpi_core.frames import Array
@@ -340,7 +340,8 @@ class MavlinkSession:
             silent_s=(now_ns - self._heard_ns) * 1e-9 if self._heard_ns else math.inf,
             others=dict(self._others),
             rivals=dict(self._rivals),
-            frames=self._framer.counts,
+            # Of the autopilot alone: packets that a ground station lost are no fault of this link.
+            frames=replace(self._framer.counts, lost=self._framer.lost[self._peer[:2]] if self._peer else 0),
             samples={topic: self._counts[topic] for topic in SOURCES},
             sources={topic: source for topic, (source, _) in self._sources.items()},
             refused=dict(self._samples.refused),

@@ -2,11 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Axes of a message's values from its frame_id; one rule for live messages and bags.
 
-A world whose name ends in `ned` is not the east-north-up that these messages are read in: refused. An IMU in
-another frame than the body's is turned, and moved by its lever arm, where static transforms lead from its
-frame to the body's. Without transforms, a frame whose name ends in `frd` is rotated by half a turn about x,
-one that ends in `ned` is refused, and any other is taken as the body's, with a warning; where `strict`, it
-is refused, and so is any `frd` but the body's own. An empty frame_id is taken as the expected frame.
+A world whose name says `ned`, as a word of it (`map_ned`, `ned_world`, `odomNED`), is not the east-north-up
+that these messages are read in: refused. An IMU in another frame than the body's is turned, and moved by its
+lever arm, where static transforms lead from its frame to the body's. Without transforms, a frame whose name
+ends in `frd` is rotated by half a turn about x, one that says `ned` is refused, and any other is taken as the
+body's, with a warning; where `strict`, it is refused, and so is any `frd` but the body's own. An empty
+frame_id is taken as the expected frame.
 """
 
 from __future__ import annotations
@@ -40,7 +41,10 @@ TF_TOPIC = "tf_static"
 # Largest error of the norm of a quaternion in a transform.
 _NORM_TOLERANCE = 0.01
 _LENGTH = struct.Struct("<I")
-_DOWN = re.compile(r"(?:^|[^a-z])ned$", re.I)
+# As a word of the last part of a name: `tuned` and `NedKelly1` are others.
+_DOWN = re.compile(
+    r"(?:(?<![A-Za-z])(?i:ned)|(?<=[a-z])(?:NED|Ned))(?![a-z])[^/]*$|(?i:north_?east_?down)[^/]*$"
+)
 _RIGHT_DOWN = re.compile(r"(?:^|[^a-z])frd$", re.I)
 _WINDOW = 64
 # Rotation between FRD and FLU in both directions: half a turn about x.

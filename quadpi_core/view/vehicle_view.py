@@ -231,7 +231,7 @@ class VehicleView:
             del self._events[next(iter(self._events))]
 
     def _with_values(self, event: AlarmEvent) -> list[str]:
-        """Reasons of an event; values of inputs, as they were said when it was raised, in the place of ratios."""
+        """Reasons of an event; in the place of ratios the values of inputs, as said when it was raised."""
         number = self._clock.time_of(event.start_ns) // self.blocks.block_ns
         place = bisect.bisect_right(self._words, number, key=lambda entry: entry[0]) - 1
         said = self._words[place][1] if place >= 0 and event.cause == EXTRAPOLATION else ()
