@@ -116,6 +116,10 @@ def test_an_unknown_frame_is_taken_as_the_body_with_one_warning(
             ("base_link", "odom/NED"),
             r"topic /mocap/pose: sample 0: the frame `odom/NED` says north-east-down",
         ),
+        *(
+            (("base_link", name), f"sample 0: the frame `{name}` says north-east-down")
+            for name in ("ned_world", "odomNED", "local_ned_frame", "uav1/nedMap", "north_east_down")
+        ),
         (
             ("imu_ned", "map"),
             r"bag\.mcap: topic /imu: sample 0: the frame `imu_ned` of an IMU says north-east",
@@ -127,7 +131,7 @@ def test_north_east_down_is_refused(bag: Callable[..., Path], frames: tuple[str,
         read_bag(bag(*frames))
 
 
-@pytest.mark.parametrize("frame", ["tuned", "planned_map", "map"])
+@pytest.mark.parametrize("frame", ["tuned", "planned_map", "map", "ned/map", "NEDry_lab", "kennedy"])
 def test_a_name_that_only_ends_alike_is_no_ned(bag: Callable[..., Path], frame: str) -> None:
     assert read_bag(bag("base_link", frame)).pose is not None
 
