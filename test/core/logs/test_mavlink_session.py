@@ -193,6 +193,19 @@ def test_the_peer_is_the_first_that_sends_a_heartbeat(mavlink_sender: Any) -> No
     assert report.rivals == {"system 2": 1}
 
 
+def test_lost_counts_the_packets_of_the_autopilot_alone(mavlink_sender: Any) -> None:
+    autopilot = Autopilot(mavlink_sender())
+    autopilot.heartbeat(START)
+    ground = mavlink_sender(system=255)
+    for gap in (0, 7):
+        ground.mav.seq = (ground.mav.seq + gap) % 256
+        autopilot.deliver(ground.packet("TIMESYNC", 0, 99), START)
+    assert autopilot.session.report(START).frames.lost == 0
+    autopilot.sender.mav.seq = (autopilot.sender.mav.seq + 3) % 256
+    autopilot.heartbeat(START)
+    assert autopilot.session.report(START).frames.lost == 3
+
+
 def test_motion_capture_of_the_vehicle_s_own_system_is_used(mavlink_sender: Any) -> None:
     """From whatever component: a companion computer on board sends it through the autopilot."""
     autopilot = Autopilot(mavlink_sender())
