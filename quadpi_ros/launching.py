@@ -116,7 +116,8 @@ class Programs:
     def __init__(self, context: LaunchContext, file: str) -> None:
         self.values: dict[str, str] = dict(context.launch_configurations)
         # What SetParameter of a launch file around this one says of all nodes.
-        around = dict(one for one in self.values.pop("global_params", ()) if isinstance(one, tuple))
+        of_all: Any = self.values.pop("global_params", ())
+        around: dict[str, object] = dict(one for one in of_all if isinstance(one, tuple))
         if "use_sim_time" in around and not self.values.get("use_sim_time"):
             self.values["use_sim_time"] = str(around["use_sim_time"])
         self._may_end_launch = _asked_for(Path(file))

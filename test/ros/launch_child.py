@@ -111,6 +111,7 @@ class Pretender:
     def _start(self, node: Any) -> None:
         command = [Path(get_package_prefix(node.package)) / "lib" / node.package / node.executable]
         command += [*getattr(node, "arguments", ()), "--ros-args", "-r", f"__ns:=/{node.namespace}"]
+        command += node.ros_arguments
         for number, parameters in enumerate(getattr(node, "parameters", ())):
             file = parameters
             if isinstance(parameters, dict):

@@ -252,7 +252,7 @@ def launching(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
     monkeypatch.delitem(sys.modules, "quadpi_ros.launching")
 
 
-def started(file: str, given: dict[str, str]) -> dict[str, Any]:
+def started(file: str, given: dict[str, Any]) -> dict[str, Any]:
     """Nodes that a launch file starts, by program."""
     specification = importlib.util.spec_from_file_location("launch_file", ROOT / "launch" / file)
     assert specification is not None
@@ -290,6 +290,33 @@ def test_arguments_of_the_replay_are_options_of_the_player(
 ) -> None:
     options = parse_arguments(started("replay.launch.py", given)["player"].arguments)
     assert {name: getattr(options, name) for name in expected} == expected
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        # Nothing said: the parameter is left to a SetParameter around, and to the parameter file.
+        ({}, {}),
+        ({"use_sim_time": "false"}, {"use_sim_time": False}),
+        ({"global_params": [("use_sim_time", True), "file.yaml"]}, {"use_sim_time": True}),
+        ({"global_params": [("use_sim_time", True)], "use_sim_time": "False"}, {"use_sim_time": False}),
+    ],
+)
+@pytest.mark.usefixtures("launching")
+def test_the_clock_is_that_of_the_launch_file_around(
+    given: dict[str, Any], expected: dict[str, bool]
+) -> None:
+    nodes = started("replay.launch.py", given)
+    found = {name: value for name, value in nodes["live"].parameters[1].items() if name == "use_sim_time"}
+    assert found == expected
+    assert ("--clock" in nodes["player"].arguments) == expected.get("use_sim_time", False)
+
+
+@pytest.mark.usefixtures("launching")
+def test_the_level_of_the_log_is_that_of_every_program() -> None:
+    nodes = started("replay.launch.py", {"log_level": "warn", "markers": "true", "view": "true"})
+    assert len(nodes) == 4
+    assert all(node.ros_arguments == ["--log-level", "warn"] for node in nodes.values())
 
 
 @pytest.mark.parametrize(
