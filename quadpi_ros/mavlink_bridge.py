@@ -53,6 +53,8 @@ _SUBSCRIBER_WAIT_S = 10.0
 _FLUSH_S = 0.2
 # Ignored systems that the diagnostics name: those that send most, as a sender can claim any number of ids.
 _OTHERS_NAMED = 8
+# What keeps the sensors from coming is logged when this many diagnostics in a row say so.
+_LOGGED_AT = 2
 _LEVEL = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 
 
@@ -100,8 +102,9 @@ class MavlinkBridge(GuardedNode):
         self._problem: str | None = "not connected yet"
         self.connections = 0
         self._reported = _Reported(time.monotonic(), {}, {})
-        # Other autopilots that have been logged.
+        # Other autopilots that have been logged, and in how many diagnostics in a row nothing could be used.
         self._rivals: set[str] = set()
+        self._unusable = _LOGGED_AT
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.create_timer(1.0, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._thread = threading.Thread(target=self._serve, name="mavlink", daemon=True)
@@ -208,6 +211,7 @@ class MavlinkBridge(GuardedNode):
         }
         rivals = [name for name, count in report.rivals.items() if count > before.rivals.get(name, 0)]
         level, text = self._judged(report, rates, rivals)
+        self._log(level, text)
         for name in sorted(set(rivals) - self._rivals):
             self.get_logger().warning(_rival(name, report.system))
         self._rivals |= set(rivals)
@@ -228,6 +232,18 @@ class MavlinkBridge(GuardedNode):
         statuses = [diagnostics.status(diagnostics.full_name(self, "link"), level, text, values)]
         statuses += self.exceptions.statuses()
         self._diagnostics.publish(diagnostics.array(self, statuses))
+
+    def _log(self, level: bytes, text: str) -> None:
+        """Log what keeps the sensors from coming once it lasts, and that they come at the start and again."""
+        if level == diagnostics.ERROR:
+            self._unusable += 1
+            # Of the link itself the thread has told.
+            if self._unusable == _LOGGED_AT and self._problem is None:
+                self.get_logger().warning(text)
+        elif self._unusable >= _LOGGED_AT:
+            self.get_logger().info(f"active: {text}")
+        if level != diagnostics.ERROR:
+            self._unusable = 0
 
     def _judged(self, report: SessionReport, rates: dict[str, float], rivals: list[str]) -> tuple[bytes, str]:
         if self._problem is not None:

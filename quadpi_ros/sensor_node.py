@@ -291,13 +291,10 @@ class SensorNode(ManagedNode[Parameters]):
 
     def refusals(self) -> tuple[str, ...]:
         """Why every message of a required topic is refused, such as "imu: stamps are zero"."""
-        unread = (name for name, why in self.lacking.items() if why == _UNREAD)
         return tuple(
-            f"{name}: {reason}"
-            for name in unread
-            if name in self._inputs
-            and self._inputs[name].required
-            and (reason := self._reason(self._inputs[name]))
+            f"{name}: {topic.health.latest}"
+            for name, topic in self._inputs.items()
+            if topic.required and self.lacking.get(name) == _UNREAD
         )
 
     def count_refused(self) -> None:
@@ -368,8 +365,8 @@ class SensorNode(ManagedNode[Parameters]):
 
     def _reason(self, topic: _Input) -> str | None:
         """Why a topic gives no sample, as far as its publishers or its refused messages tell."""
-        refused = topic.health.refused.most_common(1) if topic.health.unread else []
-        return self._other_types(topic.subscription) or (refused[0][0] if refused else None)
+        refused = topic.health.latest if topic.health.unread else ""
+        return self._other_types(topic.subscription) or refused or None
 
     def _other_types(self, endpoint: Subscription | Publisher) -> str | None:
         """Nodes that use the topic with another message type or another version of it.

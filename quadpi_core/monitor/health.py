@@ -64,9 +64,12 @@ class TopicHealth:
 
     Attributes:
         rate_hz: nominal rate; None takes the rate of the previous period.
+        refused: number of refused samples by reason.
+        latest: the last of the reasons; empty before the first.
     """
 
     rate_hz: float | None = None
+    latest: str = ""
     refused: Counter[str] = field(default_factory=Counter)
     _refused_before: int = 0
     _total: int = 0
@@ -99,6 +102,7 @@ class TopicHealth:
 
     def refuse(self, reason: str, count: int = 1) -> None:
         """Count samples that cannot be used."""
+        self.latest = reason
         known = reason in self.refused or len(self.refused) < _REASONS_MAX
         self.refused[reason if known else "other"] += count
 

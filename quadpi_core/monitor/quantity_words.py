@@ -49,16 +49,24 @@ def _plain(name: str, unit: str = "") -> InputWords:
     return InputWords(name, name, name, unit)
 
 
-_ALONG = ("forward or backward speed", "forward speed", "backward speed")
-_ACROSS = ("sideways speed", "speed to the right", "speed to the left")
-_VERTICAL = ("vertical speed", "downward speed", "upward speed")
+def _of(words: InputWords, what: str) -> InputWords:
+    """The name of something of an input, such as its ratio to another."""
+    name, positive, negative = (f"{one} {what}" for one in words[:3])
+    return InputWords(name, positive, negative)
+
+
+_ALONG = InputWords("forward or backward speed", "forward speed", "backward speed", "m/s", piloted=True)
+_ACROSS = InputWords("sideways speed", "speed to the right", "speed to the left", "m/s", piloted=True)
+_VERTICAL = InputWords("vertical speed", "downward speed", "upward speed")
+_INDUCED = _plain("induced velocity", "m/s")
+_TO_TIPS = "over tip speed"
 _RIGHT_LEFT, _NOSE = ("to the right", "to the left"), ("nose up", "nose down")
 _ROLL, _PITCH = _angle("roll angle", *_RIGHT_LEFT), _angle("pitch angle", *_NOSE)
 INPUT_WORDS = {
-    "u": InputWords(*_ALONG, "m/s", piloted=True),
-    "v": InputWords(*_ACROSS, "m/s", piloted=True),
-    "w": InputWords(*(f"{words} in body axes" for words in _VERTICAL), "m/s", piloted=True),
-    "v_in": _plain("induced velocity", "m/s"),
+    "u": _ALONG,
+    "v": _ACROSS,
+    "w": _of(_VERTICAL, "in body axes")._replace(unit="m/s", piloted=True),
+    "v_in": _INDUCED,
     "p": _rate("roll rate", *_RIGHT_LEFT),
     "q": _rate("pitch rate", *_NOSE),
     "r": _rate("yaw rate", *_RIGHT_LEFT),
@@ -71,10 +79,10 @@ INPUT_WORDS = {
     "U_q": InputWords("pitch control", "pitch control nose up", "pitch control nose down", "rad/s"),
     # Rotors that turn clockwise yaw the body to the left.
     "U_r": InputWords("yaw control", "yaw control to the left", "yaw control to the right", "rad/s"),
-    "mu_x": InputWords(*(f"{words} over tip speed" for words in _ALONG)),
-    "mu_y": InputWords(*(f"{words} over tip speed" for words in _ACROSS)),
-    "mu_z": InputWords(*(f"{words} over tip speed" for words in _VERTICAL)),
-    "mu_v_in": _plain("induced velocity over tip speed"),
+    "mu_x": _of(_ALONG, _TO_TIPS),
+    "mu_y": _of(_ACROSS, _TO_TIPS),
+    "mu_z": _of(_VERTICAL, _TO_TIPS),
+    "mu_v_in": _of(_INDUCED, _TO_TIPS),
 }
 
 

@@ -67,8 +67,8 @@ def test_arrows_are_the_wrench_in_the_body_at_its_pose() -> None:
         (alarm(0, health=1), "NOT JUDGED"),
         (alarm(2, health=2), "NO DATA"),
         (
-            alarm(1, "omega_avg 1501 above 1300", "a", "b", "c"),
-            "WARNING\noutside: mean rotor speed (omega_avg) 1501 above 1300\na\nb",
+            alarm(1, "mean rotor speed 1.4 x the training range", "a", "b", "c"),
+            "WARNING\nmean rotor speed 1.4 x the training range\na\nb",
         ),
         (alarm(2, "coverage is 41 %"), "ALARM\ncoverage is 41 %"),
     ],

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -45,9 +46,13 @@ class Outputs:
 
     def __init__(self) -> None:
         self.sent: dict[str, list[bytes]] = defaultdict(list)
+        self.logged: list[str] = []
 
     def announce(self, _: type, topic: str, *__: Any, **___: Any) -> Callable[[bytes], None]:
         return self.sent[topic].append
+
+    def get_logger(self) -> SimpleNamespace:
+        return SimpleNamespace(info=self.logged.append, warning=self.logged.append)
 
     def resolve_topic_name(self, topic: str) -> str:
         return f"/uav/{topic}"
@@ -130,14 +135,23 @@ def test_the_models_that_fly_are_described_with_their_training_ranges_and_topics
 
 
 def test_silence_and_alarms_are_published_and_logged(models):
-    outputs, samples = Outputs(), hover(600)
-    results = Results(outputs, named([monitor_of(models["model"])]), "body")
+    outputs, samples = Outputs(), hover(1200)
+    results = Results(
+        outputs, named([monitor_of(models["model"])]), "body", lambda given: ("no motion capture", *given)
+    )
     broken = PairedSamples(samples.time_ns[300:500], np.full((200, 20), np.nan))
     for part in (PairedSamples(samples.time_ns[:300], samples.values[:300]), broken):
         results.publish(results.monitors.judge(part))
     assert results.alarm_status()[:2] == (diagnostics.WARN, "alarm")
     (event,) = result_messages.unpack_events(Payloads.join(outputs.sent["alarm_log"]))
     assert event.cause == BAD_DATA
+    assert event.reasons[0] == "no motion capture"
+    told = result_messages.unpack_alarms(Payloads.join(outputs.sent["extrapolation_alarm"]))
+    for row, words in enumerate(told.reasons):
+        assert ("no motion capture" in words) == bool(told.causes[row] & BAD_DATA)
+    assert outputs.logged == [
+        "alarm, bad data: no motion capture; state or rotor speeds missing; sample not finite"
+    ]
     before = len(outputs.sent["extrapolation_alarm"])
     results.publish_silence(5_000_000_000, ("no imu for 0.3 s",))
     (silent,) = outputs.sent["extrapolation_alarm"][before:]
@@ -145,6 +159,14 @@ def test_silence_and_alarms_are_published_and_logged(models):
     assert (alarm.time_ns[0], alarm.level[0]) == (5_000_000_000, LEVEL_ALARM)
     assert alarm.reasons == [("no imu for 0.3 s",)]
     assert not alarm.of_samples[0]
+    results.publish(results.monitors.judge(PairedSamples(samples.time_ns[500:], samples.values[500:])))
+    assert len(outputs.logged) == 2
+    over = outputs.logged[1]
+    assert over.startswith("alarm over after 0.")
+    assert over.endswith(", bad data: no motion capture; state or rotor speeds missing; sample not finite")
+    *_, cleared = result_messages.unpack_events(Payloads.join(outputs.sent["alarm_log"]))
+    assert cleared.end_ns
+    assert cleared.reasons == event.reasons
 
 
 def test_a_model_that_is_replaced_publishes_as_the_one_before(models):

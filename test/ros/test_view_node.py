@@ -104,7 +104,7 @@ class Publishing:
             for payload in result_messages.pack_predictions(given, model=model, confidence=0.95, axes=AXES):
                 publisher.publish(payload)
         said = alarms(int(given.time_ns[-1]), self.level)
-        reasons = ("u 2.0 x the training range",) if self.level else ()
+        reasons = ("forward or backward speed 2.0 x the training range",) if self.level else ()
         (payload,) = result_messages.pack_alarms(said, [reasons])
         self._alarm.publish(payload)
 
@@ -144,7 +144,7 @@ def test_vehicles_are_found_by_namespace_with_their_models_and_states(node, sour
     assert first.training.identity == model.identity
     assert second.training is None
     wait_until(lambda: (first.state, second.state) == (State.TRUSTED, State.ALARM), turn)
-    assert second.reasons == ("outside: longitudinal speed (u) 2.0 x the training range",)
+    assert second.reasons == ("forward or backward speed 2.0 x the training range",)
     assert first.describe()["inputs"][0]["upper"] == model.envelope.upper[0]
 
 

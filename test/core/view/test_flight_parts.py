@@ -16,7 +16,7 @@ from quadpi_core.flight import RotorSpeedStream
 from quadpi_core.logs.bag_files import Bag
 from quadpi_core.logs.bag_writer import write_mcap
 from quadpi_core.logs.bags import output_topic, read_bag
-from quadpi_core.messages.definitions import codec
+from quadpi_core.messages.definitions import codec, typestore
 from quadpi_core.messages.model_description import pack_description
 from quadpi_core.messages.payloads import Payloads, Topic
 from quadpi_core.messages.sensor_messages import pack_rotor_speeds
@@ -25,7 +25,7 @@ from quadpi_core.view.trust import State
 
 from .conftest import BAG, read_whole
 
-STRING = "std_msgs/msg/String"
+STRING, BATTERY = "std_msgs/msg/String", "sensor_msgs/msg/BatteryState"
 
 
 def described(text: str, time_ns: int) -> Topic:
@@ -67,6 +67,37 @@ def test_a_replayed_bag_takes_its_training_ranges_from_the_model(results_bag, ju
         open_bag(results_bag, [other], vehicle)
     with pytest.raises(QuadpiError, match=r"--confidence: .* holds results, whose intervals have theirs"):
         open_bag(results_bag, [model], vehicle, 0.9)
+
+
+def battery(stamps_ns: Sequence[int], volts: Sequence[float]) -> Topic:
+    """Voltages of a battery that does not measure its charge."""
+    types, payloads = typestore(), []
+    kinds = types.types
+    for stamp_ns, voltage in zip(stamps_ns, volts, strict=True):
+        stamp = kinds["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 10**9))
+        given = dict.fromkeys(
+            ("temperature", "current", "charge", "capacity", "design_capacity", "percentage"), np.nan
+        )
+        states = dict.fromkeys(
+            ("power_supply_status", "power_supply_health", "power_supply_technology", "present"), 0
+        )
+        cells = dict.fromkeys(("cell_voltage", "cell_temperature"), np.empty(0, np.float32))
+        header = kinds["std_msgs/msg/Header"](stamp, "")
+        texts = {"location": "", "serial_number": ""}
+        message = kinds[BATTERY](header=header, voltage=voltage, **given, **states, **cells, **texts)
+        payloads.append(bytes(types.serialize_cdr(message, BATTERY)))
+    return Topic("/mavros/battery", BATTERY, np.array(stamps_ns), Payloads.join(payloads))
+
+
+def test_a_battery_is_told_from_its_stamps_on(results_bag, judged_view, tmp_path):
+    begin = judged_view.start_ns
+    stamps = [begin, begin + 8 * 10**9]
+    bag = recorded(results_bag, tmp_path / "flown.mcap", [battery(stamps, [16.1, 14.9])])
+    view = read_whole(open_bag(bag, [], None))
+    for block, words in ((100, "16.1 V"), (200, "14.9 V")):
+        (_, _, told), *_ = view.window(block, block)[2]
+        assert told == {"battery": words}
+    assert view.summary()["told"] == {"battery": "14.9 V"}
 
 
 def test_ranges_and_inputs_come_with_the_description_of_the_monitor(
