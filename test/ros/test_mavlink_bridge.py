@@ -13,6 +13,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -138,13 +139,16 @@ def test_a_broken_tcp_connection_is_made_again() -> None:
             heard.until(lambda broken=broken: broken.items() <= heard.statuses[-1].items())  # type: ignore[misc]
 
 
-def test_nobody_takes_the_place_of_the_vehicle() -> None:
+def test_nobody_takes_the_place_of_the_vehicle(monkeypatch: pytest.MonkeyPatch) -> None:
     """Neither another system, nor a sender that calls itself the same from another port."""
     with (
         listening() as heard,
         flying(heard.port, "--rate", "100") as (_, epoch_ns),
     ):
         heard.until(lambda: heard.count() > 100)
+        logged: list[str] = []
+        logger = SimpleNamespace(warning=logged.append, info=logged.append)
+        monkeypatch.setattr(heard.bridge, "get_logger", lambda: logger)
         forgers = [Sender(heard.port, system) for system in (1, 7)]
         for forger in forgers:
             for _ in range(50):
@@ -162,6 +166,8 @@ def test_nobody_takes_the_place_of_the_vehicle() -> None:
 
         heard.until(noticed)
         assert "system 1 at another address, system 7" in heard.message()
+        said = [line.partition(" sends")[0] for line in logged if "heartbeats of an autopilot too" in line]
+        assert said == ["system 1 at another address", "system 7"]
         before = heard.count()
         heard.until(lambda: heard.count() > before + 100)
         ignored = ("not used: system 7", "not used: system 1 at another address")

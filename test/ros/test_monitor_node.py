@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -66,6 +67,15 @@ def test_silence_is_said(folder: Path, hover: Recording, tmp_path: Path) -> None
         alarms = heard(rig)
         again = alarms.where((alarms.time_ns > first_ns + 10**9) & (alarms.time_ns <= last_ns))
         assert again.of_samples.all()
+
+        before_ns = np.array([last_ns])
+        rig.forget()
+        rig.fly(
+            4.0, lambda _, sample: sample | {"mocap/pose": replace(sample["mocap/pose"], time_ns=before_ns)}
+        )
+        texts = {text for words in heard(rig).reasons for text in words}
+        assert any(re.fullmatch(r"no motion capture for \d\.\d s", text) for text in texts), texts
+        assert not any(text.startswith(("state missing", "no state")) for text in texts)
 
         def of_another_clock(_: int, sample: dict[str, Any]) -> dict[str, Any]:
             pose = sample["mocap/pose"]
