@@ -30,6 +30,8 @@ _QUANTITIES = {
 }
 # Most fans drawn of a flight, evenly over it and none upon another.
 _FANS = 40
+# Above and below the flight, as a share of its range.
+_ROOM = 0.25
 
 
 def rollout_summary(evaluation: RolloutEvaluation) -> Table:
@@ -172,7 +174,10 @@ def fan_figure(flight: RolledFlight) -> Figure:
             Band("tube", GROUPS[0], x, _with_gaps(centre - half), _with_gaps(centre + half)),
             Line("predicted", GROUPS[0], x, _with_gaps(centre)),
         ]
-        panels.append(Panel(layers, Scale("time [s]"), Scale(name), 150.0))
+        # A fan that has lost its way would leave a flat line of the flight.
+        room = _ROOM * float(np.ptp(measured)) or 1.0
+        shown = Scale(name, float(measured.min()) - room, float(measured.max()) + room)
+        panels.append(Panel(layers, Scale("time [s]"), shown, 150.0))
     return Figure("Fans of predictions", panels, over_time=True)
 
 

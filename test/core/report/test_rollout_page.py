@@ -64,6 +64,15 @@ def test_a_fan_spreads_around_the_prediction(judged) -> None:
     np.testing.assert_allclose(0.5 * (tube.high + tube.low), predicted.y, rtol=1e-9)
 
 
+def test_fans_are_clipped_to_the_flight(judged) -> None:
+    (flight,), _ = judged
+    wild = flight.rolled._replace(errors=100.0 * flight.rolled.errors)
+    for panel in fan_figure(flight._replace(rolled=wild)).panels:
+        measured = panel.layers[0].y
+        assert panel.y.low < measured.min() < measured.max() < panel.y.high
+        assert panel.y.high - panel.y.low == pytest.approx(1.5 * np.ptp(measured))
+
+
 def test_tubes_grow_with_the_horizon(judged) -> None:
     (flight,), _ = judged
     growth = growth_figure(flight)
