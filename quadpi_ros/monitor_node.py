@@ -33,12 +33,8 @@ from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.one_by_one import IncomingMessage
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor import Monitor, MonitorSettings
-from quadpi_core.monitor.data_quality import (
-    EITHER_MISSING_WORDS,
-    ROTORS_MISSING_WORDS,
-    STATE_MISSING_WORDS,
-)
-from quadpi_core.monitor.health import SILENT_S, WATCH_S, Latency, Silence
+from quadpi_core.monitor.alarm_log import naming_sensors
+from quadpi_core.monitor.health import SILENT_S, WATCH_S, Latency, Silence, lack
 from quadpi_core.monitor.monitor import Judged
 from quadpi_core.monitor.pairing import CAPACITY, Pairing
 from quadpi_core.paths import resolved_below
@@ -51,9 +47,6 @@ from quadpi_ros.node_parameters import FASTEST_IMU_HZ, MonitorParameters
 from quadpi_ros.result_publishers import Results, named
 from quadpi_ros.runtime import run, serve
 from quadpi_ros.sensor_node import ConsistencyWatch, SensorNode, Watch
-
-# Begins what a message says where a sample lacks what other sensors give.
-_OF_A_SENSOR = (STATE_MISSING_WORDS, ROTORS_MISSING_WORDS, EITHER_MISSING_WORDS, "no state")
 
 
 class MonitorNode(SensorNode[MonitorParameters]):
@@ -270,31 +263,16 @@ class MonitorNode(SensorNode[MonitorParameters]):
         self._results.publish_silence(time_ns, reasons)
 
     def _explained(self, reasons: tuple[str, ...]) -> tuple[str, ...]:
-        """Reasons with the sensor that a state or rotor speeds are missing for, and what is refused of it."""
-        told = self._lacks()
-        words = [
-            cause
-            for text in reasons
-            for cause in (told if told and text.startswith(_OF_A_SENSOR) else (text,))
-        ]
+        """Reasons with the sensors that lack, by their stamps, and what of a sensor is refused."""
+        arrived, lacks = self._pairing.arrived, []
+        if arrived.imu_ns is not None:
+            of_state = ("odometry", arrived.state_ns)
+            if self._estimator is not None:
+                of_state = ("motion capture", self._estimator.mocap_ns)
+            for sensor, newest_ns in (of_state, ("rotor speeds", arrived.rotors_ns)):
+                lacks += lack(sensor, newest_ns, arrived.imu_ns)
         refused = self.refusals() + (self._estimator.refusals() if self._estimator else ())
-        return tuple(dict.fromkeys((*words, *refused)))
-
-    def _lacks(self) -> list[str]:
-        """Sensors that are behind the IMU, by their stamps, such as "no motion capture for 2.1 s"."""
-        arrived = self._pairing.arrived
-        if arrived.imu_ns is None:
-            return []
-        of_state = ("odometry", arrived.state_ns)
-        if self._estimator is not None:
-            of_state = ("motion capture", self._estimator.mocap_ns)
-        lacks = []
-        for name, newest_ns in (of_state, ("rotor speeds", arrived.rotors_ns)):
-            if newest_ns is None:
-                lacks.append(f"no {name} yet")
-            elif arrived.imu_ns - newest_ns > SILENT_S * 1e9:
-                lacks.append(f"no {name} for {1e-9 * (arrived.imu_ns - newest_ns):.1f} s")
-        return lacks
+        return tuple(dict.fromkeys(naming_sensors((*reasons, *refused), lacks)))
 
     def _follow_rate(self) -> None:
         """Design the filters for the rate of the IMU; nothing is predicted without one."""

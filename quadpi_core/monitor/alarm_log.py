@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +14,12 @@ from quadpi_core.flight import AXES
 from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
 from quadpi_core.models.envelope import LEVERAGE_HEADROOM, WIDTH_HEADROOM
 from quadpi_core.monitor.alarm_kernel import WARNING_CHARGE
-from quadpi_core.monitor.data_quality import fault_words
+from quadpi_core.monitor.data_quality import (
+    EITHER_MISSING_WORDS,
+    ROTORS_MISSING_WORDS,
+    STATE_MISSING_WORDS,
+    fault_words,
+)
 from quadpi_core.monitor.quantity_words import AXIS_WORDS, INPUT_WORDS, OF_RANGE, piloted_first
 from quadpi_core.records import ROTORS_MAX
 from quadpi_core.results import (
@@ -89,6 +94,8 @@ class EventLog:
 def reasons(alarms: Alarms, row: int, causes: int | None = None) -> tuple[str, ...]:
     """Why the causes are not ok in one row, and why the model is not judged; never empty where one is not ok.
 
+    Bad data come first, as the other causes may follow from them, and last what is over.
+
     Args:
         alarms: of the monitor.
         row: its index.
@@ -96,11 +103,14 @@ def reasons(alarms: Alarms, row: int, causes: int | None = None) -> tuple[str, .
     """
     wanted = int(alarms.causes[row]) if causes is None else causes
     words: list[str] = []
-    for column, cause in enumerate(CAUSES):
+    over: list[str] = []
+    for cause, (said, ends) in WORDS.items():
         if wanted & cause:
-            said, ends = WORDS[cause]
-            judged = alarms.cause_evidence[row, column] > 0.0
-            words += said(alarms, row) or [ends if judged else f"{CAUSE_NAMES[cause]} when last judged"]
+            judged = alarms.cause_evidence[row, CAUSES.index(cause)] > 0.0
+            found = said(alarms, row)
+            words += found
+            over += [] if found else [ends if judged else f"{CAUSE_NAMES[cause]} when last judged"]
+    words += over
     why = int(alarms.why_not_judged[row])
     if causes is None and why != JUDGED:
         of_what = "coverage not judged" if why == SETTLES else "not judged"
@@ -148,13 +158,21 @@ def _bad_data(alarms: Alarms, row: int) -> list[str]:
     return words
 
 
-# Of each cause: what it says of a row, the strongest first, and what between the last evidence and its end,
-# `release_s` later.
+# Of each cause, in the order in which they are said: what it says of a row, the strongest first, and what
+# between the last evidence and its end, `release_s` later.
 WORDS: dict[int, tuple[Callable[[Alarms, int], list[str]], str]] = {
+    BAD_DATA: (_bad_data, "the data are good again: ends if that lasts"),
     EXTRAPOLATION: (_extrapolation, "inside what was flown in training again: ends if that lasts"),
     MISCOVERAGE: (_miscoverage, "inside its intervals again: ends if that lasts"),
-    BAD_DATA: (_bad_data, "the data are good again: ends if that lasts"),
 }
+# Begins what is said where a sample lacks what other sensors give.
+_OF_A_SENSOR = (STATE_MISSING_WORDS, ROTORS_MISSING_WORDS, EITHER_MISSING_WORDS, "no state")
+
+
+def naming_sensors(reasons: Sequence[str], lacks: Sequence[str]) -> tuple[str, ...]:
+    """Reasons, the sensors that lack, see :func:`.health.lack`, first, where a state or speeds are missing."""
+    others = tuple(text for text in reasons if not (lacks and text.startswith(_OF_A_SENSOR)))
+    return others if len(others) == len(reasons) else (*lacks, *others)
 
 
 def reasons_by_row(alarms: Alarms) -> list[tuple[str, ...]]:

@@ -231,6 +231,14 @@ class Arrived(NamedTuple):
     judged: int
 
 
+def lack(sensor: str, newest_ns: int | None, now_ns: int) -> list[str]:
+    """Such as "no motion capture for 2.1 s" of a sensor whose newest stamp is that far behind; or none."""
+    if newest_ns is None:
+        return [f"no {sensor} yet"]
+    behind_s = 1e-9 * (now_ns - newest_ns)
+    return [f"no {sensor} for {behind_s:.1f} s"] if behind_s >= SILENT_S else []
+
+
 class Silence:
     """Watches, by a clock that no sensor can stop, whether samples arrive and are judged.
 

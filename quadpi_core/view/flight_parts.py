@@ -27,12 +27,13 @@ from quadpi_core.messages.model_description import DescribedModel, MonitorDescri
 from quadpi_core.messages.payloads import Payloads, Topic
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor import pairing_kernel
-from quadpi_core.monitor.alarm_log import reasons_by_row
+from quadpi_core.monitor.alarm_log import naming_sensors, reasons_by_row
+from quadpi_core.monitor.health import lack
 from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.pairing import PairedSamples
 from quadpi_core.monitor.replay import RecordedFlight, follow, open_flight
 from quadpi_core.reading_options import MappingOrOptions, reading_options
-from quadpi_core.results import AlarmEvent, Predictions, ReportedAlarms
+from quadpi_core.results import BAD_DATA, AlarmEvent, Predictions, ReportedAlarms
 from quadpi_core.vehicle import ROTORS, Vehicle
 from quadpi_core.view.motion_inputs import MotionInputs
 from quadpi_core.view.vehicle_reports import REPORTS, Told
@@ -189,8 +190,9 @@ def judged(
     """Parts of a flight, judged as `quadpi replay` does."""
     monitors = [Monitor(model, vehicle, None, confidence) for model in models]
     held: list[OdometryStream] = []
+    seen: dict[str, Stamps] = {}
     with open_flight(bag, vehicle, mapping) as flight:
-        for stretch in follow(_noting_states(flight, held), vehicle):
+        for stretch in follow(_noting(flight, held, seen), vehicle):
             if stretch.begin == pairing_kernel.SET_BACK:
                 for monitor in monitors:
                     monitor.reset()
@@ -198,23 +200,36 @@ def judged(
                 monitor.retune(stretch.rate)
             states = held[:] if stretch.states is None else [stretch.states.odometry]
             held.clear()
-            yield _judged_part(monitors, stretch.samples, states)
+            yield _judged_part(monitors, stretch.samples, states, dict(seen))
 
 
-def _noting_states(flight: RecordedFlight, held: list[OdometryStream]) -> RecordedFlight:
-    """The flight; what its blocks say of the state by themselves is noted, as no estimator gives it."""
+def _noting(flight: RecordedFlight, held: list[OdometryStream], seen: dict[str, Stamps]) -> RecordedFlight:
+    """The flight; what its blocks say of the state by themselves is noted, as no estimator gives it.
+
+    So are the last stamps of the sensors, to say which of them lacks.
+    """
+    of_state = "motion capture" if flight.has_mocap else "odometry"
 
     def blocks() -> Iterator[Recording]:
         for block in flight.blocks:
             if not flight.has_mocap and block.odometry is not None:
                 held.append(block.odometry)
+            for sensor, stream in (
+                (of_state, block.pose or block.odometry),
+                ("rotor speeds", block.rotor_speeds),
+            ):
+                if stream is not None:
+                    seen[sensor] = np.append(seen.get(sensor, stream.time_ns[:0])[-1:], stream.time_ns)
             yield block
 
     return replace(flight, blocks=blocks())
 
 
 def _judged_part(
-    monitors: Sequence[Monitor], samples: PairedSamples, states: Sequence[OdometryStream]
+    monitors: Sequence[Monitor],
+    samples: PairedSamples,
+    states: Sequence[OdometryStream],
+    seen: Mapping[str, Stamps],
 ) -> Part:
     first, *others = monitors
     prepared = first.preparation.step(*samples)
@@ -222,8 +237,18 @@ def _judged_part(
     further = [(other, other.predict(other.preparation.step(*samples))) for other in others]
     reported = None
     if len(alarms):
-        reported = result_messages.unpack_alarms(result_messages.pack_alarms(alarms, reasons_by_row(alarms)))
+        reasons = [
+            naming_sensors(words, _lacks(seen, time_ns)) if causes & BAD_DATA else words
+            for words, time_ns, causes in zip(
+                reasons_by_row(alarms), alarms.time_ns.tolist(), alarms.causes.tolist(), strict=True
+            )
+        ]
+        reported = result_messages.unpack_alarms(result_messages.pack_alarms(alarms, reasons))
     rotors = RotorSpeedStream(samples.time_ns, samples.rotor_speeds)
+    events = [
+        replace(event, reasons=naming_sensors(event.reasons, _lacks(seen, event.start_ns)))
+        for event in events
+    ]
 
     def show(view: FlightTaker) -> None:
         for monitor, given in ((first, predictions), *further):
@@ -238,6 +263,15 @@ def _judged_part(
         view.take_events(events)
 
     return show
+
+
+def _lacks(seen: Mapping[str, Stamps], time_ns: int) -> list[str]:
+    """Sensors whose last stamp before an instant is far behind it."""
+    lacks = []
+    for sensor, stamps in seen.items():
+        before = stamps[stamps <= time_ns]
+        lacks += lack(sensor, int(before.max()) if len(before) else None, time_ns)
+    return lacks
 
 
 def recorded(bag: Path, command: str, models: Sequence[AerodynamicModel] = ()) -> Iterator[Part]:

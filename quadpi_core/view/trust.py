@@ -93,7 +93,12 @@ def reasons_of(
     words: list[str] = []
     if training is not None and alarms.causes[row] & EXTRAPOLATION:
         words = _outside(alarms.inputs_outside[row], training, low, high)
-    words += [text for text in given if not (words and text.endswith(OF_RANGE))]
+    if words:
+        # In the place of what the monitor says of them.
+        place = next((k for k, text in enumerate(given) if text.endswith(OF_RANGE)), 0)
+        rest = [text for text in given[place:] if not text.endswith(OF_RANGE)]
+        return (*given[:place], *words, *rest)
+    words = list(given)
     if not words:
         named = " and ".join(CAUSE_NAMES[cause] for cause in CAUSES if alarms.causes[row] & cause)
         words = [f"{named or 'no cause'}: the message says no more"]

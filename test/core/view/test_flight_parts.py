@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from quadpi_core.errors import LogError, QuadpiError
-from quadpi_core.flight import RotorSpeedStream
+from quadpi_core.flight import PoseStream, RotorSpeedStream
 from quadpi_core.logs.bag_files import Bag
 from quadpi_core.logs.bag_writer import write_mcap
-from quadpi_core.logs.bags import output_topic, read_bag
+from quadpi_core.logs.bags import output_topic, read_bag, write_bag
 from quadpi_core.messages.definitions import codec, typestore
 from quadpi_core.messages.model_description import pack_description
 from quadpi_core.messages.payloads import Payloads, Topic
@@ -67,6 +67,20 @@ def test_a_replayed_bag_takes_its_training_ranges_from_the_model(results_bag, ju
         open_bag(results_bag, [other], vehicle)
     with pytest.raises(QuadpiError, match=r"--confidence: .* holds results, whose intervals have theirs"):
         open_bag(results_bag, [model], vehicle, 0.9)
+
+
+def test_a_lack_of_motion_capture_is_called_so(model, vehicle, tmp_path):
+    flown = read_bag(BAG, vehicle)
+    assert flown.pose is not None
+    seconds = 1e-9 * (flown.pose.time_ns - flown.pose.time_ns[0])
+    seen = (seconds < 4.0) | (seconds > 8.0)
+    pose = PoseStream(flown.pose.time_ns[seen], flown.pose.position[seen], flown.pose.attitude[seen])
+    write_bag(tmp_path / "gap.mcap", replace(flown, pose=pose))
+    view = read_whole(open_bag(tmp_path / "gap.mcap", [model], vehicle))
+    said = {text for _, words, _ in view.window(102, 138)[2] for text in words}
+    assert "no motion capture for 3.0 s" in said
+    assert not any("missing" in text for text in said)
+    assert any(one["reasons"][0].startswith("no motion capture for") for one in view.overview()["events"])
 
 
 def battery(stamps_ns: Sequence[int], volts: Sequence[float]) -> Topic:

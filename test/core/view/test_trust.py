@@ -125,6 +125,20 @@ def test_what_a_pilot_controls_comes_first_then_what_is_farthest_and_the_rest_fo
     )
 
 
+def test_values_take_the_place_of_ratios_behind_bad_data(envelope):
+    given = (
+        "rotor 3 reads half",
+        "roll rate 1.4 x the training range",
+        "sideways speed 1.2 x the training range",
+    )
+    alarm = message(LEVEL_ALARM, EXTRAPOLATION | BAD_DATA, outside=("p",), reasons=(*given, "more"))
+    assert reasons(alarm, envelope, p=2.0) == (
+        given[0],
+        "roll rate to the right 2.0 rad/s, trained up to 1.0",
+        "more",
+    )
+
+
 def test_without_an_envelope_the_message_is_said_as_it_is():
     given = ("forward speed 1.4 x the training range",)
     assert reasons(message(LEVEL_ALARM, EXTRAPOLATION, outside=("u",), reasons=given)) == given
