@@ -37,8 +37,9 @@ from quadpi_core.vehicle import Vehicle
 # The same examples in every run: what fails on one computer fails on all.
 settings.register_profile("same", derandomize=True, database=None)
 settings.load_profile("same")
-# Tests interrupt commands, which would ignore it where a shell has started the tests in the background.
-signal.signal(signal.SIGINT, signal.default_int_handler)
+# A background job of a shell ignores Ctrl-C, and so would the programs that tests start and interrupt.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 ROOT = Path(__file__).parents[1]
 ROS_IS_HERE = all(importlib.util.find_spec(name) for name in ("rclpy", "domain_coordinator", "quadpi"))

@@ -46,6 +46,15 @@ def recording(bags):
     )
 
 
+@pytest.fixture(scope="session")
+def short(recording):
+    """Half of it."""
+    end_ns = recording.imu.time_ns[len(recording.imu) // 2]
+    streams = {name: getattr(recording, name) for name in ("imu", "rotor_speeds", "pose", "odometry", "wind")}
+    halves = {name: stream.take(stream.time_ns < end_ns) for name, stream in streams.items()}
+    return replace(recording, **halves)
+
+
 @pytest.fixture
 def bad(tmp_path):
     """The path of the bag that is bad."""

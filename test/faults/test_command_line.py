@@ -288,12 +288,12 @@ def left_out(bad, tmp_path):
         ("wind", "wind", "velocity"),
     ],
 )
-def test_numbers_that_are_not_finite(left_out, followed, bad, recording, topic, name, column):
+def test_numbers_that_are_not_finite(left_out, followed, bad, short, topic, name, column):
     def spoil(array):
         array[SAMPLE : SAMPLE + 3, -1] = np.nan, np.inf, -np.inf
         return array
 
-    write_bag(bad, changed(recording, topic, column, spoil))
+    write_bag(bad, changed(short, topic, column, spoil))
     left_out(name, f"whose {column} is not finite", samples=3)
     # The estimator still collects its first second at that sample; wind holds until the next.
     followed(reported=topic == "wind")
@@ -303,14 +303,14 @@ def test_numbers_that_are_not_finite(left_out, followed, bad, recording, topic, 
 @pytest.mark.parametrize(
     ("factors", "message"), [([0.0, 2.0], "no unit quaternion"), ([np.nan], "not finite")]
 )
-def test_attitude_that_is_none(left_out, followed, bad, recording, topic, factors, message):
+def test_attitude_that_is_none(left_out, followed, bad, short, topic, factors, message):
     def change(attitude):
         for sample, factor in enumerate(factors, SAMPLE):
             attitude[sample] *= factor
         return attitude
 
-    write_bag(bad, changed(recording, topic, "attitude", change))
-    left_out(getattr(recording, topic).topic, f"whose attitude is {message}", samples=len(factors))
+    write_bag(bad, changed(short, topic, "attitude", change))
+    left_out(getattr(short, topic).topic, f"whose attitude is {message}", samples=len(factors))
     followed(reported=False)
 
 
@@ -325,20 +325,20 @@ PACK = {
 
 @pytest.mark.parametrize("topic", PACK)
 @pytest.mark.parametrize(("shift_ns", "kind"), [(0, "repeats"), (-50_000, "runs backward")])
-def test_stamps_that_do_not_rise(left_out, followed, bad, recording, topic, shift_ns, kind):
+def test_stamps_that_do_not_rise(left_out, followed, bad, short, topic, shift_ns, kind):
     """Header stamps, that is: a recorder logs the messages as they come."""
 
     def shift(stamps):
         stamps[SAMPLE] = stamps[SAMPLE - 1] + shift_ns
         return stamps
 
-    wrong = changed(recording, topic, "time_ns", shift)
+    wrong = changed(short, topic, "time_ns", shift)
     topics = []
     for name, pack in PACK.items():
-        good = getattr(recording, name)
+        good = getattr(short, name)
         topics.append(output_topic(good.topic, good.time_ns, pack(getattr(wrong, name))))
     write_mcap(bad, topics, {})
-    left_out(getattr(recording, topic).topic, f"whose stamp {kind}")
+    left_out(getattr(short, topic).topic, f"whose stamp {kind}")
     followed(reported=False)
 
 

@@ -20,13 +20,10 @@ from quadpi_core.paths import bags_directory, whole_output
 # A command that says on its output when it has come somewhere. A step of the work is one of training, or a
 # flight or chunk that workers have finished; after it the work waits, or goes on.
 COMMAND = """
-import signal, sys, time
+import sys, time
 from quadpi_core import parallel
 from quadpi_core.models import ensemble
 from quadpi_core.cli import main
-
-# Ignored where the tests run as a background job of a shell.
-signal.signal(signal.SIGINT, signal.default_int_handler)
 
 def announced(step, waits):
     def announce(*arguments):

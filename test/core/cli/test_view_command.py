@@ -71,6 +71,8 @@ def test_a_bag_is_served_until_it_is_interrupted():
             assert url.endswith("/#t=12.3")
             with urllib.request.urlopen(url) as page:
                 assert b"<title>" in page.read()
-        finally:
             process.send_signal(signal.SIGINT)
-        assert (process.wait(), process.stderr.read()) == (0, "")
+            _, errors = process.communicate(timeout=60.0)
+        finally:
+            process.kill()
+    assert (process.returncode, errors) == (0, "")
