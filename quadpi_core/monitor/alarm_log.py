@@ -170,7 +170,7 @@ _OF_A_SENSOR = (STATE_MISSING_WORDS, ROTORS_MISSING_WORDS, EITHER_MISSING_WORDS,
 
 
 def naming_sensors(reasons: Sequence[str], lacks: Sequence[str]) -> tuple[str, ...]:
-    """Reasons, the sensors that lack, see :func:`.health.lack`, first, where a state or speeds are missing."""
+    """Reasons; where a state or speeds are missing, the sensors that lack first, see :func:`.health.lack`."""
     others = tuple(text for text in reasons if not (lacks and text.startswith(_OF_A_SENSOR)))
     return others if len(others) == len(reasons) else (*lacks, *others)
 
