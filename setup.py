@@ -26,13 +26,13 @@ class BuildCore(build_ext):
         folder = Path(self.get_ext_fullpath(ext.name)).resolve().parent
         options = f"-DPython_EXECUTABLE={sys.executable}", f"-DQUADPI_MODULE_FOLDER={folder}"
         cache = build / "CMakeCache.txt"
-        # Of a checkout that was copied or moved, CMake refuses what was built at its old place.
-        if cache.is_file() and f"CMAKE_HOME_DIRECTORY:INTERNAL={ROOT / 'core'}\n" not in cache.read_text():
-            shutil.rmtree(build)
         build.parent.mkdir(exist_ok=True)
         # An installation that runs beside finds it built.
         with build.with_suffix(".lock").open("w") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
+            # Of a checkout that was copied or moved, CMake refuses what was built at its old place.
+            if cache.is_file() and f"CMAKE_HOME_DIRECTORY:INTERNAL={ROOT / 'core'}\n" not in cache.read_text():
+                shutil.rmtree(build)
             subprocess.run(["cmake", "-S", ROOT / "core", "-B", build, *options], check=True)
             subprocess.run(["cmake", "--build", build, "--parallel", str(os.cpu_count() or 1)], check=True)
 
