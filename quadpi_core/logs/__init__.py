@@ -10,6 +10,7 @@ from quadpi_core.logs.readers import (
     is_log_folder,
     open_in_blocks,
     read_recording,
+    reading,
 )
 
 __all__ = [
@@ -20,4 +21,5 @@ __all__ = [
     "is_log_folder",
     "open_in_blocks",
     "read_recording",
+    "reading",
 ]

@@ -38,6 +38,7 @@ class BlackboxLog:
 
     Attributes:
         headers: those that are whole numbers, by name.
+        texts: all of them, by name.
         fields: names of all fields of the main frames.
         columns: (N,) of the main frames, in the units of the log; `time` in µs is unwrapped beyond 32 bits.
         ended: whether the log has an end event.
@@ -46,6 +47,7 @@ class BlackboxLog:
     """
 
     headers: Mapping[str, int]
+    texts: Mapping[str, str]
     fields: Sequence[str]
     columns: Mapping[str, Array]
     ended: bool
@@ -99,7 +101,7 @@ def decode_blackbox(flight: bytes, wanted: Sequence[str]) -> BlackboxLog:
     _, ended, damaged_at, damaged = compiled.decode_blackbox(flight, start, rules, chosen, table)
     columns = dict(zip(read, np.ascontiguousarray(table.T), strict=True))
     columns[_TIME] = np.unwrap(columns[_TIME], period=2.0**32)
-    return BlackboxLog(headers, names, columns, ended, damaged_at if damaged else None, damaged)
+    return BlackboxLog(headers, texts, names, columns, ended, damaged_at if damaged else None, damaged)
 
 
 class _Rules:

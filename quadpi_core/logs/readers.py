@@ -81,7 +81,7 @@ def flights_of(path: Path) -> list[Path]:
     What is wrong with a log is said when it is read.
     """
     numbers: Sequence[int] = ()
-    with suppress(LogError), _reading(path):
+    with suppress(LogError), reading(path):
         flights = identify_format(path).flights
         if flights is not None and flight_in(path)[1] is None:
             numbers = flights.numbers(path)
@@ -140,7 +140,7 @@ def decode_recording(
         array_checks.instance("vehicle", vehicle, Vehicle, LOAD_VEHICLE).require_four("logs are read")
     log_format = identify_format(path)
     file, number = flight_in(path)
-    with _reading(path):
+    with reading(path):
         settings = _settings(path, log_format, mapping)
         if number is not None and log_format.flights is not None:
             recording = log_format.flights.read(file, number, vehicle, settings)
@@ -164,7 +164,7 @@ def open_in_blocks(
     log_format = identify_format(path)
     assert log_format.container is not None
     with ExitStack() as opened:
-        with _reading(path):
+        with reading(path):
             settings = _settings(path, log_format, mapping)
             log = opened.enter_context(log_format.container.open(path, vehicle, settings))
         yield log
@@ -184,7 +184,7 @@ def _settings(path: Path, log_format: LogFormat[Any], mapping: MappingOrOptions)
 
 
 @contextmanager
-def _reading(path: Path) -> Iterator[None]:
+def reading(path: Path) -> Iterator[None]:
     """Name the file that could not be read.
 
     Raises:
@@ -209,6 +209,6 @@ def blocks_of(log: OpenLog) -> Iterator[Recording]:
         LogError: naming the log, for every error.
     """
     remedies = identify_format(Path(log.source)).remedies
-    with _reading(Path(log.source)):
+    with reading(Path(log.source)):
         for block in log.blocks():
             yield replace(block, remedies=remedies)

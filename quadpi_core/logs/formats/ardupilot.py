@@ -84,8 +84,8 @@ def read_ardupilot(path: Path, vehicle: Vehicle | None, order: RotorOrder | None
         note(source, f"byte {log.first_skipped}: {log.skipped} damaged bytes from here on are passed over")
     if log.cut_off is not None:
         note(source, f"byte {log.cut_off}: the file is cut off in this record; all before it is read")
-    messages, quality = _longest_boot(log.messages)
-    is_quadrotor = has_quadrotor(source, _airframe(messages))
+    messages, quality = longest_boot(log.messages)
+    is_quadrotor = has_quadrotor(source, airframe_of(messages))
     imu = require_imu(source, _imu(messages), "IMU")
     battery = messages.get("BAT") or messages.get("CURR")
     return Recording(
@@ -100,9 +100,9 @@ def read_ardupilot(path: Path, vehicle: Vehicle | None, order: RotorOrder | None
     )
 
 
-def _airframe(messages: dict[str, Messages]) -> Airframe | None:
+def airframe_of(messages: dict[str, Messages]) -> Airframe | None:
     """What the frame class, or else the name of the firmware, says of the vehicle."""
-    parameters = _parameters(messages)
+    parameters = parameters_of(messages)
     if parameters.get("Q_ENABLE", 0.0) > 0.0:
         return Airframe("Q_ENABLE 1", "a VTOL aircraft", False)
     frame_class = int(parameters.get("FRAME_CLASS", 0.0))
@@ -119,7 +119,7 @@ def _airframe(messages: dict[str, Messages]) -> Airframe | None:
     return None
 
 
-def _longest_boot(messages: dict[str, Messages]) -> tuple[dict[str, Messages], DataQuality]:
+def longest_boot(messages: dict[str, Messages]) -> tuple[dict[str, Messages], DataQuality]:
     """The records of the longest boot in a file, by the clock of the IMU, and what is left out."""
     logged = messages.get("IMU")
     if logged is None or not logged.holds():
@@ -161,10 +161,15 @@ def _battery(logged: Messages) -> tuple[Stamps, Array] | None:
 
 
 def _odometry(source: str, messages: dict[str, Messages], imu: ImuStream) -> OdometryStream | None:
+    moved, attitude = motion_of(messages), attitude_of(source, messages)
+    return None if moved is None or attitude is None else odometry_of(*moved, attitude, imu)
+
+
+def motion_of(messages: dict[str, Messages]) -> tuple[Stamps, Array, Array] | None:
+    """Stamps (N,), positions and velocities (N, 3) of the first core of the EKF; None without one."""
     wanted = (*_POSITION, *_VELOCITY)
     name = next((name for name in _STATES if name in messages and messages[name].holds(*wanted)), None)
-    attitude = _attitude(source, messages)
-    if name is None or attitude is None:
+    if name is None:
         return None
     logged = messages[name]
     if "C" in logged:
@@ -172,10 +177,10 @@ def _odometry(source: str, messages: dict[str, Messages], imu: ImuStream) -> Odo
     time_ns, (position, velocity) = rising(
         logged.time_ns(), logged.stack(*_POSITION), logged.stack(*_VELOCITY)
     )
-    return odometry_of(time_ns, position, velocity, attitude, imu)
+    return time_ns, position, velocity
 
 
-def _attitude(source: str, messages: dict[str, Messages]) -> tuple[Stamps, Array] | None:
+def attitude_of(source: str, messages: dict[str, Messages]) -> tuple[Stamps, Array] | None:
     """Stamps and quaternions (K, 4) of the best kind of message that is there in number."""
     known = {}
     for name in _ATTITUDES:
@@ -196,11 +201,11 @@ def _attitude(source: str, messages: dict[str, Messages]) -> tuple[Stamps, Array
 def _rotor_speeds(
     source: str, messages: dict[str, Messages], vehicle: Vehicle | None, order: RotorOrder | None
 ) -> RotorSpeedStream | None:
-    controllers = _controllers(messages)
+    controllers = controllers_of(messages)
     if not controllers:
         return None
     if order is None:
-        order = _order(source, _parameters(messages), vehicle)
+        order = _order(source, parameters_of(messages), vehicle)
     absent = [str(number + 1) for number in order.controllers if number not in controllers]
     if absent:
         note(source, f"topic rotor_speeds: left out, speed controllers {', '.join(absent)} are not logged")
@@ -218,7 +223,7 @@ def _speeds(logged: Messages) -> tuple[Stamps, Array]:
     return time_ns, rpm
 
 
-def _controllers(messages: dict[str, Messages]) -> dict[int, Messages]:
+def controllers_of(messages: dict[str, Messages]) -> dict[int, Messages]:
     """Records by number of the speed controller from 0 on; logs before 2021 have a name for each.
 
     Those on CAN had records of their own until 2020. Of two kinds the one with speeds is taken.
@@ -241,7 +246,7 @@ def _controllers(messages: dict[str, Messages]) -> dict[int, Messages]:
     return next(live, kinds[0] if kinds else {})
 
 
-def _parameters(messages: dict[str, Messages]) -> dict[str, float]:
+def parameters_of(messages: dict[str, Messages]) -> dict[str, float]:
     """As the flight began: a test may change the use of an output under way."""
     logged = messages.get("PARM")
     if logged is None or "Value" not in logged:

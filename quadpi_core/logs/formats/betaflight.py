@@ -59,7 +59,7 @@ def read_betaflight(path: Path, vehicle: Vehicle | None, order: RotorOrder | Non
         LogError: if it holds no frame, or no gyro and accelerometer.
         VehicleError: if it holds eRPM and the vehicle file does not give the pole pairs.
     """
-    source, flights = str(path), _decoded(path)
+    source, flights = str(path), decoded_flights(path)
     number = max(flights, key=lambda number: len(flights[number].columns["time"]))
     if len(flights) > 1:
         note(
@@ -76,7 +76,7 @@ def read_flight(path: Path, number: int, vehicle: Vehicle | None, order: RotorOr
     Raises:
         LogError: as there, and if no flight of that number can be read.
     """
-    flights = _decoded(path, number)
+    flights = decoded_flights(path, number)
     return _recording(f"{path}#{number}", f"{path.stem}_{number}", number, flights[number], vehicle, order)
 
 
@@ -90,19 +90,19 @@ def _recording(
 ) -> Recording:
     _note_damage(source, f"flight {number}", log)
     headers, columns = log.headers, log.columns
-    is_quadrotor = has_quadrotor(source, _airframe(log.fields))
-    imu = require_imu(source, _imu(source, headers, columns), "gyroADC and accSmooth")
+    is_quadrotor = has_quadrotor(source, airframe_of(log.fields))
+    imu = require_imu(source, imu_of(source, headers, columns), "gyroADC and accSmooth")
     return Recording(
         name=name,
         vehicle=vehicle.name if vehicle else "",
         source=source,
         imu=imu,
         rotor_speeds=_rotor_speeds(source, headers, columns, vehicle, order) if is_quadrotor else None,
-        pose=_pose(columns),
+        pose=pose_of(columns),
     )
 
 
-def _airframe(fields: Sequence[str]) -> Airframe | None:
+def airframe_of(fields: Sequence[str]) -> Airframe | None:
     """What has as many motors as are logged; a log without any does not say."""
     motors = sum(name.startswith("motor[") for name in fields)
     if motors in {1, 2}:
@@ -110,7 +110,9 @@ def _airframe(fields: Sequence[str]) -> Airframe | None:
     return Airframe.of_rotors(f"a log of {motors} motors", motors) if motors else None
 
 
-def _decoded(path: Path, wanted: int | None = None) -> dict[int, BlackboxLog]:
+def decoded_flights(
+    path: Path, wanted: int | None = None, fields: Sequence[str] = _FIELDS
+) -> dict[int, BlackboxLog]:
     """The flights of a file that hold frames, by their numbers from 1; only the wanted one if given."""
     source = str(path)
     data = path.read_bytes()
@@ -125,7 +127,7 @@ def _decoded(path: Path, wanted: int | None = None) -> dict[int, BlackboxLog]:
     found: dict[int, BlackboxLog] = {}
     for number in sorted(chosen):
         try:
-            log = decode_blackbox(flights[number], _FIELDS)
+            log = decode_blackbox(flights[number], fields)
         except LogError as error:
             note(source, f"flight {number}: {error}")
             continue
@@ -156,7 +158,8 @@ def _lost(iterations: Array) -> int:
     return int(np.sum(np.round(steps[steps > usual] / usual) - 1)) if usual > 0.0 else 0
 
 
-def _time_ns(columns: Mapping[str, Array]) -> Stamps:
+def stamps_in(columns: Mapping[str, Array]) -> Stamps:
+    """Stamps (N,) of the frames."""
     stamps: Stamps = np.round(columns["time"] * 1e3).astype(np.int64)
     return stamps
 
@@ -166,7 +169,12 @@ def _stacked(columns: Mapping[str, Array], names: Sequence[str]) -> Array:
     return np.stack([columns[name] for name in names], axis=1)
 
 
-def _imu(source: str, headers: Mapping[str, int], columns: Mapping[str, Array]) -> ImuStream | None:
+def imu_of(source: str, headers: Mapping[str, int], columns: Mapping[str, Array]) -> ImuStream | None:
+    """Gyro and accelerometer; None where they are not logged.
+
+    Raises:
+        LogError: where nothing says how many counts are one g.
+    """
     if not all(name in columns for name in (*_GYRO, *_ACCELERATION)):
         return None
     one_g = headers.get("acc_1G")
@@ -175,20 +183,20 @@ def _imu(source: str, headers: Mapping[str, int], columns: Mapping[str, Array]) 
     gyro = _stacked(columns, _GYRO) * _gyro_scale(headers)
     acceleration = _stacked(columns, _ACCELERATION) / one_g
     return ImuStream(
-        _time_ns(columns),
+        stamps_in(columns),
         body_flu_to_frd(np.radians(gyro)),
         body_flu_to_frd(acceleration * STANDARD_GRAVITY),
     )
 
 
-def _pose(columns: Mapping[str, Array]) -> PoseStream | None:
+def pose_of(columns: Mapping[str, Array]) -> PoseStream | None:
     """The poses of motion capture, each once: a frame repeats the one before until the next has come."""
     if not all(name in columns for name in (*_POSITION, *_ATTITUDE)):
         return None
     logged = 1e-3 * _stacked(columns, (*_POSITION, *_ATTITUDE))
     fresh = np.any(np.diff(logged, axis=0, prepend=0.0) != 0.0, axis=1)
     position, angles = logged[fresh, :3], logged[fresh, 3:]
-    pose = PoseStream(_time_ns(columns)[fresh], position, quaternion_from_roll_pitch_yaw(angles))
+    pose = PoseStream(stamps_in(columns)[fresh], position, quaternion_from_roll_pitch_yaw(angles))
     return pose if len(pose) else None
 
 
@@ -211,7 +219,7 @@ def _rotor_speeds(
     if all(name in columns for name in _OMEGA):
         order = order or RotorOrder.by_layout(vehicle, "betaflight")
         speeds = np.abs(_stacked(columns, [_OMEGA[number] for number in order.controllers]))
-        return RotorSpeedStream(_time_ns(columns), speeds)
+        return RotorSpeedStream(stamps_in(columns), speeds)
     if not all(name in columns for name in _ERPM):
         if headers.get("dshot_bidir") == 1:
             note(
@@ -222,7 +230,7 @@ def _rotor_speeds(
     if order is None:
         order = RotorOrder.by_layout(vehicle, "betaflight", ERPM)
     order = RotorOrder(order.controllers, order.unit or ERPM)
-    pole_pairs = _pole_pairs(source, headers, vehicle)
+    pole_pairs = pole_pairs_of(source, headers, vehicle)
     if vehicle is None and pole_pairs is None:
         note(source, "topic rotor_speeds: left out, electrical speeds need the vehicle's pole pairs")
         return None
@@ -230,10 +238,10 @@ def _rotor_speeds(
     if not np.any(erpm):
         note(source, f"topic rotor_speeds: left out, every eRPM is zero: {_NO_TELEMETRY}")
         return None
-    return RotorSpeedStream(_time_ns(columns), order.speeds(erpm, vehicle, pole_pairs))
+    return RotorSpeedStream(stamps_in(columns), order.speeds(erpm, vehicle, pole_pairs))
 
 
-def _pole_pairs(source: str, headers: Mapping[str, int], vehicle: Vehicle | None) -> int | None:
+def pole_pairs_of(source: str, headers: Mapping[str, int], vehicle: Vehicle | None) -> int | None:
     """Those that the flight controller was told; None where the log does not say."""
     poles = headers.get("motor_poles", 0)
     if poles <= 0 or poles % 2:
@@ -254,7 +262,7 @@ FORMAT = LogFormat(
     begins=lambda head: head.startswith(_MAGIC),
     suffixes=(".bbl", ".bfl"),
     load_mapping=RotorOrder.load,
-    flights=FlightsInFile(lambda path: list(_decoded(path)), read_flight),
+    flights=FlightsInFile(lambda path: list(decoded_flights(path)), read_flight),
     remedies={
         "imu": "`set blackbox_sample_rate = 1/1` logs every loop",
         "rotor_speeds": "`set blackbox_sample_rate = 1/1` logs every loop",

@@ -94,11 +94,11 @@ def read_px4(path: Path, vehicle: Vehicle | None, order: RotorOrder | None = Non
         LogError: if it is no ULog, or holds no IMU samples.
     """
     source = str(path)
-    log = _load(source, path)
+    log = load_ulog(source, path)
     # A log that is damaged may hold bytes in the place of a number.
     parameters = {n: float(v) for n, v in log.parameters.items() if isinstance(v, int | float)}
-    is_quadrotor = has_quadrotor(source, _airframe(parameters))
-    topics = _live_topics(source, log.instances)
+    is_quadrotor = has_quadrotor(source, airframe_of(parameters))
+    topics = live_topics(source, log.instances)
     imu = require_imu(source, _imu(topics.get("sensor_combined")), "sensor_combined")
     status = topics.get("esc_status") if is_quadrotor else None
     rotors = _rotor_speeds(source, status, parameters, vehicle, order)
@@ -116,7 +116,7 @@ def read_px4(path: Path, vehicle: Vehicle | None, order: RotorOrder | None = Non
     )
 
 
-def _airframe(parameters: Mapping[str, float]) -> Airframe | None:
+def airframe_of(parameters: Mapping[str, float]) -> Airframe | None:
     """What the airframe, its number of rotors or else the type that PX4 announces says of the vehicle."""
     airframe = int(parameters.get("CA_AIRFRAME", 0))
     if airframe in _AIRFRAMES:
@@ -128,7 +128,7 @@ def _airframe(parameters: Mapping[str, float]) -> Airframe | None:
     return Airframe.of_mav_type(f"MAV_TYPE {mav_type}", mav_type)
 
 
-def _live_topics(source: str, instances: Sequence[tuple[str, int, Columns]]) -> dict[str, Columns]:
+def live_topics(source: str, instances: Sequence[tuple[str, int, Columns]]) -> dict[str, Columns]:
     """Of each topic the first instance that measures: drivers publish empty ones beside it."""
     topics: dict[str, Columns] = {}
     measured: set[str] = set()
@@ -146,24 +146,26 @@ def _live_topics(source: str, instances: Sequence[tuple[str, int, Columns]]) -> 
     return topics
 
 
-class _Log(NamedTuple):
+class UlogContent(NamedTuple):
     """What pyulog makes of a file.
 
     Attributes:
         instances: name, number and columns of each instance of a topic.
         parameters: their first values, of any type.
+        information: what the file says of firmware and hardware, by name.
         damage: what pyulog printed of it; empty where it found none.
         drop_outs_s: how long each was.
     """
 
     instances: list[tuple[str, int, Columns]]
     parameters: dict[str, Any]
+    information: dict[str, Any]
     damage: str
     drop_outs_s: list[float]
 
 
-def _load(source: str, path: Path) -> _Log:
-    """The content of a file; a note says what is wrong with it.
+def load_ulog(source: str, path: Path, wanted: Sequence[str] = _TOPICS) -> UlogContent:
+    """The content of a file, of the wanted topics; a note says what is wrong with it.
 
     Raises:
         LogError: if pyulog makes nothing of it.
@@ -173,7 +175,7 @@ def _load(source: str, path: Path) -> _Log:
         if file.read(len(_MAGIC)) != _MAGIC:
             raise LogError(f"{source}: byte 0: not a ULog file")
     try:
-        log: _Log = next(read_apart(path.stat().st_size, _decoded, path))
+        log: UlogContent = next(read_apart(path.stat().st_size, _decoded, path, wanted))
     except LogError as error:
         raise LogError(f"{source}: {error}") from error
     if log.damage:
@@ -185,15 +187,16 @@ def _load(source: str, path: Path) -> _Log:
     return log
 
 
-def _decoded(path: Path) -> Iterator[_Log]:
+def _decoded(path: Path, wanted: Sequence[str]) -> Iterator[UlogContent]:
     with contextlib.redirect_stdout(io.StringIO()) as said:
-        log = require_library("pyulog", "logs").ULog(str(path), list(_TOPICS))
+        log = require_library("pyulog", "logs").ULog(str(path), list(wanted))
     damage = " ".join(said.getvalue().split())
     if log.file_corruption:
         damage = damage or "pyulog found damaged messages"
-    yield _Log(
+    yield UlogContent(
         [(data.name, int(data.multi_id), data.data) for data in log.data_list],
         log.initial_parameters,
+        log.msg_info_dict,
         damage,
         [1e-3 * dropout.duration for dropout in log.dropouts],
     )
