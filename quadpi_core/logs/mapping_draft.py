@@ -23,7 +23,7 @@ _MOCAP = r"(mocap|vicon|optitrack|vrpn|locsrv|extpos|extatt)"
 # Signals, how many columns each has, and what these are called in lower case, without unit, axis or number.
 # The first group that fits is taken: motion capture before a state. Of motors without rpm these are commands.
 _CALLED = (
-    ("rotor_speeds", 4, r"rpm|rotor|omega$|^(?!.*motor)(.*[\W_])?(m|esc)$"),
+    ("rotor_speeds", 4, r"rpm|rotor|omega$|^(?!.*(motor|pwm|cmd))(.*[\W_])?(m|esc)$"),
     ("wind", 3, "wind"),
     ("mocap_attitude", 4, _MOCAP),
     ("mocap_position", 3, _MOCAP),

@@ -1,0 +1,273 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Bags, tables and telemetry as a field log: what their readers make of them, and commands of tables.
+
+A table needs no mapping here where a bundled one names its columns, or where their names and numbers tell
+gyro and accelerometer; the page says which was taken.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from quadpi_core.errors import LogError, VehicleError
+from quadpi_core.field.field_log import FieldLog, Series, Setting, series_of
+from quadpi_core.flight import Recording
+from quadpi_core.frames import Array
+from quadpi_core.logs import decode_recording, identify_format, reading
+from quadpi_core.logs.formats import ros_bags, table_files
+from quadpi_core.logs.mapping import ERPM, Mapping
+from quadpi_core.logs.mapping_draft import mapping_draft
+from quadpi_core.logs.table_columns import Columns, bare_name, open_columns, stamps_of
+from quadpi_core.paths import config_directory, scratch_folder
+from quadpi_core.reading_options import ReadingOptions
+from quadpi_core.rotations import rotate_body_to_world
+from quadpi_core.vehicle import Vehicle
+
+_COMMAND = re.compile(
+    r"^(?!.*(rpm|thrust|curr|temp))(.*[\W_])?(motor|pwm|cmd|u|esc|m)[\W_]*m?([1-8])([\W_]*pwm)?$", re.I
+)
+_BATTERY = re.compile(r"(^|[\W_])(v_?bat|batt?(ery)?(_?v(olt(age)?)?)?|voltage)([\W_]?(m?v))?$", re.I)
+# Lowest and highest command in flight, and rest and full throttle: µs, share, percent, DShot, 16 bits.
+_SCALES = (
+    ((900.0, 2300.0), (1000.0, 2000.0)),
+    ((0.0, 1.001), (0.0, 1.0)),
+    ((0.0, 100.5), (0.0, 100.0)),
+    ((0.0, 2047.5), (48.0, 2047.0)),
+    ((0.0, 65535.5), (0.0, 65535.0)),
+)
+_ROTORS_FEWEST = 3
+
+
+def read_other(path: Path, options: ReadingOptions, vehicle: Vehicle | None) -> FieldLog:
+    """What a log of a format without a stack of its own holds.
+
+    Args:
+        path: of the log.
+        options: topics of a bag, or the mapping of a table.
+        vehicle: whose file the user gave, for electrical speeds; None without one.
+
+    Raises:
+        LogError: as its reader does.
+    """
+    log_format = identify_format(path)
+    notes: list[str] = []
+    columns, speeds_of = None, frozenset[str]()
+    if log_format is table_files.FORMAT:
+        columns = open_columns(path)
+        recording, said, speeds_of = _of_table(path, columns, options, vehicle)
+        notes += [said] if said else []
+    else:
+        if vehicle is None and log_format.container is not None:
+            vehicle = _named_vehicle(log_format.container.vehicle_name(path))
+        recording = decode_recording(path, vehicle, options)
+    start_ns = int(recording.imu.time_ns[0]) if len(recording.imu) else 0
+    commands, battery = (
+        (None, None) if columns is None else _of_columns(path, columns, start_ns, notes, speeds_of)
+    )
+    return _field_log(path, recording, start_ns, commands, battery, tuple(notes), log_format.description)
+
+
+def _named_vehicle(name: str) -> Vehicle | None:
+    """The vehicle that a bag names, or None if there is no such file."""
+    try:
+        return Vehicle.load(name) if name else None
+    except VehicleError:
+        return None
+
+
+def _field_log(
+    path: Path,
+    recording: Recording,
+    start_ns: int,
+    commands: Series | None,
+    battery: Series | None,
+    notes: tuple[str, ...],
+    stack: str,
+) -> FieldLog:
+    imu, odometry, pose, rotors = recording.imu, recording.odometry, recording.pose, recording.rotor_speeds
+    attitude = velocity = position = None
+    if odometry is not None and len(odometry):
+        attitude = series_of(odometry.time_ns, odometry.attitude, start_ns)
+        world = rotate_body_to_world(odometry.attitude, odometry.velocity)
+        velocity = series_of(odometry.time_ns, world, start_ns)
+        position = series_of(odometry.time_ns, odometry.position, start_ns)
+    elif pose is not None and len(pose):
+        attitude = series_of(pose.time_ns, pose.attitude, start_ns)
+        position = series_of(pose.time_ns, pose.position, start_ns)
+    if battery is None and recording.battery_v is not None:
+        battery = series_of(*recording.battery_v, start_ns)
+    speeds = (
+        None
+        if rotors is None or not np.any(rotors.speeds)
+        else series_of(rotors.time_ns, rotors.speeds, start_ns)
+    )
+    count = next((own.values.shape[1] for own in (commands, speeds) if own is not None), None)
+    return FieldLog(
+        name=path.stem,
+        source=str(path),
+        stack=re.split(r" \(| with |,", stack)[0],
+        frame="quadcopter" if count == 4 else "",
+        rotors=count,
+        imu=series_of(imu.time_ns, np.hstack([imu.angular_velocity, imu.specific_force]), start_ns),
+        attitude=attitude,
+        velocity=velocity,
+        position=position,
+        commands=commands,
+        rotor_speeds=speeds,
+        battery=battery,
+        facts={"vehicle": recording.vehicle} if recording.vehicle else {},
+        settings=tuple(_settings(recording, commands, stack)),
+        notes=(*notes, *recording.quality.sentences()),
+    )
+
+
+def _settings(recording: Recording, commands: Series | None, stack: str) -> list[Setting]:
+    is_bag = stack == ros_bags.FORMAT.description
+    settings = []
+    if recording.odometry is None and recording.pose is None:
+        settings.append(
+            Setting(
+                "odometry", "not in the log", "record the autopilot's odometry, or a pose", "drag and wind"
+            )
+        )
+    if recording.rotor_speeds is None:
+        settings.append(
+            Setting(
+                "rotor speeds",
+                "not in the log",
+                "record the speed controllers' telemetry, such as /fmu/out/esc_status or /mavros/esc_status"
+                if is_bag
+                else "log them",
+                "measured rotor speeds",
+            )
+        )
+    if commands is None and not is_bag:
+        settings.append(
+            Setting("motor commands", "not in the log", "log them", "hover throttle and saturation")
+        )
+    return settings
+
+
+def _of_table(
+    path: Path, columns: Columns, options: ReadingOptions, vehicle: Vehicle | None
+) -> tuple[Recording, str, frozenset[str]]:
+    """A table by the user's mapping, a bundled or a guessed one; which it was, and the columns of speeds."""
+    if options.mapping is not None:
+        return decode_recording(path, vehicle, options), "", _speeds_of(Mapping.load(options.mapping))
+    names = set(columns.names)
+    for file in sorted((config_directory() / "mappings").glob("*.yaml")):
+        try:
+            mapping = Mapping.load(file)
+        except LogError:
+            continue  # the rotor order of an autopilot
+        if {column for signal in mapping.signals.values() for column in signal.columns} <= names:
+            read, said = _by(path, mapping, vehicle)
+            return read, f"its columns are those of {file.name}{said}", _speeds_of(mapping)
+    draft = mapping_draft(columns)
+    if "?" in draft.partition("\n")[2]:  # what could not be guessed
+        raise LogError(
+            f"{path}: its columns do not tell gyro and accelerometer; name them as gyro_x, acc_x, or give a "
+            f"mapping (--mapping); it has {', '.join(columns.names)}"
+        )
+    with scratch_folder() as folder:
+        guessed = folder / "guessed.yaml"
+        guessed.write_text(draft + "\n")
+        mapping = Mapping.load(guessed)
+        recording, electrical = _by(path, mapping, vehicle)
+    said = "; ".join(line for line in draft.splitlines()[1:])
+    return (
+        recording,
+        f"its columns are guessed from names and numbers: {said}{electrical}",
+        _speeds_of(mapping),
+    )
+
+
+def _speeds_of(mapping: Mapping) -> frozenset[str]:
+    rotors = mapping.signals.get("rotor_speeds")
+    return frozenset(rotors.columns if rotors else ())
+
+
+def _by(path: Path, mapping: Mapping, vehicle: Vehicle | None) -> tuple[Recording, str]:
+    """A table by a mapping, electrical rotor speeds as they are where nothing says the poles; and that."""
+    rotors, said = mapping.signals.get("rotor_speeds"), ""
+    if rotors is not None and rotors.unit == ERPM and vehicle is None:
+        mapping = replace(mapping, signals=mapping.signals | {"rotor_speeds": replace(rotors, unit="rpm")})
+        said = "; rotor speeds are electrical, the poles of the motors times what they turn"
+    with reading(path):
+        return table_files.read_table(path, vehicle, mapping), said
+
+
+def _of_columns(
+    path: Path, columns: Columns, start_ns: int, notes: list[str], speeds_of: frozenset[str]
+) -> tuple[Series | None, Series | None]:
+    """Commands of the motors, and the battery, of a table's columns by their names."""
+    found: dict[str, dict[int, int]] = {}
+    numeric = columns.head()
+    battery = None
+    for place, name in enumerate(columns.names):
+        if place not in numeric or name in speeds_of or bare_name(name) in speeds_of:
+            continue
+        if match := _COMMAND.match(name):
+            stem = name[: match.start(4)]
+            found.setdefault(stem, {})[int(match[4])] = place
+        elif _BATTERY.search(name) and battery is None:
+            battery = place
+    motors = next(
+        (
+            own
+            for own in found.values()
+            if sorted(own) == list(range(1, len(own) + 1)) and len(own) >= _ROTORS_FEWEST
+        ),
+        {},
+    )
+    clock = _clock(columns, numeric)
+    if clock is None or not (motors or battery is not None):
+        return None, None
+    wanted = [motors[motor] for motor in sorted(motors)] + ([battery] if battery is not None else [])
+    read = columns.read(sorted({clock, *wanted}), clock)
+    time_ns = stamps_of(str(path), read[clock], None)
+    commands = None
+    if motors:
+        values = np.stack([read[place].astype(np.float64) for place in wanted[: len(motors)]], axis=1)
+        commands = _scaled(values, [columns.names[place] for place in wanted[: len(motors)]], notes)
+    volts = None
+    if battery is not None:
+        values = read[battery].astype(np.float64)
+        values = values * (1e-3 if np.nanmedian(values) > 100.0 else 1.0)
+        # No cell has less: what is below was not measured.
+        volts = series_of(time_ns, np.where(values > 2.0, values, np.nan), start_ns)
+    return None if commands is None else series_of(time_ns, commands, start_ns), volts
+
+
+def _clock(columns: Columns, numeric: Any) -> int | None:
+    wanted = re.compile(r"^(t|time(stamp)?|stamp|time_?(s|ms|us|ns|boot_ms|usec))$", re.I)
+    return next(
+        (
+            place
+            for place, name in enumerate(columns.names)
+            if place in numeric and wanted.match(name.strip("#% \t"))
+        ),
+        None,
+    )
+
+
+def _scaled(values: Array, names: Sequence[str], notes: list[str]) -> Array | None:
+    """Commands as shares of the range that their largest value tells; values beyond all ranges are none."""
+    turning = values[values > 0.0]
+    if not len(turning):
+        return None
+    usual = np.quantile(turning, [0.01, 0.99])
+    for (least, most), (low, high) in _SCALES:
+        if least <= usual[0] and usual[1] <= most:
+            notes.append(f"commands are {names[0]} to {names[-1]}, taken as {low:g} to {high:g}")
+            kept = np.where(values <= most, values, np.nan)
+            scaled: Array = np.clip((kept - low) / (high - low), 0.0, 1.0)
+            return scaled
+    return None

@@ -1,0 +1,243 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""ArduPilot: what a DataFlash log with default settings holds, and the parameters by which it holds more.
+
+Source: ardupilot.org, "Onboard Message Log Messages" and "Complete Parameter List", Copter 3.3 to 4.6.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from quadpi_core.field.field_log import FieldLog, Series, Setting, Stack, density_of, series_of
+from quadpi_core.logs.dataflash import Messages, decode_dataflash
+from quadpi_core.logs.formats.ardupilot import (
+    FORMAT,
+    airframe_of,
+    attitude_of,
+    controllers_of,
+    longest_boot,
+    motion_of,
+    parameters_of,
+)
+from quadpi_core.rotor_order import LAYOUTS
+
+_CLASSES = {
+    1: ("quadcopter", 4),
+    2: ("hexacopter", 6),
+    3: ("octocopter", 8),
+    4: ("coaxial octocopter", 8),
+} | {5: ("Y6", 6), 7: ("tricopter", 3), 12: ("dodecahexacopter", 12), 14: ("decacopter", 10)}
+_TYPES = {0: "plus", 1: "X", 2: "V", 3: "H", 12: "X of Betaflight", 13: "X, DJI order"}
+_LAYOUT = {(1, 1): "quad-x", (1, 3): "quad-x", (1, 12): "betaflight"}
+_FIRST_MOTOR_FUNCTION = 33
+_OUTPUTS = 14
+_PWM_US = (1000.0, 2000.0)
+# EV: a land detector's words, which autopilots since 2013 log.
+_LAND_COMPLETE, _NOT_LANDED = 18, 28
+_FAST_ATTITUDE, _FAST_IMU, _RAW_IMU = 1, 1 << 18, 1 << 19
+
+
+def read_ardupilot_field(path: Path, _number: int | None = None) -> FieldLog:
+    """What one log holds; see :class:`quadpi_core.field.field_log.FieldLog`.
+
+    Raises:
+        LogError: if it holds no record.
+    """
+    source = str(path)
+    log = decode_dataflash(source, path.read_bytes())
+    messages, quality = longest_boot(log.messages)
+    parameters = parameters_of(messages)
+    airframe = airframe_of(messages)
+    start_ns = min(
+        (int(own.time_ns()[0]) for own in messages.values() if own.holds() and len(own)), default=0
+    )
+    if "IMU" in messages and messages["IMU"].holds():
+        start_ns = int(messages["IMU"].time_ns()[0])
+
+    def read(kinds: str, *columns: str, scale: float = 1.0) -> Series | None:
+        for name in kinds.split():
+            logged = messages.get(name)
+            if logged is not None and logged.holds(*columns):
+                for instance in ("I", "Instance", "Inst"):
+                    logged = logged.where(instance, 0)
+                return series_of(logged.time_ns(), logged.stack(*columns) * scale, start_ns)
+        return None
+
+    frame_class, frame_type = (int(parameters.get(name, -1)) for name in ("FRAME_CLASS", "FRAME_TYPE"))
+    frame, rotors = _CLASSES.get(frame_class, ("", None))
+    if not frame and "ArduCopter" in " ".join(_texts(messages)):
+        # Until 2016 FRAME said the type alone, and each number of rotors had a firmware of its own.
+        frame_type = int(parameters.get("FRAME", -1))
+    commands, outputs = _commands(messages, parameters, rotors, start_ns)
+    if rotors is None and commands is not None:
+        rotors = commands.values.shape[1]
+    moved, attitude = motion_of(messages), attitude_of(source, messages)
+    speeds = _speeds(messages, outputs, start_ns)
+    baro = read("BARO", "Press", "Temp")
+    layout = _LAYOUT.get((frame_class, frame_type))
+    return FieldLog(
+        name=path.stem,
+        source=source,
+        stack="ArduPilot",
+        firmware=next((text for text in _texts(messages) if text.startswith(("Ardu", "Blimp"))), ""),
+        frame=" ".join(filter(None, (frame, _TYPES.get(frame_type, "")))),
+        rotors=rotors,
+        no_multirotor=f"{airframe.said} is {airframe.name}"
+        if airframe and not airframe.is_multicopter
+        else "",
+        imu=read("IMU", "GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ"),
+        attitude=None if attitude is None else series_of(*attitude, start_ns),
+        velocity=None if moved is None else series_of(moved[0], moved[2], start_ns),
+        position=None if moved is None else series_of(moved[0], moved[1], start_ns),
+        commands=commands,
+        rotor_speeds=speeds,
+        battery=read("BAT CURR", "Volt"),
+        landed=_landed(messages, start_ns),
+        density=None
+        if baro is None
+        else Series(baro.time, density_of(baro.values[:, :1], baro.values[:, 1:])),
+        corners=np.array(LAYOUTS[layout], dtype=np.float64) if layout else None,
+        facts=_facts(parameters),
+        parameters=parameters,
+        settings=tuple(_settings(parameters, speeds, messages)),
+        notes=tuple(quality.sentences()),
+    )
+
+
+def _texts(messages: Mapping[str, Messages]) -> list[str]:
+    return messages["MSG"].text("Message") if "MSG" in messages else []
+
+
+def _commands(
+    messages: Mapping[str, Messages], parameters: Mapping[str, float], rotors: int | None, start_ns: int
+) -> tuple[Series | None, list[int]]:
+    """Commands by motor number from RCOU, whose outputs SERVOn_FUNCTION names, and those outputs."""
+    logged = messages.get("RCOU")
+    if logged is None or not logged.holds():
+        return None, []
+    prefix = "C" if "C1" in logged else "Ch"
+    function = {
+        int(parameters.get(f"SERVO{output}_FUNCTION", 0)) - _FIRST_MOTOR_FUNCTION: output
+        for output in range(_OUTPUTS, 0, -1)
+    }
+    # The use of motors from 9 on has numbers of its own: 82 to 85.
+    function |= {number - 41: output for number, output in list(function.items()) if 49 <= number <= 52}
+    outputs = []
+    for motor in range(rotors or 4):
+        outputs.append(function.get(motor, motor + 1))
+    names = [f"{prefix}{output}" for output in outputs]
+    if not logged.holds(*names):
+        return None, []
+    pulses = logged.stack(*names)
+    low, high = _PWM_US
+    if parameters.get("MOT_PWM_MAX", 0.0) > parameters.get("MOT_PWM_MIN", 0.0) > 0.0:
+        low, high = parameters["MOT_PWM_MIN"], parameters["MOT_PWM_MAX"]
+    elif "SERVO1_FUNCTION" in parameters:
+        ends = [
+            (parameters.get(f"SERVO{one}_MIN", 0.0), parameters.get(f"SERVO{one}_MAX", 0.0))
+            for one in outputs
+        ]
+        low, high = max(ends) if all(end[1] > end[0] > 0.0 for end in ends) else (low, high)
+        # Without MOT_PWM_MIN the ends are those of the throttle channel, which the pulses of the log show.
+        low, high = (
+            min(low, float(pulses[pulses > 0].min(initial=low))),
+            max(high, float(pulses.max(initial=high))),
+        )
+    return series_of(logged.time_ns(), np.clip((pulses - low) / (high - low), 0.0, 1.0), start_ns), outputs
+
+
+def _speeds(messages: dict[str, Messages], outputs: list[int], start_ns: int) -> Series | None:
+    controllers = controllers_of(messages)
+    if not outputs or not all(output - 1 in controllers for output in outputs):
+        return None
+    series = [
+        series_of(own.time_ns(), own.column("RPM"), start_ns)
+        for own in (controllers[output - 1] for output in outputs)
+    ]
+    known = [one for one in series if one is not None]
+    if len(known) < len(series) or not any(np.any(one.values) for one in known):
+        return None
+    clock = max(known, key=len).time
+    together = np.hstack([one.at(clock) for one in known]) * (2.0 * np.pi / 60.0)
+    return series_of(np.round(clock * 1e9).astype(np.int64), together, 0)
+
+
+def _landed(messages: Mapping[str, Messages], start_ns: int) -> Series | None:
+    """What the land detector said, held until it said otherwise."""
+    logged, imu = messages.get("EV"), messages.get("IMU")
+    if logged is None or imu is None or not (logged.holds("Id") and imu.holds()):
+        return None
+    said = {_LAND_COMPLETE: 1.0, _NOT_LANDED: 0.0}
+    words = [
+        ((stamp - start_ns) * 1e-9, said[int(number)])
+        for stamp, number in zip(logged.time_ns().tolist(), logged.column("Id").tolist(), strict=True)
+        if int(number) in said
+    ]
+    if not words:
+        return None
+    ends = (imu.time_ns()[[0, -1]] - start_ns) * 1e-9
+    time, state = [float(ends[0])], [1.0 - words[0][1]]
+    for stamp, value in words:
+        time += [stamp - 1e-3, stamp]
+        state += [state[-1], value]
+    time.append(max(float(ends[1]), time[-1] + 1e-3))
+    state.append(state[-1])
+    return series_of(np.round(np.array(time) * 1e9).astype(np.int64), np.array(state), 0)
+
+
+def _facts(parameters: Mapping[str, float]) -> dict[str, str]:
+    names = {
+        "hover thrust": "MOT_THST_HOVER",
+        "thrust exponent": "MOT_THST_EXPO",
+        "poles": "SERVO_BLH_POLES",
+    }
+    return {key: f"{parameters[name]:.4g} ({name})" for key, name in names.items() if name in parameters}
+
+
+def _settings(
+    parameters: Mapping[str, float], speeds: Series | None, messages: Mapping[str, Messages]
+) -> Iterator[Setting]:
+    def present(name: str) -> str:
+        return f"{parameters[name]:g}" if name in parameters else "not in the log"
+
+    bits = int(parameters.get("LOG_BITMASK", 0))
+    if not bits & _FAST_ATTITUDE:
+        yield Setting(
+            "LOG_BITMASK",
+            present("LOG_BITMASK"),
+            f"set it to {bits | _FAST_ATTITUDE}",
+            "the state at the rate of the loop",
+        )
+    if not bits & (_FAST_IMU | _RAW_IMU):
+        yield Setting(
+            "LOG_BITMASK",
+            present("LOG_BITMASK"),
+            f"set it to {bits | _FAST_IMU} (Fast IMU)",
+            "gyro and accelerometer at the rate of the loop instead of 25 Hz",
+        )
+    if not int(parameters.get("INS_LOG_BAT_OPT", 0)) & 4 and "INS_LOG_BAT_OPT" in parameters:
+        yield Setting(
+            "INS_LOG_BAT_OPT",
+            present("INS_LOG_BAT_OPT"),
+            "set it to 4, and INS_LOG_BAT_MASK to 1",
+            "vibration before and after the filters",
+        )
+    if speeds is None:
+        yield Setting(
+            "SERVO_BLH_AUTO",
+            present("SERVO_BLH_AUTO"),
+            "set it to 1, with the telemetry wire on a port of SERIALn_PROTOCOL 16, or SERVO_BLH_BDMASK to "
+            "the outputs of bidirectional DShot",
+            "measured rotor speeds",
+        )
+    if "RCOU" not in messages:
+        yield Setting(
+            "LOG_BITMASK", present("LOG_BITMASK"), f"set it to {bits | 1 << 10} (RC output)", "commands"
+        )
+
+
+STACK = Stack(FORMAT, read_ardupilot_field)

@@ -1,0 +1,199 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Betaflight and INDIflight: what a Blackbox log holds, and the fields and settings by which it holds more.
+
+Source: Betaflight's blackbox.c, and the Blackbox log viewer for the units of the battery.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from quadpi_core.field.field_log import FieldLog, Setting, Stack, series_of
+from quadpi_core.frames import Array
+from quadpi_core.logs.blackbox import BlackboxLog
+from quadpi_core.logs.formats.betaflight import (
+    FORMAT,
+    decoded_flights,
+    imu_of,
+    pole_pairs_of,
+    pose_of,
+    stamps_in,
+)
+from quadpi_core.rotor_order import LAYOUTS
+
+_MOTORS = tuple(f"motor[{motor}]" for motor in range(8))
+_ERPM = tuple(f"eRPM[{motor}]" for motor in range(8))
+# Of INDIflight; the filter of the others delays them.
+_OMEGA = tuple(tuple(f"{name}[{motor}]" for motor in range(8)) for name in ("omegaUnfiltered", "omega"))
+_FIELDS = (
+    *("loopIteration", "time", "gyroADC[0]", "gyroADC[1]", "gyroADC[2]", "accSmooth[0]", "accSmooth[1]"),
+    *(
+        "accSmooth[2]",
+        "vbatLatest",
+        *_MOTORS,
+        *_ERPM,
+        *_OMEGA[0],
+        *_OMEGA[1],
+        "extPos[0]",
+        "extPos[1]",
+        "extPos[2]",
+    ),
+    *("extAtt[0]", "extAtt[1]", "extAtt[2]"),
+)
+_FRAMES = {3: "tricopter", 4: "quadcopter", 6: "hexacopter", 8: "octocopter"}
+_ERPM_PER_COUNT = 100.0
+
+
+def read_betaflight_field(path: Path, number: int | None = None) -> FieldLog:
+    """What one flight of a file holds, by its number or the longest; see :class:`.FieldLog`.
+
+    Raises:
+        LogError: if no frame can be read.
+    """
+    source = str(path) if number is None else f"{path}#{number}"
+    flights = decoded_flights(path, number, _FIELDS)
+    chosen = max(flights, key=lambda one: len(flights[one].columns["time"]))
+    log = flights[chosen]
+    columns, time_ns = log.columns, stamps_in(log.columns)
+    start_ns = int(time_ns[0])
+    motors = sum(name in columns for name in _MOTORS)
+    imu, pose = imu_of(source, log.headers, columns), pose_of(columns)
+    poles = pole_pairs_of(source, log.headers, None)
+    texts = log.texts
+    ranges = _range_of(texts)
+    speeds = _speeds(columns, motors, poles)
+    battery = None
+    if "vbatLatest" in columns and (scale := _battery_scale(texts)):
+        battery = series_of(time_ns, columns["vbatLatest"] * scale, start_ns)
+    pulses = (
+        np.stack([columns[name] for name in _MOTORS[:motors]], axis=1)
+        if motors
+        else np.empty((len(time_ns), 0))
+    )
+    several = (
+        f"holds {len(flights)} flights; read is the longest, number {chosen}" if len(flights) > 1 else ""
+    )
+    return FieldLog(
+        name=path.stem if number is None else f"{path.stem}_{number}",
+        source=source,
+        stack="INDIflight" if "ndiflight" in texts.get("Firmware revision", "") else "Betaflight",
+        firmware=" ".join(
+            filter(None, (texts.get("Firmware revision", ""), texts.get("Board information", "")))
+        ),
+        frame=_FRAMES.get(motors, ""),
+        rotors=motors or None,
+        no_multirotor=f"a log of {motors} motors is of no multicopter" if motors in {1, 2} else "",
+        imu=None
+        if imu is None
+        else series_of(time_ns, np.hstack([imu.angular_velocity, imu.specific_force]), start_ns),
+        attitude=None if pose is None else series_of(pose.time_ns, pose.attitude, start_ns),
+        position=None if pose is None else series_of(pose.time_ns, pose.position, start_ns),
+        commands=series_of(
+            time_ns, np.clip((pulses - ranges[0]) / (ranges[1] - ranges[0]), 0.0, 1.0), start_ns
+        )
+        if motors
+        else None,
+        rotor_speeds=None if speeds is None else series_of(time_ns, speeds, start_ns),
+        battery=battery,
+        corners=np.array(LAYOUTS["betaflight"], dtype=np.float64) if motors == 4 else None,
+        facts=_facts(texts),
+        parameters={name: float(value) for name, value in log.headers.items()},
+        settings=tuple(_settings(log, speeds is not None, motors, battery is not None)),
+        notes=tuple(
+            filter(None, (several, f"commands are the motor fields, taken as {ranges[0]:g} to {ranges[1]:g}"))
+        ),
+    )
+
+
+def _range_of(texts: Mapping[str, str]) -> tuple[float, float]:
+    """Outputs for rest and full throttle."""
+    for names in (("motorOutput",), ("minthrottle", "maxthrottle")):
+        found = [float(word) for name in names for word in texts.get(name, "").split(",") if word.isdecimal()]
+        if len(found) == 2 and found[1] > found[0]:
+            return found[0], found[1]
+    return 1000.0, 2000.0
+
+
+def _battery_scale(texts: Mapping[str, str]) -> float | None:
+    """Volts per count; None for firmwares that log what the converter reads."""
+    version = re.search(
+        r"(Betaflight|Indiflight|INAV) (\d+)\.(\d+)", texts.get("Firmware revision", ""), re.I
+    )
+    if version is None:
+        return None
+    number = (int(version[2]), int(version[3]))
+    if version[1].lower() != "betaflight" or number >= (4, 0):
+        return 0.01
+    return 0.1 if number >= (3, 1) else None
+
+
+def _speeds(columns: Mapping[str, Array], motors: int, pole_pairs: int | None) -> Array | None:
+    """Mechanical rad/s (N, R); None where none are logged, or only electrical ones of unknown poles."""
+    for names in _OMEGA:
+        if motors and all(name in columns for name in names[:motors]):
+            omega = np.stack([columns[name] for name in names[:motors]], axis=1)
+            return np.abs(omega) if np.any(omega) else None
+    if not motors or pole_pairs is None or not all(name in columns for name in _ERPM[:motors]):
+        return None
+    erpm = np.stack([columns[name] for name in _ERPM[:motors]], axis=1) * _ERPM_PER_COUNT
+    return np.abs(erpm) * (2.0 * np.pi / 60.0 / pole_pairs) if np.any(erpm) else None
+
+
+def _facts(texts: Mapping[str, str]) -> dict[str, str]:
+    names = {"craft": "Craft name", "poles": "motor_poles", "idle": "dshot_idle_value"}
+    return {key: f"{texts[name]} ({name})" for key, name in names.items() if texts.get(name)}
+
+
+def _settings(log: BlackboxLog, has_speeds: bool, motors: int, has_battery: bool) -> Iterator[Setting]:
+    disabled = f"fields_disabled_mask {log.headers.get('fields_disabled_mask', 0)}"
+    if not has_speeds:
+        if log.headers.get("dshot_bidir") == 1:
+            yield Setting(
+                "Blackbox field RPM",
+                f"not logged (dshot_bidir is 1, {disabled})",
+                "`set blackbox_disable_rpm = OFF`; before 4.5 update the firmware",
+                "measured rotor speeds",
+            )
+        else:
+            yield Setting(
+                "dshot_bidir",
+                str(log.headers.get("dshot_bidir", "not in the log")),
+                "`set dshot_bidir = ON`",
+                "measured rotor speeds",
+            )
+    if "accSmooth[0]" not in log.columns:
+        yield Setting(
+            "Blackbox field ACC",
+            f"not logged ({disabled})",
+            "`set blackbox_disable_acc = OFF`",
+            "thrust, drag and vibration",
+        )
+    if not motors:
+        yield Setting(
+            "Blackbox field MOTOR",
+            f"not logged ({disabled})",
+            "`set blackbox_disable_motors = OFF`",
+            "commands",
+        )
+    if not has_battery:
+        yield Setting(
+            "Blackbox field BATTERY",
+            f"not logged ({disabled})",
+            "`set blackbox_disable_bat = OFF`",
+            "motor speeds from commands",
+        )
+    if "extPos[0]" not in log.columns:
+        yield Setting(
+            "Blackbox field GPS",
+            "no attitude and velocity in the main frames",
+            "log attitude (`set blackbox_disable_attitude = OFF`); PX4 and ArduPilot log velocities",
+            "drag and wind",
+        )
+
+
+STACK = Stack(FORMAT, read_betaflight_field)

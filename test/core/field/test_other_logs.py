@@ -1,0 +1,89 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Tables without a mapping, and bags, as field logs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pyarrow", reason="pyarrow is not installed")
+from quadpi_core.errors import LogError
+from quadpi_core.field.other_logs import read_other
+from quadpi_core.paths import bags_directory
+from quadpi_core.reading_options import ReadingOptions
+
+SENSORS = (
+    "gyro_x [rad/s]",
+    "gyro_y [rad/s]",
+    "gyro_z [rad/s]",
+    "acc_x [m/s2]",
+    "acc_y [m/s2]",
+    "acc_z [m/s2]",
+)
+
+
+def table(path: Path, names: list[str], values: list[float]) -> Path:
+    """A table of 200 rows at 100 Hz, whose further columns hold these values throughout."""
+    rows = [[0.01 * row, 0.1, 0.2, 0.3, 0.0, 0.5, 9.8, *values] for row in range(200)]
+    lines = [
+        ",".join(("time", *SENSORS, *names)),
+        *(",".join(f"{value:.6g}" for value in row) for row in rows),
+    ]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def read(path: Path, **options):
+    return read_other(path, ReadingOptions(**options), None)
+
+
+def test_a_table_without_mapping_is_read_by_its_names(tmp_path):
+    names = ["pwm_m1", "pwm_m2", "pwm_m3", "pwm_m4", "vbat"]
+    log = read(table(tmp_path / "flight.csv", names, [10000.0, 20000.0, 30000.0, 65000.0, 3.7]))
+    assert log.commands.values[0] == pytest.approx(np.array([10000, 20000, 30000, 65000]) / 65535)
+    assert log.battery.values[0, 0] == pytest.approx(3.7)
+    assert log.imu.values[0] == pytest.approx([0.1, -0.2, -0.3, 0.0, -0.5, -9.8])
+    assert any("guessed from names" in note for note in log.notes)
+    assert any(note == "commands are pwm_m1 to pwm_m4, taken as 0 to 65535" for note in log.notes)
+
+
+@pytest.mark.parametrize(
+    ("value", "share"), [(0.4, 0.4), (40.0, 0.4), (848.0, 0.4002), (1400.0, 0.4), (26214.0, 0.4)]
+)
+def test_the_range_of_commands_is_told_by_their_size(tmp_path, value, share):
+    """Shares, per cent, DShot, pulses in µs, 16 bits."""
+    log = read(table(tmp_path / "flight.csv", [f"motor_{k}" for k in range(1, 7)], [value] * 6))
+    assert log.commands.values[0] == pytest.approx([share] * 6, abs=1e-3)
+    assert log.rotors == 6
+
+
+def test_rotor_speeds_are_no_commands(tmp_path):
+    log = read(table(tmp_path / "flight.csv", [f"rpm_{k}" for k in range(1, 5)], [12000.0] * 4))
+    assert log.commands is None
+    assert log.rotor_speeds.values[0] == pytest.approx([12000.0 * np.pi / 30.0] * 4)
+
+
+def test_electrical_speeds_without_poles_are_kept_as_they_are(tmp_path):
+    log = read(table(tmp_path / "flight.csv", [f"erpm_{k}" for k in range(1, 5)], [60000.0] * 4))
+    assert log.rotor_speeds.values[0] == pytest.approx([60000.0 * np.pi / 30.0] * 4)
+    assert any("electrical" in note for note in log.notes)
+
+
+def test_a_table_without_gyro_says_what_to_name(tmp_path):
+    path = tmp_path / "flight.csv"
+    path.write_text("time,altitude\n" + "".join(f"{0.01 * row},1.0\n" for row in range(50)))
+    with pytest.raises(
+        LogError, match=r"flight.csv: its columns do not tell gyro and accelerometer; .*altitude"
+    ):
+        read(path)
+
+
+def test_a_bag_names_its_vehicle():
+    log = read(bags_directory() / "interpolation.mcap")
+    assert log.facts["vehicle"] == "bebop2"
+    assert log.stack == "bag"
+    assert log.rotor_speeds.values.shape[1] == 4
+    assert log.attitude is not None
