@@ -1,0 +1,425 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Drag per mass in body x and y, and the wind, from specific force and the autopilot's own state.
+
+An accelerometer senses no gravity, and the thrust of a multirotor has no part along body x and y: what it
+reads there is drag over mass, its bias, and a tilt of its mounting. With linear drag, k in 1/s,
+
+    f_x = −k_x (Rᵀ(v − w))_x + b_x + e_x (f_z + g),        f_y likewise,
+
+where R turns body into world, v is the velocity over ground and w the wind, horizontal and slow. Neither
+rotor speeds nor mass are needed. Source: D. Abeywardena et al., Improved state estimation in quadrotor MAVs
+(IEEE RAM 2013), eqs. 5–7; PX4's drag_fusion.cpp for the split into momentum drag and bluff-body drag.
+
+The wind of each flight is a polygon over time whose steps are a random walk. All is solved together by
+Gauss–Newton; intervals leave out pieces of flight (see :mod:`quadpi_core.field.estimates`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from quadpi_core.field.airborne import Flown, velocity_of
+from quadpi_core.field.estimates import PIECES_FEWEST, Estimate, effective_pieces, jackknife, not_identified
+from quadpi_core.field.field_log import FieldLog
+from quadpi_core.frames import Array
+from quadpi_core.rotations import rotation_matrix
+from quadpi_core.sample_limits import STANDARD_GRAVITY
+from quadpi_core.thresholds import Threshold
+
+# Samples are means of the specific force over a fifth of a second: no state comes less often, and vibration
+# and the lever arm of the IMU average out.
+_STEP_S = 0.2
+# Standard air (ISO 2533) [kg/m³]; coefficients are given at it.
+STANDARD_DENSITY = 1.225
+PIECE_S = Threshold(
+    "shortest and longest pieces that intervals leave out; a tenth of the flights lies between",
+    (3.0, 10.0),
+    "s",
+    "gusts at 2 to 50 m of height are correlated for 1 to 10 s at 5 m/s and more (Dryden, MIL-F-8785C)",
+    "simulated windy flights of seeds below 100, other than those whose coverage is counted",
+)
+USABLE_SPEED = Threshold(
+    "speed over ground from which a sample tells of drag",
+    0.5,
+    "m/s",
+    "at less, an estimated velocity errs by as much as it says",
+    "default logs of PX4 and ArduPilot: GPS velocity errs by 0.1 to 0.3 m/s",
+)
+USABLE_FEWEST = Threshold(
+    "usable samples below which no drag is told",
+    50,
+    "samples",
+    "of a fifth of a second: ten seconds, a pass there and back; logs of 12 and 38 gave drag of either sign",
+    "the default logs named in the brief of this report",
+)
+# What is known before: bias of an accelerometer with the tilt of its mounting [m/s²], wind [m/s], its change
+# in the square root of a second [m/s], lean of the mounting [rad].
+_BIAS, _WIND, _WALK, _LEAN = 0.5, 6.0, 0.3, 0.05
+_KNOTS_S = 10.0
+_ITERATIONS = 12
+
+
+@dataclass(frozen=True)
+class DragSamples:
+    """Samples (N,) of one flight, a fifth of a second apart where it was in the air.
+
+    Attributes:
+        time: s.
+        piece: (N,) the piece of flight of each.
+        force: (N, 3) m/s² body.
+        velocity: (N, 3) m/s over ground, world.
+        turn: (N, 3, 3) body to world.
+        density: kg/m³, of the air.
+    """
+
+    time: Array
+    piece: Array
+    force: Array
+    velocity: Array
+    turn: Array
+    density: float
+
+    @property
+    def body_velocity(self) -> Array:
+        """Velocity over ground (N, 3) in body axes."""
+        body: Array = np.einsum("nji,nj->ni", self.turn, self.velocity)
+        return body
+
+
+@dataclass(frozen=True)
+class DragResult:
+    """Drag and wind of one vehicle.
+
+    Attributes:
+        per_mass: drag over mass and airspeed along x and y, 1/s, best for the speeds flown.
+        wind: of each flight: north and east, m/s, mean over the flight.
+        fitted: share of the variance of f_x, f_y that drag explains; NaN where nothing was fitted.
+        speed: 5 and 95 % quantile of the airspeed, m/s.
+        usable: number of usable samples.
+        by_flight: whether intervals leave out flights; else pieces of these, and flights to come may differ.
+        momentum, ballistic: EKF2_MCOEF in 1/s; EKF2_BCOEF_X and _Y in kg/m², at standard density.
+        advice: what to fly next; empty where nothing is lacking.
+    """
+
+    per_mass: tuple[Estimate, Estimate]
+    wind: tuple[tuple[Estimate, Estimate], ...]
+    fitted: tuple[float, float]
+    speed: tuple[float, float]
+    usable: int
+    by_flight: bool
+    momentum: Estimate
+    ballistic: tuple[Estimate, Estimate]
+    advice: str
+
+
+def piece_length_s(airborne_s: float) -> float:
+    """Length of the pieces that intervals leave out, of flights that were so long in the air together."""
+    return float(np.clip(0.1 * airborne_s, PIECE_S.value[0], PIECE_S.value[1]))
+
+
+def drag_samples(log: FieldLog, flight: Flown, piece_s: float) -> DragSamples | str:
+    """The samples of a flight that tell of drag, or what the log lacks for them.
+
+    Args:
+        log: of the flight.
+        flight: when it was in the air.
+        piece_s: see :func:`piece_length_s`.
+    """
+    velocity = velocity_of(log)
+    if log.imu is None or log.attitude is None or velocity is None:
+        lacking = [
+            name
+            for name, series in (
+                ("specific force", log.imu),
+                ("attitude", log.attitude),
+                ("velocity", velocity),
+            )
+            if series is None
+        ]
+        return f"the log has no {' and no '.join(lacking)}"
+    times, pieces, forces = [], [], []
+    count = 0
+    for one in flight.stretches:
+        edges = np.arange(one.begin, one.end, _STEP_S)
+        if len(edges) < 2:
+            continue
+        middle = 0.5 * (edges[1:] + edges[:-1])
+        forces.append(log.imu.filled_means(edges)[:, 3:])
+        times.append(middle)
+        parts = max(1, round(one.duration_s / piece_s))
+        place = np.minimum((parts * np.arange(len(middle))) // len(middle), parts - 1)
+        pieces.append(count + place)
+        count += parts
+    if not times:
+        return "the flight is too short"
+    time = np.concatenate(times)
+    moving, attitude, force = velocity.at(time), log.attitude.at(time), np.concatenate(forces)
+    length = np.linalg.norm(attitude, axis=1, keepdims=True)
+    good = np.isfinite(np.hstack([moving, attitude, force])).all(axis=1) & (length[:, 0] > 0.5)
+    if not good.any():
+        return "specific force, attitude and velocity do not overlap"
+    unit = attitude[good] / length[good]
+    air = STANDARD_DENSITY if log.density is None else float(np.median(log.density.values))
+    return DragSamples(
+        time[good],
+        np.concatenate(pieces)[good].astype(np.int64),
+        force[good],
+        moving[good],
+        rotation_matrix(unit),
+        air,
+    )
+
+
+class _Fit:
+    """The joint problem of several flights: drag of the vehicle, wind and bias of each flight.
+
+    Attributes:
+        theta: (P,) drag parameters first.
+        pieces: (B,) numbers of the pieces with samples.
+    """
+
+    def __init__(self, flights: Sequence[DragSamples], *, quadratic: bool) -> None:
+        self.flights = flights
+        self.drags = 3 if quadratic else 2
+        self.quadratic = quadratic
+        self.layout: list[tuple[int, Array]] = []
+        place = self.drags
+        for one in flights:
+            span = one.time[-1] - one.time[0]
+            knots = np.linspace(one.time[0], one.time[-1], max(2, round(span / _KNOTS_S) + 1))
+            self.layout.append((place, knots))
+            place += 4 + 2 * len(knots)
+        self.theta = np.zeros(place)
+        # No drag leaves the wind without an effect: begin at that of a usual vehicle.
+        self.theta[: self.drags] = [0.15, 0.005, 0.005] if quadratic else [0.3, 0.3]
+        self.prior, self.scale = self._prior(), np.array([0.3, 0.3])
+        self._solve()
+
+    def _prior(self) -> Array:
+        prior = np.zeros((len(self.theta), len(self.theta)))
+        for place, knots in self.layout:
+            prior[range(place, place + 4), range(place, place + 4)] = np.repeat([_BIAS**-2, _LEAN**-2], 2)
+            for axis in range(2):
+                own = place + 4 + axis * len(knots) + np.arange(len(knots))
+                prior[own, own] += _WIND**-2 / len(knots)
+                step = 1.0 / (_WALK**2 * np.diff(knots))
+                np.add.at(prior, (own[1:], own[1:]), step)
+                np.add.at(prior, (own[:-1], own[:-1]), step)
+                np.add.at(prior, (own[1:], own[:-1]), -step)
+                np.add.at(prior, (own[:-1], own[1:]), -step)
+        return prior
+
+    def _weights(self, flight: int) -> Array:
+        """Shares (N, K) of the knots of the wind at each sample."""
+        one, (_, knots) = self.flights[flight], self.layout[flight]
+        after = np.clip(np.searchsorted(knots, one.time), 1, len(knots) - 1)
+        share = np.clip(
+            (one.time - knots[after - 1]) / np.maximum(knots[after] - knots[after - 1], 1e-9), 0.0, 1.0
+        )
+        weights = np.zeros((len(one.time), len(knots)))
+        rows = np.arange(len(one.time))
+        weights[rows, after - 1], weights[rows, after] = 1.0 - share, share
+        return weights
+
+    def residuals(self, flight: int) -> tuple[Array, Array, Array]:
+        """Residuals (N, 2) in m/s², their slopes (N, 2, P), and the airspeed (N, 3) in body axes."""
+        one, (place, knots), theta = self.flights[flight], self.layout[flight], self.theta
+        weights, count = self._weights(flight), len(knots)
+        winds = np.stack([theta[place + 4 + axis * count + np.arange(count)] for axis in range(2)], axis=1)
+        air = one.velocity.copy()
+        air[:, :2] -= weights @ winds
+        body = np.einsum("nji,nj->ni", one.turn, air)
+        speed = np.linalg.norm(body, axis=1)
+        slopes = np.zeros((len(body), 2, len(theta)))
+        residuals = np.empty((len(body), 2))
+        thrust = one.force[:, 2] + STANDARD_GRAVITY
+        for axis in range(2):
+            if self.quadratic:
+                # EKF2: −(MCOEF √(ρ/ρ0) + ½ ρ |v| / BCOEF) v.
+                linear, square = np.sqrt(one.density / STANDARD_DENSITY), 0.5 * one.density * speed
+                gain = theta[0] * linear + theta[1 + axis] * square
+                slopes[:, axis, 0] = linear * body[:, axis]
+                slopes[:, axis, 1 + axis] = square * body[:, axis]
+            else:
+                gain = np.full(len(body), theta[axis])
+                slopes[:, axis, axis] = body[:, axis]
+            bias, lean = theta[place + axis], theta[place + 2 + axis]
+            residuals[:, axis] = one.force[:, axis] + gain * body[:, axis] - bias - lean * thrust
+            slopes[:, axis, place + axis], slopes[:, axis, place + 2 + axis] = -1.0, -thrust
+            for world in range(2):
+                own = place + 4 + world * count + np.arange(count)
+                slopes[:, axis, own] = -(gain * one.turn[:, world, axis])[:, np.newaxis] * weights
+        return residuals, slopes, body
+
+    def normal(self) -> tuple[list[Array], list[Array]]:
+        """Information (P, P) and gradient (P,) of each piece of flight."""
+        information, gradient = [], []
+        for flight, one in enumerate(self.flights):
+            residuals, slopes, _ = self.residuals(flight)
+            slopes, scaled = slopes / self.scale[:, np.newaxis], residuals / self.scale
+            for piece in np.unique(one.piece):
+                rows = one.piece == piece
+                flat = slopes[rows].reshape(-1, len(self.theta))
+                information.append(flat.T @ flat)
+                gradient.append(flat.T @ scaled[rows].ravel())
+        return information, gradient
+
+    def _solve(self) -> None:
+        for _ in range(_ITERATIONS):
+            information, gradient = self.normal()
+            whole = np.sum(information, axis=0) + self.prior
+            step = np.linalg.solve(whole, np.sum(gradient, axis=0) + self.prior @ self.theta)
+            self.theta = self.theta - step
+            # Drag that turns up slightly negative would flip the wind on the way.
+            self.theta[: self.drags] = np.maximum(self.theta[: self.drags], -0.5)
+            together = np.vstack([self.residuals(flight)[0] for flight in range(len(self.flights))])
+            # Of autocorrelated samples fewer count: a second's worth each.
+            self.scale = np.sqrt(np.mean(together**2, axis=0) / _STEP_S) + 1e-6
+            if np.abs(step[: self.drags]).max() < 1e-7:
+                break
+
+    def intervals(self) -> tuple[Array, Array, Array]:
+        """Drag parameters and mean wind, north and east, of each flight (M,), and ends of intervals (M, 2).
+
+        Also the number (D,) of pieces that would share the information on each drag parameter evenly.
+        """
+        information, gradient = self.normal()
+        whole = np.sum(information, axis=0) + self.prior
+        pull = np.sum(gradient, axis=0) + self.prior @ self.theta
+        # One Newton step leaves out each piece.
+        without = np.array(
+            [
+                self.theta - np.linalg.solve(whole - own, pull - force)
+                for own, force in zip(information, gradient, strict=True)
+            ]
+        )
+        wanted = np.zeros((self.drags + 2 * len(self.layout), len(self.theta)))
+        wanted[range(self.drags), range(self.drags)] = 1.0
+        for flight, (place, knots) in enumerate(self.layout):
+            for axis in range(2):
+                own = place + 4 + axis * len(knots) + np.arange(len(knots))
+                wanted[self.drags + 2 * flight + axis, own] = 1.0 / len(knots)
+        told = np.array([np.diag(own)[: self.drags] for own in information])
+        share = np.hstack([told, np.ones((len(told), len(wanted) - self.drags))])
+        value = wanted @ self.theta
+        _, high = jackknife(value, without @ wanted.T, share)
+        # Of the wind the pieces tell what the data do, and the information what was known before.
+        known = np.einsum("mp,pm->m", wanted, np.linalg.solve(whole, wanted.T))
+        half = np.hypot(high - value, 2.0 * np.sqrt(known))
+        half[: self.drags] = (high - value)[: self.drags]
+        return value, np.stack([value - half, value + half], axis=1), effective_pieces(told)
+
+
+def identify_drag(flights: Sequence[DragSamples]) -> DragResult:
+    """Drag per mass of one vehicle from its flights, with the wind of each.
+
+    With enough flights, intervals leave out flights rather than pieces of them, and hold for flights to come.
+    """
+    by_flight = len(flights) >= PIECES_FEWEST.value
+    if by_flight:
+        flights = [replace(one, piece=np.zeros_like(one.piece)) for one in flights]
+    body = np.vstack([one.body_velocity[:, :2] for one in flights])
+    usable = int(np.sum(np.hypot(body[:, 0], body[:, 1]) >= USABLE_SPEED.value))
+    pieces = sum(len(np.unique(one.piece)) for one in flights)
+    speeds = np.hypot(body[:, 0], body[:, 1])
+    ends = (float(np.quantile(speeds, 0.05)), float(np.quantile(speeds, 0.95)))
+    if usable < USABLE_FEWEST.value or pieces < PIECES_FEWEST.value:
+        said = (
+            f"too slow, {usable} usable samples of {len(body)}: fly at 5 m/s or more"
+            if usable < min(USABLE_FEWEST.value, 0.5 * len(body))
+            else f"too short, {len(body) * _STEP_S:.0f} s in the air"
+        )
+        advice = "fly to and fro along the nose, then sideways, at 5 m/s or more, for a minute each"
+        none = not_identified("1/s", said)
+        coefficient = not_identified("kg/m²", said)
+        return DragResult(
+            (none, none),
+            (),
+            (np.nan, np.nan),
+            ends,
+            usable,
+            by_flight,
+            none,
+            (coefficient, coefficient),
+            advice,
+        )
+    linear = _Fit(flights, quadratic=False)
+    value, ends_of, effective = linear.intervals()
+    per_mass = tuple(_drag_estimate(value[axis], ends_of[axis], "1/s", effective[axis]) for axis in range(2))
+    winds = [_wind_estimate(one, *own) for one, own in zip(value[2:], ends_of[2:], strict=True)]
+    momentum, ballistic = _coefficients(flights)
+    air = np.vstack([linear.residuals(flight)[2][:, :2] for flight in range(len(flights))])
+    return DragResult(
+        per_mass=(per_mass[0], per_mass[1]),
+        wind=tuple(zip(winds[::2], winds[1::2], strict=True)),
+        fitted=_fitted(linear),
+        speed=(float(np.quantile(np.hypot(*air.T), 0.05)), float(np.quantile(np.hypot(*air.T), 0.95))),
+        usable=usable,
+        by_flight=by_flight,
+        momentum=momentum,
+        ballistic=ballistic,
+        advice=_advice(per_mass, body, usable),
+    )
+
+
+def _drag_estimate(value: float, ends: Array, unit: str, pieces: float = np.inf) -> Estimate:
+    low, high = map(float, ends)
+    if pieces < 0.5 * PIECES_FEWEST.value:
+        return not_identified(unit, "one short pass tells it all")
+    if low <= 0.0:
+        return not_identified(unit, f"its interval {low:.2g} to {high:.2g} holds 0", low, high)
+    return Estimate(float(value), low, high, unit)
+
+
+def _wind_estimate(value: float, low: float, high: float) -> Estimate:
+    if high - low > _WIND:
+        return not_identified("m/s", "the heading hardly changed", float(low), float(high))
+    return Estimate(float(value), float(low), float(high), "m/s")
+
+
+def _fitted(fit: _Fit) -> tuple[float, float]:
+    left = np.vstack([fit.residuals(flight)[0] for flight in range(len(fit.flights))])
+    force = np.vstack([one.force[:, :2] - one.force[:, :2].mean(axis=0) for one in fit.flights])
+    shares = 1.0 - np.mean(left**2, axis=0) / np.maximum(np.mean(force**2, axis=0), 1e-12)
+    return float(shares[0]), float(shares[1])
+
+
+def _coefficients(flights: Sequence[DragSamples]) -> tuple[Estimate, tuple[Estimate, Estimate]]:
+    """EKF2_MCOEF, and EKF2_BCOEF_X and _Y with the ends of their inverses."""
+    fit = _Fit(flights, quadratic=True)
+    values, ends_of, _ = fit.intervals()
+    ballistic = []
+    for axis in range(2):
+        value, ends = values[1 + axis], ends_of[1 + axis]
+        if ends[0] <= 0.0:
+            said = "drag that grows with the square of speed is within its error: fly faster"
+            ballistic.append(not_identified("kg/m²", said))
+        else:
+            ballistic.append(
+                Estimate(float(1.0 / value), float(1.0 / ends[1]), float(1.0 / ends[0]), "kg/m²")
+            )
+    momentum = _drag_estimate(values[0], ends_of[0], "1/s")
+    return momentum, (ballistic[0], ballistic[1])
+
+
+def _advice(per_mass: Sequence[Estimate], body: Array, usable: int) -> str:
+    """The flight that would narrow the wider of both intervals to a tenth of the value."""
+    widths = []
+    for one in per_mass:
+        half = one.half_width
+        middle = None if one.low is None or one.high is None else 0.5 * abs(one.low + one.high)
+        widths.append(np.inf if half is None or not middle else half / middle)
+    axis = int(np.argmax(widths))
+    goal = 0.1
+    if widths[axis] <= goal:
+        return ""
+    spread = float(np.std(body[:, axis]))
+    speed = max(5.0, float(np.quantile(np.abs(body[:, axis]), 0.95)))
+    # The error falls with the square root of time, and with the spread of the speed.
+    seconds = usable * _STEP_S * min(widths[axis] / goal, 10.0) ** 2 * min(1.0, (spread / (0.7 * speed)) ** 2)
+    way = ("to and fro along the nose", "sideways to and fro")[axis]
+    return f"fly {way} at {speed:.0f} m/s for {max(30.0, min(seconds, 600.0)):.0f} s"

@@ -1,0 +1,280 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The report of flights as logged: what was flown, what the logs tell of the vehicles, what they lack."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from quadpi_core.errors import QuadpiError
+from quadpi_core.field.airborne import Flown, flown
+from quadpi_core.field.drag import DragResult, drag_samples, identify_drag, piece_length_s
+from quadpi_core.field.field_log import FieldLog
+from quadpi_core.field.field_reading import read_field_log
+from quadpi_core.field.motor_model import MotorModel, Tachometers, motor_model, tachometers
+from quadpi_core.field.motor_use import (
+    BATTERY_DRIFT,
+    IMBALANCE,
+    SATURATED,
+    VIBRATION,
+    MotorUse,
+    Vibration,
+    motor_use,
+    vibration_of,
+)
+from quadpi_core.flight_files import FlightLeftOut, NoFlightLeftError, named_files
+from quadpi_core.reading_options import ReadingOptions
+from quadpi_core.vehicle import Vehicle
+from quadpi_core.version import __version__
+
+WARNING, ALARM = "warning", "alarm"
+# Of `report.json`; it grows where a key goes or changes its meaning.
+FORMAT = 1
+# A rotor that turns as slowly as this share of the others does not carry its quarter: its tachometer is dead.
+SILENT_SHARE = 0.1
+
+
+@dataclass(frozen=True)
+class Remark:
+    """Something that looks wrong: a warning or an alarm, and a sentence."""
+
+    level: str
+    said: str
+
+
+@dataclass(frozen=True)
+class FlightReport:
+    """What one log tells; in place of what it does not tell stands why.
+
+    Attributes:
+        name: of the flight.
+        log: as read.
+        flown: what was flown.
+        use: of the motors and the battery.
+        vibration: of the body.
+        tachometers: rotor speeds against commands.
+        remarks: what looks wrong.
+    """
+
+    name: str
+    log: FieldLog
+    flown: Flown
+    use: MotorUse
+    vibration: Vibration | str
+    tachometers: Tachometers | str
+    remarks: tuple[Remark, ...]
+
+
+@dataclass(frozen=True)
+class VehicleReport:
+    """What all flights of one airframe tell together.
+
+    Attributes:
+        name: stack and frame.
+        flights: by name.
+        drag: per mass, with the wind of each of `windy`; or why there is none.
+        windy: flights that it was identified on.
+        motors: rotor speed from command and battery.
+    """
+
+    name: str
+    flights: tuple[str, ...]
+    drag: DragResult | str
+    windy: tuple[str, ...]
+    motors: MotorModel | str
+
+
+@dataclass(frozen=True)
+class FieldReport:
+    """The report of one call.
+
+    Attributes:
+        flights: by log.
+        vehicles: by airframe.
+        mass: kg, as the user gave it; None where not.
+        left_out: logs that gave no report.
+    """
+
+    flights: tuple[FlightReport, ...]
+    vehicles: tuple[VehicleReport, ...]
+    mass: float | None
+    left_out: tuple[FlightLeftOut, ...]
+
+    @property
+    def alarmed(self) -> bool:
+        """Whether any flight has an alarm."""
+        return any(remark.level == ALARM for flight in self.flights for remark in flight.remarks)
+
+    def verdict(self) -> str:
+        """The report in a sentence."""
+        seconds = sum(flight.flown.airborne_s for flight in self.flights)
+        count = len(self.flights)
+        parts = [f"{count} flight{'s' * (count > 1)}, {seconds:.0f} s in the air"]
+        for vehicle in self.vehicles[:1]:
+            if isinstance(vehicle.drag, DragResult) and vehicle.drag.per_mass[0].value is not None:
+                parts.append(f"drag {vehicle.drag.per_mass[0].value:.2f} 1/s along the nose")
+        if len(self.vehicles) > 1:
+            parts.append(f"{len(self.vehicles)} airframes, each by itself")
+        alarms = [remark for flight in self.flights for remark in flight.remarks if remark.level == ALARM]
+        warnings = sum(len(flight.remarks) for flight in self.flights) - len(alarms)
+        parts.append(alarms[0].said if alarms else f"{warnings} warning{'s' * (warnings != 1)}, no alarm")
+        return "; ".join(parts) + "."
+
+    def to_json(self) -> dict[str, Any]:
+        """The content of `report.json`; docs/report.md says what the keys mean."""
+        content: dict[str, Any] = _plain(
+            {
+                "format": FORMAT,
+                "quadpi": __version__,
+                "verdict": self.verdict(),
+                "alarm": self.alarmed,
+                "mass_kg": self.mass,
+                "vehicles": [
+                    {
+                        "name": vehicle.name,
+                        "flights": vehicle.flights,
+                        "drag": _told(vehicle.drag),
+                        "wind_of": vehicle.windy,
+                        "motor_model": _told(vehicle.motors),
+                    }
+                    for vehicle in self.vehicles
+                ],
+                "flights": [_of_flight(flight) for flight in self.flights],
+                "left_out": [asdict(one) for one in self.left_out],
+            }
+        )
+        return content
+
+
+def _of_flight(flight: FlightReport) -> dict[str, Any]:
+    log = flight.log
+    return {
+        "name": flight.name,
+        "file": log.source,
+        "stack": log.stack,
+        "firmware": log.firmware,
+        "frame": log.frame,
+        "rotors": log.rotors,
+        "facts": log.facts,
+        "topics": {name: {"samples": len(own), "rate_hz": own.rate_hz} for name, own in log.series().items()},
+        "flown": asdict(flight.flown),
+        "motors": asdict(flight.use),
+        "vibration": _told(flight.vibration),
+        "tachometers": _told(flight.tachometers),
+        "remarks": [asdict(remark) for remark in flight.remarks],
+        "settings": [one._asdict() for one in log.settings],
+        "notes": log.notes,
+    }
+
+
+def _told(part: Any) -> dict[str, Any]:
+    """A result, or the sentence that says why there is none."""
+    return {"said": part} if isinstance(part, str) else asdict(part)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _plain(own) for key, own in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(own) for own in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value
+
+
+def report_on(
+    paths: Sequence[Path],
+    options: ReadingOptions,
+    vehicle: Vehicle | None = None,
+    mass: float | None = None,
+) -> FieldReport:
+    """Report on logs; those that hold no flight of a multirotor are left out.
+
+    Args:
+        paths: of the logs.
+        options: topics of bags, mapping of tables.
+        vehicle: of the user's file, for electrical rotor speeds; None without one.
+        mass: kg; None where it is not known.
+
+    Raises:
+        NoFlightLeftError: if none is left, naming each.
+    """
+    flights: list[FlightReport] = []
+    left_out: list[FlightLeftOut] = []
+    for file in named_files(paths):
+        try:
+            log = replace(read_field_log(file.path, options, vehicle), name=file.name)
+            flights.append(_flight_report(log))
+        except QuadpiError as error:
+            left_out.append(FlightLeftOut(file.name, str(file.path), str(error)))
+    if not flights:
+        raise NoFlightLeftError("; ".join(one.reason for one in left_out))
+    return FieldReport(tuple(flights), tuple(_vehicles(flights)), mass, tuple(left_out))
+
+
+def _flight_report(log: FieldLog) -> FlightReport:
+    flight = flown(log)
+    use, vibration, read = motor_use(log, flight), vibration_of(log, flight), tachometers(log, flight)
+    remarks = tuple(_remarks(log, use, vibration, read))
+    return FlightReport(log.name, log, flight, use, vibration, read, remarks)
+
+
+def _vehicles(flights: Sequence[FlightReport]) -> Iterator[VehicleReport]:
+    airframes: dict[tuple[object, ...], list[FlightReport]] = {}
+    for flight in flights:
+        log = flight.log
+        key = (log.stack, log.frame, log.rotors, log.facts.get("board"), log.facts.get("airframe"))
+        airframes.setdefault(key, []).append(flight)
+    for own in airframes.values():
+        log = own[0].log
+        name = " ".join(filter(None, (log.stack, log.frame)))
+        length = piece_length_s(sum(flight.flown.airborne_s for flight in own))
+        found = {flight.name: drag_samples(flight.log, flight.flown, length) for flight in own}
+        samples = {key: one for key, one in found.items() if not isinstance(one, str)}
+        names = tuple(flight.name for flight in own)
+        drag = identify_drag(list(samples.values())) if samples else str(next(iter(found.values())))
+        # Tachometers that count otherwise would spoil the model of all.
+        sound = [
+            (flight.log, flight.flown)
+            for flight in own
+            if isinstance(flight.tachometers, str) or not flight.tachometers.odd
+        ]
+        motors = motor_model(sound) if sound else "the tachometers of no flight read what the commands give"
+        yield VehicleReport(name, names, drag, tuple(samples), motors)
+
+
+def _remarks(
+    log: FieldLog, use: MotorUse, vibration: Vibration | str, read: Tachometers | str
+) -> Iterator[Remark]:
+    if use.saturated is not None and use.saturated > SATURATED.value[0]:
+        level = ALARM if use.saturated > SATURATED.value[1] else WARNING
+        yield Remark(
+            level, f"a motor is at full command for {100.0 * use.saturated:.0f} % of the time in the air"
+        )
+    for number, motor in enumerate(use.motors, start=1):
+        if motor.value is not None and abs(motor.value) > IMBALANCE.value[0]:
+            level = ALARM if abs(motor.value) > IMBALANCE.value[1] else WARNING
+            share = f"{100.0 * motor.value:+.0f} % of command over the mean of all"
+            yield Remark(level, f"{log.motor(number)} gets {share}")
+    if isinstance(vibration, Vibration) and (worst := max(vibration.force)) > VIBRATION.value[0]:
+        level = ALARM if worst > VIBRATION.value[1] else WARNING
+        yield Remark(level, f"the body vibrates with {worst:.0f} m/s²")
+    if isinstance(read, Tachometers):
+        for rotor in read.odd:
+            ratio = read.ratio[rotor - 1]
+            is_silent = ratio < SILENT_SHARE
+            said = "is silent" if is_silent else f"reads {ratio:.2f} times what its command gives the others"
+            yield Remark(ALARM, f"the tachometer of rotor {rotor} {said}, while the vehicle flies")
+    drift, least = use.drift, BATTERY_DRIFT.value
+    if drift is not None and drift.value is not None and drift.low is not None and drift.high is not None:
+        is_sure = drift.high < -least or drift.low > least
+        if is_sure:
+            said = f"thrust over command changes by {100.0 * drift.value:+.0f} % along the flight"
+            yield Remark(WARNING, said)

@@ -1,0 +1,207 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Hover throttle, thrust over command, saturation, imbalance and battery by the commands; vibration.
+
+Thrust over mass is the specific force along body z, so that no mass is needed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import signal
+
+from quadpi_core.field.airborne import HOVER_SPEED, Flown, Stretch, pieces, velocity_of
+from quadpi_core.field.estimates import (
+    PIECES_FEWEST,
+    Estimate,
+    mean_of_pieces,
+    not_identified,
+    slope_of_pieces,
+)
+from quadpi_core.field.field_log import FieldLog, Series
+from quadpi_core.frames import Array
+from quadpi_core.sample_limits import STANDARD_GRAVITY
+from quadpi_core.thresholds import CONVENTION, Threshold
+
+PIECE_S = 5.0
+_STEP_S = 0.2
+FULL_COMMAND = Threshold(
+    "command from which a motor is saturated",
+    0.98,
+    "of its range",
+    "mixers cut at the end of the range; rounding and idle offsets leave the last two per cent",
+    "nanobench and rrc_propeller of ../shared/data, the first of which saturates with a low battery",
+)
+SATURATED = Threshold(
+    "share of the time in the air with a saturated motor that is a warning, and an alarm",
+    (0.02, 0.2),
+    "",
+    "attitude control is lost for as long; hard manoeuvres saturate for a hundredth of a flight",
+    CONVENTION,
+)
+VIBRATION = Threshold(
+    "standard deviation of specific force above 5 Hz that is a warning, and an alarm",
+    (30.0, 60.0),
+    "m/s²",
+    "below 30 is normally fine, above 60 nearly always has problems: ardupilot.org, Measuring Vibration",
+    CONVENTION,
+)
+IMBALANCE = Threshold(
+    "mean command of a motor over that of all that is a warning, and an alarm",
+    (0.15, 0.3),
+    "",
+    "mountings of a battery differ by 4 to 8 %; a propeller short by 6 %, or a nut by a motor, by 20 to 40 %",
+    "normal flights of crazypad in ../shared/data, 9 to 14 % of one vehicle",
+)
+BATTERY_DRIFT = Threshold(
+    "change of thrust over command in a flight that is a warning",
+    0.1,
+    "",
+    "a pack of 4.2 to 3.5 V a cell loses a sixth of its voltage and up to a third of its thrust",
+    CONVENTION,
+)
+# A shorter hover is a turn of the path, s; spread of the mean command that moves thrust beyond noise.
+HOVER_FEWEST_S, _LEAST_SPREAD = 3.0, 0.02
+_NEAR_WEIGHT, _FEWEST_SAMPLES = 0.2, 20
+
+
+@dataclass(frozen=True)
+class MotorUse:
+    """What commands and battery tell. What the log does not hold is None, or empty.
+
+    Attributes:
+        hover: mean command at hover.
+        thrust_gain: change of thrust over weight per change of the mean command, at its median.
+        saturated: share of the time in the air with a motor at full command.
+        motors: (R) command of each motor over the mean of all, less 1.
+        volts: battery at the beginning and the end of the flight, and the lowest.
+        drift: change of thrust over command from begin to end of the flight.
+    """
+
+    hover: Estimate | None = None
+    thrust_gain: Estimate | None = None
+    saturated: float | None = None
+    motors: tuple[Estimate, ...] = ()
+    volts: tuple[float, float, float] | None = None
+    drift: Estimate | None = None
+
+
+@dataclass(frozen=True)
+class Vibration:
+    """Standard deviations above 5 Hz in the air: of specific force [m/s²] and rates [rad/s], by body axis."""
+
+    force: tuple[float, float, float]
+    rates: tuple[float, float, float]
+    rate_hz: float
+
+
+def vibration_of(log: FieldLog, flight: Flown) -> Vibration | str:
+    """Vibration, or why it cannot be told. Source: ArduPilot's VIBE message, high-pass at 5 Hz."""
+    if log.imu is None:
+        return "the log has no gyro and accelerometer"
+    rate = log.imu.rate_hz
+    if rate < 20.0:
+        return f"the IMU is logged at {rate:.0f} Hz"
+    filtered = signal.butter(2, 5.0, "highpass", fs=rate, output="sos")
+    parts = []
+    for one in flight.stretches:
+        values = log.imu.during(one.begin, one.end).values
+        if len(values) > rate:
+            parts.append(signal.sosfilt(filtered, values - values[0], axis=0)[int(0.5 * rate) :])
+    if not parts:
+        return "the flight is too short"
+    spread = [float(value) for value in np.std(np.vstack(parts), axis=0)]
+    return Vibration((spread[3], spread[4], spread[5]), (spread[0], spread[1], spread[2]), rate)
+
+
+def motor_use(log: FieldLog, flight: Flown) -> MotorUse:
+    """What the commands of one flight tell."""
+    volts, cut = _volts(log.battery, flight), pieces(flight.stretches, PIECE_S)
+    parts = [] if log.commands is None else [log.commands.during(one.begin, one.end) for one in cut]
+    if not sum(map(len, parts)):
+        return MotorUse(volts=volts)
+    commands = np.vstack([part.values for part in parts])
+    time = np.concatenate([part.time for part in parts])
+    piece = np.concatenate([np.full(len(part), number) for number, part in enumerate(parts)])
+    mean = commands.mean(axis=1)
+    hover = _hover(log, mean, time, piece)
+    gain, crossing, drift = _thrust(log, cut)
+    return MotorUse(
+        hover=hover or crossing,
+        thrust_gain=gain,
+        saturated=float(np.mean(commands.max(axis=1) >= FULL_COMMAND.value)),
+        motors=tuple(mean_of_pieces(own / mean.mean() - mean / mean.mean(), piece, "") for own in commands.T),
+        volts=volts,
+        drift=drift,
+    )
+
+
+def _volts(battery: Series | None, flight: Flown) -> tuple[float, float, float] | None:
+    if battery is None:
+        return None
+    values = np.vstack([battery.during(one.begin, one.end).values for one in flight.stretches])[:, 0]
+    values = values[values > 0.5]
+    if not len(values):
+        return None
+    share = max(1, len(values) // 20)
+    return float(np.median(values[:share])), float(np.median(values[-share:])), float(values.min())
+
+
+def _hover(log: FieldLog, mean: Array, time: Array, piece: Array) -> Estimate | None:
+    """Mean command where the vehicle stood in the air; None where it hardly did."""
+    velocity = velocity_of(log)
+    if velocity is None or log.commands is None:
+        return None
+    stands = np.linalg.norm(velocity.at(time), axis=1) < HOVER_SPEED
+    if np.sum(stands) < HOVER_FEWEST_S * log.commands.rate_hz:
+        return None
+    return mean_of_pieces(np.where(stands, mean, np.nan), piece, "of the range of command")
+
+
+def _thrust(log: FieldLog, cut: list[Stretch]) -> tuple[Estimate | None, Estimate | None, Estimate | None]:
+    """Gain of thrust at the usual command, the command at which it is the weight, and its drift."""
+    table = _thrust_samples(log, cut)
+    if table is None:
+        return None, None, None
+    mean, square, thrust, time, piece = table.T
+    usual, unit = float(np.median(mean)), "per unit of command"
+    if np.std(mean) < _LEAST_SPREAD * usual:
+        return not_identified(unit, "the mean command hardly changed: climb and descend"), None, None
+    columns = np.column_stack([np.ones_like(mean), mean, square])
+    gain, curve = slope_of_pieces(columns, thrust, piece, np.array([0.0, 1.0, 2.0 * usual]), unit)
+    if gain.low is None or gain.low <= 0.0:
+        return not_identified(unit, "its interval holds 0", gain.low, gain.high), None, None
+    # Where thrust is near the weight: elsewhere the curve itself errs.
+    told = columns @ curve
+    near = (np.abs(thrust - 1.0) < _NEAR_WEIGHT) & (told > 0.5)
+    share = (time - time.mean()) / max(np.ptp(time), 1e-9)
+    drift = None
+    if len(np.unique(piece[near])) >= PIECES_FEWEST.value:
+        lines = np.column_stack([np.ones_like(share), share])[near]
+        drift, _ = slope_of_pieces(
+            lines, thrust[near] / told[near], piece[near], np.array([0.0, 1.0]), "of thrust"
+        )
+    weight = np.abs(told - 1.0) < 0.05
+    crossing = mean_of_pieces(np.where(weight, mean, np.nan), piece, "of the range of command")
+    return gain, crossing if crossing.value is not None else None, drift
+
+
+def _thrust_samples(log: FieldLog, cut: list[Stretch]) -> Array | None:
+    """Rows (N, 5): mean command and mean square, thrust over weight, time [s], piece of flight."""
+    if log.imu is None or log.commands is None:
+        return None
+    values = log.commands.values
+    loads = Series(log.commands.time, np.stack([values.mean(axis=1), np.mean(values**2, axis=1)], axis=1))
+    rows = [np.empty((0, 5))]
+    for number, one in enumerate(cut):
+        edges = np.arange(one.begin, one.end, _STEP_S)
+        if len(edges) > 1:
+            middle = 0.5 * (edges[1:] + edges[:-1])
+            force = -log.imu.means(edges)[:, 5:] / STANDARD_GRAVITY
+            own = [loads.filled_means(edges), force, middle[:, np.newaxis], np.full((len(middle), 1), number)]
+            rows.append(np.hstack(own))
+    table = np.vstack(rows)
+    table = table[np.isfinite(table).all(axis=1)]
+    return table if len(table) > _FEWEST_SAMPLES else None

@@ -1,0 +1,124 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Drag over mass and wind: exact flights, simulated windy ones, and flights that do not tell."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from quadpi_core.field.airborne import flown
+from quadpi_core.field.drag import DragResult, drag_samples, identify_drag, piece_length_s
+from quadpi_core.field.field_log import FieldLog, Series
+
+from .field_examples import DRAG, example
+from .windy_flights import windy_flight
+
+
+def identified(*logs: FieldLog) -> DragResult:
+    flights = [flown(log) for log in logs]
+    length = piece_length_s(sum(flight.airborne_s for flight in flights))
+    return identify_drag(
+        [drag_samples(log, flight, length) for log, flight in zip(logs, flights, strict=True)]
+    )
+
+
+def slower(log: FieldLog, factor: float) -> FieldLog:
+    velocity = replace(log.velocity, values=factor * log.velocity.values)
+    values = log.imu.values.copy()
+    values[:, 3:5] *= factor
+    values[:, 3:5] += np.random.default_rng(round(100 * factor)).normal(0.0, 0.3, (len(values), 2))
+    return replace(log, velocity=velocity, imu=replace(log.imu, values=values))
+
+
+def test_drag_of_a_flight_in_still_air():
+    result = identified(example())
+    for estimate, true in zip(result.per_mass, DRAG, strict=True):
+        assert estimate.value == pytest.approx(true, rel=0.02)
+        assert estimate.low < true < estimate.high
+    assert min(result.fitted) > 0.9
+    assert not result.by_flight
+    assert result.speed[1] == pytest.approx(5.5, abs=0.5)
+
+
+def test_a_constant_heading_leaves_the_wind_to_the_bias():
+    (winds,) = identified(example()).wind
+    assert all("heading hardly changed" in one.said for one in winds)
+
+
+@pytest.mark.parametrize("density", [None, 0.9])
+def test_momentum_and_bluff_body_drag_are_told_apart_by_speed(density):
+    """Coefficients are those at standard density, whatever the air was."""
+    log, ratio = example(), (density or 1.225) / 1.225
+    if density is not None:
+        log = replace(log, density=Series(log.imu.time[[0, -1]], np.full((2, 1), density)))
+    velocity = 4.0 * log.velocity.values
+    speed = np.linalg.norm(velocity, axis=1, keepdims=True)
+    force = -(0.15 + 0.5 * 1.225 / np.array([30.0, 20.0]) * speed) * velocity[:, :2]
+    values = log.imu.values.copy()
+    values[:, 3:5] = Series(log.velocity.time, force).at(log.imu.time)
+    values[~np.isfinite(values)] = 0.0
+    result = identified(
+        replace(log, imu=replace(log.imu, values=values), velocity=replace(log.velocity, values=velocity))
+    )
+    assert result.momentum.value == pytest.approx(0.15 / ratio**0.5, rel=0.1)
+    values = [one.value for one in result.ballistic]
+    assert values == pytest.approx([30.0 * ratio, 20.0 * ratio], rel=0.1)
+    assert result.ballistic[0].low < 30.0 * ratio < result.ballistic[0].high
+
+
+def test_a_slow_flight_is_told_to_fly_faster():
+    result = identified(slower(example(), 0.1))
+    assert all("too slow, " in one.said and one.value is None for one in result.per_mass)
+    assert result.usable < 50
+    assert "5 m/s or more" in result.advice
+
+
+def test_a_short_flight_is_told_so():
+    log = example()
+    cut = {name: series.during(5.0, 12.0) for name, series in log.series().items()}
+    assert "too short, 7 s in the air" in identified(replace(log, **cut)).per_mass[0].said
+
+
+def test_no_drag_is_not_identified():
+    log = example()
+    values = log.imu.values.copy()
+    values[:, 3:5] = np.random.default_rng(0).normal(0.0, 1.0, (len(values), 2))
+    result = identified(replace(log, imu=replace(log.imu, values=values)))
+    assert all("holds 0" in one.said and one.low < 0.0 < one.high for one in result.per_mass)
+    assert result.advice.startswith("fly ")
+
+
+@pytest.mark.parametrize("lacking", ["imu", "attitude"])
+def test_what_the_log_lacks_is_named(lacking):
+    said = drag_samples(example(**{lacking: None}), flown(example()), 5.0)
+    assert said == f"the log has no {'specific force' if lacking == 'imu' else lacking}"
+
+
+def test_five_flights_are_clusters_of_their_own():
+    logs = [slower(example(), factor) for factor in (0.8, 0.9, 1.0, 1.1, 1.2)]
+    result = identified(*logs)
+    assert result.by_flight
+    assert len(result.wind) == 5
+    assert result.per_mass[0].low < DRAG[0] < result.per_mass[0].high
+
+
+@pytest.mark.slow
+def test_intervals_cover_the_drag_of_windy_flights(tmp_path):
+    """Seeds from 1000 on were never looked at while the constants were set (0 to 59 were)."""
+    inside, widths, winds = [], [], []
+    for seed in range(1000, 1050):
+        windy = windy_flight(tmp_path, seed)
+        result = identified(windy.log)
+        for axis in range(2):
+            one, wind = result.per_mass[axis], result.wind[0][axis]
+            inside.append(one.low <= windy.drag[axis] <= one.high)
+            widths.append(one.half_width / windy.drag[axis])
+            if wind.value is not None:
+                winds.append(wind.low <= windy.wind[axis] <= wind.high)
+    assert np.mean(inside) >= 0.9
+    assert np.median(widths) < 0.2
+    assert len(winds) >= 0.8 * len(inside)
+    assert np.mean(winds) >= 0.93

@@ -1,0 +1,144 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Reports: alarms, airframes apart, and every real log a page or a sentence."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from quadpi_core.errors import LogError
+from quadpi_core.field import field_report
+from quadpi_core.field.drag import DragResult
+from quadpi_core.field.field_log import FieldLog, Series
+from quadpi_core.field.field_report import FieldReport, report_on
+from quadpi_core.flight_files import NoFlightLeftError
+from quadpi_core.reading_options import ReadingOptions
+
+from .field_examples import example
+
+OPTIONS = ReadingOptions()
+
+
+@pytest.fixture
+def report_of(monkeypatch: pytest.MonkeyPatch) -> Callable[..., FieldReport]:
+    """report_of(log, …) → the report of field logs, without files."""
+
+    def report(*logs: FieldLog | LogError) -> FieldReport:
+        found = {Path(f"flight{number}.log"): log for number, log in enumerate(logs)}
+
+        def read(path: Path, *_: object) -> FieldLog:
+            log = found[path]
+            if isinstance(log, LogError):
+                raise log
+            return log
+
+        monkeypatch.setattr(field_report, "read_field_log", read)
+        return report_on(list(found), OPTIONS)
+
+    return report
+
+
+def test_a_sound_flight_has_no_alarm(report_of):
+    report = report_of(example())
+    assert not report.alarmed
+    assert report.verdict().startswith("1 flight, 50 s in the air; drag 0.30 1/s along the nose; 0 warnings")
+
+
+def test_json_is_whole_and_finite(report_of):
+    content = report_of(example()).to_json()
+    assert json.loads(json.dumps(content, allow_nan=False)) == content
+    assert set(content) == {
+        *("format", "quadpi", "verdict", "alarm", "mass_kg", "vehicles", "flights", "left_out")
+    }
+    assert content["flights"][0]["topics"]["imu"]["rate_hz"] == pytest.approx(200.0)
+    assert content["vehicles"][0]["drag"]["per_mass"][0]["value"] == pytest.approx(0.3, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        (
+            lambda log: {"rotor_speeds": scaled(log.rotor_speeds, 1.0, 0.5)},
+            "tachometer of rotor 2 reads 0.50",
+        ),
+        (lambda log: {"rotor_speeds": scaled(log.rotor_speeds, 1.0, 0.0)}, "tachometer of rotor 2 is silent"),
+        (lambda log: {"commands": scaled(log.commands, 1.0, 2.2)}, "motor 2 gets +69 % of command"),
+        (
+            lambda log: {"commands": Series(log.commands.time, np.minimum(2.4 * log.commands.values, 1.0))},
+            "full command",
+        ),
+    ],
+    ids=["half reading", "silent", "imbalance", "saturation"],
+)
+def test_alarms(report_of, changes, said):
+    log = example()
+    report = report_of(replace(log, **changes(log)))
+    assert report.alarmed
+    assert any(said in remark.said for remark in report.flights[0].remarks), report.flights[0].remarks
+
+
+def scaled(series: Series, *factors: float) -> Series:
+    """A series whose first columns are multiplied."""
+    every = np.ones(series.values.shape[1])
+    every[: len(factors)] = factors
+    return Series(series.time, series.values * every)
+
+
+def test_airframes_are_reported_apart(report_of):
+    other = replace(example(), frame="hexacopter", rotors=6)
+    report = report_of(example(), other, example())
+    assert [vehicle.flights for vehicle in report.vehicles] == [("flight0", "flight2"), ("flight1",)]
+    assert "2 airframes" in report.verdict()
+
+
+def test_a_log_without_a_flight_is_left_out(report_of):
+    report = report_of(example(), LogError("flight1.log: no flight in it"))
+    assert [one.reason for one in report.left_out] == ["flight1.log: no flight in it"]
+    with pytest.raises(NoFlightLeftError, match=r"flight0\.log: no flight in it"):
+        report_of(LogError("flight0.log: no flight in it"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "folder",
+    [
+        *("logs", "rrc_propeller", "rrc_sitl", "arpl", "crazypad", "imrc_brushless", "imrc_brushed"),
+        *("imrc_payload", "indiflight", "nanobench", "nanodrone", "neurobem"),
+    ],
+)
+def test_every_real_log_is_reported_or_refused_in_a_sentence(shared_data: Path, folder: str):
+    refused = {}
+    for path in sorted((shared_data / folder).iterdir()):
+        if path.suffix == ".yaml" or path.name == "LICENSE":
+            continue
+        try:
+            report = report_on([path], OPTIONS)
+        except NoFlightLeftError as error:
+            refused[path.name] = str(error)
+        else:
+            json.dumps(report.to_json(), allow_nan=False)
+            assert report.flights[0].flown.airborne_s > 2.0
+    assert all(name in sentence for name, sentence in refused.items())
+    expected = {
+        "ardupilot_test.BIN",
+        "ardupilot_vtol.tlog",
+        "betaflight_error_recovery.bbl",
+        "px4_sample_small.ulg",
+    }
+    assert set(refused) == (expected if folder == "logs" else set())
+
+
+def test_drag_of_a_default_px4_log(shared_data: Path):
+    """A GPS flight to 19.7 m/s, wind estimated; its coefficients lie in the intervals that others found."""
+    report = report_on([shared_data / "logs" / "px4_ekf_failure.ulg"], OPTIONS)
+    drag = report.vehicles[0].drag
+    assert isinstance(drag, DragResult)
+    assert 0.081 < drag.momentum.value < 0.176
+    assert 0.14 < drag.per_mass[0].low < drag.per_mass[0].value < 0.3
+    assert drag.per_mass[1].low > 0.1

@@ -1,0 +1,106 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Rotor speeds from commands, and tachometers that read another multiple."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from quadpi_core.field.airborne import flown
+from quadpi_core.field.field_log import FieldLog, Series
+from quadpi_core.field.field_reading import read_field_log
+from quadpi_core.field.motor_model import MotorModel, Tachometers, motor_model, tachometers
+from quadpi_core.reading_options import ReadingOptions
+
+from .field_examples import DEAD_S, LAG_S, example
+
+
+def model_of(*logs: FieldLog) -> MotorModel:
+    model = motor_model([(log, flown(log)) for log in logs])
+    assert isinstance(model, MotorModel), model
+    return model
+
+
+def read(*scales: float) -> FieldLog:
+    log = example()
+    return replace(
+        log, rotor_speeds=Series(log.rotor_speeds.time, log.rotor_speeds.values * np.array(scales))
+    )
+
+
+def test_an_exact_motor_is_found():
+    model = model_of(example())
+    assert model.error < 2e-3
+    assert model.lag_s == pytest.approx(LAG_S, abs=0.011)
+    assert model.dead_s == pytest.approx(DEAD_S, abs=0.005)
+    assert (model.with_battery, model.flights) == (True, 1)
+
+
+def test_a_battery_that_is_not_logged_is_a_gain_of_each_flight():
+    fresh, low = read(1.05, 1.05, 1.05, 1.05), read(0.95, 0.95, 0.95, 0.95)
+    model = model_of(*(replace(log, battery=None) for log in (fresh, low, fresh, low)))
+    assert (model.with_battery, model.flights) == (False, 4)
+    assert model.error > 0.06
+    assert model.error_scaled < 0.5 * model.error
+
+
+def test_a_half_reading_tachometer_is_named():
+    log = read(1.0, 1.0, 0.5, 1.0)
+    found = tachometers(log, flown(log))
+    assert isinstance(found, Tachometers)
+    assert found.odd == (3,)
+    assert found.ratio[2] == pytest.approx(0.5, abs=0.02)
+    sound = tachometers(example(), flown(example()))
+    assert isinstance(sound, Tachometers)
+    assert sound.odd == ()
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"rotor_speeds": None}, "has not both commands and rotor speeds"),
+        ({"commands": Series(np.arange(0.0, 60.0, 0.1), np.full((600, 4), 0.4))}, "logged at 10 Hz"),
+        ({"commands": Series(np.arange(0.0, 60.0, 0.01), np.full((6000, 6), 0.4))}, "6 commands for 4"),
+    ],
+)
+def test_what_is_lacking_is_said(changes, said):
+    log = example(**changes)
+    assert said in motor_model([(log, flown(log))])
+    assert said in tachometers(log, flown(log))
+
+
+@pytest.mark.parametrize(
+    ("flights", "most", "scaled"),
+    [
+        ("imrc_brushless/eckart*", 0.006, 0.006),
+        ("imrc_payload/eckart*", 0.009, 0.009),
+        ("indiflight/*", 0.03, 0.02),
+    ],
+)
+def test_errors_on_unseen_real_flights(shared_data: Path, flights: str, most: float, scaled: float):
+    """Every flight that reads: each fifth is judged by a fit on the others."""
+    logs = [read_field_log(path, ReadingOptions()) for path in sorted(shared_data.glob(flights))]
+    known = [(log, flown(log)) for log in logs]
+    sound = [(log, own) for log, own in known if not getattr(tachometers(log, own), "odd", ())]
+    model = motor_model(sound)
+    assert isinstance(model, MotorModel)
+    assert model.error <= most
+    assert model.error_scaled <= scaled
+
+
+def test_real_half_reading_tachometers_are_found_and_no_others(shared_data: Path):
+    odd = {}
+    for path in sorted((shared_data / "imrc_payload").iterdir()):
+        log = read_field_log(path, ReadingOptions())
+        found = tachometers(log, flown(log))
+        assert isinstance(found, Tachometers)
+        odd[path.name] = found.odd
+    assert {name: rotors for name, rotors in odd.items() if rotors} == {
+        "eckart51": (3,),
+        "eckart52": (3,),
+        "eckart53": (3,),
+    }

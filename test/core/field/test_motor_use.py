@@ -1,0 +1,109 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Hover throttle, thrust over command, saturation, imbalance, drift and vibration of exact flights."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from quadpi_core.field.airborne import flown
+from quadpi_core.field.field_log import FieldLog, Series
+from quadpi_core.field.motor_use import MotorUse, Vibration, motor_use, vibration_of
+
+from .field_examples import AIRBORNE, HOVER, example
+
+
+def use_of(log: FieldLog) -> MotorUse:
+    return motor_use(log, flown(log))
+
+
+def with_commands(log: FieldLog, change: np.ndarray) -> FieldLog:
+    return replace(log, commands=Series(log.commands.time, np.clip(log.commands.values + change, 0.0, 1.0)))
+
+
+def test_hover_is_where_thrust_is_the_weight():
+    """The example never stands: the command comes from the curve of thrust over command."""
+    use = use_of(example())
+    assert use.hover.value == pytest.approx(HOVER, rel=0.02)
+    assert use.hover.low <= HOVER <= use.hover.high
+
+
+def test_hover_is_the_mean_command_of_a_standing_vehicle():
+    log = example()
+    still = replace(log.velocity, values=0.01 * log.velocity.values)
+    use = use_of(replace(log, velocity=still, imu=None))
+    assert use.hover.value == pytest.approx(HOVER, rel=0.02)
+
+
+def test_gain_of_thrust_over_command():
+    """Thrust over weight is (u / HOVER)²: its slope at hover is 2 / HOVER."""
+    gain = use_of(example()).thrust_gain
+    assert gain.value == pytest.approx(2.0 / HOVER, rel=0.02)
+    assert gain.low < gain.value < gain.high < 1.05 * gain.value
+
+
+def test_a_constant_command_tells_no_gain():
+    log = example()
+    inside = (log.commands.time >= AIRBORNE[0]) & (log.commands.time < AIRBORNE[1])
+    flat = Series(log.commands.time, np.where(inside, HOVER, 0.05)[:, np.newaxis] * np.ones(4))
+    use = use_of(replace(log, commands=flat))
+    assert "hardly changed" in use.thrust_gain.said
+    assert use.drift is None
+
+
+def test_a_motor_that_works_harder_stands_out():
+    use = use_of(with_commands(example(), np.array([0.1, 0.0, 0.0, 0.0])))
+    harder, *others = use.motors
+    assert harder.low > 0.12
+    assert harder.value == pytest.approx(0.1 * 0.75 / (HOVER + 0.025), rel=0.05)
+    assert all(one.high < 0.0 for one in others)
+
+
+def test_saturation_is_a_share_of_the_time_in_the_air():
+    log = example()
+    high = (log.commands.time[:, np.newaxis] % 10.0 < 2.0) * np.array([0.0, 1.0, 0.0, 0.0])
+    assert use_of(with_commands(log, high)).saturated == pytest.approx(0.2, abs=0.02)
+    assert use_of(log).saturated == 0.0
+
+
+def test_a_sagging_pack_shows_as_drift_of_thrust_over_command():
+    log = example()
+    share = (log.imu.time - AIRBORNE[0]) / (AIRBORNE[1] - AIRBORNE[0])
+    values = log.imu.values.copy()
+    values[:, 5] *= 1.1 - 0.2 * share
+    drift = use_of(replace(log, imu=replace(log.imu, values=values))).drift
+    assert drift.value == pytest.approx(-0.2, abs=0.03)
+    assert drift.high < 0.0
+    steady = use_of(log).drift
+    assert steady.low < 0.0 < steady.high
+
+
+def test_voltage_at_both_ends():
+    begin, end, lowest = use_of(example()).volts
+    assert (begin, end) == pytest.approx((15.9, 14.9), abs=0.1)
+    assert lowest <= end
+
+
+def test_without_commands_only_the_battery_is_told():
+    use = use_of(example(commands=None))
+    assert (use.hover, use.saturated, use.motors) == (None, None, ())
+    assert use.volts is not None
+
+
+def test_vibration_is_what_is_faster_than_manoeuvres():
+    log = example()
+    shaken = log.imu.values.copy()
+    shaken[:, 5] += 3.0 * np.sin(2.0 * np.pi * 60.0 * log.imu.time)
+    found = vibration_of(replace(log, imu=replace(log.imu, values=shaken)), flown(log))
+    assert isinstance(found, Vibration)
+    assert found.force[2] == pytest.approx(3.0 / 2.0**0.5, rel=0.02)
+    assert max(found.force[:2]) < 0.2
+
+
+def test_vibration_needs_a_fast_imu():
+    log = example()
+    slow = Series(log.imu.time[::20], log.imu.values[::20])
+    assert vibration_of(replace(log, imu=slow), flown(log)) == "the IMU is logged at 10 Hz"
