@@ -27,6 +27,7 @@ from quadpi_core.cli.info_command import info
 from quadpi_core.cli.kind_options import KindCommand
 from quadpi_core.cli.options import several_topics
 from quadpi_core.cli.replay_command import replay
+from quadpi_core.cli.report_command import report
 from quadpi_core.cli.rollout_command import rollout
 from quadpi_core.cli.simulate_command import simulate
 from quadpi_core.cli.validate_command import validate
@@ -71,7 +72,20 @@ app = typer.Typer(
 )
 app.command("import")(import_logs)
 # In the order in which `--help` lists them.
-commands = (info, identify, evaluate, rollout, replay, view, simulate, validate, discrepancy, export, demo)
+commands = (
+    info,
+    report,
+    identify,
+    evaluate,
+    rollout,
+    replay,
+    view,
+    simulate,
+    validate,
+    discrepancy,
+    export,
+    demo,
+)
 for command in commands:
     app.command(cls=KindCommand if command is identify else None)(command)
 

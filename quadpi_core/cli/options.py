@@ -189,14 +189,15 @@ def batch_of_flights() -> Iterator[list[FlightLeftOut]]:
         yield left_out
     except QuadpiError as error:
         if not isinstance(error, NoFlightLeftError):
-            _print_left_out(left_out)
+            print_left_out(left_out)
         raise
     if left_out:
-        _print_left_out(left_out)
+        print_left_out(left_out)
         raise typer.Exit(SOME_LEFT_OUT)
 
 
-def _print_left_out(left_out: Iterable[FlightLeftOut]) -> None:
+def print_left_out(left_out: Iterable[FlightLeftOut]) -> None:
+    """Name the flights that were left out, on the error stream."""
     for flight in left_out:
         print(f"quadpi: left out {flight.flight}: {flight.reason}", file=sys.stderr)
 

@@ -34,7 +34,7 @@ RUN_ELSEWHERE = {
     "paper-tables.md",
     "tools.md",
 }
-ON_REAL_FLIGHTS = {"commands.md", "import-logs.md"}
+ON_REAL_FLIGHTS = {"commands.md", "import-logs.md", "report.md"}
 # `quadpi view` serves until it is ended, which it is once it has said where.
 QUADPI = """
 quadpi() {

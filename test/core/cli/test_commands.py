@@ -40,6 +40,7 @@ def test_every_command_is_known():
         "import",
         "info",
         "replay",
+        "report",
         "rollout",
         "simulate",
         "validate",

@@ -1,0 +1,99 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The page and tables of `quadpi report`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from quadpi_core.field import field_report
+from quadpi_core.field.field_log import FieldLog, Setting
+from quadpi_core.field.field_report import FieldReport, report_on
+from quadpi_core.reading_options import ReadingOptions
+from quadpi_core.report.field_page import (
+    drag_table,
+    flight_table,
+    report_summary,
+    settings_table,
+    time_figure,
+    topic_table,
+    write_field_page,
+)
+
+from ..field.field_examples import example
+
+
+@pytest.fixture
+def report_of(monkeypatch: pytest.MonkeyPatch):
+    """report_of(log, mass=…) → the report of a field log, without a file."""
+
+    def report(log: FieldLog, mass: float | None = None) -> FieldReport:
+        monkeypatch.setattr(field_report, "read_field_log", lambda *_: log)
+        return report_on([Path("flight.log")], ReadingOptions(), mass=mass)
+
+    return report
+
+
+def text(table) -> str:
+    return " | ".join(str(cell.value) for row in table.cells for cell in row)
+
+
+def test_the_page_is_whole_and_self_contained(report_of, tmp_path):
+    report = report_of(example(notes=("a <b> note",), settings=(Setting("A_B", "0", "set it to 1", "x"),)))
+    write_field_page(tmp_path / "report.html", report)
+    page = (tmp_path / "report.html").read_text()
+    for part in (
+        report.verdict(),
+        "a &lt;b&gt; note",
+        "A_B",
+        "hover (below 0.5 m/s)",
+        "EKF2_MCOEF",
+        "vibration along x",
+    ):
+        assert part in page
+
+
+def test_a_page_of_a_log_that_holds_hardly_anything(report_of, tmp_path):
+    log = example()
+    bare = replace(
+        log, **dict.fromkeys(("imu", "attitude", "velocity", "position", "rotor_speeds", "battery"))
+    )
+    report = report_of(bare)
+    write_field_page(tmp_path / "report.html", report)
+    assert "the log has no specific force and no attitude" in (tmp_path / "report.html").read_text()
+    assert "not in the log" in text(topic_table(report.flights[0]))
+
+
+def test_drag_in_newtons_where_the_mass_is_given(report_of):
+    without, given = (report_of(example(), mass) for mass in (None, 2.0))
+    assert "N/(m/s)" not in text(drag_table(without.vehicles[0], without.mass))
+    rows = {row[0].value: row[1].value for row in drag_table(given.vehicles[0], given.mass).cells}
+    assert rows["drag, along the nose"] == pytest.approx(2.0 * rows["drag over mass, along the nose"])
+    assert rows["drag, along the nose"] == pytest.approx(0.6, rel=0.05)
+
+
+def test_settings_are_named_once_with_their_values(report_of):
+    one = Setting("SDLOG_PROFILE", "1", "set it to 25", "more")
+    assert (
+        text(settings_table(report_of(example(settings=(one, one)))))
+        == "SDLOG_PROFILE | 1 | set it to 25 | more"
+    )
+    assert "the logs hold all" in text(settings_table(report_of(example())))
+
+
+def test_the_summary_has_a_row_for_each_flight(report_of):
+    report = report_of(example())
+    assert len(flight_table(report).cells) == 1
+    assert [table.title for table in report_summary(report)] == [
+        *("flown", "drag · PX4 quadcopter", "to log more", "findings")
+    ]
+
+
+def test_the_figure_shows_what_is_there(report_of):
+    figure = time_figure(report_of(example()).flights[0])
+    assert [panel.y.title for panel in figure.panels] == [
+        *("speed [m/s]", "height [m]", "command [%]", "rotors [rad/s]", "battery [V]")
+    ]
