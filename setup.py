@@ -31,7 +31,8 @@ class BuildCore(build_ext):
         with build.with_suffix(".lock").open("w") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
             # Of a checkout that was copied or moved, CMake refuses what was built at its old place.
-            if cache.is_file() and f"CMAKE_HOME_DIRECTORY:INTERNAL={ROOT / 'core'}\n" not in cache.read_text():
+            home = f"CMAKE_HOME_DIRECTORY:INTERNAL={ROOT / 'core'}\n"
+            if cache.is_file() and home not in cache.read_text():
                 shutil.rmtree(build)
             subprocess.run(["cmake", "-S", ROOT / "core", "-B", build, *options], check=True)
             subprocess.run(["cmake", "--build", build, "--parallel", str(os.cpu_count() or 1)], check=True)
