@@ -53,6 +53,7 @@ def test_seals_open_and_do_not_show():
     assert "wind" not in Case(hidden.sealed()).key
 
 
+@pytest.mark.slow
 def test_flights_tell_nothing_but_numbers():
     case = Case(Hidden(POOR, ("thrust_coefficient",), 1.0, 3).sealed())
     again, flights = case.flights(), case.flights()

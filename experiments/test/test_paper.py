@@ -223,6 +223,7 @@ def test_the_scenario_has_the_winds_of_the_paper():
     assert sorted({plan.head_wind_m_s for plan in plans}) == winds
 
 
+@pytest.mark.slow
 def test_models_learn_from_the_first_group_alone_and_are_kept(flown, tmp_path):
     fly = partial(wind_tunnel, tmp_path / "kept", methods=POLYNOMIAL)
     first = fly()

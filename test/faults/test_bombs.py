@@ -156,8 +156,9 @@ def test_headers_of_a_blackbox(tmp_path, content):
         read_recording(path, None)
 
 
-def test_messages_of_messages_in_a_ulog(tmp_path):
+def test_messages_of_messages_in_a_ulog(monkeypatch, tmp_path):
     pytest.importorskip("pyulog", reason="pyulog is not installed")
+    monkeypatch.setattr(sandbox, "_SECONDS", 1)
     path = tmp_path / "bomb.ulg"
     data = b"ULog\x01\x12\x35\x01" + bytes(8)
     for text in (b"esc_status:uint64_t timestamp;a[60000] a;", b"a:b[60000] b;", b"b:float[60000] c;"):

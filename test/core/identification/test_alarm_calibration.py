@@ -65,6 +65,7 @@ def raised(envelope: Envelope, limits: AlarmLimits, flight: LeftOut) -> dict[int
     return {EXTRAPOLATION: int(begins[0]), MISCOVERAGE: int(begins[1])}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("correlation_s", [0.03, 0.3])
 def test_stated_rate_holds_on_new_flights_whatever_the_correlation(correlation_s):
     flights = [left_out(60.0, seed, correlation_s) for seed in range(20)]
@@ -77,6 +78,7 @@ def test_stated_rate_holds_on_new_flights_whatever_the_correlation(correlation_s
     assert limits.flights == 20
 
 
+@pytest.mark.slow
 def test_stated_rate_holds_of_flights_that_differ_from_each_other():
     rate_per_hour, strayed = 20.0, 0
     for lot in range(8):

@@ -70,7 +70,7 @@ def test_predictions_have_a_row_for_each_sample(quick, training, unseen):
 
 
 def test_cross_validation_is_by_flight(training):
-    model = qp.WrenchModel("polynomial", axes=["Fz"])
+    model = qp.WrenchModel(Ridge(), axes=["Fz"])
     scores = cross_val_score(model, training, cv=LeaveOneOut())
     apart = [
         model.fit(training[[k for k in range(4) if k != left]]).score(training[left]) for left in range(4)

@@ -40,7 +40,7 @@ def with_bias(columns: Array) -> Array:
     return np.column_stack((np.ones(len(columns)), columns))
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, 2])
 def test_same_terms_as_direct_least_squares(seed: int) -> None:
     pool = load_pools("hdbeetle")["Fx"]
     regressors = list(dict.fromkeys(pool.fixed + pool.candidates))

@@ -45,8 +45,10 @@ def offset(seconds, rival_s=None):
     return Alignment(seconds, correlation=0.9, overlap_s=10.0, matches=1000, rival_s=rival_s)
 
 
-@pytest.mark.parametrize("seconds", [-3.2, -0.4, 5.0, 17.0, 37.0, 1.7e9])
-@pytest.mark.parametrize("of_state", [False, True], ids=["pose", "odometry"])
+@pytest.mark.parametrize(
+    ("of_state", "seconds"),
+    [*((False, seconds) for seconds in (-3.2, -0.4, 5.0, 17.0, 37.0, 1.7e9)), (True, -0.4), (True, 1.7e9)],
+)
 def test_an_offset_up_to_epochs_is_named_and_taken_back(flown, vehicle, seconds, of_state):
     recording = with_state(flown["train_2"]) if of_state else flown["train_2"]
     name = "odometry" if of_state else "pose"
