@@ -222,7 +222,7 @@ def given_comparison(
         )
         for cutoff in dict.fromkeys(model.cutoff_hz for model in models.values())
     }
-    common = set.intersection(*({flight.name for flight in own} for own in flights.values()))
+    common = set.intersection(*({flight.name for flight in of_model} for of_model in flights.values()))
     require_flights_left(len(common), left_out)
     flights = {cutoff: [f for f in own if f.name in common] for cutoff, own in flights.items()}
     name_of = {file.path: file.name for file in named_files(files)}

@@ -184,16 +184,16 @@ def evaluate_rollouts(
     workers = Workers(1, progress=progress)
     task = "Predicting flights ahead"
     done = for_each_flight(ahead, paths, shared=None, task=task, workers=workers, left_out=left_out)
-    kept = [(rolled, judged) for _, (_, rolled, judged) in once_each(done, itemgetter(0), left_out)]
-    metrics = {rolled.name: judged for rolled, judged in kept}
-    return [rolled for rolled, _ in kept], RolloutEvaluation(
+    judged_flights = [(rolled, judged) for _, (_, rolled, judged) in once_each(done, itemgetter(0), left_out)]
+    metrics = {rolled.name: judged for rolled, judged in judged_flights}
+    return [rolled for rolled, _ in judged_flights], RolloutEvaluation(
         __version__,
         model.identity,
         model.vehicle,
         level,
         horizon_s,
         metrics,
-        {rolled.name: rolled.quality for rolled, _ in kept},
+        {rolled.name: rolled.quality for rolled, _ in judged_flights},
         tuple(left_out or ()),
     )
 
@@ -207,25 +207,25 @@ def judge_flight(
         ModelError: for a horizon or confidence that is not calibrated; naming the flight, where it is shorter
             than the horizon or no roll-out has all rotor speeds.
     """
-    own = RolloutFlight.of(flight, vehicle)
-    step = own.step
+    rollout_flight = RolloutFlight.of(flight, vehicle)
+    step = rollout_flight.step
     # Those calibrated up to the one asked for, which is the last.
-    times = tuple(sorted({own for own in HORIZONS_S if own < horizon_s} | {horizon_s}))
+    times = tuple(sorted({horizon for horizon in HORIZONS_S if horizon < horizon_s} | {horizon_s}))
     horizons = horizon_steps(times, step)
-    possible = len(range(0, len(own.time) - int(horizons[-1]), START_EVERY))
+    possible = len(range(0, len(rollout_flight.time) - int(horizons[-1]), START_EVERY))
     if possible <= 0:
         raise ModelError(
-            f"{flight.source}: {len(own.time) * step:.2f} s in the air, "
+            f"{flight.source}: {len(rollout_flight.time) * step:.2f} s in the air, "
             f"shorter than the horizon of {horizon_s:g} s"
         )
-    starts = own.starts(int(horizons[-1]), START_EVERY)
+    starts = rollout_flight.starts(int(horizons[-1]), START_EVERY)
     if len(starts) == 0:
         raise ModelError(
             f"{flight.source}: topic rotor_speeds: a rotor was not measured within {horizon_s:g} s "
             f"of every start"
         )
     assert model.calibration is not None
-    rolled = model.roll(own, starts, horizons)
+    rolled = model.roll(rollout_flight, starts, horizons)
     rolled = rolled._replace(covariance=model.calibration.shape.shaped(rolled.covariance))
     scores, norms = tube_scores(rolled.errors, rolled.covariance), error_norms(rolled.errors)
     unit = tube_radii(rolled.covariance)
@@ -255,7 +255,7 @@ def judge_flight(
             values[f"{way}width"] = scale * float(np.mean(2.0 * np.minimum(radii[:, k, q], LARGEST[q])))
         metrics.setdefault(f"{times[k]:g}", {})[shown] = TubeMetrics(**values)
     return (
-        RolledFlight(flight.name, flight.quality, times, own, rolled, tubes),
+        RolledFlight(flight.name, flight.quality, times, rollout_flight, rolled, tubes),
         FlightRolloutMetrics(
             len(starts), possible - len(starts), flight.position_measured, in_sample=False, horizons=metrics
         ),

@@ -81,18 +81,18 @@ def prepared_from_arrays(
     }
     prepared = []
     for label, rows in _by_label(flight, len(stamps)):
-        own = {name: values[rows] for name, values in checked.items()}
+        flight_values = {name: values[rows] for name, values in checked.items()}
         with named_in(f"flight {label}"):
             check_stamps("time_ns", stamps[rows])
-        recording = _recording(label, vehicle, stamps[rows], own)
+        recording = _recording(label, vehicle, stamps[rows], flight_values)
         if filtered:
-            for name, values in own.items():
+            for name, values in flight_values.items():
                 largest = np.abs(values).max(axis=1)
                 for sample in np.flatnonzero(largest > _LARGEST)[:1]:
                     found = f"{largest[sample]:.3g}, which no flight has"
                     raise LogError(f"flight {label}: {name}: sample {sample}: magnitude of {found}")
             is_whole = (whole or {}).get(label) == len(rows)
-            prepared.append(_taken(recording, own[_DERIVED], vehicle, is_whole=is_whole))
+            prepared.append(_taken(recording, flight_values[_DERIVED], vehicle, is_whole=is_whole))
         else:
             prepared.append(prepare_recording(recording, vehicle, cutoff_hz))
     return tuple(prepared)

@@ -291,9 +291,9 @@ def flights_in(name: str, given: object) -> Flights:
     why = ""
     if isinstance(given, np.ndarray) or hasattr(given, "__array__"):
         why = " (a model also needs how the rotors speed up, and which vehicle it is)"
-    found = array_checks.found(given)
+    types = array_checks.found(given)
     raise ArgumentError(
-        f"{name}: expected Flights, found {found}{why}; load_flights(logs, vehicle) reads them, "
+        f"{name}: expected Flights, found {types}{why}; load_flights(logs, vehicle) reads them, "
         "Flights.from_pandas and Flights.from_arrays make them of data of your own"
     )
 
@@ -325,7 +325,7 @@ def _matching(log: Path) -> list[str | Path]:
     """The files that a pattern fits, in order of their names; a path that exists is no pattern."""
     if log.exists() or not glob.has_magic(str(log)):
         return [log]
-    found = sorted(glob.glob(str(log), recursive=True))  # noqa: PTH207 - takes no absolute pattern
-    if not found:
+    paths = sorted(glob.glob(str(log), recursive=True))  # noqa: PTH207 - takes no absolute pattern
+    if not paths:
         raise LogError(f"{log}: no file fits this pattern")
-    return list(found)
+    return list(paths)

@@ -51,7 +51,7 @@ class StoredRegressor(ABC):
         Raises:
             ModelError: for an unknown form, and arrays that do not fit each other.
         """
-        known: dict[str, type[Affine | Trees]] = {own.form: own for own in (Affine, Trees)}
+        known: dict[str, type[Affine | Trees]] = {form.form: form for form in (Affine, Trees)}
         if form not in known:
             raise ModelError(f"unknown form of a regressor {form!r}; known: {', '.join(known)}")
         names = [column.name for column in fields(known[form])]
@@ -103,7 +103,7 @@ class Trees(StoredRegressor):
     def __post_init__(self) -> None:
         """Refuse what is no tree: every walk must end, at a node that there is."""
         nodes = self.feature.size
-        own = np.arange(nodes)
+        numbers = np.arange(nodes)
         asks = self.feature >= 0
         fits = (
             all(
@@ -115,14 +115,14 @@ class Trees(StoredRegressor):
             and all(_is_whole(places) for places in (self.feature, self.left, self.right, self.roots))
             and np.all(self.feature < _INPUTS)
             and np.all((self.roots >= 0) & (self.roots < nodes))
-            and all(np.all((to > own)[asks] & (to < nodes)[asks]) for to in (self.left, self.right))
+            and all(np.all((to > numbers)[asks] & (to < nodes)[asks]) for to in (self.left, self.right))
         )
         if not fits:
             raise ModelError("trees: arrays that are no decision trees")
 
     def predict(self, X: Array) -> Array:
         """See the base class."""
-        feature, left, right = (own.astype(np.int64) for own in (self.feature, self.left, self.right))
+        feature, left, right = (column.astype(np.int64) for column in (self.feature, self.left, self.right))
         single, rows = X.astype(np.float32), np.arange(len(X))
         total = np.full(len(X), self.constant[0])
         for root in self.roots.astype(np.int64):

@@ -258,11 +258,11 @@ def fitted_regressor(
         for axis in axes:
             y = wrench[:, AXES.index(axis)]
             held_out = [
-                _errors(_fit(regressor, X[~own], y[~own]), X[own], y[own], inside_range(X[own], of=X[~own]))
-                for own in places
+                _errors(_fit(regressor, X[~out], y[~out]), X[out], y[out], inside_range(X[out], of=X[~out]))
+                for out in places
             ]
             fitted[axis] = _fit(regressor, X, y)
-            everywhere = [np.ones(int(own.sum()), dtype=np.bool_) for own in places]
+            everywhere = [np.ones(int(place.sum()), dtype=np.bool_) for place in places]
             trained = [
                 _errors(fitted[axis], X[own], y[own], inside)
                 for own, inside in zip(places, everywhere, strict=True)
@@ -285,10 +285,10 @@ def fitted_regressor(
 
 
 def _fit(regressor: Regressor, X: Array, y: Array) -> Regressor:
-    own = deepcopy(regressor)
-    with _named(own):
-        own.fit(X, y)
-    return own
+    copy = deepcopy(regressor)
+    with _named(copy):
+        copy.fit(X, y)
+    return copy
 
 
 def _errors(regressor: Regressor, X: Array, y: Array, inside: Any) -> FlightErrors:

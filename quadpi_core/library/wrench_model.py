@@ -259,11 +259,11 @@ class WrenchModel:
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:
         """Constructor arguments by name; with `deep`, those of a regressor too, as `estimator__NAME`."""
-        own = {name: getattr(self, name) for name in inspect.signature(type(self)).parameters}
+        settings = {name: getattr(self, name) for name in inspect.signature(type(self)).parameters}
         if deep and hasattr(self.estimator, "get_params"):
             nested = self.estimator.get_params(deep=True)
-            own |= {f"estimator__{name}": value for name, value in nested.items()}
-        return own
+            settings |= {f"estimator__{name}": value for name, value in nested.items()}
+        return settings
 
     def set_params(self: Self, **params: Any) -> Self:
         """Change constructor arguments by name, `estimator` before what is nested in it.

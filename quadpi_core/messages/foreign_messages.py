@@ -79,7 +79,7 @@ class ForeignCodec:
             columns = {one.name: one for one in items if isinstance(one, Field) and one.name in wanted}
             if columns:
                 self._arrays[array.name] = columns
-        known = {**self._top, **{path: field for own in self._arrays.values() for path, field in own.items()}}
+        known = {**self._top, **{path: field for one in self._arrays.values() for path, field in one.items()}}
         for path, width in wanted.items():
             if path not in known or width != _width(known[path]):
                 raise LogError(f"this version of {type_name} has no field {path} of the kind known here")
@@ -92,22 +92,22 @@ class ForeignCodec:
             SampleError: naming the sample whose bytes are no message of this type.
         """
         arrays = self._arrays.items()
-        found: dict[str, list[Any]] = {
-            path: [] for own in (self._top, *self._arrays.values()) for path in own
+        values: dict[str, list[Any]] = {
+            path: [] for fields_of in (self._top, *self._arrays.values()) for path in fields_of
         }
-        found |= {array: [] for array in self._arrays}
+        values |= {array: [] for array in self._arrays}
         for sample, message in enumerate((payloads,) if isinstance(payloads, bytes) else payloads):
             try:
-                end = ORIGIN + self._read(message, 0, found)
+                end = ORIGIN + self._read(message, 0, values)
                 if message[:2] != b"\x00\x01" or not 0 <= len(message) - end <= _PADDING_MAX:
                     raise ValueError("another encapsulation or length")
             except (struct.error, ValueError) as error:
                 raise SampleError(sample, f"its {len(message)} bytes are no {self._type_name}") from error
-        columns = {path: _column(field, found[path]) for path, field in self._top.items()}
+        columns = {path: _column(field, values[path]) for path, field in self._top.items()}
         items = {}
         for array, own in arrays:
-            members = {path.removeprefix(f"{array}."): _column(f, found[path]) for path, f in own.items()}
-            items[array] = Items(np.array(found[array], dtype=np.int64), members)
+            members = {path.removeprefix(f"{array}."): _column(f, values[path]) for path, f in own.items()}
+            items[array] = Items(np.array(values[array], dtype=np.int64), members)
         return columns, items
 
 

@@ -105,12 +105,12 @@ class StaticTransforms:
             LogError: for invalid bytes; for an invalid rotation, after the other transforms were added.
         """
         try:
-            found = _transforms().decode(message)[1]["transforms"].columns
+            columns = _transforms().decode(message)[1]["transforms"].columns
         except SampleError as error:
             raise LogError(f"its {len(message)} bytes are no {TF_TYPE}") from error
         wrong = []
         for frame, child_frame, translation, x_y_z_w in zip(
-            *(found[path] for path in ("header.frame_id", "child_frame_id", *_TRANSFORM)), strict=True
+            *(columns[path] for path in ("header.frame_id", "child_frame_id", *_TRANSFORM)), strict=True
         ):
             parent, child = (plain_name(name.decode()) for name in (frame, child_frame))
             quaternion = np.roll(x_y_z_w, 1)

@@ -252,7 +252,7 @@ class AerodynamicModel:
     def support(self, confidence: float) -> LevelSupport:
         """What a confidence means for flights to come, by the flights that calibrated the intervals."""
         confidence = array_checks.number("confidence", confidence)
-        rules = [own.rule for own in self.fitted.axes.values()]
+        rules = [axis.rule for axis in self.fitted.axes.values()]
         inside = min(rule.flights_inside if isinstance(rule, HeldOutRule) else 0 for rule in rules)
         return LevelSupport.of(confidence, inside)
 
@@ -309,17 +309,17 @@ class AerodynamicModel:
         if confidence is not None:
             confidence = array_checks.number("confidence", confidence)
         if time is None:
-            said = unchecked_evaluation(self, inputs, confidence, derivatives)
+            evaluation = unchecked_evaluation(self, inputs, confidence, derivatives)
         else:
             time = array_checks.floats("time", time, rows=len(inputs), of="inputs")
-            said = recorded_evaluation(self, time, inputs, derivatives, confidence)
-        finite = np.isfinite(np.concatenate(said, axis=1)).all(axis=1)
+            evaluation = recorded_evaluation(self, time, inputs, derivatives, confidence)
+        finite = np.isfinite(np.concatenate(evaluation, axis=1)).all(axis=1)
         if not finite.all():
             raise ModelError(
                 f"model {self.name}: sample {np.argmin(finite)}: beyond what the model can predict: "
                 "its numbers overflow"
             )
-        return said
+        return evaluation
 
     def interval_ratio(self, confidence: float) -> Array:
         """Width (6,) of the intervals of the model's own confidence over that of another; 1 where not held.
@@ -436,11 +436,11 @@ def unchecked_evaluation(
     """
     if confidence is None:
         confidence = model.confidence
-    said = model.fitted.evaluate(inputs, model._factors(confidence), derivatives)
+    evaluation = model.fitted.evaluate(inputs, model._factors(confidence), derivatives)
     if derivatives is None or compiled_model(model.fitted) or not derivatives["density_excess"].any():
-        return said
+        return evaluation
     # One that Python evaluates knows nothing of the density of the air.
-    scaled = np.stack(said)
+    scaled = np.stack(evaluation)
     compiled.scale_by_density(whole_derivatives(derivatives), scaled)
     return Evaluation(*scaled)
 
@@ -453,12 +453,12 @@ def recorded_evaluation(
     confidence: float | None = None,
 ) -> Evaluation:
     """As :func:`unchecked_evaluation`, with the forces of a flight (N,) as it would have recorded them."""
-    said = unchecked_evaluation(model, inputs, confidence, derivatives)
+    exact = unchecked_evaluation(model, inputs, confidence, derivatives)
     if model.force_bandwidth_hz is None:
-        return said
-    predicted = as_recorded(time, inputs, said.predicted, model.force_bandwidth_hz)
-    change = predicted - said.predicted
-    return said._replace(predicted=predicted, lower=said.lower + change, upper=said.upper + change)
+        return exact
+    predicted = as_recorded(time, inputs, exact.predicted, model.force_bandwidth_hz)
+    change = predicted - exact.predicted
+    return exact._replace(predicted=predicted, lower=exact.lower + change, upper=exact.upper + change)
 
 
 def _stored_part(

@@ -64,7 +64,7 @@ class CandidatePool:
         bias = Regressor(((1.0, CONSTANT),))
         candidates = [regressor for family in families for regressor in expand_family(family)]
         lists = ([bias, *map(Regressor.parse, fixed)], candidates, map(Regressor.parse, inputs))
-        return cls(*(tuple(dict.fromkeys(own)) for own in lists))
+        return cls(*(tuple(dict.fromkeys(regressors)) for regressors in lists))
 
 
 def expand_family(text: str) -> list[Regressor]:

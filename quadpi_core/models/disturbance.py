@@ -69,7 +69,7 @@ class Disturbance:
         """
         axes = []
         for axis in range(len(AXES)):
-            series = [own[:, axis] for own in residuals]
+            series = [residual[:, axis] for residual in residuals]
             time_s, gain = _best_predictor(series, step_s, lead)
             axes.append(AxisDisturbance(_deviation(series, time_s, step_s), time_s, gain))
         return cls(step_s, tuple(axes))
@@ -98,8 +98,8 @@ class Disturbance:
     @property
     def filtered_variance(self) -> Array:
         """Variance (6,) of the disturbance given the samples up to now, for the filter at its best gain."""
-        kept = 1.0 - self.gain
-        result: Array = kept * self.drive / (1.0 - kept * np.square(self.decay))
+        memory = 1.0 - self.gain
+        result: Array = memory * self.drive / (1.0 - memory * np.square(self.decay))
         return result
 
     def filtered(self, residuals: Array, before: Array | None = None) -> Array:
@@ -117,33 +117,33 @@ class Disturbance:
         out = np.empty_like(residuals)
         before = np.zeros_like(residuals[0]) if before is None else before
         for axis, (gain, decay) in enumerate(zip(self.gain, self.decay, strict=True)):
-            kept = (1.0 - gain) * decay
-            start = kept * before[axis][np.newaxis]
-            out[:, axis], _ = lfilter([gain], [1.0, -kept], residuals[:, axis], axis=0, zi=start)
+            memory = (1.0 - gain) * decay
+            start = memory * before[axis][np.newaxis]
+            out[:, axis], _ = lfilter([gain], [1.0, -memory], residuals[:, axis], axis=0, zi=start)
         return out
 
 
 def _best_predictor(series: Sequence[Array], step_s: float, lead: int) -> tuple[float, float]:
     """Correlation time and gain whose held disturbance predicts the mean of the next residuals best."""
     spans = [max(1, round(span / step_s)) for span in _SPANS_S]
-    known = [own for own in series if len(own) > 2 * (spans[-1] + lead)]
+    known = [residual for residual in series if len(residual) > 2 * (spans[-1] + lead)]
     if not known:
         return TIMES_S[0], 0.0
     from scipy.signal import lfilter
 
-    sums = [np.concatenate(([0.0], np.cumsum(own))) for own in known]
+    sums = [np.concatenate(([0.0], np.cumsum(residual))) for residual in known]
     scale = [max(sum(float(np.abs(own[n:] - own[:-n]).mean()) for own in sums), _LEAST) for n in spans]
 
     def cost(time_s: float, gain: float) -> float:
         decay = float(np.exp(-step_s / time_s))
         total = 0.0
-        for own, summed in zip(known, sums, strict=True):
-            held = lfilter([gain], [1.0, -(1.0 - gain) * decay], own) * decay**lead
+        for residual, summed in zip(known, sums, strict=True):
+            estimate = lfilter([gain], [1.0, -(1.0 - gain) * decay], residual) * decay**lead
             for n, size in zip(spans, scale, strict=True):
                 # Of samples after the present up to the end of the span.
                 share = decay * (1.0 - decay**n) / (1.0 - decay)
                 ahead = summed[lead + 1 + n :] - summed[lead + 1 : -n]
-                total += float(np.abs(ahead - share * held[: len(ahead)]).mean()) / size
+                total += float(np.abs(ahead - share * estimate[: len(ahead)]).mean()) / size
         return total
 
     best = min(
@@ -159,11 +159,11 @@ def _deviation(series: Sequence[Array], time_s: float, step_s: float) -> float:
     lags = np.arange(first, last + 1)
     products, counts = np.zeros(len(lags)), np.zeros(len(lags))
     whole, samples = 0.0, 0
-    for own in series:
-        whole, samples = whole + float(own @ own), samples + len(own)
-        for place, lag in enumerate(lags[lags < len(own)]):
-            products[place] += own[:-lag] @ own[lag:]
-            counts[place] += len(own) - lag
+    for residual in series:
+        whole, samples = whole + float(residual @ residual), samples + len(residual)
+        for place, lag in enumerate(lags[lags < len(residual)]):
+            products[place] += residual[:-lag] @ residual[lag:]
+            counts[place] += len(residual) - lag
     shape = np.exp(-lags * step_s / time_s)
     variance = float(shape @ (products / np.maximum(counts, 1.0)) / (shape @ shape))
     return float(np.sqrt(np.clip(variance, 0.0, whole / max(samples, 1))))

@@ -117,18 +117,18 @@ class Ensemble(Kind):
         def report(state: TrainingState) -> None:
             progress(training_progress(state))
 
-        own = replace(self, **self.PAPER) if options.settings == "paper" else self
-        require_training(own.device)
-        table = Table.make(samples, pools, own.most_samples)
-        folds = min(len(table.rows), own.folds)
+        kind = replace(self, **self.PAPER) if options.settings == "paper" else self
+        require_training(kind.device)
+        table = Table.make(samples, pools, kind.most_samples)
+        folds = min(len(table.rows), kind.folds)
         if folds == 1:
             raise ModelError("one flight is too few: intervals from flights left out in turn need two")
-        plan = Plan.make(table.flights, own.members, own.subset, own.split, folds, own.seed)
-        trained = own._train(table, plan, options.confidence, report)
+        plan = Plan.make(table.flights, kind.members, kind.subset, kind.split, folds, kind.seed)
+        trained = kind._train(table, plan, options.confidence, report)
         axis_type: Any = self.fitted_type.axis_type
         axes, held_out = {}, {}
         for k, (axis, pool) in enumerate(pools.items()):
-            rule = own._uncalibrated(options.confidence)
+            rule = kind._uncalibrated(options.confidence)
             if folds:
                 held_out[axis], rule = _calibrated(table, plan, trained, k)
             scaling = table.scalings[k]

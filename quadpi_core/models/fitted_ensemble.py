@@ -178,7 +178,7 @@ class FittedEnsembles(CompiledFitted):
         """See the base class."""
         program = RegressorProgram.compile(r for own in self.axes.values() for r in own.inputs)
         axes = np.zeros(len(AXES), dtype=_AXIS)
-        source = np.zeros((len(AXES), max(len(own.inputs) for own in self.axes.values())), dtype=np.int64)
+        source = np.zeros((len(AXES), max(len(axis.inputs) for axis in self.axes.values())), dtype=np.int64)
         weights, first, start = [], 0, 0
         for axis, own in self.axes.items():
             k, size = AXES.index(axis), len(own.inputs)

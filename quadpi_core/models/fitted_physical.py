@@ -186,7 +186,7 @@ class FittedPhysical(CompiledFitted):
     @cached_property
     def compiled(self) -> compiled.Physical:
         """See the base class."""
-        longest = max(len(own.acting) for own in self.axes.values())
+        longest = max(len(axis.acting) for axis in self.axes.values())
         fit = self.parameters
         rotors = int(fit.vehicle["rotors"][0])
         common = np.zeros(1, record_dtype(Common, rotors))

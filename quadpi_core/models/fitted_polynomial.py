@@ -90,7 +90,7 @@ class FittedPolynomials(CompiledFitted):
     @cached_property
     def compiled(self) -> compiled.Polynomials:
         """See the base class."""
-        longest = max(len(own.regressors) for own in self.axes.values())
+        longest = max(len(axis.regressors) for axis in self.axes.values())
         program = RegressorProgram.compile(r for own in self.axes.values() for r in own.regressors)
         axes = np.zeros(len(AXES), dtype=_AXIS)
         terms = np.zeros((len(AXES), longest), dtype=_TERM)

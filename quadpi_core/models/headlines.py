@@ -50,12 +50,12 @@ def headlines(model: AerodynamicModel, vehicle: Vehicle) -> list[Headline]:
         model: of any kind.
         vehicle: of the model.
     """
-    found = list(_near_hover(model, vehicle)) if model.alarm_limits.hover_rotor_speed > 0.0 else []
+    lines = list(_near_hover(model, vehicle)) if model.alarm_limits.hover_rotor_speed > 0.0 else []
     if (delay := model.fitted.rotor_delay) is not None:
         low, high = (1e3 * bound for bound in delay.range_s or (delay.used_s, delay.used_s))
         note = f"not ruled out: {low:g} to {high:g}" if high > low else ""
-        found.append(Headline("delay of the rotor speeds", 1e3 * delay.used_s, None, None, "ms", note))
-    return found
+        lines.append(Headline("delay of the rotor speeds", 1e3 * delay.used_s, None, None, "ms", note))
+    return lines
 
 
 def _near_hover(model: AerodynamicModel, vehicle: Vehicle) -> Iterator[Headline]:
@@ -96,14 +96,14 @@ def _near_hover(model: AerodynamicModel, vehicle: Vehicle) -> Iterator[Headline]
             continue
         value, error = moment
         arms = speed**2 * float(np.abs(levers).sum())
-        quantity, found, unit = "torque over thrust of a rotor", 1e3 * value / (arms * thrust), "mm"
+        quantity, estimate, unit = "torque over thrust of a rotor", 1e3 * value / (arms * thrust), "mm"
         if known is not None:
             quantity, unit = f"inertia {name}, by arms and thrust", "kg m²"
-            found = known * thrust * arms / value
+            estimate = known * thrust * arms / value
         by = None
         if error is not None and thrust_error is not None:
-            by = found * float(np.hypot(error / value, thrust_error / thrust))
-        yield Headline(quantity, found, by, known, unit)
+            by = estimate * float(np.hypot(error / value, thrust_error / thrust))
+        yield Headline(quantity, estimate, by, known, unit)
 
 
 # Weight of a prediction at a steady state: hover, or hover but for a velocity along an axis, or a share of

@@ -56,8 +56,8 @@ class Rule(ABC):
 
     def to_json(self) -> dict[str, Any]:
         """Plain numbers, as stored with a model."""
-        own = vars(self).items()
-        return {"kind": self.kind, **{name: np.asarray(value).tolist() for name, value in own}}
+        parameters = vars(self).items()
+        return {"kind": self.kind, **{name: np.asarray(value).tolist() for name, value in parameters}}
 
 
 @dataclass(frozen=True)

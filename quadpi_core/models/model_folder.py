@@ -87,10 +87,10 @@ def read_folder(folder: Path) -> tuple[FolderContent, str]:
             )
         hashes = {ARRAYS_FILE: content.get(ARRAYS_KEY), **content.get(FURTHER_KEY, {})}
         for name, hashed in hashes.items():
-            held = array_bytes if name == ARRAYS_FILE else files.get(name)
-            if held is None:
+            content_bytes = array_bytes if name == ARRAYS_FILE else files.get(name)
+            if content_bytes is None:
                 raise ModelError(f"{name}: missing, although {MODEL_FILE} names it")
-            if _sha256(held) != hashed:
+            if _sha256(content_bytes) != hashed:
                 raise ModelError(f"{name}: its hash is not the one in {MODEL_FILE}: the file was altered")
         arrays = read_safetensors(array_bytes)
         for name, values in arrays.items():
@@ -199,13 +199,13 @@ def _read_files(folder: Path) -> tuple[str, bytes, dict[str, bytes]]:
     for _ in range(_READS):
         before = _number(folder)
         try:
-            found = _files(folder)
+            files = _files(folder)
         except ModelError:
             if _number(folder) == before and before is not None:
                 raise
         else:
             if _number(folder) == before:
-                return found
+                return files
         # There is none for a moment while another takes its place.
         time.sleep(_READ_AGAIN_S)
     return _files(folder)
@@ -229,8 +229,8 @@ def _files(folder: Path) -> tuple[str, bytes, dict[str, bytes]]:
 def _number(folder: Path) -> tuple[int, int] | None:
     """Identity of a folder, which differs from that of another of the same name; None if there is none."""
     with suppress(OSError):
-        found = folder.stat()
-        return found.st_ino, found.st_mtime_ns
+        status = folder.stat()
+        return status.st_ino, status.st_mtime_ns
     return None
 
 

@@ -179,13 +179,13 @@ class FittedAxis(ABC):
 
     def arrays(self) -> dict[str, Array]:
         """What a model folder keeps as arrays, by name."""
-        kept = {}
+        stored = {}
         for name, value in _fields(self):
             if isinstance(value, np.ndarray):
-                kept[name] = np.ascontiguousarray(value)
+                stored[name] = np.ascontiguousarray(value)
             elif _is_of_arrays(value):
-                kept |= {f"{name}.{key}": np.ascontiguousarray(own) for key, own in _fields(value)}
-        return kept
+                stored |= {f"{name}.{key}": np.ascontiguousarray(own) for key, own in _fields(value)}
+        return stored
 
     def to_json(self) -> dict[str, Any]:
         """What a model folder keeps beside the arrays."""
@@ -209,7 +209,7 @@ def _plain(value: Any) -> Any:
     if hasattr(value, "to_json"):
         return value.to_json()
     if isinstance(value, list | tuple):
-        return [_plain(own) for own in value]
+        return [_plain(item) for item in value]
     if isinstance(value, Mapping):
         return {name: _plain(own) for name, own in value.items()}
     if isinstance(value, np.generic):
@@ -434,8 +434,8 @@ class Kind(Section, ABC):
 
     def having(self: Self, **options: Any) -> Self:
         """This kind with those of some options that it has."""
-        own = {option.name for option in fields(self)}
-        return replace(self, **{name: value for name, value in options.items() if name in own})
+        names = {option.name for option in fields(self)}
+        return replace(self, **{name: value for name, value in options.items() if name in names})
 
     def check(self, options: IdentifyOptions, pools: Pools) -> None:  # noqa: ARG002 - for kinds that need more of them
         """Refuse options that no flights can satisfy; cheap, so that it can come before flights are read.
@@ -443,8 +443,8 @@ class Kind(Section, ABC):
         Raises:
             ModelError: saying what this kind does not have, or naming the option that is impossible.
         """
-        own = {option.name: getattr(self, option.name) for option in fields(self)}
-        parse_config(type(self), own, f"method {self.name}", ModelError)
+        values = {option.name: getattr(self, option.name) for option in fields(self)}
+        parse_config(type(self), values, f"method {self.name}", ModelError)
         if options.settings == "paper" and not self.has_paper_settings:
             raise ModelError(f"the paper knows no {self.name} method: it has no settings paper")
 

@@ -90,14 +90,14 @@ class Windows(NamedTuple):
         process = replace(model.disturbance, step_s=track.step)
         before, aged = np.maximum(starts - lead, 0), process.decay**lead
         measured = process.filtered(flight.wrench)[before] * aged
-        found: list[Array] = []
+        by_window: list[Array] = []
         last: Array | None = None
         for first in range(0, len(track.motion), _SAMPLES):
-            own = regressors(track.motion[first : first + _SAMPLES], model.vehicle).transpose(0, 2, 1)
-            filtered = process.filtered(own, last)
-            found.append(filtered[before[(before >= first) & (before < first + _SAMPLES)] - first])
+            slopes = regressors(track.motion[first : first + _SAMPLES], model.vehicle).transpose(0, 2, 1)
+            filtered = process.filtered(slopes, last)
+            by_window.append(filtered[before[(before >= first) & (before < first + _SAMPLES)] - first])
             last = filtered[-1]
-        predicted = np.concatenate(found) * aged[:, np.newaxis]
+        predicted = np.concatenate(by_window) * aged[:, np.newaxis]
         windows = cls(track, starts, horizons, measured, predicted, process.decay)
         errors = windows.rolled(model.parameters, derivatives=False).errors
         fine = np.all(np.isfinite(errors), axis=(1, 2)) & np.all(np.isfinite(predicted), axis=(1, 2))
@@ -140,7 +140,7 @@ def median_norms(rolled: Rolled) -> Array:
 def mean_norms(windows: Sequence[Windows], values: Sequence[Array]) -> Array:
     """Mean norm (F, H, 4) of the errors of flights by parameters of each."""
     rolled = [own.rolled(there, derivatives=False) for own, there in zip(windows, values, strict=True)]
-    result: Array = np.maximum(np.stack([error_norms(own.errors).mean(axis=0) for own in rolled]), _LEAST)
+    result: Array = np.maximum(np.stack([error_norms(one.errors).mean(axis=0) for one in rolled]), _LEAST)
     return result
 
 
@@ -223,12 +223,12 @@ def fit_multi_step(
     """
     if len(flights) < 2:
         return _first_step(first, left_out, (), "one flight cannot tell whether predictions ahead improve")
-    found = [Windows.of(flight, first) for flight in flights]
-    used = [k for k, own in enumerate(found) if len(own.starts)]
-    windows = [found[k] for k in used]
+    all_windows = [Windows.of(flight, first) for flight in flights]
+    used = [k for k, one in enumerate(all_windows) if len(one.starts)]
+    windows = [all_windows[k] for k in used]
     if not windows:
         return _first_step(first, left_out, (), "no roll-out of half a second can be used")
-    free = MOVES & np.all([np.diag(own.covariance) > 0.0 for own in (first, *left_out)], axis=0)
+    free = MOVES & np.all([np.diag(model.covariance) > 0.0 for model in (first, *left_out)], axis=0)
     unit = (problem.spread if by_terms else np.sqrt(np.diag(first.covariance)))[free]
 
     def objective_of(own: RolloutModel) -> _Objective:
@@ -239,7 +239,7 @@ def fit_multi_step(
         centre = (mean - first.parameters)[free] / unit
         return _Objective(first.parameters, free, unit, problem.lower, centre, known, 0.0)
 
-    whole, *others = [objective_of(own) for own in (first, *left_out)]
+    whole, *others = [objective_of(model) for model in (first, *left_out)]
     begun = mean_norms(windows, [left_out[k].parameters for k in used])
     log: list[FitStep] = []
     best, chosen, values = 0.0, None, first.parameters
@@ -342,7 +342,7 @@ def _minimised(
     values = start
     rolled = all_rolled(windows, values, derivatives=True)
     for _ in range(_ITERATIONS):
-        scales = [median_norms(own) for own in rolled]
+        scales = [median_norms(rollout) for rollout in rolled]
         parts = parts_of(rolled, scales)
         before = objective.cost(values, parts)
         for share in _SHARES:
@@ -357,7 +357,7 @@ def _minimised(
         rolled = all_rolled(windows, values, derivatives=True)
         if tried > before * (1.0 - _ENOUGH):
             break
-    return values, parts_of(rolled, [median_norms(own) for own in rolled])
+    return values, parts_of(rolled, [median_norms(rollout) for rollout in rolled])
 
 
 def _moved(

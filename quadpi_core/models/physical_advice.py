@@ -38,22 +38,22 @@ def unidentified(covariance: Array, spreads: Array) -> dict[str, str]:
         covariance: (P, P) of the posterior; zero where a term was left out.
         spreads: (P,) of the prior.
     """
-    kept = np.flatnonzero(np.diag(covariance) > 0.0)
-    if not len(kept):
+    fitted = np.flatnonzero(np.diag(covariance) > 0.0)
+    if not len(fitted):
         return {}
-    own = covariance[np.ix_(kept, kept)] / np.outer(spreads[kept], spreads[kept])
-    share = np.sqrt(np.diag(own))
+    correlation = covariance[np.ix_(fitted, fitted)] / np.outer(spreads[fitted], spreads[fitted])
+    share = np.sqrt(np.diag(correlation))
     # Standard error of each if all others were known: far smaller where flights excite it.
-    values, vectors = np.linalg.eigh(own)
+    values, vectors = np.linalg.eigh(correlation)
     alone = 1.0 / np.sqrt(np.square(vectors) @ (1.0 / np.maximum(values, _LEAST_VARIANCE)))
-    alike = np.abs(own / np.outer(share, share)) - np.eye(len(kept))
+    alike = np.abs(correlation / np.outer(share, share)) - np.eye(len(fitted))
     notes = {}
     for k in np.flatnonzero(share > UNKNOWN):
-        term, other = TERMS[kept[k]], int(np.argmax(alike[k]))
+        term, other = TERMS[fitted[k]], int(np.argmax(alike[k]))
         note = "not identified by these flights"
         excited = alone[k] <= _EXCITED
         if excited and alike[k, other] > _ALIKE:
-            note += f", which hardly tell it from {TERM_NAMES[kept[other]]}"
+            note += f", which hardly tell it from {TERM_NAMES[fitted[other]]}"
         speeds = " at several speeds" if excited and term.manoeuvre in BY_SPEED else ""
         notes[term.name] = f"{note}: fly {term.manoeuvre}{speeds}"
     return notes

@@ -71,9 +71,9 @@ class Information:
         """Of regressors (N, P, 6) and the measured wrench (N, 6)."""
         matrix, moment = np.zeros((len(AXES), len(TERMS), len(TERMS))), np.zeros((len(AXES), len(TERMS)))
         for axis, acting in enumerate(_felt_terms().T):
-            own = z[:, acting, axis]
-            matrix[axis][np.ix_(acting, acting)] = own.T @ own
-            moment[axis, acting] = wrench[:, axis] @ own
+            columns = z[:, acting, axis]
+            matrix[axis][np.ix_(acting, acting)] = columns.T @ columns
+            moment[axis, acting] = wrench[:, axis] @ columns
         return cls(matrix, moment, np.sum(np.square(wrench), axis=0), len(wrench))
 
     def __add__(self, other: Information) -> Information:
@@ -248,12 +248,12 @@ def bounded_terms(values: Array, spreads: Array) -> list[str]:
 def worst_pairs(covariance: Array, count: int = 5) -> list[tuple[str, str, float]]:
     """The most correlated pairs of parameters of a covariance (P, P), with their correlation."""
     errors = np.sqrt(np.diag(covariance))
-    kept = np.flatnonzero(errors > 0.0)
-    correlation = covariance[np.ix_(kept, kept)] / np.outer(errors[kept], errors[kept])
-    rows, columns = np.triu_indices(len(kept), 1)
+    fitted = np.flatnonzero(errors > 0.0)
+    correlation = covariance[np.ix_(fitted, fitted)] / np.outer(errors[fitted], errors[fitted])
+    rows, columns = np.triu_indices(len(fitted), 1)
     worst = np.argsort(-np.abs(correlation[rows, columns]))[:count]
     return [
-        (TERM_NAMES[kept[rows[i]]], TERM_NAMES[kept[columns[i]]], float(correlation[rows[i], columns[i]]))
+        (TERM_NAMES[fitted[rows[i]]], TERM_NAMES[fitted[columns[i]]], float(correlation[rows[i], columns[i]]))
         for i in worst
     ]
 

@@ -177,8 +177,8 @@ def _rotor_delay(
     rate_hz = float(np.mean([flight.rate_hz for flight in thin]))
     independent = Weighing.of_errors(errors, rate_hz).independent[MOMENT]
     count = sum(len(flight.time) for flight in thin) * independent
-    left = delays_not_ruled_out(np.array(squares), count, best)
-    return UNTOLD_DELAY_S if delay_untold(left) else DELAYS_S[best], left
+    delay_range = delays_not_ruled_out(np.array(squares), count, best)
+    return UNTOLD_DELAY_S if delay_untold(delay_range) else DELAYS_S[best], delay_range
 
 
 def delays_not_ruled_out(squares: Array, count: Array, best: int) -> tuple[float, float]:

@@ -101,10 +101,10 @@ def calibrated_rollouts(
 
     with ThreadPoolExecutor(_THREADS) as threads:
         ahead = list(threads.map(rolled, every))
-    for flight, own in zip(long, ahead, strict=True):
+    for flight, rollouts in zip(long, ahead, strict=True):
         with identifiable(f"{flight.name}: the width of predictions ahead"):
-            tube_scores(own.errors, own.covariance)
-    ahead = [own for own in ahead if len(own.starts)]
+            tube_scores(rollouts.errors, rollouts.covariance)
+    ahead = [rollouts for rollouts in ahead if len(rollouts.starts)]
     if not ahead:
         return None, log
     # The shape is that of the tubes that are narrowest over the horizons that flights are judged at.
@@ -115,13 +115,13 @@ def calibrated_rollouts(
         TRACKING_PER_S * _CALIBRATION_EVERY_S,
     )
     with identifiable("the width of predictions ahead"):
-        errors, covariances = [own.errors for own in ahead], [own.covariance for own in ahead]
+        errors, covariances = [one.errors for one in ahead], [one.covariance for one in ahead]
         shape = chosen_shape(
-            [own[:, judged] for own in errors], [own[:, judged] for own in covariances], following
+            [one[:, judged] for one in errors], [one[:, judged] for one in covariances], following
         )
         calibration = TubeCalibration.of_flights(
-            [tube_scores(own, shape.shaped(sizes)) for own, sizes in zip(errors, covariances, strict=True)],
-            [error_norms(own) for own in errors],
+            [tube_scores(one, shape.shaped(sizes)) for one, sizes in zip(errors, covariances, strict=True)],
+            [error_norms(one) for one in errors],
             shape,
         )
     return replace(final, measured_variance=variance, calibration=calibration), log
@@ -152,7 +152,7 @@ def _level_attitude(angles: Array) -> Array:
     """Quaternions (N, 4) of sin φ, cos φ, sin θ, cos θ (N, 4) and heading zero."""
     roll = 0.5 * np.arctan2(angles[:, 0], angles[:, 1])
     pitch = 0.5 * np.arctan2(angles[:, 2], angles[:, 3])
-    (sin_roll, cos_roll), (sin_pitch, cos_pitch) = ((np.sin(own), np.cos(own)) for own in (roll, pitch))
+    (sin_roll, cos_roll), (sin_pitch, cos_pitch) = ((np.sin(angle), np.cos(angle)) for angle in (roll, pitch))
     parts = cos_roll * cos_pitch, sin_roll * cos_pitch, cos_roll * sin_pitch, -sin_roll * sin_pitch
     return np.stack(parts, axis=1)
 

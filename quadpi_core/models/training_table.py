@@ -47,12 +47,12 @@ class Table:
         Raises:
             ModelError: for a constant target, naming the axis.
         """
-        kept = _every_other(
+        rows = _every_other(
             samples.flight, 1 if most_samples is None else -(-len(samples.time) // most_samples)
         )
-        X, scaled, scalings, targets = samples.inputs[kept], [], [], []
+        X, scaled, scalings, targets = samples.inputs[rows], [], [], []
         for axis, pool in pools.items():
-            features, target = RegressorProgram.compile(pool.inputs).evaluate(X), samples.target(axis)[kept]
+            features, target = RegressorProgram.compile(pool.inputs).evaluate(X), samples.target(axis)[rows]
             with named_in(axis):
                 scaling = Scaling.of(features, target)
             scaled.append(scaling.standardised(features))
@@ -61,7 +61,7 @@ class Table:
         filled = np.zeros((len(X), len(scaled), max(part.shape[1] for part in scaled)), dtype=np.float32)
         for k, part in enumerate(scaled):
             filled[:, k, : part.shape[1]] = part
-        return cls(X, filled, np.array(targets, dtype=np.float32), samples.flight[kept], tuple(scalings))
+        return cls(X, filled, np.array(targets, dtype=np.float32), samples.flight[rows], tuple(scalings))
 
     @cached_property
     def rows(self) -> list[Indices]:
@@ -89,10 +89,10 @@ class Table:
 
 def _every_other(flights: Indices, step: int) -> Flags:
     """Flags (N,) of every step-th sample of each flight."""
-    kept = np.zeros(len(flights), dtype=bool)
+    rows = np.zeros(len(flights), dtype=bool)
     for flight in range(int(flights.max()) + 1):
-        kept[np.flatnonzero(flights == flight)[::step]] = True
-    return kept
+        rows[np.flatnonzero(flights == flight)[::step]] = True
+    return rows
 
 
 Split: TypeAlias = Literal["flight", "sample"]

@@ -141,9 +141,9 @@ def tube_scores(errors: Array, covariance: Array) -> Array:
     """Size (W, H, 4) of errors (W, H, 12) in terms of their covariance (W, H, 12, 12)."""
     scores = []
     for part in QUANTITIES.values():
-        own = errors[..., part]
-        weighed = np.linalg.solve(covariance[..., part, part], own[..., np.newaxis])[..., 0]
-        scores.append(np.sqrt(np.sum(own * weighed, axis=-1)))
+        part_errors = errors[..., part]
+        weighed = np.linalg.solve(covariance[..., part, part], part_errors[..., np.newaxis])[..., 0]
+        scores.append(np.sqrt(np.sum(part_errors * weighed, axis=-1)))
     return np.stack(scores, axis=-1)
 
 
@@ -200,7 +200,7 @@ def chosen_shape(errors: Sequence[Array], covariances: Sequence[Array], followin
     pairs, widths = np.array(list(itertools.product(SHARES, POWERS))), []
     for share, power in pairs:
         tried = TubeShape(np.full(4, share), np.full(4, power))
-        shaped = [tried.shaped(own) for own in covariances]
+        shaped = [tried.shaped(covariances_of_flight) for covariances_of_flight in covariances]
         scores = [tube_scores(*pair) for pair in zip(errors, shaped, strict=True)]
         logs = np.log(_quantiles(scores, 1.0 - following.miss_share))
         own_widths = []
@@ -231,7 +231,7 @@ class TubeCalibration:
         cls, scores: Sequence[Array], norms: Sequence[Array], shape: TubeShape = USUAL
     ) -> TubeCalibration:
         """From scores, by a shape, and norms (W, H, 4) of the roll-outs of each flight."""
-        by_level = [np.moveaxis(_quantiles(own, LEVELS), 1, -1) for own in (scores, norms)]
+        by_level = [np.moveaxis(_quantiles(values, LEVELS), 1, -1) for values in (scores, norms)]
         return cls(by_level[0], by_level[1], shape)
 
     def factors(self, horizons_s: Sequence[float], confidence: float) -> Array:
@@ -286,7 +286,7 @@ def require_horizon(horizon_s: float) -> None:
 
 def _quantiles(values: Sequence[Array], levels: float | Array) -> Array:
     """Quantiles of values (W, ...) of each flight at levels: (F, ...) or (F, L, ...)."""
-    quantiles = [np.quantile(own, levels, axis=0, method="higher") for own in values]
+    quantiles = [np.quantile(sizes, levels, axis=0, method="higher") for sizes in values]
     return np.maximum(np.stack(quantiles), _LEAST)
 
 
@@ -295,7 +295,7 @@ def _at(quantiles: Array, horizons_s: Sequence[float], confidence: float) -> Arr
     for horizon in horizons_s:
         require_horizon(horizon)
     mean = np.mean(np.log(quantiles), axis=0)
-    at_level = np.array([[np.interp(confidence, LEVELS, row) for row in own] for own in mean])
-    logs = [np.interp(np.log(horizons_s), np.log(HORIZONS_S), own) for own in at_level.T]
+    at_level = np.array([[np.interp(confidence, LEVELS, row) for row in by_horizon] for by_horizon in mean])
+    logs = [np.interp(np.log(horizons_s), np.log(HORIZONS_S), at) for at in at_level.T]
     result: Array = np.exp(np.stack(logs, axis=1))
     return result

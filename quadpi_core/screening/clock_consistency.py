@@ -75,15 +75,15 @@ def clock_mistake(recording: Recording, state: Pose, sample: Excerpt | None) -> 
     imu = recording.imu
     if sample is None and (len(state) < 2 or shared_s(imu, state) >= SHARED_S.value):
         return None
-    found = None
+    alignment = None
     with suppress(SignalError):
-        found = turn_offset(imu, state, state.topic)
+        alignment = turn_offset(imu, state, state.topic)
     if sample is None:
-        apart = _apart(imu, state, found, "turns")
+        apart = _apart(imu, state, alignment, "turns")
         return None if apart is None else ClockMistake(apart, 0.0)
-    if found is None or abs(found.offset_s) < LEAST_OFFSET_S.value:
+    if alignment is None or abs(alignment.offset_s) < LEAST_OFFSET_S.value:
         return None
-    moved = excerpt(recording, replace(state, time_ns=state.time_ns + found.offset_ns))
+    moved = excerpt(recording, replace(state, time_ns=state.time_ns + alignment.offset_ns))
     if moved is None:
         return None
     before, after = innovation(sample), innovation(moved)
@@ -91,7 +91,7 @@ def clock_mistake(recording: Recording, state: Pose, sample: Excerpt | None) -> 
     if price >= EXPLAINS.value * cost(before, before.motion):
         return None
     text = (
-        f"gyro and attitude disagree: {_said(found)}; that lowers the innovation of the attitude from "
+        f"gyro and attitude disagree: {_said(alignment)}; that lowers the innovation of the attitude from "
         f"{before.turn_rad_s:.2g} to {after.turn_rad_s:.2g} rad/s"
     )
     return ClockMistake(Finding("clock offset", state.topic, text, leave_out=True), price)
@@ -105,11 +105,11 @@ def rotor_clock_finding(recording: Recording, vehicle: Vehicle | None) -> Findin
     imu, rotors = recording.imu, recording.rotor_speeds
     if rotors is None or len(rotors) < 2 or len(imu) < 2 or shared_s(imu, rotors) >= SHARED_S.value:
         return None
-    found = None
+    alignment = None
     if vehicle is not None:
         with suppress(SignalError):
-            found = rotor_alignment(recording, rotors, vehicle)
-    return _apart(imu, rotors, found, "lift and moments")
+            alignment = rotor_alignment(recording, rotors, vehicle)
+    return _apart(imu, rotors, alignment, "lift and moments")
 
 
 def rotor_alignment(recording: Recording, rotors: RotorSpeedStream, vehicle: Vehicle) -> Alignment:
@@ -119,13 +119,13 @@ def rotor_alignment(recording: Recording, rotors: RotorSpeedStream, vehicle: Veh
         SignalError: if there is none.
     """
     what = f"{recording.source}: imu and {rotors.topic}"
-    found = rotor_offset(recording.imu, rotors, vehicle, what)
-    there = replace(rotors, time_ns=rotors.time_ns + found.offset_ns)
+    alignment = rotor_offset(recording.imu, rotors, vehicle, what)
+    there = replace(rotors, time_ns=rotors.time_ns + alignment.offset_ns)
     sample = rotor_excerpt(replace(recording, rotor_speeds=there))
     evidence = None if sample is None else rotor_evidence(sample, vehicle)
     if evidence is None or evidence.explained < EXPLAINED.value:
         raise SignalError(f"{what}: no offset at which the rotor speeds explain the motion")
-    return found
+    return alignment
 
 
 def aligned(recording: Recording, vehicle: Vehicle) -> tuple[Recording, dict[str, Alignment]]:

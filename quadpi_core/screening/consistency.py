@@ -84,11 +84,11 @@ def checked(
         LogError: naming file and topic, for units and axes that cannot be right, and certain mistakes.
     """
     check_plausible(recording, vehicle, beyond)
-    found = tuple(contradictions(recording, vehicle))
-    for finding in found:
+    mistakes = tuple(contradictions(recording, vehicle))
+    for finding in mistakes:
         if finding.certain:
             raise LogError(f"{recording.source}: {finding}")
-    return replace(recording, quality=replace(recording.quality, findings=found))
+    return replace(recording, quality=replace(recording.quality, findings=mistakes))
 
 
 def contradictions(recording: Recording, vehicle: Vehicle | None) -> Iterator[Finding]:
@@ -128,8 +128,8 @@ def findings(recording: Recording, vehicle: Vehicle | None) -> Iterator[Finding]
         ):
             yield clock.finding
             # Nothing else is made of what is stamped wrong.
-            kept = replace(recording, pose=None, twist=None)
-            recording = kept if isinstance(state, PoseStream) else replace(recording, odometry=None)
+            imu_alone = replace(recording, pose=None, twist=None)
+            recording = imu_alone if isinstance(state, PoseStream) else replace(recording, odometry=None)
             continue
         for mistake in mistakes:
             culprit, gyro = "", mistake[0].gyro
@@ -285,14 +285,14 @@ def _order_finding(evidence: RotorEvidence, vehicle: Vehicle) -> Finding | None:
     if min(best[:2]) < _FOLLOWS or (same and not evidence.spins_inverted):
         return None
     rises = (", ".join(f"{value:.2f}" for value in values) for values in (now, best))
-    said = f"the correlation of the moments with the motion rises from {' to '.join(rises)}"
+    rise = f"the correlation of the moments with the motion rises from {' to '.join(rises)}"
     if same:
         if now[2] > _OPPOSES:
             return None
         return _of_rotors(
             "spins inverted",
             "all spins of the vehicle look inverted (clockwise is as seen from above): with the other ones "
-            + said,
+            + rise,
         )
     if gain < _ORDER_GAIN:
         return None
@@ -301,13 +301,13 @@ def _order_finding(evidence: RotorEvidence, vehicle: Vehicle) -> Finding | None:
             return _of_rotors(
                 "vehicle mirrored",
                 f"the places of the vehicle's rotors look mirrored {words} (forward-right-down expected): "
-                f"otherwise {said}",
+                f"otherwise {rise}",
             )
     moved = [rotor + 1 for rotor, column in enumerate(evidence.order) if rotor != column]
     columns = ", ".join(str(column + 1) for column in evidence.order)
     swapped = f"rotors {moved[0]} and {moved[1]} look swapped" if len(moved) == 2 else "the order looks wrong"
     spins = " and all spins inverted" if evidence.spins_inverted else ""
-    return _of_rotors("rotor order", f"{swapped}: with the columns in the order {columns}{spins} {said}")
+    return _of_rotors("rotor order", f"{swapped}: with the columns in the order {columns}{spins} {rise}")
 
 
 def _mirrored(vehicle: Vehicle, axis: int) -> tuple[int, ...]:
@@ -325,11 +325,11 @@ def _low_rotor(evidence: RotorEvidence, vehicle: Vehicle) -> Iterator[Finding]:
     levers = np.stack((-places[:, 1], places[:, 0], -vehicle.rotor_spins))
     unbalanced = levers @ squares
     missing = -(levers.T @ unbalanced) / np.sum(levers**2, axis=0)
-    left = np.linalg.norm(unbalanced[:, np.newaxis] + levers * missing, axis=0)
-    rotor = int(np.argmin(left))
+    off = np.linalg.norm(unbalanced[:, np.newaxis] + levers * missing, axis=0)
+    rotor = int(np.argmin(off))
     truly = squares[rotor] + missing[rotor]
     # One that reads 0 throughout is a finding of its own.
-    if min(truly, squares[rotor]) <= 0.0 or left[rotor] > _ROTOR_LEFT * float(np.linalg.norm(unbalanced)):
+    if min(truly, squares[rotor]) <= 0.0 or off[rotor] > _ROTOR_LEFT * float(np.linalg.norm(unbalanced)):
         return
     reads = float(np.sqrt(squares[rotor] / truly))
     if abs(reads - 1.0) >= _ROTOR_LOW * max(_ROTOR_WINDOWS / evidence.windows, 1.0) ** 0.5:

@@ -54,10 +54,10 @@ def in_range(recording: Recording, part: TimeRange) -> Recording:
     if part.is_whole or len(recording.imu) == 0:
         return recording
     imu_ns = recording.imu.time_ns
-    found = cut(recording, *part.stamps(int(imu_ns[0])))
-    require_imu_in(recording.source, part, len(found.imu), float(1e-9 * (imu_ns[-1] - imu_ns[0])))
-    used = used_part(imu_ns, found.imu.time_ns, ASKED_FOR)
-    return replace(_without_empty(found), quality=found.quality.joined(DataQuality(used=(used,))))
+    within = cut(recording, *part.stamps(int(imu_ns[0])))
+    require_imu_in(recording.source, part, len(within.imu), float(1e-9 * (imu_ns[-1] - imu_ns[0])))
+    used = used_part(imu_ns, within.imu.time_ns, ASKED_FOR)
+    return replace(_without_empty(within), quality=within.quality.joined(DataQuality(used=(used,))))
 
 
 def _without_empty(recording: Recording) -> Recording:
@@ -104,9 +104,9 @@ def in_range_of_blocks(blocks: Iterable[Recording], source: str, part: TimeRange
                 start_ns = int(imu_ns[rows[0]] if len(rows) else imu_ns[0])
                 bounds = part.stamps(start_ns)
         if bounds is not None:
-            found = cut(block, *bounds)
-            samples += len(found.imu)
-            yield found
+            within = cut(block, *bounds)
+            samples += len(within.imu)
+            yield within
     require_imu_in(source, part, samples, 1e-9 * (last_ns - start_ns))
 
 
@@ -140,8 +140,8 @@ def parts_without_pause(recording: Recording) -> list[Recording]:
 
 def long_enough(parts: Sequence[Recording]) -> list[Recording]:
     """The parts that are flights of their own: those of PART_S and more, else the longest, by time."""
-    kept = [one for one in parts if one.imu.time_ns[-1] - one.imu.time_ns[0] >= 1e9 * PART_S.value]
-    return sorted(kept or parts[:1], key=lambda one: int(one.imu.time_ns[0]))
+    flights = [one for one in parts if one.imu.time_ns[-1] - one.imu.time_ns[0] >= 1e9 * PART_S.value]
+    return sorted(flights or parts[:1], key=lambda one: int(one.imu.time_ns[0]))
 
 
 def pauses(stream: Stream) -> Break | None:

@@ -72,7 +72,7 @@ def require_changes(flight: Flight) -> None:
 def _flown(flights: Sequence[Flight], vehicle: Vehicle) -> dict[str, bool]:
     """Whether any flight contains a manoeuvre, by its name."""
     induced = vehicle.hover_induced_velocity
-    velocity = [relative_to_air(own.velocity, own.attitude, own.wind) for own in flights]
+    velocity = [relative_to_air(flight.velocity, flight.attitude, flight.wind) for flight in flights]
     speeds = np.quantile(np.abs(np.concatenate(velocity)), 1.0 - TAIL.value, axis=0) / induced
     rates = np.quantile(np.abs(np.concatenate([own.rates for own in flights])), 1.0 - TAIL.value, axis=0)
     loads = [np.square(flight.rotor_speeds).sum(axis=1) for flight in flights]

@@ -210,8 +210,8 @@ def _correlation(of: Array, over: Array) -> tuple[Array, Array]:
 def _explained(squares: Array, signals: Array) -> float:
     """Share of the variance of signals (N, C), each on its own scale, that the squares (N, 4) explain."""
     coefficients, *_ = np.linalg.lstsq(squares, signals, rcond=None)
-    left = np.sum((signals - squares @ coefficients) ** 2, axis=0)
-    return float(np.mean(1.0 - left / np.maximum(np.sum(signals**2, axis=0), 1e-30)))
+    residual = np.sum((signals - squares @ coefficients) ** 2, axis=0)
+    return float(np.mean(1.0 - residual / np.maximum(np.sum(signals**2, axis=0), 1e-30)))
 
 
 def _shifted(squares: Array, first: int, cells: int, step: float) -> Array:

@@ -202,10 +202,10 @@ def has_stopped(time_ns: Stamps, speeds: Array, rotor: int, begin: int, inertial
     if len(before) == 0 or len(during) == 0:
         return False
     others = np.delete(speeds[begin:end], rotor, axis=1)
-    own = float(np.mean(np.square(speeds[earlier, rotor])))
+    square = float(np.mean(np.square(speeds[earlier, rotor])))
     gain = float(np.mean(before)) / max(float(np.mean(np.square(speeds[earlier]).sum(axis=1))), 1.0)
-    left = float(np.mean(during)) / max(gain, 1e-12) - float(np.mean(np.square(others).sum(axis=1)))
-    if own <= 0.0 or left > LIFT_LEFT.value * own:
+    remaining = float(np.mean(during)) / max(gain, 1e-12) - float(np.mean(np.square(others).sum(axis=1)))
+    if square <= 0.0 or remaining > LIFT_LEFT.value * square:
         return False
     around = inertial.between(slows_ns, to_ns).rates
     turn = float(np.linalg.norm(around - around[:1], axis=1).max(initial=0.0))

@@ -112,7 +112,7 @@ class SampleOrder:
 
     def problem(self) -> str | None:
         """Why the topic cannot be used, beginning with the sample; None if it can."""
-        count = sum(found.samples for found in self.dropped)
+        count = sum(fault.samples for fault in self.dropped)
         if count <= SHARE_MAX.value * self.of:
             return None
         worst = max(self.dropped, key=lambda found: found.samples)
@@ -143,26 +143,26 @@ def faults(stream: Stream) -> Iterator[tuple[str, Mask]]:
 
 def without_unusable_attitudes(block: Recording) -> Recording:
     """A block without the states and poses whose attitude no node takes from a message: see NO_ROTATION."""
-    found = {name: dict(faults(stream)) for name, stream in streams_by_field(block).items()}
-    kept = {name: ~own[NO_ROTATION] for name, own in found.items() if NO_ROTATION in own}
-    return with_rows(block, kept) if kept else block
+    masks = {name: dict(faults(stream)) for name, stream in streams_by_field(block).items()}
+    usable = {name: ~faulty[NO_ROTATION] for name, faulty in masks.items() if NO_ROTATION in faulty}
+    return with_rows(block, usable) if usable else block
 
 
 def with_rows(recording: Recording, rows: Mapping[str, Rows | Mask]) -> Recording:
     """The recording with some samples of streams alone, by field; arrivals count the IMU samples left."""
-    left = np.ones(len(recording.imu), np.bool_)
+    used = np.ones(len(recording.imu), np.bool_)
     if "imu" in rows:
-        left[:] = False
-        left[rows["imu"]] = True
-    before = np.concatenate(([0], np.cumsum(left)))
+        used[:] = False
+        used[rows["imu"]] = True
+    before = np.concatenate(([0], np.cumsum(used)))
     taken: dict[str, Any] = {}
     arrivals = {}
     for name, stream in streams_by_field(recording).items():
-        kept = rows.get(name, slice(None))
-        taken[name] = stream.take(kept)
+        chosen = rows.get(name, slice(None))
+        taken[name] = stream.take(chosen)
         came = recording.arrivals.get(stream.topic)
         if came is not None and len(came) == len(stream):
-            arrivals[stream.topic] = before[came][kept]
+            arrivals[stream.topic] = before[came][chosen]
     return replace(recording, **taken, arrivals=arrivals)
 
 
@@ -203,9 +203,9 @@ def order_of(time_ns: Stamps, faults: Mapping[str, Mask] | None = None) -> Sampl
         (ALONE, np.flatnonzero(kinds == compiled.ALONE)),
     ):
         drop(fault, np.isin(np.arange(count), rows[places]))
-    kept = usable[rows]
+    used = usable[rows]
     sorted_in = rows[late[fits]]
-    rows, run_of, stamps = rows[kept], run_of[kept], stamps[kept]
+    rows, run_of, stamps = rows[used], run_of[used], stamps[used]
     if len(sorted_in):
         order = np.lexsort((stamps, run_of))
         rows, run_of = rows[order], run_of[order]
@@ -226,16 +226,18 @@ def _late_ones(
     repeats, fits = np.zeros(len(late), np.bool_), np.zeros(len(late), np.bool_)
     for run in np.unique(run_of[late]).tolist():
         in_order = np.flatnonzero((kinds == compiled.RISES) & (run_of == run))
-        own = np.flatnonzero(run_of[late] == run)
-        rising, came = stamps[in_order], stamps[late[own]]
+        rows = np.flatnonzero(run_of[late] == run)
+        rising, came = stamps[in_order], stamps[late[rows]]
         again = np.ones(len(came), np.bool_)
         again[np.unique(came, return_index=True)[1]] = False
         place = np.searchsorted(rising, came)
         before, after = rising[np.maximum(place - 1, 0)], rising[np.minimum(place, len(rising) - 1)]
-        repeats[own] = again | (after == came)
-        newest = rising[np.searchsorted(in_order, late[own]) - 1]
-        fits[own] = (
-            ~repeats[own] & ((place == 0) | (after - before >= hole_ns)) & (newest - came <= MAX_JUMP_BACK_NS)
+        repeats[rows] = again | (after == came)
+        newest = rising[np.searchsorted(in_order, late[rows]) - 1]
+        fits[rows] = (
+            ~repeats[rows]
+            & ((place == 0) | (after - before >= hole_ns))
+            & (newest - came <= MAX_JUMP_BACK_NS)
         )
     return repeats, fits
 
@@ -298,25 +300,25 @@ def used_rows(judged: Mapping[str, Judged], arrived: Mapping[str, Stamps]) -> di
     runs = imu.order.runs()
     chosen = longest(imu.stored_ns, runs)
     mine = runs[chosen]
-    kept = {"imu": mine}
+    rows = {"imu": mine}
     for name, one in judged.items():
-        own = one.order.runs()
+        its_runs = one.order.runs()
         if name == "imu":
             continue
         if len(runs) > 1 and name in arrived:
             came = arrived[name]
-            own = [run[(came[run] >= mine.min()) & (came[run] <= mine.max() + 1)] for run in own]
-        elif len(own) == len(runs):
-            kept[name] = own[chosen]
+            its_runs = [run[(came[run] >= mine.min()) & (came[run] <= mine.max() + 1)] for run in its_runs]
+        elif len(its_runs) == len(runs):
+            rows[name] = its_runs[chosen]
             continue
         # Of clocks that fell another time, what has the stamps of this run.
-        shared = own
+        shared = its_runs
         if len(mine):
             first, last = imu.stored_ns[mine[[0, -1]]]
-            shared = [run[(one.stored_ns[run] >= first) & (one.stored_ns[run] <= last)] for run in own]
+            shared = [run[(one.stored_ns[run] >= first) & (one.stored_ns[run] <= last)] for run in its_runs]
         best = int(np.argmax([len(run) for run in shared]))
-        kept[name] = shared[best] if len(runs) > 1 and name not in arrived else own[best]
-    return kept
+        rows[name] = shared[best] if len(runs) > 1 and name not in arrived else its_runs[best]
+    return rows
 
 
 def order_quality(judged: Mapping[str, Judged]) -> DataQuality:
@@ -336,9 +338,7 @@ def order_quality(judged: Mapping[str, Judged]) -> DataQuality:
     return DataQuality(
         left_out=tuple(dropped),
         reordered=tuple(late),
-        breaks=tuple(
-            found for one in judged.values() for found in breaks(one.topic, one.stored_ns, one.order)
-        ),
+        breaks=tuple(jump for one in judged.values() for jump in breaks(one.topic, one.stored_ns, one.order)),
         used=(used_run(imu_ns, runs, chosen),) if len(runs) > 1 else (),
     )
 
@@ -356,11 +356,11 @@ def breaks(topic: str, time_ns: Stamps, order: SampleOrder) -> Iterator[Break]:
     """Where the clock of a topic falls or jumps."""
     ends = [(run[-1], following[0]) for run, following in pairwise(order.runs())]
     for kind, sign in ((CLOCK_FALLS, -1), (CLOCK_JUMPS, 1)):
-        found = [(last, first) for last, first in ends if sign * int(time_ns[first] - time_ns[last]) > 0]
-        if found:
-            last, first = found[0]
+        steps = [(last, first) for last, first in ends if sign * int(time_ns[first] - time_ns[last]) > 0]
+        if steps:
+            last, first = steps[0]
             seconds = (float(1e-9 * time_ns[row]) for row in (last, first))
-            yield Break(topic, kind, len(found), int(first), *seconds)
+            yield Break(topic, kind, len(steps), int(first), *seconds)
 
 
 def used_run(imu_ns: Stamps, runs: list[Rows], chosen: int) -> UsedPart:

@@ -145,14 +145,14 @@ def motion_fit(sample: Excerpt, found: Innovation) -> MotionFit:
     columns[:, :, _LAG] = (to_body @ rising)[..., 0]
     columns[:, :, _SCALE] = force
     missing = needed - force
-    kept = np.ones(len(force), dtype=np.bool_)
+    inliers = np.ones(len(force), dtype=np.bool_)
     for _ in range(_ROUNDS):
-        ((squares, right),) = _sums(columns, missing, kept[:, np.newaxis])
+        ((squares, right),) = _sums(columns, missing, inliers[:, np.newaxis])
         solution = _solved(squares, right)
-        left = np.linalg.norm(missing - columns @ solution, axis=1)
-        kept = left <= np.quantile(left, KEPT_SHARE)
+        residual = np.linalg.norm(missing - columns @ solution, axis=1)
+        inliers = residual <= np.quantile(residual, KEPT_SHARE)
     half_window = np.arange(len(force)) // max(1, len(force) // (2 * windows))
-    members = kept[:, np.newaxis] & (half_window[:, np.newaxis] == np.arange(half_window[-1] + 1))
+    members = inliers[:, np.newaxis] & (half_window[:, np.newaxis] == np.arange(half_window[-1] + 1))
     sums = _sums(columns, missing, members)
     whole, all_right = (np.sum(one, axis=0) for one in zip(*sums, strict=True))
     others = [_solved(whole - squares, all_right - right) for squares, right in sums]

@@ -92,9 +92,9 @@ def survey(
         screening = Screening(vehicle)
         for block in in_order(blocks(), streams):
             screening.add(block)
-    found = screening.finish({name: one.time_ns for name, one in streams.items()})
+    outliers = screening.finish({name: one.time_ns for name, one in streams.items()})
     return {
-        name: replace(one, found=tuple(found[name]), usable=usable_samples(found[name]))
+        name: replace(one, found=tuple(outliers[name]), usable=usable_samples(outliers[name]))
         for name, one in streams.items()
     }
 
@@ -168,17 +168,17 @@ def in_order(blocks: Iterable[Recording], surveys: Mapping[str, StreamSurvey]) -
 
     Samples wait for those that were stored later and belong before them, MAX_JUMP_BACK_NS at most.
     """
-    kept: dict[str, Mask] = {}
+    used: dict[str, Mask] = {}
     # The earliest stamp of the samples from each one stored on.
     coming: dict[str, Stamps] = {}
     for name, stream in surveys.items():
         if stream.rows is not None:
-            kept[name] = np.zeros(len(stream.stored_ns), dtype=np.bool_)
-            kept[name][stream.rows] = True
+            used[name] = np.zeros(len(stream.stored_ns), dtype=np.bool_)
+            used[name][stream.rows] = True
             if stream.order.late is not None:
-                stamps = np.where(kept[name], stream.stored_ns, np.iinfo(np.int64).max)
+                stamps = np.where(used[name], stream.stored_ns, np.iinfo(np.int64).max)
                 coming[name] = np.minimum.accumulate(stamps[::-1])[::-1]
-    selection = Selection(kept)
+    selection = Selection(used)
     waiting: dict[str, Stream] = {}
     for block in map(selection.of, blocks):
         due: dict[str, Any] = {}
@@ -186,8 +186,8 @@ def in_order(blocks: Iterable[Recording], surveys: Mapping[str, StreamSurvey]) -
             came = getattr(block, name)
             both = type(came).join((waiting[name], came)) if name in waiting else came
             both = both.take(np.argsort(both.time_ns, kind="stable"))
-            left = earliest[selection.seen[name] :]
-            count = int(np.searchsorted(both.time_ns, left[0])) if len(left) else len(both)
+            to_come = earliest[selection.seen[name] :]
+            count = int(np.searchsorted(both.time_ns, to_come[0])) if len(to_come) else len(both)
             due[name], waiting[name] = both.take(slice(0, count)), both.take(slice(count, None))
         yield replace(block, **due)
 
@@ -243,8 +243,8 @@ def excerpt_rows(stamps: Mapping[str, Stamps]) -> dict[str, Mask | None]:
             edges += (start, end)
     rows: dict[str, Mask | None] = {}
     for name, time_ns in stamps.items():
-        own = np.searchsorted(np.array(edges), time_ns, side="right") % 2 == 1
+        within = np.searchsorted(np.array(edges), time_ns, side="right") % 2 == 1
         # The ends of each stream show which time it covers.
-        own[:1] = own[-1:] = True
-        rows[name] = own
+        within[:1] = within[-1:] = True
+        rows[name] = within
     return rows

@@ -154,19 +154,19 @@ class Screening:
         Args:
             stamps: (N,) those of each stream, by its field.
         """
-        found = {
-            name: [one for own in columns for one in own.finish()] for name, columns in self._columns.items()
+        outliers = {
+            name: [one for each in parts for one in each.finish()] for name, parts in self._columns.items()
         }
-        if self._rotors is None or "rotor_speeds" not in found:
-            return found
-        already = _joined([one.samples for one in found["rotor_speeds"] if one.is_left_out])
+        if self._rotors is None or "rotor_speeds" not in outliers:
+            return outliers
+        already = _joined([one.samples for one in outliers["rotor_speeds"] if one.is_left_out])
         unread = list(self._rotors.finish(stamps["rotor_speeds"], stamps["imu"], already))
         told = _joined([samples for samples, _ in unread])
-        found["rotor_speeds"] = [
-            *(one._replace(samples=np.setdiff1d(one.samples, told)) for one in found["rotor_speeds"]),
+        outliers["rotor_speeds"] = [
+            *(one._replace(samples=np.setdiff1d(one.samples, told)) for one in outliers["rotor_speeds"]),
             *(Beyond(samples, self._rotors.samples, words, None, 1.0) for samples, words in unread),
         ]
-        return found
+        return outliers
 
 
 def screened(recording: Recording, vehicle: Vehicle | None) -> Recording:
@@ -182,16 +182,16 @@ def screened(recording: Recording, vehicle: Vehicle | None) -> Recording:
     screening = Screening(vehicle)
     screening.add(recording)
     streams = streams_by_field(recording)
-    found = screening.finish({name: stream.time_ns for name, stream in streams.items()})
-    kept = {name: usable for name in streams if (usable := usable_samples(found[name])) is not None}
-    if not kept:
+    outliers = screening.finish({name: stream.time_ns for name, stream in streams.items()})
+    rows = {name: usable for name in streams if (usable := usable_samples(outliers[name])) is not None}
+    if not rows:
         return recording
-    said = (
-        left_out(stream.topic, found[name], stream.time_ns, recording.imu.time_ns)
+    summaries = (
+        left_out(stream.topic, outliers[name], stream.time_ns, recording.imu.time_ns)
         for name, stream in streams.items()
     )
-    quality = recording.quality.joined(DataQuality(left_out=tuple(chain.from_iterable(said))))
-    return replace(with_rows(recording, kept), quality=quality)
+    quality = recording.quality.joined(DataQuality(left_out=tuple(chain.from_iterable(summaries))))
+    return replace(with_rows(recording, rows), quality=quality)
 
 
 def beyond_limits(stream: Stream, vehicle: Vehicle | None) -> Iterator[Beyond]:

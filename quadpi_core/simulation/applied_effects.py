@@ -30,9 +30,9 @@ def compose(effects: Effects, extra: Sequence[tuple[Law, Sequence[float]]] = ())
         extra: functions as those of wrench effects that are not in the registry, each with its parameters,
             of which it gets a copy. They act before the effects.
     """
-    own = [AddedEffect(law, np.array(values, dtype=float), _shape({})) for law, values in extra]
+    added = [AddedEffect(law, np.array(values, dtype=float), _shape({})) for law, values in extra]
     wrench = _of_kind(effects, "wrench")
-    return own + [AddedEffect(one.law, values, _shape(effects[one.name])) for one, values in wrench]
+    return added + [AddedEffect(one.law, values, _shape(effects[one.name])) for one, values in wrench]
 
 
 def effect_wrench(

@@ -81,9 +81,9 @@ def _frozen(sent: Sent, window: Mask, fault: Fault) -> Sent:
 
 
 def _dropout(sent: Sent, window: Mask, _fault: Fault) -> Sent:
-    kept = ~window
-    columns = {name: values[kept] for name, values in vars(sent.stream).items()}
-    return Sent(type(sent.stream)(**columns), sent.taken_ns[kept], sent.arrival_ns[kept])
+    outside = ~window
+    columns = {name: values[outside] for name, values in vars(sent.stream).items()}
+    return Sent(type(sent.stream)(**columns), sent.taken_ns[outside], sent.arrival_ns[outside])
 
 
 def _spike(sent: Sent, window: Mask, fault: Fault) -> Sent:

@@ -276,10 +276,10 @@ def trim(model: SimulatedAerodynamics, wind: Array, yaw: float = 0.0) -> Trim:
     speed = math.sqrt(sum(component * component for component in wind.tolist()))
     steps = max(1, math.ceil(speed / _WIND_STEP))
     for step in range(steps + 1):
-        found = _solve(model, wind * (step / steps), heading, unknowns)
-        if found is None or not np.all(_mixed(mixing, found[2:]) > 0.0):
+        solution = _solve(model, wind * (step / steps), heading, unknowns)
+        if solution is None or not np.all(_mixed(mixing, solution[2:]) > 0.0):
             raise SimulationError(f"vehicle {vehicle.name}: cannot stand still in a wind of {speed:.1f} m/s")
-        unknowns = found
+        unknowns = solution
     rotor_speeds = _mixed(mixing, unknowns[2:]) * model.hover_rotor_speed
     if rotor_speeds.max() > vehicle.rotor_speed_max_rad_s:
         raise SimulationError(

@@ -147,16 +147,16 @@ class RotorLocalModel(SimulatedAerodynamics):
             VehicleError: naming the file and the key that is missing, unknown or impossible.
         """
         file = read_simulation(name_or_path)
-        own = cls._read(file)
-        if own is None:
+        coefficients = cls._read(file)
+        if coefficients is None:
             raise VehicleError(
                 f"{file.path}: cannot be simulated: `simulation.rotor_local` is missing; give its "
                 "coefficients, or `scaled_from: bebop2`"
             )
-        if isinstance(own, RotorLocalCoefficients):
-            return cls(file.vehicle, own)
+        if isinstance(coefficients, RotorLocalCoefficients):
+            return cls(file.vehicle, coefficients)
         with named_in(f"{file.path}: `simulation.rotor_local.scaled_from`"):
-            other = read_simulation(own.scaled_from)
+            other = read_simulation(coefficients.scaled_from)
             source = cls._read(other)
             # One step only: the vehicle that others are scaled from has coefficients of its own.
             if not isinstance(source, RotorLocalCoefficients):

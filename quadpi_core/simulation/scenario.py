@@ -257,14 +257,14 @@ def _own_flights(path: Path, content: _ScenarioFile, effects: Effects) -> Iterat
     shared = {key: getattr(content, key) for key in _SHARED}
     for name, data in content.flights.items():
         where = f"{path}: flight `{name}`"
-        own = {} if data is None else data
-        if not isinstance(own, dict):
-            raise SimulationError(f"{where}: expected keys and values, found {own!r}")
-        for key in own:
+        keys = {} if data is None else data
+        if not isinstance(keys, dict):
+            raise SimulationError(f"{where}: expected keys and values, found {keys!r}")
+        for key in keys:
             if key not in _FLIGHT_KEYS:
                 raise SimulationError(f"{where}: {unknown_key(key, _FLIGHT_KEYS)}")
-        merged: dict[str, Any] = shared | {key: value for key, value in own.items() if value is not None}
-        merged["effects"] = dict(effects) | dict(read_effects(own.get("effects"), where))
+        merged: dict[str, Any] = shared | {key: value for key, value in keys.items() if value is not None}
+        merged["effects"] = dict(effects) | dict(read_effects(keys.get("effects"), where))
         if merged.get("seed") is None:
             if content.seed is None:
                 raise SimulationError(f"{path}: missing key `seed`")

@@ -70,16 +70,16 @@ class Adapter:
             LogError: for settings that are missing, and a version of the type that lacks a field.
             VehicleError: if the pole pairs are needed and not known.
         """
-        own = getattr(settings, self.kind)
-        if own is None:
+        stream_settings = getattr(settings, self.kind)
+        if stream_settings is None:
             how = f"--mapping must say how, as in `{EXAMPLES.get(self.kind, f'{self.kind}: {{}}')}`"
             raise LogError(f"{self.type_name} needs settings for `{self.kind}`: {how}")
         try:
-            own.require()
+            stream_settings.require()
         except ValueError as error:
             raise LogError(f"{self.type_name} needs settings for `{self.kind}`: {error}") from error
         codec = foreign_codec(self.type_name, definition, tuple(self.columns.items()))
-        return Unpacker(codec, self.start(own, vehicle))
+        return Unpacker(codec, self.start(stream_settings, vehicle))
 
 
 class Unpacker:

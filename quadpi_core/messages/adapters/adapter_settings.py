@@ -172,5 +172,5 @@ class AdapterSettings(Section):
     def with_topics(self, topics: Mapping[str, str], namespace: str) -> AdapterSettings:
         """The settings with topics in place of those of the same kind, and another namespace if given."""
         kinds = {SENSOR_KINDS[name] for name in topics}
-        kept = {name: topic for name, topic in self.topics.items() if SENSOR_KINDS[name] not in kinds}
-        return replace(self, topics={**kept, **topics}, namespace=namespace or self.namespace)
+        named = {name: topic for name, topic in self.topics.items() if SENSOR_KINDS[name] not in kinds}
+        return replace(self, topics={**named, **topics}, namespace=namespace or self.namespace)

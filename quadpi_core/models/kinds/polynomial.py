@@ -125,8 +125,8 @@ class TermSearch:
         # κ = N means that all training samples carry the information of a single one.
         shape = fit_shape(placed, most_inflation=len(self._y))
         trained = [
-            PlacedErrors(error[own], leverage[own], self._speed[own], np.ones(np.sum(own), dtype=bool))
-            for own in (self._flights == k for k in range(len(self._grams)))
+            PlacedErrors(error[mask], leverage[mask], self._speed[mask], np.ones(np.sum(mask), dtype=bool))
+            for mask in (self._flights == k for k in range(len(self._grams)))
         ]
         held_out = [flight.under(shape) for flight in placed]
         rule = calibrate(held_out, [flight.under(shape) for flight in trained])

@@ -48,11 +48,11 @@ def gust(time: Array, p: Array, rng: np.random.Generator) -> Array:
 
 
 def _ornstein_uhlenbeck(time: Array, deviation: float, time_constant: float, noise: Array) -> Array:
-    kept = exponential(-np.diff(time) / time_constant)
-    added = deviation * np.sqrt(1.0 - kept * kept)[:, None] * noise[1:]
+    persistence = exponential(-np.diff(time) / time_constant)
+    added = deviation * np.sqrt(1.0 - persistence * persistence)[:, None] * noise[1:]
     x, y, z = (deviation * noise[0]).tolist()
     process = [(x, y, z)]
-    for keep, (dx, dy, dz) in zip(kept.tolist(), added.tolist(), strict=True):
+    for keep, (dx, dy, dz) in zip(persistence.tolist(), added.tolist(), strict=True):
         x, y, z = keep * x + dx, keep * y + dy, keep * z + dz
         process.append((x, y, z))
     return np.array(process)

@@ -49,20 +49,20 @@ def _read_odometry(columns: Columns, dropped: Counter[str]) -> OdometryStream:
         columns[name].astype(np.float64) for name in ("position", "q", "velocity", "angular_velocity")
     )
     norm = np.linalg.norm(attitude, axis=1)
-    kept = np.ones(len(norm), dtype=bool)
+    usable = np.ones(len(norm), dtype=bool)
     for name, known in (
         ("attitude is", np.abs(norm - 1.0) <= NORM_TOLERANCE),
         ("position is", np.isfinite(position).all(axis=1)),
         ("velocity is", np.isfinite(velocity).all(axis=1)),
         ("rates are", np.isfinite(rates).all(axis=1)),
     ):
-        if missing := int(np.sum(kept & ~known)):
+        if missing := int(np.sum(usable & ~known)):
             dropped[f"the {name} not known"] += missing
-        kept &= known
+        usable &= known
     pose_frame, velocity_frame = columns["pose_frame"], columns["velocity_frame"]
     in_body = velocity_frame == _BODY
     in_world = (pose_frame == _NED) | (pose_frame == _FRD)
-    wrong = kept & ~(in_world & (in_body | (velocity_frame == pose_frame)))
+    wrong = usable & ~(in_world & (in_body | (velocity_frame == pose_frame)))
     if wrong.any():
         sample = int(np.argmax(wrong))
         raise SampleError(
@@ -70,14 +70,14 @@ def _read_odometry(columns: Columns, dropped: Counter[str]) -> OdometryStream:
             f"pose_frame {pose_frame[sample]}, velocity_frame {velocity_frame[sample]}: "
             "they must name the same world, or the latter the body",
         )
-    attitude = attitude[kept] / norm[kept, np.newaxis]
-    turned = rotate_world_to_body(attitude, velocity[kept])
+    attitude = attitude[usable] / norm[usable, np.newaxis]
+    turned = rotate_world_to_body(attitude, velocity[usable])
     return OdometryStream(
-        time_ns=time_ns[kept],
-        position=position[kept],
+        time_ns=time_ns[usable],
+        position=position[usable],
         attitude=attitude,
-        velocity=np.where(in_body[kept, np.newaxis], velocity[kept], turned),
-        rates=rates[kept],
+        velocity=np.where(in_body[usable, np.newaxis], velocity[usable], turned),
+        rates=rates[usable],
     )
 
 

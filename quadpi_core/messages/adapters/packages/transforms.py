@@ -25,8 +25,8 @@ def _start(settings: BodySettings, _vehicle: Vehicle | None) -> Reading:
 
     def read(transforms: Items) -> PoseStream:
         if settings.frames == FLU_ENU:
-            own = transforms.columns[_MEMBERS.name] == body.encode()
-            _check_frames(transforms, np.flatnonzero(own), body)
+            of_body = transforms.columns[_MEMBERS.name] == body.encode()
+            _check_frames(transforms, np.flatnonzero(of_body), body)
         return reader.read(header_stamps(transforms.columns), transforms, _MEMBERS)
 
     return Reading(lambda _, items: read(items["transforms"]), reader.dropped)
