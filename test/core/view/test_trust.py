@@ -72,7 +72,7 @@ def test_state(alarm, state):
         ("cos_phi", (0.5, 0.6), (0.7, 1.0), "roll angle 60.0°, trained up to 45.6°"),
         ("cos_phi", (0.9, 1.0), (0.5, 0.8), "roll angle 0°, trained down to 36.9°"),
         ("sin_theta", (-0.9, 0.1), (-0.5, 0.5), "pitch angle nose down 64.2°, trained up to 30.0°"),
-        ("w", (1.0, 2.0), (-3.0, -1.0), "downward speed in body axes 2.0 m/s, trained up to -1.0"),
+        ("w", (1.0, 2.0), (-3.0, -1.0), "downward body speed 2.0 m/s, trained up to -1.0"),
         ("mu_x", (0.1, 0.25), (-0.1, 0.15), "forward speed over tip speed 0.25, trained up to 0.15"),
         ("r", (0.0, 0.5), (0.0, 0.0), "yaw rate to the right 0.5 rad/s, trained up to 0"),
     ],
