@@ -101,15 +101,16 @@ def reasons(alarms: Alarms, row: int, causes: int | None = None) -> tuple[str, .
         row: its index.
         causes: bits of the causes to explain; those of the row unless given.
     """
-    wanted = int(alarms.causes[row]) if causes is None else causes
+    raised = int(alarms.causes[row])
+    wanted = raised if causes is None else causes
     words: list[str] = []
     over: list[str] = []
     for cause, (said, ends) in WORDS.items():
-        if wanted & cause:
+        found = said(alarms, row) if wanted & cause else []
+        words += found
+        if wanted & cause & raised and not found:
             judged = alarms.cause_evidence[row, CAUSES.index(cause)] > 0.0
-            found = said(alarms, row)
-            words += found
-            over += [] if found else [ends if judged else f"{CAUSE_NAMES[cause]} when last judged"]
+            over.append(ends if judged else f"{CAUSE_NAMES[cause]} when last judged")
     words += over
     why = int(alarms.why_not_judged[row])
     if causes is None and why != JUDGED:

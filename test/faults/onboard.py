@@ -21,7 +21,7 @@ from quadpi_core.messages.payloads import Payloads
 from quadpi_core.messages.sensor_messages import SampleKind
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor import Monitor
-from quadpi_core.monitor.alarm_log import reasons
+from quadpi_core.monitor.alarm_log import WORDS, reasons
 from quadpi_core.monitor.health import TopicHealth, TopicReport
 from quadpi_core.monitor.monitor import Monitors
 from quadpi_core.monitor.pairing import PairedSamples, Pairing
@@ -90,8 +90,9 @@ class Flown:
         return 1e-9 * (np.asarray(time_ns) - self.start_ns)
 
     def words(self, cause: int) -> set[str]:
-        """All that the alarm says of a cause."""
-        return {text for row in range(len(self.alarms)) for text in reasons(self.alarms, row, cause)}
+        """All that the alarm says of a cause, but that it is over."""
+        said = {text for row in range(len(self.alarms)) for text in reasons(self.alarms, row, cause)}
+        return said - {ends for _, ends in WORDS.values()}
 
     def not_ok(self, cause: int) -> tuple[float, float]:
         """When a cause was first, and last, said not to be ok; two NaN where it never was."""
