@@ -8,6 +8,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 
 from quadpi_core.view.blocks import BlockStore, quantities
+from quadpi_core.view.trust import State
 
 BLOCK_NS = 50_000_000
 
@@ -68,6 +69,20 @@ def test_late_samples_find_their_block_and_too_late_ones_are_left_out():
     assert store.take_changed() == 310
     store.add(np.array([5 * BLOCK_NS, -1]), speed=np.array([9.0, 9.0]))
     assert store.take_changed() is None
+
+
+def test_shares_inside_are_those_of_blocks_that_were_judged():
+    store = BlockStore(BLOCK_NS, 100)
+    store.add_model()
+    times = np.arange(100) * BLOCK_NS
+    misses = np.zeros((100, 6))
+    misses[:, 1] = 1.0
+    misses[60:, 2] = 1.0
+    states = np.where(np.arange(100) < 50, State.NOT_JUDGED, State.ALARM).astype(float)
+    store.add(times, model_0__count=np.full(100, 4.0), model_0__misses=misses, state=states)
+    assert_allclose(store.inside(99, 0, 10.0, 2.0), [1.0, 0.75, 0.8, 1.0, 1.0, 1.0])
+    assert_allclose(store.inside(99, 0, 1.0, 1.0)[:3], [1.0, 0.75, 0.75])
+    assert np.isnan(store.inside(88, 0, 10.0, 2.0)).all()
 
 
 def test_what_changed_is_said_once():

@@ -5,13 +5,14 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from quadpi_core.flight import AXES, RotorSpeedStream
 from quadpi_core.inputs import INPUT_NAMES
-from quadpi_core.results import AlarmEvent, Predictions
+from quadpi_core.results import EXTRAPOLATION, LEVEL_ALARM, AlarmEvent, Predictions, ReportedAlarms
 from quadpi_core.view.trust import State
 from quadpi_core.view.vehicle_view import BLOCK_NS, EVENTS_SHOWN, MODELS_MAX, VehicleView
 
@@ -43,6 +44,39 @@ def test_nothing_is_known_at_first():
     assert one.summary()["newest"] == -1
     assert one.window(0, 100)[1].shape[0] == 0
     json.dumps([one.describe(), one.summary(), one.overview()], allow_nan=False)
+
+
+def said_at(seconds: float, alarm: ReportedAlarms) -> ReportedAlarms:
+    return replace(alarm, time_ns=np.array([START + round(1e9 * seconds)]))
+
+
+def test_nothing_is_trusted_whose_intervals_do_not_hold():
+    one = view()
+    for second in range(12):
+        predicted = predictions(1.0, START + second * 10**9)
+        # A quarter of the samples of the last six seconds.
+        predicted.measured[:: 4 if second >= 6 else 1000, 1] = 2.0
+        one.take_predictions("m", predicted, "m@1", 0.95, AXES)
+        for tenth in range(10):
+            one.take_alarms(said_at(second + 0.1 * tenth, message()))
+        assert (one.state is State.WARNING) == (second == 11), second
+    (reason,) = one.reasons
+    assert reason == "force to the right outside its interval 15 % of the last 10 s, 5 % allowed"
+
+
+def test_a_state_holds_until_the_next_message_and_a_short_alarm_is_short():
+    one = view()
+    one.take_predictions("m", predictions(3.0), "m@1", 0.95, AXES)
+    alarm = message(LEVEL_ALARM, EXTRAPOLATION, reasons=("why",))
+    for seconds, said in ((0.0, message()), (0.52, alarm), (0.61, message()), (1.0, message())):
+        one.take_alarms(said_at(seconds, said))
+    one.take_alarms(said_at(2.6, message()))
+    states = "".join("-" if np.isnan(s) else str(int(s)) for s in one.window(0, 52)[1][:, 1])
+    trusted, alarmed = str(int(State.TRUSTED)), str(int(State.ALARM))
+    # Nobody says anything for more than a second.
+    silent = "-" * 31
+    assert states == trusted * 10 + alarmed * 2 + trusted * 9 + silent + trusted
+    assert one.timeline.codes == states
 
 
 def test_misses_are_counted_by_axis():

@@ -112,6 +112,50 @@ def test_coverage_is_that_of_the_samples(opened, judged_view):
     assert opened.value("document.getElementById('covered10').textContent").startswith(f"{least:.1f} %")
 
 
+def test_an_alarm_sounds_where_it_begins_unless_switched_off(opened):
+    for sound, sounds in ((True, 1), (False, 0)):
+        at(opened, 7.0)
+        opened.value(f"Object.assign(quadpi.page, {{sounds: 0, sound: {str(sound).lower()}, playing: true}})")
+        opened.value("document.getElementById('speed').value = '8'")
+        opened.wait("document.getElementById('state').textContent === 'ALARM'")
+        assert opened.value("quadpi.page.sounds") == sounds
+        opened.value("document.getElementById('speed').value = '1'")
+    before = opened.value("document.getElementById('sound').textContent")
+    opened.press("s")
+    opened.wait(f"document.getElementById('sound').textContent !== '{before}'")
+    assert opened.value("localStorage.getItem('sound')") == "on"
+
+
+def test_charts_are_saved_as_picture_and_table(opened):
+    at(opened, 10.5)
+    opened.value(
+        "window.made = []; window.named = []; const was = URL.createObjectURL;"
+        "URL.createObjectURL = (one) => { window.made.push(one); return was(one); };"
+        "HTMLAnchorElement.prototype.click = function () { window.named.push(this.download); };"
+    )
+    for key in "gc":
+        opened.press(key)
+    opened.wait("window.named.length === 2")
+    assert sorted(opened.value("window.named")) == ["extrapolation-10.5s.csv", "extrapolation-10.5s.png"]
+    assert opened.value("window.made.every((one) => one.size > 10000)")
+    table = opened.value("window.made.find((one) => one.type === 'text/csv').text()")
+    head, *rows = [line.split(",") for line in table.splitlines()]
+    assert len(rows) == 211
+    assert {len(row) for row in rows} == {len(head)}
+    assert {"time", "measured.Fx", "inputs.u", "position.north", "rotors.4", "0.upper.Mz"} <= set(head)
+    shown = opened.value("quadpi.store.value(200, 'measured', 1)")
+    assert float(rows[200][head.index("measured.Fy")]) == pytest.approx(shown, rel=1e-6)
+
+
+def test_the_time_of_day_is_that_of_the_stamps(opened, judged_view):
+    at(opened, 10.5)
+    shown = opened.value("document.getElementById('time').textContent")
+    expected = opened.value(
+        f"new Date(1000 * ({1e-9 * judged_view.start_ns} + 10.5)).toLocaleTimeString([], {{hour12: false}})"
+    )
+    assert shown == f"10.50 s · {expected}"
+
+
 def test_keys_move_through_time_and_to_alarms(opened):
     at(opened, 5.0)
     opened.press("ArrowRight")
