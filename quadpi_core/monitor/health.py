@@ -25,6 +25,8 @@ _CLOCKS_AGREE_S, _OLD_S = 0.01, 5.0
 # Without anything to judge for this long [s], an alarm says so: longer than the longest gap that is
 # bridged, and than a busy machine holds a message up.
 SILENT_S = 0.3
+# A sensor whose stamps are further behind than this [s] may as well be stamped by another clock.
+_LONG_S = 60.0
 # Period in which to call :meth:`Silence.follow` [s]. Longer ones count as two, as then this process was
 # held up and not the sensors.
 WATCH_S = 0.1
@@ -236,7 +238,10 @@ def lack(sensor: str, newest_ns: int | None, now_ns: int) -> list[str]:
     if newest_ns is None:
         return [f"no {sensor} yet"]
     behind_s = 1e-9 * (now_ns - newest_ns)
-    return [f"no {sensor} for {behind_s:.1f} s"] if behind_s >= SILENT_S else []
+    if behind_s < SILENT_S:
+        return []
+    differs = f"{behind_s:.0f} s, or its clock differs"
+    return [f"no {sensor} for {differs if behind_s > _LONG_S else f'{behind_s:.1f} s'}"]
 
 
 class Silence:

@@ -79,7 +79,7 @@ def test_live_data_are_drawn_and_an_alarm_appears_and_goes(tab: Tab, node: Node)
         tab.wait(f"{WORD} === 'TRUSTED'")
         vehicle.level = 2
         tab.wait(f"{WORD} === 'ALARM'")
-        tab.wait("document.getElementById('reasons').textContent.includes('longitudinal speed (u)')")
+        tab.wait("document.getElementById('reasons').textContent.includes('forward or backward speed')")
         vehicle.level = 1
         tab.wait(f"{WORD} === 'WARNING'")
         vehicle.level = 0

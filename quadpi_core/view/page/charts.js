@@ -130,7 +130,7 @@ export function drawEnvelope(place, store, cursor) {
   const farthest = rows.filter((row) => Number.isFinite(row.out)).reduce((best, row) => !best || row.out > best.out ? row : best, null);
   rows.forEach((row, k) => {
     const [label, range] = place.children[k].children, [line, dot] = range.children, is = row === farthest;
-    label.textContent = `${is ? "▶ " : ""}${row.input.words}${row.input.angle ? ` (${row.input.angle})` : ""}`;
+    label.textContent = label.title = `${is ? "▶ " : ""}${row.input.words}${row.input.angle ? ` (${row.input.angle})` : ""}`;
     place.children[k].className = `input${row.out > 0 ? " outside" : ""}${is ? " farthest" : ""}`;
     line.hidden = !(row.high >= row.low);
     dot.hidden = !Number.isFinite(row.now);

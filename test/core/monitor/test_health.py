@@ -10,7 +10,7 @@ import pytest
 from quadpi_core.messages.result_messages import pack_alarms, unpack_alarms
 from quadpi_core.monitor import Monitor
 from quadpi_core.monitor.alarm_log import reasons_by_row
-from quadpi_core.monitor.health import Arrived, Latency, Silence, TopicHealth
+from quadpi_core.monitor.health import Arrived, Latency, Silence, TopicHealth, lack
 from quadpi_core.monitor.pairing import Pairing
 from quadpi_core.results import BAD_DATA, LEVEL_ALARM, UNAVAILABLE
 
@@ -183,6 +183,13 @@ def test_what_is_missing_while_the_imu_goes_on_is_said_by_the_samples() -> None:
     watched.wait(1.5, *ALL)
     assert watched.wait(1.0, "imu", "state") == ()
     assert watched.pairing.counts.dropped > 0
+
+
+def test_a_sensor_that_lacks_is_said_by_its_stamps() -> None:
+    assert lack("motion capture", None, 10**9) == ["no motion capture yet"]
+    assert lack("motion capture", 10**9, 31 * 10**8) == ["no motion capture for 2.1 s"]
+    assert lack("motion capture", 10**9, 10**9 + 10**8) == lack("motion capture", 10**18, 10**9) == []
+    assert lack("odometry", 0, 7_200 * 10**9) == ["no odometry for 7200 s, or its clock differs"]
 
 
 def test_stamps_that_stand_still_are_silence() -> None:

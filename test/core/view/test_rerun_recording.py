@@ -45,7 +45,11 @@ def alarms() -> ReportedAlarms:
         cause_evidence=np.zeros((count, 3)),
         envelope_distance=np.array([0.0, 0.5, 0.25]),
         inputs_outside=[(), ("u",), ("u",)],
-        reasons=[(), ("u 9.8 above 8.1",), ("u 9.8 above 8.1",)],
+        reasons=[
+            (),
+            ("forward or backward speed 1.4 x the training range",),
+            ("forward or backward speed 1.4 x the training range",),
+        ],
         **by_axis,
     )
 
@@ -73,7 +77,15 @@ def parts() -> Iterator[Part]:
         taker.take_rotor_speeds(RotorSpeedStream(STAMPS, SPEEDS))
 
     def alarm(taker: Any) -> None:
-        raised = AlarmEvent(1, 1, int(STAMPS[1]), int(STAMPS[1]), 0, 2.0, ("u 9.8 above 8.1",))
+        raised = AlarmEvent(
+            1,
+            1,
+            int(STAMPS[1]),
+            int(STAMPS[1]),
+            0,
+            2.0,
+            ("forward or backward speed 1.4 x the training range",),
+        )
         taker.take_alarms(alarms())
         taker.take_events([raised, replace(raised, time_ns=int(STAMPS[9]), end_ns=int(STAMPS[9]))])
 
@@ -164,7 +176,7 @@ def test_alarm_as_series_and_as_words_where_they_change(recording: Recording) ->
     log = recording.temporal["/alarm/log"]
     assert [(stamp, value[0]) for stamp, value in sorted(log["text"])] == [
         (STAMPS[0], "TRUSTED"),
-        (STAMPS[1], "ALARM: outside: longitudinal speed (u) 9.8 above 8.1"),
+        (STAMPS[1], "ALARM: forward or backward speed 1.4 x the training range"),
         (STAMPS[1], "alarm 1 raised: extrapolation"),
         (STAMPS[9], "alarm 1 cleared: extrapolation"),
     ]
