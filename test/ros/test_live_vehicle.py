@@ -9,9 +9,11 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from nav_msgs.msg import Odometry
 from quadpi.msg import Erpm, ExtrapolationAlarm, RotorSpeeds, WrenchPrediction
 from rclpy.node import Node
+from sensor_msgs.msg import BatteryState
 from std_msgs.msg import String
 
 from quadpi_core.flight import AXES, OdometryStream, RotorSpeedStream
@@ -141,6 +143,25 @@ def test_what_does_not_come_is_named(node, source):
     wait_until(lambda: "rotor speeds" in rows(), flying(source, vehicle), rows)
     assert rows()["odometry"] == "nothing comes: flight, speed and height are not shown"
     assert rows()["rotor speeds"].startswith("erpm needs the pole pairs of the vehicle")
+
+
+def test_battery_and_link_are_told_beside_the_state(node, source):
+    vehicle = Publishing(node, "/plain", "unknown@1")
+    battery = node.create_publisher(BatteryState, "/plain/mavros/battery", OUTPUT_QOS)
+    told = node.create_publisher(DiagnosticArray, "/diagnostics", OUTPUT_QOS)
+    fly = flying(source, vehicle)
+
+    def turn() -> None:
+        battery.publish(BatteryState(voltage=15.2, percentage=0.5))
+        told.publish(
+            DiagnosticArray(status=[DiagnosticStatus(name="plain/mavlink_bridge: link", message="heard")])
+        )
+        fly()
+
+    def words() -> dict[str, str]:
+        return {name: text for view in source.vehicles.values() for name, text in view.told.items()}
+
+    wait_until(lambda: words() == {"battery": "15.2 V, 50 %", "link": "heard"}, turn, words)
 
 
 def test_a_description_of_somebody_else_is_no_vehicle(node, source):
