@@ -156,6 +156,7 @@ class FieldLog:
         landed: (N, 1) 1 where the stack held the vehicle to be on the ground.
         density: (N, 1) kg/m³.
         corners: (R, 2) signs of the motors' places, forward and right; None where not known.
+        drag_prefix: of the stack's parameters of drag, MCOEF, BCOEF_X and BCOEF_Y.
         facts: further things that the log says of the vehicle, by name.
         parameters: of the stack, by name.
         settings: that would make the next log tell more.
@@ -179,6 +180,7 @@ class FieldLog:
     landed: Series | None = None
     density: Series | None = None
     corners: npt.NDArray[np.float64] | None = None
+    drag_prefix: str = "EKF2_"
     facts: Mapping[str, str] = field(default_factory=dict)
     parameters: Mapping[str, float] = field(default_factory=dict)
     settings: Sequence[Setting] = ()

@@ -23,6 +23,7 @@ from quadpi_core.plugins import Plugins
 from quadpi_core.reading_options import ReadingOptions
 from quadpi_core.sample_limits import (
     AIRSPEED_MAX_M_S,
+    NORM_TOLERANCE,
     POSITION_MAX_M,
     RATE_MAX_RAD_S,
     SPECIFIC_FORCE_MAX_M_S2,
@@ -102,11 +103,11 @@ def _within_limits(log: FieldLog) -> FieldLog:
     """The log without samples that no flight can have: a single one would outweigh all others."""
     kept: dict[str, Any] = {}
     notes = list(log.notes)
-    for name, limits in _LIMITS.items():
-        series = log.series().get(name)
-        if series is None:
-            continue
-        good = np.all(np.abs(series.values) <= limits, axis=1)
+    for name, series in log.series().items():
+        if name == "attitude":
+            good = np.abs(np.linalg.norm(series.values, axis=1) - 1.0) <= NORM_TOLERANCE
+        else:
+            good = np.all(np.abs(series.values) <= _LIMITS.get(name, np.inf), axis=1)
         if not good.all():
             notes.append(
                 f"{name}: {np.sum(~good)} of {len(good)} samples are left out, beyond what any flight has"

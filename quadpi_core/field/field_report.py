@@ -80,6 +80,7 @@ class VehicleReport:
         drag: per mass, with the wind of each of `windy`; or why there is none.
         windy: flights that it was identified on.
         motors: rotor speed from command and battery.
+        drag_prefix: of the names of its parameters of drag.
     """
 
     name: str
@@ -87,6 +88,7 @@ class VehicleReport:
     drag: DragResult | str
     windy: tuple[str, ...]
     motors: MotorModel | str
+    drag_prefix: str
 
 
 @dataclass(frozen=True)
@@ -247,7 +249,7 @@ def _vehicles(flights: Sequence[FlightReport]) -> Iterator[VehicleReport]:
             if isinstance(flight.tachometers, str) or not flight.tachometers.odd
         ]
         motors = motor_model(sound) if sound else "the tachometers of no flight read what the commands give"
-        yield VehicleReport(name, names, drag, tuple(samples), motors)
+        yield VehicleReport(name, names, drag, tuple(samples), motors, log.drag_prefix)
 
 
 def _remarks(

@@ -43,6 +43,7 @@ _SCALES = (
     ((0.0, 65535.5), (0.0, 65535.0)),
 )
 _ROTORS_FEWEST = 3
+_ELECTRICAL = "rotor speeds are electrical, by the pairs of poles faster than the motors turn (--vehicle)"
 
 
 def read_other(path: Path, options: ReadingOptions, vehicle: Vehicle | None) -> FieldLog:
@@ -66,12 +67,29 @@ def read_other(path: Path, options: ReadingOptions, vehicle: Vehicle | None) -> 
     else:
         if vehicle is None and log_format.container is not None:
             vehicle = _named_vehicle(log_format.container.vehicle_name(path))
-        recording = decode_recording(path, vehicle, options)
+        recording, said = _decoded(path, vehicle, options)
+        notes += [said] if said else []
     start_ns = int(recording.imu.time_ns[0]) if len(recording.imu) else 0
     commands, battery = (
         (None, None) if columns is None else _of_columns(path, columns, start_ns, notes, speeds_of)
     )
     return _field_log(path, recording, start_ns, commands, battery, tuple(notes), log_format.description)
+
+
+def _decoded(path: Path, vehicle: Vehicle | None, options: ReadingOptions) -> tuple[Recording, str]:
+    """A recording, electrical rotor speeds as they are where nothing says the poles; and that."""
+    try:
+        return decode_recording(path, vehicle, options), ""
+    except LogError:
+        if vehicle is not None:
+            raise
+        # Of a vehicle the readers take nothing but the poles.
+        one_pair = replace(Vehicle.load("bebop2"), pole_pairs=1)
+        try:
+            return decode_recording(path, one_pair, options), _ELECTRICAL
+        except LogError:
+            pass
+        raise
 
 
 def _named_vehicle(name: str) -> Vehicle | None:
@@ -199,7 +217,7 @@ def _by(path: Path, mapping: Mapping, vehicle: Vehicle | None) -> tuple[Recordin
     rotors, said = mapping.signals.get("rotor_speeds"), ""
     if rotors is not None and rotors.unit == ERPM and vehicle is None:
         mapping = replace(mapping, signals=mapping.signals | {"rotor_speeds": replace(rotors, unit="rpm")})
-        said = "; rotor speeds are electrical, the poles of the motors times what they turn"
+        said = f"; {_ELECTRICAL}"
     with reading(path):
         return table_files.read_table(path, vehicle, mapping), said
 

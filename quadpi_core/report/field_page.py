@@ -96,8 +96,11 @@ def drag_table(vehicle: VehicleReport, mass: float | None) -> Table:
             _row(f"drag, {way}", own, mass, "N/(m/s)")
             for way, own in zip(("along the nose", "sideways"), drag.per_mass, strict=True)
         ]
-    rows.append(_row("EKF2_MCOEF", drag.momentum))
-    rows += [_row(f"EKF2_BCOEF_{axis}", own) for axis, own in zip("XY", drag.ballistic, strict=True)]
+    rows.append(_row(f"{vehicle.drag_prefix}MCOEF", drag.momentum))
+    rows += [
+        _row(f"{vehicle.drag_prefix}BCOEF_{axis}", own)
+        for axis, own in zip("XY", drag.ballistic, strict=True)
+    ]
     winds = [
         _row(f"wind to the {way}, {flight}", own)
         for flight, pair in zip(vehicle.windy, drag.wind, strict=False)
@@ -265,8 +268,8 @@ def write_field_page(path: Path, report: FieldReport) -> None:
             "speeds flown. The wind, horizontal and slow, is estimated with it, as is the IMU's bias.",
             "95 %": "Confidence interval, from estimates without each piece of flight in turn (jackknife): "
             "gusts make neighbouring samples one. A number whose interval holds 0 is not shown.",
-            "EKF2_MCOEF, EKF2_BCOEF": "PX4's drag: −(MCOEF + ½ ρ |v| / BCOEF) v, at standard density. They "
-            "hold for the speeds flown.",
+            "MCOEF, BCOEF": "PX4's and ArduPilot's drag: −(MCOEF + ½ ρ |v| / BCOEF) v, at standard density. "
+            "They hold for the speeds flown.",
             "Vibration": "Standard deviation above 5 Hz; from 30 m/s² on it disturbs (ardupilot.org).",
         },
         figures={},

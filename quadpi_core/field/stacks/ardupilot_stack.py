@@ -101,6 +101,7 @@ def read_ardupilot_field(path: Path, _number: int | None = None) -> FieldLog:
         if baro is None
         else Series(baro.time, density_of(baro.values[:, :1], baro.values[:, 1:])),
         corners=np.array(LAYOUTS[layout], dtype=np.float64) if layout else None,
+        drag_prefix="EK3_DRAG_",
         facts=_facts(parameters),
         parameters=parameters,
         settings=tuple(_settings(parameters, speeds, messages)),

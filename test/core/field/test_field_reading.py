@@ -54,6 +54,14 @@ def test_a_wild_sample_is_left_out_and_counted(tmp_path):
     assert any("imu: 1 of 50 samples are left out" in note for note in log.notes)
 
 
+def test_attitudes_of_no_length_are_left_out(tmp_path):
+    names = [*STATE, *(f"stateEstimate.q{axis}" for axis in "wxyz")]
+    rows = [(*(0.1 * place,) * 6, float(place > 9), 0.0, 0.0, 0.0) for place in range(50)]
+    log = written(tmp_path / "log00", names, rows)
+    assert len(log.attitude) == 40
+    assert any(note.startswith("attitude: 10 of 50 samples are left out") for note in log.notes)
+
+
 def test_two_vehicles_in_one_log_are_said(tmp_path, capsys):
     pytest.importorskip("pymavlink", reason="pymavlink is not installed")
     from .stacks.test_telemetry_stack import telemetry

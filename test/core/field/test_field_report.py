@@ -90,6 +90,26 @@ def scaled(series: Series, *factors: float) -> Series:
     return Series(series.time, series.values * every)
 
 
+def test_every_key_of_the_json_is_documented(report_of):
+    page = (Path(__file__).parents[3] / "docs" / "report.md").read_text()
+    content = report_of(example()).to_json()
+    vehicle, flight = content["vehicles"][0], content["flights"][0]
+    keys = {*vehicle["drag"], *vehicle["drag"]["momentum"], "motor_model", "drag", *content} | set(flight)
+    plain = {
+        "format",
+        "quadpi",
+        "verdict",
+        "mass_kg",
+        "name",
+        "file",
+        "stack",
+        "firmware",
+        "frame",
+        "rotors",
+    }
+    assert {key for key in keys - plain if f"`{key}" not in page} == set()
+
+
 def test_airframes_are_reported_apart(report_of):
     other = replace(example(), frame="hexacopter", rotors=6)
     report = report_of(example(), other, example())

@@ -81,6 +81,12 @@ def test_a_table_without_gyro_says_what_to_name(tmp_path):
         read(path)
 
 
+def test_a_bag_of_electrical_speeds_and_no_vehicle_is_read(shared_data):
+    log = read(shared_data / "reports" / "bag_standard_types_other_names" / "flight.mcap")
+    assert log.rotor_speeds is not None
+    assert any(note.startswith("rotor speeds are electrical") for note in log.notes)
+
+
 def test_a_bag_names_its_vehicle():
     log = read(bags_directory() / "interpolation.mcap")
     assert log.facts["vehicle"] == "bebop2"

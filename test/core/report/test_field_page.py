@@ -50,7 +50,7 @@ def test_the_page_is_whole_and_self_contained(report_of, tmp_path):
         "a &lt;b&gt; note",
         "A_B",
         "hover (below 0.5 m/s)",
-        "EKF2_MCOEF",
+        "BCOEF",
         "vibration along x",
     ):
         assert part in page
@@ -73,6 +73,14 @@ def test_drag_in_newtons_where_the_mass_is_given(report_of):
     rows = {row[0].value: row[1].value for row in drag_table(given.vehicles[0], given.mass).cells}
     assert rows["drag, along the nose"] == pytest.approx(2.0 * rows["drag over mass, along the nose"])
     assert rows["drag, along the nose"] == pytest.approx(0.6, rel=0.05)
+
+
+def test_drag_parameters_have_the_names_of_the_stack(report_of):
+    names = [
+        row[0].value
+        for row in drag_table(report_of(example(drag_prefix="EK3_DRAG_")).vehicles[0], None).cells
+    ]
+    assert names[2:5] == ["EK3_DRAG_MCOEF", "EK3_DRAG_BCOEF_X", "EK3_DRAG_BCOEF_Y"]
 
 
 def test_settings_are_named_once_with_their_values(report_of):
