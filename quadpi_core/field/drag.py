@@ -26,6 +26,7 @@ from quadpi_core.field.airborne import Flown, velocity_of
 from quadpi_core.field.estimates import PIECES_FEWEST, Estimate, effective_pieces, jackknife, not_identified
 from quadpi_core.field.field_log import FieldLog
 from quadpi_core.frames import Array
+from quadpi_core.messages.payloads import Indices
 from quadpi_core.rotations import rotation_matrix
 from quadpi_core.sample_limits import STANDARD_GRAVITY
 from quadpi_core.thresholds import Threshold
@@ -60,7 +61,9 @@ USABLE_FEWEST = Threshold(
 # in the square root of a second [m/s], lean of the mounting [rad].
 _BIAS, _WIND, _WALK, _LEAN = 0.5, 6.0, 0.3, 0.05
 _KNOTS_S = 10.0
-_ITERATIONS = 12
+# Knots of all flights together, and pieces of one: an hour takes no more than ten minutes do.
+_KNOTS_MOST, _PIECES_MOST, _SAMPLES_MOST = 60, 60, 6000
+_ITERATIONS, _SETTLED = 12, 1e-5
 
 
 @dataclass(frozen=True)
@@ -83,6 +86,17 @@ class DragSamples:
     turn: Array
     density: float
 
+    def every(self, stride: int) -> DragSamples:
+        """One sample of so many."""
+        return replace(
+            self,
+            time=self.time[::stride],
+            piece=self.piece[::stride],
+            force=self.force[::stride],
+            velocity=self.velocity[::stride],
+            turn=self.turn[::stride],
+        )
+
     @property
     def body_velocity(self) -> Array:
         """Velocity over ground (N, 3) in body axes."""
@@ -97,7 +111,7 @@ class DragResult:
     Attributes:
         per_mass: drag over mass and airspeed along x and y, 1/s, best for the speeds flown.
         wind: of each flight: north and east, m/s, mean over the flight.
-        fitted: share of the variance of f_x, f_y that drag explains; NaN where nothing was fitted.
+        fitted: share of the variance of f_x, f_y that drag, wind and bias explain; NaN without a fit.
         speed: 5 and 95 % quantile of the airspeed, m/s.
         usable: number of usable samples.
         by_flight: whether intervals leave out flights; else pieces of these, and flights to come may differ.
@@ -118,7 +132,8 @@ class DragResult:
 
 def piece_length_s(airborne_s: float) -> float:
     """Length of the pieces that intervals leave out, of flights that were so long in the air together."""
-    return float(np.clip(0.1 * airborne_s, PIECE_S.value[0], PIECE_S.value[1]))
+    usual = float(np.clip(0.1 * airborne_s, PIECE_S.value[0], PIECE_S.value[1]))
+    return max(usual, airborne_s / _PIECES_MOST)
 
 
 def drag_samples(log: FieldLog, flight: Flown, piece_s: float) -> DragSamples | str:
@@ -183,14 +198,17 @@ class _Fit:
     """
 
     def __init__(self, flights: Sequence[DragSamples], *, quadratic: bool) -> None:
-        self.flights = flights
+        stride = -(-sum(len(one.time) for one in flights) // _SAMPLES_MOST)
+        self.flights, self.step_s = [one.every(stride) for one in flights], stride * _STEP_S
         self.drags = 3 if quadratic else 2
         self.quadratic = quadratic
         self.layout: list[tuple[int, Array]] = []
         place = self.drags
         for one in flights:
-            span = one.time[-1] - one.time[0]
-            knots = np.linspace(one.time[0], one.time[-1], max(2, round(span / _KNOTS_S) + 1))
+            count = round((one.time[-1] - one.time[0]) / _KNOTS_S) + 1
+            knots = np.linspace(
+                one.time[0], one.time[-1], max(2, min(count, 2 * _KNOTS_MOST // len(flights), _KNOTS_MOST))
+            )
             self.layout.append((place, knots))
             place += 4 + 2 * len(knots)
         self.theta = np.zeros(place)
@@ -226,7 +244,7 @@ class _Fit:
         return weights
 
     def residuals(self, flight: int) -> tuple[Array, Array, Array]:
-        """Residuals (N, 2) in m/s², their slopes (N, 2, P), and the airspeed (N, 3) in body axes."""
+        """Residuals (N, 2) in m/s², slopes (N, 2, C) by its columns, airspeed (N, 3) in body axes."""
         one, (place, knots), theta = self.flights[flight], self.layout[flight], self.theta
         weights, count = self._weights(flight), len(knots)
         winds = np.stack([theta[place + 4 + axis * count + np.arange(count)] for axis in range(2)], axis=1)
@@ -234,7 +252,7 @@ class _Fit:
         air[:, :2] -= weights @ winds
         body = np.einsum("nji,nj->ni", one.turn, air)
         speed = np.linalg.norm(body, axis=1)
-        slopes = np.zeros((len(body), 2, len(theta)))
+        slopes = np.zeros((len(body), 2, self.drags + 4 + 2 * count))
         residuals = np.empty((len(body), 2))
         thrust = one.force[:, 2] + STANDARD_GRAVITY
         for axis in range(2):
@@ -249,37 +267,45 @@ class _Fit:
                 slopes[:, axis, axis] = body[:, axis]
             bias, lean = theta[place + axis], theta[place + 2 + axis]
             residuals[:, axis] = one.force[:, axis] + gain * body[:, axis] - bias - lean * thrust
-            slopes[:, axis, place + axis], slopes[:, axis, place + 2 + axis] = -1.0, -thrust
+            slopes[:, axis, self.drags + axis], slopes[:, axis, self.drags + 2 + axis] = -1.0, -thrust
             for world in range(2):
-                own = place + 4 + world * count + np.arange(count)
+                own = self.drags + 4 + world * count + np.arange(count)
                 slopes[:, axis, own] = -(gain * one.turn[:, world, axis])[:, np.newaxis] * weights
         return residuals, slopes, body
 
-    def normal(self) -> tuple[list[Array], list[Array]]:
-        """Information (P, P) and gradient (P,) of each piece of flight."""
-        information, gradient = [], []
+    def columns(self, flight: int) -> Indices:
+        """Places (C,) of the parameters that a flight tells of: drag, and its own."""
+        place, knots = self.layout[flight]
+        return np.concatenate([np.arange(self.drags), place + np.arange(4 + 2 * len(knots))])
+
+    def normal(self) -> tuple[Array, Array, list[tuple[Indices, Array, Array]]]:
+        """Information (P, P) and gradient (P,) with what was known before; both of each piece by columns."""
+        whole, pull = self.prior.copy(), self.prior @ self.theta
+        pieces = []
         for flight, one in enumerate(self.flights):
             residuals, slopes, _ = self.residuals(flight)
             slopes, scaled = slopes / self.scale[:, np.newaxis], residuals / self.scale
+            columns = self.columns(flight)
             for piece in np.unique(one.piece):
                 rows = one.piece == piece
-                flat = slopes[rows].reshape(-1, len(self.theta))
-                information.append(flat.T @ flat)
-                gradient.append(flat.T @ scaled[rows].ravel())
-        return information, gradient
+                flat = slopes[rows].reshape(-1, len(columns))
+                information, gradient = flat.T @ flat, flat.T @ scaled[rows].ravel()
+                pieces.append((columns, information, gradient))
+                whole[np.ix_(columns, columns)] += information
+                pull[columns] += gradient
+        return whole, pull, pieces
 
     def _solve(self) -> None:
         for _ in range(_ITERATIONS):
-            information, gradient = self.normal()
-            whole = np.sum(information, axis=0) + self.prior
-            step = np.linalg.solve(whole, np.sum(gradient, axis=0) + self.prior @ self.theta)
+            whole, pull, _ = self.normal()
+            step = np.linalg.solve(whole, pull)
             self.theta = self.theta - step
             # Drag that turns up slightly negative would flip the wind on the way.
             self.theta[: self.drags] = np.maximum(self.theta[: self.drags], -0.5)
             together = np.vstack([self.residuals(flight)[0] for flight in range(len(self.flights))])
             # Of autocorrelated samples fewer count: a second's worth each.
-            self.scale = np.sqrt(np.mean(together**2, axis=0) / _STEP_S) + 1e-6
-            if np.abs(step[: self.drags]).max() < 1e-7:
+            self.scale = np.sqrt(np.mean(together**2, axis=0) / min(self.step_s, 1.0)) + 1e-6
+            if np.abs(step[: self.drags]).max() < _SETTLED:
                 break
 
     def intervals(self) -> tuple[Array, Array, Array]:
@@ -287,26 +313,24 @@ class _Fit:
 
         Also the number (D,) of pieces that would share the information on each drag parameter evenly.
         """
-        information, gradient = self.normal()
-        whole = np.sum(information, axis=0) + self.prior
-        pull = np.sum(gradient, axis=0) + self.prior @ self.theta
-        # One Newton step leaves out each piece.
-        without = np.array(
-            [
-                self.theta - np.linalg.solve(whole - own, pull - force)
-                for own, force in zip(information, gradient, strict=True)
-            ]
-        )
+        whole, pull, pieces = self.normal()
+        without = []
+        for columns, information, gradient in pieces:
+            # One Newton step leaves out the piece.
+            less, rest = whole.copy(), pull.copy()
+            less[np.ix_(columns, columns)] -= information
+            rest[columns] -= gradient
+            without.append(self.theta - np.linalg.solve(less, rest))
         wanted = np.zeros((self.drags + 2 * len(self.layout), len(self.theta)))
         wanted[range(self.drags), range(self.drags)] = 1.0
         for flight, (place, knots) in enumerate(self.layout):
             for axis in range(2):
                 own = place + 4 + axis * len(knots) + np.arange(len(knots))
                 wanted[self.drags + 2 * flight + axis, own] = 1.0 / len(knots)
-        told = np.array([np.diag(own)[: self.drags] for own in information])
+        told = np.array([np.diag(own)[: self.drags] for _, own, _ in pieces])
         share = np.hstack([told, np.ones((len(told), len(wanted) - self.drags))])
         value = wanted @ self.theta
-        _, high = jackknife(value, without @ wanted.T, share)
+        _, high = jackknife(value, np.array(without) @ wanted.T, share)
         # Of the wind the pieces tell what the data do, and the information what was known before.
         known = np.einsum("mp,pm->m", wanted, np.linalg.solve(whole, wanted.T))
         half = np.hypot(high - value, 2.0 * np.sqrt(known))

@@ -35,6 +35,8 @@ from quadpi_core.version import __version__
 WARNING, ALARM = "warning", "alarm"
 # Of `report.json`; it grows where a key goes or changes its meaning.
 FORMAT = 1
+# Flights of an airframe, the longest, whose drag is identified together: more take minutes and tell no more.
+DRAG_FLIGHTS_MOST = 60
 # A rotor that turns as slowly as this share of the others does not carry its quarter: its tachometer is dead.
 SILENT_SHARE = 0.1
 
@@ -237,8 +239,9 @@ def _vehicles(flights: Sequence[FlightReport]) -> Iterator[VehicleReport]:
     for own in airframes.values():
         log = own[0].log
         name = " ".join(filter(None, (log.stack, log.frame)))
-        length = piece_length_s(sum(flight.flown.airborne_s for flight in own))
-        found = {flight.name: drag_samples(flight.log, flight.flown, length) for flight in own}
+        longest = sorted(own, key=lambda flight: -flight.flown.airborne_s)[:DRAG_FLIGHTS_MOST]
+        length = piece_length_s(sum(flight.flown.airborne_s for flight in longest))
+        found = {flight.name: drag_samples(flight.log, flight.flown, length) for flight in longest}
         samples = {key: one for key, one in found.items() if not isinstance(one, str)}
         names = tuple(flight.name for flight in own)
         drag = identify_drag(list(samples.values())) if samples else str(next(iter(found.values())))

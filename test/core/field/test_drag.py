@@ -105,6 +105,12 @@ def test_five_flights_are_clusters_of_their_own():
     assert result.per_mass[0].low < DRAG[0] < result.per_mass[0].high
 
 
+def test_an_hour_is_cut_into_as_many_pieces_as_ten_minutes():
+    assert piece_length_s(600.0) == pytest.approx(10.0)
+    assert piece_length_s(3600.0) == pytest.approx(60.0)
+    assert piece_length_s(20.0) == pytest.approx(3.0)
+
+
 @pytest.mark.slow
 def test_intervals_cover_the_drag_of_windy_flights(tmp_path):
     """Seeds from 1000 on were never looked at while the constants were set (0 to 59 were)."""

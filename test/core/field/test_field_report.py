@@ -110,6 +110,14 @@ def test_every_key_of_the_json_is_documented(report_of):
     assert {key for key in keys - plain if f"`{key}" not in page} == set()
 
 
+def test_of_many_flights_the_longest_are_identified_together(report_of, monkeypatch):
+    monkeypatch.setattr(field_report, "DRAG_FLIGHTS_MOST", 2)
+    short = {name: own.during(0.0, 40.0) for name, own in example().series().items()}
+    report = report_of(example(), replace(example(), **short), example())
+    assert report.vehicles[0].windy == ("flight0", "flight2")
+    assert len(report.vehicles[0].flights) == 3
+
+
 def test_airframes_are_reported_apart(report_of):
     other = replace(example(), frame="hexacopter", rotors=6)
     report = report_of(example(), other, example())
