@@ -20,7 +20,6 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 import numpy.typing as npt
 from scipy.special import gammaincinv
-from scipy.stats import rankdata
 
 from quadpi_core.brief_repr import brief_repr
 from quadpi_core.flight import AXES
@@ -261,5 +260,6 @@ def auroc(scores: Array, positive: npt.NDArray[np.bool_]) -> float | None:
     others = len(positive) - count
     if count == 0 or others == 0:
         return None
-    ranks = rankdata(scores)
+    _, place, counts = np.unique(scores, return_inverse=True, return_counts=True)
+    ranks = (np.cumsum(counts) - 0.5 * (counts - 1))[place]
     return float((ranks[positive].sum() - 0.5 * count * (count + 1)) / (count * others))

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy import fft, stats
-from scipy.stats import norm
+from scipy import fft
+from scipy.special import betaincinv, ndtr, ndtri, stdtrit  # scipy.stats takes a second to import
 
 from quadpi_core.frames import Array
 from quadpi_core.models.interval_rules import inside_interval
@@ -85,7 +85,7 @@ def cwc(
 
 def implied_std(lower: Array, upper: Array, confidence: float) -> Array:
     """Standard deviation (N,) of the normal distribution that has [L, U] as its central interval."""
-    std: Array = 0.5 * (upper - lower) / norm.ppf(0.5 + 0.5 * confidence)
+    std: Array = 0.5 * (upper - lower) / ndtri(0.5 + 0.5 * confidence)
     return std
 
 
@@ -97,7 +97,8 @@ def crps_normal(measured: Array, mean: Array, std: Array) -> float:
     """
     error = measured - mean
     z = np.divide(error, std, out=np.zeros_like(error), where=std > 0.0)
-    score = error * (2.0 * norm.cdf(z) - 1.0) + std * (2.0 * norm.pdf(z) - 1.0 / np.sqrt(np.pi))
+    density = np.exp(-(z**2) / 2.0) / np.sqrt(2.0 * np.pi)
+    score = error * (2.0 * ndtr(z) - 1.0) + std * (2.0 * density - 1.0 / np.sqrt(np.pi))
     return float(np.mean(np.where(std > 0.0, score, np.abs(error))))
 
 
@@ -252,7 +253,7 @@ def coverage_interval(
     else:
         variance, degrees = block_bootstrap_variance(series, block_length(series))
         tail = 0.5 + 0.5 * confidence
-        student = stats.norm.ppf(tail) / stats.t.ppf(tail, degrees)
+        student = ndtri(tail) / stdtrit(degrees, tail)
         trials = size * binomial / max(variance, binomial) * student**2
     return clopper_pearson(coverage, trials, confidence)
 
@@ -262,8 +263,8 @@ def clopper_pearson(proportion: float, trials: float, confidence: float) -> tupl
     successes = proportion * trials
     failures = trials - successes
     tail = 0.5 - 0.5 * confidence
-    low = stats.beta.ppf(tail, successes, failures + 1.0) if successes > 0.0 else 0.0
-    high = stats.beta.ppf(1.0 - tail, successes + 1.0, failures) if failures > 0.0 else 1.0
+    low = betaincinv(successes, failures + 1.0, tail) if successes > 0.0 else 0.0
+    high = betaincinv(successes + 1.0, failures, 1.0 - tail) if failures > 0.0 else 1.0
     return float(low), float(high)
 
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2, t
+from scipy.special import gammaincinv, stdtrit
 
 from quadpi_core.core import compiled
 from quadpi_core.frames import Array
@@ -55,7 +55,7 @@ def next_flight(largest: Array, chance: float, usual_spread: float) -> float:
     freedom = USUAL_FLIGHTS + n - 1
     own = float(np.square(logarithms - logarithms.mean()).sum())
     spread = np.sqrt((USUAL_FLIGHTS * usual_spread**2 + own) / freedom * (1.0 + 1.0 / n))
-    return float(np.exp(logarithms.mean() + t.isf(chance, freedom) * spread))
+    return float(np.exp(logarithms.mean() - stdtrit(freedom, chance) * spread))
 
 
 def lasting_maximum(values: Array, time: Array, persistence_s: float, release_s: float) -> float:
@@ -108,7 +108,7 @@ class Walk:
         start = float(ordered[count])
         hours = sum(float(time[-1] - time[0]) for time in times) / 3600.0
         freedom = 2.0 * len(sums)
-        unsure = freedom / float(chi2.ppf(1.0 - _SURE, freedom))
+        unsure = 0.5 * freedom / float(gammaincinv(0.5 * freedom, 1.0 - _SURE))
         excess = float(np.maximum(ordered - start, 0.0).sum()) / count
         return cls(start, max(excess * unsure, _LEAST), count / hours)
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
+from scipy.special import stdtrit
 
 from quadpi_core import array_checks
 from quadpi_core.errors import ArgumentError
@@ -226,7 +226,7 @@ def _bounds(inside: npt.NDArray[np.bool_], errors: Array, of: npt.NDArray[np.int
     if flights > 1:
         apart = np.bincount(flight, inside) - np.mean(inside) * sizes
         deviation = np.sqrt(flights / (flights - 1) * np.sum(np.square(apart / len(of))))
-        half = float(stats.t.ppf(0.975, flights - 1) * deviation)
+        half = float(stdtrit(flights - 1, 0.975) * deviation)
         centre = float(np.mean(inside))
         low, high = max(min(low, centre - half), 0.0), min(max(high, centre + half), 1.0)
     return low, high

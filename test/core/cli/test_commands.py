@@ -9,6 +9,7 @@ import re
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -16,7 +17,7 @@ import quadpi_core
 from quadpi_core.cli import app
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import write_bag
-from quadpi_core.paths import config_directory
+from quadpi_core.paths import bags_directory, config_directory
 
 COMMANDS = sorted(command.name or command.callback.__name__ for command in app.registered_commands)
 SLOW_TO_IMPORT = (
@@ -61,16 +62,29 @@ def test_help_lists_the_commands(quadpi):
     assert all(command in result.output for command in COMMANDS)
 
 
-@pytest.mark.parametrize("arguments", ["--help", "identify --help", "simulate --help", "demo --help"])
-def test_help_imports_nothing_slow(arguments):
+def imported(arguments, names):
+    """Those of some modules that a run of the command line has imported in the end."""
     script = (
-        f"import sys; sys.argv = ['quadpi', *{arguments.split()}]\n"
+        f"import sys; sys.argv = ['quadpi', *{arguments!r}]\n"
         "from quadpi_core.cli import main\n"
         "try: main()\n"
-        f"finally: print(sorted(set({SLOW_TO_IMPORT}) & set(sys.modules)), file=sys.stderr)"
+        f"finally: print(*sorted(set({names}) & set(sys.modules)), file=sys.stderr)"
     )
     ran = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
-    assert ran.stderr == "[]\n"
+    return ran.stderr.split()
+
+
+@pytest.mark.parametrize("arguments", ["--help", "identify --help", "simulate --help", "demo --help"])
+def test_help_imports_nothing_slow(arguments):
+    assert imported(arguments.split(), SLOW_TO_IMPORT) == []
+
+
+def test_commands_import_no_module_of_scipy_that_takes_a_second(bags, tmp_path):
+    slow, model = ("scipy.signal", "scipy.stats"), Path(__file__).parents[2] / "golden" / "model"
+    assert (
+        imported(["import", str(bags[0]), "--vehicle", "neurobem", "-o", str(tmp_path / "bags")], slow) == []
+    )
+    assert imported(["evaluate", str(model), str(bags_directory() / "interpolation.mcap")], slow) == []
 
 
 def test_main_path_on_simulated_flights(read_json, quadpi, bags, pool, tmp_path):
