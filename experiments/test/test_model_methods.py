@@ -17,6 +17,8 @@ from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import write_bag
 from quadpi_core.paths import bags_directory
+from quadpi_core.reading_options import ReadingOptions
+from quadpi_core.time_range import TimeRange
 from quadpi_core.vehicle import Vehicle
 
 METHOD = "physical"
@@ -27,8 +29,9 @@ BAGS = tuple(f"train_{k}.mcap" for k in (1, 2, 3))
 def folder(tmp_path) -> Path:
     data = tmp_path / "data" / "bundled"
     data.mkdir(parents=True)
+    vehicle, half = Vehicle.load("bebop2"), ReadingOptions(part=TimeRange(to_s=10.0))
     for name in BAGS:
-        (data / name).symlink_to(bags_directory() / name)
+        write_bag(data / name, read_recording(bags_directory() / name, vehicle, half))
     return tmp_path
 
 

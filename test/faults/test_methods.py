@@ -75,10 +75,11 @@ def test_no_flight_at_all(method, settings):
         )
 
 
-@pytest.fixture
-def sliding(bags, tmp_path):
+@pytest.fixture(scope="module")
+def sliding(bags, tmp_path_factory):
     """Flights that slide without turning: no moment is measured, and no force to the side."""
-    flights = [tmp_path / bag.name for bag in bags[:2]]
+    folder = tmp_path_factory.mktemp("sliding")
+    flights = [folder / bag.name for bag in bags[:2]]
     for bag, path in zip(bags, flights, strict=False):
         good = read_recording(bag, None)
         stamps, position, still = good.pose.time_ns, good.pose.position, 0.0 * good.pose.position
