@@ -41,14 +41,14 @@ class Estimate:
         value: None where it is not identified.
         low, high: ends of the interval; None where there is none.
         unit: of all three.
-        said: why it is not identified, or under what condition it holds; empty for nothing to say.
+        reason: why it is not identified, or under what condition it holds; empty where there is none.
     """
 
     value: float | None
     low: float | None = None
     high: float | None = None
     unit: str = ""
-    said: str = ""
+    reason: str = ""
 
     @property
     def half_width(self) -> float | None:
@@ -56,9 +56,9 @@ class Estimate:
         return None if self.low is None or self.high is None else 0.5 * (self.high - self.low)
 
 
-def not_identified(unit: str, said: str, low: float | None = None, high: float | None = None) -> Estimate:
+def not_identified(unit: str, reason: str, low: float | None = None, high: float | None = None) -> Estimate:
     """No number, and why; the interval where there is one, which does not bear a number."""
-    return Estimate(None, low, high, unit, f"not identified: {said}")
+    return Estimate(None, low, high, unit, f"not identified: {reason}")
 
 
 def jackknife(whole: Array, without: Array, information: Array) -> tuple[Array, Array]:
@@ -104,7 +104,7 @@ def slope_of_pieces(
     fitted: Array = np.linalg.lstsq(grams.sum(axis=0), pulls.sum(axis=0), rcond=None)[0]
     value = float(wanted @ fitted)
     if len(places) < PIECES_FEWEST.value:
-        return Estimate(value, unit=unit, said=_SHORT), fitted
+        return Estimate(value, unit=unit, reason=_SHORT), fitted
     rest = zip(grams.sum(axis=0) - grams, pulls.sum(axis=0) - pulls, strict=True)
     without = [wanted @ np.linalg.lstsq(gram, pull, rcond=None)[0] for gram, pull in rest]
     # The part of the information that other coefficients do not share.

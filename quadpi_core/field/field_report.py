@@ -46,7 +46,7 @@ class Remark:
     """Something that looks wrong: a warning or an alarm, and a sentence."""
 
     level: str
-    said: str
+    sentence: str
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ class FieldReport:
             parts.append(f"{len(self.vehicles)} airframes, each by itself")
         alarms = [remark for flight in self.flights for remark in flight.remarks if remark.level == ALARM]
         warnings = sum(len(flight.remarks) for flight in self.flights) - len(alarms)
-        parts.append(alarms[0].said if alarms else f"{warnings} warning{'s' * (warnings != 1)}, no alarm")
+        parts.append(alarms[0].sentence if alarms else f"{warnings} warning{'s' * (warnings != 1)}, no alarm")
         return "; ".join(parts) + "."
 
     def to_json(self) -> dict[str, Any]:
@@ -178,7 +178,7 @@ def _of_flight(flight: FlightReport) -> dict[str, Any]:
 
 def _told(part: Any) -> dict[str, Any]:
     """A result, or the sentence that says why there is none."""
-    return {"said": part} if isinstance(part, str) else asdict(part)
+    return {"reason": part} if isinstance(part, str) else asdict(part)
 
 
 def _plain(value: Any) -> Any:

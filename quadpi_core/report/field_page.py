@@ -78,7 +78,7 @@ def flight_table(report: FieldReport) -> Table:
 def _row(name: str, one: Estimate, factor: float = 1.0, unit: str = "") -> Row:
     value, low, high = (None if end is None else factor * end for end in (one.value, one.low, one.high))
     interval = "" if low is None or high is None else f"{number(low)} to {number(high)}"
-    return [name, value, interval, unit or one.unit, Cell(one.said, Mark.SOFT) if one.said else ""]
+    return [name, value, interval, unit or one.unit, Cell(one.reason, Mark.SOFT) if one.reason else ""]
 
 
 def drag_table(vehicle: VehicleReport, mass: float | None) -> Table:
@@ -165,7 +165,7 @@ def settings_table(report: FieldReport) -> Table:
 def remark_table(report: FieldReport) -> Table:
     """Warnings and alarms."""
     rows: list[Row] = [
-        [flight.name, Cell(remark.said, Mark.FAULT if remark.level == ALARM else Mark.WARNING)]
+        [flight.name, Cell(remark.sentence, Mark.FAULT if remark.level == ALARM else Mark.WARNING)]
         for flight in report.flights
         for remark in flight.remarks
     ]
@@ -246,7 +246,7 @@ def _facts(report: FieldReport) -> Iterator[tuple[str, str]]:
 
 
 def _remarks(report: FieldReport) -> Sequence[tuple[str, str]]:
-    found = [(flight.name, remark.said) for flight in report.flights for remark in flight.remarks]
+    found = [(flight.name, remark.sentence) for flight in report.flights for remark in flight.remarks]
     notes = [(flight.name, note) for flight in report.flights for note in flight.log.notes]
     return [*flight_remarks({}, report.left_out), *found, *notes]
 

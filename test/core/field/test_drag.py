@@ -45,7 +45,7 @@ def test_drag_of_a_flight_in_still_air():
 
 def test_a_constant_heading_leaves_the_wind_to_the_bias():
     (winds,) = identified(example()).wind
-    assert all("heading hardly changed" in one.said for one in winds)
+    assert all("heading hardly changed" in one.reason for one in winds)
 
 
 @pytest.mark.parametrize("density", [None, 0.9])
@@ -71,7 +71,7 @@ def test_momentum_and_bluff_body_drag_are_told_apart_by_speed(density):
 
 def test_a_slow_flight_is_told_to_fly_faster():
     result = identified(slower(example(), 0.1))
-    assert all("too slow, " in one.said and one.value is None for one in result.per_mass)
+    assert all("too slow, " in one.reason and one.value is None for one in result.per_mass)
     assert result.usable < 50
     assert "5 m/s or more" in result.advice
 
@@ -79,7 +79,7 @@ def test_a_slow_flight_is_told_to_fly_faster():
 def test_a_short_flight_is_told_so():
     log = example()
     cut = {name: series.during(5.0, 12.0) for name, series in log.series().items()}
-    assert "too short, 7 s in the air" in identified(replace(log, **cut)).per_mass[0].said
+    assert "too short, 7 s in the air" in identified(replace(log, **cut)).per_mass[0].reason
 
 
 def test_no_drag_is_not_identified():
@@ -87,7 +87,7 @@ def test_no_drag_is_not_identified():
     values = log.imu.values.copy()
     values[:, 3:5] = np.random.default_rng(0).normal(0.0, 1.0, (len(values), 2))
     result = identified(replace(log, imu=replace(log.imu, values=values)))
-    assert all("holds 0" in one.said and one.low < 0.0 < one.high for one in result.per_mass)
+    assert all("holds 0" in one.reason and one.low < 0.0 < one.high for one in result.per_mass)
     assert result.advice.startswith("fly ")
 
 

@@ -38,11 +38,11 @@ def test_the_mean_is_that_of_the_samples_and_what_is_not_finite_does_not_count()
 def test_few_pieces_have_no_interval():
     one = mean_of_pieces(np.arange(8.0), np.arange(8) // 2, "")
     assert (one.value, one.low, one.high) == (3.5, None, None)
-    assert one.said == "too short for an interval"
+    assert one.reason == "too short for an interval"
 
 
 def test_no_sample_is_not_identified():
-    assert mean_of_pieces(np.full(3, np.nan), np.arange(3), "").said == "not identified: no sample"
+    assert mean_of_pieces(np.full(3, np.nan), np.arange(3), "").reason == "not identified: no sample"
 
 
 def test_a_slope_with_its_interval():

@@ -80,7 +80,7 @@ def test_alarms(report_of, changes, said):
     log = example()
     report = report_of(replace(log, **changes(log)))
     assert report.alarmed
-    assert any(said in remark.said for remark in report.flights[0].remarks), report.flights[0].remarks
+    assert any(said in remark.sentence for remark in report.flights[0].remarks), report.flights[0].remarks
 
 
 def scaled(series: Series, *factors: float) -> Series:

@@ -50,7 +50,7 @@ def test_a_constant_command_tells_no_gain():
     inside = (log.commands.time >= AIRBORNE[0]) & (log.commands.time < AIRBORNE[1])
     flat = Series(log.commands.time, np.where(inside, HOVER, 0.05)[:, np.newaxis] * np.ones(4))
     use = use_of(replace(log, commands=flat))
-    assert "hardly changed" in use.thrust_gain.said
+    assert "hardly changed" in use.thrust_gain.reason
     assert use.drift is None
 
 
