@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -35,6 +35,7 @@ MORE_THAN_SOUND = Threshold(
     "the level of the intervals that are stated",
     CONVENTION,
 )
+_NONE_HELD = np.zeros(len(AXES), dtype=np.bool_)
 # By candidate, those that do about as well in its place, best first, with their odds against it.
 Rivals: TypeAlias = dict[int, list[tuple[int, float]]]
 
@@ -46,7 +47,8 @@ class Gap(NamedTuple):
         before, after: (6,) difference of measured and simulated wrench, after with the effects fitted on all
             other flights.
         floor: (6,) noise of sensors and states, or what the simulation states that it may err by.
-        reduction: closed share of the squares above the floor, in those of the floor, of all axes.
+        reduction: closed share of the squares above the floor, in those of the floor, of all axes that the
+            simulation's own intervals do not hold.
     """
 
     before: Array
@@ -110,7 +112,14 @@ class Closing:
         """Squares of flights left out after the fit of all others, in variances of a noise."""
         return sum(noise.squares(fit.residual(), place) for place, fit in enumerate(self.left_out))
 
-    def gap(self, noise: Array, stated: Array, *, adjusted: bool = True) -> Gap:
+    def gap(
+        self,
+        noise: Array,
+        stated: Array,
+        *,
+        adjusted: bool = True,
+        held: npt.NDArray[np.bool_] = _NONE_HELD,
+    ) -> Gap:
         """The gap of each flight after the fit of all others; unchanged where no effect was chosen.
 
         Coefficients alone are not fitted: without the missing effect they would exceed their tolerances. Of
@@ -121,6 +130,7 @@ class Closing:
             noise: (6, C) variance in C bands, or (F, 6, C) of each flight, which no simulation can close.
             stated: (6,) mean squares that are no gap either, as the simulation states that it errs by them.
             adjusted: whether coefficients are moved as fitted, or stay as they are stated.
+            held: axes (6,) that are no gap however large the difference is; none unless given.
         """
         regression, (before, after, floor) = self.regression, np.zeros((3, len(AXES)))
         noises = np.broadcast_to(noise, regression.noise.variance.shape)
@@ -134,7 +144,8 @@ class Closing:
         samples = sum(len(flight.thinned) for flight in regression.flights)
         # Of numbers that were made up, without any noise, too.
         floor = np.maximum(floor, stated * samples + np.finfo(float).eps * before + np.finfo(float).tiny)
-        removable, kept = np.maximum(np.stack((before, after)) / floor - 1.0, 0.0).sum(axis=1).tolist()
+        above = np.maximum(np.stack((before, after)) / floor - 1.0, 0.0)
+        removable, kept = above.sum(axis=1, where=~held).tolist()
         reduction = 1.0 - kept / removable if removable > 0.0 else 0.0
         before, after, floor = np.sqrt(np.stack((before, after, floor)) / samples)
         return Gap(before, after, floor, reduction)
@@ -284,25 +295,32 @@ class Found:
         The floor is the most that as many sound flights may leave. Where no axis is further off, though
         intervals are broken, it is what they leave on average.
         """
-        sound = self.regression.sound
+        sound, none = self.regression.sound, np.zeros(len(AXES))
+        measured = partial(self.closing.gap, adjusted=adjusted, held=self.held)
         if sound is not None and self._as_sound is not None:
-            gap = self.closing.gap(self._as_sound, np.zeros(len(AXES)), adjusted=adjusted)
+            gap = measured(self._as_sound, none)
             broken = self.inside is not None and not self.inside.held.all()
-            if not broken or np.any(gap.before > gap.floor):
+            if not broken or np.any(gap.before > gap.floor, where=~self.held):
                 return gap
-            return self.closing.gap(sound.left, np.zeros(len(AXES)), adjusted=adjusted)
-        noise = np.minimum(self.regression.noise.variance, self.sensors)
-        return self.closing.gap(noise, self.regression.stated_squares, adjusted=adjusted)
+            return measured(sound.left, none)
+        return measured(
+            np.minimum(self.regression.noise.variance, self.sensors), self.regression.stated_squares
+        )
 
     @property
     def beyond_sound(self) -> Array:
         """Squares (6,) of the residual after the fit beyond those of sound flights, in variances of these.
 
-        They are infinite where no sound flights are known.
+        Without sound flights they are those beyond what the simulation's own intervals state, infinite where
+        there are none.
         """
-        if self._as_sound is None:
-            return np.full(len(AXES), np.inf)
+        allowed = self._as_sound
+        if allowed is None:
+            stated = self.regression.stated_squares
+            if not stated.any():
+                return np.full(len(AXES), np.inf)
+            allowed = np.repeat(stated[:, np.newaxis], self.regression.residual.bands, axis=1)
         squares = np.zeros(len(AXES))
         for left, own in zip(self.regression.left(self.fit), self.regression.residual.spectra, strict=True):
-            squares += np.sum(np.square(left) / self._as_sound[:, own.band] - 1.0, axis=1)
+            squares += np.sum(np.square(left) / allowed[:, own.band] - 1.0, axis=1)
         return np.maximum(squares, 0.0)

@@ -345,8 +345,9 @@ def _of_gap(found: Found, gap: Gap) -> Iterator[Verdict]:
 
     Flights so few that they do not predict each other do not disagree either.
     """
-    above = (float(np.max(np.square(own / gap.floor))) - 1.0 for own in (gap.before, gap.after))
-    yield judge_closed(gap.reduction, *above)
+    squares = np.square(np.stack((gap.before, gap.after)) / gap.floor)
+    above = np.max(squares, axis=1, where=~found.held, initial=0.0) - 1.0
+    yield judge_closed(gap.reduction, *above.tolist())
     for index in found.chosen if len(found.regression.flights) >= FEW_FLIGHTS.value else ():
         candidate, ratios = found.regression.candidates[index], found.disagreement(index)
         worst = int(np.argmax(ratios))

@@ -94,6 +94,17 @@ def test_what_the_simulation_states_that_it_errs_by_is_no_gap(closing):
     assert closing.gap(variance, 1.001 * np.square(noisy.before)).reduction == 0.0
 
 
+def test_axes_that_intervals_hold_are_no_gap(closing):
+    """However far they are above the floor, with effects and without."""
+    whole, held = gap_of(closing), np.array([True, False, True, True, True, True])
+    only = gap_of(closing, held=held)
+    for one, other in zip(whole[:3], only[:3], strict=True):
+        np.testing.assert_array_equal(one, other)
+    before, after = (np.square(own[1] / whole.floor[1]) - 1.0 for own in (whole.before, whole.after))
+    assert only.reduction == pytest.approx(1.0 - max(after, 0.0) / before)
+    assert only.reduction != whole.reduction
+
+
 def test_without_effects_the_gap_stays(closing):
     gap = gap_of(Closing.of(closing.regression, ()))
     np.testing.assert_array_equal(gap.after, gap.before)

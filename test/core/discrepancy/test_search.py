@@ -102,7 +102,7 @@ def test_a_gap_is_beyond_the_mean_of_sound_flights_where_only_intervals_are_brok
 ):
     """Else beyond what as many sound flights leave at most, here 1.5 times their mean."""
 
-    def gap(noise, stated, adjusted):
+    def gap(noise, stated, adjusted, held):  # noqa: ARG001
         floor = noise[:, 0] + stated
         return Gap(np.full(6, before), np.full(6, 0.9), floor, float(adjusted))
 
