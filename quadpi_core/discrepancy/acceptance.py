@@ -246,6 +246,14 @@ def scales_beside_law(candidate: Candidate, beside: Sequence[Candidate]) -> bool
     return alone and any(other.form > 0.0 for other in beside)
 
 
+def stands_behind(candidate: Candidate, rejected: Candidate) -> bool:
+    """Whether a candidate that fits less well than one rejected for good would be named for the same.
+
+    The strength of the same rotor by another law is no other explanation, and may need less evidence.
+    """
+    return candidate.name == rejected.name or not candidate.excludes(rejected)
+
+
 def rival_margin(gain: float) -> float:
     """Evidence by which an effect with this gain has to exceed others in its place to be named alone."""
     return max(NAMED_ALONE.value, ALIKE.value * gain)

@@ -26,6 +26,7 @@ from quadpi_core.discrepancy.acceptance import (
     least_evidence,
     rival_margin,
     scales_beside_law,
+    stands_behind,
 )
 from quadpi_core.discrepancy.candidates import Candidate
 from quadpi_core.discrepancy.closure import Closing, Found, Rivals
@@ -277,22 +278,23 @@ def _one_more(
     def squares() -> Array:
         return left_out_squares(before.regression, before.chosen)
 
-    behind = ""
+    behind: Candidate | None = None
     for index, fit in fits:
+        own = before.regression.candidates[index]
         trial = Trial(
             before=before,
             added=index,
             fit=fit,
             squares_before=squares,
             dropped=index in idle,
-            behind=behind,
+            behind=behind.label if behind and stands_behind(own, behind) else "",
             instead=_about_as_well(before, index, fit, fits),
         )
         judgements.append(trial.judgement)
         if trial.result is not None:
             return trial.result, trial.gain
         if trial.judgement.ends_round:
-            behind = behind or before.regression.candidates[index].label
+            behind = behind or own
     return None, 0.0
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadpi_core.discrepancy.acceptance import judge_left_out, least_evidence
+from quadpi_core.discrepancy.acceptance import judge_left_out, least_evidence, stands_behind
 from quadpi_core.discrepancy.candidates import candidates
 from quadpi_core.vehicle import Vehicle
 
@@ -31,6 +31,15 @@ def test_the_least_evidence_counts_the_candidates():
     known = candidates(Vehicle.load("bebop2"), None)
     assert len(known) == 35
     assert least_evidence(len(known)) == pytest.approx(8.16, abs=0.005)
+
+
+def test_the_strength_of_a_rotor_by_one_law_does_not_stand_behind_that_by_another():
+    """Other rotors, other effects and the same law do."""
+    known = {own.label: own for own in candidates(Vehicle.load("bebop2"), None)}
+    rejected = known["weak_rotor (rotor 1)"]
+    others = ("weak_rotor (rotor 2)", "rotor_speed_scale (rotor 2)", "cg_offset")
+    assert not stands_behind(known["rotor_speed_scale (rotor 1)"], rejected)
+    assert all(stands_behind(known[label], rejected) for label in others)
 
 
 def test_a_search_gives_a_reason_for_every_candidate(found):
