@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from quadpi_core import array_checks
-from quadpi_core.discrepancy.acceptance import FEW_FLIGHTS, Verdict
+from quadpi_core.discrepancy.acceptance import FEW_FLIGHTS, Accepted, Verdict
 from quadpi_core.discrepancy.augmented_simulation import augmented
 from quadpi_core.discrepancy.by_condition import locate
 from quadpi_core.discrepancy.candidates import ALLOWED, CLOSES_NOTHING, NO_EXPLANATION, candidates
@@ -36,11 +36,12 @@ from quadpi_core.discrepancy.result_verdicts import (
     checks,
     is_rejected,
     judge_coverage,
+    judge_not_zero,
     judged_by_rollouts,
     ranked_candidates,
     with_stated_coefficients,
 )
-from quadpi_core.discrepancy.search import Prepared, search
+from quadpi_core.discrepancy.search import MOST_EFFECTS, Prepared, search
 from quadpi_core.discrepancy.simulations import Simulation
 from quadpi_core.discrepancy.whitening import BAND_HZ
 from quadpi_core.errors import DiscrepancyError
@@ -173,7 +174,8 @@ def found_and_flown(
     An effect that closes nothing of the gap, or explains what the simulation's own intervals allow for, is no
     explanation, and is barred from another search. So is one of several without which alone the intervals of
     a model hold as much as before, where nothing else speaks against them: a search compares up to 20 Hz, and
-    what is faster is judged here, such as the moments of rotors that another delay would shift.
+    what is faster is judged here, such as the moments of rotors that another delay would shift. At last one
+    is barred without which the result holds.
 
     Args:
         simulation: simulation to compare with.
@@ -188,7 +190,7 @@ def found_and_flown(
 
 
 def _searched_again(ready: Prepared, barred: Mapping[str, str]) -> Discovery:
-    """What a search finds, flown again, or another search without what explains nothing."""
+    """What a search finds, flown again, or another without what explains nothing or does not hold."""
     discovery = discovered(ready, barred)
     more = _explaining_nothing(discovery)
     if not more:
@@ -200,6 +202,11 @@ def _searched_again(ready: Prepared, barred: Mapping[str, str]) -> Discovery:
             return again
     if discovery.flown is None:
         discovery = flown_again(discovery)
+    doubtful = {} if more or len(barred) >= MOST_EFFECTS.value else _doubtful(discovery)
+    if doubtful:
+        without = _searched_again(ready, {**barred, **doubtful})
+        if without.verdict == "effects":
+            return without
     for name, reason in more.items():
         if reason in NO_EXPLANATION and discovery.verdict == "effects":
             sentence = f"{name} {reason}, and no other search explains the flights"
@@ -230,6 +237,22 @@ def _explaining_nothing(discovery: Discovery) -> dict[str, str]:
         opened.append((float(np.max(further)), found.regression.candidates[index].name))
     most, name = min(opened)
     return {} if most > NEAR_FLOOR.value else {name: CLOSES_NOTHING}
+
+
+def _doubtful(discovery: Discovery) -> dict[str, str]:
+    """The effect that a result which does not hold may hold without, and what speaks against it; or empty.
+
+    It is one whose every parameter may be zero, else the one that gains least beside the others. One alone is
+    left out for another that does about as well, where flights left out get worse with it.
+    """
+    found, failed = discovery.found, [check for check in discovery.checks if not check.passed]
+    another = is_rejected(discovery) and any(found.rivals.values())
+    if not failed or not (len(found.chosen) > 1 or another):
+        return {}
+    gains = Accepted(found.regression, found.chosen, found.fit).gains()
+    effects = dict(zip(found.chosen, discovery.effects, strict=True))
+    least = min(effects, key=lambda index: (judge_not_zero(effects[index]).passed, gains[index]))
+    return {effects[least].name: failed[0].sentence}
 
 
 def _spoiling(discovery: Discovery) -> dict[str, str]:

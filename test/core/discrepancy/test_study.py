@@ -331,6 +331,7 @@ def test_what_alone_takes_an_axis_out_of_its_intervals_is_barred_from_another_se
     for name, made in (("discovered", searched), ("flown_again", flown), ("coverages", covered)):
         monkeypatch.setattr(f"quadpi_core.discrepancy.study.{name}", made)
     monkeypatch.setattr("quadpi_core.discrepancy.study.augmented", lambda *_, **__: both)
+    monkeypatch.setattr("quadpi_core.discrepancy.study._doubtful", lambda _: {})
     result = found_and_flown(simulation, dragged, names=SOUGHT)
     assert searches == ([{}] if others else [{}, {"wind": "coverage"}])
     assert result.verdict == ("unknown" if others else "effects")
@@ -359,6 +360,35 @@ def test_what_closes_nothing_beside_another_effect_is_barred_from_another_search
     assert searches == [{}, {"rate_damping": CLOSES_NOTHING}]
     assert (result.verdict, len(result.effects)) == (("effects", 1) if again == "effects" else ("unknown", 2))
     assert ("closes" in [check.test for check in result.checks if not check.passed]) == (again == "unknown")
+
+
+@pytest.mark.parametrize(("without", "named"), [("effects", 1), ("none", 2), ("unknown", 2)])
+def test_of_several_effects_that_do_not_hold_the_weakest_is_left_out(
+    simulation, dragged, sought, monkeypatch, without, named
+):
+    """Drag is there, and what single flights have passed for another effect beside it."""
+    searches, regression = [], sought.found.regression
+    chosen = tuple(
+        i for i, own in enumerate(regression.candidates) if own.name in ("body_drag", "rate_damping")
+    )
+    whole = replace(sought.found, chosen=chosen, fit=regression.fit(chosen))
+    failed = Verdict("agreement", False, 8.5, 3.0, "", "flights differ")
+    both = (sought.effects[0], replace(sought.effects[0], name="rate_damping"))
+    two = replace(sought, effects=both, found=whole, checks=(failed,))
+    nothing = replace(sought, effects=(), found=replace(sought.found, chosen=()))
+    alone = nothing if without == "none" else sought
+    fewer = replace(alone, checks=(failed,) if without == "unknown" else ())
+
+    def searched(_, barred):
+        searches.append(dict(barred))
+        return fewer if barred else two
+
+    for name, made in (("discovered", searched), ("flown_again", lambda own: own)):
+        monkeypatch.setattr(f"quadpi_core.discrepancy.study.{name}", made)
+    monkeypatch.setattr("quadpi_core.discrepancy.study._explaining_nothing", lambda _: {})
+    result = found_and_flown(simulation, dragged, names=SOUGHT)
+    assert searches == [{}, {"rate_damping": "flights differ"}]
+    assert (result.verdict, len(result.effects)) == ("effects" if named == 1 else "unknown", named)
 
 
 def turned_over(discovery):
