@@ -16,6 +16,7 @@ from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.evidence import Fit
 from quadpi_core.discrepancy.search import Prepared, best_condition, search, without_idle
 from quadpi_core.discrepancy.unexplained import Inside
+from quadpi_core.discrepancy.whitening import Spectrum
 
 
 class ListedEvidence:
@@ -111,6 +112,21 @@ def test_a_gap_is_beyond_the_mean_of_sound_flights_where_only_intervals_are_brok
     inside, closing = Inside(np.full((8, 6), share_inside), 0.95), SimpleNamespace(gap=gap)
     found = Found(regression, (), None, closing, 0.0, {}, None, (), inside=inside)
     assert found.gap().floor == pytest.approx(np.full(6, 1.0 if of_mean else 1.5))
+
+
+@pytest.mark.parametrize(("stated", "beyond"), [(0.0, np.inf), (1.0, 40 * 0.96), (2.0, 0.0)])
+def test_without_sound_flights_as_much_may_be_left_as_intervals_state(stated, beyond):
+    """Any, where there are no intervals."""
+    left = [np.full((6, 10), 1.4)] * 4
+    spectra = [Spectrum(own, np.zeros(10, dtype=np.intp)) for own in left]
+    regression = SimpleNamespace(
+        sound=None,
+        stated_squares=np.full(6, stated),
+        residual=SimpleNamespace(spectra=spectra, bands=1),
+        left=lambda _: left,
+    )
+    found = Found(regression, (), SimpleNamespace(left=None), None, 0.0, {}, None, ())
+    assert found.beyond_sound == pytest.approx(np.full(6, beyond))
 
 
 def test_what_fitted_coefficients_clearly_prefer_is_named(simulation, dragged, monkeypatch):
