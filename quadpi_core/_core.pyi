@@ -241,6 +241,13 @@ ROTOR_HALF: int
 ROTOR_JUMPS: int
 ROTOR_ZERO: int
 SETTLE_NS: int
+BLOCK_S: float
+BLOCK_FILLED_S: float
+ONSETS: int
+DIRECTIONS: int
+SIZES: int
+NOTHING: int
+LESS_1: int
 STAMP_BACKWARD: int
 STAMP_REPEATED: int
 STATE_MISSING: int
@@ -351,6 +358,18 @@ def judge_prepared(
     alarms: Records,
     /,
 ) -> tuple[int, int]: ...
+def whiten_blocks(
+    noise: Records,
+    residuals: Array,
+    numbers: npt.NDArray[np.int64],
+    errors: Array,
+    spreads: Array,
+    ones: Array,
+    /,
+) -> None: ...
+def gather_evidence(
+    limits: Records, rotors: Records, blocks: Records, memory: Records, evidence: Array, /
+) -> None: ...
 def lasts(values: Array, steps: Array, level: float, persistence_s: float, release_s: float, /) -> bool: ...
 def sum_misses(steps: Array, miss: Array, allowed: float, sums: Array, /) -> None: ...
 

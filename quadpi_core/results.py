@@ -16,12 +16,22 @@ from quadpi_core.frames import Array
 
 LEVEL_OK, LEVEL_WARNING, LEVEL_ALARM = 0, 1, 2
 # Causes of an alarm, one bit each.
-EXTRAPOLATION, MISCOVERAGE, BAD_DATA = 1, 2, 4
-CAUSES = (EXTRAPOLATION, MISCOVERAGE, BAD_DATA)
-CAUSE_NAMES = {EXTRAPOLATION: "extrapolation", MISCOVERAGE: "miscoverage", BAD_DATA: "bad data"}
+EXTRAPOLATION, MISCOVERAGE, BAD_DATA, CHANGE = 1, 2, 4, 8
+CAUSES = (EXTRAPOLATION, MISCOVERAGE, BAD_DATA, CHANGE)
+CAUSE_NAMES = {
+    EXTRAPOLATION: "extrapolation",
+    MISCOVERAGE: "miscoverage",
+    BAD_DATA: "bad data",
+    CHANGE: "change",
+}
+# What has changed: nothing that is known, the mass [kg], a force [N] that pushes, the centre of gravity [m],
+# or the share of its thrust that a rotor has lost.
+UNCHANGED, CHANGED_MASS, CHANGED_FORCE_FORWARD, CHANGED_FORCE_RIGHT = range(4)
+CHANGED_CENTRE_FORWARD, CHANGED_CENTRE_RIGHT, CHANGED_ROTOR = range(4, 7)
 # Health of a cause. ACTIVE: judged with a stated rate of false alarms. WAITING: not judged, as the vehicle
-# does not fly or, for MISCOVERAGE, while the state settles. UNAVAILABLE: no usable samples. UNCALIBRATED:
-# judged by plain limits.
+# does not fly or, for MISCOVERAGE and CHANGE, while the state settles. UNAVAILABLE: no usable samples or, for
+# CHANGE, a model of too few flights. UNCALIBRATED: judged by plain limits or, for CHANGE, where residuals are
+# louder than on any flight that told what is sound.
 ACTIVE, WAITING, UNAVAILABLE, UNCALIBRATED = 0, 1, 2, 3
 # Why a model is not judged: the vehicle does not fly, there are no samples, or the state settles, when only
 # MISCOVERAGE is not judged.
@@ -89,15 +99,22 @@ class AlarmRows:
 
     The evidence of a row is the largest since the row before it. A score is a value over its limit. Columns
     of
-    causes: EXTRAPOLATION, MISCOVERAGE, BAD_DATA; of axes: Fx … Mz.
+    causes: EXTRAPOLATION, MISCOVERAGE, BAD_DATA, CHANGE; of axes: Fx … Mz.
 
     Attributes:
         level: (M,) 0 ok, 1 warning, 2 alarm; the highest of the causes.
-        causes: (M,) bit flags of the causes that are not ok, 1 extrapolation, 2 miscoverage, 4 bad data.
-        cause_level, cause_health: (M, 3) level and health of each cause.
-        cause_evidence: (M, 3) largest score of the signals of each cause.
+        causes: (M,) bit flags of the causes that are not ok, 1 extrapolation, 2 miscoverage, 4 bad data,
+            8 change.
+        cause_level, cause_health: (M, 4) level and health of each cause.
+        cause_evidence: (M, 4) largest score of the signals of each cause.
         leverage, width, miscoverage: (M, 6) scores per axis.
         miss_share: (M, 6) share of recent samples outside the model's own interval.
+        changed: (M,) what has changed, such as CHANGED_MASS; UNCHANGED where nothing shows.
+        changed_rotor: (M,) which rotor, from 1; 0 for none.
+        change_size, change_lower, change_upper: (M,) by how much, and its interval of 95 %; kg, N, m, or a
+            share of a rotor's thrust.
+        change_since_ns: (M,) stamp at which the change began; 0 without one.
+        change_from_start: (M,) whether that is the first that was judged since take-off.
     """
 
     __repr__ = brief_repr
@@ -112,6 +129,13 @@ class AlarmRows:
     width: Array
     miscoverage: Array
     miss_share: Array
+    changed: npt.NDArray[np.uint8]
+    changed_rotor: npt.NDArray[np.uint8]
+    change_size: Array
+    change_lower: Array
+    change_upper: Array
+    change_since_ns: Stamps
+    change_from_start: npt.NDArray[np.bool_]
 
     def __len__(self) -> int:
         return len(self.time_ns)
@@ -181,7 +205,7 @@ class AlarmEvent:
 
     Attributes:
         number: counts the events of a log from 1.
-        cause: EXTRAPOLATION, MISCOVERAGE or BAD_DATA.
+        cause: EXTRAPOLATION, MISCOVERAGE, BAD_DATA or CHANGE.
         time_ns: stamp of the sample that led to this state of the event.
         start_ns: stamp at which the cause was raised.
         end_ns: stamp at which it was cleared; 0 until then.

@@ -32,7 +32,14 @@ WRENCHES = {
 WIDTHS = {("/prediction", f"relative_width[{axis}]") for axis in range(6)}
 ALARM = {
     ("/extrapolation_alarm", path)
-    for path in ("level", "cause_level[0]", "cause_level[1]", "cause_level[2]", "envelope_distance")
+    for path in (
+        "level",
+        "cause_level[0]",
+        "cause_level[1]",
+        "cause_level[2]",
+        "cause_level[3]",
+        "envelope_distance",
+    )
 }
 
 

@@ -8,6 +8,7 @@ void bind_estimator(nanobind::module_& module);
 void bind_logs(nanobind::module_& module);
 void bind_messages(nanobind::module_& module);
 void bind_models(nanobind::module_& module);
+void bind_change(nanobind::module_& module);
 void bind_monitor(nanobind::module_& module);
 void bind_screening(nanobind::module_& module);
 void bind_physical(nanobind::module_& module);
@@ -27,6 +28,7 @@ NB_MODULE(_core, module) {
     quadpi::bind_signals(module);
     quadpi::bind_models(module);
     quadpi::bind_screening(module);
+    quadpi::bind_change(module);
     quadpi::bind_monitor(module);
     quadpi::bind_physical(module);
     quadpi::bind_simulation(module);

@@ -152,6 +152,7 @@ def identify(
 
 def _print_model(console: Console, model: AerodynamicModel, *, verbose: bool, choice: str | None) -> None:
     """What matters first; with `verbose`, the rest as well."""
+    from quadpi_core.models.change_limits import change_sentence
     from quadpi_core.report.evaluation_page import support_text
     from quadpi_core.report.model_tables import (
         fact_tables,
@@ -180,3 +181,4 @@ def _print_model(console: Console, model: AerodynamicModel, *, verbose: bool, ch
         console.print(least, soft_wrap=True)
     console.print(support_text(model.support(model.confidence)), soft_wrap=True)
     console.print(model.alarm_limits.sentence(), soft_wrap=True)
+    console.print(change_sentence(model.change_limits), soft_wrap=True)

@@ -11,12 +11,14 @@ import numpy as np
 from quadpi_core import array_checks
 from quadpi_core.errors import ArgumentError, ModelError
 from quadpi_core.flight import AXES
+from quadpi_core.frames import Array
 from quadpi_core.identification.alarm_calibration import (
     calibrate_alarm,
     hover_rotor_speed,
     left_out,
     live_errors,
 )
+from quadpi_core.identification.change_calibration import calibrate_change
 from quadpi_core.identification.prepared_flights import PREPARE_FLIGHTS, PreparedFlight
 from quadpi_core.models.aerodynamic import AerodynamicModel, TrainingFlight
 from quadpi_core.models.candidate_pool import CandidatePool
@@ -24,8 +26,9 @@ from quadpi_core.models.envelope import Envelope
 from quadpi_core.models.interval_rules import HeldOutRule, require_confidence
 from quadpi_core.models.kind_registry import kind_of
 from quadpi_core.models.least_squares import identifiable
-from quadpi_core.models.model_kind import IdentifyOptions, Pools, Settings, TrainingSamples
+from quadpi_core.models.model_kind import Evaluation, IdentifyOptions, Pools, Settings, TrainingSamples
 from quadpi_core.parallel import ReportProgress, ignore_progress
+from quadpi_core.records import Records
 from quadpi_core.vehicle import LOAD_VEHICLE, Vehicle
 
 # Each flight is left out in turn to calibrate the intervals, and a model of the others must remain.
@@ -69,11 +72,11 @@ def identify(
 
     # Intervals: the held-out errors must be covered for the causal states of the live path too.
     held_out = fit.held_out
-    live = (
-        live_errors(flights, held_out, lambda rows, moving: fitted.evaluate(rows, factors, moving))
-        if held_out
-        else []
-    )
+
+    def evaluate(rows: Array, moving: Records) -> Evaluation:
+        return fitted.evaluate(rows, factors, moving)
+
+    live = live_errors(flights, held_out, evaluate) if held_out else []
     rules = {
         axis: rule.covering([flight.errors[axis] for flight in live])
         for axis in held_out
@@ -91,6 +94,7 @@ def identify(
             samples.inputs, samples.wrench, vehicle.mass_kg * vehicle.gravity_m_s2
         ),
     )
+    change = calibrate_change(flights, live, vehicle, evaluate) if rules else None
     return AerodynamicModel(
         name="",
         vehicle=vehicle.name,
@@ -112,6 +116,7 @@ def identify(
         },
         rollouts=fit.rollouts,
         alarm_limits=limits,
+        change_limits=change,
         left_out=tuple(fit.left_out),
     )
 

@@ -167,7 +167,7 @@ def _axis_flags(axes: tuple[str, ...]) -> int:
     return sum(1 << AXES.index(axis) for axis in axes)
 
 
-_ALARM_NUMBERS = tuple(column.name for column in fields(AlarmRows) if column.name != "time_ns")
+_ALARM_NUMBERS = tuple(column.name for column in fields(AlarmRows) if not column.name.endswith("_ns"))
 
 
 def unpack_alarms(payloads: Payloads | bytes) -> ReportedAlarms:
@@ -176,6 +176,7 @@ def unpack_alarms(payloads: Payloads | bytes) -> ReportedAlarms:
     return ReportedAlarms(
         time_ns=header_stamps(columns),
         **{name: columns[name].copy() for name in _ALARM_NUMBERS},
+        change_since_ns=header_stamps(columns, "change_since."),
         envelope_distance=columns["envelope_distance"].copy(),
         inputs_outside=_texts(columns["inputs_outside"]),
         reasons=_texts(columns["reasons"]),
@@ -199,6 +200,7 @@ def pack_alarms(alarms: Alarms, reasons: Sequence[tuple[str, ...]], frame_id: st
         columns = {
             **header_columns(alarms.time_ns[rows], frame_id),
             **{name: getattr(alarms, name)[rows] for name in _ALARM_NUMBERS},
+            **stamp_columns(alarms.change_since_ns[rows], "change_since"),
             "envelope_distance": alarms.input_excess[rows].max(axis=1),
             "inputs_outside": outside,
             "reasons": words,

@@ -22,6 +22,7 @@ from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES, derivatives_like, whole_derivatives
 from quadpi_core.messages.model_description import DescribedModel
 from quadpi_core.models.alarm_limits import AlarmLimits
+from quadpi_core.models.change_limits import ChangeLimits
 from quadpi_core.models.envelope import Envelope
 from quadpi_core.models.interval_rules import HeldOutRule, LevelSupport
 from quadpi_core.models.kind_registry import kind_named
@@ -108,6 +109,7 @@ class AerodynamicModel:
         identity: name and the first 12 digits of the hash of the stored model; empty before it is saved.
         rollouts: predicts the state ahead; None for a model that cannot.
         alarm_limits: limits of the alarm other than those of `envelope`; uncalibrated by default.
+        change_limits: what the alarm tells a change of the vehicle by; None for a model of too few flights.
         sound: what flights leave of a model identified without them; None where they do not tell.
         left_out: `fitted` without each of `flights` in turn; empty in a model that was read.
         flown: the vehicle of the flights; None for a model of an earlier version, which knows its name.
@@ -128,6 +130,7 @@ class AerodynamicModel:
     identity: str = ""
     rollouts: RolloutModel | None = None
     alarm_limits: AlarmLimits = field(default_factory=AlarmLimits)
+    change_limits: ChangeLimits | None = None
     sound: SoundFlights | None = None
     left_out: tuple[Fitted, ...] = field(default=(), repr=False, compare=False)
     flown: Vehicle | None = field(default=None, repr=False, compare=False)
@@ -365,6 +368,7 @@ class AerodynamicModel:
             "axes": axes,
             "envelope": self.envelope.to_json(),
             "alarm": self.alarm_limits.to_json(),
+            **({} if self.change_limits is None else {"change": self.change_limits.to_json()}),
             "flights": [asdict(flight) for flight in self.flights],
             "versions": {
                 "quadpi": __version__,
@@ -413,6 +417,7 @@ class AerodynamicModel:
                 identity=identity,
                 rollouts=_stored_part(content, _ROLLOUTS, RolloutModel.stored),
                 alarm_limits=described.alarm,
+                change_limits=described.change,
                 sound=_stored_part(content, _SOUND, SoundFlights.stored),
                 flown=described.flown(),
             )
@@ -511,6 +516,7 @@ class _Description:
     flights: tuple[TrainingFlight, ...]
     arrays_sha256: str
     vehicle_file: dict[str, Any] | None = None
+    change: Annotated[ChangeLimits, ReadBy(ChangeLimits.from_json)] | None = None
 
     def flown(self) -> Vehicle | None:
         """The vehicle of the flights, where the model holds it."""

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""From evidence per sample to an alarm of three causes, with persistence and hysteresis, O(1) per sample.
+"""From evidence per sample to an alarm of four causes, with persistence and hysteresis, O(1) per sample.
 
 Every signal is a score, its value over its limit. A charge fills while there is evidence, within
 `persistence_s`, and drains without, within `release_s`: evidence with short gaps still counts, single samples
@@ -18,6 +18,10 @@ alarm if more follow.
 MISCOVERAGE is a sequential test per axis (Page 1954): S ← max(0, S + dt (miss − k)), with the model's own
 interval and k between the allowed share of misses and the alternative (`models.alarm_limits`). Its score, S
 over its limit, takes the place of the charge: full at 1, half full at ½, empty at ¼.
+
+CHANGE is evidence by the sizes of the residuals that the vehicle is not that of the flights
+(`monitor.change`). It has no warning, and an alarm stands until the vehicle lands. Samples beyond a near
+limit are no evidence.
 
 On the ground neither EXTRAPOLATION nor MISCOVERAGE is judged, for there the wrench is not aerodynamic; what
 `monitor.ground` takes for flying is. A vehicle that moves with all rotors at 0 is half of the charge of
@@ -40,11 +44,13 @@ from quadpi_core.core import compiled
 from quadpi_core.flight import MAX_JUMP_BACK_NS, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.models.alarm_limits import AlarmLimits
+from quadpi_core.models.change_limits import ChangeLimits
 from quadpi_core.models.envelope import Envelope
 from quadpi_core.models.model_kind import Evaluation
 from quadpi_core.monitor import alarm_kernel as kernel
+from quadpi_core.monitor.change import found_columns, sound_noise
 from quadpi_core.monitor.preparation import Prepared
-from quadpi_core.monitor.rotor_thrust import rotor_geometry
+from quadpi_core.monitor.rotor_thrust import geometry_record
 from quadpi_core.records import Records
 from quadpi_core.results import (
     ACTIVE,
@@ -101,7 +107,8 @@ class Alarm:
         held: (6,) axes that the model holds; all unless given.
         interval_ratio: (6,) width of the intervals that the limits were calibrated with over the width of
             those that :meth:`step` will be given.
-        vehicle: whose rotors may stop; without one they are not watched.
+        vehicle: whose rotors may stop, and that may change; without one neither is watched.
+        change: what sound flights leave of the model; without it CHANGE is not judged.
 
     Attributes:
         limits: :class:`.alarm_kernel.Limits` (1,).
@@ -117,7 +124,9 @@ class Alarm:
         held: npt.NDArray[np.bool_] | None = None,
         interval_ratio: Array | None = None,
         vehicle: Vehicle | None = None,
+        change: ChangeLimits | None = None,
     ) -> None:
+        self._vehicle = vehicle
         near = envelope.near
         self.limits = np.zeros(1, kernel.LIMITS)
         for name, values in {
@@ -139,11 +148,10 @@ class Alarm:
             "health_in_flight": ACTIVE if limits.calibrated else UNCALIBRATED,
         }.items():
             self.limits[name] = values
+        self.limits["change"] = sound_noise(change, vehicle)
         self.limits["rotors"]["rotors"] = 4
         if vehicle is not None:
-            geometry = rotor_geometry(vehicle, limits.hover_rotor_speed)
-            for name, number in zip(self.limits.dtype["rotors"].names or (), geometry, strict=True):
-                self.limits["rotors"][name] = number
+            self.limits["rotors"] = geometry_record(vehicle, limits.hover_rotor_speed)
         # Limits of leverage and width over their peaks in training: a score times this is a multiple of the
         # peak.
         self._leverage_per_peak = envelope.leverage_limit * _inverse(envelope.leverage_peak)
@@ -206,7 +214,8 @@ class Alarm:
 
     def alarms(self, rows: Records) -> Alarms:
         """Rows (M,) as the kernel filled them, with leverage and width in multiples of their peaks too."""
-        columns = {name: rows[name] for name in kernel.ROW.names or ()}
+        columns = {name: rows[name] for name in kernel.ROW.names or () if name != "change"}
+        columns |= found_columns(rows["change"], self._vehicle)
         for name in ("level", "causes", "cause_level", "cause_health"):
             columns[name] = rows[name].astype(np.uint8)
         return Alarms(

@@ -13,6 +13,7 @@ from quadpi_core.core import compiled
 from quadpi_core.flight import AXES, NO_STAMP
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
+from quadpi_core.monitor.change import Change, ChangeFound, SoundNoise, nothing_found
 from quadpi_core.monitor.data_quality import MoreFaults
 from quadpi_core.monitor.ground import Ground
 from quadpi_core.monitor.rotor_thrust import RotorGeometry, RotorThrust
@@ -55,6 +56,7 @@ class Limits:
     rotors: RotorGeometry
     period_ns: int  # of the rows between changes
     health_in_flight: int  # ACTIVE, or UNCALIBRATED
+    change: SoundNoise
 
 
 class Row:
@@ -77,6 +79,7 @@ class Row:
     stopped: int  # bit per rotor
     why_not_judged: int  # of `quadpi_core.results.WHY_NOT_JUDGED`, or JUDGED
     not_judged_share: float  # of the time since the first sample
+    change: ChangeFound
 
 
 class State:
@@ -99,6 +102,8 @@ class State:
     reported_inputs: int  # bits of the inputs outside that rows have reported since the level was last ok
     reported_faults: int  # the same for faults
     reported_more_faults: MoreFaults
+    extrapolates: bool  # whether the last usable sample lies beyond a limit of a warning
+    change: Change
 
 
 LIMITS, ROW, STATE = record_dtype(Limits), record_dtype(Row), record_dtype(State)
@@ -110,3 +115,4 @@ def forget(states: Records) -> None:
     states["previous_ns"] = NO_STAMP
     states["ground"]["why"] = NO_SAMPLES
     states["thrust"]["since_zero_s"] = np.inf
+    states["change"]["found"] = states["row"]["change"] = nothing_found(1)

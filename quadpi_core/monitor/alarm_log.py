@@ -14,6 +14,7 @@ from quadpi_core.flight import AXES
 from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
 from quadpi_core.models.envelope import LEVERAGE_HEADROOM, WIDTH_HEADROOM
 from quadpi_core.monitor.alarm_kernel import WARNING_CHARGE
+from quadpi_core.monitor.change_words import change_words
 from quadpi_core.monitor.data_quality import (
     EITHER_MISSING_WORDS,
     ROTORS_MISSING_WORDS,
@@ -27,6 +28,7 @@ from quadpi_core.results import (
     CARRIED,
     CAUSE_NAMES,
     CAUSES,
+    CHANGE,
     EVENTS_KEPT,
     EXTRAPOLATION,
     JUDGED,
@@ -163,6 +165,7 @@ def _bad_data(alarms: Alarms, row: int) -> list[str]:
 # between the last evidence and its end, `release_s` later.
 WORDS: dict[int, tuple[Callable[[Alarms, int], list[str]], str]] = {
     BAD_DATA: (_bad_data, "the data are good again: ends if that lasts"),
+    CHANGE: (change_words, "the vehicle is not that of the training flights"),
     EXTRAPOLATION: (_extrapolation, "inside what was flown in training again: ends if that lasts"),
     MISCOVERAGE: (_miscoverage, "inside its intervals again: ends if that lasts"),
 }

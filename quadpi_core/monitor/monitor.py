@@ -121,6 +121,7 @@ class Monitor:
             np.array([axis in model.axes for axis in AXES]),
             model.interval_ratio(self.confidence),
             vehicle,
+            model.change_limits,
         )
         self._log = EventLog()
         self._adaptive = (

@@ -18,7 +18,7 @@ import numpy as np
 
 from quadpi_core.core import compiled
 from quadpi_core.frames import Array
-from quadpi_core.records import ROTORS_MAX, PerRotor, Vector3
+from quadpi_core.records import ROTORS_MAX, PerRotor, Records, Vector3, record_dtype
 from quadpi_core.thresholds import Threshold
 from quadpi_core.vehicle import Vehicle
 
@@ -99,6 +99,13 @@ class RotorThrust:
     zero_s: PerRotor  # since readings of 0, or none, began
     since_zero_s: PerRotor  # since the last one
     zeros: int  # bit per rotor whose last such reading was a 0
+
+
+def geometry_record(vehicle: Vehicle, hover_rotor_speed: float) -> Records:
+    """The :class:`RotorGeometry` (1,) of a vehicle, whose rotors carry it at a speed of hover, rad/s."""
+    record = np.zeros(1, record_dtype(RotorGeometry))
+    record[0] = rotor_geometry(vehicle, hover_rotor_speed)
+    return record
 
 
 def rotor_geometry(vehicle: Vehicle, hover_rotor_speed: float) -> tuple[int, float, float, Array]:

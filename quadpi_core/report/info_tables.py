@@ -25,6 +25,7 @@ from quadpi_core.logs.inspect import (
     with_names_of_bag,
 )
 from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.models.change_limits import change_sentence
 from quadpi_core.models.model_folder import MODEL_FILE
 from quadpi_core.reading_options import MappingOrOptions, ReadingOptions, reading_options
 from quadpi_core.report.model_tables import fact_tables, term_tables
@@ -148,7 +149,8 @@ def model_summary(model: AerodynamicModel) -> list[RenderableType]:
         f"settings · {percent(model.confidence)} intervals · low-pass {model.cutoff_hz:g} Hz",
         style="bold",
     )
-    calibration = Text(f"{model.calibration()}; {model.alarm_limits.sentence()}", style="dim")
+    said = (model.calibration(), model.alarm_limits.sentence(), change_sentence(model.change_limits))
+    calibration = Text("; ".join(said), style="dim")
     flights = Table(
         [Column("flight", is_text=True), Column("samples"), Column("sha256", is_text=True)],
         [[flight.name, flight.samples, flight.sha256[:12]] for flight in model.flights],
@@ -180,6 +182,7 @@ def _model_json(model: AerodynamicModel) -> dict[str, Any]:
             "rate_bound_per_hour": limits.rate_bound_per_hour,
             "rate_extrapolated": limits.rate_extrapolated,
         },
+        "change": None if model.change_limits is None else model.change_limits.to_json(),
         "confidence": model.confidence,
         "axes": {axis: model.fitted.axes[axis].terms for axis in model.axes},
         "facts": {

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from quadpi_core import results
+from quadpi_core.monitor.change import found_columns, nothing_found
 from quadpi_core.paths import message_directory
 from quadpi_core.results import ReportedAlarms
 
@@ -22,7 +23,7 @@ def constants(text):
 
 def test_constants_are_those_of_the_messages():
     named = constants(ALARM)
-    assert len(named) == 10
+    assert len(named) == 18
     for name, value in (named | constants(EVENT)).items():
         assert getattr(results, name.removeprefix("HEALTH_")) == value
     assert tuple(constants(EVENT).values()) == results.CAUSES
@@ -31,17 +32,18 @@ def test_constants_are_those_of_the_messages():
 
 @pytest.fixture
 def alarms():
-    health = np.zeros((4, 3), np.uint8)
+    health = np.zeros((4, 4), np.uint8)
     health[2, 2] = results.UNAVAILABLE
     health[3, :2] = results.UNAVAILABLE
     return ReportedAlarms(
         time_ns=np.arange(4),
         level=np.array([0, 1, 2, 0], np.uint8),
         causes=np.zeros(4, np.uint8),
-        cause_level=np.zeros((4, 3), np.uint8),
+        cause_level=np.zeros((4, 4), np.uint8),
         cause_health=health,
-        cause_evidence=np.arange(12.0).reshape(4, 3),
+        cause_evidence=np.arange(16.0).reshape(4, 4),
         **dict.fromkeys(("leverage", "width", "miscoverage", "miss_share"), np.arange(24.0).reshape(4, 6)),
+        **found_columns(nothing_found(4), None),
         envelope_distance=np.zeros(4),
         inputs_outside=[(), ("u",), ("v",), ()],
         reasons=[("a",), ("b",), ("c",), ("d",)],

@@ -19,6 +19,7 @@ from rclpy.node import Node
 from quadpi_core.flight import AXES, OdometryStream, RotorSpeedStream
 from quadpi_core.messages import result_messages, sensor_messages
 from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.monitor.change import found_columns, nothing_found
 from quadpi_core.results import Alarms, Predictions
 from quadpi_core.view.trust import SILENCE_S, State
 from quadpi_ros.dds_profile import OUTPUT_QOS, SENSOR_QOS
@@ -64,13 +65,14 @@ def alarms(time_ns: int, level: int) -> Alarms:
         time_ns=np.array([time_ns]),
         level=np.array([level], dtype=np.uint8),
         causes=np.array([int(level > 0)], dtype=np.uint8),
-        cause_level=np.array([[level, 0, 0]], dtype=np.uint8),
-        cause_health=np.zeros((1, 3), dtype=np.uint8),
-        cause_evidence=np.zeros((1, 3)),
+        cause_level=np.array([[level, 0, 0, 0]], dtype=np.uint8),
+        cause_health=np.zeros((1, 4), dtype=np.uint8),
+        cause_evidence=np.zeros((1, 4)),
         leverage=scores,
         width=scores,
         miscoverage=scores,
         miss_share=scores,
+        **found_columns(nothing_found(1), None),
         leverage_ratio=scores,
         width_ratio=scores,
         input_score=inputs,

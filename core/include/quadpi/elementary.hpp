@@ -265,6 +265,15 @@ inline double logarithm_of_1_plus(double x) {
     return 2.0 * ratio + ratio * square * polynomial(coefficients, square);
 }
 
+// ln x of a positive number.
+inline double logarithm(double x) {
+    int exponent = 0;
+    const double mantissa = 2.0 * std::frexp(x, &exponent);
+    const double powers = static_cast<double>(exponent - 1);
+    return powers * LogarithmOf2::FIRST +
+           (powers * LogarithmOf2::SECOND + logarithm_of_1_plus(mantissa - 1.0));
+}
+
 inline double hyperbolic_tangent(double x) {
     const double size = std::fabs(x);
     if (size > TANH_MAX) {

@@ -17,6 +17,7 @@ from quadpi_core.logs.bag_writer import write_mcap
 from quadpi_core.logs.bags import output_topic, read_bag, read_outputs, write_bag
 from quadpi_core.messages import result_messages, sensor_messages
 from quadpi_core.monitor.alarm_log import reasons_by_row
+from quadpi_core.monitor.change import found_columns, nothing_found
 from quadpi_core.results import Alarms, Predictions
 from quadpi_core.vehicle import Vehicle
 
@@ -92,9 +93,11 @@ def test_outputs_of_the_monitor(tmp_path, recording, rng):
         time_ns,
         np.full(N, 2, np.uint8),
         np.full(N, 1, np.uint8),
-        *np.zeros((2, N, 3), np.uint8),
-        np.zeros((N, 3)),
-        *np.zeros((6, N, 6)),
+        *np.zeros((2, N, 4), np.uint8),
+        np.zeros((N, 4)),
+        *np.zeros((4, N, 6)),
+        *found_columns(nothing_found(N), None).values(),
+        *np.zeros((2, N, 6)),
         excess,
         excess,
         np.zeros(N, np.int64),

@@ -11,6 +11,7 @@ from quadpi_core.messages import result_messages, sensor_messages
 from quadpi_core.messages.definitions import typestore
 from quadpi_core.messages.frame_ids import TF_TYPE
 from quadpi_core.monitor.alarm_log import reasons, reasons_by_row
+from quadpi_core.monitor.change import found_columns, nothing_found
 from quadpi_core.monitor.data_quality import GYRO_FROZEN
 from quadpi_core.results import AlarmEvent, Alarms, Predictions
 
@@ -60,19 +61,22 @@ def test_alarms_name_the_inputs_outside_farthest_first(rng):
     excess[1, INPUT_NAMES.index("u")] = 0.25
     excess[2, [INPUT_NAMES.index("u"), INPUT_NAMES.index("mu_x")]] = 0.25, 0.5
     excess[5] = excess[1]
+    found = nothing_found(N)
+    found["direction"][2], found["since_ns"][2], found["size"][2] = 2, 5_000_000_001, 0.25
     alarms = Alarms(
         time_ns=TIME_NS,
         level=rng.integers(0, 3, N).astype(np.uint8),
-        causes=rng.integers(0, 8, N).astype(np.uint8),
-        cause_level=rng.integers(0, 3, (N, 3)).astype(np.uint8),
-        cause_health=rng.integers(0, 4, (N, 3)).astype(np.uint8),
-        cause_evidence=rng.random((N, 3)),
+        causes=rng.integers(0, 16, N).astype(np.uint8),
+        cause_level=rng.integers(0, 3, (N, 4)).astype(np.uint8),
+        cause_health=rng.integers(0, 4, (N, 4)).astype(np.uint8),
+        cause_evidence=rng.random((N, 4)),
         leverage=rng.normal(size=(N, 6)),
         leverage_ratio=rng.uniform(0.0, 4.0, (N, 6)),
         width=rng.normal(size=(N, 6)),
         width_ratio=rng.uniform(0.0, 2.0, (N, 6)),
         miscoverage=rng.random((N, 6)),
         miss_share=rng.random((N, 6)),
+        **found_columns(found, None),
         input_score=(1.0 + 2.0 * excess) / 1.2,
         input_excess=excess,
         faults=np.full(N, GYRO_FROZEN),
@@ -90,6 +94,8 @@ def test_alarms_name_the_inputs_outside_farthest_first(rng):
         np.testing.assert_array_equal(one.leverage, alarms.leverage[sample])
         for name in ("width", "cause_level", "cause_health", "cause_evidence", "miscoverage", "miss_share"):
             np.testing.assert_array_equal(getattr(one, name), getattr(alarms, name)[sample])
+        for name in ("changed", "change_size", "change_lower", "change_upper", "change_from_start"):
+            assert getattr(one, name) == getattr(alarms, name)[sample]
         assert tuple(one.reasons) == reasons(alarms, sample)
     unpacked = result_messages.unpack_alarms(payloads)
     assert unpacked.reasons == [reasons(alarms, sample) for sample in range(N)]
@@ -97,6 +103,7 @@ def test_alarms_name_the_inputs_outside_farthest_first(rng):
     assert unpacked.inputs_outside == outside
     np.testing.assert_array_equal(unpacked.level, alarms.level)
     np.testing.assert_array_equal(unpacked.time_ns, TIME_NS)
+    assert unpacked.change_since_ns.tolist() == [5_000_000_001 if row == 2 else 0 for row in range(N)]
 
 
 def test_events_survive_their_message():

@@ -223,7 +223,7 @@ def test_an_alarm_without_a_sample_says_bad_data_and_changes_nothing(model, vehi
     assert reported.time_ns.tolist() == [int(samples.time_ns[-1]) + 400 * MS]
     assert reported.level.tolist() == [LEVEL_ALARM]
     assert reported.causes.tolist() == [BAD_DATA]
-    assert reported.cause_health.tolist() == [[UNAVAILABLE] * 3]
+    assert reported.cause_health.tolist() == [[UNAVAILABLE] * 4]
     assert reported.reasons == [("no imu for 0.4 s",)]
     assert not reported.of_samples.any()
     assert unpack_alarms(pack_alarms(expected, reasons_by_row(expected))).of_samples.all()

@@ -16,6 +16,7 @@ import pytest
 from quadpi_core.flight import AXES, OdometryStream, RotorSpeedStream
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.messages.model_description import DescribedModel
+from quadpi_core.monitor.change import found_columns, nothing_found
 from quadpi_core.results import ACTIVE, AlarmEvent, Predictions, ReportedAlarms
 from quadpi_core.view.flight_parts import Part
 from quadpi_core.view.rerun_recording import RATE_HZ, TIMELINE, extremes, write_rerun_file
@@ -40,9 +41,9 @@ def alarms() -> ReportedAlarms:
         time_ns=STAMPS[:3],
         level=np.array([0, 2, 2], dtype=np.uint8),
         causes=np.array([0, 1, 1], dtype=np.uint8),
-        cause_level=np.zeros((count, 3), dtype=np.uint8),
-        cause_health=np.full((count, 3), ACTIVE, dtype=np.uint8),
-        cause_evidence=np.zeros((count, 3)),
+        cause_level=np.zeros((count, 4), dtype=np.uint8),
+        cause_health=np.full((count, 4), ACTIVE, dtype=np.uint8),
+        cause_evidence=np.zeros((count, 4)),
         envelope_distance=np.array([0.0, 0.5, 0.25]),
         inputs_outside=[(), ("u",), ("u",)],
         reasons=[
@@ -51,6 +52,7 @@ def alarms() -> ReportedAlarms:
             ("forward or backward speed 1.4 x the training range",),
         ],
         **by_axis,
+        **found_columns(nothing_found(count), None),
     )
 
 

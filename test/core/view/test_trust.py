@@ -9,6 +9,7 @@ import pytest
 
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.models.envelope import Envelope
+from quadpi_core.monitor.change import found_columns, nothing_found
 from quadpi_core.results import (
     ACTIVE,
     BAD_DATA,
@@ -26,19 +27,20 @@ from quadpi_core.view.trust import State, outside_words, reasons_of, states_of, 
 
 
 def message(
-    level=LEVEL_OK, causes=0, health=(ACTIVE, ACTIVE, ACTIVE), outside=(), reasons=()
+    level=LEVEL_OK, causes=0, health=(ACTIVE, ACTIVE, ACTIVE, UNAVAILABLE), outside=(), reasons=()
 ) -> ReportedAlarms:
     return ReportedAlarms(
         time_ns=np.zeros(1, dtype=np.int64),
         level=np.array([level], dtype=np.uint8),
         causes=np.array([causes], dtype=np.uint8),
-        cause_level=np.zeros((1, 3), dtype=np.uint8),
+        cause_level=np.zeros((1, 4), dtype=np.uint8),
         cause_health=np.array([health], dtype=np.uint8),
-        cause_evidence=np.zeros((1, 3)),
+        cause_evidence=np.zeros((1, 4)),
         leverage=np.zeros((1, 6)),
         width=np.zeros((1, 6)),
         miscoverage=np.zeros((1, 6)),
         miss_share=np.zeros((1, 6)),
+        **found_columns(nothing_found(1), None),
         envelope_distance=np.zeros(1),
         inputs_outside=[tuple(outside)],
         reasons=[tuple(reasons)],

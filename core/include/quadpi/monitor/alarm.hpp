@@ -4,6 +4,7 @@
 #pragma once
 
 #include "quadpi/monitor/alarm_state.hpp"
+#include "quadpi/monitor/change.hpp"
 
 namespace quadpi {
 
@@ -20,6 +21,9 @@ constexpr double SUM_MOST = 1.5, SUM_OVER = 0.25;
 constexpr double SHARE_S = 2.0;
 // After this long without a usable sample [s], the model is not judged.
 constexpr double SILENT_S = 0.1;
+
+// Inputs that leave their range where a vehicle is heavier, however it flies: v_in, omega_avg and mu_v_in.
+constexpr std::int64_t OF_THRUST = 1 << 3 | 1 << 7 | 1 << 18;
 
 // Python's floor division, by a positive number.
 inline std::int64_t floor_divided(std::int64_t value, std::int64_t by) {
@@ -78,6 +82,8 @@ inline Faults follow_vehicle(
     state.miss_sum_s = {};
     state.miss_share = {};
     state.charge[EXTRAPOLATION] = state.charge[MISCOVERAGE] = state.near_charge = 0.0;
+    forget_change(state.change);
+    state.charge[CHANGE] = 0.0;
     return sample.faults;
 }
 
@@ -134,6 +140,7 @@ inline std::int64_t judge_extrapolation(
     }
     raise_to(row.cause_evidence[EXTRAPOLATION], worst);
     state.charge[EXTRAPOLATION] = charged(state.charge[EXTRAPOLATION], worst > 1.0, step_s, limits);
+    state.extrapolates = (beyond & ~OF_THRUST) != 0;
     state.near_charge = charged(state.near_charge, near || beyond != 0, step_s, limits);
     return beyond;
 }
@@ -169,6 +176,32 @@ inline void judge_miscoverage(
         raise_to(row.miscoverage[axis], score);
     }
     state.charge[MISCOVERAGE] = worst;
+}
+
+// Gather evidence that the vehicle has changed, where the model knows the inputs and the state has settled.
+inline void judge_change(
+    const AlarmLimits& limits,
+    AlarmState& state,
+    const Verdict& sample,
+    const Wrench& measured,
+    const Wrench& lower,
+    const Wrench& upper,
+    double step_s
+) {
+    if (limits.change.evidence == 0.0) {
+        return;
+    }
+    Change& change = state.change;
+    end_block(limits.change, limits.rotors, change, floor_divided(sample.time_ns, BLOCK_NS));
+    if (state.settled && !state.extrapolates) {
+        Wrench error;
+        for (int axis = 0; axis < AXES; ++axis) {
+            error[axis] = measured[axis] - 0.5 * (lower[axis] + upper[axis]);
+        }
+        add_to_block(change, error, error[FZ] - measured[FZ], sample.rotor_speeds, step_s);
+    }
+    state.charge[CHANGE] = change.raised ? 1.0 : 0.0;
+    raise_to(state.row.cause_evidence[CHANGE], change.score);
 }
 
 // Raise MISCOVERAGE for a rotor without thrust, which contradicts every model of all.
@@ -211,6 +244,17 @@ inline Faults judge_data(
     return faults;
 }
 
+// Health of CHANGE, which has a stated rate of its own.
+inline std::int64_t health_of_change(const AlarmLimits& limits, const AlarmState& state) {
+    if (limits.change.evidence == 0.0 || state.silent_s >= SILENT_S) {
+        return UNAVAILABLE;
+    }
+    if (state.ground.why != JUDGED || !state.settled) {
+        return WAITING;
+    }
+    return state.change.loud ? UNCALIBRATED : ACTIVE;
+}
+
 // Set level and health of each cause, and the highest level; true if any of a cause changed.
 inline bool set_levels(const AlarmLimits& limits, AlarmState& state) {
     AlarmRow& row = state.row;
@@ -226,6 +270,9 @@ inline bool set_levels(const AlarmLimits& limits, AlarmState& state) {
         std::int64_t health = cause == BAD_DATA ? std::int64_t{ACTIVE} : health_of_model;
         if (cause == MISCOVERAGE && !state.settled && health != UNAVAILABLE) {
             health = WAITING;
+        }
+        if (cause == CHANGE) {
+            health = health_of_change(limits, state);
         }
         const double charge = state.charge[cause];
         const std::int64_t before = row.cause_level[cause];
@@ -300,6 +347,9 @@ inline std::size_t advance(
                     judge_miscoverage(
                         limits, state, measured[used], said.lower[used], said.upper[used], step_s
                     );
+                    judge_change(
+                        limits, state, sample, measured[used], said.lower[used], said.upper[used], step_s
+                    );
                 }
                 judge_rotors(state);
             }
@@ -326,6 +376,7 @@ inline std::size_t advance(
         }
         if (is_due) {
             state.row.time_ns = sample.time_ns;
+            state.row.change = state.change.found;
             rows[count] = state.row;
             ++count;
             begin_next_row(limits, state);

@@ -3,6 +3,7 @@
 // Limits and state of the alarm; see monitor/alarm.py.
 #pragma once
 
+#include "quadpi/monitor/change_state.hpp"
 #include "quadpi/monitor/ground.hpp"
 #include "quadpi/monitor/rotor_thrust.hpp"
 
@@ -12,7 +13,7 @@ enum Level : std::int64_t { LEVEL_OK, LEVEL_WARNING, LEVEL_ALARM };
 // Health of a cause; see results.py.
 enum Health : std::int64_t { ACTIVE, WAITING, UNAVAILABLE, UNCALIBRATED };
 // Columns of the causes; the bit of each in a row is 1 << column.
-enum Cause : int { EXTRAPOLATION, MISCOVERAGE, BAD_DATA, CAUSES };
+enum Cause : int { EXTRAPOLATION, MISCOVERAGE, BAD_DATA, CHANGE, CAUSES };
 constexpr int FZ = 2;
 
 using PerCause = std::array<double, CAUSES>;
@@ -42,6 +43,7 @@ struct AlarmLimits {
     RotorGeometry rotors;
     std::int64_t period_ns;         // of the rows between changes
     std::int64_t health_in_flight;  // ACTIVE, or UNCALIBRATED
+    ChangeLimits change;
 };
 
 // An alarm row as it is published; its evidence and faults are those since the row before it.
@@ -62,6 +64,7 @@ struct AlarmRow {
     std::int64_t stopped;         // bit per rotor
     std::int64_t why_not_judged;  // see WhyNotJudged
     double not_judged_share;      // of the time since the first sample
+    ChangeFound change;
 };
 
 // All that the alarm remembers.
@@ -83,6 +86,8 @@ struct AlarmState {
     std::int64_t
         reported_inputs;     // bits of the inputs outside that rows have reported since the level was last ok
     Faults reported_faults;  // the same for faults
+    bool extrapolates;       // whether the last usable sample lies beyond a limit of a warning
+    Change change;
 };
 
 // What the model says of U usable samples, with its own intervals.

@@ -1,0 +1,63 @@
+// SPDX-FileCopyrightText: 2026 The quadpi authors
+// SPDX-License-Identifier: Apache-2.0
+// What Python calls of the evidence that a vehicle has changed.
+#include "quadpi/monitor/change.hpp"
+
+#include <nanobind/nanobind.h>
+
+#include "bindings/records.hpp"
+#include "bindings/rotors.hpp"
+
+namespace nb = nanobind;
+
+namespace quadpi {
+namespace {
+
+// Whitened residuals (N,) of one axis of a flight, their standard deviations before they were seen, and what
+// a constant of 1 would add to them; those of blocks that are not usable are left as they are.
+void whiten_blocks(
+    Records<const AxisNoise> noise,
+    Records<const double> residuals,
+    Records<const std::int64_t> numbers,
+    Records<double> errors,
+    Records<double> spreads,
+    Records<double> ones
+) {
+    const std::size_t count = residuals.size;
+    require(numbers.size == count && errors.size == count, DIFFERENT);
+    require(spreads.size == count && ones.size == count, DIFFERENT);
+    whiten(only(noise), residuals, numbers, errors, spreads, ones);
+}
+
+// The evidence (N,) after each block of a flight.
+void gather_evidence(
+    Records<const ChangeLimits> limits,
+    Records<const RotorGeometry> rotors,
+    Records<const ChangeBlock> blocks,
+    Records<Change> memory,
+    Records<double> evidence
+) {
+    require(evidence.size == blocks.size, DIFFERENT);
+    checked_rotors(only(rotors).rotors);
+    for (std::size_t row = 0; row < blocks.size; ++row) {
+        only(memory).sum = blocks[row];
+        take_block(only(limits), only(rotors), only(memory));
+        evidence[row] = only(memory).evidence;
+    }
+}
+
+}  // namespace
+
+void bind_change(nb::module_& module) {
+    module.attr("BLOCK_S") = 1e-9 * static_cast<double>(BLOCK_NS);
+    module.attr("BLOCK_FILLED_S") = BLOCK_FILLED_S;
+    module.attr("ONSETS") = ONSETS;
+    module.attr("DIRECTIONS") = DIRECTIONS;
+    module.attr("SIZES") = SIZES;
+    module.attr("NOTHING") = NOTHING;
+    module.attr("LESS_1") = static_cast<int>(LESS_1);
+    module.def("whiten_blocks", &whiten_blocks);
+    module.def("gather_evidence", &gather_evidence);
+}
+
+}  // namespace quadpi

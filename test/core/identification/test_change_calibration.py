@@ -1,0 +1,108 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from quadpi_core.flight import AXES
+from quadpi_core.frames import Array
+from quadpi_core.identification.alarm_calibration import LiveErrors
+from quadpi_core.identification.change_calibration import calibrate_change, evidence
+from quadpi_core.identification.prepared_flights import LiveSamples
+from quadpi_core.inputs import DERIVATIVES, aerodynamic_inputs
+from quadpi_core.models.change_limits import CHANGE_AXES
+from quadpi_core.models.interval_rules import FlightErrors
+from quadpi_core.models.model_kind import Evaluation
+from quadpi_core.records import Records
+from quadpi_core.vehicle import Vehicle
+from test.core.monitor.sound_flights_of_blocks import limits_of, sound_blocks, weaken, weight
+
+RATE_HZ = 50
+VEHICLE = Vehicle.load("crazyflie_rpm")
+
+
+@dataclass
+class Flown:
+    """A flight, all that the calibration asks for."""
+
+    time: Array
+    inputs: Array
+    derivatives: Records
+    wrench: Array
+    judged: LiveSamples
+
+
+def flown(seed: int, seconds: float = 30.0) -> tuple[Flown, LiveErrors]:
+    """A flight in hover whose errors are those of sound blocks, the same all over each block."""
+    rng = np.random.default_rng(seed)
+    blocks = sound_blocks(VEHICLE, seconds, rng)
+    count = round(seconds * RATE_HZ)
+    time = np.arange(count) / RATE_HZ + 0.5 / RATE_HZ
+    moving = np.zeros(count, DERIVATIVES)
+    moving["rotor_speeds"] = rng.uniform(1400.0, 1600.0, (count, 4))
+    level = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
+    speed = rng.normal(size=(count, 3))
+    inputs = aerodynamic_inputs(speed, level, 0.0 * speed, moving["rotor_speeds"], VEHICLE)
+    wrench = np.zeros((count, 6))
+    error = np.repeat(blocks["residual"], RATE_HZ // 10, axis=0)
+    wrench[:, 2] = error[:, 2] - weight(VEHICLE)
+    judged = LiveSamples(inputs, moving, wrench, np.ones(count, bool))
+    inside = np.ones(count, bool)
+    errors = {axis: FlightErrors(error[:, AXES.index(axis)], np.ones(count), inside) for axis in CHANGE_AXES}
+    return Flown(time, inputs, moving, wrench, judged), LiveErrors(np.arange(count), errors)
+
+
+def evaluate(inputs: Array, moving: Records) -> Evaluation:
+    """Thrust goes with squared rotor speeds; moments with 0.8 of the arms."""
+    squares = np.square(moving["rotor_speeds"][:, :4])
+    thrust = weight(VEHICLE) * squares / (4.0 * 1500.0**2)
+    x, y = VEHICLE.rotor_positions[:, 0], VEHICLE.rotor_positions[:, 1]
+    wrench = np.zeros((len(inputs), 6))
+    wrench[:, 2], wrench[:, 3], wrench[:, 4] = -thrust.sum(axis=1), -0.8 * thrust @ y, 0.8 * thrust @ x
+    return Evaluation(wrench, wrench - 1.0, wrench + 1.0, np.zeros_like(wrench), np.ones_like(wrench))
+
+
+@pytest.fixture(scope="module")
+def flights() -> list[tuple[Flown, LiveErrors]]:
+    return [flown(seed) for seed in range(10)]
+
+
+def test_what_flights_leave_is_found_again(flights: list[tuple[Flown, LiveErrors]]) -> None:
+    found = calibrate_change(*zip(*flights, strict=True), VEHICLE, evaluate)
+    truth = limits_of(VEHICLE)
+    assert found.flights == 10
+    assert found.hours == pytest.approx(10 * 30.0 / 3600.0)
+    for axis, left in found.axes.items():
+        own = truth.axes[axis]
+        assert left.process + left.white == pytest.approx(own.process + own.white, rel=0.35)
+        assert left.keep == pytest.approx(own.keep, abs=0.15)
+        # Upper ends: not below the truth, nor far above it.
+        assert 0.7 * own.walk < left.walk < 10.0 * own.walk
+        assert 0.7 * own.between < left.between < 20.0 * own.between
+        assert 0.5 < left.scale < 0.9
+    for (thrust, roll, pitch), (x, y, _) in zip(found.levers, VEHICLE.rotor_positions, strict=True):
+        assert thrust == pytest.approx(1.0, abs=0.01)
+        assert (roll, pitch) == (pytest.approx(0.8 * y, rel=0.02), pytest.approx(-0.8 * x, rel=0.02))
+
+
+def test_the_limits_hold_on_other_flights_and_find_a_weak_rotor(
+    flights: list[tuple[Flown, LiveErrors]],
+) -> None:
+    found = calibrate_change(*zip(*flights, strict=True), VEHICLE, evaluate)
+    rng = np.random.default_rng(77)
+    others = [sound_blocks(VEHICLE, 30.0, rng) for _ in range(40)]
+    assert sum(evidence(found, VEHICLE, blocks).max() >= found.evidence for blocks in others) <= 4
+    for blocks in others[:10]:
+        weaken(blocks, VEHICLE, 1, 0.06, 100)
+        assert evidence(found, VEHICLE, blocks).max() >= found.evidence
+
+
+def test_few_flights_and_models_without_fz_tell_nothing(flights: list[tuple[Flown, LiveErrors]]) -> None:
+    flown_ones, live = zip(*flights, strict=True)
+    assert calibrate_change(flown_ones[:7], live[:7], VEHICLE, evaluate) is None
+    assert calibrate_change([], [], VEHICLE, evaluate) is None
+    without = [LiveErrors(one.rows, {"Fx": one.errors["Fx"]}) for one in live]
+    assert calibrate_change(flown_ones, without, VEHICLE, evaluate) is None

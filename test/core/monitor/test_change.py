@@ -1,0 +1,212 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from quadpi_core.core import compiled
+from quadpi_core.frames import Array
+from quadpi_core.identification.change_calibration import evidence
+from quadpi_core.inputs import INPUT_NAMES
+from quadpi_core.models.alarm_limits import AlarmLimits
+from quadpi_core.models.change_limits import ChangeLimits
+from quadpi_core.models.envelope import Envelope
+from quadpi_core.monitor.alarm import Alarm
+from quadpi_core.monitor.alarm_log import reasons
+from quadpi_core.monitor.change import (
+    BLOCK_S,
+    CHANGE,
+    found_columns,
+    mean_arm,
+    nothing_found,
+    sound_noise,
+)
+from quadpi_core.monitor.rotor_thrust import geometry_record
+from quadpi_core.records import Records
+from quadpi_core.results import (
+    ACTIVE,
+    CHANGED_CENTRE_FORWARD,
+    CHANGED_CENTRE_RIGHT,
+    CHANGED_FORCE_FORWARD,
+    CHANGED_FORCE_RIGHT,
+    CHANGED_MASS,
+    CHANGED_ROTOR,
+    UNAVAILABLE,
+    UNCALIBRATED,
+    UNCHANGED,
+    WAITING,
+    Alarms,
+)
+from quadpi_core.results import (
+    CHANGE as CHANGE_CAUSE,
+)
+from quadpi_core.vehicle import Vehicle
+
+from .alarm_samples import LIMITS, RATE_HZ, SETTINGS, Samples
+from .sound_flights_of_blocks import limits_of, sound_blocks, weaken, weight
+
+COLUMN = 3  # of the cause
+
+
+@pytest.fixture(scope="module")
+def vehicle() -> Vehicle:
+    return Vehicle.load("crazyflie_rpm")
+
+
+def found_in(blocks: Records, limits: ChangeLimits, vehicle: Vehicle) -> tuple[Array, dict[str, Array]]:
+    """The evidence after each block, and what was found at the end."""
+    memory, gathered = np.zeros(1, CHANGE), np.empty(len(blocks))
+    memory["found"] = nothing_found(1)
+    noise, rotors = sound_noise(limits, vehicle), geometry_record(vehicle, 0.0)
+    compiled.gather_evidence(noise, rotors, blocks, memory, gathered)
+    return gathered, found_columns(memory["found"], vehicle)
+
+
+def test_of_sound_flights_fewer_than_stated_raise_the_alarm(vehicle: Vehicle) -> None:
+    rng = np.random.default_rng(1)
+    limits = limits_of(vehicle)
+    raised = [evidence(limits, vehicle, sound_blocks(vehicle, 40.0, rng)).max() >= 20.0 for _ in range(200)]
+    assert np.mean(raised) <= 0.05
+
+
+@pytest.mark.parametrize("rotor", range(4))
+@pytest.mark.parametrize("start", [0, 60])
+def test_a_weak_rotor_is_named_with_its_size(vehicle: Vehicle, rotor: int, start: int) -> None:
+    blocks = sound_blocks(vehicle, 10.0, np.random.default_rng(10 + rotor))
+    weaken(blocks, vehicle, rotor, 0.05, start)
+    gathered, found = found_in(blocks, limits_of(vehicle), vehicle)
+    begun = int(np.argmax(gathered >= 20.0))
+    assert start <= begun <= start + 10
+    assert (found["changed"][0], found["changed_rotor"][0]) == (CHANGED_ROTOR, rotor + 1)
+    assert found["change_lower"][0] - 0.01 < 0.05 < found["change_upper"][0] + 0.01
+    assert abs(found["change_since_ns"][0] * 1e-9 / BLOCK_S - (1000 + start)) <= 5
+    assert found["change_from_start"][0] == (start == 0)
+
+
+def test_payload_push_and_balance_are_named_with_their_sizes(vehicle: Vehicle) -> None:
+    newton, arm = weight(vehicle), mean_arm(vehicle)
+    cases = [
+        # Measured force is mass times specific force: 12 % more mass is 1 − 1/1.12 less of it.
+        (CHANGED_MASS, 2, lambda lift: (1.0 - 1.0 / 1.12) * lift, 0.12 * vehicle.mass_kg),
+        (CHANGED_MASS, 2, lambda lift: (1.0 - 1.0 / 0.95) * lift, -0.05 * vehicle.mass_kg),
+        (CHANGED_FORCE_FORWARD, 0, lambda lift: 0.05 * newton + 0.0 * lift, 0.05 * newton),
+        (CHANGED_FORCE_RIGHT, 1, lambda lift: -0.05 * newton + 0.0 * lift, -0.05 * newton),
+        (CHANGED_CENTRE_FORWARD, 4, lambda lift: -lift * 0.02 * arm, 0.02 * arm),
+        (CHANGED_CENTRE_RIGHT, 3, lambda lift: lift * 0.02 * arm, 0.02 * arm),
+    ]
+    for kind, axis, change, size in cases:
+        blocks = sound_blocks(vehicle, 8.0, np.random.default_rng(5))
+        blocks["residual"][40:, axis] += change(blocks["lift"][40:])
+        gathered, found = found_in(blocks, limits_of(vehicle), vehicle)
+        assert 40 <= int(np.argmax(gathered >= 20.0)) <= 55
+        assert found["changed"][0] == kind
+        assert found["change_size"][0] == pytest.approx(size, rel=0.25)
+
+
+def test_a_burst_shorter_than_the_cap_allows_is_no_evidence(vehicle: Vehicle) -> None:
+    blocks = sound_blocks(vehicle, 8.0, np.random.default_rng(6))
+    blocks["residual"][40:42, 3] += 0.1 * weight(vehicle) / 4 * mean_arm(vehicle)
+    assert evidence(limits_of(vehicle), vehicle, blocks).max() < 20.0
+
+
+def test_without_limits_or_of_other_rotors_nothing_is_known(vehicle: Vehicle) -> None:
+    limits = limits_of(vehicle)
+    for one, other in (
+        (None, vehicle),
+        (limits, None),
+        (replace(limits, levers=limits.levers[:3]), vehicle),
+    ):
+        assert sound_noise(one, other)["evidence"][0] == 0.0
+    assert sound_noise(limits, vehicle)["evidence"][0] == 20.0
+    assert sound_noise(replace(limits, largest=33.0), vehicle)["evidence"][0] == 33.0
+
+
+def samples_of(vehicle: Vehicle, seconds: float, newton: float, start_s: float) -> Samples:
+    """Samples whose measured force along z has white noise, and a change from an instant on."""
+    samples = Samples(seconds)
+    noise = np.random.default_rng(3).standard_normal((len(samples.time_ns), 6))
+    samples.measured = 1e-5 * weight(vehicle) * noise
+    samples.measured[samples.between(start_s, seconds), 2] += newton
+    samples.rotor_speeds[:] = 1500.0
+    return samples
+
+
+class LiftingAlarm(Alarm):
+    """An alarm whose model says that the rotors carry the vehicle."""
+
+    def step(self, prepared, evaluation):
+        lifted = evaluation.predicted.copy()
+        lifted[:, 2] = -0.363
+        wide = 0.5 * np.ones_like(lifted)
+        return super().step(
+            prepared._replace(measured=prepared.measured + lifted),
+            evaluation._replace(lower=lifted - wide, upper=lifted + wide),
+        )
+
+
+def alarm_of(vehicle: Vehicle, limits: AlarmLimits = LIMITS, change: bool = True) -> Alarm:
+    count = len(INPUT_NAMES)
+    inputs = np.stack((np.full(count, -1.0), np.full(count, 1.0)))
+    envelope = Envelope.fit(inputs, np.zeros(2, int), np.full((2, 6), 0.01), np.ones((2, 6)))
+    sound = limits_of(vehicle) if change else None
+    return LiftingAlarm(envelope, limits, SETTINGS, vehicle=vehicle, change=sound)
+
+
+def test_the_alarm_says_what_has_changed_and_any_blocks_give_the_same(vehicle: Vehicle) -> None:
+    samples = samples_of(vehicle, 6.0, 0.05, 3.0)
+    whole = samples.run(alarm_of(vehicle))
+    for block in (1, 7, 1000):
+        parts = samples.run(alarm_of(vehicle), block)
+        for name in ("time_ns", "cause_level", "cause_evidence", "changed", "change_size", "change_since_ns"):
+            np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))
+    raised = whole.cause_level[:, COLUMN] == 2
+    first = float(1e-9 * whole.time_ns[raised][0])
+    assert 4.0 < first < 4.6
+    assert raised[np.argmax(raised) :].all()
+    assert whole.causes[-1] & CHANGE_CAUSE
+    assert whole.changed[-1] == CHANGED_MASS
+    assert reasons(whole, len(whole) - 1, CHANGE_CAUSE)[0].endswith("g heavier since 4.0 s")
+    assert (whole.changed[~raised] == UNCHANGED).all()
+
+
+def test_health_says_where_a_change_is_not_judged(vehicle: Vehicle) -> None:
+    samples = samples_of(vehicle, 5.0, 0.0, 0.0)
+    assert set(samples.run(alarm_of(vehicle)).cause_health[:, COLUMN]) == {ACTIVE}
+    assert set(samples.run(alarm_of(vehicle, change=False)).cause_health[:, COLUMN]) == {UNAVAILABLE}
+    samples.settled[samples.between(0.0, 2.0)] = False
+    rows = samples.run(alarm_of(vehicle))
+    early = 1e-9 * rows.time_ns < 2.9
+    assert set(rows.cause_health[early, COLUMN]) == {WAITING}
+    assert set(rows.cause_health[~early, COLUMN][2:]) == {ACTIVE}
+
+
+def test_residuals_louder_than_on_any_sound_flight_are_uncalibrated(vehicle: Vehicle) -> None:
+    samples = samples_of(vehicle, 6.0, 0.0, 0.0)
+    wave = 0.2 * weight(vehicle) * np.sign(np.sin(2 * np.pi * 2.5 * 1e-9 * samples.time_ns))
+    samples.measured[samples.between(2.0, 6.0), 0] += wave[samples.between(2.0, 6.0)]
+    health: Array = samples.run(alarm_of(vehicle)).cause_health[:, COLUMN]
+    assert health[5] == ACTIVE
+    assert health[-1] == UNCALIBRATED
+
+
+def test_samples_outside_the_training_range_are_no_evidence_but_thrust_is(vehicle: Vehicle) -> None:
+    for name, counts in (("u", False), ("p", False), ("omega_avg", True), ("mu_v_in", True)):
+        samples = samples_of(vehicle, 5.0, 0.05, 2.0)
+        samples.inputs[:, INPUT_NAMES.index(name)] = 2.0
+        rows: Alarms = samples.run(alarm_of(vehicle))
+        assert bool(rows.causes[-1] & CHANGE_CAUSE) == counts
+
+
+def test_on_the_ground_a_change_is_forgotten(vehicle: Vehicle) -> None:
+    samples = samples_of(vehicle, 7.0, 0.05, 1.0)
+    samples.rotor_speeds[samples.between(5.0, 7.0)] = 0.0
+    samples.velocity[samples.between(0.0, 5.0), 0] = 2.0
+    rows = samples.run(alarm_of(vehicle, replace(LIMITS, hover_rotor_speed=1500.0)))
+    assert (rows.causes & CHANGE_CAUSE).any()
+    assert not rows.causes[-1] & CHANGE_CAUSE
+    assert rows.changed[-1] == UNCHANGED
+    assert rows.cause_health[-1, COLUMN] == WAITING
+    assert RATE_HZ == 500
