@@ -8,9 +8,9 @@ const WIDTH = 1600, MARGIN = 12, LINE = 24;
 const TONES_HZ = [880, 660, 880], TONE_S = 0.18;
 let audio = null;
 
-// Browsers allow sounds from the first click or key on.
-export function allowSound() { audio ??= new AudioContext(); }
-export const soundAllowed = () => audio !== null;
+// Browsers allow sounds from the first click or key on; not from a touch that moves, nor from Escape.
+export function allowSound(then) { (audio ??= new AudioContext()).resume().then(then); }
+export const soundAllowed = () => audio?.state === "running";
 
 export function sound() {
   TONES_HZ.forEach((hertz, k) => {

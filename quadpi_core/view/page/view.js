@@ -25,7 +25,7 @@ const store = new Store();
 const page = {
   socket: null, retry: RETRY_MS, live: true, follow: true, playing: true, cursor: 0, selected: null, chosen: 0,
   vehicles: new Map(), overview: {events: [], track: [], codes: "", health: []}, wanted: true, before: 0, coveredAt: 0,
-  frames: 0, rate: 0, rateAt: 0, drawMs: 0, urgent: false, said: {}, named: null, sound: localStorage.getItem("sound") !== "off", sounded: NO_DATA, sounds: 0,
+  frames: 0, rate: 0, rateAt: 0, drawMs: 0, urgent: false, said: {}, named: null, sound: localStorage.getItem("sound") !== "off", sounded: new Map(), sounds: 0,
 };
 // For those who measure the page: what it shows, and when it was drawn.
 window.quadpi = {page, store, drawn: null};
@@ -90,6 +90,8 @@ function take(message) {
   } else if (message.type === "state") {
     const before = here()?.state;
     page.vehicles = new Map(message.vehicles.map((one) => [one.id, one]));
+    // Not where it is drawn: a hidden page draws nothing.
+    if (page.live) message.vehicles.forEach((one) => soundAlarm(one.id, one.state));
     page.urgent = here()?.state !== before;
     if (!page.vehicles.has(page.selected) && page.vehicles.size) select([...page.vehicles.keys()][0]);
     showVehicles();
@@ -112,6 +114,7 @@ function select(id) {
   page.overview = {events: [], track: [], codes: "", health: []};
   showEvents();
   send({select: id});
+  redraw();
 }
 
 function followNewest() {
@@ -257,10 +260,10 @@ function timeOfDay(moment) {
   return start > 1e9 ? new Date(1000 * (start + moment)).toLocaleTimeString([], {hour12: false}) : "";
 }
 
-function soundAlarm(state) {
-  if (state === ALARM && page.sounded !== ALARM && page.playing && page.sound) { sound(); page.sounds++; }
-  page.sounded = state;
-  say("sound", page.sound ? soundAllowed() ? "Sound on" : "Sound on, once you click" : "Sound off");
+// Live of every vehicle as it comes, of a bag where it is played.
+function soundAlarm(id, state) {
+  if (state === ALARM && page.sounded.get(id) !== ALARM && (page.live || page.playing) && page.sound) { sound(); page.sounds++; }
+  page.sounded.set(id, state);
 }
 
 // What battery, autopilot and link say of themselves.
@@ -273,7 +276,8 @@ function showTold(told) {
 
 function showBanner() {
   const {state, reasons, told} = moment();
-  soundAlarm(state);
+  if (!page.live) soundAlarm(page.selected, state);
+  say("sound", page.sound ? soundAllowed() ? "Sound on" : "Sound on, once you click" : "Sound off");
   showTold(told ?? {});
   if ($("banner").dataset.state !== String(state)) $("banner").dataset.state = state;
   say("state", WORDS[state]);
@@ -393,7 +397,8 @@ function draw(now) {
   timeline.draw(page.overview, end(), page.cursor);
   $("timeline").setAttribute("aria-valuemax", end().toFixed(1));
   $("timeline").setAttribute("aria-valuenow", page.cursor.toFixed(1));
-  if (!store.vehicle || !store.width) return;
+  $("picture").disabled = $("csv").disabled = !store.vehicle || !store.width;
+  if ($("csv").disabled) return;
   store.prepare(block() - Math.round(COVERED_S / store.blockS), block());
   drawResidual();
   drawAxes();
@@ -447,6 +452,7 @@ $("previous").addEventListener("click", () => alarm(-1));
 $("next").addEventListener("click", () => alarm(1));
 $("live").addEventListener("click", follow);
 $("sound").addEventListener("click", () => {
+  if (page.sound && !soundAllowed()) { allowSound(redraw); return; }
   page.sound = !page.sound;
   localStorage.setItem("sound", page.sound ? "on" : "off");
   redraw();
@@ -461,7 +467,8 @@ $("csv").addEventListener("click", () => {
   const parts = {inputs: store.vehicle.inputs.map(({name}) => name), position: ["north", "east", "down"], attitude: ["w", "x", "y", "z"]};
   saveTable(called(), store, block() - Math.round(WINDOW_S / store.blockS), block(), (quantity) => parts[quantity] ?? (quantity === "rotors" ? null : AXES.map(([name]) => name)));
 });
-for (const gesture of ["pointerdown", "keydown"]) addEventListener(gesture, () => { allowSound(); redraw(); }, {once: true});
+// The button's own gesture is its click's.
+for (const gesture of ["pointerup", "keydown"]) addEventListener(gesture, ({key, target}) => { if (!soundAllowed() && key !== "s" && target !== $("sound")) allowSound(redraw); });
 $("theme").addEventListener("click", () => theme(document.documentElement.dataset.theme === "dark" ? "light" : "dark"));
 let dragging = false;
 const seekTo = (event) => {

@@ -120,10 +120,34 @@ def test_an_alarm_sounds_where_it_begins_unless_switched_off(opened):
         opened.wait("document.getElementById('state').textContent === 'ALARM'")
         assert opened.value("quadpi.page.sounds") == sounds
         opened.value("document.getElementById('speed').value = '1'")
-    before = opened.value("document.getElementById('sound').textContent")
-    opened.press("s")
-    opened.wait(f"document.getElementById('sound').textContent !== '{before}'")
+
+
+def test_an_alarm_of_any_vehicle_sounds_live_without_a_frame(opened):
+    told = (
+        "(() => { const page = Object.assign(quadpi.page, {live: true, playing: false, sound: true, sounds: 0});"
+        "const told = (state) => page.socket.onmessage({data: JSON.stringify({type: 'state',"
+        "vehicles: [{...page.vehicles.get('extrapolation'), state: 0}, {id: 'other', state}]})});"
+        "[0, 2, 2, 1, 2].forEach(told); return page.sounds; })()"
+    )
+    assert opened.value(told) == 2
+
+
+def test_the_first_press_lets_sounds_be_and_the_next_switches_them_off(opened):
+    label = "document.getElementById('sound').textContent"
+    opened.value("localStorage.removeItem('sound'); quadpi.page.sound = true")
+    opened.wait(f"{label} === 'Sound on, once you click'")
+    for said in ("Sound on", "Sound off", "Sound on"):
+        opened.press("s")
+        opened.wait(f"{label} === '{said}'")
     assert opened.value("localStorage.getItem('sound')") == "on"
+
+
+def test_nothing_is_saved_before_anything_is_drawn(opened):
+    opened.value("quadpi.page.socket.onmessage = null; quadpi.store.clear(); quadpi.page.wanted = true")
+    opened.wait("document.getElementById('csv').disabled")
+    for key in "gc":
+        opened.press(key)
+    assert opened.problems == []
 
 
 def test_charts_are_saved_as_picture_and_table(opened):
