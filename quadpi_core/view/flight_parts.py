@@ -41,6 +41,9 @@ from quadpi_core.view.vehicle_reports import REPORTS, Told
 CUT_OFF = "the file is cut off, what comes before is shown; `mcap recover` rebuilds the file"
 _RESULTS = ("prediction", "extrapolation_alarm", "alarm_log", "odometry", "rotor_speeds", "erpm", "wind")
 _STAMP = {"header.stamp.sec": 1, "header.stamp.nanosec": 1}
+# Streams of the last blocks whose stamps are kept to say which sensor lacks: samples are judged a block after
+# they came at most, and motion capture has two.
+_STAMPS_KEPT = 4
 _STRING, _DESCRIPTION = "std_msgs/msg/String", "description"
 # What is not shown without a topic of a bag of results.
 _WITHOUT = {
@@ -190,7 +193,9 @@ def judged(
     """Parts of a flight, judged as `quadpi replay` does."""
     monitors = [Monitor(model, vehicle, None, confidence) for model in models]
     held: list[OdometryStream] = []
-    seen: dict[str, Stamps] = {}
+    seen: dict[str, list[Stamps]] = {}
+    # Reasons of the events that stand, by their numbers.
+    raised: dict[int, tuple[str, ...]] = {}
     with open_flight(bag, vehicle, mapping) as flight:
         for stretch in follow(_noting(flight, held, seen), vehicle):
             if stretch.begin == pairing_kernel.SET_BACK:
@@ -200,26 +205,30 @@ def judged(
                 monitor.retune(stretch.rate)
             states = held[:] if stretch.states is None else [stretch.states.odometry]
             held.clear()
-            yield _judged_part(monitors, stretch.samples, states, dict(seen))
+            yield _judged_part(monitors, stretch.samples, states, seen, raised)
 
 
-def _noting(flight: RecordedFlight, held: list[OdometryStream], seen: dict[str, Stamps]) -> RecordedFlight:
+def _noting(
+    flight: RecordedFlight, held: list[OdometryStream], seen: dict[str, list[Stamps]]
+) -> RecordedFlight:
     """The flight; what its blocks say of the state by themselves is noted, as no estimator gives it.
 
-    So are the last stamps of the sensors, to say which of them lacks.
+    So are stamps of the sensors, the first and the last, to say which of them lacks.
     """
-    of_state = "motion capture" if flight.has_mocap else "odometry"
 
     def blocks() -> Iterator[Recording]:
         for block in flight.blocks:
             if not flight.has_mocap and block.odometry is not None:
                 held.append(block.odometry)
-            for sensor, stream in (
-                (of_state, block.pose or block.odometry),
-                ("rotor speeds", block.rotor_speeds),
-            ):
-                if stream is not None:
-                    seen[sensor] = np.append(seen.get(sensor, stream.time_ns[:0])[-1:], stream.time_ns)
+            of_state = [block.pose, block.twist] if flight.has_mocap else [block.odometry]
+            sensors = {
+                "motion capture" if flight.has_mocap else "odometry": of_state,
+                "rotor speeds": [block.rotor_speeds],
+            }
+            for sensor, streams in sensors.items():
+                old = seen.get(sensor, [])
+                new = [stream.time_ns for stream in streams if stream is not None and len(stream)]
+                seen[sensor] = [*old[:1], *old[1:][-_STAMPS_KEPT:], *new]
             yield block
 
     return replace(flight, blocks=blocks())
@@ -229,7 +238,8 @@ def _judged_part(
     monitors: Sequence[Monitor],
     samples: PairedSamples,
     states: Sequence[OdometryStream],
-    seen: Mapping[str, Stamps],
+    seen: Mapping[str, Sequence[Stamps]],
+    raised: dict[int, tuple[str, ...]],
 ) -> Part:
     first, *others = monitors
     prepared = first.preparation.step(*samples)
@@ -245,10 +255,13 @@ def _judged_part(
         ]
         reported = result_messages.unpack_alarms(result_messages.pack_alarms(alarms, reasons))
     rotors = RotorSpeedStream(samples.time_ns, samples.rotor_speeds)
-    events = [
-        replace(event, reasons=naming_sensors(event.reasons, _lacks(seen, event.start_ns)))
-        for event in events
-    ]
+    told = []
+    for event in events:
+        # Of bad data with what was known as it was raised: of its start later blocks know no more.
+        if event.cause == BAD_DATA and not event.end_ns:
+            raised[event.number] = naming_sensors(event.reasons, _lacks(seen, event.start_ns))
+        words = raised.get(event.number, event.reasons)
+        told.append(replace(event, reasons=words if event.cause == BAD_DATA else event.reasons))
 
     def show(view: FlightTaker) -> None:
         for monitor, given in ((first, predictions), *further):
@@ -260,17 +273,17 @@ def _judged_part(
         view.take_rotor_speeds(rotors)
         if reported is not None:
             view.take_alarms(reported)
-        view.take_events(events)
+        view.take_events(told)
 
     return show
 
 
-def _lacks(seen: Mapping[str, Stamps], time_ns: int) -> list[str]:
+def _lacks(seen: Mapping[str, Sequence[Stamps]], time_ns: int) -> list[str]:
     """Sensors whose last stamp before an instant is far behind it."""
     lacks = []
-    for sensor, stamps in seen.items():
-        before = stamps[stamps <= time_ns]
-        lacks += lack(sensor, int(before.max()) if len(before) else None, time_ns)
+    for sensor, parts in seen.items():
+        before = [int(stamps[stamps <= time_ns].max()) for stamps in parts if stamps.min() <= time_ns]
+        lacks += lack(sensor, max(before, default=None), time_ns)
     return lacks
 
 

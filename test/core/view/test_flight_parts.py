@@ -13,6 +13,7 @@ import pytest
 
 from quadpi_core.errors import LogError, QuadpiError
 from quadpi_core.flight import PoseStream, RotorSpeedStream
+from quadpi_core.logs import bag_files
 from quadpi_core.logs.bag_files import Bag
 from quadpi_core.logs.bag_writer import write_mcap
 from quadpi_core.logs.bags import output_topic, read_bag, write_bag
@@ -69,7 +70,9 @@ def test_a_replayed_bag_takes_its_training_ranges_from_the_model(results_bag, ju
         open_bag(results_bag, [model], vehicle, 0.9)
 
 
-def test_a_lack_of_motion_capture_is_called_so(model, vehicle, tmp_path):
+@pytest.mark.parametrize("messages", [bag_files.BLOCK_MESSAGES, 1500])
+def test_a_lack_of_motion_capture_is_called_so(model, vehicle, tmp_path, monkeypatch, messages):
+    monkeypatch.setattr(bag_files, "BLOCK_MESSAGES", messages)
     flown = read_bag(BAG, vehicle)
     assert flown.pose is not None
     seconds = 1e-9 * (flown.pose.time_ns - flown.pose.time_ns[0])
@@ -80,7 +83,10 @@ def test_a_lack_of_motion_capture_is_called_so(model, vehicle, tmp_path):
     said = {text for _, words, _ in view.window(102, 138)[2] for text in words}
     assert "no motion capture for 3.0 s" in said
     assert not any("missing" in text for text in said)
-    assert any(one["reasons"][0].startswith("no motion capture for") for one in view.overview()["events"])
+    events = [one for one in view.overview()["events"] if one["cause"] == "bad data"]
+    assert [(one["reasons"], one["end"] is None) for one in events] == [
+        (["no motion capture for 2.1 s"], False)
+    ]
 
 
 def battery(stamps_ns: Sequence[int], volts: Sequence[float]) -> Topic:
