@@ -8,6 +8,7 @@ and diagnostics.
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 from collections import Counter
@@ -55,6 +56,7 @@ _FLUSH_S = 0.2
 _OTHERS_NAMED = 8
 # What keeps the sensors from coming is logged when this many diagnostics in a row say so.
 _LOGGED_AT = 2
+_SECONDS = re.compile(r" for \d+ s$")
 _LEVEL = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 
 
@@ -102,9 +104,12 @@ class MavlinkBridge(GuardedNode):
         self._problem: str | None = "not connected yet"
         self.connections = 0
         self._reported = _Reported(time.monotonic(), {}, {})
-        # Other autopilots that have been logged, and in how many diagnostics in a row nothing could be used.
+        # Other autopilots that have been logged.
         self._rivals: set[str] = set()
-        self._unusable = _LOGGED_AT
+        # What keeps the sensors from coming, in how many diagnostics in a row it was found, and whether
+        # "active" is to be logged once it ends, as at the start.
+        self._unusable: tuple[str | None, int] = (None, 0)
+        self._logs_active = True
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.create_timer(1.0, self._diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._thread = threading.Thread(target=self._serve, name="mavlink", daemon=True)
@@ -235,15 +240,20 @@ class MavlinkBridge(GuardedNode):
 
     def _log(self, level: bytes, text: str) -> None:
         """Log what keeps the sensors from coming once it lasts, and that they come at the start and again."""
-        if level == diagnostics.ERROR:
-            self._unusable += 1
-            # Of the link itself the thread has told.
-            if self._unusable == _LOGGED_AT and self._problem is None:
-                self.get_logger().warning(text)
-        elif self._unusable >= _LOGGED_AT:
-            self.get_logger().info(f"active: {text}")
         if level != diagnostics.ERROR:
-            self._unusable = 0
+            if self._logs_active:
+                self.get_logger().info(f"active: {text}")
+            self._unusable, self._logs_active = (None, 0), False
+            return
+        # A text that counts seconds stays the same.
+        kind = _SECONDS.sub("", text)
+        before, seen = self._unusable
+        self._unusable = kind, seen + 1 if kind == before else 1
+        if self._unusable[1] == _LOGGED_AT:
+            self._logs_active = True
+            # Of the link itself the thread has told.
+            if self._problem is None:
+                self.get_logger().warning(text)
 
     def _judged(self, report: SessionReport, rates: dict[str, float], rivals: list[str]) -> tuple[bytes, str]:
         if self._problem is not None:

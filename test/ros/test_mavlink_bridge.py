@@ -184,6 +184,28 @@ def test_nobody_takes_the_place_of_the_vehicle(monkeypatch: pytest.MonkeyPatch) 
                 forger.socket.recv(1)
 
 
+def test_what_keeps_the_sensors_from_coming_is_logged_from_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    logged: list[str] = []
+    logger = SimpleNamespace(warning=logged.append, info=logged.append)
+    monkeypatch.setattr(MavlinkBridge, "get_logger", lambda _: logger)
+    with listening() as heard:
+        heard.until(lambda: any("no heartbeat of an autopilot" in line for line in logged))
+        vehicle = Sender(heard.port, 1)
+
+        def told() -> bool:
+            vehicle.send("HEARTBEAT", 2, 12, 0, 0, 4, 3)
+            return any("the autopilot sends no imu, no rotor_speeds" in line for line in logged)
+
+        heard.until(told)
+        with flying(heard.port, "--rate", "100"):
+            heard.until(lambda: logged[-1].startswith("active: "))
+        heard.until(lambda: logged[-1].startswith("nothing heard of system 1 for "))
+        seen = len(heard.statuses)
+        heard.until(lambda: len(heard.statuses) > seen + 2)
+    said = [line.split()[0] for line in logged if "heartbeats of an autopilot too" not in line]
+    assert said == ["connected,", "the", "active:", "nothing"]
+
+
 def test_numbers_that_are_none_do_not_break_the_link() -> None:
     with listening() as heard:
         vehicle, infinite = Sender(heard.port, 1), float("inf")
