@@ -124,7 +124,8 @@ class SensorNode(ManagedNode[Parameters]):
         self._outputs: dict[str, _Output] = {}
         # What keeps the node from working, and in how many diagnostics in a row it was found.
         self._problem: tuple[str | None, int] = (None, 0)
-        self._lost = False
+        # What was logged of it and is not over.
+        self._logged = ""
         self._transforms: Subscription | None = None
         self.lacking: dict[str, str] = {}
         self._diagnosed_s = time.monotonic()
@@ -247,6 +248,7 @@ class SensorNode(ManagedNode[Parameters]):
 
     def deactivate(self) -> None:
         """Destroy the subscriptions."""
+        self._logged = ""
         for topic in self._inputs.values():
             self.destroy_subscription(topic.subscription)
         self._inputs.clear()
@@ -336,10 +338,10 @@ class SensorNode(ManagedNode[Parameters]):
         self._problem = problem, seen + 1 if problem == before else 1
         if problem and self._problem[1] == _LOGGED_AT:
             self.get_logger().warning(problem)
-            self._lost = True
-        elif self._lost and not problem and self.state == "active":
-            self.get_logger().info("all sensors are back")
-            self._lost = False
+            self._logged = problem
+        elif self._logged and not problem and self.state == "active":
+            self.get_logger().info(f"over: {self._logged}")
+            self._logged = ""
 
     def status(self, name: str, level: bytes, message: str, values: Mapping[str, Any]) -> DiagnosticStatus:
         """A status named after the node."""

@@ -218,7 +218,7 @@ def test_the_log_says_once_what_keeps_a_node_from_working(monkeypatch: pytest.Mo
 
     assert [watch() for _ in range(3)] == [[], ["nothing arrives on imu, mocap/pose"], []]
     assert [watch("imu") for _ in range(2)] == [[], ["nothing arrives on mocap/pose"]]
-    assert [watch("imu", "mocap/pose") for _ in range(2)] == [["all sensors are back"], []]
+    assert [watch("imu", "mocap/pose") for _ in range(2)] == [["over: nothing arrives on mocap/pose"], []]
     node.warn("topic imu", "one")
     node.warn("topic imu", "two")
     node.warn("topic mocap/pose", "three")
