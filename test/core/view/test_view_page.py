@@ -124,7 +124,8 @@ def test_an_alarm_sounds_where_it_begins_unless_switched_off(opened):
 
 def test_an_alarm_of_any_vehicle_sounds_live_without_a_frame(opened):
     told = (
-        "(() => { const page = Object.assign(quadpi.page, {live: true, playing: false, sound: true, sounds: 0});"
+        "(() => { const page = quadpi.page;"
+        "Object.assign(page, {live: true, playing: false, sound: true, sounds: 0});"
         "const told = (state) => page.socket.onmessage({data: JSON.stringify({type: 'state',"
         "vehicles: [{...page.vehicles.get('extrapolation'), state: 0}, {id: 'other', state}]})});"
         "[0, 2, 2, 1, 2].forEach(told); return page.sounds; })()"
