@@ -30,7 +30,7 @@ from quadpi_core.results import Predictions
 from quadpi_core.vehicle import Vehicle
 from quadpi_core.view.motion_inputs import MotionInputs
 from quadpi_core.view.trust import SILENCE_S
-from quadpi_core.view.vehicle_reports import REPORTS, Told
+from quadpi_core.view.vehicle_reports import NO_MESSAGE, REPORTS, TOLD_S, Told
 from quadpi_core.view.vehicle_view import BLOCK_NS, VehicleView
 from quadpi_ros.dds_profile import DESCRIPTION_QOS, LOG_QOS
 from quadpi_ros.diagnostics import type_name
@@ -102,6 +102,8 @@ class LiveVehicle:
         self._refused = 0
         self._refusal = ""
         self._statuses: dict[str, DiagnosticStatus] = {}
+        # When each of battery, autopilot and link last said something.
+        self._told_s: dict[str, float] = {}
         self._since_s = time.monotonic()
         self._predictions: dict[str, int] = {}
         self._counted: tuple[float, int] = (self._since_s, 0)
@@ -182,14 +184,23 @@ class LiveVehicle:
         name = status.name.rpartition("/")[2]
         self._statuses[name] = status
         if name == "mavlink_bridge: link":
-            self.view.take_told([Told(0, "link", status.message)])
+            self._tell("link", status.message)
+
+    def _tell(self, name: str, words: str) -> None:
+        self._told_s[name] = time.monotonic()
+        self.view.take_told([Told(0, name, words)])
 
     def _take_reports(self) -> None:
         for type_, report in REPORTS.items():
             inbox = self._single(type_)
             for message in inbox.take()[-1:] if inbox is not None else ():
-                words = report.words({field: getattr(message, field) for field in report.fields})
-                self.view.take_told([Told(0, *one) for one in words.items()])
+                self._tell(
+                    report.name, report.words({field: getattr(message, field) for field in report.fields})
+                )
+        now_s = time.monotonic()
+        self.view.take_told(
+            [Told(0, name, NO_MESSAGE) for name, told_s in self._told_s.items() if now_s - told_s > TOLD_S]
+        )
 
     def _take_descriptions(self) -> None:
         for inbox in self._descriptions.values():

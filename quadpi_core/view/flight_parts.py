@@ -19,6 +19,7 @@ from quadpi_core.logs.bag_files import Bag
 from quadpi_core.logs.bag_inputs import holds_imu
 from quadpi_core.logs.bag_topics import find_topic, has_topic, unpacked_topic
 from quadpi_core.logs.cut_off import is_cut_off, whole_part
+from quadpi_core.logs.mcap_files import Connection
 from quadpi_core.logs.readers import identify_format
 from quadpi_core.messages import result_messages, sensor_messages
 from quadpi_core.messages.definitions import codec
@@ -36,7 +37,7 @@ from quadpi_core.reading_options import MappingOrOptions, reading_options
 from quadpi_core.results import BAD_DATA, AlarmEvent, Predictions, ReportedAlarms
 from quadpi_core.vehicle import ROTORS, Vehicle
 from quadpi_core.view.motion_inputs import MotionInputs
-from quadpi_core.view.vehicle_reports import REPORTS, Told
+from quadpi_core.view.vehicle_reports import NO_MESSAGE, REPORTS, TOLD_S, Told
 
 CUT_OFF = "the file is cut off, what comes before is shown; `mcap recover` rebuilds the file"
 _RESULTS = ("prediction", "extrapolation_alarm", "alarm_log", "odometry", "rotor_speeds", "erpm", "wind")
@@ -144,20 +145,31 @@ def _told_in(bag: Path) -> tuple[list[Told], list[tuple[str, str]]]:
     told: list[Told] = []
     lacks = []
     with Bag(bag) as opened:
-        found = {one.topic: one for one in opened.connections if one.msgtype in REPORTS and one.msgcount}
-        for name, topic in opened.read(found).items() if found else ():
-            report = REPORTS[topic.type_name]
+        found: dict[str, Connection] = {}
+        # Of each type the first topic, as live.
+        for one in sorted(opened.connections, key=lambda one: (one.topic.count("/"), one.topic)):
+            if one.msgtype in REPORTS and one.msgcount:
+                found.setdefault(one.msgtype, one)
+        topics = opened.read([one.topic for one in found.values()]) if found else {}
+        for type_name, one in found.items():
+            report, topic = REPORTS[type_name], topics[one.topic]
             wanted = tuple((report.fields | _STAMP).items())
             try:
-                codec = foreign_codec(topic.type_name, found[name].definition, wanted)
-                columns, _ = codec.decode(topic.payloads)
+                columns, _ = foreign_codec(type_name, one.definition, wanted).decode(topic.payloads)
             except LogError as error:
-                lacks.append((name, f"not shown: {error}"))
+                lacks.append((one.topic, f"not shown: {error}"))
                 continue
+            said, until_ns = "", 0
             for row, logged_ns in enumerate(topic.log_time_ns.tolist()):
                 sec, nanosec = (int(columns[field][row]) for field in _STAMP)
+                time_ns = 10**9 * sec + nanosec or logged_ns
+                if said and time_ns > until_ns:
+                    told.append(Told(until_ns, report.name, NO_MESSAGE))
                 words = report.words({field: columns[field][row] for field in report.fields})
-                told += [Told(10**9 * sec + nanosec or logged_ns, *one) for one in words.items()]
+                if words != said or time_ns > until_ns:
+                    told.append(Told(time_ns, report.name, words))
+                said, until_ns = words, time_ns + round(1e9 * TOLD_S)
+            told.append(Told(until_ns, report.name, NO_MESSAGE))
     return sorted(told), lacks
 
 

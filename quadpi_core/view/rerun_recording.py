@@ -24,7 +24,7 @@ from quadpi_core.paths import whole_output
 from quadpi_core.results import CAUSE_NAMES, AlarmEvent, Predictions, ReportedAlarms
 from quadpi_core.view.flight_parts import Part
 from quadpi_core.view.trust import State, states_of
-from quadpi_core.view.vehicle_reports import Told
+from quadpi_core.view.vehicle_reports import NO_MESSAGE, Told
 
 TIMELINE = "stamp"
 # Rows a second of each series: an hour takes 230 MB, and every sample at 500 Hz 1.6 GB.
@@ -169,7 +169,9 @@ class RerunRecording:
 
     def take_told(self, told: Sequence[Told]) -> None:
         """Take what battery, autopilot and link say."""
-        self._text([(one.time_ns, "INFO", f"{one.name}: {one.words}") for one in told])
+        self._text(
+            [(one.time_ns, "INFO", f"{one.name}: {one.words}") for one in told if one.words != NO_MESSAGE]
+        )
 
     def take_missing(self, topics: Sequence[tuple[str, str]]) -> None:
         """Take topics that are missing, which the recording itself does not say."""

@@ -22,7 +22,9 @@ from quadpi_core.messages import result_messages, sensor_messages
 from quadpi_core.messages.model_description import DescribedModel, pack_description
 from quadpi_core.vehicle import Vehicle
 from quadpi_core.view.trust import State
+from quadpi_ros import live_vehicle
 from quadpi_ros.dds_profile import DESCRIPTION_QOS, OUTPUT_QOS
+from quadpi_ros.live_vehicle import LiveVehicle
 from quadpi_ros.view_node import LiveSource
 
 from .rig import wait_until
@@ -131,6 +133,16 @@ def test_results_in_another_namespace_belong_to_the_vehicle_of_the_monitor(monit
     turn = flying(source, Described(monitor, results="/elsewhere"))
     wait_until(lambda: shown(source)() and set(source.vehicles) == {"/uav"}, turn)
     assert source.vehicles["/uav"].state == State.TRUSTED
+
+
+def test_a_link_that_says_nothing_more_is_not_shown_as_it_was(node, monkeypatch):
+    vehicle = LiveVehicle(node, "/uav", {})
+    vehicle.take_status(DiagnosticStatus(name="/uav/mavlink_bridge: link", message="system 1"))
+    vehicle.take()
+    assert vehicle.view.told == {"link": "system 1"}
+    monkeypatch.setattr(live_vehicle, "TOLD_S", -1.0)
+    vehicle.take()
+    assert vehicle.view.told == {"link": "no message for 5 s"}
 
 
 def test_what_does_not_come_is_named(node, source):

@@ -111,13 +111,14 @@ def battery(stamps_ns: Sequence[int], volts: Sequence[float]) -> Topic:
 
 def test_a_battery_is_told_from_its_stamps_on(results_bag, judged_view, tmp_path):
     begin = judged_view.start_ns
-    stamps = [begin, begin + 8 * 10**9]
-    bag = recorded(results_bag, tmp_path / "flown.mcap", [battery(stamps, [16.1, 14.9])])
+    stamps = [begin, begin + 10**9, begin + 8 * 10**9]
+    second = replace(battery(stamps[:1], [1.0]), name="/mavros/second/battery")
+    bag = recorded(results_bag, tmp_path / "flown.mcap", [second, battery(stamps, [16.1, 16.1, 14.9])])
     view = read_whole(open_bag(bag, [], None))
-    for block, words in ((100, "16.1 V"), (200, "14.9 V")):
+    for block, words in ((100, "16.1 V"), (140, "no message for 5 s"), (200, "14.9 V")):
         (_, _, told), *_ = view.window(block, block)[2]
         assert told == {"battery": words}
-    assert view.summary()["told"] == {"battery": "14.9 V"}
+    assert view.summary()["told"] == {"battery": "no message for 5 s"}
 
 
 def test_ranges_and_inputs_come_with_the_description_of_the_monitor(

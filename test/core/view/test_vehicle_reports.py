@@ -15,13 +15,15 @@ from quadpi_core.view.vehicle_reports import REPORTS
     [
         ({"voltage": 15.24, "percentage": 0.78}, "15.2 V, 78 %"),
         ({"voltage": 15.24, "percentage": np.nan}, "15.2 V"),
+        ({"voltage": np.nan, "percentage": 0.78}, "78 %"),
+        ({"voltage": np.nan, "percentage": np.nan}, "not measured"),
     ],
 )
 def test_a_battery_says_what_it_measures(given, words):
-    assert REPORTS["sensor_msgs/msg/BatteryState"].words(given) == {"battery": words}
+    assert REPORTS["sensor_msgs/msg/BatteryState"].words(given) == words
 
 
 @pytest.mark.parametrize("mode", ["OFFBOARD", b"OFFBOARD"])
 def test_an_autopilot_says_its_mode_and_whether_it_is_connected(mode):
     words = REPORTS["mavros_msgs/msg/State"].words({"connected": False, "armed": True, "mode": mode})
-    assert words == {"flight mode": "OFFBOARD, armed", "link": "lost"}
+    assert words == "OFFBOARD, armed, link lost"
