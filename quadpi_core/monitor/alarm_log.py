@@ -45,7 +45,7 @@ from quadpi_core.results import (
 _MOST = 3
 # Distance of an input from the middle of its training range, in half widths, from which on it is named:
 # below its limits, as leverage and width may come from it.
-_OUTSIDE = 1.05
+OUTSIDE_RATIO = 1.05
 # Percent of recent samples outside from which on an axis is said to be outside now: intervals that hold have
 # 5 to 10 %, and what raised the alarm may have ended.
 _MISSES_NOW = 10.0
@@ -129,7 +129,7 @@ def _extrapolation(alarms: Alarms, row: int) -> list[str]:
     Inputs are given by their distance from the middle of their training range over half of that range.
     """
     ratio = 1.0 + 2.0 * alarms.input_excess[row]
-    beyond = piloted_first([INPUT_NAMES[k] for k in _beyond(ratio, _OUTSIDE, len(ratio))])[:_MOST]
+    beyond = piloted_first([INPUT_NAMES[k] for k in _beyond(ratio, OUTSIDE_RATIO, len(ratio))])[:_MOST]
     words = [f"{INPUT_WORDS[name].name} {ratio[INPUT_INDEX[name]]:.1f} {OF_RANGE}" for name in beyond]
     for says, ratios, scores, headroom in (
         ("leverage {:.1f} x its peak", alarms.leverage_ratio[row], alarms.leverage[row], LEVERAGE_HEADROOM),

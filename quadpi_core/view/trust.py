@@ -14,9 +14,11 @@ from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.messages.model_description import DescribedModel
 from quadpi_core.models.alarm_limits import allowance
+from quadpi_core.monitor.alarm_log import OUTSIDE_RATIO
 from quadpi_core.monitor.quantity_words import AXIS_WORDS, INPUT_WORDS, OF_RANGE, piloted_first
 from quadpi_core.results import (
     ACTIVE,
+    BAD_DATA,
     CAUSE_NAMES,
     CAUSES,
     EXTRAPOLATION,
@@ -45,7 +47,7 @@ _JUDGED = (ACTIVE, UNCALIBRATED)
 # Inputs that a reason names; the envelope's panel shows all.
 _MOST = 3
 # Share of the training range from which on an input is said to be outside, as of the monitor's own words.
-_OUTSIDE = 0.025
+_OUTSIDE = 0.5 * (OUTSIDE_RATIO - 1.0)
 TRAINED = ", trained "
 # The coverage beside the word is that of so many seconds, once there are so many.
 COVERED_S, LEAST_COVERED_S = 10.0, 2.0
@@ -95,7 +97,8 @@ def reasons_of(
         words = _outside(alarms.inputs_outside[row], training, low, high)
     if words:
         # In the place of what the monitor says of them.
-        place = next((k for k, text in enumerate(given) if text.endswith(OF_RANGE)), 0)
+        first = len(given) if alarms.causes[row] & BAD_DATA else 0
+        place = next((k for k, text in enumerate(given) if text.endswith(OF_RANGE)), first)
         rest = [text for text in given[place:] if not text.endswith(OF_RANGE)]
         return (*given[:place], *words, *rest)
     words = list(given)
@@ -151,12 +154,14 @@ def outside_words(name: str, values: tuple[float, float], training: tuple[float,
         value, limit = _angle(value, words.angle), _angle(limit, words.angle)
         # The least cosine is the largest angle.
         above = above != (words.angle == "cos")
-    called = words.positive
+    called, other = words.positive, words.negative
     if value < 0.0:
-        called, value, limit, above = words.negative, -value, -limit, not above
+        called, other, value, limit, above = other, called, -value, -limit, not above
     of_number, of_limit = ("°", "°") if words.unit == "°" else (f" {words.unit}".rstrip(), "")
-    way = "up" if above else "down"
-    return f"{called} {_number(value)}{of_number}{TRAINED}{way} to {_number(limit)}{of_limit}"
+    trained = f"{'up' if above else 'down'} to {_number(limit)}{of_limit}"
+    if limit < 0.0:
+        trained = f"only {other} {_number(-limit)}{of_limit} and more"
+    return f"{called} {_number(value)}{of_number}{TRAINED}{trained}"
 
 
 def _angle(value: float, kind: str) -> float:

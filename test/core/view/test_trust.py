@@ -74,7 +74,13 @@ def test_state(alarm, state):
         ("cos_phi", (0.5, 0.6), (0.7, 1.0), "roll angle 60.0°, trained up to 45.6°"),
         ("cos_phi", (0.9, 1.0), (0.5, 0.8), "roll angle 0°, trained down to 36.9°"),
         ("sin_theta", (-0.9, 0.1), (-0.5, 0.5), "pitch angle nose down 64.2°, trained up to 30.0°"),
-        ("w", (1.0, 2.0), (-3.0, -1.0), "downward body speed 2.0 m/s, trained up to -1.0"),
+        (
+            "w",
+            (1.0, 2.0),
+            (-3.0, -1.0),
+            "downward body speed 2.0 m/s, trained only upward body speed 1.0 and more",
+        ),
+        ("u", (-1.0, -0.5), (2.0, 8.0), "backward speed 1.0 m/s, trained only forward speed 2.0 and more"),
         ("mu_x", (0.1, 0.25), (-0.1, 0.15), "forward speed over tip speed 0.25, trained up to 0.15"),
         ("r", (0.0, 0.5), (0.0, 0.0), "yaw rate to the right 0.5 rad/s, trained up to 0"),
     ],
@@ -139,6 +145,12 @@ def test_values_take_the_place_of_ratios_behind_bad_data(envelope):
         "roll rate to the right 2.0 rad/s, trained up to 1.0",
         "more",
     )
+
+
+def test_bad_data_comes_before_inputs_that_the_message_does_not_name(envelope):
+    alarm = message(LEVEL_ALARM, EXTRAPOLATION | BAD_DATA, outside=("p",), reasons=("rotor 3 reads half",))
+    words = ("rotor 3 reads half", "roll rate to the right 2.0 rad/s, trained up to 1.0")
+    assert reasons(alarm, envelope, p=2.0) == words
 
 
 def test_without_an_envelope_the_message_is_said_as_it_is():
