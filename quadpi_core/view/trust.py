@@ -69,6 +69,11 @@ def states_of(alarms: ReportedAlarms) -> list[State]:
     return states
 
 
+def settles(alarms: ReportedAlarms, row: int) -> bool:
+    """Whether coverage is not judged yet, as the state settles."""
+    return alarms.cause_health[row, CAUSES.index(MISCOVERAGE)] not in (*_JUDGED, UNAVAILABLE)
+
+
 def reasons_of(
     alarms: ReportedAlarms, row: int, training: DescribedModel | None, low: Array, high: Array
 ) -> tuple[str, ...]:
@@ -88,8 +93,7 @@ def reasons_of(
         health = alarms.cause_health[row]
         if health[CAUSES.index(EXTRAPOLATION)] not in _JUDGED:
             return tuple(given) or ("on the ground, or the state settles",)
-        settles = health[CAUSES.index(MISCOVERAGE)] not in (*_JUDGED, UNAVAILABLE)
-        if not settles:
+        if not settles(alarms, row):
             return ()
         return tuple(given) or ("coverage is judged once the state has settled",)
     words: list[str] = []

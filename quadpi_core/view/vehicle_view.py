@@ -29,6 +29,7 @@ from quadpi_core.view.trust import (
     TRAINED,
     State,
     reasons_of,
+    settles,
     states_of,
     too_many_misses,
 )
@@ -98,6 +99,8 @@ class VehicleView:
         self._events: dict[tuple[int, int], dict[str, Any]] = {}
         # Time and state of the last message; none before the first.
         self._said: list[tuple[int, State]] = []
+        # The first block since coverage has been judged.
+        self._settled_from = 0
         # Block, words and what is told at every change of them; ends with the blocks.
         self._words: list[tuple[int, tuple[str, ...], dict[str, str]]] = []
         self._coming: deque[Told] = deque()
@@ -201,6 +204,8 @@ class VehicleView:
         drawn, of = np.concatenate(spans), np.repeat(np.arange(len(held)), [len(span) for span in spans])
         self.blocks.add(drawn, state=np.array([state for _, state in held], dtype=float)[of])
         for row, number in enumerate((times // self.blocks.block_ns).tolist()):
+            if settles(alarms, row):
+                self._settled_from = number + 1
             words = reasons_of(alarms, row, training, *self._inputs_before(number))
             while self._coming and self._coming[0].time_ns <= alarms.time_ns[row]:
                 told = self._coming.popleft()
@@ -335,7 +340,8 @@ class VehicleView:
         first = next(iter(self.models.values()), None)
         if first is None:
             return None
-        inside = self.blocks.inside(number, first.number, COVERED_S, LEAST_COVERED_S)
+        settled_s = _NANOSECONDS * self.blocks.block_ns * (number + 1 - self._settled_from)
+        inside = self.blocks.inside(number, first.number, min(COVERED_S, settled_s), LEAST_COVERED_S)
         return too_many_misses(inside, first.axes, first.confidence)
 
     def _inputs_before(self, number: int) -> tuple[Array, Array]:

@@ -12,7 +12,15 @@ import pytest
 
 from quadpi_core.flight import AXES, RotorSpeedStream
 from quadpi_core.inputs import INPUT_NAMES
-from quadpi_core.results import EXTRAPOLATION, LEVEL_ALARM, AlarmEvent, Predictions, ReportedAlarms
+from quadpi_core.results import (
+    ACTIVE,
+    EXTRAPOLATION,
+    LEVEL_ALARM,
+    WAITING,
+    AlarmEvent,
+    Predictions,
+    ReportedAlarms,
+)
 from quadpi_core.view.trust import State
 from quadpi_core.view.vehicle_view import BLOCK_NS, EVENTS_SHOWN, MODELS_MAX, VehicleView
 
@@ -62,6 +70,18 @@ def test_nothing_is_trusted_whose_intervals_do_not_hold():
         assert (one.state is State.WARNING) == (second == 11), second
     (reason,) = one.reasons
     assert reason == "force to the right outside its interval 15 % of the last 10 s, 5 % allowed"
+
+
+def test_misses_while_the_state_settles_do_not_count():
+    one = view()
+    for second in range(10):
+        predicted, health = predictions(1.0, START + second * 10**9), (ACTIVE, ACTIVE, ACTIVE)
+        if second < 5:
+            predicted.measured[::2, 1], health = 2.0, (ACTIVE, WAITING, ACTIVE)
+        one.take_predictions("m", predicted, "m@1", 0.95, AXES)
+        for tenth in range(10):
+            one.take_alarms(said_at(second + 0.1 * tenth, message(health=health)))
+        assert one.state is State.TRUSTED, second
 
 
 def test_a_state_holds_until_the_next_message_and_a_short_alarm_is_short():
