@@ -20,7 +20,7 @@ from quadpi_core.messages.model_description import DescribedModel
 from quadpi_core.monitor.quantity_words import INPUT_WORDS, OF_RANGE
 from quadpi_core.results import CAUSE_NAMES, EXTRAPOLATION, AlarmEvent, Predictions, ReportedAlarms
 from quadpi_core.view.blocks import BlockStore, Rows
-from quadpi_core.view.flight_clock import FlightClock
+from quadpi_core.view.flight_clock import PAUSE_NS, FlightClock
 from quadpi_core.view.timeline import Timeline, Track
 from quadpi_core.view.trust import (
     COVERED_S,
@@ -88,6 +88,8 @@ class VehicleView:
         # Counts the changes of what `describe` gives.
         self.version = 0
         self.start_ns = 0
+        # Time of the page from which on stamps are later by so much: another after each jump.
+        self._starts: deque[tuple[int, int]] = deque(maxlen=EVENTS_SHOWN)
         self.state = State.NO_DATA
         self.reasons: tuple[str, ...] = ("nothing has come yet",)
         # What battery, autopilot and link say, by name.
@@ -128,6 +130,7 @@ class VehicleView:
         if shown.number == 0:
             if not self._clock.started:
                 self.start_ns = int(predictions.time_ns[0])
+                self._starts.append((0, self.start_ns))
                 self.version += 1
             time_ns = self._clock.advance(predictions.time_ns)
             own: dict[str, Array] = {"time": _seconds(time_ns), "measured": predictions.measured}
@@ -262,7 +265,7 @@ class VehicleView:
         return {
             "id": self.name,
             "block_s": _NANOSECONDS * self.blocks.block_ns,
-            "start": _NANOSECONDS * self.start_ns,
+            "starts": [[_NANOSECONDS * begin, _NANOSECONDS * start] for begin, start in self._starts],
             "columns": self.blocks.columns,
             "models": [
                 {
@@ -361,8 +364,7 @@ class VehicleView:
 
     def _jumped(self, time_ns: int, step_ns: int) -> None:
         seconds = _NANOSECONDS * step_ns
-        # Of what follows the stamps say another time of day.
-        self.start_ns = 0
+        self._starts.append((time_ns, self._starts[-1][1] + step_ns - PAUSE_NS))
         self.version += 1
         # The monitor forgets what it was about to clear.
         for event in self._events.values():

@@ -256,7 +256,7 @@ function moment() {
 
 // The time of day at a moment of the flight, where its stamps tell it: those since the start of a computer do not.
 function timeOfDay(moment) {
-  const start = store.vehicle?.start ?? 0;
+  const [, start] = store.vehicle?.starts.findLast(([begin]) => begin <= moment) ?? [0, 0];
   return start > 1e9 ? new Date(1000 * (start + moment)).toLocaleTimeString([], {hour12: false}) : "";
 }
 

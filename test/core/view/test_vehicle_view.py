@@ -176,6 +176,10 @@ def test_stamps_that_jump_are_drawn_behind_and_listed():
     (event,) = one.overview()["events"]
     assert event["cause"] == "stamps jumped"
     assert event["reasons"][0].startswith("by -502.0 s")
+    # The time of day of what follows is that of its stamps.
+    ((begin, start), (jumped, other)) = one.describe()["starts"]
+    assert (begin, start) == (0.0, 1e-9 * START)
+    assert jumped + other == pytest.approx(1e-9 * START - 500.0, abs=1e-6)
 
 
 def test_silence_before_the_first_sample_is_said():
