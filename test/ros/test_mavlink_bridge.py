@@ -186,9 +186,15 @@ def test_nobody_takes_the_place_of_the_vehicle(monkeypatch: pytest.MonkeyPatch) 
 
 def test_what_keeps_the_sensors_from_coming_is_logged_from_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
     logged: list[str] = []
-    logger = SimpleNamespace(warning=logged.append, info=logged.append)
-    monkeypatch.setattr(MavlinkBridge, "get_logger", lambda _: logger)
+    diagnosed: list[int] = []
+
+    def note(line: str) -> None:
+        diagnosed.append(sum(line == status["message"] for status in heard.statuses))
+        logged.append(line)
+
     with listening() as heard:
+        logger = SimpleNamespace(warning=note, info=note)
+        monkeypatch.setattr(heard.bridge, "get_logger", lambda: logger)
         heard.until(lambda: any("no heartbeat of an autopilot" in line for line in logged))
         vehicle = Sender(heard.port, 1)
 
@@ -204,6 +210,8 @@ def test_what_keeps_the_sensors_from_coming_is_logged_from_the_start(monkeypatch
         heard.until(lambda: len(heard.statuses) > seen + 2)
     said = [line.split()[0] for line in logged if "heartbeats of an autopilot too" not in line]
     assert said == ["connected,", "the", "active:", "nothing"]
+    # At the second diagnostics that say the same.
+    assert max(diagnosed) == 1
 
 
 def test_numbers_that_are_none_do_not_break_the_link() -> None:

@@ -13,7 +13,7 @@ from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.monitor.alarm import Alarm
 from quadpi_core.monitor.alarm_log import EventLog, reasons
 from quadpi_core.monitor.quantity_words import INPUT_WORDS
-from quadpi_core.results import EVENTS_KEPT, EXTRAPOLATION, LEVEL_OK
+from quadpi_core.results import EVENTS_KEPT, EXTRAPOLATION, LEVEL_OK, MISCOVERAGE
 from test.core.monitor.alarm_samples import FX, LIMITS, MY, SETTINGS, Samples, U, missing_shares
 
 
@@ -54,6 +54,18 @@ def test_no_row_is_without_a_reason_and_none_says_what_is_over(envelope):
     assert "inside what was flown in training again: ends if that lasts" in said
     assert "pitch moment was outside its interval too often a moment ago" in said
     assert not any(" interval 0 %" in text for text in said)
+
+
+@pytest.mark.parametrize(
+    ("share", "words"), [(0.09, "was outside its interval"), (0.11, "outside its interval 11 %")]
+)
+def test_an_axis_is_said_to_be_outside_now_from_a_tenth_of_misses_on(envelope, share, words):
+    samples = Samples(5.0)
+    missing_shares(samples, MY, 0.9, 2.0, 5.0)
+    rows = samples.run(Alarm(envelope, LIMITS, SETTINGS))
+    rows = replace(rows, miss_share=np.full_like(rows.miss_share, share))
+    (reason,) = reasons(rows, len(rows) - 1, MISCOVERAGE)
+    assert reason.startswith(f"pitch moment {words}")
 
 
 def test_an_alarm_that_nothing_has_been_judged_of_since_does_not_say_inside(envelope):
