@@ -24,7 +24,6 @@ from quadpi_core.vehicle import Vehicle
 from quadpi_core.view.trust import State
 from quadpi_ros import live_vehicle
 from quadpi_ros.dds_profile import DESCRIPTION_QOS, OUTPUT_QOS
-from quadpi_ros.live_vehicle import LiveVehicle
 from quadpi_ros.view_node import LiveSource
 
 from .rig import wait_until
@@ -135,16 +134,6 @@ def test_results_in_another_namespace_belong_to_the_vehicle_of_the_monitor(monit
     assert source.vehicles["/uav"].state == State.TRUSTED
 
 
-def test_a_link_that_says_nothing_more_is_not_shown_as_it_was(node, monkeypatch):
-    vehicle = LiveVehicle(node, "/uav", {})
-    vehicle.take_status(DiagnosticStatus(name="/uav/mavlink_bridge: link", message="system 1"))
-    vehicle.take()
-    assert vehicle.view.told == {"link": "system 1"}
-    monkeypatch.setattr(live_vehicle, "TOLD_S", -1.0)
-    vehicle.take()
-    assert vehicle.view.told == {"link": "no message for 5 s"}
-
-
 def test_what_does_not_come_is_named(node, source):
     vehicle = Publishing(node, "/plain", "unknown@1")
     node.create_publisher(Erpm, "/plain/erpm", OUTPUT_QOS)
@@ -157,7 +146,7 @@ def test_what_does_not_come_is_named(node, source):
     assert rows()["rotor speeds"].startswith("erpm needs the pole pairs of the vehicle")
 
 
-def test_battery_and_link_are_told_beside_the_state(node, source):
+def test_battery_and_link_are_told_beside_the_state_while_they_come(node, source, monkeypatch):
     vehicle = Publishing(node, "/plain", "unknown@1")
     battery = node.create_publisher(BatteryState, "/plain/mavros/battery", OUTPUT_QOS)
     told = node.create_publisher(DiagnosticArray, "/diagnostics", OUTPUT_QOS)
@@ -174,6 +163,8 @@ def test_battery_and_link_are_told_beside_the_state(node, source):
         return {name: text for view in source.vehicles.values() for name, text in view.told.items()}
 
     wait_until(lambda: words() == {"battery": "15.2 V, 50 %", "link": "heard"}, turn, words)
+    monkeypatch.setattr(live_vehicle, "TOLD_S", 0.2)
+    wait_until(lambda: set(words().values()) == {"no message for 5 s"}, fly, words)
 
 
 def test_a_description_of_somebody_else_is_no_vehicle(node, source):
