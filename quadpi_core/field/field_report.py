@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from quadpi_core.errors import QuadpiError
+from quadpi_core.errors import LogError, QuadpiError
 from quadpi_core.field.airborne import Flown, flown
 from quadpi_core.field.drag import DragResult, drag_samples, identify_drag, piece_length_s
 from quadpi_core.field.field_log import FieldLog
@@ -212,15 +213,30 @@ def report_on(
     """
     flights: list[FlightReport] = []
     left_out: list[FlightLeftOut] = []
+    known: dict[str, str] = {}
     for file in named_files(paths):
         try:
             log = replace(read_field_log(file.path, options, vehicle), name=file.name)
+            first = known.setdefault(_digest(log), file.name)
+            if first != file.name:
+                # Counted twice it would tell nothing more, and narrow every interval of several flights.
+                raise LogError(f"{file.path}: holds the samples of {first}, which is in the report")
             flights.append(_flight_report(log))
         except QuadpiError as error:
             left_out.append(FlightLeftOut(file.name, str(file.path), str(error)))
     if not flights:
         raise NoFlightLeftError("; ".join(one.reason for one in left_out))
     return FieldReport(tuple(flights), tuple(_vehicles(flights)), mass, tuple(left_out))
+
+
+def _digest(log: FieldLog) -> str:
+    """The same for copies of a log under any name: of its IMU, else of all that it holds."""
+    digest = hashlib.sha256()
+    for name, own in log.series().items() if log.imu is None else (("imu", log.imu),):
+        digest.update(name.encode())
+        digest.update(np.round((own.time - own.time[0]) * 1e6).astype("<i8").tobytes())
+        digest.update((own.values + 0.0).astype("<f4").tobytes())
+    return digest.hexdigest()
 
 
 def _flight_report(log: FieldLog) -> FlightReport:

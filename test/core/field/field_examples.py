@@ -18,12 +18,12 @@ HOVER, DRAG, LAG_S, DEAD_S = 0.4, (0.3, 0.2), 0.05, 0.008
 RATE_HZ = 200.0
 
 
-def example(**changes: Any) -> FieldLog:
+def example(seed: int = 1, **changes: Any) -> FieldLog:
     """A minute: five seconds on the ground at idle, to and fro along x and y with climbs, and down again.
 
     Thrust is weight times (command / HOVER)². Rotor speed is 300 + 1 500 u + 80 (V − 15) rad/s, lagged.
     """
-    rng = np.random.default_rng(1)
+    rng = np.random.default_rng(seed)
     time = np.arange(0.0, SECONDS, 1.0 / RATE_HZ)
     aloft = (time >= AIRBORNE[0]) & (time < AIRBORNE[1])
     load = np.where(aloft, HOVER * (1.0 + 0.1 * np.sin(2.0 * np.pi * 0.4 * time)), 0.05)

@@ -113,14 +113,14 @@ def test_every_key_of_the_json_is_documented(report_of):
 def test_of_many_flights_the_longest_are_identified_together(report_of, monkeypatch):
     monkeypatch.setattr(field_report, "DRAG_FLIGHTS_MOST", 2)
     short = {name: own.during(0.0, 40.0) for name, own in example().series().items()}
-    report = report_of(example(), replace(example(), **short), example())
+    report = report_of(example(), replace(example(), **short), example(seed=2))
     assert report.vehicles[0].windy == ("flight0", "flight2")
     assert len(report.vehicles[0].flights) == 3
 
 
 def test_airframes_are_reported_apart(report_of):
-    other = replace(example(), frame="hexacopter", rotors=6)
-    report = report_of(example(), other, example())
+    other = replace(example(seed=3), frame="hexacopter", rotors=6)
+    report = report_of(example(), other, example(seed=2))
     assert [vehicle.flights for vehicle in report.vehicles] == [("flight0", "flight2"), ("flight1",)]
     assert "2 airframes" in report.verdict()
 
@@ -130,6 +130,16 @@ def test_a_log_without_a_flight_is_left_out(report_of):
     assert [one.reason for one in report.left_out] == ["flight1.log: no flight in it"]
     with pytest.raises(NoFlightLeftError, match=r"flight0\.log: no flight in it"):
         report_of(LogError("flight0.log: no flight in it"))
+
+
+def test_copies_of_a_log_count_once(report_of):
+    late = {name: replace(own, time=own.time + 7.0) for name, own in example().series().items()}
+    report = report_of(*(example(name=f"copy {number}") for number in range(5)), replace(example(), **late))
+    assert [flight.name for flight in report.flights] == ["flight0"]
+    assert len(report.left_out) == 5
+    assert all("holds the samples of flight0" in one.reason for one in report.left_out)
+    bare = dict.fromkeys(("imu", "attitude", "velocity", "position"))
+    assert len(report_of(example(**bare), example(name="copy", **bare)).left_out) == 1
 
 
 @pytest.mark.slow
