@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -30,6 +31,7 @@ from quadpi_core.field.motor_use import (
 )
 from quadpi_core.flight_files import FlightLeftOut, NoFlightLeftError, named_files
 from quadpi_core.reading_options import ReadingOptions
+from quadpi_core.thresholds import Threshold
 from quadpi_core.vehicle import Vehicle
 from quadpi_core.version import __version__
 
@@ -40,6 +42,17 @@ FORMAT = 1
 DRAG_FLIGHTS_MOST = 60
 # A rotor that turns as slowly as this share of the others does not carry its quarter: its tachometer is dead.
 SILENT_SHARE = 0.1
+ONE_VEHICLE = Threshold(
+    "leap of rotor speed by command, or of hover throttle, from flight to flight that is another vehicle's",
+    1.15,
+    "",
+    "both change by up to 12 % within one pack, by neighbouring flights less",
+    "imrc_brushless, imrc_brushed and crazypad of ../shared/data",
+)
+# Parameters of motors and their outputs that no flight learns.
+_OUTPUTS = re.compile(
+    r"MOT_(?!THST_HOVER|BAT)|CA_(AIRFRAME|ROTOR)|PWM_|SERVO\d+_(FUNCTION|MIN|MAX)|motor_|(min|max)throttle"
+)
 
 
 @dataclass(frozen=True)
@@ -78,8 +91,9 @@ class VehicleReport:
     """What all flights of one airframe tell together.
 
     Attributes:
-        name: stack and frame.
+        name: stack and frame, and a flight where others have the same.
         flights: by name.
+        doubt: what is not sure of their being of one vehicle; empty for nothing.
         drag: per mass, with the wind of each of `windy`; or why there is none.
         windy: flights that it was identified on.
         motors: rotor speed from command and battery.
@@ -88,6 +102,7 @@ class VehicleReport:
 
     name: str
     flights: tuple[str, ...]
+    doubt: str
     drag: DragResult | str
     windy: tuple[str, ...]
     motors: MotorModel | str
@@ -143,6 +158,7 @@ class FieldReport:
                     {
                         "name": vehicle.name,
                         "flights": vehicle.flights,
+                        "doubt": vehicle.doubt,
                         "drag": _told(vehicle.drag),
                         "wind_of": vehicle.windy,
                         "motor_model": _told(vehicle.motors),
@@ -246,15 +262,60 @@ def _flight_report(log: FieldLog) -> FlightReport:
     return FlightReport(log.name, log, flight, use, vibration, read, remarks)
 
 
-def _vehicles(flights: Sequence[FlightReport]) -> Iterator[VehicleReport]:
-    airframes: dict[tuple[object, ...], list[FlightReport]] = {}
+def _identity(log: FieldLog) -> tuple[object, ...]:
+    """What flights of one vehicle have in common; that of another may be the same."""
+    outputs = tuple(sorted(own for own in log.parameters.items() if _OUTPUTS.match(own[0])))
+    return (
+        *(log.stack, log.firmware, log.frame, log.rotors, outputs),
+        *(log.facts.get(name) for name in ("board", "airframe", "craft", "vehicle", "poles", "commands")),
+    )
+
+
+def _apart(flights: Sequence[FlightReport], values: Sequence[float | None]) -> Iterator[list[FlightReport]]:
+    """Flights by a value, apart where it leaps; those without one by themselves."""
+    last = None
+    group: list[FlightReport] = []
+    known = [(value, flight) for value, flight in zip(values, flights, strict=True) if value is not None]
+    for value, flight in sorted(known, key=lambda pair: pair[0]):
+        if last is not None and value > ONE_VEHICLE.value * last:
+            yield group
+            group = []
+        group.append(flight)
+        last = value
+    unknown = [flight for value, flight in zip(values, flights, strict=True) if value is None]
+    if last is None or last <= ONE_VEHICLE.value * min(value for value, _ in known):
+        group, unknown = group + unknown, []
+    yield from filter(None, (group, unknown))
+
+
+def _airframes(flights: Sequence[FlightReport]) -> Iterator[tuple[list[FlightReport], str]]:
+    """Flights of a vehicle each, and what is not sure of that."""
+    alike: dict[tuple[object, ...], list[FlightReport]] = {}
     for flight in flights:
-        log = flight.log
-        key = (log.stack, log.frame, log.rotors, log.facts.get("board"), log.facts.get("airframe"))
-        airframes.setdefault(key, []).append(flight)
-    for own in airframes.values():
-        log = own[0].log
-        name = " ".join(filter(None, (log.stack, log.frame)))
+        alike.setdefault(_identity(flight.log), []).append(flight)
+    for kind in alike.values():
+        gains = [None if isinstance(one.tachometers, str) else one.tachometers.gain for one in kind]
+        groups = [
+            group
+            for turning in _apart(kind, gains)
+            for group in _apart(turning, [one.use.hover.value if one.use.hover else None for one in turning])
+        ]
+        for group in groups:
+            said = []
+            if len(groups) > 1:
+                said.append("rotor speed by command, or hover throttle, sets these flights apart from others")
+            facts = group[0].log.facts
+            if len(group) > 1 and not any(facts.get(name) for name in ("board", "craft", "vehicle")):
+                said.append("taken as one vehicle: nothing in the logs names it")
+            group.sort(key=flights.index)
+            yield group, "; ".join(said)
+
+
+def _vehicles(flights: Sequence[FlightReport]) -> Iterator[VehicleReport]:
+    airframes = sorted(_airframes(flights), key=lambda pair: flights.index(pair[0][0]))
+    names_of = [" ".join(filter(None, (own[0].log.stack, own[0].log.frame))) for own, _ in airframes]
+    for (own, said), kind in zip(airframes, names_of, strict=True):
+        name = f"{kind} of {own[0].name}" if names_of.count(kind) > 1 else kind
         longest = sorted(own, key=lambda flight: -flight.flown.airborne_s)[:DRAG_FLIGHTS_MOST]
         length = piece_length_s(sum(flight.flown.airborne_s for flight in longest))
         found = {flight.name: drag_samples(flight.log, flight.flown, length) for flight in longest}
@@ -268,7 +329,7 @@ def _vehicles(flights: Sequence[FlightReport]) -> Iterator[VehicleReport]:
             if isinstance(flight.tachometers, str) or not flight.tachometers.odd
         ]
         motors = motor_model(sound) if sound else "the tachometers of no flight read what the commands give"
-        yield VehicleReport(name, names, drag, tuple(samples), motors, log.drag_prefix)
+        yield VehicleReport(name, names, said, drag, tuple(samples), motors, own[0].log.drag_prefix)
 
 
 def _remarks(

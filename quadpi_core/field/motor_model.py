@@ -69,10 +69,12 @@ class Tachometers:
     """Rotor speeds of one flight against its commands.
 
     Attributes:
+        gain: speed over command of the middle rotor, rad/s.
         ratio: (R) speed of each rotor over that of the others at the same command.
         odd: rotors, from 1, whose tachometers read another multiple.
     """
 
+    gain: float
     ratio: tuple[float, ...]
     odd: tuple[int, ...]
 
@@ -88,7 +90,7 @@ def tachometers(log: FieldLog, flight: Flown) -> Tachometers | str:
     ratios = [gains[rotor] / max(np.median(np.delete(gains, rotor)), 1e-9) for rotor in range(len(gains))]
     low, high = HALF_READING.value
     odd = tuple(rotor + 1 for rotor, ratio in enumerate(ratios) if not low < ratio < high)
-    return Tachometers(tuple(map(float, ratios)), odd)
+    return Tachometers(float(np.median(gains)), tuple(map(float, ratios)), odd)
 
 
 def motor_model(flights: Sequence[tuple[FieldLog, Flown]]) -> MotorModel | str:

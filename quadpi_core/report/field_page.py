@@ -86,7 +86,7 @@ def drag_table(vehicle: VehicleReport, mass: float | None) -> Table:
     title, drag = f"drag · {vehicle.name}", vehicle.drag
     if isinstance(drag, str):
         row = ["drag over mass", None, "", "1/s", Cell(f"not identified: {drag}", Mark.SOFT)]
-        return Table(_ESTIMATES, [row], title=title)
+        return Table(_ESTIMATES, [row], title=title, note=_sentence(vehicle.doubt))
     rows = [
         _row(f"drag over mass, {way}", own)
         for way, own in zip(("along the nose", "sideways"), drag.per_mass, strict=True)
@@ -114,7 +114,12 @@ def drag_table(vehicle: VehicleReport, mass: float | None) -> Table:
     note = (
         f"{drag.usable} usable samples, {drag.speed[0]:.1f} to {drag.speed[1]:.1f} m/s; intervals for {said}."
     )
-    return Table(_ESTIMATES, rows, title=title, note=f"{note} Next: {drag.advice}." if drag.advice else note)
+    notes = (_sentence(vehicle.doubt), note, f"Next: {drag.advice}." if drag.advice else "")
+    return Table(_ESTIMATES, rows, title=title, note=" ".join(filter(None, notes)))
+
+
+def _sentence(said: str) -> str:
+    return f"{said[0].upper()}{said[1:]}." if said else ""
 
 
 def motor_table(flight: FlightReport) -> Table:

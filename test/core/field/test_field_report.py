@@ -125,6 +125,33 @@ def test_airframes_are_reported_apart(report_of):
     assert "2 airframes" in report.verdict()
 
 
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"facts": {"craft": "other"}},
+        {"firmware": "another"},
+        {"facts": {"commands": "motor"}},
+        {"parameters": {"MOT_PWM_MIN": 900.0}},
+    ],
+)
+def test_what_the_logs_say_tells_vehicles_apart(report_of, other):
+    report = report_of(example(), example(seed=2, **other), example(seed=3, parameters={"MOT_THST_HOVER": 0.3}))
+    assert [vehicle.flights for vehicle in report.vehicles] == [("flight0", "flight2"), ("flight1",)]
+    assert [vehicle.name for vehicle in report.vehicles] == [
+        *("PX4 quadcopter of flight0", "PX4 quadcopter of flight1")
+    ]
+    assert report.vehicles[0].doubt == "taken as one vehicle: nothing in the logs names it"
+    assert report.vehicles[1].doubt == ""
+
+
+def test_motors_that_turn_otherwise_are_of_another_vehicle(report_of):
+    log = example(seed=2)
+    brushed = replace(log, rotor_speeds=scaled(log.rotor_speeds, *[0.7] * 4))
+    report = report_of(example(), brushed, example(seed=3))
+    assert [vehicle.flights for vehicle in report.vehicles] == [("flight0", "flight2"), ("flight1",)]
+    assert all("sets these flights apart" in vehicle.doubt for vehicle in report.vehicles)
+
+
 def test_a_log_without_a_flight_is_left_out(report_of):
     report = report_of(example(), LogError("flight1.log: no flight in it"))
     assert [one.reason for one in report.left_out] == ["flight1.log: no flight in it"]
