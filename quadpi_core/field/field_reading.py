@@ -41,6 +41,8 @@ PULSE_RPM = Threshold(
     "flights of ../shared/data: rotors in flight turn at 3 000 to 25 000 rpm",
 )
 
+# 6 000 m high in warm air, and at sea level in the Arctic, kg/m³, with a margin: what errs more is broken.
+_DENSITIES = (0.3, 1.6)
 _LIMITS = {
     "imu": np.repeat([RATE_MAX_RAD_S, SPECIFIC_FORCE_MAX_M_S2], 3),
     "velocity": AIRSPEED_MAX_M_S,
@@ -106,6 +108,8 @@ def _within_limits(log: FieldLog) -> FieldLog:
     for name, series in log.series().items():
         if name == "attitude":
             good = np.abs(np.linalg.norm(series.values, axis=1) - 1.0) <= NORM_TOLERANCE
+        elif name == "density":
+            good = np.all((series.values >= _DENSITIES[0]) & (series.values <= _DENSITIES[1]), axis=1)
         else:
             good = np.all(np.abs(series.values) <= _LIMITS.get(name, np.inf), axis=1)
         if not good.all():

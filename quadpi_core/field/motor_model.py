@@ -166,9 +166,11 @@ def _gridded(log: FieldLog, begin: float, end: float, dead_s: float) -> _Part:
     assert log.rotor_speeds is not None
     edges = np.arange(begin, end, 1.0 / _GRID_HZ)
     time = 0.5 * (edges[1:] + edges[:-1])
-    commands, speeds = log.commands.filled_means(edges - dead_s), log.rotor_speeds.filled_means(edges)
+    speeds = log.rotor_speeds.filled_means(edges)
+    # The same samples for every dead time: errors compare, and a short flight is short for all of them.
+    latest, commands = (log.commands.filled_means(edges - late) for late in (_DEAD_S[-1], dead_s))
     volts = np.empty((len(time), 0)) if log.battery is None else log.battery.at(time)
-    good = np.isfinite(np.hstack([commands, speeds, volts])).all(axis=1)
+    good = np.isfinite(np.hstack([latest, commands, speeds, volts])).all(axis=1)
     return commands[good], volts[good], speeds[good]
 
 

@@ -14,6 +14,8 @@ from quadpi_core.field.airborne import flown
 from quadpi_core.field.field_reading import read_field_log
 from quadpi_core.reading_options import ReadingOptions
 
+from ..logs.dataflash_writer import log as dataflash
+from .stacks.test_ardupilot_stack import MORE
 from .stacks.test_crazyflie_stack import MOTOR, STATE, usd
 
 SPEEDS = [f"rpm.m{motor}" for motor in range(1, 5)]
@@ -60,6 +62,26 @@ def test_attitudes_of_no_length_are_left_out(tmp_path):
     log = written(tmp_path / "log00", names, rows)
     assert len(log.attitude) == 40
     assert any(note.startswith("attitude: 10 of 50 samples are left out") for note in log.notes)
+
+
+def test_a_barometer_that_reads_nothing_gives_no_density(tmp_path):
+    from quadpi_core.field.field_report import report_on
+
+    path = tmp_path / "flight.bin"
+    rows = [("MSG", 1, "ArduCopter V4.5.1 (abcdef)"), ("PARM", 1, "FRAME_CLASS", 1.0)]
+    for now in range(100_000, 30_000_000, 100_000):
+        wave = np.sin(now * 1e-6)
+        rows += [
+            ("IMU", now, 0, 0.1 * wave, 0.1, 0.1, -0.3 * wave, 0.1 * wave, -9.8),
+            ("XKQ", now, 0, 1.0, 0.0, 0.0, 0.0),
+            ("XKF1", now, 0, 5.0 * wave, 2.0, 3.0 * wave, 10.0, 20.0, -30.0 + 5.0 * wave),
+            ("RCOU", now, *[1500] * 8),
+            ("BARO", now, 0, 0.0, 0.0, 15.0),
+        ]
+    path.write_bytes(dataflash(MORE, rows))
+    (flight,) = report_on([path], ReadingOptions()).flights
+    assert flight.log.density is None
+    assert any(note.startswith("density: 299 of 299 samples are left out") for note in flight.log.notes)
 
 
 def test_two_vehicles_in_one_log_are_said(tmp_path, capsys):

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from quadpi_core.field.airborne import flown
+from quadpi_core.field.airborne import Stretch, flown
 from quadpi_core.field.field_log import FieldLog, Series
 from quadpi_core.field.field_reading import read_field_log
 from quadpi_core.field.motor_model import MotorModel, Tachometers, motor_model, tachometers
@@ -57,6 +57,16 @@ def test_a_half_reading_tachometer_is_named():
     sound = tachometers(example(), flown(example()))
     assert isinstance(sound, Tachometers)
     assert sound.odd == ()
+
+
+@pytest.mark.parametrize("seconds", np.arange(2.0, 2.06, 0.005))
+def test_a_flight_is_too_short_for_every_dead_time_or_for_none(seconds):
+    log = example()
+    short = {name: own.during(10.0, 10.0 + seconds) for name, own in log.series().items()}
+    log = replace(replace(log, **short), battery=None)
+    flight = replace(flown(example()), stretches=(Stretch(10.0, 10.0 + seconds),))
+    found = motor_model([(log, flight)])
+    assert found == "the flight is too short" or found.error < 0.01
 
 
 @pytest.mark.parametrize(
