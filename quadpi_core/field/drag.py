@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -130,8 +131,16 @@ class DragResult:
     advice: str
 
 
-def piece_length_s(airborne_s: float) -> float:
-    """Length of the pieces that intervals leave out, of flights that were so long in the air together."""
+def piece_lengths_s(airborne_s: Sequence[float]) -> list[float]:
+    """Length of the pieces of each flight that intervals leave out.
+
+    Of many flights drag leaves out whole ones, and the pieces tell of the wind of theirs alone.
+    """
+    together = sum(airborne_s)
+    return [_length_s(own if len(airborne_s) >= PIECES_FEWEST.value else together) for own in airborne_s]
+
+
+def _length_s(airborne_s: float) -> float:
     usual = float(np.clip(0.1 * airborne_s, PIECE_S.value[0], PIECE_S.value[1]))
     return max(usual, airborne_s / _PIECES_MOST)
 
@@ -142,7 +151,7 @@ def drag_samples(log: FieldLog, flight: Flown, piece_s: float) -> DragSamples | 
     Args:
         log: of the flight.
         flight: when it was in the air.
-        piece_s: see :func:`piece_length_s`.
+        piece_s: see :func:`piece_lengths_s`.
     """
     velocity = velocity_of(log)
     if log.imu is None or log.attitude is None or velocity is None:
@@ -187,6 +196,15 @@ def drag_samples(log: FieldLog, flight: Flown, piece_s: float) -> DragSamples | 
         rotation_matrix(unit),
         air,
     )
+
+
+class _Information(NamedTuple):
+    """What a piece of a flight tells of the parameters at `columns` (C,): information (C, C), gradient (C,)."""
+
+    flight: int
+    columns: Indices
+    information: Array
+    gradient: Array
 
 
 class _Fit:
@@ -278,8 +296,8 @@ class _Fit:
         place, knots = self.layout[flight]
         return np.concatenate([np.arange(self.drags), place + np.arange(4 + 2 * len(knots))])
 
-    def normal(self) -> tuple[Array, Array, list[tuple[Indices, Array, Array]]]:
-        """Information (P, P) and gradient (P,) with what was known before; both of each piece by columns."""
+    def normal(self) -> tuple[Array, Array, list[_Information]]:
+        """Information (P, P) and gradient (P,) with what was known before; and of each piece."""
         whole, pull = self.prior.copy(), self.prior @ self.theta
         pieces = []
         for flight, one in enumerate(self.flights):
@@ -290,7 +308,7 @@ class _Fit:
                 rows = one.piece == piece
                 flat = slopes[rows].reshape(-1, len(columns))
                 information, gradient = flat.T @ flat, flat.T @ scaled[rows].ravel()
-                pieces.append((columns, information, gradient))
+                pieces.append(_Information(flight, columns, information, gradient))
                 whole[np.ix_(columns, columns)] += information
                 pull[columns] += gradient
         return whole, pull, pieces
@@ -308,34 +326,72 @@ class _Fit:
             if np.abs(step[: self.drags]).max() < _SETTLED:
                 break
 
-    def intervals(self) -> tuple[Array, Array, Array]:
+    def intervals(self, *, by_flight: bool) -> tuple[Array, Array, Array]:
         """Drag parameters and mean wind, north and east, of each flight (M,), and ends of intervals (M, 2).
 
         Also the number (D,) of pieces that would share the information on each drag parameter evenly.
+
+        Args:
+            by_flight: leave out whole flights for drag. A wind has one flight: its pieces are left out with
+                drag held, and the other flights for what their drag does to it.
         """
         whole, pull, pieces = self.normal()
-        without = []
-        for columns, information, gradient in pieces:
-            # One Newton step leaves out the piece.
-            less, rest = whole.copy(), pull.copy()
-            less[np.ix_(columns, columns)] -= information
-            rest[columns] -= gradient
-            without.append(self.theta - np.linalg.solve(less, rest))
         wanted = np.zeros((self.drags + 2 * len(self.layout), len(self.theta)))
         wanted[range(self.drags), range(self.drags)] = 1.0
         for flight, (place, knots) in enumerate(self.layout):
             for axis in range(2):
                 own = place + 4 + axis * len(knots) + np.arange(len(knots))
                 wanted[self.drags + 2 * flight + axis, own] = 1.0 / len(knots)
-        told = np.array([np.diag(own)[: self.drags] for _, own, _ in pieces])
+        groups = [[one] for one in pieces]
+        if by_flight:
+            groups = [[one for one in pieces if one.flight == flight] for flight in range(len(self.flights))]
+        without = np.array([self._without(whole, pull, group) @ wanted.T for group in groups])
+        told = np.array([sum(np.diag(one.information)[: self.drags] for one in group) for group in groups])
         share = np.hstack([told, np.ones((len(told), len(wanted) - self.drags))])
         value = wanted @ self.theta
-        _, high = jackknife(value, np.array(without) @ wanted.T, share)
+        half = jackknife(value, without, share)[1] - value
+        if by_flight:
+            for flight in range(len(self.flights)):
+                own = self.drags + 2 * flight + np.arange(2)
+                half[own] = self._wind_half(whole, pull, groups[flight], wanted[own])
+                others = np.delete(without, flight, axis=0)[:, own]
+                half[own] = np.hypot(
+                    half[own], jackknife(value[own], others, np.ones_like(others))[1] - value[own]
+                )
         # Of the wind the pieces tell what the data do, and the information what was known before.
         known = np.einsum("mp,pm->m", wanted, np.linalg.solve(whole, wanted.T))
-        half = np.hypot(high - value, 2.0 * np.sqrt(known))
-        half[: self.drags] = (high - value)[: self.drags]
+        half[self.drags :] = np.hypot(half, 2.0 * np.sqrt(known))[self.drags :]
         return value, np.stack([value - half, value + half], axis=1), effective_pieces(told)
+
+    def _without(self, whole: Array, pull: Array, group: Sequence[_Information]) -> Array:
+        """Parameters (P,) without some pieces, by one Newton step."""
+        less, rest = whole.copy(), pull.copy()
+        for one in group:
+            less[np.ix_(one.columns, one.columns)] -= one.information
+            rest[one.columns] -= one.gradient
+        without: Array = self.theta - np.linalg.solve(less, rest)
+        return without
+
+    def _wind_half(self, whole: Array, pull: Array, group: Sequence[_Information], wanted: Array) -> Array:
+        """Half the interval (2,) of the wind of a flight from its own pieces; not finite for too few."""
+        if len(group) < PIECES_FEWEST.value:
+            return np.full(2, np.inf)
+        own = group[0].columns[self.drags :]
+        part = wanted[:, own]
+        without = [
+            part
+            @ (
+                self.theta[own]
+                - np.linalg.solve(
+                    whole[np.ix_(own, own)] - one.information[self.drags :, self.drags :],
+                    pull[own] - one.gradient[self.drags :],
+                )
+            )
+            for one in group
+        ]
+        value = part @ self.theta[own]
+        half: Array = jackknife(value, np.array(without), np.ones((len(group), 2)))[1] - value
+        return half
 
 
 def identify_drag(flights: Sequence[DragSamples]) -> DragResult:
@@ -344,8 +400,6 @@ def identify_drag(flights: Sequence[DragSamples]) -> DragResult:
     With enough flights, intervals leave out flights rather than pieces of them, and hold for flights to come.
     """
     by_flight = len(flights) >= PIECES_FEWEST.value
-    if by_flight:
-        flights = [replace(one, piece=np.zeros_like(one.piece)) for one in flights]
     body = np.vstack([one.body_velocity[:, :2] for one in flights])
     usable = int(np.sum(np.hypot(body[:, 0], body[:, 1]) >= USABLE_SPEED.value))
     pieces = sum(len(np.unique(one.piece)) for one in flights)
@@ -372,10 +426,10 @@ def identify_drag(flights: Sequence[DragSamples]) -> DragResult:
             advice,
         )
     linear = _Fit(flights, quadratic=False)
-    value, ends_of, effective = linear.intervals()
+    value, ends_of, effective = linear.intervals(by_flight=by_flight)
     per_mass = tuple(_drag_estimate(value[axis], ends_of[axis], "1/s", effective[axis]) for axis in range(2))
     winds = [_wind_estimate(one, *own) for one, own in zip(value[2:], ends_of[2:], strict=True)]
-    momentum, ballistic = _coefficients(flights)
+    momentum, ballistic = _coefficients(flights, by_flight=by_flight)
     air = np.vstack([linear.residuals(flight)[2][:, :2] for flight in range(len(flights))])
     return DragResult(
         per_mass=(per_mass[0], per_mass[1]),
@@ -400,8 +454,11 @@ def _drag_estimate(value: float, ends: Array, unit: str, pieces: float = np.inf)
 
 
 def _wind_estimate(value: float, low: float, high: float) -> Estimate:
+    if not np.isfinite(high - low):
+        return not_identified("m/s", "the flight is too short")
     if high - low > _WIND:
-        return not_identified("m/s", "the heading hardly changed", float(low), float(high))
+        said = "its interval is too wide: fly with the nose to all sides, for longer"
+        return not_identified("m/s", said, float(low), float(high))
     return Estimate(float(value), float(low), float(high), "m/s")
 
 
@@ -412,10 +469,12 @@ def _fitted(fit: _Fit) -> tuple[float, float]:
     return float(shares[0]), float(shares[1])
 
 
-def _coefficients(flights: Sequence[DragSamples]) -> tuple[Estimate, tuple[Estimate, Estimate]]:
+def _coefficients(
+    flights: Sequence[DragSamples], *, by_flight: bool
+) -> tuple[Estimate, tuple[Estimate, Estimate]]:
     """EKF2_MCOEF, and EKF2_BCOEF_X and _Y with the ends of their inverses."""
     fit = _Fit(flights, quadratic=True)
-    values, ends_of, _ = fit.intervals()
+    values, ends_of, _ = fit.intervals(by_flight=by_flight)
     ballistic = []
     for axis in range(2):
         value, ends = values[1 + axis], ends_of[1 + axis]

@@ -15,7 +15,7 @@ import numpy as np
 
 from quadpi_core.errors import LogError, QuadpiError
 from quadpi_core.field.airborne import Flown, flown
-from quadpi_core.field.drag import DragResult, drag_samples, identify_drag, piece_length_s
+from quadpi_core.field.drag import DragResult, drag_samples, identify_drag, piece_lengths_s
 from quadpi_core.field.field_log import FieldLog
 from quadpi_core.field.field_reading import read_field_log
 from quadpi_core.field.motor_model import MotorModel, Tachometers, motor_model, tachometers
@@ -317,8 +317,11 @@ def _vehicles(flights: Sequence[FlightReport]) -> Iterator[VehicleReport]:
     for (own, said), kind in zip(airframes, names_of, strict=True):
         name = f"{kind} of {own[0].name}" if names_of.count(kind) > 1 else kind
         longest = sorted(own, key=lambda flight: -flight.flown.airborne_s)[:DRAG_FLIGHTS_MOST]
-        length = piece_length_s(sum(flight.flown.airborne_s for flight in longest))
-        found = {flight.name: drag_samples(flight.log, flight.flown, length) for flight in longest}
+        lengths = piece_lengths_s([flight.flown.airborne_s for flight in longest])
+        found = {
+            flight.name: drag_samples(flight.log, flight.flown, length)
+            for flight, length in zip(longest, lengths, strict=True)
+        }
         samples = {key: one for key, one in found.items() if not isinstance(one, str)}
         names = tuple(flight.name for flight in own)
         drag = identify_drag(list(samples.values())) if samples else str(next(iter(found.values())))

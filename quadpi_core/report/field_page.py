@@ -107,9 +107,10 @@ def drag_table(vehicle: VehicleReport, mass: float | None) -> Table:
         for way, own in zip(("north", "east"), pair, strict=True)
         if own.value is not None
     ]
-    rows += winds or [
-        ["wind", None, "", "m/s", Cell("not identified: the heading hardly changed", Mark.SOFT)]
-    ]
+    if not winds:
+        reason = drag.wind[0][0].reason if drag.wind else drag.per_mass[0].reason
+        winds = [["wind", None, "", "m/s", Cell(reason, Mark.SOFT)]]
+    rows += winds
     said = "flights to come" if drag.by_flight else "these flights; others may differ"
     note = (
         f"{drag.usable} usable samples, {drag.speed[0]:.1f} to {drag.speed[1]:.1f} m/s; intervals for {said}."

@@ -135,7 +135,9 @@ def test_airframes_are_reported_apart(report_of):
     ],
 )
 def test_what_the_logs_say_tells_vehicles_apart(report_of, other):
-    report = report_of(example(), example(seed=2, **other), example(seed=3, parameters={"MOT_THST_HOVER": 0.3}))
+    report = report_of(
+        example(), example(seed=2, **other), example(seed=3, parameters={"MOT_THST_HOVER": 0.3})
+    )
     assert [vehicle.flights for vehicle in report.vehicles] == [("flight0", "flight2"), ("flight1",)]
     assert [vehicle.name for vehicle in report.vehicles] == [
         *("PX4 quadcopter of flight0", "PX4 quadcopter of flight1")
