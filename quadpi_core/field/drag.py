@@ -24,7 +24,14 @@ from typing import NamedTuple
 import numpy as np
 
 from quadpi_core.field.airborne import Flown, velocity_of
-from quadpi_core.field.estimates import PIECES_FEWEST, Estimate, effective_pieces, jackknife, not_identified
+from quadpi_core.field.estimates import (
+    PIECES_FEWEST,
+    Estimate,
+    beyond_zero,
+    effective_pieces,
+    jackknife,
+    not_identified,
+)
 from quadpi_core.field.field_log import FieldLog
 from quadpi_core.frames import Array
 from quadpi_core.messages.payloads import Indices
@@ -448,9 +455,7 @@ def _drag_estimate(value: float, ends: Array, unit: str, pieces: float = np.inf)
     low, high = map(float, ends)
     if pieces < 0.5 * PIECES_FEWEST.value:
         return not_identified(unit, "one short pass tells it all")
-    if low <= 0.0:
-        return not_identified(unit, f"its interval {low:.2g} to {high:.2g} holds 0", low, high)
-    return Estimate(float(value), low, high, unit)
+    return beyond_zero(Estimate(float(value), low, high, unit))
 
 
 def _wind_estimate(value: float, low: float, high: float) -> Estimate:

@@ -11,6 +11,7 @@ standard error (2022), for its being conservative with few groups.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,6 +60,17 @@ class Estimate:
 def not_identified(unit: str, reason: str, low: float | None = None, high: float | None = None) -> Estimate:
     """No number, and why; the interval where there is one, which does not bear a number."""
     return Estimate(None, low, high, unit, f"not identified: {reason}")
+
+
+def beyond_zero(estimate: Estimate) -> Estimate:
+    """A quantity that is above 0 by physics: not identified where its interval reaches 0, or is below."""
+    low, high = estimate.low, estimate.high
+    if low is None or high is None:
+        return not_identified(estimate.unit, estimate.reason or _SHORT)
+    if low > 0.0:
+        return estimate
+    said = f"its interval {low:.2g} to {high:.2g} {'holds' if high >= 0.0 else 'is below'} 0"
+    return not_identified(estimate.unit, said, low, high)
 
 
 def jackknife(whole: Array, without: Array, information: Array) -> tuple[Array, Array]:
@@ -112,6 +124,27 @@ def slope_of_pieces(
     share = np.array([inverse @ gram @ inverse for gram in grams]) @ wanted @ wanted
     low, high = jackknife(np.array([value]), np.array(without)[:, np.newaxis], share[:, np.newaxis])
     return Estimate(value, float(low[0]), float(high[0]), unit), fitted
+
+
+def chain_of_pieces(value_of: Callable[[Array], float], piece: Array, unit: str) -> Estimate:
+    """A number from several steps with its interval: all steps are taken again without each piece.
+
+    Args:
+        value_of: gives it from some of the samples (N,), a mask; NaN where they do not tell it.
+        piece: (N,) the piece of each sample.
+        unit: of the number.
+    """
+    numbers, counts = np.unique(piece, return_counts=True)
+    value = value_of(np.ones(len(piece), dtype=np.bool_))
+    if not np.isfinite(value):
+        return not_identified(unit, "the flight does not reach it")
+    if len(numbers) < PIECES_FEWEST.value:
+        return Estimate(value, unit=unit, reason=_SHORT)
+    without = np.array([[value_of(piece != number)] for number in numbers])
+    if not np.isfinite(without).all():
+        return not_identified(unit, "one piece of the flight tells it alone")
+    low, high = jackknife(np.array([value]), without, counts[:, np.newaxis].astype(np.float64))
+    return Estimate(value, float(low[0]), float(high[0]), unit)
 
 
 def mean_of_pieces(values: Array, piece: Array, unit: str) -> Estimate:

@@ -14,8 +14,9 @@ from scipy import signal
 
 from quadpi_core.field.airborne import HOVER_SPEED, Flown, Stretch, pieces, velocity_of
 from quadpi_core.field.estimates import (
-    PIECES_FEWEST,
     Estimate,
+    beyond_zero,
+    chain_of_pieces,
     mean_of_pieces,
     not_identified,
     slope_of_pieces,
@@ -126,10 +127,9 @@ def motor_use(log: FieldLog, flight: Flown) -> MotorUse:
     time = np.concatenate([part.time for part in parts])
     piece = np.concatenate([np.full(len(part), number) for number, part in enumerate(parts)])
     mean = commands.mean(axis=1)
-    hover = _hover(log, mean, time, piece)
-    gain, crossing, drift = _thrust(log, cut)
+    gain, hover, drift = _thrust(log, cut, _hover(log, mean, time, piece))
     return MotorUse(
-        hover=hover or crossing,
+        hover=hover,
         thrust_gain=gain,
         saturated=float(np.mean(commands.max(axis=1) >= FULL_COMMAND.value)),
         motors=tuple(mean_of_pieces(own / mean.mean() - mean / mean.mean(), piece, "") for own in commands.T),
@@ -160,32 +160,51 @@ def _hover(log: FieldLog, mean: Array, time: Array, piece: Array) -> Estimate | 
     return mean_of_pieces(np.where(stands, mean, np.nan), piece, "of the range of command")
 
 
-def _thrust(log: FieldLog, cut: list[Stretch]) -> tuple[Estimate | None, Estimate | None, Estimate | None]:
+def _thrust(
+    log: FieldLog, cut: list[Stretch], hover: Estimate | None
+) -> tuple[Estimate | None, Estimate | None, Estimate | None]:
     """Gain of thrust at the usual command, the command at which it is the weight, and its drift."""
     table = _thrust_samples(log, cut)
     if table is None:
-        return None, None, None
+        return None, hover, None
     mean, square, thrust, time, piece = table.T
     usual, unit = float(np.median(mean)), "per unit of command"
     if np.std(mean) < _LEAST_SPREAD * usual:
-        return not_identified(unit, "the mean command hardly changed: climb and descend"), None, None
+        return not_identified(unit, "the mean command hardly changed: climb and descend"), hover, None
     columns = np.column_stack([np.ones_like(mean), mean, square])
-    gain, curve = slope_of_pieces(columns, thrust, piece, np.array([0.0, 1.0, 2.0 * usual]), unit)
-    if gain.low is None or gain.low <= 0.0:
-        return not_identified(unit, "its interval holds 0", gain.low, gain.high), None, None
-    # Where thrust is near the weight: elsewhere the curve itself errs.
-    told = columns @ curve
-    near = (np.abs(thrust - 1.0) < _NEAR_WEIGHT) & (told > 0.5)
+    gain = beyond_zero(slope_of_pieces(columns, thrust, piece, np.array([0.0, 1.0, 2.0 * usual]), unit)[0])
+    if gain.value is None:
+        return gain, hover, None
+    spread, ends = float(np.median(square - mean**2)), (mean.min(), mean.max())
+
+    def crossing(kept: Array) -> float:
+        at_rest, slope, curve = _curve(columns[kept], thrust[kept])
+        roots = np.roots([curve, slope, at_rest + curve * spread - 1.0])
+        near = [float(root.real) for root in roots if root.imag == 0.0 and ends[0] <= root.real <= ends[1]]
+        return min(near, key=lambda root: abs(root - usual), default=np.nan)
+
+    if hover is None:
+        hover = chain_of_pieces(crossing, piece, "of the range of command")
+    # No propeller gives less: thrust is convex in command, and none without any.
+    if hover.value is None or gain.value * hover.value < 1.0:
+        said = "commands answered to disturbance: climb and descend"
+        return not_identified(unit, said, gain.low, gain.high), None if hover.value is None else hover, None
     share = (time - time.mean()) / max(np.ptp(time), 1e-9)
-    drift = None
-    if len(np.unique(piece[near])) >= PIECES_FEWEST.value:
-        lines = np.column_stack([np.ones_like(share), share])[near]
-        drift, _ = slope_of_pieces(
-            lines, thrust[near] / told[near], piece[near], np.array([0.0, 1.0]), "of thrust"
-        )
-    weight = np.abs(told - 1.0) < 0.05
-    crossing = mean_of_pieces(np.where(weight, mean, np.nan), piece, "of the range of command")
-    return gain, crossing if crossing.value is not None else None, drift
+    lines = np.column_stack([np.ones_like(share), share])
+
+    def drift(kept: Array) -> float:
+        told = columns @ _curve(columns[kept], thrust[kept])
+        # Where thrust is near the weight: elsewhere the curve itself errs.
+        kept = kept & (np.abs(thrust - 1.0) < _NEAR_WEIGHT) & (told > 0.5)
+        return float(_curve(lines[kept], thrust[kept] / told[kept])[1]) if kept.sum() > 2 else np.nan
+
+    return gain, hover, chain_of_pieces(drift, piece, "of thrust")
+
+
+def _curve(columns: Array, target: Array) -> Array:
+    """Coefficients (P,) by least squares."""
+    fitted: Array = np.linalg.lstsq(columns.T @ columns, columns.T @ target, rcond=None)[0]
+    return fitted
 
 
 def _thrust_samples(log: FieldLog, cut: list[Stretch]) -> Array | None:
