@@ -16,6 +16,7 @@ import numpy as np
 from quadpi_core.errors import LogError, QuadpiError
 from quadpi_core.field.airborne import Flown, flown
 from quadpi_core.field.drag import DragResult, drag_samples, identify_drag, piece_lengths_s
+from quadpi_core.field.estimates import Estimate
 from quadpi_core.field.field_log import FieldLog
 from quadpi_core.field.field_reading import read_field_log
 from quadpi_core.field.motor_model import MotorModel, Tachometers, motor_model, tachometers
@@ -23,7 +24,6 @@ from quadpi_core.field.motor_use import (
     BATTERY_DRIFT,
     IMBALANCE,
     SATURATED,
-    VIBRATION,
     MotorUse,
     Vibration,
     motor_use,
@@ -85,6 +85,17 @@ class FlightReport:
     tachometers: Tachometers | str
     remarks: tuple[Remark, ...]
 
+    def looked_at(self) -> dict[str, str]:
+        """What can look wrong; empty where it was looked at, else why not."""
+        use, read = self.use, self.tachometers
+        told = use.drift or use.thrust_gain
+        thrust = "the log has not both IMU and commands" if told is None else told.reason
+        return {
+            "motor commands": "" if use.motors else "not in the log",
+            "thrust over command along the flight": thrust,
+            "tachometers": read if isinstance(read, str) else "",
+        }
+
 
 @dataclass(frozen=True)
 class VehicleReport:
@@ -130,6 +141,20 @@ class FieldReport:
         """Whether any flight has an alarm."""
         return any(remark.level == ALARM for flight in self.flights for remark in flight.remarks)
 
+    def looked_at(self) -> str:
+        """What was looked at for warnings and alarms, and what was not, with the first reason."""
+        checks = [flight.looked_at() for flight in self.flights]
+        done, lacking = [], []
+        for name in checks[0]:
+            reasons = [check[name] for check in checks if check[name]]
+            if len(reasons) < len(checks):
+                share = f" of {len(checks) - len(reasons)} of {len(checks)} flights" if reasons else ""
+                done.append(f"{name}{share}")
+            if reasons:
+                lacking.append(f"{name} ({reasons[0]})")
+        parts = (("looked at: ", done), ("not looked at: ", lacking))
+        return "; ".join(word + ", ".join(names) for word, names in parts if names)
+
     def verdict(self) -> str:
         """The report in a sentence."""
         seconds = sum(flight.flown.airborne_s for flight in self.flights)
@@ -142,7 +167,9 @@ class FieldReport:
             parts.append(f"{len(self.vehicles)} airframes, each by itself")
         alarms = [remark for flight in self.flights for remark in flight.remarks if remark.level == ALARM]
         warnings = sum(len(flight.remarks) for flight in self.flights) - len(alarms)
-        parts.append(alarms[0].sentence if alarms else f"{warnings} warning{'s' * (warnings != 1)}, no alarm")
+        is_blind = all(all(flight.looked_at().values()) for flight in self.flights)
+        quiet = "no alarm" if not is_blind else "no alarm, as nothing could be looked at"
+        parts.append(alarms[0].sentence if alarms else f"{warnings} warning{'s' * (warnings != 1)}, {quiet}")
         return "; ".join(parts) + "."
 
     def to_json(self) -> dict[str, Any]:
@@ -187,6 +214,7 @@ def _of_flight(flight: FlightReport) -> dict[str, Any]:
         "motors": asdict(flight.use),
         "vibration": _told(flight.vibration),
         "tachometers": _told(flight.tachometers),
+        "looked_at": flight.looked_at(),
         "remarks": [asdict(remark) for remark in flight.remarks],
         "settings": [one._asdict() for one in log.settings],
         "notes": log.notes,
@@ -258,7 +286,7 @@ def _digest(log: FieldLog) -> str:
 def _flight_report(log: FieldLog) -> FlightReport:
     flight = flown(log)
     use, vibration, read = motor_use(log, flight), vibration_of(log, flight), tachometers(log, flight)
-    remarks = tuple(_remarks(log, use, vibration, read))
+    remarks = tuple(_remarks(log, use, read))
     return FlightReport(log.name, log, flight, use, vibration, read, remarks)
 
 
@@ -335,31 +363,36 @@ def _vehicles(flights: Sequence[FlightReport]) -> Iterator[VehicleReport]:
         yield VehicleReport(name, names, said, drag, tuple(samples), motors, own[0].log.drag_prefix)
 
 
-def _remarks(
-    log: FieldLog, use: MotorUse, vibration: Vibration | str, read: Tachometers | str
-) -> Iterator[Remark]:
-    if use.saturated is not None and use.saturated > SATURATED.value[0]:
-        level = ALARM if use.saturated > SATURATED.value[1] else WARNING
-        yield Remark(
-            level, f"a motor is at full command for {100.0 * use.saturated:.0f} % of the time in the air"
-        )
-    for number, motor in enumerate(use.motors, start=1):
-        if motor.value is not None and abs(motor.value) > IMBALANCE.value[0]:
-            level = ALARM if abs(motor.value) > IMBALANCE.value[1] else WARNING
-            share = f"{100.0 * motor.value:+.0f} % of command over the mean of all"
-            yield Remark(level, f"{log.motor(number)} gets {share}")
-    if isinstance(vibration, Vibration) and (worst := max(vibration.force)) > VIBRATION.value[0]:
-        level = ALARM if worst > VIBRATION.value[1] else WARNING
-        yield Remark(level, f"the body vibrates with {worst:.0f} m/s²")
+def _level(estimate: Estimate, limits: tuple[float, ...]) -> str:
+    """Warning or alarm by the end of the interval that is nearer to 0; without one a warning at most."""
+    value, low, high = estimate.value or 0.0, estimate.low, estimate.high
+    if low is None or high is None:
+        return WARNING if abs(value) > limits[0] else ""
+    near = max(low, -high)
+    return ALARM if near > limits[1] else WARNING if near > limits[0] else ""
+
+
+def _shortness(estimate: Estimate) -> str:
+    return f" ({estimate.reason})" if estimate.reason else ""
+
+
+def _remarks(log: FieldLog, use: MotorUse, read: Tachometers | str) -> Iterator[Remark]:
+    if use.saturated is not None and (level := _level(use.saturated, SATURATED.value)):
+        share = f"{100.0 * (use.saturated.value or 0.0):.0f} % of the time in the air"
+        yield Remark(level, f"a motor is at full command for {share}{_shortness(use.saturated)}")
+    # The largest alone: where a motor does not give what it should, the others answer.
+    worst = max(range(len(use.motors)), key=lambda motor: abs(use.motors[motor].value or 0.0), default=None)
+    if worst is not None and (level := _level(use.motors[worst], IMBALANCE.value)):
+        share = f"{100.0 * (use.motors[worst].value or 0.0):+.0f} % of command over the mean of all"
+        yield Remark(level, f"{log.motor(worst + 1)} gets {share}{_shortness(use.motors[worst])}")
     if isinstance(read, Tachometers):
         for rotor in read.odd:
             ratio = read.ratio[rotor - 1]
             is_silent = ratio < SILENT_SHARE
             said = "is silent" if is_silent else f"reads {ratio:.2f} times what its command gives the others"
             yield Remark(ALARM, f"the tachometer of rotor {rotor} {said}, while the vehicle flies")
-    drift, least = use.drift, BATTERY_DRIFT.value
-    if drift is not None and drift.value is not None and drift.low is not None and drift.high is not None:
-        is_sure = drift.high < -least or drift.low > least
-        if is_sure:
-            said = f"thrust over command changes by {100.0 * drift.value:+.0f} % along the flight"
-            yield Remark(WARNING, said)
+    if use.drift is not None and _level(use.drift, (BATTERY_DRIFT.value, np.inf)):
+        share = f"{100.0 * (use.drift.value or 0.0):+.0f} %"
+        yield Remark(
+            WARNING, f"thrust over command changes by {share} along the flight{_shortness(use.drift)}"
+        )

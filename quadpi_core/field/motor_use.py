@@ -42,13 +42,6 @@ SATURATED = Threshold(
     "attitude control is lost for as long; hard manoeuvres saturate for a hundredth of a flight",
     CONVENTION,
 )
-VIBRATION = Threshold(
-    "standard deviation of specific force above 5 Hz that is a warning, and an alarm",
-    (30.0, 60.0),
-    "m/s²",
-    "below 30 is normally fine, above 60 nearly always has problems: ardupilot.org, Measuring Vibration",
-    CONVENTION,
-)
 IMBALANCE = Threshold(
     "mean command of a motor over that of all that is a warning, and an alarm",
     (0.15, 0.3),
@@ -83,7 +76,7 @@ class MotorUse:
 
     hover: Estimate | None = None
     thrust_gain: Estimate | None = None
-    saturated: float | None = None
+    saturated: Estimate | None = None
     motors: tuple[Estimate, ...] = ()
     volts: tuple[float, float, float] | None = None
     drift: Estimate | None = None
@@ -91,7 +84,11 @@ class MotorUse:
 
 @dataclass(frozen=True)
 class Vibration:
-    """Standard deviations above 5 Hz in the air: of specific force [m/s²] and rates [rad/s], by body axis."""
+    """Standard deviations above 5 Hz in the air: of specific force [m/s²] and rates [rad/s], by body axis.
+
+    They lack what is faster than half of `rate_hz` or filtered before it is logged, so that limits of
+    vibration, which are of raw samples at 1 kHz and more, do not hold for them.
+    """
 
     force: tuple[float, float, float]
     rates: tuple[float, float, float]
@@ -99,7 +96,7 @@ class Vibration:
 
 
 def vibration_of(log: FieldLog, flight: Flown) -> Vibration | str:
-    """Vibration, or why it cannot be told. Source: ArduPilot's VIBE message, high-pass at 5 Hz."""
+    """Vibration, or why it cannot be told."""
     if log.imu is None:
         return "the log has no gyro and accelerometer"
     rate = log.imu.rate_hz
@@ -131,7 +128,7 @@ def motor_use(log: FieldLog, flight: Flown) -> MotorUse:
     return MotorUse(
         hover=hover,
         thrust_gain=gain,
-        saturated=float(np.mean(commands.max(axis=1) >= FULL_COMMAND.value)),
+        saturated=mean_of_pieces((commands.max(axis=1) >= FULL_COMMAND.value) * 1.0, piece, ""),
         motors=tuple(mean_of_pieces(own / mean.mean() - mean / mean.mean(), piece, "") for own in commands.T),
         volts=volts,
         drift=drift,

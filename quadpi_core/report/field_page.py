@@ -29,7 +29,7 @@ _ESTIMATES = (
 )
 # Series by name, and what each allows.
 _USES = {
-    "imu": "thrust over mass, vibration",
+    "imu": "thrust over mass; drag; vibration",
     "attitude": "tilt; drag, with velocity",
     "velocity": "speeds; drag and wind",
     "position": "height",
@@ -67,7 +67,7 @@ def flight_table(report: FieldReport) -> Table:
             flight.flown.speed_m_s[1] if flight.flown.speed_m_s else None,
             flight.flown.tilt_deg[1] if flight.flown.tilt_deg else None,
             flight.use.hover.value if flight.use.hover else None,
-            flight.use.saturated,
+            flight.use.saturated.value if flight.use.saturated else None,
             "{:.2f} → {:.2f}".format(*flight.use.volts) if flight.use.volts else None,
         ]
         for flight in report.flights
@@ -136,7 +136,8 @@ def motor_table(flight: FlightReport) -> Table:
         rows.append(_row("thrust over command, from begin to end", use.drift, 100.0, "%"))
     if isinstance(vibration, Vibration):
         for axis, spread in zip("xyz", vibration.force, strict=True):
-            rows.append([f"vibration along {axis}", spread, "", "m/s²", ""])
+            band = f"5 to {vibration.rate_hz / 2.0:.0f} Hz; not judged"
+            rows.append([f"vibration along {axis}", spread, "", "m/s²", Cell(band, Mark.SOFT)])
     else:
         rows.append(["vibration", None, "", "m/s²", f"not told: {vibration}"])
     if isinstance(read, Tachometers):
@@ -177,8 +178,8 @@ def remark_table(report: FieldReport) -> Table:
     ]
     columns = [Column("flight", is_text=True), Column("", is_text=True, wraps=True)]
     # Not "nothing is wrong": a propeller that lacks 25 mm shows in none of them.
-    nothing: Row = ["", "none of motors, vibration and tachometers; slight damage does not show in them"]
-    return Table(columns, rows or [nothing], title="findings")
+    nothing: Row = ["", "none; slight damage does not show in what was looked at"]
+    return Table(columns, rows or [nothing], title="findings", note=_sentence(report.looked_at()))
 
 
 def topic_table(flight: FlightReport) -> Table:
@@ -248,6 +249,7 @@ def _facts(report: FieldReport) -> Iterator[tuple[str, str]]:
         if log.rotors:
             yield "motors", str(log.rotors)
         yield from log.facts.items()
+    yield "checks", report.looked_at()
     yield "mass", f"{report.mass:g} kg" if report.mass else "not given (--mass): forces are per mass"
 
 
@@ -276,7 +278,8 @@ def write_field_page(path: Path, report: FieldReport) -> None:
             "gusts make neighbouring samples one. A number whose interval holds 0 is not shown.",
             "MCOEF, BCOEF": "PX4's and ArduPilot's drag: −(MCOEF + ½ ρ |v| / BCOEF) v, at standard density. "
             "They hold for the speeds flown.",
-            "Vibration": "Standard deviation above 5 Hz; from 30 m/s² on it disturbs (ardupilot.org).",
+            "Vibration": "Standard deviation of what was logged, above 5 Hz. Not judged: limits such as "
+            "ArduPilot's hold for raw samples of 1 kHz and more.",
         },
         figures={},
         flight_figures={name: {"time": time_figure(flight)} for name, flight in flights.items()},

@@ -83,6 +83,43 @@ def test_alarms(report_of, changes, said):
     assert any(said in remark.sentence for remark in report.flights[0].remarks), report.flights[0].remarks
 
 
+def test_alarms_need_an_interval_that_lies_beyond_the_limit(report_of):
+    """A motor that gets twice its command for a fifth of the time: 22 % too much, with 0 in the interval."""
+    log = example()
+    late = np.where(log.commands.time[:, np.newaxis] > 45.0, [1.0, 2.5, 1.0, 1.0], 1.0)
+    report = report_of(replace(log, commands=replace(log.commands, values=late * log.commands.values)))
+    assert report.flights[0].use.motors[1].value > 0.15
+    assert report.flights[0].remarks == ()
+    short = {name: own.during(10.0, 16.0) for name, own in log.series().items()}
+    short |= {"commands": scaled(short["commands"], 1.0, 2.2), "rotor_speeds": None}
+    remark = report_of(replace(log, **short)).flights[0].remarks[0]
+    assert remark.level == "warning"
+    assert remark.sentence.endswith("over the mean of all (too short for an interval)")
+
+
+def test_of_motors_that_answer_each_other_one_is_named(report_of):
+    log = example()
+    uneven = replace(log, commands=scaled(log.commands, 1.6, 0.5, 1.0, 1.0), rotor_speeds=None)
+    report = report_of(uneven)
+    assert [remark.sentence[:7] for remark in report.flights[0].remarks] == ["motor 1"]
+
+
+def test_what_was_not_looked_at_is_said(report_of):
+    assert report_of(example()).looked_at() == (
+        "looked at: motor commands, thrust over command along the flight, tachometers"
+    )
+    slow = Series(np.arange(0.0, 60.0, 0.25), np.full((240, 4), 800.0))
+    report = report_of(example(), example(seed=2, rotor_speeds=slow, imu=None))
+    assert report.looked_at() == (
+        "looked at: motor commands, thrust over command along the flight of 1 of 2 flights, tachometers of 1 "
+        "of 2 flights; not looked at: thrust over command along the flight (the log has not both IMU and "
+        "commands), tachometers (commands and rotor speeds are logged at 4 Hz, slower than motors are)"
+    )
+    blind = report_of(example(commands=None, rotor_speeds=None))
+    assert blind.looked_at().startswith("not looked at: motor commands (not in the log)")
+    assert "no alarm, as nothing could be looked at" in blind.verdict()
+
+
 def scaled(series: Series, *factors: float) -> Series:
     """A series whose first columns are multiplied."""
     every = np.ones(series.values.shape[1])

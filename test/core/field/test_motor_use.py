@@ -98,8 +98,10 @@ def test_a_motor_that_works_harder_stands_out():
 def test_saturation_is_a_share_of_the_time_in_the_air():
     log = example()
     high = (log.commands.time[:, np.newaxis] % 10.0 < 2.0) * np.array([0.0, 1.0, 0.0, 0.0])
-    assert use_of(with_commands(log, high)).saturated == pytest.approx(0.2, abs=0.02)
-    assert use_of(log).saturated == 0.0
+    saturated = use_of(with_commands(log, high)).saturated
+    assert saturated.value == pytest.approx(0.2, abs=0.02)
+    assert saturated.low < 0.2 < saturated.high
+    assert use_of(log).saturated.value == 0.0
 
 
 def test_a_sagging_pack_shows_as_drift_of_thrust_over_command():

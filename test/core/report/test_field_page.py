@@ -52,6 +52,8 @@ def test_the_page_is_whole_and_self_contained(report_of, tmp_path):
         "hover (below 0.5 m/s)",
         "BCOEF",
         "vibration along x",
+        "5 to 100 Hz; not judged",
+        "looked at: motor commands",
     ):
         assert part in page
 
