@@ -37,7 +37,7 @@ from quadpi_core.frames import Array
 from quadpi_core.messages.payloads import Indices
 from quadpi_core.rotations import rotation_matrix
 from quadpi_core.sample_limits import STANDARD_GRAVITY
-from quadpi_core.thresholds import Threshold
+from quadpi_core.thresholds import CONVENTION, Threshold
 
 # Samples are means of the specific force over a fifth of a second: no state comes less often, and vibration
 # and the lever arm of the IMU average out.
@@ -64,6 +64,13 @@ USABLE_FEWEST = Threshold(
     "samples",
     "of a fifth of a second: ten seconds, a pass there and back; logs of 12 and 38 gave drag of either sign",
     "the default logs named in the brief of this report",
+)
+WIDEST_RATIO = Threshold(
+    "upper over lower end of the interval of a BCOEF from which it is not told",
+    5.0,
+    "",
+    "the middle of a wider one is off by a factor of two as often as not",
+    CONVENTION,
 )
 # What is known before: bias of an accelerometer with the tilt of its mounting [m/s²], wind [m/s], its change
 # in the square root of a second [m/s], lean of the mounting [rad].
@@ -219,10 +226,12 @@ class _Fit:
 
     Attributes:
         theta: (P,) drag parameters first.
-        pieces: (B,) numbers of the pieces with samples.
+        prior: (P, P) information of what is known before; the square terms `without` are known to be 0.
     """
 
-    def __init__(self, flights: Sequence[DragSamples], *, quadratic: bool) -> None:
+    def __init__(
+        self, flights: Sequence[DragSamples], *, quadratic: bool, without: Sequence[int] = ()
+    ) -> None:
         stride = -(-sum(len(one.time) for one in flights) // _SAMPLES_MOST)
         self.flights, self.step_s = [one.every(stride) for one in flights], stride * _STEP_S
         self.drags = 3 if quadratic else 2
@@ -240,6 +249,8 @@ class _Fit:
         # No drag leaves the wind without an effect: begin at that of a usual vehicle.
         self.theta[: self.drags] = [0.15, 0.005, 0.005] if quadratic else [0.3, 0.3]
         self.prior, self.scale = self._prior(), np.array([0.3, 0.3])
+        for axis in without:
+            self.theta[1 + axis], self.prior[1 + axis, 1 + axis] = 0.0, 1e12
         self._solve()
 
     def _prior(self) -> Array:
@@ -478,20 +489,34 @@ def _coefficients(
     flights: Sequence[DragSamples], *, by_flight: bool
 ) -> tuple[Estimate, tuple[Estimate, Estimate]]:
     """EKF2_MCOEF, and EKF2_BCOEF_X and _Y with the ends of their inverses."""
-    fit = _Fit(flights, quadratic=True)
-    values, ends_of, _ = fit.intervals(by_flight=by_flight)
-    ballistic = []
-    for axis in range(2):
-        value, ends = values[1 + axis], ends_of[1 + axis]
-        if ends[0] <= 0.0:
-            said = "drag that grows with the square of speed is within its error: fly faster"
-            ballistic.append(not_identified("kg/m²", said))
-        else:
-            ballistic.append(
-                Estimate(float(1.0 / value), float(1.0 / ends[1]), float(1.0 / ends[0]), "kg/m²")
-            )
-    momentum = _drag_estimate(values[0], ends_of[0], "1/s")
+    without: list[int] = []
+    while True:
+        fit = _Fit(flights, quadratic=True, without=without)
+        values, ends_of, pieces = fit.intervals(by_flight=by_flight)
+        squares = [
+            _square_estimate(values[1 + axis], ends_of[1 + axis], pieces[1 + axis]) for axis in range(2)
+        ]
+        # A square of no known size would take its part of the drag from the other terms.
+        unknown = [axis for axis in range(2) if axis not in without and squares[axis].value is None]
+        if not unknown:
+            break
+        without += unknown
+    said = "drag that grows with the square of speed is within its error: fly faster; MCOEF is without it"
+    ballistic = [
+        not_identified("kg/m²", said) if axis in without else one for axis, one in enumerate(squares)
+    ]
+    momentum = _drag_estimate(values[0], ends_of[0], "1/s", pieces[0])
     return momentum, (ballistic[0], ballistic[1])
+
+
+def _square_estimate(value: float, ends: Array, pieces: float) -> Estimate:
+    """BCOEF of a square term with its interval."""
+    square = _drag_estimate(value, ends, "m²/kg", pieces)
+    if square.value is None or square.low is None or square.high is None:
+        return square
+    if square.high > WIDEST_RATIO.value * square.low:
+        return not_identified("kg/m²", "its interval is too wide")
+    return Estimate(1.0 / square.value, 1.0 / square.high, 1.0 / square.low, "kg/m²")
 
 
 def _advice(per_mass: Sequence[Estimate], body: Array, usable: int) -> str:

@@ -67,6 +67,29 @@ def test_momentum_and_bluff_body_drag_are_told_apart_by_speed(density):
     assert result.ballistic[0].low < 30.0 * ratio < result.ballistic[0].high
 
 
+def test_coefficients_without_a_square_are_of_momentum_alone():
+    """A square of no known size would take part of linear drag from it."""
+    log = example()
+    values = log.imu.values.copy()
+    values[:, 4] *= DRAG[0] / DRAG[1]
+    result = identified(replace(log, imu=replace(log.imu, values=values)))
+    assert all(one.value is None and "MCOEF is without it" in one.reason for one in result.ballistic)
+    assert result.momentum.low < DRAG[0] < result.momentum.high
+    assert result.momentum.half_width < 0.01 * DRAG[0]
+
+
+def test_one_fast_pass_gives_no_coefficients():
+    log = example()
+    fast = np.where(np.abs(log.velocity.time[:, np.newaxis] - 12.0) < 1.5, 30.0, 1.0)
+    velocity = fast * log.velocity.values
+    force = -0.02 * np.linalg.norm(velocity, axis=1, keepdims=True) * velocity[:, :2]
+    values = log.imu.values.copy()
+    values[:, 3:5] += np.nan_to_num(Series(log.velocity.time, force).at(log.imu.time))
+    changed = replace(log, imu=replace(log.imu, values=values), velocity=Series(log.velocity.time, velocity))
+    result = identified(changed)
+    assert all(one.value is None for one in result.ballistic)
+
+
 def test_a_slow_flight_is_told_to_fly_faster():
     result = identified(slower(example(), 0.1))
     assert all("too slow, " in one.reason and one.value is None for one in result.per_mass)
