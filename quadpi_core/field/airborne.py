@@ -22,7 +22,7 @@ from quadpi_core.thresholds import Threshold
 
 _GRID_HZ = 10.0
 _LOADED_SHARE = Threshold(
-    "mean command, or thrust by rotor speeds, in the air, over its 90 % quantile",
+    "mean command, or thrust by rotor speeds, in the air, over its 90 % quantile while the vehicle moves",
     0.5,
     "",
     "motors idle at 5 to 15 % of command and hover at 25 to 65 %; thrust seldom halves for a second",
@@ -190,22 +190,23 @@ def _stretches(log: FieldLog) -> tuple[list[Stretch], str]:
 
 def _signals(log: FieldLog) -> list[tuple[str, Series]]:
     """What can tell, the best first: each 1 in the air and 0 on the ground."""
-    told = []
+    told, velocity = [], velocity_of(log)
     detector = log.landed if log.landed is not None and log.landed.values.min() < 0.5 else None
     for name, series, power in (("commands", log.commands, 1), ("rotor speeds", log.rotor_speeds, 2)):
         if series is not None:
             load = np.mean(series.values**power, axis=1, keepdims=True)
-            most = float(np.quantile(load, 0.9))
+            most = float(np.quantile(_in_motion(series.time, load, velocity), 0.9))
             if most > 0.0:
                 loaded = (load > _LOADED_SHARE.value * most) * 1.0
                 if detector is not None:
                     # A crashed vehicle may lie there for minutes before it is held to have landed.
-                    below = detector.at(series.time)
-                    told.append(("the land detector", Series(series.time, loaded * ~(below > 0.5))))
+                    below = detector.held(series.time)
+                    told.append(("the land detector", Series(series.time, loaded * (below < 0.5))))
                 told.append((name, Series(series.time, loaded)))
     if detector is not None:
-        told.append(("the land detector", Series(detector.time, 1.0 - detector.values)))
-    velocity = velocity_of(log)
+        end = max(own.time[-1] for own in log.series().values())
+        time = np.arange(detector.time[0], end, 1.0 / _GRID_HZ)
+        told.append(("the land detector", Series(time, 1.0 - detector.held(time))))
     if velocity is not None:
         moving = np.linalg.norm(velocity.values, axis=1, keepdims=True) > _MOVED.value[1]
         told.append(("velocity", Series(velocity.time, moving * 1.0)))
@@ -213,6 +214,14 @@ def _signals(log: FieldLog) -> list[tuple[str, Series]]:
         turning = np.linalg.norm(log.imu.values[:, :3], axis=1, keepdims=True)
         told.append(("gyro", Series(log.imu.time, (turning > _MOVED.value[2]) * 1.0)))
     return told
+
+
+def _in_motion(time: Array, load: Array, velocity: Series | None) -> Array:
+    """The loads (M, 1) while the vehicle moves, where that is told: idling may last longer than the flight."""
+    if velocity is None:
+        return load
+    moves = np.linalg.norm(velocity.at(time), axis=1) > HOVER_SPEED
+    return load[moves] if moves.mean() * np.ptp(time) > _SHORTEST_S else load
 
 
 def _runs(series: Series) -> list[Stretch]:

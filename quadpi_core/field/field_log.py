@@ -68,6 +68,11 @@ class Series:
         found[pause | outside] = np.nan
         return found
 
+    def held(self, time: Array) -> Array:
+        """Values (M, C) of the last sample before each time; of the first one before that."""
+        last: Array = self.values[np.maximum(np.searchsorted(self.time, time, side="right") - 1, 0)]
+        return last
+
     def means(self, edges: Array) -> Array:
         """Mean values (M, C) between edges (M + 1,); NaN where no sample is."""
         places = np.searchsorted(self.time, edges)
@@ -106,6 +111,16 @@ def series_of(time_ns: Stamps, values: Array, start_ns: int) -> Series | None:
     rises = np.concatenate([[True], time[1:] > np.maximum.accumulate(time)[:-1]])
     time, values = time[rises], values[rises]
     return Series(time, values) if len(time) > 1 else None
+
+
+def held_series(time_ns: Stamps, values: Array, start_ns: int) -> Series | None:
+    """A series (N, 1) of what is written when it changes: each value holds until the next, however late that is.
+
+    What was said before the log began holds at its beginning.
+    """
+    time = np.maximum.accumulate(np.maximum((time_ns - start_ns) * 1e-9, 0.0))
+    last = np.append(np.diff(time) > 0.0, True)[: len(time)]
+    return Series(time[last], values[last, np.newaxis].astype(np.float64)) if len(time) else None
 
 
 def density_of(pressure: Array, celsius: Array) -> Array:
@@ -153,7 +168,7 @@ class FieldLog:
         commands: (N, R), by the stack's motor numbers.
         rotor_speeds: (N, R) rad/s, by the stack's motor numbers.
         battery: (N, 1) V.
-        landed: (N, 1) 1 where the stack held the vehicle to be on the ground.
+        landed: (N, 1) 1 where the stack held the vehicle to be on the ground, from each sample to the next.
         density: (N, 1) kg/m³.
         corners: (R, 2) signs of the motors' places, forward and right; None where not known.
         drag_prefix: of the stack's parameters of drag, MCOEF, BCOEF_X and BCOEF_Y.

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from quadpi_core.field.field_log import FieldLog, Series, Setting, Stack, density_of, series_of
+from quadpi_core.field.field_log import FieldLog, Series, Setting, Stack, density_of, held_series, series_of
 from quadpi_core.logs.dataflash import Messages, decode_dataflash
 from quadpi_core.logs.formats.ardupilot import (
     FORMAT,
@@ -173,21 +173,13 @@ def _landed(messages: Mapping[str, Messages], start_ns: int) -> Series | None:
     if logged is None or imu is None or not (logged.holds("Id") and imu.holds()):
         return None
     said = {_LAND_COMPLETE: 1.0, _NOT_LANDED: 0.0}
-    words = [
-        ((stamp - start_ns) * 1e-9, said[int(number)])
-        for stamp, number in zip(logged.time_ns().tolist(), logged.column("Id").tolist(), strict=True)
-        if int(number) in said
-    ]
-    if not words:
+    numbers = logged.column("Id").astype(int)
+    words = np.isin(numbers, list(said))
+    if not words.any():
         return None
-    ends = (imu.time_ns()[[0, -1]] - start_ns) * 1e-9
-    time, state = [float(ends[0])], [1.0 - words[0][1]]
-    for stamp, value in words:
-        time += [stamp - 1e-3, stamp]
-        state += [state[-1], value]
-    time.append(max(float(ends[1]), time[-1] + 1e-3))
-    state.append(state[-1])
-    return series_of(np.round(np.array(time) * 1e9).astype(np.int64), np.array(state), 0)
+    values = np.array([said[number] for number in numbers[words]])
+    time_ns = np.concatenate([imu.time_ns()[:1], logged.time_ns()[words]])
+    return held_series(time_ns, np.concatenate([1.0 - values[:1], values]), start_ns)
 
 
 def _facts(parameters: Mapping[str, float]) -> dict[str, str]:

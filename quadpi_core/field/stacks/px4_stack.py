@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from quadpi_core.field.field_log import FieldLog, Series, Setting, Stack, density_of, series_of
+from quadpi_core.field.field_log import FieldLog, Series, Setting, Stack, density_of, held_series, series_of
 from quadpi_core.frames import Array
 from quadpi_core.logs.formats.px4 import FORMAT, airframe_of, live_topics, load_ulog
 from quadpi_core.logs.reader_steps import normalised_attitude
@@ -86,7 +86,7 @@ def read_px4_field(path: Path, _number: int | None = None) -> FieldLog:
         commands=commands,
         rotor_speeds=speeds,
         battery=read("battery_status", "voltage_v"),
-        landed=read("vehicle_land_detected", "landed"),
+        landed=_landed(topics, start_ns),
         density=air,
         corners=_corners(parameters, rotors),
         facts=_facts(parameters, log.information) | poles,
@@ -122,6 +122,13 @@ def _local(topics: Topics, start_ns: int, names: tuple[str, ...], valid: tuple[s
     good = np.all([columns[name].astype(bool) for name in valid], axis=0)
     values = np.where(good[:, np.newaxis], _stack(columns, names), np.nan)
     return series_of(_stamps(columns, "timestamp_sample"), values, start_ns)
+
+
+def _landed(topics: Topics, start_ns: int) -> Series | None:
+    columns = topics.get("vehicle_land_detected", {})
+    if not {"timestamp", "landed"} <= set(columns):
+        return None
+    return held_series(_stamps(columns), columns["landed"], start_ns)
 
 
 def _rotor_count(parameters: Mapping[str, float]) -> int | None:

@@ -43,7 +43,37 @@ def test_the_land_detector_counts_where_there_is_one():
     time = np.arange(0.0, 60.0, 1.0)
     landed = Series(time, ((time < 10.0) | (time > 40.0))[:, np.newaxis] * 1.0)
     (stretch,) = flown(example(landed=landed)).stretches
-    assert (stretch.begin, stretch.end) == pytest.approx((9.5, 40.5), abs=0.6)
+    assert (stretch.begin, stretch.end) == pytest.approx((10.0, 41.0), abs=0.2)
+
+
+@pytest.mark.parametrize("alone", [False, True])
+def test_a_detector_that_speaks_when_it_changes_holds_for_a_minute(alone):
+    """With motors at hover throttle while it stands, as on a tether, the detector alone knows."""
+    time, words = np.array([0.0, 5.0, 20.0, 80.0, 95.0]), np.array([[1.0], [0.0], [1.0], [0.0], [1.0]])
+    clock = np.arange(0.0, 100.0, 0.01)
+    commands = Series(clock, np.full((len(clock), 4), 0.4))
+    voltage = Series(clock[::100], np.full((100, 1), 15.0))
+    log = only(landed=Series(time, words), **({"battery": voltage} if alone else {"commands": commands}))
+    found = flown(log)
+    assert [(one.begin, one.end) for one in found.stretches] == [
+        pytest.approx((5.0, 20.0), abs=0.2),
+        pytest.approx((80.0, 95.0), abs=0.2),
+    ]
+    assert found.told_by == "the land detector"
+
+
+def test_idling_for_a_quarter_of_an_hour_is_no_flight():
+    """Fifteen minutes at a tenth of command, then a minute of flight: most commands are those of idling."""
+    log = example()
+    late = {name: Series(own.time + 900.0, own.values) for name, own in log.series().items()}
+    before = np.arange(0.0, 900.0, 0.02)
+    ground = {"commands": np.full((len(before), 4), 0.1), "velocity": np.zeros((len(before), 3))}
+    joined = {
+        name: Series(np.append(before, late[name].time), np.vstack([values, late[name].values]))
+        for name, values in ground.items()
+    }
+    (stretch,) = flown(replace(log, **(late | joined | {"rotor_speeds": None}))).stretches
+    assert (stretch.begin, stretch.end) == pytest.approx((905.0, 955.0), abs=0.5)
 
 
 def test_a_crashed_vehicle_that_is_not_held_to_have_landed_does_not_fly():

@@ -69,7 +69,7 @@ def test_outputs_are_ordered_by_their_functions(read):
 
 def test_the_land_detector_holds_until_it_says_otherwise(read):
     log = read([("EV", 5_000_000, 28), ("EV", 15_000_000, 18)], FRAME_CLASS=1)
-    assert log.landed.at(np.array([1.0, 10.0, 18.0]))[:, 0].tolist() == [1.0, 0.0, 1.0]
+    assert log.landed.held(np.array([1.0, 10.0, 18.0]))[:, 0].tolist() == [1.0, 0.0, 1.0]
 
 
 def test_settings_name_their_present_value(read):
