@@ -38,7 +38,7 @@ _OUTPUTS = 14
 _PWM_US = (1000.0, 2000.0)
 # EV: a land detector's words, which autopilots since 2013 log.
 _LAND_COMPLETE, _NOT_LANDED = 18, 28
-_FAST_ATTITUDE, _FAST_IMU, _RAW_IMU = 1, 1 << 18, 1 << 19
+_FAST_ATTITUDE, _RC_OUTPUT, _FAST_IMU, _RAW_IMU = 1, 1 << 10, 1 << 18, 1 << 19
 
 
 def read_ardupilot_field(path: Path, _number: int | None = None) -> FieldLog:
@@ -73,8 +73,10 @@ def read_ardupilot_field(path: Path, _number: int | None = None) -> FieldLog:
         # Until 2016 FRAME said the type alone, and each number of rotors had a firmware of its own.
         frame_type = int(parameters.get("FRAME", -1))
     commands, outputs = _commands(messages, parameters, rotors, start_ns)
+    assumed: tuple[str, ...] = ()
     if rotors is None and commands is not None:
         rotors = commands.values.shape[1]
+        assumed = (f"taken to have {rotors} motors: the log has no FRAME_CLASS of a multirotor",)
     moved, attitude = motion_of(messages), attitude_of(source, messages)
     speeds = _speeds(messages, outputs, start_ns)
     baro = read("BARO", "Press", "Temp")
@@ -105,7 +107,7 @@ def read_ardupilot_field(path: Path, _number: int | None = None) -> FieldLog:
         facts=_facts(parameters),
         parameters=parameters,
         settings=tuple(_settings(parameters, speeds, messages)),
-        notes=tuple(quality.sentences()),
+        notes=(*assumed, *quality.sentences()),
     )
 
 
@@ -198,38 +200,27 @@ def _settings(
         return f"{parameters[name]:g}" if name in parameters else "not in the log"
 
     bits = int(parameters.get("LOG_BITMASK", 0))
+    lacking = {}
     if not bits & _FAST_ATTITUDE:
-        yield Setting(
-            "LOG_BITMASK",
-            present("LOG_BITMASK"),
-            f"set it to {bits | _FAST_ATTITUDE}",
-            "the state at the rate of the loop",
-        )
+        lacking[_FAST_ATTITUDE] = "the state at the rate of the loop"
     if not bits & (_FAST_IMU | _RAW_IMU):
+        lacking[_FAST_IMU] = "gyro and accelerometer (Fast IMU) at the rate of the loop instead of 25 Hz"
+    if "RCOU" not in messages and not bits & _RC_OUTPUT:
+        lacking[_RC_OUTPUT] = "commands (RC output)"
+    if lacking:
         yield Setting(
             "LOG_BITMASK",
             present("LOG_BITMASK"),
-            f"set it to {bits | _FAST_IMU} (Fast IMU)",
-            "gyro and accelerometer at the rate of the loop instead of 25 Hz",
-        )
-    if not int(parameters.get("INS_LOG_BAT_OPT", 0)) & 4 and "INS_LOG_BAT_OPT" in parameters:
-        yield Setting(
-            "INS_LOG_BAT_OPT",
-            present("INS_LOG_BAT_OPT"),
-            "set it to 4, and INS_LOG_BAT_MASK to 1",
-            "vibration before and after the filters",
+            f"set it to {bits | sum(lacking)}",
+            "; ".join(lacking.values()),
         )
     if speeds is None:
         yield Setting(
             "SERVO_BLH_AUTO",
             present("SERVO_BLH_AUTO"),
-            "set it to 1, with the telemetry wire on a port of SERIALn_PROTOCOL 16, or SERVO_BLH_BDMASK to "
-            "the outputs of bidirectional DShot",
+            f"{'check' if parameters.get('SERVO_BLH_AUTO') == 1.0 else 'set it to 1, with'} the telemetry wire on "
+            "a port of SERIALn_PROTOCOL 16, or set SERVO_BLH_BDMASK to the outputs of bidirectional DShot",
             "measured rotor speeds",
-        )
-    if "RCOU" not in messages:
-        yield Setting(
-            "LOG_BITMASK", present("LOG_BITMASK"), f"set it to {bits | 1 << 10} (RC output)", "commands"
         )
 
 

@@ -152,7 +152,14 @@ def _facts(texts: Mapping[str, str]) -> dict[str, str]:
 def _settings(log: BlackboxLog, has_speeds: bool, motors: int, has_battery: bool) -> Iterator[Setting]:
     disabled = f"fields_disabled_mask {log.headers.get('fields_disabled_mask', 0)}"
     if not has_speeds:
-        if log.headers.get("dshot_bidir") == 1:
+        if any(np.any(log.columns[name]) for name in _ERPM if name in log.columns):
+            yield Setting(
+                "motor_poles",
+                "not in the log, which has electrical speeds",
+                "update the firmware: newer ones write it",
+                "measured rotor speeds",
+            )
+        elif log.headers.get("dshot_bidir") == 1:
             yield Setting(
                 "Blackbox field RPM",
                 f"not logged (dshot_bidir is 1, {disabled})",
@@ -189,9 +196,9 @@ def _settings(log: BlackboxLog, has_speeds: bool, motors: int, has_battery: bool
         )
     if "extPos[0]" not in log.columns:
         yield Setting(
-            "Blackbox field GPS",
-            "no attitude and velocity in the main frames",
-            "log attitude (`set blackbox_disable_attitude = OFF`); PX4 and ArduPilot log velocities",
+            "attitude and velocity",
+            "not in the log",
+            "nothing: Blackbox of this firmware has none that tell drag",
             "drag and wind",
         )
 

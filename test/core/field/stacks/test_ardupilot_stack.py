@@ -60,6 +60,13 @@ def test_a_hexacopter_by_its_frame_class(read):
     assert log.facts["hover thrust"] == "0.37 (MOT_THST_HOVER)"
 
 
+def test_motors_that_are_assumed_are_said(read):
+    log = read()
+    assert log.rotors == 4
+    assert log.notes[0].startswith("taken to have 4 motors")
+    assert not any("taken to have" in note for note in read(FRAME_CLASS=1).notes)
+
+
 def test_outputs_are_ordered_by_their_functions(read):
     functions = {"SERVO1_FUNCTION": 36, "SERVO2_FUNCTION": 35, "SERVO3_FUNCTION": 34, "SERVO4_FUNCTION": 33}
     log = read(FRAME_CLASS=1, FRAME_TYPE=1, MOT_PWM_MIN=1000, MOT_PWM_MAX=2000, **functions)
@@ -72,12 +79,13 @@ def test_the_land_detector_holds_until_it_says_otherwise(read):
     assert log.landed.held(np.array([1.0, 10.0, 18.0]))[:, 0].tolist() == [1.0, 0.0, 1.0]
 
 
-def test_settings_name_their_present_value(read):
-    said = [one.sentence() for one in read(LOG_BITMASK=176126, SERVO_BLH_AUTO=0, INS_LOG_BAT_OPT=0).settings]
-    assert any(sentence.startswith("LOG_BITMASK is 176126: set it to 176127") for sentence in said)
-    assert any(sentence.startswith("LOG_BITMASK is 176126: set it to 438270 (Fast IMU)") for sentence in said)
-    assert any(sentence.startswith("INS_LOG_BAT_OPT is 0: set it to 4") for sentence in said)
-    assert any(sentence.startswith("SERVO_BLH_AUTO is 0: set it to 1") for sentence in said)
+def test_settings_name_their_present_value_and_all_that_is_lacking_together(read):
+    settings = read(LOG_BITMASK=176126, SERVO_BLH_AUTO=0, INS_LOG_BAT_OPT=0).settings
+    assert [one.parameter for one in settings] == ["LOG_BITMASK", "SERVO_BLH_AUTO"]
+    assert settings[0].sentence().startswith("LOG_BITMASK is 176126: set it to 438271, for the state")
+    assert settings[1].sentence().startswith("SERVO_BLH_AUTO is 0: set it to 1, with the telemetry wire")
+    (check,) = read(LOG_BITMASK=438271, SERVO_BLH_AUTO=1).settings
+    assert check.sentence().startswith("SERVO_BLH_AUTO is 1: check the telemetry wire")
 
 
 def test_telemetry_of_zeros_is_none(read):

@@ -42,7 +42,8 @@ def test_commands_battery_and_speeds(read):
     assert log.battery.values[0, 0] == pytest.approx(16.8)
     assert log.rotor_speeds.values[0] == pytest.approx(np.array([3e3, 6e3, 9e3, 12e3]) * 2 * np.pi / 60 / 7)
     assert log.imu.values[0, 5] == pytest.approx(-9.80665)
-    assert [one.parameter for one in log.settings] == ["Blackbox field GPS"]
+    assert [one.parameter for one in log.settings] == ["attitude and velocity"]
+    assert log.settings[0].wanted.startswith("nothing: ")
 
 
 def test_what_is_not_logged_is_named_with_what_logs_it(read):
@@ -52,6 +53,12 @@ def test_what_is_not_logged_is_named_with_what_logs_it(read):
     assert any("fields_disabled_mask 512" in sentence and "BATTERY" in sentence for sentence in said)
     bidirectional = read(MOTORS, (200,) * 4, dshot_bidir=1).settings
     assert any("RPM is not logged (dshot_bidir is 1" in one.sentence() for one in bidirectional)
+
+
+def test_electrical_speeds_without_poles_are_no_lack_of_a_field(read):
+    log = read([*MOTORS, *ERPM], (*(200,) * 4, 30, 60, 90, 120), dshot_bidir=1, motor_poles=0)
+    assert log.rotor_speeds is None
+    assert "motor_poles is not in the log, which has electrical speeds" in log.settings[0].sentence()
 
 
 def test_a_firmware_that_logs_what_the_converter_reads_gives_no_volts(read):
