@@ -40,8 +40,13 @@ WARNING, ALARM = "warning", "alarm"
 FORMAT = 1
 # Flights of an airframe, the longest, whose drag is identified together: more take minutes and tell no more.
 DRAG_FLIGHTS_MOST = 60
-# A rotor that turns as slowly as this share of the others does not carry its quarter: its tachometer is dead.
-SILENT_SHARE = 0.1
+SILENT_SHARE = Threshold(
+    "speed of a rotor over that of the others at the same command below which it stands, or is not told",
+    0.1,
+    "",
+    "idling rotors turn at a fifth of the speed of hover, and tachometers that miscount at half",
+    "eckart51 to 54 of imrc_payload in ../shared/data read 0.502",
+)
 ONE_VEHICLE = Threshold(
     "leap of rotor speed by command, or of hover throttle, from flight to flight that is another vehicle's",
     1.15,
@@ -388,9 +393,11 @@ def _remarks(log: FieldLog, use: MotorUse, read: Tachometers | str) -> Iterator[
     if isinstance(read, Tachometers):
         for rotor in read.odd:
             ratio = read.ratio[rotor - 1]
-            is_silent = ratio < SILENT_SHARE
-            said = "is silent" if is_silent else f"reads {ratio:.2f} times what its command gives the others"
-            yield Remark(ALARM, f"the tachometer of rotor {rotor} {said}, while the vehicle flies")
+            reads = (
+                f"the tachometer of rotor {rotor} reads {ratio:.2f} times what its command gives the others"
+            )
+            is_silent = ratio < SILENT_SHARE.value
+            yield Remark(ALARM, f"rotor {rotor} stands, or its tachometer is silent" if is_silent else reads)
     if use.drift is not None and _level(use.drift, (BATTERY_DRIFT.value, np.inf)):
         share = f"{100.0 * (use.drift.value or 0.0):+.0f} %"
         yield Remark(

@@ -200,7 +200,7 @@ def _thrust(
 
 def _curve(columns: Array, target: Array) -> Array:
     """Coefficients (P,) by least squares."""
-    fitted: Array = np.linalg.lstsq(columns.T @ columns, columns.T @ target, rcond=None)[0]
+    fitted: Array = np.linalg.lstsq(columns.T @ columns, columns.T @ target, rcond=None)[0].astype(np.float64)
     return fitted
 
 

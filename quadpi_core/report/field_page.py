@@ -84,9 +84,11 @@ def _row(name: str, one: Estimate, factor: float = 1.0, unit: str = "") -> Row:
 def drag_table(vehicle: VehicleReport, mass: float | None) -> Table:
     """Drag and wind of a vehicle, with intervals; in newtons too where the mass is known."""
     title, drag = f"drag · {vehicle.name}", vehicle.drag
-    if isinstance(drag, str):
-        row = ["drag over mass", None, "", "1/s", Cell(f"not identified: {drag}", Mark.SOFT)]
-        return Table(_ESTIMATES, [row], title=title, note=_sentence(vehicle.doubt))
+    if isinstance(drag, str) or not drag.wind:
+        said = f"not identified: {drag}" if isinstance(drag, str) else drag.per_mass[0].reason
+        row = ["drag over mass, wind", None, "", "1/s", Cell(said, Mark.SOFT)]
+        advice = "" if isinstance(drag, str) else f"Next: {drag.advice}."
+        return Table(_ESTIMATES, [row], title=title, note=f"{_sentence(vehicle.doubt)} {advice}".strip())
     rows = [
         _row(f"drag over mass, {way}", own)
         for way, own in zip(("along the nose", "sideways"), drag.per_mass, strict=True)
@@ -108,8 +110,7 @@ def drag_table(vehicle: VehicleReport, mass: float | None) -> Table:
         if own.value is not None
     ]
     if not winds:
-        reason = drag.wind[0][0].reason if drag.wind else drag.per_mass[0].reason
-        winds = [["wind", None, "", "m/s", Cell(reason, Mark.SOFT)]]
+        winds = [["wind", None, "", "m/s", Cell(drag.wind[0][0].reason, Mark.SOFT)]]
     rows += winds
     said = "flights to come" if drag.by_flight else "these flights; others may differ"
     note = (
@@ -275,7 +276,7 @@ def write_field_page(path: Path, report: FieldReport) -> None:
             "Drag over mass": "Specific force along a body axis over the airspeed along it, best for the "
             "speeds flown. The wind, horizontal and slow, is estimated with it, as is the IMU's bias.",
             "95 %": "Confidence interval, from estimates without each piece of flight in turn (jackknife): "
-            "gusts make neighbouring samples one. A number whose interval holds 0 is not shown.",
+            "gusts make neighbouring samples one. Drag whose interval holds 0 is not told.",
             "MCOEF, BCOEF": "PX4's and ArduPilot's drag: −(MCOEF + ½ ρ |v| / BCOEF) v, at standard density. "
             "They hold for the speeds flown.",
             "Vibration": "Standard deviation of what was logged, above 5 Hz. Not judged: limits such as "

@@ -77,6 +77,14 @@ def test_drag_in_newtons_where_the_mass_is_given(report_of):
     assert rows["drag, along the nose"] == pytest.approx(0.6, rel=0.05)
 
 
+def test_flights_that_tell_no_drag_say_so_once(report_of):
+    still = replace(example().velocity, values=0.01 * example().velocity.values)
+    table = drag_table(report_of(example(velocity=still)).vehicles[0], 2.0)
+    assert len(table.cells) == 1
+    assert "too slow, " in text(table)
+    assert "5 m/s or more" in table.note
+
+
 def test_drag_parameters_have_the_names_of_the_stack(report_of):
     names = [
         row[0].value
