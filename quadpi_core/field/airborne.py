@@ -217,7 +217,7 @@ def _signals(log: FieldLog) -> list[tuple[str, Series]]:
 
 
 def _in_motion(time: Array, load: Array, velocity: Series | None) -> Array:
-    """The loads (M, 1) while the vehicle moves, where that is told: idling may last longer than the flight."""
+    """The loads (M, 1) while the vehicle moves, where that is told: idling may outlast the flight."""
     if velocity is None:
         return load
     moves = np.linalg.norm(velocity.at(time), axis=1) > HOVER_SPEED

@@ -213,7 +213,7 @@ def drag_samples(log: FieldLog, flight: Flown, piece_s: float) -> DragSamples | 
 
 
 class _Information(NamedTuple):
-    """What a piece of a flight tells of the parameters at `columns` (C,): information (C, C), gradient (C,)."""
+    """What a piece of a flight tells of the parameters at `columns` (C,): (C, C) and (C,)."""
 
     flight: int
     columns: Indices

@@ -114,7 +114,7 @@ def series_of(time_ns: Stamps, values: Array, start_ns: int) -> Series | None:
 
 
 def held_series(time_ns: Stamps, values: Array, start_ns: int) -> Series | None:
-    """A series (N, 1) of what is written when it changes: each value holds until the next, however late that is.
+    """A series (N, 1) of what is written when it changes: each value holds until the next, however late.
 
     What was said before the log began holds at its beginning.
     """

@@ -49,8 +49,8 @@ class MotorModel:
         error: root mean square on what was left out, over the mean speed, all rotors together.
         error_scaled: the same after one gain for each flight, as a battery that is not logged asks for.
         by_rotor: `error` of each rotor.
-        lag_s: of the first order.
-        dead_s: before it, transport and the filter of the tachometer together.
+        lag_s: of the first order, the best of a grid; None at its ends, where it is not told.
+        dead_s: before it, transport and the filter of the tachometer together; None at the end of its grid.
         with_battery: whether voltage is in it.
         flights: number; each fifth of them is judged by a fit on the others, of a single flight each half.
     """
@@ -58,8 +58,8 @@ class MotorModel:
     error: float
     error_scaled: float
     by_rotor: tuple[float, ...]
-    lag_s: float
-    dead_s: float
+    lag_s: float | None
+    dead_s: float | None
     with_battery: bool
     flights: int
 
@@ -122,8 +122,8 @@ def motor_model(flights: Sequence[tuple[FieldLog, Flown]]) -> MotorModel | str:
         error=float(np.sqrt(np.mean(by_rotor**2))),
         error_scaled=float(np.sqrt(np.mean(squares[1])) / mean),
         by_rotor=tuple(map(float, by_rotor)),
-        lag_s=lag,
-        dead_s=dead,
+        lag_s=lag if _LAGS_S[0] < lag < _LAGS_S[-1] else None,
+        dead_s=dead if dead < _DEAD_S[-1] else None,
         with_battery=volts,
         flights=len(known),
     )

@@ -155,10 +155,14 @@ def motor_sentence(vehicle: VehicleReport) -> str:
     known = "command and battery" if motors.with_battery else "command alone"
     halves = "flights" if motors.flights > 1 else "halves of the flight"
     return (
-        f"Rotor speed from {known}, {1000.0 * motors.dead_s:.0f} ms late and with a lag of "
-        f"{1000.0 * motors.lag_s:.0f} ms, errs by {100.0 * motors.error:.2g} % (RMS, {halves} left out), "
+        f"Rotor speed from {known}, late by {_about(motors.dead_s)} and with a lag of "
+        f"{_about(motors.lag_s)}, errs by {100.0 * motors.error:.2g} % (RMS, {halves} left out), "
         f"by {100.0 * motors.error_scaled:.2g} % after one gain for each."
     )
+
+
+def _about(seconds: float | None) -> str:
+    return "a time that is not told" if seconds is None else f"about {1000.0 * seconds:.0f} ms"
 
 
 def settings_table(report: FieldReport) -> Table:

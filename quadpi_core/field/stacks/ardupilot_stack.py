@@ -218,8 +218,8 @@ def _settings(
         yield Setting(
             "SERVO_BLH_AUTO",
             present("SERVO_BLH_AUTO"),
-            f"{'check' if parameters.get('SERVO_BLH_AUTO') == 1.0 else 'set it to 1, with'} the telemetry wire on "
-            "a port of SERIALn_PROTOCOL 16, or set SERVO_BLH_BDMASK to the outputs of bidirectional DShot",
+            f"{'check' if parameters.get('SERVO_BLH_AUTO') == 1.0 else 'set it to 1, with'} the telemetry "
+            "wire on a port of SERIALn_PROTOCOL 16, or set SERVO_BLH_BDMASK to the outputs of two-way DShot",
             "measured rotor speeds",
         )
 

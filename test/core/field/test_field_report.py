@@ -241,6 +241,20 @@ def test_every_real_log_is_reported_or_refused_in_a_sentence(shared_data: Path, 
     assert set(refused) == (expected if folder == "logs" else set())
 
 
+@pytest.mark.parametrize(
+    ("log", "motor", "share"),
+    [
+        ("crazypad/add_weight_W3_near_M3_E9_log00", 3, 0.19),
+        ("rrc_propeller/hover_25mm_1.BIN", 1, 0.10),
+        ("rrc_propeller/hover_good_1.BIN", 1, 0.0),
+    ],
+)
+def test_motors_of_real_flights(shared_data: Path, log: str, motor: int, share: float):
+    """A weight by a motor, or a propeller short by 25 mm, makes it work harder; sound ones scatter by 3 %."""
+    (flight,) = report_on([shared_data / log], OPTIONS).flights
+    assert flight.use.motors[motor - 1].value == pytest.approx(share, abs=0.03)
+
+
 def test_drag_of_a_default_px4_log(shared_data: Path):
     """A GPS flight to 19.7 m/s, wind estimated: too few fast passes to tell squares from momentum."""
     report = report_on([shared_data / "logs" / "px4_ekf_failure.ulg"], OPTIONS)

@@ -59,6 +59,14 @@ def test_a_half_reading_tachometer_is_named():
     assert sound.odd == ()
 
 
+def test_a_lag_at_the_end_of_the_grid_is_not_told():
+    """Speeds that follow at once, as of a simulator, and ones that follow a quarter of a minute late."""
+    log = example()
+    for speeds in (log.commands.values, np.roll(log.commands.values, 3000, axis=0)):
+        turning = Series(log.commands.time, 300.0 + 1500.0 * speeds)
+        assert model_of(replace(log, rotor_speeds=turning)).lag_s is None
+
+
 @pytest.mark.parametrize("seconds", np.arange(2.0, 2.06, 0.005))
 def test_a_flight_is_too_short_for_every_dead_time_or_for_none(seconds):
     log = example()

@@ -16,6 +16,7 @@ from quadpi_core.reading_options import ReadingOptions
 from quadpi_core.report.field_page import (
     drag_table,
     flight_table,
+    motor_sentence,
     report_summary,
     settings_table,
     time_figure,
@@ -83,6 +84,13 @@ def test_flights_that_tell_no_drag_say_so_once(report_of):
     assert len(table.cells) == 1
     assert "too slow, " in text(table)
     assert "5 m/s or more" in table.note
+
+
+def test_a_lag_that_is_not_told_has_no_number(report_of):
+    vehicle = report_of(example()).vehicles[0]
+    assert "late by about 12 ms and with a lag of about 50 ms" in motor_sentence(vehicle)
+    untold = replace(vehicle, motors=replace(vehicle.motors, lag_s=None))
+    assert "with a lag of a time that is not told" in motor_sentence(untold)
 
 
 def test_drag_parameters_have_the_names_of_the_stack(report_of):
