@@ -9,7 +9,7 @@ gyro and accelerometer; the page says which was taken.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -141,9 +141,19 @@ def _field_log(
         rotor_speeds=speeds,
         battery=battery,
         facts={"vehicle": recording.vehicle} if recording.vehicle else {},
-        settings=tuple(_settings(recording, commands, stack)),
+        settings=(*_poles(notes), *_settings(recording, commands, stack)),
         notes=(*notes, *recording.quality.sentences()),
     )
+
+
+def _poles(notes: tuple[str, ...]) -> Iterator[Setting]:
+    if any(_ELECTRICAL in one for one in notes):
+        yield Setting(
+            "pairs of poles",
+            "not in the log",
+            "give a vehicle file that has them (--vehicle)",
+            "rotor speeds",
+        )
 
 
 def _settings(recording: Recording, commands: Series | None, stack: str) -> list[Setting]:

@@ -85,6 +85,10 @@ def test_a_bag_of_electrical_speeds_and_no_vehicle_is_read(shared_data):
     log = read(shared_data / "reports" / "bag_standard_types_other_names" / "flight.mcap")
     assert log.rotor_speeds is not None
     assert any(note.startswith("rotor speeds are electrical") for note in log.notes)
+    assert log.settings[0].parameter == "pairs of poles"
+    assert "pairs of poles" not in [
+        one.parameter for one in read(bags_directory() / "interpolation.mcap").settings
+    ]
 
 
 def test_a_bag_names_its_vehicle():
