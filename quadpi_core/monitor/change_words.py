@@ -32,7 +32,9 @@ class _Words(NamedTuple):
 
 
 _WORDS = {
-    CHANGED_MASS: _Words("{} heavier", "{} lighter", "g", 1e3),
+    CHANGED_MASS: _Words(
+        "{} heavier, or less thrust of all rotors", "{} lighter, or more thrust of all rotors", "g", 1e3
+    ),
     CHANGED_FORCE_FORWARD: _Words("something pushes forward, {}", "something pushes backward, {}", "N", 1.0),
     CHANGED_FORCE_RIGHT: _Words(
         "something pushes to the right, {}", "something pushes to the left, {}", "N", 1.0
@@ -44,7 +46,7 @@ _WORDS = {
         "centre of gravity {} farther right", "centre of gravity {} farther left", "mm", 1e3
     ),
     CHANGED_ROTOR: _Words(
-        "rotor {rotor} has lost {} of its thrust",
+        "rotor {rotor} gives {} less thrust than its speed says",
         "rotor {rotor} gives {} more thrust than its speed says",
         "%",
         1e2,
@@ -53,7 +55,7 @@ _WORDS = {
 
 
 def change_words(alarms: AlarmRows, row: int) -> list[str]:
-    """Such as "rotor 3 has lost 3.1 ± 0.4 % of its thrust since 12:41:07"; none where nothing is named."""
+    """Such as "12.0 ± 3.0 g heavier, … since 12:41:07 UTC"; none where nothing is named."""
     words = _WORDS.get(int(alarms.changed[row]))
     if words is None:
         return []
@@ -62,7 +64,7 @@ def change_words(alarms: AlarmRows, row: int) -> list[str]:
     said = words.positive if size >= 0.0 else words.negative
     since = _time(int(alarms.change_since_ns[row]))
     if alarms.change_from_start[row]:
-        since = "take-off"
+        since = "this flight is judged"
     named = said.format(_size(abs(size), half, words.unit), rotor=alarms.changed_rotor[row])
     return [f"{named} since {since}"]
 

@@ -12,7 +12,7 @@ from quadpi_core.frames import Array
 from quadpi_core.identification.change_calibration import evidence
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.models.alarm_limits import AlarmLimits
-from quadpi_core.models.change_limits import ChangeLimits
+from quadpi_core.models.change_limits import FALSE_FLIGHTS, ChangeLimits
 from quadpi_core.models.envelope import Envelope
 from quadpi_core.monitor.alarm import Alarm
 from quadpi_core.monitor.alarm_log import reasons
@@ -112,6 +112,14 @@ def test_a_burst_shorter_than_the_cap_allows_is_no_evidence(vehicle: Vehicle) ->
     assert evidence(limits_of(vehicle), vehicle, blocks).max() < 20.0
 
 
+def test_what_is_larger_than_any_bet_has_no_name(vehicle: Vehicle) -> None:
+    blocks = sound_blocks(vehicle, 8.0, np.random.default_rng(7))
+    blocks["residual"][40:, 2] += 1.5 * weight(vehicle)
+    gathered, found = found_in(blocks, limits_of(vehicle), vehicle)
+    assert gathered.max() >= 20.0
+    assert (found["changed"][0], found["change_size"][0]) == (UNCHANGED, 0.0)
+
+
 def test_without_limits_or_of_other_rotors_nothing_is_known(vehicle: Vehicle) -> None:
     limits = limits_of(vehicle)
     for one, other in (
@@ -147,11 +155,13 @@ class LiftingAlarm(Alarm):
         )
 
 
-def alarm_of(vehicle: Vehicle, limits: AlarmLimits = LIMITS, change: bool = True) -> Alarm:
+def alarm_of(
+    vehicle: Vehicle, limits: AlarmLimits = LIMITS, change: bool = True, largest: float = 0.0
+) -> Alarm:
     count = len(INPUT_NAMES)
     inputs = np.stack((np.full(count, -1.0), np.full(count, 1.0)))
     envelope = Envelope.fit(inputs, np.zeros(2, int), np.full((2, 6), 0.01), np.ones((2, 6)))
-    sound = limits_of(vehicle) if change else None
+    sound = replace(limits_of(vehicle), largest=largest) if change else None
     return LiftingAlarm(envelope, limits, SETTINGS, vehicle=vehicle, change=sound)
 
 
@@ -168,13 +178,17 @@ def test_the_alarm_says_what_has_changed_and_any_blocks_give_the_same(vehicle: V
     assert raised[np.argmax(raised) :].all()
     assert whole.causes[-1] & CHANGE_CAUSE
     assert whole.changed[-1] == CHANGED_MASS
-    assert reasons(whole, len(whole) - 1, CHANGE_CAUSE)[0].endswith("g heavier since 4.0 s")
+    said = reasons(whole, len(whole) - 1, CHANGE_CAUSE)[0]
+    assert said.endswith("g heavier, or less thrust of all rotors since 4.0 s")
     assert (whole.changed[~raised] == UNCHANGED).all()
 
 
 def test_health_says_where_a_change_is_not_judged(vehicle: Vehicle) -> None:
     samples = samples_of(vehicle, 5.0, 0.0, 0.0)
     assert set(samples.run(alarm_of(vehicle)).cause_health[:, COLUMN]) == {ACTIVE}
+    told = alarm_of(vehicle, largest=1.0 / FALSE_FLIGHTS.value), alarm_of(vehicle, largest=20.1)
+    for alarm, health in zip(told, (ACTIVE, UNCALIBRATED), strict=True):
+        assert set(samples.run(alarm).cause_health[:, COLUMN]) == {health}
     assert set(samples.run(alarm_of(vehicle, change=False)).cause_health[:, COLUMN]) == {UNAVAILABLE}
     samples.settled[samples.between(0.0, 2.0)] = False
     rows = samples.run(alarm_of(vehicle))

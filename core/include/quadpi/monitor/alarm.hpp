@@ -22,6 +22,9 @@ constexpr double SHARE_S = 2.0;
 // After this long without a usable sample [s], the model is not judged.
 constexpr double SILENT_S = 0.1;
 
+// Evidence [to 1] at which 5 % of sound flights raise CHANGE: see FALSE_FLIGHTS in models/change_limits.py.
+constexpr double STATED_EVIDENCE = 20.0;
+
 // Inputs that leave their range where a vehicle is heavier, however it flies: v_in, omega_avg and mu_v_in.
 constexpr std::int64_t OF_THRUST = 1 << 3 | 1 << 7 | 1 << 18;
 
@@ -252,7 +255,8 @@ inline std::int64_t health_of_change(const AlarmLimits& limits, const AlarmState
     if (state.ground.why != JUDGED || !state.settled) {
         return WAITING;
     }
-    return state.change.loud ? UNCALIBRATED : ACTIVE;
+    // Of a limit that a sound flight has set no share is stated.
+    return state.change.loud || limits.change.evidence > STATED_EVIDENCE ? UNCALIBRATED : ACTIVE;
 }
 
 // Set level and health of each cause, and the highest level; true if any of a cause changed.

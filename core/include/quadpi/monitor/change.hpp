@@ -10,6 +10,8 @@ namespace quadpi {
 
 // Share of the evidence of the likeliest moment that another one needs to be named.
 constexpr double LIKELY = 0.1;
+// Half as large again as the largest size that is bet on.
+constexpr double MOST_SIZE = 1.5 * LEAST_SIZE * (1 << (DOUBLINGS - 1));
 // Blocks of half a second, in which the evidence grows by CAP at most: e to the 8.
 constexpr std::int64_t CAP_BLOCKS = 5;
 constexpr double CAP = 2980.9579870417283;
@@ -170,7 +172,7 @@ inline void begin_onset(const Templates& templates, Change& change) {
 // The evidence of a large change is at its cap for several of them. Moments after the alarm was raised only
 // see what the filters have not yet taken for their own.
 inline void find_change(Change& change, const std::array<double, ONSETS>& evidence) {
-    const double least = LIKELY * *std::max_element(evidence.begin(), evidence.end());
+    const double least = LIKELY * change.evidence;
     for (int place = 0; place < ONSETS; ++place) {
         const Onset& onset = change.onsets[place];
         if (evidence[place] < least || onset.number > change.raised_number) {
@@ -180,12 +182,14 @@ inline void find_change(Change& change, const std::array<double, ONSETS>& eviden
             const double squares = onset.squares[direction];
             const double size = squares > 0.0 ? onset.products[direction] / squares : 0.0;
             if (size * size * squares > change.found.explained) {
+                // What is larger than any bet was on has no name.
+                const bool named = std::abs(size) <= MOST_SIZE;
                 change.found = {
-                    direction,
+                    named ? direction : NOTHING,
                     onset.number * BLOCK_NS,
                     onset.prior == FROM_START ? 1 : 0,
-                    size,
-                    1.0 / std::sqrt(squares),
+                    named ? size : 0.0,
+                    named ? 1.0 / std::sqrt(squares) : 0.0,
                     size * size * squares,
                 };
             }
@@ -279,7 +283,7 @@ inline void take_block(const ChangeLimits& limits, const RotorGeometry& rotors, 
     }
     change.evidence = total;
     change.score = std::max(0.0, logarithm(total) / logarithm(limits.evidence));
-    if (!change.raised && total >= limits.evidence) {
+    if (!change.raised && total > limits.evidence) {
         change.raised = true;
         change.raised_number = change.last;
     }
