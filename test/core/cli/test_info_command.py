@@ -9,6 +9,7 @@ from quadpi_core.inputs import INPUT_NAMES
 RECORDING = {"kind", "name", "vehicle", "source", "topics", "envelope", "findings"}
 MODEL = {
     "alarm",
+    "change",
     "kind",
     "name",
     "identity",
