@@ -87,7 +87,7 @@ def test_an_odometry_bears_the_stamp_of_its_estimate(
 
     The vehicle moves at 1 m/s, so that its place tells the instant.
     """
-    imu_s = np.concatenate((np.arange(0.0, 0.62, 0.002), np.arange(0.62, 1.01, 0.01)))
+    imu_s = np.concatenate((np.arange(0.002, 0.62, 0.002), np.arange(0.62, 1.01, 0.01)))
     published: list[bytes] = []
     with started(ros_domain, "-p", "vehicle:=neurobem"):
         node = EstimatorNode()
