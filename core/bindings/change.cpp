@@ -55,6 +55,8 @@ void bind_change(nb::module_& module) {
     module.attr("DIRECTIONS") = DIRECTIONS;
     module.attr("SIZES") = SIZES;
     module.attr("NOTHING") = NOTHING;
+    module.attr("LOUDNESS_BLOCKS") = LOUDNESS_BLOCKS;
+    module.attr("LOUDNESS_MOST") = LOUDNESS_MOST;
     module.attr("LESS_1") = static_cast<int>(LESS_1);
     module.def("whiten_blocks", &whiten_blocks);
     module.def("gather_evidence", &gather_evidence);

@@ -42,8 +42,6 @@ from quadpi_core.vehicle import Vehicle
 
 # Fewest blocks of a flight that counts: 2 s.
 _FEWEST_BLOCKS = 20
-# Blocks that the running mean of squares forgets over, and the largest that counts in it, as in the core.
-_LOUDNESS_BLOCKS, _LOUDNESS_MOST = 20.0, 25.0
 # Where the search for the variances begins: shares of the variance of the blocks, and s of the process.
 _START = {"between": 1e-3, "walk": 1e-3, "process": 0.6, "white": 0.3}
 _START_S = 0.2
@@ -178,13 +176,13 @@ class _Axis:
         }.items():
             self.noise[name] = value
 
-    def loudest(self) -> float:
-        """Largest running mean of the squared errors of any flight."""
-        errors, start, loudest = self.whitened().errors, 0, 1.0
+    def loudest(self, errors: Array) -> float:
+        """Largest running mean of the squared whitened errors of any flight."""
+        start, loudest = 0, 1.0
         for residuals in self._residuals:
             loudness = 1.0
             for square in np.square(errors[start : start + len(residuals)]):
-                loudness += (min(float(square), _LOUDNESS_MOST) - loudness) / _LOUDNESS_BLOCKS
+                loudness += (min(float(square), compiled.LOUDNESS_MOST) - loudness) / compiled.LOUDNESS_BLOCKS
                 loudest = max(loudest, loudness)
             start += len(residuals)
         return loudest
@@ -233,9 +231,9 @@ def _left_on_axis(flights: Sequence[Records], axis: int) -> LeftOnAxis:
     own.set_logarithms(upper)
     mean = own.whitened().mean
     own.noise["mean"], own.noise["between"] = mean, max(own.noise["between"][0], wider * own_between)
-    scale = _student_scale(own.whitened().errors)
+    errors = own.whitened().errors
     left = {name: float(own.noise[name][0]) for name in ("between", "walk", "keep", "process", "white")}
-    return LeftOnAxis(mean=mean, **left, scale=scale, loudest=own.loudest())
+    return LeftOnAxis(mean=mean, **left, scale=_student_scale(errors), loudest=own.loudest(errors))
 
 
 def _upper_end(cost: Callable[[Array], float], at: Array, place: int, start: float, most: float) -> float:
