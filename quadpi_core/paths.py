@@ -6,12 +6,13 @@ from __future__ import annotations
 
 import errno
 import json
+import math
 import os
 import shutil
 import stat
 import tempfile
 import uuid
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -207,6 +208,18 @@ def write_json(path: Path, data: Any) -> None:
     """
     with whole_output(path) as temporary:
         temporary.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n")
+
+
+def finite_json(value: Any) -> Any:
+    """A value as JSON has it: numbers of numpy as Python's, and null for one that is not finite."""
+    if isinstance(value, Mapping):
+        return {key: finite_json(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite_json(item) for item in value]
+    # Without numpy itself, which commands that only print do not read.
+    if hasattr(value, "item"):
+        value = value.item()
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def resolved_below(path: str | Path, folders: Sequence[Path]) -> Path | None:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -30,6 +30,7 @@ from quadpi_core.field.motor_use import (
     vibration_of,
 )
 from quadpi_core.flight_files import FlightLeftOut, NoFlightLeftError, named_files
+from quadpi_core.paths import finite_json
 from quadpi_core.reading_options import ReadingOptions
 from quadpi_core.thresholds import Threshold
 from quadpi_core.vehicle import Vehicle
@@ -179,7 +180,7 @@ class FieldReport:
 
     def to_json(self) -> dict[str, Any]:
         """The content of `report.json`; docs/report.md says what the keys mean."""
-        content: dict[str, Any] = _plain(
+        content: dict[str, Any] = finite_json(
             {
                 "format": FORMAT,
                 "quadpi": __version__,
@@ -229,18 +230,6 @@ def _of_flight(flight: FlightReport) -> dict[str, Any]:
 def _told(part: Any) -> dict[str, Any]:
     """A result, or the sentence that says why there is none."""
     return {"reason": part} if isinstance(part, str) else asdict(part)
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {str(key): _plain(own) for key, own in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(own) for own in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float) and not np.isfinite(value):
-        return None
-    return value
 
 
 def report_on(

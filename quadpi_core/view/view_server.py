@@ -12,7 +12,6 @@ import asyncio
 import errno
 import ipaddress
 import json
-import math
 import os
 import re
 import socket
@@ -32,6 +31,7 @@ from tornado.web import Application, HTTPError, RequestHandler, StaticFileHandle
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 from quadpi_core.errors import QuadpiError
+from quadpi_core.paths import finite_json
 from quadpi_core.report import ASSETS, SHARED_ASSETS
 from quadpi_core.version import __version__
 from quadpi_core.view.vehicle_view import VehicleView
@@ -113,15 +113,7 @@ def _as_json(message: Any) -> str:
     try:
         return json.dumps(message, separators=(",", ":"), allow_nan=False)
     except ValueError:
-        return json.dumps(_finite(message), separators=(",", ":"), allow_nan=False)
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+        return json.dumps(finite_json(message), separators=(",", ":"), allow_nan=False)
 
 
 class ViewServer:

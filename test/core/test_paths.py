@@ -7,9 +7,10 @@ from __future__ import annotations
 import os
 from contextlib import nullcontext
 
+import numpy as np
 import pytest
 
-from quadpi_core.paths import resolved_below, scratch_folder, whole_output
+from quadpi_core.paths import finite_json, resolved_below, scratch_folder, whole_output
 
 
 @pytest.fixture
@@ -80,3 +81,12 @@ def test_a_folder_replaces_another_as_a_whole(tmp_path, there):
         made.mkdir()
         (made / "new").touch()
     assert [path.name for path in sorted(tmp_path.rglob("*"))] == ["model", "new"]
+
+
+def test_json_has_plain_numbers_and_null_for_what_is_not_finite():
+    value = {
+        "a": (1.5, np.float64(2.5), float("nan")),
+        "b": [{"c": np.int64(3), "d": np.bool_(True)}, -np.inf, "e"],
+    }
+    assert finite_json(value) == {"a": [1.5, 2.5, None], "b": [{"c": 3, "d": True}, None, "e"]}
+    assert type(finite_json(np.int64(3))) is int
