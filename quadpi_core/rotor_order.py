@@ -4,32 +4,87 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
 from quadpi_core.config_schema import OneOf, ReadBy, Section, load_config
 from quadpi_core.errors import LogError
 from quadpi_core.frames import Array
-from quadpi_core.vehicle import ROTORS, Vehicle
+from quadpi_core.records import ROTORS_MAX
+from quadpi_core.vehicle import ROTORS, SPIN_SIGN, Vehicle
 
 RPM, ERPM = "rpm", "erpm"
 _RAD_S_PER_RPM = 2.0 * np.pi / 60.0
-_FRONT_RIGHT, _FRONT_LEFT, _REAR_RIGHT, _REAR_LEFT = (1, 1), (1, -1), (-1, 1), (-1, -1)
+# Motors whose bearings are closer [rad] sit on one arm.
+_SAME_ARM = math.radians(5.0)
+# Of half the angle between two motors, that a rotor may be off the one that is taken for it.
+_OFF_SHARE = 0.9
+_CW, _CCW = SPIN_SIGN["clockwise"], SPIN_SIGN["counterclockwise"]
 
-# Corners of motors 1 to 4, as signs of x (forward) and y (right).
-LAYOUTS: MappingProxyType[str, tuple[tuple[int, int], ...]] = MappingProxyType(
+
+class Motor(NamedTuple):
+    """Where a motor of an autopilot sits, and how it turns.
+
+    Attributes:
+        x, y: forward and right of the centre, in any unit.
+        spin: as those of a vehicle's rotors; 0 where it is not known.
+    """
+
+    x: float
+    y: float
+    spin: float = 0.0
+
+
+def _ring(*places: tuple[float, float]) -> tuple[Motor, ...]:
+    """Motors at bearings in degrees, clockwise from ahead, with their spins."""
+    return tuple(Motor(math.cos(math.radians(at)), math.sin(math.radians(at)), spin) for at, spin in places)
+
+
+# Motors 1, 2, … of standard frames (ArduPilot's AP_MotorsMatrix; PX4's and Betaflight's pages of frames).
+LAYOUTS: MappingProxyType[str, tuple[Motor, ...]] = MappingProxyType(
     {
         # PX4 "Generic Quadcopter", ArduPilot FRAME_TYPE 1 (X).
-        "quad-x": (_FRONT_RIGHT, _REAR_LEFT, _FRONT_LEFT, _REAR_RIGHT),
-        # Betaflight "Quad X", ArduPilot FRAME_TYPE 12.
-        "betaflight": (_REAR_RIGHT, _FRONT_RIGHT, _REAR_LEFT, _FRONT_LEFT),
+        "quad-x": _ring((45, _CCW), (-135, _CCW), (-45, _CW), (135, _CW)),
+        "quad-plus": _ring((90, _CCW), (-90, _CCW), (0, _CW), (180, _CW)),
+        # Betaflight "Quad X", ArduPilot FRAME_TYPE 12; its propellers turn in or out.
+        "betaflight": _ring((135, 0), (45, 0), (-135, 0), (-45, 0)),
+        "hexa-x": _ring((90, _CW), (-90, _CCW), (-30, _CW), (150, _CCW), (30, _CCW), (-150, _CW)),
+        "hexa-plus": _ring((0, _CW), (180, _CCW), (-120, _CW), (60, _CCW), (-60, _CCW), (120, _CW)),
+        "octo-x": _ring(
+            *((22.5, _CW), (-157.5, _CW), (67.5, _CCW), (157.5, _CCW)),
+            *((-22.5, _CCW), (-112.5, _CCW), (-67.5, _CW), (112.5, _CW)),
+        ),
+        "octo-plus": _ring(
+            *((0, _CW), (180, _CW), (45, _CCW), (135, _CCW), (-45, _CCW), (-135, _CCW), (-90, _CW), (90, _CW))
+        ),
+        # Two on each arm, the upper ones first.
+        "octo-coaxial-x": _ring(
+            *((45, _CCW), (-45, _CW), (-135, _CCW), (135, _CW)),
+            *((-45, _CCW), (45, _CW), (135, _CCW), (-135, _CW)),
+        ),
     }
 )
+
+
+_USUAL = MappingProxyType({4: "quad-x", 6: "hexa-x", 8: "octo-x"})
+
+
+def usual_layout(vehicle: Vehicle | None) -> str:
+    """The standard frame of a vehicle's number of rotors, where a log says nothing of its frame.
+
+    Raises:
+        LogError: for a number of rotors that has none.
+    """
+    rotors = ROTORS if vehicle is None else vehicle.rotor_count
+    if rotors not in _USUAL:
+        raise LogError(f"there is no standard frame of {rotors} rotors: give their order")
+    return _USUAL[rotors]
 
 
 @dataclass(frozen=True)
@@ -59,7 +114,7 @@ class RotorOrder:
         """The order that numbers in a string give, counted from 1, such as "4 1 2 3".
 
         Raises:
-            LogError: if they are not four different numbers.
+            LogError: if they are not different numbers.
         """
         numbers = [int(word) if word.isdecimal() else word for word in text.replace(",", " ").split()]
         try:
@@ -68,40 +123,63 @@ class RotorOrder:
             raise LogError(f"rotor order {error}") from None
 
     @classmethod
-    def by_corner(
-        cls, vehicle: Vehicle | None, corners: Sequence[tuple[float, float]], unit: str | None = None
+    def by_place(
+        cls, vehicle: Vehicle | None, motors: Sequence[Motor], unit: str | None = None
     ) -> RotorOrder | None:
-        """The order by where the motors sit; None if they are not one per corner.
+        """The order by where the motors sit; None if they do not sit as the vehicle's rotors do.
+
+        Of four, corners count: autopilots know signs of their places, and no lengths. Of others, bearings do,
+        and spins where rotors sit on one another.
 
         Args:
             vehicle: without one, the motors keep their order.
-            corners: of motors 1 to 4: x forward and y right, or their signs.
+            motors: 1, 2, … of the autopilot.
             unit: see the attribute.
         """
-        found = [(np.sign(x), np.sign(y)) for x, y in corners]
-        if len(set(found)) != ROTORS or any(0 in corner for corner in found):
+        count = len(motors)
+        if any(not motor.x and not motor.y for motor in motors):
             return None
         if vehicle is None:
-            return cls(tuple(range(ROTORS)), unit)
-        rotors = [tuple(np.sign(position[:2])) for position in vehicle.rotor_positions]
-        if set(rotors) != set(found):
+            return cls(tuple(range(count)), unit)
+        if vehicle.rotor_count != count:
             return None
-        return cls(tuple(found.index(corner) for corner in rotors), unit)
+        rotors = [
+            Motor(x, y, spin)
+            for (x, y, _), spin in zip(vehicle.rotor_positions.tolist(), vehicle.rotor_spins, strict=True)
+        ]
+        bearing = _corner if count == ROTORS and not _on_axes(rotors) else _bearing
+        order = []
+        for rotor in rotors:
+            apart = [
+                (abs(_turn(bearing(rotor) - bearing(motor))), motor.spin * rotor.spin < 0.0)
+                for motor in motors
+            ]
+            # Of two on one arm the one that turns as the rotor does.
+            nearest = min(angle for angle, _ in apart)
+            order.append(
+                min(
+                    range(count),
+                    key=lambda k: (apart[k][0] > nearest + _SAME_ARM, apart[k][1], apart[k][0]),
+                )
+            )
+            if nearest > _OFF_SHARE * math.pi / count:
+                return None
+        return cls(tuple(order), unit) if len(set(order)) == count else None
 
     @classmethod
     def by_layout(cls, vehicle: Vehicle | None, layout: str, unit: str | None = None) -> RotorOrder:
         """The order in which an autopilot numbers the motors of a standard frame (see :data:`LAYOUTS`).
 
         Raises:
-            LogError: if the vehicle does not have one rotor in each corner.
+            LogError: if the vehicle's rotors do not sit as the frame's do.
         """
-        order = cls.by_corner(vehicle, LAYOUTS[layout], unit)
+        order = cls.by_place(vehicle, LAYOUTS[layout], unit)
         if order is None:
-            raise LogError("the vehicle has not one rotor in each corner: give the order of its rotors")
+            raise LogError(f"the vehicle's rotors are not those of a frame {layout}: give their order")
         return order
 
     def speeds(self, values: Array, vehicle: Vehicle | None, pole_pairs: int | None = None) -> Array:
-        """Magnitudes in rad/s (N, 4) of speeds as reported (N, 4), already in the vehicle's rotor order.
+        """Magnitudes (N, rotors) in rad/s of speeds as reported, already in the vehicle's rotor order.
 
         Controllers report a rotor that turns the other way as negative. A log that says the pole pairs, for
         electrical speeds, knows them better than the vehicle's file.
@@ -120,17 +198,38 @@ class RotorOrder:
         return vehicle.rotor_speeds_from_erpm(magnitudes)
 
 
+def _bearing(motor: Motor) -> float:
+    return math.atan2(motor.y, motor.x)
+
+
+def _corner(motor: Motor) -> float:
+    return math.atan2(math.copysign(motor.y != 0.0, motor.y), math.copysign(motor.x != 0.0, motor.x))
+
+
+def _on_axes(rotors: Sequence[Motor]) -> bool:
+    return all(min(abs(one.x), abs(one.y)) < 0.1 * max(abs(one.x), abs(one.y)) for one in rotors)
+
+
+def _turn(angle: float) -> float:
+    """The angle within half a turn."""
+    return (angle + math.pi) % (2.0 * math.pi) - math.pi
+
+
 def controller_numbers(numbers: Any) -> tuple[int, ...]:
     """The key `rotors` of a file, for `config_schema.ReadBy`: speed controllers counted from 1.
 
     Raises:
-        ValueError: for anything but four different numbers.
+        ValueError: for anything but different numbers.
     """
-    is_list = isinstance(numbers, list) and len(numbers) == ROTORS and len(set(map(str, numbers))) == ROTORS
-    if not is_list or not all(type(number) is int and number >= 1 for number in numbers):
+    is_list = isinstance(numbers, list) and 1 <= len(numbers) <= ROTORS_MAX
+    if (
+        not is_list
+        or len(set(map(str, numbers))) < len(numbers)
+        or not all(type(number) is int and number >= 1 for number in numbers)
+    ):
         raise ValueError(
-            f"must be {ROTORS} different numbers of speed controllers, counted from 1, in the order of the "
-            f"vehicle's rotors; found {numbers!r}"
+            "must be different numbers of speed controllers, counted from 1, in the order of the vehicle's "
+            f"rotors; found {numbers!r}"
         )
     return tuple(numbers)
 

@@ -273,18 +273,16 @@ class _VehicleFile(Section):
             )
 
     def _check_four(self) -> None:
-        """Refuse four rotors in another layout than x: of more, any layout may hold thrust and moments."""
-        for place, rotor in enumerate(self.rotors, 1):
-            if 0.0 in rotor.position_m[:2]:
-                raise ValueError(
-                    f"rotors, entry {place}: the rotor lies on a body axis; of four only x layouts are known"
-                )
-        quadrants = np.sign(self._positions[:, :2])
-        if len({tuple(signs) for signs in quadrants.tolist()}) < 4:
+        """Refuse four rotors that no frame has: of more, any layout may hold thrust and moments."""
+        signs = np.sign(self._positions[:, :2])
+        on_axes = (np.abs(signs).sum(axis=1) == 1.0).all()
+        if len({tuple(pair) for pair in signs.tolist()}) < 4 or not (on_axes or signs.all()):
             raise ValueError(
-                "`rotors` must lie one in each quadrant: front left, front right, rear left, rear right"
+                "`rotors` must lie one in each quadrant (front left, front right, rear left, rear right), or "
+                "one on each half of the body axes"
             )
-        if abs(float(np.sum(quadrants[:, 0] * quadrants[:, 1] * self._spins))) < 4:
+        around = np.argsort(np.arctan2(signs[:, 1], signs[:, 0]))
+        if abs(float(np.sum(self._spins[around] * (1.0, -1.0, 1.0, -1.0)))) < 4:
             raise ValueError(
                 "`rotors`: opposite rotors must turn the same way and neighbours the other way, or nothing "
                 "holds the yaw"

@@ -75,7 +75,6 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         """Load the vehicle."""
         parameters = self.parameters
         vehicle = Vehicle.load(parameters.vehicle)
-        vehicle.require_four("the live nodes fly")
         self._odometry = OutgoingMessage(
             codec(sensor_messages.ODOMETRY),
             sensor_messages.odometry_constants(parameters.world_frame, parameters.body_frame),

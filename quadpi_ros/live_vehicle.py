@@ -232,7 +232,7 @@ class LiveVehicle:
         # Shown before rotor speeds are read, which may be refused.
         if states is not None:
             self.view.take_states(states)
-        rotors = self._unpacked(_ROTORS, sensor_messages.unpack_any_rotor_speeds)
+        rotors = self._unpacked(_ROTORS, sensor_messages.unpack_rotor_speeds)
         vehicle = self._vehicle()
         if rotors is None and vehicle is not None:
             rotors = self._unpacked(_ERPM, lambda payloads: sensor_messages.unpack_erpm(payloads, vehicle))

@@ -32,7 +32,7 @@ from quadpi_core.logs.mavlink_frames import signing_key
 from quadpi_core.logs.mavlink_samples import stream_of
 from quadpi_core.logs.mavlink_session import MavlinkSession, SessionReport, SessionSettings
 from quadpi_core.messages import sensor_messages
-from quadpi_core.rotor_order import RotorOrder
+from quadpi_core.rotor_order import RotorOrder, usual_layout
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros import diagnostics
 from quadpi_ros.callbacks import GuardedNode
@@ -88,7 +88,6 @@ class MavlinkBridge(GuardedNode):
         self._given = read_parameters(self, BridgeParameters)
         check_connection(self._given.connection)
         vehicle = Vehicle.load(self._given.vehicle)
-        vehicle.require_four("the live nodes fly")
         self._session = MavlinkSession(vehicle, _order(self._given, vehicle), _settings(self._given))
         # A link is opened again after a failure; a log that cannot be read is an error at once.
         self._link: Link | None = open_link(self._given.connection) if self._is_replay else None
@@ -263,8 +262,8 @@ class MavlinkBridge(GuardedNode):
             return diagnostics.ERROR, f"connected, but no heartbeat of an autopilot is heard{others}"
         if report.silent_s > _SILENT_S and not self._is_replay:
             return diagnostics.ERROR, f"nothing heard of system {report.system} for {report.silent_s:.0f} s"
-        if report.airframe is not None:
-            return diagnostics.ERROR, f"system {report.system}: {report.airframe}"
+        if report.other_airframe:
+            return diagnostics.ERROR, f"system {report.system}: {report.other_airframe}"
         lacking = [topic for topic in ("imu", "rotor_speeds") if rates[f"{topic}_hz"] == 0.0]
         if rates["mocap/pose_hz"] + rates["odometry_hz"] == 0.0:
             lacking.append("pose or velocity")
@@ -295,7 +294,7 @@ def _clock_values(report: SessionReport) -> dict[str, Any]:
 
 def _order(parameters: BridgeParameters, vehicle: Vehicle) -> RotorOrder:
     if parameters.rotor_order == STANDARD_ORDER:
-        return RotorOrder.by_layout(vehicle, "quad-x", parameters.rotor_unit)
+        return RotorOrder.by_layout(vehicle, usual_layout(vehicle), parameters.rotor_unit)
     return RotorOrder.parse(parameters.rotor_order, parameters.rotor_unit)
 
 

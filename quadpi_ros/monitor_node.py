@@ -80,7 +80,6 @@ class MonitorNode(SensorNode[MonitorParameters]):
         """Load the vehicle and the models."""
         parameters = self.parameters
         self._vehicle = Vehicle.load(parameters.vehicle)
-        self._vehicle.require_four("the live nodes fly")
         adapted = AdaptedSources(self.get_name(), parameters.adapters, self._vehicle)
         self._rotors = self._rotor_source(adapted)
         self._body = self.frames_of(parameters.body_frame, parameters.frames)
@@ -311,7 +310,8 @@ class MonitorNode(SensorNode[MonitorParameters]):
         """The topic that the parameters name."""
         topic = self.parameters.rotor_topic
         if topic == "rotor_speeds":
-            return Source(RotorSpeeds, topic, IncomingMessage(sensor_messages.ROTOR_SPEED_SAMPLES))
+            samples = sensor_messages.rotor_speed_samples(self._vehicle.rotor_count)
+            return Source(RotorSpeeds, topic, IncomingMessage(samples))
         if topic == "erpm":
             return Source(Erpm, topic, IncomingMessage(sensor_messages.erpm_samples(self._vehicle)))
         return adapted.named(topic)

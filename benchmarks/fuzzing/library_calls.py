@@ -35,12 +35,13 @@ from quadpi_core.flight import AXES
 from quadpi_core.library.flights import Flights
 from quadpi_core.library.live_monitor import Monitor
 from quadpi_core.library.wrench_model import WrenchModel
-from quadpi_core.logs.flight_table import STATES
+from quadpi_core.logs.flight_table import columns_of
 from quadpi_core.monitor.alarm import MonitorSettings
 from quadpi_core.vehicle import Vehicle
 
 _BAGS = Path(__file__).parents[2] / "bags"
 _GOLDEN_MODEL = Path(__file__).parents[2] / "test" / "golden" / "model"
+_STATES = columns_of(4)
 # Samples of each flight: 1.2 s, of which a raw one needs the first to measure its rate.
 _ROWS = 600
 _MOVING = 2000
@@ -74,7 +75,7 @@ def _table() -> pd.DataFrame:
 
 @cache
 def _raw() -> pd.DataFrame:
-    return _table().drop(columns=list(STATES[_DERIVED]))
+    return _table().drop(columns=list(_STATES[_DERIVED]))
 
 
 @cache
@@ -163,7 +164,7 @@ def _of_a_column(change: Callable[[pd.Series], Any]) -> Callable[[random.Random,
     """A change to one of the columns that are needed."""
 
     def changed(rng: random.Random, table: pd.DataFrame) -> pd.DataFrame:
-        name = rng.choice([name for quantity in _OTHER_UNITS for name in STATES[quantity]])
+        name = rng.choice([name for quantity in _OTHER_UNITS for name in _STATES[quantity]])
         return _with(table, name, change(table[name].copy()))
 
     return changed
@@ -181,7 +182,7 @@ def _one(value: Any) -> Callable[[pd.Series], Any]:
 
 def _in_another_unit(rng: random.Random, table: pd.DataFrame) -> pd.DataFrame:
     quantity, factor = rng.choice(list(_OTHER_UNITS.items()))
-    columns = list(STATES[quantity])
+    columns = list(_STATES[quantity])
     return table.assign(**dict(zip(columns, (factor * table[columns].to_numpy()).T, strict=True)))
 
 
@@ -289,7 +290,7 @@ def _optional(clean: Any = None, *kinds: type, **how: Any) -> Argument:
 def _arrays(table: pd.DataFrame) -> dict[str, Argument]:
     """Quantities of the first flight."""
     arrays = {}
-    for quantity, columns in STATES.items():
+    for quantity, columns in _STATES.items():
         if quantity != _DERIVED:
             clean = np.ascontiguousarray(table[list(columns)].to_numpy()[:_ROWS])
             optional = quantity in {"position", "wind"}
@@ -320,17 +321,17 @@ def library_calls() -> dict[str, Call]:
         "vehicle": _vehicle(),
         **_arrays(_raw()),
     }
-    names = {quantity: STATES[quantity] for quantity in ("rates", "wind")}
+    names = {quantity: _STATES[quantity] for quantity in ("rates", "wind")}
     strange_names = (
         *({"rates": wrong} for wrong in (5, None, "pqr", ["p"], ["p_rad_s", "q_rad_s", None])),
-        *({"rates": [[name] for name in STATES["rates"]]}, {"speeds": ["u_m_s"]}, {5: ["a"]}),
+        *({"rates": [[name] for name in _STATES["rates"]]}, {"speeds": ["u_m_s"]}, {5: ["a"]}),
     )
     table_arguments = {
         "vehicle": _vehicle(),
         "flight": _optional("flight", same=("flight",), refused=("no such", ["flight"], ("flight", "b"))),
         "time": thing("time_ns", "name", required=False, same=("time_ns",), refused=("flight", ["time_ns"])),
         "columns": _optional(
-            names, dict, same=(None, {}, names, {"rates": np.array(STATES["rates"])}), refused=strange_names
+            names, dict, same=(None, {}, names, {"rates": np.array(_STATES["rates"])}), refused=strange_names
         ),
         "cutoff_hz": replace(cutoff, change=Number((30.0, 50.0), (0.0, -1.0, float("nan")), optional=True)),
     }

@@ -149,14 +149,14 @@ struct HeldReports {
     explicit HeldReports(nb::handle reports)
         : rpm(reports, "rpm"), marks(reports, "marks"), verdict(reports, "verdict") {}
 
-    EscReports reports(std::size_t messages) const {
+    EscReports reports(std::size_t messages, std::size_t rotors) const {
         const EscReports found{rpm.all(), marks.all(), verdict.all()};
-        require(found.of(messages), "reports of different numbers");
+        require(found.of(messages, rotors), "reports of different numbers");
         return found;
     }
 
-    Field<EscSpeeds> rpm;
-    Field<EscNumbers> marks;
+    Field<double> rpm;
+    Field<std::int64_t> marks;
     Field<std::uint8_t> verdict;
 };
 
@@ -164,18 +164,18 @@ void take_numbered_escs(
     Records<const std::int64_t> counts,
     Records<const double> rpm,
     Records<const std::int64_t> marks,
-    Records<const EscNumbers> wanted,
+    Records<const std::int64_t> wanted,
     nb::handle reports
 ) {
     const EscArray array{rpm, marks};
     require(check(counts, array), "reports of other numbers than their messages count");
-    require(wanted.size == 1, "not four ESCs");
-    for (const std::int64_t number : wanted[0]) {
+    require(wanted.size > 0, "no ESCs");
+    for (const std::int64_t number : wanted) {
         require(number >= 0, "a negative number of an ESC");
     }
     const HeldReports held(reports);
-    EscReports found = held.reports(counts.size);
-    take_numbered(counts, array, wanted[0], found);
+    EscReports found = held.reports(counts.size, wanted.size);
+    take_numbered(counts, array, wanted, found);
 }
 
 void take_escs_of_motors(
@@ -183,27 +183,31 @@ void take_escs_of_motors(
     Records<const double> rpm,
     Records<const std::int64_t> marks,
     Records<const std::int64_t> online,
-    Records<const EscNumbers> wanted,
+    Records<const std::int64_t> wanted,
     nb::handle reports
 ) {
     require(rpm.size == functions.size && marks.size == functions.size, "reports of different numbers");
-    require(wanted.size == 1, "not four motors");
     const HeldReports held(reports);
-    EscReports found = held.reports(online.size);
-    take_of_motors(functions, {rpm, marks}, online, wanted[0], found);
+    EscReports found = held.reports(online.size, wanted.size);
+    take_of_motors(functions, {rpm, marks}, online, wanted, found);
 }
 
 void judge_esc_news(nb::handle reports, Records<EscMemory> memory) {
     const Field<const std::int64_t> time_ns(reports, "time_ns");
-    const Field<const EscNumbers> marks(reports, "marks");
+    const Field<const std::int64_t> marks(reports, "marks");
     const Field<std::uint8_t> verdict(reports, "verdict");
     const std::size_t messages = time_ns.all().size;
-    require(marks.all().size == messages && verdict.all().size == messages, "reports of different numbers");
+    const std::size_t rotors = messages > 0 ? marks.all().size / messages : 0;
+    require(
+        marks.all().size == messages * rotors && verdict.all().size == messages,
+        "reports of different numbers"
+    );
+    require(rotors <= ROTORS_MAX, "more rotors than are known");
     require(memory.size == 1, "not one memory of ESCs");
     for (std::size_t n = 0; n < messages; ++n) {
         std::uint8_t& found = verdict.all()[n];
         if (found == SAMPLE) {
-            found = judge_news(time_ns.all()[n], marks.all()[n], memory[0]);
+            found = judge_news(time_ns.all()[n], marks.all().part(n * rotors, (n + 1) * rotors), memory[0]);
         }
     }
 }

@@ -29,7 +29,7 @@ from quadpi_core.frames import Array
 from quadpi_core.identification.prepared_flights import PreparedFlight, prepare_recording
 from quadpi_core.library.notebook import pandas
 from quadpi_core.logs.duplicates import recording_hash
-from quadpi_core.logs.flight_table import STATES, WRENCH
+from quadpi_core.logs.flight_table import WRENCH, columns_of
 from quadpi_core.models.model_kind import CUTOFF_HZ
 from quadpi_core.rotations import rotate_body_to_world
 from quadpi_core.sample_limits import QUATERNION_NORM_TOLERANCE
@@ -73,7 +73,7 @@ def prepared_from_arrays(
             raise ArgumentError(
                 f"{name}: expected numbers, found None; only position and wind may be left out"
             )
-    widths = {name: len(columns) for name, columns in STATES.items()} | {"rotor_speeds": vehicle.rotor_count}
+    widths = {name: len(columns) for name, columns in columns_of(vehicle.rotor_count).items()}
     checked = {
         name: array_checks.floats(name, values, widths[name], rows=len(stamps), of="time_ns")
         for name, values in arrays.items()
@@ -197,18 +197,19 @@ def from_frame(
         cutoff_hz = frame.attrs.get(_CUTOFF) if filtered else CUTOFF_HZ["default"]
     if cutoff_hz is None:
         raise ArgumentError("cutoff_hz: the table does not say which low-pass its signals passed: pass it")
-    columns: dict[str, Sequence[str]] = {**STATES}
+    states = columns_of(vehicle.rotor_count)
+    columns: dict[str, Sequence[str]] = {**states}
     for quantity, own in (names or {}).items():
-        if quantity not in STATES:
-            raise ArgumentError(f"columns: no quantity {quantity!r}; there are {', '.join(STATES)}")
+        if quantity not in states:
+            raise ArgumentError(f"columns: no quantity {quantity!r}; there are {', '.join(states)}")
         listed = own if isinstance(own, list | tuple | np.ndarray) else ()
-        if len(listed) != len(STATES[quantity]) or not all(isinstance(name, _COLUMN) for name in listed):
-            raise ArgumentError(f"columns, {quantity}: expected {len(STATES[quantity])} names, found {own!r}")
+        if len(listed) != len(states[quantity]) or not all(isinstance(name, _COLUMN) for name in listed):
+            raise ArgumentError(f"columns, {quantity}: expected {len(states[quantity])} names, found {own!r}")
         columns[quantity] = own
     if not filtered:
-        if set(STATES[_DERIVED]) <= set(frame.columns):
+        if set(states[_DERIVED]) <= set(frame.columns):
             raise ArgumentError(
-                f"frame: has angular accelerations ({STATES[_DERIVED][0]} …), so its signals were filtered: "
+                f"frame: has angular accelerations ({states[_DERIVED][0]} …), so its signals were filtered: "
                 "pass filtered=True to take them as they are, or leave those columns out"
             )
         del columns[_DERIVED]
@@ -258,7 +259,7 @@ def to_frame(flights: Sequence[PreparedFlight], cutoff_hz: float) -> pd.DataFram
         if flight is None:
             raise ArgumentError(f"flight {prepared.name}: was made of input vectors and has no states")
         table: dict[str, Any] = {_FLIGHT: prepared.name, _TIME: flight.stamps_ns}
-        for quantity, columns in STATES.items():
+        for quantity, columns in columns_of(flight.rotor_speeds.shape[1]).items():
             table |= dict(zip(columns, getattr(flight, quantity).T, strict=True))
         table |= dict(zip(WRENCH, prepared.wrench.T, strict=True))
         parts.append(pandas().DataFrame(table))

@@ -1,9 +1,8 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Vehicles other than quadrotors, where a log says that it is of one.
+"""Vehicles of which a log says that it is: multicopters by their number of rotors, and those that are none.
 
-A multicopter of another number of rotors looks like a quadrotor of four of them, and is refused. Of a vehicle
-that is none, such as a VTOL, the sensors are read and the rotors left out.
+Of a vehicle that is no multicopter, such as a VTOL, the sensors are read and the rotors left out.
 """
 
 from __future__ import annotations
@@ -13,13 +12,20 @@ from typing import NamedTuple
 
 from quadpi_core.errors import LogError
 from quadpi_core.logs.reader_steps import note
-from quadpi_core.vehicle import ROTORS
+from quadpi_core.vehicle import Vehicle
 
 _BY_ROTORS = MappingProxyType(
-    {3: "a tricopter", 6: "a hexacopter", 8: "an octocopter", 10: "a decacopter", 12: "a dodecacopter"}
+    {
+        3: "a tricopter",
+        4: "a quadrotor",
+        6: "a hexacopter",
+        8: "an octocopter",
+        10: "a decacopter",
+        12: "a dodecacopter",
+    }
 )
-# Types of MAVLink's heartbeat, also in PX4's MAV_TYPE, that are no quadrotor, by the number of rotors of a
-# multicopter or by name.
+# Types of MAVLink's heartbeat, also in PX4's MAV_TYPE, by the number of rotors of a multicopter or by name;
+# that of a quadrotor is what autopilots announce unless told otherwise.
 _MAV_TYPES: MappingProxyType[int, int | str] = MappingProxyType(
     {
         **{1: "a fixed-wing aircraft", 3: "a coaxial helicopter", 4: "a helicopter", 7: "an airship"},
@@ -31,27 +37,30 @@ _MAV_TYPES: MappingProxyType[int, int | str] = MappingProxyType(
 
 
 class Airframe(NamedTuple):
-    """A vehicle that is no quadrotor.
+    """A vehicle, as a log says it.
 
     Attributes:
         said: by what the log says it, such as "FRAME_CLASS 2".
         name: of such a vehicle, with its article.
-        is_multicopter: that would pass for a quadrotor.
+        rotors: of a multicopter; None for a vehicle that is none.
     """
 
     said: str
     name: str
-    is_multicopter: bool
+    rotors: int | None = None
 
     def __str__(self) -> str:
-        return f"{self.said} is {self.name}; quadpi supports quadrotors"
+        return f"{self.said} is {self.name}"
+
+    @property
+    def is_multicopter(self) -> bool:
+        """Whether rotors alone hold it in the air."""
+        return self.rotors is not None
 
     @classmethod
-    def of_rotors(cls, said: str, rotors: int) -> Airframe | None:
-        """A multicopter of so many rotors; None for a quadrotor."""
-        if rotors == ROTORS:
-            return None
-        return cls(said, _BY_ROTORS.get(rotors, f"a vehicle of {rotors} rotors"), True)
+    def of_rotors(cls, said: str, rotors: int) -> Airframe:
+        """A multicopter of so many rotors."""
+        return cls(said, _BY_ROTORS.get(rotors, f"a vehicle of {rotors} rotors"), rotors)
 
     @classmethod
     def of_mav_type(cls, said: str, mav_type: int) -> Airframe | None:
@@ -59,26 +68,35 @@ class Airframe(NamedTuple):
         known = _MAV_TYPES.get(mav_type)
         if isinstance(known, int):
             return cls.of_rotors(said, known)
-        return None if known is None else cls(said, known, False)
+        return None if known is None else cls(said, known)
+
+    def other_than(self, vehicle: Vehicle | None) -> str:
+        """Why it is not that vehicle, for messages; empty where it may be."""
+        if vehicle is None or self.rotors == vehicle.rotor_count:
+            return ""
+        return f"{self}; vehicle {vehicle.name} has {vehicle.rotor_count} rotors"
 
 
-def has_quadrotor(source: str, airframe: Airframe | None) -> bool:
-    """Whether rotor speeds of a log can be those of a quadrotor; a note says it where they cannot.
+def has_rotors(source: str, airframe: Airframe | None, vehicle: Vehicle | None) -> bool:
+    """Whether rotor speeds of a log can be those of a vehicle; a note says it where they cannot.
 
     Args:
         source: of the log.
-        airframe: that it is of, where it is no quadrotor.
+        airframe: that the log is of, where it says so.
+        vehicle: that it is read for.
 
     Raises:
-        LogError: naming the vehicle, for a multicopter of another number of rotors.
+        LogError: naming both, for a multicopter of another number of rotors.
     """
     if airframe is None:
         return True
-    if airframe.is_multicopter:
-        raise LogError(f"{source}: {airframe}")
-    note(
-        source,
-        f"{airframe}: its sensors are read, its rotors are not, which rules out identification, prediction "
-        "and replay",
-    )
-    return False
+    if not airframe.is_multicopter:
+        note(
+            source,
+            f"{airframe}: its sensors are read, its rotors are not, which rules out identification, "
+            "prediction and replay",
+        )
+        return False
+    if why := airframe.other_than(vehicle):
+        raise LogError(f"{source}: {why}")
+    return True

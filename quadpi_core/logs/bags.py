@@ -186,7 +186,9 @@ class _Unpacking:
         self._names = names
         self._unpackers: dict[str, Callable[[Payloads], Any]] = {
             "imu": Framed(sensor_messages.unpack_imu, frames.imu),
-            "rotor_speeds": sensor_messages.unpack_rotor_speeds,
+            "rotor_speeds": partial(
+                sensor_messages.unpack_rotor_speeds, rotors=None if vehicle is None else vehicle.rotor_count
+            ),
             "erpm": lambda payloads: _unpack_erpm(payloads, vehicle),
             "mocap/pose": Framed(sensor_messages.POSE_SAMPLES.unpack_logged, frames.world),
             "mocap/transform": Framed(sensor_messages.TRANSFORM_SAMPLES.unpack_logged, frames.world, texts=2),

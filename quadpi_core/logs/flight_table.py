@@ -18,19 +18,24 @@ from quadpi_core.frames import Array
 from quadpi_core.paths import whole_output
 
 SUFFIXES = (".csv", ".parquet")
-# Columns by the field of a flight that they hold.
-STATES = {
+# Columns by the field of a flight that they hold; rotor speeds: :func:`columns_of`.
+_STATES = {
     "position": ("north_m", "east_m", "down_m"),
     "attitude": ("qw", "qx", "qy", "qz"),
     "velocity": ("u_m_s", "v_m_s", "w_m_s"),
     "rates": ("p_rad_s", "q_rad_s", "r_rad_s"),
     "angular_acceleration": ("p_rad_s2", "q_rad_s2", "r_rad_s2"),
     "specific_force": ("force_x_m_s2", "force_y_m_s2", "force_z_m_s2"),
-    "rotor_speeds": ("rotor_1_rad_s", "rotor_2_rad_s", "rotor_3_rad_s", "rotor_4_rad_s"),
+    "rotor_speeds": (),
     "wind": ("wind_north_m_s", "wind_east_m_s", "wind_down_m_s"),
 }
 # Of the measured wrench.
 WRENCH = ("fx_n", "fy_n", "fz_n", "mx_nm", "my_nm", "mz_nm")
+
+
+def columns_of(rotors: int) -> dict[str, tuple[str, ...]]:
+    """Columns by the field of a flight that they hold, of a vehicle with this number of rotors."""
+    return _STATES | {"rotor_speeds": tuple(f"rotor_{number}_rad_s" for number in range(1, rotors + 1))}
 
 
 def require_table(path: Path) -> None:
@@ -54,7 +59,7 @@ def write_flight_table(path: Path, flight: Flight, wrench: Array) -> None:
     require_table(path)
     pa, csv, parquet = (require_library(f"pyarrow{part}", "logs") for part in ("", ".csv", ".parquet"))
     columns = {"time_ns": flight.stamps_ns}
-    for name, headings in STATES.items():
+    for name, headings in columns_of(flight.rotor_speeds.shape[1]).items():
         columns |= dict(zip(headings, getattr(flight, name).T, strict=True))
     columns |= dict(zip(WRENCH, wrench.T, strict=True))
     table = pa.table({name: np.ascontiguousarray(values) for name, values in columns.items()})

@@ -17,7 +17,9 @@ import numpy as np
 from quadpi_core.config import nearest
 from quadpi_core.config_schema import OneOf, ReadBy, Section, Share, load_config, unknown_key
 from quadpi_core.errors import LogError
+from quadpi_core.records import ROTORS_MAX
 from quadpi_core.sample_limits import STANDARD_GRAVITY
+from quadpi_core.vehicle import ROTORS
 
 ERPM = "erpm"
 TIME = "time"
@@ -46,7 +48,7 @@ UNITS: MappingProxyType[str, dict[str, float]] = MappingProxyType(
         "simulated_moment": {"Nm": 1.0, "mNm": 1e-3},
     }
 )
-_COLUMN_COUNT = MappingProxyType({"time": 1, "rotor_speeds": 4, "battery": 1})
+_COLUMN_COUNT = MappingProxyType({"time": 1, "battery": 1})
 # Keys that some signals must have beside `columns` and `unit`.
 _CHOICES: MappingProxyType[str, tuple[str, ...]] = MappingProxyType(
     {
@@ -104,7 +106,11 @@ class Signal(Section):
                 raise ValueError(f"{name}: {unknown_key(key, known)}")
         if self.unit is not None and self.unit not in UNITS[name]:
             raise ValueError(f"{name}: `unit` must be one of {', '.join(UNITS[name])}, found {self.unit!r}")
-        count = _COLUMN_COUNT.get(name, 3) if units else 4
+        if name == "rotor_speeds":
+            # As many as the vehicle has, which those who read for one check.
+            count = ROTORS if len(self.columns) == 1 else max(3, min(len(self.columns), ROTORS_MAX))
+        else:
+            count = _COLUMN_COUNT.get(name, 3) if units else 4
         if len(self.columns) == 1 < count:
             several = tuple(f"{self.columns[0]}.{place + 1}" for place in range(count))
             object.__setattr__(self, "columns", several)

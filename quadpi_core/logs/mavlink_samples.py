@@ -28,7 +28,7 @@ from quadpi_core.rotations import from_rotation_vector, product, rotate_world_to
 from quadpi_core.rotor_order import RotorOrder
 from quadpi_core.sample_limits import NORM_TOLERANCE, STANDARD_GRAVITY
 from quadpi_core.unusable_readings import REASONS, UnusableReports, Verdict
-from quadpi_core.vehicle import ROTORS, Vehicle
+from quadpi_core.vehicle import Vehicle
 
 ARDUPILOT, PX4 = 3, 12
 AUTOPILOT_INVALID = 8
@@ -119,8 +119,8 @@ class MavlinkSamples:
         self.vehicle_type: int | None = None
         self._vehicle = vehicle
         self._order = order
-        self._speeds = np.zeros(ROTORS)
-        self._speed_time = [-math.inf] * ROTORS
+        self._speeds = np.zeros(len(order.controllers))
+        self._speed_time = [-math.inf] * len(self._speeds)
         self._speed_count: dict[int, int] = {}
         self._online = -1
         self._attitude: tuple[float, Array, Array] | None = None
@@ -319,7 +319,7 @@ class MavlinkSamples:
             self._speed_time[rotor] = now_s
         if not all(now_s - _ROTOR_SPREAD_S <= then <= now_s for then in self._speed_time):
             return None
-        self._speed_time = [-math.inf] * ROTORS
+        self._speed_time = [-math.inf] * len(self._speeds)
         speeds = self._order.speeds(self._speeds[np.newaxis], self._vehicle)[0]
         return Sample("rotor_speeds", source, clock_us, speeds)
 

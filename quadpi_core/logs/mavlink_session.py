@@ -101,7 +101,8 @@ class SessionReport(NamedTuple):
         refused: number of refused messages by message and reason.
         clock: offset to the autopilot's clock.
         clock_restarts: number of restarts of that clock.
-        airframe: that the autopilot is of, where it is no quadrotor: its rotor speeds are not used.
+        other_airframe: how the autopilot's airframe is another than the vehicle's, so that its rotor speeds
+            are not used; empty where it may be the same.
     """
 
     system: int | None
@@ -114,7 +115,7 @@ class SessionReport(NamedTuple):
     refused: dict[str, int]
     clock: Offset | None
     clock_restarts: int
-    airframe: Airframe | None
+    other_airframe: str
 
 
 class MavlinkSession:
@@ -133,7 +134,7 @@ class MavlinkSession:
 
     def __init__(self, vehicle: Vehicle | None, order: RotorOrder, settings: SessionSettings) -> None:
         self._settings = settings
-        self._order = order
+        self._order, self._vehicle = order, vehicle
         self._kinds = {kind.msgname: kind for kind in load_dialect().mavlink_map.values()}
         self._framer = Framer(settings.key)
         self._samples = MavlinkSamples(vehicle, order)
@@ -232,8 +233,8 @@ class MavlinkSession:
         """The sample on this computer's clock; None if its topic uses another message or the stamp falls."""
         if not self._is_chosen(sample, arrival_ns):
             return None
-        if sample.topic == "rotor_speeds" and (airframe := self._airframe()):
-            self._samples.refused[f"{sample.source}: {airframe}"] += 1
+        if sample.topic == "rotor_speeds" and (why := self._other_airframe()):
+            self._samples.refused[f"{sample.source}: {why}"] += 1
             return None
         time_ns = arrival_ns
         if sample.clock_us is not None:
@@ -252,9 +253,10 @@ class MavlinkSession:
         self._counts[sample.topic] += 1
         return Received(sample.topic, time_ns, sample.values)
 
-    def _airframe(self) -> Airframe | None:
+    def _other_airframe(self) -> str:
         mav_type = self._samples.vehicle_type or 0
-        return Airframe.of_mav_type(f"MAV_TYPE {mav_type}", mav_type)
+        airframe = Airframe.of_mav_type(f"MAV_TYPE {mav_type}", mav_type)
+        return "" if airframe is None else airframe.other_than(self._vehicle)
 
     def _is_chosen(self, sample: Sample, arrival_ns: int) -> bool:
         ranks = SOURCES[sample.topic]
@@ -348,5 +350,5 @@ class MavlinkSession:
             # A sender may have two clocks: since its boot, and since 1970.
             clock=max(estimates, key=lambda one: one.exchanged, default=None),
             clock_restarts=sum(known.restarts for known in self._clocks.values()),
-            airframe=self._airframe(),
+            other_airframe=self._other_airframe(),
         )

@@ -137,7 +137,7 @@ def decode_recording(
     """Like :func:`read_recording`, but unchecked, and whole: what `quadpi info` diagnoses."""
     path = array_checks.path("path", path)
     if vehicle is not None:
-        array_checks.instance("vehicle", vehicle, Vehicle, LOAD_VEHICLE).require_four("logs are read")
+        array_checks.instance("vehicle", vehicle, Vehicle, LOAD_VEHICLE)
     log_format = identify_format(path)
     file, number = flight_in(path)
     with reading(path):
@@ -159,8 +159,6 @@ def open_in_blocks(
         LogError: naming the file, and topic and sample where there is one.
     """
     path = Path(path)
-    if vehicle is not None:
-        vehicle.require_four("logs are read")
     log_format = identify_format(path)
     assert log_format.container is not None
     with ExitStack() as opened:

@@ -42,7 +42,7 @@ from quadpi_core.messages.definitions import codec
 from quadpi_core.messages.payloads import Payloads
 from quadpi_core.messages.values import ODOMETRY_VALUES
 from quadpi_core.sample_limits import NORM_TOLERANCE
-from quadpi_core.vehicle import ROTORS, Vehicle
+from quadpi_core.vehicle import Vehicle
 
 IMU = "sensor_msgs/msg/Imu"
 POSE = "geometry_msgs/msg/PoseStamped"
@@ -167,17 +167,19 @@ ODOMETRY_SAMPLES = SampleKind(
 WIND_SAMPLES = SampleKind(
     WIND, _room(WindStream, 3), lambda values, wind: compiled.wind_values(values, wind.velocity)
 )
-ROTOR_SPEED_SAMPLES = SampleKind(
-    ROTOR_SPEEDS, _room(RotorSpeedStream, ROTORS), _fill_rotor_speeds, counts={"rotor_speeds": ROTORS}
-)
-
 # Samples of N messages, or one: see SampleKind.unpack. The orientation of an IMU is not used; the twist of an
 # odometry is in its child (body) frame.
 unpack_imu = IMU_SAMPLES.unpack
 unpack_pose = POSE_SAMPLES.unpack
 unpack_odometry = ODOMETRY_SAMPLES.unpack
 unpack_wind = WIND_SAMPLES.unpack
-unpack_rotor_speeds = ROTOR_SPEED_SAMPLES.unpack
+
+
+def rotor_speed_samples(rotors: int) -> SampleKind[RotorSpeedStream]:
+    """Messages of quadpi/RotorSpeeds of a vehicle with this number of rotors."""
+    return SampleKind(
+        ROTOR_SPEEDS, _room(RotorSpeedStream, rotors), _fill_rotor_speeds, counts={"rotor_speeds": rotors}
+    )
 
 
 def erpm_samples(vehicle: Vehicle) -> SampleKind[RotorSpeedStream]:
@@ -190,8 +192,9 @@ def erpm_samples(vehicle: Vehicle) -> SampleKind[RotorSpeedStream]:
     def fill(erpm: Array, rotors: RotorSpeedStream) -> None:
         rotors.speeds[:] = vehicle.rotor_speeds_from_erpm(erpm)
 
-    vehicle.rotor_speeds_from_erpm(np.zeros(ROTORS))
-    return SampleKind(ERPM, _room(RotorSpeedStream, ROTORS), fill, counts={"erpm": ROTORS})
+    rotors = vehicle.rotor_count
+    vehicle.rotor_speeds_from_erpm(np.zeros(rotors))
+    return SampleKind(ERPM, _room(RotorSpeedStream, rotors), fill, counts={"erpm": rotors})
 
 
 def twist_samples(body_frame: str) -> SampleKind[TwistStream]:
@@ -328,12 +331,14 @@ def pack_wind(stream: WindStream, frame_id: str = WORLD_FRAME) -> Payloads:
     return codec(WIND).encode(len(stream), columns)
 
 
-def unpack_any_rotor_speeds(payloads: Payloads | bytes) -> RotorSpeedStream:
-    """Decode quadpi/RotorSpeeds of any number of rotors, the same in all messages: to be shown, not modelled.
+def unpack_rotor_speeds(payloads: Payloads | bytes, rotors: int | None = None) -> RotorSpeedStream:
+    """Decode quadpi/RotorSpeeds of so many rotors; None for any number, the same in all messages.
 
     Raises:
-        SampleError: for messages of different numbers of rotors, too.
+        SampleError: also for another number of rotors.
     """
+    if rotors is not None:
+        return rotor_speed_samples(rotors).unpack(payloads)
     columns = codec(ROTOR_SPEEDS).decode(payloads)
     return RotorSpeedStream(header_stamps(columns), columns["rotor_speeds"])
 

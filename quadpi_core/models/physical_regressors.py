@@ -103,7 +103,7 @@ def control_signs(vehicle: Records) -> Array:
     positions, spins = vehicle["positions"][0], vehicle["spins"][0]
     signs: Array = np.stack((-np.sign(positions[:, 1]), np.sign(positions[:, 0]), spins))
     every = np.vstack((np.ones(len(spins)), signs))
-    if len(spins) == 4 and not np.array_equal(every @ every.T, 4.0 * np.eye(4)):
+    if len(spins) == 4 and signs.all() and not np.array_equal(every @ every.T, 4.0 * np.eye(4)):
         raise ModelError(
             "the physical model needs a rotor in each quadrant, neighbours turning in opposite ways"
         )

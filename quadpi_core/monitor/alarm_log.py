@@ -143,7 +143,9 @@ def _extrapolation(alarms: Alarms, row: int) -> list[str]:
 
 def _miscoverage(alarms: Alarms, row: int) -> list[str]:
     """Rotors that have stopped, and axes outside their intervals; those whose test still remembers it."""
-    words = [f"rotor {k + 1} stopped" for k in range(ROTORS_MAX) if alarms.stopped[row] & 1 << k]
+    stopped = [str(k + 1) for k in range(ROTORS_MAX) if alarms.stopped[row] & 1 << k]
+    # More than one act on the body alike, and all of them read on.
+    words = [f"rotor {' or '.join(stopped)} stopped"] if stopped else []
     for k in _beyond(alarms.miscoverage[row], WARNING_CHARGE):
         share = 100.0 * alarms.miss_share[row, k]
         words.append(

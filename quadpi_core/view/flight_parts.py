@@ -35,7 +35,7 @@ from quadpi_core.monitor.pairing import PairedSamples
 from quadpi_core.monitor.replay import RecordedFlight, follow, open_flight
 from quadpi_core.reading_options import MappingOrOptions, reading_options
 from quadpi_core.results import BAD_DATA, AlarmEvent, Predictions, ReportedAlarms
-from quadpi_core.vehicle import ROTORS, Vehicle
+from quadpi_core.vehicle import Vehicle
 from quadpi_core.view.motion_inputs import MotionInputs
 from quadpi_core.view.vehicle_reports import NO_MESSAGE, REPORTS, TOLD_S, Told
 
@@ -410,7 +410,7 @@ def _rotor_vehicle(
         if not name and described is None:
             raise LogError("the bag does not name its vehicle, whose file gives the pole pairs")
         vehicle = described or Vehicle.load(name)
-        vehicle.rotor_speeds_from_erpm(np.zeros(ROTORS))
+        vehicle.rotor_speeds_from_erpm(np.zeros(vehicle.rotor_count))
     except QuadpiError as error:
         del names["erpm"]
         return None, [*lacks, ("erpm", f"no rotor speeds: {error}")]
@@ -445,7 +445,7 @@ def _recorded_part(
         for topic in ([topics["prediction"]] if "prediction" in topics else []) + list(others)
     ]
     states = unpacked("odometry", sensor_messages.unpack_odometry)
-    rotors = unpacked("rotor_speeds", sensor_messages.unpack_any_rotor_speeds)
+    rotors = unpacked("rotor_speeds", sensor_messages.unpack_rotor_speeds)
     if vehicle is not None:
         rotors = unpacked("erpm", lambda payloads: sensor_messages.unpack_erpm(payloads, vehicle))
     alarms = unpacked("extrapolation_alarm", result_messages.unpack_alarms)

@@ -12,7 +12,7 @@ import numpy as np
 from quadpi_core.flight import MAX_GAP_NS, OdometryStream, RotorSpeedStream, Stamps, WindStream
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES, aerodynamic_inputs, relative_to_air
-from quadpi_core.vehicle import ROTORS, Vehicle
+from quadpi_core.vehicle import Vehicle
 
 STRETCH_NS = 50_000_000
 
@@ -32,7 +32,7 @@ class MotionInputs:
         self._wind = np.zeros(3)
         self._vehicle = vehicle
         self._rotor_ns: Stamps = np.empty(0, dtype=np.int64)
-        self._speeds = np.empty((0, ROTORS))
+        self._speeds = np.empty((0, vehicle.rotor_count))
 
     def take(
         self, states: OdometryStream | None, rotors: RotorSpeedStream | None, wind: WindStream | None
@@ -42,10 +42,11 @@ class MotionInputs:
         if wind is not None and len(wind.velocity):
             self._wind = wind.velocity[-1]
         if rotors is not None and len(rotors.time_ns):
-            if rotors.speeds.shape[1] != ROTORS:
+            count = self._vehicle.rotor_count
+            if rotors.speeds.shape[1] != count:
                 self.problem = (
                     f"topic rotor_speeds: {rotors.speeds.shape[1]} rotors, vehicle {self._vehicle.name} has "
-                    f"{ROTORS}: its inputs are not known"
+                    f"{count}: its inputs are not known"
                 )
                 return nothing
             # The last of before, for states between it and the first of now.
@@ -58,7 +59,10 @@ class MotionInputs:
         if not near.any():
             return nothing
         time_ns = states.time_ns[near]
-        speeds = [np.interp(time_ns, self._rotor_ns, self._speeds[:, rotor]) for rotor in range(ROTORS)]
+        speeds = [
+            np.interp(time_ns, self._rotor_ns, self._speeds[:, rotor])
+            for rotor in range(self._speeds.shape[1])
+        ]
         first = np.flatnonzero(np.diff(time_ns // STRETCH_NS, prepend=-1))
         last = np.append(first[1:], len(time_ns)) - 1
         rows = np.column_stack((states.velocity[near], states.rates[near], *speeds))

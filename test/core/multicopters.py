@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -14,25 +15,33 @@ import yaml
 
 from quadpi_core.frames import Array
 from quadpi_core.paths import config_directory
+from quadpi_core.rotor_order import LAYOUTS, Motor
 from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight
 from quadpi_core.simulation.truth import STEP_HZ, Reference, Truth
-from quadpi_core.vehicle import Vehicle
+from quadpi_core.vehicle import SPIN_SIGN, Vehicle
 
 
 def multicopter_file(folder: Path, rotors: int) -> Path:
     """A vehicle file with the rotors of the Bebop 2 evenly on a circle; of six, two lie on the y axis."""
+    bearings = np.pi * (2.0 * np.arange(rotors) + 1.0) / rotors
+    motors = [Motor(math.cos(at), math.sin(at), 1.0 - 2.0 * (k % 2)) for k, at in enumerate(bearings)]
+    return _file(folder / f"rotors_{rotors}.yaml", motors)
+
+
+def framed_file(folder: Path, layout: str) -> Path:
+    """A vehicle file with the rotors of the Bebop 2 as the motors of a standard frame."""
+    return _file(folder / f"{layout}.yaml", LAYOUTS[layout])
+
+
+def _file(path: Path, motors: Sequence[Motor]) -> Path:
+    rotors, spins = len(motors), {sign: word for word, sign in SPIN_SIGN.items()}
     content = yaml.safe_load((config_directory() / "vehicles" / "bebop2.yaml").read_text())
-    angles = np.pi * (2.0 * np.arange(rotors) + 1.0) / rotors
     content["rotors"] = [
-        {
-            "position_m": [*(round(0.16 * of(angle), 9) + 0.0 for of in (math.cos, math.sin)), 0.0],
-            "spin": ("clockwise", "counterclockwise")[k % 2],
-        }
-        for k, angle in enumerate(angles.tolist())
+        {"position_m": [round(0.16 * m.x, 9) + 0.0, round(0.16 * m.y, 9) + 0.0, 0.0], "spin": spins[m.spin]}
+        for m in motors
     ]
     content["mass_kg"] *= rotors / 4.0
     content["inertia_kg_m2"] = [0.0006 * rotors, 0.00055 * rotors, 0.0011 * rotors]
-    path = folder / f"rotors_{rotors}.yaml"
     path.write_text(yaml.safe_dump(content))
     return path
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from quadpi_core.errors import LogError, VehicleError
-from quadpi_core.rotor_order import LAYOUTS, RotorOrder
+from quadpi_core.rotor_order import LAYOUTS, Motor, RotorOrder
 from quadpi_core.vehicle import Vehicle
 
 
@@ -20,13 +20,34 @@ def vehicle() -> Vehicle:
     return Vehicle.load("neurobem")
 
 
-@pytest.mark.parametrize("layout", LAYOUTS)
+@pytest.mark.parametrize("layout", ["quad-x", "betaflight"])
 @pytest.mark.parametrize("name", ["neurobem", "bebop2", "crazyflie_rpm"])
 def test_every_rotor_gets_the_motor_of_its_corner(layout: str, name: str) -> None:
     vehicle = Vehicle.load(name)
     order = RotorOrder.by_layout(vehicle, layout)
     for rotor, motor in enumerate(order.controllers):
-        assert tuple(np.sign(vehicle.rotor_positions[rotor, :2])) == LAYOUTS[layout][motor]
+        corner = np.sign(LAYOUTS[layout][motor][:2])
+        assert np.array_equal(np.sign(vehicle.rotor_positions[rotor, :2]), corner)
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_rotors_of_every_layout_are_found_in_any_order(layout: str) -> None:
+    """Also where they are off their bearings by a few degrees."""
+    motors = LAYOUTS[layout]
+    order = np.random.default_rng(1).permutation(len(motors))
+    turn = np.radians(4.0)
+    places = np.array([[m.x, m.y, 0.0] for m in motors])[order] * 0.2
+    x, y = places[:, 0].copy(), places[:, 1].copy()
+    places[:, 0], places[:, 1] = np.cos(turn) * x - np.sin(turn) * y, np.sin(turn) * x + np.cos(turn) * y
+    spins = np.array([motors[k].spin or 1.0 for k in order])
+    vehicle = replace(Vehicle.load("neurobem"), rotor_positions=places, rotor_spins=spins)
+    assert RotorOrder.by_layout(vehicle, layout).controllers == tuple(order)
+
+
+def test_a_frame_of_another_kind_has_no_order(vehicle: Vehicle) -> None:
+    for layout in ("quad-plus", "hexa-x"):
+        with pytest.raises(LogError, match=f"the vehicle's rotors are not those of a frame {layout}"):
+            RotorOrder.by_layout(vehicle, layout)
 
 
 def test_neurobem_under_px4(vehicle: Vehicle) -> None:
@@ -35,8 +56,8 @@ def test_neurobem_under_px4(vehicle: Vehicle) -> None:
 
 
 def test_motors_that_share_a_corner_have_no_order(vehicle: Vehicle) -> None:
-    assert RotorOrder.by_corner(vehicle, [(1, 1), (1, 1), (-1, 1), (-1, -1)]) is None
-    assert RotorOrder.by_corner(vehicle, [(0, 0)] * 4) is None
+    assert RotorOrder.by_place(vehicle, [Motor(1, 1), Motor(1, 1), Motor(-1, 1), Motor(-1, -1)]) is None
+    assert RotorOrder.by_place(vehicle, [Motor(0, 0)] * 4) is None
 
 
 def test_units(vehicle: Vehicle) -> None:
@@ -58,8 +79,8 @@ def test_a_mapping_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("rotors: [1, 2, 3]", "`rotors` must be 4 different numbers"),
-        ("rotors: [1, 2, 3, 3]", "must be 4 different numbers"),
+        ("rotors: [1, 2, 3, 3]", "`rotors` must be different numbers"),
+        ("rotors: []", "must be different numbers"),
         ("rotors: [0, 1, 2, 3]", "counted from 1"),
         ("rotors: [1, 2, 3, true]", "counted from 1"),
         ("rotors: [1, 2, 3, 4]\nunit: rad/s", "`unit` must be one of rpm, erpm, found 'rad/s'"),

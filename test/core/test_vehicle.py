@@ -126,7 +126,7 @@ def test_impossible_values_are_named(tmp_path: Path, change: dict[str, Any], mes
     ("change", "message"),
     [
         ({"position_m": [0.1, 0.1]}, "rotors, entry 2: `position_m` must be three numbers, found"),
-        ({"position_m": [0.1, 0.0, 0.0]}, "rotors, entry 2: the rotor lies on a body axis"),
+        ({"position_m": [0.1, 0.0, 0.0]}, "one in each quadrant .*, or one on each half of the body axes"),
         (
             {"spin": "left"},
             "rotors, entry 2: `spin` must be one of clockwise, counterclockwise, f",

@@ -35,7 +35,7 @@ _NEVER = -(2**63)
 _MESSAGES: dict[str, tuple[Callable[..., Any], SampleKind[Any]]] = {
     "imu": (sensor_messages.pack_imu, sensor_messages.IMU_SAMPLES),
     "mocap/pose": (sensor_messages.pack_pose, sensor_messages.POSE_SAMPLES),
-    "rotor_speeds": (sensor_messages.pack_rotor_speeds, sensor_messages.ROTOR_SPEED_SAMPLES),
+    "rotor_speeds": (sensor_messages.pack_rotor_speeds, sensor_messages.rotor_speed_samples(4)),
     "wind": (sensor_messages.pack_wind, sensor_messages.WIND_SAMPLES),
 }
 

@@ -209,7 +209,7 @@ def test_every_sensor_at_once(sensors, fly_onboard, calm):
     rng = np.random.default_rng(1)
     kinds = {
         "imu": sensor_messages.IMU_SAMPLES,
-        "rotor_speeds": sensor_messages.ROTOR_SPEED_SAMPLES,
+        "rotor_speeds": sensor_messages.rotor_speed_samples(4),
         "mocap/pose": sensor_messages.POSE_SAMPLES,
     }
 

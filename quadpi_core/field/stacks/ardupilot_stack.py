@@ -16,6 +16,7 @@ from quadpi_core.field.field_log import FieldLog, Series, Setting, Stack, densit
 from quadpi_core.logs.dataflash import Messages, decode_dataflash
 from quadpi_core.logs.formats.ardupilot import (
     FORMAT,
+    LAYOUT_OF_FRAME,
     airframe_of,
     attitude_of,
     controllers_of,
@@ -32,7 +33,6 @@ _CLASSES = {
     4: ("coaxial octocopter", 8),
 } | {5: ("Y6", 6), 7: ("tricopter", 3), 12: ("dodecahexacopter", 12), 14: ("decacopter", 10)}
 _TYPES = {0: "plus", 1: "X", 2: "V", 3: "H", 12: "X of Betaflight", 13: "X, DJI order"}
-_LAYOUT = {(1, 1): "quad-x", (1, 3): "quad-x", (1, 12): "betaflight"}
 _FIRST_MOTOR_FUNCTION = 33
 _OUTPUTS = 14
 _PWM_US = (1000.0, 2000.0)
@@ -80,7 +80,7 @@ def read_ardupilot_field(path: Path, _number: int | None = None) -> FieldLog:
     moved, attitude = motion_of(messages), attitude_of(source, messages)
     speeds = _speeds(messages, outputs, start_ns)
     baro = read("BARO", "Press", "Temp")
-    layout = _LAYOUT.get((frame_class, frame_type))
+    layout = LAYOUT_OF_FRAME.get((frame_class, frame_type))
     return FieldLog(
         name=path.stem,
         source=source,
@@ -102,7 +102,7 @@ def read_ardupilot_field(path: Path, _number: int | None = None) -> FieldLog:
         density=None
         if baro is None
         else Series(baro.time, density_of(baro.values[:, :1], baro.values[:, 1:])),
-        corners=np.array(LAYOUTS[layout], dtype=np.float64) if layout else None,
+        corners=np.sign(np.round(np.array(LAYOUTS[layout])[:, :2], 6)) if layout else None,
         drag_prefix="EK3_DRAG_",
         facts=_facts(parameters),
         parameters=parameters,

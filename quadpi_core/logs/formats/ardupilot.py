@@ -14,10 +14,11 @@ from types import MappingProxyType
 
 import numpy as np
 
+from quadpi_core.errors import LogError
 from quadpi_core.findings import NOTHING_TO_SAY, DataQuality
 from quadpi_core.flight import ImuStream, OdometryStream, Recording, RotorSpeedStream, Stamps
 from quadpi_core.frames import Array, quaternion_from_roll_pitch_yaw
-from quadpi_core.logs.airframes import Airframe, has_quadrotor
+from quadpi_core.logs.airframes import Airframe, has_rotors
 from quadpi_core.logs.dataflash import HEAD, Messages, decode_dataflash
 from quadpi_core.logs.log_format import LogFormat
 from quadpi_core.logs.reader_steps import (
@@ -28,9 +29,9 @@ from quadpi_core.logs.reader_steps import (
     rotors_together,
     unit_attitudes,
 )
-from quadpi_core.rotor_order import RPM, RotorOrder
+from quadpi_core.rotor_order import RPM, RotorOrder, usual_layout
 from quadpi_core.screening.sample_order import breaks, longest, order_of, used_run
-from quadpi_core.vehicle import ROTORS, Vehicle
+from quadpi_core.vehicle import Vehicle
 
 _GYRO, _ACCELERATION = ("GyrX", "GyrY", "GyrZ"), ("AccX", "AccY", "AccZ")
 _QUATERNION = ("Q1", "Q2", "Q3", "Q4")
@@ -64,7 +65,19 @@ _FIRMWARES = MappingProxyType(
         "Blimp": "the firmware of airships",
     }
 )
-_LAYOUT_OF_FRAME_TYPE = {1: "quad-x", 3: "quad-x", 12: "betaflight"}
+# By FRAME_CLASS and FRAME_TYPE.
+LAYOUT_OF_FRAME = MappingProxyType(
+    {
+        **{(1, 0): "quad-plus", (1, 1): "quad-x", (1, 3): "quad-x", (1, 12): "betaflight"},
+        **{
+            (2, 0): "hexa-plus",
+            (2, 1): "hexa-x",
+            (3, 0): "octo-plus",
+            (3, 1): "octo-x",
+            (4, 1): "octo-coaxial-x",
+        },
+    }
+)
 
 
 def read_ardupilot(path: Path, vehicle: Vehicle | None, order: RotorOrder | None = None) -> Recording:
@@ -85,7 +98,7 @@ def read_ardupilot(path: Path, vehicle: Vehicle | None, order: RotorOrder | None
     if log.cut_off is not None:
         note(source, f"byte {log.cut_off}: the file is cut off in this record; all before it is read")
     messages, quality = longest_boot(log.messages)
-    is_quadrotor = has_quadrotor(source, airframe_of(messages))
+    its_rotors = has_rotors(source, airframe_of(messages), vehicle)
     imu = require_imu(source, _imu(messages), "IMU")
     battery = messages.get("BAT") or messages.get("CURR")
     return Recording(
@@ -93,7 +106,7 @@ def read_ardupilot(path: Path, vehicle: Vehicle | None, order: RotorOrder | None
         vehicle=vehicle.name if vehicle else "",
         source=source,
         imu=imu,
-        rotor_speeds=_rotor_speeds(source, messages, vehicle, order) if is_quadrotor else None,
+        rotor_speeds=_rotor_speeds(source, messages, vehicle, order) if its_rotors else None,
         odometry=_odometry(source, messages, imu),
         battery_v=None if battery is None else _battery(battery),
         quality=quality,
@@ -104,18 +117,18 @@ def airframe_of(messages: dict[str, Messages]) -> Airframe | None:
     """What the frame class, or else the name of the firmware, says of the vehicle."""
     parameters = parameters_of(messages)
     if parameters.get("Q_ENABLE", 0.0) > 0.0:
-        return Airframe("Q_ENABLE 1", "a VTOL aircraft", False)
+        return Airframe("Q_ENABLE 1", "a VTOL aircraft")
     frame_class = int(parameters.get("FRAME_CLASS", 0.0))
     known = _FRAME_CLASSES.get(frame_class)
     if isinstance(known, int):
         return Airframe.of_rotors(f"FRAME_CLASS {frame_class}", known)
     if known is not None:
-        return Airframe(f"FRAME_CLASS {frame_class}", known, False)
+        return Airframe(f"FRAME_CLASS {frame_class}", known)
     told = messages["MSG"].text("Message") if "MSG" in messages else []
     for firmware, name in _FIRMWARES.items():
         said = next((text for text in told if text.startswith(firmware)), None)
         if said is not None:
-            return Airframe(said, name, False)
+            return Airframe(said, name)
     return None
 
 
@@ -204,8 +217,11 @@ def _rotor_speeds(
     controllers = controllers_of(messages)
     if not controllers:
         return None
-    if order is None:
-        order = _order(source, parameters_of(messages), vehicle)
+    try:
+        order = order or _order(source, parameters_of(messages), vehicle)
+    except LogError as error:
+        note(source, f"topic rotor_speeds: left out, {error}")
+        return None
     absent = [str(number + 1) for number in order.controllers if number not in controllers]
     if absent:
         note(source, f"topic rotor_speeds: left out, speed controllers {', '.join(absent)} are not logged")
@@ -259,20 +275,24 @@ def parameters_of(messages: dict[str, Messages]) -> dict[str, float]:
 
 def _order(source: str, parameters: dict[str, float], vehicle: Vehicle | None) -> RotorOrder:
     """Which output drives which motor, and where the frame type puts it."""
-    frame_type = parameters.get("FRAME_TYPE")
-    layout = _LAYOUT_OF_FRAME_TYPE.get(int(frame_type)) if frame_type is not None else None
+    told = [parameters.get(name) for name in ("FRAME_CLASS", "FRAME_TYPE")]
+    frame_class, frame_type = (None if one is None else int(one) for one in told)
+    # Until 2016 the type stood alone, of a firmware for each number of rotors.
+    layout = LAYOUT_OF_FRAME.get((frame_class or 1, -1 if frame_type is None else frame_type))
     if layout is None:
-        layout = "quad-x"
-        said = "nothing" if frame_type is None else f"FRAME_TYPE {frame_type:g}"
-        note(source, f"topic rotor_speeds: the log says {said} of the frame; its motors are taken as quad X")
+        layout = usual_layout(vehicle)
+        said = "nothing" if frame_type is None else f"FRAME_TYPE {frame_type}"
+        note(
+            source, f"topic rotor_speeds: the log says {said} of the frame; its motors are taken as {layout}"
+        )
     motors = RotorOrder.by_layout(vehicle, layout, RPM).controllers
     outputs = {
         int(parameters[f"SERVO{output + 1}_FUNCTION"]) - _FIRST_MOTOR_FUNCTION: output
         for output in range(16)
         if f"SERVO{output + 1}_FUNCTION" in parameters
     }
-    if not all(motor in outputs for motor in range(ROTORS)):
-        outputs = {motor: motor for motor in range(ROTORS)}
+    if not all(motor in outputs for motor in motors):
+        return RotorOrder(motors, RPM)
     return RotorOrder(tuple(outputs[motor] for motor in motors), RPM)
 
 

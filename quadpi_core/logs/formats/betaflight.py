@@ -21,7 +21,7 @@ import numpy as np
 from quadpi_core.errors import LogError
 from quadpi_core.flight import ImuStream, PoseStream, Recording, RotorSpeedStream, Stamps
 from quadpi_core.frames import Array, body_flu_to_frd, quaternion_from_roll_pitch_yaw
-from quadpi_core.logs.airframes import Airframe, has_quadrotor
+from quadpi_core.logs.airframes import Airframe, has_rotors
 from quadpi_core.logs.blackbox import BlackboxLog, decode_blackbox
 from quadpi_core.logs.log_format import FlightsInFile, LogFormat
 from quadpi_core.logs.reader_steps import note, require_imu
@@ -90,14 +90,14 @@ def _recording(
 ) -> Recording:
     _note_damage(source, f"flight {number}", log)
     headers, columns = log.headers, log.columns
-    is_quadrotor = has_quadrotor(source, airframe_of(log.fields))
+    its_rotors = has_rotors(source, airframe_of(log.fields), vehicle)
     imu = require_imu(source, imu_of(source, headers, columns), "gyroADC and accSmooth")
     return Recording(
         name=name,
         vehicle=vehicle.name if vehicle else "",
         source=source,
         imu=imu,
-        rotor_speeds=_rotor_speeds(source, headers, columns, vehicle, order) if is_quadrotor else None,
+        rotor_speeds=_rotor_speeds(source, headers, columns, vehicle, order) if its_rotors else None,
         pose=pose_of(columns),
     )
 
@@ -106,7 +106,7 @@ def airframe_of(fields: Sequence[str]) -> Airframe | None:
     """What has as many motors as are logged; a log without any does not say."""
     motors = sum(name.startswith("motor[") for name in fields)
     if motors in {1, 2}:
-        return Airframe(f"a log of {motors} motors", "one of no multicopter", False)
+        return Airframe(f"a log of {motors} motors", "one of no multicopter")
     return Airframe.of_rotors(f"a log of {motors} motors", motors) if motors else None
 
 

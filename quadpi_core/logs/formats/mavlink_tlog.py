@@ -22,7 +22,7 @@ from quadpi_core.flight import (
     Stamps,
     Stream,
 )
-from quadpi_core.logs.airframes import Airframe, has_quadrotor
+from quadpi_core.logs.airframes import Airframe, has_rotors
 from quadpi_core.logs.clocks import line_below
 from quadpi_core.logs.formats import ardupilot, px4
 from quadpi_core.logs.log_format import LogFormat
@@ -37,7 +37,7 @@ from quadpi_core.logs.mavlink_samples import (
     stream_of,
 )
 from quadpi_core.logs.reader_steps import note, require_imu
-from quadpi_core.rotor_order import RPM, RotorOrder
+from quadpi_core.rotor_order import RPM, RotorOrder, usual_layout
 from quadpi_core.vehicle import Vehicle
 
 _STAMP_BYTES = 8
@@ -116,7 +116,7 @@ def read_tlog(path: Path, vehicle: Vehicle | None, order: RotorOrder | None = No
     """
     source = str(path)
     if order is None:
-        order = RotorOrder.by_layout(vehicle, "quad-x", RPM)
+        order = RotorOrder.by_layout(vehicle, usual_layout(vehicle), RPM)
     samples, arrived = _decode(path, lambda: MavlinkSamples(vehicle, order))
     arrived, quality = _longest_run(arrived)
     time_ns = _stamps(arrived)
@@ -126,16 +126,16 @@ def read_tlog(path: Path, vehicle: Vehicle | None, order: RotorOrder | None = No
             continue
         note(source, f"{count} messages not used, {refusal}")
     mav_type = samples.vehicle_type or 0
-    is_quadrotor = has_quadrotor(source, Airframe.of_mav_type(f"MAV_TYPE {mav_type}", mav_type))
+    its_rotors = has_rotors(source, Airframe.of_mav_type(f"MAV_TYPE {mav_type}", mav_type), vehicle)
     imu, rotors, pose, odometry = (_stream(topic, arrived, time_ns) for topic in SOURCES)
     imu = require_imu(source, cast("ImuStream | None", imu), "HIGHRES_IMU, RAW_IMU or SCALED_IMU")
-    left_out = tuple(unusable.left_out("rotor_speeds", int(imu.time_ns[0]))) if is_quadrotor else ()
+    left_out = tuple(unusable.left_out("rotor_speeds", int(imu.time_ns[0]))) if its_rotors else ()
     return Recording(
         name=path.stem,
         vehicle=vehicle.name if vehicle else "",
         source=source,
         imu=imu,
-        rotor_speeds=_telling(source, rotors, samples) if is_quadrotor else None,
+        rotor_speeds=_telling(source, rotors, samples) if its_rotors else None,
         pose=cast("PoseStream | None", pose),
         odometry=cast("OdometryStream | None", odometry),
         quality=quality.joined(DataQuality(left_out=left_out)),

@@ -23,7 +23,7 @@ from quadpi_core.errors import LogError, require_library
 from quadpi_core.findings import DataQuality
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream, Stamps
 from quadpi_core.frames import Array
-from quadpi_core.logs.airframes import Airframe, has_quadrotor
+from quadpi_core.logs.airframes import Airframe, has_rotors
 from quadpi_core.logs.log_format import LogFormat
 from quadpi_core.logs.reader_steps import (
     has_attitude,
@@ -37,9 +37,9 @@ from quadpi_core.logs.reader_steps import (
 )
 from quadpi_core.logs.sandbox import read_apart
 from quadpi_core.messages.adapters.rotor_messages import EscReports, RotorReader
-from quadpi_core.rotor_order import RPM, RotorOrder
+from quadpi_core.rotor_order import LAYOUTS, RPM, Motor, RotorOrder, usual_layout
 from quadpi_core.unusable_readings import Verdict
-from quadpi_core.vehicle import ROTORS, Vehicle
+from quadpi_core.vehicle import Vehicle
 
 # The columns (N,) of one topic, by the names that pyulog gives them, such as "q[0]".
 Columns: TypeAlias = dict[str, Any]
@@ -97,10 +97,10 @@ def read_px4(path: Path, vehicle: Vehicle | None, order: RotorOrder | None = Non
     log = load_ulog(source, path)
     # A log that is damaged may hold bytes in the place of a number.
     parameters = {n: float(v) for n, v in log.parameters.items() if isinstance(v, int | float)}
-    is_quadrotor = has_quadrotor(source, airframe_of(parameters))
+    its_rotors = has_rotors(source, airframe_of(parameters), vehicle)
     topics = live_topics(source, log.instances)
     imu = require_imu(source, _imu(topics.get("sensor_combined")), "sensor_combined")
-    status = topics.get("esc_status") if is_quadrotor else None
+    status = topics.get("esc_status") if its_rotors else None
     rotors = _rotor_speeds(source, status, parameters, vehicle, order)
     rotor_speeds, left_out = (None, ()) if rotors is None else without(*rotors, imu)
     return Recording(
@@ -120,7 +120,7 @@ def airframe_of(parameters: Mapping[str, float]) -> Airframe | None:
     """What the airframe, its number of rotors or else the type that PX4 announces says of the vehicle."""
     airframe = int(parameters.get("CA_AIRFRAME", 0))
     if airframe in _AIRFRAMES:
-        return Airframe(f"CA_AIRFRAME {airframe}", _AIRFRAMES[airframe], False)
+        return Airframe(f"CA_AIRFRAME {airframe}", _AIRFRAMES[airframe])
     rotors = int(parameters.get("CA_ROTOR_COUNT", 0))
     if rotors > 0:
         return Airframe.of_rotors(f"CA_ROTOR_COUNT {rotors}", rotors)
@@ -335,14 +335,21 @@ def _order(
     source: str, columns: Columns, parameters: dict[str, float], vehicle: Vehicle | None
 ) -> RotorOrder:
     """Report of each rotor: from motor to report by actuator_function, from rotor to motor by position."""
-    corners = [
-        (parameters.get(f"CA_ROTOR{motor}_PX", 0.0), parameters.get(f"CA_ROTOR{motor}_PY", 0.0))
-        for motor in range(ROTORS)
+    layout = usual_layout(vehicle)
+    places = [
+        # A positive moment coefficient is that of a rotor that turns counterclockwise.
+        Motor(
+            *(
+                parameters.get(f"CA_ROTOR{motor}_{key}", 0.0) * sign
+                for key, sign in (("PX", 1), ("PY", 1), ("KM", -1))
+            )
+        )
+        for motor in range(len(LAYOUTS[layout]))
     ]
-    motors = RotorOrder.by_corner(vehicle, corners, RPM)
+    motors = RotorOrder.by_place(vehicle, places, RPM)
     if motors is None:
-        note(source, "topic rotor_speeds: no rotor positions in the log; its motors are taken as quad X")
-        motors = RotorOrder.by_layout(vehicle, "quad-x", RPM)
+        note(source, f"topic rotor_speeds: no rotor positions in the log; its motors are taken as {layout}")
+        motors = RotorOrder.by_layout(vehicle, layout, RPM)
     reports = {}
     for report in range(len([name for name in columns if name.endswith("].esc_rpm")])):
         functions = columns.get(f"esc[{report}].actuator_function")

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """ESC reports as rotor speeds.
 
-Each message becomes four speeds and four marks, numbers that change with every report of an ESC. Autopilots
-and bridges repeat an ESC's last report: a row without a new report is no sample, and neither is one in
-which an ESC has been silent for 0.1 s.
+Each message becomes a speed and a mark of each rotor, a number that changes with every report of its ESC.
+Autopilots and bridges repeat an ESC's last report: a row without a new report is no sample, and neither is
+one in which an ESC has been silent for 0.1 s.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from quadpi_core.messages.adapters.adapter_settings import RotorSettings
 from quadpi_core.messages.cdr import Columns, header_stamps
 from quadpi_core.messages.foreign_messages import Items
 from quadpi_core.messages.payloads import Indices
-from quadpi_core.records import record_dtype
+from quadpi_core.records import ROTORS_MAX, record_dtype
 from quadpi_core.rotor_order import ERPM, RotorOrder
 from quadpi_core.unusable_readings import UnusableReports, Verdict
-from quadpi_core.vehicle import ROTORS, Vehicle
+from quadpi_core.vehicle import Vehicle
 
 # PX4's `actuator_function` of the first motor and of the last.
 MOTORS = (compiled.FIRST_MOTOR, compiled.LAST_MOTOR)
@@ -37,8 +37,8 @@ class EscReports(NamedTuple):
 
     Attributes:
         time_ns: (N,).
-        rpm: (N, 4); any number where there is no sample.
-        marks: (N, 4) change with every report of the ESC.
+        rpm: (N, rotors); any number where there is no sample.
+        marks: (N, rotors) change with every report of the ESC.
         verdict: (N,) see :class:`Verdict`.
     """
 
@@ -48,13 +48,13 @@ class EscReports(NamedTuple):
     verdict: npt.NDArray[np.uint8]
 
     @classmethod
-    def none(cls, time_ns: Stamps) -> EscReports:
+    def none(cls, time_ns: Stamps, rotors: int) -> EscReports:
         """Room for the reports of messages with these stamps (N,)."""
         count = len(time_ns)
         return cls(
             time_ns,
-            np.zeros((count, ROTORS)),
-            np.zeros((count, ROTORS), dtype=np.int64),
+            np.zeros((count, rotors)),
+            np.zeros((count, rotors), dtype=np.int64),
             np.zeros(count, dtype=np.uint8),
         )
 
@@ -62,8 +62,8 @@ class EscReports(NamedTuple):
 class _EscMemory:
     """That of core/include/quadpi/messages/rotor_messages.hpp."""
 
-    latest: Annotated[Indices, ROTORS]
-    heard_ns: Annotated[Indices, ROTORS]
+    latest: Annotated[Indices, ROTORS_MAX]
+    heard_ns: Annotated[Indices, ROTORS_MAX]
 
 
 _MEMORY = record_dtype(_EscMemory)
@@ -76,9 +76,9 @@ def reports_in_esc_order(columns: Columns, array: Items, marks: Indices, order: 
         columns: of the messages.
         array: of reports, with their `rpm`.
         marks: (M,) of all reports.
-        order: (4,) numbers of the vehicle's ESCs, from 0.
+        order: (rotors,) numbers of the vehicle's ESCs, from 0.
     """
-    reports = EscReports.none(header_stamps(columns))
+    reports = EscReports.none(header_stamps(columns), len(order))
     rpm = array.columns["rpm"].astype(np.float64)
     compiled.take_numbered_escs(array.counts, rpm, marks, order, reports)
     return reports
@@ -94,10 +94,10 @@ def reports_of_motors(
         rpm: (N E,).
         marks: (N E,) 0 where the ESC has never reported.
         online: (N,) bits, by place in the array.
-        wanted: (4,) functions.
+        wanted: (rotors,) functions.
         time_ns: (N,).
     """
-    reports = EscReports.none(time_ns)
+    reports = EscReports.none(time_ns, len(wanted))
     compiled.take_escs_of_motors(functions, rpm, marks, online, wanted, reports)
     return reports
 
@@ -111,7 +111,7 @@ class RotorReader:
 
     def __init__(self, order: RotorOrder, vehicle: Vehicle | None) -> None:
         if order.unit == ERPM:
-            order.speeds(np.zeros(ROTORS), vehicle)
+            order.speeds(np.zeros(len(order.controllers)), vehicle)
         self._order = order
         self._vehicle = vehicle
         self._memory = np.zeros(1, _MEMORY)
@@ -134,7 +134,7 @@ class RotorReader:
 def start_of_rotors(
     reports: Callable[[Columns, dict[str, Items], Indices], EscReports],
 ) -> Callable[[RotorSettings, Vehicle | None], Reading]:
-    """`Adapter.start` of messages whose reports `reports` gives, for numbers (4,) of ESCs or motors."""
+    """`Adapter.start` of messages whose reports `reports` gives, for numbers (rotors,) of ESCs or motors."""
 
     def start(settings: RotorSettings, vehicle: Vehicle | None) -> Reading:
         order = settings.order(vehicle)

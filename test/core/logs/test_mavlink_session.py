@@ -16,6 +16,7 @@ from quadpi_core.logs.mavlink_frames import Framer
 from quadpi_core.logs.mavlink_samples import ARDUPILOT, PX4
 from quadpi_core.logs.mavlink_session import MavlinkSession, Received, SessionSettings
 from quadpi_core.rotor_order import RotorOrder
+from quadpi_core.vehicle import Vehicle
 
 MS, S = 1_000_000, 1_000_000_000
 START = 1_700_000_000 * S
@@ -29,7 +30,7 @@ class Autopilot:
         self.sender = sender
         self.kind = kind
         self.boot_ns = START
-        self.session = MavlinkSession(None, ORDER, settings or SessionSettings())
+        self.session = MavlinkSession(Vehicle.load("bebop2"), ORDER, settings or SessionSettings())
         self.framer = Framer()
         self.heard: list[Any] = []
 
@@ -75,22 +76,22 @@ def test_stamps_are_those_of_this_computer(mavlink_sender: Any) -> None:
 @pytest.mark.parametrize(
     ("mav_type", "said"),
     [
-        (2, None),
-        (13, "MAV_TYPE 13 is a hexacopter; quadpi supports quadrotors"),
-        (20, "MAV_TYPE 20 is a VTOL aircraft; quadpi supports quadrotors"),
+        (2, ""),
+        (13, "MAV_TYPE 13 is a hexacopter; vehicle bebop2 has 4 rotors"),
+        (20, "MAV_TYPE 20 is a VTOL aircraft; vehicle bebop2 has 4 rotors"),
     ],
 )
 def test_rotor_speeds_of_what_is_no_quadrotor_are_refused_by_its_name(
-    mavlink_sender: Any, mav_type: int, said: str | None
+    mavlink_sender: Any, mav_type: int, said: str
 ) -> None:
     autopilot = Autopilot(mavlink_sender())
     autopilot.deliver(autopilot.sender.packet("HEARTBEAT", mav_type, PX4, 0, 0, 4, 3), START)
     status = autopilot.sender.packet("ESC_STATUS", 0, 10_000, [4000] * 4, [0.0] * 4, [0.0] * 4)
-    assert len(autopilot.deliver(status, START + 10 * MS)) == (said is None)
+    assert len(autopilot.deliver(status, START + 10 * MS)) == (not said)
     assert len(autopilot.imu(START + 10 * MS)) == 1
     report = autopilot.session.report(START + S)
-    assert (str(report.airframe) if report.airframe else None) == said
-    assert report.refused == ({} if said is None else {f"ESC_STATUS: {said}": 1})
+    assert report.other_airframe == said
+    assert report.refused == ({f"ESC_STATUS: {said}": 1} if said else {})
 
 
 def test_without_answers_stamps_are_late_by_the_delay_and_the_report_says_so(mavlink_sender: Any) -> None:

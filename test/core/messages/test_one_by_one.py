@@ -56,7 +56,7 @@ KINDS = {
     ),
     "wind": (sensor_messages.WIND_SAMPLES, sensor_messages.pack_wind(WIND), sensor_messages.unpack_wind),
     "rotor speeds": (
-        sensor_messages.ROTOR_SPEED_SAMPLES,
+        sensor_messages.rotor_speed_samples(4),
         sensor_messages.pack_rotor_speeds(ROTORS),
         sensor_messages.unpack_rotor_speeds,
     ),
@@ -134,7 +134,7 @@ def test_another_number_of_rotors_is_refused_by_name_and_the_next_message_is_rea
 
 def test_a_length_that_is_not_that_of_the_numbers_is_refused() -> None:
     """All bytes but those of the length are those of the message before."""
-    read = IncomingMessage(sensor_messages.ROTOR_SPEED_SAMPLES)
+    read = IncomingMessage(sensor_messages.rotor_speed_samples(4))
     message = sensor_messages.pack_rotor_speeds(ROTORS)[0]
     read(message)
     place = message.index((4).to_bytes(4, "little"))

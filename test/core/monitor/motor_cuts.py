@@ -12,7 +12,6 @@ from quadpi_core import rotations
 from quadpi_core.frames import Array
 from quadpi_core.simulation.flying import SimulatedVehicle
 from quadpi_core.simulation.truth import LOG_HZ, Truth
-from quadpi_core.vehicle import ROTORS
 
 # Steps of integration per logged instant, and what is flown after the cut.
 _STEPS = 4
@@ -33,10 +32,11 @@ def with_motor_cut(truth: Truth, simulated: SimulatedVehicle, rotor: int, at_s: 
     velocity, rates = turn @ truth.velocity[start], truth.rates[start].copy()
     speeds = truth.rotor_speeds[start].copy()
     x, y = vehicle.rotor_positions[:, 0], vehicle.rotor_positions[:, 1]
-    allocation = np.linalg.pinv(np.stack((np.ones(ROTORS), -y, x)))
+    rotors = vehicle.rotor_count
+    allocation = np.linalg.pinv(np.stack((np.ones(rotors), -y, x)))
     weight = vehicle.mass_kg * vehicle.gravity_m_s2
-    per_square = weight / (ROTORS * simulated.aerodynamics.hover_rotor_speed**2)
-    lag = np.full(ROTORS, simulated.motor_time_constant)
+    per_square = weight / (rotors * simulated.aerodynamics.hover_rotor_speed**2)
+    lag = np.full(rotors, simulated.motor_time_constant)
     step_s = 1.0 / (LOG_HZ * _STEPS)
     for row in range(start, start + count):
         for step in range(_STEPS):

@@ -10,12 +10,11 @@
 #include <cstdint>
 
 #include "quadpi/records.hpp"
+#include "quadpi/signals/chain.hpp"
 
 namespace quadpi {
 
-constexpr std::size_t ESCS = 4;
-using EscNumbers = std::array<std::int64_t, ESCS>;
-using EscSpeeds = std::array<double, ESCS>;
+using EscNumbers = std::array<std::int64_t, ROTORS_MAX>;
 
 // PX4's `actuator_function` of the first motor and of the last.
 constexpr std::int64_t FIRST_MOTOR = 101, LAST_MOTOR = 112;
@@ -36,14 +35,14 @@ enum EscVerdict : std::uint8_t {
     MORE_ROTORS,
 };
 
-// Reports of N messages, by rotor of the vehicle.
+// Reports of N messages, each of as many values as the vehicle has rotors, in its order.
 struct EscReports {
-    Records<EscSpeeds> rpm;
-    Records<EscNumbers> marks;  // change with every report of the ESC
+    Records<double> rpm;
+    Records<std::int64_t> marks;  // change with every report of the ESC
     Records<std::uint8_t> verdict;
 
-    bool of(std::size_t messages) const {
-        return rpm.size == messages && marks.size == messages && verdict.size == messages;
+    bool of(std::size_t messages, std::size_t rotors) const {
+        return rpm.size == messages * rotors && marks.size == messages * rotors && verdict.size == messages;
     }
 };
 
@@ -67,7 +66,10 @@ inline bool check(Records<const std::int64_t> counts, const EscArray& array) {
 
 // Take the reports of the wanted ESCs, not negative, where the place in the array is the number of the ESC.
 inline void take_numbered(
-    Records<const std::int64_t> counts, const EscArray& array, const EscNumbers& wanted, EscReports& reports
+    Records<const std::int64_t> counts,
+    const EscArray& array,
+    Records<const std::int64_t> wanted,
+    EscReports& reports
 ) {
     std::int64_t last = wanted[0];
     for (const std::int64_t number : wanted) {
@@ -84,13 +86,13 @@ inline void take_numbered(
             reports.verdict[n] = NONE_ANNOUNCED;
         } else if (counts[n] <= last) {
             reports.verdict[n] = TOO_FEW;
-        } else if (turning > ESCS) {
+        } else if (turning > wanted.size) {
             reports.verdict[n] = MORE_ROTORS;
         } else {
-            for (std::size_t rotor = 0; rotor < ESCS; ++rotor) {
+            for (std::size_t rotor = 0; rotor < wanted.size; ++rotor) {
                 const std::size_t place = start + static_cast<std::size_t>(wanted[rotor]);
-                reports.rpm[n][rotor] = array.rpm[place];
-                reports.marks[n][rotor] = array.marks[place];
+                reports.rpm[n * wanted.size + rotor] = array.rpm[place];
+                reports.marks[n * wanted.size + rotor] = array.marks[place];
             }
         }
         start = stop;
@@ -105,7 +107,7 @@ inline void take_of_motors(
     Records<const std::int64_t> functions,
     const EscArray& array,
     Records<const std::int64_t> online,
-    const EscNumbers& wanted,
+    Records<const std::int64_t> wanted,
     EscReports& reports
 ) {
     const std::size_t each = online.size > 0 ? functions.size / online.size : 0;
@@ -117,7 +119,7 @@ inline void take_of_motors(
                 FIRST_MOTOR <= functions[place] && functions[place] <= LAST_MOTOR && array.rpm[place] != 0.0;
         }
         std::uint8_t& verdict = reports.verdict[n];
-        for (std::size_t rotor = 0; rotor < ESCS; ++rotor) {
+        for (std::size_t rotor = 0; rotor < wanted.size; ++rotor) {
             std::size_t found = each;
             for (std::size_t place = 0; place < each; ++place) {
                 if (functions[start + place] != wanted[rotor]) {
@@ -135,11 +137,11 @@ inline void take_of_motors(
             } else if (array.marks[start + found] == 0) {
                 verdict = NEVER_REPORTED;
             } else {
-                reports.rpm[n][rotor] = array.rpm[start + found];
-                reports.marks[n][rotor] = array.marks[start + found];
+                reports.rpm[n * wanted.size + rotor] = array.rpm[start + found];
+                reports.marks[n * wanted.size + rotor] = array.marks[start + found];
             }
         }
-        if (turning > ESCS && verdict != MOTOR_TWICE) {
+        if (turning > wanted.size && verdict != MOTOR_TWICE) {
             verdict = MORE_ROTORS;
         }
     }
@@ -152,9 +154,9 @@ struct EscMemory {
 };
 
 // The verdict on a sample that may hold nothing new, or in which an ESC may have been silent for too long.
-inline EscVerdict judge_news(std::int64_t time_ns, const EscNumbers& marks, EscMemory& memory) {
+inline EscVerdict judge_news(std::int64_t time_ns, Records<const std::int64_t> marks, EscMemory& memory) {
     bool news = false, silent = false;
-    for (std::size_t rotor = 0; rotor < ESCS; ++rotor) {
+    for (std::size_t rotor = 0; rotor < marks.size; ++rotor) {
         if (marks[rotor] != memory.latest[rotor]) {
             memory.latest[rotor] = marks[rotor];
             memory.heard_ns[rotor] = time_ns;

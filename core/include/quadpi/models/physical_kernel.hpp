@@ -47,9 +47,9 @@ struct PhysicalPrediction {
 
 // Motion of an input vector and derivatives, the rotor speeds as they were some time ago.
 //
-// Of four rotors, ω_avg is a root mean square and the controls are orthogonal sums of the rotor speeds, so
-// that Σω = √(16 ω_avg² − U_p² − U_q² − U_r²), and each rotor's speed is a quarter of the signed sums. The
-// speeds of others do not follow from these.
+// Of four rotors, one in each quadrant, ω_avg is a root mean square and the controls are orthogonal sums of
+// the rotor speeds, so that Σω = √(16 ω_avg² − U_p² − U_q² − U_r²), and each rotor's speed is a quarter of
+// the signed sums. The speeds of others do not follow from these.
 inline MotionSample motion_of(
     const InputVector& inputs,
     const Derivatives& derivatives,
@@ -60,6 +60,7 @@ inline MotionSample motion_of(
     double total = 16.0 * (inputs[7] * inputs[7]) - inputs[12] * inputs[12] - inputs[13] * inputs[13] -
                    inputs[14] * inputs[14];
     total = std::sqrt(std::max(total, 0.0));
+    const bool follow = rotors == 4 && controls[0][0] != 0.0 && controls[1][0] != 0.0;
     MotionSample motion{};
     motion.velocity = {inputs[0], inputs[1], inputs[2]};
     motion.rates = {inputs[4], inputs[5], inputs[6]};
@@ -69,7 +70,7 @@ inline MotionSample motion_of(
         for (int control = 0; control < 3; ++control) {
             speed += controls[control][rotor] * inputs[12 + control];
         }
-        speed = rotors == 4 ? 0.25 * speed : derivatives.rotor_speeds[rotor];
+        speed = follow ? 0.25 * speed : derivatives.rotor_speeds[rotor];
         // By Taylor's series from now.
         const double acceleration = derivatives.rotor_accelerations[rotor];
         const double jerk = derivatives.rotor_jerks[rotor];

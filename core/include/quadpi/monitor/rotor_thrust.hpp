@@ -25,6 +25,8 @@ constexpr double THRUST_MEAN_S = 0.5, KNOWN_S = 0.2;
 constexpr double REPORTED_S = 0.5;
 // A rotor whose thrust is back for this long [s] turns again.
 constexpr double BACK_S = 0.5;
+// Difference of the levers of two rotors on one arm, over the longest.
+constexpr double ALIKE_SHARE = 0.1;
 // Fz, Mx, My of a wrench.
 constexpr std::array<int, 3> SHOWN = {2, 3, 4};
 
@@ -49,6 +51,14 @@ struct RotorThrust {
     PerRotor since_zero_s;  // since the last one
     std::int64_t zeros;     // bit per rotor whose last such reading was a 0
 };
+
+// Whether rotors act on the body alike, as two on one arm do.
+inline bool act_alike(const RotorGeometry& geometry, int a, int b) {
+    const Vector3 &one = geometry.lever[a], &other = geometry.lever[b];
+    const double reach = std::max(std::abs(one[1]), std::abs(one[2]));
+    return std::abs(one[1] - other[1]) <= ALIKE_SHARE * reach &&
+           std::abs(one[2] - other[2]) <= ALIKE_SHARE * reach;
+}
 
 // Begin anew, as on the ground.
 inline void forget_thrust(RotorThrust& thrust) {
@@ -91,7 +101,7 @@ inline void find_stopped(
         }
         change[shown] = rest - thrust.mean_rest[shown];
     }
-    bool suspected = thrust.stopped != 0;
+    bool suspected = thrust.stopped != 0, silent_lost = false;
     for (int k = 0; k < geometry.rotors; ++k) {
         double least = INF, most = -INF;
         const bool silent = thrust.since_zero_s[k] == 0.0;
@@ -124,10 +134,19 @@ inline void find_stopped(
                 forget_thrust(thrust);
                 return;
             }
-        } else if (thrust.stopped == 0 && thrust.lost_s[k] >= (silent ? SILENT_LOST_S : LOST_S)) {
-            thrust.stopped |= 1 << k;
         }
         suspected = suspected || thrust.lost_s[k] > 0.0 || silent;
+        silent_lost = silent_lost || (silent && is_lost);
+    }
+    for (int k = 0; k < geometry.rotors && thrust.stopped == 0; ++k) {
+        const bool silent = thrust.since_zero_s[k] == 0.0;
+        // Where one without a reading explains the loss, it is not a neighbour's that turns.
+        if (thrust.lost_s[k] >= (silent ? SILENT_LOST_S : LOST_S) && (silent || !silent_lost)) {
+            for (int j = 0; j < geometry.rotors; ++j) {
+                const bool alike = (thrust.since_zero_s[j] == 0.0) == silent && act_alike(geometry, j, k);
+                thrust.stopped |= static_cast<std::int64_t>(alike) << j;
+            }
+        }
     }
     if (suspected) {
         return;

@@ -116,7 +116,7 @@ def corners(vehicle: Vehicle, recording: Recording) -> dict[tuple[float, float],
 def test_the_frame_type_says_where_the_motors_are(read, vehicle, frame, layout, caplog):
     found = corners(vehicle, read(IMU, parameters(FRAME_TYPE=frame), ESCS))
     assert found == pytest.approx(dict(zip(layout, RPM, strict=True)))
-    assert "taken as quad X" not in caplog.text
+    assert "taken as quad-x" not in caplog.text
 
 
 def test_the_functions_of_the_outputs_say_which_drives_which_motor(read, vehicle):
@@ -132,9 +132,11 @@ def test_speeds_of_controllers_that_have_a_name_each(read, vehicle, caplog):
     """Logs before 2021; without parameters they are motors 1 to 4 of quad X, which is said."""
     named = [(f"ESC{number + 1}", now, rpm) for now in TIMES for number, rpm in enumerate(RPM)]
     assert corners(vehicle, read(IMU, named)) == pytest.approx(dict(zip(CORNERS, RPM, strict=True)))
-    assert "the log says nothing of the frame; its motors are taken as quad X" in caplog.text
+    assert "the log says nothing of the frame; its motors are taken as quad-x" in caplog.text
     read(IMU, named, parameters(FRAME_TYPE=0.0))
-    assert "the log says FRAME_TYPE 0 of the frame" in caplog.text
+    assert "left out, the vehicle's rotors are not those of a frame quad-plus" in caplog.text
+    read(IMU, named, parameters(FRAME_TYPE=7.0))
+    assert "the log says FRAME_TYPE 7 of the frame" in caplog.text
 
 
 def test_a_controller_that_is_not_logged_leaves_no_rotor_speeds(read, caplog):
@@ -161,7 +163,7 @@ def test_speeds_that_are_zero_throughout_name_the_parameter_of_telemetry(read, c
     ("frame", "name"), [(2.0, "a hexacopter"), (3.0, "an octocopter"), (7.0, "a tricopter")]
 )
 def test_another_multicopter_is_refused_by_name(read, frame, name):
-    with pytest.raises(LogError, match=f"FRAME_CLASS {frame:.0f} is {name}; quadpi supports quadrotors"):
+    with pytest.raises(LogError, match=f"FRAME_CLASS {frame:.0f} is {name}; vehicle neurobem has 4 rotors"):
         read(IMU, parameters(FRAME_CLASS=frame), ESCS)
 
 

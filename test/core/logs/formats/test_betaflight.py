@@ -233,5 +233,5 @@ def test_electrical_speeds_that_are_zero_throughout_name_the_setting(read, caplo
 
 def test_a_log_of_six_motors_is_refused_by_name(read):
     motors = [f"motor[{number}]" for number in range(6)]
-    with pytest.raises(LogError, match="a log of 6 motors is a hexacopter; quadpi supports quadrotors"):
+    with pytest.raises(LogError, match=r"a log of 6 motors is a hexacopter; vehicle .* has 4 rotors"):
         read(flight(*frames(3, (*VALUES, *[1000] * 6)), names=[*SENSORS, *ERPM, *motors]))

@@ -190,7 +190,7 @@ def test_the_function_of_a_report_says_which_motor_it_is_of(read, vehicle, funct
     found = corners(vehicle, read(escs(functions)))
     motors = [function - 101 for function in functions] if any(functions) else range(4)
     assert found == pytest.approx({CORNERS[motor]: abs(rpm) for motor, rpm in zip(motors, RPM, strict=True)})
-    assert "no rotor positions in the log; its motors are taken as quad X" in caplog.text
+    assert "no rotor positions in the log; its motors are taken as quad-x" in caplog.text
 
 
 def test_positions_of_motors_in_the_log_count(read, vehicle, caplog):
@@ -253,8 +253,8 @@ def test_of_instances_the_first_one_with_speeds_counts(read, vehicle, caplog):
 @pytest.mark.parametrize(
     ("parameters", "refused"),
     [
-        ({"CA_ROTOR_COUNT": 6.0}, "CA_ROTOR_COUNT 6 is a hexacopter; quadpi supports quadrotors"),
-        ({"MAV_TYPE": 14.0}, "MAV_TYPE 14 is an octocopter; quadpi supports quadrotors"),
+        ({"CA_ROTOR_COUNT": 6.0}, "CA_ROTOR_COUNT 6 is a hexacopter; vehicle neurobem has 4 rotors"),
+        ({"MAV_TYPE": 14.0}, "MAV_TYPE 14 is an octocopter; vehicle neurobem has 4 rotors"),
         ({"CA_ROTOR_COUNT": 4.0, "MAV_TYPE": 13.0}, None),
     ],
 )
@@ -298,7 +298,7 @@ def test_a_parameter_that_is_no_number_is_as_none(read, tmp_path, vehicle, caplo
     path = tmp_path / "flight.ulg"
     path.write_bytes(path.read_bytes().replace(b"float CA_ROTOR0_PX", b"fl\xffat CA_ROTOR0_PX"))
     assert read_px4(path, vehicle).rotor_speeds is not None
-    assert "its motors are taken as quad X" in caplog.text
+    assert "its motors are taken as quad-x" in caplog.text
 
 
 def test_the_library_that_the_format_needs_is_named(read, monkeypatch):

@@ -160,7 +160,7 @@ def test_one_esc_that_falls_silent_leaves_no_samples_after_a_tenth_of_a_second(v
 
 @pytest.mark.parametrize("counts", [[4, 5], [-1, 5], [2**62, 2**62]])
 def test_more_reports_than_there_are_are_not_read(counts):
-    reports = EscReports.none(np.zeros(2, np.int64))
+    reports = EscReports.none(np.zeros(2, np.int64), 4)
     wanted, marks = np.arange(4), np.zeros(8, np.int64)
     with pytest.raises(ValueError, match="reports of other numbers than their messages count"):
         compiled.take_numbered_escs(np.array(counts), np.zeros(8), marks, wanted, reports)
