@@ -44,7 +44,7 @@ REASONS = {
     Verdict.NEVER_REPORTED: "an ESC has not reported yet",
     Verdict.SILENT: "an ESC has fallen silent",
     Verdict.REPEATED: "no report is new",
-    Verdict.MORE_ROTORS: "more than 4 ESCs turn, as of a hexacopter: quadpi supports quadrotors",
+    Verdict.MORE_ROTORS: "more ESCs turn than the vehicle has rotors",
 }
 
 

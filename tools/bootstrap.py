@@ -121,8 +121,13 @@ def build_core(log: Path) -> None:
 
 
 def install_packages(log: Path) -> None:
-    """Editable quadpi with ROS, the readers of logs and the formulas of pages, at the pinned versions."""
-    pip_install(log, "--no-build-isolation", "--editable", ".[ros,logs,reports]")
+    """Editable quadpi with ROS, at the pinned versions."""
+    pip_install(log, "--no-build-isolation", "--editable", ".[ros]")
+
+
+def install_readers(log: Path) -> None:
+    """Readers of logs, and formulas of pages."""
+    pip_install(log, "--no-build-isolation", "--editable", ".[logs,reports]")
 
 
 def install_tests(log: Path) -> None:
@@ -236,6 +241,7 @@ STAGES: tuple[Stage, ...] = (
             ),
             install_ros_package,
         ),
+        Step("readers", "Readers of logs", PYPROJECT, install_readers),
     ),
 )
 TEST_STAGE = (Step("test", "What tests and lint need", PYPROJECT, install_tests),)
