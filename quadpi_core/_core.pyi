@@ -98,6 +98,9 @@ def decode_blackbox(
 # A single frame, for tests.
 def read_blackbox_fields(data: bytes, position: int, encoding: Indices, values: Indices, /) -> int: ...
 
+# How many messages were found, and where the first record begins that is not whole.
+def mcap_messages(chunk: Bytes, found: Records, /) -> tuple[int, int]: ...
+
 # messages
 FIRST_MOTOR: int
 LAST_MOTOR: int

@@ -5,6 +5,7 @@
 
 #include "bindings/records.hpp"
 #include "quadpi/logs/blackbox.hpp"
+#include "quadpi/logs/mcap_messages.hpp"
 
 namespace nb = nanobind;
 
@@ -50,6 +51,11 @@ nb::list listed(const std::array<std::int64_t, N>& numbers) {
     return list;
 }
 
+nb::tuple mcap_messages(mcap::Bytes chunk, Records<mcap::MessagePlace> found) {
+    const mcap::Messages messages = mcap::find_messages(chunk, found);
+    return nb::make_tuple(messages.count, messages.stop);
+}
+
 }  // namespace
 
 void bind_logs(nb::module_& module) {
@@ -63,6 +69,7 @@ void bind_logs(nb::module_& module) {
     module.attr("BLACKBOX_TAG8_4S16") = static_cast<std::int64_t>(blackbox::TAG8_4S16);
     module.def("decode_blackbox", &decode_blackbox);
     module.def("read_blackbox_fields", &read_blackbox_fields);
+    module.def("mcap_messages", &mcap_messages);
 }
 
 }  // namespace quadpi

@@ -73,4 +73,4 @@ class DatabaseFile:
                     raise LogError(f"damaged: a message of topic {self.connections[number].topic} is none")
                 messages[number][0].append(time_ns)
                 messages[number][1].append(data)
-            yield Batch(part[0][1], messages)
+            yield Batch.listed(part[0][1], messages)

@@ -244,26 +244,21 @@ def _parts_of(file: _File, types: dict[str, str], head: int | None) -> Iterator[
         for start_ns, messages in opened.batches(wanted, head):
             yield (
                 min(start_ns, _END_NS),
-                [_topic(wanted[number], *of, head) for number, of in messages.items() if of[0]],
+                [_topic(wanted[number], *of, head) for number, of in messages.items() if len(of[0])],
             )
 
 
-def _topic(connection: Connection, times: list[int], payloads: list[bytes], head: int | None) -> Topic:
+def _topic(connection: Connection, log_time_ns: Stamps, payloads: Payloads, head: int | None) -> Topic:
     """Messages of a topic that were read together, in log-time order."""
     # Messages that are compressed by themselves; those that are not begin with a zero.
     if payloads[0].startswith(ZSTD_MAGIC):
         try:
-            payloads = [zstd.decompress(payload) for payload in payloads]
+            payloads = Payloads.join([zstd.decompress(payload) for payload in payloads])
         except zstd.ZstdError as error:
             raise LogError(f"topic {connection.topic}: damaged: {one_line(error)}") from error
-    log_time_ns = np.array(times, dtype=np.int64)
     order = np.argsort(log_time_ns, kind="stable")
-    return Topic(
-        connection.topic,
-        connection.msgtype,
-        log_time_ns[order],
-        Payloads.join([payloads[place][:head] for place in order.tolist()]),
-    )
+    in_order = payloads.take(order).compact(head)
+    return Topic(connection.topic, connection.msgtype, log_time_ns[order], in_order)
 
 
 # In this one

@@ -14,7 +14,7 @@ import heapq
 import struct
 import zlib
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from io import BytesIO
@@ -23,12 +23,17 @@ from operator import attrgetter
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
+import numpy as np
 import yaml
 from backports import zstd
 from lz4 import frame as lz4
 
+from quadpi_core.core import compiled
 from quadpi_core.errors import LogError, one_line
+from quadpi_core.flight import Stamps
 from quadpi_core.logs.sandbox import require_unpackable
+from quadpi_core.messages.payloads import Bytes, Payloads
+from quadpi_core.records import Records
 
 MAGIC = b"\x89MCAP0\r\n"
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, STATISTICS, METADATA, DATA_END = (
@@ -40,7 +45,7 @@ _PREFIX = struct.Struct("<BQ")
 RECORD_PREFIX = _PREFIX.size
 # Of a message: channel, sequence, log time, time of publication. Of a chunk: times, unpacked size, checksum.
 _MESSAGE_HEAD, _CHUNK_HEAD = struct.Struct("<HIQQ"), struct.Struct("<QQQI")
-_PREFIXED_HEAD = struct.Struct("<BQHIQQ")
+_MESSAGE_PLACE = np.dtype([(name, np.int64) for name in ("channel", "time_ns", "start", "length")])
 # Of the statistics: bytes in front of the counts by channel, and one of these.
 _STATISTICS_HEAD, _COUNT = 46, struct.Struct("<HQ")
 _CHECKSUM = 4
@@ -72,11 +77,22 @@ class Batch(NamedTuple):
 
     Attributes:
         start_ns: no message here or in a later batch of the container was logged before.
-        messages: log times and messages by the number of the connection.
+        messages: log times and messages by the number of the connection; of some that have none, nothing.
     """
 
     start_ns: int
-    messages: dict[int, tuple[list[int], list[bytes]]]
+    messages: dict[int, tuple[Stamps, Payloads]]
+
+    @classmethod
+    def listed(cls, start_ns: int, messages: Mapping[int, tuple[list[int], list[bytes]]]) -> Batch:
+        """Of log times and messages one by one."""
+        return cls(
+            start_ns,
+            {
+                number: (np.array(times, dtype=np.int64), Payloads.join(payloads))
+                for number, (times, payloads) in messages.items()
+            },
+        )
 
 
 @dataclass
@@ -217,12 +233,13 @@ class McapFile:
             # One without an index may hold any.
             if chunk.channels and chunk.channels.isdisjoint(wanted):
                 continue
-            messages: dict[int, tuple[list[int], list[bytes]]] = {channel: ([], []) for channel in wanted}
-            for channel, time_ns, payload in _messages_in(self._content(chunk)):
-                if channel in messages:
-                    times, payloads = messages[channel]
-                    times.append(time_ns)
-                    payloads.append(payload)
+            content = np.frombuffer(self._content(chunk), dtype=np.uint8)
+            found = _messages_in(content)
+            messages = {}
+            for channel in np.unique(found["channel"]).tolist():
+                if channel in wanted:
+                    own = found[found["channel"] == channel]
+                    messages[channel] = own["time_ns"], Payloads(content, own["start"], own["length"])
                 elif channel not in self._channels:
                     raise LogError(f"damaged: messages on channel {channel}, which no record describes")
             yield Batch(chunk.start_ns, messages)
@@ -234,7 +251,7 @@ class McapFile:
             for time_ns, channel, start, length in part:
                 messages[channel][0].append(time_ns)
                 messages[channel][1].append(_read_at(self._stream, start, length)[_MESSAGE_HEAD.size :])
-            yield Batch(part[0][0], messages)
+            yield Batch.listed(part[0][0], messages)
 
 
 def _read_at(stream: BinaryIO, start: int, length: int) -> bytes:
@@ -253,19 +270,15 @@ def records_of(stream: BinaryIO, end: int, position: int = len(MAGIC)) -> Iterat
         position += length
 
 
-def _messages_in(content: bytes) -> Iterator[tuple[int, int, bytes]]:
-    """Channel, log time and content of the messages in a chunk, in half the time that its records take."""
-    position, end = 0, len(content)
-    padded = content + bytes(_PREFIXED_HEAD.size)
-    while position < end:
-        opcode, length, channel, _, time_ns, _ = _PREFIXED_HEAD.unpack_from(padded, position)
-        start, position = position + _PREFIXED_HEAD.size, position + RECORD_PREFIX + length
-        if position > end:
-            raise LogError(
-                f"damaged: the record at byte {start - _PREFIXED_HEAD.size} runs beyond its section"
-            )
-        if opcode == MESSAGE:
-            yield channel, time_ns, content[start:position]
+def _messages_in(content: Bytes) -> Records:
+    """The messages (N,) in a chunk: channel, log time, and where the message lies."""
+    found = np.empty(len(content) // (RECORD_PREFIX + _MESSAGE_HEAD.size), _MESSAGE_PLACE)
+    count, stop = compiled.mcap_messages(content, found)
+    if stop < len(content):
+        raise LogError(f"damaged: the record at byte {stop} runs beyond its section")
+    if (found["time_ns"][:count] < 0).any():
+        raise LogError("damaged: a message was logged after the year 2262")
+    return found[:count]
 
 
 def _number(pair: bytes) -> int:

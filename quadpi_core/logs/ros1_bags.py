@@ -77,7 +77,7 @@ class Ros1File:
                 times.append(time_ns)
                 payloads.append(self._as_cdr(connection, samples[connection.id], raw, head))
                 samples[connection.id] += 1
-            yield Batch(_start_ns(indexes), messages)
+            yield Batch.listed(_start_ns(indexes), messages)
 
     def _as_cdr(self, connection: Ros1Connection, sample: int, raw: bytes, head: int | None) -> bytes:
         if head is not None:
