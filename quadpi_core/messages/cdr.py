@@ -231,6 +231,26 @@ class Codec:
                 table[name] = value
         return Payloads.from_rows(rows)
 
+    def encode_each(self, columns: Mapping[str, Any], texts: Sequence[Sequence[Sequence[str]]]) -> Payloads:
+        """Encode messages that end with sequences of texts, each with its own.
+
+        Args:
+            columns: of the other fields, see :meth:`encode`.
+            texts: of each message, its sequences.
+        """
+        messages = []
+        for head, sequences in zip(self.encode(len(texts), columns), texts, strict=True):
+            # Of the sequences it has the lengths, which are zero.
+            message = bytearray(head[: len(head) - _LENGTH.size * len(sequences)])
+            for sequence in sequences:
+                _append_length(message, len(sequence))
+                for text in sequence:
+                    content = text.encode() + b"\0"
+                    _append_length(message, len(content))
+                    message += content
+            messages.append(bytes(message))
+        return Payloads.join(messages)
+
     def _row_parts(
         self, payloads: Payloads, counts: Mapping[str, int] | None = None
     ) -> Iterator[tuple[Indices, Layout, Bytes]]:
@@ -410,6 +430,11 @@ class _Place(NamedTuple):
 
 def _aligned(position: int, alignment: int) -> int:
     return -(-position // alignment) * alignment
+
+
+def _append_length(message: bytearray, length: int) -> None:
+    message += bytes(_aligned(len(message) - ORIGIN, _LENGTH.size) + ORIGIN - len(message))
+    message += _LENGTH.pack(length)
 
 
 def _lengths(variable: Iterable[Field], columns: Mapping[str, Any]) -> tuple[int, ...]:

@@ -191,39 +191,29 @@ def pack_alarms(alarms: Alarms, reasons: Sequence[tuple[str, ...]], frame_id: st
         reasons: per row, why the causes are not ok, in plain words.
         frame_id: body frame.
     """
-    groups: dict[tuple[tuple[str, ...], tuple[str, ...]], list[int]] = {}
-    for row, words in enumerate(reasons):
-        groups.setdefault((_inputs_outside(alarms.input_excess[row]), words), []).append(row)
-    parts = []
-    for (outside, words), members in groups.items():
-        rows = np.array(members)
-        columns = {
-            **header_columns(alarms.time_ns[rows], frame_id),
-            **{name: getattr(alarms, name)[rows] for name in _ALARM_NUMBERS},
-            **stamp_columns(alarms.change_since_ns[rows], "change_since"),
-            "envelope_distance": alarms.input_excess[rows].max(axis=1),
-            "inputs_outside": outside,
-            "reasons": words,
-        }
-        parts.append((rows, codec(ALARM).encode(len(rows), columns)))
-    return Payloads.merge(parts)
+    columns = {
+        **header_columns(alarms.time_ns, frame_id),
+        **{name: getattr(alarms, name) for name in _ALARM_NUMBERS},
+        **stamp_columns(alarms.change_since_ns, "change_since"),
+        "envelope_distance": alarms.input_excess.max(axis=1),
+    }
+    outside = map(_inputs_outside, alarms.input_excess)
+    return codec(ALARM).encode_each(columns, list(zip(outside, reasons, strict=True)))
 
 
 def pack_events(events: Sequence[AlarmEvent], frame_id: str = BODY_FRAME) -> Payloads:
     """Encode as quadpi/AlarmEvent, one message per event."""
-    parts = []
-    for event in events:
-        columns = {
-            **header_columns(np.array([event.time_ns]), frame_id),
-            **stamp_columns(np.array([event.start_ns]), "start"),
-            **stamp_columns(np.array([event.end_ns]), "end"),
-            "number": event.number,
-            "cause": event.cause,
-            "peak_evidence": event.peak_evidence,
-            "reasons": event.reasons,
-        }
-        parts.append(codec(EVENT).encode(1, columns))
-    return Payloads.concatenate(parts)
+    columns = {
+        **header_columns(_column(events, "time_ns"), frame_id),
+        **stamp_columns(_column(events, "start_ns"), "start"),
+        **stamp_columns(_column(events, "end_ns"), "end"),
+        **{name: _column(events, name) for name in ("number", "cause", "peak_evidence")},
+    }
+    return codec(EVENT).encode_each(columns, [(event.reasons,) for event in events])
+
+
+def _column(events: Sequence[AlarmEvent], name: str) -> npt.NDArray[Any]:
+    return np.array([getattr(event, name) for event in events])
 
 
 def unpack_events(payloads: Payloads | bytes) -> list[AlarmEvent]:
