@@ -24,6 +24,8 @@ from quadpi_core.flight import Stamps
 from quadpi_core.messages.payloads import Bytes, Indices, Payloads
 
 Columns: TypeAlias = dict[str, npt.NDArray[Any]]
+# Sequences of texts that end a message.
+Texts: TypeAlias = tuple[tuple[str, ...], ...]
 
 _ENCAPSULATION = b"\x00\x01\x00\x00"
 ORIGIN = len(_ENCAPSULATION)
@@ -231,24 +233,20 @@ class Codec:
                 table[name] = value
         return Payloads.from_rows(rows)
 
-    def encode_each(self, columns: Mapping[str, Any], texts: Sequence[Sequence[Sequence[str]]]) -> Payloads:
+    def encode_each(self, columns: Mapping[str, Any], texts: Sequence[Texts]) -> Payloads:
         """Encode messages that end with sequences of texts, each with its own.
 
         Args:
             columns: of the other fields, see :meth:`encode`.
             texts: of each message, its sequences.
         """
-        messages = []
+        messages, known = [], {}
         for head, sequences in zip(self.encode(len(texts), columns), texts, strict=True):
             # Of the sequences it has the lengths, which are zero.
-            message = bytearray(head[: len(head) - _LENGTH.size * len(sequences)])
-            for sequence in sequences:
-                _append_length(message, len(sequence))
-                for text in sequence:
-                    content = text.encode() + b"\0"
-                    _append_length(message, len(content))
-                    message += content
-            messages.append(bytes(message))
+            size = len(head) - _LENGTH.size * len(sequences)
+            if sequences not in known:
+                known[sequences] = _ending(size - ORIGIN, sequences)
+            messages.append(head[:size] + known[sequences])
         return Payloads.join(messages)
 
     def _row_parts(
@@ -432,9 +430,14 @@ def _aligned(position: int, alignment: int) -> int:
     return -(-position // alignment) * alignment
 
 
-def _append_length(message: bytearray, length: int) -> None:
-    message += bytes(_aligned(len(message) - ORIGIN, _LENGTH.size) + ORIGIN - len(message))
-    message += _LENGTH.pack(length)
+def _ending(position: int, sequences: Texts) -> bytes:
+    """Sequences of texts from a position in a message on."""
+    ending = bytearray()
+    for sequence in sequences:
+        texts = [text.encode() + b"\0" for text in sequence]
+        for length, content in ((len(texts), b""), *((len(text), text) for text in texts)):
+            ending += bytes(-(position + len(ending)) % _LENGTH.size) + _LENGTH.pack(length) + content
+    return bytes(ending)
 
 
 def _lengths(variable: Iterable[Field], columns: Mapping[str, Any]) -> tuple[int, ...]:

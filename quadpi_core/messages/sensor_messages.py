@@ -41,6 +41,7 @@ from quadpi_core.messages.cdr import NANOSECONDS, header_stamps
 from quadpi_core.messages.definitions import codec
 from quadpi_core.messages.payloads import Payloads
 from quadpi_core.messages.values import ODOMETRY_VALUES
+from quadpi_core.records import Records
 from quadpi_core.sample_limits import NORM_TOLERANCE
 from quadpi_core.vehicle import Vehicle
 
@@ -269,6 +270,18 @@ def pack_odometry(
     )
     texts = odometry_constants(frame_id, child_frame_id)
     return codec(ODOMETRY).encode_stamped(stream.time_ns, values, texts)
+
+
+def pack_fused(
+    time_ns: Stamps,
+    samples: Records,
+    frame_id: str = WORLD_FRAME,
+    child_frame_id: str = BODY_FRAME,
+) -> Payloads:
+    """Encode estimates (N,), records of :class:`quadpi_core.estimator.output.FusedSample`, as nav_msgs/Odometry."""
+    values = np.empty((len(time_ns), ODOMETRY_VALUES))
+    compiled.fill_odometry(samples, values)
+    return codec(ODOMETRY).encode_stamped(time_ns, values, odometry_constants(frame_id, child_frame_id))
 
 
 def odometry_constants(frame_id: str, child_frame_id: str) -> tuple[tuple[str, str | float], ...]:

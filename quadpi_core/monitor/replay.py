@@ -43,7 +43,7 @@ from quadpi_core.monitor.pairing import PairedSamples, Pairing
 from quadpi_core.parallel import DEFAULT_WORKERS, Workers
 from quadpi_core.paths import staged, whole_outputs
 from quadpi_core.reading_options import MappingOrOptions, reading_options
-from quadpi_core.recording_blocks import by_arrival, split_recording
+from quadpi_core.recording_blocks import by_arrival, keep_freed_memory, split_recording
 from quadpi_core.results import LEVEL_ALARM, LEVEL_WARNING, Alarms, Events, Predictions
 from quadpi_core.screening.flight_runs import in_range_of_blocks
 from quadpi_core.screening.rates import RunningRates
@@ -120,6 +120,7 @@ def replay(
     model.require(vehicle)
     if output.resolve() == bag.resolve():
         raise LogError(f"{bag}: the output would replace the flight; choose another file")
+    keep_freed_memory()
     with open_flight(bag, vehicle, mapping) as flight:
         monitor = Monitor(model, vehicle, None, confidence, settings)
         return _write(flight, monitor, vehicle, output)
@@ -155,9 +156,7 @@ def _messages(
 ) -> Iterator[Topic]:
     """The topics that the nodes publish, with their messages."""
     if states is not None:
-        payloads = sensor_messages.pack_odometry(
-            states.odometry, states.pose_covariance, states.twist_covariance
-        )
+        payloads = sensor_messages.pack_fused(states.time_ns, states.rows)
         yield output_topic("odometry", states.time_ns, payloads)
     model = monitor.model
     packed = result_messages.pack_predictions(
