@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -29,6 +29,8 @@ STALE_GAP_S = Threshold(
     "that is read, comes once a second",
     "PX4 logs of ../shared/data, whose topics pause for less",
 )
+# Standard air (ISO 2533) [kg/m³]; coefficients are given at it.
+STANDARD_DENSITY = 1.225
 # A topic begins with so many stale records at most: one of each instance that is written.
 _STALE_MOST = 3
 
@@ -129,7 +131,8 @@ def density_of(pressure: Array, celsius: Array) -> Array:
     return density
 
 
-class Setting(NamedTuple):
+@dataclass(frozen=True)
+class Setting:
     """What the user can set so that the next log tells more.
 
     Attributes:
@@ -170,8 +173,9 @@ class FieldLog:
         battery: (N, 1) V.
         landed: (N, 1) 1 where the stack held the vehicle to be on the ground, from each sample to the next.
         density: (N, 1) kg/m³.
+        vibe: (N, 3) m/s², vibration along the body axes as the stack itself measures it at full rate.
         corners: (R, 2) signs of the motors' places, forward and right; None where not known.
-        drag_prefix: of the stack's parameters of drag, MCOEF, BCOEF_X and BCOEF_Y.
+        drag_prefix: of the stack's parameters of drag, MCOEF, BCOEF_X and BCOEF_Y; empty where it has none.
         facts: further things that the log says of the vehicle, by name.
         parameters: of the stack, by name.
         settings: that would make the next log tell more.
@@ -194,8 +198,9 @@ class FieldLog:
     battery: Series | None = None
     landed: Series | None = None
     density: Series | None = None
+    vibe: Series | None = None
     corners: npt.NDArray[np.float64] | None = None
-    drag_prefix: str = "EKF2_"
+    drag_prefix: str = ""
     facts: Mapping[str, str] = field(default_factory=dict)
     parameters: Mapping[str, float] = field(default_factory=dict)
     settings: Sequence[Setting] = ()

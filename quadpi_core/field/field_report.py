@@ -15,7 +15,8 @@ import numpy as np
 
 from quadpi_core.errors import LogError, QuadpiError
 from quadpi_core.field.airborne import Flown, flown
-from quadpi_core.field.drag import DragResult, drag_samples, identify_drag, piece_lengths_s
+from quadpi_core.field.drag import DragResult, identify_drag
+from quadpi_core.field.drag_samples import drag_samples, piece_lengths_s
 from quadpi_core.field.estimates import Estimate
 from quadpi_core.field.field_log import FieldLog
 from quadpi_core.field.field_reading import read_field_log
@@ -25,20 +26,17 @@ from quadpi_core.field.motor_use import (
     IMBALANCE,
     SATURATED,
     MotorUse,
-    Vibration,
     motor_use,
-    vibration_of,
 )
+from quadpi_core.field.report_record import ReportRecord
+from quadpi_core.field.vibration import VIBE, Vibration, vibration_of
 from quadpi_core.flight_files import FlightLeftOut, NoFlightLeftError, named_files
 from quadpi_core.paths import finite_json
 from quadpi_core.reading_options import ReadingOptions
 from quadpi_core.thresholds import Threshold
 from quadpi_core.vehicle import Vehicle
-from quadpi_core.version import __version__
 
 WARNING, ALARM = "warning", "alarm"
-# Of `report.json`; it grows where a key goes or changes its meaning.
-FORMAT = 1
 # Flights of an airframe, the longest, whose drag is identified together: more take minutes and tell no more.
 DRAG_FLIGHTS_MOST = 60
 SILENT_SHARE = Threshold(
@@ -100,6 +98,7 @@ class FlightReport:
             "motor commands": "" if use.motors else "not in the log",
             "thrust over command along the flight": thrust,
             "tachometers": read if isinstance(read, str) else "",
+            "vibration": "only ArduPilot's VIBE can be judged" if self.log.vibe is None else "",
         }
 
 
@@ -179,57 +178,9 @@ class FieldReport:
         return "; ".join(parts) + "."
 
     def to_json(self) -> dict[str, Any]:
-        """The content of `report.json`; docs/report.md says what the keys mean."""
-        content: dict[str, Any] = finite_json(
-            {
-                "format": FORMAT,
-                "quadpi": __version__,
-                "verdict": self.verdict(),
-                "alarm": self.alarmed,
-                "mass_kg": self.mass,
-                "vehicles": [
-                    {
-                        "name": vehicle.name,
-                        "flights": vehicle.flights,
-                        "doubt": vehicle.doubt,
-                        "drag": _told(vehicle.drag),
-                        "wind_of": vehicle.windy,
-                        "motor_model": _told(vehicle.motors),
-                    }
-                    for vehicle in self.vehicles
-                ],
-                "flights": [_of_flight(flight) for flight in self.flights],
-                "left_out": [asdict(one) for one in self.left_out],
-            }
-        )
+        """The content of `report.json`, see :class:`.ReportRecord`."""
+        content: dict[str, Any] = finite_json(asdict(ReportRecord.of(self)))
         return content
-
-
-def _of_flight(flight: FlightReport) -> dict[str, Any]:
-    log = flight.log
-    return {
-        "name": flight.name,
-        "file": log.source,
-        "stack": log.stack,
-        "firmware": log.firmware,
-        "frame": log.frame,
-        "rotors": log.rotors,
-        "facts": log.facts,
-        "topics": {name: {"samples": len(own), "rate_hz": own.rate_hz} for name, own in log.series().items()},
-        "flown": asdict(flight.flown),
-        "motors": asdict(flight.use),
-        "vibration": _told(flight.vibration),
-        "tachometers": _told(flight.tachometers),
-        "looked_at": flight.looked_at(),
-        "remarks": [asdict(remark) for remark in flight.remarks],
-        "settings": [one._asdict() for one in log.settings],
-        "notes": log.notes,
-    }
-
-
-def _told(part: Any) -> dict[str, Any]:
-    """A result, or the sentence that says why there is none."""
-    return {"reason": part} if isinstance(part, str) else asdict(part)
 
 
 def report_on(
@@ -280,7 +231,7 @@ def _digest(log: FieldLog) -> str:
 def _flight_report(log: FieldLog) -> FlightReport:
     flight = flown(log)
     use, vibration, read = motor_use(log, flight), vibration_of(log, flight), tachometers(log, flight)
-    remarks = tuple(_remarks(log, use, read))
+    remarks = tuple(_remarks(log, use, vibration, read))
     return FlightReport(log.name, log, flight, use, vibration, read, remarks)
 
 
@@ -370,7 +321,9 @@ def _shortness(estimate: Estimate) -> str:
     return f" ({estimate.reason})" if estimate.reason else ""
 
 
-def _remarks(log: FieldLog, use: MotorUse, read: Tachometers | str) -> Iterator[Remark]:
+def _remarks(
+    log: FieldLog, use: MotorUse, vibration: Vibration | str, read: Tachometers | str
+) -> Iterator[Remark]:
     if use.saturated is not None and (level := _level(use.saturated, SATURATED.value)):
         share = f"{100.0 * (use.saturated.value or 0.0):.0f} % of the time in the air"
         yield Remark(level, f"a motor is at full command for {share}{_shortness(use.saturated)}")
@@ -379,6 +332,10 @@ def _remarks(log: FieldLog, use: MotorUse, read: Tachometers | str) -> Iterator[
     if worst is not None and (level := _level(use.motors[worst], IMBALANCE.value)):
         share = f"{100.0 * (use.motors[worst].value or 0.0):+.0f} % of command over the mean of all"
         yield Remark(level, f"{log.motor(worst + 1)} gets {share}{_shortness(use.motors[worst])}")
+    if isinstance(vibration, Vibration) and vibration.worst and vibration.worst[1] > VIBE.value[0]:
+        axis, most = vibration.worst
+        level = ALARM if most > VIBE.value[1] else WARNING
+        yield Remark(level, f"VIBE along {axis} is above {most:.0f} m/s² in a twentieth of the flight")
     if isinstance(read, Tachometers):
         for rotor in read.odd:
             ratio = read.ratio[rotor - 1]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Hover throttle, thrust over command, saturation, imbalance and battery by the commands; vibration.
+"""Hover throttle, thrust over command, saturation, imbalance and battery by the commands.
 
 Thrust over mass is the specific force along body z, so that no mass is needed.
 """
@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import signal
 
 from quadpi_core.field.airborne import HOVER_SPEED, Flown, Stretch, pieces, velocity_of
 from quadpi_core.field.estimates import (
@@ -80,38 +79,6 @@ class MotorUse:
     motors: tuple[Estimate, ...] = ()
     volts: tuple[float, float, float] | None = None
     drift: Estimate | None = None
-
-
-@dataclass(frozen=True)
-class Vibration:
-    """Standard deviations above 5 Hz in the air: of specific force [m/s²] and rates [rad/s], by body axis.
-
-    They lack what is faster than half of `rate_hz` or filtered before it is logged, so that limits of
-    vibration, which are of raw samples at 1 kHz and more, do not hold for them.
-    """
-
-    force: tuple[float, float, float]
-    rates: tuple[float, float, float]
-    rate_hz: float
-
-
-def vibration_of(log: FieldLog, flight: Flown) -> Vibration | str:
-    """Vibration, or why it cannot be told."""
-    if log.imu is None:
-        return "the log has no gyro and accelerometer"
-    rate = log.imu.rate_hz
-    if rate < 20.0:
-        return f"the IMU is logged at {rate:.0f} Hz"
-    filtered = signal.butter(2, 5.0, "highpass", fs=rate, output="sos")
-    parts = []
-    for one in flight.stretches:
-        values = log.imu.during(one.begin, one.end).values
-        if len(values) > rate:
-            parts.append(signal.sosfilt(filtered, values - values[0], axis=0)[int(0.5 * rate) :])
-    if not parts:
-        return "the flight is too short"
-    spread = [float(value) for value in np.std(np.vstack(parts), axis=0)]
-    return Vibration((spread[3], spread[4], spread[5]), (spread[0], spread[1], spread[2]), rate)
 
 
 def motor_use(log: FieldLog, flight: Flown) -> MotorUse:

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import astuple
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,6 @@ from quadpi_core.field.airborne import velocity_of
 from quadpi_core.field.estimates import Estimate
 from quadpi_core.field.field_report import ALARM, FieldReport, FlightReport, VehicleReport
 from quadpi_core.field.motor_model import Tachometers
-from quadpi_core.field.motor_use import Vibration
 from quadpi_core.frames import Array
 from quadpi_core.report.figure import DASHES, Boxes, Figure, Layer, Line, Panel, Scale
 from quadpi_core.report.page import Page, flight_remarks
@@ -38,6 +38,7 @@ _USES = {
     "battery": "voltage; motors from commands",
     "landed": "when it was in the air",
     "density": "drag coefficients at standard density",
+    "vibe": "vibration, judged",
 }
 
 
@@ -98,9 +99,10 @@ def drag_table(vehicle: VehicleReport, mass: float | None) -> Table:
             _row(f"drag, {way}", own, mass, "N/(m/s)")
             for way, own in zip(("along the nose", "sideways"), drag.per_mass, strict=True)
         ]
-    rows.append(_row(f"{vehicle.drag_prefix}MCOEF", drag.momentum))
+    prefix = vehicle.drag_prefix
+    rows.append(_row(f"{prefix}MCOEF" if prefix else "momentum drag", drag.momentum))
     rows += [
-        _row(f"{vehicle.drag_prefix}BCOEF_{axis}", own)
+        _row(f"{prefix}BCOEF_{axis}" if prefix else f"ballistic coefficient along {axis.lower()}", own)
         for axis, own in zip("XY", drag.ballistic, strict=True)
     ]
     winds = [
@@ -135,12 +137,16 @@ def motor_table(flight: FlightReport) -> Table:
         rows.append(_row(f"{flight.log.motor(place)} over the mean command", own, 100.0, "%"))
     if use.drift is not None:
         rows.append(_row("thrust over command, from begin to end", use.drift, 100.0, "%"))
-    if isinstance(vibration, Vibration):
-        for axis, spread in zip("xyz", vibration.force, strict=True):
-            band = f"5 to {vibration.rate_hz / 2.0:.0f} Hz; not judged"
-            rows.append([f"vibration along {axis}", spread, "", "m/s²", Cell(band, Mark.SOFT)])
-    else:
+    if isinstance(vibration, str):
         rows.append(["vibration", None, "", "m/s²", f"not told: {vibration}"])
+    else:
+        band = f"5 to {vibration.rate_hz / 2.0:.0f} Hz; not judged"
+        for name, told, said in (
+            ("vibration", vibration.force, band),
+            ("VIBE", vibration.vibe, "95 % are below"),
+        ):
+            for axis, spread in zip("xyz", told or (), strict=bool(told)):
+                rows.append([f"{name} along {axis}", spread, "", "m/s²", Cell(said, Mark.SOFT)])
     if isinstance(read, Tachometers):
         for place, ratio in enumerate(read.ratio, start=1):
             rows.append([f"rotor {place}, over the others at the same command", ratio, "", "", ""])
@@ -168,7 +174,7 @@ def _about(seconds: float | None) -> str:
 def settings_table(report: FieldReport) -> Table:
     """What to set, each once, with its present value."""
     found = dict.fromkeys(one for flight in report.flights for one in flight.log.settings)
-    rows: list[Row] = [list(one) for one in found]
+    rows: list[Row] = [list(astuple(one)) for one in found]
     columns = [Column(name, is_text=True, wraps=True) for name in ("set", "is", "to", "for")]
     nothing: Row = [Cell("nothing: the logs hold all", Mark.GOOD), "", "", ""]
     return Table(columns, rows or [nothing], title="to log more")
@@ -281,10 +287,11 @@ def write_field_page(path: Path, report: FieldReport) -> None:
             "speeds flown. The wind, horizontal and slow, is estimated with it, as is the IMU's bias.",
             "95 %": "Confidence interval, from estimates without each piece of flight in turn (jackknife): "
             "gusts make neighbouring samples one. Drag whose interval holds 0 is not told.",
-            "MCOEF, BCOEF": "PX4's and ArduPilot's drag: −(MCOEF + ½ ρ |v| / BCOEF) v, at standard density. "
+            "MCOEF, BCOEF": "Momentum drag and ballistic coefficients, as PX4 and ArduPilot have them: "
+            "−(MCOEF + ½ ρ |v| / BCOEF) v, at standard density. "
             "They hold for the speeds flown.",
-            "Vibration": "Standard deviation of what was logged, above 5 Hz. Not judged: limits such as "
-            "ArduPilot's hold for raw samples of 1 kHz and more.",
+            "Vibration": "Standard deviation of what was logged, above 5 Hz. Not judged: ArduPilot's limits, "
+            "30 and 60 m/s², are of VIBE, from raw samples of 1 kHz and more.",
         },
         figures={},
         flight_figures={name: {"time": time_figure(flight)} for name, flight in flights.items()},

@@ -62,7 +62,7 @@ def read_ardupilot_field(path: Path, _number: int | None = None) -> FieldLog:
         for name in kinds.split():
             logged = messages.get(name)
             if logged is not None and logged.holds(*columns):
-                for instance in ("I", "Instance", "Inst"):
+                for instance in ("I", "IMU", "Instance", "Inst"):
                     logged = logged.where(instance, 0)
                 return series_of(logged.time_ns(), logged.stack(*columns) * scale, start_ns)
         return None
@@ -102,6 +102,7 @@ def read_ardupilot_field(path: Path, _number: int | None = None) -> FieldLog:
         density=None
         if baro is None
         else Series(baro.time, density_of(baro.values[:, :1], baro.values[:, 1:])),
+        vibe=read("VIBE", "VibeX", "VibeY", "VibeZ"),
         corners=np.sign(np.round(np.array(LAYOUTS[layout])[:, :2], 6)) if layout else None,
         drag_prefix="EK3_DRAG_",
         facts=_facts(parameters),

@@ -89,6 +89,7 @@ def read_px4_field(path: Path, _number: int | None = None) -> FieldLog:
         landed=_landed(topics, start_ns),
         density=air,
         corners=_corners(parameters, rotors),
+        drag_prefix="EKF2_",
         facts=_facts(parameters, log.information) | poles,
         parameters=parameters,
         settings=tuple(_settings(parameters, topics, speeds)),

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from quadpi_core.field.airborne import flown
-from quadpi_core.field.drag import DragResult, drag_samples, identify_drag, piece_lengths_s
+from quadpi_core.field.drag import DragResult, identify_drag
+from quadpi_core.field.drag_samples import drag_samples, piece_lengths_s
 from quadpi_core.field.field_log import FieldLog, Series
 
 from .field_examples import DRAG, example
@@ -67,12 +68,28 @@ def test_momentum_and_bluff_body_drag_are_told_apart_by_speed(density):
     assert result.ballistic[0].low < 30.0 * ratio < result.ballistic[0].high
 
 
+def test_air_that_the_log_does_not_tell_widens_coefficients():
+    log = example()
+    velocity = 4.0 * log.velocity.values
+    drag = -(0.15 + 0.02 * np.linalg.norm(velocity, axis=1, keepdims=True)) * velocity[:, :2]
+    values = log.imu.values.copy()
+    values[:, 3:5] = np.nan_to_num(Series(log.velocity.time, drag).at(log.imu.time))
+    fast = replace(log, imu=replace(log.imu, values=values), velocity=Series(log.velocity.time, velocity))
+    told = identified(replace(fast, density=Series(log.imu.time[[0, -1]], np.full((2, 1), 1.225))))
+    untold = identified(fast)
+    assert untold.ballistic[0].value == told.ballistic[0].value
+    assert untold.ballistic[0].low < 0.92 * untold.ballistic[0].value < told.ballistic[0].low
+    assert "10 % for the density of the air" in untold.ballistic[0].reason
+    assert untold.per_mass == told.per_mass
+
+
 def test_coefficients_without_a_square_are_of_momentum_alone():
     """A square of no known size would take part of linear drag from it."""
     log = example()
     values = log.imu.values.copy()
     values[:, 4] *= DRAG[0] / DRAG[1]
-    result = identified(replace(log, imu=replace(log.imu, values=values)))
+    air = Series(log.imu.time[[0, -1]], np.full((2, 1), 1.225))
+    result = identified(replace(log, imu=replace(log.imu, values=values), density=air))
     assert all(one.value is None and "MCOEF is without it" in one.reason for one in result.ballistic)
     assert result.momentum.low < DRAG[0] < result.momentum.high
     assert result.momentum.half_width < 0.01 * DRAG[0]

@@ -109,18 +109,27 @@ def test_of_motors_that_answer_each_other_one_is_named(report_of):
 
 def test_what_was_not_looked_at_is_said(report_of):
     assert report_of(example()).looked_at() == (
-        "looked at: motor commands, thrust over command along the flight, tachometers"
+        "looked at: motor commands, thrust over command along the flight, tachometers; not looked at: "
+        "vibration (only ArduPilot's VIBE can be judged)"
     )
     slow = Series(np.arange(0.0, 60.0, 0.25), np.full((240, 4), 800.0))
     report = report_of(example(), example(seed=2, rotor_speeds=slow, imu=None))
     assert report.looked_at() == (
         "looked at: motor commands, thrust over command along the flight of 1 of 2 flights, tachometers of 1 "
         "of 2 flights; not looked at: thrust over command along the flight (the log has not both IMU and "
-        "commands), tachometers (commands and rotor speeds are logged at 4 Hz, slower than motors are)"
+        "commands), tachometers (commands and rotor speeds are logged at 4 Hz, slower than motors are), "
+        "vibration (only ArduPilot's VIBE can be judged)"
     )
     blind = report_of(example(commands=None, rotor_speeds=None))
     assert blind.looked_at().startswith("not looked at: motor commands (not in the log)")
     assert "no alarm, as nothing could be looked at" in blind.verdict()
+
+
+@pytest.mark.parametrize(("level", "said"), [(20.0, []), (40.0, ["warning"]), (70.0, ["alarm"])])
+def test_vibe_is_judged_by_ardupilots_limits(report_of, level, said):
+    vibe = Series(np.arange(0.0, 60.0, 0.1), np.full((600, 3), level) * np.array([0.1, 0.1, 1.0]))
+    (flight,) = report_of(example(vibe=vibe)).flights
+    assert [one.level for one in flight.remarks if "VIBE along z" in one.sentence] == said
 
 
 def scaled(series: Series, *factors: float) -> Series:

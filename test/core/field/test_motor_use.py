@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Hover throttle, thrust over command, saturation, imbalance, drift and vibration of exact flights."""
+"""Hover throttle, thrust over command, saturation, imbalance and drift of exact flights."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 
 from quadpi_core.field.airborne import flown
 from quadpi_core.field.field_log import FieldLog, Series
-from quadpi_core.field.motor_use import MotorUse, Vibration, motor_use, vibration_of
+from quadpi_core.field.motor_use import MotorUse, motor_use
 
 from .field_examples import AIRBORNE, HOVER, example
 
@@ -126,19 +126,3 @@ def test_without_commands_only_the_battery_is_told():
     use = use_of(example(commands=None))
     assert (use.hover, use.saturated, use.motors) == (None, None, ())
     assert use.volts is not None
-
-
-def test_vibration_is_what_is_faster_than_manoeuvres():
-    log = example()
-    shaken = log.imu.values.copy()
-    shaken[:, 5] += 3.0 * np.sin(2.0 * np.pi * 60.0 * log.imu.time)
-    found = vibration_of(replace(log, imu=replace(log.imu, values=shaken)), flown(log))
-    assert isinstance(found, Vibration)
-    assert found.force[2] == pytest.approx(3.0 / 2.0**0.5, rel=0.02)
-    assert max(found.force[:2]) < 0.2
-
-
-def test_vibration_needs_a_fast_imu():
-    log = example()
-    slow = Series(log.imu.time[::20], log.imu.values[::20])
-    assert vibration_of(replace(log, imu=slow), flown(log)) == "the IMU is logged at 10 Hz"

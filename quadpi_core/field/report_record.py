@@ -1,0 +1,126 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The content of `report.json`; docs/report.md says what its keys mean."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from quadpi_core.field.airborne import Flown
+from quadpi_core.field.drag import DragResult
+from quadpi_core.field.field_log import Setting
+from quadpi_core.field.motor_model import MotorModel, Tachometers
+from quadpi_core.field.motor_use import MotorUse
+from quadpi_core.field.vibration import Vibration
+from quadpi_core.flight_files import FlightLeftOut
+from quadpi_core.version import __version__
+
+if TYPE_CHECKING:
+    from quadpi_core.field.field_report import FieldReport, FlightReport, Remark, VehicleReport
+
+# It grows where a key goes or changes its meaning.
+FORMAT = 1
+
+
+@dataclass(frozen=True)
+class Untold:
+    """In the place of a result: why there is none."""
+
+    reason: str
+
+
+@dataclass(frozen=True)
+class TopicRecord:
+    """How much of a topic a log holds."""
+
+    samples: int
+    rate_hz: float
+
+
+@dataclass(frozen=True)
+class FlightRecord:
+    """An entry of `flights`."""
+
+    name: str
+    file: str
+    stack: str
+    firmware: str
+    frame: str
+    rotors: int | None
+    facts: Mapping[str, str]
+    topics: Mapping[str, TopicRecord]
+    flown: Flown
+    motors: MotorUse
+    vibration: Vibration | Untold
+    tachometers: Tachometers | Untold
+    looked_at: Mapping[str, str]
+    remarks: Sequence[Remark]
+    settings: Sequence[Setting]
+    notes: Sequence[str]
+
+    @classmethod
+    def of(cls, flight: FlightReport) -> FlightRecord:
+        """That of one flight."""
+        log, vibration, read = flight.log, flight.vibration, flight.tachometers
+        return cls(
+            flight.name,
+            *(log.source, log.stack, log.firmware, log.frame, log.rotors, dict(log.facts)),
+            {name: TopicRecord(len(own), own.rate_hz) for name, own in log.series().items()},
+            flight.flown,
+            flight.use,
+            Untold(vibration) if isinstance(vibration, str) else vibration,
+            Untold(read) if isinstance(read, str) else read,
+            flight.looked_at(),
+            flight.remarks,
+            tuple(log.settings),
+            tuple(log.notes),
+        )
+
+
+@dataclass(frozen=True)
+class VehicleRecord:
+    """An entry of `vehicles`."""
+
+    name: str
+    flights: Sequence[str]
+    doubt: str
+    drag: DragResult | Untold
+    wind_of: Sequence[str]
+    motor_model: MotorModel | Untold
+
+    @classmethod
+    def of(cls, vehicle: VehicleReport) -> VehicleRecord:
+        """That of one vehicle."""
+        drag, motors = vehicle.drag, vehicle.motors
+        return cls(
+            *(vehicle.name, vehicle.flights, vehicle.doubt),
+            Untold(drag) if isinstance(drag, str) else drag,
+            vehicle.windy,
+            Untold(motors) if isinstance(motors, str) else motors,
+        )
+
+
+@dataclass(frozen=True)
+class ReportRecord:
+    """The whole file."""
+
+    verdict: str
+    alarm: bool
+    mass_kg: float | None
+    vehicles: Sequence[VehicleRecord]
+    flights: Sequence[FlightRecord]
+    left_out: Sequence[FlightLeftOut]
+    format: int = FORMAT
+    quadpi: str = __version__
+
+    @classmethod
+    def of(cls, report: FieldReport) -> ReportRecord:
+        """That of a report."""
+        return cls(
+            *(report.verdict(), report.alarmed, report.mass),
+            tuple(map(VehicleRecord.of, report.vehicles)),
+            tuple(map(FlightRecord.of, report.flights)),
+            report.left_out,
+        )
