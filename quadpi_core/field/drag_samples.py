@@ -53,7 +53,8 @@ class DragSamples:
     def every(self, stride: int) -> DragSamples:
         """One sample of so many."""
         own = (self.time, self.piece, self.force, self.velocity, self.turn)
-        return DragSamples(*(values[::stride] for values in own), self.density)
+        time, piece, force, velocity, turn = (values[::stride] for values in own)
+        return DragSamples(time, piece, force, velocity, turn, self.density)
 
     @property
     def air_ratio(self) -> float:

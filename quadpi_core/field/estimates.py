@@ -11,7 +11,7 @@ standard error (2022), for its being conservative with few groups.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,6 +60,12 @@ class Estimate:
 def not_identified(unit: str, reason: str, low: float | None = None, high: float | None = None) -> Estimate:
     """No number, and why; the interval where there is one, which does not bear a number."""
     return Estimate(None, low, high, unit, f"not identified: {reason}")
+
+
+def within(ends: Iterable[float], unit: str, condition: str = "") -> Estimate:
+    """An estimate of value, low and high, the ends in any order."""
+    value, *both = ends
+    return Estimate(value, min(both), max(both), unit, condition)
 
 
 def beyond_zero(estimate: Estimate) -> Estimate:

@@ -28,7 +28,14 @@ from quadpi_core.field.motor_use import (
     MotorUse,
     motor_use,
 )
-from quadpi_core.field.report_record import ReportRecord
+from quadpi_core.field.report_record import (
+    FlightRecord,
+    Remark,
+    ReportRecord,
+    TopicRecord,
+    Untold,
+    VehicleRecord,
+)
 from quadpi_core.field.vibration import VIBE, Vibration, vibration_of
 from quadpi_core.flight_files import FlightLeftOut, NoFlightLeftError, named_files
 from quadpi_core.paths import finite_json
@@ -57,14 +64,6 @@ ONE_VEHICLE = Threshold(
 _OUTPUTS = re.compile(
     r"MOT_(?!THST_HOVER|BAT)|CA_(AIRFRAME|ROTOR)|PWM_|SERVO\d+_(FUNCTION|MIN|MAX)|motor_|(min|max)throttle"
 )
-
-
-@dataclass(frozen=True)
-class Remark:
-    """Something that looks wrong: a warning or an alarm, and a sentence."""
-
-    level: str
-    sentence: str
 
 
 @dataclass(frozen=True)
@@ -101,6 +100,23 @@ class FlightReport:
             "vibration": "only ArduPilot's VIBE can be judged" if self.log.vibe is None else "",
         }
 
+    def record(self) -> FlightRecord:
+        """Its entry in `report.json`."""
+        log, vibration, read = self.log, self.vibration, self.tachometers
+        return FlightRecord(
+            self.name,
+            *(log.source, log.stack, log.firmware, log.frame, log.rotors),
+            dict(log.facts),
+            {name: TopicRecord(len(own), own.rate_hz) for name, own in log.series().items()},
+            *(self.flown, self.use),
+            Untold(vibration) if isinstance(vibration, str) else vibration,
+            Untold(read) if isinstance(read, str) else read,
+            looked_at=self.looked_at(),
+            remarks=self.remarks,
+            settings=tuple(log.settings),
+            notes=tuple(log.notes),
+        )
+
 
 @dataclass(frozen=True)
 class VehicleReport:
@@ -123,6 +139,12 @@ class VehicleReport:
     windy: tuple[str, ...]
     motors: MotorModel | str
     drag_prefix: str
+
+    def record(self) -> VehicleRecord:
+        """Its entry in `report.json`."""
+        drag = Untold(self.drag) if isinstance(self.drag, str) else self.drag
+        motors = Untold(self.motors) if isinstance(self.motors, str) else self.motors
+        return VehicleRecord(self.name, self.flights, self.doubt, drag, self.windy, motors)
 
 
 @dataclass(frozen=True)
@@ -179,7 +201,12 @@ class FieldReport:
 
     def to_json(self) -> dict[str, Any]:
         """The content of `report.json`, see :class:`.ReportRecord`."""
-        content: dict[str, Any] = finite_json(asdict(ReportRecord.of(self)))
+        vehicles = tuple(vehicle.record() for vehicle in self.vehicles)
+        flights = tuple(flight.record() for flight in self.flights)
+        record = ReportRecord(
+            self.verdict(), self.alarmed, self.mass, vehicles, flights, left_out=self.left_out
+        )
+        content: dict[str, Any] = finite_json(asdict(record))
         return content
 
 

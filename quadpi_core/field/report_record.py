@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from quadpi_core.field.airborne import Flown
 from quadpi_core.field.drag import DragResult
@@ -17,11 +16,16 @@ from quadpi_core.field.vibration import Vibration
 from quadpi_core.flight_files import FlightLeftOut
 from quadpi_core.version import __version__
 
-if TYPE_CHECKING:
-    from quadpi_core.field.field_report import FieldReport, FlightReport, Remark, VehicleReport
-
 # It grows where a key goes or changes its meaning.
 FORMAT = 1
+
+
+@dataclass(frozen=True)
+class Remark:
+    """Something that looks wrong: a warning or an alarm, and a sentence."""
+
+    level: str
+    sentence: str
 
 
 @dataclass(frozen=True)
@@ -60,24 +64,6 @@ class FlightRecord:
     settings: Sequence[Setting]
     notes: Sequence[str]
 
-    @classmethod
-    def of(cls, flight: FlightReport) -> FlightRecord:
-        """That of one flight."""
-        log, vibration, read = flight.log, flight.vibration, flight.tachometers
-        return cls(
-            flight.name,
-            *(log.source, log.stack, log.firmware, log.frame, log.rotors, dict(log.facts)),
-            {name: TopicRecord(len(own), own.rate_hz) for name, own in log.series().items()},
-            flight.flown,
-            flight.use,
-            Untold(vibration) if isinstance(vibration, str) else vibration,
-            Untold(read) if isinstance(read, str) else read,
-            flight.looked_at(),
-            flight.remarks,
-            tuple(log.settings),
-            tuple(log.notes),
-        )
-
 
 @dataclass(frozen=True)
 class VehicleRecord:
@@ -89,17 +75,6 @@ class VehicleRecord:
     drag: DragResult | Untold
     wind_of: Sequence[str]
     motor_model: MotorModel | Untold
-
-    @classmethod
-    def of(cls, vehicle: VehicleReport) -> VehicleRecord:
-        """That of one vehicle."""
-        drag, motors = vehicle.drag, vehicle.motors
-        return cls(
-            *(vehicle.name, vehicle.flights, vehicle.doubt),
-            Untold(drag) if isinstance(drag, str) else drag,
-            vehicle.windy,
-            Untold(motors) if isinstance(motors, str) else motors,
-        )
 
 
 @dataclass(frozen=True)
@@ -114,13 +89,3 @@ class ReportRecord:
     left_out: Sequence[FlightLeftOut]
     format: int = FORMAT
     quadpi: str = __version__
-
-    @classmethod
-    def of(cls, report: FieldReport) -> ReportRecord:
-        """That of a report."""
-        return cls(
-            *(report.verdict(), report.alarmed, report.mass),
-            tuple(map(VehicleRecord.of, report.vehicles)),
-            tuple(map(FlightRecord.of, report.flights)),
-            report.left_out,
-        )

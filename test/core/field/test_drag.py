@@ -42,11 +42,6 @@ def test_drag_of_a_flight_in_still_air():
     assert result.speed[1] == pytest.approx(5.5, abs=0.5)
 
 
-def test_a_constant_heading_leaves_the_wind_to_the_bias():
-    (winds,) = identified(example()).wind
-    assert all("the nose to all sides" in one.reason for one in winds)
-
-
 @pytest.mark.parametrize("density", [None, 0.9])
 def test_momentum_and_bluff_body_drag_are_told_apart_by_speed(density):
     """Coefficients are those at standard density, whatever the air was."""
@@ -129,37 +124,12 @@ def test_no_drag_is_not_identified():
     assert result.advice.startswith("fly ")
 
 
-@pytest.mark.parametrize("lacking", ["imu", "attitude"])
-def test_what_the_log_lacks_is_named(lacking):
-    said = drag_samples(example(**{lacking: None}), flown(example()), 5.0)
-    assert said == f"the log has no {'specific force' if lacking == 'imu' else lacking}"
-
-
 def test_five_flights_are_clusters_of_their_own():
     logs = [slower(example(), factor) for factor in (0.8, 0.9, 1.0, 1.1, 1.2)]
     result = identified(*logs)
     assert result.by_flight
     assert len(result.wind) == 5
     assert result.per_mass[0].low < DRAG[0] < result.per_mass[0].high
-
-
-def test_each_wind_of_many_flights_is_told_by_its_own_flight(tmp_path):
-    """Without all that tells of a wind, what was known before would stand for it, and its error for ours."""
-    flights = [windy_flight(tmp_path, seed) for seed in range(100, 105)]
-    together = identified(*(one.log for one in flights))
-    assert together.by_flight
-    for one, winds in zip(flights, together.wind, strict=True):
-        alone = identified(one.log).wind[0]
-        for axis in range(2):
-            assert winds[axis].low <= one.wind[axis] <= winds[axis].high
-            assert winds[axis].half_width < 2.0 * alone[axis].half_width
-
-
-def test_an_hour_is_cut_into_as_many_pieces_as_ten_minutes():
-    assert piece_lengths_s([600.0]) == pytest.approx([10.0])
-    assert piece_lengths_s([1800.0] * 2) == pytest.approx([60.0] * 2)
-    assert piece_lengths_s([20.0]) == pytest.approx([3.0])
-    assert piece_lengths_s([60.0] * 5) == pytest.approx([6.0] * 5)
 
 
 @pytest.mark.slow
