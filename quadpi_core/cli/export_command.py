@@ -16,9 +16,24 @@ from quadpi_core.errors import QuadpiError
 if TYPE_CHECKING:
     from quadpi_core.reading_options import ReadingOptions
 
-_SUFFIXES = {"vehicle": (".yaml", ".yml"), "rerun": (".rrd",), "flight": (".csv", ".parquet")}
+# Forms of a model, and of a flight; their files end so.
+_MODELS = {
+    "px4": (".params",),
+    "ardupilot": (".parm", ".param"),
+    "sdf": (".sdf",),
+    "mjcf": (".xml",),
+    "json": (".json",),
+}
+_SUFFIXES = {
+    "vehicle": (".yaml", ".yml"),
+    "rerun": (".rrd",),
+    "flight": (".csv", ".parquet"),
+    **_MODELS,
+}
 # Options beside the output that each form takes.
 _TAKES = {
+    **dict.fromkeys(("px4", "ardupilot", "json"), ("log",)),
+    **dict.fromkeys(("sdf", "mjcf"), ()),
     "vehicle": (),
     "rerun": ("model", "vehicle", "confidence", "rate", "topics", "namespace", "from", "to"),
     "flight": ("vehicle", "mapping", "topics", "namespace", "from", "to"),
@@ -31,14 +46,22 @@ def export(
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="File to write.")],
     form: Annotated[
-        Literal["vehicle", "rerun", "flight"],
+        Literal["vehicle", "px4", "ardupilot", "sdf", "mjcf", "json", "rerun", "flight"],
         typer.Option(
             "--format",
-            help="vehicle: a vehicle file that flies as the model; rerun: a recording of a flight and its "
-            "results for the Rerun viewer; flight: the smoothed flight as a table (.csv, .parquet), on which "
-            "a simulator can be run.",
+            help="vehicle: a vehicle file that flies as the model; px4 and ardupilot: parameters (.params, "
+            ".parm); sdf, mjcf: a model for Gazebo or MuJoCo (.sdf, .xml); json: the same numbers; each with "
+            "its 95 % interval. rerun: a recording of a flight and its results for the Rerun viewer; flight: "
+            "the smoothed flight as a table (.csv, .parquet), on which a simulator can be run.",
         ),
     ] = "vehicle",
+    log: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="px4, ardupilot, json: a log of the vehicle as it is, for the thrust of hover and the curve "
+            "of thrust over command; may be given several times."
+        ),
+    ] = None,
     model: Annotated[
         list[Path] | None,
         typer.Option(
@@ -67,6 +90,7 @@ def export(
     if output.suffix not in _SUFFIXES[form]:
         raise QuadpiError(f"{output}: a {form} file ends in {' or '.join(_SUFFIXES[form])}")
     given: dict[str, object] = {
+        "log": log,
         "model": model,
         "vehicle": vehicle,
         "confidence": confidence,
@@ -80,6 +104,8 @@ def export(
     how = options.reading_options(topics, namespace, mapping, part=options.time_range(from_s, to_s))
     if form == "vehicle":
         _export_vehicle(path, output)
+    elif form in _MODELS:
+        _export_parameters(path, output, form, log or [])
     elif form == "rerun":
         _export_recording(path, output, model or [], vehicle, confidence, rate, how)
     else:
@@ -92,6 +118,36 @@ def _export_vehicle(model: Path, output: Path) -> None:
     check_outputs([model], output)
     write_vehicle_file(model, output)
     open_console().print(f"{output}: flies as {model}, under the name {output.stem}", soft_wrap=True)
+
+
+def _export_parameters(folder: Path, output: Path, form: str, logs: list[Path]) -> None:
+    from quadpi_core.field.field_report import report_on
+    from quadpi_core.field.thrust_curve import thrust_curve, untold_curve
+    from quadpi_core.models.aerodynamic import AerodynamicModel
+    from quadpi_core.models.small_model import small_model
+    from quadpi_core.paths import whole_output
+    from quadpi_core.reading_options import ReadingOptions
+    from quadpi_core.simulation.parameter_files import Exported, estimates_of, exported_text
+    from quadpi_core.simulation.simulated_file import motor_time_constant
+
+    check_outputs([folder, *logs], output)
+    model = AerodynamicModel.load(folder)
+    vehicle = model.load_vehicle()
+    curve = untold_curve("the model knows rotor speeds alone: give a log with commands (--log)")
+    if logs:
+        report = report_on(logs, ReadingOptions())
+        if len(report.vehicles) > 1:
+            raise QuadpiError(f"the logs are of {len(report.vehicles)} vehicles; give those of one")
+        curve = thrust_curve([(flight.log, flight.use) for flight in report.flights])
+    exported = Exported(small_model(model, vehicle), curve, motor_time_constant(vehicle))
+    text = exported_text(form, exported)
+    with whole_output(output) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    console = open_console()
+    for name, one in estimates_of(exported).items():
+        if one.value is None:
+            console.print(f"{name}: {one.reason}", soft_wrap=True)
+    console.print(f"{output}: {form} of {folder}", soft_wrap=True)
 
 
 def _export_recording(

@@ -20,6 +20,8 @@ from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.records import Records, record_dtype
 from quadpi_core.vehicle import Vehicle
 
+THRUST, TORQUE = "thrust coefficient C_T, hover", "torque over thrust of a rotor"
+INERTIAS = {axis: f"inertia {axis}, by arms and thrust" for axis in "xy"}
 _SPEED_M_S, _CHANGE = 1.0, 0.1
 
 
@@ -71,7 +73,7 @@ def _near_hover(model: AerodynamicModel, vehicle: Vehicle) -> Iterator[Headline]
         value, error = lift
         disc = vehicle.air_density_kg_m3 * np.pi * vehicle.rotor_radius_m**4
         coefficient, by = value / disc, None if error is None else error / disc
-        yield Headline("thrust coefficient C_T, hover", coefficient, by, vehicle.thrust_coefficient, "")
+        yield Headline(THRUST, coefficient, by, vehicle.thrust_coefficient, "")
     for axis, name in (("Fx", "x"), ("Fy", "y")):
         half = 0.5 / _SPEED_M_S
         drag = of(axis, (half, name, -_SPEED_M_S), (-half, name, _SPEED_M_S))
@@ -96,9 +98,9 @@ def _near_hover(model: AerodynamicModel, vehicle: Vehicle) -> Iterator[Headline]
             continue
         value, error = moment
         arms = speed**2 * float(np.abs(levers).sum())
-        quantity, estimate, unit = "torque over thrust of a rotor", 1e3 * value / (arms * thrust), "mm"
+        quantity, estimate, unit = TORQUE, 1e3 * value / (arms * thrust), "mm"
         if known is not None:
-            quantity, unit = f"inertia {name}, by arms and thrust", "kg m²"
+            quantity, unit = INERTIAS[name], "kg m²"
             estimate = known * thrust * arms / value
         by = None
         if error is not None and thrust_error is not None:

@@ -130,16 +130,19 @@ def model_vehicle(folder: Path) -> Vehicle:
 def _of_model(folder: Path) -> tuple[AerodynamicModel, Vehicle, dict[str, Any]]:
     """The model in a folder, its vehicle, and the key `simulation` that flies as the model."""
     model = AerodynamicModel.load(folder)
-    section = model.simulation_section()
-    vehicle, known = model.load_vehicle(), {}
-    # Motors as the vehicle file of the vehicle's name has them, if it is of this vehicle.
+    section, vehicle = model.simulation_section(), model.load_vehicle()
+    motor = {"motor_time_constant_s": motor_time_constant(vehicle)}
+    limits = IdentifiedRange(model.envelope.lower, model.envelope.upper)
+    return model, vehicle, {**motor, **section, "identified_range": limits.to_section()}
+
+
+def motor_time_constant(vehicle: Vehicle) -> float:
+    """Of the motors [s], as the vehicle file of the vehicle's name has them, if it is of this vehicle."""
     with contextlib.suppress(VehicleError):
         _, data = simulation_section(vehicle.name)
         if Vehicle.load(vehicle.name).fingerprint == vehicle.fingerprint:
-            known = data
-    motor = {"motor_time_constant_s": known.get("motor_time_constant_s", MOTOR_TIME_CONSTANT.value)}
-    limits = IdentifiedRange(model.envelope.lower, model.envelope.upper)
-    return model, vehicle, {**motor, **section, "identified_range": limits.to_section()}
+            return float(data.get("motor_time_constant_s", MOTOR_TIME_CONSTANT.value))
+    return MOTOR_TIME_CONSTANT.value
 
 
 def vehicle_content(name_or_path: str | Path) -> tuple[str, dict[str, Any]]:

@@ -45,11 +45,44 @@ def test_simulate_and_discrepancy_take_folder_and_file(physical_folder, quadpi, 
     assert flown[0] == flown[1]
 
 
+@pytest.mark.parametrize(
+    ("form", "name", "part"),
+    [
+        ("px4", "own.params", "\tEKF2_MCOEF\t"),
+        ("ardupilot", "own.parm", "EK3_DRAG_MCOEF,"),
+        ("sdf", "own.sdf", "<motorConstant>"),
+        ("mjcf", "own.xml", "<motor name="),
+        ("json", "own.json", '"thrust_n_s2"'),
+    ],
+)
+def test_a_model_in_the_forms_of_others(physical_folder, quadpi, tmp_path, form, name, part):
+    done = quadpi("export", physical_folder, "--format", form, "-o", tmp_path / name)
+    assert (done.status, done.errors) == (0, "")
+    assert part in (tmp_path / name).read_text()
+    assert "thrust_exponent: not identified: the model knows rotor speeds alone" in done.output
+
+
+def test_a_log_gives_the_thrust_of_hover(physical_folder, quadpi, refused, tmp_path, shared_data):
+    output = tmp_path / "own.parm"
+    logs = [shared_data / "rrc_propeller" / name for name in ("hover_good_1.BIN", "line_good_1.BIN")]
+    done = quadpi("export", physical_folder, "--format", "ardupilot", "--log", logs[0], "-o", output)
+    assert (done.status, done.errors) == (0, "")
+    assert "MOT_THST_HOVER,0." in output.read_text()
+    other = shared_data / "crazypad" / "normal_flight_E9_log00"
+    refused(
+        "the logs are of 2 vehicles",
+        *("export", physical_folder, "--format", "ardupilot", "-o", output),
+        *("--log", logs[1], "--log", other),
+    )
+
+
 def test_what_cannot_be_exported(refused, tmp_path, physical_folder):
     refused("cannot be simulated", "export", GOLDEN, "-o", tmp_path / "own.yaml")
     refused("ends in .yaml", "export", physical_folder, "-o", tmp_path / "own.urdf")
     refused("cannot be simulated", "simulate", "bundled", "--vehicle", GOLDEN, "-o", tmp_path / "bags")
     refused("--model: is not for", "export", GOLDEN, "--model", GOLDEN, "-o", tmp_path / "own.yaml")
+    refused("--log: is not for", "export", GOLDEN, "--log", GOLDEN, "-o", tmp_path / "own.yaml")
+    refused("needs the thrust", "export", GOLDEN, "--format", "mjcf", "-o", tmp_path / "own.xml")
 
 
 RERUN = ("export", BAG, "--format", "rerun")

@@ -1,0 +1,215 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""A model of few parameters, as flight stacks and other simulators have, nearest to an identified one.
+
+Thrust and torque are k ω² of each rotor, as near hover. Drag is PX4's, F = −m (M + ½ ρ |v| / B) v along x and
+y, by least squares of what the model predicts for steady flight to and fro, tilted as that takes, at speeds
+that its flights have reached. Each is a sum of predictions, and its standard error is that by the covariance
+of the model's parameters; drag errs, beside that, as the intervals of these predictions say, which know what
+the terms of the model lack.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import norm
+
+from quadpi_core.field.drag import WIDEST_RATIO
+from quadpi_core.field.estimates import Estimate, beyond_zero, not_identified, within
+from quadpi_core.field.field_log import STANDARD_DENSITY
+from quadpi_core.flight import AXES
+from quadpi_core.frames import Array
+from quadpi_core.inputs import INPUT_INDEX, Derivatives, aerodynamic_inputs
+from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.models.headlines import INERTIAS, THRUST, TORQUE, Headline, headlines
+from quadpi_core.records import record_dtype
+from quadpi_core.rotations import from_rotation_vector
+from quadpi_core.thresholds import CONVENTION, Threshold
+from quadpi_core.vehicle import Vehicle
+
+# Standard errors to the ends of an interval of 95 %.
+_ERRORS = 1.96
+LEAST_SPEED = Threshold(
+    "speed to and fro along x and y that flights must have reached to tell of drag",
+    3.0,
+    "m/s",
+    "at less, drag is some hundredths of the weight, as much as a tilt of the IMU by a degree or two",
+    CONVENTION,
+)
+# Of the largest.
+_SPEEDS = np.array([0.25, 0.5, 0.75, 1.0])
+_NO_ERROR = "this kind of model has no standard errors: identify a physical one"
+
+
+@dataclass(frozen=True)
+class SmallModel:
+    """Parameters with 95 % intervals and, in place of a number that flights do not tell, why.
+
+    Attributes:
+        vehicle: mass, rotors, and what else flights do not tell.
+        identity: of the model.
+        thrust: of a rotor at hover over ω², N s².
+        torque: of a rotor over its thrust, m.
+        hover_speed: of the rotors, rad/s.
+        inertia: about x, y and z, kg m²; of the vehicle file where flights do not tell it.
+        momentum, ballistic: PX4's MCOEF, 1/s, and BCOEF along x and y, kg/m², at standard density.
+    """
+
+    vehicle: Vehicle
+    identity: str
+    thrust: Estimate
+    torque: Estimate
+    hover_speed: Estimate
+    inertia: tuple[Estimate, Estimate, Estimate]
+    momentum: Estimate
+    ballistic: tuple[Estimate, Estimate]
+
+
+def small_model(model: AerodynamicModel, vehicle: Vehicle) -> SmallModel:
+    """The small model nearest to an identified one of the vehicle."""
+    lines = {line.quantity: line for line in headlines(model, vehicle)}
+    disc = vehicle.air_density_kg_m3 * np.pi * vehicle.rotor_radius_m**4
+    thrust = _estimate(lines.get(THRUST), disc, "N s²", "near hover")
+    torque = _estimate(lines.get(TORQUE), 1e-3, "m", "near hover")
+    hover = not_identified("rad/s", "thrust is not")
+    if thrust.value is not None and thrust.low is not None and thrust.high is not None:
+        each = vehicle.mass_kg * vehicle.gravity_m_s2 / vehicle.rotor_count
+        speeds = np.sqrt(each / np.array([thrust.value, thrust.high, thrust.low])).tolist()
+        hover = within(speeds, "rad/s", f"with {vehicle.mass_kg:g} kg in air of this density")
+    about = {
+        axis: _estimate(lines.get(name), 1.0, "kg m²", "by arms and mass of the vehicle file")
+        for axis, name in INERTIAS.items()
+    }
+    stated = Estimate(
+        float(vehicle.inertia[2, 2]), unit="kg m²", reason="of the vehicle file: flights do not tell it"
+    )
+    momentum, ballistic = _drag(model, vehicle)
+    return SmallModel(
+        vehicle, model.identity, thrust, torque, hover, (about["x"], about["y"], stated), momentum, ballistic
+    )
+
+
+def _estimate(line: Headline | None, scale: float, unit: str, condition: str) -> Estimate:
+    if line is None:
+        return not_identified(unit, "no flight of the model was near hover")
+    if line.error is None:
+        return not_identified(unit, _NO_ERROR)
+    half = _ERRORS * line.error
+    ends = (scale * end for end in (line.value, line.value - half, line.value + half))
+    return beyond_zero(within(ends, unit, condition))
+
+
+def _drag(model: AerodynamicModel, vehicle: Vehicle) -> tuple[Estimate, tuple[Estimate, Estimate]]:
+    """MCOEF, and BCOEF along x and y."""
+    lower, upper = model.envelope.lower, model.envelope.upper
+    most = [float(min(-lower[INPUT_INDEX[name]], upper[INPUT_INDEX[name]])) for name in "uv"]
+    why = (
+        ""
+        if {"Fx", "Fy", "Fz"} <= set(model.axes) and model.alarm_limits.hover_rotor_speed > 0.0
+        else "no hover"
+    )
+    if min(most) < LEAST_SPEED.value:
+        why = f"flights to and fro reach {min(most):.1f} m/s"
+    flown = [] if why else [_flown_to_and_fro(model, vehicle, axis, most[axis]) for axis in (0, 1)]
+    if not flown or any(one is None for one in flown):
+        return not_identified("1/s", why or _NO_ERROR), (not_identified("kg/m²", why or _NO_ERROR),) * 2
+    condition = f"steady flight to {most[0]:.1f} m/s along x and {most[1]:.1f} along y"
+    without: list[int] = []
+    while True:
+        sums = _least_squares([one for one in flown if one], vehicle, without)
+        momentum, *squares = (
+            beyond_zero(Estimate(value, value - _ERRORS * error, value + _ERRORS * error, "1/s", condition))
+            for value, error in sums
+        )
+        ballistic = [_inverse(square, condition) for square in squares]
+        # A square of no known size would take its part of the drag from the other terms.
+        unknown = [axis for axis in (0, 1) if axis not in without and ballistic[axis].value is None]
+        if not unknown:
+            return momentum, (ballistic[0], ballistic[1])
+        without += unknown
+
+
+def _inverse(square: Estimate, condition: str) -> Estimate:
+    """BCOEF of drag with the square of speed."""
+    if not square.value or square.low is None or square.high is None:
+        said = "drag that grows with the square of speed is within its error; MCOEF is without it"
+        return not_identified("kg/m²", said)
+    if square.high > WIDEST_RATIO.value * square.low:
+        return not_identified("kg/m²", "its interval is too wide: fly faster")
+    return Estimate(1.0 / square.value, 1.0 / square.high, 1.0 / square.low, "kg/m²", condition)
+
+
+class _ToAndFro(NamedTuple):
+    """Predictions at S speeds along an axis and S against it.
+
+    Attributes:
+        along: (S,) m/s, airspeed along the body axis.
+        drag: (S,) N, half the difference of the forces.
+        deviation: (S,) N, of that by the intervals of the predictions.
+        error_of: standard error of a sum with weights (S,), by the covariance of the parameters; None of a
+            kind of model that has none.
+    """
+
+    along: Array
+    drag: Array
+    deviation: Array
+    error_of: Callable[[Array], float | None]
+
+
+def _flown_to_and_fro(model: AerodynamicModel, vehicle: Vehicle, axis: int, most: float) -> _ToAndFro | None:
+    """Steady flight along x or y; None for a kind of model that has no standard errors."""
+    speeds = most * np.concatenate([_SPEEDS, -_SPEEDS])
+    rotors = np.full((len(speeds), vehicle.rotor_count), model.alarm_limits.hover_rotor_speed)
+    steady = np.zeros(len(speeds), record_dtype(Derivatives, vehicle.rotor_count))
+    weight, tilt = vehicle.mass_kg * vehicle.gravity_m_s2, np.zeros(len(speeds))
+    # Tilt and rotor speeds that hold drag and weight at that tilt and speed: a fourth round changes 1e-4.
+    for _ in range(3):
+        velocity, turn = np.zeros((2, len(speeds), 3))
+        velocity[:, axis], velocity[:, 2] = speeds * np.cos(tilt), -np.abs(speeds) * np.sin(tilt)
+        # Forward with the nose down, to the right with the right side down.
+        turn[:, 1 - axis] = (-1.0, 1.0)[axis] * np.sign(speeds) * tilt
+        steady["rotor_speeds"] = rotors
+        inputs = aerodynamic_inputs(
+            velocity, from_rotation_vector(turn), np.zeros_like(velocity), rotors, vehicle
+        )
+        found = model.evaluate(inputs, derivatives=steady)
+        tilt = np.arcsin(np.clip(np.abs(found.predicted[:, axis]) / weight, 0.0, 0.9))
+        lift = np.maximum(-found.predicted[:, 2], 0.1 * weight)
+        rotors = rotors * np.sqrt(weight * np.cos(tilt) / lift)[:, np.newaxis]
+    count = len(_SPEEDS)
+    deviation = 0.5 * (found.upper - found.lower)[:, axis] / norm.ppf(0.5 + 0.5 * model.confidence)
+
+    def error_of(weights: Array) -> float | None:
+        both = 0.5 * np.concatenate([-weights, weights])
+        return model.fitted.standard_error(AXES[axis], inputs, steady, both, vehicle)
+
+    if error_of(np.ones(count)) is None:
+        return None
+    drag = 0.5 * (found.predicted[count:, axis] - found.predicted[:count, axis])
+    spread = 0.5 * np.hypot(deviation[:count], deviation[count:])
+    return _ToAndFro(velocity[:count, axis], drag, spread, error_of)
+
+
+def _least_squares(
+    flown: Sequence[_ToAndFro], vehicle: Vehicle, without: Sequence[int]
+) -> list[tuple[float, float]]:
+    """MCOEF and the inverses of both BCOEF, each with its standard error; 0 where it is to be `without`."""
+    ratio, count = vehicle.air_density_kg_m3 / STANDARD_DENSITY, len(_SPEEDS)
+    design = np.zeros((2, count, 3))
+    for axis, one in enumerate(flown):
+        design[axis, :, 0] = np.sqrt(ratio) * one.along
+        if axis not in without:
+            design[axis, :, 1 + axis] = 0.5 * vehicle.air_density_kg_m3 * one.along**2
+    weights = np.linalg.pinv(design.reshape(2 * count, 3)).reshape(3, 2, count) / vehicle.mass_kg
+    found = []
+    for row in weights:
+        value = sum(float(own @ one.drag) for own, one in zip(row, flown, strict=True))
+        # Axes share parameters, and neighbouring speeds what terms lack: errors add up at worst.
+        error = sum(one.error_of(own) or 0.0 for own, one in zip(row, flown, strict=True))
+        spread = sum(float(np.abs(own) @ one.deviation) for own, one in zip(row, flown, strict=True))
+        found.append((value, float(np.hypot(error, spread))))
+    return found

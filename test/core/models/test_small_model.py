@@ -1,0 +1,85 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""The small model nearest to an identified one: the truth of the simulated Bebop 2 within its intervals."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.models.small_model import SmallModel, small_model
+from quadpi_core.simulation.flying import load_aerodynamics
+
+GOLDEN = Path(__file__).parents[2] / "golden" / "model"
+
+
+@pytest.fixture(scope="module")
+def found(physical_folder: Path) -> SmallModel:
+    model = AerodynamicModel.load(physical_folder)
+    return small_model(model, model.load_vehicle())
+
+
+def test_thrust_torque_and_inertia_hold_the_truth(found: SmallModel) -> None:
+    truth = load_aerodynamics("bebop2")
+    vehicle, hover = truth.vehicle, found.hover_speed.value
+    # Of a vehicle that moves by 0.5 m/s any way: at rest the law of the simulation has a kink, 4 % high.
+    velocity = np.vstack([0.5 * np.eye(3), -0.5 * np.eye(3)])
+    force = truth.wrench(velocity, np.zeros((6, 3)), np.full((6, 4), hover))[:, 2].mean()
+    assert found.thrust.low < -force / (4.0 * hover**2) < found.thrust.high
+    weight = vehicle.mass_kg * vehicle.gravity_m_s2
+    assert hover == pytest.approx(np.sqrt(weight / (4.0 * found.thrust.value)))
+    assert found.thrust.half_width < 0.1 * found.thrust.value
+    assert found.torque.value == pytest.approx(0.0113, rel=0.05)
+    for axis in (0, 1):
+        assert found.inertia[axis].low < vehicle.inertia[axis, axis] < found.inertia[axis].high
+    assert found.inertia[2].low is None
+    assert "vehicle file" in found.inertia[2].reason
+
+
+def test_drag_is_that_of_steady_flight_over_the_speeds_flown(found: SmallModel) -> None:
+    """The best momentum drag, and ballistic coefficients, of the simulation itself at these speeds."""
+    truth = load_aerodynamics("bebop2")
+    reached = [float(word) for word in found.momentum.reason.replace("m/s", " ").split() if word[0].isdigit()]
+    weight, rows, drags = truth.vehicle.mass_kg * truth.vehicle.gravity_m_s2, [], []
+    for axis, most in enumerate(reached):
+        for speed in most * np.array([0.25, 0.5, 0.75, 1.0]):
+            tilt, speeds = 0.0, np.full((2, 4), truth.hover_rotor_speed)
+            for _ in range(5):
+                velocity = np.zeros((2, 3))
+                velocity[:, axis] = np.array([-speed, speed]) * np.cos(tilt)
+                velocity[:, 2] = -speed * np.sin(tilt)
+                force = truth.wrench(velocity, np.zeros((2, 3)), speeds)
+                drag = 0.5 * (force[0, axis] - force[1, axis])
+                tilt = np.arcsin(drag / weight)
+                speeds *= np.sqrt(weight * np.cos(tilt) / -force[:, 2:3])
+            along = velocity[1, axis]
+            rows.append([along, *(0.5 * 1.225 * along**2 * (np.arange(2) == axis))])
+            drags.append(drag / truth.vehicle.mass_kg)
+    known = [axis for axis in (0, 1) if found.ballistic[axis].value is not None]
+    best = np.linalg.lstsq(
+        np.array(rows)[:, [0, *(1 + axis for axis in known)]], np.array(drags), rcond=None
+    )[0]
+    assert found.momentum.low < best[0] < found.momentum.high
+    assert found.momentum.half_width < 0.3 * found.momentum.value
+    for axis, square in zip(known, best[1:], strict=True):
+        assert found.ballistic[axis].low < 1.0 / square < found.ballistic[axis].high
+
+
+def test_flights_that_are_slow_tell_no_drag(physical_folder: Path) -> None:
+    model = AerodynamicModel.load(physical_folder)
+    slow = replace(model.envelope, lower=0.1 * model.envelope.lower, upper=0.1 * model.envelope.upper)
+    found = small_model(replace(model, envelope=slow), model.load_vehicle())
+    assert found.momentum.value is None
+    assert "flights to and fro reach" in found.momentum.reason
+
+
+def test_a_model_without_standard_errors_gives_no_numbers() -> None:
+    model = AerodynamicModel.load(GOLDEN)
+    found = small_model(model, model.load_vehicle())
+    for one in (found.thrust, found.torque, found.hover_speed, found.momentum, *found.ballistic):
+        assert one.value is None
+        assert one.reason.startswith("not identified: ")
