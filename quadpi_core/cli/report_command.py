@@ -25,6 +25,14 @@ def report(
     mass: Annotated[
         float | None, typer.Option(metavar="KG", help="Mass in flight: gives forces in newtons too.")
     ] = None,
+    against: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="LOG",
+            help="A good flight of the same vehicle before, which the motors are held against; may be given "
+            "several times.",
+        ),
+    ] = None,
     fail_on: Annotated[
         str | None, typer.Option("--fail-on", metavar="alarm", help="End with status 1 if there is an alarm.")
     ] = None,
@@ -44,12 +52,13 @@ def report(
         raise QuadpiError(f"--fail-on {fail_on}: known is alarm")
     if mass is not None and not 0.0 < mass < 1e4:
         raise QuadpiError(f"--mass {mass:g}: expected kilograms above 0")
-    check_outputs(logs, folders=[folder])
+    check_outputs([*logs, *(against or ())], folders=[folder])
     found = report_on(
         logs,
         options.reading_options(topics, namespace, mapping),
         Vehicle.load(vehicle) if vehicle else None,
         mass,
+        against or (),
     )
     with whole_outputs(folder) as staging:
         write_field_page(staging / "report.html", found)

@@ -7,7 +7,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, astuple, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ import numpy as np
 
 from quadpi_core.errors import LogError, QuadpiError
 from quadpi_core.field.airborne import Flown, flown
+from quadpi_core.field.damage import RotorLoss, frozen_motors, losses
 from quadpi_core.field.drag import DragResult, identify_drag
 from quadpi_core.field.drag_samples import drag_samples, piece_lengths_s
 from quadpi_core.field.estimates import Estimate
@@ -60,6 +61,13 @@ ONE_VEHICLE = Threshold(
     "both change by up to 12 % within one pack, by neighbouring flights less",
     "imrc_brushless, imrc_brushed and crazypad of ../shared/data",
 )
+LOSS_ALARM = Threshold(
+    "thrust, in per cent, that a rotor lacks against earlier flights, by the near end, that is an alarm",
+    5.0,
+    "%",
+    "good flights never reached it; a propeller short by a fifth or more did",
+    "good flights of imrc_brushless, imrc_brushed and indiflight of ../shared/data",
+)
 # Parameters of motors and their outputs that no flight learns.
 _OUTPUTS = re.compile(
     r"MOT_(?!THST_HOVER|BAT)|CA_(AIRFRAME|ROTOR)|PWM_|SERVO\d+_(FUNCTION|MIN|MAX)|motor_|(min|max)throttle"
@@ -77,6 +85,7 @@ class FlightReport:
         use: of the motors and the battery.
         vibration: of the body.
         tachometers: rotor speeds against commands.
+        losses: each rotor against earlier flights; None where none was given.
         remarks: what looks wrong.
     """
 
@@ -86,6 +95,7 @@ class FlightReport:
     use: MotorUse
     vibration: Vibration | str
     tachometers: Tachometers | str
+    losses: tuple[RotorLoss, ...] | str | None
     remarks: tuple[Remark, ...]
 
     def looked_at(self) -> dict[str, str]:
@@ -111,6 +121,7 @@ class FlightReport:
             *(self.flown, self.use),
             Untold(vibration) if isinstance(vibration, str) else vibration,
             Untold(read) if isinstance(read, str) else read,
+            Untold(self.losses) if isinstance(self.losses, str) else self.losses,
             looked_at=self.looked_at(),
             remarks=self.remarks,
             settings=tuple(log.settings),
@@ -215,6 +226,7 @@ def report_on(
     options: ReadingOptions,
     vehicle: Vehicle | None = None,
     mass: float | None = None,
+    against: Sequence[Path] = (),
 ) -> FieldReport:
     """Report on logs; those that hold no flight of a multirotor are left out.
 
@@ -223,21 +235,29 @@ def report_on(
         options: topics of bags, mapping of tables.
         vehicle: of the user's file, for electrical rotor speeds; None without one.
         mass: kg; None where it is not known.
+        against: logs of good flights of the same vehicle before, which each flight is held against.
 
     Raises:
         NoFlightLeftError: if none is left, naming each.
+        LogError: for a log to hold flights against that holds none.
     """
+    before = []
+    for file in named_files(against):
+        log = replace(read_field_log(file.path, options, vehicle), name=file.name)
+        before.append((_digest(log), _flight_report(log)))
     flights: list[FlightReport] = []
     left_out: list[FlightLeftOut] = []
     known: dict[str, str] = {}
     for file in named_files(paths):
         try:
             log = replace(read_field_log(file.path, options, vehicle), name=file.name)
-            first = known.setdefault(_digest(log), file.name)
+            digest = _digest(log)
+            first = known.setdefault(digest, file.name)
             if first != file.name:
                 # Counted twice it would tell nothing more, and narrow every interval of several flights.
                 raise LogError(f"{file.path}: holds the samples of {first}, which is in the report")
-            flights.append(_flight_report(log))
+            others = [flight for own, flight in before if own != digest]
+            flights.append(_flight_report(log, others if before else None))
         except QuadpiError as error:
             left_out.append(FlightLeftOut(file.name, str(file.path), str(error)))
     if not flights:
@@ -255,11 +275,15 @@ def _digest(log: FieldLog) -> str:
     return digest.hexdigest()
 
 
-def _flight_report(log: FieldLog) -> FlightReport:
+def _flight_report(log: FieldLog, before: Sequence[FlightReport] | None = None) -> FlightReport:
     flight = flown(log)
     use, vibration, read = motor_use(log, flight), vibration_of(log, flight), tachometers(log, flight)
-    remarks = tuple(_remarks(log, use, vibration, read))
-    return FlightReport(log.name, log, flight, use, vibration, read, remarks)
+    lost = None
+    if before is not None:
+        alike = [one.use for one in before if (one.log.stack, one.log.rotors) == (log.stack, log.rotors)]
+        lost = losses(use, alike) if alike else "the flights before are none, or of another vehicle"
+    remarks = [*_motor_remarks(log, flight, lost), *_remarks(log, use, vibration, read)]
+    return FlightReport(log.name, log, flight, use, vibration, read, lost, tuple(remarks))
 
 
 def _identity(log: FieldLog) -> tuple[object, ...]:
@@ -346,6 +370,25 @@ def _level(estimate: Estimate, limits: tuple[float, ...]) -> str:
 
 def _shortness(estimate: Estimate) -> str:
     return f" ({estimate.reason})" if estimate.reason else ""
+
+
+def _motor_remarks(
+    log: FieldLog, flight: Flown, lost: tuple[RotorLoss, ...] | str | None
+) -> Iterator[Remark]:
+    for motor, since in frozen_motors(log, flight):
+        yield Remark(
+            ALARM, f"{log.motor(motor)} follows no more from {since:.1f} s on: its command stays as it is"
+        )
+    if not lost or isinstance(lost, str):
+        return
+    worst = max(range(len(lost)), key=lambda rotor: lost[rotor].thrust.low or 0.0)
+    value, low, high = (100.0 * (end or 0.0) for end in astuple(lost[worst].thrust)[:3])
+    if low > 0.0:
+        yield Remark(
+            ALARM if low > LOSS_ALARM.value else WARNING,
+            f"{log.motor(worst + 1)} works harder than in earlier flights: it gives {value:.0f} % less "
+            f"thrust ({low:.0f} to {high:.0f} %), or the vehicle has become heavier near it",
+        )
 
 
 def _remarks(

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from quadpi_core.field.airborne import Flown
+from quadpi_core.field.damage import RotorLoss
 from quadpi_core.field.drag import DragResult
 from quadpi_core.field.field_log import Setting
 from quadpi_core.field.motor_model import MotorModel, Tachometers
@@ -59,6 +60,7 @@ class FlightRecord:
     motors: MotorUse
     vibration: Vibration | Untold
     tachometers: Tachometers | Untold
+    losses: Sequence[RotorLoss] | Untold | None
     looked_at: Mapping[str, str]
     remarks: Sequence[Remark]
     settings: Sequence[Setting]

@@ -135,6 +135,11 @@ def motor_table(flight: FlightReport) -> Table:
             rows.append(_row(name, one))
     for place, own in enumerate(use.motors, start=1):
         rows.append(_row(f"{flight.log.motor(place)} over the mean command", own, 100.0, "%"))
+    if isinstance(flight.losses, str):
+        rows.append(["motors against earlier flights", None, "", "%", f"not told: {flight.losses}"])
+    for place, lost in enumerate(flight.losses or (), start=1):
+        if not isinstance(lost, str):
+            rows.append(_row(f"{flight.log.motor(place)}, thrust that it lacks", lost.thrust, 100.0, "%"))
     if use.drift is not None:
         rows.append(_row("thrust over command, from begin to end", use.drift, 100.0, "%"))
     if isinstance(vibration, str):
@@ -189,7 +194,7 @@ def remark_table(report: FieldReport) -> Table:
     ]
     columns = [Column("flight", is_text=True), Column("", is_text=True, wraps=True)]
     # Not "nothing is wrong": a propeller that lacks 25 mm shows in none of them.
-    nothing: Row = ["", "none; slight damage does not show in what was looked at"]
+    nothing: Row = ["", "none; slight damage shows against earlier flights alone (--against), or not"]
     return Table(columns, rows or [nothing], title="findings", note=_sentence(report.looked_at()))
 
 
