@@ -92,3 +92,62 @@ def test_a_default_px4_log(quadpi, read_json, shared_data, tmp_path):
     flight = read_json(tmp_path / "out" / "report.json")["flights"][0]
     assert flight["settings"][0]["parameter"] == "SDLOG_PROFILE"
     assert flight["settings"][0]["present"] == "1"
+
+
+def section(stack: str) -> str:
+    """What docs/report.md says of a flight stack."""
+    page = (Path(__file__).parents[3] / "docs" / "report.md").read_text()
+    return page.partition(f"### {stack}\n")[2].partition("\n#")[0]
+
+
+@pytest.fixture
+def flown_as_said(quadpi, read_json, shared_data, tmp_path, monkeypatch):
+    """flown_as_said(stack) → the report that the command of its section gives, which is short."""
+    monkeypatch.chdir(shared_data)
+
+    def run(stack: str) -> dict:
+        text = section(stack)
+        assert len(text.split()) <= 150
+        (command,) = [line for line in text.splitlines() if line.startswith("quadpi ")]
+        words = command.split()[1:]
+        words[words.index("-o") + 1] = str(tmp_path / "out")
+        assert quadpi(*words).status == 0
+        return read_json(tmp_path / "out" / "report.json")
+
+    return run
+
+
+def test_a_px4_log_as_the_page_says(flown_as_said):
+    report = flown_as_said("PX4")
+    drag = report["vehicles"][0]["drag"]
+    for one in drag["per_mass"]:
+        assert 0.1 < (one["high"] - one["low"]) / (2.0 * one["value"]) < 0.45
+    assert "fly faster" in drag["ballistic"][0]["reason"] or "too wide" in drag["ballistic"][0]["reason"]
+    assert "SDLOG_PROFILE" in {one["parameter"] for one in report["flights"][0]["settings"]}
+
+
+def test_an_ardupilot_log_as_the_page_says(flown_as_said):
+    (flight,) = flown_as_said("ArduPilot")["flights"]
+    assert [one["thrust"]["low"] > 0.0 for one in flight["losses"]] == [True, False, False, False]
+    assert flight["vibration"]["vibe"]
+    assert flight["motors"]["hover"]["value"]
+    assert {"LOG_BITMASK", "SERVO_BLH_AUTO"} <= {one["parameter"] for one in flight["settings"]}
+
+
+def test_a_betaflight_log_as_the_page_says(flown_as_said):
+    report = flown_as_said("Betaflight")
+    assert 0.01 < report["vehicles"][0]["motor_model"]["error"] < 0.035
+    assert report["flights"][0]["motors"]["motors"]
+
+
+def test_a_crazyflie_log_as_the_page_says(flown_as_said):
+    (flight,) = flown_as_said("Crazyflie")["flights"]
+    thrusts = [one["thrust"] for one in flight["losses"]]
+    assert max(thrusts, key=lambda one: one["value"]) is thrusts[2]
+    assert thrusts[2]["low"] < 0.0
+
+
+def test_a_bag_as_the_page_says(flown_as_said):
+    report = flown_as_said("A ROS 2 bag")
+    assert report["flights"][0]["flown"]["airborne_s"] > 2.0
+    assert "motor commands" in report["flights"][0]["looked_at"]
