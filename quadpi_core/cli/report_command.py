@@ -36,28 +36,34 @@ def report(
     fail_on: Annotated[
         str | None, typer.Option("--fail-on", metavar="alarm", help="End with status 1 if there is an alarm.")
     ] = None,
-    vehicle: options.OptionalVehicle = None,
+    vehicle: Annotated[
+        str | None,
+        typer.Option(
+            help="Vehicle file, for mass and pairs of poles; one that does not exist is asked for and kept."
+        ),
+    ] = None,
     mapping: options.Mapping = None,
     topics: options.Topics = None,
     namespace: options.Namespace = "",
 ) -> None:
     """Report on logs as they are: what was flown, drag and wind, motors, battery, what to log next time."""
+    from quadpi_core.cli.asked_values import report_vehicle
     from quadpi_core.field.field_report import report_on
     from quadpi_core.paths import whole_outputs, write_json
     from quadpi_core.report.field_page import report_summary, write_field_page
     from quadpi_core.report.table import terminal_table
-    from quadpi_core.vehicle import Vehicle
 
     if fail_on not in {None, "alarm"}:
         raise QuadpiError(f"--fail-on {fail_on}: known is alarm")
     if mass is not None and not 0.0 < mass < 1e4:
         raise QuadpiError(f"--mass {mass:g}: expected kilograms above 0")
     check_outputs([*logs, *(against or ())], folders=[folder])
+    known, its_mass = report_vehicle(vehicle) if vehicle else (None, None)
     found = report_on(
         logs,
         options.reading_options(topics, namespace, mapping),
-        Vehicle.load(vehicle) if vehicle else None,
-        mass,
+        known,
+        its_mass if mass is None else mass,
         against or (),
     )
     with whole_outputs(folder) as staging:
