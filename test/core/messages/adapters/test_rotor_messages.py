@@ -100,7 +100,7 @@ def test_px4_reports_that_are_no_sample(vendor, reason, changes):
 
 @pytest.mark.parametrize("name", [STATUS, TELEMETRY, PX4])
 @pytest.mark.parametrize("fifth", [0.0, 5000.0])
-def test_a_fifth_rotor_that_turns_is_of_no_quadrotor(vendor, name, fifth):
+def test_a_fifth_rotor_that_turns_is_not_of_a_quadrotor(vendor, name, fifth):
     rpm = np.array([*RPMS[0], fifth])
     if name == PX4:
         functions, places = (101, 102, 103, 104, 105), (0, 1, 2, 3, 4)
@@ -111,7 +111,9 @@ def test_a_fifth_rotor_that_turns_is_of_no_quadrotor(vendor, name, fifth):
         payload = make(vendor.px4_1_14, name, 0, rpm)
     unpacker = opened(vendor.px4_1_14, name)
     assert len(unpacker.unpack(payload)) == (fifth == 0.0)
-    assert ["as of a hexacopter" in found for found in unpacker.dropped] == [True] * (fifth != 0.0)
+    assert ["more ESCs turn than the vehicle has rotors" in found for found in unpacker.dropped] == [True] * (
+        fifth != 0.0
+    )
 
 
 def repeated(vendor, name):
