@@ -15,7 +15,7 @@ import numpy as np
 from scipy import stats
 
 from quadpi_core.field.airborne import Flown
-from quadpi_core.field.estimates import CONFIDENCE, Estimate
+from quadpi_core.field.estimates import CONFIDENCE, Estimate, within
 from quadpi_core.field.field_log import FieldLog
 from quadpi_core.field.motor_use import FULL_COMMAND, MotorUse
 from quadpi_core.frames import Array
@@ -81,8 +81,9 @@ def losses(use: MotorUse, references: Sequence[MotorUse]) -> tuple[RotorLoss, ..
     said = f"against {len(before)} flight{'s' * (len(before) > 1)}"
     found = []
     for value, width in zip(shares[0] - before.mean(axis=0), half, strict=True):
-        ends = (float(value), float(value - width), float(value + width))
-        found.append(RotorLoss(Estimate(*ends, "", said), Estimate(*map(_thrust, ends, (1, 0, 2)), "", said)))
+        ends = [float(end) for end in (value, value - width, value + width)]
+        thrusts = [_thrust(*pair) for pair in zip(ends, (1, 0, 2), strict=True)]
+        found.append(RotorLoss(within(ends, "", said), within(thrusts, "", said)))
     return tuple(found)
 
 
@@ -104,7 +105,7 @@ def frozen_motors(log: FieldLog, flight: Flown) -> list[tuple[int, float]]:
     """Motors, from 1, whose command stays what it is in the air, each with the time [s] from which."""
     if log.commands is None or log.commands.values.shape[1] < 2:
         return []
-    found = {}
+    found: dict[int, float] = {}
     for one in flight.stretches:
         part = log.commands.during(one.begin, one.end)
         if len(part) < 2:

@@ -133,13 +133,21 @@ def check_options(options: IdentifyOptions, pools: Pools) -> None:
 
 
 def joined(flights: Sequence[PreparedFlight], vehicle: Vehicle) -> TrainingSamples:
-    """The samples of all flights."""
+    """The samples of all flights, with the wrench that air of the vehicle file's density would have given.
+
+    Inertia and biases, some thousandths of it, go with it: models scale all that the air gives.
+    """
     return TrainingSamples(
         vehicle,
         np.concatenate([flight.time for flight in flights]),
         np.concatenate([flight.inputs for flight in flights]),
         np.concatenate([flight.derivatives for flight in flights]),
-        np.concatenate([flight.wrench for flight in flights]),
+        np.concatenate(
+            [
+                flight.wrench / (1.0 + flight.derivatives["density_excess"][:, np.newaxis])
+                for flight in flights
+            ]
+        ),
         np.repeat(np.arange(len(flights)), [len(flight.time) for flight in flights]),
         [flight.name for flight in flights],
     )

@@ -143,6 +143,12 @@ class PreparedFlight:
             flight=flight,
         )
 
+    def in_air(self, density: float, vehicle: Vehicle) -> PreparedFlight:
+        """The flight in air of a density [kg/m³], other than the vehicle file says."""
+        derivatives = self.derivatives.copy()
+        derivatives["density_excess"] = density / vehicle.air_density_kg_m3 - 1.0
+        return replace(self, derivatives=derivatives)
+
     @property
     def judged(self) -> LiveSamples:
         """Samples on which the alarm is calibrated and assessed."""

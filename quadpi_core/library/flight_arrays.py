@@ -31,6 +31,7 @@ from quadpi_core.library.notebook import pandas
 from quadpi_core.logs.duplicates import recording_hash
 from quadpi_core.logs.flight_table import WRENCH, columns_of
 from quadpi_core.models.model_kind import CUTOFF_HZ
+from quadpi_core.monitor.conditions import conditions
 from quadpi_core.rotations import rotate_body_to_world
 from quadpi_core.sample_limits import QUATERNION_NORM_TOLERANCE
 from quadpi_core.screening.plausibility import check_plausible
@@ -59,6 +60,7 @@ def prepared_from_arrays(
     vehicle: Vehicle,
     cutoff_hz: float,
     *,
+    air_density: npt.ArrayLike | None = None,
     filtered: bool = False,
     whole: Mapping[str, int] | None = None,
 ) -> tuple[PreparedFlight, ...]:
@@ -79,6 +81,12 @@ def prepared_from_arrays(
         for name, values in arrays.items()
         if values is not None
     }
+    air = None
+    if air_density is not None:
+        if np.ndim(air_density) == 0:
+            air_density = np.full(len(stamps), air_density)
+        known = conditions(len(stamps), air_density)
+        air = None if known is None else known["air_density"]
     prepared = []
     for label, rows in _by_label(flight, len(stamps)):
         flight_values = {name: values[rows] for name, values in checked.items()}
@@ -95,6 +103,8 @@ def prepared_from_arrays(
             prepared.append(_taken(recording, flight_values[_DERIVED], vehicle, is_whole=is_whole))
         else:
             prepared.append(prepare_recording(recording, vehicle, cutoff_hz))
+        if air is not None:
+            prepared[-1] = prepared[-1].in_air(float(np.median(air[rows])), vehicle)
     return tuple(prepared)
 
 

@@ -86,6 +86,7 @@ class Flights:
         rotor_speeds: npt.ArrayLike,
         position: npt.ArrayLike | None = None,
         wind: npt.ArrayLike | None = None,
+        air_density: npt.ArrayLike | None = None,
         flight: npt.ArrayLike | None = None,
         cutoff_hz: float = CUTOFF_HZ["default"],
     ) -> Flights:
@@ -101,6 +102,8 @@ class Flights:
             rotor_speeds: (N, rotors) rad/s, rotors in the order of the vehicle file.
             position: (N, 3) m, world; the integrated velocity unless given.
             wind: (N, 3) m/s of the air, world; none unless given.
+            air_density: kg/m³, one or (N,), of which each flight's median counts: pressure [Pa] over 287.05
+                times kelvin; that of the vehicle file unless given. Give `Monitor.step` the same.
             flight: (N,) label of the flight of each sample; all of one unless given.
             cutoff_hz: of the low-pass over all signals.
 
@@ -118,7 +121,8 @@ class Flights:
             "wind": wind,
         }
         flown = _vehicle(vehicle)
-        return cls(prepared_from_arrays(time_ns, arrays, flight, flown, cutoff_hz), flown, cutoff_hz)
+        prepared = prepared_from_arrays(time_ns, arrays, flight, flown, cutoff_hz, air_density=air_density)
+        return cls(prepared, flown, cutoff_hz)
 
     @classmethod
     def from_pandas(

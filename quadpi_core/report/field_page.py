@@ -137,8 +137,8 @@ def motor_table(flight: FlightReport) -> Table:
         rows.append(_row(f"{flight.log.motor(place)} over the mean command", own, 100.0, "%"))
     if isinstance(flight.losses, str):
         rows.append(["motors against earlier flights", None, "", "%", f"not told: {flight.losses}"])
-    for place, lost in enumerate(flight.losses or (), start=1):
-        if not isinstance(lost, str):
+    elif flight.losses is not None:
+        for place, lost in enumerate(flight.losses, start=1):
             rows.append(_row(f"{flight.log.motor(place)}, thrust that it lacks", lost.thrust, 100.0, "%"))
     if use.drift is not None:
         rows.append(_row("thrust over command, from begin to end", use.drift, 100.0, "%"))

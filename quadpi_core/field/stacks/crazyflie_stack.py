@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from quadpi_core.field.field_log import FieldLog, Series, Setting, Stack, series_of
+from quadpi_core.field.field_log import FieldLog, Series, Setting, Stack, density_of, series_of
 from quadpi_core.frames import body_flu_to_frd, quaternion_flu_enu_to_frd_ned, world_enu_to_ned
 from quadpi_core.logs.formats.cfusdlog import FORMAT, Event, decode_events
 from quadpi_core.logs.reader_steps import normalised_attitude
@@ -64,6 +64,7 @@ def read_crazyflie_field(path: Path, _number: int | None = None) -> FieldLog:
     speeds, battery = read(*_SPEEDS), read("pm.vbatMV") or read("pm.vbat")
     if speeds is not None and not np.any(speeds.values):
         speeds = None
+    air = read("baro.pressure", "baro.temp")
     return FieldLog(
         name=path.name,
         source=source,
@@ -81,6 +82,10 @@ def read_crazyflie_field(path: Path, _number: int | None = None) -> FieldLog:
         if speeds is None
         else Series(speeds.time, np.abs(speeds.values) * (2.0 * np.pi / 60.0)),
         battery=None if battery is None else _volts(battery),
+        # In hPa and °C.
+        density=None
+        if air is None
+        else Series(air.time, density_of(100.0 * air.values[:, :1], air.values[:, 1:])),
         corners=np.array(_CORNERS),
         facts={"commands": f"{named[0].partition('.')[0]}, of {_FULL:g}"} if commands else {},
         settings=tuple(_settings(events, {"pwm": named[0].startswith("pwm"), "rpm": speeds is not None})),

@@ -67,3 +67,9 @@ def test_rotor_speeds_of_zero_are_none(tmp_path: Path):
     log = read_crazyflie_field(path)
     assert log.rotor_speeds is None
     assert any(one.parameter.startswith("rpm.m1") is False for one in log.settings)
+
+
+def test_the_barometer_gives_the_density_of_the_air(tmp_path: Path):
+    path = tmp_path / "log00"
+    path.write_bytes(usd([*PWM, "baro.pressure", "baro.temp"], [(3e4,) * 4 + (1013.25, 15.0)] * 10))
+    assert read_crazyflie_field(path).density.values[0, 0] == pytest.approx(1.225, rel=1e-3)
