@@ -120,7 +120,7 @@ class _ChecksummedStorage(storage_mcap.McapWriter):
         end_ns, size = self.chunk.message_end_time, self.chunk.bio.tell()
         # Of a chunk with topics alone, which rosbags lets begin in the year 2262; the specification says 0.
         times = struct.pack("<QQ", min(self.chunk.message_start_time, end_ns), end_ns)
-        packed = self.compressor(self.chunk.bio.getbuffer())
+        packed = self.compressor(self.chunk.bio.getvalue())
         named = struct.pack(f"<I{len(self.compression)}s", len(self.compression), self.compression.encode())
         start = self.bio.tell()
         no_checksum = 0  # Zstandard has its own
