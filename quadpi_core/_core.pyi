@@ -215,6 +215,8 @@ class Model:
     @property
     def arrays(self) -> tuple[object, ...]: ...
 
+TERMS_TOGETHER: int
+
 class Polynomials(Model):
     def __init__(self, arrays: object, /) -> None: ...
 

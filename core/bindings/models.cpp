@@ -61,7 +61,8 @@ public:
           ) {
         const std::size_t longest = model.model.longest();
         require(
-            axes.all().size == AXES && whitening.all().size == AXES * longest * longest,
+            axes.all().size == AXES && whitening.all().size == AXES * longest * longest &&
+                longest % TERMS_TOGETHER == 0,
             "tables of different sizes"
         );
     }
@@ -103,7 +104,8 @@ public:
             for (const Bank& bank : axis.banks) {
                 const BankTables tables(bank, weights.all().data, source.all().data);
                 require(
-                    tables.networks <= model.scratch.networks &&
+                    tables.networks <= model.scratch.networks && tables.units % 2 == 0 &&
+                        (tables.networks == 0 || tables.inputs > 0) && tables.outputs <= MOST_OUTPUTS &&
                         tables.all_units() <= activations.all().size &&
                         tables.output(tables.outputs, 0) <= weights.all().end(),
                     "tables of different sizes"
@@ -179,6 +181,7 @@ void bind_models(nb::module_& module) {
     module.attr("TILE_ROWS") = TILE_ROWS;
     module.def("evaluate_regressors", &evaluate_regressors);
     bind_held<HeldModel>(module, "Model");
+    module.attr("TERMS_TOGETHER") = TERMS_TOGETHER;
     nb::class_<HeldPolynomials, HeldModel>(module, "Polynomials").def(nb::init<nb::object>());
     nb::class_<HeldEnsembles, HeldModel>(module, "Ensembles").def(nb::init<nb::object>());
     module.def("evaluate", &evaluate_held);

@@ -127,12 +127,13 @@ class EnsembleAxis(FittedAxis):
 
 
 def _prepared(networks: Networks, scaling: Scaling, mean: float, scale: float) -> Networks:
-    """Networks that give mean + scale · output on inputs in their own units."""
+    """Networks that give mean + scale · output on inputs in their own units; an even number of units each."""
     weights = networks.hidden_weights / scaling.input_scale
+    added = (0, networks.hidden_biases.shape[1] % 2)
     return Networks(
-        weights,
-        networks.hidden_biases - np.sum(weights * scaling.input_mean, axis=-1),
-        scale * networks.output_weights,
+        np.pad(weights, ((0, 0), added, (0, 0))),
+        np.pad(networks.hidden_biases - np.sum(weights * scaling.input_mean, axis=-1), ((0, 0), added)),
+        np.pad(scale * networks.output_weights, ((0, 0), (0, 0), added)),
         scale * networks.output_biases + mean,
     )
 

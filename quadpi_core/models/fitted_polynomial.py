@@ -64,7 +64,7 @@ class PolynomialAxis(FittedAxis):
 
 
 class _Packed(NamedTuple):
-    """What the compiled core takes of the axes held: tables padded to the longest.
+    """What the compiled core takes of the axes held: tables padded to the longest, and that to whole groups.
 
     Attributes:
         operations: of the program of all regressors; common products are computed once.
@@ -90,7 +90,8 @@ class FittedPolynomials(CompiledFitted):
     @cached_property
     def compiled(self) -> compiled.Polynomials:
         """See the base class."""
-        longest = max(len(axis.regressors) for axis in self.axes.values())
+        together = compiled.TERMS_TOGETHER
+        longest = -(-max(len(axis.regressors) for axis in self.axes.values()) // together) * together
         program = RegressorProgram.compile(r for own in self.axes.values() for r in own.regressors)
         axes = np.zeros(len(AXES), dtype=_AXIS)
         terms = np.zeros((len(AXES), longest), dtype=_TERM)
@@ -101,7 +102,7 @@ class FittedPolynomials(CompiledFitted):
             axes[k] = size, own.inflation, own.growth, own.rms_spread
             terms["row"][k, :size] = program.outputs[start : start + size]
             terms["coefficient"][k, :size] = own.coefficients
-            whitening[k, :size, :size] = own.whitening
+            whitening[k, :size, :size] = np.tril(own.whitening)
             start += size
         rows = np.empty(BASE_ROWS + len(program.operations))
         return compiled.Polynomials(_Packed(program.operations, axes, terms, whitening, rows))

@@ -5,13 +5,17 @@
 // Two loops compute the same sums. A block has its samples side by side in vector registers; a single sample,
 // as in flight, has the hidden units side by side. Both take inputs and units in the same order and round at
 // the same places, so live and replay agree bit for bit.
+//
+// Every x86-64 processor since 2013 has instructions for std::fma, but a build for all of them may not use
+// them. Both loops are compiled twice, and the loader takes what the processor can run. The bits are the
+// same: without such instructions, std::fma is a function of the C library.
 #pragma once
 
 #include <algorithm>
 #include <array>
+#include <cmath>
 
 #include "quadpi/models/evaluation.hpp"
-#include "quadpi/models/fused.hpp"
 #include "quadpi/models/regressors.hpp"
 
 namespace quadpi {
@@ -29,7 +33,7 @@ constexpr std::size_t MOST_OUTPUTS = 2;
 // that of what members give, is in them.
 struct Bank {
     std::int64_t inputs;
-    std::int64_t units;  // of one network
+    std::int64_t units;  // of one network, an even number
     std::int64_t networks;
     std::int64_t outputs;
     std::int64_t start;
@@ -112,7 +116,10 @@ template <int N>
 }
 
 // Fill the outputs of one bank for the first sample, units side by side.
-QUADPI_FUSED inline void evaluate_one(
+#if defined(__x86_64__)
+[[gnu::target_clones("fma", "default")]]
+#endif
+inline void evaluate_one(
     const BankTables& bank, const Rows& rows, std::size_t place, const EnsembleScratch& scratch
 ) {
     double* sums = scratch.activations;
@@ -144,51 +151,91 @@ QUADPI_FUSED inline void evaluate_one(
     }
 }
 
-// Sums of two hidden units over a block.
-struct PairSums {
+// Two hidden units of a network over a block: their sums so far, and what they add to the outputs.
+struct UnitPair {
     const double *one_weights, *other_weights;  // bias, then those of the inputs, `stride` apart
     std::size_t stride;
+    std::array<double, MOST_OUTPUTS> one_output, other_output;  // weights
+    std::array<double*, MOST_OUTPUTS> outputs;                  // by sample
     std::array<double, ENSEMBLE_BLOCK> one, other;
 
-    // Add N inputs of samples; the first ones add to the biases.
-    template <int N>
-    [[gnu::always_inline]] void add(
-        const Rows& rows, const std::int64_t* source, std::size_t first, std::size_t samples
-    ) {
+    // Add N inputs of samples, the first ones to the biases, and after the last ones the units to OUTPUTS
+    // outputs.
+    template <int N, bool FIRST, int OUTPUTS>
+    [[gnu::always_inline]] void add(const Rows& rows, const std::int64_t* source, std::size_t samples) {
         const double* inputs[N];
         double one_weight[N], other_weight[N];
         for (int k = 0; k < N; ++k) {
-            inputs[k] = rows[source[first + k]];
-            one_weight[k] = one_weights[(1 + first + k) * stride];
-            other_weight[k] = other_weights[(1 + first + k) * stride];
+            inputs[k] = rows[source[k]];
+            one_weight[k] = one_weights[(1 + k) * stride];
+            other_weight[k] = other_weights[(1 + k) * stride];
         }
-        if (first == 0) {
-            const double one_bias = *one_weights, other_bias = *other_weights;
-            for (std::size_t i = 0; i < samples; ++i) {
-                double one_sum = one_bias, other_sum = other_bias;
-                for (int k = 0; k < N; ++k) {
-                    one_sum = std::fma(one_weight[k], inputs[k][i], one_sum);
-                    other_sum = std::fma(other_weight[k], inputs[k][i], other_sum);
-                }
-                one[i] = one_sum;
-                other[i] = other_sum;
+        const double one_bias = *one_weights, other_bias = *other_weights;
+        const auto one_by = one_output, other_by = other_output;
+        const auto written = outputs;
+        double *const one_sums = one.data(), *const other_sums = other.data();
+// No output is an input.
+#pragma GCC ivdep
+        for (std::size_t i = 0; i < samples; ++i) {
+            double one_sum = FIRST ? one_bias : one_sums[i], other_sum = FIRST ? other_bias : other_sums[i];
+            for (int k = 0; k < N; ++k) {
+                one_sum = std::fma(one_weight[k], inputs[k][i], one_sum);
+                other_sum = std::fma(other_weight[k], inputs[k][i], other_sum);
             }
-        } else {
-            for (std::size_t i = 0; i < samples; ++i) {
-                double one_sum = one[i], other_sum = other[i];
-                for (int k = 0; k < N; ++k) {
-                    one_sum = std::fma(one_weight[k], inputs[k][i], one_sum);
-                    other_sum = std::fma(other_weight[k], inputs[k][i], other_sum);
-                }
-                one[i] = one_sum;
-                other[i] = other_sum;
+            for (int k = 0; k < OUTPUTS; ++k) {
+                const double with_one = std::fma(one_by[k], rectified(one_sum), written[k][i]);
+                const double with_both = std::fma(other_by[k], rectified(other_sum), with_one);
+                written[k][i] = with_both;
+            }
+            if (OUTPUTS == 0) {
+                one_sums[i] = one_sum;
+                other_sums[i] = other_sum;
             }
         }
+        one_weights += N * stride;
+        other_weights += N * stride;
+    }
+
+    // Add the last inputs, of which there are `count`.
+    template <bool FIRST, int OUTPUTS>
+    [[gnu::always_inline]] void add_last(
+        const Rows& rows, const std::int64_t* source, std::size_t count, std::size_t samples
+    ) {
+        switch (count) {
+            case 1:
+                return add<1, FIRST, OUTPUTS>(rows, source, samples);
+            case 2:
+                return add<2, FIRST, OUTPUTS>(rows, source, samples);
+            case 3:
+                return add<3, FIRST, OUTPUTS>(rows, source, samples);
+            case 4:
+                return add<4, FIRST, OUTPUTS>(rows, source, samples);
+            default:
+                return add<5, FIRST, OUTPUTS>(rows, source, samples);
+        }
+    }
+
+    // Add all inputs.
+    template <int OUTPUTS>
+    [[gnu::always_inline]] void add_all(
+        const Rows& rows, const std::int64_t* source, std::size_t count, std::size_t samples
+    ) {
+        if (count <= 5) {
+            return add_last<true, OUTPUTS>(rows, source, count, samples);
+        }
+        add<5, true, 0>(rows, source, samples);
+        for (source += 5, count -= 5; count > 5; source += 5, count -= 5) {
+            add<5, false, 0>(rows, source, samples);
+        }
+        add_last<false, OUTPUTS>(rows, source, count, samples);
     }
 };
 
 // Fill the outputs of one bank for a block, samples side by side, two units of a network at a time.
-QUADPI_FUSED inline void evaluate_block(
+#if defined(__x86_64__)
+[[gnu::target_clones("fma", "default")]]
+#endif
+inline void evaluate_block(
     const BankTables& bank,
     const Rows& rows,
     std::size_t block,
@@ -197,47 +244,25 @@ QUADPI_FUSED inline void evaluate_block(
 ) {
     // Whole vector registers; what follows the samples in rows and outputs is of no matter.
     const std::size_t samples = (block + 3) / 4 * 4;
-    PairSums sums;
-    sums.stride = bank.all_units();
+    UnitPair units;
+    units.stride = bank.all_units();
     for (std::size_t network = 0; network < bank.networks; ++network) {
         for (std::size_t k = 0; k < bank.outputs; ++k) {
-            std::fill_n(scratch.output(place, k, network), samples, *bank.output(k, network));
+            units.outputs[k] = scratch.output(place, k, network);
+            std::fill_n(units.outputs[k], samples, *bank.output(k, network));
         }
         for (std::size_t unit = 0; unit < bank.units; unit += 2) {
-            // The last of an odd number goes beside itself.
-            const bool pair = unit + 1 < bank.units;
-            sums.one_weights = bank.hidden + network * bank.units + unit;
-            sums.other_weights = sums.one_weights + (pair ? 1 : 0);
-            std::size_t d = 0;
-            for (; d + 4 <= bank.inputs; d += 4) {
-                sums.add<4>(rows, bank.source, d, samples);
-            }
-            switch (bank.inputs - d) {
-                case 3:
-                    sums.add<3>(rows, bank.source, d, samples);
-                    break;
-                case 2:
-                    sums.add<2>(rows, bank.source, d, samples);
-                    break;
-                case 1:
-                    sums.add<1>(rows, bank.source, d, samples);
-                    break;
-            }
+            units.one_weights = bank.hidden + network * bank.units + unit;
+            units.other_weights = units.one_weights + 1;
             for (std::size_t k = 0; k < bank.outputs; ++k) {
                 const double* weights = bank.output(k, network) + 1 + unit;
-                double* out = scratch.output(place, k, network);
-                const double one_weight = weights[0];
-                if (!pair) {
-                    for (std::size_t i = 0; i < samples; ++i) {
-                        out[i] = std::fma(one_weight, rectified(sums.one[i]), out[i]);
-                    }
-                    continue;
-                }
-                const double other_weight = weights[1];
-                for (std::size_t i = 0; i < samples; ++i) {
-                    const double with_one = std::fma(one_weight, rectified(sums.one[i]), out[i]);
-                    out[i] = std::fma(other_weight, rectified(sums.other[i]), with_one);
-                }
+                units.one_output[k] = weights[0];
+                units.other_output[k] = weights[1];
+            }
+            if (bank.outputs == 1) {
+                units.add_all<1>(rows, bank.source, bank.inputs, samples);
+            } else {
+                units.add_all<MOST_OUTPUTS>(rows, bank.source, bank.inputs, samples);
             }
         }
     }

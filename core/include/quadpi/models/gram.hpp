@@ -5,8 +5,8 @@
 
 #include <algorithm>
 #include <array>
+#include <cmath>
 
-#include "quadpi/models/fused.hpp"
 #include "quadpi/models/regressors.hpp"
 
 namespace quadpi {
@@ -31,8 +31,11 @@ using TileSums = std::array<std::array<Lanes, TILE_COLUMNS>, TILE_ROWS>;
 
 inline double total(const Lanes& sums) { return (sums[0] + sums[2]) + (sums[1] + sums[3]); }
 
-// Fill the sums of a tile over a block.
-QUADPI_FUSED inline void sum_tile(
+// Fill the sums of a tile over a block; compiled twice, see models/ensembles.hpp.
+#if defined(__x86_64__)
+[[gnu::target_clones("fma", "default")]]
+#endif
+inline void sum_tile(
     const std::array<const double*, TILE_ROWS>& a,
     const std::array<const double*, TILE_COLUMNS>& b,
     TileSums& tile

@@ -3,6 +3,8 @@
 // Fitted polynomials, one sample after the other; see models/fitted_polynomial.py.
 #pragma once
 
+#include <array>
+
 #include "quadpi/models/evaluation.hpp"
 #include "quadpi/models/regressors.hpp"
 
@@ -21,6 +23,9 @@ struct PolynomialTerm {
     std::int64_t row;  // of the program
     double coefficient;
 };
+
+// Terms whose sums are made side by side, each in its own order; tables are padded to whole groups by zeros.
+constexpr std::size_t TERMS_TOGETHER = 4;
 
 // The polynomials of a model, their tables padded to the longest.
 struct Polynomials {
@@ -55,13 +60,18 @@ inline void evaluate(
                 continue;
             }
             double predicted = 0.0, leverage = 0.0;
-            for (std::size_t a = 0; a < size; ++a) {
-                predicted += terms[a].coefficient * *rows[terms[a].row];
-                double whitened = 0.0;
-                for (std::size_t b = 0; b <= a; ++b) {
-                    whitened += whitening[a * longest + b] * *rows[terms[b].row];
+            for (std::size_t a = 0; a < size; a += TERMS_TOGETHER) {
+                std::array<double, TERMS_TOGETHER> whitened{};
+                for (std::size_t b = 0; b < a + TERMS_TOGETHER; ++b) {
+                    const double value = *rows[terms[b].row];
+                    for (std::size_t k = 0; k < TERMS_TOGETHER; ++k) {
+                        whitened[k] += whitening[(a + k) * longest + b] * value;
+                    }
                 }
-                leverage += whitened * whitened;
+                for (std::size_t k = 0; k < TERMS_TOGETHER; ++k) {
+                    predicted += terms[a + k].coefficient * *rows[terms[a + k].row];
+                    leverage += whitened[k] * whitened[k];
+                }
             }
             const double spread =
                 std::sqrt(1.0 + fitted.inflation * leverage + fitted.growth * speed_squared);
