@@ -162,7 +162,7 @@ void spread_errors(
     Records<const Moving> path,
     Records<const TermValues> parameters,
     nb::handle uncertainty,
-    Records<StateCovariance> covariance
+    Records<RolloutCovariance> covariance
 ) {
     const HeldTrack held(track);
     const Field<const StateError> state(uncertainty, "state");

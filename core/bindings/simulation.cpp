@@ -195,7 +195,7 @@ void fly_along(
     nb::sequence effects,
     nb::handle given_controls,
     nb::handle given_demand,
-    Records<Motion> motions,
+    Records<IntegratedMotion> motions,
     Records<State> state,
     Records<Logged> log,
     Records<std::int64_t> done
@@ -336,7 +336,8 @@ void bind_simulation(nb::module_& module) {
     const nb::call_guard<nb::gil_scoped_release> unlocked;
     module.def("fly", &fly_along);
     module.def(
-        "control", [](nb::handle given, Records<const Motion> motion, nb::handle demand, std::size_t step) {
+        "control",
+        [](nb::handle given, Records<const IntegratedMotion> motion, nb::handle demand, std::size_t step) {
             HeldControls held(given);
             const HeldDemand held_demand(demand);
             require(step < held_demand.demand().yaw.size, "no such instant");
@@ -350,7 +351,7 @@ void bind_simulation(nb::module_& module) {
         Controls controls = held.controls();
         observe(controls, only(state));
     });
-    module.def("is_lost", [](Records<const Motion> motion, Records<const Vector3> position) {
+    module.def("is_lost", [](Records<const IntegratedMotion> motion, Records<const Vector3> position) {
         return is_lost(only(motion), only(position));
     });
     module.def("fill_aerodynamics", &fill_aerodynamics, unlocked);

@@ -23,7 +23,7 @@ from quadpi_core.simulation.wrench_functions import AddedEffect, Law, called_on
 from quadpi_core.thresholds import CONVENTION, Threshold
 
 
-class Motion:
+class IntegratedMotion:
     """The integrated state, or its derivative; position and velocity in the world.
 
     `memory` is the state of an effect that has one of its own, see `effect_definition.Effect.at_rest`.
@@ -52,7 +52,7 @@ class Logged:
 
 
 # Of four rotors.
-MOTION, LOGGED = record_dtype(Motion, 4), record_dtype(Logged, 4)
+MOTION, LOGGED = record_dtype(IntegratedMotion, 4), record_dtype(Logged, 4)
 
 
 class Memory(NamedTuple):
@@ -72,7 +72,7 @@ class Memory(NamedTuple):
     ) -> Memory:
         """The memory with an initial state, without rotation; `at_rest` (6,) is that of an effect."""
         rotors = len(rotor_speeds)
-        motions = np.zeros(6, dtype=record_dtype(Motion, rotors))
+        motions = np.zeros(6, dtype=record_dtype(IntegratedMotion, rotors))
         motions[0]["position"], motions[0]["velocity"] = position, velocity
         motions[0]["attitude"], motions[0]["rotor_speeds"] = attitude, rotor_speeds
         motions[0]["memory"] = at_rest

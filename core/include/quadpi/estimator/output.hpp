@@ -28,21 +28,18 @@ struct FusedSample {
 
 // Columns of the error state that odometry follows from: position, velocity, attitude and gyro bias.
 constexpr int ODOMETRY_STATES = 12;
-
-// Six rows of a matrix of those columns, zero but for some neighbouring columns of each.
-struct OdometryJacobian {
-    std::array<std::array<double, ODOMETRY_STATES>, 6> rows{};
-    std::array<int, 6> first, last;  // of its columns, and the one behind
-};
+using OdometryJacobian = std::array<std::array<double, ODOMETRY_STATES>, 6>;
 
 // J P Jᵀ of the first columns of P.
 inline Matrix6 sandwich(const OdometryJacobian& by, const ErrorMatrix& covariance) {
-    std::array<std::array<double, ODOMETRY_STATES>, 6> projected{};
+    OdometryJacobian projected{};
     for (int row = 0; row < 6; ++row) {
-        for (int inner = by.first[row]; inner < by.last[row]; ++inner) {
-            const double factor = by.rows[row][inner];
-            for (int column = 0; column < ODOMETRY_STATES; ++column) {
-                projected[row][column] += factor * covariance[inner][column];
+        for (int inner = 0; inner < ODOMETRY_STATES; ++inner) {
+            const double factor = by[row][inner];
+            if (factor != 0.0) {
+                for (int column = 0; column < ODOMETRY_STATES; ++column) {
+                    projected[row][column] += factor * covariance[inner][column];
+                }
             }
         }
     }
@@ -50,8 +47,8 @@ inline Matrix6 sandwich(const OdometryJacobian& by, const ErrorMatrix& covarianc
     for (int row = 0; row < 6; ++row) {
         for (int other = 0; other <= row; ++other) {
             double total = 0.0;
-            for (int column = by.first[other]; column < by.last[other]; ++column) {
-                total += projected[row][column] * by.rows[other][column];
+            for (int column = 0; column < ODOMETRY_STATES; ++column) {
+                total += projected[row][column] * by[other][column];
             }
             out[row][other] = total;
             out[other][row] = total;
@@ -81,22 +78,18 @@ inline void fill_fused(const Estimate& estimate, double gyro_variance, FusedSamp
     }
     const auto [u, v, w] = motion.velocity;
 
-    OdometryJacobian pose, twist;
+    OdometryJacobian pose{}, twist{};
     for (int axis = 0; axis < 3; ++axis) {
-        pose.rows[axis][axis] = 1.0;
-        pose.first[axis] = axis, pose.last[axis] = axis + 1;
-        pose.first[3 + axis] = ATTITUDE, pose.last[3 + axis] = GYRO_BIAS;
-        twist.first[axis] = VELOCITY, twist.last[axis] = GYRO_BIAS;
-        twist.rows[3 + axis][GYRO_BIAS + axis] = -1.0;
-        twist.first[3 + axis] = GYRO_BIAS + axis, twist.last[3 + axis] = GYRO_BIAS + axis + 1;
+        pose[axis][axis] = 1.0;
+        twist[3 + axis][GYRO_BIAS + axis] = -1.0;
         for (int other = 0; other < 3; ++other) {
-            pose.rows[3 + axis][ATTITUDE + other] = to_world[axis][other];
-            twist.rows[axis][VELOCITY + other] = to_world[other][axis];
+            pose[3 + axis][ATTITUDE + other] = to_world[axis][other];
+            twist[axis][VELOCITY + other] = to_world[other][axis];
         }
     }
-    twist.rows[0][ATTITUDE + 1] = -w, twist.rows[0][ATTITUDE + 2] = v;
-    twist.rows[1][ATTITUDE] = w, twist.rows[1][ATTITUDE + 2] = -u;
-    twist.rows[2][ATTITUDE] = -v, twist.rows[2][ATTITUDE + 1] = u;
+    twist[0][ATTITUDE + 1] = -w, twist[0][ATTITUDE + 2] = v;
+    twist[1][ATTITUDE] = w, twist[1][ATTITUDE + 2] = -u;
+    twist[2][ATTITUDE] = -v, twist[2][ATTITUDE + 1] = u;
     out.pose_covariance = sandwich(pose, estimate.covariance);
     out.twist_covariance = sandwich(twist, estimate.covariance);
     for (int axis = 3; axis < 6; ++axis) {

@@ -4,6 +4,7 @@
 #pragma once
 
 #include "quadpi/estimator/corrections.hpp"
+#include "quadpi/records.hpp"
 
 namespace quadpi {
 

@@ -10,7 +10,7 @@ namespace quadpi {
 // Errors of the state, then those of the wrench.
 constexpr std::size_t JOINT = rollout::STATES + AXES;
 using JointMatrix = Matrix<JOINT, JOINT>;
-using StateCovariance = Matrix<rollout::STATES, rollout::STATES>;
+using RolloutCovariance = Matrix<rollout::STATES, rollout::STATES>;
 // Below this variance of an angle [rad²] its sine varies as the angle does.
 constexpr double SMALL_VARIANCE = 1e-6;
 
@@ -67,8 +67,8 @@ public:
     }
 
     // Of the errors now, with that of a measured state.
-    StateCovariance covariance() const {
-        StateCovariance found =
+    RolloutCovariance covariance() const {
+        RolloutCovariance found =
             multiplied(multiplied(sensitivity, uncertainty.parameters), transposed(sensitivity));
         for (std::size_t i = 0; i < rollout::STATES; ++i) {
             for (std::size_t j = 0; j < rollout::STATES; ++j) {
@@ -124,7 +124,7 @@ private:
     }
 
     void turn_sensitivity(const JointMatrix& change, const JointMatrix& transition) {
-        StateCovariance of_state;
+        RolloutCovariance of_state;
         Matrix<rollout::STATES, AXES> of_wrench;
         for (std::size_t i = 0; i < rollout::STATES; ++i) {
             std::copy_n(transition[i].begin(), rollout::STATES, of_state[i].begin());
@@ -147,7 +147,7 @@ inline void error_covariance(
     Records<const Moving> path,
     const TermValues& parameters,
     const Uncertainty& uncertainty,
-    Records<StateCovariance> covariance
+    Records<RolloutCovariance> covariance
 ) {
     const std::size_t steps = wanted.last(), count = wanted.horizons.size;
     for (std::size_t window = 0; window < wanted.starts.size; ++window) {

@@ -30,7 +30,7 @@ using Allocation = std::array<std::array<double, 4>, ROTORS_MAX>;
 using Effectiveness = std::array<PerRotor, 4>;
 
 // The integrated state, or its derivative; position and velocity in the world.
-struct Motion {
+struct IntegratedMotion {
     Vector3 position;
     Vector3 velocity;
     Quaternion attitude;
@@ -146,7 +146,7 @@ inline void allocate(
 // Specific force of the rotors in the world: the demand less the disturbance, within the limit of its tilt.
 inline Vector3 demanded_force(
     const Controls& controls,
-    const Motion& motion,
+    const IntegratedMotion& motion,
     const Matrix3& rotation,
     const Demand& demand,
     std::size_t step
@@ -174,7 +174,9 @@ inline Vector3 demanded_force(
 }
 
 // Set the commanded rotor speeds for one step.
-inline void control(Controls& controls, const Motion& motion, const Demand& demand, std::size_t step) {
+inline void control(
+    Controls& controls, const IntegratedMotion& motion, const Demand& demand, std::size_t step
+) {
     const VehicleNumbers& vehicle = controls.nominal;
     const Matrix3 rotation = rotation_matrix(motion.attitude);
     const Vector3 force = demanded_force(controls, motion, rotation, demand, step);

@@ -42,18 +42,18 @@ struct Physics {
 
 // The integrator's memory: the state, a state ahead of it and the slopes of four stages.
 constexpr std::size_t MOTIONS = 6;
-constexpr std::size_t ROTOR_SPEEDS_OF_MOTION = offsetof(Motion, rotor_speeds) / sizeof(double);
+constexpr std::size_t ROTOR_SPEEDS_OF_MOTION = offsetof(IntegratedMotion, rotor_speeds) / sizeof(double);
 
-inline double* numbers_of(Motion& motion) { return reinterpret_cast<double*>(&motion); }
+inline double* numbers_of(IntegratedMotion& motion) { return reinterpret_cast<double*>(&motion); }
 
 // Equations of motion: m (v̇ − g) = R F, I Ω̇ = M − Ω × IΩ, q̇ = ½ q (0, Ω), ω̇ = (ω_c − ω)/τ.
 inline void differentiate(
-    const Motion& motion,
+    const IntegratedMotion& motion,
     const PerRotor& command,
     const Vector3& wind,
     const Physics& physics,
     State& state,
-    Motion& slope
+    IntegratedMotion& slope
 ) {
     const VehicleNumbers& vehicle = physics.vehicle;
     const Matrix3 rotation = rotation_matrix(motion.attitude);
@@ -98,7 +98,9 @@ inline void differentiate(
     };
 }
 
-inline void log_instant(const Motion& motion, const Motion& slope, const State& state, Logged& row) {
+inline void log_instant(
+    const IntegratedMotion& motion, const IntegratedMotion& slope, const State& state, Logged& row
+) {
     const Matrix3 rotation = rotation_matrix(motion.attitude);
     row.position = motion.position;
     row.rates = motion.rates;
@@ -112,7 +114,7 @@ inline void log_instant(const Motion& motion, const Motion& slope, const State& 
 }
 
 // Whether the vehicle is upside down, spins, is below the ground, off its reference, or no number.
-inline bool is_lost(const Motion& motion, const Vector3& position) {
+inline bool is_lost(const IntegratedMotion& motion, const Vector3& position) {
     const Quaternion& q = motion.attitude;
     const double cos_tilt = 1.0 - 2.0 * (q[1] * q[1] + q[2] * q[2]);
     double spin = 0.0, error = 0.0;
@@ -136,7 +138,7 @@ inline void fly(
     const Physics& physics,
     Controls& controls,
     const Demand& demand,
-    Records<Motion> motions,
+    Records<IntegratedMotion> motions,
     State& state,
     Records<Logged> log,
     volatile std::int64_t& done
@@ -144,7 +146,7 @@ inline void fly(
     const std::size_t numbers = ROTOR_SPEEDS_OF_MOTION + static_cast<std::size_t>(physics.vehicle.rotors);
     const std::size_t steps = demand.yaw.size, every = (steps - 1) / (log.size - 1);
     constexpr double step = 1.0 / STEP_HZ;
-    Motion& motion = motions[0];
+    IntegratedMotion& motion = motions[0];
     double *now = numbers_of(motions[0]), *ahead_of_it = numbers_of(motions[1]);
     const double *first = numbers_of(motions[2]), *second = numbers_of(motions[3]);
     const double *third = numbers_of(motions[4]), *fourth = numbers_of(motions[5]);
