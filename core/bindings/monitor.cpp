@@ -291,6 +291,7 @@ void bind_faults(nb::module_& module) {
         {"RATE_LOW", RATE_LOW},
         {"ROTOR_ZERO", ROTOR_ZERO},
         {"SETTLE_NS", SETTLE_NS},
+        {"ERRORS_KEPT", ERRORS_KEPT},
     };
     for (const auto& [name, value] : faults) {
         module.attr(name) = value;

@@ -24,7 +24,7 @@ from quadpi_core.identification.prepared_flights import PREPARE_FLIGHTS, Prepare
 from quadpi_core.logs import is_log_folder
 from quadpi_core.models.aerodynamic import LOAD_MODEL, AerodynamicModel
 from quadpi_core.models.model_folder import MODEL_FILE
-from quadpi_core.monitor.adaptive import AdaptiveFactor
+from quadpi_core.monitor.adaptive import AdaptiveIntervals
 from quadpi_core.parallel import DEFAULT_WORKERS, Workers
 from quadpi_core.reading_options import MappingOrOptions
 from quadpi_core.version import __version__
@@ -51,7 +51,8 @@ def predict_flight(
     lower, upper = evaluation.lower, evaluation.upper
     if adaptive:
         rate_hz = 1.0 / float(np.median(np.diff(flight.time)))
-        lower, upper = AdaptiveFactor(confidence, rate_hz).step(flight.wrench, lower, upper)
+        intervals = AdaptiveIntervals(confidence, rate_hz, model.moving_centre)
+        lower, upper = intervals.step(flight.wrench, lower, upper)
     alarm = None
     if with_alarm:
         alarm = alarm_of_flight(model, flight.time, flight.judged, confidence)

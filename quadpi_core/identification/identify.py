@@ -18,6 +18,7 @@ from quadpi_core.identification.alarm_calibration import (
     left_out,
     live_errors,
 )
+from quadpi_core.identification.centre_calibration import calibrate_centre, errors_left
 from quadpi_core.identification.change_calibration import calibrate_change
 from quadpi_core.identification.prepared_flights import PREPARE_FLIGHTS, PreparedFlight
 from quadpi_core.models.aerodynamic import AerodynamicModel, TrainingFlight
@@ -95,6 +96,7 @@ def identify(
         ),
     )
     change = calibrate_change(flights, live, vehicle, evaluate) if rules else None
+    left = errors_left(flights, live, fit.left_out, factors) if rules else []
     return AerodynamicModel(
         name="",
         vehicle=vehicle.name,
@@ -117,6 +119,7 @@ def identify(
         rollouts=fit.rollouts,
         alarm_limits=limits,
         change_limits=change,
+        moving_centre=calibrate_centre(left, options.confidence),
         left_out=tuple(fit.left_out),
     )
 

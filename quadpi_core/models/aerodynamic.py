@@ -41,6 +41,7 @@ from quadpi_core.models.model_kind import (
     compiled_model,
     named_arrays,
 )
+from quadpi_core.models.moving_centre import MovingCentre
 from quadpi_core.models.rollout_model import RolloutModel
 from quadpi_core.models.sound_flights import SoundFlights
 from quadpi_core.records import Records
@@ -110,6 +111,7 @@ class AerodynamicModel:
         rollouts: predicts the state ahead; None for a model that cannot.
         alarm_limits: limits of the alarm other than those of `envelope`; uncalibrated by default.
         change_limits: what the alarm tells a change of the vehicle by; None for a model of too few flights.
+        moving_centre: how intervals that adapt move; None where no flights left out told.
         sound: what flights leave of a model identified without them; None where they do not tell.
         left_out: `fitted` without each of `flights` in turn; empty in a model that was read.
         flown: the vehicle of the flights; None for a model of an earlier version, which knows its name.
@@ -131,6 +133,7 @@ class AerodynamicModel:
     rollouts: RolloutModel | None = None
     alarm_limits: AlarmLimits = field(default_factory=AlarmLimits)
     change_limits: ChangeLimits | None = None
+    moving_centre: MovingCentre | None = None
     sound: SoundFlights | None = None
     left_out: tuple[Fitted, ...] = field(default=(), repr=False, compare=False)
     flown: Vehicle | None = field(default=None, repr=False, compare=False)
@@ -369,6 +372,7 @@ class AerodynamicModel:
             "envelope": self.envelope.to_json(),
             "alarm": self.alarm_limits.to_json(),
             **({} if self.change_limits is None else {"change": self.change_limits.to_json()}),
+            **({} if self.moving_centre is None else {"moving_centre": self.moving_centre.to_json()}),
             "flights": [asdict(flight) for flight in self.flights],
             "versions": {
                 "quadpi": __version__,
@@ -418,6 +422,7 @@ class AerodynamicModel:
                 rollouts=_stored_part(content, _ROLLOUTS, RolloutModel.stored),
                 alarm_limits=described.alarm,
                 change_limits=described.change,
+                moving_centre=described.moving_centre,
                 sound=_stored_part(content, _SOUND, SoundFlights.stored),
                 flown=described.flown(),
             )
@@ -517,6 +522,7 @@ class _Description:
     arrays_sha256: str
     vehicle_file: dict[str, Any] | None = None
     change: Annotated[ChangeLimits, ReadBy(ChangeLimits.from_json)] | None = None
+    moving_centre: Annotated[MovingCentre, ReadBy(MovingCentre.from_json)] | None = None
 
     def flown(self) -> Vehicle | None:
         """The vehicle of the flights, where the model holds it."""

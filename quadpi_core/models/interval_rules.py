@@ -159,7 +159,7 @@ class HeldOutRule(Rule):
         """The rule whose factors cover these held-out errors of the same flights as well."""
         factors = self.flight_factors.copy()
         for k, flight in enumerate(held_out):
-            if len(flight.inside) and np.mean(flight.inside) >= FEWEST_INSIDE:
+            if flight.usual:
                 factors[k] = np.maximum(factors[k], flight.factors())
         return HeldOutRule(factors, self.flights_inside)
 
@@ -246,6 +246,11 @@ class FlightErrors:
     width: Array | None = None
     leverage: Array | None = None
 
+    @property
+    def usual(self) -> bool:
+        """Whether the flight lies mostly inside the envelope of the others."""
+        return len(self.inside) > 0 and float(np.mean(self.inside)) >= FEWEST_INSIDE
+
     def factors(self) -> Array:
         """Factors (len(LEVELS),) that would have covered the errors inside the envelope, by confidence."""
         factors: Array = np.quantile(self.scores()[self.inside], LEVELS, method="higher")
@@ -265,7 +270,7 @@ def calibrate(held_out: Sequence[FlightErrors], trained: Sequence[FlightErrors])
         trained: per flight, under the final model.
     """
     factors = [flight.factors() for flight in trained]
-    inside = [k for k, flight in enumerate(held_out) if np.mean(flight.inside) >= FEWEST_INSIDE]
+    inside = [k for k, flight in enumerate(held_out) if flight.usual]
     for k in inside:
         factors[k] = np.maximum(factors[k], held_out[k].factors())
     return HeldOutRule(np.stack(factors), len(inside))

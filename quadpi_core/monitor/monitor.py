@@ -19,7 +19,7 @@ from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.models.aerodynamic import LOAD_MODEL, AerodynamicModel, unchecked_evaluation
 from quadpi_core.models.model_kind import compiled_model
-from quadpi_core.monitor.adaptive import MEMORY, AdaptiveFactor
+from quadpi_core.monitor.adaptive import MEMORY, AdaptiveIntervals
 from quadpi_core.monitor.alarm import Alarm, MonitorSettings
 from quadpi_core.monitor.alarm_kernel import ROW
 from quadpi_core.monitor.alarm_log import EventLog
@@ -37,7 +37,7 @@ class _Arrays(NamedTuple):
 
     Attributes:
         limits, alarm: see :class:`Alarm`.
-        adaptive: see :class:`AdaptiveFactor`; empty where intervals do not adapt.
+        adaptive: see :class:`AdaptiveIntervals`; empty where intervals do not adapt.
         factors: (6,) half width of each axis' interval per unit of spread.
         model: None for one that Python evaluates.
     """
@@ -125,7 +125,9 @@ class Monitor:
         )
         self._log = EventLog()
         self._adaptive = (
-            AdaptiveFactor(self.confidence, rate_hz or RATE_BEFORE_HZ) if settings.adaptive else None
+            AdaptiveIntervals(self.confidence, rate_hz or RATE_BEFORE_HZ, model.moving_centre)
+            if settings.adaptive
+            else None
         )
         own = compiled_model(model.fitted)
         self._is_compiled = own is not None

@@ -19,6 +19,7 @@ from quadpi_core.models.envelope import Envelope
 from quadpi_core.models.fitted_polynomial import FittedPolynomials, PolynomialAxis
 from quadpi_core.models.interval_rules import ResidualRule
 from quadpi_core.models.model_kind import Fitted
+from quadpi_core.models.moving_centre import MovedAxis, MovingCentre
 from quadpi_core.models.regressors import Regressor, RegressorProgram
 from quadpi_core.monitor.pairing import PairedSamples
 from quadpi_core.monitor.preparation import Preparation
@@ -123,6 +124,7 @@ def model_of(fitted: Fitted, vehicle: Vehicle, inputs: Array) -> AerodynamicMode
         flights=(),
         selection={axis: [] for axis in fitted.axes},
         held_out_coverage={axis: [] for axis in fitted.axes},
+        moving_centre=MovingCentre({axis: MovedAxis(np.linspace(0.1, 0.02, 8), 1.0) for axis in fitted.axes}),
         identity="swings@000000000000",
         # The coefficients mean nothing, so that the measured wrench is far off: no miss counts.
         alarm_limits=AlarmLimits(miscoverage_s=np.full(len(AXES), 1e9)),

@@ -9,7 +9,7 @@ import pytest
 from scipy.signal import lfilter
 
 from quadpi_core.errors import ModelError
-from quadpi_core.monitor.adaptive import GAIN_PER_S, LARGEST_CHANGE, AdaptiveFactor
+from quadpi_core.monitor.adaptive import GAIN_PER_S, LARGEST_CHANGE, AdaptiveIntervals
 
 RATE_HZ = 500.0
 SECONDS = 60.0
@@ -23,7 +23,7 @@ def adapt(errors, half_width=1.0, confidence=0.95, centre=0.0):
     errors = np.tile(errors[:, None], AXES) if errors.ndim == 1 else errors
     lower = np.broadcast_to(centre - half_width, errors.shape)
     upper = np.broadcast_to(centre + half_width, errors.shape)
-    low, high = AdaptiveFactor(confidence, RATE_HZ).step(centre + errors, lower, upper)
+    low, high = AdaptiveIntervals(confidence, RATE_HZ).step(centre + errors, lower, upper)
     measured = centre + errors
     return (low <= measured) & (measured <= high), 0.5 * (high - low)
 
@@ -89,7 +89,7 @@ def test_a_minute_is_enough_for_two_percent(name):
 
 @pytest.mark.parametrize("outside", [True, False])
 def test_opponent_who_knows_the_factor_cannot_break_the_bound(outside):
-    adaptive = AdaptiveFactor(0.95, RATE_HZ)
+    adaptive = AdaptiveIntervals(0.95, RATE_HZ)
     missed = 0
     one = np.ones((1, AXES))
     for n in range(1, 20_001):
@@ -123,9 +123,9 @@ def test_interval_of_a_sample_rests_on_the_past_only():
     assert np.any(~inside)
 
 
-def test_the_factor_doubles_in_0_15_s_of_misses_and_halves_in_2_8_s_without_any():
-    one, adaptive = np.ones((1, AXES)), AdaptiveFactor(0.95, RATE_HZ)
-    for error, seconds, factor in ((500.0, np.log(2.0) / (5.0 * 0.95), 2.0), (0.01, np.log(2.0) / 0.25, 1.0)):
+def test_the_factor_doubles_in_0_07_s_of_misses_and_halves_in_1_4_s_without_any():
+    one, adaptive = np.ones((1, AXES)), AdaptiveIntervals(0.95, RATE_HZ)
+    for error, seconds, factor in ((500.0, np.log(2.0) / (10.0 * 0.95), 2.0), (0.01, np.log(2.0) / 0.5, 1.0)):
         for _ in range(round(seconds * RATE_HZ)):
             adaptive.step(error * one, -one, one)
         np.testing.assert_allclose(adaptive.factor, factor, rtol=0.01)
@@ -139,7 +139,7 @@ def test_axes_are_apart_and_the_interval_stays_about_its_centre():
     assert np.all(np.diff(half[SAMPLES // 2 :].mean(axis=0)) > 0.0)
     together, _ = adapt(errors, centre=3.0)
     np.testing.assert_array_equal(together[:, 3], alone[:, 0])
-    low, high = AdaptiveFactor(0.95, RATE_HZ).step(
+    low, high = AdaptiveIntervals(0.95, RATE_HZ).step(
         3.0 + errors, np.full_like(errors, 2.0), np.full_like(errors, 4.0)
     )
     np.testing.assert_allclose(0.5 * (low + high), 3.0, rtol=1e-12)
@@ -147,7 +147,7 @@ def test_axes_are_apart_and_the_interval_stays_about_its_centre():
 
 def test_what_is_not_finite_or_has_no_width_leaves_the_factor():
     one = np.ones((1, AXES))
-    adaptive = AdaptiveFactor(0.95, RATE_HZ)
+    adaptive = AdaptiveIntervals(0.95, RATE_HZ)
     for measured, lower, upper in (
         (np.nan * one, -one, one),
         (np.inf * one, -one, one),
@@ -162,8 +162,8 @@ def test_what_is_not_finite_or_has_no_width_leaves_the_factor():
 
 
 @pytest.mark.parametrize(
-    "settings", [(1.0, 500.0), (0.0, 500.0), (0.95, 0.0), (0.95, np.nan), (0.95, 500.0, -1.0)]
+    "settings", [(1.0, 500.0), (0.0, 500.0), (0.95, 0.0), (0.95, np.nan), (0.95, 500.0, None, -1.0)]
 )
 def test_impossible_settings_are_refused(settings):
     with pytest.raises(ModelError, match=r"confidence|rate_hz|gain_per_s"):
-        AdaptiveFactor(*settings)
+        AdaptiveIntervals(*settings)
