@@ -8,7 +8,7 @@ CORE_SOURCES = $(shell find core -name '*.[ch]pp')
 export ROS_AUTOMATIC_DISCOVERY_RANGE = LOCALHOST
 unexport AMENT_PREFIX_PATH PYTHONPATH PYTHONHOME
 
-.PHONY: help demo dist development test test-slow lint format bench tables alarm discovery discovery-independent discovery-hidden discovery-real models rollouts nanodrone pictures golden fuzz environment clean
+.PHONY: help demo dist development test test-slow lint format bench tables alarm discovery discovery-independent discovery-hidden discovery-real models intervals rollouts nanodrone pictures golden fuzz environment clean
 
 help: ## list these targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1|/p' $(MAKEFILE_LIST) | while IFS='|' read -r target text; do \
@@ -73,6 +73,10 @@ discovery-real: development ## renew experiments/results/discovery-real.md: sear
 models: ## renew experiments/results/models.md: kinds of model on real flights left out (MODELS_ARGS="--methods polynomial,physical")
 	@sh tools/bootstrap.sh --test --train
 	@$(BIN)/python experiments/model_methods.py $(MODELS_ARGS)
+
+intervals: ## renew experiments/results/intervals-raced.md: our intervals against others (INTERVALS_ARGS="--methods physical")
+	@sh tools/bootstrap.sh --test --train
+	@$(BIN)/python experiments/intervals_raced.py $(INTERVALS_ARGS)
 
 rollouts: development ## renew the table of experiments/results/rollouts.md: real flights predicted ahead (ROLLOUTS_ARGS="--only NeuroBEM")
 	@$(BIN)/python experiments/rollout_tables.py $(ROLLOUTS_ARGS)

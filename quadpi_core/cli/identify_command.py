@@ -46,6 +46,7 @@ def identify(
         typer.Option(
             callback=_known_kind,
             help=f"Kind of model: {', '.join(names_in(kinds))}, or one of an installed package. "
+            "Ensembles of networks (bootstrap, quality-driven) err more and are not recommended. "
             "Each has options of its own: --method NAME --help. "
             f"Default: the first of {', '.join(kinds.DEFAULTS)} that has all options given.",
         ),
