@@ -48,7 +48,7 @@ class Told(NamedTuple):
     Attributes:
         judged_ns: stamps of the first and the last row in which CHANGE was judged; None without one.
         raised_ns: at which it was raised; None where it was not.
-        kind, rotor, size: of the change named last.
+        kind, rotor, size, lower, upper: of the change named last.
     """
 
     judged_ns: tuple[int, int] | None
@@ -56,6 +56,8 @@ class Told(NamedTuple):
     kind: int
     rotor: int
     size: float
+    lower: float
+    upper: float
 
 
 @dataclass(frozen=True)
@@ -151,18 +153,30 @@ def told_of(
         raised[0] if raised else None,
         0 if last is None else int(last.changed[-1]),
         0 if last is None else int(last.changed_rotor[-1]),
-        0.0 if last is None else float(last.change_size[-1]),
+        *(
+            (0.0, 0.0, 0.0)
+            if last is None
+            else (last.change_size[-1], last.change_lower[-1], last.change_upper[-1])
+        ),
     )
 
 
-def row_of(name: str, delays: Sequence[float], right: Sequence[bool], sizes: Sequence[float]) -> Row:
+def row_of(
+    name: str,
+    delays: Sequence[float],
+    right: Sequence[bool],
+    sizes: Sequence[float],
+    held: Sequence[bool | None],
+) -> Row:
     """A row of the table; delays are infinite where no alarm came."""
     late = np.array(delays)
     shares = [f"{100.0 * np.mean(late <= limit):.0f} %" for limit in (0.5, 1.5, 3.0, _EVER_S)]
     found = np.isfinite(late)
     named = f"{100.0 * np.mean(np.array(right)[found]):.0f} %" if found.any() else "–"
     size = f"{100.0 * float(np.median(np.array(sizes)[found])):.2g} %" if found.any() else "–"
-    return [name, str(len(late)), *shares, named, size]
+    holds = [one for one, of in zip(held, right, strict=True) if of and one is not None]
+    holding = f"{100.0 * np.mean(holds):.0f} %" if holds else "–"
+    return [name, str(len(late)), *shares, named, size, holding]
 
 
 def changes(data: Path, repeats: int) -> str:
@@ -171,9 +185,10 @@ def changes(data: Path, repeats: int) -> str:
     delays: dict[str, list[float]] = {}
     right: dict[str, list[bool]] = {}
     sizes: dict[str, list[float]] = {}
+    held: dict[str, list[bool | None]] = {}
 
-    def note(name: str, delay: float, named: bool, size: float) -> None:
-        for column, value in ((delays, delay), (right, named), (sizes, size)):
+    def note(name: str, delay: float, named: bool, size: float, holds: bool | None = None) -> None:
+        for column, value in ((delays, delay), (right, named), (sizes, size), (held, holds)):
             column.setdefault(name, []).append(value)  # type: ignore[arg-type]
 
     for half in (0, 1):
@@ -206,15 +221,21 @@ def changes(data: Path, repeats: int) -> str:
                     delay = np.inf if told.raised_ns is None else 1e-9 * (told.raised_ns - since)
                     named = told.kind == alteration.kind and told.rotor in (0, rotor + 1)
                     size = told.size if told.kind == CHANGED_ROTOR else told.size / vehicle.mass_kg
-                    note(alteration.name, delay, named, size)
+                    true = alteration.size
+                    if told.kind == CHANGED_MASS:
+                        true = vehicle.mass_kg * true / (1.0 - true)
+                    note(alteration.name, delay, named, size, told.lower <= true <= told.upper)
             print(f"{path.name}: sound {sound.raised_ns is None}", flush=True)
         for path in sorted((data / LADEN).iterdir())[half::2]:
             told = told_of(model, vehicle, read_recording(path, vehicle))
             first = told.judged_ns[0] if told.judged_ns else 0
             delay = np.inf if told.raised_ns is None else 1e-9 * (told.raised_ns - first)
             note("payload of 12 %", delay, told.kind == CHANGED_MASS, told.size / vehicle.mass_kg)
-    headings = ("replays", "within 0.5 s", "1.5 s", "3 s", "at all", "of these named right", "size, median")
-    rows = [row_of(name, delays[name], right[name], sizes[name]) for name in delays]
+    headings = (
+        *("replays", "within 0.5 s", "1.5 s", "3 s", "at all", "of these named right", "size, median"),
+        "its interval holds",
+    )
+    rows = [row_of(name, delays[name], right[name], sizes[name], held[name]) for name in delays]
     return markdown_table(Table([Column("flights", is_text=True), *map(Column, headings)], rows))
 
 

@@ -249,12 +249,12 @@ SETTLE_NS: int
 ERRORS_KEPT: int
 BLOCK_S: float
 BLOCK_FILLED_S: float
-LOUDNESS_BLOCKS: float
-LOUDNESS_MOST: float
+LOUDNESS_LEAST: float
 ONSETS: int
 DIRECTIONS: int
 SIZES: int
 NOTHING: int
+OF_THRUST: int
 LESS_1: int
 STAMP_BACKWARD: int
 STAMP_REPEATED: int
@@ -373,6 +373,7 @@ def whiten_blocks(
     errors: Array,
     spreads: Array,
     ones: Array,
+    loudness: Array,
     /,
 ) -> None: ...
 def gather_evidence(

@@ -1,7 +1,7 @@
 // SPDX-FileCopyrightText: 2026 The quadpi authors
 // SPDX-License-Identifier: Apache-2.0
 // What Python calls of the evidence that a vehicle has changed.
-#include "quadpi/monitor/change.hpp"
+#include "quadpi/monitor/alarm.hpp"
 
 #include <nanobind/nanobind.h>
 
@@ -14,19 +14,20 @@ namespace quadpi {
 namespace {
 
 // Whitened residuals (N,) of one axis of a flight, their standard deviations before they were seen, and what
-// a constant of 1 would add to them; those of blocks that are not usable are left as they are.
+// a constant of 1 would add to them, and the loudness before them.
 void whiten_blocks(
     Records<const AxisNoise> noise,
     Records<const double> residuals,
     Records<const std::int64_t> numbers,
     Records<double> errors,
     Records<double> spreads,
-    Records<double> ones
+    Records<double> ones,
+    Records<double> loudness
 ) {
     const std::size_t count = residuals.size;
     require(numbers.size == count && errors.size == count, DIFFERENT);
-    require(spreads.size == count && ones.size == count, DIFFERENT);
-    whiten(only(noise), residuals, numbers, errors, spreads, ones);
+    require(spreads.size == count && ones.size == count && loudness.size == count, DIFFERENT);
+    whiten(only(noise), residuals, numbers, errors, spreads, ones, loudness);
 }
 
 // The evidence (N,) after each block of a flight.
@@ -55,8 +56,8 @@ void bind_change(nb::module_& module) {
     module.attr("DIRECTIONS") = DIRECTIONS;
     module.attr("SIZES") = SIZES;
     module.attr("NOTHING") = NOTHING;
-    module.attr("LOUDNESS_BLOCKS") = LOUDNESS_BLOCKS;
-    module.attr("LOUDNESS_MOST") = LOUDNESS_MOST;
+    module.attr("LOUDNESS_LEAST") = LOUDNESS_LEAST;
+    module.attr("OF_THRUST") = OF_THRUST;
     module.attr("LESS_1") = static_cast<int>(LESS_1);
     module.def("whiten_blocks", &whiten_blocks);
     module.def("gather_evidence", &gather_evidence);

@@ -27,6 +27,12 @@ def test_a_flight_is_altered_from_the_moment_on() -> None:
 
 
 def test_a_row_counts_the_flights_without_an_alarm_too() -> None:
-    row = row_of("x", [0.4, 1.2, np.inf, 4.0], [True, False, False, True], [0.03, 0.02, 0.0, 0.04])
-    assert row == ["x", "4", "25 %", "50 %", "50 %", "75 %", "67 %", "3 %"]
-    assert row_of("y", [np.inf], [False], [0.0])[2:] == ["0 %"] * 4 + ["–", "–"]
+    row = row_of(
+        "x",
+        [0.4, 1.2, np.inf, 4.0],
+        [True, False, False, True],
+        [0.03, 0.02, 0.0, 0.04],
+        [True, True, False, False],
+    )
+    assert row == ["x", "4", "25 %", "50 %", "50 %", "75 %", "67 %", "3 %", "50 %"]
+    assert row_of("y", [np.inf], [False], [0.0], [None])[2:] == ["0 %"] * 4 + ["–", "–", "–"]

@@ -100,7 +100,7 @@ def calibrate_alarm(
         return envelope, limits
     usual = [
         (flight, others)
-        for flight, others in zip(flights, _ranges_of_others(flights), strict=True)
+        for flight, others in zip(flights, ranges_of_others(flights), strict=True)
         if _share_inside(flight, others) >= FEWEST_INSIDE
     ]
     if len(usual) < FEWEST_FLIGHTS:
@@ -276,7 +276,7 @@ def _ratio(now: Array, was: Array) -> Array:
     return np.divide(now, was, out=np.ones_like(now), where=was > 0.0)
 
 
-def _ranges_of_others(flights: Sequence[LeftOut]) -> list[tuple[Array, Array]]:
+def ranges_of_others(flights: Sequence[LeftOut]) -> list[tuple[Array, Array]]:
     """Range of the inputs (19,), (19,) over all flights but one, for each."""
     lower, upper = np.array([(flight.lower, flight.upper) for flight in flights]).swapaxes(0, 1)
     ranges = []

@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """What sound flights leave of a model, from flights left out in turn: see `quadpi_core.monitor.change`.
 
-On each axis the variances are those of the restricted maximum likelihood (Patterson and Thompson 1971) over
-the flights, each with a constant of its own. A dozen flights know little of how constants differ and walk,
-and too little of either makes false alarms: both are taken at the upper end of their interval of 95 % by the
+On each axis the variances are those of the greatest likelihood over the flights, each with a constant of its
+own, with the distribution of Student that the evidence has: by a normal one a few bursts of the residuals
+make constant and process look steadier than they are. A dozen flights know little of how constants differ and
+walk, and often put both at nothing: they are taken at the upper end of their interval of 50 % by the
 likelihood ratio, and what flights differ by never below what Student's distribution says of one more.
 """
 
@@ -14,16 +15,18 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 from scipy.optimize import minimize
 from scipy.stats import chi2, norm, t
 
 from quadpi_core.core import compiled
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.identification.alarm_calibration import Judged, LiveErrors
-from quadpi_core.inputs import INPUT_INDEX, VELOCITY_INPUTS, aerodynamic_inputs
+from quadpi_core.identification.alarm_calibration import Judged, LeftOut, LiveErrors, ranges_of_others
+from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES, VELOCITY_INPUTS, aerodynamic_inputs
 from quadpi_core.models.alarm_limits import BOUND_CONFIDENCE, FEWEST_FLIGHTS
 from quadpi_core.models.change_limits import CHANGE_AXES, ChangeLimits, LeftOnAxis
+from quadpi_core.models.envelope import Envelope
 from quadpi_core.models.interval_rules import FEWEST_INSIDE
 from quadpi_core.models.model_kind import Evaluation
 from quadpi_core.monitor.change import (
@@ -49,6 +52,11 @@ _START_S = 0.2
 _EVALUATIONS, _CLOSE = 600, 0.02
 # Logarithms that a variance is searched in about its start, and bisections of that.
 _WIDE, _HALVINGS = 6.0, 14
+# Of the interval of a variance.
+_SURE = 0.5
+# Squared scale of the distribution of errors over their deviation, times its degrees of freedom: with it the
+# filter's deviations are about those of the errors.
+_TAIL = 1.27
 # Steps by which the scale of Student's distribution converges.
 _STEPS = 50
 # Flights are left out in as many groups at most.
@@ -60,6 +68,8 @@ _SAMPLES, _FASTER = 2000, 1.005
 def calibrate_change(
     flights: Sequence[Judged],
     live: Sequence[LiveErrors],
+    signals: Sequence[LeftOut],
+    margin: Array,
     vehicle: Vehicle,
     evaluate: Callable[[Array, Records], Evaluation],
 ) -> ChangeLimits | None:
@@ -68,15 +78,22 @@ def calibrate_change(
     Args:
         flights: of the identification.
         live: errors that the live path would make on each, left out; see `alarm_calibration.live_errors`.
+        signals: of the alarm on each; see `alarm_calibration.left_out`.
+        margin: (19,) of a warning, beyond the range of the inputs.
         vehicle: that flew.
         evaluate: the model of all flights, of inputs (M, 19) and derivatives (M,).
     """
     if not live or "Fz" not in live[0].errors:
         return None
+    # As in flight: no samples beyond the warning, but for inputs that a heavier vehicle has however it flies.
+    within = [
+        np.all((Envelope.outside(signal.inputs, *others) <= margin) | _OF_THRUST, axis=1)
+        for signal, others in zip(signals, ranges_of_others(signals), strict=True)
+    ]
     usual = [
-        _blocks(flight, errors, vehicle.rotor_count)
-        for flight, errors in zip(flights, live, strict=True)
-        if np.mean(errors.errors["Fz"].inside) >= FEWEST_INSIDE
+        _blocks(flight, errors, inside, vehicle.rotor_count)
+        for flight, errors, inside in zip(flights, live, within, strict=True)
+        if len(inside) and np.mean(inside) >= FEWEST_INSIDE
     ]
     usual = [blocks for blocks in usual if len(blocks) >= _FEWEST_BLOCKS]
     axes = tuple(axis for axis in CHANGE_AXES if axis in live[0].errors)
@@ -107,9 +124,8 @@ def evidence(limits: ChangeLimits, vehicle: Vehicle, blocks: Records) -> Array:
     return gathered
 
 
-def _blocks(flight: Judged, live: LiveErrors, rotors: int) -> Records:
-    """Means of the errors of a flight over blocks of time, of samples inside the range of the others."""
-    inside = live.errors["Fz"].inside
+def _blocks(flight: Judged, live: LiveErrors, inside: npt.NDArray[np.bool_], rotors: int) -> Records:
+    """Means of the errors of a flight over blocks of time, of the samples (M,) that are inside."""
     time, rows = flight.time[live.rows][inside], live.rows[inside]
     if len(time) < 2:
         return np.empty(0, CHANGE_BLOCK)
@@ -132,11 +148,16 @@ def _blocks(flight: Judged, live: LiveErrors, rotors: int) -> Records:
 
 
 class _Whitened(NamedTuple):
-    """Errors of blocks of all flights over their standard deviations, these, and the answer to a constant."""
+    """Errors of blocks of all flights over their standard deviations, these, and the answer to a constant.
+
+    Attributes:
+        loudness: running mean of the squared errors before each.
+    """
 
     errors: Array
     spreads: Array
     ones: Array
+    loudness: Array
 
     @property
     def mean(self) -> float:
@@ -150,7 +171,7 @@ class _Axis:
     def __init__(self, flights: Sequence[Records], axis: int) -> None:
         self._residuals = [np.ascontiguousarray(blocks["residual"][:, axis]) for blocks in flights]
         self._numbers = [np.ascontiguousarray(blocks["number"]) for blocks in flights]
-        self._room = np.empty((3, sum(map(len, flights))))
+        self._room = np.empty((4, sum(map(len, flights))))
         self.noise = np.zeros(1, AXIS_NOISE)
         self.variance = float(np.mean([np.var(residuals) for residuals in self._residuals]))
         self.of_means = float(np.var([np.mean(residuals) for residuals in self._residuals]))
@@ -176,24 +197,14 @@ class _Axis:
         }.items():
             self.noise[name] = value
 
-    def loudest(self, errors: Array) -> float:
-        """Largest running mean of the squared whitened errors of any flight."""
-        start, loudest = 0, 1.0
-        for residuals in self._residuals:
-            loudness = 1.0
-            for square in np.square(errors[start : start + len(residuals)]):
-                loudness += (min(float(square), compiled.LOUDNESS_MOST) - loudness) / compiled.LOUDNESS_BLOCKS
-                loudest = max(loudest, loudness)
-            start += len(residuals)
-        return loudest
-
     def minus_log_likelihood(self, logarithms: Array) -> float:
-        """Restricted: of the residuals less a mean of all flights."""
+        """Restricted (Patterson and Thompson 1971): of the residuals less a mean of all flights."""
         self.set_logarithms(logarithms)
-        errors, spreads, ones = self.whitened()
-        known, fitted = float(ones @ ones), float(ones @ errors)
-        square = float(errors @ errors) - fitted * fitted / known
-        return float(np.log(spreads).sum() + 0.5 * square + 0.5 * np.log(known))
+        whitened = self.whitened()
+        ones = whitened.ones
+        squares = np.square(whitened.errors - whitened.mean * ones)
+        tails = 0.5 * (FREEDOM + 1.0) * np.log1p(squares / _TAIL).sum()
+        return float(np.log(whitened.spreads).sum() + tails + 0.5 * np.log(ones @ ones))
 
 
 def _left_on_axis(flights: Sequence[Records], axis: int) -> LeftOnAxis:
@@ -222,7 +233,7 @@ def _left_on_axis(flights: Sequence[Records], axis: int) -> LeftOnAxis:
     own_between = float(np.exp(found.x[0]))
     sure = BOUND_CONFIDENCE.value
     # Both ends at once: the second may fall by as much again.
-    drop, upper = 0.5 * float(chi2.ppf(sure, 1)), found.x.copy()
+    drop, upper = 0.5 * float(chi2.ppf(_SURE, 1)), found.x.copy()
     for place, falls in ((1, drop), (0, 2.0 * drop)):
         upper[place] = _upper_end(cost, upper, place, start[place], found.fun + falls)
     count = len(flights)
@@ -231,9 +242,12 @@ def _left_on_axis(flights: Sequence[Records], axis: int) -> LeftOnAxis:
     own.set_logarithms(upper)
     mean = own.whitened().mean
     own.noise["mean"], own.noise["between"] = mean, max(own.noise["between"][0], wider * own_between)
-    errors = own.whitened().errors
+    whitened = own.whitened()
+    # As the evidence scales them.
+    errors = whitened.errors / np.sqrt(np.maximum(whitened.loudness, compiled.LOUDNESS_LEAST))
+    loudest = max(1.0, float(whitened.loudness.max()))
     left = {name: float(own.noise[name][0]) for name in ("between", "walk", "keep", "process", "white")}
-    return LeftOnAxis(mean=mean, **left, scale=_student_scale(errors), loudest=own.loudest(errors))
+    return LeftOnAxis(mean=mean, **left, scale=_student_scale(errors), loudest=loudest)
 
 
 def _upper_end(cost: Callable[[Array], float], at: Array, place: int, start: float, most: float) -> float:
@@ -290,6 +304,7 @@ def _levers(
     return tuple(levers)
 
 
+_OF_THRUST = np.array([bool(compiled.OF_THRUST & 1 << k) for k in range(len(INPUT_NAMES))])
 _RATES = [INPUT_INDEX[name] for name in ("p", "q", "r")]
 
 

@@ -86,16 +86,18 @@ def identify(
 
     # Alarm: the envelope of all flights, with limits from the flights left out.
     evidence = fitted.evaluate(samples.inputs, factors, samples.derivatives)
+    signals = left_out(flights, rules, live, options.confidence) if rules else []
     envelope, limits = calibrate_alarm(
         Envelope.fit(samples.inputs, samples.flight, evidence.leverage, evidence.relative_width),
-        left_out(flights, rules, live, options.confidence) if rules else [],
+        signals,
         confidence=options.confidence,
         rate_per_hour=options.false_alarms_per_hour,
         hover_rotor_speed=hover_rotor_speed(
             samples.inputs, samples.wrench, vehicle.mass_kg * vehicle.gravity_m_s2
         ),
     )
-    change = calibrate_change(flights, live, vehicle, evaluate) if rules else None
+    margin = envelope.near.margin
+    change = calibrate_change(flights, live, signals, margin, vehicle, evaluate) if rules else None
     left = errors_left(flights, live, fit.left_out, factors) if rules else []
     return AerodynamicModel(
         name="",

@@ -45,8 +45,8 @@ class LeftOnAxis:
         process: variance of the process.
         white: variance of the noise of a block's mean.
         scale: of Student's distribution with 3 degrees of freedom of what the filter cannot foresee, in units
-            of its own standard deviation.
-        loudest: largest mean square of that in 2 s of any flight.
+            of its own standard deviation and by how loud it was in the 4 s before.
+        loudest: largest mean square of what it cannot foresee in 4 s of any flight.
     """
 
     mean: Real

@@ -145,6 +145,7 @@ class Change:
     raised_number: int  # of the block after which the alarm was raised
     raised: bool
     loud: bool
+    unlike_s: float
     found: ChangeFound
 
 

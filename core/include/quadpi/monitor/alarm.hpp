@@ -25,6 +25,8 @@ constexpr double SILENT_S = 0.1;
 // Evidence [to 1] at which 5 % of sound flights raise CHANGE: see FALSE_FLIGHTS in models/change_limits.py.
 constexpr double STATED_EVIDENCE = 20.0;
 
+// For this long after a sample beyond a warning of EXTRAPOLATION [s] a manoeuvre is unlike those of training.
+constexpr double UNLIKE_S = 2.0;
 // Inputs that leave their range where a vehicle is heavier, however it flies: v_in, omega_avg and mu_v_in.
 constexpr std::int64_t OF_THRUST = 1 << 3 | 1 << 7 | 1 << 18;
 
@@ -191,11 +193,14 @@ inline void judge_change(
     const Wrench& upper,
     double step_s
 ) {
+    Change& change = state.change;
     if (limits.change.evidence == 0.0) {
+        forget_change(change);
+        state.charge[CHANGE] = 0.0;
         return;
     }
-    Change& change = state.change;
     end_block(limits.change, limits.rotors, change, floor_divided(sample.time_ns, BLOCK_NS));
+    change.unlike_s = state.extrapolates ? UNLIKE_S : std::max(0.0, change.unlike_s - step_s);
     if (state.settled && !state.extrapolates) {
         Wrench error;
         for (int axis = 0; axis < AXES; ++axis) {
@@ -256,7 +261,7 @@ inline std::int64_t health_of_change(const AlarmLimits& limits, const AlarmState
         return WAITING;
     }
     // Of a limit that a sound flight has set no share is stated.
-    return state.change.loud || limits.change.evidence > STATED_EVIDENCE ? UNCALIBRATED : ACTIVE;
+    return state.change.loud || state.change.unlike_s > 0.0 || limits.change.evidence > STATED_EVIDENCE ? UNCALIBRATED : ACTIVE;
 }
 
 // Set level and health of each cause, and the highest level; true if any of a cause changed.

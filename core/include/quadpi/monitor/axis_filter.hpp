@@ -9,8 +9,11 @@
 
 namespace quadpi {
 
-// Blocks over which the running mean of squared surprises forgets, and the largest that counts in it.
-constexpr double LOUDNESS_BLOCKS = 20.0, LOUDNESS_MOST = 25.0;
+// Blocks over which the running mean of squared surprises forgets, the largest square that counts in it, and
+// the least mean that residuals are scaled by.
+constexpr double LOUDNESS_BLOCKS = 40.0, LOUDNESS_MOST = 25.0, LOUDNESS_LEAST = 0.25;
+// Surprise beyond which a block moves the filter no farther: one that collides says little of the constant.
+constexpr double SURPRISE_MOST = 5.0;
 
 // Begin a filter with what flights have shown.
 inline void begin_filter(const AxisNoise& noise, AxisFilter& filter) {
@@ -38,7 +41,9 @@ inline void take_residual(const AxisNoise& noise, AxisFilter& filter, double res
     const double error = residual - filter.mean.constant - filter.mean.process;
     filter.spread = std::sqrt(variance);
     filter.surprise = error / filter.spread;
-    filter.gain = {constant / variance, process / variance};
+    // A block that surprises more counts as if its own noise were larger by as much.
+    const double share = std::min(1.0, SURPRISE_MOST / std::abs(filter.surprise));
+    filter.gain = {share * constant / variance, share * process / variance};
     filter.mean.constant += filter.gain.constant * error;
     filter.mean.process += filter.gain.process * error;
     filter.of_constant -= filter.gain.constant * constant;
@@ -46,14 +51,21 @@ inline void take_residual(const AxisNoise& noise, AxisFilter& filter, double res
     filter.of_process -= filter.gain.process * process;
 }
 
-// Whitened residuals of one axis of a flight, their deviations, and what a constant of 1 would add to them.
+inline void remember_loudness(AxisFilter& filter) {
+    const double square = std::min(filter.surprise * filter.surprise, LOUDNESS_MOST);
+    filter.loudness += (square - filter.loudness) / LOUDNESS_BLOCKS;
+}
+
+// Whitened residuals of one axis of a flight, their deviations, what a constant of 1 would add to them, and
+// the loudness before each.
 inline void whiten(
     const AxisNoise& noise,
     Records<const double> residuals,
     Records<const std::int64_t> numbers,
     Records<double> errors,
     Records<double> spreads,
-    Records<double> ones
+    Records<double> ones,
+    Records<double> loudness
 ) {
     AxisFilter filter;
     begin_filter(noise, filter);
@@ -70,17 +82,14 @@ inline void whiten(
         errors[row] = filter.surprise;
         spreads[row] = filter.spread;
         ones[row] = one / filter.spread;
+        loudness[row] = filter.loudness;
+        remember_loudness(filter);
     }
 }
 
-// Where the past of an axis is louder than that of any sound flight, its residuals count by that much less.
-inline double quieter(const AxisNoise& noise, const AxisFilter& filter) {
-    return 1.0 / std::sqrt(1.0 + std::max(filter.loudness - noise.loudest, 0.0));
-}
-
-inline void remember_loudness(AxisFilter& filter) {
-    const double square = std::min(filter.surprise * filter.surprise, LOUDNESS_MOST);
-    filter.loudness += (square - filter.loudness) / LOUDNESS_BLOCKS;
+// Residuals count by how loud the axis was before: flights and manoeuvres differ in it.
+inline double quieter(const AxisFilter& filter) {
+    return 1.0 / std::sqrt(std::max(filter.loudness, LOUDNESS_LEAST));
 }
 
 }  // namespace quadpi

@@ -12,13 +12,21 @@ namespace quadpi {
 constexpr double LIKELY = 0.1;
 // Half as large again as the largest size that is bet on.
 constexpr double MOST_SIZE = 1.5 * LEAST_SIZE * (1 << (DOUBLINGS - 1));
+// Deviation of a named size over that of least squares, as part and moment are chosen for being large: on
+// altered flights intervals of 95 % hold then (experiments/results/alarm.md).
+constexpr double CHOSEN = 2.0;
 // Blocks of half a second, in which the evidence grows by CAP at most: e to the 8.
 constexpr std::int64_t CAP_BLOCKS = 5;
 constexpr double CAP = 2980.9579870417283;
 // Prior of a change that is there from take-off.
 constexpr double FROM_START = 0.5;
-// Share of a rotor's prior for losses: a rotor that gives more than its speed says is rare.
+// Share of the prior for what is heavier, and for rotors that give less than their speed says: the reverse is
+// rare.
 constexpr double LOSSES = 0.8;
+// Prior of each size over that of the one half as large, but of mass: what is large wins any bet soon.
+constexpr double RARER = 0.6;
+// Prior of mass, of each push, of each balance, of all rotors that give less and of all whose speed reads more.
+constexpr double OF_MASS = 0.25, OF_PUSH = 0.04, OF_BALANCE = 0.06, OF_LESS = 0.3, OF_MORE = 0.25;
 // Number of the block by which half of the rest of the prior is spent.
 constexpr double HALF_SPENT = 100.0;
 // Share of the prior below which a size is no longer followed.
@@ -99,7 +107,7 @@ inline Response answer(
         const double error = direction.change[i] - moved[i].constant - moved[i].process;
         moved[i].constant += filter.gain.constant * error;
         moved[i].process += filter.gain.process * error;
-        const double share = quieter(noise, filter);
+        const double share = quieter(filter);
         response.error[i] = filter.surprise * share;
         response.moved[i] = error / filter.spread * share;
         response.tail[i] = noise.tail;
@@ -142,6 +150,47 @@ inline double bet(
     return total;
 }
 
+// Prior of each size of a direction, the positive and the negative one in turn; they add up to 1.
+constexpr std::array<double, SIZES> prior_of_sizes(int direction) {
+    std::array<double, SIZES> all{};
+    double total = 0.0, own = 1.0;
+    for (int k = 0; k < DOUBLINGS; ++k, own *= direction == LIFT ? 1.0 : RARER) {
+        const double loss = direction == LIFT || direction >= LESS_1 ? LOSSES : 0.5;
+        all[2 * k] = loss * own;
+        all[2 * k + 1] = (1.0 - loss) * own;
+        total += own;
+    }
+    for (double& share : all) {
+        share /= total;
+    }
+    return all;
+}
+
+// Prior of the directions that are known; they add up to 1.
+inline std::array<double, DIRECTIONS> prior_of_directions(const Templates& templates) {
+    std::array<double, DIRECTIONS> all{};
+    const double rotors =
+        static_cast<double>(std::count_if(&templates[LESS_1], &templates[MORE_1], [](const Template& own) {
+            return own.axes > 0;
+        }));
+    double total = 0.0;
+    for (int direction = 0; direction < DIRECTIONS; ++direction) {
+        if (templates[direction].axes == 0) {
+            continue;
+        }
+        all[direction] = direction == LIFT             ? OF_MASS
+                         : direction < BALANCE_FORWARD ? OF_PUSH
+                         : direction < LESS_1          ? OF_BALANCE
+                         : direction < MORE_1          ? OF_LESS / rotors
+                                                       : OF_MORE / rotors;
+        total += all[direction];
+    }
+    for (double& share : all) {
+        share = total > 0.0 ? share / total : 0.0;
+    }
+    return all;
+}
+
 // Begin to follow the moment of a block in the place of the one that has been followed for longest.
 inline void begin_onset(const Templates& templates, Change& change) {
     Onset& onset = change.onsets[change.blocks % ONSETS];
@@ -153,15 +202,11 @@ inline void begin_onset(const Templates& templates, Change& change) {
                       ? FROM_START
                       : (1.0 - FROM_START) * HALF_SPENT / ((HALF_SPENT + block - 1.0) * (HALF_SPENT + block));
     change.spent += onset.prior;
-    int possible = 0;
-    for (const Template& own : templates) {
-        possible += own.axes > 0 ? 1 : 0;
-    }
+    const std::array<double, DIRECTIONS> of_direction = prior_of_directions(templates);
     for (int direction = 0; direction < DIRECTIONS; ++direction) {
-        const double loss = direction >= LESS_1 ? LOSSES : 0.5;
-        for (int index = 0; index < SIZES; ++index) {
-            const double share = (index % 2 == 0 ? loss : 1.0 - loss) / (possible * DOUBLINGS);
-            onset.wealth[direction][index] = templates[direction].axes > 0 ? share : 0.0;
+        onset.wealth[direction] = prior_of_sizes(direction);
+        for (double& share : onset.wealth[direction]) {
+            share *= of_direction[direction];
         }
         onset.gain[direction].fill(1.0);
     }
@@ -189,7 +234,7 @@ inline void find_change(Change& change, const std::array<double, ONSETS>& eviden
                     onset.number * BLOCK_NS,
                     onset.prior == FROM_START ? 1 : 0,
                     named ? size : 0.0,
-                    named ? 1.0 / std::sqrt(squares) : 0.0,
+                    named ? CHOSEN / std::sqrt(squares) : 0.0,
                     size * size * squares,
                 };
             }
@@ -347,6 +392,7 @@ inline void forget_change(Change& change) {
     change.spent = change.evidence = change.score = 0.0;
     change.settled = 0.0;
     change.raised = change.loud = false;
+    change.unlike_s = 0.0;
     change.found = NOTHING_FOUND;
 }
 

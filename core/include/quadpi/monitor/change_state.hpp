@@ -108,7 +108,8 @@ struct Change {
     double score;                // logarithm of the evidence over that of its limit, at least 0
     std::int64_t raised_number;  // of the block after which the alarm was raised
     bool raised;
-    bool loud;  // louder than any flight that told what is sound
+    bool loud;        // louder than any flight that told what is sound
+    double unlike_s;  // for which the flight still counts as unlike those
     ChangeFound found;
 };
 
