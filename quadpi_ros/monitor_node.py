@@ -329,7 +329,11 @@ class MonitorNode(SensorNode[MonitorParameters]):
     def _settings(self) -> MonitorSettings:
         parameters = self.parameters
         return MonitorSettings(
-            parameters.persistence_s, parameters.release_s, parameters.alarm_rate_hz, parameters.adaptive
+            parameters.persistence_s,
+            parameters.release_s,
+            parameters.alarm_rate_hz,
+            parameters.adaptive,
+            parameters.change,
         )
 
     def _permitted(self, path: str) -> str:

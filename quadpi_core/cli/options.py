@@ -60,6 +60,9 @@ HtmlFile = Annotated[Path | None, typer.Option("--html", help="Also write a self
 Adaptive = Annotated[
     bool, typer.Option("--adaptive", help="Adapt the intervals to the measured wrench during the flight.")
 ]
+Change = Annotated[
+    bool, typer.Option("--change/--no-change", help="Judge CHANGE: whether the vehicle has changed.")
+]
 Confidence = Annotated[float | None, typer.Option(help="Coverage of the intervals; default: the model's.")]
 ProcessCount = Annotated[int | None, typer.Option(min=1, help="Processes to use; default: one per core.")]
 FileProcessCount = Annotated[

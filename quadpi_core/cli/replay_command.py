@@ -27,6 +27,7 @@ def replay(
     ],
     confidence: options.Confidence = None,
     adaptive: options.Adaptive = False,
+    change: options.Change = True,
     vehicle: options.OptionalVehicle = None,
     topics: options.Topics = None,
     namespace: options.Namespace = "",
@@ -52,7 +53,7 @@ def replay(
     how = options.reading_options(topics, namespace, part=options.time_range(from_s, to_s))
     the_model = AerodynamicModel.load(model)
     the_vehicle = the_model.load_vehicle(vehicle)
-    settings = MonitorSettings(adaptive=adaptive)
+    settings = MonitorSettings(adaptive=adaptive, change=change)
     console = open_console()
     with batch_of_flights() as left_out:
         if several:

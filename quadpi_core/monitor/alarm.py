@@ -77,6 +77,7 @@ class MonitorSettings:
         alarm_rate_hz: of the alarm's state between changes.
         adaptive: publish intervals that adapt to the measured wrench (:mod:`quadpi_core.monitor.adaptive`)
             instead of the model's own. The alarm goes by the model's own either way.
+        change: judge CHANGE.
 
     Raises:
         ArgumentError: for a time or rate that is not positive, and what is neither true nor false.
@@ -86,11 +87,13 @@ class MonitorSettings:
     release_s: float = 0.5
     alarm_rate_hz: float = 10.0
     adaptive: bool = False
+    change: bool = True
 
     def __post_init__(self) -> None:
         for name in ("persistence_s", "release_s", "alarm_rate_hz"):
             array_checks.number(f"monitor setting {name}", getattr(self, name), above=0.0)
-        array_checks.instance("monitor setting adaptive", self.adaptive, bool)
+        for name in ("adaptive", "change"):
+            array_checks.instance(f"monitor setting {name}", getattr(self, name), bool)
 
 
 class Alarm:
@@ -148,7 +151,7 @@ class Alarm:
             "health_in_flight": ACTIVE if limits.calibrated else UNCALIBRATED,
         }.items():
             self.limits[name] = values
-        self.limits["change"] = sound_noise(change, vehicle)
+        self._change = sound_noise(change, vehicle)
         self.limits["rotors"]["rotors"] = 4
         if vehicle is not None:
             self.limits["rotors"] = geometry_record(vehicle, limits.hover_rotor_speed)
@@ -164,7 +167,10 @@ class Alarm:
         self.reset()
 
     def change(self, settings: MonitorSettings) -> None:
-        """Update times and rates in flight."""
+        """Update times, rates and what is judged in flight."""
+        self.limits["change"] = self._change
+        if not settings.change:
+            self.limits["change"]["evidence"] = 0.0
         self.limits["persistence_s"] = settings.persistence_s
         self.limits["release_s"] = settings.release_s
         self.limits["period_ns"] = max(1, round(1e9 / settings.alarm_rate_hz))
