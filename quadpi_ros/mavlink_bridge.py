@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bridge node: MAVLink of an autopilot in, standard sensor topics out.
+"""Bridge node: MAVLink of an autopilot in, standard sensor topics out; the alarm of the monitor goes back.
 
 A thread reads the link and publishes, so that samples wait for nothing; the executor serves only parameters
 and diagnostics.
@@ -23,7 +23,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
-from quadpi.msg import RotorSpeeds
+from quadpi.msg import ExtrapolationAlarm, RotorSpeeds
 from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import Imu
 
@@ -31,12 +31,13 @@ from quadpi_core.errors import QuadpiError, one_line
 from quadpi_core.logs.mavlink_frames import signing_key
 from quadpi_core.logs.mavlink_samples import stream_of
 from quadpi_core.logs.mavlink_session import MavlinkSession, SessionReport, SessionSettings
-from quadpi_core.messages import sensor_messages
+from quadpi_core.messages import result_messages, sensor_messages
 from quadpi_core.rotor_order import RotorOrder, usual_layout
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros import diagnostics
 from quadpi_ros.callbacks import GuardedNode
-from quadpi_ros.dds_profile import SENSOR_QOS, DiscoveryError, await_subscribers
+from quadpi_ros.dds_profile import OUTPUT_QOS, SENSOR_QOS, DiscoveryError, await_subscribers
+from quadpi_ros.mavlink_alarm import AlarmTold, Text
 from quadpi_ros.mavlink_link import Chunk, Link, check_connection, is_replay, open_link
 from quadpi_ros.node_parameters import STANDARD_ORDER, BridgeParameters
 from quadpi_ros.parameters import ParameterError, read_parameters
@@ -98,6 +99,8 @@ class MavlinkBridge(GuardedNode):
             "mocap/pose": self.create_publisher(PoseStamped, "mocap/pose", SENSOR_QOS).publish,
             "odometry": self.create_publisher(Odometry, "mocap/odometry", SENSOR_QOS).publish,
         }
+        self._told = AlarmTold()
+        self.create_subscription(ExtrapolationAlarm, "extrapolation_alarm", self._tell, OUTPUT_QOS, raw=True)
         self._lock = threading.Lock()
         self._stop = threading.Event()
         self._problem: str | None = "not connected yet"
@@ -203,6 +206,14 @@ class MavlinkBridge(GuardedNode):
             self._publish[sample.topic](self._packed(sample.topic, sample.time_ns, sample.values))
         for packet in packets:
             link.write(packet, address)
+
+    def _tell(self, payload: bytes) -> None:
+        """Tell the autopilot, and whom it forwards to, what is new in the alarm."""
+        now_ns = time.time_ns()
+        for one in self._told.take(result_messages.unpack_alarms(payload), now_ns):
+            name = "STATUSTEXT" if isinstance(one, Text) else "NAMED_VALUE_FLOAT"
+            with self._lock:
+                self._session.tell(name, one, now_ns)
 
     def _diagnose(self) -> None:
         now_s = time.monotonic()

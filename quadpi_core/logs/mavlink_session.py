@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -268,6 +269,20 @@ class MavlinkSession:
             return False
         self._sources[sample.topic] = (sample.source, arrival_ns)
         return True
+
+    def tell(self, name: str, values: Sequence[Any], now_ns: int) -> None:
+        """Send a message with the next packets, once there is an autopilot.
+
+        Args:
+            name: of the message.
+            values: of its fields; of NAMED_VALUE_FLOAT without the time.
+            now_ns: the time.
+        """
+        if self._peer is None:
+            return
+        if name == "NAMED_VALUE_FLOAT":
+            values = ((now_ns - self._first_ns) // 1_000_000 % 2**32, *values)
+        self._answers.append(self._pack(now_ns, name, *values))
 
     def due(self, now_ns: int) -> list[bytes]:
         """Packets to send now: heartbeat, clock exchange, answers, requests for missing messages."""
