@@ -10,18 +10,21 @@ A flight is outside the envelope while an input is beyond its warning limit (10 
 alarm that begins there is counted apart and never false: there the model promises nothing. One that begins
 inside is false if no span of three seconds that contains its begin is off. Leverage and width do not define
 what is outside, since the alarm uses them itself.
+
+CHANGE has a rate by flight: it counts the flights on which it is raised, and says what it names.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import gammaincinv
+from scipy.special import betaincinv, gammaincinv
 
 from quadpi_core.brief_repr import brief_repr
+from quadpi_core.evaluation.flight_constants import Constant, differences, flight_constants
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.identification.prepared_flights import LiveSamples
@@ -29,8 +32,10 @@ from quadpi_core.models.aerodynamic import AerodynamicModel, recorded_evaluation
 from quadpi_core.models.alarm_limits import BOUND_CONFIDENCE
 from quadpi_core.models.interval_rules import inside_interval
 from quadpi_core.monitor.alarm import Alarm, MonitorSettings, NotJudgedReason, not_judged_reasons
+from quadpi_core.monitor.alarm_log import reasons
+from quadpi_core.monitor.change import OF_THRUST
 from quadpi_core.monitor.preparation import VERDICT, Prepared
-from quadpi_core.results import LEVEL_ALARM
+from quadpi_core.results import CAUSES, CHANGE, LEVEL_ALARM, Alarms
 
 SIGNALS = ("inputs", "leverage", "width", "miscoverage")
 # Least monitored flight for a rate per hour: of less, a single alarm would make more than 60 per hour.
@@ -50,6 +55,8 @@ class FlightAlarm:
         missed: (N, 6) whether the measured wrench lay outside its interval, order as `AXES`.
         monitored: (N,) False where the alarm had no sample.
         outside: (N,) whether an input is outside the envelope: beyond its warning limit.
+        change: what CHANGE says, nothing where it was not raised; None where it is not judged.
+        constants: what the flight leaves of the model all the time, by axis.
     """
 
     __repr__ = brief_repr
@@ -59,6 +66,8 @@ class FlightAlarm:
     missed: npt.NDArray[np.bool_]
     monitored: npt.NDArray[np.bool_]
     outside: npt.NDArray[np.bool_]
+    change: tuple[str, ...] | None = None
+    constants: Mapping[str, Constant] = field(default_factory=dict)
 
 
 def alarm_of_flight(
@@ -82,17 +91,24 @@ def alarm_of_flight(
         MonitorSettings(alarm_rate_hz=_EVERY_SAMPLE_HZ),
         held=np.array([axis in model.axes for axis in AXES]),
         interval_ratio=model.interval_ratio(confidence),
+        vehicle=model.flown,
+        change=model.change_limits,
     )
     samples = len(time)
     verdicts = np.zeros(samples, VERDICT)
     verdicts["time_ns"] = np.round(1e9 * time)
     verdicts["usable"], verdicts["settled"] = known, True
+    speeds = derivatives["rotor_speeds"]
+    verdicts["rotor_speeds"][known, : speeds.shape[1]] = speeds
     prepared = Prepared(verdicts, inputs, wrench, verdicts["time_ns"][known], derivatives)
     rows = alarm.step(prepared, evaluation)
     missed = np.zeros((samples, len(AXES)), dtype=np.bool_)
     missed[known] = ~inside_interval(wrench, evaluation.lower, evaluation.upper)
     outside = np.zeros(samples, dtype=np.bool_)
-    outside[known] = (model.envelope.input_excess(inputs) > model.envelope.near.margin).any(axis=1)
+    beyond = model.envelope.input_excess(inputs) > model.envelope.near.margin
+    outside[known] = beyond.any(axis=1)
+    inside = ~beyond[:, ~OF_THRUST].any(axis=1)
+    errors = wrench - 0.5 * (evaluation.lower + evaluation.upper)
     scores = (rows.input_score, rows.leverage, rows.width, rows.miscoverage)
     return FlightAlarm(
         {name: score.max(axis=1) for name, score in zip(SIGNALS, scores, strict=True)},
@@ -100,7 +116,19 @@ def alarm_of_flight(
         missed,
         known,
         outside,
+        *_of_change(model, time[known][inside], errors[inside], rows),
     )
+
+
+def _of_change(
+    model: AerodynamicModel, time: Array, errors: Array, rows: Alarms
+) -> tuple[tuple[str, ...] | None, dict[str, Constant]]:
+    """What CHANGE says of a flight, and its constants."""
+    if model.change_limits is None or model.flown is None:
+        return None, {}
+    raised = np.flatnonzero(rows.cause_level[:, CAUSES.index(CHANGE)] == LEVEL_ALARM)
+    said = reasons(rows, int(raised[-1]), CHANGE) if len(raised) else ()
+    return said, flight_constants(model.change_limits, time, errors)
 
 
 @dataclass(frozen=True)
@@ -138,12 +166,14 @@ class Assessed:
         missed: (N, A) whether the measured wrench lies outside the interval, per axis held.
         alarm: of the flight.
         recorded_s: that the recording lasts, with the time on the ground.
+        name: of the flight.
     """
 
     time: Array
     missed: npt.NDArray[np.bool_]
     alarm: FlightAlarm
     recorded_s: float = 0.0
+    name: str = ""
 
     def off(self) -> npt.NDArray[np.bool_]:
         """Instants (N,) at which the model is off."""
@@ -214,6 +244,12 @@ class AlarmAssessment(Counted):
         detection_delay_s: median delay in the other flights off; None without any.
         auroc: by name of :data:`SIGNALS`, area under the ROC curve of the signal for samples that lie outside
             their interval in any axis; None where all or none do.
+        flights_judged: flights on which CHANGE is judged.
+        flights_changed: of these, on which it is raised.
+        flights_changed_bound: upper bound of the share of flights like these on which it is (Clopper and
+            Pearson 1934, at `BOUND_CONFIDENCE`); None without any.
+        changes: what it says there.
+        differences: how flights differ in what they leave of the model all the time.
     """
 
     not_judged_fraction: float
@@ -224,6 +260,11 @@ class AlarmAssessment(Counted):
     flights_undetected: int
     detection_delay_s: float | None
     auroc: Mapping[str, float | None]
+    flights_judged: int = 0
+    flights_changed: int = 0
+    flights_changed_bound: float | None = None
+    changes: tuple[str, ...] = ()
+    differences: tuple[str, ...] = ()
 
 
 def assess(flights: Sequence[Assessed]) -> AlarmAssessment:
@@ -238,6 +279,8 @@ def assess(flights: Sequence[Assessed]) -> AlarmAssessment:
         "the state settles, or no usable samples": counted.hours_flown - counted.hours_monitored,
     }
     reasons = not_judged_reasons({words: hours / recorded for words, hours in unjudged.items()})
+    judged = [(flight.name, flight.alarm.change) for flight in flights if flight.alarm.change is not None]
+    changed = [f"{name}: {'; '.join(said)}" for name, said in judged if said]
     return AlarmAssessment(
         **vars(counted),
         not_judged_fraction=sum(reason.fraction for reason in reasons),
@@ -251,7 +294,21 @@ def assess(flights: Sequence[Assessed]) -> AlarmAssessment:
             name: auroc(np.concatenate([flight.alarm.scores[name] for flight in flights]), missed)
             for name in SIGNALS
         },
+        flights_judged=len(judged),
+        flights_changed=len(changed),
+        flights_changed_bound=share_bound(len(changed), len(judged)),
+        changes=tuple(changed),
+        differences=tuple(differences({flight.name: flight.alarm.constants for flight in flights})),
     )
+
+
+def share_bound(events: int, flights: int) -> float | None:
+    """Exact upper bound of a share of flights, at `BOUND_CONFIDENCE`; None without flights."""
+    if flights == 0:
+        return None
+    if events == flights:
+        return 1.0
+    return float(betaincinv(events + 1, flights - events, BOUND_CONFIDENCE.value))
 
 
 def auroc(scores: Array, positive: npt.NDArray[np.bool_]) -> float | None:

@@ -209,7 +209,7 @@ def _assess(flights: Sequence[FlightResult]) -> AlarmAssessment | None:
             return None
         columns = [AXES.index(axis) for axis in flight.axes]
         missed = flight.alarm.missed[:, columns]
-        assessed.append(Assessed(flight.time, missed, flight.alarm, flight.recorded_s))
+        assessed.append(Assessed(flight.time, missed, flight.alarm, flight.recorded_s, flight.name))
     return assess(assessed)
 
 

@@ -23,7 +23,7 @@ from quadpi_core.core import compiled
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.identification.alarm_calibration import Judged, LeftOut, LiveErrors, ranges_of_others
-from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES, VELOCITY_INPUTS, aerodynamic_inputs
+from quadpi_core.inputs import INPUT_INDEX, VELOCITY_INPUTS, aerodynamic_inputs
 from quadpi_core.models.alarm_limits import BOUND_CONFIDENCE, FEWEST_FLIGHTS
 from quadpi_core.models.change_limits import CHANGE_AXES, ChangeLimits, LeftOnAxis
 from quadpi_core.models.envelope import Envelope
@@ -36,6 +36,7 @@ from quadpi_core.monitor.change import (
     CHANGE,
     CHANGE_BLOCK,
     FREEDOM,
+    OF_THRUST,
     nothing_found,
     sound_noise,
 )
@@ -87,7 +88,7 @@ def calibrate_change(
         return None
     # As in flight: no samples beyond the warning, but for inputs that a heavier vehicle has however it flies.
     within = [
-        np.all((Envelope.outside(signal.inputs, *others) <= margin) | _OF_THRUST, axis=1)
+        np.all((Envelope.outside(signal.inputs, *others) <= margin) | OF_THRUST, axis=1)
         for signal, others in zip(signals, ranges_of_others(signals), strict=True)
     ]
     usual = [
@@ -304,7 +305,6 @@ def _levers(
     return tuple(levers)
 
 
-_OF_THRUST = np.array([bool(compiled.OF_THRUST & 1 << k) for k in range(len(INPUT_NAMES))])
 _RATES = [INPUT_INDEX[name] for name in ("p", "q", "r")]
 
 

@@ -96,10 +96,13 @@ class AlarmLimits:
         shown = (
             f"{time} without an alarm bound it at {bound:.3g} per hour ({100.0 * BOUND_CONFIDENCE.value:g} %)"
         )
-        rate = f"extrapolated: {shown} only" if self.rate_extrapolated else f"within what they show: {shown}"
+        rate = f"within what they show: {shown}"
+        if self.rate_extrapolated:
+            more = self.hours * (bound / self.rate_per_hour - 1.0)
+            rate = f"extrapolated: {shown} only, {more:.2g} h more would bound it at that"
         return (
-            f"alarm calibrated to {self.rate_per_hour:g} false alarms per flight hour on {self.flights} "
-            f"flights, each left out in turn ({time}); the rate is {rate}"
+            f"alarm calibrated to an estimated {self.rate_per_hour:g} false alarms per flight hour on "
+            f"{self.flights} flights, each left out in turn ({time}); the rate is {rate}"
         )
 
     def to_json(self) -> dict[str, Any]:

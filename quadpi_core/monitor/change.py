@@ -27,6 +27,7 @@ import numpy.typing as npt
 from quadpi_core.core import compiled
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
+from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.models.change_limits import ChangeLimits
 from quadpi_core.records import ROTORS_MAX, PerRotor, Records, record_dtype
 from quadpi_core.results import (
@@ -45,6 +46,8 @@ BLOCK_FILLED_S: float = compiled.BLOCK_FILLED_S
 _ONSETS, _DIRECTIONS, _SIZES = compiled.ONSETS, compiled.DIRECTIONS, compiled.SIZES
 # Degrees of freedom of Student's distribution; the core has its power.
 FREEDOM = 3
+# Inputs (19,) beyond whose range samples are evidence all the same: those of a heavier one, however it flies.
+OF_THRUST = np.array([bool(compiled.OF_THRUST & 1 << k) for k in range(len(INPUT_NAMES))])
 # Half width of an interval of 95 %, in standard deviations.
 _QUANTILE = 1.96
 

@@ -158,12 +158,19 @@ def alarm_sentence(alarm: AlarmAssessment) -> str:
         flights = _count(alarm.flights_off, "flight")
         late = "" if alarm.detection_delay_s is None else f", {alarm.detection_delay_s:.2f} s late"
         parts.append(f"alarm on {found} of {flights} in which the model is off{late}")
+    if alarm.flights_changed_bound is not None:
+        judged, most = _count(alarm.flights_judged, "flight"), percent(alarm.flights_changed_bound)
+        share = f"at most {most} of such flights, at {nominal(BOUND_CONFIDENCE.value)}"
+        parts.append(f"CHANGE on {alarm.flights_changed} of {judged} ({share})")
+        parts += alarm.changes
     known = [f"{name} {area:.2f}" for name, area in alarm.auroc.items() if area is not None]
     if known:
         parts.append(f"area under the ROC curve for misses: {', '.join(known)}")
     if alarm.not_judged_reasons:
         why = ", ".join(f"{percent(part.fraction)} {part.reason}" for part in alarm.not_judged_reasons)
         parts.append(f"not judged for {percent(alarm.not_judged_fraction)} of the time: {why}")
+    if alarm.differences:
+        parts.append(f"flights differ: {'; '.join(alarm.differences)}")
     return "; ".join(parts)
 
 

@@ -56,8 +56,10 @@ def test_the_rate_of_a_short_calibration_is_said_to_be_extrapolated() -> None:
     assert short.rate_bound_per_hour == pytest.approx(-np.log(0.05) / short.hours)
     assert short.rate_extrapolated
     assert short.sentence() == (
-        "alarm calibrated to 1 false alarms per flight hour on 15 flights, each left out in turn (1.61 min); "
-        "the rate is extrapolated: 1.61 min without an alarm bound it at 112 per hour (95 %) only"
+        "alarm calibrated to an estimated 1 false alarms per flight hour on 15 flights, "
+        "each left out in turn (1.61 min); "
+        "the rate is extrapolated: 1.61 min without an alarm bound it at 112 per hour (95 %) only, "
+        "3 h more would bound it at that"
     )
     assert not long.rate_extrapolated
     assert "within what they show: 240 min without an alarm bound it at 0.749 per hour" in long.sentence()
