@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import fields
 from pathlib import Path
 from types import SimpleNamespace
@@ -23,6 +24,7 @@ import yaml
 pytest.importorskip("pymavlink", reason="pymavlink is not installed")
 import rclpy
 from nav_msgs.msg import Odometry
+from quadpi.msg import ExtrapolationAlarm
 from rclpy.experimental import EventsExecutor
 from rclpy.task import Future
 from sensor_msgs.msg import Imu
@@ -30,7 +32,7 @@ from sensor_msgs.msg import Imu
 from quadpi_core.logs.mavlink_dialect import load_dialect
 from quadpi_core.messages import sensor_messages
 from quadpi_ros import mavlink_link
-from quadpi_ros.dds_profile import SENSOR_QOS
+from quadpi_ros.dds_profile import OUTPUT_QOS, SENSOR_QOS
 from quadpi_ros.mavlink_bridge import MavlinkBridge
 from quadpi_ros.node_parameters import BridgeParameters
 from quadpi_ros.parameters import ParameterError
@@ -99,6 +101,31 @@ def test_without_timesync_the_diagnostics_say_what_the_stamps_are() -> None:
         assert status["clock_offset_from"] == "earliest arrivals"
         assert status["clock_uncertainty_ms"] == "unknown"
         heard.until(lambda: abs(float(heard.statuses[-1]["clock_offset_ms"]) - epoch_ns * 1e-6) < 2.0)
+
+
+def test_an_autopilot_is_told_what_has_changed() -> None:
+    told: list[Any] = []
+    with listening() as heard:
+        sender = Sender(heard.port, 1)
+        sender.socket.settimeout(0.0)
+        parser = load_dialect().MAVLink(None)
+        alarms = heard.node.create_publisher(ExtrapolationAlarm, "extrapolation_alarm", OUTPUT_QOS)
+        weak = ExtrapolationAlarm(reasons=["rotor 3 gives 3.10 ± 0.40 % less thrust"], change_size=0.031)
+        weak.cause_level[3] = weak.level = ExtrapolationAlarm.LEVEL_ALARM
+        weak.changed, weak.changed_rotor = ExtrapolationAlarm.CHANGED_ROTOR, 3
+
+        def is_told() -> bool:
+            sender.send("heartbeat", 2, 12, 0, 0, 4, 3)
+            alarms.publish(weak)
+            with suppress(BlockingIOError):
+                told.extend(parser.parse_buffer(sender.socket.recv(4096)) or [])
+            return {"STATUSTEXT", "NAMED_VALUE_FLOAT"} <= {one.get_type() for one in told}
+
+        heard.until(is_told)
+    (text,) = (one for one in told if one.get_type() == "STATUSTEXT")
+    assert text.text == "ALARM: rotor 3 gives 3.10 +- 0.40 % less thrust"
+    number = next(one for one in told if one.get_type() == "NAMED_VALUE_FLOAT")
+    assert (number.name, round(number.value, 3)) == ("rotor3_pc", 3.1)
 
 
 def test_noise_and_cut_packets_cost_nothing_but_are_counted() -> None:
