@@ -169,9 +169,7 @@ class MonitorParameters(LiveParameters):
     adaptive: bool = parameter(
         _SETTINGS.adaptive, "intervals that adapt to the measured wrench, instead of the model's own"
     )
-    change: bool = parameter(
-        _SETTINGS.change, "judge CHANGE: whether the vehicle has changed", in_flight=True
-    )
+    change: bool = parameter(_SETTINGS.change, "judge CHANGE: whether the vehicle has changed")
     pairing_timeout_s: float = parameter(
         TIMEOUT_S, "how long an IMU sample waits for its state and rotor speeds", limits=(0.005, 1.0)
     )

@@ -307,9 +307,10 @@ def array_calls() -> dict[str, Call]:
                     name: figure(1.0, 0.5, refused=(0.0, -1.0))
                     for name in ("persistence_s", "release_s", "alarm_rate_hz")
                 },
-                "adaptive": thing(
-                    True, "flag", required=False, allowed=lambda value: isinstance(value, bool)
-                ),
+                **{
+                    name: thing(True, "flag", required=False, allowed=lambda value: isinstance(value, bool))
+                    for name in ("adaptive", "change")
+                },
             },
         ),
         "QuadpiError": Call(QuadpiError, {}, share=0.1),
