@@ -8,9 +8,10 @@ A candidate is accepted if it passes all tests of a :class:`Trial`. The tests of
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 from scipy.stats import chi2
@@ -128,6 +129,11 @@ DIFFERENT = Threshold(
     "the level of the intervals that the page states: a name whose interval holds zero explains nothing",
     CONVENTION,
 )
+# Why an effect is barred without which no axis of flights left out is further off, and one that gains its
+# evidence in axes that the simulation's own intervals hold: neither is told among rivals.
+CLOSES_NOTHING = "closes nothing of the gap: flights left out are as close without it"
+ALLOWED = "explains no more than what the intervals of the simulation allow for"
+NO_EXPLANATION = (CLOSES_NOTHING, ALLOWED)
 # Name of the test of `LARGEST`, and tests whose failure ends a round of the search: the residual is then
 # noise, or the error of a law, and an effect that fits less well would be named for the same.
 ORDINARY = "ordinary size"
@@ -135,6 +141,8 @@ _END_OF_ROUND = (
     *("evidence", "loudness", "bounds, refined", "size, refined", "size by its law"),
     "bounds, reweighted",
 )
+
+_Made = TypeVar("_Made")
 
 
 @dataclass(frozen=True)
@@ -283,6 +291,10 @@ class Accepted:
         """Evidence [nat] of the contribution of the effects."""
         return self.regression.energy(self.chosen, self.fit)
 
+    def once(self, key: Hashable, make: Callable[[], _Made]) -> _Made:
+        """See :meth:`Kept.once`, of these effects."""
+        return self.regression.once((key, self.chosen, self.fit), make)
+
     def without(self, index: int) -> Accepted:
         """The other effects; with a fit of none where bounds exclude one of them."""
         others = tuple(other for other in self.chosen if other != index)
@@ -349,8 +361,8 @@ class Trial:
         before: effects accepted before.
         added: index of the candidate.
         fit: fit of all together; None where bounds exclude one.
-        squares_before: gives the squares (6,) of flights left out before the candidate.
         dropped: whether it was accepted earlier and dropped beside a better one.
+        barred: why it may not be named; empty if it may.
         behind: name of a better candidate that ended the round; empty without one.
         instead: name of a candidate of ordinary size that does about as well; empty without one.
     """
@@ -358,8 +370,8 @@ class Trial:
     before: Accepted
     added: int
     fit: Fit | None
-    squares_before: Callable[[], Array]
     dropped: bool = False
+    barred: str = ""
     behind: str = ""
     instead: str = ""
 
@@ -391,10 +403,14 @@ class Trial:
         """All effects fitted in :attr:`reweighted`."""
         return Accepted.fitted(self.reweighted, self.larger)
 
-    @property
-    def result(self) -> Accepted | None:
-        """The effects together; None where a test fails."""
-        return self.together if self.judgement.accepted else None
+    def outcome(self) -> tuple[Judgement, Accepted | None]:
+        """The judgement, and the effects together; None where a test fails."""
+
+        def judged() -> tuple[Judgement, Accepted | None]:
+            return self.judgement, self.together if self.judgement.accepted else None
+
+        told = (self.added, self.dropped, self.barred, self.behind, self.instead)
+        return self.before.once(told, judged)
 
     @cached_property
     def judgement(self) -> Judgement:
@@ -424,7 +440,7 @@ class Trial:
         dropped = "became idle beside a better one"
         yield Verdict.fact("not dropped", not self.dropped, "was not dropped before", dropped)
         yield judge_evidence(self.gain, self.before.needed(added))
-        yield Verdict.fact("barred", not own.barred, "no other search has barred it", own.barred)
+        yield Verdict.fact("barred", not self.barred, "no other search has barred it", self.barred)
         first = not self.behind or scales_beside_law(own, self.before.candidates)
         behind = f"gains less than {self.behind}, which was rejected"
         yield Verdict.fact("precedence", first, "no better candidate was rejected for good", behind)
@@ -435,8 +451,9 @@ class Trial:
         yield _possible("bounds, refined", self.refined)
         assert self.refined is not None
         regression = self.refined.regression
+        before = left_out_squares(self.before.regression, self.before.chosen)
         after = left_out_squares(regression, larger)
-        yield judge_left_out(self.squares_before(), after, len(regression.flights))
+        yield judge_left_out(before, after, len(regression.flights))
         yield judge_size(self._sizes(regression, self.refined.fit), "size, refined")
         # With at least the residual after the set as noise; by the laws alone, without columns for the errors
         # of their forms.

@@ -55,11 +55,6 @@ AXES_OVER_FORM = Threshold(
     "two laws of the literature for one effect differ more from axis to axis than in their mean",
     DEVELOPMENT,
 )
-# Why an effect is barred without which no axis of flights left out is further off, and one that gains its
-# evidence in axes that the simulation's own intervals hold.
-CLOSES_NOTHING = "closes nothing of the gap: flights left out are as close without it"
-ALLOWED = "explains no more than what the intervals of the simulation allow for"
-NO_EXPLANATION = (CLOSES_NOTHING, ALLOWED)
 
 
 @dataclass(frozen=True)
@@ -73,8 +68,6 @@ class Candidate:
         scale: (k,) prior standard deviation of each.
         centre: (k,) prior mean of each: 0, but for what is no strength of an effect with a state of its own.
         linear: whether one linearisation is enough.
-        barred: why it may not be named, though it may be a rival of what is unless that is of NO_EXPLANATION;
-            empty if it may.
         within: whether the simulation's own intervals hold all axes that it acts on. Flights may have it of
             their own, but it is nothing that the simulation lacks.
     """
@@ -85,13 +78,7 @@ class Candidate:
     scale: Array
     centre: Array
     linear: bool
-    barred: str = ""
     within: bool = False
-
-    @property
-    def is_rival(self) -> bool:
-        """Whether it may be told as doing as well as another: it closes some, and no intervals hold it."""
-        return not self.within and self.barred not in NO_EXPLANATION
 
     @property
     def of_a_flight(self) -> str:

@@ -26,6 +26,7 @@ from quadpi_core.discrepancy.unexplained import stated_squares
 from quadpi_core.discrepancy.whitening import (
     Columns,
     Indices,
+    Kept,
     Noise,
     OfEachFlight,
     Part,
@@ -81,7 +82,7 @@ class Reduction(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Regression:
+class Regression(Kept):
     """Residual, tolerances and candidates of all flights, and their noise; changes give new values.
 
     Attributes:
@@ -256,9 +257,13 @@ class Regression:
         simulation = stated.with_coefficients(dict(fitted))
         if simulation is stated:
             return self
-        flights = [flight.compared_with(simulation) for flight in self.flights]
-        moving = [index for index in chosen if self.candidates[index].effect.kind != "vehicle"]
-        return self._with_blocks({index: self.points[index] for index in moving}, flights, anew=True)
+
+        def made() -> Regression:
+            flights = [flight.compared_with(simulation) for flight in self.flights]
+            moving = [index for index in chosen if self.candidates[index].effect.kind != "vehicle"]
+            return self._with_blocks({index: self.points[index] for index in moving}, flights, anew=True)
+
+        return self.once(("fitted", tuple(chosen), found), made)
 
     def _with_blocks(
         self, points: Mapping[int, Array], flights: Sequence[Compared], *, anew: bool = False
@@ -325,27 +330,27 @@ class Regression:
             if candidate.of_a_flight and index not in known
         ]
 
-    @cached_property
-    def _equations(self) -> dict[tuple[tuple[int, ...], tuple[int, ...]], Equations]:
-        return {}
-
     def equations(self, chosen: Sequence[int], formed: Sequence[int] = ()) -> Equations:
         """Normal equations of a set of candidates, by their indices, some with the columns of their form."""
-        key = tuple(chosen), tuple(formed)
-        if key not in self._equations:
-            of_form = [self.blocks[index] for index in formed]
-            blocks = [self.blocks[index] for index in chosen]
-            self._equations[key] = Equations.of(self.base, blocks, self.noise, of_form)
-        return self._equations[key]
+
+        def made() -> Equations:
+            blocks, of_form = ([self.blocks[index] for index in some] for some in (chosen, formed))
+            return Equations.of(self.base, blocks, self.noise, of_form)
+
+        return self.once(("equations", tuple(chosen), tuple(formed)), made)
 
     def fit(self, chosen: Sequence[int], *, form: bool = True) -> Fit | None:
         """Fit a set of candidates, by their indices, see :meth:`Equations.fit`."""
-        found = self.equations(chosen, chosen if form else ()).fit()
-        return found and self._comparable(found)
+
+        def made() -> Fit | None:
+            found = self.equations(chosen, chosen if form else ()).fit()
+            return found and self._comparable(found)
+
+        return self.once(("fit", tuple(chosen), form), made)
 
     def fit_none(self) -> Fit:
         """The fit without effects, which there always is."""
-        return self._comparable(self.equations(()).fit_none())
+        return self.once("no effect", lambda: self._comparable(self.equations(()).fit_none()))
 
     def _comparable(self, found: Fit) -> Fit:
         """The fit with the cost of what flights have of their own, so that noises can be compared."""
@@ -509,11 +514,16 @@ def left_out_squares(regression: Regression, chosen: Sequence[int]) -> Array:
 
     What a flight may have of its own is left out, however large.
     """
-    regression, squares = regression.varied, np.zeros(len(AXES))
-    for place, (_, band) in enumerate(regression.residual.spectra):
-        left = regression.left_of(place, law_fit(regression, chosen, place))
-        squares += np.sum(np.square(left) * regression.noise.precision[place][:, band], axis=1)
-    return squares
+    varied = regression.varied
+
+    def made() -> Array:
+        squares = np.zeros(len(AXES))
+        for place, (_, band) in enumerate(varied.residual.spectra):
+            left = varied.left_of(place, law_fit(varied, chosen, place))
+            squares += np.sum(np.square(left) * varied.noise.precision[place][:, band], axis=1)
+        return squares
+
+    return varied.once(("left out", tuple(chosen)), made)
 
 
 def settled(regression: Regression) -> Regression:

@@ -23,7 +23,7 @@ from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 
 from quadpi_core.discrepancy.simulations import Column, Margins, Simulation, Tolerances
 from quadpi_core.discrepancy.unmeasured_states import BiasResponse, Started, started
-from quadpi_core.discrepancy.whitening import BAND_HZ, Spectrum, spectrum
+from quadpi_core.discrepancy.whitening import BAND_HZ, Kept, Spectrum, spectrum
 from quadpi_core.flight import Flight, ImuStream, PoseStream, Recording, RotorSpeedStream
 from quadpi_core.frames import Array
 from quadpi_core.rotations import rotate_body_to_world, rotate_world_to_body
@@ -79,7 +79,7 @@ _OF_THE_FLIGHT = (
 )
 
 
-class Compared:
+class Compared(Kept):
     """A flight beside the simulation that it is compared with.
 
     Columns and residuals are thinned to about `RATE_HZ`: a flight has been low-passed far below that. What

@@ -189,11 +189,27 @@ def reflights(discovery: Discovery) -> Reflights:
     compared = discovery.found.regression.flights
     before, flights = compared[0].simulation, [one.flight for one in compared]
     after = [augmented(discovery, without=place) for place in range(len(flights))]
+    was = [_as_it_was(discovery, place) for place in range(len(flights))]
+    floor = [_floor(one, added.vehicle) for one, added in zip(compared, after, strict=True)]
     return Reflights(
-        rollout=rollouts(flights, [as_it_was(discovery, place) for place in range(len(flights))], after),
+        rollout=_of_squares(was, [rollout(*own) for own in zip(flights, after, strict=True)], floor),
         closed_loop=closed_loops(flights, before, after),
         coverage=coverages(compared, after),
     )
+
+
+def _as_it_was(discovery: Discovery, place: int) -> Array:
+    """Roll-outs of a flight by the simulation as it is, with what the flight has of its own."""
+    simulation, regression = as_it_was(discovery, place), discovery.found.regression
+    one = regression.flights[place]
+    if simulation is one.simulation:
+        return one.once("roll-outs", lambda: rollout(one.flight, simulation))
+    key = "roll-outs", discovery.found.chosen, place
+    return regression.once(key, lambda: rollout(one.flight, simulation))
+
+
+def _floor(one: Compared, vehicle: Vehicle) -> Array:
+    return one.once(("floor", vehicle.fingerprint), lambda: rollout_floor(one.flight, vehicle))
 
 
 def rollouts(
@@ -205,7 +221,11 @@ def rollouts(
     """
     vehicles = [simulation.vehicle for simulation in after]
     each = map(rollout, flights, before), map(rollout, flights, after), map(rollout_floor, flights, vehicles)
-    of_flights = [list(own) for own in each]
+    return _of_squares(*map(list, each))
+
+
+def _of_squares(*of_flights: Sequence[Array]) -> Rollouts:
+    """From squares (S, 4) of each flight: before, after and at the floor."""
     squares = [np.concatenate(own) for own in of_flights]
     lost = [int(np.isnan(own[:, 0]).sum()) for own in squares]
     starts = len(squares[0])

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cached_property
 from types import MappingProxyType
 from typing import TypeAlias
 
@@ -17,6 +17,7 @@ from quadpi_core.discrepancy.acceptance import (
     FURTHER_NUMBER,
     LARGEST,
     NAMED_ALONE,
+    NO_EXPLANATION,
     ORDINARY,
     SMALLEST,
     Accepted,
@@ -30,7 +31,7 @@ from quadpi_core.discrepancy.acceptance import (
 )
 from quadpi_core.discrepancy.candidates import Candidate
 from quadpi_core.discrepancy.closure import Closing, Found, Rivals
-from quadpi_core.discrepancy.effect_regression import Regression, left_out_squares, settled
+from quadpi_core.discrepancy.effect_regression import Regression, settled
 from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.evidence import Condition, Fit
 from quadpi_core.discrepancy.unexplained import (
@@ -42,7 +43,6 @@ from quadpi_core.discrepancy.unexplained import (
 )
 from quadpi_core.discrepancy.whitening import Spectrum
 from quadpi_core.flight import AXES
-from quadpi_core.frames import Array
 from quadpi_core.thresholds import CONVENTION, Threshold
 
 MOST_EFFECTS = Threshold(
@@ -114,24 +114,23 @@ def search(prepared: Prepared, barred: Mapping[str, str] = MappingProxyType({}))
         prepared: flights beside their simulation.
         barred: why effects, by their names, may not be named.
     """
-    named = [replace(c, barred=barred.get(c.name, "")) for c in prepared.regression.candidates]
-    regression, inside = replace(prepared.regression, candidates=tuple(named)), prepared.inside
+    regression, inside, own = prepared.regression, prepared.inside, _Search(barred)
     accepted = Accepted(regression, (), regression.fit_none())
-    idle, judgements, disputed, gain = set[int](), list[Judgement](), tuple[str, ...](), 0.0
+    disputed, gain = tuple[str, ...](), 0.0
     for _ in range(MOST_EFFECTS.value):
-        accepted, more = _grown(accepted, idle, judgements)
-        exchanged, disputed = _exchanged(accepted, judgements)
+        accepted, more = own.grown(accepted)
+        exchanged, disputed = own.exchanged(accepted)
         gain += more
         if exchanged.chosen == accepted.chosen:
             break
         accepted = exchanged
     # Other columns may clearly prefer another; what fails a test is told among its rivals.
     clear = float(np.exp(NAMED_ALONE.value))
-    accepted, _ = _exchanged(_with_fitted_coefficients(accepted), judgements, clear)
-    rivals, allowed = _rivals(accepted), dict[int, float]()
+    accepted, _ = own.exchanged(own.with_fitted_coefficients(accepted), clear)
+    rivals, allowed = own.rivals(accepted), dict[int, float]()
     if inside is not None:
         lenient = _lenient(accepted, inside)
-        rivals, allowed = _told_among(rivals, _rivals(lenient)), _allowed(lenient)
+        rivals, allowed = _told_among(rivals, own.rivals(lenient)), _allowed(lenient)
     names, spectra = prepared.generic
     return Found(
         regression=accepted.regression,
@@ -141,45 +140,174 @@ def search(prepared: Prepared, barred: Mapping[str, str] = MappingProxyType({}))
         gain=gain,
         rivals=rivals,
         left=predicted(accepted.regression.left(accepted.fit), spectra, names),
-        judgements=tuple(judgements),
+        judgements=tuple(own.judgements),
         disputed=disputed,
         inside=inside,
         allowed=allowed,
     )
 
 
-def _grown(accepted: Accepted, idle: set[int], judgements: list[Judgement]) -> tuple[Accepted, float]:
-    """The set with all effects and conditions that one after the other gain the most and pass all tests.
+class _Search:
+    """What one search may not name, by its name, and what it judged so far.
 
-    Args:
-        accepted: set to start from.
-        idle: effects that became idle, which are not tried again; more are added.
-        judgements: to which those of all rounds are added.
-
-    Returns:
-        The set, and the evidence that was gained [nat].
+    Attributes:
+        judgements: those of all rounds, in their order.
     """
-    gain = 0.0
-    while True:
-        beside = best_condition(accepted)
-        gained = beside.fit.log_evidence - accepted.fit.log_evidence if beside else -np.inf
-        fits = _fits_with_one_more(accepted) if len(accepted.chosen) < MOST_EFFECTS.value else []
-        gains = {k: fit.log_evidence - accepted.fit.log_evidence for k, fit in fits if fit is not None}
-        as_shared = gains.get(beside.regression.conditions[-1].index) if beside else None
-        larger, more = None, 0.0
-        if fits and (
-            (as_shared is not None and keeps(as_shared, gained))
-            or max(gains.values(), default=-np.inf) >= gained
-        ):
-            larger, more = _one_more(accepted, fits, idle, judgements)
-        # A condition gains more than any effect, or those that gain more were refused.
-        larger = larger or beside
-        if larger is None:
-            return accepted, gain
-        gain += more
-        accepted = without_idle(larger, judgements)
-        # A dropped effect is not tried again: two effects could replace each other forever.
-        idle |= set(larger.chosen) - set(accepted.chosen)
+
+    def __init__(self, barred: Mapping[str, str]) -> None:
+        self._barred, self.judgements = barred, list[Judgement]()
+        # Effects that became idle, which are not tried again.
+        self._idle = set[int]()
+
+    def grown(self, accepted: Accepted) -> tuple[Accepted, float]:
+        """The set with all effects and conditions that one after the other gain the most and pass all tests.
+
+        Returns:
+            The set, and the evidence that was gained [nat].
+        """
+        gain = 0.0
+        while True:
+            beside = best_condition(accepted)
+            gained = beside.fit.log_evidence - accepted.fit.log_evidence if beside else -np.inf
+            fits = _fits_with_one_more(accepted) if len(accepted.chosen) < MOST_EFFECTS.value else []
+            gains = {k: fit.log_evidence - accepted.fit.log_evidence for k, fit in fits if fit is not None}
+            as_shared = gains.get(beside.regression.conditions[-1].index) if beside else None
+            larger, more = None, 0.0
+            if fits and (
+                (as_shared is not None and keeps(as_shared, gained))
+                or max(gains.values(), default=-np.inf) >= gained
+            ):
+                larger, more = self._one_more(accepted, fits)
+            # A condition gains more than any effect, or those that gain more were refused.
+            larger = larger or beside
+            if larger is None:
+                return accepted, gain
+            gain += more
+            accepted, dropped = without_idle(larger)
+            self.judgements += dropped
+            # A dropped effect is not tried again: two effects could replace each other forever.
+            self._idle |= set(larger.chosen) - set(accepted.chosen)
+
+    def _one_more(self, before: Accepted, fits: _Fits) -> tuple[Accepted | None, float]:
+        """One round: the set with the best candidate that passes all tests, its gain; None if none does."""
+        behind: Candidate | None = None
+        for index, fit in fits:
+            own = before.regression.candidates[index]
+            trial = Trial(
+                before=before,
+                added=index,
+                fit=fit,
+                dropped=index in self._idle,
+                barred=self._barred.get(own.name, ""),
+                behind=behind.label if behind and stands_behind(own, behind) else "",
+                instead=self._about_as_well(before, index, fit, fits),
+            )
+            judgement, larger = trial.outcome()
+            self.judgements.append(judgement)
+            if larger is not None:
+                return larger, trial.gain
+            if judgement.ends_round:
+                behind = behind or own
+        return None, 0.0
+
+    def _about_as_well(self, before: Accepted, index: int, fit: Fit | None, fits: _Fits) -> str:
+        """Name of the best candidate of ordinary size that does about as well as one; empty without one."""
+        if fit is None:
+            return ""
+        regression = before.regression
+        least = fit.log_evidence - rival_margin(fit.log_evidence - before.fit.log_evidence)
+        for other, found in fits:
+            if found is None or found.log_evidence < least:
+                break
+            candidate = regression.candidates[other]
+            is_ordinary = SMALLEST.value < regression.size(other, found) <= LARGEST.value
+            if other != index and not self._barred.get(candidate.name) and is_ordinary:
+                return candidate.label
+        return ""
+
+    def exchanged(self, accepted: Accepted, least_odds: float = 1.0) -> tuple[Accepted, tuple[str, ...]]:
+        """The set with effects replaced by those that have better odds in their place and pass all tests.
+
+        The search adds one effect at a time, and takes the next best where the best fails a test. Where that
+        one has odds of more than a hundred against an effect that was taken instead, neither is certain: that
+        is disputed.
+        """
+        for _ in range(MOST_EFFECTS.value):
+            rivals = self.rivals(accepted, of_its_name=True)
+            disputed, better = [], None
+            close = [(own, rival, odds) for own in rivals for rival, odds in rivals[own] if odds > least_odds]
+            for index, rival, odds in close:
+                judgement, better = self._in_place_of(accepted, index, rival).outcome()
+                self.judgements.append(judgement)
+                if better is not None:
+                    break
+                # One whose size is out of the ordinary is told among the rivals.
+                if odds > np.exp(NAMED_ALONE.value) and judgement.reason.test != ORDINARY:
+                    own, reason = accepted.regression.candidates[index].label, judgement.reason.sentence
+                    disputed.append(
+                        f"{judgement.label} has more evidence than {own} in its place, but {reason}"
+                    )
+            if better is None:
+                return accepted, tuple(disputed)
+            accepted = better
+        return accepted, ()
+
+    def _in_place_of(self, accepted: Accepted, index: int, rival: int) -> Trial:
+        """The trial of a rival in the place of one effect."""
+        regression, others = accepted.regression, accepted.without(index)
+        ordinary = regression.size(index, accepted.fit) <= LARGEST.value
+        return Trial(
+            before=others,
+            added=rival,
+            fit=others.fit_with(rival),
+            barred=self._barred.get(regression.candidates[rival].name, ""),
+            instead=regression.candidates[index].label if ordinary else "",
+        )
+
+    def with_fitted_coefficients(self, accepted: Accepted) -> Accepted:
+        """The set fitted with columns of the simulation with its coefficients as fitted, where bounds allow.
+
+        Rivals that do nearly as well get such columns too, so that they are compared alike.
+        """
+        near = {rival for close in self.rivals(accepted, margins=_NEAR).values() for rival, _ in close}
+        made = sorted({*accepted.chosen, *near})
+        regression = accepted.regression.with_fitted_coefficients(made, accepted.fit)
+        return Accepted.fitted(regression, accepted.chosen) or accepted
+
+    def rivals(self, accepted: Accepted, *, of_its_name: bool = False, margins: float = 1.0) -> Rivals:
+        """For each chosen candidate others that do about as well in its place, with their odds.
+
+        What no search may name is told among them, unless it closes no gap or intervals hold it.
+
+        Args:
+            accepted: effects that were accepted.
+            of_its_name: whether those of the same effect count too, such as the same of another rotor.
+            margins: how many margins of a law they may be behind.
+        """
+        regression, found = accepted.regression, accepted.fit
+        rivals: Rivals = {}
+        for index in accepted.chosen:
+            own, others = regression.candidates[index], accepted.without(index)
+            margin = rival_margin(found.log_evidence - others.fit.log_evidence)
+            scales = scales_beside_law(own, others.candidates)
+            close = []
+            for rival, candidate in enumerate(regression.candidates):
+                same = rival == index or (candidate.name == own.name and not of_its_name)
+                is_none = candidate.within or self._barred.get(candidate.name) in NO_EXPLANATION
+                if same or is_none or any(map(candidate.excludes, others.candidates)):
+                    continue
+                # An effect that explains the error of a law is no rival of one that scales existing forces.
+                if scales and not candidate.effect.scales_existing:
+                    continue
+                swapped = others.fit_with(rival)
+                if swapped is None or not Accepted(regression, (rival,), swapped).sizeable:
+                    continue
+                behind = found.log_evidence - swapped.log_evidence
+                if behind < margins * margin:
+                    odds = np.exp(min(-behind * NAMED_ALONE.value / margin, _MOST_LOG_ODDS))
+                    close.append((rival, float(odds)))
+            rivals[index] = sorted(close, key=lambda item: -item[1])
+        return rivals
 
 
 def best_condition(accepted: Accepted) -> Accepted | None:
@@ -188,6 +316,10 @@ def best_condition(accepted: Accepted) -> Accepted | None:
     None where nothing gains as much as a first effect has to and leaves the effects most of their evidence,
     and without sound flights that tell how much flights differ.
     """
+    return accepted.once("condition", lambda: _best_condition(accepted))
+
+
+def _best_condition(accepted: Accepted) -> Accepted | None:
     regression, chosen = accepted.regression, accepted.chosen
     best, before = None, accepted.gains()
     most = least_evidence(len(regression.candidates))
@@ -215,89 +347,6 @@ def keeps(evidence: float, of: float) -> bool:
     return evidence >= KEPT.value * of
 
 
-def _with_fitted_coefficients(accepted: Accepted) -> Accepted:
-    """The set fitted with columns of the simulation with its coefficients as fitted, where bounds allow.
-
-    Rivals that do nearly as well get such columns too, so that they are compared alike.
-    """
-    near = {rival for close in _rivals(accepted, margins=_NEAR).values() for rival, _ in close}
-    made = sorted({*accepted.chosen, *near})
-    regression = accepted.regression.with_fitted_coefficients(made, accepted.fit)
-    return Accepted.fitted(regression, accepted.chosen) or accepted
-
-
-def _exchanged(
-    accepted: Accepted, judgements: list[Judgement], least_odds: float = 1.0
-) -> tuple[Accepted, tuple[str, ...]]:
-    """The set with effects replaced by those that have better odds in their place and pass all tests.
-
-    The search adds one effect at a time, and takes the next best where the best fails a test. Where that one
-    has odds of more than a hundred against an effect that was taken instead, neither is certain: that is
-    disputed.
-    """
-    for _ in range(MOST_EFFECTS.value):
-        rivals = _rivals(accepted, of_its_name=True)
-        disputed, better = [], None
-        close = [(own, rival, odds) for own in rivals for rival, odds in rivals[own] if odds > least_odds]
-        for index, rival, odds in close:
-            trial = _in_place_of(accepted, index, rival)
-            judgement, better = trial.judgement, trial.result
-            judgements.append(judgement)
-            if better is not None:
-                break
-            # One whose size is out of the ordinary is told among the rivals.
-            if odds > np.exp(NAMED_ALONE.value) and judgement.reason.test != ORDINARY:
-                own = accepted.regression.candidates[index].label
-                reason = judgement.reason.sentence
-                disputed.append(f"{judgement.label} has more evidence than {own} in its place, but {reason}")
-        if better is None:
-            return accepted, tuple(disputed)
-        accepted = better
-    return accepted, ()
-
-
-def _in_place_of(accepted: Accepted, index: int, rival: int) -> Trial:
-    """The trial of a rival in the place of one effect."""
-    regression, others = accepted.regression, accepted.without(index)
-    ordinary = regression.size(index, accepted.fit) <= LARGEST.value
-    return Trial(
-        before=others,
-        added=rival,
-        fit=others.fit_with(rival),
-        squares_before=lambda: left_out_squares(regression, others.chosen),
-        instead=regression.candidates[index].label if ordinary else "",
-    )
-
-
-def _one_more(
-    before: Accepted, fits: _Fits, idle: set[int], judgements: list[Judgement]
-) -> tuple[Accepted | None, float]:
-    """One round: the set with the best candidate that passes all tests, its gain; None where none does."""
-
-    @cache
-    def squares() -> Array:
-        return left_out_squares(before.regression, before.chosen)
-
-    behind: Candidate | None = None
-    for index, fit in fits:
-        own = before.regression.candidates[index]
-        trial = Trial(
-            before=before,
-            added=index,
-            fit=fit,
-            squares_before=squares,
-            dropped=index in idle,
-            behind=behind.label if behind and stands_behind(own, behind) else "",
-            instead=_about_as_well(before, index, fit, fits),
-        )
-        judgements.append(trial.judgement)
-        if trial.result is not None:
-            return trial.result, trial.gain
-        if trial.judgement.ends_round:
-            behind = behind or own
-    return None, 0.0
-
-
 def _fits_with_one_more(before: Accepted) -> _Fits:
     """Candidates that can be added to the set, with the fit of all together; most evidence first."""
     fits = [
@@ -308,24 +357,12 @@ def _fits_with_one_more(before: Accepted) -> _Fits:
     return sorted(fits, key=lambda item: np.inf if item[1] is None else -item[1].log_evidence)
 
 
-def _about_as_well(before: Accepted, index: int, fit: Fit | None, fits: _Fits) -> str:
-    """Name of the best candidate of ordinary size that does about as well as one; empty without one."""
-    if fit is None:
-        return ""
-    regression = before.regression
-    least = fit.log_evidence - rival_margin(fit.log_evidence - before.fit.log_evidence)
-    for other, found in fits:
-        if found is None or found.log_evidence < least:
-            break
-        candidate = regression.candidates[other]
-        is_ordinary = SMALLEST.value < regression.size(other, found) <= LARGEST.value
-        if other != index and not candidate.barred and is_ordinary:
-            return candidate.label
-    return ""
+def without_idle(accepted: Accepted) -> tuple[Accepted, list[Judgement]]:
+    """The set without an effect that is idle beside a better one or a condition, and the judgement of it."""
+    return accepted.once("idle", lambda: _without_idle(accepted)) or (accepted, [])
 
 
-def without_idle(accepted: Accepted, judgements: list[Judgement]) -> Accepted:
-    """The set without an effect that is idle beside a better one or a condition; its judgement is added."""
+def _without_idle(accepted: Accepted) -> tuple[Accepted, list[Judgement]] | None:
     regression = accepted.regression
     for index in accepted.chosen:
         fewer = tuple(other for other in accepted.chosen if other != index)
@@ -337,42 +374,8 @@ def without_idle(accepted: Accepted, judgements: list[Judgement]) -> Accepted:
         better = None if still_needed.passed else rest.refined()
         smaller = better and Accepted.fitted(better.with_left_as_noise(), fewer)
         if smaller is not None:
-            judgements.append(Judgement.of(smaller, index, (still_needed,)))
-            return smaller
-    return accepted
-
-
-def _rivals(accepted: Accepted, *, of_its_name: bool = False, margins: float = 1.0) -> Rivals:
-    """For each chosen candidate others that do about as well in its place, with their odds.
-
-    Args:
-        accepted: effects that were accepted.
-        of_its_name: whether those of the same effect count too, such as the same of another rotor.
-        margins: how many margins of a law they may be behind.
-    """
-    regression, found = accepted.regression, accepted.fit
-    rivals: Rivals = {}
-    for index in accepted.chosen:
-        own, others = regression.candidates[index], accepted.without(index)
-        margin = rival_margin(found.log_evidence - others.fit.log_evidence)
-        scales = scales_beside_law(own, others.candidates)
-        close = []
-        for rival, candidate in enumerate(regression.candidates):
-            same = rival == index or (candidate.name == own.name and not of_its_name)
-            if same or not candidate.is_rival or any(map(candidate.excludes, others.candidates)):
-                continue
-            # An effect that explains the error of a law is no rival of one that scales existing forces.
-            if scales and not candidate.effect.scales_existing:
-                continue
-            swapped = others.fit_with(rival)
-            if swapped is None or not Accepted(regression, (rival,), swapped).sizeable:
-                continue
-            behind = found.log_evidence - swapped.log_evidence
-            if behind < margins * margin:
-                odds = np.exp(min(-behind * NAMED_ALONE.value / margin, _MOST_LOG_ODDS))
-                close.append((rival, float(odds)))
-        rivals[index] = sorted(close, key=lambda item: -item[1])
-    return rivals
+            return smaller, [Judgement.of(smaller, index, (still_needed,))]
+    return None
 
 
 def _lenient(accepted: Accepted, inside: Inside) -> Accepted:

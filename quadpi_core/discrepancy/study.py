@@ -14,10 +14,17 @@ import numpy as np
 from scipy.special import ndtri
 
 from quadpi_core import array_checks
-from quadpi_core.discrepancy.acceptance import FEW_FLIGHTS, Accepted, Verdict
+from quadpi_core.discrepancy.acceptance import (
+    ALLOWED,
+    CLOSES_NOTHING,
+    FEW_FLIGHTS,
+    NO_EXPLANATION,
+    Accepted,
+    Verdict,
+)
 from quadpi_core.discrepancy.augmented_simulation import augmented
 from quadpi_core.discrepancy.by_condition import locate
-from quadpi_core.discrepancy.candidates import ALLOWED, CLOSES_NOTHING, NO_EXPLANATION, candidates
+from quadpi_core.discrepancy.candidates import candidates
 from quadpi_core.discrepancy.closure import Closing, Found
 from quadpi_core.discrepancy.discrepancy_result import (
     Discovery,
@@ -32,6 +39,7 @@ from quadpi_core.discrepancy.evidence import Fit
 from quadpi_core.discrepancy.reflight import HORIZON_S, coverages, reflights
 from quadpi_core.discrepancy.result_verdicts import (
     NEAR_FLOOR,
+    OF_GAP,
     Unexplained,
     checks,
     is_rejected,
@@ -185,23 +193,31 @@ def found_and_flown(
     Raises:
         DiscrepancyError, LogError: see :func:`discover` and :func:`flown_again`.
     """
-    discovery = _searched_again(prepared(simulation, flights, names), {})
-    return replace(discovery, candidates=ranked_candidates(discovery.found))
+    # Products are so small that two threads take twice the time of one.
+    with one_blas_thread():
+        discovery = _flown(_searched_again(prepared(simulation, flights, names), {}))
+        return replace(discovery, candidates=ranked_candidates(discovery.found))
 
 
 def _searched_again(ready: Prepared, barred: Mapping[str, str]) -> Discovery:
-    """What a search finds, flown again, or another without what explains nothing or does not hold."""
+    """What a search finds, or another without what explains nothing or does not hold.
+
+    It is flown again where that may decide anything: not beside a test that no flight changes.
+    """
     discovery = discovered(ready, barred)
-    more = _explaining_nothing(discovery)
-    if not more:
+    more, hopeless = (
+        _explaining_nothing(discovery),
+        any(not check.passed and check.test not in OF_GAP for check in discovery.checks),
+    )
+    if not (more or hopeless):
         discovery = flown_again(discovery)
         more = _spoiling(discovery)
     if more:
         again = _searched_again(ready, {**barred, **more})
         if again.verdict != "unknown":
             return again
-    if discovery.flown is None:
-        discovery = flown_again(discovery)
+    if not hopeless or len(discovery.effects) == 1:
+        discovery = _flown(discovery)
     doubtful = {} if more or len(barred) >= MOST_EFFECTS.value else _doubtful(discovery)
     if doubtful:
         without = _searched_again(ready, {**barred, **doubtful})
@@ -272,6 +288,10 @@ def _spoiling(discovery: Discovery) -> dict[str, str]:
     return {min(better)[1]: failed[0].sentence} if better else {}
 
 
+def _flown(discovery: Discovery) -> Discovery:
+    return discovery if discovery.flown else flown_again(discovery)
+
+
 def flown_again(discovery: Discovery) -> Discovery:
     """The discovery judged by roll-outs of flights left out; as it is where nothing was named.
 
@@ -313,8 +333,9 @@ def discover(
     Raises:
         DiscrepancyError: for fewer flights, flights of another vehicle, a simulation that gives no wrench.
     """
-    discovery = discovered(prepared(simulation, flights, names, highest_hz), barred)
-    return replace(discovery, candidates=ranked_candidates(discovery.found))
+    with one_blas_thread():
+        discovery = discovered(prepared(simulation, flights, names, highest_hz), barred)
+        return replace(discovery, candidates=ranked_candidates(discovery.found))
 
 
 def prepared(
@@ -333,10 +354,8 @@ def prepared(
                 f"{flight.source}: flown by vehicle {flight.vehicle}, "
                 f"but the simulation {simulation.name} is of {simulation.vehicle.name}"
             )
-    # Products are so small that two threads take twice the time of one.
-    with one_blas_thread():
-        compared = Compared.together(flights, simulation, highest_hz)
-        return Prepared.of(compared, candidates(simulation.vehicle, names))
+    compared = Compared.together(flights, simulation, highest_hz)
+    return Prepared.of(compared, candidates(simulation.vehicle, names))
 
 
 def discovered(ready: Prepared, barred: Mapping[str, str]) -> Discovery:
@@ -346,8 +365,7 @@ def discovered(ready: Prepared, barred: Mapping[str, str]) -> Discovery:
         ready: flights to search.
         barred: why effects, by their names, may not be named.
     """
-    with one_blas_thread():
-        found = search(ready, barred)
+    found = search(ready, barred)
     law, whole = found.closing.fits()
     effects = [_effect(found, index, law, whole) for index in found.chosen]
     left, gap = Unexplained.of(found), found.gap()

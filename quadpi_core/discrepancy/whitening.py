@@ -10,11 +10,11 @@ as white within bands, so products of columns by axis and band are all that fits
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -48,6 +48,25 @@ TAPER_S = Threshold(
 # Rounds of expectation and maximisation.
 _ROUNDS = 4
 Indices: TypeAlias = npt.NDArray[np.intp]
+_Made = TypeVar("_Made")
+
+
+class Kept:
+    """A value that does not change, with what is made of it.
+
+    So searches of the same flights that differ in what they may name share all up to where they part.
+    """
+
+    @cached_property
+    def _known(self) -> dict[Hashable, Any]:
+        return {}
+
+    def once(self, key: Hashable, make: Callable[[], _Made]) -> _Made:
+        """What is made of the value, by a key that tells it apart; the same for all who ask again."""
+        if key not in self._known:
+            self._known[key] = make()
+        found: _Made = self._known[key]
+        return found
 
 
 class Spectrum(NamedTuple):

@@ -111,7 +111,7 @@ def by_chance(mean):
 
 def accepted(*, size=1.0, loudness=1.0, instead="", squares=99.0):
     """Whether a candidate of two parameters is, by such numbers."""
-    own = SimpleNamespace(name="own", label="own", free=(0, 1), barred="")
+    own = SimpleNamespace(name="own", label="own", free=(0, 1))
     plain = Fit(100.0, (), np.arange(2), np.array([np.sqrt(squares), 0.0]), np.eye(2), np.zeros(2))
     regression = SimpleNamespace(
         candidates=[own],
@@ -124,11 +124,12 @@ def accepted(*, size=1.0, loudness=1.0, instead="", squares=99.0):
         energy=lambda *_: 0.0,
         sound=None,
         beside=lambda *_: regression,
+        once=lambda _, make: make(),
     )
     regression.varied = regression
     none = replace(plain, log_evidence=0.0)
     before = Accepted(regression, (), none)
-    trial = Trial(before, 0, plain, lambda: np.zeros(6), instead=instead)
+    trial = Trial(before, 0, plain, instead=instead)
     trial.__dict__["refined"] = replace(before, fit=plain)
     return trial.judgement.accepted
 

@@ -16,10 +16,10 @@ from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.evidence import Fit
 from quadpi_core.discrepancy.search import Prepared, best_condition, search, without_idle
 from quadpi_core.discrepancy.unexplained import Inside
-from quadpi_core.discrepancy.whitening import Spectrum
+from quadpi_core.discrepancy.whitening import Kept, Spectrum
 
 
-class ListedEvidence:
+class ListedEvidence(Kept):
     """A regression in which the evidence of each set is listed, and every effect is linear and exact."""
 
     def __init__(self, evidence, reweighted=(), conditions=()):
@@ -62,8 +62,7 @@ def test_an_effect_that_a_better_one_made_idle_is_dropped(alone, kept):
     """The first did well until the second came; that one does nearly as well, or does not, without it."""
     regression = ListedEvidence({(0,): 1000.0, (1,): alone, (0, 1): 1200.0})
     both = Accepted(regression, (0, 1), regression.fit((0, 1)))
-    judgements = []
-    after = without_idle(both, judgements)
+    after, judgements = without_idle(both)
     assert after.chosen == kept
     assert after.fit.log_evidence == regression.evidence[kept]
     dropped = kept != (0, 1)
@@ -133,15 +132,34 @@ def test_what_fitted_coefficients_clearly_prefer_is_named(simulation, dragged, m
     """Here they are made to take another effect for the drag that was named."""
     named = []
 
-    def fitted(accepted):
+    def fitted(_, accepted):
         regression = accepted.regression
         labels = [own.label for own in regression.candidates]
         named.extend(labels[index] for index in accepted.chosen)
         other = (labels.index("force_bias"),)
         return Accepted(regression, other, regression.fit(other))
 
-    monkeypatch.setattr("quadpi_core.discrepancy.search._with_fitted_coefficients", fitted)
+    monkeypatch.setattr("quadpi_core.discrepancy.search._Search.with_fitted_coefficients", fitted)
     compared = Compared.together(dragged, simulation)
     found = search(Prepared.of(compared, candidates(simulation.vehicle, ("body_drag", "force_bias"))))
     assert named == ["body_drag"]
     assert [found.regression.candidates[index].label for index in found.chosen] == ["body_drag"]
+
+
+def test_another_search_of_the_same_flights_begins_where_it_parts_from_the_first(
+    simulation, dragged, monkeypatch
+):
+    """What is barred is not named, and what was judged is judged no more."""
+    compared = Compared.together(dragged, simulation)
+    prepared = Prepared.of(compared, candidates(simulation.vehicle, ("body_drag", "rate_damping")))
+    fresh = [search(prepared), search(prepared, {"body_drag": "so"})]
+
+    def reweighted(*_):
+        raise AssertionError
+
+    monkeypatch.setattr("quadpi_core.discrepancy.effect_regression.Regression.beside", reweighted)
+    again = [search(prepared), search(prepared, {"body_drag": "so"})]
+    labels = [[own.regression.candidates[k].label for k in own.chosen] for own in fresh]
+    assert labels[0] == ["body_drag"] != labels[1]
+    for first, second in zip(fresh, again, strict=True):
+        assert (first.chosen, first.fit, first.judgements) == (second.chosen, second.fit, second.judgements)

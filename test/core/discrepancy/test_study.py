@@ -10,9 +10,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from quadpi_core.discrepancy.acceptance import Verdict
+from quadpi_core.discrepancy.acceptance import ALLOWED, CLOSES_NOTHING, Verdict
 from quadpi_core.discrepancy.augmented_simulation import AugmentedSimulation, augmented
-from quadpi_core.discrepancy.candidates import ALLOWED, CLOSES_NOTHING
 from quadpi_core.discrepancy.closure import Closing
 from quadpi_core.discrepancy.discrepancy_result import (
     BeforeAfter,
