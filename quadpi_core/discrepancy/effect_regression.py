@@ -332,18 +332,18 @@ class Regression(Kept):
 
     def equations(self, chosen: Sequence[int], formed: Sequence[int] = ()) -> Equations:
         """Normal equations of a set of candidates, by their indices, some with the columns of their form."""
+        return self.once(("equations", tuple(chosen), tuple(formed)), lambda: self._equations(chosen, formed))
 
-        def made() -> Equations:
-            blocks, of_form = ([self.blocks[index] for index in some] for some in (chosen, formed))
-            return Equations.of(self.base, blocks, self.noise, of_form)
-
-        return self.once(("equations", tuple(chosen), tuple(formed)), made)
+    def _equations(self, chosen: Sequence[int], formed: Sequence[int]) -> Equations:
+        blocks, of_form = ([self.blocks[index] for index in some] for some in (chosen, formed))
+        return Equations.of(self.base, blocks, self.noise, of_form)
 
     def fit(self, chosen: Sequence[int], *, form: bool = True) -> Fit | None:
         """Fit a set of candidates, by their indices, see :meth:`Equations.fit`."""
 
         def made() -> Fit | None:
-            found = self.equations(chosen, chosen if form else ()).fit()
+            # Hundreds of fits are kept, but not the equations of each, which are a thousand times as large.
+            found = self._equations(chosen, chosen if form else ()).fit()
             return found and self._comparable(found)
 
         return self.once(("fit", tuple(chosen), form), made)
