@@ -208,6 +208,27 @@ class RotorSpeedStream(Stream):
 
 
 @dataclass(frozen=True, repr=False)
+class MotorCommandStream(Stream):
+    """commands (N, rotors) to the motors, a share of their range, rotor order of the vehicle file.
+
+    A scale of its own is that of the source: :class:`quadpi_core.motors.Motors` is of one source.
+    """
+
+    topic: ClassVar[str] = "motor_commands"
+    shapes: ClassVar = ((-1,),)
+    commands: Array
+
+
+@dataclass(frozen=True, repr=False)
+class BatteryStream(Stream):
+    """voltage (N,) V of the battery."""
+
+    topic: ClassVar[str] = "battery"
+    shapes: ClassVar = ((),)
+    voltage: Array
+
+
+@dataclass(frozen=True, repr=False)
 class PoseStream(Stream):
     """position (N, 3) m in the world and attitude (N, 4) body to world, from motion capture."""
 
@@ -266,7 +287,10 @@ class Recording:
         name: stem of the file that it came from.
         vehicle: name of the vehicle file.
         source: path of the file, for messages.
-        battery_v: (time_ns, volts) where the log has it; only `quadpi info` uses it.
+        commands: to the motors; of a vehicle with `motors`, rotor speeds are made of them.
+        battery: of whose voltage rotor speeds from commands depend.
+        command_source: name of the adapter or format whose scale the commands have.
+        commanded: whether the rotor speeds are made of the commands.
         arrivals: by topic, number of IMU samples that arrived before each sample (N,), where the log has it.
         quality: problems found in the data.
         remedies: by topic, what makes the source record it more often.
@@ -284,7 +308,10 @@ class Recording:
     odometry: OdometryStream | None = None
     wind: WindStream | None = None
     simulated: WrenchStream | None = None
-    battery_v: tuple[Stamps, Array] | None = None
+    commands: MotorCommandStream | None = None
+    battery: BatteryStream | None = None
+    command_source: str = ""
+    commanded: bool = False
     arrivals: Mapping[str, Stamps] = field(default_factory=dict)
     quality: DataQuality = NOTHING_TO_SAY
     remedies: Mapping[str, str] = field(default_factory=dict)
@@ -313,7 +340,7 @@ class Recording:
         return np.searchsorted(self.imu.time_ns, stream.time_ns, side="right")
 
     def streams(self) -> list[Stream]:
-        """The streams that are present."""
+        """The streams that are present, which later steps use: rotor speeds, not what they may be made of."""
         candidates = (
             *(self.imu, self.rotor_speeds, self.pose, self.twist, self.odometry, self.wind),
             self.simulated,

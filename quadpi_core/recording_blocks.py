@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.flight import Recording, Stream
+from quadpi_core.flight import STREAM_KINDS, Recording, Stream
 
 # IMU samples in a block that is cut from a whole recording: 8 s at 500 Hz.
 BLOCK_SAMPLES = 4096
@@ -54,7 +54,7 @@ def join_blocks(blocks: Iterable[Recording]) -> Recording:
     before = 0
     for block in blocks:
         last = block
-        for name, stream in streams_by_field(block).items():
+        for name, stream in all_by_field(block).items():
             joined.setdefault(name, StreamParts(type(stream))).extend(stream)
         for topic, counts in block.arrivals.items():
             arrivals.setdefault(topic, Column()).extend(before + counts)
@@ -114,7 +114,7 @@ class Column:
 
 def split_recording(recording: Recording) -> Iterator[Recording]:
     """Blocks of :data:`BLOCK_SAMPLES` IMU samples, as :func:`by_arrival` gives them."""
-    others = {name: stream for name, stream in streams_by_field(recording).items() if name != "imu"}
+    others = {name: stream for name, stream in all_by_field(recording).items() if name != "imu"}
     counts, orders = {}, {}
     for name, stream in others.items():
         arrived = recording.arrivals_of(stream)
@@ -136,7 +136,7 @@ def split_by_stamp(recording: Recording) -> Iterator[tuple[Recording, int]]:
     Gives each part, and the stamp before which all of its samples are stamped, and none of a later part is.
     Samples of a stream come in the order of their stamps.
     """
-    streams = {name: _in_order(stream) for name, stream in streams_by_field(recording).items()}
+    streams = {name: _in_order(stream) for name, stream in all_by_field(recording).items()}
     starts = dict.fromkeys(streams, 0)
     for end_ns in [*streams["imu"].time_ns[BLOCK_SAMPLES::BLOCK_SAMPLES].tolist(), _END_NS]:
         part: dict[str, Any] = {}
@@ -173,7 +173,7 @@ def by_arrival(blocks: Iterable[Recording]) -> Iterator[Recording]:
 def _cut(block: Recording) -> tuple[Recording, Recording]:
     """Split a block into samples that arrived up to its last IMU sample, and the rest."""
     count = len(block.imu)
-    others = {name: stream for name, stream in streams_by_field(block).items() if name != "imu"}
+    others = {name: stream for name, stream in all_by_field(block).items() if name != "imu"}
     counts = {name: block.arrivals_of(stream) for name, stream in others.items()}
     places = {name: int(np.searchsorted(counts[name], count)) for name in others}
     due: dict[str, Any] = {name: others[name].take(slice(0, places[name])) for name in others}
@@ -190,7 +190,12 @@ def _cut(block: Recording) -> tuple[Recording, Recording]:
 
 
 def streams_by_field(recording: Recording) -> dict[str, Stream]:
-    """Streams of a recording by the names of their fields."""
+    """Streams of a recording that later steps use, by the names of their fields."""
+    return {name: one for name, one in all_by_field(recording).items() if name in STREAM_KINDS}
+
+
+def all_by_field(recording: Recording) -> dict[str, Stream]:
+    """Streams of a recording by the names of their fields, with what rotor speeds may be made of."""
     return {
         column.name: stream
         for column in fields(recording)

@@ -68,6 +68,8 @@ LAYOUTS: MappingProxyType[str, tuple[Motor, ...]] = MappingProxyType(
             *((45, _CCW), (-45, _CW), (-135, _CCW), (135, _CW)),
             *((-45, _CCW), (45, _CW), (135, _CCW), (-135, _CW)),
         ),
+        # m1 to m4.
+        "crazyflie": _ring((45, 0), (135, 0), (-135, 0), (-45, 0)),
     }
 )
 
@@ -177,6 +179,14 @@ class RotorOrder:
         if order is None:
             raise LogError(f"the vehicle's rotors are not those of a frame {layout}: give their order")
         return order
+
+    @classmethod
+    def usual(cls, vehicle: Vehicle | None, layout: str = "") -> RotorOrder | None:
+        """The order of a layout, of the usual one unless given; None where the vehicle does not fit it."""
+        try:
+            return cls.by_layout(vehicle, layout or usual_layout(vehicle))
+        except LogError:
+            return None
 
     def speeds(self, values: Array, vehicle: Vehicle | None, pole_pairs: int | None = None) -> Array:
         """Magnitudes (N, rotors) in rad/s of speeds as reported, already in the vehicle's rotor order.

@@ -26,6 +26,7 @@ from quadpi_core.config_schema import (
 )
 from quadpi_core.errors import VehicleError, named_in
 from quadpi_core.frames import Array
+from quadpi_core.motors import Motors
 from quadpi_core.records import ROTORS_MAX
 
 # Rotors of a quadrotor, the only vehicle that logs, bags, live nodes and the search for what is missing in a
@@ -78,6 +79,8 @@ class Vehicle:
             vehicle does not say it; electrical speeds are then refused.
         thrust_coefficient: C_T = thrust / (ρ π R⁴ ω²) of a rotor in still air, where it is known; flights are
             compared with it.
+        motors: rotor speed by command, for flights without tachometers: where a flight has commands, its
+            rotor speeds are made of them.
     """
 
     __repr__ = brief_repr
@@ -94,6 +97,7 @@ class Vehicle:
     gravity_m_s2: float = 9.80665
     noise: SensorNoise = field(default_factory=SensorNoise)
     thrust_coefficient: float | None = None
+    motors: Motors | None = None
 
     def __post_init__(self) -> None:
         """Refuse what is no vehicle, in the words of `quadpi_core.array_checks`."""
@@ -156,6 +160,7 @@ class Vehicle:
                 for position, spin in zip(self.rotor_positions, self.rotor_spins, strict=True)
             ],
             "noise": asdict(self.noise),
+            **({} if self.motors is None else {"motors": self.motors.to_file()}),
         }
 
     @property
@@ -248,6 +253,7 @@ class _VehicleFile(Section):
     gravity_m_s2: Positive = Vehicle.gravity_m_s2
     thrust_coefficient: Positive | None = None
     noise: SensorNoise = SensorNoise()
+    motors: Motors | None = None
     simulation: dict[str, Any] = field(default_factory=dict)
     source: Any = None
 
@@ -260,6 +266,8 @@ class _VehicleFile(Section):
                 "`inertia_kg_m2` is not the inertia of a rigid body "
                 "(symmetric, principal moments positive and obeying the triangle inequality)"
             )
+        if self.motors is not None and len(self.motors.coefficients) != len(self.rotors):
+            raise ValueError(f"`motors` must have `coefficients` of each of the {len(self.rotors)} rotors")
         if len(self.rotors) == 4:
             self._check_four()
         if len(self.rotors) < 3:
@@ -316,6 +324,7 @@ class _VehicleFile(Section):
             gravity_m_s2=self.gravity_m_s2,
             noise=self.noise,
             thrust_coefficient=self.thrust_coefficient,
+            motors=self.motors,
         )
 
 

@@ -12,11 +12,13 @@ import importlib
 import re
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 from quadpi_core.errors import LogError, QuadpiError
 from quadpi_core.flight import Stream
 from quadpi_core.messages.adapters import AdapterSettings, known_adapters
+from quadpi_core.messages.adapters.adapter_settings import CommandSettings, StateSettings
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros.node_parameters import adapters_of
 from quadpi_ros.parameters import ParameterError
@@ -78,6 +80,24 @@ class AdaptedSources:
             raise
         except QuadpiError as error:
             raise AdapterError(f"{self._file}: {error}") from error
+
+    def self_described(self, name: str, topic: str = "") -> Source:
+        """The input of an adapter that needs no settings, but takes those of the file.
+
+        Args:
+            name: of the adapter.
+            topic: that it is on unless the file names it; that of its package unless given.
+
+        Raises:
+            AdapterError: see :meth:`named`.
+        """
+        adapter = known_adapters()[name]
+        own = getattr(self._settings, adapter.kind)
+        if own is None:
+            own = CommandSettings() if adapter.kind == "motor_commands" else StateSettings()
+        if own.topic is None and topic:
+            own = replace(own, topic=topic)
+        return adapted_source(name, replace(self._settings, **{adapter.kind: own}), self._vehicle)
 
     def instead_of(self, standard: Source, kind: str) -> Source:
         """The input of the adapter of a kind if the file has settings for it, else the standard topic.

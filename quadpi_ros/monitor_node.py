@@ -25,6 +25,7 @@ from quadpi_core.flight import (
     MAX_JUMP_BACK_NS,
     NO_STAMP,
     ImuStream,
+    MotorCommandStream,
     OdometryStream,
     RotorSpeedStream,
     WindStream,
@@ -37,10 +38,12 @@ from quadpi_core.monitor.alarm_log import naming_sensors
 from quadpi_core.monitor.health import SILENT_S, WATCH_S, Latency, Silence, lack
 from quadpi_core.monitor.monitor import Judged
 from quadpi_core.monitor.pairing import CAPACITY, Pairing
+from quadpi_core.motors import Motors
 from quadpi_core.paths import resolved_below
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros import diagnostics
 from quadpi_ros.callbacks import SlowService
+from quadpi_ros.commanded_rotors import CommandedRotors, command_sources
 from quadpi_ros.estimator_node import IMU_TOPIC, EstimatorNode, StateListener, framed_imu
 from quadpi_ros.input_sources import AdaptedSources, Source
 from quadpi_ros.node_parameters import FASTEST_IMU_HZ, MonitorParameters
@@ -64,6 +67,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
         super().__init__("monitor", MonitorParameters)
         self._estimator = estimator
         self._load_model: SlowService | None = None
+        self._commanded: CommandedRotors | None = None
         self._dropped = self._judged = 0
         self._newest_ns = NO_STAMP
         self._silence_watch: Watch | None = None
@@ -88,6 +92,11 @@ class MonitorNode(SensorNode[MonitorParameters]):
             odometry = IncomingMessage(sensor_messages.ODOMETRY_SAMPLES, self._body.world, self._body)
             self._odometry = adapted.instead_of(Source(Odometry, "odometry", odometry), "odometry")
         monitors = named(self._load(path) for path in parameters.model)
+        self._commanded = self._commanded_rotors(next(iter(monitors.values())))
+        for monitor in monitors.values():
+            self._require_same_rotors(monitor)
+        if self._commanded is not None:
+            self._commands = command_sources(adapted, self._commanded.motors, parameters.command_topic)
         self._results = Results(
             self, monitors, parameters.body_frame, self._explained, parameters.publish_wrenches
         )
@@ -106,7 +115,11 @@ class MonitorNode(SensorNode[MonitorParameters]):
             )
         wind = IncomingMessage(sensor_messages.WIND_SAMPLES, self._body.world, self._body)
         self.listen(Vector3Stamped, "wind", wind, self._take_wind, required=False)
-        self.listen(*self._rotors, self._take_rotor_speeds)
+        self.listen(*self._rotors, self._take_rotor_speeds, required=self._commanded is None)
+        if self._commanded is not None:
+            commands, battery = self._commands
+            self.listen(*commands, self._take_commands, required=self._commanded.fallback is None)
+            self.listen(*battery, self._commanded.take_battery, required=False)
         self._load_model = SlowService(self, LoadModel, "~/load_model", self._prepare_model)
         self._silence_watch = self.watch(WATCH_S, self._watch_inputs)
 
@@ -140,11 +153,22 @@ class MonitorNode(SensorNode[MonitorParameters]):
         if not judged:
             level = alarm_level = diagnostics.STALE
             message = alarm = ", ".join(self._silence.reasons) or "no sample came in the last second"
+        told = [] if self._commanded is None else [self._tachometer_status(self._commanded)]
         return [
+            *told,
             self.status("alarm", alarm_level, alarm, models),
             self.status("pairing", level, message, values),
             self._consistency.status(),
         ]
+
+    def _tachometer_status(self, rotors: CommandedRotors) -> DiagnosticStatus:
+        """Where rotor speeds come from, and tachometers that do not read what the commands give."""
+        source = "motor commands" if rotors.counts else "measured"
+        found = rotors.watch.found(alarm=self._results.alarm_status()[0] != diagnostics.OK)
+        for sentence in found:
+            self.warn(sentence, "see its wiring, or the pairs of poles of its speed controller")
+        level = diagnostics.WARN if found or (rotors.counts and rotors.fallback) else diagnostics.OK
+        return self.status("rotor speeds", level, "; ".join(found) or f"from {source}", {"from": source})
 
     def _latencies(self) -> dict[str, float | str | None]:
         """Since the last status; results that are far from their stamps tell that the clocks differ."""
@@ -207,8 +231,44 @@ class MonitorNode(SensorNode[MonitorParameters]):
         self._judge_completed()
 
     def _take_rotor_speeds(self, rotor_speeds: RotorSpeedStream) -> None:
+        if self._commanded is not None:
+            before = self._commanded.counts
+            if not self._commanded.take_measured(rotor_speeds):
+                return
+            if before:
+                self._switch(self._measuring)
         self._pairing.add_rotor_speeds(int(rotor_speeds.time_ns[0]), rotor_speeds.speeds[0])
         self._judge_completed()
+
+    def _take_commands(self, commands: MotorCommandStream) -> None:
+        assert self._commanded is not None
+        before = self._commanded.counts
+        speeds = self._commanded.take_commands(commands)
+        if not self._commanded.counts:
+            return
+        if not before and self._commanded.fallback is not None:
+            self._switch(self._commanded.fallback)
+        self._pairing.add_rotor_speeds(int(speeds.time_ns[0]), speeds.speeds[0])
+        self._judge_completed()
+
+    def _switch(self, monitor: Monitor) -> None:
+        """Put another monitor in the place of the first, as rotor speeds are silent, or come again."""
+        assert self._commanded is not None
+        name = self._results.monitors.names[0]
+        if self._commanded.counts:
+            self._measuring = self._results.monitors[name]
+        try:
+            self._results.replace(name, monitor)
+        except ModelError as error:
+            self.get_logger().error(f"rotor speeds are silent, and nothing stands in for them: {error}")
+            return
+        identity = monitor.model.identity
+        if self._commanded.counts:
+            self.get_logger().warning(
+                f"rotor speeds are silent: they are made of motor commands from now on, judged by {identity}"
+            )
+        else:
+            self.get_logger().info(f"rotor speeds come again: they are used, judged by {identity}")
 
     def _take_wind(self, wind: WindStream) -> None:
         self._pairing.add_wind(int(wind.time_ns[0]), wind.velocity[0])
@@ -304,6 +364,8 @@ class MonitorNode(SensorNode[MonitorParameters]):
         self._silence_published_s = -math.inf
         self._newest_ns = NO_STAMP
         self._latency = Latency()
+        if self._commanded is not None:
+            self._commanded.restart()
         self._results.monitors.reset()
 
     def _rotor_source(self, adapted: AdaptedSources) -> Source:
@@ -315,6 +377,42 @@ class MonitorNode(SensorNode[MonitorParameters]):
         if topic == "erpm":
             return Source(Erpm, topic, IncomingMessage(sensor_messages.erpm_samples(self._vehicle)))
         return adapted.named(topic)
+
+    def _commanded_rotors(self, first: Monitor) -> CommandedRotors | None:
+        """Rotor speeds by commands, if the first model or the fallback was identified on them.
+
+        Raises:
+            ModelError: for a fallback that was not, or without need.
+        """
+        path = self.parameters.fallback_model
+        motors = _motors(first)
+        if motors is not None:
+            if path:
+                raise ModelError(f"{path}: the first model flies by motor commands, and needs no fallback")
+            return CommandedRotors(motors)
+        if not path:
+            return None
+        fallback = self._load(path)
+        motors = _motors(fallback)
+        if motors is None:
+            raise ModelError(
+                f"{path}: fallback_model: was not identified on motor commands (identify --from-commands)"
+            )
+        return CommandedRotors(motors, fallback)
+
+    def _require_same_rotors(self, monitor: Monitor) -> None:
+        """Refuse a model by other rotor speeds than those that the node pairs.
+
+        Raises:
+            ModelError: naming the model.
+        """
+        own = self._commanded
+        motors = None if own is None or own.fallback is not None else own.motors
+        if _motors(monitor) != motors:
+            raise ModelError(
+                f"{monitor.model.identity}: its rotor speeds are not those of the first model, measured or "
+                "by the same motors: start a node with it"
+            )
 
     def _load(self, path: str) -> Monitor:
         parameters = self.parameters
@@ -361,6 +459,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
         name = request.replaces or monitors.names[0]
         try:
             monitor, error = self._load(self._permitted(request.path)), None
+            self._require_same_rotors(monitor)
         except QuadpiError as caught:
             monitor, error = None, str(caught)
         except Exception:
@@ -375,6 +474,11 @@ class MonitorNode(SensorNode[MonitorParameters]):
             self.get_logger().info(response.message)
 
         return swap
+
+
+def _motors(monitor: Monitor) -> Motors | None:
+    """Those that a model was identified by; None for measured rotor speeds."""
+    return None if monitor.model.flown is None else monitor.model.flown.motors
 
 
 def main() -> int:

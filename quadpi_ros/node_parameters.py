@@ -145,6 +145,18 @@ class MonitorParameters(LiveParameters):
         choices=("rotor_speeds", "erpm"),
         adapters="rotor_speeds",
     )
+    command_topic: str = parameter(
+        "",
+        "motor commands, for models that were identified on them; empty: as the model was",
+        choices=("",),
+        adapters="motor_commands",
+        optional=True,
+    )
+    fallback_model: str = parameter(
+        "",
+        "model identified on motor commands, in the place of the first while rotor speeds are silent",
+        optional=True,
+    )
     confidence: float = parameter(
         0.0, "nominal coverage of the intervals; 0 takes the model's own", limits=(0.0, 0.9999)
     )

@@ -30,6 +30,8 @@ _STANDS_IN_FOR = {
     "rotor_speeds": ("rotor_speeds", "erpm"),
     "mocap": MOCAP_TOPICS,
     "odometry": MOCAP_TOPICS,
+    "motor_commands": (),
+    "battery": (),
 }
 
 
@@ -159,8 +161,13 @@ def live_inputs(path: Path, topics: Sequence[str] = ()) -> LiveInputs:
             )
         return found
 
-    imu, rotors, mocap = map(first_of, ("imu", "rotor_speeds", "mocap"))
-    played = (imu, rotors, mocap, *(["wind"] if "wind" in names else []))
+    imu, mocap = first_of("imu"), first_of("mocap")
+    commands = [name for kind in ("motor_commands", "battery") for name in adapters_of(kind) if name in names]
+    measured = (*_STANDS_IN_FOR["rotor_speeds"], *adapters_of("rotor_speeds"))
+    # A model that was identified on commands needs no rotor speeds.
+    needed = not commands or not names.keys().isdisjoint(measured)
+    rotors = first_of("rotor_speeds") if needed else measured[0]
+    played = (imu, *([rotors] if needed else []), mocap, *commands, *(["wind"] if "wind" in names else []))
     return LiveInputs(rotors, mocap, tuple(names[name] for name in played))
 
 

@@ -177,15 +177,23 @@ class Results:
         try:
             if monitor is None:
                 raise ModelError(error)
-            self.monitors.replace(name, monitor)
-            self._messages[name] = _message(monitor, self._frame_id)
-            self._describe()
+            self.replace(name, monitor)
             response.success = True
             response.message = f"{monitor.model.identity} flies as {name}"
         except ModelError as refused:
             response.message = str(refused)
         if name in self.monitors.names:
             response.model = self.monitors[name].model.identity
+
+    def replace(self, name: str, monitor: Monitor) -> None:
+        """Put a monitor in the place of the one of a name.
+
+        Raises:
+            ModelError: see :meth:`Monitors.replace`.
+        """
+        self.monitors.replace(name, monitor)
+        self._messages[name] = _message(monitor, self._frame_id)
+        self._describe()
 
     def _describe(self) -> None:
         described = [self.monitors[name].model.described() for name in self.monitors.names]

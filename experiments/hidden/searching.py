@@ -214,14 +214,15 @@ def _changed(
 
 def _battery_of(fleet: Fleet, recording: Recording) -> tuple[npt.NDArray[np.int64], Array]:
     """Of the recording, or of the fleet's log for all, stretched to its duration."""
-    if recording.battery_v is not None:
-        return recording.battery_v
+    if recording.battery is not None:
+        return recording.battery.time_ns, recording.battery.voltage
     assert fleet.battery is not None
     other = read_recording(fleet.battery.paths[0], Vehicle.load("crazyflie_rpm"), None)
-    assert other.battery_v is not None
-    share = (other.battery_v[0] - other.battery_v[0][0]) / np.ptp(other.battery_v[0])
+    assert other.battery is not None
+    battery = other.battery
+    share = (battery.time_ns - battery.time_ns[0]) / np.ptp(battery.time_ns)
     first, last = recording.imu.time_ns[[0, -1]]
-    return first + np.rint(share * (last - first)).astype(np.int64), other.battery_v[1]
+    return first + np.rint(share * (last - first)).astype(np.int64), battery.voltage
 
 
 def _gust_of(case: Case, place: int, simulation: Simulation) -> tuple[Array, Array]:

@@ -73,6 +73,14 @@ def identify(
             "--keep-flawed", help="Also learn from flights with a finding that says to leave them out."
         ),
     ] = False,
+    from_commands: Annotated[
+        bool,
+        typer.Option(
+            "--from-commands",
+            help="Make rotor speeds of motor commands even if all flights have them measured; without it, "
+            "only where a flight has none.",
+        ),
+    ] = False,
     false_alarms_per_hour: Annotated[
         float, typer.Option(help="False alarms per hour that the limits of the alarm are calibrated to.")
     ] = 1.0,
@@ -91,9 +99,9 @@ def identify(
 ) -> None:
     """Identify a model on flights; every flight calibrates the intervals while it is left out."""
     from quadpi_core.evaluation.evaluate import ComparisonCase
+    from quadpi_core.identification.commanded_flights import prepare_with_motors
     from quadpi_core.identification.identify import check_options
     from quadpi_core.identification.identify import identify as identify_model
-    from quadpi_core.identification.prepared_flights import prepare_flights
     from quadpi_core.models.candidate_pool import load_pools, select_axes
     from quadpi_core.models.kind_registry import kind_of
     from quadpi_core.models.model_folder import require_replaceable
@@ -121,16 +129,20 @@ def identify(
     check_options(chosen, pools)
     with batch_of_flights() as left_out:
         with shown_work(console, workers, scheduler) as reading:
-            flights = prepare_flights(
+            read = prepare_with_motors(
                 bags,
                 the_vehicle,
                 cutoff,
                 mapping=how,
                 workers=reading,
                 left_out=left_out,
+                from_commands=from_commands,
                 keep_flawed=keep_flawed,
                 shortest_s=kind_of(chosen).shortest_s,
             )
+        flights, the_vehicle = read.flights, read.vehicle
+        if read.said:
+            console.print(read.said, soft_wrap=True)
         print_quality(console, ((flight.name, flight.quality) for flight in flights))
         with progress_bar(console) as progress:
             model = identify_model(flights, the_vehicle, pools, chosen, progress)

@@ -49,6 +49,7 @@ EDGE_PERIODS = Threshold(
     "filtered speeds by 0.3 rad/s at most, beside it by 5, of a spread of 50",
     "pauses cut into three real flights of two Crazyflies",
 )
+COMMANDS_ALONE = "it has motor commands, from which `quadpi identify` makes them"
 _TOO_FEW = "one sample is too few"
 
 
@@ -170,7 +171,10 @@ def require_streams(recording: Recording) -> RotorSpeedStream:
     recording.check()
     rotor_speeds = recording.rotor_speeds
     if rotor_speeds is None:
-        raise LogError(f"{recording.source}: topic rotor_speeds is missing, which every kind of model needs")
+        alone = f"; {COMMANDS_ALONE}" if recording.commands is not None else ""
+        raise LogError(
+            f"{recording.source}: topic rotor_speeds is missing, which every kind of model needs{alone}"
+        )
     for seldom in seldom_topics(recording):
         raise LogError(f"{recording.source}: topic {seldom}")
     if len(rotor_speeds) < 2:

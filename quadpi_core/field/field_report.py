@@ -39,6 +39,7 @@ from quadpi_core.field.report_record import (
 )
 from quadpi_core.field.vibration import VIBE, Vibration, vibration_of
 from quadpi_core.flight_files import FlightLeftOut, NoFlightLeftError, named_files
+from quadpi_core.motors import SILENT_SHARE
 from quadpi_core.paths import finite_json
 from quadpi_core.reading_options import ReadingOptions
 from quadpi_core.thresholds import Threshold
@@ -47,13 +48,6 @@ from quadpi_core.vehicle import Vehicle
 WARNING, ALARM = "warning", "alarm"
 # Flights of an airframe, the longest, whose drag is identified together: more take minutes and tell no more.
 DRAG_FLIGHTS_MOST = 60
-SILENT_SHARE = Threshold(
-    "speed of a rotor over that of the others at the same command below which it stands, or is not told",
-    0.1,
-    "",
-    "idling rotors turn at a fifth of the speed of hover, and tachometers that miscount at half",
-    "eckart51 to 54 of imrc_payload in ../shared/data read 0.502",
-)
 ONE_VEHICLE = Threshold(
     "leap of rotor speed by command, or of hover throttle, from flight to flight that is another vehicle's",
     1.15,

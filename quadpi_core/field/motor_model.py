@@ -17,27 +17,26 @@ import numpy as np
 from scipy.signal import lfilter
 
 from quadpi_core.field.airborne import Flown
+from quadpi_core.field.estimates import Estimate, beyond_zero, jackknife
 from quadpi_core.field.field_log import FieldLog
 from quadpi_core.frames import Array
-from quadpi_core.thresholds import Threshold
+from quadpi_core.motors import HALF_READING, TERMS, Motors, lag_weights
 
-_GRID_HZ = 100.0
-_SLOWEST_HZ = 20.0
-_LAGS_S = (0.0, 0.01, 0.02, 0.025, 0.03, 0.035, 0.04, 0.05, 0.06, 0.07, 0.08, 0.1, 0.12, 0.15, 0.2)
+GRID_HZ = 100.0
+SLOWEST_HZ = 20.0
+LAGS_S = (0.0, 0.01, 0.02, 0.025, 0.03, 0.035, 0.04, 0.05, 0.06, 0.07, 0.08, 0.1, 0.12, 0.15, 0.2)
 _DEAD_S = (0.0, 0.004, 0.008, 0.012, 0.016, 0.02, 0.03)
 # Flights on which lag and dead time are chosen.
 _CHOSEN_ON = 3
-HALF_READING = Threshold(
-    "speed of a rotor over that of the others at the same command from which its tachometer counts otherwise",
-    (0.6, 1.6),
-    "",
-    "counting every second pulse, or one twice, gives 0.5 or 2; rotors of one vehicle differ by up to 15 %",
-    "eckart51 to 54 of imrc_payload in ../shared/data read 0.502",
-)
 
 
 # As many fits, each without its share of the flights.
 _FOLDS_MOST = 5
+# Weight of the curve that the motors have in common: few flights at few voltages do not tell those of each.
+# 1e-4 to 1e-2 lower the errors of imrc_brushed alike, where it was set; imrc_brushless does not mind.
+_ALIKE, _GAIN_STEPS = 1e-3, 5
+# Pieces of flight that are left out for the interval of the lag.
+_PIECE_S = 10.0
 _Part = tuple[Array, Array, Array]  # commands (N, R), volts (N, 1) or (N, 0), speeds (N, R)
 
 
@@ -49,7 +48,7 @@ class MotorModel:
         error: root mean square on what was left out, over the mean speed, all rotors together.
         error_scaled: the same after one gain for each flight, as a battery that is not logged asks for.
         by_rotor: `error` of each rotor.
-        lag_s: of the first order, the best of a grid; None at its ends, where it is not told.
+        lag: of the first order, s, with its interval; not identified at the ends of the grid.
         dead_s: before it, transport and the filter of the tachometer together; None at the end of its grid.
         with_battery: whether voltage is in it.
         flights: number; each fifth of them is judged by a fit on the others, of a single flight each half.
@@ -58,7 +57,7 @@ class MotorModel:
     error: float
     error_scaled: float
     by_rotor: tuple[float, ...]
-    lag_s: float | None
+    lag: Estimate
     dead_s: float | None
     with_battery: bool
     flights: int
@@ -95,50 +94,146 @@ def tachometers(log: FieldLog, flight: Flown) -> Tachometers | str:
 
 def motor_model(flights: Sequence[tuple[FieldLog, Flown]]) -> MotorModel | str:
     """The motors of one vehicle, or why they cannot be told."""
-    usable = [(log, flight) for log, flight in flights if not isinstance(_parts(log, flight), str)]
-    if not usable:
-        return str(_parts(*flights[0]))
-    volts = all(log.battery is not None for log, _ in usable)
-    lag, dead = _lag_and_dead_time(usable[:: max(1, len(usable) // _CHOSEN_ON)], with_battery=volts)
-    known = [_known(log, flight, dead, with_battery=volts) for log, flight in usable]
-    if len(known) == 1:
-        folds = [[[_half(part, which) for part in known[0]]] for which in (0, 1)]
-    else:
-        folds = [known[first::_FOLDS_MOST] for first in range(min(len(known), _FOLDS_MOST))]
-    fits = [
-        [part for other, fold in enumerate(folds) if other != one for parts in fold for part in parts]
-        for one in range(len(folds))
-    ]
-    judged = [
-        [_errors(_fitted(fit, lag), fold, lag, scaled=scaled) for fit, fold in zip(fits, folds, strict=True)]
-        for scaled in (False, True)
-    ]
-    mean = float(np.mean(np.concatenate([part[2].ravel() for fit in fits for part in fit])))
-    squares = [
-        np.sum([square for square, _ in own], axis=0) / sum(count for _, count in own) for own in judged
-    ]
-    by_rotor = np.sqrt(squares[0]) / mean
+    fit = _Fit.of(flights)
+    if isinstance(fit, str):
+        return fit
+    by_rotor, scaled = fit.errors()
     return MotorModel(
         error=float(np.sqrt(np.mean(by_rotor**2))),
-        error_scaled=float(np.sqrt(np.mean(squares[1])) / mean),
+        error_scaled=scaled,
         by_rotor=tuple(map(float, by_rotor)),
-        lag_s=lag if _LAGS_S[0] < lag < _LAGS_S[-1] else None,
-        dead_s=dead if dead < _DEAD_S[-1] else None,
-        with_battery=volts,
-        flights=len(known),
+        lag=fit.lag,
+        dead_s=fit.dead_s if fit.dead_s < _DEAD_S[-1] else None,
+        with_battery=fit.volts,
+        flights=len(fit.known),
     )
+
+
+def identified_motors(
+    flights: Sequence[tuple[FieldLog, Flown]], source: str
+) -> tuple[Motors, dict[str, Motors]] | str:
+    """The motors of a vehicle by flights with rotor speeds; and by the source of each, those by the others.
+
+    A model that is judged on flights left out has to meet the errors of motors that do not know them.
+
+    Args:
+        flights: at least one.
+        source: of the commands.
+    """
+    fit = _Fit.of(flights)
+    if isinstance(fit, str):
+        return fit
+    errors = tuple(map(float, fit.errors()[0]))
+    sums = [_sums(parts, fit.lag_s) for parts in fit.known]
+    volts = [part[1] for parts in fit.known for part in parts]
+    mean_v = float(np.mean(np.concatenate(volts))) if fit.volts else 1.0
+
+    def motors(chosen: Sequence[_Sums]) -> Motors:
+        return Motors(
+            source=source,
+            coefficients=tuple(tuple(own.tolist()) + (0.0,) * (TERMS - len(own)) for own in _solved(chosen)),
+            lag_s=fit.lag_s,
+            dead_s=fit.dead_s,
+            volts=mean_v,
+            error=errors,
+        )
+
+    each = {}
+    if len(sums) > 1:
+        for place, name in enumerate(fit.names):
+            each[name] = motors([own for other, own in enumerate(sums) if other != place])
+    return motors(sums), each
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Flights on a grid, and the lag and dead time that fit them best."""
+
+    names: list[str]
+    known: list[list[_Part]]
+    lag: Estimate
+    lag_s: float
+    dead_s: float
+    volts: bool
+
+    @classmethod
+    def of(cls, flights: Sequence[tuple[FieldLog, Flown]]) -> _Fit | str:
+        """Of the flights that tell."""
+        usable = [(log, flight) for log, flight in flights if not isinstance(_parts(log, flight), str)]
+        if not usable:
+            return str(_parts(*flights[0]))
+        volts = all(log.battery is not None for log, _ in usable)
+        lag, lag_s, dead_s = _lag_and_dead_time(
+            usable[:: max(1, len(usable) // _CHOSEN_ON)], with_battery=volts
+        )
+        known = [_known(log, flight, dead_s, with_battery=volts) for log, flight in usable]
+        return cls([log.source for log, _ in usable], known, lag, lag_s, dead_s, volts)
+
+    def errors(self) -> tuple[Array, float]:
+        """RMS of what is left out over the mean speed: by rotor (R,), and after a gain of each flight."""
+        if len(self.known) == 1:
+            folds = [[[_half(part, which) for part in self.known[0]]] for which in (0, 1)]
+        else:
+            folds = [self.known[first::_FOLDS_MOST] for first in range(min(len(self.known), _FOLDS_MOST))]
+        sums = [[_sums(parts, self.lag_s) for parts in fold] for fold in folds]
+        fits = [
+            _solved([own for other, fold in enumerate(sums) if other != one for own in fold])
+            for one in range(len(folds))
+        ]
+        judged = [
+            [_errors(fit, fold, self.lag_s, scaled=scaled) for fit, fold in zip(fits, folds, strict=True)]
+            for scaled in (False, True)
+        ]
+        mean = float(np.mean(np.concatenate([part[2].ravel() for own in self.known for part in own])))
+        squares = [
+            np.sum([square for square, _ in own], axis=0) / sum(count for _, count in own) for own in judged
+        ]
+        return np.sqrt(squares[0]) / mean, float(np.sqrt(np.mean(squares[1])) / mean)
 
 
 def _lag_and_dead_time(
     flights: Sequence[tuple[FieldLog, Flown]], *, with_battery: bool
-) -> tuple[float, float]:
-    """Those of the grid that leave the smallest error."""
-    errors = {}
+) -> tuple[Estimate, float, float]:
+    """Those of the grid that leave the smallest error; the lag with its interval, finer than the grid."""
+    curves = {}
     for dead in _DEAD_S:
         parts = [part for own in flights for part in _known(*own, dead, with_battery=with_battery)]
-        for lag in _LAGS_S:
-            errors[lag, dead] = float(np.sum(_errors(_fitted(parts, lag), [parts], lag, scaled=False)[0]))
-    return min(errors, key=lambda pair: errors[pair])
+        pieces = [piece for part in parts for piece in _pieces(part)]
+        curves[dead] = np.array([_curve(pieces, lag) for lag in LAGS_S])  # (L, pieces)
+    dead_s = min(_DEAD_S, key=lambda dead: float(curves[dead].sum(axis=1).min()))
+    # At each lag the dead time that fits it best: the two stand in for each other.
+    best = np.min([own.sum(axis=1) for own in curves.values()], axis=0)
+    of_lag = np.argmin([own.sum(axis=1) for own in curves.values()], axis=0)
+    profile = np.stack([curves[_DEAD_S[dead]][lag] for lag, dead in enumerate(of_lag)])
+    lag_s = _lowest(curves[dead_s].sum(axis=1))
+    if not 0 < int(np.argmin(best)) < len(LAGS_S) - 1:
+        return beyond_zero(Estimate(lag_s, unit="s", reason="at the end of what is searched")), lag_s, dead_s
+    whole, count = _lowest(best), profile.shape[1]
+    without = np.array([[_lowest(best - profile[:, piece])] for piece in range(count)])
+    even = np.ones((count, 1))
+    low, high = (float(end[0]) for end in jackknife(np.array([whole]), without, even))
+    return beyond_zero(Estimate(whole, low, high, "s")), lag_s, dead_s
+
+
+def _lowest(errors: Array) -> float:
+    """The lag of the smallest error: the bottom of a parabola through it and its neighbours."""
+    place = int(np.clip(np.argmin(errors), 1, len(errors) - 2))
+    around = slice(place - 1, place + 2)
+    lags = np.array(LAGS_S[around])
+    curve, slope, _ = np.polyfit(lags, errors[around], 2)
+    return float(np.clip(-0.5 * slope / curve, lags[0], lags[-1])) if curve > 0.0 else float(lags[1])
+
+
+def _pieces(part: _Part) -> list[_Part]:
+    """A stretch in pieces of about :data:`_PIECE_S`."""
+    count = max(1, round(len(part[0]) / (_PIECE_S * GRID_HZ)))
+    return list(zip(*(np.array_split(own, count) for own in part), strict=True))
+
+
+def _curve(pieces: Sequence[_Part], lag_s: float) -> Array:
+    """Sum of squared errors of each piece at a lag, by coefficients of all."""
+    fits = _solved([_sums(pieces, lag_s)])
+    return np.array([float(np.sum(_errors(fits, [[piece]], lag_s, scaled=False)[0])) for piece in pieces])
 
 
 def _known(log: FieldLog, flight: Flown, dead_s: float, *, with_battery: bool) -> list[_Part]:
@@ -155,16 +250,16 @@ def _parts(log: FieldLog, flight: Flown, dead_s: float = 0.0) -> list[_Part] | s
     if log.commands.values.shape[1] != rotors:
         return f"the log has {log.commands.values.shape[1]} commands for {rotors} rotor speeds"
     slow = min(log.commands.rate_hz, log.rotor_speeds.rate_hz)
-    if slow < _SLOWEST_HZ:
+    if slow < SLOWEST_HZ:
         return f"commands and rotor speeds are logged at {slow:.0f} Hz, slower than motors are"
     parts = [_gridded(log, one.begin, one.end, dead_s) for one in flight.stretches]
-    return [part for part in parts if len(part[0]) > 2 * _GRID_HZ] or "the flight is too short"
+    return [part for part in parts if len(part[0]) > 2 * GRID_HZ] or "the flight is too short"
 
 
 def _gridded(log: FieldLog, begin: float, end: float, dead_s: float) -> _Part:
     assert log.commands is not None
     assert log.rotor_speeds is not None
-    edges = np.arange(begin, end, 1.0 / _GRID_HZ)
+    edges = np.arange(begin, end, 1.0 / GRID_HZ)
     time = 0.5 * (edges[1:] + edges[:-1])
     speeds = log.rotor_speeds.filled_means(edges)
     # The same samples for every dead time: errors compare, and a short flight is short for all of them.
@@ -179,31 +274,64 @@ def _half(part: _Part, which: int) -> _Part:
     return tuple(own[:cut] if which == 0 else own[cut:] for own in part)  # type: ignore[return-value]
 
 
-def _columns(part: _Part, rotor: int, lag_s: float) -> Array:
-    u, volts = part[0][:, rotor], part[1]
+def command_columns(u: Array, volts: Array, lag_s: float) -> Array:
+    """What rotor speed is made of, behind the lag, on the grid.
+
+    Args:
+        u: (N,) commands.
+        volts: (N, 1), or (N, 0) where it is not known.
+        lag_s: of the first order.
+    """
     terms = [np.ones_like(u), u, u * u]
     if volts.shape[1]:
         terms += [volts[:, 0], u * volts[:, 0]]
     columns = np.stack(terms, axis=1)
-    if lag_s > 0.0:
-        keep = np.exp(-1.0 / (_GRID_HZ * lag_s))
-        columns = lfilter([1.0 - keep], [1.0, -keep], columns, axis=0, zi=keep * columns[:1])[0]
-    lagged: Array = columns
+    (keep,), (now,), (before,) = lag_weights(np.array([1.0 / GRID_HZ]), lag_s)
+    begin = columns[:1] * (1.0 - now)
+    lagged: Array = lfilter([now, before], [1.0, -keep], columns, axis=0, zi=begin)[0]
     return lagged
 
 
-def _fitted(parts: Sequence[_Part], lag_s: float) -> list[Array]:
-    """Coefficients of each rotor."""
-    fits = []
+@dataclass(frozen=True)
+class _Sums:
+    """Normal equations of a flight, by rotor: gram (R, P, P) and pull (R, P)."""
+
+    gram: Array
+    pull: Array
+
+
+def _sums(parts: Sequence[_Part], lag_s: float) -> _Sums:
+    grams, pulls = [], []
     for rotor in range(parts[0][2].shape[1]):
-        columns = np.vstack([_columns(part, rotor, lag_s) for part in parts])
+        columns = np.vstack([command_columns(part[0][:, rotor], part[1], lag_s) for part in parts])
         speeds = np.concatenate([part[2][:, rotor] for part in parts])
-        # A ridge of a millionth: a battery that holds its voltage is no reason to fail.
-        scale = np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-9)
-        scaled = columns / scale
-        gram = scaled.T @ scaled / len(scaled) + 1e-6 * np.eye(columns.shape[1])
-        fits.append(np.linalg.solve(gram, scaled.T @ speeds / len(scaled)) / scale)
-    return fits
+        grams.append(columns.T @ columns)
+        pulls.append(columns.T @ speeds)
+    return _Sums(np.array(grams), np.array(pulls))
+
+
+def _solved(sums: Sequence[_Sums]) -> list[Array]:
+    """Coefficients of each rotor, drawn to what all motors have in common but for a gain."""
+    grams, pulls = (np.sum([getattr(one, name) for one in sums], axis=0) for name in ("gram", "pull"))
+    gains = np.ones(len(grams))
+    for _ in range(_GAIN_STEPS):
+        common = _ridged(np.einsum("r,rpq->pq", gains**2, grams), gains @ pulls, 1e-6, 0.0)
+        gains = np.array(
+            [pull @ common / (common @ gram @ common) for gram, pull in zip(grams, pulls, strict=True)]
+        )
+        gains /= np.mean(gains)
+    return [
+        _ridged(gram, pull, _ALIKE, gain * common)
+        for gram, pull, gain in zip(grams, pulls, gains, strict=True)
+    ]
+
+
+def _ridged(gram: Array, pull: Array, weight: float, towards: Array | float) -> Array:
+    """Least squares, drawn to coefficients: a battery that holds its voltage is no reason to fail."""
+    scale = np.maximum(np.sqrt(np.diag(gram)), 1e-9)
+    ridged = gram / np.outer(scale, scale) + weight * np.eye(len(gram))
+    solved: Array = np.linalg.solve(ridged, pull / scale + weight * scale * towards) / scale
+    return solved
 
 
 def _errors(
@@ -215,7 +343,7 @@ def _errors(
         speeds = np.vstack([part[2] for part in parts])
         told = np.stack(
             [
-                np.concatenate([_columns(part, rotor, lag_s) @ own for part in parts])
+                np.concatenate([command_columns(part[0][:, rotor], part[1], lag_s) @ own for part in parts])
                 for rotor, own in enumerate(fits)
             ],
             axis=1,

@@ -25,7 +25,7 @@ from quadpi_core.logs.formats import ros_bags, table_files
 from quadpi_core.logs.mapping import ERPM, Mapping
 from quadpi_core.logs.mapping_draft import mapping_draft
 from quadpi_core.logs.table_columns import Columns, bare_name, open_columns, stamps_of
-from quadpi_core.paths import config_directory, scratch_folder
+from quadpi_core.paths import config_directory
 from quadpi_core.reading_options import ReadingOptions
 from quadpi_core.rotations import rotate_body_to_world
 from quadpi_core.vehicle import Vehicle
@@ -73,7 +73,16 @@ def read_other(path: Path, options: ReadingOptions, vehicle: Vehicle | None) -> 
     commands, battery = (
         (None, None) if columns is None else _of_columns(path, columns, start_ns, notes, speeds_of)
     )
-    return _field_log(path, recording, start_ns, commands, battery, tuple(notes), log_format.description)
+    if recording.commands is not None:
+        notes.append(
+            f"commands are of {recording.command_source}, motors in the order of the vehicle or quad X"
+        )
+    log = field_log_of(recording, commands, battery)
+    stack = re.split(r" \(| with |,", log_format.description)[0]
+    settings = (*_poles(tuple(notes)), *_settings(recording, log.commands, log_format.description))
+    return replace(
+        log, name=path.stem, source=str(path), stack=stack, settings=settings, notes=(*notes, *log.notes)
+    )
 
 
 def _decoded(path: Path, vehicle: Vehicle | None, options: ReadingOptions) -> tuple[Recording, str]:
@@ -100,15 +109,13 @@ def _named_vehicle(name: str) -> Vehicle | None:
         return None
 
 
-def _field_log(
-    path: Path,
-    recording: Recording,
-    start_ns: int,
-    commands: Series | None,
-    battery: Series | None,
-    notes: tuple[str, ...],
-    stack: str,
+def field_log_of(
+    recording: Recording, commands: Series | None = None, battery: Series | None = None
 ) -> FieldLog:
+    """A recording as a log of the field; commands and battery are its own unless given."""
+    start_ns = int(recording.imu.time_ns[0]) if len(recording.imu) else 0
+    if commands is None and recording.commands is not None:
+        commands = series_of(recording.commands.time_ns, recording.commands.commands, start_ns)
     imu, odometry, pose, rotors = recording.imu, recording.odometry, recording.pose, recording.rotor_speeds
     attitude = velocity = position = None
     if odometry is not None and len(odometry):
@@ -119,8 +126,8 @@ def _field_log(
     elif pose is not None and len(pose):
         attitude = series_of(pose.time_ns, pose.attitude, start_ns)
         position = series_of(pose.time_ns, pose.position, start_ns)
-    if battery is None and recording.battery_v is not None:
-        battery = series_of(*recording.battery_v, start_ns)
+    if battery is None and recording.battery is not None:
+        battery = series_of(recording.battery.time_ns, recording.battery.voltage, start_ns)
     speeds = (
         None
         if rotors is None or not np.any(rotors.speeds)
@@ -128,9 +135,9 @@ def _field_log(
     )
     count = next((own.values.shape[1] for own in (commands, speeds) if own is not None), None)
     return FieldLog(
-        name=path.stem,
-        source=str(path),
-        stack=re.split(r" \(| with |,", stack)[0],
+        name=recording.name,
+        source=recording.source,
+        stack="",
         frame="quadcopter" if count == 4 else "",
         rotors=count,
         imu=series_of(imu.time_ns, np.hstack([imu.angular_velocity, imu.specific_force]), start_ns),
@@ -141,8 +148,7 @@ def _field_log(
         rotor_speeds=speeds,
         battery=battery,
         facts={"vehicle": recording.vehicle} if recording.vehicle else {},
-        settings=(*_poles(notes), *_settings(recording, commands, stack)),
-        notes=(*notes, *recording.quality.sentences()),
+        notes=tuple(recording.quality.sentences()),
     )
 
 
@@ -204,11 +210,8 @@ def _of_table(
             f"{path}: its columns do not tell gyro and accelerometer; name them as gyro_x, acc_x, or give a "
             f"mapping (--mapping); it has {', '.join(columns.names)}"
         )
-    with scratch_folder() as folder:
-        guessed = folder / "guessed.yaml"
-        guessed.write_text(draft + "\n")
-        mapping = Mapping.load(guessed)
-        recording, electrical = _by(path, mapping, vehicle)
+    mapping = Mapping.draft(draft, path)
+    recording, electrical = _by(path, mapping, vehicle)
     said = "; ".join(line for line in draft.splitlines()[1:])
     return (
         recording,

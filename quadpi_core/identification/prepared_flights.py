@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from operator import attrgetter
 from pathlib import Path
@@ -44,6 +44,7 @@ from quadpi_core.models.model_kind import CUTOFF_HZ
 from quadpi_core.monitor.pairing_kernel import SET_BACK
 from quadpi_core.monitor.preparation import Preparation
 from quadpi_core.monitor.replay import Followed, follow, recorded_flight
+from quadpi_core.motors import Motors
 from quadpi_core.parallel import DEFAULT_WORKERS, Workers
 from quadpi_core.reading_options import MappingOrOptions, ReadingOptions
 from quadpi_core.records import Records, record_dtype
@@ -55,6 +56,8 @@ from quadpi_core.vehicle import LOAD_VEHICLE, Vehicle
 
 # What to call for flights, in refusals of anything else.
 PREPARE_FLIGHTS = "prepare_flights(paths, vehicle) gives them"
+# Vehicle, cut-off, how to read, and motors of single flights.
+_Task = tuple[Vehicle, float, ReadingOptions, Mapping[str, Motors]]
 # Where inputs, derivatives and wrench of a live sample end in a row that is interpolated.
 _COLUMNS = np.cumsum([len(INPUT_NAMES), DERIVATIVES.itemsize // 8, len(AXES)])
 
@@ -184,6 +187,7 @@ def prepare_flights(
     left_out: LeftOutFlights = None,
     keep_flawed: bool = True,
     shortest_s: float = 0.0,
+    motors: Mapping[str, Motors] | None = None,
 ) -> list[PreparedFlight]:
     """Read, fuse and filter bags; only the part in the air is kept.
 
@@ -199,6 +203,7 @@ def prepare_flights(
         left_out: the list to which flights that cannot be used are added; without it, the first is an error.
         keep_flawed: keep flights with a finding for which no model should learn from them.
         shortest_s: least time in the air of a flight.
+        motors: that make the rotor speeds of a flight of its commands, by its path; else the vehicle's.
 
     Raises:
         ArgumentError: for what are no paths, vehicle, frequency or workers.
@@ -212,7 +217,7 @@ def prepare_flights(
     read = for_each_flight(
         _prepare,
         paths,
-        shared=(vehicle, cutoff_hz, workers.found_by(mapping)),
+        shared=(vehicle, cutoff_hz, workers.found_by(mapping), motors or {}),
         task="Reading flights",
         workers=workers,
         left_out=left_out,
@@ -238,11 +243,12 @@ def prepare_flights(
     return flights
 
 
-def _prepare(
-    task: tuple[Vehicle, float, ReadingOptions], file: FlightFile
-) -> list[tuple[str, PreparedFlight | QuadpiError]]:
+def _prepare(task: _Task, file: FlightFile) -> list[tuple[str, PreparedFlight | QuadpiError]]:
     """The flight of a file, or each of its parts with the reason where one cannot be used, by name."""
-    vehicle, _, mapping = task
+    vehicle, cutoff_hz, mapping, motors = task
+    if str(file.path) in motors:
+        vehicle = replace(vehicle, motors=motors[str(file.path)])
+        task = (vehicle, cutoff_hz, mapping, motors)
     parts = parts_without_pause(read_recording(file.path, vehicle, mapping))
     used = long_enough(parts) if mapping.all_parts else parts[:1]
     if len(used) == 1:
@@ -257,10 +263,8 @@ def _prepare(
     return found
 
 
-def _prepared(
-    recording: Recording, name: str, file: FlightFile, task: tuple[Vehicle, float, ReadingOptions]
-) -> PreparedFlight:
-    vehicle, cutoff_hz, _ = task
+def _prepared(recording: Recording, name: str, file: FlightFile, task: _Task) -> PreparedFlight:
+    vehicle, cutoff_hz, *_ = task
     return replace(prepare_recording(replace(recording, name=name), vehicle, cutoff_hz), file=file.name)
 
 

@@ -18,7 +18,8 @@ from quadpi_core.errors import ArgumentError, LogError
 from quadpi_core.flight import mean_rate_hz
 from quadpi_core.flight_files import LeftOutFlights
 from quadpi_core.frames import Array
-from quadpi_core.identification.prepared_flights import PreparedFlight, prepare_flights
+from quadpi_core.identification.commanded_flights import prepare_with_motors
+from quadpi_core.identification.prepared_flights import PreparedFlight
 from quadpi_core.inputs import VELOCITY_INPUTS
 from quadpi_core.library.flight_arrays import from_frame, prepared_from_arrays, to_frame
 from quadpi_core.library.notebook import counted, html_table
@@ -255,6 +256,8 @@ def load_flights(
 ) -> Flights:
     """Read, fuse and filter flights from logs of any known format; only the part in the air is kept.
 
+    Where a flight has motor commands and no rotor speeds, those of all flights are made of commands.
+
     Args:
         logs: paths, or patterns such as `"bags/train_*.mcap"`; one alone is a list of one.
         vehicle: that flew; its name in config/vehicles, or its file.
@@ -276,10 +279,10 @@ def load_flights(
     if workers is not None:
         workers = array_checks.whole("workers", workers, 1, _WORKERS_MAX)
     paths = [path for log in array_checks.paths("logs", logs) for path in _matching(log)]
-    prepared = prepare_flights(
+    read = prepare_with_motors(
         paths, flown, cutoff_hz, mapping=mapping, workers=Workers(workers), left_out=left_out
     )
-    return Flights(tuple(prepared), flown, cutoff_hz)
+    return Flights(tuple(read.flights), read.vehicle, cutoff_hz)
 
 
 def flights_in(name: str, given: object) -> Flights:

@@ -25,7 +25,11 @@ from quadpi_core.vehicle import Vehicle
 _log = logging.getLogger(__name__)
 
 # Kinds of streams that messages of other packages give.
-ADAPTED_KINDS = ("imu", "rotor_speeds", "mocap", "odometry")
+ADAPTED_KINDS = ("imu", "rotor_speeds", "mocap", "odometry", "motor_commands", "battery")
+
+
+# Those that are used without being named, and refuse no bag.
+MOTOR_INPUTS = ("motor_commands", "battery")
 
 
 class AdaptedTopic(NamedTuple):
@@ -94,6 +98,20 @@ def _candidates(bag: Bag, kind: str) -> list[AdaptedTopic]:
         if connection.msgcount and (adapter := adapter_of(kind, connection.msgtype))
     }
     return [topics[name] for name in sorted(topics)]
+
+
+def unnamed(bag: Bag, kind: str, within: Collection[str]) -> list[AdaptedTopic]:
+    """Topics of messages that say all of themselves, which may be taken without being named.
+
+    What the autopilot sends comes before what is sent to it; of equals all, of which the user has to choose.
+    """
+    order = [adapter.type_name for adapter in known_adapters().values() if adapter.kind == kind]
+    found = [
+        ((order.index(one.adapter.type_name), "/in/" in one.name), one)
+        for one in _candidates(bag, kind)
+        if one.name in within and not one.adapter.common
+    ]
+    return [one for rank, one in found if rank == min(rank for rank, _ in found)]
 
 
 def _only(bag: Bag, kind: str, chosen: list[AdaptedTopic], asked: str | None) -> AdaptedTopic:
@@ -168,7 +186,7 @@ class AdaptedReading:
             LogError: if all were dropped.
         """
         dropped = "; ".join(f"{number}: {reason}" for reason, number in self._unpacker.dropped.most_common())
-        if self._samples == 0:
+        if self._samples == 0 and self._kind not in MOTOR_INPUTS:
             raise LogError(f"{self._where}: none of {count} messages gives a sample ({dropped})")
         if self._unpacker.left_out is not None:
             yield from self._unpacker.left_out(self._kind, start_ns)

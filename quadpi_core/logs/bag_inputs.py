@@ -21,7 +21,15 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from quadpi_core.errors import LogError
-from quadpi_core.logs.adapted_bags import AdaptedTopic, adapter_of, find_adapted, unread
+from quadpi_core.logs.adapted_bags import (
+    MOTOR_INPUTS,
+    AdaptedReading,
+    AdaptedTopic,
+    adapter_of,
+    find_adapted,
+    unnamed,
+    unread,
+)
 from quadpi_core.logs.bag_files import Bag
 from quadpi_core.logs.bag_topics import is_named, is_truth, require_type
 from quadpi_core.logs.mcap_files import Connection
@@ -30,6 +38,7 @@ from quadpi_core.messages.adapters.adapter_settings import (
     FLU_ENU,
     AdapterSettings,
     BodySettings,
+    CommandSettings,
     StateSettings,
 )
 from quadpi_core.messages.definitions import typestore
@@ -170,6 +179,7 @@ class _Search:
         self.take_named()
         self._take_by_name()
         self._take_by_type()
+        self._take_self_described()
         self._take_transform()
 
     # Topics that are named.
@@ -347,6 +357,31 @@ class _Search:
             )
             return
 
+    def _take_self_described(self) -> None:
+        """Messages of other packages that say all of themselves; of IMU and state, where there are no others.
+
+        Motor commands and battery, which only flights without rotor speeds need, are read where they can be.
+        """
+        for kind in ("imu", "odometry", *MOTOR_INPUTS):
+            known = {*self._found, *({"odometry"} if "mocap" in self._found else ())}
+            topics = [] if kind in known else unnamed(self._bag, kind, self._within)
+            settings = CommandSettings() if kind == "motor_commands" else StateSettings()
+            quiet = kind in MOTOR_INPUTS and "rotor_speeds" in self._found
+            chosen = replace(self._settings, **_one(kind, settings))
+            if len(topics) == 1:
+                try:
+                    AdaptedReading(self._bag.path, topics[0], chosen, None)
+                except LogError as error:
+                    self._notes += [] if quiet else [str(error).removeprefix(f"{self._bag.path}: ")]
+                    continue
+                self._adapted[kind], self._settings = topics[0], chosen
+                if not quiet:
+                    self._notes.append(f"topic {kind}: {topics[0].name} is read by its type")
+            elif topics and kind in MOTOR_INPUTS and not quiet:
+                names = ", ".join(one.name for one in topics)
+                how = f"--mapping must name one, as in `{kind}: {{topic: {topics[0].name}}}`"
+                self._notes.append(f"topic {kind}: could be any of {names}: {how}")
+
     def _child_frames(self, topic: str) -> list[str]:
         """Child frames in the first messages of a topic."""
         frames: set[str] = set()
@@ -380,7 +415,7 @@ class _Search:
                 f"topic {one.word}: ambiguous between {', '.join(one.topics)}" for one in self._several
             )
             raise LogError(f"{self._bag.path}: {said}; choose with {self._advice()}")
-        notes = (*self._notes, *unread(self._bag, self._found), *self._passed_over())
+        notes = (*self._notes, *unread(self._bag, {*self._found, *MOTOR_INPUTS}), *self._passed_over())
         return BagInputs(self.names, self._adapted, self._settings, notes)
 
     def _passed_over(self) -> Iterator[str]:

@@ -40,6 +40,7 @@ from quadpi_core.messages.frame_ids import TF_TOPIC, TF_TYPE, BodyFrames, Framed
 from quadpi_core.messages.payloads import Payloads, Topic
 from quadpi_core.messages.result_messages import unpack_alarms, unpack_predictions
 from quadpi_core.messages.topics import TOPIC_TYPES
+from quadpi_core.motors import CommandedSpeeds, require_source
 from quadpi_core.recording_blocks import join_blocks, split_by_stamp
 from quadpi_core.results import Predictions, ReportedAlarms
 from quadpi_core.vehicle import Vehicle
@@ -60,7 +61,10 @@ _FIELDS = {
     "wind": ("wind",),
     "simulation/wrench": ("simulated",),
 }
-_FIELDS_OF_KINDS = {"imu": "imu", "rotor_speeds": "rotor_speeds", "mocap": "pose", "odometry": "odometry"}
+_FIELDS_OF_KINDS = {
+    **{"imu": "imu", "rotor_speeds": "rotor_speeds", "mocap": "pose", "odometry": "odometry"},
+    **{"motor_commands": "commands", "battery": "battery"},
+}
 _PACKERS: dict[type[Stream], Callable[[Any], Payloads]] = {
     ImuStream: sensor_messages.pack_imu,
     RotorSpeedStream: sensor_messages.pack_rotor_speeds,
@@ -140,12 +144,26 @@ class BagRecording:
         self.streams = {field for topic in self._names for field in _FIELDS[topic]} | {
             _FIELDS_OF_KINDS[kind] for kind in self._adapted
         }
+        commands, motors = self._adapted.get("motor_commands"), vehicle.motors if vehicle else None
+        self._command_source = commands.adapter.name if commands else ""
+        if commands is not None and motors is not None:
+            require_source(str(bag.path), self._command_source, motors)
+            self.streams.add("rotor_speeds")
+
+    @property
+    def _is_commanded(self) -> bool:
+        """Whether rotor speeds are made of motor commands."""
+        motors = self._known_vehicle.motors if self._known_vehicle else None
+        return motors is not None and "motor_commands" in self._adapted
 
     @property
     def sources(self) -> dict[str, str]:
         """Of each field of the recording, the topic of the bag that it comes from."""
         fields = {field: name for topic, name in self._names.items() for field in _FIELDS[topic]}
-        return fields | {_FIELDS_OF_KINDS[kind]: topic.name for kind, topic in self._adapted.items()}
+        fields |= {_FIELDS_OF_KINDS[kind]: topic.name for kind, topic in self._adapted.items()}
+        if self._is_commanded:
+            fields["rotor_speeds"] = fields["commands"]
+        return fields
 
     def blocks(self) -> Iterator[Recording]:
         """The recording in blocks; see :mod:`quadpi_core.recording_blocks`.
@@ -164,10 +182,20 @@ class BagRecording:
                 source=self.source,
                 **{"imu": _NO_IMU, **streams},
                 arrivals=arrivals,
+                command_source=self._command_source,
+                commanded=self._is_commanded,
             )
         if left_out := unpacking.finish():
             quality = DataQuality(left_out=left_out)
-            yield Recording(self.name, self.vehicle, self.source, _NO_IMU, quality=quality)
+            yield Recording(
+                self.name,
+                self.vehicle,
+                self.source,
+                _NO_IMU,
+                quality=quality,
+                command_source=self._command_source,
+                commanded=self._is_commanded,
+            )
 
 
 class _Unpacking:
@@ -201,6 +229,9 @@ class _Unpacking:
         self._adapted = {
             kind: AdaptedReading(path, topic, adapters, vehicle) for kind, topic in adapted.items()
         }
+        self._commanded: CommandedSpeeds | None = None
+        if vehicle is not None and vehicle.motors is not None and "motor_commands" in adapted:
+            self._commanded = CommandedSpeeds(vehicle.motors)
         self.topics = [*names.values(), *(reading.name for reading in self._adapted.values())]
         self._read = dict.fromkeys(self.topics, 0)
         self._start_ns = 0
@@ -224,11 +255,28 @@ class _Unpacking:
             stream = reading.unpack(topics[reading.name], before=self._read[reading.name])
             if stream is not None:
                 streams[_FIELDS_OF_KINDS[kind]] = stream
+        if self._commanded is not None and not streams.keys().isdisjoint(("commands", "battery")):
+            self._make_speeds(self._commanded, streams, topics)
+            arrivals.pop(RotorSpeedStream.topic, None)
         if not self._start_ns and len(streams.get("imu", ())):
             self._start_ns = int(streams["imu"].time_ns[0])
         for name, messages_of in topics.items():
             self._read[name] += len(messages_of.payloads)
         return streams, arrivals
+
+    def _make_speeds(
+        self, speeds: CommandedSpeeds, streams: dict[str, Any], topics: Mapping[str, Topic]
+    ) -> None:
+        """Rotor speeds of the next commands, by the voltages that were logged before each."""
+        commands, battery, heard = streams.get("commands"), streams.get("battery"), None
+        if commands is None:
+            speeds.hear(battery)
+            return
+        if battery is not None:
+            logged = [topics[self._adapted[kind].name].log_time_ns for kind in ("motor_commands", "battery")]
+            if [len(logged[0]), len(logged[1])] == [len(commands), len(battery)]:
+                heard = np.searchsorted(logged[0], logged[1])
+        streams["rotor_speeds"] = speeds.take(commands, battery, heard)
 
     def finish(self) -> tuple[LeftOut, ...]:
         """What messages of other packages did not give; see :meth:`AdaptedReading.finish`."""
@@ -291,7 +339,7 @@ def write_bag(
 
     Args:
         path: .mcap file to write; it appears whole or not at all.
-        recording: its `battery_v` has no standard topic and is left out.
+        recording: its commands and battery have no standard topic and are left out.
         extra: further topics, such as those of :func:`output_topic`.
         metadata: further entries of the custom data.
 

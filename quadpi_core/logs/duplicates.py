@@ -7,9 +7,10 @@ from __future__ import annotations
 import hashlib
 import tempfile
 from contextlib import ExitStack
+from dataclasses import replace
 from typing import IO
 
-from quadpi_core.flight import Recording, Stamps
+from quadpi_core.flight import Recording, RotorSpeedStream, Stamps
 from quadpi_core.frames import Array
 
 # For a column that is hashed later: bytes held in memory before a file takes them, and bytes read at once.
@@ -23,6 +24,10 @@ def recording_hash(recording: Recording) -> str:
     neither a shifted clock nor the rounding of a conversion makes copies differ.
     """
     rotors = recording.rotor_speeds
+    if recording.commanded and recording.commands is not None:
+        # As measured: the flight is the same whatever motors its speeds are made by.
+        rotors = RotorSpeedStream(recording.commands.time_ns, recording.commands.commands)
+        recording = replace(recording, rotor_speeds=rotors)
     with RunningHash(recording.imu.time_ns, None if rotors is None else rotors.time_ns) as running:
         running.add(recording)
         return running.hexdigest()

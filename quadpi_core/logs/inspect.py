@@ -7,12 +7,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.errors import LogError
 from quadpi_core.flight import (
+    BatteryStream,
     ImuStream,
     OdometryStream,
     PoseStream,
@@ -25,7 +27,7 @@ from quadpi_core.flight import (
 )
 from quadpi_core.frames import Array
 from quadpi_core.logs.running_statistics import LongestRun, Range, RunningRange
-from quadpi_core.recording_blocks import streams_by_field
+from quadpi_core.recording_blocks import StreamParts, streams_by_field
 from quadpi_core.rotations import rotation_matrix
 from quadpi_core.sample_limits import STANDARD_GRAVITY
 from quadpi_core.screening.consistency import contradictions
@@ -110,8 +112,12 @@ def _inspect(blocks: Callable[[], Iterator[Recording]], vehicle: Vehicle | None)
     usable = Selection({name: stream.usable for name, stream in streams.items()})
     values = {name: ValueCheck(stream.topic) for name, stream in streams.items()}
 
+    battery = StreamParts(BatteryStream)
+
     def summarised() -> Iterator[Recording]:
         for block in blocks():
+            if block.battery is not None:
+                battery.extend(block.battery)
             for name, stream in streams_by_field(block).items():
                 summaries[name].add(stream)
             yield block
@@ -121,6 +127,8 @@ def _inspect(blocks: Callable[[], Iterator[Recording]], vehicle: Vehicle | None)
         for name, stream in streams_by_field(usable.of(used)).items():
             values[name].add(stream)
     recording = excerpting.finish()
+    if recording.battery is not None:
+        recording = replace(recording, battery=cast("BatteryStream", battery.whole()))
     topics = tuple(replace(timings[name], not_finite=summaries[name].not_finite) for name in streams)
     start_ns = int(streams["imu"].stored_ns[0]) if len(streams["imu"].stored_ns) else 0
     findings = (
@@ -342,8 +350,8 @@ def _factor_of_two(ratio: npt.ArrayLike) -> npt.NDArray[np.bool_]:
 
 
 def _battery_findings(recording: Recording) -> Iterator[str]:
-    if recording.battery_v is not None and len(recording.battery_v[1]) > 1:
-        volts = recording.battery_v[1]
+    if recording.battery is not None and len(recording.battery) > 1:
+        volts = recording.battery.voltage
         if np.all(volts == volts[0]):
             yield f"battery: the voltage is constant at {volts[0]:.3g} V: not measured?"
 
@@ -353,9 +361,9 @@ def _envelope(summaries: Mapping[str, _Summary], recording: Recording) -> Iterat
     for name in (*states[:1], "imu", "rotor_speeds"):
         for running in summaries[name].ranges.values() if name in summaries else ():
             yield from running.ranges()
-    if recording.battery_v is not None:
+    if recording.battery is not None:
         battery = RunningRange("battery", "V")
-        battery.add(recording.battery_v[1])
+        battery.add(recording.battery.voltage)
         yield from battery.ranges()
 
 

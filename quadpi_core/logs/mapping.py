@@ -13,9 +13,10 @@ from types import MappingProxyType
 from typing import Annotated, Any
 
 import numpy as np
+import yaml
 
 from quadpi_core.config import nearest
-from quadpi_core.config_schema import OneOf, ReadBy, Section, Share, load_config, unknown_key
+from quadpi_core.config_schema import OneOf, ReadBy, Section, Share, load_config, parse_config, unknown_key
 from quadpi_core.errors import LogError
 from quadpi_core.records import ROTORS_MAX
 from quadpi_core.sample_limits import STANDARD_GRAVITY
@@ -194,5 +195,18 @@ class Mapping:
         Raises:
             LogError: naming the file and the key that is missing, unknown or has a value that is not known.
         """
-        path, content = load_config("mapping", name_or_path, _MappingFile, LogError)
+        return cls._of(*load_config("mapping", name_or_path, _MappingFile, LogError))
+
+    @classmethod
+    def draft(cls, text: str, source: Path) -> Mapping:
+        """The mapping that a draft for a table is, see :mod:`quadpi_core.logs.mapping_draft`.
+
+        Raises:
+            LogError: naming the table.
+        """
+        content = parse_config(_MappingFile, yaml.safe_load(text), f"{source}: a guessed mapping", LogError)
+        return cls._of(source, content)
+
+    @classmethod
+    def _of(cls, path: Path, content: _MappingFile) -> Mapping:
         return cls(path, content.body, content.world, content.signals, content.tables)

@@ -17,6 +17,7 @@ from quadpi_core.flight import Recording
 from quadpi_core.flight_files import flight_in
 from quadpi_core.logs import formats
 from quadpi_core.logs.log_format import HEAD_BYTES, LogFormat, OpenLog
+from quadpi_core.motors import with_commanded_speeds
 from quadpi_core.plugins import Plugins
 from quadpi_core.reading_options import MappingOrOptions, reading_options
 from quadpi_core.screening.flight_runs import in_range
@@ -146,7 +147,8 @@ def decode_recording(
             recording = log_format.flights.read(file, number, vehicle, settings)
         else:
             recording = log_format.read(file, vehicle, settings)
-    return replace(recording, remedies=log_format.remedies)
+    motors = None if vehicle is None else vehicle.motors
+    return replace(with_commanded_speeds(recording, motors), remedies=log_format.remedies)
 
 
 @contextmanager

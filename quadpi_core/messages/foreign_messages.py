@@ -112,15 +112,22 @@ class ForeignCodec:
 
 
 def _width(field: Field) -> int | None:
-    """How many numbers a column has per row, 0 for text; None for what makes no column."""
+    """How many numbers a column has per row, ANY for a sequence, 0 for text; None for what is no column."""
     if field.format == "string":
         return 0
-    return None if field.is_variable else field.count or 1
+    if field.is_variable:
+        return ANY if field.is_number else None
+    return field.count or 1
 
 
 def _column(field: Field, values: list[Any]) -> npt.NDArray[Any]:
     if not field.is_number:
         return np.array(values, dtype=np.bytes_)
+    if field.is_variable:
+        # Of messages with fewer numbers than others the rest is 0.
+        width = max(map(len, values), default=0)
+        values = [own + (0,) * (width - len(own)) for own in values]
+        return np.array(values, dtype=field.dtype.base).reshape(len(values), width)
     return np.array(values, dtype=field.dtype.base).reshape(-1, *field.dtype.shape)
 
 
@@ -142,7 +149,7 @@ def _steps(types: Types, fields: Collection[Field | Repeated], wanted: Collectio
         elif field.format == "string":
             yield _text(field.name, wanted)
         else:
-            yield _sequence(field.alignment)
+            yield _sequence(field, wanted)
     if run:
         yield _numbers(run, wanted)
 
@@ -211,14 +218,18 @@ def _text(name: str, wanted: Collection[str]) -> _Step:
     return read
 
 
-def _sequence(size: int) -> _Step:
-    """Passes over numbers of a size."""
+def _sequence(field: Field, wanted: Collection[str]) -> _Step:
+    """Numbers of any count."""
+    size, code = field.alignment, _CODES.get(field.dtype.base.char, field.dtype.base.char)
 
-    def read(message: bytes, position: int, _found: dict[str, list[Any]]) -> int:
+    def read(message: bytes, position: int, found: dict[str, list[Any]]) -> int:
         count, position = _length(message, position)
         if count > ITEMS_MAX:
             raise ValueError("more items than any sender has")
-        return position + (-position % size + count * size if count else 0)
+        position += -position % size if count else 0
+        if field.name in wanted:
+            found[field.name].append(struct.unpack_from(f"<{count}{code}", message, ORIGIN + position))
+        return position + count * size
 
     return read
 
@@ -247,7 +258,7 @@ def foreign_codec(type_name: str, definition: str, wanted: tuple[tuple[str, int]
         type_name: such as `px4_msgs/msg/EscStatus`.
         definition: of that type and all that it contains, as a bag embeds it (`ros2msg`).
         wanted: columns to decode, by path (`timestamp`, `esc.esc_rpm` for the items of `esc`), and how many
-            numbers each has; 0 for text.
+            numbers each has; 0 for text, and ANY for a sequence of numbers.
 
     Raises:
         LogError: for a definition that cannot be used, or lacks a wanted column.

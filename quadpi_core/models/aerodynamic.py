@@ -170,6 +170,8 @@ class AerodynamicModel:
         """
         if given is not None:
             vehicle = Vehicle.load(given)
+            if self.flown is not None and self.flown.motors is not None:
+                vehicle = replace(vehicle, motors=self.flown.motors)
         elif self.flown is not None:
             vehicle = self.flown
         else:

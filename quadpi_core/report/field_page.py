@@ -167,13 +167,21 @@ def motor_sentence(vehicle: VehicleReport) -> str:
     halves = "flights" if motors.flights > 1 else "halves of the flight"
     return (
         f"Rotor speed from {known}, late by {_about(motors.dead_s)} and with a lag of "
-        f"{_about(motors.lag_s)}, errs by {100.0 * motors.error:.2g} % (RMS, {halves} left out), "
+        f"{_between(motors.lag)}, errs by {100.0 * motors.error:.2g} % (RMS, {halves} left out), "
         f"by {100.0 * motors.error_scaled:.2g} % after one gain for each."
     )
 
 
 def _about(seconds: float | None) -> str:
     return "a time that is not told" if seconds is None else f"about {1000.0 * seconds:.0f} ms"
+
+
+def _between(lag: Estimate) -> str:
+    if lag.value is None:
+        return f"a time that is {lag.reason}"
+    if lag.low is None or lag.high is None:
+        return f"{_about(lag.value)} ({lag.reason})"
+    return f"{1000.0 * lag.value:.0f} ms ({1000.0 * lag.low:.0f} to {1000.0 * lag.high:.0f})"
 
 
 def settings_table(report: FieldReport) -> Table:

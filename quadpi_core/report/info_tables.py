@@ -78,7 +78,11 @@ def _inspect_in_blocks(path: Path, vehicle: Vehicle | None, mapping: MappingOrOp
             return in_range_of_blocks(blocks_of(log), log.source, reading_options(mapping).part)
 
         inspection = inspect_blocks(blocks, vehicle)
-        names = {STREAM_KINDS[field].topic: name.lstrip("/") for field, name in log.sources.items()}
+        names = {
+            STREAM_KINDS[field].topic: name.lstrip("/")
+            for field, name in log.sources.items()
+            if field in STREAM_KINDS
+        }
     return with_names_of_bag(inspection, names)
 
 

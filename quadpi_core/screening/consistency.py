@@ -100,7 +100,9 @@ def contradictions(recording: Recording, vehicle: Vehicle | None) -> Iterator[Fi
         recording: with finite values and increasing stamps.
         vehicle: that flew.
     """
-    sensors = tuple(stuck_rotors(recording, vehicle.gravity_m_s2 if vehicle else STANDARD_GRAVITY))
+    # Commands that stand at full throttle are no sensor that fails.
+    gravity = vehicle.gravity_m_s2 if vehicle else STANDARD_GRAVITY
+    sensors = () if recording.commanded else tuple(stuck_rotors(recording, gravity))
     fails = any(finding.leave_out for finding in sensors)
     yield from findings(recording, None if fails else vehicle)
     yield from sensors

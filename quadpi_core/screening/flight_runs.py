@@ -18,7 +18,7 @@ import numpy as np
 from quadpi_core.errors import LogError
 from quadpi_core.findings import PAUSES, Break, DataQuality, UsedPart
 from quadpi_core.flight import MAX_GAP_NS, Recording, Stamps, Stream
-from quadpi_core.recording_blocks import streams_by_field
+from quadpi_core.recording_blocks import all_by_field
 from quadpi_core.screening.rates import seldom_topics
 from quadpi_core.screening.sample_order import order_of, with_rows
 from quadpi_core.thresholds import CONVENTION, Threshold
@@ -40,7 +40,7 @@ Interval = tuple[int, int]
 
 def cut(recording: Recording, first_ns: int, last_ns: int) -> Recording:
     """The samples stamped from the first instant to the last, both included."""
-    streams = streams_by_field(recording)
+    streams = all_by_field(recording)
     within = {name: (one.time_ns >= first_ns) & (one.time_ns <= last_ns) for name, one in streams.items()}
     return with_rows(recording, within)
 
@@ -62,7 +62,7 @@ def in_range(recording: Recording, part: TimeRange) -> Recording:
 
 def _without_empty(recording: Recording) -> Recording:
     """A part without the topics that have no sample in it."""
-    absent: dict[str, Any] = {n: None for n, one in streams_by_field(recording).items() if len(one) == 0}
+    absent: dict[str, Any] = {n: None for n, one in all_by_field(recording).items() if len(one) == 0}
     return replace(recording, **absent)
 
 

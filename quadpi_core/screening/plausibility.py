@@ -60,7 +60,9 @@ _RATE_MARGIN = 0.9
 
 def missing_topics(recording: Recording) -> Iterator[str]:
     """One sentence for each absent topic, or too slow IMU, with the uses that it rules out."""
-    if recording.rotor_speeds is None:
+    if recording.rotor_speeds is None and recording.commands is not None:
+        yield "no rotor speeds: `identify` makes them of the motor commands of the log itself"
+    elif recording.rotor_speeds is None:
         yield "no rotor speeds: rules out identification, prediction and replay"
     elif not np.any(recording.rotor_speeds.speeds):
         yield "every rotor speed reads 0, no telemetry: rules out identification, prediction and replay"

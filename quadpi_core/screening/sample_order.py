@@ -45,7 +45,7 @@ from quadpi_core.flight import (
     Stamps,
     Stream,
 )
-from quadpi_core.recording_blocks import streams_by_field
+from quadpi_core.recording_blocks import all_by_field, streams_by_field
 from quadpi_core.sample_limits import NORM_TOLERANCE
 from quadpi_core.thresholds import CONVENTION, Threshold
 
@@ -157,7 +157,7 @@ def with_rows(recording: Recording, rows: Mapping[str, Rows | Mask]) -> Recordin
     before = np.concatenate(([0], np.cumsum(used)))
     taken: dict[str, Any] = {}
     arrivals = {}
-    for name, stream in streams_by_field(recording).items():
+    for name, stream in all_by_field(recording).items():
         chosen = rows.get(name, slice(None))
         taken[name] = stream.take(chosen)
         came = recording.arrivals.get(stream.topic)

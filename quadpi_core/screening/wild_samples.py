@@ -179,7 +179,7 @@ def screened(recording: Recording, vehicle: Vehicle | None) -> Recording:
         recording: as read.
         vehicle: that flew; without one rotor speeds are not judged.
     """
-    screening = Screening(vehicle)
+    screening = Screening(vehicle, readings=not recording.commanded)
     screening.add(recording)
     streams = streams_by_field(recording)
     outliers = screening.finish({name: stream.time_ns for name, stream in streams.items()})

@@ -27,12 +27,13 @@ from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.adapters import known_adapters
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor.replay import replay
+from quadpi_core.motors import Motors
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros.collector import Collector
 from quadpi_ros.input_sources import AdaptedSources, AdapterError
 from quadpi_ros.live_session import play
 from quadpi_ros.playlist import Playlist
-from quadpi_ros.processes import Child, isolated_domain
+from quadpi_ros.processes import Child, ChildError, isolated_domain
 
 from ..core.messages.adapters.vendor_messages import (
     DEFINITIONS,
@@ -40,8 +41,10 @@ from ..core.messages.adapters.vendor_messages import (
     frame,
     mavros_status,
     mavros_telemetry,
+    motor_commands,
     px4_odometry,
     px4_status,
+    voltage,
 )
 
 VEHICLE = "neurobem"
@@ -149,6 +152,37 @@ def state_messages(vendor: Messages, imu: ImuStream) -> list[bytes]:
     ]
 
 
+MOTORS = Motors(
+    source="px4_motors", coefficients=((100.0, 1000.0, 0.0, 10.0, 0.0),) * 4, lag_s=0.02, volts=15.0
+)
+COMMANDED = ("px4_motors", "px4_battery", "px4_imu", "px4_odometry")
+
+
+def command_messages(vendor: Messages, hover: Recording) -> list[bytes]:
+    """Commands by motor, in the order of a quad X, that make about the speeds of a flight."""
+    corners = [tuple(np.sign(position[:2])) for position in Vehicle.load(VEHICLE).rotor_positions]
+    by_motor = hover.rotor_speeds.speeds[
+        :, [corners.index(one) for one in [(1, 1), (-1, -1), (1, -1), (-1, 1)]]
+    ]
+    shares = (by_motor - 250.0) / 1000.0
+    rows = zip(hover.rotor_speeds.time_ns.tolist(), shares, strict=True)
+    return [motor_commands(vendor, "px4_motors", time_ns, row) for time_ns, row in rows]
+
+
+def battery_messages(vendor: Messages, hover: Recording) -> list[bytes]:
+    """A voltage that falls."""
+    stamps = hover.rotor_speeds.time_ns[::200].tolist()
+    return [
+        voltage(vendor, "px4_battery", time_ns, 15.0 - 0.1 * place) for place, time_ns in enumerate(stamps)
+    ]
+
+
+def with_motors(folder: Path, to: Path) -> AerodynamicModel:
+    """The model as if it had been identified on commands."""
+    model = AerodynamicModel.load(folder / "model")
+    return replace(model, flown=replace(model.flown or Vehicle.load(VEHICLE), motors=MOTORS)).save(to)
+
+
 def beginning(hover: Recording, seconds: float) -> Recording:
     """The first seconds of a flight."""
     end_ns = hover.imu.time_ns[0] + round(1e9 * seconds)
@@ -162,8 +196,14 @@ def beginning(hover: Recording, seconds: float) -> Recording:
     return replace(hover, **cut)
 
 
-def write_vendor_bag(vendor: Messages, path: Path, names: Sequence[str], hover: Recording) -> Path:
-    """The flight in messages of those adapters; the standard topic imu where none gives it."""
+def write_vendor_bag(
+    vendor: Messages, path: Path, names: Sequence[str], hover: Recording, measured: Recording | None = None
+) -> Path:
+    """The flight in messages of those adapters; the standard topic imu where none gives it.
+
+    Rotor speeds are those of `measured`, if given.
+    """
+    turned = measured or hover
     # At 100 Hz, the most that PX4 exports.
     imu = hover.imu
     sampled = ImuStream(imu.time_ns[::5], imu.angular_velocity[::5], imu.specific_force[::5])
@@ -172,10 +212,15 @@ def write_vendor_bag(vendor: Messages, path: Path, names: Sequence[str], hover: 
         kind = known_adapters()[name].kind
         made.pop(kind, None)
         stream, payloads = {
-            "rotor_speeds": lambda name=name: (hover.rotor_speeds, rotor_messages(vendor, name, hover)),
+            "rotor_speeds": lambda name=name: (turned.rotor_speeds, rotor_messages(vendor, name, turned)),
             "mocap": lambda name=name: (hover.pose, pose_messages(vendor, name, hover)),
             "imu": lambda: (imu, imu_messages(vendor, hover)),
             "odometry": lambda: (sampled, state_messages(vendor, sampled)),
+            "motor_commands": lambda: (hover.rotor_speeds, command_messages(vendor, hover)),
+            "battery": lambda: (
+                hover.rotor_speeds.take(slice(None, None, 200)),
+                battery_messages(vendor, hover),
+            ),
         }[kind]()
         made[kind] = (TOPICS[name], known_adapters()[name].type_name, stream.time_ns, payloads)
     with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
@@ -239,6 +284,92 @@ def test_live_equals_the_replay_of_the_flight_that_the_adapters_read(
     for name in ("predicted", "lower", "upper", "measured"):
         live_values, replayed = getattr(predictions, name), getattr(expected, name)
         np.testing.assert_allclose(live_values, replayed, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.usefixtures("packages")
+def test_live_by_motor_commands_equals_the_replay(
+    vendor: Messages, hover: Recording, folder: Path, tmp_path: Path
+) -> None:
+    """Commands and battery of a model identified on commands are read by type: no file says how."""
+    model = with_motors(folder, tmp_path / "commanded")
+    bag = write_vendor_bag(vendor, tmp_path / "bag", COMMANDED, beginning(hover, FLIGHT_S))
+    replay(model, model.load_vehicle(VEHICLE), bag, tmp_path / "replayed.mcap")
+    expected, _ = read_outputs(tmp_path / "replayed.mcap")
+    settings = tmp_path / "field.yaml"
+    settings.write_text("imu: {}\nodometry: {}\n")
+    given = {
+        "vehicle": VEHICLE,
+        "model": tmp_path / "commanded",
+        "adapters": settings,
+        "pairing_timeout_s": 1.0,
+    }
+    arguments = [part for name, value in given.items() for part in ("-p", f"{name}:={value}")]
+    with isolated_domain() as scratch, Collector(int(hover.imu.time_ns[0])) as collector:
+        with Child("quadpi_ros.monitor_node", ("--ros-args", *arguments), scratch) as live:
+            collector.spin_until(lambda: live.finished() or collector.hears("prediction"), 300.0)
+            play(bag, tuple(Playlist.read(bag).topics), PLAYBACK_RATE, scratch, live, collector, ("monitor",))
+            collector.spin_until(lambda: len(collector.arrived_ns) >= len(expected.time_ns), 20.0)
+        predictions = collector.predictions()
+    assert len(predictions.time_ns) > 450
+    np.testing.assert_array_equal(predictions.time_ns, expected.time_ns)
+    for name in ("predicted", "lower", "upper", "measured"):
+        live_values, replayed = getattr(predictions, name), getattr(expected, name)
+        np.testing.assert_allclose(live_values, replayed, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.usefixtures("packages")
+def test_commands_stand_in_while_rotor_speeds_are_silent(
+    vendor: Messages, hover: Recording, folder: Path, tmp_path: Path
+) -> None:
+    """Telemetry ends in the middle of a flight: another model goes on, by commands, and the log says so."""
+    with_motors(folder, tmp_path / "commanded")
+    flight = beginning(hover, FLIGHT_S)
+    bag = write_vendor_bag(
+        vendor, tmp_path / "bag", (*COMMANDED, "px4_status"), flight, beginning(hover, 0.5 * FLIGHT_S)
+    )
+    settings = tmp_path / "field.yaml"
+    settings.write_text(
+        "".join(f"{kind}: {SETTINGS[kind]}\n" for kind in ("imu", "odometry", "rotor_speeds"))
+    )
+    given = {"vehicle": VEHICLE, "model": folder / "model", "fallback_model": tmp_path / "commanded"}
+    given |= {"adapters": settings, "rotor_topic": "px4_status", "pairing_timeout_s": 1.0}
+    arguments = [part for name, value in given.items() for part in ("-p", f"{name}:={value}")]
+    with isolated_domain() as scratch, Collector(int(hover.imu.time_ns[0])) as collector:
+        with Child("quadpi_ros.monitor_node", ("--ros-args", *arguments), scratch) as live:
+            collector.spin_until(lambda: live.finished() or collector.hears("prediction"), 300.0)
+            play(bag, tuple(Playlist.read(bag).topics), PLAYBACK_RATE, scratch, live, collector, ("monitor",))
+            collector.spin_until(lambda: "made of motor commands" in live.errors.read_text(), 20.0)
+            assert "made of motor commands from now on, judged by commanded" in live.errors.read_text()
+        predictions = collector.predictions()
+    last_s = 1e-9 * float(predictions.time_ns[-1] - hover.imu.time_ns[0])
+    assert last_s > FLIGHT_S - 0.1
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"model": "[MODEL, COMMANDED]"}, "not those of the first model"),
+        ({"model": "MODEL", "fallback_model": "MODEL"}, "was not identified on motor commands"),
+        ({"model": "COMMANDED", "fallback_model": "COMMANDED"}, "needs no fallback"),
+    ],
+)
+def test_models_by_other_rotor_speeds_do_not_fly_together(
+    given: dict[str, str], said: str, folder: Path, tmp_path: Path
+) -> None:
+    with_motors(folder, tmp_path / "commanded")
+    folders = {"MODEL": str(folder / "model"), "COMMANDED": str(tmp_path / "commanded")}
+    arguments = ["-p", f"vehicle:={VEHICLE}"]
+    for name, value in given.items():
+        for word, path in folders.items():
+            value = value.replace(word, path)  # noqa: PLW2901
+        arguments += ["-p", f"{name}:={value}"]
+    with (
+        isolated_domain() as scratch,
+        Collector(0) as collector,
+        pytest.raises(ChildError, match=said),
+        Child("quadpi_ros.monitor_node", ("--ros-args", *arguments), scratch) as live,
+    ):
+        collector.spin_until(live.finished, 120.0)
 
 
 def test_a_player_without_the_package_says_so(bag: Path, capfd: pytest.CaptureFixture[str]) -> None:

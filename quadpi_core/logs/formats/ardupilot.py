@@ -16,7 +16,15 @@ import numpy as np
 
 from quadpi_core.errors import LogError
 from quadpi_core.findings import NOTHING_TO_SAY, DataQuality
-from quadpi_core.flight import ImuStream, OdometryStream, Recording, RotorSpeedStream, Stamps
+from quadpi_core.flight import (
+    BatteryStream,
+    ImuStream,
+    MotorCommandStream,
+    OdometryStream,
+    Recording,
+    RotorSpeedStream,
+    Stamps,
+)
 from quadpi_core.frames import Array, quaternion_from_roll_pitch_yaw
 from quadpi_core.logs.airframes import Airframe, has_rotors
 from quadpi_core.logs.dataflash import HEAD, Messages, decode_dataflash
@@ -65,6 +73,8 @@ _FIRMWARES = MappingProxyType(
         "Blimp": "the firmware of airships",
     }
 )
+# The adapter of mavros_msgs/RCOut, of the same scale.
+RC_OUT = "mavros_rc_out"
 # By FRAME_CLASS and FRAME_TYPE.
 LAYOUT_OF_FRAME = MappingProxyType(
     {
@@ -101,6 +111,7 @@ def read_ardupilot(path: Path, vehicle: Vehicle | None, order: RotorOrder | None
     its_rotors = has_rotors(source, airframe_of(messages), vehicle)
     imu = require_imu(source, _imu(messages), "IMU")
     battery = messages.get("BAT") or messages.get("CURR")
+    commands = _commands(messages, vehicle, order) if its_rotors else None
     return Recording(
         name=path.stem,
         vehicle=vehicle.name if vehicle else "",
@@ -108,7 +119,9 @@ def read_ardupilot(path: Path, vehicle: Vehicle | None, order: RotorOrder | None
         imu=imu,
         rotor_speeds=_rotor_speeds(source, messages, vehicle, order) if its_rotors else None,
         odometry=_odometry(source, messages, imu),
-        battery_v=None if battery is None else _battery(battery),
+        commands=commands,
+        command_source="" if commands is None else RC_OUT,
+        battery=None if battery is None else _battery(battery),
         quality=quality,
     )
 
@@ -165,12 +178,12 @@ def _imu(messages: dict[str, Messages]) -> ImuStream | None:
     return ImuStream(first.time_ns(), first.stack(*_GYRO), first.stack(*_ACCELERATION))
 
 
-def _battery(logged: Messages) -> tuple[Stamps, Array] | None:
+def _battery(logged: Messages) -> BatteryStream | None:
     if not logged.holds("Volt"):
         return None
     first = logged.where("Instance", 0).where("Inst", 0)
     time_ns, (volts,) = rising(first.time_ns(), first.column("Volt"))
-    return (time_ns, volts) if len(time_ns) else None
+    return BatteryStream(time_ns, volts) if len(time_ns) else None
 
 
 def _odometry(source: str, messages: dict[str, Messages], imu: ImuStream) -> OdometryStream | None:
@@ -233,6 +246,25 @@ def _rotor_speeds(
     return rotors_together(speeds, order, vehicle)
 
 
+def _commands(
+    messages: dict[str, Messages], vehicle: Vehicle | None, order: RotorOrder | None
+) -> MotorCommandStream | None:
+    """Pulses of the outputs of the motors, 1000 µs as 0 and 2000 µs as 1."""
+    logged = messages.get("RCOU")
+    if logged is None or not logged.holds():
+        return None
+    try:
+        order = order or _order("", parameters_of(messages), vehicle)
+    except LogError:
+        return None  # of rotors in no order that is known
+    prefix = "C" if "C1" in logged else "Ch"
+    names = [f"{prefix}{output + 1}" for output in order.controllers]
+    if not logged.holds(*names):
+        return None
+    time_ns, (pulses,) = rising(logged.time_ns(), logged.stack(*names))
+    return MotorCommandStream(time_ns, 1e-3 * (pulses - 1000.0))
+
+
 def _speeds(logged: Messages) -> tuple[Stamps, Array]:
     """Stamps (K,) and mechanical rpm (K, 1) of one speed controller."""
     time_ns, (rpm,) = rising(logged.time_ns(), logged.stack("RPM"))
@@ -282,9 +314,11 @@ def _order(source: str, parameters: dict[str, float], vehicle: Vehicle | None) -
     if layout is None:
         layout = usual_layout(vehicle)
         said = "nothing" if frame_type is None else f"FRAME_TYPE {frame_type}"
-        note(
-            source, f"topic rotor_speeds: the log says {said} of the frame; its motors are taken as {layout}"
-        )
+        if source:
+            note(
+                source,
+                f"topic rotor_speeds: the log says {said} of the frame; its motors are taken as {layout}",
+            )
     motors = RotorOrder.by_layout(vehicle, layout, RPM).controllers
     outputs = {
         int(parameters[f"SERVO{output + 1}_FUNCTION"]) - _FIRST_MOTOR_FUNCTION: output

@@ -19,7 +19,14 @@ from pathlib import Path
 import numpy as np
 
 from quadpi_core.errors import LogError
-from quadpi_core.flight import ImuStream, PoseStream, Recording, RotorSpeedStream, Stamps
+from quadpi_core.flight import (
+    ImuStream,
+    MotorCommandStream,
+    PoseStream,
+    Recording,
+    RotorSpeedStream,
+    Stamps,
+)
 from quadpi_core.frames import Array, body_flu_to_frd, quaternion_from_roll_pitch_yaw
 from quadpi_core.logs.airframes import Airframe, has_rotors
 from quadpi_core.logs.blackbox import BlackboxLog, decode_blackbox
@@ -37,7 +44,10 @@ _OMEGA = ("omega[0]", "omega[1]", "omega[2]", "omega[3]")
 _POSITION = ("extPos[0]", "extPos[1]", "extPos[2]")
 _ATTITUDE = ("extAtt[0]", "extAtt[1]", "extAtt[2]")
 _ITERATION = "loopIteration"
-_FIELDS = (_ITERATION, "time", *_GYRO, *_ACCELERATION, *_ERPM, *_OMEGA, *_POSITION, *_ATTITUDE)
+_MOTORS = ("motor[0]", "motor[1]", "motor[2]", "motor[3]")
+# Full throttle of DShot, and of pulses in µs: the scale does not matter, as long as it is one.
+_MOTOR_FULL = 2000.0
+_FIELDS = (_ITERATION, "time", *_GYRO, *_ACCELERATION, *_ERPM, *_OMEGA, *_MOTORS, *_POSITION, *_ATTITUDE)
 _ERPM_PER_COUNT = 100.0
 _HIGH_RESOLUTION = 10.0
 _NO_TELEMETRY = (
@@ -99,6 +109,8 @@ def _recording(
         imu=imu,
         rotor_speeds=_rotor_speeds(source, headers, columns, vehicle, order) if its_rotors else None,
         pose=pose_of(columns),
+        commands=_commands(columns, vehicle, order) if its_rotors else None,
+        command_source="betaflight",
     )
 
 
@@ -207,6 +219,18 @@ def _gyro_scale(headers: Mapping[str, int]) -> float:
     if 0 < bits < 2**32:
         (scale,) = struct.unpack("<f", struct.pack("<I", bits))
     return scale / (_HIGH_RESOLUTION if headers.get("blackbox_high_resolution") == 1 else 1.0)
+
+
+def _commands(
+    columns: Mapping[str, Array], vehicle: Vehicle | None, order: RotorOrder | None
+) -> MotorCommandStream | None:
+    if not all(name in columns for name in _MOTORS):
+        return None
+    order = order or RotorOrder.usual(vehicle, "betaflight")
+    if order is None or not all(number < len(_MOTORS) for number in order.controllers):
+        return None
+    values = _stacked(columns, [_MOTORS[number] for number in order.controllers])
+    return MotorCommandStream(stamps_in(columns), values / _MOTOR_FULL)
 
 
 def _rotor_speeds(

@@ -23,7 +23,16 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.errors import LogError
-from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream, Stamps
+from quadpi_core.flight import (
+    BatteryStream,
+    ImuStream,
+    MotorCommandStream,
+    OdometryStream,
+    PoseStream,
+    Recording,
+    RotorSpeedStream,
+    Stamps,
+)
 from quadpi_core.frames import Array, body_flu_to_frd, quaternion_flu_enu_to_frd_ned, world_enu_to_ned
 from quadpi_core.logs.log_format import LogFormat
 from quadpi_core.logs.reader_steps import normalised_attitude, note
@@ -48,6 +57,12 @@ _VELOCITY = ("vx", "vy", "vz")
 _ESTIMATE = tuple(f"stateEstimate.{name}" for name in _POSITION + _ATTITUDE + _VELOCITY)
 _MOCAP = tuple(f"locSrv.{name}" for name in _POSITION + _ATTITUDE)
 _BATTERY_MV = "pm.vbatMV"
+# Commands to the motors, behind the battery's compensation first, of 16 bits.
+COMMANDS = tuple(
+    tuple(pattern.format(motor) for motor in range(1, 5))
+    for pattern in ("pwm.m{}_pwm", "motor.m{}", "motor.m{}req")
+)
+COMMAND_FULL = 65535.0
 
 
 @dataclass(frozen=True)
@@ -69,7 +84,8 @@ def read_cfusdlog(path: Path, vehicle: Vehicle | None, _mapping: None = None) ->
     """Read one uSD log; the rotor order m1 to m4 is that of config/vehicles/crazyflie_rpm.yaml.
 
     The log needs `gyro` (deg/s) and `acc` (g); it may have `rpm`, `stateEstimate` (with its gyro in the same
-    event), `locSrv` (motion capture, position and attitude) and `pm.vbatMV`, in any event type.
+    event), `locSrv` (motion capture, position and attitude), `pwm` or `motor`, and `pm.vbatMV`, in any event
+    type.
 
     Raises:
         LogError: as :func:`decode_events`, or if the file has no gyro and accelerometer.
@@ -84,6 +100,7 @@ def read_cfusdlog(path: Path, vehicle: Vehicle | None, _mapping: None = None) ->
     mocap = _find(events, _MOCAP)
     estimate = _find(events, _ESTIMATE + _GYRO)
     battery = _find(events, (_BATTERY_MV,))
+    commands = next(((names, own) for names in COMMANDS if (own := _find(events, names))), None)
     return Recording(
         name=path.name,
         vehicle=vehicle.name if vehicle else "",
@@ -92,7 +109,13 @@ def read_cfusdlog(path: Path, vehicle: Vehicle | None, _mapping: None = None) ->
         rotor_speeds=None if rotors is None else _rotor_speeds(rotors),
         pose=None if mocap is None else PoseStream(mocap.time_ns, *_pose(mocap, "locSrv")),
         odometry=None if estimate is None else _odometry(estimate),
-        battery_v=None if battery is None else (battery.time_ns, battery.variables[_BATTERY_MV] * 1e-3),
+        commands=None
+        if commands is None
+        else MotorCommandStream(commands[1].time_ns, commands[1].stack(commands[0]) / COMMAND_FULL),
+        command_source="" if commands is None else f"crazyflie {commands[0][0].partition('.')[0]}",
+        battery=None
+        if battery is None
+        else BatteryStream(battery.time_ns, battery.variables[_BATTERY_MV] * 1e-3),
     )
 
 

@@ -14,7 +14,14 @@ from pathlib import Path
 import numpy as np
 
 from quadpi_core.errors import LogError
-from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream
+from quadpi_core.flight import (
+    BatteryStream,
+    ImuStream,
+    OdometryStream,
+    PoseStream,
+    Recording,
+    RotorSpeedStream,
+)
 from quadpi_core.frames import Array, body_flu_to_frd, quaternion_flu_enu_to_frd_ned, world_enu_to_ned
 from quadpi_core.logs.formats.table_files import read_table
 from quadpi_core.logs.log_format import LogFormat
@@ -70,7 +77,7 @@ def read_neurobem(path: Path, vehicle: Vehicle | None) -> Recording:
         rotor_speeds=RotorSpeedStream(time_ns, np.ascontiguousarray(matrix[:, _ROTOR_SPEEDS])),
         pose=PoseStream(time_ns, position, attitude),
         odometry=OdometryStream(time_ns, position, attitude, velocity, rates),
-        battery_v=(time_ns, matrix[:, _BATTERY_DECIVOLT] / 10.0),
+        battery=BatteryStream(time_ns, matrix[:, _BATTERY_DECIVOLT] / 10.0),
     )
 
 

@@ -21,7 +21,16 @@ import numpy.typing as npt
 
 from quadpi_core.errors import LogError, require_library
 from quadpi_core.findings import DataQuality
-from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream, Stamps
+from quadpi_core.flight import (
+    BatteryStream,
+    ImuStream,
+    MotorCommandStream,
+    OdometryStream,
+    PoseStream,
+    Recording,
+    RotorSpeedStream,
+    Stamps,
+)
 from quadpi_core.frames import Array
 from quadpi_core.logs.airframes import Airframe, has_rotors
 from quadpi_core.logs.log_format import LogFormat
@@ -37,9 +46,9 @@ from quadpi_core.logs.reader_steps import (
 )
 from quadpi_core.logs.sandbox import read_apart
 from quadpi_core.messages.adapters.rotor_messages import EscReports, RotorReader
-from quadpi_core.rotor_order import LAYOUTS, RPM, Motor, RotorOrder, usual_layout
+from quadpi_core.rotor_order import RPM, Motor, RotorOrder, usual_layout
 from quadpi_core.unusable_readings import Verdict
-from quadpi_core.vehicle import Vehicle
+from quadpi_core.vehicle import ROTORS, Vehicle
 
 # The columns (N,) of one topic, by the names that pyulog gives them, such as "q[0]".
 Columns: TypeAlias = dict[str, Any]
@@ -54,6 +63,7 @@ _TOPICS = (
     "vehicle_visual_odometry",
     "vehicle_mocap_odometry",
     "esc_status",
+    "actuator_motors",
     "battery_status",
 )
 # What shows that an instance of a topic measures, by the ends of the names of its fields.
@@ -79,6 +89,8 @@ _VALID = ("xy_valid", "z_valid", "v_xy_valid", "v_z_valid")
 # Local NED and local forward-right-down; the names of the field and its numbers changed in 1.14.
 _POSE_FRAMES = MappingProxyType({"local_frame": {0, 1}, "pose_frame": {1, 2}})
 _FIRST_MOTOR = 101
+# The adapter of px4_msgs/ActuatorMotors, of the same scale.
+PX4_MOTORS = "px4_motors"
 _US = 1_000
 
 
@@ -103,6 +115,7 @@ def read_px4(path: Path, vehicle: Vehicle | None, order: RotorOrder | None = Non
     status = topics.get("esc_status") if its_rotors else None
     rotors = _rotor_speeds(source, status, parameters, vehicle, order)
     rotor_speeds, left_out = (None, ()) if rotors is None else without(*rotors, imu)
+    commands = _commands(topics.get("actuator_motors") if its_rotors else None, parameters, vehicle, order)
     return Recording(
         name=path.stem,
         vehicle=vehicle.name if vehicle else "",
@@ -111,7 +124,9 @@ def read_px4(path: Path, vehicle: Vehicle | None, order: RotorOrder | None = Non
         rotor_speeds=rotor_speeds,
         pose=_pose(source, topics),
         odometry=_odometry(source, topics, imu),
-        battery_v=_battery(topics.get("battery_status")),
+        commands=commands,
+        command_source="" if commands is None else PX4_MOTORS,
+        battery=_battery(topics.get("battery_status")),
         quality=DataQuality(left_out=left_out),
     )
 
@@ -233,11 +248,28 @@ def _imu(columns: Columns | None) -> ImuStream | None:
     return ImuStream(_stamps(columns), _stack(columns, *_GYRO), _stack(columns, *_ACCELERATION))
 
 
-def _battery(columns: Columns | None) -> tuple[Stamps, Array] | None:
+def _battery(columns: Columns | None) -> BatteryStream | None:
     if columns is None or not _holds(columns, "voltage_v"):
         return None
     time_ns, (volts,) = rising(_stamps(columns), columns["voltage_v"].astype(np.float64))
-    return (time_ns, volts) if len(time_ns) else None
+    return BatteryStream(time_ns, volts) if len(time_ns) else None
+
+
+def _commands(
+    columns: Columns | None,
+    parameters: dict[str, float],
+    vehicle: Vehicle | None,
+    order: RotorOrder | None,
+) -> MotorCommandStream | None:
+    """Commands from 0 to 1 by motor, since 1.13; one that is not a number is of a motor that stands."""
+    if columns is None:
+        return None
+    order = order or _motors_of(parameters, vehicle) or RotorOrder.usual(vehicle)
+    names = [] if order is None else [f"control[{number}]" for number in order.controllers]
+    if not names or not _holds(columns, *names):
+        return None
+    values = np.nan_to_num(_stack(columns, *names), nan=0.0)
+    return MotorCommandStream(_sampled(columns), np.clip(values, 0.0, 1.0))
 
 
 def _odometry(source: str, topics: dict[str, Columns], imu: ImuStream) -> OdometryStream | None:
@@ -335,19 +367,9 @@ def _order(
     source: str, columns: Columns, parameters: dict[str, float], vehicle: Vehicle | None
 ) -> RotorOrder:
     """Report of each rotor: from motor to report by actuator_function, from rotor to motor by position."""
-    layout = usual_layout(vehicle)
-    places = [
-        # A positive moment coefficient is that of a rotor that turns counterclockwise.
-        Motor(
-            *(
-                parameters.get(f"CA_ROTOR{motor}_{key}", 0.0) * sign
-                for key, sign in (("PX", 1), ("PY", 1), ("KM", -1))
-            )
-        )
-        for motor in range(len(LAYOUTS[layout]))
-    ]
-    motors = RotorOrder.by_place(vehicle, places, RPM)
+    motors = _motors_of(parameters, vehicle)
     if motors is None:
+        layout = usual_layout(vehicle)
         note(source, f"topic rotor_speeds: no rotor positions in the log; its motors are taken as {layout}")
         motors = RotorOrder.by_layout(vehicle, layout, RPM)
     reports = {}
@@ -358,6 +380,21 @@ def _order(
     if not all(motor in reports for motor in motors.controllers):
         return motors
     return RotorOrder(tuple(reports[motor] for motor in motors.controllers), RPM)
+
+
+def _motors_of(parameters: dict[str, float], vehicle: Vehicle | None) -> RotorOrder | None:
+    """Motor of each rotor by its position; None where the log does not say it."""
+    places = [
+        # A positive moment coefficient is that of a rotor that turns counterclockwise.
+        Motor(
+            *(
+                parameters.get(f"CA_ROTOR{motor}_{key}", 0.0) * sign
+                for key, sign in (("PX", 1), ("PY", 1), ("KM", -1))
+            )
+        )
+        for motor in range(ROTORS if vehicle is None else vehicle.rotor_count)
+    ]
+    return RotorOrder.by_place(vehicle, places, RPM)
 
 
 FORMAT = LogFormat(

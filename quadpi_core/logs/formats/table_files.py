@@ -21,12 +21,12 @@ from quadpi_core.errors import LogError
 from quadpi_core.flight import (
     FLIGHT_MAX_NS,
     NO_STAMP,
+    BatteryStream,
     ImuStream,
     OdometryStream,
     PoseStream,
     Recording,
     RotorSpeedStream,
-    Stamps,
     WindStream,
     WrenchStream,
 )
@@ -143,7 +143,7 @@ class _TableReader:
             odometry=self._odometry() if self._has(*_TOGETHER["odometry"]) else None,
             wind=self._wind() if self._has("wind") else None,
             simulated=self._simulated() if self._has(*_TOGETHER["simulation/wrench"]) else None,
-            battery_v=self._battery() if self._has("battery") else None,
+            battery=self._battery() if self._has("battery") else None,
         )
 
     def _imu(self) -> ImuStream:
@@ -183,10 +183,10 @@ class _TableReader:
         wrench = np.hstack([self._to_frd(self._scaled(name)) for name in of])
         return WrenchStream(*self._complete(WrenchStream.topic, of, wrench))
 
-    def _battery(self) -> tuple[Stamps, Array]:
+    def _battery(self) -> BatteryStream:
         volts = self._scaled("battery")[:, 0]
         known = np.isfinite(volts)
-        return self._table("battery").time_ns[known], volts[known]
+        return BatteryStream(self._table("battery").time_ns[known], volts[known])
 
     def _rates(self) -> Array:
         return self._to_frd(self._scaled("angular_velocity"))

@@ -43,11 +43,12 @@ class Adapter:
         type_name: such as `px4_msgs/msg/EscStatus`.
         topic: where its package publishes it by default.
         kind: the stream that it gives, and the field of AdapterSettings that configures it: "rotor_speeds",
-            "mocap", "odometry" or "imu".
+            "mocap", "odometry", "imu", "motor_commands" or "battery".
         columns: that the messages must have, those of items of arrays included: how many numbers each has per
-            row, 0 for text.
+            row, 0 for text, `cdr.ANY` for a sequence of numbers.
         start: (settings of its kind, vehicle) begins to read the messages of one topic.
         common: whether messages of this type hold many other things too, so that the topic must be named.
+        battery: of motor commands, the adapter of the voltage that belongs to them, and its topic.
     """
 
     name: str
@@ -57,6 +58,7 @@ class Adapter:
     columns: dict[str, int]
     start: Callable[[Any, Vehicle | None], Reading]
     common: bool = False
+    battery: tuple[str, str] | None = None
 
     def open(self, definition: str, settings: AdapterSettings, vehicle: Vehicle | None) -> Unpacker:
         """Unpacker of the messages of this type on one topic.

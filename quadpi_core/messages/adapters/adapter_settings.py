@@ -16,7 +16,7 @@ from typing import Annotated, Any, ClassVar
 from quadpi_core.config_schema import OneOf, ReadBy, Section, Text, load_config, unknown_key
 from quadpi_core.errors import LogError
 from quadpi_core.messages.topics import SENSOR_KINDS
-from quadpi_core.rotor_order import ERPM, LAYOUTS, RPM, RotorOrder, controller_numbers
+from quadpi_core.rotor_order import ERPM, LAYOUTS, RPM, RotorOrder, controller_numbers, usual_layout
 from quadpi_core.vehicle import Vehicle
 
 FLU_ENU, FRD_NED, FUR_EUS = "flu-enu", "frd-ned", "fur-eus"
@@ -92,6 +92,30 @@ class RotorSettings(_StreamSettings):
         return RotorOrder.by_layout(vehicle, self.rotors, self.unit)
 
 
+@dataclass(frozen=True)
+class CommandSettings(_StreamSettings):
+    """Which outputs are the motors'.
+
+    Attributes:
+        rotors: for each rotor of the vehicle file, the number from 1 of its motor, output or value; or the
+            name of a layout (`rotor_order.LAYOUTS`).
+        topic: see :class:`RotorSettings`.
+    """
+
+    rotors: Annotated[tuple[int, ...] | str | None, ReadBy(_read_rotors)] = None
+    topic: Text | None = None
+
+    def order(self, vehicle: Vehicle | None) -> RotorOrder:
+        """The order that the settings give, else that of the usual frame.
+
+        Raises:
+            LogError: for a vehicle that a layout does not fit.
+        """
+        if not isinstance(self.rotors, tuple):
+            return RotorOrder.by_layout(vehicle, self.rotors or usual_layout(vehicle))
+        return RotorOrder(tuple(number - 1 for number in self.rotors))
+
+
 def _read_body(data: Any) -> str:
     if isinstance(data, bool) or not isinstance(data, str | int) or data == "":
         raise ValueError(f"must be the name of a body, found {data!r}")
@@ -146,6 +170,7 @@ class AdapterSettings(Section):
 
     Attributes:
         rotor_speeds, mocap, odometry, imu: settings for messages of other packages; None: not used for it.
+        motor_commands, battery: the same; None: what is there is used, without being named.
         topics: the topics to read, by standard names; the child frame to follow stands behind a topic of
             tf2_msgs/TFMessage, as in `/tf:quad`.
         namespace: only topics with these levels in their names are looked for.
@@ -157,6 +182,8 @@ class AdapterSettings(Section):
     mocap: Annotated[BodySettings | None, ReadBy(_present, first=True)] = None
     odometry: Annotated[StateSettings | None, ReadBy(_present, first=True)] = None
     imu: Annotated[StateSettings | None, ReadBy(_present, first=True)] = None
+    motor_commands: Annotated[CommandSettings | None, ReadBy(_present, first=True)] = None
+    battery: Annotated[StateSettings | None, ReadBy(_present, first=True)] = None
     topics: Annotated[Mapping[str, str], ReadBy(_read_topics)] = field(default_factory=dict)
     namespace: str = ""
 

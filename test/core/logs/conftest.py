@@ -15,6 +15,7 @@ import pytest
 from benchmarks.fuzzing import flight_logs
 from benchmarks.fuzzing.flight_logs import Flown, Sender
 from quadpi_core.flight import (
+    BatteryStream,
     ImuStream,
     OdometryStream,
     PoseStream,
@@ -172,5 +173,5 @@ def hover() -> Recording:
         rotor_speeds=RotorSpeedStream(time_ns, speeds),
         pose=PoseStream(time_ns[::5], position[::5], attitude[::5]),
         odometry=OdometryStream(time_ns, position, attitude, velocity, rates),
-        battery_v=(time_ns, np.linspace(4.0, 3.9, samples)),
+        battery=BatteryStream(time_ns, np.linspace(4.0, 3.9, samples)),
     )

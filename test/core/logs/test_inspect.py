@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from quadpi_core.errors import LogError
-from quadpi_core.flight import ImuStream, Recording, RotorSpeedStream
+from quadpi_core.flight import BatteryStream, ImuStream, Recording, RotorSpeedStream
 from quadpi_core.frames import body_frd_to_flu
 from quadpi_core.logs import decode_recording, read_recording
 from quadpi_core.logs.duplicates import recording_hash
@@ -178,7 +178,7 @@ def test_spikes(hover: Recording, vehicle: Vehicle):
 
 
 def test_constant_battery(hover: Recording, vehicle: Vehicle):
-    spoilt = replace(hover, battery_v=(hover.imu.time_ns, np.full(SAMPLES, 3.7)))
+    spoilt = replace(hover, battery=BatteryStream(hover.imu.time_ns, np.full(SAMPLES, 3.7)))
     assert "battery: the voltage is constant at 3.7 V" in findings(spoilt, vehicle)
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from quadpi_core.field import field_report
+from quadpi_core.field.estimates import not_identified
 from quadpi_core.field.field_log import FieldLog, Setting
 from quadpi_core.field.field_report import FieldReport, report_on
 from quadpi_core.reading_options import ReadingOptions
@@ -88,9 +89,9 @@ def test_flights_that_tell_no_drag_say_so_once(report_of):
 
 def test_a_lag_that_is_not_told_has_no_number(report_of):
     vehicle = report_of(example()).vehicles[0]
-    assert "late by about 12 ms and with a lag of about 50 ms" in motor_sentence(vehicle)
-    untold = replace(vehicle, motors=replace(vehicle.motors, lag_s=None))
-    assert "with a lag of a time that is not told" in motor_sentence(untold)
+    assert "late by about 12 ms and with a lag of 47 ms (42 to 52)" in motor_sentence(vehicle)
+    untold = replace(vehicle, motors=replace(vehicle.motors, lag=not_identified("s", "flat")))
+    assert "with a lag of a time that is not identified: flat" in motor_sentence(untold)
 
 
 def test_drag_parameters_have_the_names_of_the_stack(report_of):

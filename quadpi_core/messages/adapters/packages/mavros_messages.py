@@ -1,14 +1,15 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""ESC reports of mavros: its array is in the order of the ESCs."""
+"""ESC reports of mavros, in the order of the ESCs, and the pulses of its outputs."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from quadpi_core.messages.adapters.adapter_definition import STAMP, Adapter, of_items
+from quadpi_core.messages.adapters.motor_messages import start_of_commands
 from quadpi_core.messages.adapters.rotor_messages import EscReports, reports_in_esc_order, start_of_rotors
-from quadpi_core.messages.cdr import Columns
+from quadpi_core.messages.cdr import ANY, Columns, header_stamps
 from quadpi_core.messages.foreign_messages import Items
 from quadpi_core.messages.payloads import Indices
 
@@ -41,4 +42,14 @@ TELEMETRY = Adapter(
     kind="rotor_speeds",
     columns=STAMP | of_items("esc_telemetry", rpm=1, count=1),
     start=start_of_rotors(_telemetry),
+)
+OUTPUTS = Adapter(
+    name="mavros_rc_out",
+    type_name="mavros_msgs/msg/RCOut",
+    topic="mavros/rc/out",
+    kind="motor_commands",
+    columns=STAMP | {"channels": ANY},
+    # Pulses of 1000 to 2000 µs.
+    start=start_of_commands("channels", header_stamps, lambda pulses: 1e-3 * (pulses - 1000.0)),
+    battery=("battery_state", "mavros/battery"),
 )

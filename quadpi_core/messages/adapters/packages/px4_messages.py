@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""px4_msgs/EscStatus, and VehicleOdometry and SensorCombined: FRD body, NED or FRD world, SI.
+"""px4_msgs of motors and battery, and VehicleOdometry and SensorCombined: FRD body, NED or FRD world, SI.
 
 An FRD world is NED with another heading; nothing in the core depends on where north is, so both are accepted.
 Stamps count microseconds: of the companion's clock if the uXRCE-DDS agent synchronises (its default), else
@@ -14,8 +14,9 @@ from collections import Counter
 import numpy as np
 
 from quadpi_core.errors import SampleError
-from quadpi_core.flight import ImuStream, OdometryStream
+from quadpi_core.flight import ImuStream, OdometryStream, Stamps
 from quadpi_core.messages.adapters.adapter_definition import Adapter, Reading, of_items
+from quadpi_core.messages.adapters.motor_messages import start_of_battery, start_of_commands
 from quadpi_core.messages.adapters.rotor_messages import (
     MOTORS,
     EscReports,
@@ -112,6 +113,37 @@ def _imu(_settings: object, _vehicle: Vehicle | None) -> Reading:
     return Reading(lambda columns, _: _read_imu(columns), Counter)
 
 
+def _stamps(columns: Columns) -> Stamps:
+    return microsecond_stamps(columns["timestamp"])
+
+
+COMMANDS = Adapter(
+    name="px4_motors",
+    type_name="px4_msgs/msg/ActuatorMotors",
+    topic="fmu/out/actuator_motors",
+    kind="motor_commands",
+    columns={"timestamp": 1, "control": 12},
+    start=start_of_commands("control", _stamps, lambda shares: np.clip(shares, 0.0, 1.0)),
+    battery=("px4_battery", "fmu/out/battery_status"),
+)
+OUTPUTS = Adapter(
+    name="px4_outputs",
+    type_name="px4_msgs/msg/ActuatorOutputs",
+    topic="fmu/out/actuator_outputs",
+    kind="motor_commands",
+    columns={"timestamp": 1, "output": 16},
+    # Pulses in µs or steps of DShot, which of them does not matter to motors that are identified on them.
+    start=start_of_commands("output", _stamps, lambda outputs: outputs / 2000.0),
+    battery=("px4_battery", "fmu/out/battery_status"),
+)
+BATTERY = Adapter(
+    name="px4_battery",
+    type_name="px4_msgs/msg/BatteryStatus",
+    topic="fmu/out/battery_status",
+    kind="battery",
+    columns={"timestamp": 1, "voltage_v": 1},
+    start=start_of_battery("voltage_v", _stamps),
+)
 STATUS = Adapter(
     name="px4_status",
     type_name="px4_msgs/msg/EscStatus",

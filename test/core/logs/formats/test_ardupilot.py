@@ -32,6 +32,7 @@ FORMATS = {
     "CESC": ("QBf", "TimeUS,Id,RPM"),
     **{f"ESC{number}": ("Qf", "TimeUS,RPM") for number in range(1, 5)},
     "BAT": ("QBf", "TimeUS,Instance,Volt"),
+    "RCOU": ("QHHHHH", "TimeUS,C1,C2,C3,C4,C5"),
     "CURR": ("Qf", "TimeUS,Volt"),
 }
 STEP_US, SAMPLES = 5000, 100
@@ -180,10 +181,21 @@ def test_a_function_of_an_output_that_changes_in_flight_is_that_of_the_beginning
     assert corners(vehicle, read(IMU, changed, ESCS)) == pytest.approx(dict(zip(CORNERS, RPM, strict=True)))
 
 
+def test_pulses_of_the_motors_are_commands(read, vehicle):
+    """Motors 1 to 4 on outputs 2 to 5."""
+    functions = {f"SERVO{output}_FUNCTION": 31.0 + output for output in range(2, 6)}
+    rows = [("RCOU", now, 1500, 1100, 1200, 1300, 1400) for now in TIMES]
+    found = read(IMU, parameters(FRAME_TYPE=1.0, **functions), rows)
+    of_corner = dict(zip(CORNERS, (0.1, 0.2, 0.3, 0.4), strict=True))
+    wanted = [of_corner[tuple(np.sign(place[:2]).astype(int))] for place in vehicle.rotor_positions]
+    np.testing.assert_allclose(found.commands.commands[0], wanted)
+    assert found.command_source == "mavros_rc_out"
+
+
 @pytest.mark.parametrize("rows", [[("BAT", 1, 0, 12.5), ("BAT", 2, 1, 3.3)], [("CURR", 1, 12.5)]])
 def test_the_voltage_is_that_of_the_first_battery(read, rows):
-    time_ns, volts = read(IMU, rows).battery_v
-    assert (time_ns.tolist(), volts.tolist()) == ([1000], [12.5])
+    battery = read(IMU, rows).battery
+    assert (battery.time_ns.tolist(), battery.voltage.tolist()) == ([1000], [12.5])
 
 
 def test_a_log_without_an_imu_is_refused(read, vehicle):
@@ -192,5 +204,5 @@ def test_a_log_without_an_imu_is_refused(read, vehicle):
     ):
         read(STATES)
     bare = read(IMU, ESCS, of=None)
-    assert (bare.vehicle, bare.odometry, bare.battery_v) == ("", None, None)
+    assert (bare.vehicle, bare.odometry, bare.battery) == ("", None, None)
     assert len(read(IMU, ESCS, of=replace(vehicle, pole_pairs=None)).rotor_speeds) == SAMPLES

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import struct
 import zlib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from quadpi_core.errors import LogError
 from quadpi_core.flight import Recording
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.formats.cfusdlog import decode_events
+from quadpi_core.motors import Motors
 from quadpi_core.rotations import rotate_body_to_world, rotate_world_to_body
 from quadpi_core.vehicle import Vehicle
 
@@ -136,7 +138,7 @@ def test_units_and_clocks(tmp_path: Path, vehicle: Vehicle, version: int, tick_n
     np.testing.assert_allclose(
         recording.rotor_speeds.speeds[0], np.array([6000, 6000, 0, 12000]) * np.pi / 30
     )
-    np.testing.assert_allclose(recording.battery_v[1], [3.7, 3.69])
+    np.testing.assert_allclose(recording.battery.voltage, [3.7, 3.69])
     assert recording.pose is None
     assert recording.odometry is None
 
@@ -208,3 +210,28 @@ def test_repeated_stamp_is_named(tmp_path: Path, vehicle: Vehicle):
     path = write_log(tmp_path / "log00", EVENTS, [*RECORDS, RECORDS[2]])
     said = read_recording(path, vehicle).quality.left_out[0]
     assert (said.topic, said.limit, said.first) == ("imu", "whose stamp repeats", 2)
+
+
+def test_commands_are_those_behind_the_compensation_of_the_battery(tmp_path: Path, vehicle: Vehicle):
+    """`pwm` before `motor`; of a vehicle that has motors, rotor speeds are made of them."""
+    pwm, motor = (
+        [f"{name}{i}{end}(H)" for i in (1, 2, 3, 4)] for name, end in (("pwm.m", "_pwm"), ("motor.m", ""))
+    )
+    events = {**EVENTS, 4: ("pwm", pwm), 5: ("motor", motor)}
+    sent = [
+        (4, 3000, 13107, 26214, 39321, 52428),
+        (5, 3000, 1, 2, 3, 4),
+        (4, 5000, 13107, 26214, 39321, 52428),
+    ]
+    path = write_log(tmp_path / "log00", events, sorted(RECORDS + sent, key=lambda row: row[1]))
+    recording = read_recording(path, vehicle)
+    np.testing.assert_allclose(recording.commands.commands[0], [0.2, 0.4, 0.6, 0.8])
+    assert (recording.command_source, recording.commanded) == ("crazyflie pwm", False)
+    motors = Motors(source="crazyflie pwm", coefficients=((0.0, 1000.0, 0.0, 100.0, 0.0),) * 4, lag_s=0.0)
+    told = read_recording(path, replace(vehicle, motors=motors))
+    np.testing.assert_allclose(told.rotor_speeds.speeds[0], [570.0, 770.0, 970.0, 1170.0])
+    np.testing.assert_allclose(told.rotor_speeds.speeds[1], [569.0, 769.0, 969.0, 1169.0])
+    assert told.commanded
+    other = replace(motors, source="px4_motors")
+    with pytest.raises(LogError, match=r"are of crazyflie pwm, and the vehicle's motors .* of px4_motors"):
+        read_recording(path, replace(vehicle, motors=other))

@@ -89,7 +89,7 @@ def test_axes_convert_to_frd_and_ned(tmp_path: Path, vehicle: Vehicle):
     recording = read_recording(write_matrix(tmp_path / "flight.mat", synthetic_matrix()), vehicle)
     np.testing.assert_allclose(recording.imu.specific_force[0], [0.0, 0.0, -9.8])
     np.testing.assert_allclose(recording.pose.position[0], [2.0, 1.0, -3.0])
-    np.testing.assert_allclose(recording.battery_v[1], 16.0)
+    np.testing.assert_allclose(recording.battery.voltage, 16.0)
     assert recording.name == "flight"
 
 

@@ -276,8 +276,8 @@ def test_of_a_vtol_the_sensors_are_read_and_the_rotors_are_not(read, parameters,
 
 
 def test_voltage(read):
-    time_ns, volts = read({("battery_status", 0): (BATTERY, [(7, 12.5), (9, 12.25)])}).battery_v
-    assert (time_ns.tolist(), volts.tolist()) == ([7000, 9000], [12.5, 12.25])
+    battery = read({("battery_status", 0): (BATTERY, [(7, 12.5), (9, 12.25)])}).battery
+    assert (battery.time_ns.tolist(), battery.voltage.tolist()) == ([7000, 9000], [12.5, 12.25])
 
 
 def test_what_ends_pyulog_is_one_error(tmp_path, monkeypatch):
@@ -315,3 +315,14 @@ def test_what_is_no_ulog_and_a_log_without_an_imu_are_refused(tmp_path):
     path.write_bytes(ulog({("battery_status", 0): (BATTERY, [(7, 12.5)])}))
     with pytest.raises(LogError, match=r"topic imu: the log holds no samples .* \(sensor_combined\)"):
         read_px4(path, None)
+
+
+def test_commands_by_motor_come_in_the_order_of_the_rotors(read, vehicle):
+    """Of motors that are not driven the command is not a number."""
+    motors = ("uint64_t timestamp;uint64_t timestamp_sample;float[12] control;", "QQ12f")
+    rows = [(now, now - 1, 0.1, 0.2, 0.3, 0.4, *[float("nan")] * 8) for now in TIMES]
+    found = read({("actuator_motors", 0): (motors, rows)})
+    of_corner = dict(zip(CORNERS, (0.1, 0.2, 0.3, 0.4), strict=True))
+    wanted = [of_corner[tuple(np.sign(place[:2]).astype(int))] for place in vehicle.rotor_positions]
+    np.testing.assert_allclose(found.commands.commands[0], wanted, atol=1e-6)
+    assert (found.commands.time_ns[0], found.command_source) == (1000 * (TIMES[0] - 1), "px4_motors")

@@ -10,7 +10,14 @@ import numpy as np
 import pytest
 
 from quadpi_core.errors import LogError
-from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, RotorSpeedStream
+from quadpi_core.flight import (
+    BatteryStream,
+    ImuStream,
+    MotorCommandStream,
+    OdometryStream,
+    PoseStream,
+    RotorSpeedStream,
+)
 from quadpi_core.messages.adapters import known_adapters
 from quadpi_core.messages.frame_ids import TF_TYPE
 
@@ -23,6 +30,13 @@ PUBLISHED = {
     "fmu/out/esc_status": ("px4_msgs/msg/EscStatus", RotorSpeedStream),
     "fmu/out/vehicle_odometry": ("px4_msgs/msg/VehicleOdometry", OdometryStream),
     "fmu/out/sensor_combined": ("px4_msgs/msg/SensorCombined", ImuStream),
+    "fmu/out/actuator_motors": ("px4_msgs/msg/ActuatorMotors", MotorCommandStream),
+    "fmu/out/actuator_outputs": ("px4_msgs/msg/ActuatorOutputs", MotorCommandStream),
+    "fmu/out/battery_status": ("px4_msgs/msg/BatteryStatus", BatteryStream),
+    "mavros/rc/out": ("mavros_msgs/msg/RCOut", MotorCommandStream),
+    "motors": ("crazyflie_interfaces/msg/LogDataGeneric", MotorCommandStream),
+    "status": ("crazyflie_interfaces/msg/Status", BatteryStream),
+    "battery": ("sensor_msgs/msg/BatteryState", BatteryStream),
     "rigid_bodies": ("mocap4r2_msgs/msg/RigidBodies", PoseStream),
     "poses": ("motion_capture_tracking_interfaces/msg/NamedPoseArray", PoseStream),
     "/tf": (TF_TYPE, PoseStream),

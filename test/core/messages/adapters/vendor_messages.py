@@ -3,14 +3,19 @@
 """Messages of other packages, serialized by rosbags from their definitions; the layouts are facts of:
 
 mavros_msgs 2.12.0; px4_msgs v1.14.0 to v1.17.0 and, for the larger EscStatus, release/1.18; mocap4r2_msgs
-0.0.5; motion_capture_tracking_interfaces 1.0.5.
+0.0.5; motion_capture_tracking_interfaces 1.0.5; crazyflie_interfaces 1.0.
 """
 
 import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from quadpi_core.messages.adapters import AdapterSettings
-from quadpi_core.messages.adapters.adapter_settings import BodySettings, RotorSettings, StateSettings
+from quadpi_core.messages.adapters.adapter_settings import (
+    BodySettings,
+    CommandSettings,
+    RotorSettings,
+    StateSettings,
+)
 from quadpi_core.messages.definitions import typestore
 from quadpi_core.messages.frame_ids import TF_TYPE
 
@@ -70,6 +75,24 @@ uint8 gyro_clipping
 uint8 accel_calibration_count
 uint8 gyro_calibration_count
 """,
+    "mavros_msgs/msg/RCOut": HEADER + "uint16[] channels\n",
+    "px4_msgs/msg/ActuatorMotors": """uint64 timestamp
+uint64 timestamp_sample
+uint16 reversible_flags
+uint8 ACTUATOR_FUNCTION_MOTOR1 = 101
+uint8 NUM_CONTROLS = 12
+float32[12] control
+""",
+    "px4_msgs/msg/ActuatorOutputs": """uint64 timestamp
+uint8 NUM_ACTUATOR_OUTPUTS = 16
+uint32 noutputs
+float32[16] output
+""",
+    # The first fields of a message of many, which the adapter does not look at.
+    "px4_msgs/msg/BatteryStatus": "uint64 timestamp\nbool connected\nfloat32 voltage_v\nfloat32 current_a\n",
+    "crazyflie_interfaces/msg/LogDataGeneric": HEADER + "float32[] values\n",
+    "crazyflie_interfaces/msg/Status": HEADER
+    + "uint16 supervisor_info\nfloat32 battery_voltage\nuint8 pm_state\n",
     "mocap4r2_msgs/msg/RigidBodies": HEADER + "uint32 frame_number\nmocap4r2_msgs/RigidBody[] rigidbodies\n",
     "mocap4r2_msgs/msg/RigidBody": "string rigid_body_name\nMarker[] markers\ngeometry_msgs/Pose pose\n",
     "mocap4r2_msgs/msg/Marker": """int8 USE_NAME=0
@@ -246,11 +269,40 @@ def px4_imu(vendor, gyro=(0.1, 0.2, 0.3), accelerometer=(1.0, 2.0, -9.8)):
     return vendor.bytes(vendor.make("px4_msgs/msg/SensorCombined", timestamp=START_NS // 1000, **arrays))
 
 
+def motor_commands(vendor, name, time_ns, values):
+    """A message of an adapter of motor commands: shares, pulses in µs, or values of 16 bits."""
+    stamps = {"timestamp": time_ns // 1000, "header": vendor.header(time_ns)}
+    kind, field, size, number = {
+        "px4_motors": ("px4_msgs/msg/ActuatorMotors", "control", 12, np.float32),
+        "px4_outputs": ("px4_msgs/msg/ActuatorOutputs", "output", 16, np.float32),
+        "mavros_rc_out": ("mavros_msgs/msg/RCOut", "channels", 0, np.uint16),
+        "crazyflie_log": ("crazyflie_interfaces/msg/LogDataGeneric", "values", 0, np.float32),
+    }[name]
+    array = np.zeros(max(size, len(values)), number)
+    array[: len(values)] = values
+    return vendor.bytes(vendor.make(kind, **stamps, **{field: array}))
+
+
+def voltage(vendor, name, time_ns, volts):
+    """A message of an adapter of battery voltage."""
+    stamps = {"timestamp": time_ns // 1000, "header": vendor.header(time_ns)}
+    kind, field = {
+        "px4_battery": ("px4_msgs/msg/BatteryStatus", "voltage_v"),
+        "crazyflie_status": ("crazyflie_interfaces/msg/Status", "battery_voltage"),
+        "battery_state": ("sensor_msgs/msg/BatteryState", "voltage"),
+    }[name]
+    no_cells = np.zeros(0, np.float32)
+    texts = {"cell_voltage": no_cells, "cell_temperature": no_cells, "location": "", "serial_number": ""}
+    return vendor.bytes(vendor.make(kind, **stamps, **texts, **{field: volts}))
+
+
 SETTINGS = AdapterSettings(
     rotor_speeds=RotorSettings((3, 1, 4, 2), "rpm"),
     mocap=BodySettings("quad", "flu-enu"),
     odometry=StateSettings(),
     imu=StateSettings(),
+    motor_commands=CommandSettings((3, 1, 4, 2)),
+    battery=StateSettings(),
 )
 RPM, BODIES = [1, 2, 3, 4], [("wand", [0, 0, 0], [0, 0, 0, 1]), ("quad", [1, 2, 3], [0, 0, 0, 1])]
 # By the name of the adapter: a message that holds a sample by these settings.
@@ -260,6 +312,15 @@ EXAMPLES = {
     "px4_status": lambda vendor: px4_status(vendor, START_NS, RPM),
     "px4_odometry": px4_odometry,
     "px4_imu": px4_imu,
+    "px4_motors": lambda vendor: motor_commands(vendor, "px4_motors", START_NS, [0.1, 0.2, 0.3, 0.4]),
+    "px4_outputs": lambda vendor: motor_commands(vendor, "px4_outputs", START_NS, [100, 200, 300, 400]),
+    "mavros_rc_out": lambda vendor: motor_commands(
+        vendor, "mavros_rc_out", START_NS, [1100, 1200, 1300, 1400]
+    ),
+    "crazyflie_log": lambda vendor: motor_commands(vendor, "crazyflie_log", START_NS, [1, 2, 3, 4]),
+    "px4_battery": lambda vendor: voltage(vendor, "px4_battery", START_NS, 15.5),
+    "crazyflie_status": lambda vendor: voltage(vendor, "crazyflie_status", START_NS, 3.7),
+    "battery_state": lambda vendor: voltage(vendor, "battery_state", START_NS, 15.5),
     "mocap4r2": lambda vendor: frame(vendor, "mocap4r2", START_NS, BODIES),
     "named_poses": lambda vendor: frame(vendor, "named_poses", START_NS, BODIES),
     "tf": lambda _: tf(*((name, START_NS // 10**9, *pose) for name, *pose in BODIES)),

@@ -1,0 +1,71 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Motor commands and battery voltages of any package as streams."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+
+import numpy as np
+
+from quadpi_core.errors import SampleError
+from quadpi_core.flight import BatteryStream, MotorCommandStream, Stamps
+from quadpi_core.frames import Array
+from quadpi_core.messages.adapters.adapter_definition import Reading
+from quadpi_core.messages.adapters.adapter_settings import CommandSettings
+from quadpi_core.messages.cdr import Columns
+from quadpi_core.vehicle import Vehicle
+
+
+def start_of_commands(
+    column: str, stamps: Callable[[Columns], Stamps], scaled: Callable[[Array], Array]
+) -> Callable[[CommandSettings, Vehicle | None], Reading]:
+    """`Adapter.start` of messages with the commands of all outputs in one array.
+
+    Args:
+        column: that holds them (N, outputs).
+        stamps: gives those of N messages.
+        scaled: gives commands of values; 0 for a motor that stands.
+    """
+
+    def start(settings: CommandSettings, vehicle: Vehicle | None) -> Reading:
+        order = list(settings.order(vehicle).controllers)
+        dropped: Counter[str] = Counter()
+
+        def read(columns: Columns, _items: object) -> MotorCommandStream:
+            values, time_ns = columns[column].astype(np.float64), stamps(columns)
+            if values.shape[1] <= max(order):
+                if np.any(values):
+                    raise SampleError(
+                        0,
+                        f"{column} has {values.shape[1]} outputs, and `rotors` names output {max(order) + 1}",
+                    )
+                # Before the autopilot is heard.
+                dropped["no output is announced yet"] += len(values)
+                return MotorCommandStream(time_ns[:0], np.empty((0, len(order))))
+            return MotorCommandStream(time_ns, scaled(np.nan_to_num(values[:, order], nan=0.0)))
+
+        return Reading(read, lambda: dropped)
+
+    return start
+
+
+def start_of_battery(
+    column: str, stamps: Callable[[Columns], Stamps]
+) -> Callable[[object, Vehicle | None], Reading]:
+    """`Adapter.start` of messages with a voltage [V] in a column; what is not above 0 was not measured."""
+
+    def start(_settings: object, _vehicle: Vehicle | None) -> Reading:
+        dropped: Counter[str] = Counter()
+
+        def read(columns: Columns, _items: object) -> BatteryStream:
+            volts, time_ns = columns[column].astype(np.float64), stamps(columns)
+            known = np.isfinite(volts) & (volts > 0.0)
+            if not known.all():
+                dropped["the voltage is not known"] += int(np.sum(~known))
+            return BatteryStream(time_ns[known], volts[known])
+
+        return Reading(read, lambda: dropped)
+
+    return start
