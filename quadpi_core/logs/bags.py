@@ -269,8 +269,9 @@ class _Unpacking:
     ) -> None:
         """Rotor speeds of the next commands, by the voltages that were logged before each."""
         commands, battery, heard = streams.get("commands"), streams.get("battery"), None
-        if commands is None:
+        if battery is not None and commands is None:
             speeds.hear(battery)
+        if commands is None:
             return
         if battery is not None:
             logged = [topics[self._adapted[kind].name].log_time_ns for kind in ("motor_commands", "battery")]
