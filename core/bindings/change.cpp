@@ -1,12 +1,11 @@
 // SPDX-FileCopyrightText: 2026 The quadpi authors
 // SPDX-License-Identifier: Apache-2.0
 // What Python calls of the evidence that a vehicle has changed.
-#include "quadpi/monitor/alarm.hpp"
-
 #include <nanobind/nanobind.h>
 
 #include "bindings/records.hpp"
 #include "bindings/rotors.hpp"
+#include "quadpi/monitor/alarm.hpp"
 
 namespace nb = nanobind;
 

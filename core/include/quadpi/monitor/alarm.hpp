@@ -261,7 +261,9 @@ inline std::int64_t health_of_change(const AlarmLimits& limits, const AlarmState
         return WAITING;
     }
     // Of a limit that a sound flight has set no share is stated.
-    return state.change.loud || state.change.unlike_s > 0.0 || limits.change.evidence > STATED_EVIDENCE ? UNCALIBRATED : ACTIVE;
+    return state.change.loud || state.change.unlike_s > 0.0 || limits.change.evidence > STATED_EVIDENCE
+               ? UNCALIBRATED
+               : ACTIVE;
 }
 
 // Set level and health of each cause, and the highest level; true if any of a cause changed.

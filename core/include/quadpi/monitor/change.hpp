@@ -25,7 +25,8 @@ constexpr double FROM_START = 0.5;
 constexpr double LOSSES = 0.8;
 // Prior of each size over that of the one half as large, but of mass: what is large wins any bet soon.
 constexpr double RARER = 0.6;
-// Prior of mass, of each push, of each balance, of all rotors that give less and of all whose speed reads more.
+// Prior of mass, of each push, of each balance, of all rotors that give less and of all whose speed reads
+// more.
 constexpr double OF_MASS = 0.25, OF_PUSH = 0.04, OF_BALANCE = 0.06, OF_LESS = 0.3, OF_MORE = 0.25;
 // Number of the block by which half of the rest of the prior is spent.
 constexpr double HALF_SPENT = 100.0;
