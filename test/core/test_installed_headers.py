@@ -23,7 +23,9 @@ target_compile_options(elsewhere PRIVATE -O0 -Wall -Wextra -Werror)
 MAIN = """
 #include <cstdio>
 {includes}
-int main() {{ std::printf("%g", quadpi::to_rotation_vector(quadpi::from_rotation_vector({{0, 0, 0.5}}))[2]); }}
+int main() {{
+    std::printf("%g", quadpi::to_rotation_vector(quadpi::from_rotation_vector({{0, 0, 0.5}}))[2]);
+}}
 """
 
 
