@@ -210,9 +210,12 @@ class MavlinkBridge(GuardedNode):
     def _tell(self, payload: bytes) -> None:
         """Tell the autopilot, and whom it forwards to, what is new in the alarm."""
         now_ns = time.time_ns()
-        for one in self._told.take(result_messages.unpack_alarms(payload), now_ns):
-            name = "STATUSTEXT" if isinstance(one, Text) else "NAMED_VALUE_FLOAT"
-            with self._lock:
+        with self._lock:
+            # What nobody hears is not told: an alarm that stands is new to an autopilot that is met.
+            if not self._session.is_met:
+                return
+            for one in self._told.take(result_messages.unpack_alarms(payload), now_ns):
+                name = "STATUSTEXT" if isinstance(one, Text) else "NAMED_VALUE_FLOAT"
                 self._session.tell(name, one, now_ns)
 
     def _diagnose(self) -> None:

@@ -270,6 +270,11 @@ class MavlinkSession:
         self._sources[sample.topic] = (sample.source, arrival_ns)
         return True
 
+    @property
+    def is_met(self) -> bool:
+        """Whether an autopilot has been heard."""
+        return self._peer is not None
+
     def tell(self, name: str, values: Sequence[Any], now_ns: int) -> None:
         """Send a message with the next packets, once there is an autopilot.
 
@@ -278,7 +283,7 @@ class MavlinkSession:
             values: of its fields; of NAMED_VALUE_FLOAT without the time.
             now_ns: the time.
         """
-        if self._peer is None:
+        if not self.is_met:
             return
         if name == "NAMED_VALUE_FLOAT":
             values = ((now_ns - self._first_ns) // 1_000_000 % 2**32, *values)
