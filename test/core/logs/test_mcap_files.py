@@ -8,6 +8,7 @@ from io import BytesIO
 import numpy as np
 import pytest
 
+from quadpi_core.core import compiled
 from quadpi_core.errors import LogError
 from quadpi_core.logs.bag_files import Bag
 from quadpi_core.logs.bag_writer import mcap_writer, write_mcap
@@ -91,3 +92,23 @@ def test_chunks_that_begin_before_they_say_are_refused_where_that_changes_the_or
     assert_holds(path, topics)
     with Bag(path) as bag, pytest.raises(LogError, match=r"bag.mcap: damaged: its messages are not in the"):
         list(bag.blocks(["/wind"], messages=100))
+
+
+@pytest.mark.parametrize(
+    "rest",
+    [
+        b"\x05",
+        record(0x05, b"less than a head"),
+        record(0x0C, b"text")[:-1],
+        struct.pack("<BQ", 5, 2**64 - 1),
+    ],
+    ids=["a piece of a prefix", "a short message", "a piece of a record", "a length beyond all memory"],
+)
+def test_messages_of_a_chunk_are_found_up_to_the_first_record_that_is_not_whole(rest: bytes) -> None:
+    head = struct.pack("<HIQQ", 3, 0, 77, 78)
+    whole = record(0x0C, b"text") + record(0x05, head + b"abc") + record(0x05, head)
+    found = np.zeros((9, 4), dtype=np.int64)
+    assert compiled.mcap_messages(np.frombuffer(whole + rest, dtype=np.uint8), found) == (2, len(whole))
+    start = len(record(0x0C, b"text")) + 9 + len(head)
+    assert found[:2].tolist() == [[3, 77, start, 3], [3, 77, start + 3 + 9 + len(head), 0]]
+    assert not found[2:].any()
