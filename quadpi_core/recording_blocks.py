@@ -94,9 +94,11 @@ class Column:
         self._count = 0
 
     def extend(self, part: npt.NDArray[Any]) -> None:
-        """Append rows."""
+        """Append rows; of no messages the number of columns may not be known."""
+        if not len(part) and self._count:
+            return
         count = self._count + len(part)
-        if self._values is None:
+        if self._values is None or not self._count:
             self._values = np.array(part, order="C")
         elif count > len(self._values):
             # The memory can grow in place, as there is no other reference to the array.

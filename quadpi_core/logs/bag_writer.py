@@ -52,10 +52,10 @@ _RECORD_HEADER = np.dtype(
 )
 # Chunks of rosbags and of rosbag2 are about as long.
 _CHUNK_BYTES = 2**20
-# Of a replay, level -3 makes 4 % more than level 1, in half the time.
+# Of numbers, level 1 makes as much of a chunk as the default level, in half the time.
 _COMPRESSION = {
     int(zstd.CompressionParameter.checksum_flag): 1,
-    int(zstd.CompressionParameter.compression_level): -3,
+    int(zstd.CompressionParameter.compression_level): 1,
 }
 # The last bytes of an MCAP file: the footer record, its checksum, and the magic bytes.
 _FOOTER_CONTENT, _CHECKSUM, _MAGIC = 20, 4, 8
