@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Annotated
 
@@ -33,8 +33,8 @@ _ASKED = {
 }
 
 
-def report_vehicle(name_or_path: str) -> tuple[Vehicle | None, float | None]:
-    """The vehicle for reading logs, None where poles are not known, and its mass in kg.
+def report_vehicle(name_or_path: str) -> tuple[Vehicle | int | None, float | None]:
+    """The vehicle, or what is known of its pairs of poles, and its mass in kg.
 
     A file that does not exist is asked for on a terminal, value by value, and written.
 
@@ -48,10 +48,7 @@ def report_vehicle(name_or_path: str) -> tuple[Vehicle | None, float | None]:
         vehicle = Vehicle.load(name_or_path)
         return vehicle, vehicle.mass_kg
     known = parse_config(KnownValues, data, str(path), VehicleError)
-    if known.pole_pairs is None:
-        return None, known.mass_kg
-    # Of a vehicle readers take its name and poles.
-    return replace(Vehicle.load("bebop2"), name=path.stem, pole_pairs=known.pole_pairs), known.mass_kg
+    return known.pole_pairs, known.mass_kg
 
 
 def _ask(path: Path) -> None:

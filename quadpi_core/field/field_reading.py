@@ -50,13 +50,13 @@ _LIMITS = {
 }
 
 
-def read_field_log(path: Path, options: ReadingOptions, vehicle: Vehicle | None = None) -> FieldLog:
+def read_field_log(path: Path, options: ReadingOptions, known: Vehicle | int | None = None) -> FieldLog:
     """Read a log of any known format as it is.
 
     Args:
         path: of the log, or `FILE#NUMBER`.
         options: topics of a bag, mapping of a table.
-        vehicle: of the user's file, for electrical speeds; None without one.
+        known: see :func:`quadpi_core.field.other_logs.read_other`.
 
     Raises:
         LogError: naming the file, for what cannot be read or is no flight of a multirotor.
@@ -65,7 +65,7 @@ def read_field_log(path: Path, options: ReadingOptions, vehicle: Vehicle | None 
     file, number = flight_in(path)
     stack = next((one for one in STACKS.all() if one.log_format is log_format), None)
     with reading(path), _notes_taken() as notes:
-        log = read_other(path, options, vehicle) if stack is None else stack.read(file, number)
+        log = read_other(path, options, known) if stack is None else stack.read(file, number)
     told = [note.removeprefix(f"{log.source}: ") for note in dict.fromkeys(notes)]
     log = replace(log, notes=(*told, *log.notes))
     if log.no_multirotor:

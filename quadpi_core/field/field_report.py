@@ -218,7 +218,7 @@ class FieldReport:
 def report_on(
     paths: Sequence[Path],
     options: ReadingOptions,
-    vehicle: Vehicle | None = None,
+    vehicle: Vehicle | int | None = None,
     mass: float | None = None,
     against: Sequence[Path] = (),
 ) -> FieldReport:
@@ -227,7 +227,7 @@ def report_on(
     Args:
         paths: of the logs.
         options: topics of bags, mapping of tables.
-        vehicle: of the user's file, for electrical rotor speeds; None without one.
+        vehicle: of the user's file, or its pairs of poles alone, for electrical rotor speeds.
         mass: kg; None where it is not known.
         against: logs of good flights of the same vehicle before, which each flight is held against.
 

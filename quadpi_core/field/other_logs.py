@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,7 @@ from quadpi_core.logs.table_columns import Columns, bare_name, open_columns, sta
 from quadpi_core.paths import config_directory
 from quadpi_core.reading_options import ReadingOptions
 from quadpi_core.rotations import rotate_body_to_world
+from quadpi_core.rotor_order import LAYOUTS, Motor
 from quadpi_core.vehicle import Vehicle
 
 _COMMAND = re.compile(
@@ -46,28 +48,33 @@ _ROTORS_FEWEST = 3
 _ELECTRICAL = "rotor speeds are electrical, by the pairs of poles faster than the motors turn (--vehicle)"
 
 
-def read_other(path: Path, options: ReadingOptions, vehicle: Vehicle | None) -> FieldLog:
+def read_other(path: Path, options: ReadingOptions, known: Vehicle | int | None) -> FieldLog:
     """What a log of a format without a stack of its own holds.
 
     Args:
         path: of the log.
         options: topics of a bag, or the mapping of a table.
-        vehicle: whose file the user gave, for electrical speeds; None without one.
+        known: the vehicle whose file the user gave, or its pairs of poles alone, for electrical speeds.
 
     Raises:
         LogError: as its reader does.
     """
     log_format = identify_format(path)
+    vehicle, poles = (None, known) if isinstance(known, int) else (known, None)
     notes: list[str] = []
     columns, speeds_of = None, frozenset[str]()
     if log_format is table_files.FORMAT:
         columns = open_columns(path)
-        recording, said, speeds_of = _of_table(path, columns, options, vehicle)
+        recording, said, speeds_of = _of_table(path, columns, options, vehicle, poles)
         notes += [said] if said else []
     else:
         if vehicle is None and log_format.container is not None:
             vehicle = _named_vehicle(log_format.container.vehicle_name(path))
-        recording, said = _decoded(path, vehicle, options)
+            if vehicle is not None and poles is not None:
+                vehicle = replace(vehicle, pole_pairs=poles)
+        # Here commands are commands: speeds that are made of them tell nothing of tachometers.
+        vehicle = None if vehicle is None else replace(vehicle, motors=None)
+        recording, said = _decoded(path, vehicle, poles, options)
         notes += [said] if said else []
     start_ns = int(recording.imu.time_ns[0]) if len(recording.imu) else 0
     commands, battery = (
@@ -85,20 +92,33 @@ def read_other(path: Path, options: ReadingOptions, vehicle: Vehicle | None) -> 
     )
 
 
-def _decoded(path: Path, vehicle: Vehicle | None, options: ReadingOptions) -> tuple[Recording, str]:
+def _decoded(
+    path: Path, vehicle: Vehicle | None, poles: int | None, options: ReadingOptions
+) -> tuple[Recording, str]:
     """A recording, electrical rotor speeds as they are where nothing says the poles; and that."""
     try:
         return decode_recording(path, vehicle, options), ""
     except LogError:
         if vehicle is not None:
             raise
-        # Of a vehicle the readers take nothing but the poles.
-        one_pair = replace(Vehicle.load("bebop2"), pole_pairs=1)
-        try:
-            return decode_recording(path, one_pair, options), _ELECTRICAL
-        except LogError:
-            pass
+        for motors in LAYOUTS.values():
+            with suppress(LogError):
+                recording = decode_recording(path, _of_motors(motors, poles or 1), options)
+                return recording, "" if poles else _ELECTRICAL
         raise
+
+
+def _of_motors(motors: Sequence[Motor], poles: int) -> Vehicle:
+    """A vehicle of which only the poles are known, whose rotors are a frame's, in its order."""
+    return Vehicle(
+        name="",
+        mass_kg=1.0,
+        inertia=np.eye(3),
+        rotor_radius_m=0.1,
+        rotor_positions=np.array([(motor.x, motor.y, 0.0) for motor in motors]),
+        rotor_spins=np.array([motor.spin or 1.0 for motor in motors]),
+        pole_pairs=poles,
+    )
 
 
 def _named_vehicle(name: str) -> Vehicle | None:
@@ -190,11 +210,14 @@ def _settings(recording: Recording, commands: Series | None, stack: str) -> list
 
 
 def _of_table(
-    path: Path, columns: Columns, options: ReadingOptions, vehicle: Vehicle | None
+    path: Path, columns: Columns, options: ReadingOptions, vehicle: Vehicle | None, poles: int | None
 ) -> tuple[Recording, str, frozenset[str]]:
     """A table by the user's mapping, a bundled or a guessed one; which it was, and the columns of speeds."""
     if options.mapping is not None:
-        return decode_recording(path, vehicle, options), "", _speeds_of(Mapping.load(options.mapping))
+        mapping = Mapping.load(options.mapping)
+        if poles is not None:
+            return *_by(path, mapping, None, poles), _speeds_of(mapping)
+        return decode_recording(path, vehicle, options), "", _speeds_of(mapping)
     names = set(columns.names)
     for file in sorted((config_directory() / "mappings").glob("*.yaml")):
         try:
@@ -202,7 +225,7 @@ def _of_table(
         except LogError:
             continue  # the rotor order of an autopilot
         if {column for signal in mapping.signals.values() for column in signal.columns} <= names:
-            read, said = _by(path, mapping, vehicle)
+            read, said = _by(path, mapping, vehicle, poles)
             return read, f"its columns are those of {file.name}{said}", _speeds_of(mapping)
     draft = mapping_draft(columns)
     if "?" in draft.partition("\n")[2]:  # what could not be guessed
@@ -211,7 +234,7 @@ def _of_table(
             f"mapping (--mapping); it has {', '.join(columns.names)}"
         )
     mapping = Mapping.draft(draft, path)
-    recording, electrical = _by(path, mapping, vehicle)
+    recording, electrical = _by(path, mapping, vehicle, poles)
     said = "; ".join(line for line in draft.splitlines()[1:])
     return (
         recording,
@@ -225,14 +248,19 @@ def _speeds_of(mapping: Mapping) -> frozenset[str]:
     return frozenset(rotors.columns if rotors else ())
 
 
-def _by(path: Path, mapping: Mapping, vehicle: Vehicle | None) -> tuple[Recording, str]:
+def _by(path: Path, mapping: Mapping, vehicle: Vehicle | None, poles: int | None) -> tuple[Recording, str]:
     """A table by a mapping, electrical rotor speeds as they are where nothing says the poles; and that."""
-    rotors, said = mapping.signals.get("rotor_speeds"), ""
-    if rotors is not None and rotors.unit == ERPM and vehicle is None:
-        mapping = replace(mapping, signals=mapping.signals | {"rotor_speeds": replace(rotors, unit="rpm")})
-        said = f"; {_ELECTRICAL}"
+    rotors = mapping.signals.get("rotor_speeds")
+    if rotors is None or rotors.unit != ERPM or vehicle is not None:
+        with reading(path):
+            return table_files.read_table(path, vehicle, mapping), ""
+    mapping = replace(mapping, signals=mapping.signals | {"rotor_speeds": replace(rotors, unit="rpm")})
     with reading(path):
-        return table_files.read_table(path, vehicle, mapping), said
+        recording = table_files.read_table(path, None, mapping)
+    if poles is None or recording.rotor_speeds is None:
+        return recording, f"; {_ELECTRICAL}"
+    mechanical = replace(recording.rotor_speeds, speeds=recording.rotor_speeds.speeds / poles)
+    return replace(recording, rotor_speeds=mechanical), ""
 
 
 def _of_columns(

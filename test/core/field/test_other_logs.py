@@ -72,6 +72,22 @@ def test_electrical_speeds_without_poles_are_kept_as_they_are(tmp_path):
     assert any("electrical" in note for note in log.notes)
 
 
+def test_of_poles_alone_electrical_speeds_of_any_number_of_rotors_are_those_of_the_motors(tmp_path):
+    erpm = [7000.0 * (1 + rotor) for rotor in range(6)]
+    path = table(tmp_path / "flight.csv", [f"erpm_{k}" for k in range(1, 7)], erpm)
+    mapping = tmp_path / "hexa.yaml"
+    mapping.write_text(
+        "time: {columns: [time], unit: s}\nbody: frd\nworld: ned\n"
+        "angular_velocity: {columns: [gyro_x, gyro_y, gyro_z], unit: rad/s}\n"
+        "acceleration: {columns: [acc_x, acc_y, acc_z], unit: m/s2, axes: body, gravity: included}\n"
+        "rotor_speeds: {columns: [erpm_1, erpm_2, erpm_3, erpm_4, erpm_5, erpm_6], unit: erpm}\n"
+    )
+    log = read_other(path, ReadingOptions(mapping=mapping), 7)
+    assert log.rotor_speeds.values[0] == pytest.approx(np.array(erpm) * np.pi / 210.0)
+    assert not any("electrical" in note for note in log.notes)
+    assert "vehicle" not in log.facts
+
+
 def test_a_table_without_gyro_says_what_to_name(tmp_path):
     path = tmp_path / "flight.csv"
     path.write_text("time,altitude\n" + "".join(f"{0.01 * row},1.0\n" for row in range(50)))
@@ -86,6 +102,10 @@ def test_a_bag_of_electrical_speeds_and_no_vehicle_is_read(shared_data):
     assert log.rotor_speeds is not None
     assert any(note.startswith("rotor speeds are electrical") for note in log.notes)
     assert log.settings[0].parameter == "pairs of poles"
+    by_poles = read_other(Path(log.source), ReadingOptions(), 7)
+    np.testing.assert_allclose(7.0 * by_poles.rotor_speeds.values, log.rotor_speeds.values)
+    assert "pairs of poles" not in [one.parameter for one in by_poles.settings]
+    assert by_poles.facts == {}
     assert "pairs of poles" not in [
         one.parameter for one in read(bags_directory() / "interpolation.mcap").settings
     ]
