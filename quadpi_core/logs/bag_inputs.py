@@ -45,6 +45,7 @@ from quadpi_core.messages.definitions import typestore
 from quadpi_core.messages.frame_ids import TF_TOPIC, TF_TYPE, plain_name
 from quadpi_core.messages.topics import SENSOR_KINDS, TOPIC_TYPES
 from quadpi_core.thresholds import CONVENTION, Threshold
+from quadpi_core.vehicle import Vehicle
 
 AS_FAST = Threshold(
     "as fast",
@@ -90,18 +91,19 @@ class BagInputs(NamedTuple):
     notes: tuple[str, ...]
 
 
-def find_inputs(bag: Bag, settings: AdapterSettings) -> BagInputs:
+def find_inputs(bag: Bag, settings: AdapterSettings, vehicle: Vehicle | None = None) -> BagInputs:
     """Find the sensor topics of a bag.
 
     Args:
         bag: open.
         settings: the topics that are named, the namespace, and how messages of other packages are read.
+        vehicle: whose motors messages that are not named must be able to tell.
 
     Raises:
         LogError: naming bag and topic, for a name that is not in the bag, has a type that is not understood
             or would not be used, and with the options to give, for topics of which several could be meant.
     """
-    search = _Search(bag, settings)
+    search = _Search(bag, settings, vehicle)
     search.take_all()
     return search.finish()
 
@@ -149,8 +151,9 @@ class _Several:
 
 
 class _Search:
-    def __init__(self, bag: Bag, settings: AdapterSettings) -> None:
+    def __init__(self, bag: Bag, settings: AdapterSettings, vehicle: Vehicle | None = None) -> None:
         self._bag = bag
+        self._vehicle = vehicle
         self._settings = settings
         self.names: dict[str, str] = {}
         self._adapted: dict[str, AdaptedTopic] = {}
@@ -370,7 +373,7 @@ class _Search:
             chosen = replace(self._settings, **_one(kind, settings))
             if len(topics) == 1:
                 try:
-                    AdaptedReading(self._bag.path, topics[0], chosen, None)
+                    AdaptedReading(self._bag.path, topics[0], chosen, self._vehicle)
                 except LogError as error:
                     self._notes += [] if quiet else [str(error).removeprefix(f"{self._bag.path}: ")]
                     continue

@@ -134,7 +134,7 @@ class BagRecording:
         self._bag = bag
         self._known_vehicle = vehicle
         self._frames = _frames_of(bag)
-        found = find_inputs(bag, adapters or AdapterSettings())
+        found = find_inputs(bag, adapters or AdapterSettings(), vehicle)
         for note in found.notes:
             _log.warning("%s: %s", bag.path, note)
         self._names, self._adapted, self._adapters = found.names, found.adapted, found.settings
@@ -255,9 +255,11 @@ class _Unpacking:
             stream = reading.unpack(topics[reading.name], before=self._read[reading.name])
             if stream is not None:
                 streams[_FIELDS_OF_KINDS[kind]] = stream
-        if self._commanded is not None and not streams.keys().isdisjoint(("commands", "battery")):
-            self._make_speeds(self._commanded, streams, topics)
+        if self._commanded is not None:
+            # Those that are measured stand in nowhere, not even where no command came.
+            streams.pop("rotor_speeds", None)
             arrivals.pop(RotorSpeedStream.topic, None)
+            self._make_speeds(self._commanded, streams, topics)
         if not self._start_ns and len(streams.get("imu", ())):
             self._start_ns = int(streams["imu"].time_ns[0])
         for name, messages_of in topics.items():

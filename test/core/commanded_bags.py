@@ -37,9 +37,18 @@ def commands_for(recording: Recording, seed: int = 1) -> tuple[Array, Array]:
 
 
 def write_bag(
-    path: Path, messages: Messages, recording: Recording, adapter: str, *, measured: bool = False
+    path: Path,
+    messages: Messages,
+    recording: Recording,
+    adapter: str,
+    *,
+    measured: bool = False,
+    commanded_s: float = np.inf,
 ) -> Path:
-    """A bag of IMU, motion capture, motor commands by an adapter and battery; of rotor speeds if measured."""
+    """A bag of IMU, motion capture, motor commands by an adapter and battery; of rotor speeds if measured.
+
+    Commands end after some seconds.
+    """
     seed = sum(map(ord, recording.name))
     shares, volts = commands_for(recording, seed)
     rotors = [tuple(np.sign(position[:2])) for position in Vehicle.load(recording.vehicle).rotor_positions]
@@ -50,6 +59,7 @@ def write_bag(
     made = [
         motor_commands(messages, adapter, int(time_ns), np.rint(row) if adapter == "mavros_rc_out" else row)
         for time_ns, row in zip(stamps, values[rows], strict=True)
+        if time_ns < stamps[0] + 1e9 * commanded_s
     ]
     slow = slice(None, None, 500)
     battery_of = {"px4_motors": "px4_battery", "mavros_rc_out": "battery_state"}[adapter]
@@ -71,7 +81,7 @@ def write_bag(
             recording.pose.time_ns,
             sensor_messages.pack_pose(recording.pose),
         ),
-        (*names[adapter], stamps, made),
+        (*names[adapter], stamps[: len(made)], made),
         (*names[battery_of], at, told),
     ]
     if measured:

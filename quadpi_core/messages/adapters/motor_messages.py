@@ -36,13 +36,14 @@ def start_of_commands(
         def read(columns: Columns, _items: object) -> MotorCommandStream:
             values, time_ns = columns[column].astype(np.float64), stamps(columns)
             if values.shape[1] <= max(order):
-                if np.any(values):
+                if np.any(values) and isinstance(settings.rotors, tuple):
                     raise SampleError(
                         0,
                         f"{column} has {values.shape[1]} outputs, and `rotors` names output {max(order) + 1}",
                     )
-                # Before the autopilot is heard.
-                dropped["no output is announced yet"] += len(values)
+                # Before the autopilot is heard, and of another vehicle.
+                few = "fewer outputs than the vehicle has motors"
+                dropped[few if np.any(values) else "no output is announced yet"] += len(values)
                 return MotorCommandStream(time_ns[:0], np.empty((0, len(order))))
             return MotorCommandStream(time_ns, scaled(np.nan_to_num(values[:, order], nan=0.0)))
 
