@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from quadpi_core.errors import LogError
-from quadpi_core.flight import BatteryStream, MotorCommandStream, RotorSpeedStream
+from quadpi_core.flight import MAX_JUMP_BACK_NS, NO_STAMP, BatteryStream, MotorCommandStream, RotorSpeedStream
 from quadpi_core.frames import Array
 from quadpi_core.messages.adapters import known_adapters
 from quadpi_core.monitor import Monitor
@@ -43,16 +43,25 @@ class CommandedRotors:
         """Forget the past."""
         self._speeds = CommandedSpeeds(self.motors)
         self._newest: Array | None = None
-        self._measured_ns: int | None = None
-        self._back_ns: int | None = None
-        self._began_ns: int | None = None
+        self._newest_ns = NO_STAMP
+        self._follow(NO_STAMP)
         self.watch = TachometerWatch()
+
+    def _follow(self, time_ns: int) -> None:
+        """Begin to count time anew where the clock fell."""
+        if time_ns == NO_STAMP or time_ns <= self._newest_ns - MAX_JUMP_BACK_NS:
+            self._newest_ns = NO_STAMP
+            self._measured_ns: int | None = None
+            self._back_ns: int | None = None
+            self._began_ns: int | None = None
+        self._newest_ns = max(self._newest_ns, time_ns)
 
     def take_commands(self, commands: MotorCommandStream) -> RotorSpeedStream:
         """Speeds by a command."""
         speeds = self._speeds.take(commands)
         self._newest = speeds.speeds[-1]
         time_ns = int(commands.time_ns[0])
+        self._follow(time_ns)
         if self._began_ns is None:
             self._began_ns = time_ns
         if self.fallback is not None and not self.counts:
@@ -67,6 +76,7 @@ class CommandedRotors:
     def take_measured(self, rotor_speeds: RotorSpeedStream) -> bool:
         """Take measured speeds; whether they count."""
         time_ns = int(rotor_speeds.time_ns[0])
+        self._follow(time_ns)
         if self._newest is not None:
             self.watch.take(time_ns, rotor_speeds.speeds[0], self._newest)
         if self.fallback is not None and self.counts:

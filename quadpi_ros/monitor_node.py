@@ -68,6 +68,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
         self._estimator = estimator
         self._load_model: SlowService | None = None
         self._commanded: CommandedRotors | None = None
+        self._measuring: Monitor | None = None
         self._dropped = self._judged = 0
         self._newest_ns = NO_STAMP
         self._silence_watch: Watch | None = None
@@ -92,7 +93,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
             odometry = IncomingMessage(sensor_messages.ODOMETRY_SAMPLES, self._body.world, self._body)
             self._odometry = adapted.instead_of(Source(Odometry, "odometry", odometry), "odometry")
         monitors = named(self._load(path) for path in parameters.model)
-        self._commanded = self._commanded_rotors(next(iter(monitors.values())))
+        self._commanded, self._measuring = self._commanded_rotors(next(iter(monitors.values()))), None
         for monitor in monitors.values():
             self._require_same_rotors(monitor)
         if self._commanded is not None:
@@ -215,7 +216,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
     def _note_arrival(self, time_ns: int) -> None:
         self.look_at_watches()
         if time_ns < self._newest_ns - MAX_JUMP_BACK_NS:
-            self._results.monitors.reset()
+            self._reset_monitors()
             self._latency.reset()
         self._newest_ns = time_ns
         self._latency.arrived(time_ns, time.monotonic_ns())
@@ -235,8 +236,8 @@ class MonitorNode(SensorNode[MonitorParameters]):
             before = self._commanded.counts
             if not self._commanded.take_measured(rotor_speeds):
                 return
-            if before:
-                self._switch(self._measuring)
+            if before and self._measuring is not None and not self._switch(self._measuring):
+                return
         self._pairing.add_rotor_speeds(int(rotor_speeds.time_ns[0]), rotor_speeds.speeds[0])
         self._judge_completed()
 
@@ -246,22 +247,28 @@ class MonitorNode(SensorNode[MonitorParameters]):
         speeds = self._commanded.take_commands(commands)
         if not self._commanded.counts:
             return
-        if not before and self._commanded.fallback is not None:
-            self._switch(self._commanded.fallback)
+        fallback = self._commanded.fallback
+        if not before and fallback is not None and not self._switch(fallback):
+            return
         self._pairing.add_rotor_speeds(int(speeds.time_ns[0]), speeds.speeds[0])
         self._judge_completed()
 
-    def _switch(self, monitor: Monitor) -> None:
-        """Put another monitor in the place of the first, as rotor speeds are silent, or come again."""
+    def _switch(self, monitor: Monitor) -> bool:
+        """Put another monitor in the place of the first, as rotor speeds are silent, or come again.
+
+        Where it cannot fly, the one before goes on by the speeds that it knows; each sample tries again.
+        """
         assert self._commanded is not None
+        monitor.change(self._settings())
         name = self._results.monitors.names[0]
         if self._commanded.counts:
             self._measuring = self._results.monitors[name]
         try:
             self._results.replace(name, monitor)
         except ModelError as error:
-            self.get_logger().error(f"rotor speeds are silent, and nothing stands in for them: {error}")
-            return
+            self._commanded.counts = not self._commanded.counts
+            self.warn("rotor speeds", f"are silent or come again, and the model for that cannot fly: {error}")
+            return False
         identity = monitor.model.identity
         if self._commanded.counts:
             self.get_logger().warning(
@@ -269,6 +276,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
             )
         else:
             self.get_logger().info(f"rotor speeds come again: they are used, judged by {identity}")
+        return True
 
     def _take_wind(self, wind: WindStream) -> None:
         self._pairing.add_wind(int(wind.time_ns[0]), wind.velocity[0])
@@ -366,7 +374,15 @@ class MonitorNode(SensorNode[MonitorParameters]):
         self._latency = Latency()
         if self._commanded is not None:
             self._commanded.restart()
+        self._reset_monitors()
+
+    def _reset_monitors(self) -> None:
+        """Forget the past, also of the one that does not fly while another stands in for it."""
         self._results.monitors.reset()
+        fallback = None if self._commanded is None else self._commanded.fallback
+        for monitor in (fallback, self._measuring):
+            if monitor is not None:
+                monitor.reset()
 
     def _rotor_source(self, adapted: AdaptedSources) -> Source:
         """The topic that the parameters name."""
@@ -397,6 +413,11 @@ class MonitorNode(SensorNode[MonitorParameters]):
         if motors is None:
             raise ModelError(
                 f"{path}: fallback_model: was not identified on motor commands (identify --from-commands)"
+            )
+        if len(self.parameters.model) > 1:
+            raise ModelError(
+                f"{path}: fallback_model: takes the place of one model; others would go on by rotor speeds "
+                "that they do not know: start a node with them"
             )
         return CommandedRotors(motors, fallback)
 
@@ -468,7 +489,13 @@ class MonitorNode(SensorNode[MonitorParameters]):
             monitor, error = None, f"{request.path}: cannot be loaded, see the log of the node"
 
         def swap(response: LoadModel.Response) -> None:
-            self._results.swap(name, monitor, error, response)
+            own = self._commanded
+            if monitor is not None and own is not None and own.counts and own.fallback is not None:
+                self._measuring = monitor
+                response.success, response.model = True, monitor.model.identity
+                response.message = f"{monitor.model.identity} flies once rotor speeds come again"
+            else:
+                self._results.swap(name, monitor, error, response)
             # They may have changed while the model was loaded.
             self.parameters_changed()
             self.get_logger().info(response.message)

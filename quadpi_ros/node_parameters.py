@@ -154,7 +154,7 @@ class MonitorParameters(LiveParameters):
     )
     fallback_model: str = parameter(
         "",
-        "model identified on motor commands, in the place of the first while rotor speeds are silent",
+        "model identified on motor commands, in the place of a single one while rotor speeds are silent",
         optional=True,
     )
     confidence: float = parameter(

@@ -26,7 +26,7 @@ class TachometerWatch:
 
     def take(self, time_ns: int, measured: Array, commanded: Array) -> None:
         """Take the speeds (R,) rad/s at an instant, where the rotors are commanded to turn."""
-        if not np.all(commanded > 0.0):
+        if not (np.all(commanded > 0.0) and np.all(np.isfinite(measured))):
             return
         if self._measured is None or self._commanded is None or time_ns < self._last_ns:
             self._measured, self._commanded = measured.copy(), commanded.copy()

@@ -12,11 +12,14 @@ import os
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import fields, replace
+from functools import partial
 from pathlib import Path
+from shutil import copytree
 from typing import Any
 
 import numpy as np
 import pytest
+from quadpi.srv import LoadModel
 from rosbags.interfaces import Nodetype
 from rosbags.rosbag2 import StoragePlugin, Writer
 
@@ -46,6 +49,7 @@ from ..core.messages.adapters.vendor_messages import (
     px4_status,
     voltage,
 )
+from .rig import known_client
 
 VEHICLE = "neurobem"
 RAD_S_TO_RPM = 60.0 / (2.0 * np.pi)
@@ -340,6 +344,12 @@ def test_commands_stand_in_while_rotor_speeds_are_silent(
             play(bag, tuple(Playlist.read(bag).topics), PLAYBACK_RATE, scratch, live, collector, ("monitor",))
             collector.spin_until(lambda: "made of motor commands" in live.errors.read_text(), 20.0)
             assert "made of motor commands from now on, judged by commanded" in live.errors.read_text()
+            # A model by measured speeds waits for them.
+            until = partial(collector.spin_until, timeout_s=20.0)
+            client = known_client(collector._node, LoadModel, "monitor/load_model", until)
+            answer = client.call_async(LoadModel.Request(path=str(folder / "model")))
+            until(answer.done)
+            assert answer.result().message.endswith(" flies once rotor speeds come again")
         predictions = collector.predictions()
     last_s = 1e-9 * float(predictions.time_ns[-1] - hover.imu.time_ns[0])
     assert last_s > FLIGHT_S - 0.1
@@ -351,17 +361,19 @@ def test_commands_stand_in_while_rotor_speeds_are_silent(
         ({"model": "[MODEL, COMMANDED]"}, "not those of the first model"),
         ({"model": "MODEL", "fallback_model": "MODEL"}, "was not identified on motor commands"),
         ({"model": "COMMANDED", "fallback_model": "COMMANDED"}, "needs no fallback"),
+        ({"model": "[MODEL, SECOND]", "fallback_model": "COMMANDED"}, "takes the place of one model"),
     ],
 )
 def test_models_by_other_rotor_speeds_do_not_fly_together(
     given: dict[str, str], said: str, folder: Path, tmp_path: Path
 ) -> None:
     with_motors(folder, tmp_path / "commanded")
-    folders = {"MODEL": str(folder / "model"), "COMMANDED": str(tmp_path / "commanded")}
+    copytree(folder / "model", tmp_path / "second")
+    folders = {"MODEL": folder / "model", "COMMANDED": tmp_path / "commanded", "SECOND": tmp_path / "second"}
     arguments = ["-p", f"vehicle:={VEHICLE}"]
     for name, value in given.items():
         for word, path in folders.items():
-            value = value.replace(word, path)  # noqa: PLW2901
+            value = value.replace(word, str(path))  # noqa: PLW2901
         arguments += ["-p", f"{name}:={value}"]
     with (
         isolated_domain() as scratch,

@@ -63,6 +63,14 @@ def test_a_fallback_counts_where_telemetry_never_came() -> None:
     assert counting(CommandedRotors(MOTORS, FALLBACK), 1.0, 2.0, telemetry=False)[-1]
 
 
+def test_a_fallback_counts_as_soon_in_a_flight_that_is_played_again() -> None:
+    rotors = CommandedRotors(MOTORS, FALLBACK)
+    assert not any(counting(rotors, 100.0, 102.0))
+    assert counting(rotors, 10.0, 11.0, telemetry=False).index(True) == pytest.approx(6, abs=1)
+    back = counting(rotors, 1.0, 3.0)
+    assert back.index(False) == pytest.approx(20, abs=1)
+
+
 def test_commands_that_no_message_holds_ask_for_a_topic() -> None:
     adapted = AdaptedSources("monitor", "", Vehicle.load("neurobem"))
     other: Any = Motors(source="crazyflie pwm", coefficients=MOTORS.coefficients, lag_s=0.0)

@@ -46,6 +46,12 @@ def test_nothing_is_said_in_the_first_second_and_of_motors_that_are_not_commande
     assert watched([1.0, 1.0, 0.5, 1.0], commanded=np.zeros(4)).found(alarm=False) == ()
 
 
+def test_readings_that_are_no_numbers_do_not_count():
+    watch = watched([1.0] * 4)
+    watch.take(4 * 10**9, COMMANDED * np.nan, COMMANDED)
+    assert watch.found(alarm=False) == ()
+
+
 def test_a_tachometer_that_begins_to_read_half_is_found_within_two_seconds():
     watch = watched([1.0] * 4)
     for time_ns in range(4 * 10**9, 6 * 10**9, 10**7):
