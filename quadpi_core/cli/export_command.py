@@ -10,10 +10,21 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from quadpi_core.cli import options
-from quadpi_core.cli.options import Confidence, Mapping, OptionalVehicle, check_outputs, open_console
+from quadpi_core.cli.options import (
+    SOME_LEFT_OUT,
+    Confidence,
+    Mapping,
+    OptionalVehicle,
+    check_outputs,
+    open_console,
+    print_left_out,
+)
 from quadpi_core.errors import QuadpiError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from quadpi_core.flight_files import FlightLeftOut
     from quadpi_core.reading_options import ReadingOptions
 
 # Forms of a model, and of a flight; their files end so.
@@ -134,8 +145,10 @@ def _export_parameters(folder: Path, output: Path, form: str, logs: list[Path]) 
     model = AerodynamicModel.load(folder)
     vehicle = model.load_vehicle()
     curve = untold_curve("the model knows rotor speeds alone: give a log with commands (--log)")
+    left_out: Sequence[FlightLeftOut] = ()
     if logs:
         report = report_on(logs, ReadingOptions())
+        left_out = report.left_out
         if len(report.vehicles) > 1:
             raise QuadpiError(f"the logs are of {len(report.vehicles)} vehicles; give those of one")
         curve = thrust_curve([(flight.log, flight.use) for flight in report.flights])
@@ -148,6 +161,9 @@ def _export_parameters(folder: Path, output: Path, form: str, logs: list[Path]) 
         if one.value is None:
             console.print(f"{name}: {one.reason}", soft_wrap=True)
     console.print(f"{output}: {form} of {folder}", soft_wrap=True)
+    print_left_out(left_out)
+    if left_out:
+        raise typer.Exit(SOME_LEFT_OUT)
 
 
 def _export_recording(

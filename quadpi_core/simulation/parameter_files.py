@@ -11,6 +11,7 @@ reference and "Computation", fluid forces by the inertia box.
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from dataclasses import asdict
 from typing import NamedTuple
@@ -160,12 +161,13 @@ def _drag_per_mass(small: SmallModel) -> float:
 
 
 def _comment(exported: Exported, *notes: str) -> Iterator[str]:
-    yield f"<!-- {_title(exported)}"
+    told = [_title(exported)]
     for name, one in estimates_of(exported).items():
         number = "" if one.value is None else f"{one.value:.6g}; "
-        # Two hyphens would end a comment.
-        yield f"  {name}: {number}{_about(one)}".replace("--", "-")
-    yield from (f"  {note}" for note in notes)
+        told.append(f"{name}: {number}{_about(one)}")
+    yield "<!--"
+    # Two hyphens would end a comment.
+    yield from (f"  {re.sub('-+', '-', line)}" for line in (*told, *notes))
     yield "-->"
 
 

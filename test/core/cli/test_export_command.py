@@ -68,6 +68,13 @@ def test_a_log_gives_the_thrust_of_hover(physical_folder, quadpi, refused, tmp_p
     done = quadpi("export", physical_folder, "--format", "ardupilot", "--log", logs[0], "-o", output)
     assert (done.status, done.errors) == (0, "")
     assert "MOT_THST_HOVER,0." in output.read_text()
+    (unread := tmp_path / "broken.BIN").write_bytes(b"\xa3\x95")
+    done = quadpi(
+        *("export", physical_folder, "--format", "ardupilot", "-o", output),
+        *("--log", logs[0], "--log", unread),
+    )
+    assert done.status == 3
+    assert "left out broken" in done.errors
     other = shared_data / "crazypad" / "normal_flight_E9_log00"
     refused(
         "the logs are of 2 vehicles",

@@ -113,6 +113,13 @@ def test_the_sdf_is_a_model_of_the_vehicles_mass_with_a_motor_for_each_rotor() -
     assert float(base.findtext("ixz")) == pytest.approx(-vehicle.inertia[0, 2], rel=1e-4)
 
 
+@pytest.mark.parametrize("form", ["sdf", "mjcf"])
+def test_hyphens_in_a_name_end_no_comment(form: str) -> None:
+    text = exported_text(form, exported(identity="my---model--x@0123"))
+    ElementTree.fromstring(text)
+    assert "model my-model-x@0123" in text
+
+
 def flown(tmp_path: Path) -> Truth:
     scenario = tmp_path / "swing.yaml"
     scenario.write_text(SWING)
