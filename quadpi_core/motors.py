@@ -185,11 +185,16 @@ def with_commanded_speeds(recording: Recording, motors: Motors | None) -> Record
     """The recording with rotor speeds by its commands, where it has any and the vehicle says how.
 
     Raises:
-        LogError: for commands of another source, whose scale is another.
+        LogError: for commands of another source, whose scale is another, or of another number of motors.
     """
     if motors is None or recording.commands is None or recording.commanded:
         return recording
     require_source(recording.source, recording.command_source, motors)
+    found, known = recording.commands.commands.shape[1], len(motors.coefficients)
+    if found != known:
+        raise LogError(
+            f"{recording.source}: topic motor_commands: {found} motors, and the vehicle file knows {known}"
+        )
     speeds = CommandedSpeeds(motors).take(recording.commands, recording.battery)
     return replace(recording, rotor_speeds=speeds, commanded=True)
 

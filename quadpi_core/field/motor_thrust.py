@@ -81,8 +81,6 @@ def _parts(log: FieldLog, flight: Flown, vehicle: Vehicle) -> list[_Part] | str:
     parts, velocity = [], velocity_of(log)
     for one in flight.stretches:
         edges = np.arange(one.begin, one.end, 1.0 / GRID_HZ)
-        if len(edges) < _SHORTEST_S * GRID_HZ:
-            continue
         time = 0.5 * (edges[1:] + edges[:-1])
         u, imu = log.commands.filled_means(edges), log.imu.filled_means(edges)
         v = np.empty((len(time), 0)) if log.battery is None else log.battery.at(time)
@@ -91,7 +89,8 @@ def _parts(log: FieldLog, flight: Flown, vehicle: Vehicle) -> list[_Part] | str:
             of_body = rotate_world_to_body(log.attitude.at(time), velocity.at(time))
             moved = np.stack([of_body[:, 2], of_body[:, 0] ** 2 + of_body[:, 1] ** 2], axis=1)
         good = np.isfinite(np.hstack([u, imu, v, moved])).all(axis=1)
-        parts.append((u[good], v[good], -vehicle.mass_kg * imu[good, 5], moved[good]))
+        if np.sum(good) >= _SHORTEST_S * GRID_HZ:
+            parts.append((u[good], v[good], -vehicle.mass_kg * imu[good, 5], moved[good]))
     return parts or "the flight is too short"
 
 

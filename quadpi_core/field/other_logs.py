@@ -147,7 +147,9 @@ def field_log_of(
         attitude = series_of(pose.time_ns, pose.attitude, start_ns)
         position = series_of(pose.time_ns, pose.position, start_ns)
     if battery is None and recording.battery is not None:
-        battery = series_of(recording.battery.time_ns, recording.battery.voltage, start_ns)
+        # Autopilots without a power module log 0 V.
+        measured = recording.battery.take(recording.battery.voltage > 0.0)
+        battery = series_of(measured.time_ns, measured.voltage, start_ns) if len(measured) else None
     speeds = (
         None
         if rotors is None or not np.any(rotors.speeds)

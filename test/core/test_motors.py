@@ -7,9 +7,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadpi_core.errors import VehicleError
-from quadpi_core.flight import BatteryStream, MotorCommandStream
-from quadpi_core.motors import CommandedSpeeds, Motors
+from quadpi_core.errors import LogError, VehicleError
+from quadpi_core.flight import BatteryStream, ImuStream, MotorCommandStream, Recording
+from quadpi_core.motors import CommandedSpeeds, Motors, with_commanded_speeds
 from quadpi_core.vehicle import Vehicle
 
 LAG_S = 0.05
@@ -101,3 +101,11 @@ def test_what_is_no_motor_is_refused(change, said):
     content = {**Vehicle.load("neurobem").to_file(), "motors": {**MOTORS.to_file(), **change}}
     with pytest.raises(VehicleError, match=said):
         Vehicle.of_file(content, "mine", "a file")
+
+
+def test_commands_of_another_number_of_motors_are_refused():
+    six = MotorCommandStream(np.array([10**9]), np.full((1, 6), 0.5))
+    imu = ImuStream(np.array([10**9]), np.zeros((1, 3)), np.zeros((1, 3)))
+    recording = Recording("log", "", "log.bin", imu, commands=six, command_source="test")
+    with pytest.raises(LogError, match=r"log\.bin: topic motor_commands: 6 motors, .* knows 4"):
+        with_commanded_speeds(recording, MOTORS)

@@ -105,14 +105,19 @@ class CommandSettings(_StreamSettings):
     rotors: Annotated[tuple[int, ...] | str | None, ReadBy(_read_rotors)] = None
     topic: Text | None = None
 
-    def order(self, vehicle: Vehicle | None) -> RotorOrder:
-        """The order that the settings give, else that of the usual frame.
+    def order(self, vehicle: Vehicle | None, layout: str = "") -> RotorOrder:
+        """The order that the settings give, else that of a layout, or of the usual frame.
 
         Raises:
-            LogError: for a vehicle that a layout does not fit.
+            LogError: for a vehicle that a layout does not fit, or that has not as many rotors.
         """
         if not isinstance(self.rotors, tuple):
-            return RotorOrder.by_layout(vehicle, self.rotors or usual_layout(vehicle))
+            return RotorOrder.by_layout(vehicle, self.rotors or layout or usual_layout(vehicle))
+        if vehicle is not None and len(self.rotors) != vehicle.rotor_count:
+            raise LogError(
+                f"`rotors` has {len(self.rotors)} numbers; vehicle {vehicle.name} has "
+                f"{vehicle.rotor_count} rotors"
+            )
         return RotorOrder(tuple(number - 1 for number in self.rotors))
 
 

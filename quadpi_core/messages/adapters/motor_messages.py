@@ -19,7 +19,7 @@ from quadpi_core.vehicle import Vehicle
 
 
 def start_of_commands(
-    column: str, stamps: Callable[[Columns], Stamps], scaled: Callable[[Array], Array]
+    column: str, stamps: Callable[[Columns], Stamps], scaled: Callable[[Array], Array], layout: str = ""
 ) -> Callable[[CommandSettings, Vehicle | None], Reading]:
     """`Adapter.start` of messages with the commands of all outputs in one array.
 
@@ -27,10 +27,11 @@ def start_of_commands(
         column: that holds them (N, outputs).
         stamps: gives those of N messages.
         scaled: gives commands of values; 0 for a motor that stands.
+        layout: of the motors unless the settings say it; the usual one unless given.
     """
 
     def start(settings: CommandSettings, vehicle: Vehicle | None) -> Reading:
-        order = list(settings.order(vehicle).controllers)
+        order = list(settings.order(vehicle, layout).controllers)
         dropped: Counter[str] = Counter()
 
         def read(columns: Columns, _items: object) -> MotorCommandStream:

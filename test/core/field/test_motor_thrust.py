@@ -59,6 +59,8 @@ def test_the_fastest_rotor_stays_below_the_vehicles_largest_speed():
         ({"imu": None}, "has not both commands and accelerometer"),
         ({"commands": Series(np.arange(0.0, 60.0, 0.1), np.full((600, 4), 0.4))}, "commands at 10 Hz, 20 Hz"),
         ({"commands": Series(np.arange(0.0, 60.0, 0.01), np.full((6000, 6), 0.4))}, "6 commands for 4"),
+        ({"commands": Series(np.arange(0.0, 6.0, 0.01), np.full((600, 4), 0.4))}, "flight is too short"),
+        ({"battery": Series(np.arange(59.0, 60.0, 0.01), np.full((100, 1), 15.5))}, "flight is too short"),
     ],
 )
 def test_what_is_lacking_is_said(changes, said):

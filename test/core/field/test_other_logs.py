@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +12,12 @@ import pytest
 
 pytest.importorskip("pyarrow", reason="pyarrow is not installed")
 from quadpi_core.errors import LogError
-from quadpi_core.field.other_logs import read_other
+from quadpi_core.field.other_logs import field_log_of, read_other
+from quadpi_core.flight import BatteryStream
+from quadpi_core.logs import read_recording
 from quadpi_core.paths import bags_directory
 from quadpi_core.reading_options import ReadingOptions
+from quadpi_core.vehicle import Vehicle
 
 SENSORS = (
     "gyro_x [rad/s]",
@@ -117,3 +121,13 @@ def test_a_bag_names_its_vehicle():
     assert log.stack == "bag"
     assert log.rotor_speeds.values.shape[1] == 4
     assert log.attitude is not None
+
+
+def test_a_battery_that_reads_nothing_is_none():
+    recording = read_recording(bags_directory() / "interpolation.mcap", Vehicle.load("bebop2"))
+    times = recording.imu.time_ns[:3]
+    assert field_log_of(replace(recording, battery=BatteryStream(times, np.zeros(3)))).battery is None
+    volts = field_log_of(
+        replace(recording, battery=BatteryStream(times, np.array([0.0, 15.0, 15.1])))
+    ).battery
+    assert volts.values.ravel().tolist() == [15.0, 15.1]

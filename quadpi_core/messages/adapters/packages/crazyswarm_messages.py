@@ -3,7 +3,8 @@
 """crazyflie_interfaces of Crazyswarm2: blocks of logged variables, and the battery.
 
 A block does not name its variables: they are those of `custom_topics` in its configuration, in that order. So
-its topic must be named, and `rotors` are the places of the motors' variables among its values.
+its topic must be named, and `rotors` are the places of the motors' variables among its values, m1 to m4 first
+unless given.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ LOG = Adapter(
     topic="motors",
     kind="motor_commands",
     columns=STAMP | {"values": ANY},
-    start=start_of_commands("values", header_stamps, lambda values: values / _FULL),
+    start=start_of_commands("values", header_stamps, lambda values: values / _FULL, "crazyflie"),
     common=True,
     battery=("crazyflie_status", "status"),
 )
