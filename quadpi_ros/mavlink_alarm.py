@@ -27,7 +27,7 @@ from quadpi_core.results import (
 _TEXT_BYTES, _CRITICAL, _NOTICE = 50, 2, 5
 # Reasons of an alarm that are told, the first ones.
 _REASONS = 2
-# A cause that comes again sooner [ns] is not told again, and a number at most so often.
+# A cause that comes again sooner [ns] is told after that long, if it stands then; a number at most so often.
 _AGAIN_NS, _NUMBER_NS = 5_000_000_000, 1_000_000_000
 # Names of at most ten letters, with the unit, and the factor to it.
 _NUMBERS = {
@@ -60,7 +60,8 @@ class AlarmTold:
     """Follows alarm messages, which repeat at a steady rate, and tells what is new."""
 
     def __init__(self) -> None:
-        self._raised: frozenset[object] = frozenset()
+        # What was told, and stands.
+        self._standing: set[object] = set()
         self._told_ns: dict[object, int] = {}
         self._number_ns = 0
         self._texts = 0
@@ -77,25 +78,25 @@ class AlarmTold:
             if kind in _NUMBERS:
                 # What has changed may be named anew while the alarm stands.
                 raised.add(("change", kind, rotor))
-            new = [
-                one
-                for one in raised - self._raised
-                if now_ns - self._told_ns.get(one, -_AGAIN_NS) >= _AGAIN_NS
-            ]
-            if new:
+            # In the future is what was told before the clock was set back.
+            if any(
+                one not in self._told_ns or not 0 <= now_ns - self._told_ns[one] < _AGAIN_NS
+                for one in raised - self._standing
+            ):
+                self._standing = raised
                 self._told_ns |= dict.fromkeys(raised, now_ns)
                 yield from self._text(_CRITICAL, "ALARM: " + "; ".join(alarms.reasons[row][:_REASONS]))
-            elif self._raised and not raised:
+            elif self._standing and not raised:
                 yield from self._text(_NOTICE, "quadpi: the alarm is over")
-            self._raised = frozenset(raised)
+            self._standing = self._standing & raised
             if kind in _NUMBERS and not 0 <= now_ns - self._number_ns < _NUMBER_NS:
                 self._number_ns = now_ns
                 name, factor = _NUMBERS[kind]
                 yield Number(name.format(rotor).encode(), factor * float(alarms.change_size[row]))
 
     def _text(self, severity: int, words: str) -> Iterator[Text]:
-        """A text in pieces; ground stations of old know ASCII alone."""
+        """A text in pieces, of which a zero ends the last; old ground stations know ASCII alone."""
         whole = words.replace("±", "+-").encode("ascii", "replace")
         self._texts = self._texts % 0xFFFF + 1
-        for piece, start in enumerate(range(0, len(whole), _TEXT_BYTES)):
+        for piece, start in enumerate(range(0, len(whole) + 1, _TEXT_BYTES)):
             yield Text(severity, whole[start : start + _TEXT_BYTES], self._texts, piece)

@@ -70,11 +70,29 @@ def test_what_is_new_is_told_and_that_it_is_over() -> None:
     (over,) = told.take(SOUND, 15 * S)
     assert isinstance(over, Text)
     assert (over.severity, over.text) == (5, b"quadpi: the alarm is over")
-    # An alarm that comes and goes is not told each time.
+    # An alarm that comes and goes is not told each time, nor that it is over; one that stays is.
     assert texts(list(told.take(heavier, 16 * S))) == []
-    assert len(texts(list(told.take(heavier, 30 * S)))) == 0
+    assert texts(list(told.take(SOUND, 17 * S))) == []
+    assert texts(list(told.take(heavier, 18 * S))) == []
+    assert len(texts(list(told.take(heavier, 19 * S)))) == 1
+    assert texts(list(told.take(heavier, 30 * S))) == []
     assert texts(list(told.take(SOUND, 31 * S))) == ["quadpi: the alarm is over"]
     assert len(texts(list(told.take(heavier, 32 * S)))) == 1
+
+
+def test_a_clock_that_is_set_back_hides_no_alarm() -> None:
+    told = AlarmTold()
+    assert len(texts(list(told.take(WEAK, 3600 * S)))) == 1
+    assert len(texts(list(told.take(SOUND, 3601 * S)))) == 1
+    assert len(texts(list(told.take(WEAK, 10 * S)))) == 1
+
+
+@pytest.mark.parametrize("length", [49, 50, 100])
+def test_a_zero_behind_the_last_piece_ends_a_text(length: int) -> None:
+    alarm = Alarm((0, 0, 0, 2), UNCHANGED, 0, 0.0, "x" * (length - len("ALARM: ")))
+    pieces = [one for one in AlarmTold().take(alarm, 10 * S) if isinstance(one, Text)]
+    assert sum(len(one.text) for one in pieces) == length
+    assert len(pieces[-1].text) < 50
 
 
 @pytest.mark.parametrize("passive", [False, True])
