@@ -52,6 +52,7 @@ _CHECKSUM = 4
 _DESCRIBING = (SCHEMA, CHANNEL, STATISTICS, METADATA)
 _UNPACKERS = {"zstd": zstd.decompress, "lz4": lz4.decompress, "": bytes}
 _YamlLoader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+_LATE = "damaged: a message was logged after the year 2262"
 # Messages outside chunks that are read together.
 _BATCH = 1000
 
@@ -251,6 +252,8 @@ class McapFile:
             for time_ns, channel, start, length in part:
                 messages[channel][0].append(time_ns)
                 messages[channel][1].append(_read_at(self._stream, start, length)[_MESSAGE_HEAD.size :])
+            if part[-1][0] >= 2**63:
+                raise LogError(_LATE)
             yield Batch.listed(part[0][0], messages)
 
 
@@ -277,7 +280,7 @@ def _messages_in(content: Bytes) -> Records:
     if stop < len(content):
         raise LogError(f"damaged: the record at byte {stop} runs beyond its section")
     if (found["time_ns"][:count] < 0).any():
-        raise LogError("damaged: a message was logged after the year 2262")
+        raise LogError(_LATE)
     return found[:count]
 
 

@@ -43,6 +43,10 @@ def test_reads_messages_outside_chunks_without_a_summary(tmp_path, topics):
     ordered = Topic("/rotor_speeds", sensor_messages.ROTOR_SPEEDS, np.array([10, 20, 30]), few)
     assert_holds(path, [ordered])
     assert_blocks_are_the_whole(path, [ordered], 1)
+    late = body.replace(struct.pack("<QQ", 30, 30), struct.pack("<QQ", 2**63, 30))
+    path.write_bytes(late)
+    with Bag(path) as bag, pytest.raises(LogError, match=r"flat\.mcap: damaged: a message was logged after"):
+        bag.read(["/rotor_speeds"])
 
 
 def test_chunks_that_overlap_in_time_come_in_the_order_of_log_times(tmp_path, topics):
