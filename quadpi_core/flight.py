@@ -317,17 +317,20 @@ class Recording:
     remedies: Mapping[str, str] = field(default_factory=dict)
 
     def require_rotors(self, vehicle: str, rotors: int) -> None:
-        """Refuse rotor speeds of another number of rotors than a vehicle has.
+        """Refuse speeds or commands of another number of rotors than a vehicle has.
 
         Raises:
             LogError: naming source and topic.
         """
-        speeds = self.rotor_speeds
-        if speeds is not None and speeds.speeds.shape[1] != rotors:
-            raise LogError(
-                f"{self.source}: topic {speeds.topic}: {speeds.speeds.shape[1]} rotors, "
-                f"vehicle {vehicle} has {rotors}"
-            )
+        speeds, commands = self.rotor_speeds, self.commands
+        for topic, values in (
+            (RotorSpeedStream.topic, None if speeds is None else speeds.speeds),
+            (MotorCommandStream.topic, None if commands is None else commands.commands),
+        ):
+            if values is not None and values.shape[1] != rotors:
+                raise LogError(
+                    f"{self.source}: topic {topic}: {values.shape[1]} rotors, vehicle {vehicle} has {rotors}"
+                )
 
     def arrivals_of(self, stream: Stream) -> Stamps:
         """Number of IMU samples that arrived before each sample (N,): from the log, else from the stamps.

@@ -77,13 +77,17 @@ LAYOUTS: MappingProxyType[str, tuple[Motor, ...]] = MappingProxyType(
 _USUAL = MappingProxyType({4: "quad-x", 6: "hexa-x", 8: "octo-x"})
 
 
-def usual_layout(vehicle: Vehicle | None) -> str:
+def usual_layout(vehicle: Vehicle | None, rotors: int = ROTORS) -> str:
     """The standard frame of a vehicle's number of rotors, where a log says nothing of its frame.
+
+    Args:
+        vehicle: without one, a log may say the number.
+        rotors: that it says.
 
     Raises:
         LogError: for a number of rotors that has none.
     """
-    rotors = ROTORS if vehicle is None else vehicle.rotor_count
+    rotors = rotors if vehicle is None else vehicle.rotor_count
     if rotors not in _USUAL:
         raise LogError(f"there is no standard frame of {rotors} rotors: give their order")
     return _USUAL[rotors]
@@ -123,6 +127,19 @@ class RotorOrder:
             return cls(tuple(number - 1 for number in controller_numbers(numbers)), unit)
         except ValueError as error:
             raise LogError(f"rotor order {error}") from None
+
+    def of(self, vehicle: Vehicle | None) -> RotorOrder:
+        """The same, for a vehicle of as many rotors.
+
+        Raises:
+            LogError: for a vehicle of another number of rotors.
+        """
+        if vehicle is not None and vehicle.rotor_count != len(self.controllers):
+            raise LogError(
+                f"rotor order of {len(self.controllers)} numbers; vehicle {vehicle.name} has "
+                f"{vehicle.rotor_count} rotors"
+            )
+        return self
 
     @classmethod
     def by_place(

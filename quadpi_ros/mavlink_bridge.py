@@ -309,7 +309,7 @@ def _clock_values(report: SessionReport) -> dict[str, Any]:
 def _order(parameters: BridgeParameters, vehicle: Vehicle) -> RotorOrder:
     if parameters.rotor_order == STANDARD_ORDER:
         return RotorOrder.by_layout(vehicle, usual_layout(vehicle), parameters.rotor_unit)
-    return RotorOrder.parse(parameters.rotor_order, parameters.rotor_unit)
+    return RotorOrder.parse(parameters.rotor_order, parameters.rotor_unit).of(vehicle)
 
 
 def _settings(parameters: BridgeParameters) -> SessionSettings:

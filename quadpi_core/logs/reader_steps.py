@@ -15,13 +15,13 @@ from quadpi_core.findings import LeftOut
 from quadpi_core.flight import MAX_GAP_NS, NO_STAMP, ImuStream, OdometryStream, RotorSpeedStream, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.rotations import rotate_world_to_body
-from quadpi_core.rotor_order import RotorOrder
+from quadpi_core.rotor_order import RotorOrder, usual_layout
 from quadpi_core.sample_limits import NORM_TOLERANCE
 from quadpi_core.screening.plausibility import finite_rows
 from quadpi_core.screening.sample_order import longest, order_of
 from quadpi_core.signals.resample import interpolate, interpolate_attitude
 from quadpi_core.unusable_readings import UnusableReports, Verdict
-from quadpi_core.vehicle import Vehicle
+from quadpi_core.vehicle import ROTORS, Vehicle
 
 _log = logging.getLogger(__name__)
 # Longest pause across which signals of separate messages are interpolated: three usual intervals of the
@@ -32,6 +32,27 @@ _GAP_INTERVALS, _GAP_NS = 3, 1_000_000_000
 def note(source: str, text: str) -> None:
     """Warn the user of something that the import of a log did or assumed."""
     _log.warning("%s: %s", source, text)
+
+
+def by_frame(
+    source: str, vehicle: Vehicle | None, layout: str = "", unit: str | None = None, rotors: int = ROTORS
+) -> RotorOrder:
+    """The order of the motors of a standard frame, of the usual one unless given.
+
+    Args:
+        source: of the log.
+        vehicle: without one, the log may say the number of rotors.
+        layout: of `rotor_order.LAYOUTS`.
+        unit: of their speeds.
+        rotors: that the log says.
+
+    Raises:
+        LogError: naming the log, if the vehicle's rotors do not sit as the frame's do.
+    """
+    try:
+        return RotorOrder.by_layout(vehicle, layout or usual_layout(vehicle, rotors), unit)
+    except LogError as error:
+        raise LogError(f"{source}: {error}") from error
 
 
 def unsigned_speeds(source: str, speeds: Array) -> Array:

@@ -135,7 +135,7 @@ def read_recording(path: Path | str, vehicle: Vehicle | None, mapping: MappingOr
 def decode_recording(
     path: Path | str, vehicle: Vehicle | None, mapping: MappingOrOptions = None
 ) -> Recording:
-    """Like :func:`read_recording`, but unchecked, and whole: what `quadpi info` diagnoses."""
+    """Like :func:`read_recording`, but whole; only the number of rotors is checked: for `quadpi info`."""
     path = array_checks.path("path", path)
     if vehicle is not None:
         array_checks.instance("vehicle", vehicle, Vehicle, LOAD_VEHICLE)
@@ -147,7 +147,10 @@ def decode_recording(
             recording = log_format.flights.read(file, number, vehicle, settings)
         else:
             recording = log_format.read(file, vehicle, settings)
-    motors = None if vehicle is None else vehicle.motors
+    motors = None
+    if vehicle is not None:
+        recording.require_rotors(vehicle.name, vehicle.rotor_count)
+        motors = vehicle.motors
     return replace(with_commanded_speeds(recording, motors), remedies=log_format.remedies)
 
 

@@ -39,7 +39,7 @@ from quadpi_core.logs.reader_steps import (
 )
 from quadpi_core.rotor_order import RPM, RotorOrder, usual_layout
 from quadpi_core.screening.sample_order import breaks, longest, order_of, used_run
-from quadpi_core.vehicle import Vehicle
+from quadpi_core.vehicle import ROTORS, Vehicle
 
 _GYRO, _ACCELERATION = ("GyrX", "GyrY", "GyrZ"), ("AccX", "AccY", "AccZ")
 _QUATERNION = ("Q1", "Q2", "Q3", "Q4")
@@ -312,7 +312,8 @@ def _order(source: str, parameters: dict[str, float], vehicle: Vehicle | None) -
     # Until 2016 the type stood alone, of a firmware for each number of rotors.
     layout = LAYOUT_OF_FRAME.get((frame_class or 1, -1 if frame_type is None else frame_type))
     if layout is None:
-        layout = usual_layout(vehicle)
+        known = _FRAME_CLASSES.get(frame_class or 1)
+        layout = usual_layout(vehicle, known if isinstance(known, int) else ROTORS)
         said = "nothing" if frame_type is None else f"FRAME_TYPE {frame_type}"
         if source:
             note(

@@ -31,7 +31,7 @@ from quadpi_core.frames import Array, body_flu_to_frd, quaternion_from_roll_pitc
 from quadpi_core.logs.airframes import Airframe, has_rotors
 from quadpi_core.logs.blackbox import BlackboxLog, decode_blackbox
 from quadpi_core.logs.log_format import FlightsInFile, LogFormat
-from quadpi_core.logs.reader_steps import note, require_imu
+from quadpi_core.logs.reader_steps import by_frame, note, require_imu
 from quadpi_core.rotor_order import ERPM, RotorOrder
 from quadpi_core.sample_limits import STANDARD_GRAVITY
 from quadpi_core.vehicle import Vehicle
@@ -39,12 +39,13 @@ from quadpi_core.vehicle import Vehicle
 _MAGIC = b"H Product:Blackbox"
 _GYRO = ("gyroADC[0]", "gyroADC[1]", "gyroADC[2]")
 _ACCELERATION = ("accSmooth[0]", "accSmooth[1]", "accSmooth[2]")
-_ERPM = ("eRPM[0]", "eRPM[1]", "eRPM[2]", "eRPM[3]")
-_OMEGA = ("omega[0]", "omega[1]", "omega[2]", "omega[3]")
+# Of as many motors as firmwares know.
+_ERPM, _OMEGA, _MOTORS = (
+    tuple(f"{name}[{motor}]" for motor in range(8)) for name in ("eRPM", "omega", "motor")
+)
 _POSITION = ("extPos[0]", "extPos[1]", "extPos[2]")
 _ATTITUDE = ("extAtt[0]", "extAtt[1]", "extAtt[2]")
 _ITERATION = "loopIteration"
-_MOTORS = ("motor[0]", "motor[1]", "motor[2]", "motor[3]")
 # Full throttle of DShot, and of pulses in µs: the scale does not matter, as long as it is one.
 _MOTOR_FULL = 2000.0
 _FIELDS = (_ITERATION, "time", *_GYRO, *_ACCELERATION, *_ERPM, *_OMEGA, *_MOTORS, *_POSITION, *_ATTITUDE)
@@ -224,13 +225,13 @@ def _gyro_scale(headers: Mapping[str, int]) -> float:
 def _commands(
     columns: Mapping[str, Array], vehicle: Vehicle | None, order: RotorOrder | None
 ) -> MotorCommandStream | None:
-    if not all(name in columns for name in _MOTORS):
-        return None
+    if order is None and vehicle is None:
+        order = RotorOrder(tuple(range(sum(name in columns for name in _MOTORS))))
     order = order or RotorOrder.usual(vehicle, "betaflight")
-    if order is None or not all(number < len(_MOTORS) for number in order.controllers):
+    names = [] if order is None else [f"motor[{number}]" for number in order.controllers]
+    if not names or not all(name in columns for name in names):
         return None
-    values = _stacked(columns, [_MOTORS[number] for number in order.controllers])
-    return MotorCommandStream(stamps_in(columns), values / _MOTOR_FULL)
+    return MotorCommandStream(stamps_in(columns), _stacked(columns, names) / _MOTOR_FULL)
 
 
 def _rotor_speeds(
@@ -240,29 +241,44 @@ def _rotor_speeds(
     vehicle: Vehicle | None,
     order: RotorOrder | None,
 ) -> RotorSpeedStream | None:
-    if all(name in columns for name in _OMEGA):
-        order = order or RotorOrder.by_layout(vehicle, "betaflight")
-        speeds = np.abs(_stacked(columns, [_OMEGA[number] for number in order.controllers]))
+    if "omega[0]" in columns:
+        order = _order(source, "omega", columns, vehicle, order)
+        speeds = np.abs(_stacked(columns, [f"omega[{number}]" for number in order.controllers]))
         return RotorSpeedStream(stamps_in(columns), speeds)
-    if not all(name in columns for name in _ERPM):
+    if "eRPM[0]" not in columns:
         if headers.get("dshot_bidir") == 1:
             note(
                 source,
                 "topic rotor_speeds: bidirectional DShot was on, but eRPM is not among the logged fields",
             )
         return None
-    if order is None:
-        order = RotorOrder.by_layout(vehicle, "betaflight", ERPM)
+    order = _order(source, "eRPM", columns, vehicle, order)
     order = RotorOrder(order.controllers, order.unit or ERPM)
     pole_pairs = pole_pairs_of(source, headers, vehicle)
     if vehicle is None and pole_pairs is None:
         note(source, "topic rotor_speeds: left out, electrical speeds need the vehicle's pole pairs")
         return None
-    erpm = _stacked(columns, [_ERPM[number] for number in order.controllers]) * _ERPM_PER_COUNT
+    erpm = _stacked(columns, [f"eRPM[{number}]" for number in order.controllers]) * _ERPM_PER_COUNT
     if not np.any(erpm):
         note(source, f"topic rotor_speeds: left out, every eRPM is zero: {_NO_TELEMETRY}")
         return None
     return RotorSpeedStream(stamps_in(columns), order.speeds(erpm, vehicle, pole_pairs))
+
+
+def _order(
+    source: str, field: str, columns: Mapping[str, Array], vehicle: Vehicle | None, order: RotorOrder | None
+) -> RotorOrder:
+    """The motors of the vehicle's rotors, of which all are logged; without a vehicle all that are."""
+    logged = sum(name.startswith(f"{field}[") for name in columns)
+    if order is None and vehicle is None:
+        return RotorOrder(tuple(range(logged)))
+    order = order or by_frame(source, vehicle, "betaflight")
+    if max(order.controllers) >= logged:
+        raise LogError(
+            f"{source}: field {field}: of {logged} motors, the order of the rotors names number "
+            f"{max(order.controllers) + 1}"
+        )
+    return order
 
 
 def pole_pairs_of(source: str, headers: Mapping[str, int], vehicle: Vehicle | None) -> int | None:

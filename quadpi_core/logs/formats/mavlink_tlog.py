@@ -36,8 +36,8 @@ from quadpi_core.logs.mavlink_samples import (
     is_epoch,
     stream_of,
 )
-from quadpi_core.logs.reader_steps import note, require_imu
-from quadpi_core.rotor_order import RPM, RotorOrder, usual_layout
+from quadpi_core.logs.reader_steps import by_frame, note, require_imu
+from quadpi_core.rotor_order import RPM, RotorOrder
 from quadpi_core.vehicle import Vehicle
 
 _STAMP_BYTES = 8
@@ -116,7 +116,7 @@ def read_tlog(path: Path, vehicle: Vehicle | None, order: RotorOrder | None = No
     """
     source = str(path)
     if order is None:
-        order = RotorOrder.by_layout(vehicle, usual_layout(vehicle), RPM)
+        order = by_frame(source, vehicle, unit=RPM)
     samples, arrived = _decode(path, lambda: MavlinkSamples(vehicle, order))
     arrived, quality = _longest_run(arrived)
     time_ns = _stamps(arrived)

@@ -35,6 +35,7 @@ from quadpi_core.frames import Array
 from quadpi_core.logs.airframes import Airframe, has_rotors
 from quadpi_core.logs.log_format import LogFormat
 from quadpi_core.logs.reader_steps import (
+    by_frame,
     has_attitude,
     normalised_attitude,
     note,
@@ -46,6 +47,7 @@ from quadpi_core.logs.reader_steps import (
 )
 from quadpi_core.logs.sandbox import read_apart
 from quadpi_core.messages.adapters.rotor_messages import EscReports, RotorReader
+from quadpi_core.records import ROTORS_MAX
 from quadpi_core.rotor_order import RPM, Motor, RotorOrder, usual_layout
 from quadpi_core.unusable_readings import Verdict
 from quadpi_core.vehicle import ROTORS, Vehicle
@@ -369,9 +371,9 @@ def _order(
     """Report of each rotor: from motor to report by actuator_function, from rotor to motor by position."""
     motors = _motors_of(parameters, vehicle)
     if motors is None:
-        layout = usual_layout(vehicle)
+        motors = by_frame(source, vehicle, unit=RPM, rotors=_rotors_of(parameters, vehicle))
+        layout = usual_layout(vehicle, len(motors.controllers))
         note(source, f"topic rotor_speeds: no rotor positions in the log; its motors are taken as {layout}")
-        motors = RotorOrder.by_layout(vehicle, layout, RPM)
     reports = {}
     for report in range(len([name for name in columns if name.endswith("].esc_rpm")])):
         functions = columns.get(f"esc[{report}].actuator_function")
@@ -392,9 +394,17 @@ def _motors_of(parameters: dict[str, float], vehicle: Vehicle | None) -> RotorOr
                 for key, sign in (("PX", 1), ("PY", 1), ("KM", -1))
             )
         )
-        for motor in range(ROTORS if vehicle is None else vehicle.rotor_count)
+        for motor in range(_rotors_of(parameters, vehicle))
     ]
     return RotorOrder.by_place(vehicle, places, RPM)
+
+
+def _rotors_of(parameters: dict[str, float], vehicle: Vehicle | None) -> int:
+    """The number of rotors of the vehicle, else that which the log says, else four."""
+    if vehicle is not None:
+        return vehicle.rotor_count
+    said = int(parameters.get("CA_ROTOR_COUNT", 0))
+    return said if 0 < said <= ROTORS_MAX else ROTORS
 
 
 FORMAT = LogFormat(

@@ -79,12 +79,12 @@ class RotorSettings(_StreamSettings):
         """The order that the settings give.
 
         Raises:
-            LogError: if they give none, or not without a vehicle.
+            LogError: if they give none, one of another number of rotors, or not without a vehicle.
         """
         assert self.rotors is not None
         assert self.unit is not None
         if not isinstance(self.rotors, str):
-            return RotorOrder(tuple(number - 1 for number in self.rotors), self.unit)
+            return RotorOrder(tuple(number - 1 for number in self.rotors), self.unit).of(vehicle)
         if vehicle is None:
             raise LogError(
                 f"the layout {self.rotors} needs the vehicle, whose file says where its rotors are"
@@ -113,12 +113,7 @@ class CommandSettings(_StreamSettings):
         """
         if not isinstance(self.rotors, tuple):
             return RotorOrder.by_layout(vehicle, self.rotors or layout or usual_layout(vehicle))
-        if vehicle is not None and len(self.rotors) != vehicle.rotor_count:
-            raise LogError(
-                f"`rotors` has {len(self.rotors)} numbers; vehicle {vehicle.name} has "
-                f"{vehicle.rotor_count} rotors"
-            )
-        return RotorOrder(tuple(number - 1 for number in self.rotors))
+        return RotorOrder(tuple(number - 1 for number in self.rotors)).of(vehicle)
 
 
 def _read_body(data: Any) -> str:

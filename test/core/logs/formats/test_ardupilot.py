@@ -140,6 +140,12 @@ def test_speeds_of_controllers_that_have_a_name_each(read, vehicle, caplog):
     assert "the log says FRAME_TYPE 7 of the frame" in caplog.text
 
 
+def test_without_a_vehicle_the_frame_says_how_many_rotors(read):
+    escs = [("ESC", now, number, 6000.0) for now in TIMES for number in range(6)]
+    recording = read(IMU, parameters(FRAME_CLASS=2.0, FRAME_TYPE=7.0), escs, of=None)
+    assert recording.rotor_speeds.speeds.shape[1] == 6
+
+
 def test_a_controller_that_is_not_logged_leaves_no_rotor_speeds(read, caplog):
     three = [row for row in ESCS if row[2] != 2]
     assert read(IMU, parameters(FRAME_TYPE=1.0), three).rotor_speeds is None

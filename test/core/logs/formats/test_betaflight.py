@@ -17,7 +17,7 @@ from quadpi_core.flight import Recording
 from quadpi_core.frames import roll_pitch_yaw_from_quaternion
 from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.inputs import INPUT_NAMES
-from quadpi_core.logs import read_recording
+from quadpi_core.logs import decode_recording, read_recording
 from quadpi_core.logs.formats.betaflight import read_betaflight
 from quadpi_core.logs.importing import import_logs
 from quadpi_core.paths import bags_directory
@@ -164,6 +164,32 @@ def test_electrical_speeds_need_pole_pairs(read, vehicle, caplog):
         read(flight(*frames(3), motor_poles=None), replace(vehicle, pole_pairs=None))
     assert read(flight(*frames(3), motor_poles=None), None).rotor_speeds is None
     assert "topic rotor_speeds: left out, electrical speeds need the vehicle's pole pairs" in caplog.text
+
+
+def test_more_motors_than_four_are_read_by_their_order(tmp_path, vehicle):
+    """Betaflight's frames of six are not known: the order is given. Without a vehicle all are read."""
+    erpm = [f"eRPM[{motor}]" for motor in range(6)]
+    path = tmp_path / "flight.bbl"
+    path.write_bytes(flight(*frames(400, (*VALUES, 50, 60)), names=[*SENSORS, *erpm]))
+    six = replace(
+        vehicle,
+        rotor_positions=np.vstack((vehicle.rotor_positions, vehicle.rotor_positions[:2])),
+        rotor_spins=np.append(vehicle.rotor_spins, vehicle.rotor_spins[:2]),
+    )
+    expected = np.array([10, 20, 30, 40, 50, 60]) * 100.0 / 7 * RAD_S
+    speeds = read_betaflight(path, six, RotorOrder((5, 4, 3, 2, 1, 0))).rotor_speeds.speeds[0]
+    assert speeds == pytest.approx(expected[::-1])
+    assert read_betaflight(path, None).rotor_speeds.speeds[0] == pytest.approx(expected)
+    with pytest.raises(
+        LogError, match=r"flight\.bbl: the vehicle's rotors are not those of a frame betaflight"
+    ):
+        read_betaflight(path, six)
+    with pytest.raises(LogError, match=r"flight\.bbl: field eRPM: of 6 motors, .* names number 7"):
+        read_betaflight(path, vehicle, RotorOrder((0, 1, 2, 6)))
+    mapping = tmp_path / "three.yaml"
+    mapping.write_text("rotors: [1, 2, 3]\n")
+    with pytest.raises(LogError, match=r"flight\.bbl: topic rotor_speeds: 3 rotors, vehicle neurobem has 4"):
+        decode_recording(path, vehicle, mapping)
 
 
 OMEGA, EXT_POS, EXT_ATT = (

@@ -193,6 +193,11 @@ def test_the_function_of_a_report_says_which_motor_it_is_of(read, vehicle, funct
     assert "no rotor positions in the log; its motors are taken as quad-x" in caplog.text
 
 
+def test_without_a_vehicle_the_log_says_how_many_rotors(read):
+    recording = read(escs((0, 0, 0, 0)), of=None, parameters={"CA_ROTOR_COUNT": 6.0})
+    assert recording.rotor_speeds.speeds.shape[1] == 6
+
+
 def test_positions_of_motors_in_the_log_count(read, vehicle, caplog):
     """Here those of a frame that is turned by half against the generic one."""
     places = {

@@ -6,8 +6,14 @@ import pytest
 
 from quadpi_core.errors import LogError
 from quadpi_core.messages.adapters import AdapterSettings
-from quadpi_core.messages.adapters.adapter_settings import BodySettings, RotorSettings, StateSettings
+from quadpi_core.messages.adapters.adapter_settings import (
+    BodySettings,
+    CommandSettings,
+    RotorSettings,
+    StateSettings,
+)
 from quadpi_core.paths import config_directory
+from quadpi_core.vehicle import Vehicle
 
 
 def load(tmp_path, text):
@@ -70,6 +76,13 @@ odometry: {topic: /odometry}
 def test_what_is_wrong_is_said_with_file_and_key(tmp_path, text, message):
     with pytest.raises(LogError, match=rf"{re.escape(str(tmp_path))}/mine\.yaml: .*{message}"):
         load(tmp_path, text)
+
+
+def test_an_order_is_of_as_many_rotors_as_the_vehicle_has():
+    for settings in (RotorSettings(rotors=(1, 2, 3), unit="rpm"), CommandSettings(rotors=(1, 2, 3))):
+        assert settings.order(None).controllers == (0, 1, 2)
+        with pytest.raises(LogError, match="rotor order of 3 numbers; vehicle neurobem has 4 rotors"):
+            settings.order(Vehicle.load("neurobem"))
 
 
 def test_an_unknown_name_lists_those_there_are():
