@@ -34,7 +34,8 @@ from quadpi_core.models.interval_rules import inside_interval
 from quadpi_core.monitor.alarm import Alarm, MonitorSettings, NotJudgedReason, not_judged_reasons
 from quadpi_core.monitor.alarm_log import reasons
 from quadpi_core.monitor.change import OF_THRUST
-from quadpi_core.monitor.preparation import VERDICT, Prepared
+from quadpi_core.monitor.preparation import Prepared, Verdict
+from quadpi_core.records import record_dtype
 from quadpi_core.results import CAUSES, CHANGE, LEVEL_ALARM, Alarms
 
 SIGNALS = ("inputs", "leverage", "width", "miscoverage")
@@ -95,11 +96,11 @@ def alarm_of_flight(
         change=model.change_limits,
     )
     samples = len(time)
-    verdicts = np.zeros(samples, VERDICT)
+    speeds = derivatives["rotor_speeds"]
+    verdicts = np.zeros(samples, record_dtype(Verdict, speeds.shape[1]))
     verdicts["time_ns"] = np.round(1e9 * time)
     verdicts["usable"], verdicts["settled"] = known, True
-    speeds = derivatives["rotor_speeds"]
-    verdicts["rotor_speeds"][known, : speeds.shape[1]] = speeds
+    verdicts["rotor_speeds"][known] = speeds
     prepared = Prepared(verdicts, inputs, wrench, verdicts["time_ns"][known], derivatives)
     rows = alarm.step(prepared, evaluation)
     missed = np.zeros((samples, len(AXES)), dtype=np.bool_)

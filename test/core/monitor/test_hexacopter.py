@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from quadpi_core.errors import ArgumentError
+from quadpi_core.evaluation.evaluate import predict_flight
 from quadpi_core.frames import Array
 from quadpi_core.identification.identify import identify
 from quadpi_core.library.flights import Flights
@@ -53,6 +54,14 @@ def model(
 def rows_of(arrays: dict[str, Array]) -> Array:
     """Samples (K, 22) as the monitor takes them, without wind."""
     return np.column_stack([*(arrays[name] for name in NAMES), np.zeros_like(arrays["rates"])])
+
+
+def test_the_alarm_on_its_flights_is_judged(hexacopter: Path, model: AerodynamicModel) -> None:
+    flown = swung(hexacopter, 2, 6.0)
+    flights = Flights.from_arrays(flown.time_ns, vehicle=hexacopter, **measured(flown, 2))
+    (result,) = (predict_flight(model, one, 0.95, with_alarm=True) for one in flights.prepared)
+    assert result.alarm is not None
+    assert result.alarm.monitored.mean() > 0.5
 
 
 def test_a_hexacopter_is_fitted_predicted_and_watched(hexacopter: Path, model: AerodynamicModel) -> None:
