@@ -51,6 +51,14 @@ def report_vehicle(name_or_path: str) -> tuple[Vehicle | int | None, float | Non
     return known.pole_pairs, known.mass_kg
 
 
+def _number(answer: str) -> object:
+    """A number, None for an empty answer, else the answer itself, which is refused."""
+    try:
+        return yaml.safe_load(answer)
+    except yaml.YAMLError:
+        return answer
+
+
 def _ask(path: Path) -> None:
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
         names = " and ".join(_ASKED)
@@ -60,7 +68,7 @@ def _ask(path: Path) -> None:
         name: typer.prompt(f"{name}: {meaning} (empty: not known)", default="", show_default=False)
         for name, meaning in _ASKED.items()
     }
-    answers = {name: yaml.safe_load(answer) for name, answer in given.items()}
+    answers = {name: _number(answer) for name, answer in given.items()}
     known = parse_config(KnownValues, answers, str(path), VehicleError)
     with whole_output(path) as temporary:
         temporary.write_text(yaml.safe_dump(asdict(known), sort_keys=False), encoding="utf-8")

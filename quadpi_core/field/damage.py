@@ -15,7 +15,7 @@ import numpy as np
 from scipy import stats
 
 from quadpi_core.field.airborne import Flown
-from quadpi_core.field.estimates import CONFIDENCE, Estimate, within
+from quadpi_core.field.estimates import CONFIDENCE, Estimate, not_identified, within
 from quadpi_core.field.field_log import FieldLog
 from quadpi_core.field.motor_use import FULL_COMMAND, MotorUse
 from quadpi_core.frames import Array
@@ -46,6 +46,8 @@ FROZEN_S = Threshold(
 )
 # Of the command's range: what controllers step by in a second, and no more than logs and idling differ by.
 _NEAR = 0.02
+# Of a command that falls by so much a power law of thrust tells nothing: the motor hardly turns.
+_HALF = 0.5
 
 
 @dataclass(frozen=True)
@@ -82,16 +84,20 @@ def losses(use: MotorUse, references: Sequence[MotorUse]) -> tuple[RotorLoss, ..
     found = []
     for value, width in zip(shares[0] - before.mean(axis=0), half, strict=True):
         ends = [float(end) for end in (value, value - width, value + width)]
-        thrusts = [_thrust(*pair) for pair in zip(ends, (1, 0, 2), strict=True)]
-        found.append(RotorLoss(within(ends, "", said), within(thrusts, "", said)))
+        thrust = not_identified("", "its command is half of what it was, or less")
+        if min(ends) > -_HALF:
+            thrust = within([_thrust(*pair) for pair in zip(ends, (1, 0, 2), strict=True)], "", said)
+        found.append(RotorLoss(within(ends, "", said), thrust))
     return tuple(found)
 
 
 def _over_others(use: MotorUse) -> Array:
-    """Command (R,) of each motor over the mean of the others, less 1."""
+    """Command (R,) of each motor over the mean of the others, less 1; empty where one has all or none is told."""
     over_all = 1.0 + np.array([one.value for one in use.motors], dtype=np.float64)
     count = len(over_all)
-    return over_all / ((count - over_all) / max(count - 1, 1)) - 1.0 if count > 1 else over_all[:0]
+    if count < 2 or not np.all(over_all < count):
+        return over_all[:0]
+    return over_all / ((count - over_all) / (count - 1)) - 1.0
 
 
 def _thrust(excess: float, power: int) -> float:

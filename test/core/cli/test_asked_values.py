@@ -49,7 +49,7 @@ def test_what_is_not_known_is_not_asked_for_again(answered, tmp_path):
     assert len(asked) == 2
 
 
-@pytest.mark.parametrize(("answer", "said"), [("-1", "mass_kg"), ("heavy", "mass_kg")])
+@pytest.mark.parametrize(("answer", "said"), [("-1", "mass_kg"), ("heavy", "mass_kg"), ("[1.2", "mass_kg")])
 def test_no_answer_that_is_impossible_is_kept(answered, tmp_path, answer, said):
     answered(answer, "")
     with pytest.raises(VehicleError, match=said):

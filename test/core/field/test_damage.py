@@ -56,6 +56,19 @@ def test_what_cannot_be_held_against_each_other() -> None:
         assert losses(flight, before) == "the flight, or those before, have no commands"
 
 
+@pytest.mark.parametrize("command", [0.0, 0.02])
+def test_a_motor_that_hardly_turns_tells_no_thrust(command: float) -> None:
+    stands, *others = losses(use(command, 0.6, 0.6, 0.6), [use(0.5, 0.5, 0.5, 0.5)] * 5)
+    assert stands.thrust.value is None
+    assert stands.excess.value == pytest.approx(command / 0.6 - 1.0)
+    assert all(one.thrust.value == pytest.approx(others[0].thrust.value) for one in others)
+
+
+def test_a_motor_that_has_all_the_command_compares_with_none() -> None:
+    with np.errstate(all="raise"):
+        assert isinstance(losses(use(1.0, 0.0, 0.0, 0.0), [use(0.5, 0.5, 0.5, 0.5)]), str)
+
+
 def with_motor(log: FieldLog, motor: int, values: np.ndarray) -> FieldLog:
     commands = log.commands.values.copy()
     commands[:, motor] = values
