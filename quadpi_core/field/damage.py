@@ -92,7 +92,7 @@ def losses(use: MotorUse, references: Sequence[MotorUse]) -> tuple[RotorLoss, ..
 
 
 def _over_others(use: MotorUse) -> Array:
-    """Command (R,) of each motor over the mean of the others, less 1; empty where one has all or none is told."""
+    """Command (R,) of each motor over the mean of the others, less 1; empty where they do not compare."""
     over_all = 1.0 + np.array([one.value for one in use.motors], dtype=np.float64)
     count = len(over_all)
     if count < 2 or not np.all(over_all < count):
