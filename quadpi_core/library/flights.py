@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import glob
+import logging
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,6 +32,7 @@ from quadpi_core.vehicle import LOAD_VEHICLE, Vehicle
 if TYPE_CHECKING:
     import pandas as pd
 
+_log = logging.getLogger(__name__)
 _NAMES_SHOWN = 4
 # More processes than any machine has cores are a slip.
 _WORKERS_MAX = 4096
@@ -256,7 +258,8 @@ def load_flights(
 ) -> Flights:
     """Read, fuse and filter flights from logs of any known format; only the part in the air is kept.
 
-    Where a flight has motor commands and no rotor speeds, those of all flights are made of commands.
+    Where a flight has motor commands and no rotor speeds, those of all flights are made of commands;
+    the log (`logging`) says so.
 
     Args:
         logs: paths, or patterns such as `"bags/train_*.mcap"`; one alone is a list of one.
@@ -282,6 +285,8 @@ def load_flights(
     read = prepare_with_motors(
         paths, flown, cutoff_hz, mapping=mapping, workers=Workers(workers), left_out=left_out
     )
+    if read.said:
+        _log.warning("%s", read.said)
     return Flights(tuple(read.flights), read.vehicle, cutoff_hz)
 
 

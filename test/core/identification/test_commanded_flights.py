@@ -13,6 +13,7 @@ import pytest
 from quadpi_core.identification.commanded_flights import prepare_with_motors
 from quadpi_core.identification.identify import identify
 from quadpi_core.identification.prepared_flights import prepare_flights
+from quadpi_core.library.flights import load_flights
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import read_outputs
 from quadpi_core.models.aerodynamic import AerodynamicModel
@@ -82,6 +83,13 @@ def test_flights_without_rotor_speeds_become_a_model_that_replays(bags, recordin
     predictions, _ = read_outputs(output)
     assert len(predictions.time_ns) > 0.8 * len(recordings[0].imu)
     assert json.loads(summary.read_text())
+
+
+def test_the_library_says_that_speeds_are_made_of_commands(bags, caplog):
+    _, paths = bags
+    flights = load_flights([str(path) for path in paths[:2]], "bebop2")
+    assert flights.vehicle.motors is not None
+    assert "rotor speeds of all flights are made of their motor commands" in caplog.text
 
 
 def test_real_flights_by_commands_err_and_cover_as_by_tachometers(shared_data):
