@@ -136,7 +136,7 @@ def test_an_ardupilot_log_as_the_page_says(flown_as_said):
 
 def test_a_betaflight_log_as_the_page_says(flown_as_said):
     report = flown_as_said("Betaflight")
-    assert 0.005 < report["vehicles"][0]["motor_model"]["error"] < 0.035
+    assert 0.005 < report["vehicles"][0]["motor_model"]["error"] < 0.015
     assert report["flights"][0]["motors"]["motors"]
 
 
