@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
@@ -19,6 +20,8 @@ from quadpi_core.monitor.change import AXIS_NOISE, BLOCK_S
 _FEWEST_BLOCKS, _FEWEST_FLIGHTS = 10, 3
 # Deviations of a difference that is told, the largest of those between all flights.
 _TOLD = 4.0
+# Least deviation that is told, N and Nm.
+_FINEST = 1e-6
 # What a residual to the positive and to the negative side says, and the unit.
 _SIDES = {
     "Fx": ("more force forward", "more force backward", "mN"),
@@ -83,5 +86,8 @@ def differences(flights: Mapping[str, Mapping[str, Constant]]) -> Iterator[str]:
         if gap <= _TOLD * float(np.sqrt(squares[split] + squares[split - 1])):
             continue
         side = positive if difference > 0.0 else negative
-        size, unsure = 1e3 * abs(difference), 1e3 * float(np.sqrt(variance))
-        yield f"{', '.join(sorted(names[fewer]))}: {size:.2g} ± {unsure:.1g} {unit} {side} than the others"
+        unsure = max(float(np.sqrt(variance)), _FINEST)
+        # To the first digit that is not sure.
+        place = -math.floor(math.log10(1e3 * unsure))
+        size, more_or_less = (f"{round(1e3 * of, place):g}" for of in (abs(difference), unsure))
+        yield f"{', '.join(sorted(names[fewer]))}: {size} ± {more_or_less} {unit} {side} than the others"

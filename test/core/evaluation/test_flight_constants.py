@@ -40,6 +40,17 @@ def test_flights_that_differ_are_named() -> None:
     assert not list(differences({name: flights[name] for name in ("flight0", "flight2")}))
 
 
+@pytest.mark.parametrize(
+    ("push", "deviation", "said"),
+    [(0.1234, 0.01, "123 ± 5 mN"), (1.234, 0.1, "1230 ± 50 mN"), (0.0123, 0.0, "12.3 ± 0.001 mN")],
+)
+def test_sizes_are_told_to_the_first_digit_that_is_not_sure(push: float, deviation: float, said: str) -> None:
+    deviations = {"a": deviation, "b": deviation, "c": 0.0, "d": 0.0}
+    flights = {name: {"Fy": Constant(push if name == "c" else 0.0, one)} for name, one in deviations.items()}
+    (told,) = differences(flights)
+    assert told == f"c: {said} more force to the right than the others"
+
+
 def test_flights_alike_and_short_ones_tell_nothing() -> None:
     assert not list(differences({f"flight{seed}": constants_of(seed, 0.0) for seed in range(7)}))
     assert flight_constants(LIMITS, np.arange(5.0) / 100, np.zeros((5, 6))) == {}
