@@ -3,7 +3,8 @@
 """A smoothed flight as a table, on which any simulator can be run, and which `import` reads again.
 
 The columns are those of config/mappings/flight.yaml: SI units, body axes forward-right-down, world
-north-east-down. With six columns `simulated_…` from a simulator, the mapping is flight_simulated.yaml.
+north-east-down. With six columns `simulated_…` from a simulator, the mapping is flight_simulated.yaml. Both
+are of four rotors: of others a copy lists the columns of all.
 """
 
 from __future__ import annotations

@@ -54,7 +54,7 @@ class LeftOnAxis:
     walk: NotNegative
     keep: Share
     process: NotNegative
-    white: NotNegative
+    white: Positive
     scale: Positive
     loudest: Positive
 

@@ -25,6 +25,7 @@ def test_limits_survive_their_file() -> None:
         ({"axes": {}}, "`axes`"),
         ({"axes": {"Mz": LEFT.__dict__}}, "Mz"),
         ({"axes": {"Fz": LEFT.__dict__ | {"scale": 0.0}}}, "`scale`"),
+        ({"axes": {"Fz": LEFT.__dict__ | {"white": 0.0}}}, "`white`"),
         ({"largest": -1.0}, "`largest`"),
         ({"levers": [[1.0, 2.0]]}, "levers"),
     ],
