@@ -99,7 +99,7 @@ def export(
 ) -> None:
     """Write a model or a flight in another form: a vehicle file, a recording for Rerun, or a table."""
     if output.suffix not in _SUFFIXES[form]:
-        raise QuadpiError(f"{output}: a {form} file ends in {' or '.join(_SUFFIXES[form])}")
+        raise QuadpiError(f"{output}: a file of the form {form} ends in {' or '.join(_SUFFIXES[form])}")
     given: dict[str, object] = {
         "log": log,
         "model": model,

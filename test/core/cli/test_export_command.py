@@ -105,7 +105,7 @@ def test_a_flight_without_results_names_the_command_that_judges_it(refused, tmp_
 
 def test_what_cannot_be_exported_for_rerun(refused, tmp_path):
     output = tmp_path / "flight.rrd"
-    refused("a rerun file ends in .rrd", *RERUN, "-o", tmp_path / "flight.mcap")
+    refused("a file of the form rerun ends in .rrd", *RERUN, "-o", tmp_path / "flight.mcap")
     refused("--confidence: is that of the models", *RERUN, "--confidence", "0.9", "-o", output)
     refused(
         "is of vehicle bebop2, not neurobem", *RERUN, "--model", GOLDEN, "--vehicle", "neurobem", "-o", output
