@@ -25,6 +25,7 @@ from quadpi_core.field.thrust_curve import ThrustCurve
 from quadpi_core.frames import Array, body_frd_to_flu
 from quadpi_core.models.small_model import SmallModel
 from quadpi_core.paths import finite_json
+from quadpi_core.vehicle import is_rigid_body
 from quadpi_core.version import __version__
 
 # Names of both stacks: momentum drag, ballistic coefficients, exponent of thrust, thrust of hover.
@@ -145,6 +146,13 @@ def _body(exported: Exported) -> _Body:
     inertia = vehicle.inertia * np.outer(flip, flip)
     for axis, own in enumerate(small.inertia):
         inertia[axis, axis] = inertia[axis, axis] if own.value is None else own.value
+    if not is_rigid_body(inertia):
+        # Simulators refuse it, or fly what cannot be.
+        found = ", ".join(f"{moment:.3g}" for moment in np.diag(inertia))
+        raise ModelError(
+            f"model {small.identity}: the moments of inertia {found} kg m² are those of no rigid body: arms "
+            "or inertia of the vehicle file are wrong, or flights tell x and y too little"
+        )
     return _Body(
         small.thrust.value,
         small.torque.value,

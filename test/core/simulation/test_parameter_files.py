@@ -91,6 +91,12 @@ def test_a_simulator_needs_thrust_and_torque() -> None:
             exported_text(form, lacking)
 
 
+def test_moments_of_no_rigid_body_are_refused() -> None:
+    thin = tuple(near(one, "kg m²") for one in (1e-3, 1e-3, 2.5e-3))
+    with pytest.raises(ModelError, match=r"inertia 0\.001, 0\.001, 0\.0025 kg m² are those of no"):
+        exported_text("mjcf", exported(inertia=thin))
+
+
 def test_the_sdf_is_a_model_of_the_vehicles_mass_with_a_motor_for_each_rotor() -> None:
     root = ElementTree.fromstring(exported_text("sdf", exported()))
     assert (root.tag, root.get("version")) == ("sdf", "1.9")
