@@ -46,5 +46,5 @@ def test_as_many_motors_as_the_vehicle_has(vendor):
     adapter = known_adapters()["crazyflie_log"]
     settings = AdapterSettings(motor_commands=CommandSettings((2, 3, 4), topic="/cf1/motors"))
     definition = vendor.px4_1_14.definition(adapter.type_name)
-    with pytest.raises(LogError, match="`rotors` has 3 numbers; vehicle crazyflie_rpm has 4 rotors"):
+    with pytest.raises(LogError, match="rotor order of 3 numbers; vehicle crazyflie_rpm has 4 rotors"):
         adapter.open(definition, settings, Vehicle.load("crazyflie_rpm"))
