@@ -31,6 +31,7 @@ from quadpi_core.messages.adapters import known_adapters
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor.replay import replay
 from quadpi_core.motors import Motors
+from quadpi_core.results import Predictions
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros.collector import Collector
 from quadpi_ros.input_sources import AdaptedSources, AdapterError
@@ -242,6 +243,14 @@ def bag(vendor: Messages, hover: Recording, tmp_path_factory: pytest.TempPathFac
     return write_vendor_bag(vendor, folder / "adapted", ("mavros_status", "named_poses"), hover)
 
 
+def assert_replayed(live: Predictions, expected: Predictions) -> None:
+    """Live predictions are those of the replay of the same bag."""
+    assert len(live.time_ns) > 450
+    np.testing.assert_array_equal(live.time_ns, expected.time_ns)
+    for name in ("predicted", "lower", "upper", "measured"):
+        np.testing.assert_allclose(getattr(live, name), getattr(expected, name), rtol=1e-9, atol=1e-12)
+
+
 @pytest.mark.usefixtures("packages")
 @pytest.mark.parametrize(
     "names",
@@ -282,12 +291,7 @@ def test_live_equals_the_replay_of_the_flight_that_the_adapters_read(
             play(bag, tuple(Playlist.read(bag).topics), PLAYBACK_RATE, scratch, live, collector, managed)
             # A busy machine may hold the nodes up for longer than a flight falls silent.
             collector.spin_until(lambda: len(collector.arrived_ns) >= len(expected.time_ns), 20.0)
-        predictions = collector.predictions()
-    assert len(predictions.time_ns) > 450
-    np.testing.assert_array_equal(predictions.time_ns, expected.time_ns)
-    for name in ("predicted", "lower", "upper", "measured"):
-        live_values, replayed = getattr(predictions, name), getattr(expected, name)
-        np.testing.assert_allclose(live_values, replayed, rtol=1e-9, atol=1e-12)
+        assert_replayed(collector.predictions(), expected)
 
 
 @pytest.mark.usefixtures("packages")
@@ -313,12 +317,7 @@ def test_live_by_motor_commands_equals_the_replay(
             collector.spin_until(lambda: live.finished() or collector.hears("prediction"), 300.0)
             play(bag, tuple(Playlist.read(bag).topics), PLAYBACK_RATE, scratch, live, collector, ("monitor",))
             collector.spin_until(lambda: len(collector.arrived_ns) >= len(expected.time_ns), 20.0)
-        predictions = collector.predictions()
-    assert len(predictions.time_ns) > 450
-    np.testing.assert_array_equal(predictions.time_ns, expected.time_ns)
-    for name in ("predicted", "lower", "upper", "measured"):
-        live_values, replayed = getattr(predictions, name), getattr(expected, name)
-        np.testing.assert_allclose(live_values, replayed, rtol=1e-9, atol=1e-12)
+        assert_replayed(collector.predictions(), expected)
 
 
 @pytest.mark.usefixtures("packages")
