@@ -39,19 +39,19 @@ def motors_by_thrust(
     flights: Sequence[tuple[FieldLog, Flown]], source: str, vehicle: Vehicle
 ) -> tuple[Motors, dict[str, Motors]] | str:
     """The motors of a vehicle, and by the source of each flight those by the others; or why there is none."""
-    usable = [(log, flight) for log, flight in flights if not isinstance(_parts(log, flight, vehicle), str)]
+    told = [(log, _parts(log, flight, vehicle)) for log, flight in flights]
+    usable = [(log, parts) for log, parts in told if not isinstance(parts, str)]
     if not usable:
-        return str(_parts(*flights[0], vehicle))
+        return str(told[0][1])
     volts = all(log.battery is not None for log, _ in usable)
     moves = all(log.attitude is not None and velocity_of(log) is not None for log, _ in usable)
-    known = {}
-    for log, flight in usable:
-        parts = _parts(log, flight, vehicle)
-        assert not isinstance(parts, str)
-        known[log.source] = [
+    known = {
+        log.source: [
             (u, v if volts else v[:, :0], thrust, moved if moves else moved[:, :0])
             for u, v, thrust, moved in parts
         ]
+        for log, parts in usable
+    }
     everything = [part for parts in known.values() for part in parts]
     fits = {lag: _fitted(everything, lag, vehicle) for lag in LAGS_S}
     lag_s = min(LAGS_S, key=lambda lag: fits[lag][1])
