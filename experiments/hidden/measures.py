@@ -44,6 +44,7 @@ class Finding:
         truth: its right answers.
         answer: what was said, against that right set of effects that it comes nearest to.
         visible: whether the change pushed samples out of the model's intervals, before any search.
+        each_visible: of a pair, whether each change does so by itself.
         broken: axes whose intervals do not hold what they state, with or without the change.
         values: parameters found, by `effect.parameter`.
         held: by axis share of samples inside the intervals with what was found.
@@ -54,6 +55,7 @@ class Finding:
     truth: Truth
     answer: Answer
     visible: bool
+    each_visible: bool
     broken: tuple[str, ...]
     values: Mapping[str, float]
     held: Mapping[str, float]
@@ -78,6 +80,7 @@ class Finding:
             # Flights whose signals contradict each other are refused, which says why, before any search.
             visible=not found["result"]["verdict"].startswith(REFUSED)
             and (bool(found["seen"]) or (case.kind == REAL and bool(found["broken"]))),
+            each_visible=bool(found.get("parts")) and all(found["parts"]),
             broken=tuple(found["broken"]),
             values={
                 f"{effect['name']}.{name}": parameter["value"]
@@ -135,6 +138,9 @@ def figures(findings: Sequence[Finding]) -> list[Figure]:
         figure("… right", (f.outcome == RIGHT for f in singles), 0.85),
         figure("any change: a wrong name", (f.outcome == WRONG for f in changed), 0.02, at_most=True),
         figure("pairs, visible: both right, or told among", (f.found for f in pairs), 0.7),
+        figure(
+            "… of which each change is visible by itself", (f.found for f in pairs if f.each_visible), 0.7
+        ),
         figure("conditions, visible: none, or told", (f.found for f in visible[CONDITION]), 0.85),
         figure("no law of the library, visible: `unknown`", (f.found for f in visible[OUT]), 0.9),
         figure("nothing hidden: `effects`", alarms, 0.0, at_most=True),

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from blind.cases import PAIR
 from blind.searching import rollout_changes
 
 from hidden.cases import FLEETS, Case, Fleet
@@ -130,7 +131,10 @@ def searched(shared: None, task: Task) -> dict[str, Any]:  # noqa: ARG001
         refused = list[str]()
         flights = _changed(case, was, load_simulation(task.model.folder), refused)
         # Before the search, and by what `evaluate` goes by.
-        found |= _intervals(simulation, flights, load_simulation(task.model.folder), [own for _, own in was])
+        model, before = load_simulation(task.model.folder), [own for _, own in was]
+        found |= _intervals(simulation, flights, model, before)
+        if case.kind == PAIR:
+            found["parts"] = [bool(_alone(case, name, was, model, before)["seen"]) for name in case.changes]
         if len(flights) < FEWEST_FLIGHTS.value and refused:
             found["result"] = {"verdict": f"{REFUSED}: {refused[0]}", "effects": [], "ambiguous": []}
             return {"case": asdict(case), "truth": asdict(case.truth()), "seconds": 0.0, **found}
@@ -149,6 +153,19 @@ def searched(shared: None, task: Task) -> dict[str, Any]:  # noqa: ARG001
         found["result"] = {"verdict": f"error: {one_line(error)}", "effects": [], "ambiguous": []}
     seconds = time.perf_counter() - began
     return {"case": asdict(case), "truth": asdict(case.truth()), "seconds": seconds, **found}
+
+
+def _alone(
+    case: Case,
+    name: str,
+    was: Sequence[tuple[Recording, Flight]],
+    model: Simulation,
+    before: Sequence[Flight],
+) -> dict[str, Any]:
+    """What the intervals show of one change of a pair by itself, see :func:`_intervals`."""
+    alone = replace(case, changes=(name,))
+    simulation = carried(model, CHANGES[name].file(model.vehicle, alone.drawn[name]))
+    return _intervals(simulation, _changed(alone, was, model, []), model, before)
 
 
 def carried(simulation: Simulation, vehicle: Vehicle) -> Simulation:

@@ -191,7 +191,7 @@ def test_splits_are_fair():
     assert set(PAIRS) <= {case.changes for case in cases}
 
 
-def finding(verdict, *effects, ambiguous=(), name="fast rotors", seen=("Fz",), broken=()):
+def finding(verdict, *effects, ambiguous=(), name="fast rotors", seen=("Fz",), broken=(), parts=()):
     """Of a case with a change, or a pair; effects are pairs of a name and parameters."""
     names, kind = (name, PAIR) if isinstance(name, tuple) else ((name,), CHANGES[name].kind)
     case = Case("crazyflie", kind, names, 1.0, 0)
@@ -209,6 +209,7 @@ def finding(verdict, *effects, ambiguous=(), name="fast rotors", seen=("Fz",), b
         "coverage": {},
         "seen": list(seen),
         "broken": [*seen, *broken],
+        "parts": list(parts),
         "seconds": 1.0,
     }
     return Finding.of({"case": asdict(case), "result": result, **rest})
@@ -236,14 +237,15 @@ def test_outcomes():
         (finding("unknown", name="turned IMU"), UNKNOWN),
         (finding("unknown", name="turned IMU", seen=(), broken=("Fx",)), RIGHT),
         (finding("effects", load, name="low accelerometer"), RIGHT),
-        (finding("effects", scale, name=PAIRS[0]), PART),
-        (finding("effects", scale, ("wind", {}), name=PAIRS[0]), RIGHT),
+        (finding("effects", scale, name=PAIRS[0], parts=(False, True)), PART),
+        (finding("effects", scale, ("wind", {}), name=PAIRS[0], parts=(True, True)), RIGHT),
     ]
     findings = [one for one, _ in found]
     assert [one.outcome for one in findings] == [outcome for _, outcome in found]
     by_name = {own.name: (own.hits, own.of) for own in figures(findings)}
     assert by_name["one change, visible: right, or told among"] == (3, 9)
     assert by_name["pairs, visible: both right, or told among"] == (1, 2)
+    assert by_name["… of which each change is visible by itself"] == (1, 1)
     assert by_name["an interval is broken: `none`"] == (2, 18)
     rows = discovery_hidden.changes_table(findings).splitlines()
     assert "| wind + fast rotors | 1 right, 1 in part | – | – |" in rows
