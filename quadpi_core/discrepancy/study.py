@@ -68,6 +68,8 @@ FEWEST_FLIGHTS = Threshold(
 )
 # What to call for a simulation, in refusals of anything else.
 _LOAD_SIMULATION = "load_simulation(text) reads one"
+# Steady forces that thrust has in a frame that is turned about x or y.
+_LATERAL = ("x_n", "y_n")
 # Probability that a stated interval of a parameter holds it.
 _CONFIDENCE = 0.95
 
@@ -392,6 +394,8 @@ def discovered(ready: Prepared, barred: Mapping[str, str]) -> Discovery:
 def _conditions(found: Found) -> Iterator[FlightCondition]:
     """What single flights have of their own, of parameters in which any stands out."""
     regression = found.regression
+    vehicle = regression.flights[0].simulation.vehicle
+    weight = vehicle.mass_kg * vehicle.gravity_m_s2
     for condition in regression.conditions:
         candidate = regression.candidates[condition.index]
         each = {
@@ -402,9 +406,16 @@ def _conditions(found: Found) -> Iterator[FlightCondition]:
             own = {name: OfFlight(float(m[k]), float(d[k])) for name, (m, d) in each.items()}
             if any(one.stands_out for one in own.values()):
                 parameter = candidate.effect.parameters[free]
-                yield FlightCondition(
-                    candidate.label, parameter.name, parameter.unit, candidate.of_a_flight, own
-                )
+                share = max(abs(one.value) for one in own.values()) / weight
+                cause = likely_cause(candidate.of_a_flight, parameter.name, share)
+                yield FlightCondition(candidate.label, parameter.name, parameter.unit, cause, own)
+
+
+def likely_cause(cause: str, parameter: str, share: float) -> str:
+    """The cause of a condition, with what turned markers show alike: a share of the thrust to the side."""
+    if parameter not in _LATERAL:
+        return cause
+    return f"{cause}, or markers turned by {np.degrees(np.arctan(share)):.1f}°"
 
 
 def _without_trace(found: Found) -> tuple[str, ...]:

@@ -113,7 +113,7 @@ def tether(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:  # noqa: 
     shown_by="throttle steps; hover in several headings",
     formula=r"F = (b_x,\ b_y,\ b_z)",
     symbols="b_x b_y b_z",
-    of_a_flight="a steady pull, or an accelerometer that is off",
+    of_a_flight="a steady pull or an accelerometer that is off",
 )
 def force_bias(state: State, vehicle: VehicleNumbers, p: Array) -> Wrench:  # noqa: ARG001
     """Constant force in body axes.

@@ -24,7 +24,7 @@ from quadpi_core.discrepancy.discrepancy_result import (
 from quadpi_core.discrepancy.loading import load_simulation
 from quadpi_core.discrepancy.result_verdicts import judge_closed
 from quadpi_core.discrepancy.simulations import Margins
-from quadpi_core.discrepancy.study import discover, found_and_flown, study
+from quadpi_core.discrepancy.study import discover, found_and_flown, likely_cause, study
 from quadpi_core.discrepancy.unexplained import Inside
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import AXES
@@ -420,3 +420,8 @@ def test_what_spoils_roll_outs_without_coefficients_too_is_rejected(simulation, 
     )
     discovery = study(simulation, dragged, names=SOUGHT).discovery
     assert (discovery.adjusted, discovery.verdict) == (True, "unknown")
+
+
+def test_a_pull_to_the_side_may_be_markers_that_are_turned():
+    assert likely_cause("a pull", "y_n", 0.05) == "a pull, or markers turned by 2.9°"
+    assert likely_cause("a pull", "z_n", 0.05) == "a pull"
