@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 import yaml
+from scipy.signal import lfilter
 
 from quadpi_core.field.field_log import FieldLog, Series
 from quadpi_core.frames import Array
@@ -94,9 +95,9 @@ def _slow(rng: np.random.Generator, time: Array, deviation: float, constant_s: f
     """Coloured noise (N, count), as an estimator's errors are."""
     keep = np.exp(-(time[1] - time[0]) / constant_s)
     values = rng.normal(0.0, deviation, (len(time), count))
-    for row in range(1, len(time)):
-        values[row] = keep * values[row - 1] + np.sqrt(1.0 - keep**2) * values[row]
-    return values
+    values[1:] *= np.sqrt(1.0 - keep**2)
+    slow: Array = lfilter([1.0], [1.0, -keep], values, axis=0)
+    return slow
 
 
 def _every(series: Series, rate_hz: float) -> Series:
