@@ -48,6 +48,8 @@ _TIME, _FLIGHT = "time_ns", "flight"
 _COLUMN = (str, int, np.integer)
 # No quantity of a flight is larger in its SI unit; those of raw signals are looked at one by one.
 _LARGEST = 1e6
+# No flight is sampled faster than at 100 kHz.
+_SHORTEST_STEP_NS = 10_000
 _NO_LABEL = ("nan", "NaT", "None", "<NA>")
 # What `to_frame` says of a table beside its columns.
 _CUTOFF, _ROWS = "cutoff_hz", "rows"
@@ -92,6 +94,9 @@ def prepared_from_arrays(
         flight_values = {name: values[rows] for name, values in checked.items()}
         with named_in(f"flight {label}"):
             check_stamps("time_ns", stamps[rows])
+        step_ns = float(np.median(np.diff(stamps[rows]))) if len(rows) > 1 else _SHORTEST_STEP_NS
+        if step_ns < _SHORTEST_STEP_NS:
+            raise ArgumentError(f"time_ns: {step_ns:g} from sample to sample: looks like µs or ms, not ns")
         recording = _recording(label, vehicle, stamps[rows], flight_values)
         if filtered:
             for name, values in flight_values.items():

@@ -131,8 +131,8 @@ class Flights:
     def from_pandas(
         cls,
         frame: pd.DataFrame,
-        *,
         vehicle: Vehicle | str | Path,
+        *,
         flight: str | None = "flight",
         time: str = "time_ns",
         columns: Mapping[str, Sequence[str]] | None = None,
@@ -189,7 +189,14 @@ class Flights:
         return Flights(tuple(self.prepared[k] for k in np.atleast_1d(places)), self.vehicle, self.cutoff_hz)
 
     def __add__(self, other: Flights) -> Flights:
-        return joined_flights([self, other])
+        return joined_flights([self, other]) if isinstance(other, Flights) else NotImplemented
+
+    def __array__(self, *_: Any, **__: Any) -> npt.NDArray[Any]:
+        """Refuse to be one array, as a scaler before the model would make of them."""
+        raise ArgumentError(
+            "flights: no array, so steps before WrenchModel cannot change them: inputs (N, 19) and wrench "
+            "(N, 6) are arrays; WrenchModel(estimator=make_pipeline(…)) scales the inputs of a regressor"
+        )
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -23,6 +23,7 @@ from quadpi_core.flight import AXES, Flight
 from quadpi_core.frames import Array
 from quadpi_core.library.flights import Flights, flights_in
 from quadpi_core.library.notebook import counted, html_table, new_axes, pandas
+from quadpi_core.library.wrench_model import WrenchModel
 from quadpi_core.models.model_kind import CUTOFF_HZ
 from quadpi_core.paths import require_file, scratch_folder, whole_output
 
@@ -203,6 +204,10 @@ def find_discrepancy(
     if given.cutoff_hz != CUTOFF_HZ["default"]:
         raise DiscrepancyError(
             f"flights: low-passed at {given.cutoff_hz:g} Hz; a search compares at {CUTOFF_HZ['default']:g}"
+        )
+    if isinstance(simulation, WrenchModel):
+        raise ArgumentError(
+            "simulation: a model is searched by its folder: model.save(folder), and give that"
         )
     if isinstance(simulation, str | Path):
         named = isinstance(simulation, str) and ":" in simulation

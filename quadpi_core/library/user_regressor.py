@@ -40,9 +40,6 @@ from quadpi_core.models.model_kind import Evaluation, named_arrays
 from quadpi_core.parallel import one_blas_thread
 from quadpi_core.vehicle import Vehicle
 
-# A width needs flights left out, and regressors of the others.
-_FEWEST_FLIGHTS = 2
-
 
 class Regressor(Protocol):
     """What is needed of a regressor; those of scikit-learn are such."""
@@ -239,14 +236,10 @@ def fitted_regressor(
     """Fit a copy of a regressor to each axis, and calibrate its intervals on each flight left out in turn.
 
     Raises:
-        ModelError: for fewer than two flights, samples that are not finite, and a confidence that cannot be
+        ModelError: for samples that are not finite, and a confidence that cannot be
             calibrated.
     """
     require_confidence(confidence, calibrated=True)
-    if len(flights) < _FEWEST_FLIGHTS:
-        raise ModelError(
-            f"too few flights: {len(flights)} given, {_FEWEST_FLIGHTS} or more needed to calibrate"
-        )
     for flight in flights:
         flight.require_finite()
     X = np.concatenate([flight.inputs for flight in flights])

@@ -30,6 +30,8 @@ from quadpi_core.models.model_kind import Evaluation, IdentifyOptions, Kind
 
 Self = TypeVar("Self", bound="WrenchModel")
 
+# A width needs flights left out, and models of the others.
+_FEWEST_FLIGHTS = 2
 _UNITS = ("N", "N", "N", "Nm", "Nm", "Nm")
 
 
@@ -116,16 +118,17 @@ class WrenchModel:
         array_checks.instance("keep_flawed", self.keep_flawed, bool)
         if isinstance(self.axes, str):
             raise ArgumentError(f"axes: expected a list of names, found {self.axes!r}")
-        given_axes = self.axes.tolist() if isinstance(self.axes, np.ndarray) else self.axes
-        axes = None if given_axes is None else ",".join(array_checks.several("axes", given_axes, str))
-        pools = select_axes(load_pools(self.candidates), axes)
+        axes = self.axes.tolist() if isinstance(self.axes, np.ndarray) else self.axes
+        if axes is not None and not (axes := array_checks.several("axes", axes, str)):
+            raise ArgumentError(f"axes: expected some of {', '.join(AXES)}, found none; None is all")
+        pools = select_axes(load_pools(self.candidates), None if axes is None else ",".join(axes))
         if isinstance(self.estimator, StoredEstimator):
             raise ModelError(
                 f"estimator {self.estimator}: read from a folder, which does not hold its options, so it "
                 "cannot be fitted again: WrenchModel(estimator=…) makes a model anew"
             )
         kind = self.estimator if isinstance(self.estimator, str | Kind) else None
-        if kind is None and not is_regressor(self.estimator):
+        if kind is None and (isinstance(self.estimator, WrenchModel) or not is_regressor(self.estimator)):
             raise ArgumentError(
                 "estimator: expected the name of a kind of model, a kind, or a regressor with fit and "
                 f"predict, found {array_checks.found(self.estimator)}"
@@ -164,8 +167,11 @@ class WrenchModel:
                 usable.append(place)
                 continue
             warnings.warn(f"flight {flight.name} left out: {why}", stacklevel=3)
-        if not usable:
-            raise ModelError("no flight is left to learn from: the warnings say why")
+        if len(usable) < _FEWEST_FLIGHTS:
+            others = "; the warnings say why others are left out" if len(usable) < len(flights) else ""
+            raise ModelError(
+                f"too few flights: {len(usable)} given, {_FEWEST_FLIGHTS} or more needed to calibrate{others}"
+            )
         return flights[usable]
 
     def predict(self, flights: Flights) -> Array:

@@ -127,6 +127,10 @@ def test_position_and_wind_may_be_absent(state):
             {"time_ns": np.arange(9501) * 2e6 + 1e18},
             "whole nanoseconds, int64, found an array .* of float64$",
         ),
+        (
+            {"time_ns": np.arange(9501) * 2000},
+            "flight flight: time_ns: 2000 from .* looks like µs or ms, not",
+        ),
         ({"flight": np.where(np.arange(9501) < 3, 1.0, np.nan)}, "flight: no label in row 3"),
         ({"flight": [None] * 9501}, "flight: no label in row 0"),
         ({"flight": [1, 2]}, r"flight: expected shape \(9501,\) for time_ns, found \(2,\)"),

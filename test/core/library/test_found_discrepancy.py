@@ -100,6 +100,10 @@ def test_a_function_of_the_session_has_no_file(found, simulation, dragged, tmp_p
             lambda f: qp.find_discrepancy("bebop2", replace(f, vehicle=replace(f.vehicle, mass_kg=0.5))),
             "bebop2: of another vehicle than the flights of bebop2: numbers differ",
         ),
+        (
+            lambda f: qp.find_discrepancy(qp.WrenchModel(), f),
+            r"searched by its folder: model\.save\(folder\)",
+        ),
         (lambda f: qp.find_discrepancy("bebop2", f[:1]), "flight"),
         (lambda f: qp.find_discrepancy("bebop2", f, effects=["ghosts"]), "ghosts"),
         (lambda f: qp.find_discrepancy("bebop2", replace(f, cutoff_hz=20.0)), "low-passed at 20 Hz"),

@@ -15,6 +15,8 @@ from sklearn.base import clone
 from sklearn.ensemble import RandomForestRegressor
 from sklearn.linear_model import Ridge
 from sklearn.model_selection import GridSearchCV, LeaveOneOut, cross_val_predict, cross_val_score
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
 from sklearn.utils.estimator_checks import check_estimator
 from sklearn.utils.validation import check_is_fitted
 
@@ -76,6 +78,7 @@ def test_cross_validation_is_by_flight(training):
         model.fit(training[[k for k in range(4) if k != left]]).score(training[left]) for left in range(4)
     ]
     assert scores.tolist() == apart
+    assert cross_val_score(model, training, cv=4, scoring=lambda m, X: m.score(X)).tolist() == apart
 
 
 def test_cross_validated_predictions_are_refused(training, quick):
@@ -136,10 +139,19 @@ def test_flights_with_a_flaw_are_left_out(training):
         (lambda _, f: qp.WrenchModel("physics").fit(f), "method 'physics' is not known to this version"),
         (lambda _, f: qp.WrenchModel(estimator=Ridge).fit(f), "estimator: expected the name of a kind"),
         (lambda _, f: qp.WrenchModel(axes="Fx").fit(f), "axes: expected a list of names, found 'Fx'"),
+        (lambda _, f: qp.WrenchModel(axes=[]).fit(f), "axes: expected some of Fx, Fy.* found none; None is"),
+        (lambda m, f: qp.WrenchModel(m).fit(f), "estimator: expected the name of a kind.* WrenchModel$"),
+        (
+            lambda m, f: make_pipeline(StandardScaler(), m).fit(f),
+            r"flights: no array, so steps before WrenchModel cannot .*WrenchModel\(estimator=make_pipeline",
+        ),
         (lambda _, f: qp.WrenchModel(axes=[5]).fit(f), "axes, entry 1: expected str, found int 5"),
         (lambda _, f: qp.WrenchModel(keep_flawed="no").fit(f), "keep_flawed: expected bool, found str 'no'"),
         (lambda m, f: m.plot(f, axes=5), "axes: expected 2 of matplotlib, found int 5"),
-        (lambda _, f: qp.WrenchModel("polynomial").fit(f), "too few flights: 1 given"),
+        (
+            lambda _, f: qp.WrenchModel("polynomial").fit(f),
+            "too few flights: 1 given, 2 or more needed to calibrate$",
+        ),
         (
             lambda m, f: m.predict(qp.Flights(f.prepared, f.vehicle, 50.0)),
             "low-passed at 50 Hz, the model at 30",
