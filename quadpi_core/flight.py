@@ -228,36 +228,62 @@ class BatteryStream(Stream):
     voltage: Array
 
 
+# Standard deviation of what was not measured.
+NOT_MEASURED = -1.0
+
+
 @dataclass(frozen=True, repr=False)
-class PoseStream(Stream):
-    """position (N, 3) m in the world and attitude (N, 4) body to world, from motion capture."""
+class _NoisyStream(Stream):
+    """Samples that may state their noise: `deviation`, 0 where the vehicle file's holds."""
+
+    def __post_init__(self) -> None:
+        if self.deviation is None:  # type: ignore[attr-defined]
+            unstated = np.zeros((len(self.time_ns), *self.shapes[-1]))
+            object.__setattr__(self, "deviation", unstated)
+
+
+@dataclass(frozen=True, repr=False)
+class PoseStream(_NoisyStream):
+    """position (N, 3) m in the world and attitude (N, 4) body to world, of motion capture, GPS or vision.
+
+    deviation (N, 2): standard deviations of both, m and rad; NOT_MEASURED for a part that has no values.
+    """
 
     topic: ClassVar[str] = "mocap/pose"
-    shapes: ClassVar = ((3,), (4,))
+    shapes: ClassVar = ((3,), (4,), (2,))
     position: Array
     attitude: Array
+    deviation: Array = None  # type: ignore[assignment]
 
 
 @dataclass(frozen=True, repr=False)
-class TwistStream(Stream):
-    """velocity (N, 3) m/s over ground, from motion capture: in body axes where `in_body` (N,), else world."""
+class TwistStream(_NoisyStream):
+    """velocity (N, 3) m/s over ground, measured: in body axes where `in_body` (N,), else in the world.
+
+    deviation (N,): its standard deviation, m/s.
+    """
 
     topic: ClassVar[str] = "mocap/twist"
-    shapes: ClassVar = ((3,), ())
+    shapes: ClassVar = ((3,), (), ())
     velocity: Array
     in_body: npt.NDArray[np.bool_]
+    deviation: Array = None  # type: ignore[assignment]
 
 
 @dataclass(frozen=True, repr=False)
-class OdometryStream(Stream):
-    """A fused state: position (N, 3) m world, attitude (N, 4), velocity (N, 3) m/s and rates (N, 3) body."""
+class OdometryStream(_NoisyStream):
+    """A fused state: position (N, 3) m world, attitude (N, 4), velocity (N, 3) m/s and rates (N, 3) body.
+
+    deviation (N, 3): standard deviations of position m, attitude rad and velocity m/s; 0 where not known.
+    """
 
     topic: ClassVar[str] = "odometry"
-    shapes: ClassVar = ((3,), (4,), (3,), (3,))
+    shapes: ClassVar = ((3,), (4,), (3,), (3,), (3,))
     position: Array
     attitude: Array
     velocity: Array
     rates: Array
+    deviation: Array = None  # type: ignore[assignment]
 
 
 @dataclass(frozen=True, repr=False)

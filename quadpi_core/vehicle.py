@@ -64,6 +64,14 @@ class SensorNoise(Section):
     mocap_velocity_m_s: Positive = 0.05
     mocap_delay_s: Annotated[float, Within(-_MOCAP_DELAY_MAX_S, _MOCAP_DELAY_MAX_S)] = 0.0
     mocap_delay_std_s: Annotated[float, Within(0.0, _MOCAP_DELAY_MAX_S)] = 0.05
+    state_position_m: Positive | None = None
+    state_attitude_rad: Positive | None = None
+    state_velocity_m_s: Positive | None = None
+
+    @property
+    def of_state(self) -> tuple[float | None, float | None, float | None]:
+        """Of a slow state that does not say it: position m, attitude rad, velocity m/s; None: estimated."""
+        return self.state_position_m, self.state_attitude_rad, self.state_velocity_m_s
 
 
 # Compared and hashed by identity: arrays have no truth value.
@@ -159,7 +167,7 @@ class Vehicle:
                 {"position_m": position.tolist(), "spin": spins[float(spin)]}
                 for position, spin in zip(self.rotor_positions, self.rotor_spins, strict=True)
             ],
-            "noise": asdict(self.noise),
+            "noise": {name: value for name, value in asdict(self.noise).items() if value is not None},
             **({} if self.motors is None else {"motors": self.motors.to_file()}),
         }
 

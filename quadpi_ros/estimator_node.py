@@ -133,7 +133,7 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
             return None
         return (
             f"{imu} and {mocap} arrive but give no state: a second of both is needed, "
-            f"{mocap} at 25 Hz or more and at most 0.4 s late"
+            f"{mocap} at 1 Hz or more and at most 0.4 s late"
         )
 
     def count_refused(self) -> None:
@@ -204,8 +204,9 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
     def _take_odometry(self, odometry: OdometryStream) -> None:
         self._consistency.take_copy(odometry)
         time_ns = int(odometry.time_ns[0])
-        self._ekf.update_pose(time_ns, odometry.position[0], odometry.attitude[0])
-        self._ekf.update_velocity(time_ns, odometry.velocity[0], True)
+        stated = odometry.deviation[0]
+        self._ekf.update_pose(time_ns, odometry.position[0], odometry.attitude[0], stated[:2])
+        self._ekf.update_velocity(time_ns, odometry.velocity[0], True, stated[2])
 
     def _take_twist(self, twist: TwistStream) -> None:
         self._ekf.update_velocity(int(twist.time_ns[0]), twist.velocity[0], bool(twist.in_body[0]))

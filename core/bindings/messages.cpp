@@ -85,12 +85,16 @@ std::int64_t state_values(
     Records<Vector3> position,
     Records<Quaternion> attitude,
     Records<Vector3> velocity,
-    Records<Vector3> rates
+    Records<Vector3> rates,
+    Records<Vector3> deviation
 ) {
     require(position.size == values.size && attitude.size == values.size, DIFFERENT);
     require(velocity.size == values.size && rates.size == values.size, DIFFERENT);
+    require(deviation.size == values.size, DIFFERENT);
     return first_wrong(values.size, [&](std::size_t row) {
-        return read_odometry(values[row], position[row], attitude[row], velocity[row], rates[row]);
+        return read_odometry(
+            values[row], position[row], attitude[row], velocity[row], rates[row], deviation[row]
+        );
     });
 }
 

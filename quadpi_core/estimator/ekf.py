@@ -52,6 +52,7 @@ _USED = _OUTCOMES.index(Outcome.USED)
 # Rows of the counts.
 _IMU, _POSES, _VELOCITIES = range(3)
 _NO_JOURNAL = np.empty(0, CORRECTION)
+UNSTATED = np.zeros(2)
 
 
 class Step(NamedTuple):
@@ -178,8 +179,12 @@ class Ekf:
         compiled.fill_newest(*self._memory, self._fused.rows)
         return Step(outcome, self.status, self._fused)
 
-    def update_pose(self, time_ns: int, position: Array, attitude: Array) -> Outcome:
+    def update_pose(
+        self, time_ns: int, position: Array, attitude: Array, deviation: Array = UNSTATED
+    ) -> Outcome:
         """Take one pose: position (3,) m in the world, attitude (4,) body to world, of either sign.
+
+        Its `deviation` (2,) is as of :class:`quadpi_core.flight.PoseStream`.
 
         It is COLLECTED and fused at the IMU sample 10 ms later, or refused at once; what
         became of it then is in :attr:`pose_counts`. Never raises on bad samples.
@@ -187,13 +192,17 @@ class Ekf:
         measurement = self._measurement
         measurement["time_ns"], measurement["kind"] = time_ns, POSE
         measurement["vector"], measurement["attitude"] = position, attitude
+        measurement["deviation"] = deviation
         return self._update(measurement)
 
-    def update_velocity(self, time_ns: int, velocity: Array, body: bool) -> Outcome:
+    def update_velocity(
+        self, time_ns: int, velocity: Array, body: bool, deviation: float = 0.0
+    ) -> Outcome:
         """Take one velocity (3,) m/s over ground, in body axes or in the world; see :meth:`update_pose`."""
         measurement = self._measurement
         measurement["time_ns"], measurement["kind"] = time_ns, BODY_VELOCITY if body else WORLD_VELOCITY
         measurement["vector"], measurement["attitude"] = velocity, 0.0
+        measurement["deviation"] = deviation
         return self._update(measurement)
 
     def run(self, recording: Recording) -> EkfTrace:
@@ -348,7 +357,7 @@ class Ekf:
         if last_ns - MAX_JUMP_BACK_NS <= time_ns <= last_ns:
             return Outcome.STAMP_NOT_ADVANCING
         if time_ns <= last_ns:
-            self._collected.measurements.clear()
+            self._collected.clear_measurements()
         source["arrived_ns"] = time_ns
         self._collected.measurements.append(measurement.copy())
         return Outcome.COLLECTED
@@ -376,7 +385,7 @@ class Ekf:
         memory.filter["sources"]["arrived_ns"] = arrived_ns
         while collected.imu[0]["time_ns"][0] < initial.imu_ns:
             collected.imu.popleft()
-        collected.measurements.clear()
+        collected.clear_measurements()
 
     def _set_rate(self, rate_hz: float) -> None:
         """Use a memory for an IMU of that rate; the counts stay."""

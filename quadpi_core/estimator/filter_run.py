@@ -244,12 +244,14 @@ def in_order_of_arrival(recording: Recording) -> Arrivals:
         part = np.zeros(len(pose), MEASUREMENT)
         part["time_ns"], part["kind"] = pose.time_ns, POSE
         part["vector"], part["attitude"] = pose.position, pose.attitude
+        part["deviation"] = pose.deviation
         parts.append(part)
         after.append(recording.arrivals_of(pose))
     if twist is not None:
         part = np.zeros(len(twist), MEASUREMENT)
         part["time_ns"], part["kind"] = twist.time_ns, np.where(twist.in_body, BODY_VELOCITY, WORLD_VELOCITY)
         part["vector"] = twist.velocity
+        part["deviation"][:, 0] = twist.deviation
         parts.append(part)
         after.append(recording.arrivals_of(twist))
     arrived = np.concatenate(after).astype(np.int64)

@@ -83,12 +83,14 @@ class ImuSample:
 
 
 class Measurement:
-    """One pose or velocity of motion capture."""
+    """One pose or velocity that corrects the estimate: of motion capture, of GPS, of another estimator."""
 
     time_ns: int
     kind: int  # POSE, WORLD_VELOCITY or BODY_VELOCITY
     vector: Vector3  # position [m] in the world, or velocity over ground [m/s] in the axes of its kind
     attitude: Quaternion4  # body to world, of any norm and sign; zeros for a velocity
+    # Standard deviations of vector and attitude [rad]; 0 is that of the vehicle, below 0 is not measured.
+    deviation: Annotated[Array, 2]
 
 
 class NominalState:
@@ -174,6 +176,8 @@ class Source:
     refused: Measurement  # the last one rejected
     refused_since_ns: int
     refusals: int  # in a row that agree among themselves
+    step_ns: int  # between the last two measurements
+    step_before_ns: int  # between the two before
 
 
 class Filter:

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -50,6 +51,8 @@ _HEADING_STD_LEAST_RAD = 0.05
 # Accelerations in a second [m/s] by which a heading shows in velocities of the world.
 _LEAST_TURNING = 0.3
 _BLOCKS = 5
+# Measurements of a slow source that start the filter, and how many are kept for it: several seconds' worth.
+_FEWEST, _OLDER_MAX = 3, 64
 
 
 class Initial(NamedTuple):
@@ -102,11 +105,18 @@ class CollectedSamples:
         self._noise, self._gravity = vehicle.noise, vehicle.gravity_m_s2
         self.imu: deque[Records] = deque(maxlen=_COLLECTED_MAX)
         self.measurements: deque[Records] = deque(maxlen=_COLLECTED_MAX)
+        # Measurements before those, for sources of less than twenty a second.
+        self._older: deque[Records] = deque(maxlen=_OLDER_MAX)
 
     def clear(self) -> None:
         """Forget all samples."""
         self.imu.clear()
+        self.clear_measurements()
+
+    def clear_measurements(self) -> None:
+        """Forget all poses and velocities."""
         self.measurements.clear()
+        self._older.clear()
 
     @property
     def second_of_imu(self) -> Records | None:
@@ -123,15 +133,97 @@ class CollectedSamples:
         initial = None
         if self.measurements:
             measurements = _joined(self.measurements)
-            poses = measurements[measurements["kind"] == POSE]
-            start, of = (initial_from_poses, poses) if len(poses) else (initial_from_velocities, measurements)
-            initial = start(imu, of, self._noise, self._gravity)
+            if np.any(measurements["deviation"]) or not _is_fast(measurements):
+                recent = _joined([*self._older, *self.measurements])
+                initial = initial_from_few(imu, recent, self._noise, self._gravity)
+            else:
+                poses = measurements[measurements["kind"] == POSE]
+                start, of = (
+                    (initial_from_poses, poses) if len(poses) else (initial_from_velocities, measurements)
+                )
+                initial = start(imu, of, self._noise, self._gravity)
         if initial is None:
             oldest_ns = int(imu["time_ns"][-1]) - COLLECT_NS
-            for collected in (self.imu, self.measurements):
-                while collected and collected[0]["time_ns"][0] < oldest_ns:
-                    collected.popleft()
+            while self.imu and self.imu[0]["time_ns"][0] < oldest_ns:
+                self.imu.popleft()
+            while self.measurements and self.measurements[0]["time_ns"][0] < oldest_ns:
+                self._older.append(self.measurements.popleft())
         return initial
+
+
+def _is_fast(measurements: Records) -> bool:
+    """Whether poses, or without any velocities, come often enough for a line through START_NS of them."""
+    poses = measurements[measurements["kind"] == POSE]
+    time_ns = (poses if len(poses) else measurements)["time_ns"]
+    return len(time_ns) < 2 or float(np.median(np.diff(time_ns))) <= START_NS / (START_POSES - 1)
+
+
+def initial_from_few(
+    imu: Records, measurements: Records, noise: SensorNoise, gravity: float
+) -> Initial | None:
+    """Estimate at the last attitude that was measured, from a source that is slow or states its noise.
+
+    Position and attitude are as measured, the velocity the last one, else the slope of a line through the
+    positions; the gyro bias is zero. Without any attitude velocities give it, as of a source that is fast.
+
+    Args:
+        imu: see :func:`initial_from_poses`.
+        measurements: (M,) of the last seconds, poses and velocities.
+        noise: see there.
+        gravity: see there.
+
+    Returns:
+        The estimate, or None if the measurements are too few or too old.
+    """
+    delay_ns = round(1e9 * noise.mocap_delay_s)
+    measurements = measurements[np.argsort(measurements["time_ns"], kind="stable")]
+    measurements = measurements[measurements["time_ns"] - delay_ns <= imu["time_ns"][-1]]
+    is_pose = measurements["kind"] == POSE
+    stated = measurements["deviation"]
+    turned = measurements[is_pose & (stated[:, 1] >= 0.0)]
+    placed, moving = measurements[is_pose & (stated[:, 0] >= 0.0)], measurements[~is_pose]
+    if len(turned) == 0:
+        noise = replace(noise, mocap_velocity_m_s=_deviation(moving, 0, noise.mocap_velocity_m_s))
+        return initial_from_velocities(imu, moving, noise, gravity, fewest=_FEWEST)
+    last, time_ns = turned[-1:], int(turned["time_ns"][-1]) - delay_ns
+    if time_ns < imu["time_ns"][0] or imu["time_ns"][-1] - time_ns > _LATEST_NS:
+        return None
+    attitude = last["attitude"][0] / np.linalg.norm(last["attitude"][0])
+    position_std = _deviation(placed, 0, noise.mocap_position_m)
+    fresh = moving[moving["time_ns"] >= last["time_ns"][0] - COLLECT_NS]
+    if len(fresh):
+        velocity = fresh["vector"][-1]
+        if fresh["kind"][-1] == BODY_VELOCITY:
+            velocity = matrix_times(rotation_matrix(attitude), velocity)
+        # As old as it may be, it differs by what a vehicle accelerates in the meantime.
+        age_s = 1e-9 * abs(int(fresh["time_ns"][-1] - last["time_ns"][0]))
+        velocity_std = np.hypot(_deviation(fresh, 0, noise.mocap_velocity_m_s), gravity * age_s)
+    elif len(placed) >= _FEWEST:
+        span_s = 1e-9 * float(placed["time_ns"][-1] - placed["time_ns"][0])
+        velocity = _slope(placed["time_ns"], placed["vector"])
+        velocity_std = np.hypot(_VELOCITY_STD_M_S * max(1.0, span_s), np.sqrt(12.0) * position_std / span_s)
+    else:
+        return None
+    covariance = _covariance(
+        position=position_std,
+        velocity=float(velocity_std),
+        attitude=_deviation(last, 1, noise.mocap_attitude_rad),
+        gyro_bias=_GYRO_BIAS_STD_RAD_S,
+    )
+    at = imu[_last_before(imu, time_ns)]
+    acceleration = _over_ground(rotation_matrix(attitude), at["specific_force"], gravity)
+    by_delay = np.zeros(ERROR_STATES)
+    by_delay[POSITION], by_delay[VELOCITY] = velocity, acceleration
+    by_delay[ATTITUDE], by_delay[DELAY] = at["rates"], 1.0
+    position = placed["vector"][-1] if len(placed) else np.zeros(3)
+    state = _State(position, velocity, attitude, np.zeros(3), covariance, by_delay, acceleration)
+    return _initial(imu, time_ns, state, noise)
+
+
+def _deviation(measurements: Records, part: int, unstated: float) -> float:
+    """Standard deviation of a part of the last of some measurements, by the vehicle file unless stated."""
+    stated = float(measurements["deviation"][-1, part]) if len(measurements) else 0.0
+    return stated if stated > 0.0 else unstated
 
 
 def initial_from_poses(imu: Records, poses: Records, noise: SensorNoise, gravity: float) -> Initial | None:
@@ -184,7 +276,7 @@ def initial_from_poses(imu: Records, poses: Records, noise: SensorNoise, gravity
 
 
 def initial_from_velocities(
-    imu: Records, velocities: Records, noise: SensorNoise, gravity: float
+    imu: Records, velocities: Records, noise: SensorNoise, gravity: float, fewest: int = _MIN_SAMPLES
 ) -> Initial | None:
     """Estimate at the last velocity that is not later than the last IMU sample.
 
@@ -198,18 +290,19 @@ def initial_from_velocities(
         velocities: (M,) each :class:`quadpi_core.estimator.filter_state.Measurement`, oldest first.
         noise: see there.
         gravity: see there.
+        fewest: velocities in the second.
 
     Returns:
         The estimate, or None if the velocities are too few or too old.
     """
     time_ns, velocities = _taken(imu, velocities, noise)
-    if not _enough(imu, time_ns):
+    if not _enough(imu, time_ns, fewest):
         return None
     in_body = bool(np.all(velocities["kind"] == BODY_VELOCITY))
     if not in_body:
         in_world = velocities["kind"] != BODY_VELOCITY
         time_ns, velocities = time_ns[in_world], velocities[in_world]
-        if not _enough(imu, time_ns):
+        if not _enough(imu, time_ns, fewest):
             return None
     last_ns = int(time_ns[-1])
     into_last = rotation_matrix(_relative_attitudes(imu, last_ns))
@@ -271,10 +364,12 @@ def _taken(imu: Records, measurements: Records, noise: SensorNoise) -> tuple[Sta
     return time_ns[keep], measurements[keep]
 
 
-def _enough(imu: Records, time_ns: Stamps) -> bool:
+def _enough(imu: Records, time_ns: Stamps, fewest: int = _MIN_SAMPLES) -> bool:
     """Whether measurements at those stamps are enough and recent enough to start from."""
-    if len(time_ns) < _MIN_SAMPLES or imu["time_ns"][-1] - time_ns[-1] > _LATEST_NS:
+    if len(time_ns) < fewest or imu["time_ns"][-1] - time_ns[-1] > _LATEST_NS:
         return False
+    if fewest < _MIN_SAMPLES:
+        return bool(time_ns[-1] - time_ns[0] >= COLLECT_NS // 2)
     recent = time_ns >= time_ns[-1] - _VELOCITY_FIT_NS
     spans = time_ns[0] <= time_ns[-1] - _VELOCITY_FIT_NS
     return bool(spans and np.count_nonzero(recent) >= _MIN_SAMPLES)

@@ -19,6 +19,7 @@ from quadpi_core.errors import LogError, ModelError, QuadpiError, named_in
 from quadpi_core.estimator.ekf import Ekf
 from quadpi_core.estimator.filter_run import Segment
 from quadpi_core.estimator.fusion import fuse_airborne, require_streams
+from quadpi_core.estimator.slow_states import with_slow_state
 from quadpi_core.findings import NOTHING_TO_SAY, DataQuality
 from quadpi_core.flight import AXES, MAX_GAP_NS, Flight, Recording, Stamps
 from quadpi_core.flight_files import (
@@ -280,7 +281,7 @@ def prepare_recording(recording: Recording, vehicle: Vehicle, cutoff_hz: float) 
         LogError: for what cannot be used, naming source and topic.
         SignalError: naming the source, where the signals cannot be fused.
     """
-    recording = checked(recording, vehicle)
+    recording = with_slow_state(checked(recording, vehicle), vehicle)
     require_streams(recording)
     causal = CausalPass.over(recording, vehicle)
     flight = fuse_airborne(recording, vehicle, cutoff_hz, causal.segments)
@@ -304,6 +305,7 @@ def read_flight(path: Path, vehicle: Vehicle, cutoff_hz: float, mapping: Mapping
         SignalError: naming the file, where the signals cannot be fused.
     """
     recording = checked(parts_without_pause(read_recording(path, vehicle, mapping))[0], vehicle)
+    recording = with_slow_state(recording, vehicle)
     return replace(fuse_airborne(recording, vehicle, cutoff_hz), sha256=recording_hash(recording))
 
 

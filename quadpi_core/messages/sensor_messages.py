@@ -161,7 +161,7 @@ ODOMETRY_SAMPLES = SampleKind(
     ODOMETRY,
     _room(OdometryStream, 3, 4, 3, 3),
     lambda values, state: compiled.state_values(
-        values, state.position, state.attitude, state.velocity, state.rates
+        values, state.position, state.attitude, state.velocity, state.rates, state.deviation
     ),
     texts=2,
 )
@@ -333,8 +333,10 @@ def unpack_logged_mocap_odometry(payloads: Payloads | bytes) -> tuple[PoseStream
         wrong = np.abs(np.linalg.norm(odometry.attitude, axis=1) - 1.0) > NORM_TOLERANCE
     odometry.velocity[wrong] = np.nan
     return (
-        PoseStream(odometry.time_ns, odometry.position, odometry.attitude),
-        TwistStream(odometry.time_ns, odometry.velocity, np.ones(len(odometry), dtype=bool)),
+        PoseStream(odometry.time_ns, odometry.position, odometry.attitude, odometry.deviation[:, :2]),
+        TwistStream(
+            odometry.time_ns, odometry.velocity, np.ones(len(odometry), dtype=bool), odometry.deviation[:, 2]
+        ),
     )
 
 

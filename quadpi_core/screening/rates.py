@@ -11,11 +11,11 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from quadpi_core.flight import MAX_GAP_NS, Recording
+from quadpi_core.flight import MAX_GAP_NS, Recording, Stream
 from quadpi_core.signals.resample import nominal_rate
 from quadpi_core.thresholds import CONVENTION, Threshold
 
-# So many poses within this time start the estimator: a line through fewer gives no velocity.
+# So many poses within this time give a velocity by a line; of a slower source the estimator takes several.
 START_POSES, START_NS = 5, 200_000_000
 SELDOM = Threshold(
     name="rate below which pauses of a topic are its rate, over that at which it has none",
@@ -24,10 +24,10 @@ SELDOM = Threshold(
     reason="stamps jitter by a tenth of the step and more; a topic that is faster and pauses loses samples",
     data=CONVENTION,
 )
-# Of motion capture, the lowest rate that starts it; of topics that are interpolated, one without a pause.
-_START_HZ, _BRIDGED_HZ = 1e9 * (START_POSES - 1) / START_NS, SELDOM.value * 1e9 / MAX_GAP_NS
+# Of what corrects the estimator, the lowest rate; of topics that are interpolated, one without a pause.
+CORRECTED_HZ, BRIDGED_HZ = 0.9, SELDOM.value * 1e9 / MAX_GAP_NS
 _BRIDGED = "nothing is interpolated across 0.1 s"
-_STARTS = f"the estimator starts with {START_POSES} poses within {1e-9 * START_NS:g} s"
+_CORRECTS = "in longer pauses an estimate drifts by more than a model could use"
 _USES = "identification, prediction and replay"
 
 
@@ -50,15 +50,20 @@ def seldom_topics(recording: Recording) -> Iterator[str]:
     """On topics that come too seldom for a model: rotor speeds, and the state or motion capture."""
     mocap = recording.pose or recording.twist
     if mocap is not None and len(mocap) > 1:
-        spans = mocap.time_ns[START_POSES - 1 :] - mocap.time_ns[: 1 - START_POSES]
-        if not np.any(spans <= START_NS):
-            rate_hz = nominal_rate(mocap.time_ns)
-            yield seldom(mocap.topic, rate_hz, _START_HZ, _STARTS, recording.remedies)
-    for stream in (recording.rotor_speeds, None if mocap is not None else recording.odometry):
-        if stream is not None and np.any(np.diff(stream.time_ns) > MAX_GAP_NS):
-            rate_hz = nominal_rate(stream.time_ns)
-            if rate_hz < _BRIDGED_HZ:
-                yield seldom(stream.topic, rate_hz, _BRIDGED_HZ, _BRIDGED, recording.remedies)
+        yield from _seldom_state(mocap, recording.remedies)
+    speeds, state = recording.rotor_speeds, None if mocap is not None else recording.odometry
+    if speeds is not None and np.any(np.diff(speeds.time_ns) > MAX_GAP_NS):
+        rate_hz = nominal_rate(speeds.time_ns)
+        if rate_hz < BRIDGED_HZ:
+            yield seldom(speeds.topic, rate_hz, BRIDGED_HZ, _BRIDGED, recording.remedies)
+    if state is not None and len(state) > 1:
+        yield from _seldom_state(state, recording.remedies)
+
+
+def _seldom_state(stream: Stream, remedies: Mapping[str, str]) -> Iterator[str]:
+    rate_hz = nominal_rate(stream.time_ns)
+    if rate_hz < CORRECTED_HZ:
+        yield seldom(stream.topic, rate_hz, CORRECTED_HZ, _CORRECTS, remedies)
 
 
 class RunningRates:
@@ -79,8 +84,8 @@ class RunningRates:
     def seldom(self) -> Iterator[str]:
         """On topics that come too seldom, by their mean rates."""
         mocap = [topic for topic in self._spans if topic.startswith("mocap/")][:1]
-        needs = dict.fromkeys(mocap, (_START_HZ, _STARTS))
-        needs |= dict.fromkeys(["rotor_speeds", *([] if mocap else ["odometry"])], (_BRIDGED_HZ, _BRIDGED))
+        needs = dict.fromkeys([*mocap, *([] if mocap else ["odometry"])], (CORRECTED_HZ, _CORRECTS))
+        needs["rotor_speeds"] = BRIDGED_HZ, _BRIDGED
         for topic, (needed_hz, reason) in needs.items():
             first_ns, last_ns, count = self._spans.get(topic, (0, 0, 0))
             if count > 1 and last_ns > first_ns:

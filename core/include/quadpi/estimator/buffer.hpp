@@ -37,14 +37,27 @@ constexpr double VELOCITY_STD_MAX_M_S = 2.0;
 // by no more than half of the half width of their intervals; this specific force is 1 % of the weight.
 constexpr double SETTLED_VELOCITY_STD_M_S = 0.05;
 constexpr double SETTLED_BIAS_STD_M_S2 = 0.1;
+// The same of a state by measurements that state a noise: theirs, up to this.
+constexpr double SETTLED_COARSE_STD_M_S = 0.5;
+// Steps of a slow source that are waited for, one lost or several, before the state is DEGRADED, and LOST.
+constexpr std::int64_t SLOW_DEGRADED = 3, SLOW_LOST = 5;
 
 // Place of the source of a measurement: poses, then velocities.
 inline int source_of(const Measurement& measurement) { return measurement.kind == POSE ? 0 : 1; }
 
 // Whether a measurement can be one.
 inline bool usable(const Measurement& measurement) {
-    return measurement.kind == POSE ? usable_pose(measurement.vector, measurement.attitude)
-                                    : usable_velocity(measurement.vector);
+    const auto [vector, attitude] = measurement.deviation;
+    if (!std::isfinite(vector) || !std::isfinite(attitude) || !(measured(vector) || measured(attitude))) {
+        return false;
+    }
+    if (measurement.kind != POSE) {
+        return measured(vector) && usable_velocity(measurement.vector);
+    }
+    return usable_pose(
+        measured(vector) ? measurement.vector : Vector3{},
+        measured(attitude) ? measurement.attitude : Quaternion{1.0, 0.0, 0.0, 0.0}
+    );
 }
 
 // The filter and its ring of an estimate at the stamp of each IMU sample of the last half second.
@@ -106,6 +119,8 @@ public:
             ++memory.counts[1 + place][outcome];
             return outcome;
         }
+        source.step_before_ns = source.step_ns;
+        source.step_ns = source.arrived_ns == NO_STAMP ? 0 : std::max<std::int64_t>(time_ns - source.arrived_ns, 0);
         source.arrived_ns = time_ns;
         // In the order of stamps: an odometry's two parts, and sources that overtake each other.
         std::int64_t at = (memory.held_first + memory.held_count) % HELD;
@@ -150,19 +165,39 @@ public:
         const std::int64_t since = newest().time_ns - memory.accepted_ns;
         const double velocity = largest_variance(covariance, VELOCITY);
         const double bias = largest_variance(covariance, ACCELEROMETER_BIAS);
-        if (since > LOST_NS || velocity > VELOCITY_STD_MAX_M_S * VELOCITY_STD_MAX_M_S) {
+        const std::int64_t usual = usual_step_ns();
+        if (since > std::max(LOST_NS, SLOW_LOST * usual) ||
+            velocity > VELOCITY_STD_MAX_M_S * VELOCITY_STD_MAX_M_S) {
             return LOST;
         }
         const std::int64_t rejections = std::max(memory.sources[0].refusals, memory.sources[1].refusals);
-        const bool settled = velocity <= SETTLED_VELOCITY_STD_M_S * SETTLED_VELOCITY_STD_M_S &&
+        const double settled_velocity = settled_velocity_std();
+        const bool settled = velocity <= settled_velocity * settled_velocity &&
                              bias <= SETTLED_BIAS_STD_M_S2 * SETTLED_BIAS_STD_M_S2;
-        return since > DEGRADED_NS || rejections >= DEGRADED_REJECTIONS || !settled ? DEGRADED : OK;
+        const bool waits = since > std::max(DEGRADED_NS, SLOW_DEGRADED * usual);
+        return waits || rejections >= DEGRADED_REJECTIONS || !settled ? DEGRADED : OK;
     }
 
 private:
     Filter& memory;
     Records<Estimate> ring;
     std::int64_t size;
+
+    // Time between measurements of the source that sends most; 0 before it is known.
+    std::int64_t usual_step_ns() const {
+        const std::int64_t poses = memory.sources[0].usual_step_ns();
+        const std::int64_t velocities = memory.sources[1].usual_step_ns();
+        return poses == 0 || velocities == 0 ? std::max(poses, velocities) : std::min(poses, velocities);
+    }
+
+    // Standard deviation of the velocity of a settled state: no more than that of one coarse measurement.
+    double settled_velocity_std() const {
+        double coarsest = SETTLED_VELOCITY_STD_M_S;
+        for (const Source& source : memory.sources) {
+            coarsest = std::max(coarsest, source.last.deviation[0]);
+        }
+        return std::min(coarsest, SETTLED_COARSE_STD_M_S);
+    }
 
     std::int64_t after(std::int64_t place) const { return (place + 1) % size; }
 
@@ -243,13 +278,13 @@ private:
         correction.widening = {};
         memory.trial = memory.prior;
         correction.nis = fuse(memory.trial, memory.noise, measurement, memory.scalars);
-        if (correction.nis <= (measurement.kind == POSE ? POSE_GATE : VELOCITY_GATE)) {
+        if (correction.nis <= gate_of(measurement)) {
             return true;
         }
         if (!rejections_persist(measurement)) {
             return false;
         }
-        correction.widening = widening_for(memory.prior, memory.noise, measurement);
+        correction.widening = widening_for(memory.prior, noise_of(memory.noise, measurement), measurement);
         memory.trial = memory.prior;
         widen(memory.trial, correction.widening);
         correction.nis = fuse(memory.trial, memory.noise, measurement, memory.scalars);
@@ -300,14 +335,22 @@ private:
             return true;
         }
         const double elapsed = 1e-9 * static_cast<double>(measurement.time_ns - source.last.time_ns);
-        return motion_shows(memory.prior, memory.noise, measurement.kind, elapsed);
+        const Noise own = noise_of(memory.noise, measurement);
+        return motion_shows(memory.prior, own, measurement.kind, elapsed);
     }
 
     // Note a rejection; whether rejections that agree among themselves have lasted long enough.
     bool rejections_persist(const Measurement& measurement) {
         Source& source = memory.sources[source_of(measurement)];
         const bool agrees =
-            source.refusals > 0 && same_motion(source.refused, measurement, memory.prior, memory.noise);
+            source.refusals > 0 &&
+            same_motion(
+                source.refused,
+                measurement,
+                memory.prior,
+                noise_of(memory.noise, measurement),
+                std::max(AGREE_LATEST_S, 1e-9 * static_cast<double>(SLOW_DEGRADED * source.usual_step_ns()))
+            );
         if (!agrees) {
             source.refusals = 0;
             source.refused_since_ns = measurement.time_ns;

@@ -32,6 +32,28 @@ constexpr double AGREE_ACCELERATION_M_S2 = 10.0;
 // A motion shows if it is beyond this many standard deviations of the measurement's noise.
 constexpr double SHOWS_STDS = 4.0;
 
+// Whether a deviation says that its part was measured.
+inline bool measured(double deviation) { return deviation >= 0.0; }
+
+// The noise that holds for a measurement: its own where it states it, infinite where there is nothing.
+inline Noise noise_of(const Noise& noise, const Measurement& measurement) {
+    Noise own = noise;
+    const auto [vector, attitude] = measurement.deviation;
+    if (vector != 0.0) {
+        own.position = own.velocity = vector > 0.0 ? vector * vector : INFINITY;
+    }
+    if (attitude != 0.0) {
+        own.attitude = attitude > 0.0 ? attitude * attitude : INFINITY;
+    }
+    return own;
+}
+
+// Squared innovation beyond which a measurement contradicts the estimate.
+inline double gate_of(const Measurement& measurement) {
+    const auto [vector, attitude] = measurement.deviation;
+    return measurement.kind == POSE && measured(vector) && measured(attitude) ? POSE_GATE : VELOCITY_GATE;
+}
+
 // Stamp of the instant at which a measurement was taken, by the delay of an estimate.
 inline std::int64_t taken_ns(const Estimate& estimate, const Measurement& measurement) {
     return measurement.time_ns - static_cast<std::int64_t>(std::nearbyint(1e9 * estimate.delay));
@@ -172,15 +194,22 @@ inline double fuse(Estimate& estimate, const Noise& noise, const Measurement& me
     }
     const double lag = 1e-9 * static_cast<double>(taken_ns(estimate, measurement) - estimate.time_ns);
     const int count = measurement.kind == POSE ? 6 : 3;
+    const Noise own = noise_of(noise, measurement);
     if (measurement.kind == POSE) {
-        linearise_pose(estimate, noise, measurement, lag, scalars);
+        linearise_pose(estimate, own, measurement, lag, scalars);
     } else {
-        linearise_velocity(estimate, noise, measurement, lag, scalars);
+        linearise_velocity(estimate, own, measurement, lag, scalars);
     }
     ErrorVector error{};
     double nis = 0.0;
     for (int index = 0; index < count; ++index) {
         Scalar& scalar = scalars[index];
+        if (!std::isfinite(scalar.variance)) {
+            scalar.gain = {};
+            scalar.innovation = 0.0;
+            scalar.innovation_variance = INFINITY;
+            continue;
+        }
         correct_scalar(estimate.covariance, error, scalar);
         nis += scalar.innovation * scalar.innovation / scalar.innovation_variance;
     }
@@ -199,11 +228,13 @@ inline Widening widening_for(const Estimate& estimate, const Noise& noise, const
         const bool in_world = measurement.kind == WORLD_VELOCITY;
         return {0.0, in_world ? off2 : std::max(off2, 4.0 * speed2), 0.25, noise.delay_prior};
     }
-    const double turn2 = square_of(turn_from(estimate.attitude, measurement.attitude));
+    const auto [vector, attitude] = measurement.deviation;
+    const double turn2 =
+        measured(attitude) ? square_of(turn_from(estimate.attitude, measurement.attitude)) : 0.0;
     return {
-        square_of(minus(measurement.vector, estimate.position)),
+        measured(vector) ? square_of(minus(measurement.vector, estimate.position)) : 0.0,
         1.0 + speed2 * std::min(turn2, 4.0),
-        turn2 + noise.attitude,
+        measured(attitude) ? turn2 + noise.attitude : 0.0,
         noise.delay_prior,
     };
 }
@@ -225,11 +256,17 @@ inline double turning_speed(const Estimate& estimate) {
 }
 
 // Whether two measurements of one kind can be of one vehicle that moves roughly as estimated.
+//
+// latest: time [s] between them beyond which nothing is said.
 inline bool same_motion(
-    const Measurement& first, const Measurement& second, const Estimate& estimate, const Noise& noise
+    const Measurement& first,
+    const Measurement& second,
+    const Estimate& estimate,
+    const Noise& noise,
+    double latest = AGREE_LATEST_S
 ) {
     const double elapsed = 1e-9 * static_cast<double>(second.time_ns - first.time_ns);
-    if (elapsed > AGREE_LATEST_S) {
+    if (elapsed > latest) {
         return false;
     }
     const double apart = length_of(minus(second.vector, first.vector));
@@ -239,7 +276,9 @@ inline bool same_motion(
             AGREE_ACCELERATION_M_S2 + length_of(estimate.specific_force) + rate * speed;
         return apart <= AGREE_STDS * std::sqrt(noise.velocity) + acceleration * elapsed;
     }
-    const double angle = length_of(turn_from(normalised(first.attitude), second.attitude));
+    const bool turns = measured(first.deviation[1]) && measured(second.deviation[1]);
+    const double angle =
+        turns ? length_of(turn_from(normalised(first.attitude), second.attitude)) : 0.0;
     return apart <=
                AGREE_STDS * std::sqrt(noise.position) + (AGREE_SPEED_M_S + AGREE_FACTOR * speed) * elapsed &&
            angle <=

@@ -7,6 +7,7 @@
 // stamps s was true at s less the delay.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cstdint>
 
@@ -57,12 +58,14 @@ struct ImuSample {
     Vector3 specific_force;  // m/s²
 };
 
-// One pose or velocity of motion capture.
+// One pose or velocity that corrects the estimate: of motion capture, of GPS, of another estimator.
 struct Measurement {
     std::int64_t time_ns;
     std::int64_t kind;    // POSE, WORLD_VELOCITY or BODY_VELOCITY
     Vector3 vector;       // position [m] in the world, or velocity over ground [m/s] in the axes of its kind
     Quaternion attitude;  // body to world, of any norm and sign; zeros for a velocity
+    // Standard deviations of vector and attitude [rad]; 0 is that of the vehicle, below 0 is not measured.
+    std::array<double, 2> deviation;
 };
 
 // The numbers that are estimated, without their errors.
@@ -148,6 +151,11 @@ struct Source {
     Measurement refused;      // the last one rejected
     std::int64_t refused_since_ns;
     std::int64_t refusals;  // in a row that agree among themselves
+    std::int64_t step_ns;   // between the last two measurements, and between the two before
+    std::int64_t step_before_ns;
+
+    // Time between its measurements, one that was lost apart; 0 before it is known.
+    std::int64_t usual_step_ns() const { return std::min(step_ns, step_before_ns); }
 };
 
 // All that the filter remembers beside its ring of estimates.

@@ -59,12 +59,35 @@ inline bool read_pose(const double* numbers, Vector3& position, Quaternion& atti
     return attitude_of(numbers + 3, attitude);
 }
 
-// What an odometry says; false if its attitude is no rotation.
+// Variance of a part from which on a message says that it does not know it.
+constexpr double UNKNOWN_VARIANCE = 1e4;
+
+// Root mean square of three standard deviations on the diagonal of a covariance (6, 6) of a message.
+//
+// 0 where the message says nothing, which zeros, what is below and what is no number are; -1 for a variance so
+// large that it stands for "not measured".
+inline double deviation_of(const double* covariance, std::size_t first) {
+    double total = 0.0;
+    for (std::size_t axis = first; axis < first + 3; ++axis) {
+        total += covariance[7 * axis];
+    }
+    const double mean = total / 3.0;
+    return mean >= UNKNOWN_VARIANCE ? -1.0 : mean > 0.0 ? std::sqrt(mean) : 0.0;
+}
+
+// What an odometry says, with deviations of position, attitude and velocity; false if its attitude is no
+// rotation.
 inline bool read_odometry(
-    const OdometryNumbers& numbers, Vector3& position, Quaternion& attitude, Vector3& velocity, Vector3& rates
+    const OdometryNumbers& numbers,
+    Vector3& position,
+    Quaternion& attitude,
+    Vector3& velocity,
+    Vector3& rates,
+    Vector3& deviation
 ) {
     velocity = body_of(&numbers[43]);
     rates = body_of(&numbers[46]);
+    deviation = {deviation_of(&numbers[7], 0), deviation_of(&numbers[7], 3), deviation_of(&numbers[49], 0)};
     return read_pose(numbers.data(), position, attitude);
 }
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from quadpi_core.errors import SampleError
 from quadpi_core.flight import ImuStream, OdometryStream, Stamps
+from quadpi_core.frames import Array
 from quadpi_core.messages.adapters.adapter_definition import Adapter, Reading, of_items
 from quadpi_core.messages.adapters.motor_messages import start_of_battery, start_of_commands
 from quadpi_core.messages.adapters.rotor_messages import (
@@ -31,6 +32,7 @@ from quadpi_core.sample_limits import NORM_TOLERANCE
 from quadpi_core.vehicle import Vehicle
 
 _NED, _FRD, _BODY = 1, 2, 3
+_VARIANCES = ("position_variance", "orientation_variance", "velocity_variance")
 
 
 def _read_odometry(columns: Columns, dropped: Counter[str]) -> OdometryStream:
@@ -79,7 +81,14 @@ def _read_odometry(columns: Columns, dropped: Counter[str]) -> OdometryStream:
         attitude=attitude,
         velocity=np.where(in_body[usable, np.newaxis], velocity[usable], turned),
         rates=rates[usable],
+        deviation=np.stack([_deviation(columns[name])[usable] for name in _VARIANCES], axis=1),
     )
+
+
+def _deviation(variances: Array) -> Array:
+    """Root mean square (N,) of deviations by their variances (N, 3); 0 where NaN says that none is known."""
+    mean = np.mean(variances.astype(np.float64), axis=1)
+    return np.sqrt(np.where(mean > 0.0, mean, 0.0))
 
 
 def _read_imu(columns: Columns) -> ImuStream:
@@ -161,6 +170,7 @@ ODOMETRY = Adapter(
     columns={
         **{"timestamp": 1, "timestamp_sample": 1, "pose_frame": 1, "velocity_frame": 1},
         **{"position": 3, "q": 4, "velocity": 3, "angular_velocity": 3},
+        **dict.fromkeys(_VARIANCES, 3),
     },
     start=_odometry,
 )

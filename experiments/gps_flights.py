@@ -1,0 +1,236 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""What GPS and motor commands alone tell: windy flights of RotorPy, each by a vehicle of its own.
+
+Every flight is logged as an autopilot logs it: IMU and commands at 250 Hz, the state at 5 Hz with errors of 1 m,
+0.1 m/s and 2°. A report on each gives drag, thrust and inertia with intervals of 95 %, or says that they are
+not identified; counted is how often the truth is inside. Nothing of the library is in the simulation.
+
+    python experiments/gps_flights.py [--flights 100] [--first 1000] [--store FOLDER]
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from independent.airframes import GRAVITY_M_S2, Airframe, Array, airframes
+from independent.flying import Path4
+from independent.hidden_effects import Flown
+from scipy.spatial.transform import Rotation
+
+RATE_HZ, DURATION_S, STATE_HZ = 250.0, 60.0, 5.0
+# Errors of a state by GPS: position m, velocity m/s, attitude rad.
+STATE_ERRORS = (1.0, 0.1, np.deg2rad(2.0))
+_HEIGHT_M = 20.0
+
+
+class Logged(NamedTuple):
+    """One flight, in RotorPy's axes: body forward-left-up, world with z up.
+
+    Attributes:
+        time: (N,) s.
+        rates, felt: (N, 3) as the IMU reads them, rad/s and m/s².
+        commands: (N, 4) share of the largest rotor speed.
+        state_time: (M,) s.
+        position, velocity: (M, 3) as the state has them; attitude (M, 4) x y z w.
+        wind: (2,) m/s, mean.
+        drag: (2,) 1/s, over mass along x and y, that fits best at the airspeeds flown.
+        thrust: N of one rotor at full command.
+        inertia: (3,) kg m².
+        mass: kg.
+    """
+
+    time: Array
+    rates: Array
+    felt: Array
+    commands: Array
+    state_time: Array
+    position: Array
+    velocity: Array
+    attitude: Array
+    wind: Array
+    drag: Array
+    thrust: Array
+    inertia: Array
+    mass: Array
+
+
+def vehicle_of(airframe: Airframe, rng: np.random.Generator) -> Flown:
+    """A vehicle with its own motors, drag and inertia."""
+    factors = {"k_eta": 0.15, "k_m": 0.2, "k_d": 0.3, "k_z": 0.3, "c_Dx": 0.3, "c_Dy": 0.3}
+    factors |= {"Ixx": 0.2, "Iyy": 0.2, "Izz": 0.2}
+    flown = Flown(airframe, airframe.parameters)
+    flown = flown.with_parameters(
+        **{name: float(np.exp(share * rng.uniform(-1.0, 1.0))) for name, share in factors.items()}
+    )
+    return Flown(airframe, {**flown.parameters, "tau_m": float(rng.uniform(0.02, 0.05))})
+
+
+def path_of(rng: np.random.Generator, speed: float) -> Path4:
+    """To and fro in x and y with turns, climbs, and quick steps of attitude for a third of the flight."""
+
+    def swing(fastest: float, low_hz: float, high_hz: float):
+        hz, phase = rng.uniform(low_hz, high_hz), rng.uniform(0.0, 2.0 * np.pi)
+        size = rng.uniform(0.6, 1.0) * fastest / (2.0 * np.pi * hz)
+        return lambda t: size * (np.sin(2.0 * np.pi * hz * t + phase) - np.sin(phase))
+
+    def faded(path):
+        def slowly(t: Array) -> Array:
+            share = np.clip(t / 8.0, 0.0, 1.0)
+            return share**3 * (10.0 - 15.0 * share + 6.0 * share**2) * path(t)
+
+        return slowly
+
+    def shaken(begin: float, size: float):
+        hz = rng.uniform(0.9, 1.4)
+        gain = size / (2.0 * np.pi * hz) ** 2
+        return lambda t: gain * np.sin(2.0 * np.pi * hz * t) * (
+            np.clip(t - begin, 0.0, 1.0) * np.clip(begin + 10.0 - t, 0.0, 1.0)
+        )
+
+    slow = [faded(swing(speed, 0.05, 0.12)) for _ in range(2)]
+    shakes = [shaken(20.0, 2.5), shaken(30.0, 2.5)]
+    climb, turn = faded(swing(1.5, 0.1, 0.2)), faded(swing(np.deg2rad(30.0), 0.05, 0.12))
+    quick = faded(swing(0.8, 0.7, 1.0))
+    return Path4(
+        "gps",
+        lambda t: slow[0](t) + shakes[0](t),
+        lambda t: slow[1](t) + shakes[1](t),
+        lambda t: _HEIGHT_M + climb(t),
+        lambda t: turn(t) + quick(t) * (t > 40.0) * np.clip((t - 40.0) / 2.0, 0.0, 1.0),
+    )
+
+
+def _gusts(rng: np.random.Generator, samples: int) -> Array:
+    deviation, constant = rng.uniform(0.5, 1.5), rng.uniform(1.0, 4.0)
+    keep = np.exp(-1.0 / (RATE_HZ * constant))
+    gusts = deviation * rng.standard_normal((samples, 3))
+    for k in range(1, samples):
+        gusts[k] = keep * gusts[k - 1] + np.sqrt(1.0 - keep**2) * gusts[k]
+    return gusts * np.array([1.0, 1.0, 0.5])
+
+
+def fly(seeds: Sequence[int]) -> list[Logged]:
+    """One flight for each seed, of a vehicle drawn for it; all at once, as RotorPy can by PyTorch.
+
+    Raises:
+        RuntimeError: where RotorPy loses its path.
+    """
+    import torch
+    from rotorpy.controllers.quadrotor_control import BatchedSE3Control
+    from rotorpy.vehicles.multirotor import BatchedMultirotor, BatchedMultirotorParams
+
+    torch.set_num_threads(1)
+    device, count = torch.device("cpu"), len(seeds)
+    draws = [np.random.default_rng(seed) for seed in seeds]
+    flown = [vehicle_of(airframes()[0], rng) for rng in draws]
+    parameters = [dict(one.parameters) for one in flown]
+    samples = int(DURATION_S * RATE_HZ)
+    time = np.arange(samples) / RATE_HZ
+    names = ("x", "x_dot", "x_ddot", "yaw", "yaw_dot")
+    sampled = [path_of(rng, 5.0).sampled(time) for rng in draws]
+    wanted = {name: torch.tensor(np.stack(own, axis=1)) for name, own in zip(names, zip(*sampled), strict=True)}
+    wind = np.empty((samples, count, 3))
+    for place, rng in enumerate(draws):
+        heading, blows = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(0.0, 5.0)
+        steady = blows * np.array([np.cos(heading), np.sin(heading), 0.0])
+        wind[:, place] = steady + _gusts(rng, samples)
+    s = np.zeros((count, 20))
+    s[:, :3], s[:, 3:6] = wanted["x"][0], wanted["x_dot"][0]
+    s[:, 8], s[:, 9] = np.sin(0.5 * wanted["yaw"][0]), np.cos(0.5 * wanted["yaw"][0])
+    s[:, 16:] = [[np.sqrt(p["mass"] * GRAVITY_M_S2 / 4.0 / p["k_eta"])] * 4 for p in parameters]
+    state, everyone = torch.tensor(s), list(range(count))
+    vehicle = BatchedMultirotor(
+        BatchedMultirotorParams(parameters, count, device),
+        count,
+        {"x": state[:, :3]},
+        device,
+    )
+    # Slower than the motors allow, as an autopilot is; it knows the vehicle of the file alone.
+    known = {**flown[0].airframe.parameters, "kp_att": 60.0, "kd_att": 12.0}
+    controller = BatchedSE3Control(BatchedMultirotorParams([known] * count, count, device), count, device)
+    rows, slopes = np.empty((samples, count, 20)), np.empty((samples, count, 20))
+    commands, integral, step = np.empty((samples, count, 4)), torch.zeros(count, 3), 1.0 / RATE_HZ
+    for k in range(samples):
+        state[:, 13:16] = torch.tensor(wind[k])
+        now = BatchedMultirotor._unpack_state(state, everyone, count)
+        now = {name: value.double() for name, value in now.items()}
+        away = now["x"] - wanted["x"][k]
+        integral = integral + away.clamp(-0.3, 0.3) * step
+        asked = {name: wanted[name][k] for name in names}
+        asked["x_ddot"] = asked["x_ddot"] - 3.0 * integral
+        command = controller.update(time[k], now, asked)["cmd_motor_speeds"]
+        command = command.clamp(min=0.0, max=float(known["rotor_speed_max"]))
+
+        def slope(at: torch.Tensor, command: torch.Tensor = command) -> torch.Tensor:
+            return vehicle._s_dot_fn(0.0, at, command, everyone).double()
+
+        rows[k], commands[k] = state, command
+        first = slope(state)
+        second = slope(state + 0.5 * step * first)
+        third = slope(state + 0.5 * step * second)
+        fourth = slope(state + step * third)
+        slopes[k] = first
+        state = state + step / 6.0 * (first + 2.0 * second + 2.0 * third + fourth)
+        state[:, 6:10] = state[:, 6:10] / torch.norm(state[:, 6:10], dim=1, keepdim=True)
+        if not bool((torch.norm(away, dim=1) < 10.0).all()):
+            raise RuntimeError(f"RotorPy loses a path after {time[k]:.2f} s")
+    return [
+        _logged(own, time, rows[:, place], slopes[:, place], commands[:, place], wind[:, place], rng)
+        for place, (own, rng) in enumerate(zip(flown, draws, strict=True))
+    ]
+
+
+def _logged(
+    flown: Flown,
+    time: Array,
+    rows: Array,
+    slopes: Array,
+    commands: Array,
+    wind: Array,
+    rng: np.random.Generator,
+) -> Logged:
+    p, count = flown.parameters, len(time)
+    attitude = Rotation.from_quat(rows[:, 6:10])
+    force = attitude.inv().apply(slopes[:, 3:6] + np.array([0.0, 0.0, GRAVITY_M_S2]))
+    air = attitude.inv().apply(rows[:, 3:6] - wind)[:, :2]
+    felt = force + rng.normal(0.0, 0.1, 3) + 0.5 * rng.standard_normal((count, 3))
+    felt[:, :2] += rng.normal(0.0, 0.01, 2) * (force[:, 2:] - GRAVITY_M_S2)
+    rates = rows[:, 10:13] + rng.normal(0.0, 0.005, 3) + 0.01 * rng.standard_normal((count, 3))
+    step = round(RATE_HZ / STATE_HZ)
+    chosen = slice(None, None, step)
+    seen = attitude[chosen] * Rotation.from_rotvec(
+        STATE_ERRORS[2] * rng.standard_normal((len(time[chosen]), 3))
+    )
+    return Logged(
+        time,
+        rates,
+        felt,
+        commands / p["rotor_speed_max"],
+        time[chosen],
+        rows[chosen, :3] + STATE_ERRORS[0] * rng.standard_normal((len(time[chosen]), 3)),
+        rows[chosen, 3:6] + STATE_ERRORS[1] * rng.standard_normal((len(time[chosen]), 3)),
+        seen.as_quat(),
+        wind.mean(axis=0)[:2],
+        -np.sum(air * force[:, :2], axis=0) / np.sum(air**2, axis=0),
+        np.array(p["k_eta"] * p["rotor_speed_max"] ** 2),
+        np.array([p["Ixx"], p["Iyy"], p["Izz"]]),
+        np.array(p["mass"]),
+    )
+
+
+def stored(seeds: Sequence[int], store: Path) -> list[Logged]:
+    """Flights, flown where the store does not hold them."""
+    store.mkdir(parents=True, exist_ok=True)
+    lacking = [seed for seed in seeds if not (store / f"gps-{seed}.npz").exists()]
+    for seed, one in zip(lacking, fly(lacking) if lacking else [], strict=True):
+        np.savez_compressed(store / f"gps-{seed}.npz", **one._asdict())
+    flights = []
+    for seed in seeds:
+        with np.load(store / f"gps-{seed}.npz") as file:
+            flights.append(Logged(**{name: file[name] for name in Logged._fields}))
+    return flights
