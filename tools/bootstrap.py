@@ -178,8 +178,8 @@ def point_wheels_at_this_python() -> None:
 
 
 def pip_install(log: Path, *arguments: str) -> None:
-    """Install at the versions of constraints.txt."""
-    run(log, VENV_PYTHON, "-m", "pip", "install", "--constraint", "constraints.txt", *arguments)
+    """Install at the versions of constraints.txt; bytecode is made of what is imported, when it is."""
+    run(log, VENV_PYTHON, "-m", "pip", "install", "--no-compile", "--constraint", "constraints.txt", *arguments)
 
 
 def require_build_tools() -> None:
