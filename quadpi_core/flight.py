@@ -228,6 +228,23 @@ class BatteryStream(Stream):
     voltage: Array
 
 
+@dataclass(frozen=True, repr=False)
+class AirStream(Stream):
+    """pressure (N,) Pa and temperature celsius (N,) of the air; NaN where a message does not tell it."""
+
+    topic: ClassVar[str] = "pressure"
+    shapes: ClassVar = ((), ())
+    pressure: Array
+    celsius: Array
+
+
+@dataclass(frozen=True, repr=False)
+class TemperatureStream(AirStream):
+    """The same, of a source that tells the temperature alone."""
+
+    topic: ClassVar[str] = "temperature"
+
+
 # Standard deviation of what was not measured.
 NOT_MEASURED = -1.0
 
@@ -315,6 +332,8 @@ class Recording:
         source: path of the file, for messages.
         commands: to the motors; of a vehicle with `motors`, rotor speeds are made of them.
         battery: of whose voltage rotor speeds from commands depend.
+        pressure, temperature: of the air; of the temperature alone where another source tells it.
+        board_air: whether the temperature is that of a barometer on a board, which is warmer than the air.
         command_source: name of the adapter or format whose scale the commands have.
         commanded: whether the rotor speeds are made of the commands.
         arrivals: by topic, number of IMU samples that arrived before each sample (N,), where the log has it.
@@ -336,6 +355,9 @@ class Recording:
     simulated: WrenchStream | None = None
     commands: MotorCommandStream | None = None
     battery: BatteryStream | None = None
+    pressure: AirStream | None = None
+    temperature: AirStream | None = None
+    board_air: bool = False
     command_source: str = ""
     commanded: bool = False
     arrivals: Mapping[str, Stamps] = field(default_factory=dict)

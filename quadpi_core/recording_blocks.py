@@ -165,23 +165,27 @@ def by_arrival(blocks: Iterable[Recording]) -> Iterator[Recording]:
     carried: Recording | None = None
     for block in blocks:
         whole = block if carried is None else join_blocks((carried, block))
-        due, carried = _cut(whole)
+        due, carried = cut_block(whole, len(whole.imu))
         if len(due.imu):
             yield due
     if carried is not None:
         yield carried
 
 
-def _cut(block: Recording) -> tuple[Recording, Recording]:
-    """Split a block into samples that arrived up to its last IMU sample, and the rest."""
-    count = len(block.imu)
+def cut_block(block: Recording, count: int) -> tuple[Recording, Recording]:
+    """Split a block into its first IMU samples with what arrived up to the last of them, and the rest."""
     others = {name: stream for name, stream in all_by_field(block).items() if name != "imu"}
     counts = {name: block.arrivals_of(stream) for name, stream in others.items()}
     places = {name: int(np.searchsorted(counts[name], count)) for name in others}
     due: dict[str, Any] = {name: others[name].take(slice(0, places[name])) for name in others}
     rest: dict[str, Any] = {name: others[name].take(slice(places[name], None)) for name in others}
     return (
-        replace(block, **due, arrivals={others[name].topic: counts[name][: places[name]] for name in others}),
+        replace(
+            block,
+            imu=block.imu.take(slice(0, count)),
+            **due,
+            arrivals={others[name].topic: counts[name][: places[name]] for name in others},
+        ),
         replace(
             block,
             imu=block.imu.take(slice(count, None)),

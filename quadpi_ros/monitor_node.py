@@ -18,12 +18,14 @@ from quadpi.msg import Erpm, RotorSpeeds
 from quadpi.srv import LoadModel
 from rclpy.clock import ROSClock
 
+from quadpi_core.air import Air
 from quadpi_core.errors import ModelError, QuadpiError
 from quadpi_core.estimator.imu_rate import ImuRate
 from quadpi_core.estimator.output import FusedSamples, with_gyro_faults
 from quadpi_core.flight import (
     MAX_JUMP_BACK_NS,
     NO_STAMP,
+    AirStream,
     ImuStream,
     MotorCommandStream,
     OdometryStream,
@@ -98,6 +100,10 @@ class MonitorNode(SensorNode[MonitorParameters]):
             self._require_same_rotors(monitor)
         if self._commanded is not None:
             self._commands = command_sources(adapted, self._commanded.motors, parameters.command_topic)
+        self._air_sources = (
+            adapted.self_described(parameters.air_topic),
+            adapted.self_described("temperature"),
+        )
         self._results = Results(
             self, monitors, parameters.body_frame, self._explained, parameters.publish_wrenches
         )
@@ -116,6 +122,9 @@ class MonitorNode(SensorNode[MonitorParameters]):
             )
         wind = IncomingMessage(sensor_messages.WIND_SAMPLES, self._body.world, self._body)
         self.listen(Vector3Stamped, "wind", wind, self._take_wind, required=False)
+        self._air = Air()
+        for source in self._air_sources:
+            self.listen(*source, self._take_air, required=False)
         self.listen(*self._rotors, self._take_rotor_speeds, required=self._commanded is None)
         if self._commanded is not None:
             commands, battery = self._commands
@@ -280,6 +289,10 @@ class MonitorNode(SensorNode[MonitorParameters]):
 
     def _take_wind(self, wind: WindStream) -> None:
         self._pairing.add_wind(int(wind.time_ns[0]), wind.velocity[0])
+
+    def _take_air(self, air: AirStream) -> None:
+        if self._air.hear(float(air.pressure[0]), float(air.celsius[0])):
+            self._results.monitors.fly_in(self._air.density)
 
     def _judge_completed(self) -> None:
         """Judge the samples that are complete by now, and publish what follows from them."""

@@ -152,6 +152,12 @@ class MonitorParameters(LiveParameters):
         adapters="motor_commands",
         optional=True,
     )
+    air_topic: str = parameter(
+        "fluid_pressure",
+        "adapter of the pressure of the air; with a topic temperature, or its own, it tells the density",
+        choices=("fluid_pressure",),
+        adapters="pressure",
+    )
     fallback_model: str = parameter(
         "",
         "model identified on motor commands, in the place of a single one while rotor speeds are silent",

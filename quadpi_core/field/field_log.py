@@ -29,8 +29,6 @@ STALE_GAP_S = Threshold(
     "that is read, comes once a second",
     "PX4 logs of ../shared/data, whose topics pause for less",
 )
-# Standard air (ISO 2533) [kg/m³]; coefficients are given at it.
-STANDARD_DENSITY = 1.225
 # A topic begins with so many stale records at most: one of each instance that is written.
 _STALE_MOST = 3
 
@@ -123,12 +121,6 @@ def held_series(time_ns: Stamps, values: Array, start_ns: int) -> Series | None:
     time = np.maximum.accumulate(np.maximum((time_ns - start_ns) * 1e-9, 0.0))
     last = np.append(np.diff(time) > 0.0, True)[: len(time)]
     return Series(time[last], values[last, np.newaxis].astype(np.float64)) if len(time) else None
-
-
-def density_of(pressure: Array, celsius: Array) -> Array:
-    """Density of dry air [kg/m³] from pressure [Pa] and temperature (ideal gas, ISO 2533)."""
-    density: Array = pressure / (287.053 * (celsius + 273.15))
-    return density
 
 
 @dataclass(frozen=True)

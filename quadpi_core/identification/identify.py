@@ -110,7 +110,7 @@ def identify(
         fitted=fitted.with_rules(rules),
         envelope=envelope,
         training_range={axis: float(np.ptp(samples.target(axis))) for axis in axes},
-        flights=tuple(TrainingFlight(f.name, f.sha256, len(f.time)) for f in flights),
+        flights=tuple(TrainingFlight(f.name, f.sha256, len(f.time), f.air) for f in flights),
         selection={axis: fit.log.get(axis, []) for axis in axes},
         held_out_coverage={
             axis: rules[axis].held_out_coverage(held_out[axis], options.confidence).tolist()

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core import array_checks
+from quadpi_core.air import ASSUMED, MEASURED, flown_in
 from quadpi_core.brief_repr import brief_repr
 from quadpi_core.errors import LogError, ModelError, QuadpiError, named_in
 from quadpi_core.estimator.ekf import Ekf
@@ -81,6 +82,7 @@ class PreparedFlight:
         quality: remarks on the data.
         file: name that the flight would have whole, where it is one of several parts.
         recorded_s: that the recording lasts, with the time on the ground.
+        air: what tells the density of the air, see :mod:`quadpi_core.air`.
         flight: what it was made of, that simulations are compared with; None where it was made of arrays.
     """
 
@@ -97,6 +99,7 @@ class PreparedFlight:
     quality: DataQuality = NOTHING_TO_SAY
     file: str = ""
     recorded_s: float = 0.0
+    air: str = ASSUMED
     flight: Flight | None = None
 
     def __post_init__(self) -> None:
@@ -147,11 +150,16 @@ class PreparedFlight:
             flight=flight,
         )
 
-    def in_air(self, density: float, vehicle: Vehicle) -> PreparedFlight:
+    def in_air(self, density: float, vehicle: Vehicle, told_by: str = MEASURED) -> PreparedFlight:
         """The flight in air of a density [kg/m³], other than the vehicle file says."""
-        derivatives = self.derivatives.copy()
-        derivatives["density_excess"] = density / vehicle.air_density_kg_m3 - 1.0
-        return replace(self, derivatives=derivatives)
+
+        def moved(derivatives: Records) -> Records:
+            derivatives = derivatives.copy()
+            derivatives["density_excess"] = density / vehicle.air_density_kg_m3 - 1.0
+            return derivatives
+
+        live = None if self.live is None else self.live._replace(derivatives=moved(self.live.derivatives))
+        return replace(self, derivatives=moved(self.derivatives), live=live, air=told_by)
 
     @property
     def judged(self) -> LiveSamples:
@@ -287,6 +295,8 @@ def prepare_recording(recording: Recording, vehicle: Vehicle, cutoff_hz: float) 
     flight = fuse_airborne(recording, vehicle, cutoff_hz, causal.segments)
     live = causal.samples(vehicle, cutoff_hz, flight.stamps_ns)
     prepared = PreparedFlight.of(flight, vehicle, recording_hash(recording), live)
+    if (air := flown_in(recording)) is not None:
+        prepared = prepared.in_air(air[0], vehicle, air[1])
     recorded_ns = recording.imu.time_ns[-1] - recording.imu.time_ns[0]
     return replace(prepared, file=recording.name, recorded_s=1e-9 * float(recorded_ns))
 
@@ -397,6 +407,7 @@ class CausalPass:
             if part.begin == SET_BACK:
                 preparation.reset()
             preparation.retune(part.rate)
+            preparation.fly_in(part.density)
             prepared = preparation.step(*part.samples)
             stamps.append(prepared.usable_ns)
             derivatives = prepared.derivatives.view(np.float64).reshape(-1, DERIVATIVES.itemsize // 8)

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import deepcopy
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Protocol
 
@@ -164,7 +164,7 @@ class RegressorModel:
             arrays |= {f"{axis}.{name}": values for name, values in form.arrays().items()}
         names = ("regressor", "vehicle", "vehicle_fingerprint", "cutoff_hz", "confidence")
         description = {name: getattr(self, name) for name in names}
-        flights = [asdict(flight) for flight in self.flights]
+        flights = [flight.to_json() for flight in self.flights]
         write_folder(FolderContent({**description, "axes": axes, "flights": flights}, arrays), Path(folder))
 
     @classmethod
@@ -272,7 +272,7 @@ def fitted_regressor(
         rules=rules,
         training_range={axis: float(np.ptp(wrench[:, AXES.index(axis)])) for axis in axes},
         held_out_coverage=coverage,
-        flights=tuple(TrainingFlight(f.name, f.sha256, len(f.time)) for f in flights),
+        flights=tuple(TrainingFlight(f.name, f.sha256, len(f.time), f.air) for f in flights),
         sample=X,
     )
 

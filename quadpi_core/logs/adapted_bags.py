@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import logging
+import re
 from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -25,11 +26,16 @@ from quadpi_core.vehicle import Vehicle
 _log = logging.getLogger(__name__)
 
 # Kinds of streams that messages of other packages give.
-ADAPTED_KINDS = ("imu", "rotor_speeds", "mocap", "odometry", "motor_commands", "battery")
+ADAPTED_KINDS = (
+    *("imu", "rotor_speeds", "mocap", "odometry", "motor_commands", "battery", "pressure", "temperature"),
+)
 
 
 # Those that are used without being named, and refuse no bag.
 MOTOR_INPUTS = ("motor_commands", "battery")
+AIR_INPUTS = ("pressure", "temperature")
+# Those of another pressure, or of a part that warms itself, by the last level of their names.
+_NO_AIR = re.compile(r"diff|imu|motor|esc|batt|cpu|mag")
 
 
 class AdaptedTopic(NamedTuple):
@@ -109,7 +115,9 @@ def unnamed(bag: Bag, kind: str, within: Collection[str]) -> list[AdaptedTopic]:
     found = [
         ((order.index(one.adapter.type_name), "/in/" in one.name), one)
         for one in _candidates(bag, kind)
-        if one.name in within and not one.adapter.common
+        if one.name in within
+        and not one.adapter.common
+        and not (kind in AIR_INPUTS and _NO_AIR.search(one.name.rpartition("/")[2].lower()))
     ]
     return [one for rank, one in found if rank == min(rank for rank, _ in found)]
 
@@ -186,7 +194,7 @@ class AdaptedReading:
             LogError: if all were dropped.
         """
         dropped = "; ".join(f"{number}: {reason}" for reason, number in self._unpacker.dropped.most_common())
-        if self._samples == 0 and self._kind not in MOTOR_INPUTS:
+        if self._samples == 0 and self._kind not in {*MOTOR_INPUTS, *AIR_INPUTS}:
             raise LogError(f"{self._where}: none of {count} messages gives a sample ({dropped})")
         if self._unpacker.left_out is not None:
             yield from self._unpacker.left_out(self._kind, start_ns)

@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 
 from quadpi_core.errors import LogError
 from quadpi_core.logs.adapted_bags import (
+    AIR_INPUTS,
     MOTOR_INPUTS,
     AdaptedReading,
     AdaptedTopic,
@@ -363,9 +364,10 @@ class _Search:
     def _take_self_described(self) -> None:
         """Messages of other packages that say all of themselves; of IMU and state, where there are no others.
 
-        Motor commands and battery, which only flights without rotor speeds need, are read where they can be.
+        Motor commands and battery, which only flights without rotor speeds need, and the air are read where
+        they can be.
         """
-        for kind in ("imu", "odometry", *MOTOR_INPUTS):
+        for kind in ("imu", "odometry", *MOTOR_INPUTS, *AIR_INPUTS):
             known = {*self._found, *({"odometry"} if "mocap" in self._found else ())}
             topics = [] if kind in known else unnamed(self._bag, kind, self._within)
             settings = CommandSettings() if kind == "motor_commands" else StateSettings()
@@ -380,7 +382,7 @@ class _Search:
                 self._adapted[kind], self._settings = topics[0], chosen
                 if not quiet:
                     self._notes.append(f"topic {kind}: {topics[0].name} is read by its type")
-            elif topics and kind in MOTOR_INPUTS and not quiet:
+            elif topics and kind in {*MOTOR_INPUTS, *AIR_INPUTS} and not quiet:
                 names = ", ".join(one.name for one in topics)
                 how = f"--mapping must name one, as in `{kind}: {{topic: {topics[0].name}}}`"
                 self._notes.append(f"topic {kind}: could be any of {names}: {how}")
@@ -418,7 +420,11 @@ class _Search:
                 f"topic {one.word}: ambiguous between {', '.join(one.topics)}" for one in self._several
             )
             raise LogError(f"{self._bag.path}: {said}; choose with {self._advice()}")
-        notes = (*self._notes, *unread(self._bag, {*self._found, *MOTOR_INPUTS}), *self._passed_over())
+        notes = (
+            *self._notes,
+            *unread(self._bag, {*self._found, *MOTOR_INPUTS, *AIR_INPUTS}),
+            *self._passed_over(),
+        )
         return BagInputs(self.names, self._adapted, self._settings, notes)
 
     def _passed_over(self) -> Iterator[str]:

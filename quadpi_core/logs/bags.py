@@ -17,13 +17,17 @@ import numpy as np
 from quadpi_core.errors import LogError
 from quadpi_core.findings import DataQuality, LeftOut
 from quadpi_core.flight import (
+    AirStream,
+    BatteryStream,
     ImuStream,
+    MotorCommandStream,
     OdometryStream,
     PoseStream,
     Recording,
     RotorSpeedStream,
     Stamps,
     Stream,
+    TemperatureStream,
     TwistStream,
     WindStream,
     WrenchStream,
@@ -64,6 +68,7 @@ _FIELDS = {
 _FIELDS_OF_KINDS = {
     **{"imu": "imu", "rotor_speeds": "rotor_speeds", "mocap": "pose", "odometry": "odometry"},
     **{"motor_commands": "commands", "battery": "battery"},
+    **{"pressure": "pressure", "temperature": "temperature"},
 }
 _PACKERS: dict[type[Stream], Callable[[Any], Payloads]] = {
     ImuStream: sensor_messages.pack_imu,
@@ -72,11 +77,17 @@ _PACKERS: dict[type[Stream], Callable[[Any], Payloads]] = {
     TwistStream: sensor_messages.pack_twist,
     OdometryStream: sensor_messages.pack_odometry,
     WindStream: sensor_messages.pack_wind,
+    MotorCommandStream: sensor_messages.pack_motor_commands,
+    BatteryStream: sensor_messages.pack_battery,
+    AirStream: sensor_messages.pack_pressure,
+    TemperatureStream: sensor_messages.pack_temperature,
     WrenchStream: lambda stream: sensor_messages.pack_body_vectors(
         stream.time_ns, stream.wrench, sensor_messages.WRENCH
     ),
 }
 _READ_AT_ONCE = 1 << 20
+# Custom data of a bag: whose scale its commands have, and that a barometer's board was as warm as it says.
+_COMMANDS_OF, _BOARD_AIR = "motor_commands", "board_air"
 _NO_IMU = ImuStream(np.empty(0, dtype=np.int64), np.empty((0, 3)), np.empty((0, 3)))
 
 
@@ -146,6 +157,12 @@ class BagRecording:
         }
         commands, motors = self._adapted.get("motor_commands"), vehicle.motors if vehicle else None
         self._command_source = commands.adapter.name if commands else ""
+        if commands is not None and commands.adapter.type_name == sensor_messages.MOTOR_COMMANDS:
+            self._command_source = bag.metadata.get(_COMMANDS_OF, self._command_source)
+        told = [self._adapted[kind] for kind in ("pressure", "temperature") if kind in self._adapted]
+        self._board_air = bag.metadata.get(_BOARD_AIR) == "true" or any(
+            one.adapter.name == "px4_air" or "baro" in one.name.rpartition("/")[2] for one in told
+        )
         if commands is not None and motors is not None:
             require_source(str(bag.path), self._command_source, motors)
             self.streams.add("rotor_speeds")
@@ -182,6 +199,7 @@ class BagRecording:
                 source=self.source,
                 **{"imu": _NO_IMU, **streams},
                 arrivals=arrivals,
+                board_air=self._board_air,
                 command_source=self._command_source,
                 commanded=self._is_commanded,
             )
@@ -193,6 +211,7 @@ class BagRecording:
                 self.source,
                 _NO_IMU,
                 quality=quality,
+                board_air=self._board_air,
                 command_source=self._command_source,
                 commanded=self._is_commanded,
             )
@@ -342,17 +361,22 @@ def write_bag(
 
     Args:
         path: .mcap file to write; it appears whole or not at all.
-        recording: its commands and battery have no standard topic and are left out.
+        recording: with its commands, battery and air.
         extra: further topics, such as those of :func:`output_topic`.
         metadata: further entries of the custom data.
 
     Raises:
         LogError: if the path does not end in .mcap; for arrays of a stream that do not belong together.
     """
-    names = [stream.topic for stream in recording.streams()]
-    for stream in recording.streams():
+    streams = written_streams(recording)
+    for stream in streams:
         stream.require_shapes(recording.source)
-    with recording_writer(path, recording.vehicle, recording.source, names, metadata) as writer:
+    names = [stream.topic for stream in streams]
+    entries = {_COMMANDS_OF: recording.command_source} if recording.commands is not None else {}
+    entries |= {_BOARD_AIR: "true"} if recording.board_air and recording.pressure is not None else {}
+    with recording_writer(
+        path, recording.vehicle, recording.source, names, {**entries, **(metadata or {})}
+    ) as writer:
         writer.announce({topic.name: topic.type_name for topic in extra})
         for topic in extra:
             writer.add(topic)
@@ -388,9 +412,21 @@ def recording_writer(
         yield writer
 
 
+def written_streams(recording: Recording) -> list[Stream]:
+    """The streams that a bag of a recording has; rotor speeds by commands are made anew by who reads it."""
+    air = recording.pressure
+    beside: list[Stream | None] = [recording.commands, recording.battery, air, recording.temperature]
+    if air is not None and recording.temperature is None and np.isfinite(air.celsius).any():
+        beside[-1] = TemperatureStream(air.time_ns, air.pressure, air.celsius)
+    return [
+        *(one for one in recording.streams() if one is not recording.rotor_speeds or not recording.commanded),
+        *(one for one in beside if one is not None),
+    ]
+
+
 def recording_topics(recording: Recording) -> Iterator[Topic]:
     """The standard topics that hold a recording, or a part of one; none for a stream without samples."""
-    for stream in recording.streams():
+    for stream in written_streams(recording):
         if len(stream):
             yield output_topic(stream.topic, stream.time_ns, _PACKERS[type(stream)](stream))
 

@@ -17,7 +17,7 @@ import numpy as np
 from quadpi_core.findings import NOTHING_TO_SAY, DataQuality
 from quadpi_core.flight import PoseStream, ValueCheck, check_stamps
 from quadpi_core.flight_files import FlightFile, LeftOutFlights, bags_in, for_each_flight, once_each
-from quadpi_core.logs.bags import recording_topics, recording_writer, write_bag
+from quadpi_core.logs.bags import recording_topics, recording_writer, write_bag, written_streams
 from quadpi_core.logs.duplicates import RunningHash, recording_hash
 from quadpi_core.logs.readers import blocks_of, flights_of, identify_format, open_in_blocks, read_recording
 from quadpi_core.parallel import DEFAULT_WORKERS, Workers
@@ -137,19 +137,26 @@ def _convert(task: _Conversion, file: FlightFile) -> tuple[Imported, str]:
     recording = checked(recording, task.vehicle)
     bag = staged(task.staging, f"{file.name}.mcap")
     write_bag(bag, recording)
-    topics = tuple(stream.topic for stream in recording.streams())
+    topics = tuple(stream.topic for stream in written_streams(recording))
     lacking = tuple(missing_topics(recording))
     return Imported(log, bag, len(recording.imu), topics, alignments, lacking, recording.quality), sha256
 
 
+# Streams that are few, and are written with the whole flight.
+_BESIDE = {"commands", "battery", "pressure", "temperature"}
+
+
 def _convert_in_blocks(task: _Conversion, file: FlightFile) -> tuple[Imported, str] | None:
-    """Like :func:`_convert`, of a bag, which is read twice and never held whole; None where a clock falls.
+    """Like :func:`_convert`, of a bag, which is read twice and never held whole; None where a clock falls,
+    or there are commands, battery or air.
 
     Which samples of other topics belong to a run of the IMU, their order of arrival tells, of the whole.
     """
     part = task.mapping.part
     with ExitStack() as opened:
         bag = opened.enter_context(open_in_blocks(file.path, task.vehicle, task.mapping))
+        if _BESIDE & set(bag.streams):
+            return None
         surveyed = survey(partial(blocks_of, bag), task.vehicle, part)
         require_usable(bag.source, surveyed)
         if any(len(stream.order.starts) > 1 for stream in surveyed.values()):

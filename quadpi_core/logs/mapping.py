@@ -7,7 +7,9 @@ docs/add-a-data-set.md explains the keys; config/mappings holds those that come 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import re
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any
@@ -20,7 +22,6 @@ from quadpi_core.config_schema import OneOf, ReadBy, Section, Share, load_config
 from quadpi_core.errors import LogError
 from quadpi_core.records import ROTORS_MAX
 from quadpi_core.sample_limits import STANDARD_GRAVITY
-from quadpi_core.vehicle import ROTORS
 
 ERPM = "erpm"
 TIME = "time"
@@ -45,11 +46,16 @@ UNITS: MappingProxyType[str, dict[str, float]] = MappingProxyType(
         "mocap_attitude": _ANGLE,
         "wind": _SPEED,
         "battery": {"V": 1.0, "mV": 1e-3},
+        "motor_commands": {"share": 1.0, "%": 1e-2, "us": 1e-3, "16 bit": 1.0 / 65535.0},
+        "pressure": {"Pa": 1.0, "hPa": 100.0},
+        "temperature": {"degC": 1.0, "K": 1.0},
         "simulated_force": {"N": 1.0, "mN": 1e-3},
         "simulated_moment": {"Nm": 1.0, "mNm": 1e-3},
     }
 )
-_COLUMN_COUNT = MappingProxyType({"time": 1, "battery": 1})
+# Signals that have a column of each rotor.
+BY_ROTOR = ("rotor_speeds", "motor_commands")
+_COLUMN_COUNT = MappingProxyType({"time": 1, "battery": 1, "pressure": 1, "temperature": 1})
 # Keys that some signals must have beside `columns` and `unit`.
 _CHOICES: MappingProxyType[str, tuple[str, ...]] = MappingProxyType(
     {
@@ -73,7 +79,7 @@ class Signal(Section):
 
     Attributes:
         columns: in the order x, y, z, or that of the vehicle's rotors. One name that stands for a matrix of
-            several columns becomes NAME.1, NAME.2 and so on.
+            several columns becomes NAME.1, NAME.2 and so on; of rotors `*` stands for their numbers.
         unit: a key of UNITS; None for quaternions, and for a time whose unit its intervals tell.
         missing: largest share of rows without a value between the first and the last that have one.
         table: of those named under `tables`; None for the log itself.
@@ -107,16 +113,28 @@ class Signal(Section):
                 raise ValueError(f"{name}: {unknown_key(key, known)}")
         if self.unit is not None and self.unit not in UNITS[name]:
             raise ValueError(f"{name}: `unit` must be one of {', '.join(UNITS[name])}, found {self.unit!r}")
-        if name == "rotor_speeds":
-            # As many as the vehicle has, which those who read for one check.
-            count = ROTORS if len(self.columns) == 1 else max(3, min(len(self.columns), ROTORS_MAX))
-        else:
-            count = _COLUMN_COUNT.get(name, 3) if units else 4
+        # Of rotors as many as the vehicle has, which those who read for one check; of one name as many as
+        # the table has.
+        count = _COLUMN_COUNT.get(name, 3) if units else 4
+        if name in BY_ROTOR:
+            count = 1 if len(self.columns) == 1 else max(3, min(len(self.columns), ROTORS_MAX))
         if len(self.columns) == 1 < count:
             several = tuple(f"{self.columns[0]}.{place + 1}" for place in range(count))
             object.__setattr__(self, "columns", several)
         if len(self.columns) != count or len(set(self.columns)) != count:
             raise ValueError(f"{name}: `columns` must list {count} different column{'s'[: count - 1]}")
+
+    def of_rotors(self, names: Iterable[str]) -> Signal:
+        """The signal with a column of each rotor, where one name, with `*` or of a matrix, stands for all.
+
+        Args:
+            names: of the columns of the table.
+        """
+        name = self.columns[0]
+        pattern = re.escape(name).replace(r"\*", r"(\d+)") if "*" in name else re.escape(name) + r"\.(\d+)"
+        matches = [match for one in names if (match := re.fullmatch(pattern, one))]
+        found = [match[0] for match in sorted(matches, key=lambda match: int(match[1]))]
+        return self if len(self.columns) > 1 or not found else replace(self, columns=tuple(found))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,6 +170,9 @@ class _MappingFile(Section):
     mocap_attitude: Signal | None = None
     wind: Signal | None = None
     battery: Signal | None = None
+    motor_commands: Signal | None = None
+    pressure: Signal | None = None
+    temperature: Signal | None = None
     simulated_force: Signal | None = None
     simulated_moment: Signal | None = None
     tables: dict[str, OtherTable] = field(default_factory=dict)
@@ -187,6 +208,14 @@ class Mapping:
     world: str
     signals: dict[str, Signal]
     tables: dict[str, OtherTable]
+
+    def of_rotors(self, names_of: Callable[[str | None], Iterable[str]]) -> Mapping:
+        """The mapping with a column of each rotor, as :meth:`Signal.of_rotors` finds them in the tables."""
+        signals = {
+            name: one.of_rotors(names_of(one.table)) if name in BY_ROTOR and len(one.columns) == 1 else one
+            for name, one in self.signals.items()
+        }
+        return replace(self, signals=signals)
 
     @classmethod
     def load(cls, name_or_path: str | Path) -> Mapping:

@@ -68,6 +68,12 @@ sensor_msgs/Imu: std_msgs/Header header, geometry_msgs/Quaternion orientation, \
 float64[9] orientation_covariance, geometry_msgs/Vector3 angular_velocity, \
 float64[9] angular_velocity_covariance, geometry_msgs/Vector3 linear_acceleration, \
 float64[9] linear_acceleration_covariance
+sensor_msgs/FluidPressure: std_msgs/Header header, float64 fluid_pressure, float64 variance
+sensor_msgs/Temperature: std_msgs/Header header, float64 temperature, float64 variance
+sensor_msgs/BatteryState: std_msgs/Header header, float32 voltage, float32 temperature, float32 current, \
+float32 charge, float32 capacity, float32 design_capacity, float32 percentage, uint8 power_supply_status, \
+uint8 power_supply_health, uint8 power_supply_technology, bool present, float32[] cell_voltage, \
+float32[] cell_temperature, string location, string serial_number
 tf2_msgs/TFMessage: geometry_msgs/TransformStamped[] transforms
 """
 

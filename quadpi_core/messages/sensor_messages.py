@@ -19,7 +19,10 @@ import numpy as np
 from quadpi_core.core import compiled
 from quadpi_core.errors import SampleError
 from quadpi_core.flight import (
+    AirStream,
+    BatteryStream,
     ImuStream,
+    MotorCommandStream,
     OdometryStream,
     PoseStream,
     RotorSpeedStream,
@@ -53,6 +56,9 @@ TWIST = "geometry_msgs/msg/TwistStamped"
 WIND = "geometry_msgs/msg/Vector3Stamped"
 ERPM = "quadpi/msg/Erpm"
 ROTOR_SPEEDS = "quadpi/msg/RotorSpeeds"
+MOTOR_COMMANDS = "quadpi/msg/MotorCommands"
+BATTERY = "sensor_msgs/msg/BatteryState"
+PRESSURE, TEMPERATURE = "sensor_msgs/msg/FluidPressure", "sensor_msgs/msg/Temperature"
 PREDICTION = "quadpi/msg/WrenchPrediction"
 ALARM = "quadpi/msg/ExtrapolationAlarm"
 EVENT = "quadpi/msg/AlarmEvent"
@@ -362,6 +368,33 @@ def pack_rotor_speeds(stream: RotorSpeedStream, frame_id: str = BODY_FRAME) -> P
     """Encode as quadpi/RotorSpeeds."""
     columns = {**header_columns(stream.time_ns, frame_id), "rotor_speeds": stream.speeds}
     return codec(ROTOR_SPEEDS).encode(len(stream), columns)
+
+
+def pack_motor_commands(stream: MotorCommandStream, frame_id: str = BODY_FRAME) -> Payloads:
+    """Encode as quadpi/MotorCommands."""
+    columns = {**header_columns(stream.time_ns, frame_id), "commands": stream.commands}
+    return codec(MOTOR_COMMANDS).encode(len(stream), columns)
+
+
+def pack_battery(stream: BatteryStream, frame_id: str = BODY_FRAME) -> Payloads:
+    """Encode as sensor_msgs/BatteryState, which holds the voltage alone."""
+    unknown = dict.fromkeys(
+        ("temperature", "current", "charge", "capacity", "design_capacity", "percentage"), np.nan
+    )
+    columns = {**header_columns(stream.time_ns, frame_id), **unknown, "voltage": stream.voltage}
+    return codec(BATTERY).encode(len(stream), {**columns, "present": True})
+
+
+def pack_pressure(stream: AirStream, frame_id: str = BODY_FRAME) -> Payloads:
+    """Encode as sensor_msgs/FluidPressure."""
+    columns = {**header_columns(stream.time_ns, frame_id), "fluid_pressure": stream.pressure}
+    return codec(PRESSURE).encode(len(stream), columns)
+
+
+def pack_temperature(stream: AirStream, frame_id: str = BODY_FRAME) -> Payloads:
+    """Encode as sensor_msgs/Temperature."""
+    columns = {**header_columns(stream.time_ns, frame_id), "temperature": stream.celsius}
+    return codec(TEMPERATURE).encode(len(stream), columns)
 
 
 def unpack_erpm(payloads: Payloads | bytes, vehicle: Vehicle) -> RotorSpeedStream:

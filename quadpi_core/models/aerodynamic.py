@@ -14,6 +14,7 @@ from typing import Annotated, Any, Protocol, TypeVar, runtime_checkable
 import numpy as np
 
 from quadpi_core import array_checks
+from quadpi_core.air import ASSUMED, density_range
 from quadpi_core.config_schema import Flag, NotEmpty, OneOf, ReadBy, Real, Text, Within, parse_config
 from quadpi_core.core import compiled
 from quadpi_core.errors import ArgumentError, ModelError, named_in
@@ -58,11 +59,16 @@ _Part = TypeVar("_Part")
 
 @dataclass(frozen=True)
 class TrainingFlight:
-    """A flight that a model was identified on."""
+    """A flight that a model was identified on, with what told the density of its air (`quadpi_core.air`)."""
 
     name: str
     sha256: str
     samples: Annotated[int, Within(0)]
+    air: str = ASSUMED
+
+    def to_json(self) -> dict[str, Any]:
+        """For model folders and reports, where air that nothing told is left out."""
+        return {key: value for key, value in asdict(self).items() if (key, value) != ("air", ASSUMED)}
 
 
 @runtime_checkable
@@ -185,6 +191,15 @@ class AerodynamicModel:
         return DescribedModel(
             self.identity, self.vehicle, self.envelope.lower, self.envelope.upper, self.cutoff_hz
         )
+
+    def share_of_air(self) -> tuple[float, float]:
+        """Least and largest share that the density of the air of its flights leaves of a coefficient.
+
+        1 where it was measured: coefficients are those in air of the vehicle file's density.
+        """
+        told = [density_range(one.air, self.load_vehicle().air_density_kg_m3) for one in self.flights]
+        thinnest, densest = (sum(ends) / len(told) for ends in zip(*told, strict=True))
+        return 1.0 / densest, 1.0 / thinnest
 
     def learned_from(self, sha256: str) -> bool:
         """Whether a flight, by its hash, is one of those that it was identified on: it is in sample."""
@@ -375,7 +390,7 @@ class AerodynamicModel:
             "alarm": self.alarm_limits.to_json(),
             **({} if self.change_limits is None else {"change": self.change_limits.to_json()}),
             **({} if self.moving_centre is None else {"moving_centre": self.moving_centre.to_json()}),
-            "flights": [asdict(flight) for flight in self.flights],
+            "flights": [flight.to_json() for flight in self.flights],
             "versions": {
                 "quadpi": __version__,
                 "numpy": np.__version__,

@@ -23,6 +23,8 @@ from quadpi_core.vehicle import Vehicle
 THRUST, TORQUE = "thrust coefficient C_T, hover", "torque over thrust of a rotor"
 INERTIAS = {axis: f"inertia {axis}, by arms and thrust" for axis in "xy"}
 _SPEED_M_S, _CHANGE = 1.0, 0.1
+# Standard errors to the ends of an interval of 95 %.
+_ERRORS = 1.96
 
 
 class Headline(NamedTuple):
@@ -35,6 +37,7 @@ class Headline(NamedTuple):
         known: what the vehicle file says; None where it says nothing.
         unit: SI, or ms and mm; empty for a pure number.
         note: what else there is to say; empty for nothing.
+        by_air: least and largest share that the density of the air leaves of the value, at that of the file.
     """
 
     quantity: str
@@ -43,6 +46,20 @@ class Headline(NamedTuple):
     known: float | None
     unit: str
     note: str = ""
+    by_air: tuple[float, float] = (1.0, 1.0)
+
+    def interval(self) -> tuple[float, float] | None:
+        """Of 95 %, by standard error and air; None where the error is not known."""
+        return None if self.error is None else interval(self.value, self.error, self.by_air)
+
+
+def interval(value: float, error: float, by_air: tuple[float, float]) -> tuple[float, float]:
+    """Ends of an interval of 95 % by a standard error, and by the least and largest share that air leaves."""
+    low, high = (
+        value + side * np.hypot(_ERRORS * error, value * (share - 1.0))
+        for side, share in zip((-1.0, 1.0), by_air, strict=True)
+    )
+    return float(low), float(high)
 
 
 def headlines(model: AerodynamicModel, vehicle: Vehicle) -> list[Headline]:
@@ -64,6 +81,7 @@ def _near_hover(model: AerodynamicModel, vehicle: Vehicle) -> Iterator[Headline]
     speed = model.alarm_limits.hover_rotor_speed
     squares = vehicle.rotor_count * speed**2
     x, y, _ = vehicle.rotor_positions.T
+    by_air = model.share_of_air()
 
     def of(axis: str, *weighted: _Weighted) -> tuple[float, float | None] | None:
         return _weighted_sum(model, vehicle, axis, weighted)
@@ -73,12 +91,12 @@ def _near_hover(model: AerodynamicModel, vehicle: Vehicle) -> Iterator[Headline]
         value, error = lift
         disc = vehicle.air_density_kg_m3 * np.pi * vehicle.rotor_radius_m**4
         coefficient, by = value / disc, None if error is None else error / disc
-        yield Headline(THRUST, coefficient, by, vehicle.thrust_coefficient, "")
+        yield Headline(THRUST, coefficient, by, vehicle.thrust_coefficient, "", by_air=by_air)
     for axis, name in (("Fx", "x"), ("Fy", "y")):
         half = 0.5 / _SPEED_M_S
         drag = of(axis, (half, name, -_SPEED_M_S), (-half, name, _SPEED_M_S))
         if drag is not None:
-            yield Headline(f"drag near hover, {name}", *drag, None, "N s/m")
+            yield Headline(f"drag near hover, {name}", *drag, None, "N s/m", by_air=by_air)
     if lift is None or not lift[0] > 0.0:
         return
     thrust, thrust_error = lift

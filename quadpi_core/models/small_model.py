@@ -18,21 +18,19 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import norm
 
+from quadpi_core.air import STANDARD_DENSITY
 from quadpi_core.field.drag import WIDEST_RATIO
 from quadpi_core.field.estimates import Estimate, beyond_zero, not_identified, within
-from quadpi_core.field.field_log import STANDARD_DENSITY
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_INDEX, Derivatives, aerodynamic_inputs
 from quadpi_core.models.aerodynamic import AerodynamicModel
-from quadpi_core.models.headlines import INERTIAS, THRUST, TORQUE, Headline, headlines
+from quadpi_core.models.headlines import INERTIAS, THRUST, TORQUE, Headline, headlines, interval
 from quadpi_core.records import record_dtype
 from quadpi_core.rotations import from_rotation_vector
 from quadpi_core.thresholds import CONVENTION, Threshold
 from quadpi_core.vehicle import Vehicle
 
-# Standard errors to the ends of an interval of 95 %.
-_ERRORS = 1.96
 LEAST_SPEED = Threshold(
     "speed to and fro along x and y that flights must have reached to tell of drag",
     3.0,
@@ -98,8 +96,7 @@ def _estimate(line: Headline | None, scale: float, unit: str, condition: str) ->
         return not_identified(unit, "no flight of the model was near hover")
     if line.error is None:
         return not_identified(unit, _NO_ERROR)
-    half = _ERRORS * line.error
-    ends = (scale * end for end in (line.value, line.value - half, line.value + half))
+    ends = (scale * end for end in (line.value, *(line.interval() or ())))
     return beyond_zero(within(ends, unit, condition))
 
 
@@ -118,12 +115,15 @@ def _drag(model: AerodynamicModel, vehicle: Vehicle) -> tuple[Estimate, tuple[Es
     if not flown or any(one is None for one in flown):
         return not_identified("1/s", why or _NO_ERROR), (not_identified("kg/m²", why or _NO_ERROR),) * 2
     condition = f"steady flight to {most[0]:.1f} m/s along x and {most[1]:.1f} along y"
+    fast = model.share_of_air()
+    # Momentum drag goes with the square root of the density.
+    slow = (fast[0] ** 0.5, fast[1] ** 0.5)
     without: list[int] = []
     while True:
         sums = _least_squares([one for one in flown if one], vehicle, without)
         momentum, *squares = (
-            beyond_zero(Estimate(value, value - _ERRORS * error, value + _ERRORS * error, "1/s", condition))
-            for value, error in sums
+            beyond_zero(within((value, *interval(value, error, by_air)), "1/s", condition))
+            for (value, error), by_air in zip(sums, (slow, fast, fast), strict=True)
         )
         ballistic = [_inverse(square, condition) for square in squares]
         # A square of no known size would take its part of the drag from the other terms.

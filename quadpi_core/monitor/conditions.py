@@ -13,13 +13,12 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core import array_checks
+from quadpi_core.air import DENSITY_MAX, DENSITY_MIN
 from quadpi_core.errors import ArgumentError
 from quadpi_core.frames import Array
 from quadpi_core.records import ROTORS_MAX, Records, record_dtype
 
 STATE_ERRORS = 9
-# Of air that multirotors fly in [kg/m³]: from 9 km above the sea (ISO 2533) to sea level at -60 °C.
-DENSITY_MIN, DENSITY_MAX = 0.4, 1.8
 # By what share of its scale a covariance may be off a symmetric one without negative variances: rounding.
 _ROUNDING = 1e-9
 

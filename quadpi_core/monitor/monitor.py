@@ -250,6 +250,10 @@ class Monitor:
             self._adaptive.retune(rate.filter_hz)
         self.preparation.retune(rate)
 
+    def fly_in(self, density: float) -> None:
+        """Go on in air of a density [kg/m³]; 0 where only the vehicle file tells."""
+        self.preparation.fly_in(density)
+
     def change(self, settings: MonitorSettings) -> None:
         """Update alarm settings in flight; the interval type cannot change."""
         array_checks.instance("settings", settings, MonitorSettings)
@@ -330,6 +334,7 @@ class Monitors:
     def __init__(self, monitors: Mapping[str, Monitor]) -> None:
         self._monitors: dict[str, Monitor] = {}
         self._rate: ImuRate | None = None
+        self._density = 0.0
         self._paired: _PairedMonitor | None = None
         for name, monitor in monitors.items():
             self._put(name, monitor)
@@ -361,6 +366,12 @@ class Monitors:
         """Update the alarm settings of all models in flight; see :meth:`Monitor.change`."""
         for monitor in self._monitors.values():
             monitor.change(settings)
+
+    def fly_in(self, density: float) -> None:
+        """Go on in air of a density; see :meth:`Monitor.fly_in`."""
+        self._density = density
+        for monitor in self._monitors.values():
+            monitor.fly_in(density)
 
     def reset(self) -> None:
         """Forget the past: as after construction."""
@@ -414,6 +425,7 @@ class Monitors:
 
     def _put(self, name: str, monitor: Monitor) -> None:
         self._paired = None
+        monitor.fly_in(self._density)
         for other in self._monitors.values():
             if other.model.cutoff_hz == monitor.model.cutoff_hz:
                 monitor.preparation = other.preparation

@@ -70,6 +70,7 @@ class Memory:
     filtered_ns: int  # stamp of the first sample since the low-pass began
     begun_ns: int  # that of the first one since the state began
     state_ns: int  # that of the last one with a state
+    density_excess: float  # by what share the air is denser than the vehicle file says
 
 
 # What the rows of the other arrays go by, in the words of a refusal.
@@ -197,6 +198,11 @@ class Preparation:
             memory["low_pass"] = design_low_pass(self._cutoff_hz, rate.filter_hz)
             self._quality_hz = rate.filter_hz
             memory["quality"]["frozen_after_s"] = frozen_s(rate.filter_hz)
+
+    def fly_in(self, density: float) -> None:
+        """Go on in air of a density [kg/m³]; 0 where only the vehicle file tells."""
+        known = self._vehicle.air_density_kg_m3
+        self.memory["density_excess"] = density / known - 1.0 if density else 0.0
 
     def step(self, time_ns: Stamps, values: Array, conditions: Records | None = None) -> Prepared:
         """Take K samples; see :meth:`quadpi_core.monitor.Monitor.step`."""

@@ -8,7 +8,7 @@ written as they come. So memory does not grow with the flight, and the bytes do 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core import array_checks
+from quadpi_core.air import Air
 from quadpi_core.errors import LogError
 from quadpi_core.estimator.ekf import Ekf
 from quadpi_core.estimator.filter_run import EkfTrace, Spans, never_started
@@ -43,7 +44,7 @@ from quadpi_core.monitor.pairing import PairedSamples, Pairing
 from quadpi_core.parallel import DEFAULT_WORKERS, Workers
 from quadpi_core.paths import staged, whole_outputs
 from quadpi_core.reading_options import MappingOrOptions, reading_options
-from quadpi_core.recording_blocks import by_arrival, keep_freed_memory, split_recording
+from quadpi_core.recording_blocks import by_arrival, cut_block, keep_freed_memory, split_recording
 from quadpi_core.results import LEVEL_ALARM, LEVEL_WARNING, Alarms, Events, Predictions
 from quadpi_core.screening.flight_runs import in_range_of_blocks
 from quadpi_core.screening.rates import RunningRates
@@ -143,6 +144,7 @@ def _write(flight: RecordedFlight, monitor: Monitor, vehicle: Vehicle, output: P
             if stretch.begin == pairing_kernel.SET_BACK:
                 monitor.reset()
             monitor.retune(stretch.rate)
+            monitor.fly_in(stretch.density)
             predictions, alarms, events = monitor.step(*stretch.samples)
             for topic in _messages(stretch.states, predictions, alarms, events, monitor):
                 writer.add(topic)
@@ -242,6 +244,7 @@ class Followed(NamedTuple):
         states: output of the estimator; None without one.
         imu_ns: (N,) stamps of the IMU samples that arrived since the previous stretch.
         settled_ns: every later sample and state has a stamp after this.
+        density: of the air, kg/m³; 0 where only the vehicle file tells it.
     """
 
     begin: int
@@ -250,6 +253,7 @@ class Followed(NamedTuple):
     states: FusedSamples | None
     imu_ns: Stamps
     settled_ns: int
+    density: float
 
 
 def follow(flight: RecordedFlight, vehicle: Vehicle, ekf: Ekf | None = None) -> Iterator[Followed]:
@@ -270,7 +274,7 @@ def follow(flight: RecordedFlight, vehicle: Vehicle, ekf: Ekf | None = None) -> 
     spans, started, measured = Spans(), False, False
     rates = RunningRates()
     meeting = Pairing(rotors=vehicle.rotor_count)
-    for block in flight.blocks:
+    for block, density in _in_its_air(flight.blocks):
         block.require_rotors(vehicle.name, vehicle.rotor_count)
         rates.add(block)
         odometry, state_of, states = block.odometry, None, None
@@ -291,7 +295,7 @@ def follow(flight: RecordedFlight, vehicle: Vehicle, ekf: Ekf | None = None) -> 
             if stretch.rate.begins:
                 samples = PairedSamples(samples.time_ns[:0], samples.values[:0])
             measured = measured or not stretch.rate.begins
-            yield Followed(stretch.begin, stretch.rate, samples, own, new, settled_ns)
+            yield Followed(stretch.begin, stretch.rate, samples, own, new, settled_ns, density)
             new = new[:0]
     if (ekf is not None and not started) or meeting.counts.paired == 0:
         for seldom in rates.seldom():
@@ -302,6 +306,19 @@ def follow(flight: RecordedFlight, vehicle: Vehicle, ekf: Ekf | None = None) -> 
         raise LogError(f"{flight.source}: topics imu, rotor_speeds and the state share no time")
     if not measured:
         raise LogError(f"{flight.source}: topic imu: its rate is measured in a second, and it is shorter")
+
+
+def _in_its_air(blocks: Iterable[Recording]) -> Iterator[tuple[Recording, float]]:
+    """The blocks, cut where the density of the air is another from then on, with the density of each."""
+    air = Air()
+    for block in blocks:
+        rest, before, density = block, 0, air.density
+        for count, changed in air.changes(block):
+            if count > before:
+                due, rest = cut_block(rest, count - before)
+                yield due, density
+            before, density = count, changed
+        yield rest, density
 
 
 def replay_all(

@@ -193,7 +193,7 @@ def _model_json(model: AerodynamicModel) -> dict[str, Any]:
             facts.title: [dict(zip(facts.columns, row, strict=True)) for row in facts.rows]
             for facts in model.fitted.facts(model.rollouts)
         },
-        "flights": [asdict(flight) for flight in model.flights],
+        "flights": [flight.to_json() for flight in model.flights],
         "envelope": {
             name: [float(lower), float(upper)]
             for name, lower, upper in zip(

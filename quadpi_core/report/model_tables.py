@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from quadpi_core.models.aerodynamic import AerodynamicModel
 
 # Columns of what a kind says of its parameters, as far as they are shown in short.
+_BY_AIR = "by the air"
 _NUMBERS = ("value", "standard error")
 _PARAMETER = ("parameter", *_NUMBERS, "unit")
 # Steps of a selection, as `kinds.polynomial` gives them.
@@ -91,10 +92,19 @@ def headline_table(model: AerodynamicModel) -> Table | None:
         Column("vehicle file", number),
         Column("unit", is_text=True),
     ]
-    return Table(columns, rows, title="What the flights tell", note="±: standard error") if rows else None
+    note = "±: standard error"
+    if any(_BY_AIR in str(row[2]) for row in rows):
+        note += (
+            f"; {_BY_AIR}: interval of 95 % at the density of the vehicle file, as logs do not tell that of "
+            "the air flown in (log pressure and temperature, or set air_density_kg_m3)"
+        )
+    return Table(columns, rows, title="What the flights tell", note=note) if rows else None
 
 
 def _error(one: Headline) -> str:
+    ends = one.interval()
+    if ends is not None and one.by_air != (1.0, 1.0):
+        return f"{number(one.error or 0.0)}; {number(ends[0])} to {number(ends[1])} {_BY_AIR}"
     return one.note or ("" if one.error is None else number(one.error))
 
 

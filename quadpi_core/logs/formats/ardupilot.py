@@ -17,6 +17,7 @@ import numpy as np
 from quadpi_core.errors import LogError
 from quadpi_core.findings import NOTHING_TO_SAY, DataQuality
 from quadpi_core.flight import (
+    AirStream,
     BatteryStream,
     ImuStream,
     MotorCommandStream,
@@ -122,6 +123,8 @@ def read_ardupilot(path: Path, vehicle: Vehicle | None, order: RotorOrder | None
         commands=commands,
         command_source="" if commands is None else RC_OUT,
         battery=None if battery is None else _battery(battery),
+        pressure=_air(messages.get("BARO")),
+        board_air=True,
         quality=quality,
     )
 
@@ -184,6 +187,15 @@ def _battery(logged: Messages) -> BatteryStream | None:
     first = logged.where("Instance", 0).where("Inst", 0)
     time_ns, (volts,) = rising(first.time_ns(), first.column("Volt"))
     return BatteryStream(time_ns, volts) if len(time_ns) else None
+
+
+def _air(logged: Messages | None) -> AirStream | None:
+    """Of the first barometer: pressure, and the temperature of its board."""
+    if logged is None or not logged.holds("Press", "Temp"):
+        return None
+    first = logged.where("I", 0)
+    time_ns, (pascal, celsius) = rising(first.time_ns(), first.column("Press"), first.column("Temp"))
+    return AirStream(time_ns, pascal, celsius) if len(time_ns) else None
 
 
 def _odometry(source: str, messages: dict[str, Messages], imu: ImuStream) -> OdometryStream | None:

@@ -24,6 +24,7 @@ import numpy.typing as npt
 
 from quadpi_core.errors import LogError
 from quadpi_core.flight import (
+    AirStream,
     BatteryStream,
     ImuStream,
     MotorCommandStream,
@@ -57,6 +58,8 @@ _VELOCITY = ("vx", "vy", "vz")
 _ESTIMATE = tuple(f"stateEstimate.{name}" for name in _POSITION + _ATTITUDE + _VELOCITY)
 _MOCAP = tuple(f"locSrv.{name}" for name in _POSITION + _ATTITUDE)
 _BATTERY_MV = "pm.vbatMV"
+# hPa and °C.
+_BARO = ("baro.pressure", "baro.temp")
 # Commands to the motors, behind the battery's compensation first, of 16 bits.
 COMMANDS = tuple(
     tuple(pattern.format(motor) for motor in range(1, 5))
@@ -99,7 +102,7 @@ def read_cfusdlog(path: Path, vehicle: Vehicle | None, _mapping: None = None) ->
     rotors = _find(events, _ROTORS)
     mocap = _find(events, _MOCAP)
     estimate = _find(events, _ESTIMATE + _GYRO)
-    battery = _find(events, (_BATTERY_MV,))
+    battery, air = _find(events, (_BATTERY_MV,)), _find(events, _BARO)
     commands = next(((names, own) for names in COMMANDS if (own := _find(events, names))), None)
     return Recording(
         name=path.name,
@@ -116,6 +119,10 @@ def read_cfusdlog(path: Path, vehicle: Vehicle | None, _mapping: None = None) ->
         battery=None
         if battery is None
         else BatteryStream(battery.time_ns, battery.variables[_BATTERY_MV] * 1e-3),
+        pressure=None
+        if air is None
+        else AirStream(air.time_ns, *(air.stack(_BARO).astype(np.float64) * (100.0, 1.0)).T),
+        board_air=True,
     )
 
 

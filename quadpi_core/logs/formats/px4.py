@@ -22,6 +22,7 @@ import numpy.typing as npt
 from quadpi_core.errors import LogError, require_library
 from quadpi_core.findings import DataQuality
 from quadpi_core.flight import (
+    AirStream,
     BatteryStream,
     ImuStream,
     MotorCommandStream,
@@ -67,6 +68,8 @@ _TOPICS = (
     "esc_status",
     "actuator_motors",
     "battery_status",
+    "vehicle_air_data",
+    "sensor_baro",
 )
 # What shows that an instance of a topic measures, by the ends of the names of its fields.
 _TELLING = MappingProxyType({"esc_status": ("esc_rpm",), "battery_status": ("voltage_v",)})
@@ -94,6 +97,8 @@ _FIRST_MOTOR = 101
 # The adapter of px4_msgs/ActuatorMotors, of the same scale.
 PX4_MOTORS = "px4_motors"
 _US = 1_000
+# Pressures below are in hPa: of air it is a tenth of the least in Pa.
+_HPA_MAX = 2000.0
 
 
 def read_px4(path: Path, vehicle: Vehicle | None, order: RotorOrder | None = None) -> Recording:
@@ -117,6 +122,7 @@ def read_px4(path: Path, vehicle: Vehicle | None, order: RotorOrder | None = Non
     status = topics.get("esc_status") if its_rotors else None
     rotors = _rotor_speeds(source, status, parameters, vehicle, order)
     rotor_speeds, left_out = (None, ()) if rotors is None else without(*rotors, imu)
+    air, is_board = _air(topics)
     commands = _commands(topics.get("actuator_motors") if its_rotors else None, parameters, vehicle, order)
     return Recording(
         name=path.stem,
@@ -129,6 +135,8 @@ def read_px4(path: Path, vehicle: Vehicle | None, order: RotorOrder | None = Non
         commands=commands,
         command_source="" if commands is None else PX4_MOTORS,
         battery=_battery(topics.get("battery_status")),
+        pressure=air,
+        board_air=is_board,
         quality=DataQuality(left_out=left_out),
     )
 
@@ -255,6 +263,32 @@ def _battery(columns: Columns | None) -> BatteryStream | None:
         return None
     time_ns, (volts,) = rising(_stamps(columns), columns["voltage_v"].astype(np.float64))
     return BatteryStream(time_ns, volts) if len(time_ns) else None
+
+
+def _air(topics: Mapping[str, Columns]) -> tuple[AirStream | None, bool]:
+    """Pressure and temperature of the air, and whether the latter is that of the barometer's board.
+
+    Since 1.16 `ambient_temperature` is that of an outer sensor, or 15 °C where there is none.
+    """
+    air, sensor = topics.get("vehicle_air_data"), topics.get("sensor_baro")
+    for columns, pressure, celsius in (
+        (air, "baro_pressure_pa", "ambient_temperature"),
+        (air, "baro_pressure_pa", "baro_temp_celcius"),
+        (sensor, "pressure", "temperature"),
+    ):
+        if columns is None or not _holds(columns, pressure, celsius):
+            continue
+        is_board = celsius != "ambient_temperature"
+        if not is_board and not np.any(columns.get("temperature_source", 0)):
+            continue
+        time_ns, (pascal, degrees) = rising(
+            _stamps(columns), columns[pressure].astype(np.float64), columns[celsius].astype(np.float64)
+        )
+        if len(time_ns):
+            # The messages of a barometer were in hPa up to 1.13.
+            pascal = pascal * (100.0 if np.nanmedian(pascal) < _HPA_MAX else 1.0)
+            return AirStream(time_ns, pascal, degrees), is_board
+    return None, False
 
 
 def _commands(

@@ -17,16 +17,21 @@ from typing import Any
 
 import numpy as np
 
+from quadpi_core.air import ZERO_CELSIUS
 from quadpi_core.errors import LogError
 from quadpi_core.flight import (
     FLIGHT_MAX_NS,
     NO_STAMP,
+    AirStream,
     BatteryStream,
     ImuStream,
+    MotorCommandStream,
     OdometryStream,
     PoseStream,
     Recording,
     RotorSpeedStream,
+    Stamps,
+    TemperatureStream,
     WindStream,
     WrenchStream,
 )
@@ -109,10 +114,13 @@ class _TableReader:
         self.vehicle = vehicle
         self.mapping = mapping
         self.tables: dict[str | None, _Table] = {}
+        mapping = self.mapping = mapping.of_rotors(
+            lambda table: open_columns(self._file(mapping, table)).names
+        )
         signals = {name: signal for name, signal in mapping.signals.items() if name != TIME}
         for table in dict.fromkeys([None, *(signal.table for signal in signals.values())]):
             other = mapping.tables.get(table or "")
-            file = path.parent / other.file if other and other.file else path
+            file = self._file(mapping, table)
             names = [name for one in signals.values() if one.table == table for name in one.columns]
             time = other.time if other else mapping.signals[TIME]
             # Wind or a battery may come once a second, the IMU does not.
@@ -125,6 +133,10 @@ class _TableReader:
             note(str(path), f"the stamps begin at {1e-9 * earliest_ns:.3f} s: {moved} s are added to all")
             for one in self.tables.values():
                 one.time_ns = np.where(one.time_ns == NO_STAMP, NO_STAMP, one.time_ns + moved * _SECOND_NS)
+
+    def _file(self, mapping: Mapping, table: str | None) -> Path:
+        other = mapping.tables.get(table or "")
+        return self.path.parent / other.file if other and other.file else self.path
 
     def recording(self) -> Recording:
         for topic, names in _TOGETHER.items():
@@ -143,7 +155,11 @@ class _TableReader:
             odometry=self._odometry() if self._has(*_TOGETHER["odometry"]) else None,
             wind=self._wind() if self._has("wind") else None,
             simulated=self._simulated() if self._has(*_TOGETHER["simulation/wrench"]) else None,
-            battery=self._battery() if self._has("battery") else None,
+            battery=BatteryStream(*self._known("battery")) if self._has("battery") else None,
+            commands=self._commands() if self._has("motor_commands") else None,
+            command_source=f"table {self.mapping.path.stem}" if self._has("motor_commands") else "",
+            pressure=self._air("pressure") if self._has("pressure") else None,
+            temperature=self._air("temperature") if self._has("temperature") else None,
         )
 
     def _imu(self) -> ImuStream:
@@ -183,10 +199,27 @@ class _TableReader:
         wrench = np.hstack([self._to_frd(self._scaled(name)) for name in of])
         return WrenchStream(*self._complete(WrenchStream.topic, of, wrench))
 
-    def _battery(self) -> BatteryStream:
-        volts = self._scaled("battery")[:, 0]
-        known = np.isfinite(volts)
-        return BatteryStream(self._table("battery").time_ns[known], volts[known])
+    def _known(self, name: str) -> tuple[Stamps, Array]:
+        """Stamps and values of the rows that have one."""
+        values = self._scaled(name)[:, 0]
+        known = np.isfinite(values)
+        return self._table(name).time_ns[known], values[known]
+
+    def _air(self, name: str) -> AirStream:
+        time_ns, values = self._known(name)
+        nothing = np.full(len(values), np.nan)
+        if name == "pressure":
+            return AirStream(time_ns, values, nothing)
+        kelvin = self.mapping.signals[name].unit == "K"
+        return TemperatureStream(time_ns, nothing, values - (ZERO_CELSIUS if kelvin else 0.0))
+
+    def _commands(self) -> MotorCommandStream:
+        signal = self.mapping.signals["motor_commands"]
+        idle = 1.0 if signal.unit == "us" else 0.0
+        time_ns, shares = self._complete(
+            MotorCommandStream.topic, ("motor_commands",), self._scaled("motor_commands") - idle
+        )
+        return MotorCommandStream(time_ns, np.clip(shares, 0.0, 1.0))
 
     def _rates(self) -> Array:
         return self._to_frd(self._scaled("angular_velocity"))

@@ -43,7 +43,7 @@ class Adapter:
         type_name: such as `px4_msgs/msg/EscStatus`.
         topic: where its package publishes it by default.
         kind: the stream that it gives, and the field of AdapterSettings that configures it: "rotor_speeds",
-            "mocap", "odometry", "imu", "motor_commands" or "battery".
+            "mocap", "odometry", "imu", "motor_commands", "battery", "pressure" or "temperature".
         columns: that the messages must have, those of items of arrays included: how many numbers each has per
             row, 0 for text, `cdr.ANY` for a sequence of numbers.
         start: (settings of its kind, vehicle) begins to read the messages of one topic.

@@ -170,7 +170,8 @@ class AdapterSettings(Section):
 
     Attributes:
         rotor_speeds, mocap, odometry, imu: settings for messages of other packages; None: not used for it.
-        motor_commands, battery: the same; None: what is there is used, without being named.
+        motor_commands, battery, pressure, temperature: the same; None: what is there is used, without being
+            named.
         topics: the topics to read, by standard names; the child frame to follow stands behind a topic of
             tf2_msgs/TFMessage, as in `/tf:quad`.
         namespace: only topics with these levels in their names are looked for.
@@ -184,6 +185,8 @@ class AdapterSettings(Section):
     imu: Annotated[StateSettings | None, ReadBy(_present, first=True)] = None
     motor_commands: Annotated[CommandSettings | None, ReadBy(_present, first=True)] = None
     battery: Annotated[StateSettings | None, ReadBy(_present, first=True)] = None
+    pressure: Annotated[StateSettings | None, ReadBy(_present, first=True)] = None
+    temperature: Annotated[StateSettings | None, ReadBy(_present, first=True)] = None
     topics: Annotated[Mapping[str, str], ReadBy(_read_topics)] = field(default_factory=dict)
     namespace: str = ""
 

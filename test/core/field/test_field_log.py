@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadpi_core.field.field_log import FieldLog, Series, Setting, density_of, series_of
+from quadpi_core.field.field_log import FieldLog, Series, Setting, series_of
 
 
 def test_stale_first_records_are_left_out():
@@ -47,9 +47,6 @@ def test_means_between_edges_and_lines_where_no_sample_is():
     assert np.isnan(series.means(edges)[1, 0])
     assert series.filled_means(edges)[1, 0] == pytest.approx(2.0 + 8.0 * 0.175 / 0.8)
 
-
-def test_density_of_the_standard_atmosphere():
-    assert density_of(np.array([101325.0]), np.array([15.0])) == pytest.approx(1.225, abs=1e-3)
 
 
 def test_motors_are_named_by_their_corners_where_these_are_known():

@@ -186,12 +186,13 @@ def test_no_damage_gives_a_traceback(
         logging.disable(logging.NOTSET)
 
 
+BESIDE = ("battery", "pressure", "temperature")
 REAL = {
-    "ardupilot_copter_2014.BIN": ("imu", "odometry"),
-    "ardupilot_test.BIN": ("imu", "odometry"),
+    "ardupilot_copter_2014.BIN": ("imu", "odometry", "motor_commands", *BESIDE),
+    "ardupilot_test.BIN": ("imu", "odometry", *BESIDE),
     "ardupilot_vtol.tlog": ("imu", "odometry"),
-    "betaflight_error_recovery.bbl": ("imu",),
-    "px4_sample_small.ulg": ("imu",),
+    "betaflight_error_recovery.bbl": ("imu", "motor_commands"),
+    "px4_sample_small.ulg": ("imu", *BESIDE),
 }
 
 

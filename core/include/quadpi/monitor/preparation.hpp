@@ -48,6 +48,7 @@ struct PreparationMemory {
     std::int64_t filtered_ns;  // stamp of the first sample since the low-pass began
     std::int64_t begun_ns;     // that of the first one since the state began
     std::int64_t state_ns;     // that of the last one with a state
+    double density_excess;     // by what share the air is denser than the vehicle file says
 };
 
 // What prepare() fills: a verdict of each of K samples, and of the usable ones as many of the others.
@@ -142,7 +143,7 @@ inline void prepare_sample(
         vehicle,
         out.inputs[used]
     );
-    out.derivatives[used] = {slope.rates, value.rotor_speeds, slope.rotor_speeds, curvature, 0.0};
+    out.derivatives[used] = {slope.rates, value.rotor_speeds, slope.rotor_speeds, curvature, memory.density_excess};
     if (out.filtered.size > 0) {
         out.filtered[used] = value;
     }

@@ -13,8 +13,9 @@ from collections import Counter
 
 import numpy as np
 
+from quadpi_core.air import celsius_of
 from quadpi_core.errors import SampleError
-from quadpi_core.flight import ImuStream, OdometryStream, Stamps
+from quadpi_core.flight import AirStream, ImuStream, OdometryStream, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.messages.adapters.adapter_definition import Adapter, Reading, of_items
 from quadpi_core.messages.adapters.motor_messages import start_of_battery, start_of_commands
@@ -122,6 +123,18 @@ def _imu(_settings: object, _vehicle: Vehicle | None) -> Reading:
     return Reading(lambda columns, _: _read_imu(columns), Counter)
 
 
+def _read_air(columns: Columns, _items: object) -> AirStream:
+    """px4_msgs/VehicleAirData, with the temperature by which PX4 made its density."""
+    pascal, density = columns["baro_pressure_pa"].astype(np.float64), columns["rho"].astype(np.float64)
+    known = (pascal > 0.0) & (density > 0.0)
+    celsius = celsius_of(np.where(known, pascal, np.nan), np.where(known, density, 1.0))
+    return AirStream(_stamps(columns), np.where(known, pascal, np.nan), celsius)
+
+
+def _air(_settings: object, _vehicle: Vehicle | None) -> Reading:
+    return Reading(_read_air, Counter)
+
+
 def _stamps(columns: Columns) -> Stamps:
     return microsecond_stamps(columns["timestamp"])
 
@@ -152,6 +165,15 @@ BATTERY = Adapter(
     kind="battery",
     columns={"timestamp": 1, "voltage_v": 1},
     start=start_of_battery("voltage_v", _stamps),
+)
+AIR = Adapter(
+    name="px4_air",
+    type_name="px4_msgs/msg/VehicleAirData",
+    topic="fmu/out/vehicle_air_data",
+    kind="pressure",
+    # The temperature has another name since 1.16.
+    columns={"timestamp": 1, "baro_pressure_pa": 1, "rho": 1},
+    start=_air,
 )
 STATUS = Adapter(
     name="px4_status",

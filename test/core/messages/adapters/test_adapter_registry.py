@@ -11,12 +11,14 @@ import pytest
 
 from quadpi_core.errors import LogError
 from quadpi_core.flight import (
+    AirStream,
     BatteryStream,
     ImuStream,
     MotorCommandStream,
     OdometryStream,
     PoseStream,
     RotorSpeedStream,
+    TemperatureStream,
 )
 from quadpi_core.messages.adapters import known_adapters
 from quadpi_core.messages.frame_ids import TF_TYPE
@@ -37,6 +39,10 @@ PUBLISHED = {
     "motors": ("crazyflie_interfaces/msg/LogDataGeneric", MotorCommandStream),
     "status": ("crazyflie_interfaces/msg/Status", BatteryStream),
     "battery": ("sensor_msgs/msg/BatteryState", BatteryStream),
+    "motor_commands": ("quadpi/msg/MotorCommands", MotorCommandStream),
+    "pressure": ("sensor_msgs/msg/FluidPressure", AirStream),
+    "temperature": ("sensor_msgs/msg/Temperature", TemperatureStream),
+    "fmu/out/vehicle_air_data": ("px4_msgs/msg/VehicleAirData", AirStream),
     "rigid_bodies": ("mocap4r2_msgs/msg/RigidBodies", PoseStream),
     "poses": ("motion_capture_tracking_interfaces/msg/NamedPoseArray", PoseStream),
     "/tf": (TF_TYPE, PoseStream),

@@ -49,7 +49,7 @@ odometry: {topic: /odometry}
         (
             "rotors: {}",
             "unknown key `rotors`; known: rotor_speeds, mocap, odometry, imu, motor_commands, battery, "
-            "topics, namespace; did you",
+            "pressure, temperature, topics, namespace; did you",
         ),
         ("rotor_speeds: 4", "rotor_speeds: expected keys and values, found 4"),
         ("rotor_speeds: {rotors: quad-x}", "rotor_speeds: missing key `unit`"),

@@ -75,6 +75,7 @@ uint8 gyro_clipping
 uint8 accel_calibration_count
 uint8 gyro_calibration_count
 """,
+    "quadpi/msg/MotorCommands": HEADER + "float64[] commands\n",
     "mavros_msgs/msg/RCOut": HEADER + "uint16[] channels\n",
     "px4_msgs/msg/ActuatorMotors": """uint64 timestamp
 uint64 timestamp_sample
@@ -90,6 +91,7 @@ float32[16] output
 """,
     # The first fields of a message of many, which the adapter does not look at.
     "px4_msgs/msg/BatteryStatus": "uint64 timestamp\nbool connected\nfloat32 voltage_v\nfloat32 current_a\n",
+    "px4_msgs/msg/VehicleAirData": "uint64 timestamp\nfloat32 baro_pressure_pa\nfloat32 rho\n",
     "crazyflie_interfaces/msg/LogDataGeneric": HEADER + "float32[] values\n",
     "crazyflie_interfaces/msg/Status": HEADER
     + "uint16 supervisor_info\nfloat32 battery_voltage\nuint8 pm_state\n",
@@ -276,6 +278,7 @@ def motor_commands(vendor, name, time_ns, values):
         "px4_motors": ("px4_msgs/msg/ActuatorMotors", "control", 12, np.float32),
         "px4_outputs": ("px4_msgs/msg/ActuatorOutputs", "output", 16, np.float32),
         "mavros_rc_out": ("mavros_msgs/msg/RCOut", "channels", 0, np.uint16),
+        "motor_commands": ("quadpi/msg/MotorCommands", "commands", 0, np.float64),
         "crazyflie_log": ("crazyflie_interfaces/msg/LogDataGeneric", "values", 0, np.float32),
     }[name]
     array = np.zeros(max(size, len(values)), number)
@@ -296,6 +299,12 @@ def voltage(vendor, name, time_ns, volts):
     return vendor.bytes(vendor.make(kind, **stamps, **texts, **{field: volts}))
 
 
+def of_the_air(vendor, kind, time_ns, **values):
+    """A message of pressure [Pa], temperature [°C] or density [kg/m³]."""
+    stamps = {"timestamp": time_ns // 1000, "header": vendor.header(time_ns)}
+    return vendor.bytes(vendor.make(kind, **stamps, **values))
+
+
 SETTINGS = AdapterSettings(
     rotor_speeds=RotorSettings((3, 1, 4, 2), "rpm"),
     mocap=BodySettings("quad", "flu-enu"),
@@ -303,6 +312,8 @@ SETTINGS = AdapterSettings(
     imu=StateSettings(),
     motor_commands=CommandSettings((3, 1, 4, 2)),
     battery=StateSettings(),
+    pressure=StateSettings(),
+    temperature=StateSettings(),
 )
 RPM, BODIES = [1, 2, 3, 4], [("wand", [0, 0, 0], [0, 0, 0, 1]), ("quad", [1, 2, 3], [0, 0, 0, 1])]
 # By the name of the adapter: a message that holds a sample by these settings.
@@ -321,6 +332,16 @@ EXAMPLES = {
     "px4_battery": lambda vendor: voltage(vendor, "px4_battery", START_NS, 15.5),
     "crazyflie_status": lambda vendor: voltage(vendor, "crazyflie_status", START_NS, 3.7),
     "battery_state": lambda vendor: voltage(vendor, "battery_state", START_NS, 15.5),
+    "motor_commands": lambda vendor: motor_commands(vendor, "motor_commands", START_NS, [0.1, 0.2, 0.3, 0.4]),
+    "fluid_pressure": lambda vendor: of_the_air(
+        vendor, "sensor_msgs/msg/FluidPressure", START_NS, fluid_pressure=95000.0
+    ),
+    "temperature": lambda vendor: of_the_air(
+        vendor, "sensor_msgs/msg/Temperature", START_NS, temperature=20.0
+    ),
+    "px4_air": lambda vendor: of_the_air(
+        vendor, "px4_msgs/msg/VehicleAirData", START_NS, baro_pressure_pa=95000.0, rho=1.129
+    ),
     "mocap4r2": lambda vendor: frame(vendor, "mocap4r2", START_NS, BODIES),
     "named_poses": lambda vendor: frame(vendor, "named_poses", START_NS, BODIES),
     "tf": lambda _: tf(*((name, START_NS // 10**9, *pose) for name, *pose in BODIES)),

@@ -1,0 +1,47 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""quadpi/MotorCommands: shares of the range of each motor, in the rotor order of the vehicle file."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+
+from quadpi_core.flight import MotorCommandStream
+from quadpi_core.frames import Array
+from quadpi_core.messages.adapters.adapter_definition import STAMP, Adapter, Reading
+from quadpi_core.messages.adapters.adapter_settings import CommandSettings
+from quadpi_core.messages.adapters.motor_messages import start_of_commands
+from quadpi_core.messages.cdr import ANY, Columns, header_stamps
+from quadpi_core.messages.sensor_messages import MOTOR_COMMANDS
+from quadpi_core.vehicle import Vehicle
+
+
+def _start(settings: CommandSettings, vehicle: Vehicle | None) -> Reading:
+    """Those of all rotors, unless the settings name some."""
+    if vehicle is not None and settings.rotors is None:
+        settings = CommandSettings(tuple(range(1, vehicle.rotor_count + 1)), settings.topic)
+    if settings.rotors is not None:
+        return start_of_commands("commands", header_stamps, _shares)(settings, vehicle)
+
+    def read(columns: Columns, _items: object) -> MotorCommandStream:
+        return MotorCommandStream(header_stamps(columns), _shares(columns["commands"].astype(np.float64)))
+
+    return Reading(read, Counter)
+
+
+def _shares(values: Array) -> Array:
+    shares: Array = np.clip(np.nan_to_num(values, nan=0.0), 0.0, 1.0)
+    return shares
+
+
+COMMANDS = Adapter(
+    name="motor_commands",
+    type_name=MOTOR_COMMANDS,
+    topic="motor_commands",
+    kind="motor_commands",
+    columns=STAMP | {"commands": ANY},
+    start=_start,
+    battery=("battery_state", "battery"),
+)
