@@ -1,0 +1,61 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""A bag with pressure and temperature is judged in the air that it was flown in."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from quadpi_core.air import MEASURED
+from quadpi_core.flight import AirStream, TemperatureStream
+from quadpi_core.identification.prepared_flights import prepare_flights
+from quadpi_core.logs.bags import read_bag, read_outputs, write_bag
+from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.monitor.replay import replay
+from quadpi_core.paths import bags_directory
+from quadpi_core.vehicle import Vehicle
+
+# From 5 s on the vehicle is 1000 m higher, as if it had been carried up.
+THICK, THIN = (101325.0, 15.0), (89874.6, 8.5)
+
+
+@pytest.fixture(scope="module")
+def bags(tmp_path_factory) -> tuple[Path, Path]:
+    """A flight without and with what tells its air."""
+    folder, vehicle = tmp_path_factory.mktemp("air"), Vehicle.load("bebop2")
+    flight = read_bag(bags_directory() / "interpolation.mcap", vehicle)
+    times_ns = flight.imu.time_ns[::50]
+    later = times_ns - times_ns[0] > 5_000_000_000
+    nothing = np.full(len(times_ns), np.nan)
+    pressure = AirStream(times_ns, np.where(later, THIN[0], THICK[0]), nothing)
+    celsius = TemperatureStream(times_ns, nothing, np.where(later, THIN[1], THICK[1]))
+    write_bag(folder / "plain.mcap", flight)
+    write_bag(folder / "air.mcap", replace(flight, pressure=pressure, temperature=celsius))
+    return folder / "plain.mcap", folder / "air.mcap"
+
+
+def test_predictions_go_with_the_density(bags, physical_folder: Path, tmp_path: Path) -> None:
+    model, vehicle = AerodynamicModel.load(physical_folder), Vehicle.load("bebop2")
+    found = []
+    for number, bag in enumerate(bags):
+        replay(model, vehicle, bag, tmp_path / f"{number}.mcap")
+        found.append(read_outputs(tmp_path / f"{number}.mcap")[0])
+    plain, air = found
+    assert np.array_equal(plain.time_ns, air.time_ns)
+    seconds = 1e-9 * (air.time_ns - air.time_ns[0])
+    ratios = air.predicted[:, 2] / plain.predicted[:, 2]
+    assert np.median(ratios[seconds < 3.0]) == pytest.approx(1.0, abs=2e-3)
+    assert np.median(ratios[seconds > 6.0]) == pytest.approx(1.1117 / 1.225, abs=2e-3)
+
+
+def test_prepared_flights_have_the_density_of_their_air(bags) -> None:
+    vehicle = Vehicle.load("bebop2")
+    plain, air = prepare_flights([bags[0]], vehicle), prepare_flights([bags[1]], vehicle)
+    assert not plain[0].derivatives["density_excess"].any()
+    assert (plain[0].air, air[0].air) == ("", MEASURED)
+    assert air[0].derivatives["density_excess"] == pytest.approx(1.1117 / 1.225 - 1.0, abs=2e-3)
+    assert np.array_equal(plain[0].wrench, air[0].wrench)
