@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Any, ClassVar, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +24,9 @@ from quadpi_core.core import compiled
 from quadpi_core.errors import LogError, named_in
 from quadpi_core.findings import NOTHING_TO_SAY, DataQuality, UsedPart
 from quadpi_core.frames import Array
+
+if TYPE_CHECKING:
+    from quadpi_core.motors import Motors
 
 Stamps: TypeAlias = npt.NDArray[np.int64]
 _DAY_NS = 86_400 * 1_000_000_000
@@ -467,6 +470,7 @@ class Flight:
         position_measured: whether the position was measured, by motion capture or as a log has it; else it
             is the integrated velocity.
         sha256: hash of the sensor streams, the same for every copy of the flight; empty where not known.
+        motors: that made the rotor speeds of motor commands; None where they were measured.
     """
 
     __repr__ = brief_repr
@@ -488,6 +492,7 @@ class Flight:
     biases_estimated: bool = True
     position_measured: bool = True
     sha256: str = ""
+    motors: Motors | None = None
 
     def __post_init__(self) -> None:
         """Refuse arrays that do not belong together, in the words of `quadpi_core.array_checks`."""

@@ -45,6 +45,13 @@ SILENT_SHARE = Threshold(
     "idling rotors turn at a fifth of the speed of hover, and tachometers that miscount at half",
     "eckart51 to 54 of imrc_payload in ../shared/data read 0.502",
 )
+USUAL_GAIN = Threshold(
+    "standard deviation from flight to flight of one gain of all rotor speeds from commands",
+    0.02,
+    "",
+    "air and battery change thrust by up to 7.6 % at the same command and voltage, speed by half of that",
+    "of motors whose flights do not tell it; imrc_brushed of ../shared/data",
+)
 # Commands that come after a longer pause begin anew, without what the rotors did before: no lag is as long.
 _PAUSE_NS = 1_000_000_000
 
@@ -61,6 +68,7 @@ class Motors(Section):
         volts: battery voltage until a message tells it; those of V are 0 where it is not used.
         error: root mean square of what is left, over the mean speed, by rotor, on flights left out; empty
             where no flight had rotor speeds, and their scale is that of hover thrust.
+        gain: standard deviation from flight to flight of one gain of all speeds.
     """
 
     source: str
@@ -69,6 +77,7 @@ class Motors(Section):
     dead_s: Annotated[float, Within(0.0, DEAD_MAX_S)] = 0.0
     volts: Positive = 1.0
     error: tuple[Real, ...] = ()
+    gain: Annotated[float, Within(0.0, 1.0)] = USUAL_GAIN.value
 
     def __post_init__(self) -> None:
         """Refuse another number of coefficients.

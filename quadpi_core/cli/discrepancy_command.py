@@ -37,6 +37,7 @@ def discrepancy(
     namespace: options.Namespace = "",
     from_s: options.FromS = None,
     to_s: options.ToS = None,
+    from_commands: options.FromCommands = False,
     allow_code: Annotated[
         bool,
         typer.Option("--allow-code", help="Run the function that an addition.json names; trust its author."),
@@ -68,7 +69,14 @@ def discrepancy(
             simulation, vehicle, bags, mapping=how, allow_code=allow_code, left_out=left_out
         )
         with shown_work(console, workers, scheduler) as reading:
-            flights = read_flights(bags, the_simulation, mapping=how, workers=reading, left_out=left_out)
+            flights = read_flights(
+                bags,
+                the_simulation,
+                mapping=how,
+                workers=reading,
+                left_out=left_out,
+                from_commands=from_commands,
+            )
         print_quality(console, ((flight.name, flight.quality) for flight in flights))
         with console.status("Searching"):
             found = study(the_simulation, flights, names=names, seed=seed)

@@ -73,14 +73,7 @@ def identify(
             "--keep-flawed", help="Also learn from flights with a finding that says to leave them out."
         ),
     ] = False,
-    from_commands: Annotated[
-        bool,
-        typer.Option(
-            "--from-commands",
-            help="Make rotor speeds of motor commands even if all flights have them measured; without it, "
-            "only where a flight has none.",
-        ),
-    ] = False,
+    from_commands: options.FromCommands = False,
     false_alarms_per_hour: Annotated[
         float, typer.Option(help="False alarms per hour that the limits of the alarm are calibrated to.")
     ] = 1.0,

@@ -85,6 +85,14 @@ AllParts = Annotated[
         "the longest part.",
     ),
 ]
+FromCommands = Annotated[
+    bool,
+    typer.Option(
+        "--from-commands",
+        help="Make rotor speeds of motor commands even if all flights have them measured; without it, "
+        "only where a flight has none.",
+    ),
+]
 Scheduler = Annotated[
     str | None, typer.Option(help="Address of a Dask scheduler whose workers to use instead.")
 ]

@@ -16,6 +16,7 @@ from quadpi_core.brief_repr import brief_repr
 from quadpi_core.discrepancy.acceptance import Verdict
 from quadpi_core.discrepancy.by_condition import Where
 from quadpi_core.discrepancy.closure import Found, Gap
+from quadpi_core.discrepancy.commanded_speeds import CommandedSpeeds
 from quadpi_core.discrepancy.simulations import Simulation
 from quadpi_core.flight import AXES, Flight
 from quadpi_core.thresholds import CONVENTION, Threshold
@@ -163,6 +164,7 @@ class Discovery:
         adjusted: whether coefficients are moved with the effects, which flights left out ask for.
         conditions: what single flights have of their own.
         flown: gap in roll-outs and closed loop; None where no effect was named, and until it is flown.
+        commanded: how well rotor speeds from commands are known, and what that hides; None for measured ones.
     """
 
     __repr__ = brief_repr
@@ -179,6 +181,7 @@ class Discovery:
     adjusted: bool = True
     conditions: tuple[FlightCondition, ...] = ()
     flown: Reflights | None = None
+    commanded: CommandedSpeeds | None = None
 
     @property
     def verdict(self) -> str:
@@ -338,6 +341,7 @@ def discovery_json(discovery: Discovery) -> dict[str, Any]:
         "gap": {axis: BeforeAfter(*own)._asdict() for axis, own in errors} | {"reduction": gap.reduction},
         "intervals": intervals,
         "conditions": [own._asdict() | {"flights": _by_name(own.flights)} for own in discovery.conditions],
+        "rotor_speeds_from_commands": discovery.commanded and discovery.commanded.to_json(),
         "without_trace": list(discovery.without_trace),
         "within_intervals": list(discovery.within_intervals),
         "doubts": list(discovery.doubts),

@@ -20,6 +20,7 @@ from quadpi_core.discrepancy.candidates import (
     first_point,
     in_frequency,
 )
+from quadpi_core.discrepancy.commanded_speeds import errors_of_speeds
 from quadpi_core.discrepancy.effect_response import Compared, share_of_wrench
 from quadpi_core.discrepancy.evidence import Block, Condition, Equations, Fit, own_sizes
 from quadpi_core.discrepancy.unexplained import stated_squares
@@ -128,7 +129,7 @@ class Regression(Kept):
             residual=residual,
             tolerances=Tolerances.of(flights),
             modulators=Modulators.of(flights),
-            noise=Noise(np.ones((len(flights), len(AXES), residual.bands))),
+            noise=Noise(np.ones((len(flights), len(AXES), residual.bands)), errors_of_speeds(flights)),
             explained=tuple(_rows(flight, flight.expected_measured) for flight in flights),
         )
         if regression.sound is not None:

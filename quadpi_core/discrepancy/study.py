@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from operator import attrgetter
@@ -26,6 +27,7 @@ from quadpi_core.discrepancy.augmented_simulation import augmented
 from quadpi_core.discrepancy.by_condition import locate
 from quadpi_core.discrepancy.candidates import candidates
 from quadpi_core.discrepancy.closure import Closing, Found
+from quadpi_core.discrepancy.commanded_speeds import at_scale_of, commanded_speeds, traces
 from quadpi_core.discrepancy.discrepancy_result import (
     Discovery,
     FlightCondition,
@@ -55,8 +57,10 @@ from quadpi_core.discrepancy.whitening import BAND_HZ
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import AXES, Flight
 from quadpi_core.flight_files import FlightFile, LeftOutFlights, for_each_flight, once_each
+from quadpi_core.identification.commanded_flights import read_with_motors
 from quadpi_core.identification.prepared_flights import read_flight
 from quadpi_core.models.model_kind import CUTOFF_HZ
+from quadpi_core.motors import Motors
 from quadpi_core.parallel import DEFAULT_WORKERS, Workers, one_blas_thread
 from quadpi_core.reading_options import MappingOrOptions
 from quadpi_core.screening.manoeuvres import require_changes, require_excitation
@@ -66,6 +70,9 @@ from quadpi_core.vehicle import Vehicle
 FEWEST_FLIGHTS = Threshold(
     "fewest flights", 2, "flights", "what is found on some flights is tested on others", CONVENTION
 )
+# Vehicle, motors of single flights by path, cut-off, how to read.
+_Task = tuple[Vehicle, Mapping[str, Motors], float, MappingOrOptions]
+_log = logging.getLogger(__name__)
 # What to call for a simulation, in refusals of anything else.
 _LOAD_SIMULATION = "load_simulation(text) reads one"
 # Steady forces that thrust has in a frame that is turned about x or y.
@@ -81,8 +88,12 @@ def read_flights(
     mapping: MappingOrOptions = None,
     workers: Workers = DEFAULT_WORKERS,
     left_out: LeftOutFlights = None,
+    from_commands: bool = False,
 ) -> list[Flight]:
     """Read flights of the simulation's vehicle: fused, low-passed at the default of models, in the air.
+
+    Where a flight has motor commands and no rotor speeds, those of all flights are made of commands: by the
+    motors of the simulation's vehicle file or model, else by those that the other flights tell.
 
     Args:
         paths: bags or logs.
@@ -90,6 +101,7 @@ def read_flights(
         mapping: see :func:`quadpi_core.logs.read_recording`.
         workers: processes that read the files.
         left_out: list to which flights that cannot be used are added; without it, the first is an error.
+        from_commands: make rotor speeds of commands even where all flights have them measured.
 
     Raises:
         ArgumentError: for what are no paths, simulation or workers.
@@ -102,17 +114,33 @@ def read_flights(
     array_checks.instance("simulation", simulation, Simulation, _LOAD_SIMULATION)
     array_checks.instance("workers", workers, Workers)
     require_flights(len(files))
-    shared = (simulation.vehicle, CUTOFF_HZ["default"], workers.found_by(mapping))
-    read = for_each_flight(
-        _read, files, shared=shared, task="Reading flights", workers=workers, left_out=left_out
+
+    def read(vehicle: Vehicle, left_out: LeftOutFlights, motors: Mapping[str, Motors]) -> list[Flight]:
+        task: _Task = (vehicle, motors, CUTOFF_HZ["default"], workers.found_by(mapping))
+        each = for_each_flight(
+            _read, files, shared=task, task="Reading flights", workers=workers, left_out=left_out
+        )
+        return [flight for _, flight in once_each(each, attrgetter("sha256"), left_out)]
+
+    known = simulation.vehicle
+    flights, _, said = read_with_motors(
+        *(read, files, known),
+        mapping=mapping,
+        workers=workers,
+        left_out=left_out,
+        commands=from_commands and known.motors is None,
     )
-    flights = [flight for _, flight in once_each(read, attrgetter("sha256"), left_out)]
+    if said:
+        _log.warning("%s", said)
     require_flights(len(flights))
     return flights
 
 
-def _read(task: tuple[Vehicle, float, MappingOrOptions], file: FlightFile) -> Flight:
-    return study_flight(replace(read_flight(file.path, *task), name=file.name), file.path)
+def _read(task: _Task, file: FlightFile) -> Flight:
+    vehicle, motors, cutoff_hz, mapping = task
+    vehicle = replace(vehicle, motors=motors.get(str(file.path), vehicle.motors))
+    flight = read_flight(file.path, vehicle, cutoff_hz, mapping)
+    return study_flight(replace(flight, name=file.name), file.path)
 
 
 def study_flight(flight: Flight, source: Path | str = "") -> Flight:
@@ -356,7 +384,7 @@ def prepared(
                 f"{flight.source}: flown by vehicle {flight.vehicle}, "
                 f"but the simulation {simulation.name} is of {simulation.vehicle.name}"
             )
-    compared = Compared.together(flights, simulation, highest_hz)
+    compared = Compared.together(at_scale_of(simulation, flights), simulation, highest_hz)
     return Prepared.of(compared, candidates(simulation.vehicle, names))
 
 
@@ -388,6 +416,7 @@ def discovered(ready: Prepared, barred: Mapping[str, str]) -> Discovery:
         without_trace=_without_trace(found),
         within_intervals=tuple(sorted(ready.within)),
         conditions=tuple(_conditions(found)),
+        commanded=commanded_speeds(found),
     )
 
 
@@ -424,12 +453,8 @@ def _without_trace(found: Found) -> tuple[str, ...]:
     So it is with wind beside a simulation of thrust alone, which is the same in any wind, and with the ground
     where no flight comes near it.
     """
-    regression, shown = found.regression, set()
-    for candidate, block in zip(regression.candidates, regression.blocks, strict=True):
-        squares = np.einsum("fkk->k", regression.noise.gram(block.columns, block.columns))
-        if 0.5 * squares[: len(block.at)].sum() >= found.threshold:
-            shown.add(candidate.name)
-    return tuple(dict.fromkeys(c.name for c in regression.candidates if c.name not in shown))
+    energies = traces(found.regression, found.regression.noise)
+    return tuple(name for name, energy in energies.items() if energy < found.threshold)
 
 
 def require_flights(count: int) -> None:

@@ -132,6 +132,7 @@ def fuse(
         quality=recording.quality,
         biases_estimated=estimate.biases_estimated,
         position_measured=recording.pose is not None or recording.twist is None,
+        motors=vehicle.motors if recording.commanded else None,
         **filtered._asdict(),
     )
     pause = pauses(rotor_speeds)

@@ -20,7 +20,7 @@ from quadpi_core.field.airborne import Flown
 from quadpi_core.field.estimates import Estimate, beyond_zero, jackknife
 from quadpi_core.field.field_log import FieldLog
 from quadpi_core.frames import Array
-from quadpi_core.motors import HALF_READING, TERMS, Motors, lag_weights
+from quadpi_core.motors import HALF_READING, TERMS, USUAL_GAIN, Motors, lag_weights
 
 GRID_HZ = 100.0
 SLOWEST_HZ = 20.0
@@ -128,21 +128,22 @@ def identified_motors(
     volts = [part[1] for parts in fit.known for part in parts]
     mean_v = float(np.mean(np.concatenate(volts))) if fit.volts else 1.0
 
-    def motors(chosen: Sequence[_Sums]) -> Motors:
+    def motors(coefficients: Sequence[Array]) -> Motors:
         return Motors(
             source=source,
-            coefficients=tuple(tuple(own.tolist()) + (0.0,) * (TERMS - len(own)) for own in _solved(chosen)),
+            coefficients=tuple(tuple(own.tolist()) + (0.0,) * (TERMS - len(own)) for own in coefficients),
             lag_s=fit.lag_s,
             dead_s=fit.dead_s,
             volts=mean_v,
             error=errors,
+            gain=gain,
         )
 
-    each = {}
-    if len(sums) > 1:
-        for place, name in enumerate(fit.names):
-            each[name] = motors([own for other, own in enumerate(sums) if other != place])
-    return motors(sums), each
+    places = range(len(sums)) if len(sums) > 1 else ()
+    without = [_solved([*sums[:place], *sums[place + 1 :]]) for place in places]
+    gains = [_gain(fits, fit.known[place], fit.lag_s) for place, fits in enumerate(without)]
+    gain = float(np.sqrt(np.mean(np.square(np.array(gains) - 1.0)))) if gains else USUAL_GAIN.value
+    return motors(_solved(sums)), {fit.names[place]: motors(fits) for place, fits in enumerate(without)}
 
 
 @dataclass(frozen=True)
@@ -340,15 +341,23 @@ def _errors(
     """Sums of squared errors (R,), after a gain for each flight if `scaled`, and the number of samples."""
     squares, count = np.zeros(len(fits)), 0
     for parts in flights:
-        speeds = np.vstack([part[2] for part in parts])
-        told = np.stack(
-            [
-                np.concatenate([command_columns(part[0][:, rotor], part[1], lag_s) @ own for part in parts])
-                for rotor, own in enumerate(fits)
-            ],
-            axis=1,
-        )
+        told, speeds = _told(fits, parts, lag_s)
         gain = np.sum(told * speeds) / np.sum(told * told) if scaled else 1.0
         squares += np.sum((speeds - gain * told) ** 2, axis=0)
         count += len(speeds)
     return squares, count
+
+
+def _gain(fits: Sequence[Array], parts: Sequence[_Part], lag_s: float) -> float:
+    """By which one factor the rotors of a flight turn faster than they are told."""
+    told, speeds = _told(fits, parts, lag_s)
+    return float(np.sum(told * speeds) / np.sum(told * told))
+
+
+def _told(fits: Sequence[Array], parts: Sequence[_Part], lag_s: float) -> tuple[Array, Array]:
+    """Speeds (N, R) of a flight by coefficients of each rotor, and as measured."""
+    told = [
+        np.concatenate([command_columns(part[0][:, rotor], part[1], lag_s) @ own for part in parts])
+        for rotor, own in enumerate(fits)
+    ]
+    return np.stack(told, axis=1), np.vstack([part[2] for part in parts])

@@ -19,7 +19,7 @@ from quadpi_core.field.airborne import Flown, velocity_of
 from quadpi_core.field.field_log import FieldLog
 from quadpi_core.field.motor_model import GRID_HZ, LAGS_S, SLOWEST_HZ, command_columns
 from quadpi_core.frames import Array
-from quadpi_core.motors import TERMS, Motors
+from quadpi_core.motors import TERMS, USUAL_GAIN, Motors
 from quadpi_core.rotations import rotate_world_to_body
 from quadpi_core.vehicle import Vehicle
 
@@ -60,14 +60,16 @@ def motors_by_thrust(
 
     def motors(coefficients: Array) -> Motors:
         own = tuple((scale * coefficients).tolist()) + (0.0,) * (TERMS - len(coefficients))
-        return Motors(source=source, coefficients=(own,) * vehicle.rotor_count, lag_s=lag_s, volts=mean_v)
+        of_all = (own,) * vehicle.rotor_count
+        return Motors(source=source, coefficients=of_all, lag_s=lag_s, volts=mean_v, gain=gain)
 
-    each = {}
-    if len(known) > 1:
-        for name in known:
-            others = [part for other, parts in known.items() if other != name for part in parts]
-            each[name] = motors(_fitted(others, lag_s, vehicle)[0])
-    return motors(fits[lag_s][0]), each
+    without = {}
+    for name in known if len(known) > 1 else ():
+        others = [part for other, parts in known.items() if other != name for part in parts]
+        without[name] = _fitted(others, lag_s, vehicle)[0]
+    gains = [_gain(parts, without[name], lag_s) for name, parts in known.items() if name in without]
+    gain = float(np.sqrt(np.mean(np.square(np.array(gains) - 1.0)))) if gains else USUAL_GAIN.value
+    return motors(fits[lag_s][0]), {name: motors(coefficients) for name, coefficients in without.items()}
 
 
 def _parts(log: FieldLog, flight: Flown, vehicle: Vehicle) -> list[_Part] | str:
@@ -121,6 +123,17 @@ def _fitted(parts: Sequence[_Part], lag_s: float, vehicle: Vehicle) -> tuple[Arr
         found = found + np.linalg.solve(gram, slopes.T @ lacking + ridge * (begin - found))
     left = thrust - np.sum((columns @ found[:terms]) ** 2, axis=1) - moved @ found[terms:]
     return found[:terms], float(np.sum(left**2))
+
+
+def _gain(parts: Sequence[_Part], coefficients: Array, lag_s: float) -> float:
+    """By which one factor the rotors of a flight turn faster than coefficients tell, by its thrust."""
+    told = thrust = 0.0
+    for commands, volts, own, _ in parts:
+        for rotor in range(commands.shape[1]):
+            speeds = command_columns(commands[:, rotor], volts, lag_s) @ coefficients
+            told += float(np.sum(speeds**2))
+        thrust += float(np.sum(own))
+    return float(np.sqrt(max(thrust, 0.0) / max(told, 1e-9)))
 
 
 def _scale(parts: Sequence[_Part], coefficients: Array, vehicle: Vehicle) -> float:

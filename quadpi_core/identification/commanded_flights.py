@@ -10,10 +10,10 @@ Without any rotor speeds they follow from thrust: their scale is then that of ho
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from quadpi_core.errors import LogError, QuadpiError
 from quadpi_core.estimator.fusion import COMMANDS_ALONE
@@ -29,6 +29,8 @@ from quadpi_core.motors import Motors
 from quadpi_core.parallel import DEFAULT_WORKERS, Workers
 from quadpi_core.reading_options import MappingOrOptions
 from quadpi_core.vehicle import Vehicle
+
+_Read = TypeVar("_Read")
 
 
 @dataclass(frozen=True)
@@ -72,11 +74,50 @@ def prepare_with_motors(
     Raises:
         QuadpiError: see there; LogError for motors that cannot be identified.
     """
+
+    def read(flown: Vehicle, left_out: LeftOutFlights, motors: Mapping[str, Motors]) -> list[PreparedFlight]:
+        reading: dict[str, Any] = {"mapping": mapping, "workers": workers, **further}
+        return prepare_flights(paths, flown, cutoff_hz, left_out=left_out, motors=motors, **reading)
+
+    with_speeds = vehicle.motors is None and from_commands
+    return FlownByCommands(
+        *read_with_motors(
+            read, paths, vehicle, mapping=mapping, workers=workers, left_out=left_out, commands=with_speeds
+        )
+    )
+
+
+def read_with_motors(
+    read: Callable[[Vehicle, LeftOutFlights, Mapping[str, Motors]], list[_Read]],
+    paths: Sequence[Path | str],
+    vehicle: Vehicle,
+    *,
+    mapping: MappingOrOptions,
+    workers: Workers,
+    left_out: LeftOutFlights,
+    commands: bool,
+) -> tuple[list[_Read], Vehicle, str]:
+    """Flights by a reader; all by motor commands where one of them has no rotor speeds, but commands.
+
+    Args:
+        read: gives flights of a vehicle, adding to those left out, by motors of single flights by path.
+        paths: of the flights.
+        vehicle: that flew.
+        mapping: see :func:`quadpi_core.logs.read_recording`.
+        workers: processes that read the commands.
+        left_out: list to which flights that cannot be used are added; without it, the first is an error.
+        commands: whether rotor speeds are made of commands even where all flights have them.
+
+    Returns:
+        The flights, the vehicle that their readers took, and what was done, in a sentence.
+
+    Raises:
+        QuadpiError: of the reader; LogError for motors that cannot be identified.
+    """
     tried = None if left_out is None else list(left_out)
-    reading: dict[str, Any] = {"mapping": mapping, "workers": workers}
-    if not from_commands or vehicle.motors is not None:
+    if not commands:
         try:
-            flights = prepare_flights(paths, vehicle, cutoff_hz, left_out=tried, **reading, **further)
+            flights = read(vehicle, tried, {})
             lacking = any(COMMANDS_ALONE in one.reason for one in tried or ())
         except LogError as error:
             if COMMANDS_ALONE not in str(error):
@@ -87,13 +128,10 @@ def prepare_with_motors(
         if not lacking:
             if left_out is not None:
                 left_out[:] = tried or ()
-            return FlownByCommands(flights, vehicle)
+            return flights, vehicle, ""
     motors, each, said = motors_of(paths, vehicle, mapping=mapping, workers=workers)
     flown_by = replace(vehicle, motors=motors)
-    flights = prepare_flights(
-        paths, flown_by, cutoff_hz, left_out=left_out, motors=each, **reading, **further
-    )
-    return FlownByCommands(flights, flown_by, said)
+    return read(flown_by, left_out, each), flown_by, said
 
 
 def motors_of(

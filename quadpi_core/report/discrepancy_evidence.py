@@ -177,6 +177,12 @@ def verdict_changes(study: Study) -> list[Change]:
     ]
     changes += [_between_rivals(effect) for effect in discovery.effects if effect.rivals]
     changes += _refused(discovery)
+    if (commanded := discovery.commanded) is not None:
+        names = ", ".join(map(words, commanded.hidden))
+        hidden = f" They hide most of what would show {names}." if names else ""
+        changes.append(
+            Change(" ".join(commanded.sentences) + hidden, "Log rotor speeds: flights with them tell more.")
+        )
     if discovery.without_trace:
         changes.append(
             Change(
