@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, wraps
 from typing import TypeVar
 
 import numpy as np
@@ -351,6 +351,16 @@ class Accepted:
             least_evidence(len(regression.candidates)),
             known=regression.sound is not None,
         )
+
+
+def once_of_effects(make: Callable[[Accepted], _Made]) -> Callable[[Accepted], _Made]:
+    """A function of accepted effects, computed once for the same ones."""
+
+    @wraps(make)
+    def kept(accepted: Accepted) -> _Made:
+        return accepted.once(make.__name__, lambda: make(accepted))
+
+    return kept
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ from quadpi_core.discrepancy.acceptance import (
     Trial,
     judge_evidence,
     least_evidence,
+    once_of_effects,
     rival_margin,
     scales_beside_law,
     stands_behind,
@@ -125,8 +126,7 @@ def search(prepared: Prepared, barred: Mapping[str, str] = MappingProxyType({}))
             break
         accepted = exchanged
     # Other columns may clearly prefer another; what fails a test is told among its rivals.
-    clear = float(np.exp(NAMED_ALONE.value))
-    accepted, _ = own.exchanged(own.with_fitted_coefficients(accepted), clear)
+    accepted, _ = own.exchanged(own.with_fitted_coefficients(accepted), float(np.exp(NAMED_ALONE.value)))
     rivals, allowed = own.rivals(accepted), dict[int, float]()
     if inside is not None:
         lenient = _lenient(accepted, inside)
@@ -310,16 +310,13 @@ class _Search:
         return rivals
 
 
+@once_of_effects
 def best_condition(accepted: Accepted) -> Accepted | None:
     """The set beside what each flight may have of its own, its last condition, that gains the most evidence.
 
     None where nothing gains as much as a first effect has to and leaves the effects most of their evidence,
     and without sound flights that tell how much flights differ.
     """
-    return accepted.once("condition", lambda: _best_condition(accepted))
-
-
-def _best_condition(accepted: Accepted) -> Accepted | None:
     regression, chosen = accepted.regression, accepted.chosen
     best, before = None, accepted.gains()
     most = least_evidence(len(regression.candidates))
@@ -357,12 +354,9 @@ def _fits_with_one_more(before: Accepted) -> _Fits:
     return sorted(fits, key=lambda item: np.inf if item[1] is None else -item[1].log_evidence)
 
 
+@once_of_effects
 def without_idle(accepted: Accepted) -> tuple[Accepted, list[Judgement]]:
     """The set without an effect that is idle beside a better one or a condition, and the judgement of it."""
-    return accepted.once("idle", lambda: _without_idle(accepted)) or (accepted, [])
-
-
-def _without_idle(accepted: Accepted) -> tuple[Accepted, list[Judgement]] | None:
     regression = accepted.regression
     for index in accepted.chosen:
         fewer = tuple(other for other in accepted.chosen if other != index)
@@ -375,7 +369,7 @@ def _without_idle(accepted: Accepted) -> tuple[Accepted, list[Judgement]] | None
         smaller = better and Accepted.fitted(better.with_left_as_noise(), fewer)
         if smaller is not None:
             return smaller, [Judgement.of(smaller, index, (still_needed,))]
-    return None
+    return accepted, []
 
 
 def _lenient(accepted: Accepted, inside: Inside) -> Accepted:
