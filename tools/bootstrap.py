@@ -179,7 +179,8 @@ def point_wheels_at_this_python() -> None:
 
 def pip_install(log: Path, *arguments: str) -> None:
     """Install at the versions of constraints.txt; bytecode is made of what is imported, when it is."""
-    run(log, VENV_PYTHON, "-m", "pip", "install", "--no-compile", "--constraint", "constraints.txt", *arguments)
+    options = "--no-compile", "--constraint", "constraints.txt"
+    run(log, VENV_PYTHON, "-m", "pip", "install", *options, *arguments)
 
 
 def require_build_tools() -> None:

@@ -27,7 +27,7 @@ TESTS = (
     "test_elementary.py",
     "test_inputs.py",
 )
-FLAGS = "-O1 -g -Werror -fsanitize=address,undefined -fno-sanitize-recover=undefined"
+FLAGS = "-O1 -g1 -Werror -fsanitize=address,undefined -fno-sanitize-recover=undefined"
 
 
 @pytest.fixture(scope="module")

@@ -18,6 +18,7 @@ from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import read_outputs
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.candidate_pool import load_pools
+from quadpi_core.models.kinds.physical import Physical
 from quadpi_core.models.model_kind import IdentifyOptions
 from quadpi_core.paths import bags_directory
 from quadpi_core.reading_options import ReadingOptions
@@ -96,12 +97,10 @@ def test_real_flights_by_commands_err_and_cover_as_by_tachometers(shared_data):
     """A Crazyflie with an RPM deck, with and without it; on flights that neither model knows."""
     paths = sorted((shared_data / "imrc_brushless").glob("eckart*"))
     learned, unseen, vehicle = paths[:7], paths[7:17], Vehicle.load("crazyflie_rpm")
-    results = {}
+    results, options = {}, IdentifyOptions(method=Physical(multi_step=False))
     for from_commands in (False, True):
         read = prepare_with_motors(learned, vehicle, 30.0, from_commands=from_commands)
-        model = identify(
-            read.flights, read.vehicle, load_pools("quadrotor"), IdentifyOptions(method="physical")
-        )
+        model = identify(read.flights, read.vehicle, load_pools("quadrotor"), options)
         flights = prepare_flights(unseen, read.vehicle)
         results[from_commands] = [(model.evaluate(flight), flight.wrench) for flight in flights]
 

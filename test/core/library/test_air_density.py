@@ -15,6 +15,7 @@ from quadpi_core.errors import ArgumentError
 from quadpi_core.identification.identify import identify
 from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.headlines import THRUST, headlines
+from quadpi_core.models.kinds.physical import Physical
 from quadpi_core.models.model_kind import IdentifyOptions
 from quadpi_core.simulation.flying import SimulatedVehicle
 from quadpi_core.simulation.rotor_local import RotorLocalModel
@@ -111,9 +112,8 @@ def test_thrust_of_ten_airs(truths) -> None:
     vehicle, found = qp.Vehicle.load("bebop2"), {}
     for name, air in (("known", densities()), ("unknown", None)):
         given = flights(truths, air)
-        model = identify(
-            list(given.prepared), vehicle, load_pools("quadrotor"), IdentifyOptions(method="physical")
-        )
+        options = IdentifyOptions(method=Physical(multi_step=False))
+        model = identify(list(given.prepared), vehicle, load_pools("quadrotor"), options)
         line = next(one for one in headlines(model, vehicle) if one.quantity == THRUST)
         found[name] = line, thrust_errors(model, given)
     line, errors = found["known"]

@@ -13,6 +13,7 @@ import quadpi_core as qp
 from quadpi_core.logs.readers import read_recording
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.headlines import headlines
+from quadpi_core.models.kinds.physical import Physical
 from quadpi_core.monitor.alarm_log import reasons
 from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.replay import follow, recorded_flight
@@ -57,7 +58,9 @@ def test_from_bags_to_the_rotor_that_stops(layout: str, tmp_path: Path) -> None:
     vehicle, count = simulated.vehicle, simulated.vehicle.rotor_count
     assert read_recording(unseen.bag, vehicle).rotor_speeds.speeds.shape[1] == count
 
-    fitted = qp.WrenchModel().fit(qp.load_flights([one.bag for one in flown], vehicle=str(file)))
+    fitted = qp.WrenchModel(Physical(multi_step=False)).fit(
+        qp.load_flights([one.bag for one in flown], vehicle=str(file))
+    )
     fitted.save(tmp_path / "model")
     model = AerodynamicModel.load(tmp_path / "model")
     table = qp.evaluate(fitted, qp.load_flights([unseen.bag], vehicle=str(file)), by=None)
