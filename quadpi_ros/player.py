@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from operator import itemgetter
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, TypeAlias
 
 import numpy as np
 import rclpy
@@ -39,6 +39,8 @@ _FLUSH_S = 0.2
 # Nothing wakes up who waits for the next message when ROS shuts down.
 _GLANCE_S = 0.2
 
+# A message, how to publish it, and when: so many nanoseconds after the first message of the bag.
+_Due: TypeAlias = tuple[int, Callable[[Any], None], Any]
 _TOPICS_HELP = (
     "standard topics, also as in imu=/uav1/imu, and messages of other packages by the name of their adapter; "
     "without it, the standard topics, and adapters where those are missing"
@@ -57,10 +59,10 @@ def parse_arguments(arguments: Sequence[str]) -> argparse.Namespace:
     add("bag", type=Path, help="bag to play")
     add("-r", "--rate", type=_positive, default=1.0, help="speed; default 1, real time")
     add("--topics", nargs="+", metavar="NAME", default=[], help=_TOPICS_HELP)
-    clock = f"publish /clock at this rate; without a number {CLOCK_HZ:g} Hz"
+    clock = f"rate of /clock; without a number {CLOCK_HZ:g} Hz"
     add("--clock", nargs="?", type=_positive, const=CLOCK_HZ, metavar="HZ", help=clock)
     add("-l", "--loop", action="store_true", help="begin again at the end")
-    add("--start-offset", type=_not_negative, default=0.0, metavar="S", help="begin so far into the bag")
+    add("--start-offset", type=float, default=0.0, metavar="S", help="begin so far into the bag")
     add("--wait", type=float, default=10.0, metavar="S", help="seconds to wait for subscribers; 0: do not")
     add("--nodes", nargs="+", metavar="NAME", default=[], help="managed nodes to wait for until active")
     add("--sent", type=Path, metavar="FILE", help="write stamp and publication of each message of imu (.npy)")
@@ -77,38 +79,23 @@ def _positive(text: str) -> float:
     return value
 
 
-def _not_negative(text: str) -> float:
-    value = float(text)
-    if not 0.0 <= value < np.inf:
-        raise argparse.ArgumentTypeError(f"must not be negative, found {text}")
-    return value
-
-
 def start_of(playlist: Playlist, options: argparse.Namespace) -> int:
     """Position at which to begin, in nanoseconds since the first message.
 
     Raises:
-        PlayerError: if the bag ends before, or what is left is too short to be played in a loop.
+        PlayerError: if the bag has no such position, or what is left is too short to be played in a loop.
     """
-    start_ns: int = round(1e9 * options.start_offset)
     end_ns = int(playlist.due_ns[-1])
-    played = f"what is played lasts {1e-9 * end_ns:.3g} s"
-    if start_ns > end_ns:
+    if not 0.0 <= options.start_offset <= 1e-9 * end_ns:
+        played = f"what is played lasts {1e-9 * end_ns:.3g} s"
         raise PlayerError(f"{options.bag}: --start-offset {options.start_offset:g}: {played}")
+    start_ns: int = round(1e9 * options.start_offset)
     if options.loop and end_ns - start_ns <= MAX_JUMP_BACK_NS:
         raise PlayerError(
             f"{options.bag}: --loop: {1e-9 * (end_ns - start_ns):.3g} s are too short: "
             f"nodes begin again where stamps jump back by more than {1e-9 * MAX_JUMP_BACK_NS:g} s"
         )
     return start_ns
-
-
-class _Due(NamedTuple):
-    """A message to publish, so many nanoseconds after the first message of the bag."""
-
-    at_ns: int
-    publish: Callable[[Any], None]
-    message: Any
 
 
 def _run(options: argparse.Namespace) -> None:
@@ -169,7 +156,7 @@ def _noting(publish: Callable[[Any], None], times_ns: list[int]) -> Callable[[An
 def _messages(playlist: Playlist, publish: Sequence[Callable[[Any], None]], start_ns: int) -> list[_Due]:
     topics = list(playlist.topics.values())
     return [
-        _Due(due_ns, publish[topic], topics[topic].payloads[message])
+        (due_ns, publish[topic], topics[topic].payloads[message])
         for due_ns, topic, message in zip(
             playlist.due_ns.tolist(), playlist.topic, playlist.message, strict=True
         )
@@ -184,7 +171,7 @@ def _ticks(
     for at_ns in range(start_ns, int(playlist.due_ns[-1]) + 1, max(1, round(1e9 * period_s))):
         message = Clock()
         message.clock.sec, message.clock.nanosec = divmod(playlist.start_ns + at_ns, 10**9)
-        yield _Due(at_ns, publish, message)
+        yield at_ns, publish, message
 
 
 def _play(messages: Iterable[_Due], start_ns: int, rate: float) -> bool:
