@@ -67,82 +67,58 @@ void fill_newest(Filters filter, Ring ring, Records<FusedSample> fused) {
     fill_fused(ring[only(filter).newest], only(filter).noise.rates, only(fused));
 }
 
-// The arrays of a trace, held as long as a call lasts.
-struct HeldTrace {
-    explicit HeldTrace(nb::handle trace)
-        : progress(trace, "progress"),
-          outcomes(trace, "outcomes"),
-          rows(trace, "rows"),
-          fused(trace, "fused"),
-          journal(trace, "journal") {}
+using ArrivalFields = std::tuple<Records<ImuSample>, Records<Measurement>, Records<std::int64_t>>;
+using TraceFields = std::tuple<
+    Records<Progress>,
+    Records<std::int64_t>,
+    Records<FilteredSample>,
+    Records<FusedSample>,
+    Records<Correction>>;
 
-    Trace trace() const { return {progress.only(), outcomes.all(), rows.all(), fused.all(), journal.all()}; }
-
-    Field<Progress> progress;
-    Field<std::int64_t> outcomes;
-    Field<FilteredSample> rows;
-    Field<FusedSample> fused;
-    Field<Correction> journal;
-};
-
-void run_all(Filters filter, Ring ring, nb::handle arrivals, nb::handle trace) {
-    const HeldTrace held(trace);
-    const Field<ImuSample> samples(arrivals, "samples");
-    const Field<Measurement> measurements(arrivals, "measurements");
-    const Field<std::int64_t> after(arrivals, "after");
-    Trace written = held.trace();
-    run(only(filter), ring, {samples.all(), measurements.all(), after.all()}, written);
+Trace trace_of(const TraceFields& fields) {
+    const auto& [progress, outcomes, rows, fused, journal] = fields;
+    return {only(progress), outcomes, rows, fused, journal};
 }
 
-void record_newest(Filters filter, Ring ring, nb::handle trace, std::int64_t sample) {
-    const HeldTrace held(trace);
-    Trace written = held.trace();
-    record(Buffer(only(filter), ring), only(filter), written, sample);
+void run_all(Filters filter, Ring ring, const ArrivalFields& arrivals, const TraceFields& fields) {
+    Trace trace = trace_of(fields);
+    run(only(filter), ring, made_of<Arrivals>(arrivals), trace);
 }
 
-// The arrays of a tape, held as long as a call lasts.
-struct HeldTape {
-    explicit HeldTape(nb::handle tape)
-        : length(tape, "length"),
-          events(tape, "events"),
-          steps(tape, "steps"),
-          scalars(tape, "scalars"),
-          estimates(tape, "estimates") {}
+void record_newest(Filters filter, Ring ring, const TraceFields& fields, std::int64_t sample) {
+    Trace trace = trace_of(fields);
+    record(Buffer(only(filter), ring), only(filter), trace, sample);
+}
 
-    Tape tape() const { return {length.only(), events.all(), steps.all(), scalars.all(), estimates.all()}; }
+using TapeFields = std::
+    tuple<Records<Length>, Records<std::int64_t>, Records<Transition>, Records<Scalar>, Records<Estimate>>;
 
-    Field<Length> length;
-    Field<std::int64_t> events;
-    Field<Transition> steps;
-    Field<Scalar> scalars;
-    Field<Estimate> estimates;
-};
+Tape tape_of(const TapeFields& fields) {
+    const auto& [length, events, steps, scalars, estimates] = fields;
+    return {only(length), events, steps, scalars, estimates};
+}
 
 std::int64_t forward_pass(
-    nb::handle inputs,
+    const std::tuple<Records<ImuSample>, Records<Correction>, Records<Noise>>& inputs,
     Records<Estimate> estimate,
     std::int64_t first,
     std::int64_t last,
     std::int64_t applied,
-    nb::handle tape
+    const TapeFields& fields
 ) {
-    const Field<ImuSample> imu(inputs, "imu");
-    const Field<Correction> journal(inputs, "journal");
-    const Field<Noise> noise(inputs, "noise");
-    const HeldTape held(tape);
-    Tape written = held.tape();
-    return forward({imu.all(), journal.all(), noise.only()}, only(estimate), first, last, applied, written);
+    const auto& [imu, journal, noise] = inputs;
+    Tape tape = tape_of(fields);
+    return forward({imu, journal, only(noise)}, only(estimate), first, last, applied, tape);
 }
 
 void backward_pass(
-    nb::handle tape,
+    const TapeFields& fields,
     Records<ErrorVector> adjoint,
     Records<ErrorMatrix> information,
     Records<EstimatedSample> smoothed
 ) {
-    const HeldTape held(tape);
-    Tape read = held.tape();
-    backward(read, only(adjoint), only(information), smoothed);
+    Tape tape = tape_of(fields);
+    backward(tape, only(adjoint), only(information), smoothed);
 }
 
 void find_pose_information(

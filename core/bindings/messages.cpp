@@ -148,28 +148,21 @@ void prediction_values(Records<const Wrench> wrenches, std::size_t first, Record
     }
 }
 
-// The arrays of reports, held as long as a call lasts.
-struct HeldReports {
-    explicit HeldReports(nb::handle reports)
-        : rpm(reports, "rpm"), marks(reports, "marks"), verdict(reports, "verdict") {}
+using ReportFields = std::tuple<Stamps, Records<double>, Records<std::int64_t>, Records<std::uint8_t>>;
 
-    EscReports reports(std::size_t messages, std::size_t rotors) const {
-        const EscReports found{rpm.all(), marks.all(), verdict.all()};
-        require(found.of(messages, rotors), "reports of different numbers");
-        return found;
-    }
-
-    Field<double> rpm;
-    Field<std::int64_t> marks;
-    Field<std::uint8_t> verdict;
-};
+EscReports reports_of(const ReportFields& fields, std::size_t messages, std::size_t rotors) {
+    const auto& [time_ns, rpm, marks, verdict] = fields;
+    const EscReports found{rpm, marks, verdict};
+    require(time_ns.size == messages && found.of(messages, rotors), "reports of different numbers");
+    return found;
+}
 
 void take_numbered_escs(
     Records<const std::int64_t> counts,
     Records<const double> rpm,
     Records<const std::int64_t> marks,
     Records<const std::int64_t> wanted,
-    nb::handle reports
+    const ReportFields& reports
 ) {
     const EscArray array{rpm, marks};
     require(check(counts, array), "reports of other numbers than their messages count");
@@ -177,8 +170,7 @@ void take_numbered_escs(
     for (const std::int64_t number : wanted) {
         require(number >= 0, "a negative number of an ESC");
     }
-    const HeldReports held(reports);
-    EscReports found = held.reports(counts.size, wanted.size);
+    EscReports found = reports_of(reports, counts.size, wanted.size);
     take_numbered(counts, array, wanted, found);
 }
 
@@ -188,30 +180,24 @@ void take_escs_of_motors(
     Records<const std::int64_t> marks,
     Records<const std::int64_t> online,
     Records<const std::int64_t> wanted,
-    nb::handle reports
+    const ReportFields& reports
 ) {
     require(rpm.size == functions.size && marks.size == functions.size, "reports of different numbers");
-    const HeldReports held(reports);
-    EscReports found = held.reports(online.size, wanted.size);
+    EscReports found = reports_of(reports, online.size, wanted.size);
     take_of_motors(functions, {rpm, marks}, online, wanted, found);
 }
 
-void judge_esc_news(nb::handle reports, Records<EscMemory> memory) {
-    const Field<const std::int64_t> time_ns(reports, "time_ns");
-    const Field<const std::int64_t> marks(reports, "marks");
-    const Field<std::uint8_t> verdict(reports, "verdict");
-    const std::size_t messages = time_ns.all().size;
-    const std::size_t rotors = messages > 0 ? marks.all().size / messages : 0;
-    require(
-        marks.all().size == messages * rotors && verdict.all().size == messages,
-        "reports of different numbers"
-    );
+void judge_esc_news(const ReportFields& reports, Records<EscMemory> memory) {
+    const auto& [time_ns, rpm, all_marks, verdict] = reports;
+    const Records<const std::int64_t> marks{all_marks.data, all_marks.size};
+    const std::size_t messages = time_ns.size;
+    const std::size_t rotors = messages > 0 ? marks.size / messages : 0;
+    reports_of(reports, messages, rotors);
     require(rotors <= ROTORS_MAX, "more rotors than are known");
     require(memory.size == 1, "not one memory of ESCs");
     for (std::size_t n = 0; n < messages; ++n) {
-        std::uint8_t& found = verdict.all()[n];
-        if (found == SAMPLE) {
-            found = judge_news(time_ns.all()[n], marks.all().part(n * rotors, (n + 1) * rotors), memory[0]);
+        if (verdict[n] == SAMPLE) {
+            verdict[n] = judge_news(time_ns[n], marks.part(n * rotors, (n + 1) * rotors), memory[0]);
         }
     }
 }

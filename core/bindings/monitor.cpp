@@ -55,33 +55,30 @@ nb::tuple take_samples(HeldPairing& held, Records<std::int64_t> taken_ns, Record
     return nb::make_tuple(held.pairing().take(taken_ns, taken.data), changed);
 }
 
+using Stamps = Records<const std::int64_t>;
+using Vectors = Records<const Vector3>;
+using Arriving = std::tuple<
+    Stamps,
+    Stamps,
+    Stamps,
+    Vectors,
+    Stamps,
+    Records<const StateValues>,
+    Stamps,
+    Records<const double>,
+    Stamps,
+    Vectors>;
+
 nb::tuple take_stretch(
     HeldPairing& pairing,
-    nb::handle arriving,
+    const Arriving& arriving,
     std::int64_t start,
     Records<std::int64_t> taken_ns,
     Records<double> taken
 ) {
-    const Field<const std::int64_t> kind(arriving, "kind"), row(arriving, "row"), imu_ns(arriving, "imu_ns");
-    const Field<const std::int64_t> state_ns(arriving, "state_ns"), rotor_ns(arriving, "rotor_ns");
-    const Field<const std::int64_t> wind_ns(arriving, "wind_ns");
-    const Field<const Vector3> specific_force(arriving, "specific_force"), wind(arriving, "wind");
-    const Field<const StateValues> values(arriving, "states");
-    const Field<const double> rotor_speeds(arriving, "rotor_speeds");
-    const ArrivingSamples samples{
-        kind.all(),
-        row.all(),
-        imu_ns.all(),
-        specific_force.all(),
-        state_ns.all(),
-        values.all(),
-        rotor_ns.all(),
-        rotor_speeds.all(),
-        wind_ns.all(),
-        wind.all(),
-    };
+    const auto samples = made_of<ArrivingSamples>(arriving);
     const auto rotors = checked_rotors(pairing.state.only().rotors);
-    require(rotor_speeds.all().size == rotor_ns.all().size * rotors, DIFFERENT);
+    require(samples.rotor_speeds.size == samples.rotor_ns.size * rotors, DIFFERENT);
     const StretchEnd end = pairing.pairing().take_stretch(samples, start, taken_ns, taken.data);
     return nb::make_tuple(end.event, end.begin, end.count);
 }

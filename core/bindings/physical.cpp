@@ -78,37 +78,20 @@ private:
     PhysicalEvaluator model;
 };
 
-// The arrays of a flight that is rolled out, held as long as a call lasts.
-struct HeldTrack {
-    explicit HeldTrack(nb::handle track)
-        : step(nb::cast<double>(track.attr("step"))),
-          mass(nb::cast<double>(track.attr("mass"))),
-          gravity(nb::cast<double>(track.attr("gravity"))),
-          motion(track, "motion"),
-          attitude(track, "attitude"),
-          vehicle(track, "vehicle"),
-          inertia(track, "inertia"),
-          inverse_inertia(track, "inverse_inertia") {}
+using TrackFields = std::tuple<
+    double,
+    Motions,
+    Records<const Quaternion>,
+    Vehicles,
+    double,
+    double,
+    Records<const Matrix3>,
+    Records<const Matrix3>>;
 
-    RolloutTrack track() const {
-        return {
-            step,
-            motion.all(),
-            attitude.all(),
-            vehicle.only(),
-            mass,
-            gravity,
-            inertia.only(),
-            inverse_inertia.only(),
-        };
-    }
-
-    double step, mass, gravity;
-    Field<const MotionSample> motion;
-    Field<const Quaternion> attitude;
-    Field<const PhysicalVehicle> vehicle;
-    Field<const Matrix3> inertia, inverse_inertia;
-};
+RolloutTrack track_of(const TrackFields& fields) {
+    const auto& [step, motion, attitude, vehicle, mass, gravity, inertia, inverse_inertia] = fields;
+    return {step, motion, attitude, only(vehicle), mass, gravity, only(inertia), only(inverse_inertia)};
+}
 
 // Refuse roll-outs that do not lie within a flight.
 void require_within(const RolloutTrack& track, const RollOuts& wanted) {
@@ -126,23 +109,19 @@ void require_within(const RolloutTrack& track, const RollOuts& wanted) {
 }
 
 void roll_out_all(
-    nb::handle track,
+    const TrackFields& track,
     Records<const std::int64_t> starts,
     Records<const std::int64_t> horizons,
     Records<const TermValues> parameters,
-    nb::handle disturbances,
-    nb::handle rolled
+    const std::tuple<Records<const Wrench>, Records<const Matrix<AXES, TERMS>>, Records<const Wrench>>&
+        disturbances,
+    const std::tuple<Records<StateError>, Records<Sensitivity>, Records<Moving>>& rolled
 ) {
-    const HeldTrack held(track);
-    const Field<const Wrench> wrench(disturbances, "wrench"), decay(disturbances, "decay");
-    const Field<const Matrix<AXES, TERMS>> slopes(disturbances, "slopes");
-    const Field<StateError> errors(rolled, "errors");
-    const Field<Sensitivity> derivatives(rolled, "derivatives");
-    const Field<Moving> path(rolled, "path");
+    const auto& [wrench, slopes, decay] = disturbances;
     const RollOuts wanted{starts, horizons};
-    const RolloutTrack flight = held.track();
-    const Disturbances known{wrench.all(), slopes.all(), decay.only()};
-    const RolledOut filled{errors.all(), derivatives.all(), path.all()};
+    const RolloutTrack flight = track_of(track);
+    const Disturbances known{wrench, slopes, only(decay)};
+    const auto filled = made_of<RolledOut>(rolled);
     require_within(flight, wanted);
     const std::size_t count = starts.size, all = count * horizons.size;
     require(known.wrench.size == count && filled.errors.size == all, DIFFERENT);
@@ -155,23 +134,26 @@ void roll_out_all(
     roll_out(flight, wanted, values, known, filled);
 }
 
+using UncertaintyFields = std::tuple<
+    Records<const StateError>,
+    Records<const Wrench>,
+    Records<const Wrench>,
+    Records<const Wrench>,
+    Records<const Matrix<TERMS, TERMS>>>;
+
 void spread_errors(
-    nb::handle track,
+    const TrackFields& track,
     Records<const std::int64_t> starts,
     Records<const std::int64_t> horizons,
     Records<const Moving> path,
     Records<const TermValues> parameters,
-    nb::handle uncertainty,
+    const UncertaintyFields& uncertainty,
     Records<RolloutCovariance> covariance
 ) {
-    const HeldTrack held(track);
-    const Field<const StateError> state(uncertainty, "state");
-    const Field<const Wrench> wrench(uncertainty, "wrench"), drive(uncertainty, "drive");
-    const Field<const Wrench> decay(uncertainty, "decay");
-    const Field<const Matrix<TERMS, TERMS>> of_parameters(uncertainty, "parameters");
+    const auto& [state, wrench, drive, decay, of_parameters] = uncertainty;
     const RollOuts wanted{starts, horizons};
-    const RolloutTrack flight = held.track();
-    const Uncertainty begin{state.only(), wrench.only(), drive.only(), decay.only(), of_parameters.only()};
+    const RolloutTrack flight = track_of(track);
+    const Uncertainty begin{only(state), only(wrench), only(drive), only(decay), only(of_parameters)};
     require_within(flight, wanted);
     require(path.size == starts.size * (wanted.last() + 1), DIFFERENT);
     require(covariance.size == starts.size * horizons.size, DIFFERENT);

@@ -1,10 +1,11 @@
 // SPDX-FileCopyrightText: 2026 The quadpi authors
 // SPDX-License-Identifier: Apache-2.0
 // Arrays of Python as records: any contiguous buffer whose elements have the size of the type. It must be
-// writable, but for records that are const.
+// writable, but for records that are const. A named tuple of arrays comes as a std::tuple of records.
 #pragma once
 
 #include <nanobind/nanobind.h>
+#include <nanobind/stl/tuple.h>
 
 #include <cstdint>
 #include <cstring>
@@ -112,6 +113,12 @@ template <class T>
 T& only(Records<T> records) {
     require(records.size >= 1, "an empty array for a record");
     return records[0];
+}
+
+// A structure of records from those of a named tuple with the same fields.
+template <class Structure, class... T>
+Structure made_of(const std::tuple<T...>& fields) {
+    return std::apply([](const T&... field) { return Structure{field...}; }, fields);
 }
 
 // Records in an attribute of a Python object, held as long as this lives.

@@ -117,44 +117,29 @@ Law law_of(nb::handle given, const VehicleNumbers& vehicle, Parameters numbers) 
     };
 }
 
-// What of a demand and of controls Python holds, as long as a call lasts.
-struct HeldDemand {
-    explicit HeldDemand(nb::handle given)
-        : position(given, "position"),
-          velocity(given, "velocity"),
-          acceleration(given, "acceleration"),
-          jerk(given, "jerk"),
-          wind(given, "wind"),
-          yaw(given, "yaw"),
-          yaw_rate(given, "yaw_rate"),
-          thrust(given, "thrust"),
-          tilt(given, "tilt") {
-        const std::size_t count = yaw.all().size;
-        for (const auto* vectors : {&position, &velocity, &acceleration, &jerk, &wind}) {
-            require(vectors->all().size == count, DIFFERENT);
-        }
-        const bool same = yaw_rate.all().size == count && thrust.all().size == count;
-        require(count > 0 && same && tilt.all().size == count, DIFFERENT);
-    }
+using Vectors = Records<const Vector3>;
+using DemandFields = std::tuple<
+    Vectors,
+    Vectors,
+    Vectors,
+    Vectors,
+    Parameters,
+    Parameters,
+    Records<const std::array<double, 2>>,
+    Parameters,
+    Vectors>;
 
-    Demand demand() const {
-        return {
-            position.all(),
-            velocity.all(),
-            acceleration.all(),
-            jerk.all(),
-            yaw.all(),
-            yaw_rate.all(),
-            tilt.all(),
-            thrust.all(),
-            wind.all(),
-        };
+Demand demand_of(const DemandFields& fields) {
+    const auto demand = made_of<Demand>(fields);
+    const std::size_t count = demand.yaw.size;
+    for (const Vectors& vectors :
+         {demand.position, demand.velocity, demand.acceleration, demand.jerk, demand.wind}) {
+        require(vectors.size == count, DIFFERENT);
     }
-
-    Field<const Vector3> position, velocity, acceleration, jerk, wind;
-    Field<const double> yaw, yaw_rate, thrust;
-    Field<const std::array<double, 2>> tilt;
-};
+    const bool same = demand.yaw_rate.size == count && demand.thrust.size == count;
+    require(count > 0 && same && demand.tilt.size == count, DIFFERENT);
+    return demand;
+}
 
 // Of arrays by the vehicle's rotors there is a copy with room for more; give_back() ends with it.
 struct HeldControls {
@@ -194,7 +179,7 @@ void fly_along(
     Parameters numbers,
     nb::sequence effects,
     nb::handle given_controls,
-    nb::handle given_demand,
+    const DemandFields& given_demand,
     Records<IntegratedMotion> motions,
     Records<State> state,
     Records<Logged> log,
@@ -207,9 +192,8 @@ void fly_along(
         physics.effects.push_back([&one](State& now) { one.add_to(now); });
     }
     HeldControls held_controls(given_controls);
-    const HeldDemand held_demand(given_demand);
     Controls controls = held_controls.controls();
-    const Demand demand = held_demand.demand();
+    const Demand demand = demand_of(given_demand);
     require(log.size >= 2 && log.size <= demand.yaw.size, DIFFERENT);
     require((demand.yaw.size - 1) % (log.size - 1) == 0, "a log of other instants than those of the demand");
     require(motions.size == MOTIONS, "not the memory of the integrator");
@@ -337,12 +321,15 @@ void bind_simulation(nb::module_& module) {
     module.def("fly", &fly_along);
     module.def(
         "control",
-        [](nb::handle given, Records<const IntegratedMotion> motion, nb::handle demand, std::size_t step) {
+        [](nb::handle given,
+           Records<const IntegratedMotion> motion,
+           const DemandFields& given_demand,
+           std::size_t step) {
             HeldControls held(given);
-            const HeldDemand held_demand(demand);
-            require(step < held_demand.demand().yaw.size, "no such instant");
+            const Demand demand = demand_of(given_demand);
+            require(step < demand.yaw.size, "no such instant");
             Controls controls = held.controls();
-            control(controls, only(motion), held_demand.demand(), step);
+            control(controls, only(motion), demand, step);
             held.give_back();
         }
     );

@@ -30,7 +30,7 @@ struct FusedSample {
 constexpr int ODOMETRY_STATES = 12;
 using OdometryJacobian = std::array<std::array<double, ODOMETRY_STATES>, 6>;
 
-// J P Jᵀ of the first columns of P.
+// J P Jᵀ of the first columns of P; most of J is zero.
 inline Matrix6 sandwich(const OdometryJacobian& by, const ErrorMatrix& covariance) {
     OdometryJacobian projected{};
     for (int row = 0; row < 6; ++row) {
@@ -43,15 +43,18 @@ inline Matrix6 sandwich(const OdometryJacobian& by, const ErrorMatrix& covarianc
             }
         }
     }
-    Matrix6 out;
-    for (int row = 0; row < 6; ++row) {
-        for (int other = 0; other <= row; ++other) {
-            double total = 0.0;
-            for (int column = 0; column < ODOMETRY_STATES; ++column) {
-                total += projected[row][column] * by[other][column];
+    Matrix6 out{};
+    for (int other = 0; other < 6; ++other) {
+        for (int column = 0; column < ODOMETRY_STATES; ++column) {
+            const double factor = by[other][column];
+            if (factor != 0.0) {
+                for (int row = other; row < 6; ++row) {
+                    out[row][other] += projected[row][column] * factor;
+                }
             }
-            out[row][other] = total;
-            out[other][row] = total;
+        }
+        for (int row = other + 1; row < 6; ++row) {
+            out[other][row] = out[row][other];
         }
     }
     return out;

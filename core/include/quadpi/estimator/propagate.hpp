@@ -15,20 +15,16 @@ namespace quadpi {
 // Motion capture whose stamps are off by more cannot be fused from the buffer [s].
 constexpr double DELAY_MAX_S = 0.35;
 
-// Turn the attitude by a rotation vector [rad] in body axes.
-inline void turn_by(NominalState& state, const Vector3& turn) {
-    state.attitude = normalised(product(state.attitude, from_rotation_vector(turn)));
-}
-
-// Linearise a step about the attitude in its middle.
-inline void linearise_step(
+// Linearise a step about the attitude in its middle; gives the rotation of the step in body axes.
+inline Quaternion linearise_step(
     const Estimate& estimate, double dt, const Vector3& rates, const Vector3& force, Transition& transition
 ) {
     const Vector3 turn = minus(rates, estimate.gyro_bias, dt);
     const auto [f0, f1, f2] = minus(force, estimate.accelerometer_bias, 1.0);
     const Quaternion half_turn = from_rotation_vector({0.5 * turn[0], 0.5 * turn[1], 0.5 * turn[2]});
     const Matrix3 rotation = rotation_matrix(product(estimate.attitude, half_turn));
-    transition.attitude_by_attitude = rotation_matrix(from_rotation_vector({-turn[0], -turn[1], -turn[2]}));
+    const Quaternion whole_turn = from_rotation_vector(turn);
+    transition.attitude_by_attitude = rotation_matrix(inverse(whole_turn));
     transition.dt = dt;
     for (int axis = 0; axis < 3; ++axis) {
         const auto [r0, r1, r2] = rotation[axis];
@@ -37,6 +33,7 @@ inline void linearise_step(
         transition.velocity_by_attitude[axis] = {b * f2 - c * f1, c * f0 - a * f2, a * f1 - b * f0};
         transition.world_force[axis] = r0 * f0 + r1 * f1 + r2 * f2;
     }
+    return whole_turn;
 }
 
 // P ← F P in place: position, velocity, attitude in the order in which they feed each other.
@@ -110,7 +107,7 @@ inline void propagate(
     const Vector3& force,
     Transition& transition
 ) {
-    linearise_step(estimate, dt, rates, force, transition);
+    const Quaternion turn = linearise_step(estimate, dt, rates, force, transition);
     for (int axis = 0; axis < 3; ++axis) {
         double acceleration = transition.world_force[axis];
         if (axis == 2) {
@@ -119,7 +116,7 @@ inline void propagate(
         estimate.position[axis] += (estimate.velocity[axis] + 0.5 * acceleration * dt) * dt;
         estimate.velocity[axis] += acceleration * dt;
     }
-    turn_by(estimate, minus(rates, estimate.gyro_bias, dt));
+    estimate.attitude = normalised(product(estimate.attitude, turn));
 
     ErrorMatrix& covariance = estimate.covariance;
     transform_rows(covariance, transition);
@@ -226,7 +223,8 @@ inline void inject(NominalState& state, const ErrorVector& error) {
         state.gyro_bias[axis] += error[GYRO_BIAS + axis];
         state.accelerometer_bias[axis] += error[ACCELEROMETER_BIAS + axis];
     }
-    turn_by(state, {error[ATTITUDE], error[ATTITUDE + 1], error[ATTITUDE + 2]});
+    const Vector3 turn{error[ATTITUDE], error[ATTITUDE + 1], error[ATTITUDE + 2]};
+    state.attitude = normalised(product(state.attitude, from_rotation_vector(turn)));
     state.delay = std::min(std::max(state.delay + error[DELAY], -DELAY_MAX_S), DELAY_MAX_S);
 }
 

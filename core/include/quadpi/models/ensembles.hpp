@@ -332,40 +332,7 @@ inline void fill_intervals(
     }
 }
 
-// Fill the evaluation of the axes held, but for the leverage.
-inline void evaluate(
-    const Ensembles& model,
-    Records<const InputVector> inputs,
-    const Wrench& factors,
-    const EnsembleScratch& scratch,
-    const Evaluation& out
-) {
-    const std::size_t most_inputs = model.source.size / AXES;
-    for (std::size_t start = 0; start < inputs.size; start += ENSEMBLE_BLOCK) {
-        const std::size_t samples = std::min(inputs.size - start, ENSEMBLE_BLOCK);
-        const Rows rows(scratch.rows, samples == 1 ? 1 : ENSEMBLE_BLOCK);
-        fill_rows(inputs.part(start, start + samples), model.operations, rows);
-        for (std::size_t axis = 0; axis < AXES; ++axis) {
-            const EnsembleAxis& fitted = model.axes[axis];
-            if (fitted.banks[MEMBERS].networks == 0) {
-                continue;
-            }
-            for (std::size_t place = 0; place < BANKS; ++place) {
-                const BankTables bank(
-                    fitted.banks[place], model.weights, model.source.data + axis * most_inputs
-                );
-                if (samples == 1) {
-                    evaluate_one(bank, rows, place, scratch);
-                } else {
-                    evaluate_block(bank, rows, samples, place, scratch);
-                }
-            }
-            fill_intervals(fitted, axis, factors[axis], start, samples, scratch, out);
-        }
-    }
-}
-
-// The ensembles of a model, with room for a block.
+// The ensembles of a model, with room for a block; there is no leverage of theirs.
 struct EnsembleEvaluator final : Evaluator {
     EnsembleEvaluator(const Ensembles& its_model, const EnsembleScratch& its_scratch)
         : model(its_model), scratch(its_scratch) {}
@@ -379,7 +346,29 @@ struct EnsembleEvaluator final : Evaluator {
         const Wrench& factors,
         const Evaluation& out
     ) override {
-        quadpi::evaluate(model, inputs, factors, scratch, out);
+        const std::size_t most_inputs = model.source.size / AXES;
+        for (std::size_t start = 0; start < inputs.size; start += ENSEMBLE_BLOCK) {
+            const std::size_t samples = std::min(inputs.size - start, ENSEMBLE_BLOCK);
+            const Rows rows(scratch.rows, samples == 1 ? 1 : ENSEMBLE_BLOCK);
+            fill_rows(inputs.part(start, start + samples), model.operations, rows);
+            for (std::size_t axis = 0; axis < AXES; ++axis) {
+                const EnsembleAxis& fitted = model.axes[axis];
+                if (fitted.banks[MEMBERS].networks == 0) {
+                    continue;
+                }
+                for (std::size_t place = 0; place < BANKS; ++place) {
+                    const BankTables bank(
+                        fitted.banks[place], model.weights, model.source.data + axis * most_inputs
+                    );
+                    if (samples == 1) {
+                        evaluate_one(bank, rows, place, scratch);
+                    } else {
+                        evaluate_block(bank, rows, samples, place, scratch);
+                    }
+                }
+                fill_intervals(fitted, axis, factors[axis], start, samples, scratch, out);
+            }
+        }
         scale_by_density(derivatives, out);
     }
 };

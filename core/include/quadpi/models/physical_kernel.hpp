@@ -132,28 +132,6 @@ inline PhysicalPrediction predict(
     return found;
 }
 
-// Fill the evaluation of the axes held.
-inline void evaluate(
-    const PhysicalModel& model,
-    Records<const InputVector> inputs,
-    Records<const Derivatives> derivatives,
-    const Wrench& factors,
-    const Evaluation& out
-) {
-    for (std::size_t i = 0; i < inputs.size; ++i) {
-        const PhysicalPrediction found = predict(model, inputs[i], derivatives[i]);
-        for (std::size_t axis = 0; axis < AXES; ++axis) {
-            const PhysicalAxis& fitted = model.common.axes[axis];
-            if (fitted.size > 0) {
-                out.fill(
-                    i, axis, found.predicted[axis], found.spread[axis], factors[axis], fitted.rms_spread
-                );
-                out.leverage[i][axis] = found.leverage[axis];
-            }
-        }
-    }
-}
-
 // A physical model, which needs no room.
 struct PhysicalEvaluator final : Evaluator {
     explicit PhysicalEvaluator(const PhysicalModel& its_model) : model(its_model) {}
@@ -168,7 +146,18 @@ struct PhysicalEvaluator final : Evaluator {
         const Wrench& factors,
         const Evaluation& out
     ) override {
-        quadpi::evaluate(model, inputs, derivatives, factors, out);
+        for (std::size_t i = 0; i < inputs.size; ++i) {
+            const PhysicalPrediction found = predict(model, inputs[i], derivatives[i]);
+            for (std::size_t axis = 0; axis < AXES; ++axis) {
+                const PhysicalAxis& fitted = model.common.axes[axis];
+                if (fitted.size > 0) {
+                    out.fill(
+                        i, axis, found.predicted[axis], found.spread[axis], factors[axis], fitted.rms_spread
+                    );
+                    out.leverage[i][axis] = found.leverage[axis];
+                }
+            }
+        }
     }
 };
 

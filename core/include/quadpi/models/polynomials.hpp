@@ -37,50 +37,6 @@ struct Polynomials {
     std::size_t longest() const { return terms.size / AXES; }
 };
 
-// Fill the evaluation of the axes held; `rows` has room for one sample.
-inline void evaluate(
-    const Polynomials& model,
-    Records<const InputVector> inputs,
-    const Wrench& factors,
-    const Rows& rows,
-    const Evaluation& out
-) {
-    const std::size_t longest = model.longest();
-    for (std::size_t i = 0; i < inputs.size; ++i) {
-        fill_rows(inputs.part(i, i + 1), model.operations, rows);
-        // u, v and w come first.
-        const double u = inputs[i][0], v = inputs[i][1], w = inputs[i][2];
-        const double speed_squared = u * u + v * v + w * w;
-        for (std::size_t axis = 0; axis < AXES; ++axis) {
-            const PolynomialAxis& fitted = model.axes[axis];
-            const PolynomialTerm* terms = model.terms.data + axis * longest;
-            const double* whitening = model.whitening + axis * longest * longest;
-            const auto size = static_cast<std::size_t>(fitted.size);
-            if (size == 0) {
-                continue;
-            }
-            double predicted = 0.0, leverage = 0.0;
-            for (std::size_t a = 0; a < size; a += TERMS_TOGETHER) {
-                std::array<double, TERMS_TOGETHER> whitened{};
-                for (std::size_t b = 0; b < a + TERMS_TOGETHER; ++b) {
-                    const double value = *rows[terms[b].row];
-                    for (std::size_t k = 0; k < TERMS_TOGETHER; ++k) {
-                        whitened[k] += whitening[(a + k) * longest + b] * value;
-                    }
-                }
-                for (std::size_t k = 0; k < TERMS_TOGETHER; ++k) {
-                    predicted += terms[a + k].coefficient * *rows[terms[a + k].row];
-                    leverage += whitened[k] * whitened[k];
-                }
-            }
-            const double spread =
-                std::sqrt(1.0 + fitted.inflation * leverage + fitted.growth * speed_squared);
-            out.fill(i, axis, predicted, spread, factors[axis], fitted.rms_spread);
-            out.leverage[i][axis] = leverage;
-        }
-    }
-}
-
 // The polynomials of a model, with room for the rows of one sample.
 struct PolynomialEvaluator final : Evaluator {
     PolynomialEvaluator(const Polynomials& its_model, const Rows& its_rows)
@@ -95,7 +51,40 @@ struct PolynomialEvaluator final : Evaluator {
         const Wrench& factors,
         const Evaluation& out
     ) override {
-        quadpi::evaluate(model, inputs, factors, rows, out);
+        const std::size_t longest = model.longest();
+        for (std::size_t i = 0; i < inputs.size; ++i) {
+            fill_rows(inputs.part(i, i + 1), model.operations, rows);
+            // u, v and w come first.
+            const double u = inputs[i][0], v = inputs[i][1], w = inputs[i][2];
+            const double speed_squared = u * u + v * v + w * w;
+            for (std::size_t axis = 0; axis < AXES; ++axis) {
+                const PolynomialAxis& fitted = model.axes[axis];
+                const PolynomialTerm* terms = model.terms.data + axis * longest;
+                const double* whitening = model.whitening + axis * longest * longest;
+                const auto size = static_cast<std::size_t>(fitted.size);
+                if (size == 0) {
+                    continue;
+                }
+                double predicted = 0.0, leverage = 0.0;
+                for (std::size_t a = 0; a < size; a += TERMS_TOGETHER) {
+                    std::array<double, TERMS_TOGETHER> whitened{};
+                    for (std::size_t b = 0; b < a + TERMS_TOGETHER; ++b) {
+                        const double value = *rows[terms[b].row];
+                        for (std::size_t k = 0; k < TERMS_TOGETHER; ++k) {
+                            whitened[k] += whitening[(a + k) * longest + b] * value;
+                        }
+                    }
+                    for (std::size_t k = 0; k < TERMS_TOGETHER; ++k) {
+                        predicted += terms[a + k].coefficient * *rows[terms[a + k].row];
+                        leverage += whitened[k] * whitened[k];
+                    }
+                }
+                const double spread =
+                    std::sqrt(1.0 + fitted.inflation * leverage + fitted.growth * speed_squared);
+                out.fill(i, axis, predicted, spread, factors[axis], fitted.rms_spread);
+                out.leverage[i][axis] = leverage;
+            }
+        }
         scale_by_density(derivatives, out);
     }
 };
