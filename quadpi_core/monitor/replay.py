@@ -30,7 +30,7 @@ from quadpi_core.flight import MAX_JUMP_BACK_NS, ImuStream, OdometryStream, Reco
 from quadpi_core.flight_files import FlightFile, LeftOutFlights, bags_in, for_each_flight
 from quadpi_core.frames import Array
 from quadpi_core.logs import blocks_of, decode_recording, identify_format, open_in_blocks
-from quadpi_core.logs.bag_writer import mcap_writer
+from quadpi_core.logs.bag_writer import FAST, mcap_writer
 from quadpi_core.logs.bags import output_topic
 from quadpi_core.messages import result_messages, sensor_messages
 from quadpi_core.messages.payloads import Topic
@@ -132,7 +132,7 @@ def _write(flight: RecordedFlight, monitor: Monitor, vehicle: Vehicle, output: P
     metadata = {"vehicle": vehicle.name, "model": monitor.model.identity}
     metadata |= {"source": flight.name, "version": __version__}
     tally = _Tally()
-    with mcap_writer(output, metadata) as writer:
+    with mcap_writer(output, metadata, FAST) as writer:
         names = ["odometry"] if flight.has_mocap else []
         writer.announce(
             {f"/{name}": TOPIC_TYPES[name] for name in [*names, "prediction", "extrapolation_alarm"]}
