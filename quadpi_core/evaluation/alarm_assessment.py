@@ -230,6 +230,15 @@ def rate_bound(events: int, hours: float) -> float | None:
     return float(gammaincinv(events + 1, BOUND_CONFIDENCE.value)) / hours if hours > 0.0 else None
 
 
+def rate_interval(events: int, hours: float) -> tuple[float, float] | None:
+    """Exact interval of a Poisson rate (Garwood 1936), at `BOUND_CONFIDENCE`; None without any time."""
+    tail = 0.5 * (1.0 - BOUND_CONFIDENCE.value)
+    if hours <= 0.0:
+        return None
+    low = float(gammaincinv(events, tail)) if events else 0.0
+    return low / hours, float(gammaincinv(events + 1, 1.0 - tail)) / hours
+
+
 @dataclass(frozen=True)
 class AlarmAssessment(Counted):
     """How good the alarm is on flights.
@@ -240,6 +249,8 @@ class AlarmAssessment(Counted):
         false_alarms_per_hour: inside the envelope; None for too short a time to state a rate.
         false_alarms_per_hour_bound: upper bound of the rate that the time supports, see :func:`rate_bound`;
             None without any time.
+        false_alarms_per_hour_interval: both ends of what the count leaves possible, see
+            :func:`rate_interval`.
         flights_off: flights in which the model is off.
         flights_undetected: flights off in which no alarm followed.
         detection_delay_s: median delay in the other flights off; None without any.
@@ -257,6 +268,7 @@ class AlarmAssessment(Counted):
     not_judged_reasons: tuple[NotJudgedReason, ...]
     false_alarms_per_hour: float | None
     false_alarms_per_hour_bound: float | None
+    false_alarms_per_hour_interval: tuple[float, float] | None
     flights_off: int
     flights_undetected: int
     detection_delay_s: float | None
@@ -288,6 +300,7 @@ def assess(flights: Sequence[Assessed]) -> AlarmAssessment:
         not_judged_reasons=reasons,
         false_alarms_per_hour=per_hour(counted.false_alarms, counted.hours_inside),
         false_alarms_per_hour_bound=rate_bound(counted.false_alarms, counted.hours_inside),
+        false_alarms_per_hour_interval=rate_interval(counted.false_alarms, counted.hours_inside),
         flights_off=len(delays),
         flights_undetected=len(delays) - len(detected),
         detection_delay_s=float(np.median(detected)) if detected else None,

@@ -18,10 +18,17 @@ import numpy.typing as npt
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.identification.prepared_flights import LiveSamples
-from quadpi_core.identification.tail_limits import Walk, lasting_maximum, next_flight, sums_of_misses
+from quadpi_core.identification.tail_limits import (
+    DRAWS,
+    Walk,
+    chances_to_exceed,
+    lasting_maximum,
+    next_flight,
+    sums_of_misses,
+)
 from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
 from quadpi_core.models.aerodynamic import Motion
-from quadpi_core.models.alarm_limits import FEWEST_FLIGHTS, AlarmLimits, allowance
+from quadpi_core.models.alarm_limits import BOUND_CONFIDENCE, FEWEST_FLIGHTS, AlarmLimits, allowance
 from quadpi_core.models.envelope import LEVERAGE_HEADROOM, WIDTH_HEADROOM, Envelope
 from quadpi_core.models.interval_rules import FEWEST_INSIDE, FlightErrors, HeldOutRule, inside_interval
 from quadpi_core.models.model_kind import Evaluation
@@ -41,6 +48,8 @@ class _Spread(NamedTuple):
 # (experiments/results/alarm.md).
 # For the width it concerns its square minus the squared median.
 _USUAL_SPREAD = _Spread(0.15, 0.8, 1.4)
+# Of the interval of an estimated rate, as a person reads it: 95 %.
+_ENDS = (0.5 - 0.5 * BOUND_CONFIDENCE.value, 0.5 + 0.5 * BOUND_CONFIDENCE.value)
 
 
 class Judged(Motion, Protocol):
@@ -107,7 +116,11 @@ def calibrate_alarm(
         return envelope, limits
     times = [flight.time for flight, _ in usual]
     hours = sum(float(time[-1] - time[0]) for time in times) / 3600.0
-    ratio, leverage, width = _limits_of_extrapolation(usual, 0.5 * rate_per_hour * hours / len(usual))
+    # Fixed, so that the same flights give the same model.
+    random = np.random.default_rng(0)
+    per_flight = 0.5 * rate_per_hour * hours / len(usual)
+    ratio, leverage, width, chances = _limits_of_extrapolation(usual, per_flight, random)
+    rates = chances * len(usual) / hours
     calibrated = replace(
         envelope,
         margin=np.full(len(INPUT_NAMES), 0.5 * (ratio - 1.0)),
@@ -121,18 +134,30 @@ def calibrate_alarm(
     pooled = float(np.mean([walk.mean for walk in walks.values()]))
     for axis, walk in walks.items():
         # There are too few flights to estimate the tail of each axis alone.
-        misses[axis] = replace(walk, mean=max(walk.mean, pooled)).limit(0.5 * rate_per_hour / len(walks))
-    return calibrated, replace(limits, miscoverage_s=misses, flights=len(usual), hours=hours)
+        walk = replace(walk, mean=max(walk.mean, pooled))  # noqa: PLW2901 - the same, less unsure
+        misses[axis] = walk.limit(0.5 * rate_per_hour / len(walks))
+        rates = rates + walk.rates(misses[axis], random)
+    low, high = np.quantile(rates, _ENDS)
+    estimate = (float(np.mean(rates)), float(low), float(high))
+    return calibrated, replace(
+        limits, miscoverage_s=misses, flights=len(usual), hours=hours, estimate_per_hour=estimate
+    )
 
 
 def _limits_of_extrapolation(
-    usual: Sequence[tuple[LeftOut, tuple[Array, Array]]], alarms_per_flight: float
-) -> tuple[float, float, float]:
+    usual: Sequence[tuple[LeftOut, tuple[Array, Array]]],
+    alarms_per_flight: float,
+    random: np.random.Generator,
+) -> tuple[float, float, float, Array]:
     """Limits of distance, leverage and width over their peaks in training; fixed ones without the signal.
 
     Args:
         usual: flights, each with the ranges of the others.
         alarms_per_flight: expected number of false alarms, of all signals together.
+        random: for what is not known of the tails.
+
+    Returns:
+        The limits, and numbers of false alarms in a flight that they may have (DRAWS,).
     """
     settings = MonitorSettings()
 
@@ -150,15 +175,19 @@ def _limits_of_extrapolation(
     widths, typical = largest(of_width), float(np.median(np.concatenate(of_width)))
     signals = 1 + bool(np.any(leverages)) + bool(np.any(widths))
     chance = -float(np.expm1(-alarms_per_flight / signals))
-    leverage, width = LEVERAGE_HEADROOM, WIDTH_HEADROOM
+    leverage, width, alarms = LEVERAGE_HEADROOM, WIDTH_HEADROOM, np.zeros(DRAWS)
+    # The limits never lie below what the training flights reached.
     if np.any(leverages):
-        leverage = next_flight(leverages, chance, _USUAL_SPREAD.leverage)
+        leverage = max(next_flight(leverages, chance, _USUAL_SPREAD.leverage), 1.0)
+        alarms += chances_to_exceed(leverage, leverages, _USUAL_SPREAD.leverage, random)
     if np.any(widths):
         # Variances add: only the part of the width beyond the median varies between flights.
-        width = float(np.sqrt(typical**2 + next_flight(widths**2 - typical**2, chance, _USUAL_SPREAD.width)))
-    # The limits never lie below what the training flights reached.
-    distance = next_flight(distances, chance, _USUAL_SPREAD.distance)
-    return max(distance, 1.0), max(leverage, 1.0), max(width, 1.0)
+        beyond = widths**2 - typical**2
+        width = max(float(np.sqrt(typical**2 + next_flight(beyond, chance, _USUAL_SPREAD.width))), 1.0)
+        alarms += chances_to_exceed(width**2 - typical**2, beyond, _USUAL_SPREAD.width, random)
+    distance = max(next_flight(distances, chance, _USUAL_SPREAD.distance), 1.0)
+    alarms += chances_to_exceed(distance, distances, _USUAL_SPREAD.distance, random)
+    return distance, leverage, width, alarms
 
 
 class LiveErrors(NamedTuple):

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.special import gammaincinv, stdtrit
+from scipy.special import gammaincinv, ndtr, stdtrit
 
 from quadpi_core.core import compiled
 from quadpi_core.frames import Array
@@ -31,6 +31,8 @@ _TAIL_SHARE, _TAIL_BLOCKS = 0.1, 10
 _SURE = 0.8
 # Least value, and least mean excess in seconds: a signal that never moved does not justify a tight limit.
 _LEAST = 0.02
+# Numbers drawn for what is not known of a tail.
+DRAWS = 4000
 # Bisections in the search for a largest sustained value: to 1e-9 of its range.
 _HALVINGS = 30
 
@@ -50,12 +52,33 @@ def next_flight(largest: Array, chance: float, usual_spread: float) -> float:
         chance: between 0 and 1.
         usual_spread: prior standard deviation of the logarithms.
     """
+    mean, spread, freedom, n = _spread_between(largest, usual_spread)
+    return float(np.exp(mean - stdtrit(freedom, chance) * spread * np.sqrt(1.0 + 1.0 / n)))
+
+
+def chances_to_exceed(
+    limit: float, largest: Array, usual_spread: float, random: np.random.Generator
+) -> Array:
+    """Chances (:data:`DRAWS`,) that one more flight exceeds a limit, as far as the flights tell.
+
+    Mean and spread are drawn as :func:`next_flight`, whose arguments these are, has them; with its own limit
+    the mean of the chances is its chance.
+    """
+    mean, spread, freedom, n = _spread_between(largest, usual_spread)
+    spreads = spread * np.sqrt(freedom / random.chisquare(freedom, DRAWS))
+    means = mean + spreads / np.sqrt(n) * random.standard_normal(DRAWS)
+    chances: Array = ndtr((means - np.log(max(limit, _LEAST))) / spreads)
+    return chances
+
+
+def _spread_between(largest: Array, usual_spread: float) -> tuple[float, float, int, int]:
+    """Mean and spread of the logarithms, the spread's degrees of freedom, and the number of flights."""
     logarithms = np.log(np.maximum(largest, _LEAST))
     n = len(logarithms)
     freedom = USUAL_FLIGHTS + n - 1
     own = float(np.square(logarithms - logarithms.mean()).sum())
-    spread = np.sqrt((USUAL_FLIGHTS * usual_spread**2 + own) / freedom * (1.0 + 1.0 / n))
-    return float(np.exp(logarithms.mean() - stdtrit(freedom, chance) * spread))
+    spread = float(np.sqrt((USUAL_FLIGHTS * usual_spread**2 + own) / freedom))
+    return float(logarithms.mean()), spread, freedom, n
 
 
 def lasting_maximum(values: Array, time: Array, persistence_s: float, release_s: float) -> float:
@@ -90,11 +113,15 @@ class Walk:
         mean: of the excess, s, at the upper end of its confidence interval with twice as many degrees of
             freedom as flights.
         per_hour: blocks beyond `start`.
+        count: number of these blocks.
+        freedom: degrees of freedom of `mean`.
     """
 
     start: float
     mean: float
     per_hour: float
+    count: int
+    freedom: float
 
     @classmethod
     def of(cls, sums: Sequence[Array], times: Sequence[Array]) -> Walk:
@@ -110,12 +137,20 @@ class Walk:
         freedom = 2.0 * len(sums)
         unsure = 0.5 * freedom / float(gammaincinv(0.5 * freedom, 1.0 - _SURE))
         excess = float(np.maximum(ordered - start, 0.0).sum()) / count
-        return cls(start, max(excess * unsure, _LEAST), count / hours)
+        return cls(start, max(excess * unsure, _LEAST), count / hours, count, freedom)
 
     def limit(self, rate_per_hour: float) -> float:
         """Level that is exceeded at this rate."""
         folds = float(np.log(max(self.per_hour / rate_per_hour, 1.0)))
         return self.start + self.mean * folds
+
+    def rates(self, limit: float, random: np.random.Generator) -> Array:
+        """Rates per hour (:data:`DRAWS`,) at which a level is exceeded, as far as the blocks tell."""
+        half = 0.5 * self.freedom
+        means = self.mean * float(gammaincinv(half, 1.0 - _SURE)) / random.gamma(half, size=DRAWS)
+        beyond = self.per_hour * random.gamma(self.count, size=DRAWS) / self.count
+        rates: Array = beyond * np.exp(-max(limit - self.start, 0.0) / means)
+        return rates
 
 
 def sums_of_misses(time: Array, miss: Array, allowed: float) -> Array:

@@ -59,6 +59,7 @@ class AlarmLimits:
         rate_per_hour: of false alarms, both causes together, that the limits were calibrated to.
         flights: held out that they were calibrated on; 0 says that the limits are plain fractions.
         hours: that these flights lasted.
+        estimate_per_hour: of false alarms, by the form of the tails, and both ends of its interval.
     """
 
     allowance: float = field(default_factory=lambda: allowance(0.95))
@@ -67,6 +68,7 @@ class AlarmLimits:
     rate_per_hour: float = RATE_PER_HOUR
     flights: int = 0
     hours: float = 0.0
+    estimate_per_hour: tuple[float, float, float] | None = None
 
     @property
     def calibrated(self) -> bool:
@@ -92,17 +94,19 @@ class AlarmLimits:
                 "alarm uncalibrated: its limits are plain fractions beyond training, no rate is claimed; "
                 f"that takes {FEWEST_FLIGHTS} flights within each other's ranges"
             )
-        time = f"{60.0 * self.hours:.3g} min"
-        shown = (
-            f"{time} without an alarm bound it at {bound:.3g} per hour ({100.0 * BOUND_CONFIDENCE.value:g} %)"
-        )
+        time, sure = f"{60.0 * self.hours:.3g} min", f"{100.0 * BOUND_CONFIDENCE.value:g} %"
+        estimated = ""
+        if self.estimate_per_hour is not None:
+            rate, low, high = (f"{value:.2g}" for value in self.estimate_per_hour)
+            estimated = f"; estimated: {rate} per hour, {low} to {high} ({sure})"
+        shown = f"{time} without an alarm bound it at {bound:.3g} per hour ({sure})"
         rate = f"within what they show: {shown}"
         if self.rate_extrapolated:
             more = self.hours * (bound / self.rate_per_hour - 1.0)
             rate = f"extrapolated: {shown} only, {more:.2g} h more would bound it at that"
         return (
-            f"alarm calibrated to an estimated {self.rate_per_hour:g} false alarms per flight hour on "
-            f"{self.flights} flights, each left out in turn ({time}); the rate is {rate}"
+            f"alarm calibrated to {self.rate_per_hour:g} false alarms per flight hour on "
+            f"{self.flights} flights, each left out in turn ({time}){estimated}; the rate is {rate}"
         )
 
     def to_json(self) -> dict[str, Any]:
@@ -131,3 +135,4 @@ class _Stored:
     rate_per_hour: Positive
     flights: Annotated[int, Within(0)]
     hours: NotNegative
+    estimate_per_hour: tuple[NotNegative, NotNegative, NotNegative] | None = None

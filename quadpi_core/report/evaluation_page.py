@@ -144,10 +144,12 @@ def alarm_sentence(alarm: AlarmAssessment) -> str:
     """False alarms, detection, and how well each signal separates misses, in one sentence."""
     parts = []
     if alarm.hours_inside > 0.0:
-        rate = alarm.false_alarms_per_hour
-        stated = "too short for a rate" if rate is None else f"{number(rate)} per hour"
-        if (bound := alarm.false_alarms_per_hour_bound) is not None:
-            stated += f"; at most {number(bound)} per hour, at {nominal(BOUND_CONFIDENCE.value)}"
+        rate, ends = alarm.false_alarms_per_hour, alarm.false_alarms_per_hour_interval
+        stated, sure = "too short for a rate", nominal(BOUND_CONFIDENCE.value)
+        if rate is not None and ends is not None:
+            stated = f"estimated: {number(rate)} per hour, {number(ends[0])} to {number(ends[1])}, at {sure}"
+        elif (bound := alarm.false_alarms_per_hour_bound) is not None:
+            stated += f"; at most {number(bound)} per hour, at {sure}"
         false = _count(alarm.false_alarms, "false alarm")
         parts.append(f"{false} in {_duration(alarm.hours_inside)} inside the envelope ({stated})")
     if alarm.hours_outside > 0.0:

@@ -56,7 +56,12 @@ def test_a_rate_takes_a_minute(duration_s, stated):
     assert ("too short for a rate" in sentence) is not stated
     # Exact Poisson bound of one event: 4.74 over the time.
     assert found.false_alarms_per_hour_bound == pytest.approx(4.744 / found.hours_inside, rel=1e-3)
-    assert f"at most {number(found.false_alarms_per_hour_bound)} per hour" in sentence
+    # Exact Poisson interval of one event: 0.0253 to 5.572.
+    low, high = found.false_alarms_per_hour_interval
+    assert (low, high) == pytest.approx((0.0253 / found.hours_inside, 5.572 / found.hours_inside), rel=1e-3)
+    at_most = f"at most {number(found.false_alarms_per_hour_bound)} per hour"
+    estimated = f"estimated: {number(1.0 / found.hours_inside)} per hour, {number(low)} to {number(high)}, at"
+    assert (estimated if stated else at_most) in sentence
 
 
 def test_flights_add_up_to_a_minute_and_what_was_not_monitored_does_not_count():

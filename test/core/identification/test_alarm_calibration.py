@@ -70,6 +70,10 @@ def raised(envelope: Envelope, limits: AlarmLimits, flight: LeftOut) -> dict[int
 def test_stated_rate_holds_on_new_flights_whatever_the_correlation(correlation_s):
     flights = [left_out(60.0, seed, correlation_s) for seed in range(20)]
     envelope, limits = calibrated(flights, rate_per_hour=10.0)
+    assert limits.estimate_per_hour is not None
+    rate, low, high = limits.estimate_per_hour
+    assert low < rate < high
+    assert low < 10.0 < high
     counts = [raised(envelope, limits, left_out(3600.0, seed, correlation_s)) for seed in (101, 102)]
     total = sum(sum(count.values()) for count in counts)
     # Poisson: 20 expected in two hours if the rate is met exactly; 31 has a chance of 1 %.

@@ -4,9 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.stats import binomtest, chi2, t
+from scipy.stats import binomtest, chi2, norm, t
 
-from quadpi_core.identification.tail_limits import Walk, lasting_maximum, next_flight, sums_of_misses
+from quadpi_core.identification.tail_limits import (
+    Walk,
+    chances_to_exceed,
+    lasting_maximum,
+    next_flight,
+    sums_of_misses,
+)
 
 PERSISTENCE_S, RELEASE_S = 0.1, 0.5
 STEP_S = 0.01
@@ -23,6 +29,33 @@ def test_one_more_flight_passes_its_limit_with_the_chance(flights, chance):
     drawn = np.exp(0.3 + spread * rng.standard_normal((4000, flights + 1)))
     passed = sum(one[-1] > next_flight(one[:-1], chance, USUAL) for one in drawn)
     assert binomtest(passed, len(drawn), chance).pvalue > 0.01
+
+
+def test_the_chances_at_a_limit_are_those_it_was_set_for_on_average_and_hold_the_truth():
+    rng, chance, held = np.random.default_rng(4), 0.02, 0
+    flights = np.exp(0.3 + USUAL * rng.standard_normal(12))
+    limit = next_flight(flights, chance, USUAL)
+    assert np.mean(chances_to_exceed(limit, flights, USUAL, rng)) == pytest.approx(chance, rel=0.1)
+    for _ in range(300):
+        spread = USUAL * np.sqrt(6 / rng.chisquare(6))
+        flights = np.exp(0.3 + spread * rng.standard_normal(12))
+        limit = next_flight(flights, chance, USUAL)
+        low, high = np.quantile(chances_to_exceed(limit, flights, USUAL, rng), (0.025, 0.975))
+        held += low <= norm.sf((np.log(limit) - 0.3) / spread) <= high
+    assert binomtest(held, 300, 0.95).pvalue > 0.01
+
+
+def test_the_rates_of_a_walk_hold_the_truth():
+    rng, held = np.random.default_rng(6), 0
+    for _ in range(300):
+        # Of each block of 5 s one largest value, exponential about 1.
+        flights = [rng.exponential(size=60) for _ in range(12)]
+        time = 5.0 * np.arange(60.0) + 2.5
+        walk = Walk.of(flights, [time] * 12)
+        low, high = np.quantile(walk.rates(6.0, rng), (0.025, 0.975))
+        held += low <= 720.0 * np.exp(-6.0) <= high
+    # With twice as many degrees of freedom as flights, fewer than of independent blocks: it holds more often.
+    assert held >= 285
 
 
 def test_flights_that_differ_more_or_are_fewer_widen_the_limit():

@@ -13,13 +13,18 @@ from quadpi_core.errors import ModelError
 from quadpi_core.models.alarm_limits import AlarmLimits
 
 STORED = AlarmLimits(
-    miscoverage_s=np.arange(1.0, 7.0), hover_rotor_speed=900.0, flights=9, hours=0.5
+    miscoverage_s=np.arange(1.0, 7.0),
+    hover_rotor_speed=900.0,
+    flights=9,
+    hours=0.5,
+    estimate_per_hour=(1.2, 0.5, 2.4),
 ).to_json()
 
 
 def test_json_gives_the_same_limits() -> None:
     again = AlarmLimits.from_json(json.loads(json.dumps(STORED)))
     assert again.to_json() == STORED
+    assert "; estimated: 1.2 per hour, 0.5 to 2.4 (95 %); the rate is" in again.sentence()
     np.testing.assert_array_equal(again.miscoverage_s, np.arange(1.0, 7.0))
 
 
@@ -56,7 +61,7 @@ def test_the_rate_of_a_short_calibration_is_said_to_be_extrapolated() -> None:
     assert short.rate_bound_per_hour == pytest.approx(-np.log(0.05) / short.hours)
     assert short.rate_extrapolated
     assert short.sentence() == (
-        "alarm calibrated to an estimated 1 false alarms per flight hour on 15 flights, "
+        "alarm calibrated to 1 false alarms per flight hour on 15 flights, "
         "each left out in turn (1.61 min); "
         "the rate is extrapolated: 1.61 min without an alarm bound it at 112 per hour (95 %) only, "
         "3 h more would bound it at that"

@@ -129,6 +129,7 @@ def test_alarms_are_counted_in_words():
         hours_inside=0.005,
         false_alarms_per_hour=None,
         false_alarms_per_hour_bound=599.0,
+        false_alarms_per_hour_interval=(0.0, 738.0),
         alarms_outside=0,
         hours_outside=0.0,
         hours_monitored=0.005,
@@ -152,6 +153,7 @@ def test_alarms_are_counted_in_words():
         hours_inside=0.5,
         false_alarms_per_hour=2.0,
         false_alarms_per_hour_bound=9.49,
+        false_alarms_per_hour_interval=(0.0506, 11.1),
         alarms_outside=3,
         hours_outside=0.25,
         flights_off=1,
@@ -159,7 +161,8 @@ def test_alarms_are_counted_in_words():
         auroc={},
     )
     assert alarm_sentence(loud) == (
-        "1 false alarm in 30.0 min inside the envelope (2.00 per hour; at most 9.49 per hour, at 95\u00a0%); "
+        "1 false alarm in 30.0 min inside the envelope "
+        "(estimated: 2.00 per hour, 0.0506 to 11.1, at 95\u00a0%); "
         "3 alarms in 15.0 min outside the envelope; "
         "alarm on 1 of 1 flight in which the model is off, 0.47 s late"
     )
