@@ -26,7 +26,7 @@ FX, FZ, MY = 0, 2, 4
 
 
 class Samples:
-    """Samples well inside the envelope, to be disturbed by a test."""
+    """Samples well inside the envelope, to be disturbed by a test; intervals are 1 on either side."""
 
     def __init__(self, seconds: float) -> None:
         count = round(seconds * RATE_HZ)
@@ -39,7 +39,7 @@ class Samples:
         self.rates = np.zeros((count, 3))
         self.specific_force = np.full((count, 3), [0.0, 0.0, -9.81])
         self.rotor_speeds = np.zeros((count, 4))
-        self.measured = np.zeros((count, 6))
+        self.measured, self.predicted = np.zeros((2, count, 6))
         self.faults = np.zeros(count, dtype=np.int64)
         self.settled = np.ones(count, dtype=np.bool_)
 
@@ -60,9 +60,9 @@ class Samples:
             inputs, measured = self.inputs[keep][used], self.measured[keep][used]
             still = np.zeros(len(inputs), DERIVATIVES)
             prepared = Prepared(verdicts, inputs, measured, self.time_ns[keep][used], still)
-            bound = np.ones_like(prepared.measured)
+            said = self.predicted[keep][used]
             leverage, width = self.leverage[keep][used], self.width[keep][used]
-            yield alarm.step(prepared, Evaluation(0.0 * bound, -bound, bound, leverage, width))
+            yield alarm.step(prepared, Evaluation(said, said - 1.0, said + 1.0, leverage, width))
 
     def run(self, alarm: Alarm, block: int | None = None) -> Alarms:
         parts = list(self.parts(alarm, block or len(self.time_ns)))

@@ -13,8 +13,8 @@ from quadpi_core.errors import QuadpiError
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.monitor.alarm import Alarm, MonitorSettings
 from quadpi_core.monitor.alarm_log import reasons
-from quadpi_core.results import BAD_DATA, EXTRAPOLATION, LEVEL_ALARM, LEVEL_OK, LEVEL_WARNING, Alarms
-from test.core.monitor.alarm_samples import FX, LIMITS, MY, RATE_HZ, SETTINGS, Q, Samples, U, changes
+from quadpi_core.results import BAD_DATA, CAUSES, EXTRAPOLATION, LEVEL_ALARM, LEVEL_OK, LEVEL_WARNING, Alarms
+from test.core.monitor.alarm_samples import FX, FZ, LIMITS, MY, RATE_HZ, SETTINGS, Q, Samples, U, changes
 
 
 def test_step_out_and_back_is_raised_cleared_and_named(envelope):
@@ -97,6 +97,16 @@ def test_one_axis_is_enough(envelope, evidence):
     limit = {"leverage": 0.02, "width": 1.5}[evidence]
     assert getattr(rows, evidence)[-1, MY] == pytest.approx(beyond / limit)
     assert getattr(rows, evidence)[-1, FX] < 1.0
+
+
+@pytest.mark.parametrize(("measured", "level"), [(-10.0, LEVEL_ALARM), (-2.5, LEVEL_OK)])
+def test_rotors_that_turn_fast_for_a_load_are_no_extrapolation(envelope, measured, level):
+    """Where they give less thrust than they should, the vehicle is heavier and flies as in training."""
+    samples = Samples(1.0)
+    samples.inputs[:, INPUT_NAMES.index("omega_avg")] = 1.8
+    samples.predicted[:, FZ], samples.measured[:, FZ] = -10.0, measured
+    rows = samples.run(Alarm(envelope, LIMITS, SETTINGS))
+    assert rows.cause_level[-1, CAUSES.index(EXTRAPOLATION)] == level
 
 
 def test_inside_the_margin_is_no_evidence_but_is_shown(envelope):

@@ -27,8 +27,9 @@ constexpr double STATED_EVIDENCE = 20.0;
 
 // For this long after a sample beyond a warning of EXTRAPOLATION [s] a manoeuvre is unlike those of training.
 constexpr double UNLIKE_S = 2.0;
-// Inputs that leave their range where a vehicle is heavier, however it flies: v_in, omega_avg and mu_v_in.
-constexpr std::int64_t OF_THRUST = 1 << 3 | 1 << 7 | 1 << 18;
+// Inputs that leave their range where a vehicle is heavier, however it flies: v_in and these.
+constexpr int OMEGA_AVG = 7, MU_V_IN = 18;
+constexpr std::int64_t OF_THRUST = 1 << 3 | 1 << OMEGA_AVG | 1 << MU_V_IN;
 
 // Python's floor division, by a positive number.
 inline std::int64_t floor_divided(std::int64_t value, std::int64_t by) {
@@ -109,11 +110,28 @@ inline void count_time(AlarmState& state, double step_s) {
     row.not_judged_share = state.since_first_s > 0.0 ? state.not_judged_s / state.since_first_s : 1.0;
 }
 
+// The inputs as a sound vehicle would have them under the measured thrust, which goes with the square of the
+// rotor speed: a heavier one turns its rotors faster, however it flies. Within its interval the thrust is as
+// the inputs say.
+inline InputVector inputs_by_load(const InputVector& inputs, double measured, double lower, double upper) {
+    InputVector sound = inputs;
+    const double predicted = 0.5 * (lower + upper);
+    if ((measured < lower || measured > upper) && measured < 0.0 && predicted < 0.0) {
+        const double ratio = std::sqrt(measured / predicted);
+        sound[OMEGA_AVG] *= ratio;
+        sound[MU_V_IN] /= ratio;
+    }
+    return sound;
+}
+
 // Charge alarm and warning of EXTRAPOLATION; returns the inputs beyond their near limit as bits.
+//
+// An input is as far outside as it is by its reading or by the load, whichever is less: a manoeuvre has both.
 inline std::int64_t judge_extrapolation(
     const AlarmLimits& limits,
     AlarmState& state,
     const InputVector& inputs,
+    const InputVector& by_load,
     const Wrench& leverages,
     const Wrench& widths,
     double step_s
@@ -123,8 +141,10 @@ inline std::int64_t judge_extrapolation(
     std::int64_t beyond = 0;
     bool near = false;
     for (int k = 0; k < INPUTS; ++k) {
-        const double outside =
-            distance_outside(inputs[k], limits.lower[k], limits.upper[k], limits.scale[k], IS_COSINE[k]);
+        const auto outside_by = [&](double value) {
+            return distance_outside(value, limits.lower[k], limits.upper[k], limits.scale[k], IS_COSINE[k]);
+        };
+        const double outside = std::min(outside_by(inputs[k]), outside_by(by_load[k]));
         const double distance = 1.0 + 2.0 * outside;
         if (distance > limits.near_distance[k]) {
             beyond |= std::int64_t{1} << k;
@@ -353,7 +373,15 @@ inline std::size_t advance(
             if (state.ground.flying) {
                 if (state.ground.why == JUDGED) {
                     beyond = judge_extrapolation(
-                        limits, state, inputs[used], said.leverage[used], said.relative_width[used], step_s
+                        limits,
+                        state,
+                        inputs[used],
+                        inputs_by_load(
+                            inputs[used], measured[used][FZ], said.lower[used][FZ], said.upper[used][FZ]
+                        ),
+                        said.leverage[used],
+                        said.relative_width[used],
+                        step_s
                     );
                     judge_miscoverage(
                         limits, state, measured[used], said.lower[used], said.upper[used], step_s
