@@ -138,7 +138,7 @@ def told_of(
     """Replay a recording, as `quadpi replay` does, and sum up what the alarm says of a change."""
     monitor, column = Monitor(model, vehicle, None), CAUSES.index(CHANGE)
     judged, raised, last = [], [], None
-    for part in follow(recorded_flight(recording), vehicle):
+    for part in follow(recorded_flight(recording, vehicle), vehicle):
         if part.begin == SET_BACK:
             monitor.reset()
         monitor.retune(part.rate)

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What GPS and motor commands alone tell: windy flights of RotorPy, each by a vehicle of its own.
 
-Every flight is logged as an autopilot logs it: IMU and commands at 250 Hz, the state at 5 Hz with errors of 1 m,
+Every flight is logged as an autopilot logs it: IMU and commands at 100 Hz, the state at 5 Hz with errors of 1 m,
 0.1 m/s and 2°. A report on each gives drag, thrust and inertia with intervals of 95 %, or says that they are
 not identified; counted is how often the truth is inside. Nothing of the library is in the simulation.
 
@@ -22,7 +22,7 @@ from independent.flying import Path4
 from independent.hidden_effects import Flown
 from scipy.spatial.transform import Rotation
 
-RATE_HZ, DURATION_S, STATE_HZ = 250.0, 60.0, 5.0
+RATE_HZ, DURATION_S, STATE_HZ = 100.0, 60.0, 5.0
 # Errors of a state by GPS: position m, velocity m/s, attitude rad.
 STATE_ERRORS = (1.0, 0.1, np.deg2rad(2.0))
 _HEIGHT_M = 20.0
@@ -143,7 +143,7 @@ def fly(seeds: Sequence[int]) -> list[Logged]:
     s[:, :3], s[:, 3:6] = wanted["x"][0], wanted["x_dot"][0]
     s[:, 8], s[:, 9] = np.sin(0.5 * wanted["yaw"][0]), np.cos(0.5 * wanted["yaw"][0])
     s[:, 16:] = [[np.sqrt(p["mass"] * GRAVITY_M_S2 / 4.0 / p["k_eta"])] * 4 for p in parameters]
-    state, everyone = torch.tensor(s), list(range(count))
+    state, everyone = torch.tensor(s), torch.arange(count)
     vehicle = BatchedMultirotor(
         BatchedMultirotorParams(parameters, count, device),
         count,
@@ -163,7 +163,7 @@ def fly(seeds: Sequence[int]) -> list[Logged]:
         integral = integral + away.clamp(-0.3, 0.3) * step
         asked = {name: wanted[name][k] for name in names}
         asked["x_ddot"] = asked["x_ddot"] - 3.0 * integral
-        command = controller.update(time[k], now, asked)["cmd_motor_speeds"]
+        command = controller.update(time[k], now, asked, everyone)["cmd_motor_speeds"]
         command = command.clamp(min=0.0, max=float(known["rotor_speed_max"]))
 
         def slope(at: torch.Tensor, command: torch.Tensor = command) -> torch.Tensor:

@@ -40,6 +40,7 @@ from quadpi_core.monitor.alarm_log import naming_sensors
 from quadpi_core.monitor.health import SILENT_S, WATCH_S, Latency, Silence, lack
 from quadpi_core.monitor.monitor import Judged
 from quadpi_core.monitor.pairing import CAPACITY, Pairing
+from quadpi_core.monitor.unsure_states import deviation_of_one
 from quadpi_core.motors import Motors
 from quadpi_core.paths import resolved_below
 from quadpi_core.vehicle import Vehicle
@@ -219,6 +220,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
         """Take an IMU sample and the state at its stamp."""
         time_ns = int(sample.time_ns[0])
         self._note_arrival(time_ns)
+        self._results.monitors.unsure.take_one(time_ns, *deviation_of_one(sample))
         self._pairing.add_estimate(time_ns, sample.motion)
         self._judge_completed()
 
@@ -235,9 +237,9 @@ class MonitorNode(SensorNode[MonitorParameters]):
 
     def take_odometry(self, odometry: OdometryStream) -> None:
         """Take one state."""
-        self._pairing.add_state(
-            int(odometry.time_ns[0]), odometry.velocity[0], odometry.attitude[0], odometry.rates[0]
-        )
+        time_ns, (_, attitude, velocity) = int(odometry.time_ns[0]), odometry.deviation[0].tolist()
+        self._results.monitors.unsure.take_one(time_ns, max(velocity, 0.0), max(attitude, 0.0))
+        self._pairing.add_state(time_ns, odometry.velocity[0], odometry.attitude[0], odometry.rates[0])
         self._judge_completed()
 
     def _take_rotor_speeds(self, rotor_speeds: RotorSpeedStream) -> None:

@@ -10,7 +10,10 @@ forecasting using the EM algorithm, 1982, eq. 14).
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
+from itertools import chain
 
 import numpy as np
 
@@ -18,9 +21,9 @@ from quadpi_core import rotations
 from quadpi_core.estimator.ekf import Ekf
 from quadpi_core.estimator.filter_state import ATTITUDE, POSITION, VELOCITY
 from quadpi_core.estimator.smoother import smooth
-from quadpi_core.flight import MAX_GAP_NS, OdometryStream, PoseStream, Recording, TwistStream
+from quadpi_core.flight import OdometryStream, PoseStream, Recording, TwistStream
 from quadpi_core.frames import Array
-from quadpi_core.screening.rates import BRIDGED_HZ
+from quadpi_core.screening.rates import is_slow_state
 from quadpi_core.signals.resample import nominal_rate
 from quadpi_core.vehicle import Vehicle
 
@@ -30,37 +33,72 @@ _USUAL = (1.0, 0.03, 0.1)
 _LEARNED_S, _ROUNDS = 120.0, 4
 # No state is surer than this: errors that stay are not seen in what changes.
 _SUREST = (0.01, 0.002, 0.01)
+# Velocity of a vehicle that nothing tells: unsure by so much, and so often, as errors of it last.
+_STILL_M_S, _STILL_S = 2.0, 0.5
+# States by which a flight shows how often they come.
+_STATES_SEEN = 8
 
 
-def is_slow(odometry: OdometryStream) -> bool:
-    """Whether states come too seldom to be interpolated."""
-    steps = np.diff(odometry.time_ns)
-    return len(steps) > 0 and bool(np.any(steps > MAX_GAP_NS)) and nominal_rate(odometry.time_ns) < BRIDGED_HZ
+def _corrects(odometry: OdometryStream) -> bool:
+    """Whether states correct the filter: they come too seldom to be interpolated, or lack a part."""
+    return is_slow_state(odometry) or bool(np.any(odometry.deviation < 0.0))
 
 
-def with_slow_state(recording: Recording, vehicle: Vehicle, *, estimate: bool = True) -> Recording:
+def with_slow_state(recording: Recording, vehicle: Vehicle) -> Recording:
     """The recording with a slow state as measurements of a pose and a velocity; any other as it is.
 
     Args:
         recording: of which motion capture, where it has any, counts before a state.
-        vehicle: for the noise where messages do not state it.
-        estimate: the noise where nothing tells it; else that of a usual GPS.
+        vehicle: for the noise where messages do not state it; else it is estimated.
     """
     odometry = recording.odometry
     if recording.pose is not None or recording.twist is not None or odometry is None:
         return recording
-    if not is_slow(odometry):
+    if not _corrects(odometry):
         return recording
-    usual = np.array([told or usual for told, usual in zip(vehicle.noise.of_state, _USUAL, strict=True)])
-    corrected = measured_state(recording, odometry, usual)
+    usual = _noise_of(vehicle)
     unknown = np.array([told is None for told in vehicle.noise.of_state])
-    unknown &= ~np.any(odometry.deviation, axis=0)
-    return _learned(corrected, odometry, vehicle, usual, unknown) if estimate and unknown.any() else corrected
+    unknown &= ~np.any(odometry.deviation, axis=0) & (len(odometry) >= _STATES_SEEN)
+    if unknown.any():
+        usual = _learned(recording, odometry, vehicle, usual, unknown)
+    return measured_state(recording, odometry, usual)
+
+
+def with_slow_states(blocks: Iterator[Recording], vehicle: Vehicle) -> tuple[Iterator[Recording], bool]:
+    """Blocks of a flight that has odometry alone, and whether it is slow: see :func:`with_slow_state`.
+
+    Looked at are the blocks that hold the first states; noise that nothing tells is that of a usual GPS.
+    """
+    seen, states = [], 0
+    for block in blocks:
+        seen.append(block)
+        states += 0 if block.odometry is None else len(block.odometry)
+        if states >= _STATES_SEEN:
+            break
+    known = [block.odometry for block in seen if block.odometry is not None]
+    slow = bool(known) and _corrects(OdometryStream.join(known))
+    every = chain(seen, blocks)
+    return (map(partial(_measured, noise=_noise_of(vehicle)), every) if slow else every), slow
+
+
+def _measured(block: Recording, noise: Array) -> Recording:
+    return block if block.odometry is None else measured_state(block, block.odometry, noise)
+
+
+def _noise_of(vehicle: Vehicle) -> Array:
+    """Deviations (3,) of a state that does not say them."""
+    return np.array([told or usual for told, usual in zip(vehicle.noise.of_state, _USUAL, strict=True)])
 
 
 def measured_state(recording: Recording, odometry: OdometryStream, usual: Array) -> Recording:
-    """The recording with states as measurements, their noise `usual` (3,) where they do not state it."""
+    """The recording with states as measurements, their noise `usual` (3,) where they do not state it.
+
+    An attitude alone is taken as that of a vehicle that stays about where it is: velocity 0, as unsure as
+    people fly, once in a while. Forces along x and y are then hardly told, thrust and moments are.
+    """
     deviation = np.where(odometry.deviation == 0.0, usual, odometry.deviation)
+    if np.any(deviation[:, 2] < 0.0):
+        return _without_velocity(recording, odometry, deviation)
     # As a receiver measures it; in body axes it would hold the error of the attitude twice.
     velocity = rotations.rotate_body_to_world(odometry.attitude, odometry.velocity)
     in_world = np.zeros(len(odometry), dtype=bool)
@@ -77,10 +115,25 @@ def measured_state(recording: Recording, odometry: OdometryStream, usual: Array)
     )
 
 
+def _without_velocity(recording: Recording, odometry: OdometryStream, deviation: Array) -> Recording:
+    """The recording with attitudes, and where they are known positions, as measurements."""
+    stamps = odometry.time_ns
+    pose = PoseStream(stamps, odometry.position, odometry.attitude, deviation[:, :2].copy())
+    chosen = np.searchsorted(stamps, np.arange(stamps[0], stamps[-1] + 1, round(1e9 * _STILL_S)))
+    still = np.zeros((len(chosen), 3))
+    # A source that repeats itself to the bit is taken for frozen.
+    still[1::2, 0] = 1e-9
+    twist = TwistStream(
+        stamps[chosen], still, np.zeros(len(chosen), dtype=bool), np.full(len(chosen), _STILL_M_S)
+    )
+    told = bool(np.all(deviation[:, 0] > 0.0))
+    return replace(recording, pose=pose, twist=None if told else twist, odometry=None, arrivals={})
+
+
 def _learned(
     recording: Recording, odometry: OdometryStream, vehicle: Vehicle, usual: Array, unknown: Array
-) -> Recording:
-    """The recording with the noise of what is unknown (3,) as the flight itself tells it."""
+) -> Array:
+    """The noise (3,) with what is unknown of it as the flight itself tells it."""
     end_ns = int(recording.imu.time_ns[0]) + round(1e9 * _LEARNED_S)
     part = replace(recording, imu=recording.imu.take(recording.imu.time_ns < end_ns), arrivals={})
     states = odometry.take(odometry.time_ns < end_ns)
@@ -103,4 +156,4 @@ def _learned(
         )
         variance = [np.mean(np.square(error) + found.variance[at, own]) for error, own in off]
         usual = np.where(unknown, np.maximum(np.sqrt(variance), _SUREST), usual)
-    return measured_state(recording, odometry, usual)
+    return usual

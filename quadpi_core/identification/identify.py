@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -27,6 +28,7 @@ from quadpi_core.models.envelope import Envelope
 from quadpi_core.models.interval_rules import HeldOutRule, require_confidence
 from quadpi_core.models.kind_registry import kind_of
 from quadpi_core.models.least_squares import identifiable
+from quadpi_core.models.state_deviation import StateDeviation
 from quadpi_core.models.model_kind import Evaluation, IdentifyOptions, Pools, Settings, TrainingSamples
 from quadpi_core.parallel import ReportProgress, ignore_progress
 from quadpi_core.records import Records
@@ -103,7 +105,7 @@ def identify(
         name="",
         vehicle=vehicle.name,
         vehicle_fingerprint=vehicle.fingerprint,
-        flown=vehicle,
+        flown=_with_learned_noise(vehicle, flights),
         settings=options.settings,
         cutoff_hz=options.cutoff_hz,
         confidence=options.confidence,
@@ -122,8 +124,24 @@ def identify(
         alarm_limits=limits,
         change_limits=change,
         moving_centre=calibrate_centre(left, options.confidence),
+        state=StateDeviation.of_flights([flight.state for flight in flights]),
         left_out=tuple(fit.left_out),
     )
+
+
+def _with_learned_noise(vehicle: Vehicle, flights: Sequence[PreparedFlight]) -> Vehicle:
+    """The vehicle, with the noise that flights by a slow state told: a monitor cannot estimate it."""
+    told = [flight.state_noise for flight in flights if flight.state_noise is not None]
+    if not told:
+        return vehicle
+    position, attitude, velocity = np.sqrt(np.mean(np.square(told), axis=0)).tolist()
+    noise = replace(
+        vehicle.noise,
+        state_position_m=position,
+        state_attitude_rad=attitude,
+        state_velocity_m_s=velocity,
+    )
+    return replace(vehicle, noise=noise)
 
 
 def check_options(options: IdentifyOptions, pools: Pools) -> None:

@@ -84,6 +84,8 @@ class PreparedFlight:
         recorded_s: that the recording lasts, with the time on the ground.
         air: what tells the density of the air, see :mod:`quadpi_core.air`.
         flight: what it was made of, that simulations are compared with; None where it was made of arrays.
+        state: how unsure a monitor's state was, the median of deviations of velocity m/s and attitude rad.
+        state_noise: of a slow state that does not say it, position m, attitude rad and velocity m/s.
     """
 
     __repr__ = brief_repr
@@ -101,6 +103,8 @@ class PreparedFlight:
     recorded_s: float = 0.0
     air: str = ASSUMED
     flight: Flight | None = None
+    state: tuple[float, float] = (0.0, 0.0)
+    state_noise: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
         """Refuse arrays that do not belong together, in the words of `quadpi_core.array_checks`."""
@@ -289,7 +293,8 @@ def prepare_recording(recording: Recording, vehicle: Vehicle, cutoff_hz: float) 
         LogError: for what cannot be used, naming source and topic.
         SignalError: naming the source, where the signals cannot be fused.
     """
-    recording = with_slow_state(checked(recording, vehicle), vehicle)
+    given = checked(recording, vehicle)
+    recording = with_slow_state(given, vehicle)
     require_streams(recording)
     causal = CausalPass.over(recording, vehicle)
     flight = fuse_airborne(recording, vehicle, cutoff_hz, causal.segments)
@@ -298,7 +303,22 @@ def prepare_recording(recording: Recording, vehicle: Vehicle, cutoff_hz: float) 
     if (air := flown_in(recording)) is not None:
         prepared = prepared.in_air(air[0], vehicle, air[1])
     recorded_ns = recording.imu.time_ns[-1] - recording.imu.time_ns[0]
-    return replace(prepared, file=recording.name, recorded_s=1e-9 * float(recorded_ns))
+    return replace(
+        prepared,
+        file=recording.name,
+        recorded_s=1e-9 * float(recorded_ns),
+        state=causal.deviation(),
+        state_noise=_learned_noise(given, recording),
+    )
+
+
+def _learned_noise(given: Recording, corrected: Recording) -> tuple[float, float, float] | None:
+    """Noise of a slow state that the flight told, as its messages do not: of position, attitude, velocity."""
+    if corrected is given or given.odometry is None or np.any(given.odometry.deviation):
+        return None
+    assert corrected.pose is not None and corrected.twist is not None
+    position, attitude = corrected.pose.deviation[0].tolist()
+    return position, attitude, float(corrected.twist.deviation[0])
 
 
 def read_flight(path: Path, vehicle: Vehicle, cutoff_hz: float, mapping: MappingOrOptions = None) -> Flight:
@@ -375,7 +395,7 @@ class CausalPass:
             LogError: naming what is missing.
             SignalError: if the estimator never starts.
         """
-        flight = recorded_flight(recording)
+        flight = recorded_flight(recording, vehicle)
         ekf = None
         if flight.has_mocap:
             ekf = Ekf(vehicle)
@@ -393,6 +413,14 @@ class CausalPass:
         if segments is None or len(segments) != 1:
             return None
         return segments if segments[0].rate_hz == nominal_rate(recording.imu.time_ns) else None
+
+    def deviation(self) -> tuple[float, float]:
+        """Median deviations of the states' velocity, m/s, and attitude, rad."""
+        velocity, attitude = (
+            float(np.median(np.concatenate([getattr(part.deviations, name) for part in self.parts])))
+            for name in ("velocity", "attitude")
+        )
+        return velocity, attitude
 
     def samples(self, vehicle: Vehicle, cutoff_hz: float, at_ns: Stamps) -> LiveSamples:
         """Live samples at the stamps (N,) of a flight, low-passed as in a replay.

@@ -43,6 +43,7 @@ from quadpi_core.models.model_kind import (
     named_arrays,
 )
 from quadpi_core.models.moving_centre import MovingCentre
+from quadpi_core.models.state_deviation import StateDeviation
 from quadpi_core.models.rollout_model import RolloutModel
 from quadpi_core.models.sound_flights import SoundFlights
 from quadpi_core.records import Records
@@ -118,6 +119,7 @@ class AerodynamicModel:
         alarm_limits: limits of the alarm other than those of `envelope`; uncalibrated by default.
         change_limits: what the alarm tells a change of the vehicle by; None for a model of too few flights.
         moving_centre: how intervals that adapt move; None where no flights left out told.
+        state: how unsure the states of its flights were.
         sound: what flights leave of a model identified without them; None where they do not tell.
         left_out: `fitted` without each of `flights` in turn; empty in a model that was read.
         flown: the vehicle of the flights; None for a model of an earlier version, which knows its name.
@@ -140,6 +142,7 @@ class AerodynamicModel:
     alarm_limits: AlarmLimits = field(default_factory=AlarmLimits)
     change_limits: ChangeLimits | None = None
     moving_centre: MovingCentre | None = None
+    state: StateDeviation = StateDeviation()
     sound: SoundFlights | None = None
     left_out: tuple[Fitted, ...] = field(default=(), repr=False, compare=False)
     flown: Vehicle | None = field(default=None, repr=False, compare=False)
@@ -390,6 +393,7 @@ class AerodynamicModel:
             "alarm": self.alarm_limits.to_json(),
             **({} if self.change_limits is None else {"change": self.change_limits.to_json()}),
             **({} if self.moving_centre is None else {"moving_centre": self.moving_centre.to_json()}),
+            **({} if self.state == StateDeviation() else {"state": asdict(self.state)}),
             "flights": [flight.to_json() for flight in self.flights],
             "versions": {
                 "quadpi": __version__,
@@ -440,6 +444,7 @@ class AerodynamicModel:
                 alarm_limits=described.alarm,
                 change_limits=described.change,
                 moving_centre=described.moving_centre,
+                state=described.state,
                 sound=_stored_part(content, _SOUND, SoundFlights.stored),
                 flown=described.flown(),
             )
@@ -540,6 +545,7 @@ class _Description:
     vehicle_file: dict[str, Any] | None = None
     change: Annotated[ChangeLimits, ReadBy(ChangeLimits.from_json)] | None = None
     moving_centre: Annotated[MovingCentre, ReadBy(MovingCentre.from_json)] | None = None
+    state: StateDeviation = StateDeviation()
 
     def flown(self) -> Vehicle | None:
         """The vehicle of the flights, where the model holds it."""

@@ -19,6 +19,7 @@ from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.models.aerodynamic import LOAD_MODEL, AerodynamicModel, unchecked_evaluation
 from quadpi_core.models.model_kind import compiled_model
+from quadpi_core.models.state_deviation import StateDeviation
 from quadpi_core.monitor.adaptive import MEMORY, AdaptiveIntervals
 from quadpi_core.monitor.alarm import Alarm, MonitorSettings
 from quadpi_core.monitor.alarm_kernel import ROW
@@ -26,6 +27,7 @@ from quadpi_core.monitor.alarm_log import EventLog
 from quadpi_core.monitor.conditions import CONDITIONS, STATE_ERRORS
 from quadpi_core.monitor.pairing import PairedSamples, Pairing
 from quadpi_core.monitor.preparation import Preparation, Prepared
+from quadpi_core.monitor.unsure_states import UnsureStates
 from quadpi_core.records import Records
 from quadpi_core.results import Alarms, Events, PredictionRows, Predictions
 from quadpi_core.signals.chain import channels
@@ -333,6 +335,8 @@ class Monitors:
 
     def __init__(self, monitors: Mapping[str, Monitor]) -> None:
         self._monitors: dict[str, Monitor] = {}
+        # By what states are less sure than in the flights of the first model.
+        self.unsure = UnsureStates(StateDeviation())
         self._rate: ImuRate | None = None
         self._density = 0.0
         self._paired: _PairedMonitor | None = None
@@ -377,6 +381,7 @@ class Monitors:
         """Forget the past: as after construction."""
         for monitor in self._monitors.values():
             monitor.reset()
+        self.unsure.reset()
 
     def retune(self, rate: ImuRate) -> list[str]:
         """Go on with samples of another rate; returns a sentence for each model that it is too low for."""
@@ -392,15 +397,16 @@ class Monitors:
     def step(self, samples: PairedSamples) -> tuple[tuple[Predictions, Alarms, Events], list[Predictions]]:
         """Take K samples: the results of the first monitor, see :meth:`Monitor.step`; others' predictions."""
         first, *others = self._monitors.values()
-        if not others:
+        conditions = self.unsure.conditions(samples.time_ns)
+        if not others and conditions is None:
             return first._step(*samples), []
-        prepared = first.preparation.step(*samples)
+        prepared = first.preparation.step(*samples, conditions)
         results = first._judge(prepared)
         by_preparation = {first.preparation: prepared}
         predictions = []
         for monitor in others:
             if monitor.preparation not in by_preparation:
-                by_preparation[monitor.preparation] = monitor.preparation.step(*samples)
+                by_preparation[monitor.preparation] = monitor.preparation.step(*samples, conditions)
             predictions.append(monitor._predict(by_preparation[monitor.preparation]))
         return results, predictions
 
@@ -408,8 +414,10 @@ class Monitors:
         """Take samples that a pairing has completed, in one call of the core; as long as any are due.
 
         None where :meth:`judge` must take them instead: where the rate of the IMU has changed, and but for a
-        single monitor whose model is compiled.
+        single monitor whose model is compiled, or where states are less sure than in its flights.
         """
+        if self.unsure.is_beyond:
+            return None
         if self._paired is None or self._paired.pairing is not pairing:
             first, *others = self._monitors.values()
             if others or not first._is_compiled:
@@ -431,3 +439,5 @@ class Monitors:
                 monitor.preparation = other.preparation
                 break
         self._monitors[name] = monitor
+        if name == next(iter(self._monitors)):
+            self.unsure = UnsureStates(monitor.model.state)

@@ -26,6 +26,7 @@ from quadpi_core.estimator.filter_run import EkfTrace, Spans, never_started
 from quadpi_core.estimator.filter_state import WITHOUT_ESTIMATE, EstimatorStatus
 from quadpi_core.estimator.imu_rate import ImuRate
 from quadpi_core.estimator.output import FusedSamples, with_gyro_faults
+from quadpi_core.estimator.slow_states import with_slow_states
 from quadpi_core.flight import MAX_JUMP_BACK_NS, ImuStream, OdometryStream, Recording, Stamps, WindStream
 from quadpi_core.flight_files import FlightFile, LeftOutFlights, bags_in, for_each_flight
 from quadpi_core.frames import Array
@@ -41,6 +42,7 @@ from quadpi_core.monitor.alarm import MonitorSettings, NotJudgedReason, alarm_ti
 from quadpi_core.monitor.alarm_log import reasons_by_row
 from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.pairing import PairedSamples, Pairing
+from quadpi_core.monitor.unsure_states import StateDeviations, UnsureStates
 from quadpi_core.parallel import DEFAULT_WORKERS, Workers
 from quadpi_core.paths import staged, whole_outputs
 from quadpi_core.reading_options import MappingOrOptions, reading_options
@@ -131,7 +133,7 @@ def _write(flight: RecordedFlight, monitor: Monitor, vehicle: Vehicle, output: P
     """Judge a flight, write its results and sum them up."""
     metadata = {"vehicle": vehicle.name, "model": monitor.model.identity}
     metadata |= {"source": flight.name, "version": __version__}
-    tally = _Tally()
+    tally, unsure = _Tally(), UnsureStates(monitor.model.state)
     with mcap_writer(output, metadata, FAST) as writer:
         names = ["odometry"] if flight.has_mocap else []
         writer.announce(
@@ -143,9 +145,12 @@ def _write(flight: RecordedFlight, monitor: Monitor, vehicle: Vehicle, output: P
                 writer.flush()
             if stretch.begin == pairing_kernel.SET_BACK:
                 monitor.reset()
+                unsure.reset()
             monitor.retune(stretch.rate)
             monitor.fly_in(stretch.density)
-            predictions, alarms, events = monitor.step(*stretch.samples)
+            unsure.take(stretch.deviations)
+            conditions = unsure.conditions(stretch.samples.time_ns)
+            predictions, alarms, events = monitor.step(*stretch.samples, conditions)
             for topic in _messages(stretch.states, predictions, alarms, events, monitor):
                 writer.add(topic)
             writer.flush(stretch.settled_ns)
@@ -180,7 +185,8 @@ class RecordedFlight:
 
     Attributes:
         name, source: see :class:`Recording`.
-        has_mocap: whether the state comes from the EKF; otherwise from the flight's odometry.
+        has_mocap: whether the state comes from the EKF, corrected by motion capture or by odometry that is
+            too slow to be interpolated; otherwise from the flight's odometry.
         blocks: parts of the flight in order of arrival, see :func:`quadpi_core.recording_blocks.by_arrival`.
     """
 
@@ -205,16 +211,16 @@ def open_flight(
         if len(order_of(recording.imu.time_ns).starts) > 1:
             # What arrived when follows from the stamps, of one run of the clock.
             recording = usable_recording(recording)
-        flight = recorded_flight(recording)
+        flight = recorded_flight(recording, vehicle)
         yield replace(flight, blocks=in_range_of_blocks(flight.blocks, flight.source, part))
         return
     with open_in_blocks(path, vehicle, mapping) as log:
         blocks = in_range_of_blocks(by_arrival(blocks_of(log)), log.source, part)
-        yield _flight(log.name, log.source, log.streams, blocks)
+        yield _flight(log.name, log.source, log.streams, blocks, vehicle)
 
 
-def recorded_flight(recording: Recording) -> RecordedFlight:
-    """The flight that a recording is.
+def recorded_flight(recording: Recording, vehicle: Vehicle) -> RecordedFlight:
+    """The flight that a recording is, of a vehicle.
 
     Raises:
         LogError: naming what is missing.
@@ -223,16 +229,21 @@ def recorded_flight(recording: Recording) -> RecordedFlight:
         stream.require_samples(recording.source)
     fields = {name for name in vars(recording) if getattr(recording, name) is not None}
     blocks = split_recording(recording)
-    return _flight(recording.name, recording.source, fields, blocks)
+    return _flight(recording.name, recording.source, fields, blocks, vehicle)
 
 
-def _flight(name: str, source: str, streams: Collection[str], blocks: Iterator[Recording]) -> RecordedFlight:
+def _flight(
+    name: str, source: str, streams: Collection[str], blocks: Iterator[Recording], vehicle: Vehicle
+) -> RecordedFlight:
     has_mocap = "pose" in streams or "twist" in streams
     if not has_mocap and "odometry" not in streams:
         raise LogError(f"{source}: topics mocap/pose and odometry are missing: one is needed")
     if "rotor_speeds" not in streams:
         raise LogError(f"{source}: topic rotor_speeds (or erpm) is missing")
-    return RecordedFlight(name, source, has_mocap, map(without_unusable_attitudes, blocks))
+    blocks = map(without_unusable_attitudes, blocks)
+    if not has_mocap:
+        blocks, has_mocap = with_slow_states(blocks, vehicle)
+    return RecordedFlight(name, source, has_mocap, blocks)
 
 
 class Followed(NamedTuple):
@@ -242,6 +253,7 @@ class Followed(NamedTuple):
         rate: of the IMU, by its stamps.
         samples: input of the monitor; none before the rate is known.
         states: output of the estimator; None without one.
+        deviations: how unsure the states are that came.
         imu_ns: (N,) stamps of the IMU samples that arrived since the previous stretch.
         settled_ns: every later sample and state has a stamp after this.
         density: of the air, kg/m³; 0 where only the vehicle file tells it.
@@ -251,6 +263,7 @@ class Followed(NamedTuple):
     rate: ImuRate
     samples: PairedSamples
     states: FusedSamples | None
+    deviations: StateDeviations
     imu_ns: Stamps
     settled_ns: int
     density: float
@@ -291,11 +304,15 @@ def follow(flight: RecordedFlight, vehicle: Vehicle, ekf: Ekf | None = None) -> 
             if ekf is not None and ekf.settled_ns is not None:
                 settled_ns = min(settled_ns, ekf.settled_ns)
             own = None if states is None else states.part(stretch.states)
+            if own is not None:
+                deviations = StateDeviations.of_fused(own)
+            else:
+                deviations = StateDeviations.of_odometry(odometry.take(stretch.states))
             samples = stretch.samples
             if stretch.rate.begins:
                 samples = PairedSamples(samples.time_ns[:0], samples.values[:0])
             measured = measured or not stretch.rate.begins
-            yield Followed(stretch.begin, stretch.rate, samples, own, new, settled_ns, density)
+            yield Followed(stretch.begin, stretch.rate, samples, own, deviations, new, settled_ns, density)
             new = new[:0]
     if (ekf is not None and not started) or meeting.counts.paired == 0:
         for seldom in rates.seldom():

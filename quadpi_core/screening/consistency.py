@@ -25,6 +25,7 @@ from quadpi_core.screening.frozen_states import without_repeats
 from quadpi_core.screening.innovations import Innovation, cost, innovation
 from quadpi_core.screening.motion_consistency import Hypothesis, hypotheses
 from quadpi_core.screening.plausibility import check_plausible, is_slow, thrust_coefficient
+from quadpi_core.screening.rates import is_slow_state
 from quadpi_core.screening.rotor_consistency import RotorEvidence, rotor_evidence
 from quadpi_core.screening.rotors_in_flight import stuck_rotors
 from quadpi_core.screening.small_mistakes import small_mistakes
@@ -117,7 +118,10 @@ def findings(recording: Recording, vehicle: Vehicle | None) -> Iterator[Finding]
     """
     rotors = rotor_excerpt(recording)
     turned: Array | None = None
-    states: list[Pose] = [state for state in (recording.pose, recording.odometry) if state is not None]
+    # Slow states err by more than what is looked for here.
+    slow = recording.odometry is None or is_slow_state(recording.odometry)
+    given = (recording.pose, None if slow else recording.odometry)
+    states: list[Pose] = [state for state in given if state is not None]
     for state in states:
         moving, frozen = without_repeats(state, recording.imu)
         if frozen is not None:

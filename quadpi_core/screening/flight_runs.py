@@ -19,7 +19,7 @@ from quadpi_core.errors import LogError
 from quadpi_core.findings import PAUSES, Break, DataQuality, UsedPart
 from quadpi_core.flight import MAX_GAP_NS, Recording, Stamps, Stream
 from quadpi_core.recording_blocks import all_by_field
-from quadpi_core.screening.rates import seldom_topics
+from quadpi_core.screening.rates import is_slow_state, seldom_topics
 from quadpi_core.screening.sample_order import order_of, with_rows
 from quadpi_core.thresholds import CONVENTION, Threshold
 from quadpi_core.time_range import TimeRange
@@ -116,8 +116,9 @@ def parts_without_pause(recording: Recording) -> list[Recording]:
     `quality` of each says where the topics pause, and what is used.
     """
     needed: list[Stream] = [recording.imu]
-    if recording.pose is None and recording.twist is None and recording.odometry is not None:
-        needed.append(recording.odometry)
+    state = recording.odometry
+    if recording.pose is None and recording.twist is None and state is not None and not is_slow_state(state):
+        needed.append(state)
     breaks = tuple(found for stream in needed if (found := pauses(stream)) is not None)
     if not breaks or any(len(stream) < 2 for stream in needed) or any(seldom_topics(recording)):
         return [recording]

@@ -46,6 +46,11 @@ def seldom(topic: str, rate_hz: float, needed_hz: float, reason: str, remedies: 
     return f"{topic} at {rate_hz:.3g} Hz: rules out {_USES}, {needed}"
 
 
+def is_slow_state(stream: Stream) -> bool:
+    """Whether states come too seldom to be interpolated; those that are no slower correct the estimator."""
+    return len(stream) > 1 and nominal_rate(stream.time_ns) < BRIDGED_HZ
+
+
 def seldom_topics(recording: Recording) -> Iterator[str]:
     """On topics that come too seldom for a model: rotor speeds, and the state or motion capture."""
     mocap = recording.pose or recording.twist

@@ -33,7 +33,9 @@ from quadpi_core.monitor.health import lack
 from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.pairing import PairedSamples
 from quadpi_core.monitor.replay import RecordedFlight, follow, open_flight
+from quadpi_core.monitor.unsure_states import UnsureStates
 from quadpi_core.reading_options import MappingOrOptions, reading_options
+from quadpi_core.records import Records
 from quadpi_core.results import BAD_DATA, AlarmEvent, Predictions, ReportedAlarms
 from quadpi_core.vehicle import Vehicle
 from quadpi_core.view.motion_inputs import MotionInputs
@@ -204,6 +206,7 @@ def judged(
 ) -> Iterator[Part]:
     """Parts of a flight, judged as `quadpi replay` does."""
     monitors = [Monitor(model, vehicle, None, confidence) for model in models]
+    unsure = UnsureStates(models[0].state)
     held: list[OdometryStream] = []
     seen: dict[str, list[Stamps]] = {}
     # Reasons of the events that stand, by their numbers.
@@ -213,11 +216,14 @@ def judged(
             if stretch.begin == pairing_kernel.SET_BACK:
                 for monitor in monitors:
                     monitor.reset()
+                unsure.reset()
             for monitor in monitors:
                 monitor.retune(stretch.rate)
             states = held[:] if stretch.states is None else [stretch.states.odometry]
             held.clear()
-            yield _judged_part(monitors, stretch.samples, states, seen, raised)
+            unsure.take(stretch.deviations)
+            conditions = unsure.conditions(stretch.samples.time_ns)
+            yield _judged_part(monitors, stretch.samples, conditions, states, seen, raised)
 
 
 def _noting(
@@ -249,14 +255,15 @@ def _noting(
 def _judged_part(
     monitors: Sequence[Monitor],
     samples: PairedSamples,
+    conditions: Records | None,
     states: Sequence[OdometryStream],
     seen: Mapping[str, Sequence[Stamps]],
     raised: dict[int, tuple[str, ...]],
 ) -> Part:
     first, *others = monitors
-    prepared = first.preparation.step(*samples)
+    prepared = first.preparation.step(*samples, conditions)
     predictions, alarms, events = first.judge(prepared)
-    further = [(other, other.predict(other.preparation.step(*samples))) for other in others]
+    further = [(other, other.predict(other.preparation.step(*samples, conditions))) for other in others]
     reported = None
     if len(alarms):
         reasons = [

@@ -55,7 +55,7 @@ def sensed(truth, seed: int) -> Recording:
 def alarm_rows(model: AerodynamicModel, recording: Recording) -> Iterator[Row]:
     """The rows at alarm level, with seconds since the first IMU sample."""
     monitor = Monitor(model, BEBOP.vehicle, None)
-    for part in follow(recorded_flight(recording), BEBOP.vehicle):
+    for part in follow(recorded_flight(recording, BEBOP.vehicle), BEBOP.vehicle):
         monitor.retune(part.rate)
         _, alarms, _ = monitor.step(*part.samples)
         for row in np.flatnonzero(alarms.level == LEVEL_ALARM):

@@ -37,7 +37,7 @@ def first_stopped(model: AerodynamicModel, truth: Truth, simulated: SimulatedVeh
     cut = with_motor_cut(truth, simulated, rotor, CUT_S)
     recording = sense(cut, vehicle, SensorSuite.load("paper"), {}, (), rotor).recording
     monitor = Monitor(model, vehicle, None)
-    for part in follow(recorded_flight(recording), vehicle):
+    for part in follow(recorded_flight(recording, vehicle), vehicle):
         monitor.retune(part.rate)
         _, alarms, _ = monitor.step(*part.samples)
         for row in np.flatnonzero(alarms.level == LEVEL_ALARM):

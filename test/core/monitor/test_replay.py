@@ -248,7 +248,7 @@ def test_blocks_of_a_log_are_followed_like_those_of_its_bag(
 
     @contextmanager
     def whole(_path, _vehicle, _part):
-        yield recorded_flight(replace(recording, arrivals={}))
+        yield recorded_flight(replace(recording, arrivals={}), vehicle)
 
     monkeypatch.setattr(replay_module, "open_flight", whole)
     replay(model, vehicle, bag, tmp_path / "log.mcap")

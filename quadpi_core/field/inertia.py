@@ -1,0 +1,239 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Thrust of a rotor and moments of inertia from motor commands, gyro and accelerometer, mass and arms known.
+
+    −m f_z = Σ T(u_i) + c_z w + c_h (u² + v²) + m b,        T(u) = a_1 u + a_2 u²,
+    I_x ṗ = −Σ y_i T(u_i) + d_p p + …,                      I_y q̇ = Σ x_i T(u_i) + d_q q + …,
+
+over commands u_i behind a first-order lag, which is fitted with all the rest: assumed, it would scale the
+inertia (at 50 and 100 ms by 1.7). Yaw is not told: the torque of a rotor is known by its ratio to I_z alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import butter, lfilter, sosfiltfilt
+
+from quadpi_core.field.airborne import Flown, velocity_of
+from quadpi_core.field.estimates import PIECES_FEWEST, Estimate, jackknife, not_identified
+from quadpi_core.field.field_log import FieldLog
+from quadpi_core.field.motor_model import GRID_HZ, SLOWEST_HZ
+from quadpi_core.frames import Array
+from quadpi_core.motors import lag_weights
+from quadpi_core.rotations import rotate_world_to_body
+from quadpi_core.vehicle import Vehicle
+
+# Signals change below this; rates are differentiated above the noise of the gyro.
+_CUTOFF_HZ = 12.0
+_LAGS_S = tuple(0.005 * step for step in range(31))
+# Bias of an accelerometer, m/s², which hover cannot tell from thrust.
+_BIAS_M_S2 = 0.15
+_PIECE_S, _SHORTEST_S = 6.0, 20.0
+# Half width over value beyond which a number is not told.
+_WIDEST = 0.5
+# Columns of thrust: Σu, Σu², climb, speed squared, bias; of a moment: two of T(u), rate, product of rates, 1.
+_THRUST, _MOMENT = 5, 5
+
+
+@dataclass(frozen=True)
+class BodyResult:
+    """Of one vehicle.
+
+    Attributes:
+        thrust: N, of a rotor at the command of hover.
+        inertia: kg m², about body x and y.
+        lag: s, of the motors.
+    """
+
+    thrust: Estimate
+    inertia: tuple[Estimate, Estimate]
+    lag: Estimate
+
+
+def untold_body(reason: str) -> BodyResult:
+    """Nothing, and why."""
+    none = not_identified("kg m²", reason)
+    return BodyResult(not_identified("N", reason), (none, none), not_identified("s", reason))
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """What a piece of flight tells, by lag: squares of columns and target (L, C + 1, C + 1).
+
+    Attributes:
+        thrust: of the vertical force.
+        moments: about x, about y.
+        hover: sum of mean commands, and number of samples.
+    """
+
+    thrust: Array
+    moments: tuple[Array, Array]
+    hover: tuple[float, int]
+
+
+def identify_body(flights: Sequence[tuple[FieldLog, Flown]], vehicle: Vehicle | None) -> BodyResult:
+    """Thrust and inertia of a vehicle by its flights, or why they are not told.
+
+    Args:
+        flights: logs with commands by the rotors of the vehicle file, and when each was in the air.
+        vehicle: for mass and places of the rotors; None where no file says them.
+    """
+    if vehicle is None:
+        return untold_body("a vehicle file must say mass and places of the rotors (--vehicle)")
+    found = [_pieces(log, flight, vehicle) for log, flight in flights]
+    pieces = [piece for own in found if not isinstance(own, str) for piece in own]
+    if len(pieces) < PIECES_FEWEST.value:
+        reasons = [own for own in found if isinstance(own, str)]
+        return untold_body(reasons[0] if reasons else "the flight is too short")
+    whole = _solved(pieces, vehicle)
+    if isinstance(whole, str):
+        return untold_body(whole)
+    without = []
+    for place in range(len(pieces)):
+        own = _solved(pieces[:place] + pieces[place + 1 :], vehicle)
+        if isinstance(own, str):
+            return untold_body("one piece of the flight tells it alone")
+        without.append(own)
+    told = np.array(
+        [[piece.hover[1], *(own[0, :2, :2].sum() for own in piece.moments), piece.hover[1]] for piece in pieces]
+    )
+    low, high = jackknife(whole, np.array(without), told)
+    half = 0.5 * (high - low)
+    # Hover alone cannot tell a bias from thrust, whatever the pieces agree on.
+    half[0] = np.hypot(half[0], 2.0 * _BIAS_M_S2 * vehicle.mass_kg / vehicle.rotor_count)
+    units = ("N", "kg m²", "kg m²", "s")
+    thrust, *inertia, lag = (
+        _estimate(value, own, unit) for value, own, unit in zip(whole.tolist(), half.tolist(), units, strict=True)
+    )
+    return BodyResult(thrust, (inertia[0], inertia[1]), lag)
+
+
+def _estimate(value: float, half: float, unit: str) -> Estimate:
+    if half > _WIDEST * abs(value) and unit != "s":
+        said = "its interval is too wide: roll and pitch quickly, to and fro"
+        return not_identified(unit, said, value - half, value + half)
+    return Estimate(value, value - half, value + half, unit)
+
+
+def _pieces(log: FieldLog, flight: Flown, vehicle: Vehicle) -> list[_Piece] | str:
+    if log.commands is None or log.imu is None:
+        return "the log has not both commands and IMU"
+    if log.commands.values.shape[1] != vehicle.rotor_count:
+        return f"the log has {log.commands.values.shape[1]} commands for {vehicle.rotor_count} rotors"
+    slow = min(log.commands.rate_hz, log.imu.rate_hz)
+    if slow < SLOWEST_HZ:
+        return f"commands and IMU are logged at {slow:.0f} Hz, slower than motors are"
+    pieces: list[_Piece] = []
+    for one in flight.stretches:
+        pieces += _of_stretch(log, one.begin, one.end, vehicle)
+    return pieces or "the flight is too short"
+
+
+def _of_stretch(log: FieldLog, begin: float, end: float, vehicle: Vehicle) -> list[_Piece]:
+    assert log.commands is not None
+    assert log.imu is not None
+    if end - begin < _SHORTEST_S:
+        return []
+    edges = np.arange(begin, end, 1.0 / GRID_HZ)
+    time = 0.5 * (edges[1:] + edges[:-1])
+    commands, imu = log.commands.filled_means(edges), log.imu.filled_means(edges)
+    motion, velocity = np.zeros((len(time), 2)), velocity_of(log)
+    if velocity is not None and log.attitude is not None:
+        body = rotate_world_to_body(log.attitude.at(time), velocity.at(time))
+        motion = np.stack([body[:, 2], body[:, 0] ** 2 + body[:, 1] ** 2], axis=1)
+    good = np.flatnonzero(np.isfinite(np.hstack([commands, imu, motion])).all(axis=1))
+    if len(good) < _SHORTEST_S * GRID_HZ:
+        return []
+    rows = slice(int(good[0]), int(good[-1]) + 1)
+    commands, imu, motion = (np.nan_to_num(own[rows]) for own in (commands, imu, motion))
+    rates = imu[:, :3]
+    smooth = butter(4, _CUTOFF_HZ, fs=GRID_HZ, output="sos")
+    turning = np.gradient(rates, 1.0 / GRID_HZ, axis=0)
+    targets = sosfiltfilt(smooth, np.column_stack([-vehicle.mass_kg * imu[:, 5], turning[:, :2]]), axis=0)
+    others = sosfiltfilt(
+        smooth,
+        np.column_stack([motion, rates[:, :2], rates[:, 1] * rates[:, 2], rates[:, 0] * rates[:, 2]]),
+        axis=0,
+    )
+    ones = np.full((len(rates), 1), 1.0)
+    arms = (-vehicle.rotor_positions[:, 1], vehicle.rotor_positions[:, 0])
+    count = max(int(len(rates) / (_PIECE_S * GRID_HZ)), 1)
+    cuts = np.linspace(0, len(rates), count + 1).astype(int)
+    squares: list[list[list[Array]]] = [[[], [], []] for _ in range(count)]
+    for lag in _LAGS_S:
+        (keep,), (now,), (before,) = lag_weights(np.array([1.0 / GRID_HZ]), lag)
+        lagged = lfilter([now, before], [1.0, -keep], commands, axis=0, zi=commands[:1] * (1.0 - now))[0]
+        powers = sosfiltfilt(smooth, np.stack([lagged, lagged**2], axis=2), axis=0)
+        tables = [
+            np.column_stack([powers.sum(axis=1), others[:, :2], vehicle.mass_kg * ones, targets[:, 0]]),
+            *(
+                np.column_stack(
+                    [
+                        np.einsum("nrp,r->np", powers, arms[axis]),
+                        others[:, 2 + axis],
+                        others[:, 4 + axis],
+                        ones,
+                        targets[:, 1 + axis],
+                    ]
+                )
+                for axis in range(2)
+            ),
+        ]
+        for piece in range(count):
+            part = slice(cuts[piece], cuts[piece + 1])
+            for kind, own in enumerate(tables):
+                squares[piece][kind].append(own[part].T @ own[part])
+    mean = commands.mean(axis=1)
+    return [
+        _Piece(
+            np.array(own[0]),
+            (np.array(own[1]), np.array(own[2])),
+            (float(mean[cuts[piece] : cuts[piece + 1]].sum()), int(cuts[piece + 1] - cuts[piece])),
+        )
+        for piece, own in enumerate(squares)
+    ]
+
+
+def _solved(pieces: Sequence[_Piece], vehicle: Vehicle) -> Array | str:
+    """Thrust at hover, both moments of inertia and the lag (4,), or why they are not told."""
+    thrust = np.sum([piece.thrust for piece in pieces], axis=0)
+    moments = [np.sum([piece.moments[axis] for piece in pieces], axis=0) for axis in range(2)]
+    total, count = np.sum([piece.hover for piece in pieces], axis=0)
+    hover = float(total / count)
+    values, errors = np.empty((len(_LAGS_S), 3)), np.zeros(len(_LAGS_S))
+    for place in range(len(_LAGS_S)):
+        gram = thrust[place][:_THRUST, :_THRUST].copy()
+        # The residual of a second counts once, as it is autocorrelated.
+        left = thrust[place][_THRUST, _THRUST] / count
+        gram[_THRUST - 1, _THRUST - 1] += max(left, 1e-12) / (_BIAS_M_S2**2) * 1e-2
+        curve = _least_squares(gram, thrust[place][:_THRUST, _THRUST])[:2]
+        values[place, 0] = curve[0] * hover + curve[1] * hover**2
+        for axis, own in enumerate(moments):
+            # T(u) of all rotors in one column.
+            shaped = np.zeros((_MOMENT + 1, _MOMENT))
+            shaped[:2, 0] = curve
+            shaped[2:, 1:] = np.eye(_MOMENT - 1)
+            squares = shaped.T @ own[place] @ shaped
+            gram, pull = squares[:-1, :-1], squares[:-1, -1]
+            found = _least_squares(gram, pull)
+            values[place, 1 + axis] = 1.0 / found[0] if found[0] > 0.0 else np.nan
+            errors[place] += (squares[-1, -1] - found @ pull) / squares[-1, -1]
+    best = int(np.argmin(errors))
+    if not np.isfinite(values[best]).all():
+        return "commands turn the vehicle the other way: are the motors in the vehicle file's order?"
+    if not 0 < best < len(_LAGS_S) - 1:
+        return f"the lag of the motors is beyond {_LAGS_S[1]:.3f} to {_LAGS_S[-2]:.2f} s"
+    around = slice(best - 1, best + 2)
+    bend = np.polyfit((-1.0, 0.0, 1.0), errors[around], 2)
+    shift = float(np.clip(-0.5 * bend[1] / max(bend[0], 1e-300), -1.0, 1.0))
+    told = [np.polyval(np.polyfit((-1.0, 0.0, 1.0), column, 2), shift) for column in values[around].T]
+    return np.array([*told, _LAGS_S[best] + shift * (_LAGS_S[1] - _LAGS_S[0])])
+
+
+def _least_squares(gram: Array, pull: Array) -> Array:
+    scale = np.maximum(np.sqrt(np.diag(gram)), 1e-12)
+    solved: Array = np.linalg.lstsq(gram / np.outer(scale, scale), pull / scale, rcond=1e-10)[0] / scale
+    return solved

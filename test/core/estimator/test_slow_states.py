@@ -1,0 +1,129 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""States of 1 to 10 Hz correct the filter: noise stated, learned, or of a part that is not measured."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from quadpi_core import rotations
+from quadpi_core.estimator.ekf import Ekf
+from quadpi_core.estimator.fusion import fuse
+from quadpi_core.estimator.slow_states import with_slow_state, with_slow_states
+from quadpi_core.flight import NOT_MEASURED, Flight, OdometryStream, Recording
+from quadpi_core.logs import read_recording
+from quadpi_core.recording_blocks import split_recording
+from quadpi_core.screening.flight_runs import parts_without_pause
+from quadpi_core.vehicle import Vehicle
+
+BEBOP = Vehicle.load("bebop2")
+BAG = Path(__file__).parents[3] / "bags" / "train_1.mcap"
+GPS = np.array([1.0, 0.035, 0.1])
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    return read_recording(BAG, BEBOP)
+
+
+@pytest.fixture(scope="module")
+def full(recording) -> Flight:
+    return fuse(recording, BEBOP, 30.0)
+
+
+def with_gps(recording: Recording, full: Flight, rate_hz: float = 5.0, deviation: object = GPS) -> Recording:
+    """A state as of GPS and an autopilot in the place of motion capture."""
+    rng = np.random.default_rng(3)
+    rows = np.arange(0, len(full), round(full.rate_hz / rate_hz))
+    tilt = rotations.from_rotation_vector(rng.normal(0.0, GPS[1], (len(rows), 3)))
+    attitude = rotations.products(full.attitude[rows], tilt)
+    velocity = rotations.rotate_body_to_world(full.attitude[rows], full.velocity[rows])
+    velocity += rng.normal(0.0, GPS[2], velocity.shape)
+    state = OdometryStream(
+        full.stamps_ns[rows],
+        full.position[rows] + rng.normal(0.0, GPS[0], (len(rows), 3)),
+        attitude,
+        rotations.rotate_world_to_body(attitude, velocity),
+        full.rates[rows],
+        np.broadcast_to(deviation, (len(rows), 3)).astype(float),
+    )
+    return replace(recording, pose=None, odometry=state, arrivals={})
+
+
+def velocity_error(recording: Recording, full: Flight) -> np.ndarray:
+    found = fuse(recording, BEBOP, 30.0)
+    _, mine, theirs = np.intersect1d(found.stamps_ns, full.stamps_ns, return_indices=True)
+    assert len(mine) > 0.8 * len(full)
+    return np.sqrt(np.mean(np.square(found.velocity[mine] - full.velocity[theirs]), axis=0))
+
+
+@pytest.mark.parametrize(("rate_hz", "most"), [(1.0, 0.15), (5.0, 0.08), (10.0, 0.07)])
+def test_a_slow_state_gives_the_velocity_of_motion_capture(recording, full, rate_hz, most):
+    slow = with_gps(recording, full, rate_hz)
+    assert parts_without_pause(slow) == [slow]
+    corrected = with_slow_state(slow, BEBOP)
+    assert corrected.odometry is None
+    assert velocity_error(corrected, full).max() < most
+
+
+def test_noise_that_nothing_tells_is_learned(recording, full):
+    corrected = with_slow_state(with_gps(recording, full, deviation=0.0), BEBOP)
+    assert corrected.pose.deviation[0] == pytest.approx(GPS[:2], rel=0.3)
+    assert corrected.twist.deviation[0] == pytest.approx(GPS[2], rel=0.3)
+    noise = replace(BEBOP.noise, state_position_m=2.0, state_attitude_rad=0.1, state_velocity_m_s=0.3)
+    stated = with_slow_state(with_gps(recording, full, deviation=0.0), replace(BEBOP, noise=noise))
+    assert stated.pose.deviation[0] == pytest.approx([2.0, 0.1])
+    assert stated.twist.deviation[0] == 0.3
+
+
+def test_the_covariance_holds_what_the_estimate_errs_by(recording, full):
+    trace = Ekf(BEBOP).run(with_slow_state(with_gps(recording, full), BEBOP))
+    _, mine, theirs = np.intersect1d(trace.time_ns, full.stamps_ns, return_indices=True)
+    odometry = trace.fused.odometry
+    error = odometry.velocity[mine] - full.velocity[theirs]
+    variance = np.einsum("kii->ki", trace.fused.twist_covariance[mine])[:, :3]
+    share = np.mean(np.square(error) / variance)
+    assert 0.4 < share < 2.0
+
+
+@pytest.mark.parametrize("part", [0, 1])
+def test_a_part_that_is_not_measured_is_not_used(recording, full, part):
+    deviation = GPS.copy()
+    deviation[part] = NOT_MEASURED
+    slow = with_gps(recording, full, deviation=deviation)
+    if part == 1:
+        slow.odometry.attitude[:] = [1.0, 0.0, 0.0, 0.0]
+        # As of a receiver: what it says of the velocity is in the world.
+        moving = rotations.rotate_body_to_world(full.attitude, full.velocity)
+        rows = np.isin(full.stamps_ns, slow.odometry.time_ns)
+        slow.odometry.velocity[:] = moving[rows]
+    else:
+        slow.odometry.position[:] = 9.0
+    corrected = with_slow_state(slow, BEBOP)
+    assert velocity_error(corrected, full)[2] < 0.25
+
+
+def test_an_attitude_alone_is_of_a_vehicle_that_may_move(recording, full):
+    deviation = [NOT_MEASURED, GPS[1], NOT_MEASURED]
+    fast = with_gps(recording, full, 50.0, deviation)
+    corrected = with_slow_state(fast, BEBOP)
+    assert set(corrected.twist.deviation) == {2.0}
+    trace = Ekf(BEBOP).run(corrected)
+    unsure = np.sqrt(np.median(np.einsum("kii->ki", trace.fused.twist_covariance)[:, :2]))
+    assert 0.3 < unsure < 2.0
+
+
+def test_blocks_are_corrected_as_the_whole(recording, full):
+    slow = with_gps(recording, full)
+    whole = with_slow_state(slow, BEBOP)
+    blocks, corrects = with_slow_states(split_recording(slow), BEBOP)
+    assert corrects
+    joined = [block.pose.deviation for block in blocks]
+    assert np.array_equal(np.concatenate(joined), whole.pose.deviation)
+    fast = replace(recording, pose=None, odometry=with_gps(recording, full, 50.0).odometry, arrivals={})
+    assert with_slow_state(fast, BEBOP) is fast
+    assert not with_slow_states(split_recording(fast), BEBOP)[1]
