@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from quadpi_core.air import UNKNOWN_AIR
 from quadpi_core.field.drag_fit import WIND, DragFit
 from quadpi_core.field.drag_samples import STEP_S, DragSamples
 from quadpi_core.field.estimates import PIECES_FEWEST, Estimate, beyond_zero, not_identified
@@ -34,13 +35,6 @@ WIDEST_RATIO = Threshold(
     5.0,
     "",
     "the middle of a wider one is off by a factor of two as often as not",
-    CONVENTION,
-)
-UNKNOWN_AIR = Threshold(
-    "half width, over its value, that the density of the air adds to a coefficient where the log has none",
-    0.1,
-    "",
-    "air of 0 to 30 °C at 0 to 1000 m of height is by 5 % denser to 15 % thinner than the standard's",
     CONVENTION,
 )
 
@@ -152,21 +146,23 @@ def _coefficients(
         squares[axis] = not_identified("kg/m²", said)
     momentum = _drag_estimate(values[0], ends[0], "1/s", pieces[0])
     if any(one.density is None for one in flights):
+        thinnest, densest = UNKNOWN_AIR.value
         # Momentum drag goes with the square root of the density, bluff-body drag with the density.
-        momentum, squares = _in_any_air(momentum, 0.5), [_in_any_air(one, 1.0) for one in squares]
+        momentum = _in_any_air(momentum, densest**-0.5, thinnest**-0.5)
+        squares = [_in_any_air(one, thinnest, densest) for one in squares]
     return momentum, (squares[0], squares[1])
 
 
-def _in_any_air(one: Estimate, power: float) -> Estimate:
-    """A coefficient whose air nothing told, wider by what that may have done to it."""
+def _in_any_air(one: Estimate, least: float, most: float) -> Estimate:
+    """A coefficient whose air nothing told, wider by the shares of it that this leaves."""
     if one.value is None or one.low is None or one.high is None:
         return one
-    more = power * UNKNOWN_AIR.value
     low, high = (
-        one.value + side * np.hypot(end - one.value, more * one.value)
-        for side, end in ((-1.0, one.low), (1.0, one.high))
+        one.value + side * np.hypot(end - one.value, (share - 1.0) * one.value)
+        for side, end, share in ((-1.0, one.low, least), (1.0, one.high, most))
     )
-    said = f"no pressure and temperature: {100.0 * more:.0f} % for the density of the air"
+    ends = f"{100.0 * (least - 1.0):.0f} to {100.0 * (most - 1.0):+.0f} %"
+    said = f"no pressure and temperature: {ends} for the density of the air"
     return replace(one, low=float(low), high=float(high), reason=said)
 
 

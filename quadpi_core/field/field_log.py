@@ -222,8 +222,9 @@ class Stack:
 
     Attributes:
         log_format: of the logs, as in :mod:`quadpi_core.logs.formats`.
-        read: gives one flight; its arguments are the path, and the number of a flight in it or None.
+        read: gives one flight; its arguments are the path, the number of a flight in it or None, and the
+            pairs of poles that the user knows, or None.
     """
 
     log_format: LogFormat[Any]
-    read: Callable[[Path, int | None], FieldLog]
+    read: Callable[[Path, int | None, int | None], FieldLog]

@@ -369,7 +369,9 @@ class _Search:
         """
         for kind in ("imu", "odometry", *MOTOR_INPUTS, *AIR_INPUTS):
             known = {*self._found, *({"odometry"} if "mocap" in self._found else ())}
-            topics = [] if kind in known else unnamed(self._bag, kind, self._within)
+            motors = self._vehicle.motors if self._vehicle and kind == "motor_commands" else None
+            source = motors.source if motors else ""
+            topics = [] if kind in known else unnamed(self._bag, kind, self._within, source)
             settings = CommandSettings() if kind == "motor_commands" else StateSettings()
             quiet = kind in MOTOR_INPUTS and "rotor_speeds" in self._found
             chosen = replace(self._settings, **_one(kind, settings))

@@ -147,8 +147,9 @@ _BESIDE = {"commands", "battery", "pressure", "temperature"}
 
 
 def _convert_in_blocks(task: _Conversion, file: FlightFile) -> tuple[Imported, str] | None:
-    """Like :func:`_convert`, of a bag, which is read twice and never held whole; None where a clock falls,
-    or there are commands, battery or air.
+    """Like :func:`_convert`, of a bag, which is read twice and never held whole; None for others.
+
+    Where a clock falls, or there are commands, battery or air, a bag is read whole.
 
     Which samples of other topics belong to a run of the IMU, their order of arrival tells, of the whole.
     """

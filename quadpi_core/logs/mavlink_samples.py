@@ -15,7 +15,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, RotorSpeedStream, Stamps, Stream
+from quadpi_core.flight import (
+    AirStream,
+    BatteryStream,
+    ImuStream,
+    MotorCommandStream,
+    OdometryStream,
+    PoseStream,
+    RotorSpeedStream,
+    Stamps,
+    Stream,
+)
 from quadpi_core.frames import (
     Array,
     body_flu_to_frd,
@@ -24,6 +34,7 @@ from quadpi_core.frames import (
     quaternion_world_enu_to_ned,
     world_enu_to_ned,
 )
+from quadpi_core.messages.adapters.motor_messages import shares_of_outputs
 from quadpi_core.rotations import from_rotation_vector, product, rotate_world_to_body
 from quadpi_core.rotor_order import RotorOrder
 from quadpi_core.sample_limits import NORM_TOLERANCE, STANDARD_GRAVITY
@@ -42,6 +53,12 @@ SOURCES = {
     "odometry": ("ODOMETRY", "LOCAL_POSITION_NED"),
 }
 
+# The same of what a log tells beside them: commands, battery and air.
+BESIDE = {
+    "motor_commands": ("ACTUATOR_OUTPUT_STATUS", "SERVO_OUTPUT_RAW"),
+    "battery": ("BATTERY_STATUS", "SYS_STATUS"),
+    "pressure": ("SCALED_PRESSURE",),
+}
 _EPOCH_US = 10**15
 # Later stamps, after the year 2090, are invalid.
 LATEST_US = 4 * 10**15
@@ -83,6 +100,12 @@ def stream_of(topic: str, time_ns: Stamps, rows: Array) -> Stream:
         return RotorSpeedStream(time_ns, rows)
     if topic == "mocap/pose":
         return PoseStream(time_ns, rows[:, :3], rows[:, 3:])
+    if topic == "motor_commands":
+        return MotorCommandStream(time_ns, rows)
+    if topic == "battery":
+        return BatteryStream(time_ns, rows[:, 0])
+    if topic == "pressure":
+        return AirStream(time_ns, rows[:, 0], rows[:, 1])
     return OdometryStream(time_ns, rows[:, :3], rows[:, 3:7], rows[:, 7:10], rows[:, 10:])
 
 
@@ -105,6 +128,7 @@ class MavlinkSamples:
     Args:
         vehicle: its pole pairs are needed for electrical speeds only; may be None otherwise.
         order: speed controller of each rotor, and the unit: rpm unless it is erpm.
+        beside: decode what gives the topics of `BESIDE` too.
 
     Attributes:
         refused: number of refused messages by "NAME: reason".
@@ -112,7 +136,7 @@ class MavlinkSamples:
         autopilot, vehicle_type: MAV_AUTOPILOT and MAV_TYPE of the last heartbeat, or None.
     """
 
-    def __init__(self, vehicle: Vehicle | None, order: RotorOrder) -> None:
+    def __init__(self, vehicle: Vehicle | None, order: RotorOrder, *, beside: bool = False) -> None:
         self.refused: Counter[str] = Counter()
         self.unusable = UnusableReports()
         self.autopilot: int | None = None
@@ -144,6 +168,14 @@ class MavlinkSamples:
             "ESC_TELEMETRY_9_TO_12": self._esc_telemetry,
             "RAW_RPM": self._raw_rpm,
         }
+        if beside:
+            self._decoders |= {
+                "ACTUATOR_OUTPUT_STATUS": self._outputs,
+                "SERVO_OUTPUT_RAW": self._servos,
+                "BATTERY_STATUS": self._battery,
+                "SYS_STATUS": self._system,
+                "SCALED_PRESSURE": self._pressure,
+            }
 
     @property
     def names(self) -> frozenset[str]:
@@ -301,6 +333,42 @@ class MavlinkSamples:
     def _raw_rpm(self, m: Any, arrival_s: float) -> Sample | None:
         """Revolutions per minute of one sensor."""
         return self._rotors("RAW_RPM", m.index, (m.frequency,), None, arrival_s)
+
+    def _outputs(self, m: Any, _: float) -> Sample | None:
+        """PX4's outputs, as its log has them."""
+        return self._commands("ACTUATOR_OUTPUT_STATUS", m.time_usec, m.actuator)
+
+    def _servos(self, m: Any, _: float) -> Sample | None:
+        """Pulses of the first port, the motors'; its stamp has 32 bits and begins again each 72 minutes."""
+        if m.port != 0:
+            return None
+        return self._commands(
+            "SERVO_OUTPUT_RAW", None, [getattr(m, f"servo{number}_raw") for number in range(1, 17)]
+        )
+
+    def _commands(self, name: str, clock_us: int | None, outputs: Sequence[float]) -> Sample | None:
+        own = np.array([outputs[controller] for controller in self._order.controllers], dtype=np.float64)
+        if self.autopilot == ARDUPILOT:
+            # Pulses of 1000 to 2000 µs; 0 is no pulse.
+            return Sample("motor_commands", name, clock_us, np.clip(1e-3 * (own - 1000.0), 0.0, 1.0))
+        return Sample("motor_commands", name, clock_us, shares_of_outputs(np.nan_to_num(own)[np.newaxis])[0])
+
+    def _battery(self, m: Any, _: float) -> Sample | None:
+        """Of the first battery the sum of its cells, in mV; 65535 is of a cell that is not there."""
+        cells = [volts for volts in m.voltages if volts not in {0, 0xFFFF}]
+        if m.id != 0 or not cells:
+            return None
+        return Sample("battery", "BATTERY_STATUS", None, np.array([1e-3 * sum(cells)]))
+
+    def _system(self, m: Any, _: float) -> Sample | None:
+        if m.voltage_battery in {0, 0xFFFF}:
+            return None
+        return Sample("battery", "SYS_STATUS", None, np.array([1e-3 * m.voltage_battery]))
+
+    def _pressure(self, m: Any, _: float) -> Sample | None:
+        """hPa, and hundredths of °C of the barometer's board."""
+        row = np.array([100.0 * m.press_abs, 0.01 * m.temperature])
+        return Sample("pressure", "SCALED_PRESSURE", m.time_boot_ms * 1000, row)
 
     def _rotors(
         self, source: str, first: int, rpm: Sequence[float], clock_us: int | None, arrival_s: float

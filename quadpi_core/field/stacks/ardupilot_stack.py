@@ -42,7 +42,7 @@ _LAND_COMPLETE, _NOT_LANDED = 18, 28
 _FAST_ATTITUDE, _RC_OUTPUT, _FAST_IMU, _RAW_IMU = 1, 1 << 10, 1 << 18, 1 << 19
 
 
-def read_ardupilot_field(path: Path, _number: int | None = None) -> FieldLog:
+def read_ardupilot_field(path: Path, _number: int | None = None, _poles: int | None = None) -> FieldLog:
     """What one log holds; see :class:`quadpi_core.field.field_log.FieldLog`.
 
     Raises:

@@ -49,8 +49,10 @@ _FRAMES = {3: "tricopter", 4: "quadcopter", 6: "hexacopter", 8: "octocopter"}
 _ERPM_PER_COUNT = 100.0
 
 
-def read_betaflight_field(path: Path, number: int | None = None) -> FieldLog:
+def read_betaflight_field(path: Path, number: int | None = None, poles: int | None = None) -> FieldLog:
     """What one flight of a file holds, by its number or the longest; see :class:`.FieldLog`.
+
+    Pairs of poles that the user knows count where the log has none.
 
     Raises:
         LogError: if no frame can be read.
@@ -63,7 +65,7 @@ def read_betaflight_field(path: Path, number: int | None = None) -> FieldLog:
     start_ns = int(time_ns[0])
     motors = sum(name in columns for name in _MOTORS)
     imu, pose = imu_of(source, log.headers, columns), pose_of(columns)
-    poles = pole_pairs_of(source, log.headers, None)
+    poles = pole_pairs_of(source, log.headers, None) or poles
     texts = log.texts
     ranges = _range_of(texts)
     speeds = _speeds(columns, motors, poles)

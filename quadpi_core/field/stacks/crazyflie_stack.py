@@ -31,7 +31,7 @@ _ATTITUDE = tuple(f"stateEstimate.q{axis}" for axis in "wxyz")
 _CORNERS = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
 
 
-def read_crazyflie_field(path: Path, _number: int | None = None) -> FieldLog:
+def read_crazyflie_field(path: Path, _number: int | None = None, _poles: int | None = None) -> FieldLog:
     """What one log holds; see :class:`quadpi_core.field.field_log.FieldLog`.
 
     Raises:

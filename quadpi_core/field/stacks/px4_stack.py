@@ -36,7 +36,7 @@ _DRONECAN_STEPS = 8191.0
 _VALID = ("xy_valid", "z_valid", "v_xy_valid", "v_z_valid")
 
 
-def read_px4_field(path: Path, _number: int | None = None) -> FieldLog:
+def read_px4_field(path: Path, _number: int | None = None, _poles: int | None = None) -> FieldLog:
     """What one log holds; see :class:`quadpi_core.field.field_log.FieldLog`.
 
     Raises:

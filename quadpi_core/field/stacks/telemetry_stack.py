@@ -16,7 +16,7 @@ from quadpi_core.logs.mavlink_samples import is_autopilot
 from quadpi_core.reading_options import ReadingOptions
 
 
-def read_telemetry_field(path: Path, _number: int | None = None) -> FieldLog:
+def read_telemetry_field(path: Path, _number: int | None = None, _poles: int | None = None) -> FieldLog:
     """What one log holds; see :class:`quadpi_core.field.field_log.FieldLog`.
 
     Raises:

@@ -14,7 +14,10 @@ import numpy as np
 from quadpi_core.errors import LogError
 from quadpi_core.findings import CLOCK_FALLS, NOTHING_TO_SAY, Break, DataQuality, UsedPart
 from quadpi_core.flight import (
+    AirStream,
+    BatteryStream,
     ImuStream,
+    MotorCommandStream,
     OdometryStream,
     PoseStream,
     Recording,
@@ -29,6 +32,7 @@ from quadpi_core.logs.log_format import LogFormat
 from quadpi_core.logs.mavlink_frames import PACKET_BEGIN, Framer, packet_length
 from quadpi_core.logs.mavlink_samples import (
     ARDUPILOT,
+    BESIDE,
     PX4,
     SOURCES,
     MavlinkSamples,
@@ -117,7 +121,7 @@ def read_tlog(path: Path, vehicle: Vehicle | None, order: RotorOrder | None = No
     source = str(path)
     if order is None:
         order = by_frame(source, vehicle, unit=RPM)
-    samples, arrived = _decode(path, lambda: MavlinkSamples(vehicle, order))
+    samples, arrived = _decode(path, lambda: MavlinkSamples(vehicle, order, beside=True))
     arrived, quality = _longest_run(arrived)
     time_ns = _stamps(arrived)
     unusable = samples.unusable
@@ -128,6 +132,7 @@ def read_tlog(path: Path, vehicle: Vehicle | None, order: RotorOrder | None = No
     mav_type = samples.vehicle_type or 0
     its_rotors = has_rotors(source, Airframe.of_mav_type(f"MAV_TYPE {mav_type}", mav_type), vehicle)
     imu, rotors, pose, odometry = (_stream(topic, arrived, time_ns) for topic in SOURCES)
+    commands, battery, pressure = (_stream(topic, arrived, time_ns) for topic in BESIDE)
     imu = require_imu(source, cast("ImuStream | None", imu), "HIGHRES_IMU, RAW_IMU or SCALED_IMU")
     left_out = tuple(unusable.left_out("rotor_speeds", int(imu.time_ns[0]))) if its_rotors else ()
     return Recording(
@@ -138,8 +143,18 @@ def read_tlog(path: Path, vehicle: Vehicle | None, order: RotorOrder | None = No
         rotor_speeds=_telling(source, rotors, samples) if its_rotors else None,
         pose=cast("PoseStream | None", pose),
         odometry=cast("OdometryStream | None", odometry),
+        commands=cast("MotorCommandStream | None", commands) if its_rotors else None,
+        command_source=_scale_of(samples) if commands is not None and its_rotors else "",
+        battery=cast("BatteryStream | None", battery),
+        pressure=cast("AirStream | None", pressure),
+        board_air=True,
         quality=quality.joined(DataQuality(left_out=left_out)),
     )
+
+
+def _scale_of(samples: MavlinkSamples) -> str:
+    """The adapter whose commands have the same scale."""
+    return ardupilot.RC_OUT if samples.autopilot == ARDUPILOT else "px4_outputs"
 
 
 def _telling(source: str, rotors: Stream | None, samples: MavlinkSamples) -> RotorSpeedStream | None:
@@ -227,7 +242,7 @@ def _stream(topic: str, arrived: list[_Arrived], time_ns: Stamps) -> Stream | No
     if not counted:
         return None
     most = max(counted.values())
-    chosen = next(name for name in SOURCES[topic] if counted[name] >= _FEW * most)
+    chosen = next(name for name in (SOURCES | BESIDE)[topic] if counted[name] >= _FEW * most)
     rows = [row for row, one in enumerate(arrived) if one.sample[:2] == (topic, chosen)]
     return stream_of(topic, time_ns[rows], np.array([arrived[row].sample.values for row in rows]))
 

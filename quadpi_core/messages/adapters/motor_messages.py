@@ -17,6 +17,9 @@ from quadpi_core.messages.adapters.adapter_settings import CommandSettings
 from quadpi_core.messages.cdr import Columns
 from quadpi_core.vehicle import Vehicle
 
+# µs; motors do not turn at pulses up to the second.
+_PULSE_MIN, _PULSE_REST, _OUTPUT_FULL = 800.0, 1000.0, 2000.0
+
 
 def start_of_commands(
     column: str, stamps: Callable[[Columns], Stamps], scaled: Callable[[Array], Array], layout: str = ""
@@ -51,6 +54,18 @@ def start_of_commands(
         return Reading(read, lambda: dropped)
 
     return start
+
+
+def shares_of_outputs(outputs: Array) -> Array:
+    """Commands of PX4's outputs (N, R): pulses in µs or steps of DShot, which does not matter to motors.
+
+    Those that are identified on them know their scale. All outputs at one pulse of at most 1000 µs are of a
+    vehicle that is disarmed; at rest steps of DShot are 0.
+    """
+    first = outputs[:, :1]
+    disarmed = (outputs == first).all(axis=1, keepdims=True) & (first >= _PULSE_MIN) & (first <= _PULSE_REST)
+    shares: Array = np.where(disarmed, 0.0, outputs / _OUTPUT_FULL)
+    return shares
 
 
 def start_of_battery(

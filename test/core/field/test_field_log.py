@@ -48,7 +48,6 @@ def test_means_between_edges_and_lines_where_no_sample_is():
     assert series.filled_means(edges)[1, 0] == pytest.approx(2.0 + 8.0 * 0.175 / 0.8)
 
 
-
 def test_motors_are_named_by_their_corners_where_these_are_known():
     log = FieldLog("a", "a.log", "PX4", corners=np.array([[1.0, 1.0], [-1.0, -1.0], [0.0, 1.0]]))
     names = [log.motor(number) for number in (1, 2, 3)]

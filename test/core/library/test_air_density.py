@@ -120,7 +120,7 @@ def test_thrust_of_ten_airs(truths) -> None:
     wide, spread = found["unknown"]
     assert np.abs(errors).max() < 0.01
     assert np.ptp(spread) > 0.2
-    # Of airs by 8 % thinner in the mean it is lower; the interval holds what each single air would have given.
+    # Of airs by 8 % thinner in the mean it is lower; the interval holds what each single air gives.
     low, high = wide.interval()
     assert wide.error > 10.0 * line.error
     assert low < line.value < high

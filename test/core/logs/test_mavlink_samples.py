@@ -239,3 +239,32 @@ def test_an_attitude_that_is_not_finite_is_not_kept(
     for fields in spoiled([1.0] * 6, range(3, 6)):
         assert decode(*local, *fields) is None
     assert decode(*local, *[1.0] * 6)
+
+
+def test_outputs_battery_and_air_of_a_log(mavlink_message: Callable[..., Any]) -> None:
+    order = RotorOrder((3, 0, 1, 2), "rpm")
+    plain, beside = MavlinkSamples(None, order), MavlinkSamples(None, order, beside=True)
+
+    def decode(name: str, *values: Any) -> Any:
+        message = mavlink_message(name, *values)
+        assert plain.decode(message, 0.0) is None
+        return beside.decode(message, 0.0)
+
+    dshot = decode("ACTUATOR_OUTPUT_STATUS", 1234, 4, [400.0, 800.0, 1200.0, 1600.0, *[NAN] * 28])
+    assert (dshot.topic, dshot.clock_us) == ("motor_commands", 1234)
+    assert dshot.values == pytest.approx([0.8, 0.2, 0.4, 0.6])
+    disarmed = decode("ACTUATOR_OUTPUT_STATUS", 1234, 4, [900.0] * 4 + [0.0] * 28)
+    assert disarmed.values.tolist() == [0.0] * 4
+    heartbeat = mavlink_message("HEARTBEAT", 2, ARDUPILOT, 0, 0, 4, 3)
+    beside.decode(heartbeat, 0.0)
+    pulses = decode("SERVO_OUTPUT_RAW", 99, 0, 1100, 1200, 1300, 1400, *[0] * 12)
+    assert (pulses.source, pulses.clock_us) == ("SERVO_OUTPUT_RAW", None)
+    assert pulses.values == pytest.approx([0.4, 0.1, 0.2, 0.3])
+    assert decode("SERVO_OUTPUT_RAW", 99, 1, *[1500] * 16) is None
+    cells = [4100, 4000, 3900, *[0xFFFF] * 7]
+    battery = decode("BATTERY_STATUS", 0, 0, 1, 2500, cells, 100, 0, 0, 50)
+    assert (battery.topic, battery.values.tolist()) == ("battery", [pytest.approx(12.0)])
+    air = decode("SCALED_PRESSURE", 1000, 950.25, 0.0, 2310)
+    assert (air.topic, air.clock_us) == ("pressure", 1_000_000)
+    stream = stream_of("pressure", np.array([1]), air.values[np.newaxis])
+    assert (stream.pressure[0], stream.celsius[0]) == (pytest.approx(95025.0), pytest.approx(23.1))

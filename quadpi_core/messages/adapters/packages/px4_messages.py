@@ -18,7 +18,11 @@ from quadpi_core.errors import SampleError
 from quadpi_core.flight import AirStream, ImuStream, OdometryStream, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.messages.adapters.adapter_definition import Adapter, Reading, of_items
-from quadpi_core.messages.adapters.motor_messages import start_of_battery, start_of_commands
+from quadpi_core.messages.adapters.motor_messages import (
+    shares_of_outputs,
+    start_of_battery,
+    start_of_commands,
+)
 from quadpi_core.messages.adapters.rotor_messages import (
     MOTORS,
     EscReports,
@@ -154,8 +158,7 @@ OUTPUTS = Adapter(
     topic="fmu/out/actuator_outputs",
     kind="motor_commands",
     columns={"timestamp": 1, "output": 16},
-    # Pulses in µs or steps of DShot, which of them does not matter to motors that are identified on them.
-    start=start_of_commands("output", _stamps, lambda outputs: outputs / 2000.0),
+    start=start_of_commands("output", _stamps, shares_of_outputs),
     battery=("px4_battery", "fmu/out/battery_status"),
 )
 BATTERY = Adapter(

@@ -24,11 +24,13 @@ HEADERS = {"motorOutput": "158,2047", "Firmware revision": "Betaflight 4.5.1 (ab
 def read(tmp_path: Path) -> Any:
     """read(names, values, header=value, …) → the field log."""
 
-    def field_log(names: list[str], values: tuple[int, ...], **headers: object) -> FieldLog:
+    def field_log(
+        names: list[str], values: tuple[int, ...], poles: int | None = None, **headers: object
+    ) -> FieldLog:
         path = tmp_path / "flight.bbl"
         content = flight(*frames(400, (*VALUES, *values)), names=[*SENSORS, *names], **HEADERS | headers)
         path.write_bytes(content)
-        return read_betaflight_field(path)
+        return read_betaflight_field(path, None, poles)
 
     return field_log
 
@@ -59,6 +61,13 @@ def test_electrical_speeds_without_poles_are_no_lack_of_a_field(read):
     log = read([*MOTORS, *ERPM], (*(200,) * 4, 30, 60, 90, 120), dshot_bidir=1, motor_poles=0)
     assert log.rotor_speeds is None
     assert "motor_poles is not in the log, which has electrical speeds" in log.settings[0].sentence()
+
+
+def test_poles_that_the_user_knows_count_where_the_log_has_none(read):
+    log = read([*MOTORS, *ERPM], (*(200,) * 4, 30, 60, 90, 120), poles=7, dshot_bidir=1, motor_poles=0)
+    assert log.rotor_speeds.values[0] == pytest.approx(np.array([3e3, 6e3, 9e3, 12e3]) * 2 * np.pi / 60 / 7)
+    told = read([*MOTORS, *ERPM], (*(200,) * 4, 30, 60, 90, 120), poles=6, motor_poles=14)
+    assert np.array_equal(told.rotor_speeds.values, log.rotor_speeds.values)
 
 
 def test_a_firmware_that_logs_what_the_converter_reads_gives_no_volts(read):

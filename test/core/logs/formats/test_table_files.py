@@ -17,6 +17,7 @@ import scipy.io
 import yaml
 from scipy.spatial.transform import Rotation
 
+from quadpi_core.air import MEASURED, flown_in
 from quadpi_core.errors import LogError, VehicleError
 from quadpi_core.flight import Recording
 from quadpi_core.logs import read_recording
@@ -428,3 +429,25 @@ def test_variables_of_matlab(tmp_path: Path, lies: bool):
     (tmp_path / "mapping.yaml").write_text(yaml.safe_dump(mapping))
     with pytest.raises(LogError, match=r"mocap\.p\.1 has 10 values, the time imu\.t has 40"):
         read_recording(tmp_path / "flight.mat", None, tmp_path / "mapping.yaml")
+
+
+def test_commands_battery_and_air(tmp_path: Path) -> None:
+    columns = hover_table() | {f"u{motor}": np.full(50, 1000.0 + 100.0 * motor) for motor in range(1, 7)}
+    columns |= {"hPa": np.full(50, 950.0), "kelvin": np.full(50, 293.15), "volts": np.full(50, 11.1)}
+    mapping = minimal_mapping() | {
+        "motor_commands": {"columns": ["u*"], "unit": "us"},
+        "pressure": {"columns": ["hPa"], "unit": "hPa"},
+        "temperature": {"columns": ["kelvin"], "unit": "K"},
+        "battery": {"columns": ["volts"], "unit": "V"},
+    }
+    found = read(tmp_path, mapping, columns)
+    assert found.commands.commands[0] == pytest.approx(0.1 * np.arange(1, 7))
+    assert found.command_source == "table mapping"
+    assert flown_in(found) == (pytest.approx(95000.0 / (287.053 * 293.15)), MEASURED)
+
+
+def test_one_name_stands_for_as_many_rotors_as_the_table_has(tmp_path: Path) -> None:
+    columns = hover_table() | {f"w_{rotor}": np.full(50, 100.0 * rotor) for rotor in (1, 2, 10, 3, 4, 5)}
+    mapping = minimal_mapping() | {"rotor_speeds": {"columns": ["w_*"], "unit": "rad/s"}}
+    speeds = read(tmp_path, mapping, columns).rotor_speeds.speeds[0]
+    assert speeds.tolist() == [100.0, 200.0, 300.0, 400.0, 500.0, 1000.0]

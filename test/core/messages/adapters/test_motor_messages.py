@@ -20,6 +20,10 @@ from .vendor_messages import START_NS, motor_commands
         ("px4_motors", [0.1, 0.2, 0.3, np.nan], [0.3, 0.1, 0.0, 0.2]),
         ("px4_outputs", [200, 400, 600, 800], [0.3, 0.1, 0.4, 0.2]),
         ("mavros_rc_out", [1100, 1200, 1300, 1400], [0.3, 0.1, 0.4, 0.2]),
+        # Disarmed, at the pulses of rest; a single motor there turns by its step of DShot.
+        ("px4_outputs", [900, 900, 900, 900], [0.0] * 4),
+        ("px4_outputs", [900, 400, 600, 800], [0.3, 0.45, 0.4, 0.2]),
+        ("motor_commands", [0.1, 0.2, 0.3, np.nan], [0.3, 0.1, 0.0, 0.2]),
         ("crazyflie_log", [6553.5, 13107, 19660.5, 26214], [0.3, 0.1, 0.4, 0.2]),
     ],
 )
