@@ -124,14 +124,21 @@ def learned(spectra: Sequence[Spectrum], names: Sequence[tuple[str, str]], scale
     """What flights leave, by spectra of their residual and of K columns.
 
     Args:
-        spectra: of each of F > 1 flights, rows (6, B, 1 + K + T); T columns are what is open of the model.
+        spectra: of each of F > 1 flights, rows (6, B, 1 + K + T); T columns are what is open of the model of
+            the others, as many as that has coefficients.
         names: of K parameters: the candidate of a search, and its parameter.
         scale: (K,) prior deviation of each, which its column is for, in its unit.
     """
     bands = len(EDGES_HZ.value) - 1
-    width = spectra[0].rows.shape[2]
+    width = max(own.rows.shape[2] for own in spectra)
     products = np.zeros((len(spectra), len(AXES), bands, width, width))
-    columns = Columns(tuple(spectra))
+    # What no coefficient of a model leaves open is nothing.
+    columns = Columns(
+        tuple(
+            Spectrum(np.pad(own.rows, ((0, 0), (0, 0), (0, width - own.rows.shape[2]))), own.band)
+            for own in spectra
+        )
+    )
     products[:, :, : columns.bands] = columns.products(columns)
     rows = np.array([np.bincount(own.band, minlength=bands) for own in spectra])
     found, posterior = _variances(products, rows.astype(float), len(names))

@@ -79,6 +79,13 @@ def test_what_a_fit_without_a_flight_leaves_open_is_no_noise():
         assert np.mean(found / NOISE) == pytest.approx(1.0, abs=0.03)
 
 
+def test_models_without_a_flight_may_have_more_coefficients_than_another():
+    flights = list(spectra())
+    wider = Spectrum(np.dstack((flights[0].rows, np.zeros((*flights[0].rows.shape[:2], 2)))), flights[0].band)
+    same, found = (learned(some, NAMES, SCALE) for some in (flights, [wider, *flights[1:]]))
+    np.testing.assert_allclose(found.noise, same.noise, rtol=1e-9)
+
+
 def test_a_scale_of_thrust_is_no_error_that_a_model_is_known_by():
     """Identification fits it, and beside one of mass it would scale all there is."""
     names = {candidate.name for candidate in known_errors(Vehicle.load("bebop2"))}
