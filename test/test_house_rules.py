@@ -17,13 +17,12 @@ def rules(tool: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     for name in ("a", "b"):
         (tmp_path / "quadpi_core" / name).mkdir(parents=True)
         (tmp_path / "quadpi_core" / name / "__init__.py").touch()
+        (tmp_path / "test" / "core" / name).mkdir(parents=True)
+        (tmp_path / "test" / "core" / name / "test_filter.py").touch()
     (tmp_path / "CONTRIBUTING.md").write_text(
         "| `a` | 4 | 3 | 2 |\n| `b` | 4 | 3 | 2 |\n| `core` | 20 | 1 | 2 |\n| numpy | arrays |\n"
     )
     (tmp_path / "pyproject.toml").write_text('dependencies = [\n    "numpy>=1.26",\n]\n')
-    (tmp_path / "test").mkdir()
-    for name in ("filter", "kernel"):
-        (tmp_path / "test" / f"test_{name}.py").touch()
     return tool
 
 
@@ -60,16 +59,20 @@ def test_elementary_functions_of_the_c_library(
     assert (f"core/kernel.hpp:1: {name}\n" in capsys.readouterr().out) == bool(status)
 
 
-def test_a_module_without_a_test_file(rules: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
-    for name in ("tested", "untested"):
-        (rules.ROOT / "quadpi_core" / "a" / f"{name}.py").touch()
+def test_a_room_without_tests(rules: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
+    (rules.ROOT / "test" / "core" / "b" / "test_filter.py").unlink()
     assert rules.main() == 1
-    (rules.ROOT / "test" / "test_tested.py").touch()
-    assert rules.main() == 1
-    message = "modules without a test file of their name: 1\n  quadpi_core/a/untested.py\n"
-    assert message in capsys.readouterr().out
-    (rules.ROOT / "test" / "test_untested.py").touch()
-    assert rules.main() == 0
+    assert "rooms without tests in their folder: 1\n  b\n" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("words", "status"), [(25_000, 0), (25_001, 1)])
+def test_documents_that_are_too_long(
+    rules: ModuleType, capsys: pytest.CaptureFixture[str], words: int, status: int
+) -> None:
+    (rules.ROOT / "docs").mkdir()
+    (rules.ROOT / "docs" / "page.md").write_text("word " * words)
+    assert rules.main() == status
+    assert ("  docs: 25001\n" in capsys.readouterr().out) == bool(status)
 
 
 @pytest.mark.parametrize(
@@ -85,7 +88,6 @@ def test_a_room_that_passes_its_budget(
 ) -> None:
     for name, lines in files.items():
         (rules.ROOT / "quadpi_core" / "a" / f"{name}.py").write_text("\n" * lines)
-        (rules.ROOT / "test" / f"test_{name}.py").touch()
     assert rules.main() == bool(message)
     printed = capsys.readouterr().out
     assert f"budgets of rooms exceeded: {bool(message):d}\n" in printed

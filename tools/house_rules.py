@@ -5,8 +5,9 @@
 Run by `make lint`. File names are unique over both packages, so that a name finds one file. A function
 of the core takes at most eight parameters, because more of them are a record without a name; ruff limits
 those of Python. Its sines and exponentials are its own, since those of a C library differ by processor.
-Each module has a test file of its name, so that a change finds its tests. CONTRIBUTING.md has a budget of
-lines and files for each room, and a line for each package that users must install: nothing grows unseen.
+Each room has tests in its folder of test/, so that a change finds them. CONTRIBUTING.md has a budget of lines
+and files for each room, one of words for docs/, and a line for each package that users must install:
+nothing grows unseen.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("quadpi_core", "quadpi_ros")
 KERNEL_PARAMETERS_MAX = 8
 CORE_LINES_MAX = 400
+DOCS_WORDS_MAX = 25_000
 # Rows of the tables of CONTRIBUTING.md: rooms, lines, files, goal; and a package with its purpose.
 _BUDGET = re.compile(r"^\| `([^|]+)` \| ([\d ]+) \| (\d+) \| [\d ]+ \|$", re.MULTILINE)
 # A definition: its name, and what stands between its parentheses.
@@ -71,20 +73,19 @@ def functions_of_c_library(paths: list[Path]) -> Iterator[str]:
                 yield f"{path.relative_to(ROOT)}:{number}: {name}"
 
 
-def without_tests(paths: list[Path]) -> Iterator[str]:
-    """Modules without a test file of their name."""
-    tested = {path.stem.removeprefix("test_") for path in (ROOT / "test").rglob("test_*.py")}
-    for path in paths:
-        if path.stem not in tested | {"__init__", "__main__"}:
-            yield str(path.relative_to(ROOT))
-
-
 def room_of(path: Path) -> str:
     """The room of a module; the package itself for a file in none."""
     parts = path.relative_to(ROOT).parts
     if parts[0] == "core":
         return "core"
     return parts[1] if len(parts) > 2 else parts[0]
+
+
+def untested_rooms(paths: list[Path]) -> Iterator[str]:
+    """Rooms without a test file in their folder of test/."""
+    for room in sorted({room_of(path) for path in paths}):
+        if not any((ROOT / "test").rglob(f"{room.removeprefix('quadpi_')}/test_*.py")):
+            yield room
 
 
 def over_budget(paths: list[Path]) -> Iterator[str]:
@@ -111,6 +112,13 @@ def long_files(paths: list[Path]) -> Iterator[str]:
             yield f"{path.relative_to(ROOT)}: {lines}"
 
 
+def long_documents() -> Iterator[str]:
+    """The words of docs/, where they are more than the rules allow."""
+    words = sum(len(page.read_text().split()) for page in (ROOT / "docs").glob("*.md"))
+    if words > DOCS_WORDS_MAX:
+        yield f"docs: {words}"
+
+
 def unlisted_packages() -> Iterator[str]:
     """Packages that users have to install and that CONTRIBUTING.md does not list, or the other way round."""
     (required,) = re.findall(
@@ -134,9 +142,10 @@ def main() -> int:
         ),
         ("elementary functions of a C library in the core", functions_of_c_library(core_sources())),
         ("file names used twice", repeated_names(paths)),
-        ("modules without a test file of their name", without_tests(paths)),
+        ("rooms without tests in their folder", untested_rooms(paths)),
         ("budgets of rooms exceeded", over_budget([*paths, *core_sources()])),
         (f"files of the core of more than {CORE_LINES_MAX} lines", long_files(core_sources())),
+        (f"documents of more than {DOCS_WORDS_MAX} words", long_documents()),
         ("required packages without a line in CONTRIBUTING.md, or no longer required", unlisted_packages()),
     ):
         lines = list(found)

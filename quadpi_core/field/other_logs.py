@@ -69,7 +69,7 @@ def read_other(path: Path, options: ReadingOptions, known: Vehicle | int | None)
         notes += [said] if said else []
     else:
         if vehicle is None and log_format.container is not None:
-            vehicle = _named_vehicle(log_format.container.vehicle_name(path))
+            vehicle = named_vehicle(log_format.container.vehicle_name(path))
             if vehicle is not None and poles is not None:
                 vehicle = replace(vehicle, pole_pairs=poles)
         # Here commands are commands: speeds that are made of them tell nothing of tachometers.
@@ -121,7 +121,7 @@ def _of_motors(motors: Sequence[Motor], poles: int) -> Vehicle:
     )
 
 
-def _named_vehicle(name: str) -> Vehicle | None:
+def named_vehicle(name: str) -> Vehicle | None:
     """The vehicle that a bag names, or None if there is no such file."""
     try:
         return Vehicle.load(name) if name else None

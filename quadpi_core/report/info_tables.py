@@ -13,7 +13,7 @@ from rich.columns import Columns
 from rich.console import RenderableType
 from rich.text import Text
 
-from quadpi_core.errors import VehicleError
+from quadpi_core.field.other_logs import named_vehicle
 from quadpi_core.flight import STREAM_KINDS, Recording
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.logs import blocks_of, decode_recording, identify_format, open_in_blocks
@@ -61,7 +61,7 @@ def describe(
     else:
         known = Vehicle.load(vehicle) if vehicle else None
         if container:
-            known = known or _named_vehicle(container.vehicle_name(path))
+            known = known or named_vehicle(container.vehicle_name(path))
             inspection = _inspect_in_blocks(path, known, mapping)
         else:
             recording = in_range(decode_recording(path, known, mapping), reading_options(mapping).part)
@@ -84,14 +84,6 @@ def _inspect_in_blocks(path: Path, vehicle: Vehicle | None, mapping: MappingOrOp
             if field in STREAM_KINDS
         }
     return with_names_of_bag(inspection, names)
-
-
-def _named_vehicle(name: str) -> Vehicle | None:
-    """The vehicle that a bag names, or None if there is no such file."""
-    try:
-        return Vehicle.load(name) if name else None
-    except VehicleError:
-        return None
 
 
 def inspection_tables(inspection: Inspection) -> list[Table]:

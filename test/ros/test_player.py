@@ -68,7 +68,9 @@ def test_a_start_beyond_the_end_and_a_loop_too_short_are_refused(folder: Path) -
 
     assert start("--start-offset", "1.5", "--loop") == 1_500_000_000
     for none in ("3.5", "-1", "nan"):
-        with pytest.raises(PlayerError, match=rf"hover\.mcap: --start-offset {none}: what is played lasts 3 s"):
+        with pytest.raises(
+            PlayerError, match=rf"hover\.mcap: --start-offset {none}: what is played lasts 3 s"
+        ):
             start("--start-offset", none)
     assert start("--start-offset", "2.5") == 2_500_000_000
     with pytest.raises(PlayerError, match=r"hover\.mcap: --loop: 0\.499 s are too short: .* more than 1 s"):
