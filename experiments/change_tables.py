@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Renew the table of results/alarm.md on CHANGE: altered recordings of real flights through the live path.
+"""Renew the tables of results/alarm.md on CHANGE: altered recordings of real flights through the live path.
 
 Every second flight of the Crazyflie identifies a model, the others judge it, and the other way round.
 """
@@ -22,13 +22,22 @@ from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs import read_recording
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.model_kind import CUTOFF_HZ
+from quadpi_core.monitor.change import OF_THRUST
 from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.pairing_kernel import SET_BACK
 from quadpi_core.monitor.preparation import Prepared
 from quadpi_core.monitor.replay import follow, recorded_flight
 from quadpi_core.paths import data_directory
 from quadpi_core.report.table import Column, Row, Table, markdown_table
-from quadpi_core.results import CAUSES, CHANGE, CHANGED_MASS, CHANGED_ROTOR, LEVEL_ALARM
+from quadpi_core.results import (
+    CAUSES,
+    CHANGE,
+    CHANGED_MASS,
+    CHANGED_ROTOR,
+    EXTRAPOLATION,
+    LEVEL_ALARM,
+    MISCOVERAGE,
+)
 from quadpi_core.vehicle import Vehicle
 
 VEHICLE, METHOD = "crazyflie_rpm", "physical"
@@ -161,6 +170,84 @@ def told_of(
     )
 
 
+class Causes(NamedTuple):
+    """Which causes a replay raises.
+
+    Attributes:
+        extrapolation, evidence: the cause, and either of MISCOVERAGE and CHANGE.
+        beyond: whether an input or leverage is beyond the limit of an alarm, but for the inputs of thrust.
+    """
+
+    extrapolation: bool
+    evidence: bool
+    beyond: bool
+
+
+def causes_of(model: AerodynamicModel, vehicle: Vehicle, recording: Recording) -> Causes:
+    """Replay a recording, as `quadpi replay` does."""
+    monitor, raised, beyond = Monitor(model, vehicle, None), np.zeros(len(CAUSES), dtype=bool), False
+    for part in follow(recorded_flight(recording), vehicle):
+        if part.begin == SET_BACK:
+            monitor.reset()
+        monitor.retune(part.rate)
+        _, alarms, _ = monitor.step(*part.samples)
+        if len(alarms):
+            raised |= (alarms.cause_level == LEVEL_ALARM).any(axis=0)
+            scores = (alarms.input_score[:, ~OF_THRUST], alarms.leverage, alarms.width)
+            beyond = beyond or max(float(score.max()) for score in scores) > 1.0
+    evidence = raised[[CAUSES.index(MISCOVERAGE), CAUSES.index(CHANGE)]].any()
+    return Causes(bool(raised[CAUSES.index(EXTRAPOLATION)]), bool(evidence), beyond)
+
+
+def told_apart(data: Path) -> str:
+    """The table of faster flights and of changed vehicles."""
+    vehicle = Vehicle.load(VEHICLE)
+    paths, laden = sorted((data / SOUND).iterdir()), sorted((data / LADEN).iterdir())
+    counts: dict[str, list[Causes]] = {}
+
+    def judge(name: str, model: AerodynamicModel, recording: Recording) -> Causes:
+        found = causes_of(model, vehicle, recording)
+        counts.setdefault(name, []).append(found)
+        return found
+
+    def identified(flights: Sequence[Path]) -> AerodynamicModel:
+        return model_of(prepare_flights(flights, vehicle, CUTOFF_HZ["default"]), VEHICLE, METHOD)
+
+    half = len(paths) // 2
+    model = identified(paths[:half])
+    for path in paths[half:]:
+        judge("ten faster flights, by a model of the ten slower ones", model, read_recording(path, vehicle))
+    for parity in (0, 1):
+        model = identified(paths[parity::2])
+        for path in paths[1 - parity :: 2]:
+            recording = read_recording(path, vehicle)
+            judge("sound, by a model of every second flight", model, recording)
+            for share in (0.03, 0.06):
+                faster = all_faster(recording, 0, 0, share)
+                judge(f"{100.0 * share:g} % less thrust of all rotors", model, faster)
+    model = identified(paths)
+    for path in laden:
+        found = causes_of(model, vehicle, read_recording(path, vehicle))
+        name = (
+            "beyond the envelope in another input too"
+            if found.beyond
+            else "inside it, but for its rotor speeds"
+        )
+        counts.setdefault(f"payload, {name}", []).append(found)
+    rows: list[Row] = [
+        [
+            name,
+            str(len(of)),
+            str(sum(one.extrapolation and not one.evidence for one in of)),
+            str(sum(one.evidence and not one.extrapolation for one in of)),
+            str(sum(one.evidence and one.extrapolation for one in of)),
+        ]
+        for name, of in counts.items()
+    ]
+    headings = ("replays", "EXTRAPOLATION alone", "evidence alone", "both")
+    return markdown_table(Table([Column("flights", is_text=True), *map(Column, headings)], rows))
+
+
 def row_of(
     name: str,
     delays: Sequence[float],
@@ -240,13 +327,18 @@ def changes(data: Path, repeats: int) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Renew the table."""
+    """Renew the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, default=data_directory(), help=f"folder that holds {SOUND}/")
     parser.add_argument("--page", type=Path, default=PAGE, help="to renew")
     parser.add_argument("--repeats", type=int, default=3, help="moments in each flight")
+    parser.add_argument("--only", choices=("apart", "changes"), help="one of the tables")
     options = parser.parse_args(arguments)
-    renew(options.page, {"changes": f"{changes(options.data.resolve(), options.repeats)}\n\n*{stamp()}*"})
+    data = options.data.resolve()
+    if options.only != "changes":
+        renew(options.page, {"apart": f"{told_apart(data)}\n\n*{stamp()}*"})
+    if options.only != "apart":
+        renew(options.page, {"changes": f"{changes(data, options.repeats)}\n\n*{stamp()}*"})
 
 
 if __name__ == "__main__":
