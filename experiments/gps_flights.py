@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What GPS and motor commands alone tell: windy flights of RotorPy, each by a vehicle of its own.
 
-Every flight is logged as an autopilot logs it: IMU and commands at 100 Hz, the state at 5 Hz with errors of 1 m,
-0.1 m/s and 2°. A report on each gives drag, thrust and inertia with intervals of 95 %, or says that they are
-not identified; counted is how often the truth is inside. Nothing of the library is in the simulation.
+Every flight is logged as an autopilot logs it: IMU and commands at 100 Hz, the state at 5 Hz with errors of
+1 m, 0.1 m/s and 2°. A report on each gives drag, thrust and inertia with intervals of 95 %, or says that they
+are not identified; counted is how often the truth is inside.
 
     python experiments/gps_flights.py [--flights 100] [--first 1000] [--store FOLDER]
 """
@@ -20,7 +20,19 @@ import numpy as np
 from independent.airframes import GRAVITY_M_S2, Airframe, Array, airframes
 from independent.flying import Path4
 from independent.hidden_effects import Flown
+from page_tables import renew, stamp
 from scipy.spatial.transform import Rotation
+
+from quadpi_core.field.airborne import flown
+from quadpi_core.field.drag import identify_drag
+from quadpi_core.field.drag_samples import drag_samples, piece_lengths_s
+from quadpi_core.field.estimates import Estimate
+from quadpi_core.field.field_log import FieldLog, Series
+from quadpi_core.field.inertia import identify_body
+from quadpi_core.report.table import Column, Row, Table, markdown_table
+from quadpi_core.vehicle import Vehicle
+
+PAGE = Path(__file__).parent / "results" / "slow-states.md"
 
 RATE_HZ, DURATION_S, STATE_HZ = 100.0, 60.0, 5.0
 # Errors of a state by GPS: position m, velocity m/s, attitude rad.
@@ -63,11 +75,10 @@ def vehicle_of(airframe: Airframe, rng: np.random.Generator) -> Flown:
     """A vehicle with its own motors, drag and inertia."""
     factors = {"k_eta": 0.15, "k_m": 0.2, "k_d": 0.3, "k_z": 0.3, "c_Dx": 0.3, "c_Dy": 0.3}
     factors |= {"Ixx": 0.2, "Iyy": 0.2, "Izz": 0.2}
-    flown = Flown(airframe, airframe.parameters)
-    flown = flown.with_parameters(
+    drawn = Flown(airframe, airframe.parameters).with_parameters(
         **{name: float(np.exp(share * rng.uniform(-1.0, 1.0))) for name, share in factors.items()}
     )
-    return Flown(airframe, {**flown.parameters, "tau_m": float(rng.uniform(0.02, 0.05))})
+    return Flown(airframe, {**drawn.parameters, "tau_m": float(rng.uniform(0.02, 0.05))})
 
 
 def path_of(rng: np.random.Generator, speed: float) -> Path4:
@@ -88,8 +99,10 @@ def path_of(rng: np.random.Generator, speed: float) -> Path4:
     def shaken(begin: float, size: float):
         hz = rng.uniform(0.9, 1.4)
         gain = size / (2.0 * np.pi * hz) ** 2
-        return lambda t: gain * np.sin(2.0 * np.pi * hz * t) * (
-            np.clip(t - begin, 0.0, 1.0) * np.clip(begin + 10.0 - t, 0.0, 1.0)
+        return lambda t: (
+            gain
+            * np.sin(2.0 * np.pi * hz * t)
+            * (np.clip(t - begin, 0.0, 1.0) * np.clip(begin + 10.0 - t, 0.0, 1.0))
         )
 
     slow = [faded(swing(speed, 0.05, 0.12)) for _ in range(2)]
@@ -127,13 +140,16 @@ def fly(seeds: Sequence[int]) -> list[Logged]:
     torch.set_num_threads(1)
     device, count = torch.device("cpu"), len(seeds)
     draws = [np.random.default_rng(seed) for seed in seeds]
-    flown = [vehicle_of(airframes()[0], rng) for rng in draws]
-    parameters = [dict(one.parameters) for one in flown]
+    vehicles = [vehicle_of(airframes()[0], rng) for rng in draws]
+    parameters = [dict(one.parameters) for one in vehicles]
     samples = int(DURATION_S * RATE_HZ)
     time = np.arange(samples) / RATE_HZ
     names = ("x", "x_dot", "x_ddot", "yaw", "yaw_dot")
     sampled = [path_of(rng, 5.0).sampled(time) for rng in draws]
-    wanted = {name: torch.tensor(np.stack(own, axis=1)) for name, own in zip(names, zip(*sampled), strict=True)}
+    wanted = {
+        name: torch.tensor(np.stack(own, axis=1))
+        for name, own in zip(names, zip(*sampled, strict=True), strict=True)
+    }
     wind = np.empty((samples, count, 3))
     for place, rng in enumerate(draws):
         heading, blows = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(0.0, 5.0)
@@ -151,7 +167,7 @@ def fly(seeds: Sequence[int]) -> list[Logged]:
         device,
     )
     # Slower than the motors allow, as an autopilot is; it knows the vehicle of the file alone.
-    known = {**flown[0].airframe.parameters, "kp_att": 60.0, "kd_att": 12.0}
+    known = {**vehicles[0].airframe.parameters, "kp_att": 60.0, "kd_att": 12.0}
     controller = BatchedSE3Control(BatchedMultirotorParams([known] * count, count, device), count, device)
     rows, slopes = np.empty((samples, count, 20)), np.empty((samples, count, 20))
     commands, integral, step = np.empty((samples, count, 4)), torch.zeros(count, 3), 1.0 / RATE_HZ
@@ -181,12 +197,12 @@ def fly(seeds: Sequence[int]) -> list[Logged]:
             raise RuntimeError(f"RotorPy loses a path after {time[k]:.2f} s")
     return [
         _logged(own, time, rows[:, place], slopes[:, place], commands[:, place], wind[:, place], rng)
-        for place, (own, rng) in enumerate(zip(flown, draws, strict=True))
+        for place, (own, rng) in enumerate(zip(vehicles, draws, strict=True))
     ]
 
 
 def _logged(
-    flown: Flown,
+    own: Flown,
     time: Array,
     rows: Array,
     slopes: Array,
@@ -194,7 +210,7 @@ def _logged(
     wind: Array,
     rng: np.random.Generator,
 ) -> Logged:
-    p, count = flown.parameters, len(time)
+    p, count = own.parameters, len(time)
     attitude = Rotation.from_quat(rows[:, 6:10])
     force = attitude.inv().apply(slopes[:, 3:6] + np.array([0.0, 0.0, GRAVITY_M_S2]))
     air = attitude.inv().apply(rows[:, 3:6] - wind)[:, :2]
@@ -234,3 +250,92 @@ def stored(seeds: Sequence[int], store: Path) -> list[Logged]:
         with np.load(store / f"gps-{seed}.npz") as file:
             flights.append(Logged(**{name: file[name] for name in Logged._fields}))
     return flights
+
+
+# From RotorPy's axes to forward-right-down and north-east-down.
+_FLIP = np.array([1.0, -1.0, -1.0])
+_FIGURES = ("drag along x", "drag along y", "thrust", "inertia about x", "inertia about y")
+
+
+def field_log(flight: Logged) -> FieldLog:
+    """A flight as `quadpi report` reads a log."""
+    attitude = flight.attitude[:, [3, 0, 1, 2]] * np.array([1.0, 1.0, -1.0, -1.0])
+    for row in range(1, len(attitude)):
+        attitude[row] *= 1.0 if attitude[row] @ attitude[row - 1] > 0.0 else -1.0
+    return FieldLog(
+        name="gps",
+        source="gps",
+        stack="simulation",
+        imu=Series(flight.time, np.hstack([flight.rates * _FLIP, flight.felt * _FLIP])),
+        attitude=Series(flight.state_time, attitude),
+        velocity=Series(flight.state_time, flight.velocity * _FLIP),
+        position=Series(flight.state_time, flight.position * _FLIP),
+        commands=Series(flight.time, flight.commands),
+    )
+
+
+def vehicle_file() -> Vehicle:
+    """What the owner of the vehicles knows: mass and places of the rotors; inertia is a guess."""
+    return Vehicle.load(str(airframes()[0].file))
+
+
+def judged(flight: Logged, vehicle: Vehicle) -> list[tuple[float, Estimate]]:
+    """The truth, and what is told of it, of each of `_FIGURES`."""
+    log = field_log(flight)
+    aloft = flown(log)
+    samples = drag_samples(log, aloft, piece_lengths_s([aloft.airborne_s])[0])
+    if isinstance(samples, str):
+        raise RuntimeError(samples)
+    drag, body = identify_drag([samples]), identify_body([(log, aloft)], vehicle)
+    inside = np.zeros(len(flight.time), dtype=bool)
+    for one in aloft.stretches:
+        inside |= (flight.time >= one.begin) & (flight.time <= one.end)
+    hover = float(flight.commands[inside].mean())
+    return [
+        *zip(flight.drag.tolist(), drag.per_mass, strict=True),
+        (float(flight.thrust) * hover**2, body.thrust),
+        *zip(flight.inertia[:2].tolist(), body.inertia, strict=True),
+    ]
+
+
+def table(told: Sequence[Sequence[tuple[float, Estimate]]]) -> Table:
+    """How often the truth is inside, half widths, and how often nothing is told, of each figure."""
+    rows: list[Row] = []
+    for place, name in enumerate(_FIGURES):
+        own = [flight[place] for flight in told]
+        known = [(true, one) for true, one in own if one.value is not None]
+        ends = [(true, one.low, one.high) for true, one in own if one.low is not None]
+        held = [low <= true <= high for true, low, high in ends if high is not None]
+        widths = [one.half_width / true for true, one in known if one.half_width is not None]
+        errors = [one.value / true - 1.0 for true, one in known if one.value is not None]
+        rows.append(
+            [
+                name,
+                f"{sum(held)} of {len(held)}",
+                f"{100.0 * np.median(widths):.1f} %" if widths else "–",
+                f"{100.0 * np.median(errors):+.1f} %" if errors else "–",
+                f"{100.0 * (1.0 - len(known) / len(own)):.0f} %",
+            ]
+        )
+    headings = ("truth inside", "half width, median", "error, median", "not identified")
+    return Table([Column("of each flight", is_text=True), *map(Column, headings)], rows)
+
+
+def main() -> None:
+    """Fly, judge, and renew the page."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--flights", type=int, default=100)
+    parser.add_argument("--first", type=int, default=1000, help="seed; those below were looked at")
+    parser.add_argument("--store", type=Path, default=Path("out") / "gps-flights")
+    parser.add_argument("--page", type=Path, default=PAGE)
+    given = parser.parse_args()
+    vehicle = vehicle_file()
+    seeds = range(given.first, given.first + given.flights)
+    told = [judged(flight, vehicle) for flight in stored(seeds, given.store)]
+    text = markdown_table(table(told))
+    print(text)
+    renew(given.page, {"gps": f"{text}\n\n*{stamp()}*"})
+
+
+if __name__ == "__main__":
+    main()

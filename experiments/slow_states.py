@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a slow state costs: models of flights whose motion capture is degraded to GPS, beside those of all of it.
+"""What a slow state costs: models of flights whose motion capture is degraded to GPS, beside those of all.
 
-Of each flight the smoothed state is taken at a few instants a second and given errors; commands, IMU and rotor
-speeds stay. Models are identified on every second flight and judged on the others, and the other way round.
+Of each flight the smoothed state is taken at a few instants a second and given errors; IMU and rotor speeds
+stay. Models are identified on every second flight and judged on the others, and the other way round.
 
     python experiments/slow_states.py [--seeds 3] [--rate 5]
 """
@@ -76,24 +76,21 @@ def degraded(
     return replace(recording, pose=None, twist=None, odometry=state, arrivals={})
 
 
-def drag(flights: Sequence[PreparedFlight], vehicle: Vehicle) -> Array:
-    """Drag over mass and speed (2,) along x and y, 1/s, by the slope of specific force over velocity."""
+def drag(flights: Sequence[PreparedFlight], recordings: Sequence[Recording]) -> Array:
+    """Drag over mass and speed (2,) along x and y, 1/s, by the slope of the accelerometer over velocity.
+
+    The accelerometer is as it reads, with a bias for each flight: what differs is the velocity alone.
+    """
     slopes = []
     for axis in range(2):
-        rows = [
-            np.stack([one.flight.velocity[:, axis], np.ones(len(one.time))], axis=1)
-            for one in flights
-            if one.flight is not None
-        ]
-        force = np.concatenate([one.wrench[:, axis] for one in flights]) / vehicle.mass_kg
-        # Each flight has a bias of its own, which the flights with a slow state tell worse.
-        columns = np.zeros((sum(map(len, rows)), 1 + len(rows)))
-        start = 0
-        for place, own in enumerate(rows):
-            columns[start : start + len(own), 0] = own[:, 0]
-            columns[start : start + len(own), 1 + place] = 1.0
-            start += len(own)
-        slopes.append(-float(np.linalg.lstsq(columns, force, rcond=None)[0][0]))
+        gram, pull = 0.0, 0.0
+        for one, recording in zip(flights, recordings, strict=True):
+            assert one.flight is not None
+            imu, stamps = recording.imu, one.flight.stamps_ns
+            force = np.interp(stamps, imu.time_ns, imu.specific_force[:, axis])
+            moving = one.flight.velocity[:, axis] - one.flight.velocity[:, axis].mean()
+            gram, pull = gram + moving @ moving, pull + moving @ force
+        slopes.append(-pull / gram)
     return np.array(slopes)
 
 
@@ -105,26 +102,18 @@ class Judged:
     coverage: Array
 
 
-def judged(vehicle: Vehicle, learned: Sequence[PreparedFlight], others: Sequence[PreparedFlight]) -> Judged:
-    """A model of some flights, on others."""
-    model = model_of(list(learned), vehicle, "physical")
-    results = [predict_flight(model, one, model.confidence) for one in others]
-    errors = np.concatenate([one.measured - one.predicted for one in results])
-    inside = np.concatenate([(one.measured >= one.lower) & (one.measured <= one.upper) for one in results])
-    return Judged(np.sqrt(np.mean(np.square(errors), axis=0)), np.mean(inside, axis=0))
-
-
-def both_ways(vehicle: Vehicle, flights: Sequence[PreparedFlight], truth: Sequence[PreparedFlight]) -> Judged:
-    """Models of each half of some flights on the other half as it truly was, and coverage on it as it is."""
-    ways = [
-        (
-            judged(vehicle, flights[half::2], truth[1 - half :: 2]),
-            judged(vehicle, flights[half::2], flights[1 - half :: 2]),
-        )
-        for half in (0, 1)
-    ]
-    rmse = np.sqrt(np.mean([np.square(one.rmse) for one, _ in ways], axis=0))
-    return Judged(rmse, np.mean([own.coverage for _, own in ways], axis=0))
+def judged(vehicle: Vehicle, flights: Sequence[PreparedFlight]) -> Judged:
+    """Models of each half of some flights, on the other half."""
+    errors, inside = [], []
+    for half in (0, 1):
+        model = model_of(list(flights[half::2]), vehicle, "physical")
+        for flight in flights[1 - half :: 2]:
+            one = predict_flight(model, flight, model.confidence)
+            errors.append(one.measured - one.predicted)
+            inside.append((one.measured >= one.lower) & (one.measured <= one.upper))
+    return Judged(
+        np.sqrt(np.mean(np.square(np.concatenate(errors)), axis=0)), np.mean(np.concatenate(inside), axis=0)
+    )
 
 
 def rows_of(vehicle_name: str, folder: Path, seeds: int, rate_hz: float) -> list[list[str]]:
@@ -140,7 +129,7 @@ def rows_of(vehicle_name: str, folder: Path, seeds: int, rate_hz: float) -> list
             print(f"{path.name}: left out: {error}", flush=True)
             continue
         recordings.append(recording), truth.append(prepared), full.append(smooth)
-    best, known = both_ways(vehicle, truth, truth), drag(truth, vehicle)
+    best, known = judged(vehicle, truth), drag(truth, recordings)
     rows = []
     for seed in range(seeds):
         rng = np.random.default_rng(seed)
@@ -149,7 +138,7 @@ def rows_of(vehicle_name: str, folder: Path, seeds: int, rate_hz: float) -> list
             prepare_recording(degraded(one, own, rng, rate_hz, stated=stated), vehicle, CUTOFF)
             for one, own in zip(recordings, full, strict=True)
         ]
-        found, ratio = both_ways(vehicle, slow, truth), drag(slow, vehicle) / known
+        found, ratio = judged(vehicle, slow), drag(slow, recordings) / known
         rmse, share = found.rmse / best.rmse, found.coverage
         rows.append(
             [

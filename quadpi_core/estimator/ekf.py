@@ -195,9 +195,7 @@ class Ekf:
         measurement["deviation"] = deviation
         return self._update(measurement)
 
-    def update_velocity(
-        self, time_ns: int, velocity: Array, body: bool, deviation: float = 0.0
-    ) -> Outcome:
+    def update_velocity(self, time_ns: int, velocity: Array, body: bool, deviation: float = 0.0) -> Outcome:
         """Take one velocity (3,) m/s over ground, in body axes or in the world; see :meth:`update_pose`."""
         measurement = self._measurement
         measurement["time_ns"], measurement["kind"] = time_ns, BODY_VELOCITY if body else WORLD_VELOCITY

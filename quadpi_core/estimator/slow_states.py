@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """States that come too seldom to be interpolated correct the filter instead, each part with its own noise.
 
-The IMU fills the time between them. Their noise is what the messages say, else what the vehicle file says, else
-it is estimated: of the deviations of smoothed states from measurements, by expectation and maximisation, in
-which the smoother's own variance counts (R. Shumway, D. Stoffer, An approach to time series smoothing and
-forecasting using the EM algorithm, 1982, eq. 14).
+The IMU fills the time between them. Their noise is what the messages say, else what the vehicle file says,
+else it is estimated from what smoothed states differ from measurements by, to which the smoother's own
+variance is added: R. Shumway, D. Stoffer, "An approach to time series smoothing and forecasting using the EM
+algorithm" (1982), eq. 14.
 """
 
 from __future__ import annotations

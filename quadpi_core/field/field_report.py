@@ -21,6 +21,7 @@ from quadpi_core.field.drag_samples import drag_samples, piece_lengths_s
 from quadpi_core.field.estimates import Estimate
 from quadpi_core.field.field_log import FieldLog
 from quadpi_core.field.field_reading import read_field_log
+from quadpi_core.field.inertia import BodyResult, identify_body
 from quadpi_core.field.motor_model import MotorModel, Tachometers, motor_model, tachometers
 from quadpi_core.field.motor_use import (
     BATTERY_DRIFT,
@@ -135,6 +136,7 @@ class VehicleReport:
         windy: flights that it was identified on.
         motors: rotor speed from command and battery.
         drag_prefix: of the names of its parameters of drag.
+        body: thrust and inertia, where a vehicle file says mass and places of the rotors; else None.
     """
 
     name: str
@@ -144,12 +146,13 @@ class VehicleReport:
     windy: tuple[str, ...]
     motors: MotorModel | str
     drag_prefix: str
+    body: BodyResult | None = None
 
     def record(self) -> VehicleRecord:
         """Its entry in `report.json`."""
         drag = Untold(self.drag) if isinstance(self.drag, str) else self.drag
         motors = Untold(self.motors) if isinstance(self.motors, str) else self.motors
-        return VehicleRecord(self.name, self.flights, self.doubt, drag, self.windy, motors)
+        return VehicleRecord(self.name, self.flights, self.doubt, drag, self.windy, motors, self.body)
 
 
 @dataclass(frozen=True)
@@ -256,7 +259,7 @@ def report_on(
             left_out.append(FlightLeftOut(file.name, str(file.path), str(error)))
     if not flights:
         raise NoFlightLeftError("; ".join(one.reason for one in left_out))
-    return FieldReport(tuple(flights), tuple(_vehicles(flights)), mass, tuple(left_out))
+    return FieldReport(tuple(flights), tuple(_vehicles(flights, vehicle)), mass, tuple(left_out))
 
 
 def _digest(log: FieldLog) -> str:
@@ -329,7 +332,9 @@ def _airframes(flights: Sequence[FlightReport]) -> Iterator[tuple[list[FlightRep
             yield group, "; ".join(said)
 
 
-def _vehicles(flights: Sequence[FlightReport]) -> Iterator[VehicleReport]:
+def _vehicles(
+    flights: Sequence[FlightReport], vehicle: Vehicle | int | None = None
+) -> Iterator[VehicleReport]:
     airframes = sorted(_airframes(flights), key=lambda pair: flights.index(pair[0][0]))
     names_of = [" ".join(filter(None, (own[0].log.stack, own[0].log.frame))) for own, _ in airframes]
     for (own, said), kind in zip(airframes, names_of, strict=True):
@@ -350,7 +355,10 @@ def _vehicles(flights: Sequence[FlightReport]) -> Iterator[VehicleReport]:
             if isinstance(flight.tachometers, str) or not flight.tachometers.odd
         ]
         motors = motor_model(sound) if sound else "the tachometers of no flight read what the commands give"
-        yield VehicleReport(name, names, said, drag, tuple(samples), motors, own[0].log.drag_prefix)
+        body = None
+        if isinstance(vehicle, Vehicle):
+            body = identify_body([(flight.log, flight.flown) for flight in longest], vehicle)
+        yield VehicleReport(name, names, said, drag, tuple(samples), motors, own[0].log.drag_prefix, body)
 
 
 def _level(estimate: Estimate, limits: tuple[float, ...]) -> str:

@@ -31,7 +31,7 @@ _CUTOFF_HZ = 12.0
 _LAGS_S = tuple(0.005 * step for step in range(31))
 # Bias of an accelerometer, m/s², which hover cannot tell from thrust.
 _BIAS_M_S2 = 0.15
-_PIECE_S, _SHORTEST_S = 6.0, 20.0
+_PIECE_S, _SHORTEST_S, _PIECES_MOST = 6.0, 20.0, 40
 # Half width over value beyond which a number is not told.
 _WIDEST = 0.5
 # Columns of thrust: Σu, Σu², climb, speed squared, bias; of a moment: two of T(u), rate, product of rates, 1.
@@ -88,17 +88,22 @@ def identify_body(flights: Sequence[tuple[FieldLog, Flown]], vehicle: Vehicle | 
     if len(pieces) < PIECES_FEWEST.value:
         reasons = [own for own in found if isinstance(own, str)]
         return untold_body(reasons[0] if reasons else "the flight is too short")
-    whole = _solved(pieces, vehicle)
+    if len(pieces) > _PIECES_MOST:
+        pieces = [_joined(list(own)) for own in np.array_split(np.array(pieces, dtype=object), _PIECES_MOST)]
+    whole = _solved(pieces)
     if isinstance(whole, str):
         return untold_body(whole)
     without = []
     for place in range(len(pieces)):
-        own = _solved(pieces[:place] + pieces[place + 1 :], vehicle)
+        own = _solved(pieces[:place] + pieces[place + 1 :])
         if isinstance(own, str):
             return untold_body("one piece of the flight tells it alone")
         without.append(own)
     told = np.array(
-        [[piece.hover[1], *(own[0, :2, :2].sum() for own in piece.moments), piece.hover[1]] for piece in pieces]
+        [
+            [piece.hover[1], *(own[0, :2, :2].sum() for own in piece.moments), piece.hover[1]]
+            for piece in pieces
+        ]
     )
     low, high = jackknife(whole, np.array(without), told)
     half = 0.5 * (high - low)
@@ -106,7 +111,8 @@ def identify_body(flights: Sequence[tuple[FieldLog, Flown]], vehicle: Vehicle | 
     half[0] = np.hypot(half[0], 2.0 * _BIAS_M_S2 * vehicle.mass_kg / vehicle.rotor_count)
     units = ("N", "kg m²", "kg m²", "s")
     thrust, *inertia, lag = (
-        _estimate(value, own, unit) for value, own, unit in zip(whole.tolist(), half.tolist(), units, strict=True)
+        _estimate(value, own, unit)
+        for value, own, unit in zip(whole.tolist(), half.tolist(), units, strict=True)
     )
     return BodyResult(thrust, (inertia[0], inertia[1]), lag)
 
@@ -197,12 +203,20 @@ def _of_stretch(log: FieldLog, begin: float, end: float, vehicle: Vehicle) -> li
     ]
 
 
-def _solved(pieces: Sequence[_Piece], vehicle: Vehicle) -> Array | str:
-    """Thrust at hover, both moments of inertia and the lag (4,), or why they are not told."""
-    thrust = np.sum([piece.thrust for piece in pieces], axis=0)
-    moments = [np.sum([piece.moments[axis] for piece in pieces], axis=0) for axis in range(2)]
+def _joined(pieces: Sequence[_Piece]) -> _Piece:
+    """What several pieces tell together."""
     total, count = np.sum([piece.hover for piece in pieces], axis=0)
-    hover = float(total / count)
+    about_x, about_y = (np.sum([piece.moments[axis] for piece in pieces], axis=0) for axis in range(2))
+    thrust: Array = np.sum([piece.thrust for piece in pieces], axis=0)
+    return _Piece(thrust, (about_x, about_y), (float(total), int(count)))
+
+
+def _solved(pieces: Sequence[_Piece]) -> Array | str:
+    """Thrust at hover, both moments of inertia and the lag (4,), or why they are not told."""
+    thrust, moments, (total, count) = (
+        getattr(_joined(pieces), name) for name in ("thrust", "moments", "hover")
+    )
+    hover = total / count
     values, errors = np.empty((len(_LAGS_S), 3)), np.zeros(len(_LAGS_S))
     for place in range(len(_LAGS_S)):
         gram = thrust[place][:_THRUST, :_THRUST].copy()

@@ -11,6 +11,7 @@ from quadpi_core.field.airborne import Flown
 from quadpi_core.field.damage import RotorLoss
 from quadpi_core.field.drag import DragResult
 from quadpi_core.field.field_log import Setting
+from quadpi_core.field.inertia import BodyResult
 from quadpi_core.field.motor_model import MotorModel, Tachometers
 from quadpi_core.field.motor_use import MotorUse
 from quadpi_core.field.vibration import Vibration
@@ -77,6 +78,7 @@ class VehicleRecord:
     drag: DragResult | Untold
     wind_of: Sequence[str]
     motor_model: MotorModel | Untold
+    body: BodyResult | None = None
 
 
 @dataclass(frozen=True)

@@ -28,8 +28,8 @@ from quadpi_core.models.envelope import Envelope
 from quadpi_core.models.interval_rules import HeldOutRule, require_confidence
 from quadpi_core.models.kind_registry import kind_of
 from quadpi_core.models.least_squares import identifiable
-from quadpi_core.models.state_deviation import StateDeviation
 from quadpi_core.models.model_kind import Evaluation, IdentifyOptions, Pools, Settings, TrainingSamples
+from quadpi_core.models.state_deviation import StateDeviation
 from quadpi_core.parallel import ReportProgress, ignore_progress
 from quadpi_core.records import Records
 from quadpi_core.vehicle import LOAD_VEHICLE, Vehicle

@@ -316,7 +316,8 @@ def _learned_noise(given: Recording, corrected: Recording) -> tuple[float, float
     """Noise of a slow state that the flight told, as its messages do not: of position, attitude, velocity."""
     if corrected is given or given.odometry is None or np.any(given.odometry.deviation):
         return None
-    assert corrected.pose is not None and corrected.twist is not None
+    if corrected.pose is None or corrected.twist is None:
+        return None
     position, attitude = corrected.pose.deviation[0].tolist()
     return position, attitude, float(corrected.twist.deviation[0])
 

@@ -43,9 +43,9 @@ from quadpi_core.models.model_kind import (
     named_arrays,
 )
 from quadpi_core.models.moving_centre import MovingCentre
-from quadpi_core.models.state_deviation import StateDeviation
 from quadpi_core.models.rollout_model import RolloutModel
 from quadpi_core.models.sound_flights import SoundFlights
+from quadpi_core.models.state_deviation import SETTLED, StateDeviation
 from quadpi_core.records import Records
 from quadpi_core.signals.force_bandwidth import as_recorded
 from quadpi_core.vehicle import LOAD_VEHICLE, Vehicle
@@ -142,7 +142,7 @@ class AerodynamicModel:
     alarm_limits: AlarmLimits = field(default_factory=AlarmLimits)
     change_limits: ChangeLimits | None = None
     moving_centre: MovingCentre | None = None
-    state: StateDeviation = StateDeviation()
+    state: StateDeviation = SETTLED
     sound: SoundFlights | None = None
     left_out: tuple[Fitted, ...] = field(default=(), repr=False, compare=False)
     flown: Vehicle | None = field(default=None, repr=False, compare=False)
@@ -393,7 +393,7 @@ class AerodynamicModel:
             "alarm": self.alarm_limits.to_json(),
             **({} if self.change_limits is None else {"change": self.change_limits.to_json()}),
             **({} if self.moving_centre is None else {"moving_centre": self.moving_centre.to_json()}),
-            **({} if self.state == StateDeviation() else {"state": asdict(self.state)}),
+            **({} if self.state == SETTLED else {"state": asdict(self.state)}),
             "flights": [flight.to_json() for flight in self.flights],
             "versions": {
                 "quadpi": __version__,
@@ -545,7 +545,7 @@ class _Description:
     vehicle_file: dict[str, Any] | None = None
     change: Annotated[ChangeLimits, ReadBy(ChangeLimits.from_json)] | None = None
     moving_centre: Annotated[MovingCentre, ReadBy(MovingCentre.from_json)] | None = None
-    state: StateDeviation = StateDeviation()
+    state: StateDeviation = SETTLED
 
     def flown(self) -> Vehicle | None:
         """The vehicle of the flights, where the model holds it."""

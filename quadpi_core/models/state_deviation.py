@@ -33,6 +33,8 @@ class StateDeviation:
     def of_flights(cls, flights: Sequence[tuple[float, float]]) -> StateDeviation:
         """Of a model of flights whose median deviations, m/s and rad, these are."""
         velocity, attitude = np.median(np.array(flights), axis=0).tolist()
-        return cls(
-            velocity_m_s=max(velocity, _VELOCITY_M_S), attitude_rad=max(attitude, _ATTITUDE_RAD)
-        )
+        return cls(velocity_m_s=max(velocity, _VELOCITY_M_S), attitude_rad=max(attitude, _ATTITUDE_RAD))
+
+
+# Of motion capture, and of models of earlier versions.
+SETTLED = StateDeviation()

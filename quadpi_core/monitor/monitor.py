@@ -19,7 +19,7 @@ from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.models.aerodynamic import LOAD_MODEL, AerodynamicModel, unchecked_evaluation
 from quadpi_core.models.model_kind import compiled_model
-from quadpi_core.models.state_deviation import StateDeviation
+from quadpi_core.models.state_deviation import SETTLED
 from quadpi_core.monitor.adaptive import MEMORY, AdaptiveIntervals
 from quadpi_core.monitor.alarm import Alarm, MonitorSettings
 from quadpi_core.monitor.alarm_kernel import ROW
@@ -336,7 +336,7 @@ class Monitors:
     def __init__(self, monitors: Mapping[str, Monitor]) -> None:
         self._monitors: dict[str, Monitor] = {}
         # By what states are less sure than in the flights of the first model.
-        self.unsure = UnsureStates(StateDeviation())
+        self.unsure = UnsureStates(SETTLED)
         self._rate: ImuRate | None = None
         self._density = 0.0
         self._paired: _PairedMonitor | None = None

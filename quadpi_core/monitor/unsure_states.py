@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """States that are less sure than in the flights of a model widen its intervals by what that does to them.
 
-A model's intervals hold what the states of its own flights erred by. What goes beyond, the difference of the
-variances, is handed to the model as the covariance of a state (:class:`.conditions.Conditions`), which says by
-its own slopes what it does to each axis; live and in replay the same.
+A model's intervals hold what the states of its own flights erred by. What goes beyond, the difference of
+variances, is handed to the model as the covariance of a state (:class:`.conditions.Conditions`); its own
+slopes say what that does to each axis. Live and in replay it is the same.
 """
 
 from __future__ import annotations
@@ -130,7 +130,7 @@ class UnsureStates:
         self._beyond.append((time_ns, more[0], more[1]))
 
     def conditions(self, time_ns: Stamps) -> Records | None:
-        """The conditions of samples (N,) at or after those before; None where their states are sure enough."""
+        """The conditions of samples (N,), none before the last; None where their states are sure enough."""
         if not self._beyond or len(time_ns) == 0:
             return None
         stamps, velocity, attitude = (np.concatenate(own) for own in zip(*self._beyond, strict=True))

@@ -13,6 +13,7 @@ import numpy as np
 from quadpi_core.field.airborne import velocity_of
 from quadpi_core.field.estimates import Estimate
 from quadpi_core.field.field_report import ALARM, FieldReport, FlightReport, VehicleReport
+from quadpi_core.field.inertia import BodyResult
 from quadpi_core.field.motor_model import Tachometers
 from quadpi_core.frames import Array
 from quadpi_core.report.figure import DASHES, Boxes, Figure, Layer, Line, Panel, Scale
@@ -85,11 +86,14 @@ def _row(name: str, one: Estimate, factor: float = 1.0, unit: str = "") -> Row:
 def drag_table(vehicle: VehicleReport, mass: float | None) -> Table:
     """Drag and wind of a vehicle, with intervals; in newtons too where the mass is known."""
     title, drag = f"drag · {vehicle.name}", vehicle.drag
+    body = _body_rows(vehicle.body)
     if isinstance(drag, str) or not drag.wind:
         said = f"not identified: {drag}" if isinstance(drag, str) else drag.per_mass[0].reason
         row = ["drag over mass, wind", None, "", "1/s", Cell(said, Mark.SOFT)]
         advice = "" if isinstance(drag, str) else f"Next: {drag.advice}."
-        return Table(_ESTIMATES, [row], title=title, note=f"{_sentence(vehicle.doubt)} {advice}".strip())
+        return Table(
+            _ESTIMATES, [row, *body], title=title, note=f"{_sentence(vehicle.doubt)} {advice}".strip()
+        )
     rows = [
         _row(f"drag over mass, {way}", own)
         for way, own in zip(("along the nose", "sideways"), drag.per_mass, strict=True)
@@ -113,13 +117,24 @@ def drag_table(vehicle: VehicleReport, mass: float | None) -> Table:
     ]
     if not winds:
         winds = [["wind", None, "", "m/s", Cell(drag.wind[0][0].reason, Mark.SOFT)]]
-    rows += winds
+    rows += [*winds, *body]
     said = "flights to come" if drag.by_flight else "these flights; others may differ"
     note = (
         f"{drag.usable} usable samples, {drag.speed[0]:.1f} to {drag.speed[1]:.1f} m/s; intervals for {said}."
     )
     notes = (_sentence(vehicle.doubt), note, f"Next: {drag.advice}." if drag.advice else "")
     return Table(_ESTIMATES, rows, title=title, note=" ".join(filter(None, notes)))
+
+
+def _body_rows(body: BodyResult | None) -> list[Row]:
+    """Thrust, inertia and lag of a vehicle whose file says mass and places of the rotors."""
+    if body is None:
+        return []
+    return [
+        _row("thrust of a rotor at the command of hover", body.thrust),
+        *(_row(f"inertia about {axis}", own) for axis, own in zip("xy", body.inertia, strict=True)),
+        _row("lag of the motors behind commands", body.lag),
+    ]
 
 
 def _sentence(said: str) -> str:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""States less sure than in a model's flights: what counts, and since when; the same in blocks and one by one."""
+"""States less sure than in a model's flights: what counts, and since when; blocks and single ones alike."""
 
 from __future__ import annotations
 
