@@ -7,6 +7,7 @@ import pytest
 
 from quadpi_core.errors import LogError
 from quadpi_core.flight import (
+    NOT_MEASURED,
     ImuStream,
     OdometryStream,
     PoseStream,
@@ -106,10 +107,18 @@ def test_a_velocity_is_in_body_axes_whatever_the_namespace(frame, body_frame, in
 
 
 def test_odometry_keeps_twist_in_the_body(rng):
-    stream = OdometryStream(
-        TIME_NS, rng.normal(size=(N, 3)), attitudes(rng), rng.normal(size=(N, 3)), rng.normal(size=(N, 3))
-    )
     variances = rng.random(size=(N, 6))
+    deviation = np.sqrt(
+        np.stack([variances[:, own].mean(axis=1) for own in ([0, 1, 2], [3, 4, 5], [0, 1, 2])], 1)
+    )
+    stream = OdometryStream(
+        TIME_NS,
+        rng.normal(size=(N, 3)),
+        attitudes(rng),
+        rng.normal(size=(N, 3)),
+        rng.normal(size=(N, 3)),
+        deviation,
+    )
     covariance = variances[:, np.newaxis] * np.eye(6)
     payloads = sensor_messages.pack_odometry(stream, covariance, covariance)
     for sample, one in enumerate(reference(payloads, sensor_messages.ODOMETRY)):
@@ -120,6 +129,15 @@ def test_odometry_keeps_twist_in_the_body(rng):
         assert one.twist.covariance[::7].tolist() == variances[sample].tolist()
         assert not np.signbit([*one.pose.covariance, *one.twist.covariance]).any()
     assert_same(sensor_messages.unpack_odometry(payloads), stream)
+
+
+def test_variances_that_stand_for_nothing_are_none(rng):
+    stream = OdometryStream(TIME_NS, np.ones((N, 3)), attitudes(rng), np.ones((N, 3)), np.ones((N, 3)))
+    covariance = np.zeros((N, 6, 6))
+    covariance[:, 0, 0], covariance[1:, 3:, 3:] = -1.0, 1e6 * np.eye(3)
+    found = sensor_messages.unpack_odometry(sensor_messages.pack_odometry(stream, covariance, covariance))
+    assert found.deviation[0].tolist() == [0.0, 0.0, 0.0]
+    assert found.deviation[1].tolist() == [0.0, NOT_MEASURED, 0.0]
 
 
 @pytest.mark.parametrize(
