@@ -65,9 +65,10 @@ def read_field_log(path: Path, options: ReadingOptions, known: Vehicle | int | N
     file, number = flight_in(path)
     stack = next((one for one in STACKS.all() if one.log_format is log_format), None)
     with reading(path), _notes_taken() as notes:
-        log = (
-            read_other(path, options, known) if stack is None else stack.read(file, number, _poles_of(known))
-        )
+        if stack is None:
+            log = read_other(path, options, known)
+        else:
+            log = stack.read(file, number, known.pole_pairs if isinstance(known, Vehicle) else known)
     told = [note.removeprefix(f"{log.source}: ") for note in dict.fromkeys(notes)]
     log = replace(log, notes=(*told, *log.notes))
     if log.no_multirotor:
@@ -75,10 +76,6 @@ def read_field_log(path: Path, options: ReadingOptions, known: Vehicle | int | N
     if not log.series():
         raise LogError(f"{path}: holds no samples of gyro, state, commands or battery")
     return _without_still_state(_without_pulses(_within_limits(log)))
-
-
-def _poles_of(known: Vehicle | int | None) -> int | None:
-    return known.pole_pairs if isinstance(known, Vehicle) else known
 
 
 class _Taking(logging.Handler):

@@ -109,8 +109,8 @@ def _candidates(bag: Bag, kind: str) -> list[AdaptedTopic]:
 def unnamed(bag: Bag, kind: str, within: Collection[str], known: str = "") -> list[AdaptedTopic]:
     """Topics of messages that say all of themselves, which may be taken without being named.
 
-    The adapter that is `known`, as a vehicle's motors are, comes first; what the autopilot sends before what is
-    sent to it; of equals all, of which the user has to choose.
+    The adapter that is `known`, as a vehicle's motors are, comes first; what the autopilot sends before what
+    is sent to it; of equals all, of which the user has to choose.
     """
     order = [adapter.type_name for adapter in known_adapters().values() if adapter.kind == kind]
     found = [

@@ -143,7 +143,9 @@ inline void prepare_sample(
         vehicle,
         out.inputs[used]
     );
-    out.derivatives[used] = {slope.rates, value.rotor_speeds, slope.rotor_speeds, curvature, memory.density_excess};
+    out.derivatives[used] = {
+        slope.rates, value.rotor_speeds, slope.rotor_speeds, curvature, memory.density_excess
+    };
     if (out.filtered.size > 0) {
         out.filtered[used] = value;
     }
