@@ -112,6 +112,10 @@ def frozen_motors(log: FieldLog, flight: Flown) -> list[tuple[int, float]]:
     if log.commands is None or log.commands.values.shape[1] < 2:
         return []
     found: dict[int, float] = {}
+    # Nor is a motor off at the most that the controller gives, as two motors reach it.
+    tops = log.commands.values.max(axis=0)
+    shared = np.sum(tops >= tops.max() - 1e-6) > 1
+    most = min(FULL_COMMAND.value, float(tops.max()) if shared else 1.0)
     for one in flight.stretches:
         part = log.commands.during(one.begin, one.end)
         if len(part) < 2:
@@ -120,7 +124,7 @@ def frozen_motors(log: FieldLog, flight: Flown) -> list[tuple[int, float]]:
             others = np.delete(part.values, motor, axis=1)
             # Motors at the least that controllers give stay there in hard turns; one that is off gets less.
             least = others[others > _NEAR].min(initial=1.0) + _NEAR
-            stands = (np.diff(own) == 0.0) & (own[1:] > least) & (own[1:] < FULL_COMMAND.value)
+            stands = (np.diff(own) == 0.0) & (own[1:] > least) & (own[1:] < most)
             for begin, end in _runs(stands):
                 if part.time[end] - part.time[begin] < FROZEN_S.value:
                     continue

@@ -138,6 +138,11 @@ def _without_pulses(log: FieldLog) -> FieldLog:
     """The log without rotor speeds that are pulse widths."""
     if log.rotor_speeds is None:
         return log
+    if (log.rotor_speeds.values < 0.0).any():
+        sizes = Series(log.rotor_speeds.time, np.abs(log.rotor_speeds.values))
+        said = "rotor speeds below 0 are of rotors that turn the other way: their size counts"
+        log = replace(log, rotor_speeds=sizes, notes=(*log.notes, said))
+    assert log.rotor_speeds is not None
     rpm = log.rotor_speeds.values * (60.0 / (2.0 * np.pi))
     low, high = PULSE_RPM.value
     if rpm.min() < low or rpm.max() > high:

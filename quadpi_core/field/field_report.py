@@ -409,6 +409,10 @@ def _remarks(
         level = ALARM if most > VIBE.value[1] else WARNING
         yield Remark(level, f"VIBE along {axis} is above {most:.0f} m/s² in a twentieth of the flight")
     if isinstance(read, Tachometers):
+        if read.order:
+            order = ", ".join(map(str, read.order))
+            said = f"rotor speeds 1 to {len(read.order)} follow commands {order}: an order is wrong"
+            yield Remark(WARNING, said)
         for rotor in read.odd:
             ratio = read.ratio[rotor - 1]
             reads = (
@@ -416,6 +420,12 @@ def _remarks(
             )
             is_silent = ratio < SILENT_SHARE.value
             yield Remark(ALARM, f"rotor {rotor} stands, or its tachometer is silent" if is_silent else reads)
+    if (change := use.change) is not None:
+        said = f"hover takes {100.0 * change.share:+.0f} % of command"
+        by = "at the end: the battery sags" + ("" if log.battery else ", whose voltage is not logged")
+        if change.at_s is not None:
+            by = f"from {change.at_s:.0f} s on: a load dropped or taken up, or a rotor that gives less"
+        yield Remark(WARNING, f"{said} {by}")
     if use.drift is not None and _level(use.drift, (BATTERY_DRIFT.value, np.inf)):
         share = f"{100.0 * (use.drift.value or 0.0):+.0f} %"
         yield Remark(

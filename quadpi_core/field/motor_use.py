@@ -55,9 +55,31 @@ BATTERY_DRIFT = Threshold(
     "a pack of 4.2 to 3.5 V a cell loses a sixth of its voltage and up to a third of its thrust",
     CONVENTION,
 )
+CHANGED = Threshold(
+    "change of the command at hover, at once or along a flight, that is a warning",
+    0.06,
+    "",
+    "a load of a tenth of the weight is 6 % of command; gusts, turns and the ground move 5 s by 2 to 3 %",
+    CONVENTION,
+)
+# Of such a change, over the deviation of what is left; pieces on each side; slower flight is hover.
+_SURE, _SIDE, _SLOW_M_S = 5.0, 3, 3.0
 # A shorter hover is a turn of the path, s; spread of the mean command that moves thrust beyond noise.
 HOVER_FEWEST_S, _LEAST_SPREAD = 3.0, 0.02
 _NEAR_WEIGHT, _FEWEST_SAMPLES = 0.2, 20
+
+
+@dataclass(frozen=True)
+class HoverChange:
+    """The command at hover is another later in the flight.
+
+    Attributes:
+        share: by which it has grown.
+        at_s: when, at once; None along the flight.
+    """
+
+    share: float
+    at_s: float | None
 
 
 @dataclass(frozen=True)
@@ -71,6 +93,7 @@ class MotorUse:
         motors: (R) command of each motor over the mean of all, less 1.
         volts: battery at the beginning and the end of the flight, and the lowest.
         drift: change of thrust over command from begin to end of the flight.
+        change: of the command at hover; None where it stays, or little of the flight was hover.
     """
 
     hover: Estimate | None = None
@@ -79,6 +102,7 @@ class MotorUse:
     motors: tuple[Estimate, ...] = ()
     volts: tuple[float, float, float] | None = None
     drift: Estimate | None = None
+    change: HoverChange | None = None
 
 
 def motor_use(log: FieldLog, flight: Flown) -> MotorUse:
@@ -99,7 +123,36 @@ def motor_use(log: FieldLog, flight: Flown) -> MotorUse:
         motors=tuple(mean_of_pieces(own / mean.mean() - mean / mean.mean(), piece, "") for own in commands.T),
         volts=volts,
         drift=drift,
+        change=_hover_change(log, mean, time, piece),
     )
+
+
+def _hover_change(log: FieldLog, mean: Array, time: Array, piece: Array) -> HoverChange | None:
+    """A step, or else a trend, of the mean command of pieces of slow flight near the weight."""
+    velocity = velocity_of(log)
+    if velocity is None or log.imu is None:
+        return None
+    thrust = -log.imu.at(time)[:, 5] / STANDARD_GRAVITY
+    slow = (np.linalg.norm(velocity.at(time), axis=1) < _SLOW_M_S) & (np.abs(thrust - 1.0) < _NEAR_WEIGHT)
+    held = [piece == number for number in np.unique(piece[slow]) if np.mean(slow[piece == number]) > 0.5]
+    # At begin and end the vehicle climbs and lands.
+    held = held[1:-1]
+    if len(held) < 2 * _SIDE:
+        return None
+    level, when = (np.array([np.mean(own[one & slow]) for one in held]) for own in (mean, time))
+    splits = range(_SIDE, len(held) - _SIDE + 1)
+    rests = [np.concatenate([part - part.mean() for part in np.split(level, [split])]) for split in splits]
+    line = np.column_stack([np.ones_like(when), when])
+    fitted = line @ _curve(line, level)
+    best = min(range(len(rests)), key=lambda one: float(np.sum(rests[one] ** 2)))
+    before, after = np.split(level, [splits[best]])
+    step, trend = float(after.mean() / before.mean() - 1.0), float(fitted[-1] / fitted[0] - 1.0)
+    at_once = np.sum(rests[best] ** 2) < 0.5 * np.sum((level - fitted) ** 2)
+    share, rest = (step, rests[best]) if at_once else (trend, level - fitted)
+    if abs(share) < max(CHANGED.value, _SURE * float(np.std(rest)) / float(level.mean())):
+        return None
+    between = float(np.mean(when[splits[best] - 1 : splits[best] + 1]))
+    return HoverChange(share, between if at_once else None)
 
 
 def _volts(battery: Series | None, flight: Flown) -> tuple[float, float, float] | None:

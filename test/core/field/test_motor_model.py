@@ -125,3 +125,11 @@ def test_real_half_reading_tachometers_are_found_and_no_others(shared_data: Path
         "eckart52": (3,),
         "eckart53": (3,),
     }
+
+
+@pytest.mark.parametrize("order", [[1, 0, 2, 3], [3, 2, 1, 0]])
+def test_commands_in_another_order_than_the_rotors_are_told(shared_data: Path, order: list[int]) -> None:
+    log = read_field_log(shared_data / "imrc_brushless" / "eckart06", ReadingOptions())
+    assert tachometers(log, flown(log)).order == ()
+    swapped = replace(log, commands=Series(log.commands.time, log.commands.values[:, order]))
+    assert tachometers(swapped, flown(log)).order == tuple(one + 1 for one in np.argsort(order))

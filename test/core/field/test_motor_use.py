@@ -5,13 +5,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from quadpi_core.field.airborne import flown
 from quadpi_core.field.field_log import FieldLog, Series
+from quadpi_core.field.field_reading import read_field_log
 from quadpi_core.field.motor_use import MotorUse, motor_use
+from quadpi_core.reading_options import ReadingOptions
 
 from .field_examples import AIRBORNE, HOVER, example
 
@@ -126,3 +129,23 @@ def test_without_commands_only_the_battery_is_told():
     use = use_of(example(commands=None))
     assert (use.hover, use.saturated, use.motors) == (None, None, ())
     assert use.volts is not None
+
+
+def test_a_load_that_drops_and_a_pack_that_sags_change_the_command_at_hover(shared_data: Path) -> None:
+    """With and without the voltage in the log; good and damaged flights keep their command."""
+    folder = shared_data / "rrc_propeller"
+    log = read_field_log(folder / "hover_good_1.BIN", ReadingOptions())
+    time, flight = log.commands.time, flown(log)
+    begin, end = flight.stretches[0].begin, flight.stretches[-1].end
+    middle = 0.5 * (begin + end)
+    loaded = np.where(time < middle, 1.12, 1.0)[:, np.newaxis]
+    dropped = motor_use(replace(log, commands=Series(time, log.commands.values * loaded)), flight).change
+    assert dropped.share == pytest.approx(1.0 / 1.12 - 1.0, abs=0.03)
+    assert dropped.at_s == pytest.approx(middle, abs=6.0)
+    sag = (1.0 + 0.2 * (time - begin) / (end - begin))[:, np.newaxis]
+    sagged = motor_use(replace(log, battery=None, commands=Series(time, log.commands.values * sag)), flight)
+    assert sagged.change.at_s is None
+    assert sagged.change.share == pytest.approx(0.16, abs=0.05)
+    for name in ("hover_good_1", "hover_25mm_1", "line_good_1", "line_25mm_1"):
+        other = read_field_log(folder / f"{name}.BIN", ReadingOptions())
+        assert motor_use(other, flown(other)).change is None
