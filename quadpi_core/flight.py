@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, TypeVar
+from typing import Any, ClassVar, TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -24,9 +24,7 @@ from quadpi_core.core import compiled
 from quadpi_core.errors import LogError, named_in
 from quadpi_core.findings import NOTHING_TO_SAY, DataQuality, UsedPart
 from quadpi_core.frames import Array
-
-if TYPE_CHECKING:
-    from quadpi_core.motors import Motors
+from quadpi_core.motors import Motors
 
 Stamps: TypeAlias = npt.NDArray[np.int64]
 _DAY_NS = 86_400 * 1_000_000_000

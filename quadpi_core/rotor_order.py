@@ -34,11 +34,19 @@ class Motor(NamedTuple):
     Attributes:
         x, y: forward and right of the centre, in any unit.
         spin: as those of a vehicle's rotors; 0 where it is not known.
+        below: whether another sits above it; None where neither does, or it is not known.
     """
 
     x: float
     y: float
     spin: float = 0.0
+    below: bool | None = None
+
+    def turns_otherwise(self, other: Motor) -> bool:
+        """Of two on one arm, whether it is not the other: by their heights, else by their spins."""
+        if self.below is not None and other.below is not None:
+            return self.below is not other.below
+        return self.spin * other.spin < 0.0
 
 
 def _ring(*places: tuple[float, float]) -> tuple[Motor, ...]:
@@ -64,9 +72,9 @@ LAYOUTS: MappingProxyType[str, tuple[Motor, ...]] = MappingProxyType(
             *((0, _CW), (180, _CW), (45, _CCW), (135, _CCW), (-45, _CCW), (-135, _CCW), (-90, _CW), (90, _CW))
         ),
         # Two on each arm, the upper ones first.
-        "octo-coaxial-x": _ring(
-            *((45, _CCW), (-45, _CW), (-135, _CCW), (135, _CW)),
-            *((-45, _CCW), (45, _CW), (135, _CCW), (-135, _CW)),
+        "octo-coaxial-x": (
+            *(one._replace(below=False) for one in _ring((45, _CCW), (-45, _CW), (-135, _CCW), (135, _CW))),
+            *(one._replace(below=True) for one in _ring((-45, _CCW), (45, _CW), (135, _CCW), (-135, _CW))),
         ),
         # m1 to m4.
         "crazyflie": _ring((45, 0), (135, 0), (-135, 0), (-45, 0)),
@@ -162,18 +170,15 @@ class RotorOrder:
             return cls(tuple(range(count)), unit)
         if vehicle.rotor_count != count:
             return None
-        rotors = [
-            Motor(x, y, spin)
-            for (x, y, _), spin in zip(vehicle.rotor_positions.tolist(), vehicle.rotor_spins, strict=True)
-        ]
+        rotors = _rotors_of(vehicle)
         bearing = _corner if count == ROTORS and not _on_axes(rotors) else _bearing
         order = []
         for rotor in rotors:
             apart = [
-                (abs(_turn(bearing(rotor) - bearing(motor))), motor.spin * rotor.spin < 0.0)
+                (abs(_turn(bearing(rotor) - bearing(motor))), motor.turns_otherwise(rotor))
                 for motor in motors
             ]
-            # Of two on one arm the one that turns as the rotor does.
+            # Of two on one arm the one that sits, or turns, as the rotor does.
             nearest = min(angle for angle, _ in apart)
             order.append(
                 min(
@@ -186,24 +191,25 @@ class RotorOrder:
         return cls(tuple(order), unit) if len(set(order)) == count else None
 
     @classmethod
-    def by_layout(cls, vehicle: Vehicle | None, layout: str, unit: str | None = None) -> RotorOrder:
+    def by_layout(
+        cls, vehicle: Vehicle | None, layout: str = "", unit: str | None = None, rotors: int = ROTORS
+    ) -> RotorOrder:
         """The order in which an autopilot numbers the motors of a standard frame (see :data:`LAYOUTS`).
+
+        Args:
+            vehicle: without one, the motors keep their order.
+            layout: of the frame; the usual one of as many rotors unless given.
+            unit: see the attribute.
+            rotors: number of them, without a vehicle.
 
         Raises:
             LogError: if the vehicle's rotors do not sit as the frame's do.
         """
+        layout = layout or usual_layout(vehicle, rotors)
         order = cls.by_place(vehicle, LAYOUTS[layout], unit)
         if order is None:
             raise LogError(f"the vehicle's rotors are not those of a frame {layout}: give their order")
         return order
-
-    @classmethod
-    def usual(cls, vehicle: Vehicle | None, layout: str = "") -> RotorOrder | None:
-        """The order of a layout, of the usual one unless given; None where the vehicle does not fit it."""
-        try:
-            return cls.by_layout(vehicle, layout or usual_layout(vehicle))
-        except LogError:
-            return None
 
     def speeds(self, values: Array, vehicle: Vehicle | None, pole_pairs: int | None = None) -> Array:
         """Magnitudes (N, rotors) in rad/s of speeds as reported, already in the vehicle's rotor order.
@@ -223,6 +229,21 @@ class RotorOrder:
         if vehicle is None:
             raise LogError("electrical speeds need the vehicle, whose file gives the pole pairs")
         return vehicle.rotor_speeds_from_erpm(magnitudes)
+
+
+def _rotors_of(vehicle: Vehicle) -> list[Motor]:
+    """A vehicle's rotors, and of two on one arm which is the lower one."""
+    places = list(zip(vehicle.rotor_positions.tolist(), vehicle.rotor_spins.tolist(), strict=True))
+    rotors = [Motor(x, y, spin) for (x, y, _), spin in places]
+    for k, ((*_, z), _) in enumerate(places):
+        on_arm = [
+            other
+            for j, ((*_, other), _) in enumerate(places)
+            if j != k and abs(_turn(_bearing(rotors[j]) - _bearing(rotors[k]))) < _SAME_ARM
+        ]
+        if on_arm and z != on_arm[0]:
+            rotors[k] = rotors[k]._replace(below=z > on_arm[0])
+    return rotors
 
 
 def _bearing(motor: Motor) -> float:

@@ -32,7 +32,7 @@ from quadpi_core.logs.mavlink_frames import signing_key
 from quadpi_core.logs.mavlink_samples import stream_of
 from quadpi_core.logs.mavlink_session import MavlinkSession, SessionReport, SessionSettings
 from quadpi_core.messages import result_messages, sensor_messages
-from quadpi_core.rotor_order import RotorOrder, usual_layout
+from quadpi_core.rotor_order import RotorOrder
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros import diagnostics
 from quadpi_ros.callbacks import GuardedNode
@@ -308,7 +308,7 @@ def _clock_values(report: SessionReport) -> dict[str, Any]:
 
 def _order(parameters: BridgeParameters, vehicle: Vehicle) -> RotorOrder:
     if parameters.rotor_order == STANDARD_ORDER:
-        return RotorOrder.by_layout(vehicle, usual_layout(vehicle), parameters.rotor_unit)
+        return RotorOrder.by_layout(vehicle, unit=parameters.rotor_unit)
     return RotorOrder.parse(parameters.rotor_order, parameters.rotor_unit).of(vehicle)
 
 

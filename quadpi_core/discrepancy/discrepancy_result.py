@@ -16,7 +16,7 @@ from quadpi_core.brief_repr import brief_repr
 from quadpi_core.discrepancy.acceptance import Verdict
 from quadpi_core.discrepancy.by_condition import Where
 from quadpi_core.discrepancy.closure import Found, Gap
-from quadpi_core.discrepancy.commanded_speeds import CommandedSpeeds
+from quadpi_core.discrepancy.hidden_by_commands import CommandedSpeeds
 from quadpi_core.discrepancy.simulations import Simulation
 from quadpi_core.flight import AXES, Flight
 from quadpi_core.thresholds import CONVENTION, Threshold

@@ -27,7 +27,7 @@ from quadpi_core.discrepancy.augmented_simulation import augmented
 from quadpi_core.discrepancy.by_condition import locate
 from quadpi_core.discrepancy.candidates import candidates
 from quadpi_core.discrepancy.closure import Closing, Found
-from quadpi_core.discrepancy.commanded_speeds import at_scale_of, commanded_speeds, traces
+from quadpi_core.discrepancy.commanded_speeds import at_scale_of
 from quadpi_core.discrepancy.discrepancy_result import (
     Discovery,
     FlightCondition,
@@ -38,6 +38,7 @@ from quadpi_core.discrepancy.discrepancy_result import (
 )
 from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.evidence import Fit
+from quadpi_core.discrepancy.hidden_by_commands import commanded_speeds, traces
 from quadpi_core.discrepancy.reflight import HORIZON_S, coverages, reflights
 from quadpi_core.discrepancy.result_verdicts import (
     NEAR_FLOOR,

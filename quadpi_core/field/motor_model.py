@@ -21,7 +21,8 @@ from quadpi_core.field.airborne import Flown
 from quadpi_core.field.estimates import Estimate, beyond_zero, jackknife
 from quadpi_core.field.field_log import FieldLog
 from quadpi_core.frames import Array
-from quadpi_core.motors import HALF_READING, TERMS, USUAL_GAIN, Motors, lag_weights
+from quadpi_core.motors import HALF_READING, TERMS, USUAL_GAIN, Motors
+from quadpi_core.speeds_by_command import lag_weights
 from quadpi_core.thresholds import Threshold
 
 GRID_HZ = 100.0

@@ -5,7 +5,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +16,7 @@ from quadpi_core.findings import LeftOut
 from quadpi_core.flight import MAX_GAP_NS, NO_STAMP, ImuStream, OdometryStream, RotorSpeedStream, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.rotations import rotate_world_to_body
-from quadpi_core.rotor_order import RotorOrder, usual_layout
+from quadpi_core.rotor_order import RotorOrder
 from quadpi_core.sample_limits import NORM_TOLERANCE
 from quadpi_core.screening.plausibility import finite_rows
 from quadpi_core.screening.sample_order import longest, order_of
@@ -50,9 +51,26 @@ def by_frame(
         LogError: naming the log, if the vehicle's rotors do not sit as the frame's do.
     """
     try:
-        return RotorOrder.by_layout(vehicle, layout or usual_layout(vehicle, rotors), unit)
+        return RotorOrder.by_layout(vehicle, layout, unit, rotors)
     except LogError as error:
         raise LogError(f"{source}: {error}") from error
+
+
+def order_of_commands(
+    source: str, vehicle: Vehicle | None, layout: str = "", rotors: int = ROTORS
+) -> RotorOrder | None:
+    """:func:`by_frame` for commands, which few need: where the vehicle does not fit, a note says so."""
+    try:
+        return by_frame(source, vehicle, layout, rotors=rotors)
+    except LogError as error:
+        note(source, f"topic motor_commands: left out: {str(error).removeprefix(f'{source}: ')}")
+        return None
+
+
+def finite_parameters(logged: Mapping[str, Any]) -> dict[str, float]:
+    """The parameters of an autopilot that are numbers; one that is damaged is as if it were not logged."""
+    numbers = {name: float(value) for name, value in logged.items() if isinstance(value, int | float)}
+    return {name: value for name, value in numbers.items() if np.isfinite(value)}
 
 
 def unsigned_speeds(source: str, speeds: Array) -> Array:

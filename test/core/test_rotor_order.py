@@ -44,6 +44,17 @@ def test_rotors_of_every_layout_are_found_in_any_order(layout: str) -> None:
     assert RotorOrder.by_layout(vehicle, layout).controllers == tuple(order)
 
 
+def test_coaxial_rotors_that_all_turn_the_other_way_keep_their_levels(vehicle: Vehicle) -> None:
+    """By the heights that the vehicle file gives; where it gives none, by their spins."""
+    motors = LAYOUTS["octo-coaxial-x"]
+    places = np.array([[one.x, one.y, 0.05 * bool(one.below)] for one in motors])
+    reversed_spins = -np.array([one.spin for one in motors])
+    tall = replace(vehicle, rotor_positions=places, rotor_spins=reversed_spins)
+    assert RotorOrder.by_layout(tall, "octo-coaxial-x").controllers == tuple(range(8))
+    flat = replace(tall, rotor_positions=places * [1.0, 1.0, 0.0], rotor_spins=-reversed_spins)
+    assert RotorOrder.by_layout(flat, "octo-coaxial-x").controllers == tuple(range(8))
+
+
 def test_a_frame_of_another_kind_has_no_order(vehicle: Vehicle) -> None:
     for layout in ("quad-plus", "hexa-x"):
         with pytest.raises(LogError, match=f"the vehicle's rotors are not those of a frame {layout}"):

@@ -17,7 +17,7 @@ from quadpi_core.air import density_of
 from quadpi_core.field.field_log import FieldLog, Series, Setting, Stack, held_series, series_of
 from quadpi_core.frames import Array
 from quadpi_core.logs.formats.px4 import FORMAT, airframe_of, live_topics, load_ulog
-from quadpi_core.logs.reader_steps import normalised_attitude
+from quadpi_core.logs.reader_steps import finite_parameters, normalised_attitude
 
 Topics = Mapping[str, Mapping[str, Any]]
 
@@ -44,7 +44,7 @@ def read_px4_field(path: Path, _number: int | None = None, _poles: int | None = 
     """
     source = str(path)
     log = load_ulog(source, path, _TOPICS)
-    parameters = {n: float(v) for n, v in log.parameters.items() if isinstance(v, int | float)}
+    parameters = finite_parameters(log.parameters)
     topics = dict(live_topics(source, log.instances))
     outputs = [
         columns for name, _, columns in log.instances if name == "actuator_outputs" and "output[0]" in columns

@@ -31,6 +31,7 @@ from quadpi_core.logs.airframes import Airframe, has_rotors
 from quadpi_core.logs.dataflash import HEAD, Messages, decode_dataflash
 from quadpi_core.logs.log_format import LogFormat
 from quadpi_core.logs.reader_steps import (
+    finite_parameters,
     note,
     odometry_of,
     require_imu,
@@ -314,7 +315,7 @@ def parameters_of(messages: dict[str, Messages]) -> dict[str, float]:
     known: dict[str, float] = {}
     for name, value in zip(logged.text("Name"), logged.column("Value").tolist(), strict=False):
         known.setdefault(name, value)
-    return known
+    return finite_parameters(known)
 
 
 def _order(source: str, parameters: dict[str, float], vehicle: Vehicle | None) -> RotorOrder:

@@ -31,7 +31,7 @@ from quadpi_core.frames import Array, body_flu_to_frd, quaternion_from_roll_pitc
 from quadpi_core.logs.airframes import Airframe, has_rotors
 from quadpi_core.logs.blackbox import BlackboxLog, decode_blackbox
 from quadpi_core.logs.log_format import FlightsInFile, LogFormat
-from quadpi_core.logs.reader_steps import by_frame, note, require_imu
+from quadpi_core.logs.reader_steps import by_frame, note, order_of_commands, require_imu
 from quadpi_core.rotor_order import ERPM, RotorOrder
 from quadpi_core.sample_limits import STANDARD_GRAVITY
 from quadpi_core.vehicle import Vehicle
@@ -110,7 +110,7 @@ def _recording(
         imu=imu,
         rotor_speeds=_rotor_speeds(source, headers, columns, vehicle, order) if its_rotors else None,
         pose=pose_of(columns),
-        commands=_commands(columns, vehicle, order) if its_rotors else None,
+        commands=_commands(source, columns, vehicle, order) if its_rotors else None,
         command_source="betaflight",
     )
 
@@ -223,11 +223,11 @@ def _gyro_scale(headers: Mapping[str, int]) -> float:
 
 
 def _commands(
-    columns: Mapping[str, Array], vehicle: Vehicle | None, order: RotorOrder | None
+    source: str, columns: Mapping[str, Array], vehicle: Vehicle | None, order: RotorOrder | None
 ) -> MotorCommandStream | None:
     if order is None and vehicle is None:
         order = RotorOrder(tuple(range(sum(name in columns for name in _MOTORS))))
-    order = order or RotorOrder.usual(vehicle, "betaflight")
+    order = order or order_of_commands(source, vehicle, "betaflight")
     names = [] if order is None else [f"motor[{number}]" for number in order.controllers]
     if not names or not all(name in columns for name in names):
         return None

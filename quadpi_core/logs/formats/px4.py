@@ -37,10 +37,12 @@ from quadpi_core.logs.airframes import Airframe, has_rotors
 from quadpi_core.logs.log_format import LogFormat
 from quadpi_core.logs.reader_steps import (
     by_frame,
+    finite_parameters,
     has_attitude,
     normalised_attitude,
     note,
     odometry_of,
+    order_of_commands,
     require_imu,
     rising,
     unit_attitudes,
@@ -115,7 +117,7 @@ def read_px4(path: Path, vehicle: Vehicle | None, order: RotorOrder | None = Non
     source = str(path)
     log = load_ulog(source, path)
     # A log that is damaged may hold bytes in the place of a number.
-    parameters = {n: float(v) for n, v in log.parameters.items() if isinstance(v, int | float)}
+    parameters = finite_parameters(log.parameters)
     its_rotors = has_rotors(source, airframe_of(parameters), vehicle)
     topics = live_topics(source, log.instances)
     imu = require_imu(source, _imu(topics.get("sensor_combined")), "sensor_combined")
@@ -123,7 +125,9 @@ def read_px4(path: Path, vehicle: Vehicle | None, order: RotorOrder | None = Non
     rotors = _rotor_speeds(source, status, parameters, vehicle, order)
     rotor_speeds, left_out = (None, ()) if rotors is None else without(*rotors, imu)
     air, is_board = _air(topics)
-    commands = _commands(topics.get("actuator_motors") if its_rotors else None, parameters, vehicle, order)
+    commands = _commands(
+        source, topics.get("actuator_motors") if its_rotors else None, parameters, vehicle, order
+    )
     return Recording(
         name=path.stem,
         vehicle=vehicle.name if vehicle else "",
@@ -292,6 +296,7 @@ def _air(topics: Mapping[str, Columns]) -> tuple[AirStream | None, bool]:
 
 
 def _commands(
+    source: str,
     columns: Columns | None,
     parameters: dict[str, float],
     vehicle: Vehicle | None,
@@ -300,7 +305,8 @@ def _commands(
     """Commands from 0 to 1 by motor, since 1.13; one that is not a number is of a motor that stands."""
     if columns is None:
         return None
-    order = order or _motors_of(parameters, vehicle) or RotorOrder.usual(vehicle)
+    order = order or _motors_of(parameters, vehicle)
+    order = order or order_of_commands(source, vehicle, rotors=_rotors_of(parameters, vehicle))
     names = [] if order is None else [f"control[{number}]" for number in order.controllers]
     if not names or not _holds(columns, *names):
         return None
@@ -423,10 +429,9 @@ def _motors_of(parameters: dict[str, float], vehicle: Vehicle | None) -> RotorOr
     places = [
         # A positive moment coefficient is that of a rotor that turns counterclockwise.
         Motor(
-            *(
-                parameters.get(f"CA_ROTOR{motor}_{key}", 0.0) * sign
-                for key, sign in (("PX", 1), ("PY", 1), ("KM", -1))
-            )
+            parameters.get(f"CA_ROTOR{motor}_PX", 0.0),
+            parameters.get(f"CA_ROTOR{motor}_PY", 0.0),
+            -parameters.get(f"CA_ROTOR{motor}_KM", 0.0),
         )
         for motor in range(_rotors_of(parameters, vehicle))
     ]

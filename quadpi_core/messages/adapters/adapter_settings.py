@@ -16,7 +16,7 @@ from typing import Annotated, Any, ClassVar
 from quadpi_core.config_schema import OneOf, ReadBy, Section, Text, load_config, unknown_key
 from quadpi_core.errors import LogError
 from quadpi_core.messages.topics import SENSOR_KINDS
-from quadpi_core.rotor_order import ERPM, LAYOUTS, RPM, RotorOrder, controller_numbers, usual_layout
+from quadpi_core.rotor_order import ERPM, LAYOUTS, RPM, RotorOrder, controller_numbers
 from quadpi_core.vehicle import Vehicle
 
 FLU_ENU, FRD_NED, FUR_EUS = "flu-enu", "frd-ned", "fur-eus"
@@ -112,7 +112,7 @@ class CommandSettings(_StreamSettings):
             LogError: for a vehicle that a layout does not fit, or that has not as many rotors.
         """
         if not isinstance(self.rotors, tuple):
-            return RotorOrder.by_layout(vehicle, self.rotors or layout or usual_layout(vehicle))
+            return RotorOrder.by_layout(vehicle, self.rotors or layout)
         return RotorOrder(tuple(number - 1 for number in self.rotors)).of(vehicle)
 
 

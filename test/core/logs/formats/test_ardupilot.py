@@ -175,6 +175,7 @@ def test_another_multicopter_is_refused_by_name(read, frame, name):
 
 
 def test_of_a_helicopter_the_sensors_are_read_and_the_rotors_are_not(read, caplog):
+    assert read(IMU, parameters(FRAME_CLASS=float("nan")), ESCS).rotor_speeds is not None
     recording = read(IMU, parameters(FRAME_CLASS=6.0), ESCS)
     assert (len(recording.imu) > 0, recording.rotor_speeds) == (True, None)
     assert "FRAME_CLASS 6 is a helicopter" in caplog.text

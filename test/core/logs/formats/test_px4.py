@@ -261,6 +261,7 @@ def test_of_instances_the_first_one_with_speeds_counts(read, vehicle, caplog):
         ({"CA_ROTOR_COUNT": 6.0}, "CA_ROTOR_COUNT 6 is a hexacopter; vehicle neurobem has 4 rotors"),
         ({"MAV_TYPE": 14.0}, "MAV_TYPE 14 is an octocopter; vehicle neurobem has 4 rotors"),
         ({"CA_ROTOR_COUNT": 4.0, "MAV_TYPE": 13.0}, None),
+        ({"CA_ROTOR_COUNT": float("nan"), "CA_AIRFRAME": float("inf")}, None),
     ],
 )
 def test_another_multicopter_is_refused_by_name(read, parameters, refused):
