@@ -44,9 +44,9 @@ from quadpi_core.messages.frame_ids import TF_TOPIC, TF_TYPE, BodyFrames, Framed
 from quadpi_core.messages.payloads import Payloads, Topic
 from quadpi_core.messages.result_messages import unpack_alarms, unpack_predictions
 from quadpi_core.messages.topics import TOPIC_TYPES
-from quadpi_core.motors import CommandedSpeeds, require_source
 from quadpi_core.recording_blocks import join_blocks, split_by_stamp
 from quadpi_core.results import Predictions, ReportedAlarms
+from quadpi_core.speeds_by_command import CommandedSpeeds, require_source
 from quadpi_core.vehicle import Vehicle
 from quadpi_core.version import __version__
 

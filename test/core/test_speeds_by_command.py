@@ -7,11 +7,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadpi_core.errors import LogError, VehicleError
+from quadpi_core.errors import LogError
 from quadpi_core.flight import BatteryStream, ImuStream, MotorCommandStream, Recording
 from quadpi_core.motors import Motors
 from quadpi_core.speeds_by_command import CommandedSpeeds, with_commanded_speeds
-from quadpi_core.vehicle import Vehicle
 
 LAG_S = 0.05
 MOTORS = Motors(source="test", coefficients=((100.0, 1000.0, 200.0, 10.0, 20.0),) * 4, lag_s=LAG_S, volts=4.0)

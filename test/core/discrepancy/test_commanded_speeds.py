@@ -82,29 +82,3 @@ def test_motors_known_by_thrust_alone_hide_a_mass(simulation, flights):
     flown = replace(simulation.vehicle, motors=by_thrust[0].motors)
     known = replace(of_known_noise, model=simulation.model.carrying(flown))
     assert discover(known, by_thrust, names=SOUGHT).commanded.scale_known
-
-
-@pytest.fixture(scope="module")
-def bags(tmp_path_factory):
-    """Four bundled flights as bags of commands and battery."""
-    folder, messages, vehicle = tmp_path_factory.mktemp("bags"), Messages(DEFINITIONS), Vehicle.load("bebop2")
-    names = [f"train_{number}" for number in (1, 2, 3, 4)]
-    read = [replace(read_recording(bags_directory() / f"{name}.mcap", vehicle), name=name) for name in names]
-    return [write_bag(folder / one.name, messages, one, "px4_motors") for one in read]
-
-
-def test_bags_with_commands_alone_are_searched(bags, tmp_path, quadpi):
-    told = quadpi("discrepancy", "bebop2", *bags, "-o", tmp_path / "found", "--effects", "body_drag,wind")
-    assert told.status == 0, told.errors
-    said = " ".join(told.output.split())
-    assert "Rotor speeds are made of motor commands: from flight to flight" in said
-    found = json.loads((tmp_path / "found" / "discrepancy.json").read_text())
-    commanded = found["rotor_speeds_from_commands"]
-    assert (found["effects"], commanded["scale_known"]) == ([], False)
-    assert len(commanded["flights"]) == 4
-    assert "Rotor speeds are made of motor commands" in (tmp_path / "found" / "discrepancy.html").read_text()
-
-
-def test_the_library_searches_flights_by_commands(bags):
-    found = find_discrepancy("bebop2", load_flights([str(path) for path in bags], "bebop2"), effects=["wind"])
-    assert found.study.discovery.commanded.gain > 0.0
