@@ -29,7 +29,7 @@ SCATTER = Threshold(
     "good flights of imrc_brushless, imrc_brushed and indiflight of ../shared/data: 0.006 to 0.021",
 )
 # As many flights as that deviation is worth beside those given.
-_WORTH_FLIGHTS = 4
+WORTH_FLIGHTS = 4
 THRUST_EXPONENT = Threshold(
     "power of the command with which thrust goes: the least, the usual and the greatest",
     (1.0, 1.5, 2.0),
@@ -76,9 +76,9 @@ def losses(use: MotorUse, references: Sequence[MotorUse]) -> tuple[RotorLoss, ..
     if not count or not known:
         return "the flight, or those before, have no commands"
     before = np.array(known)
-    freedom = _WORTH_FLIGHTS + len(before) - 1
+    freedom = WORTH_FLIGHTS + len(before) - 1
     squares = np.sum((before - before.mean(axis=0)) ** 2, axis=0)
-    deviation = np.sqrt((_WORTH_FLIGHTS * SCATTER.value**2 + squares) / freedom)
+    deviation = np.sqrt((WORTH_FLIGHTS * SCATTER.value**2 + squares) / freedom)
     half = stats.t.ppf(0.5 + 0.5 * CONFIDENCE.value, freedom) * deviation * np.sqrt(1.0 + 1.0 / len(before))
     said = f"against {len(before)} flight{'s' * (len(before) > 1)}"
     found = []

@@ -22,6 +22,7 @@ from quadpi_core.field.estimates import Estimate
 from quadpi_core.field.field_log import FieldLog
 from quadpi_core.field.field_reading import read_field_log
 from quadpi_core.field.inertia import BodyResult, identify_body
+from quadpi_core.field.mass_change import MassChange, efforts, mass_change
 from quadpi_core.field.motor_model import MotorModel, Tachometers, motor_model, tachometers
 from quadpi_core.field.motor_use import (
     BATTERY_DRIFT,
@@ -81,6 +82,7 @@ class FlightReport:
         vibration: of the body.
         tachometers: rotor speeds against commands.
         losses: each rotor against earlier flights; None where none was given.
+        mass_change: mass and its place against those.
         remarks: what looks wrong.
     """
 
@@ -91,6 +93,7 @@ class FlightReport:
     vibration: Vibration | str
     tachometers: Tachometers | str
     losses: tuple[RotorLoss, ...] | str | None
+    mass_change: MassChange | str | None
     remarks: tuple[Remark, ...]
 
     def looked_at(self) -> dict[str, str]:
@@ -117,6 +120,7 @@ class FlightReport:
             Untold(vibration) if isinstance(vibration, str) else vibration,
             Untold(read) if isinstance(read, str) else read,
             Untold(self.losses) if isinstance(self.losses, str) else self.losses,
+            Untold(self.mass_change) if isinstance(self.mass_change, str) else self.mass_change,
             looked_at=self.looked_at(),
             remarks=self.remarks,
             settings=tuple(log.settings),
@@ -275,12 +279,17 @@ def _digest(log: FieldLog) -> str:
 def _flight_report(log: FieldLog, before: Sequence[FlightReport] | None = None) -> FlightReport:
     flight = flown(log)
     use, vibration, read = motor_use(log, flight), vibration_of(log, flight), tachometers(log, flight)
-    lost = None
+    all_read = isinstance(read, Tachometers) and not read.odd
+    use = replace(use, efforts=efforts(log, flight, tachometers_read=all_read))
+    lost: tuple[RotorLoss, ...] | str | None = None
+    heavier: MassChange | str | None = None
     if before is not None:
         alike = [one.use for one in before if (one.log.stack, one.log.rotors) == (log.stack, log.rotors)]
-        lost = losses(use, alike) if alike else "the flights before are none, or of another vehicle"
-    remarks = [*_motor_remarks(log, flight, lost), *_remarks(log, use, vibration, read)]
-    return FlightReport(log.name, log, flight, use, vibration, read, lost, tuple(remarks))
+        lost = heavier = "the flights before are none, or of another vehicle"
+        if alike:
+            lost, heavier = losses(use, alike), mass_change(use, alike, log.corners)
+    remarks = [*_motor_remarks(log, flight, lost, heavier), *_remarks(log, use, vibration, read)]
+    return FlightReport(log.name, log, flight, use, vibration, read, lost, heavier, tuple(remarks))
 
 
 def _identity(log: FieldLog) -> tuple[object, ...]:
@@ -375,21 +384,46 @@ def _shortness(estimate: Estimate) -> str:
 
 
 def _motor_remarks(
-    log: FieldLog, flight: Flown, lost: tuple[RotorLoss, ...] | str | None
+    log: FieldLog,
+    flight: Flown,
+    lost: tuple[RotorLoss, ...] | str | None,
+    heavier: MassChange | str | None,
 ) -> Iterator[Remark]:
     for motor, since in frozen_motors(log, flight):
         yield Remark(
             ALARM, f"{log.motor(motor)} follows no more from {since:.1f} s on: its command stays as it is"
         )
+    if isinstance(heavier, MassChange):
+        yield from _mass_remarks(heavier)
     if not lost or isinstance(lost, str):
         return
     worst = max(range(len(lost)), key=lambda rotor: lost[rotor].thrust.low or 0.0)
     value, low, high = (100.0 * (end or 0.0) for end in astuple(lost[worst].thrust)[:3])
-    if low > 0.0:
+    weak = heavier.weak_motors(worst + 1) if isinstance(heavier, MassChange) else (worst + 1,)
+    names = ", or ".join(log.motor(motor) for motor in weak)
+    if low > 0.0 and weak:
         yield Remark(
             ALARM if low > LOSS_ALARM.value else WARNING,
-            f"{log.motor(worst + 1)} works harder than in earlier flights: it gives {value:.0f} % less "
+            f"{names} works harder than in earlier flights: it gives {value:.0f} % less "
             f"thrust ({low:.0f} to {high:.0f} %), or the vehicle has become heavier near it",
+        )
+
+
+def _mass_remarks(change: MassChange) -> Iterator[Remark]:
+    value, low, high = (100.0 * (end or 0.0) for end in astuple(change.share)[:3])
+    place = f", its load on the {change.side}" if change.side and "payload" in change.fits else ""
+    if change.share.value is not None and change.may_be_heavier and (low > 0.0 or high < 0.0):
+        word = "heavier" if value > 0.0 else "lighter"
+        ends = sorted((abs(low), abs(high)))
+        yield Remark(
+            WARNING,
+            f"{abs(value):.0f} % {word} than in earlier flights ({ends[0]:.0f} to {ends[1]:.0f} %, "
+            f"{change.share.reason}){place}, or thrust has changed by as much",
+        )
+    elif change.fits and set(change.fits) <= {"moved centre of gravity", "payload"} and change.side:
+        yield Remark(
+            WARNING,
+            f"the centre of gravity has moved to the {change.side}: a battery mounted elsewhere, or a load",
         )
 
 

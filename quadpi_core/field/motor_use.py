@@ -7,7 +7,8 @@ Thrust over mass is the specific force along body z, so that no mass is needed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -94,6 +95,7 @@ class MotorUse:
         volts: battery at the beginning and the end of the flight, and the lowest.
         drift: change of thrust over command from begin to end of the flight.
         change: of the command at hover; None where it stays, or little of the flight was hover.
+        efforts: what thrust goes with over the specific force it gave, by what tells it.
     """
 
     hover: Estimate | None = None
@@ -103,6 +105,7 @@ class MotorUse:
     volts: tuple[float, float, float] | None = None
     drift: Estimate | None = None
     change: HoverChange | None = None
+    efforts: Mapping[str, float] = field(default_factory=dict)
 
 
 def motor_use(log: FieldLog, flight: Flown) -> MotorUse:

@@ -12,6 +12,7 @@ from quadpi_core.field.damage import RotorLoss
 from quadpi_core.field.drag import DragResult
 from quadpi_core.field.field_log import Setting
 from quadpi_core.field.inertia import BodyResult
+from quadpi_core.field.mass_change import MassChange
 from quadpi_core.field.motor_model import MotorModel, Tachometers
 from quadpi_core.field.motor_use import MotorUse
 from quadpi_core.field.vibration import Vibration
@@ -62,6 +63,7 @@ class FlightRecord:
     vibration: Vibration | Untold
     tachometers: Tachometers | Untold
     losses: Sequence[RotorLoss] | Untold | None
+    mass_change: MassChange | Untold | None
     looked_at: Mapping[str, str]
     remarks: Sequence[Remark]
     settings: Sequence[Setting]

@@ -14,6 +14,7 @@ from quadpi_core.field.airborne import velocity_of
 from quadpi_core.field.estimates import Estimate
 from quadpi_core.field.field_report import ALARM, FieldReport, FlightReport, VehicleReport
 from quadpi_core.field.inertia import BodyResult
+from quadpi_core.field.mass_change import MassChange
 from quadpi_core.field.motor_model import Tachometers
 from quadpi_core.frames import Array
 from quadpi_core.report.figure import DASHES, Boxes, Figure, Layer, Line, Panel, Scale
@@ -155,6 +156,10 @@ def motor_table(flight: FlightReport) -> Table:
     elif flight.losses is not None:
         for place, lost in enumerate(flight.losses, start=1):
             rows.append(_row(f"{flight.log.motor(place)}, thrust that it lacks", lost.thrust, 100.0, "%"))
+    if isinstance(flight.mass_change, MassChange):
+        rows.append(_row("mass, more than in earlier flights", flight.mass_change.share, 100.0, "%"))
+        if fits := ", or ".join(flight.mass_change.fits):
+            rows.append(["what the motors' shares fit", None, "", "", fits])
     if use.drift is not None:
         rows.append(_row("thrust over command, from begin to end", use.drift, 100.0, "%"))
     if isinstance(vibration, str):

@@ -104,7 +104,7 @@ def read_ardupilot_field(path: Path, _number: int | None = None, _poles: int | N
         if baro is None
         else Series(baro.time, density_of(baro.values[:, :1], baro.values[:, 1:])),
         vibe=read("VIBE", "VibeX", "VibeY", "VibeZ"),
-        corners=np.sign(np.round(np.array(LAYOUTS[layout])[:, :2], 6)) if layout else None,
+        corners=np.sign(np.round(np.array([motor[:2] for motor in LAYOUTS[layout]]), 6)) if layout else None,
         drag_prefix="EK3_DRAG_",
         facts=_facts(parameters),
         parameters=parameters,

@@ -102,7 +102,7 @@ def read_betaflight_field(path: Path, number: int | None = None, poles: int | No
         else None,
         rotor_speeds=None if speeds is None else series_of(time_ns, speeds, start_ns),
         battery=battery,
-        corners=np.sign(np.array(LAYOUTS["betaflight"])[:, :2]) if motors == 4 else None,
+        corners=np.sign(np.array([motor[:2] for motor in LAYOUTS["betaflight"]])) if motors == 4 else None,
         facts=_facts(texts),
         parameters={name: float(value) for name, value in log.headers.items()},
         settings=tuple(_settings(log, speeds is not None, motors, battery is not None)),

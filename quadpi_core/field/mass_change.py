@@ -1,0 +1,233 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Whether a vehicle has become heavier, or its centre of gravity has moved, against earlier flights.
+
+Heavier, all rotors work harder for the same specific force, near the load more so. A centre of gravity that
+has moved makes rotors on its side work harder and those across less, and all together as before. A rotor that
+gives less thrust works harder alone. Of what fits all of these are named that cannot be told apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from quadpi_core.field.airborne import Flown
+from quadpi_core.field.damage import SCATTER, THRUST_EXPONENT, WORTH_FLIGHTS
+from quadpi_core.field.estimates import CONFIDENCE, Estimate, not_identified, within
+from quadpi_core.field.field_log import FieldLog, Series
+from quadpi_core.field.motor_use import MotorUse
+from quadpi_core.frames import Array
+from quadpi_core.sample_limits import STANDARD_GRAVITY
+from quadpi_core.thresholds import CONVENTION, Threshold
+
+WEAK = "weak motor"
+BY_SPEED, BY_VOLTAGE, BY_COMMAND = "rotor speed", "command and battery voltage", "command"
+EFFORT_SCATTER: Mapping[str, Threshold[float]] = {
+    by: Threshold(f"standard deviation of thrust at the same {by}, between good flights", value, "", why, of)
+    for by, value, why, of in (
+        (BY_SPEED, 0.01, "airspeed and air density", "imrc_brushed and indiflight of ../shared/data"),
+        (BY_VOLTAGE, 0.035, "packs and motors that warm", "imrc_brushed and nanobench of ../shared/data"),
+        (BY_COMMAND, 0.05, "a pack loses a sixth of its voltage", "indiflight of ../shared/data"),
+    )
+}
+SPEED_EXPONENT = Threshold(
+    "power of rotor speed with which thrust goes: the least, the usual and the greatest",
+    (1.9, 2.0, 2.2),
+    "",
+    "the thrust coefficient of small propellers grows with the Reynolds number",
+    "R. Deters, G. Ananda, M. Selig, Reynolds number effects on small-scale propellers (AIAA 2014-2151)",
+)
+ANOTHER = Threshold(
+    "squares by which one weak motor may fit worse than another and be named beside it",
+    3.84,
+    "variances",
+    "the 95 % quantile of chi-square with one degree of freedom",
+    CONVENTION,
+)
+_STEP_S = 0.1
+
+
+@dataclass(frozen=True)
+class MassChange:
+    """A flight against earlier ones.
+
+    Attributes:
+        share: of the mass that has come, or gone if below 0.
+        by: what told it, see :data:`EFFORT_SCATTER`.
+        fits: what explains how the rotors share the work: "nothing", "moved centre of gravity", "payload",
+            "weak motor 1" …; empty where nothing known does, or the places of the motors are not known.
+        side: of a payload or the centre of gravity, in words; empty at the middle.
+    """
+
+    share: Estimate
+    by: str
+    fits: tuple[str, ...]
+    side: str = ""
+
+    def weak_motors(self, worst: int) -> tuple[int, ...]:
+        """Motors, from 1, of which one may be weak; the one that works hardest where nothing known fits."""
+        weak = tuple(int(name.split()[-1]) for name in self.fits if name.startswith(WEAK))
+        return weak if self.fits else (worst,)
+
+    @property
+    def may_be_heavier(self) -> bool:
+        """Whether a load may be what has changed, for all that the sharing of the rotors tells."""
+        return not all(name.startswith(WEAK) for name in self.fits) or not self.fits
+
+
+def efforts(log: FieldLog, flight: Flown, *, tachometers_read: bool) -> dict[str, float]:
+    """What thrust goes with, over the specific force that it gave, on average of a flight, by what tells it.
+
+    Without an accelerometer the specific force is that of gravity: it is so on average of flights near hover.
+
+    Args:
+        log: of the flight.
+        flight: its stretches in the air.
+        tachometers_read: whether the rotor speeds are those of the rotors.
+    """
+    found: dict[str, float] = {}
+    if log.rotor_speeds is not None and tachometers_read:
+        squares = np.mean(log.rotor_speeds.values**2, axis=1, keepdims=True)
+        found[BY_SPEED] = _over_force(log, flight, Series(log.rotor_speeds.time, squares))
+    if log.commands is not None:
+        usual = THRUST_EXPONENT.value[1]
+        load = np.mean(np.maximum(log.commands.values, 0.0) ** usual, axis=1, keepdims=True)
+        found[BY_COMMAND] = _over_force(log, flight, Series(log.commands.time, load))
+        # A battery that never changes was not measured.
+        if log.battery is not None and np.ptp(log.battery.values) > 0.0:
+            volts = np.maximum(log.battery.at(log.commands.time), 0.0) ** usual
+            found[BY_VOLTAGE] = _over_force(log, flight, Series(log.commands.time, load * volts))
+    return {by: value for by, value in found.items() if np.isfinite(value) and value > 0.0}
+
+
+def _over_force(log: FieldLog, flight: Flown, load: Series) -> float:
+    rows = [np.empty((0, 2))]
+    for one in flight.stretches:
+        edges = np.arange(one.begin, one.end, _STEP_S)
+        if len(edges) > 1:
+            force = np.full((len(edges) - 1, 1), STANDARD_GRAVITY)
+            if log.imu is not None:
+                force = -log.imu.filled_means(edges)[:, 5:]
+            rows.append(np.hstack([load.filled_means(edges), force]))
+    table = np.vstack(rows)
+    table = table[np.isfinite(table).all(axis=1)]
+    loads, forces = table.sum(axis=0)
+    return float(loads / forces) if forces > 0.0 else np.nan
+
+
+def mass_change(use: MotorUse, references: Sequence[MotorUse], corners: Array | None) -> MassChange | str:
+    """What has changed since earlier flights, or why it cannot be told.
+
+    Args:
+        use: of the flight.
+        references: of good flights of the same vehicle.
+        corners: (R, 2) signs of the motors' places, forward and right; None where not known.
+    """
+    by = next((by for by in EFFORT_SCATTER if by in use.efforts and _known(by, references)), None)
+    if by is None:
+        return "the flight and those before have not both rotor speeds or commands"
+    before = np.log(_known(by, references))
+    ratio, deviation, freedom = _against(np.log(use.efforts[by]), before, EFFORT_SCATTER[by].value)
+    half = float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE.value, freedom)) * deviation
+    usual = (SPEED_EXPONENT if by == BY_SPEED else THRUST_EXPONENT).value
+    powers = [one / usual[1] for one in usual]
+    ends = [float(np.expm1(power * (ratio + side * half))) for power in powers for side in (-1.0, 1.0)]
+    count = len(before)
+    said = f"by {by}, against {count} flight{'s' * (count > 1)}"
+    share = within((float(np.expm1(ratio)), min(ends), max(ends)), "", said)
+    if min(ends) <= -1.0:
+        share = not_identified("", "thrust is a fraction of what it was")
+    pattern = _pattern(use, references, corners)
+    if pattern is None:
+        return MassChange(share, by, ())
+    return _explained(share, by, pattern, (ratio, deviation), freedom)
+
+
+def _known(by: str, references: Sequence[MotorUse]) -> list[float]:
+    return [one.efforts[by] for one in references if by in one.efforts]
+
+
+def _against(value: Array, before: Array, scatter: float) -> tuple[Array, Array, int]:
+    """Difference from the mean of earlier flights, its standard deviation, and degrees of freedom."""
+    count = len(before)
+    freedom = WORTH_FLIGHTS + count - 1
+    squares = np.sum((before - np.mean(before, axis=0)) ** 2, axis=0)
+    pooled = (WORTH_FLIGHTS * scatter**2 + squares) / freedom
+    return value - np.mean(before, axis=0), np.sqrt(pooled * (1.0 + 1.0 / count)), freedom
+
+
+def _pattern(
+    use: MotorUse, references: Sequence[MotorUse], corners: Array | None
+) -> tuple[Array, Array, Array] | None:
+    """Thrust (4,) that each rotor gives more than all on average, its deviation, and the corners (4, 2)."""
+    shares = [np.array([own.value for own in one.motors], dtype=float) for one in (use, *references)]
+    known = [own for own in shares[1:] if len(own) == len(shares[0])]
+    if corners is None or corners.shape != (4, 2) or not np.all(corners) or not known:
+        return None
+    if len(shares[0]) != len(corners):
+        return None
+    # Over the mean of all four a rotor deviates by three quarters of what it does over the others.
+    value, deviation, _ = _against(shares[0], np.array(known), 0.75 * SCATTER.value)
+    usual = THRUST_EXPONENT.value[1]
+    return usual * value, usual * deviation, corners
+
+
+def _explained(
+    share: Estimate,
+    by: str,
+    pattern: tuple[Array, Array, Array],
+    thrust: tuple[Array, Array],
+    freedom: int,
+) -> MassChange:
+    """Which changes fit, of those with the fewest parameters that explain the sharing and the sum."""
+    work, deviation, corners = pattern
+    rotors, sides = len(work), np.sign(corners)
+    yaw = sides[:, 0] * sides[:, 1]
+    weights = 1.0 / np.append(deviation, max(float(thrust[1]), 1e-9))
+    seen = np.append(work, float(thrust[0])) * weights
+    moved = np.vstack([sides, np.zeros(2)])
+    tried: list[tuple[str, Array]] = [
+        ("nothing", np.zeros((rotors + 1, 0))),
+        ("moved centre of gravity", moved),
+    ]
+    for rotor in range(rotors):
+        # It is commanded more to give what it gave; its torque may differ, which yaw answers.
+        lost = np.append(np.eye(rotors)[rotor] - 1.0 / rotors, 1.0 / rotors)
+        tried.append((f"{WEAK} {rotor + 1}", np.column_stack([lost, np.append(yaw, 0.0)])))
+    tried.append(("payload", np.column_stack([moved, np.append(np.zeros(rotors), 1.0)])))
+    fits: list[tuple[float, str]] = []
+    position = np.zeros(2)
+    for name, columns in tried:
+        found = np.linalg.lstsq(weights[:, np.newaxis] * columns, seen, rcond=None)[0]
+        left = seen - weights[:, np.newaxis] * columns @ found
+        # The sum of what rotors give beyond their mean is 0 by definition: one number less is seen.
+        open_to = rotors - columns.shape[1]
+        chi = float(left @ left) / open_to
+        is_possible = not (name.startswith(WEAK) and found[0] <= 0.0) and not (
+            name == "payload" and found[2] <= 0.0
+        )
+        if is_possible and chi < stats.f.ppf(CONFIDENCE.value, open_to, freedom):
+            fits.append((float(left @ left), name))
+            if name in ("moved centre of gravity", "payload"):
+                position = found[:2]
+    if any(name == "nothing" for _, name in fits):
+        return MassChange(share, by, ("nothing",))
+    best = min((squares for squares, name in fits if name.startswith(WEAK)), default=0.0)
+    names = [name for squares, name in fits if not name.startswith(WEAK) or squares < best + ANOTHER.value]
+    return MassChange(share, by, tuple(names), _side(position, deviation, corners))
+
+
+def _side(position: Array, deviation: Array, corners: Array) -> str:
+    """Where the load is, by thrust (2,) that rotors in front and on the right give more."""
+    least = 2.0 * float(np.mean(deviation)) / np.sqrt(len(corners))
+    ahead, right = (0.0 if abs(one) < least else float(one) for one in position)
+    names = [
+        word
+        for value, words in ((ahead, ("front", "rear")), (right, ("right", "left")))
+        for word in ([] if value == 0.0 else [words[0] if value > 0.0 else words[1]])
+    ]
+    return " ".join(names)

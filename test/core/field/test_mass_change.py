@@ -1,0 +1,120 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Heavier vehicles, moved centres of gravity and weak motors against earlier flights, made up and real."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from quadpi_core.field.airborne import flown
+from quadpi_core.field.damage import THRUST_EXPONENT
+from quadpi_core.field.estimates import Estimate
+from quadpi_core.field.field_log import Series
+from quadpi_core.field.field_report import report_on
+from quadpi_core.field.mass_change import BY_COMMAND, BY_SPEED, BY_VOLTAGE, MassChange, efforts, mass_change
+from quadpi_core.field.motor_use import MotorUse
+from quadpi_core.reading_options import ReadingOptions
+
+from .field_examples import example
+
+# Front right, rear right, rear left, front left.
+CORNERS = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
+POWER = THRUST_EXPONENT.value[1]
+
+
+def use(thrusts: list[float], by: str = BY_SPEED) -> MotorUse:
+    """Of motors that give these thrusts, 1 each before."""
+    commands = np.array(thrusts) ** (1.0 / POWER)
+    shares = commands / commands.mean() - 1.0
+    return MotorUse(motors=tuple(map(Estimate, shares)), efforts={by: float(np.mean(thrusts))})
+
+
+def changed(thrusts: list[float], by: str = BY_SPEED) -> MassChange:
+    found = mass_change(use(thrusts, by), [use([1.0] * 4, by)] * 6, CORNERS)
+    assert isinstance(found, MassChange)
+    return found
+
+
+def test_a_load_in_the_middle_is_a_mass() -> None:
+    found = changed([1.2] * 4)
+    assert found.share.value == pytest.approx(0.2)
+    assert found.share.low < 0.2 < found.share.high < 0.26
+    assert (found.fits, found.side) == (("payload",), "")
+
+
+def test_a_load_at_a_side_is_told_with_its_side() -> None:
+    found = changed([1.1, 1.1, 1.3, 1.3])
+    assert (found.fits, found.side) == (("payload",), "left")
+
+
+def test_a_centre_that_moved_makes_no_mass() -> None:
+    found = changed([1.0, 0.85, 1.0, 1.15])
+    assert found.share.value == pytest.approx(0.0)
+    assert "moved centre of gravity" in found.fits
+    assert found.side == "front left"
+    assert not found.weak_motors(4)
+
+
+def test_a_weak_motor_works_harder_alone() -> None:
+    found = changed([1.0, 1.0, 1.25, 1.0])
+    assert found.fits == ("weak motor 3",)
+    assert (found.weak_motors(3), found.may_be_heavier) == ((3,), False)
+
+
+def test_what_is_within_the_scatter_is_nothing() -> None:
+    found = changed([1.0, 1.02, 0.99, 1.0], BY_COMMAND)
+    assert found.fits == ("nothing",)
+    assert found.share.low < 0.0 < found.share.high
+    assert found.weak_motors(2) == ()
+
+
+def test_what_tells_less_has_a_wider_interval() -> None:
+    widths = [changed([1.2] * 4, by).share.half_width for by in (BY_SPEED, BY_VOLTAGE, BY_COMMAND)]
+    assert widths == sorted(widths)
+
+
+def test_flights_without_commands_tell_nothing() -> None:
+    assert isinstance(mass_change(MotorUse(), [use([1.0] * 4)], CORNERS), str)
+    assert mass_change(use([1.2] * 4), [use([1.0] * 4)], None).fits == ()
+
+
+def test_efforts_are_over_the_specific_force_and_a_battery_that_never_changes_is_none() -> None:
+    log = example()
+    flight = flown(log)
+    whole = efforts(log, flight, tachometers_read=False)
+    doubled = replace(log, imu=Series(log.imu.time, 2.0 * log.imu.values))
+    assert efforts(doubled, flight, tachometers_read=False)[BY_COMMAND] == pytest.approx(
+        0.5 * whole[BY_COMMAND]
+    )
+    held = replace(log, battery=Series(log.commands.time, np.full((len(log.commands), 1), 3.7)))
+    assert BY_VOLTAGE not in efforts(held, flight, tachometers_read=False)
+
+
+def flights(paths: list[Path], before: list[Path]) -> list[MassChange]:
+    return [one.mass_change for one in report_on(paths, ReadingOptions(), against=before).flights]
+
+
+def test_a_real_payload_is_told_from_two_reports(shared_data: Path) -> None:
+    """7.4 g with hook and cable on 37 g, by rotor speeds; where tachometers read half, by commands."""
+    bare = sorted((shared_data / "imrc_brushless").glob("eckart*"))
+    loaded = [shared_data / "imrc_payload" / f"eckart{number}" for number in (14, 17, 20, 24, 46, 51, 62, 82)]
+    found = flights(loaded, bare)
+    assert all(one.share.low > 0.09 for one in found)
+    assert np.median([one.share.value for one in found]) * 37.0 == pytest.approx(7.4, rel=0.15)
+    assert [one.by for one in found].count(BY_VOLTAGE) == 1
+    assert all(one.share.low < 0.0 < one.share.high for one in flights(bare[6:], bare[:6]))
+
+
+def test_a_nut_near_a_motor_and_a_short_propeller_are_told_and_normal_flights_are_not(
+    shared_data: Path,
+) -> None:
+    folder = shared_data / "crazypad"
+    normal = sorted(folder.glob("normal_flight_E9*"))
+    for kind in ("add_weight_W3", "cut_propeller_M3_3mm"):
+        for one in flights(sorted(folder.glob(f"{kind}*E9*")), normal):
+            assert 3 in one.weak_motors(3)
+    assert all(one.fits == ("nothing",) for one in flights(normal, normal))
