@@ -200,7 +200,7 @@ def _explained(
         tried.append((f"{WEAK} {rotor + 1}", np.column_stack([lost, np.append(yaw, 0.0)])))
     tried.append(("payload", np.column_stack([moved, np.append(np.zeros(rotors), 1.0)])))
     fits: list[tuple[float, str]] = []
-    position = np.zeros(2)
+    position: Array = np.zeros(2)
     for name, columns in tried:
         found = np.linalg.lstsq(weights[:, np.newaxis] * columns, seen, rcond=None)[0]
         left = seen - weights[:, np.newaxis] * columns @ found

@@ -12,15 +12,8 @@ import pytest
 
 from quadpi_core.discrepancy.discrepancy_result import discovery_json
 from quadpi_core.discrepancy.study import discover
-from quadpi_core.library.flights import load_flights
-from quadpi_core.library.found_discrepancy import find_discrepancy
-from quadpi_core.logs import read_recording
 from quadpi_core.motors import Motors
-from quadpi_core.paths import bags_directory
-from quadpi_core.vehicle import Vehicle
 
-from ..commanded_bags import write_bag
-from ..messages.adapters.vendor_messages import DEFINITIONS, Messages
 from .regressions import of_sound_flights
 
 SOUGHT = ["body_drag", "payload", "rotor_speed_scale", "weak_rotor"]
