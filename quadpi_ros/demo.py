@@ -16,6 +16,7 @@ from rich.text import Text
 
 from quadpi_core.errors import QuadpiError
 from quadpi_core.evaluation.evaluate import judge
+from quadpi_core.field.field_report import report_on
 from quadpi_core.identification.identify import identify
 from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs import read_recording
@@ -25,7 +26,9 @@ from quadpi_core.models.kind_registry import kind_of
 from quadpi_core.models.model_kind import IdentifyOptions
 from quadpi_core.parallel import Workers
 from quadpi_core.paths import bags_directory, write_json
+from quadpi_core.reading_options import ReadingOptions
 from quadpi_core.report.evaluation_page import evaluation_summary, write_evaluation_page
+from quadpi_core.report.field_page import write_field_page
 from quadpi_core.report.live_figure import LiveReplay
 from quadpi_core.report.model_tables import best_known_table, held_out_table
 from quadpi_core.report.page import FlightFiles
@@ -37,6 +40,9 @@ from quadpi_ros.collector import AlarmChange
 from quadpi_ros.live_session import SessionResult, run_session
 
 CONFIDENCE = 0.95
+# Real logs below the bundled bags: of a vehicle as it was, and with a nut near motor 3.
+REAL_LOGS = "crazypad"
+NORMAL, WITH_NUT = "normal_flight_E9_log00", "add_weight_W3_near_M3_E9_log00"
 # Faster NeuroBEM flights are not identified on, so that the model has to extrapolate on them.
 FASTEST_IDENTIFIED_M_S = 12.0
 # Of about a hundred.
@@ -179,6 +185,23 @@ def _run(flights: DemoFlights, output: Path, rate: float, console: Console, view
         at = f"--at {first_alarm_s - replay.begins_s:.2f}"
         counts = f"as the page counts from the first prediction, {replay.begins_s:.2f} s into the flight"
         console.print(f"and at its first alarm: add {at}, {counts}", soft_wrap=True)
+    _report_on_real_logs(output / "real", console)
+
+
+def _report_on_real_logs(output: Path, console: Console) -> None:
+    """A report on a real flight with a nut near a motor, against one without: any log, one command."""
+    logs = bags_directory() / REAL_LOGS
+    console.rule("6  Real flights: a report on logs as they are")
+    command = f"report {logs / WITH_NUT} --against {logs / NORMAL} -o {output}"
+    console.print(f"{called_as()} {command}", soft_wrap=True)
+    report = report_on([logs / WITH_NUT], ReadingOptions(), against=[logs / NORMAL])
+    output.mkdir(parents=True, exist_ok=True)
+    write_field_page(output / "report.html", report)
+    write_json(output / "report.json", report.to_json())
+    console.print(report.verdict(), soft_wrap=True)
+    for remark in report.flights[0].remarks:
+        console.print(f"- {remark.sentence}", soft_wrap=True)
+    console.print(f"Open {output / 'report.html'}")
 
 
 def called_as() -> str:
