@@ -94,9 +94,9 @@ def prepared_from_arrays(
         flight_values = {name: values[rows] for name, values in checked.items()}
         with named_in(f"flight {label}"):
             check_stamps("time_ns", stamps[rows])
-        step_ns = float(np.median(np.diff(stamps[rows]))) if len(rows) > 1 else _SHORTEST_STEP_NS
-        if step_ns < _SHORTEST_STEP_NS:
-            raise ArgumentError(f"time_ns: {step_ns:g} from sample to sample: looks like µs or ms, not ns")
+            step_ns = float(np.median(np.diff(stamps[rows]))) if len(rows) > 1 else _SHORTEST_STEP_NS
+            if step_ns < _SHORTEST_STEP_NS:
+                raise ArgumentError(f"time_ns: {step_ns:g} from sample to sample: looks like µs or ms, not ns")
         recording = _recording(label, vehicle, stamps[rows], flight_values)
         if filtered:
             for name, values in flight_values.items():
