@@ -7,8 +7,8 @@ Busetto et al., Nonlinear system identification for a nano-drone benchmark, Cont
 starts of the Euclidean norms of the errors after 1, 10 and 50 steps. Run by `make nanodrone`.
 
 What is used of a test flight before a start, and nothing after it but the rotor speeds: the state at the
-start, the residual wrench that the past left (`quadpi_core.models.disturbance`), and by which delay of the
-rotor speeds the flight so far is predicted best.
+start, the residual wrench that the past left (`quadpi_core.models.physical_rollout`), and by which delay of
+the rotor speeds the flight so far is predicted best.
 """
 
 from __future__ import annotations
@@ -28,11 +28,10 @@ from quadpi_core.errors import LogError, QuadpiError
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array
 from quadpi_core.logs import read_recording
-from quadpi_core.models.disturbance import Disturbance
 from quadpi_core.models.multi_step_fit import fit_multi_step
 from quadpi_core.models.physical_fit import Problem
 from quadpi_core.models.physical_flight import PhysicalFlight, Sensing
-from quadpi_core.models.physical_rollout import ATTITUDE, RATES, STATES, VELOCITY
+from quadpi_core.models.physical_rollout import ATTITUDE, RATES, STATES, VELOCITY, Disturbance
 from quadpi_core.models.physical_study import PhysicalStudy
 from quadpi_core.models.rollout_model import RolloutFlight, RolloutModel, disturbance_left
 from quadpi_core.paths import data_directory, write_json

@@ -158,7 +158,7 @@ def identify(
 
 def _print_model(console: Console, model: AerodynamicModel, *, verbose: bool, choice: str | None) -> None:
     """What matters first; with `verbose`, the rest as well."""
-    from quadpi_core.models.change_limits import change_sentence
+    from quadpi_core.models.alarm_limits import change_sentence
     from quadpi_core.report.evaluation_page import support_text
     from quadpi_core.report.model_tables import (
         fact_tables,

@@ -13,7 +13,7 @@ import numpy as np
 from quadpi_core.core import compiled
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.models.change_limits import ChangeLimits
+from quadpi_core.models.alarm_limits import ChangeLimits
 from quadpi_core.monitor.change import AXIS_NOISE, BLOCK_S
 
 # Fewest blocks of a flight, 1 s, and flights, that are compared.

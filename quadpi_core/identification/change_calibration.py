@@ -24,8 +24,13 @@ from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.identification.alarm_calibration import Judged, LeftOut, LiveErrors, ranges_of_others
 from quadpi_core.inputs import INPUT_INDEX, VELOCITY_INPUTS, aerodynamic_inputs
-from quadpi_core.models.alarm_limits import BOUND_CONFIDENCE, FEWEST_FLIGHTS
-from quadpi_core.models.change_limits import CHANGE_AXES, ChangeLimits, LeftOnAxis
+from quadpi_core.models.alarm_limits import (
+    BOUND_CONFIDENCE,
+    CHANGE_AXES,
+    FEWEST_FLIGHTS,
+    ChangeLimits,
+    LeftOnAxis,
+)
 from quadpi_core.models.envelope import Envelope
 from quadpi_core.models.interval_rules import FEWEST_INSIDE
 from quadpi_core.models.model_kind import Evaluation

@@ -22,8 +22,7 @@ from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES, derivatives_like, whole_derivatives
 from quadpi_core.messages.model_description import DescribedModel
-from quadpi_core.models.alarm_limits import AlarmLimits
-from quadpi_core.models.change_limits import ChangeLimits
+from quadpi_core.models.alarm_limits import AlarmLimits, ChangeLimits
 from quadpi_core.models.envelope import Envelope
 from quadpi_core.models.interval_rules import HeldOutRule, LevelSupport
 from quadpi_core.models.kind_registry import kind_named

@@ -22,14 +22,19 @@ from quadpi_core.frames import Array
 from quadpi_core.models.fitted_polynomial import RmsSpread
 from quadpi_core.models.interval_rules import StoredRule
 from quadpi_core.models.model_kind import CompiledFitted, Facts, FittedAxis, RotorDelay, StoredAxes
-from quadpi_core.models.physical_advice import delay_words, missing_flying
 from quadpi_core.models.physical_fit import AT_BOUND, FitStep, bounded_terms, worst_pairs
-from quadpi_core.models.physical_flight import DELAYS_S, PhysicalFlight, Sensing
-from quadpi_core.models.physical_kernel import KEPT, Common, PackedPhysical, motions
+from quadpi_core.models.physical_flight import (
+    DELAYS_S,
+    KEPT,
+    Common,
+    PackedPhysical,
+    PhysicalFlight,
+    Sensing,
+    motions,
+)
 from quadpi_core.models.physical_regressors import control_signs, regressors
-from quadpi_core.models.physical_terms import TERM_INDEX, TERM_NAMES, TERMS
-from quadpi_core.models.rollout_model import MOVES, RolloutModel
-from quadpi_core.models.stored_body import StoredBody, require_arrays, require_known
+from quadpi_core.models.physical_terms import TERM_INDEX, TERM_NAMES, TERMS, delay_words, missing_flying
+from quadpi_core.models.rollout_model import MOVES, RolloutModel, StoredBody, require_arrays, require_known
 from quadpi_core.records import Records, record_dtype
 from quadpi_core.vehicle import Vehicle
 

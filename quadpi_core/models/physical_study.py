@@ -18,7 +18,6 @@ import numpy.typing as npt
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
 from quadpi_core.models.fitted_physical import PhysicalFit
-from quadpi_core.models.physical_advice import UNTOLD_DELAY_S, delay_untold, unidentified
 from quadpi_core.models.physical_fit import (
     AT_BOUND,
     LEAST,
@@ -38,7 +37,7 @@ from quadpi_core.models.physical_flight import (
     reference_thrust,
 )
 from quadpi_core.models.physical_regressors import physical_vehicle
-from quadpi_core.models.physical_terms import TERM_INDEX, TERMS
+from quadpi_core.models.physical_terms import TERM_INDEX, TERMS, UNTOLD_DELAY_S, delay_untold, unidentified
 from quadpi_core.records import Records
 from quadpi_core.vehicle import Vehicle
 

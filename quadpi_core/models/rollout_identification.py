@@ -13,14 +13,13 @@ import numpy as np
 
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_INDEX
-from quadpi_core.models.disturbance import Disturbance
 from quadpi_core.models.fitted_physical import PhysicalFit
 from quadpi_core.models.least_squares import identifiable
 from quadpi_core.models.model_kind import TrainingSamples
 from quadpi_core.models.multi_step_fit import fit_multi_step
 from quadpi_core.models.physical_fit import FitStep, Problem
 from quadpi_core.models.physical_flight import flights_of, thinned_rows
-from quadpi_core.models.physical_rollout import STATES, roll_out
+from quadpi_core.models.physical_rollout import STATES, Disturbance, roll_out
 from quadpi_core.models.rollout_model import (
     FlightRollouts,
     RolloutFlight,

@@ -43,8 +43,7 @@ from quadpi_core import array_checks
 from quadpi_core.core import compiled
 from quadpi_core.flight import MAX_JUMP_BACK_NS, Stamps
 from quadpi_core.frames import Array
-from quadpi_core.models.alarm_limits import AlarmLimits
-from quadpi_core.models.change_limits import ChangeLimits
+from quadpi_core.models.alarm_limits import AlarmLimits, ChangeLimits
 from quadpi_core.models.envelope import Envelope
 from quadpi_core.models.model_kind import Evaluation
 from quadpi_core.monitor import alarm_kernel as kernel

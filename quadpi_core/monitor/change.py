@@ -5,7 +5,7 @@
 Residuals are averaged over blocks of 0.1 s. On each axis what a sound flight leaves is a constant of the
 flight that walks slowly, a process with memory and white noise; a Kalman filter foresees the next block, and
 its error over its standard deviation has Student's distribution with 3 degrees of freedom
-(`models.change_limits`). A change of known direction and size that begins at some block moves these errors by
+(`models.alarm_limits`). A change of known direction and size that begins at some block moves these errors by
 known amounts: the product of the ratios of the densities is what a bet on it has won. Bets on all directions,
 sizes and moments, weighted by a prior, are an e-process: under the null its supremum exceeds 1 / α with a
 probability of α at most (Ville 1939; Ramdas et al. 2023, Game-theoretic statistics). Half of the prior is on
@@ -28,7 +28,7 @@ from quadpi_core.core import compiled
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
-from quadpi_core.models.change_limits import ChangeLimits
+from quadpi_core.models.alarm_limits import ChangeLimits
 from quadpi_core.records import ROTORS_MAX, PerRotor, Records, record_dtype
 from quadpi_core.results import (
     CHANGED_CENTRE_FORWARD,
@@ -56,7 +56,7 @@ _Bets = Annotated[Array, _DIRECTIONS, _SIZES]
 
 
 class AxisNoise:
-    """What flights leave of a model on one axis, in N or Nm: see `models.change_limits.LeftOnAxis`."""
+    """What flights leave of a model on one axis, in N or Nm: see `models.alarm_limits.LeftOnAxis`."""
 
     mean: float
     between: float

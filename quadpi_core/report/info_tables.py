@@ -25,7 +25,7 @@ from quadpi_core.logs.inspect import (
     with_names_of_bag,
 )
 from quadpi_core.models.aerodynamic import AerodynamicModel
-from quadpi_core.models.change_limits import change_sentence
+from quadpi_core.models.alarm_limits import change_sentence
 from quadpi_core.models.model_folder import MODEL_FILE
 from quadpi_core.reading_options import MappingOrOptions, ReadingOptions, reading_options
 from quadpi_core.report.model_tables import fact_tables, term_tables

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from itertools import chain, zip_longest
 from typing import TYPE_CHECKING, Any
 
-from quadpi_core.models.headlines import Headline, headlines
+from quadpi_core.models.small_model import Headline, headlines
 from quadpi_core.report.style import number, percent
 from quadpi_core.report.table import Cell, Column, Mark, Row, Table, soft
 

@@ -14,7 +14,7 @@ from quadpi_core.identification.alarm_calibration import LeftOut, LiveErrors
 from quadpi_core.identification.change_calibration import calibrate_change, evidence
 from quadpi_core.identification.prepared_flights import LiveSamples
 from quadpi_core.inputs import DERIVATIVES, INPUT_INDEX, INPUT_NAMES, aerodynamic_inputs
-from quadpi_core.models.change_limits import CHANGE_AXES, ChangeLimits
+from quadpi_core.models.alarm_limits import CHANGE_AXES, ChangeLimits
 from quadpi_core.models.envelope import MARGIN, Envelope
 from quadpi_core.models.interval_rules import FlightErrors
 from quadpi_core.models.model_kind import Evaluation

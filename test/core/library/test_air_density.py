@@ -14,9 +14,9 @@ import quadpi_core as qp
 from quadpi_core.errors import ArgumentError
 from quadpi_core.identification.identify import identify
 from quadpi_core.models.candidate_pool import load_pools
-from quadpi_core.models.headlines import THRUST, headlines
 from quadpi_core.models.kinds.physical import Physical
 from quadpi_core.models.model_kind import IdentifyOptions
+from quadpi_core.models.small_model import THRUST, headlines
 from quadpi_core.simulation.flying import SimulatedVehicle
 from quadpi_core.simulation.rotor_local import RotorLocalModel
 from quadpi_core.simulation.run import fly_plan

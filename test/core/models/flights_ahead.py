@@ -6,10 +6,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from quadpi_core.models.disturbance import Disturbance
 from quadpi_core.models.physical_flight import PhysicalFlight
 from quadpi_core.models.physical_regressors import physical_vehicle
-from quadpi_core.models.physical_rollout import STATES
+from quadpi_core.models.physical_rollout import STATES, Disturbance
 from quadpi_core.models.physical_terms import TERMS
 from quadpi_core.models.rollout_model import RolloutFlight, RolloutModel
 from quadpi_core.rotations import from_rotation_vector, product

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from quadpi_core.errors import ModelError
-from quadpi_core.models.change_limits import ChangeLimits, LeftOnAxis, change_sentence
+from quadpi_core.models.alarm_limits import ChangeLimits, LeftOnAxis, change_sentence
 
 LEFT = LeftOnAxis(0.1, 0.2, 0.01, 0.6, 0.4, 0.3, 0.65, 2.5)
 LIMITS = ChangeLimits({"Fz": LEFT}, ((1.0, 0.1, -0.1),) * 4, flights=12, hours=0.2, largest=3.0)

@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from quadpi_core.frames import Array
-from quadpi_core.models.disturbance import Disturbance
+from quadpi_core.models.physical_rollout import Disturbance
 
 STEP_S = 0.01
 

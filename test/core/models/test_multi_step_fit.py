@@ -9,7 +9,6 @@ import pytest
 
 from quadpi_core.frames import Array
 from quadpi_core.models import multi_step_fit
-from quadpi_core.models.disturbance import AxisDisturbance, Disturbance
 from quadpi_core.models.multi_step_fit import (
     EVERY_S,
     HORIZONS_S,
@@ -23,7 +22,7 @@ from quadpi_core.models.multi_step_fit import (
     part_of,
 )
 from quadpi_core.models.physical_fit import Problem
-from quadpi_core.models.physical_rollout import ATTITUDE
+from quadpi_core.models.physical_rollout import ATTITUDE, AxisDisturbance, Disturbance
 from quadpi_core.models.physical_terms import TERM_INDEX, TERMS
 from quadpi_core.models.rollout_model import MOVES, RolloutFlight, RolloutModel
 from test.core.models.flights_ahead import ahead, true_model, with_attitude

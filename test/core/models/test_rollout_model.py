@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from quadpi_core.errors import ModelError
-from quadpi_core.models.disturbance import AxisDisturbance, Disturbance
-from quadpi_core.models.physical_rollout import RATES, STATES
+from quadpi_core.models.physical_rollout import RATES, STATES, AxisDisturbance, Disturbance
 from quadpi_core.models.rollout_model import RolloutFlight, RolloutModel, horizon_steps
 from quadpi_core.models.tubes import HORIZONS_S, QUANTITIES, TubeCalibration
 from quadpi_core.rotations import rotate_body_to_world

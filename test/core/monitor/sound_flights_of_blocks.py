@@ -8,7 +8,7 @@ import numpy as np
 
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.models.change_limits import CHANGE_AXES, ChangeLimits, LeftOnAxis
+from quadpi_core.models.alarm_limits import CHANGE_AXES, ChangeLimits, LeftOnAxis
 from quadpi_core.monitor.change import BLOCK_S, CHANGE_BLOCK, mean_arm
 from quadpi_core.records import Records
 from quadpi_core.vehicle import Vehicle

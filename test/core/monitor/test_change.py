@@ -11,8 +11,7 @@ from quadpi_core.core import compiled
 from quadpi_core.frames import Array
 from quadpi_core.identification.change_calibration import evidence
 from quadpi_core.inputs import INPUT_NAMES
-from quadpi_core.models.alarm_limits import AlarmLimits
-from quadpi_core.models.change_limits import FALSE_FLIGHTS, ChangeLimits
+from quadpi_core.models.alarm_limits import FALSE_FLIGHTS, AlarmLimits, ChangeLimits
 from quadpi_core.models.envelope import Envelope
 from quadpi_core.monitor.alarm import Alarm
 from quadpi_core.monitor.alarm_log import reasons

@@ -12,8 +12,8 @@ import pytest
 import quadpi_core as qp
 from quadpi_core.logs.readers import read_recording
 from quadpi_core.models.aerodynamic import AerodynamicModel
-from quadpi_core.models.headlines import headlines
 from quadpi_core.models.kinds.physical import Physical
+from quadpi_core.models.small_model import headlines
 from quadpi_core.monitor.alarm_log import reasons
 from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.replay import follow, recorded_flight
