@@ -18,7 +18,7 @@ from quadpi_core.discrepancy.study import discover
 from quadpi_core.estimator.fusion import fuse_airborne
 from quadpi_core.flight import Flight
 from quadpi_core.models.model_kind import CUTOFF_HZ
-from quadpi_core.simulation.effect_registry import read_effects
+from quadpi_core.simulation.applied_effects import read_effects
 from quadpi_core.simulation.flying import SimulatedVehicle
 from quadpi_core.simulation.run import fly_and_sense
 from quadpi_core.simulation.scenario import load_scenario

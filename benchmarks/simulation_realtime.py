@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks import Result, interleaved_seconds
-from quadpi_core.simulation.effect_registry import EFFECTS, read_effects
+from quadpi_core.simulation.applied_effects import EFFECTS, read_effects
 from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight
 from quadpi_core.simulation.scenario import load_scenario
 from quadpi_core.simulation.truth import STEP_HZ

@@ -12,8 +12,7 @@ import math
 import numpy as np
 
 from blind.geometry import NOTHING, force_at, to_body, to_world
-from quadpi_core.simulation.state_records import STATE, VEHICLE
-from quadpi_core.simulation.wrench_functions import apply_to_all
+from quadpi_core.simulation.state_records import STATE, VEHICLE, apply_to_all
 
 # Speed [m/s] at which the drag of any exponent is that of the square law.
 DRAG_SPEED = 7.0

@@ -17,7 +17,7 @@ from blind.specimen import CENTRE_M, Specimen, ordinary
 
 from quadpi_core.simulation.flying import SimulatedVehicle
 from quadpi_core.simulation.rotor_local import RotorLocalModel
-from quadpi_core.simulation.wrench_functions import block_of
+from quadpi_core.simulation.state_records import block_of
 
 NAMES = {
     *("rotor_drag", "body_drag", "translational_lift", "inflow_damping", "blade_flapping", "ground_effect"),

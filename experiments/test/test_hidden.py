@@ -22,7 +22,7 @@ from quadpi_core.logs import read_recording
 from quadpi_core.paths import bags_directory
 from quadpi_core.rotations import rotation_matrix
 from quadpi_core.screening.flight_runs import cut
-from quadpi_core.simulation.effect_registry import EFFECTS
+from quadpi_core.simulation.applied_effects import EFFECTS
 from quadpi_core.vehicle import Vehicle
 
 VEHICLE = Vehicle.load("bebop2")

@@ -23,7 +23,7 @@ from independent.hidden_physics import LAWS, Moment
 from independent.nominal import nominal_wrench
 from independent.searching import Task, searched
 
-from quadpi_core.simulation.effect_registry import EFFECTS as LIBRARY
+from quadpi_core.simulation.applied_effects import EFFECTS as LIBRARY
 from quadpi_core.vehicle import Vehicle
 
 

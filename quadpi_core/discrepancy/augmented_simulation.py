@@ -27,9 +27,14 @@ from quadpi_core.flight import AXES, Flight
 from quadpi_core.frames import Array
 from quadpi_core.signals.resample import interpolate_columns
 from quadpi_core.signals.wrench import measured_wrench
-from quadpi_core.simulation.applied_effects import added_wind, altered_vehicle, effect_wrench, with_memory
+from quadpi_core.simulation.applied_effects import (
+    EFFECTS,
+    added_wind,
+    altered_vehicle,
+    effect_wrench,
+    with_memory,
+)
 from quadpi_core.simulation.effect_definition import Effect, Effects
-from quadpi_core.simulation.effect_registry import EFFECTS
 from quadpi_core.simulation.simulated_file import vehicle_content
 from quadpi_core.vehicle import Vehicle
 from quadpi_core.version import __version__

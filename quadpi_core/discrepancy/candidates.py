@@ -23,9 +23,8 @@ from quadpi_core.discrepancy.whitening import Columns
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.simulation.applied_effects import state_modulators
+from quadpi_core.simulation.applied_effects import EFFECTS, state_modulators
 from quadpi_core.simulation.effect_definition import AERODYNAMIC, Effect
-from quadpi_core.simulation.effect_registry import EFFECTS
 from quadpi_core.thresholds import CONVENTION, DEVELOPMENT, Threshold
 from quadpi_core.vehicle import Vehicle
 

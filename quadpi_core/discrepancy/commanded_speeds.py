@@ -22,7 +22,7 @@ from quadpi_core.flight import Flight
 from quadpi_core.frames import Array
 from quadpi_core.motors import Motors
 from quadpi_core.signals.wrench import measured_wrench
-from quadpi_core.simulation.effect_registry import EFFECTS
+from quadpi_core.simulation.applied_effects import EFFECTS
 from quadpi_core.thresholds import CONVENTION, Threshold
 from quadpi_core.vehicle import Vehicle
 

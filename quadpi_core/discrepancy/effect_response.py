@@ -29,9 +29,8 @@ from quadpi_core.frames import Array
 from quadpi_core.rotations import rotate_body_to_world, rotate_world_to_body
 from quadpi_core.signals.resample import interpolate_columns
 from quadpi_core.signals.wrench import measured_wrench
-from quadpi_core.simulation.applied_effects import effect_wrench, with_memory
+from quadpi_core.simulation.applied_effects import EFFECTS, effect_wrench, with_memory
 from quadpi_core.simulation.effect_definition import Effect
-from quadpi_core.simulation.effect_registry import EFFECTS
 from quadpi_core.thresholds import CONVENTION, Threshold
 from quadpi_core.vehicle import Vehicle
 

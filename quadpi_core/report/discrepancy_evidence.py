@@ -11,7 +11,7 @@ from typing import NamedTuple
 from quadpi_core.discrepancy.discrepancy_result import Discovery, FoundEffect, RankedCandidate, Study
 from quadpi_core.report.coverage_verdict import listing
 from quadpi_core.report.table import Cell, Column, Mark, Row, Table
-from quadpi_core.simulation.effect_registry import EFFECTS
+from quadpi_core.simulation.applied_effects import EFFECTS
 
 # Candidates that a table shows at once.
 MOST_CANDIDATES = 8

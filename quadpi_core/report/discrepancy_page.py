@@ -43,7 +43,7 @@ from quadpi_core.report.figure import Figure
 from quadpi_core.report.page import FlightFiles, Page, flight_remarks
 from quadpi_core.report.style import number, percent
 from quadpi_core.report.table import Column, Row, Table, terminal_table
-from quadpi_core.simulation.effect_registry import EFFECTS
+from quadpi_core.simulation.applied_effects import EFFECTS
 
 # Rows at most: of the conditions on the page and on the terminal, and of the times of the largest residuals.
 _MOST_RANGES, _MOST_ON_TERMINAL, _MOST_SEGMENTS = 12, 8, 12

@@ -17,8 +17,8 @@ from typing import Any
 
 from quadpi_core.discrepancy.discrepancy_result import FoundEffect
 from quadpi_core.elementary import IN_NUMPY
+from quadpi_core.simulation.applied_effects import EFFECTS
 from quadpi_core.simulation.effect_definition import SHAPE, shaped
-from quadpi_core.simulation.effect_registry import EFFECTS
 
 _SYMBOLS = r"""## Symbols
 

@@ -16,7 +16,7 @@ from quadpi_core.report.page import Page
 from quadpi_core.report.simulation_figures import effort_figure, tracking_figure, trajectory_figure
 from quadpi_core.report.style import number, percent
 from quadpi_core.report.table import Cell, Column, Row, Table
-from quadpi_core.simulation.effect_registry import EFFECTS
+from quadpi_core.simulation.applied_effects import EFFECTS
 from quadpi_core.simulation.scenario import load_scenario
 from quadpi_core.simulation.truth import Truth
 from quadpi_core.version import __version__

@@ -19,19 +19,22 @@ from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
 from quadpi_core.linear_algebra import inverse, matrix_times
 from quadpi_core.records import record_dtype
-from quadpi_core.simulation.applied_effects import added_wind, altered_vehicle, compose, memory_at_rest
-from quadpi_core.simulation.controller import Controls, Demand
-from quadpi_core.simulation.dynamics import Logged, Memory, Physics, fly
+from quadpi_core.simulation.applied_effects import (
+    added_wind,
+    altered_vehicle,
+    compose,
+    memory_at_rest,
+    read_effects,
+)
+from quadpi_core.simulation.dynamics import Controls, Demand, Logged, Memory, Physics, fly
 from quadpi_core.simulation.effect_definition import Effects
-from quadpi_core.simulation.effect_registry import read_effects
-from quadpi_core.simulation.excursion import excursion
 from quadpi_core.simulation.physical_aerodynamics import PhysicalAerodynamics
 from quadpi_core.simulation.rotor_local import RotorLocalModel
 from quadpi_core.simulation.sensor_noise import generator
 from quadpi_core.simulation.simulated_aerodynamics import SimulatedAerodynamics
 from quadpi_core.simulation.simulated_file import IdentifiedRange, read_simulation
-from quadpi_core.simulation.truth import LOG_HZ, STEP_HZ, Reference, Truth
-from quadpi_core.simulation.wrench_functions import Law
+from quadpi_core.simulation.state_records import Law
+from quadpi_core.simulation.truth import LOG_HZ, STEP_HZ, Reference, Truth, excursion
 from quadpi_core.vehicle import Vehicle
 
 # First stamp of every simulated flight: fixed, so that equal plans give equal bytes.

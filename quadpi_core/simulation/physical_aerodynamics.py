@@ -26,8 +26,7 @@ from quadpi_core.models.physical_terms import TERM_INDEX, TERMS
 from quadpi_core.records import record_dtype
 from quadpi_core.simulation.simulated_aerodynamics import SimulatedAerodynamics, vehicle_record
 from quadpi_core.simulation.simulated_file import read_simulation
-from quadpi_core.simulation.state_records import State
-from quadpi_core.simulation.wrench_functions import Law, apply_to_all
+from quadpi_core.simulation.state_records import Law, State, apply_to_all
 from quadpi_core.vehicle import Vehicle
 
 _HOVER_ROUNDS = 20

@@ -20,7 +20,7 @@ from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
 from quadpi_core.parallel import DEFAULT_WORKERS, Progress, ReportProgress, Workers
 from quadpi_core.paths import require_file, whole_outputs
-from quadpi_core.simulation.controller import TILT_MAX_DEG
+from quadpi_core.simulation.dynamics import TILT_MAX_DEG
 from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight
 from quadpi_core.simulation.scenario import FlightPlan
 from quadpi_core.simulation.sensor_noise import SensorSuite

@@ -31,8 +31,8 @@ from quadpi_core.config_schema import (
 )
 from quadpi_core.errors import SimulationError, named_in
 from quadpi_core.frames import Array
+from quadpi_core.simulation.applied_effects import read_effects
 from quadpi_core.simulation.effect_definition import Effects
-from quadpi_core.simulation.effect_registry import read_effects
 from quadpi_core.simulation.failures import Fault
 from quadpi_core.simulation.reference_signals import (
     AXES,

@@ -22,8 +22,7 @@ from quadpi_core.errors import SimulationError
 from quadpi_core.frames import Array
 from quadpi_core.linear_algebra import inverse
 from quadpi_core.records import record_dtype
-from quadpi_core.simulation.state_records import State, VehicleNumbers
-from quadpi_core.simulation.wrench_functions import Law, apply_to_all
+from quadpi_core.simulation.state_records import Law, State, VehicleNumbers, apply_to_all
 from quadpi_core.vehicle import Vehicle
 
 Own = TypeVar("Own", bound="SimulatedAerodynamics")

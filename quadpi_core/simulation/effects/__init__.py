@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Physical effects that simulations lack, one file per family; `simulation.effect_registry` finds them."""
+"""Physical effects that simulations lack, one file per family; `simulation.applied_effects` finds them."""

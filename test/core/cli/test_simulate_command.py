@@ -8,7 +8,7 @@ import pytest
 
 from quadpi_core.logs import read_recording
 from quadpi_core.paths import config_directory
-from quadpi_core.simulation.effect_registry import EFFECTS
+from quadpi_core.simulation.applied_effects import EFFECTS
 from quadpi_core.vehicle import Vehicle
 
 SCENARIO = """

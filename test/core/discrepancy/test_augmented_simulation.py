@@ -24,8 +24,7 @@ from quadpi_core.discrepancy.study import discover
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.report.effect_formulas import write_formulas
 from quadpi_core.signals.wrench import measured_wrench
-from quadpi_core.simulation.applied_effects import effect_wrench
-from quadpi_core.simulation.effect_registry import read_effects
+from quadpi_core.simulation.applied_effects import effect_wrench, read_effects
 from quadpi_core.simulation.flying import SimulatedVehicle
 from quadpi_core.simulation.state_records import STATE, VEHICLE
 from quadpi_core.vehicle import Vehicle

@@ -16,7 +16,7 @@ from quadpi_core.discrepancy.other_simulations import CallableSimulation
 from quadpi_core.discrepancy.unmeasured_states import Started
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.rotations import rotate_world_to_body
-from quadpi_core.simulation.effect_registry import EFFECTS
+from quadpi_core.simulation.applied_effects import EFFECTS
 from quadpi_core.vehicle import Vehicle
 
 from .regressions import DRAG, PAYLOAD, WIND, regression_of, rows, rows_in

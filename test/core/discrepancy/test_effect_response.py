@@ -25,8 +25,7 @@ from quadpi_core.models.aerodynamic import AerodynamicModel, recorded_evaluation
 from quadpi_core.signals.filters import zero_phase
 from quadpi_core.signals.force_bandwidth import band_limited
 from quadpi_core.signals.wrench import measured_wrench
-from quadpi_core.simulation.applied_effects import effect_wrench
-from quadpi_core.simulation.effect_registry import EFFECTS
+from quadpi_core.simulation.applied_effects import EFFECTS, effect_wrench
 
 
 @pytest.fixture(scope="module")

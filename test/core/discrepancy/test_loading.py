@@ -15,7 +15,7 @@ from quadpi_core.discrepancy.loading import load_simulation
 from quadpi_core.discrepancy.simulations import VehicleSimulation
 from quadpi_core.errors import DiscrepancyError, QuadpiError
 from quadpi_core.signals.wrench import measured_wrench
-from quadpi_core.simulation.effect_registry import read_effects
+from quadpi_core.simulation.applied_effects import read_effects
 
 
 @pytest.mark.parametrize(

@@ -41,7 +41,7 @@ from quadpi_core.models.model_kind import IdentifyOptions
 from quadpi_core.parallel import Workers
 from quadpi_core.signals.filters import zero_phase
 from quadpi_core.signals.wrench import measured_wrench
-from quadpi_core.simulation.effect_registry import EFFECTS, read_effects
+from quadpi_core.simulation.applied_effects import EFFECTS, read_effects
 from quadpi_core.vehicle import Vehicle
 
 BEBOP = Vehicle.load("bebop2")

@@ -27,7 +27,7 @@ from quadpi_core.discrepancy.study import discover
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.estimator.fusion import fuse_airborne
 from quadpi_core.logs import read_recording
-from quadpi_core.simulation.effect_registry import read_effects
+from quadpi_core.simulation.applied_effects import read_effects
 from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight
 from quadpi_core.simulation.truth import STEP_HZ
 from quadpi_core.vehicle import Vehicle

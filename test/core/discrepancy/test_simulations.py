@@ -15,7 +15,7 @@ from quadpi_core.discrepancy.simulations import Tolerances, VehicleSimulation
 from quadpi_core.discrepancy.study import discover
 from quadpi_core.errors import VehicleError
 from quadpi_core.signals.wrench import measured_wrench
-from quadpi_core.simulation.effect_registry import EFFECTS, read_effects
+from quadpi_core.simulation.applied_effects import EFFECTS, read_effects
 
 
 @pytest.fixture

@@ -20,8 +20,7 @@ from quadpi_core.discrepancy.unmeasured_states import (
     started,
 )
 from quadpi_core.estimator.fusion import fuse
-from quadpi_core.simulation.applied_effects import effect_wrench, with_memory
-from quadpi_core.simulation.effect_registry import EFFECTS
+from quadpi_core.simulation.applied_effects import EFFECTS, effect_wrench, with_memory
 from quadpi_core.simulation.simulated_aerodynamics import vehicle_record
 from quadpi_core.vehicle import SensorNoise, Vehicle
 

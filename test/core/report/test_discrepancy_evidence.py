@@ -25,7 +25,7 @@ from quadpi_core.report.discrepancy_evidence import (
     verdict_changes,
 )
 from quadpi_core.report.discrepancy_page import discrepancy_summary, write_discrepancy_page
-from quadpi_core.simulation.effect_registry import EFFECTS
+from quadpi_core.simulation.applied_effects import EFFECTS
 
 REFUSED = RankedCandidate(
     name="rotor_drag",

@@ -15,8 +15,7 @@ import numpy as np
 import pytest
 
 from quadpi_core.report.effect_formulas import python_source
-from quadpi_core.simulation.applied_effects import effect_wrench
-from quadpi_core.simulation.effect_registry import EFFECTS, read_effects
+from quadpi_core.simulation.applied_effects import EFFECTS, effect_wrench, read_effects
 from quadpi_core.simulation.rotor_local import RotorLocalModel
 from quadpi_core.simulation.state_records import STATE, VEHICLE
 
@@ -80,7 +79,7 @@ _USE = """
 import numpy as np
 from quadpi_core.rotations import rotate_world_to_body
 from quadpi_core.simulation.applied_effects import effect_wrench
-from quadpi_core.simulation.effect_registry import EFFECTS, read_effects
+from quadpi_core.simulation.applied_effects import EFFECTS, read_effects
 from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight
 from quadpi_core.simulation.rotor_local import RotorLocalModel
 from quadpi_core.simulation.truth import Reference

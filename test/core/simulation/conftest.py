@@ -13,8 +13,7 @@ import pytest
 
 from quadpi_core.frames import Array, quaternion_from_roll_pitch_yaw
 from quadpi_core.rotations import rotate_world_to_body
-from quadpi_core.simulation.applied_effects import effect_wrench
-from quadpi_core.simulation.effect_registry import read_effects
+from quadpi_core.simulation.applied_effects import effect_wrench, read_effects
 from quadpi_core.simulation.rotor_local import RotorLocalModel
 from quadpi_core.simulation.truth import Reference, Truth
 from quadpi_core.vehicle import Vehicle

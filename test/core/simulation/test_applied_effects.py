@@ -12,15 +12,16 @@ import pytest
 from quadpi_core.core import compiled
 from quadpi_core.errors import SimulationError
 from quadpi_core.simulation.applied_effects import (
+    EFFECTS,
     compose,
     effect_wrench,
+    read_effects,
     remembered_wrenches,
     with_memory,
 )
 from quadpi_core.simulation.effect_definition import shaped
-from quadpi_core.simulation.effect_registry import EFFECTS, read_effects
 from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight
-from quadpi_core.simulation.wrench_functions import block_of, six_columns
+from quadpi_core.simulation.state_records import block_of, six_columns
 
 from .references import sines
 

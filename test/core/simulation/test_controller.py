@@ -9,9 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from quadpi_core.simulation.controller import Controls, Demand, control, observe
-from quadpi_core.simulation.dynamics import MOTION
-from quadpi_core.simulation.effect_registry import read_effects
+from quadpi_core.simulation.applied_effects import read_effects
+from quadpi_core.simulation.dynamics import MOTION, Controls, Demand, control, observe
 from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight
 from quadpi_core.simulation.state_records import STATE
 from quadpi_core.simulation.truth import Reference

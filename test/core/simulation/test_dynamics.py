@@ -11,10 +11,15 @@ from scipy.spatial.transform import Rotation
 
 from quadpi_core.rotations import rotate_body_to_world, rotation_matrix
 from quadpi_core.signals.wrench import newton_euler
-from quadpi_core.simulation.applied_effects import compose, effect_wrench, memory_at_rest, with_memory
-from quadpi_core.simulation.controller import Controls, Demand
-from quadpi_core.simulation.dynamics import LOGGED, Memory, Physics, fly
-from quadpi_core.simulation.effect_registry import EFFECTS, read_effects
+from quadpi_core.simulation.applied_effects import (
+    EFFECTS,
+    compose,
+    effect_wrench,
+    memory_at_rest,
+    read_effects,
+    with_memory,
+)
+from quadpi_core.simulation.dynamics import LOGGED, Controls, Demand, Memory, Physics, fly
 from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight
 from quadpi_core.simulation.truth import LOG_HZ, STEP_HZ, Truth
 

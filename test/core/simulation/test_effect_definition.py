@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from quadpi_core.errors import SimulationError
-from quadpi_core.simulation.applied_effects import state_modulators
+from quadpi_core.simulation.applied_effects import read_effects, state_modulators
 from quadpi_core.simulation.effect_definition import SHAPE, Parameter, effect, three
-from quadpi_core.simulation.effect_registry import read_effects
 
 
 def test_an_effect_is_named_and_described_by_its_function():

@@ -10,7 +10,7 @@ import pytest
 
 from quadpi_core.errors import SimulationError
 from quadpi_core.flight import AXES
-from quadpi_core.simulation.effect_registry import EFFECTS, read_effects
+from quadpi_core.simulation.applied_effects import EFFECTS, read_effects
 
 EACH = pytest.mark.parametrize("effect", EFFECTS.values(), ids=lambda effect: effect.name)
 KINDS = ["wrench", "vehicle", "wind", "sensor"]

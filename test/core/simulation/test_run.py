@@ -7,7 +7,7 @@ import pytest
 
 from quadpi_core.errors import OutputError
 from quadpi_core.parallel import Progress, Workers
-from quadpi_core.simulation.effect_registry import EFFECTS
+from quadpi_core.simulation.applied_effects import EFFECTS
 from quadpi_core.simulation.run import simulate
 from quadpi_core.simulation.scenario import FlightPlan
 

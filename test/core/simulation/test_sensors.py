@@ -16,7 +16,7 @@ from quadpi_core.rotations import (
     rotate_world_to_body,
     to_rotation_vector,
 )
-from quadpi_core.simulation.effect_registry import read_effects
+from quadpi_core.simulation.applied_effects import read_effects
 from quadpi_core.simulation.failures import Fault
 from quadpi_core.simulation.sensor_noise import (
     Anemometer,

@@ -9,9 +9,8 @@ import pytest
 
 from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight
 from quadpi_core.simulation.rotor_local import RotorLocalModel
-from quadpi_core.simulation.state_records import STATE, VEHICLE
+from quadpi_core.simulation.state_records import STATE, VEHICLE, apply_to_all, six_columns
 from quadpi_core.simulation.truth import STEP_HZ, Reference
-from quadpi_core.simulation.wrench_functions import apply_to_all, six_columns
 
 
 def test_a_function_takes_all_states_and_its_numbers():

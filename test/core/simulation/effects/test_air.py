@@ -7,8 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadpi_core.simulation.applied_effects import added_wind
-from quadpi_core.simulation.effect_registry import EFFECTS, read_effects
+from quadpi_core.simulation.applied_effects import EFFECTS, added_wind, read_effects
 
 EACH = pytest.mark.parametrize(
     "effect", [e for e in EFFECTS.values() if e.kind == "wind"], ids=lambda e: e.name

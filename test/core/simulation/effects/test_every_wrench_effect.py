@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from quadpi_core.flight import AXES
-from quadpi_core.simulation.applied_effects import effect_wrench
-from quadpi_core.simulation.effect_registry import EFFECTS, read_effects
+from quadpi_core.simulation.applied_effects import EFFECTS, effect_wrench, read_effects
 
 WRENCH = [effect for effect in EFFECTS.values() if effect.kind == "wrench"]
 EACH = pytest.mark.parametrize("effect", WRENCH, ids=lambda effect: effect.name)

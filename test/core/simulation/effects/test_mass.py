@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from quadpi_core.errors import SimulationError
-from quadpi_core.simulation.applied_effects import altered_vehicle
-from quadpi_core.simulation.effect_registry import EFFECTS, read_effects
+from quadpi_core.simulation.applied_effects import EFFECTS, altered_vehicle, read_effects
 from quadpi_core.vehicle import Vehicle, is_rigid_body
 
 EACH = pytest.mark.parametrize(

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream, WindStream
-from quadpi_core.simulation.applied_effects import altered_recording
-from quadpi_core.simulation.effect_registry import EFFECTS, read_effects
+from quadpi_core.simulation.applied_effects import EFFECTS, altered_recording, read_effects
 from quadpi_core.vehicle import Vehicle
 
 SENSOR = [effect for effect in EFFECTS.values() if effect.kind == "sensor"]

@@ -9,8 +9,7 @@ import pytest
 
 from quadpi_core.errors import SimulationError
 from quadpi_core.rotations import matrix
-from quadpi_core.simulation.applied_effects import effect_wrench, memory_at_rest, with_memory
-from quadpi_core.simulation.effect_registry import read_effects
+from quadpi_core.simulation.applied_effects import effect_wrench, memory_at_rest, read_effects, with_memory
 from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight
 from quadpi_core.simulation.state_records import STATE
 from quadpi_core.simulation.truth import STEP_HZ, Reference
