@@ -44,7 +44,7 @@ from quadpi_core.models.model_kind import CUTOFF_HZ, Evaluation
 from quadpi_core.parallel import Workers
 from quadpi_core.reading_options import MappingOrOptions
 from quadpi_core.signals import resample
-from quadpi_core.signals.filters import zero_phase
+from quadpi_core.signals.chain import zero_phase
 from quadpi_core.thresholds import CONVENTION, Threshold
 from quadpi_core.vehicle import ROTORS, Vehicle
 

@@ -26,7 +26,7 @@ from quadpi_core.flight import Flight
 from quadpi_core.frames import Array
 from quadpi_core.inputs import relative_to_air
 from quadpi_core.models.sound_flights import SoundFlights
-from quadpi_core.signals.force_bandwidth import band_limited
+from quadpi_core.signals.wrench import band_limited
 from quadpi_core.simulation.flying import load_aerodynamics
 from quadpi_core.simulation.simulated_aerodynamics import SimulatedAerodynamics, vehicle_record
 from quadpi_core.simulation.simulated_file import read_simulation

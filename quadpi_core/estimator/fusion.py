@@ -26,8 +26,7 @@ from quadpi_core.flight import (
     mean_rate_hz,
 )
 from quadpi_core.frames import Array
-from quadpi_core.screening.flight_runs import pauses
-from quadpi_core.screening.rates import seldom_topics
+from quadpi_core.screening.flight_runs import pauses, seldom_topics
 from quadpi_core.screening.rotors_in_flight import carrying
 from quadpi_core.signals.chain import filter_zero_phase
 from quadpi_core.signals.resample import (
@@ -82,7 +81,7 @@ def fuse(
         recording: with the streams that :func:`require_streams` asks for.
         vehicle: gives sensor noise and gravity.
         cutoff_hz: of the fourth-order Butterworth low-pass, applied forward and backward
-            (:func:`quadpi_core.signals.filters.zero_phase`).
+            (:func:`quadpi_core.signals.chain.zero_phase`).
         segments: record of the EKF over this recording, if it has run already.
 
     Raises:

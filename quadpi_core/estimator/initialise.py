@@ -29,7 +29,7 @@ from quadpi_core.frames import Array
 from quadpi_core.linear_algebra import matrix_times, times_each
 from quadpi_core.records import Records
 from quadpi_core.rotations import best_rotation, rotate_body_to_world, rotation_matrix
-from quadpi_core.screening.rates import START_NS, START_POSES
+from quadpi_core.screening.flight_runs import START_NS, START_POSES
 from quadpi_core.signals.resample import interpolate_columns
 from quadpi_core.vehicle import SensorNoise, Vehicle
 

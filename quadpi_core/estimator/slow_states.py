@@ -23,7 +23,7 @@ from quadpi_core.estimator.filter_state import ATTITUDE, POSITION, VELOCITY
 from quadpi_core.estimator.smoother import smooth
 from quadpi_core.flight import OdometryStream, PoseStream, Recording, TwistStream
 from quadpi_core.frames import Array
-from quadpi_core.screening.rates import is_slow_state
+from quadpi_core.screening.flight_runs import is_slow_state
 from quadpi_core.signals.resample import nominal_rate
 from quadpi_core.vehicle import Vehicle
 

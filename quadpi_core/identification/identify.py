@@ -6,33 +6,137 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from quadpi_core import array_checks
 from quadpi_core.errors import ArgumentError, ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.identification.alarm_calibration import (
+    Judged,
+    LiveErrors,
     calibrate_alarm,
     hover_rotor_speed,
     left_out,
     live_errors,
 )
-from quadpi_core.identification.centre_calibration import calibrate_centre, errors_left
 from quadpi_core.identification.change_calibration import calibrate_change
 from quadpi_core.identification.prepared_flights import PREPARE_FLIGHTS, PreparedFlight
 from quadpi_core.models.aerodynamic import AerodynamicModel, TrainingFlight
 from quadpi_core.models.candidate_pool import CandidatePool
 from quadpi_core.models.envelope import Envelope
-from quadpi_core.models.interval_rules import HeldOutRule, require_confidence
+from quadpi_core.models.interval_rules import FlightErrors, HeldOutRule, inside_range, require_confidence
 from quadpi_core.models.kind_registry import kind_of
 from quadpi_core.models.least_squares import identifiable
-from quadpi_core.models.model_kind import Evaluation, IdentifyOptions, Pools, Settings, TrainingSamples
+from quadpi_core.models.model_kind import (
+    Evaluation,
+    Fitted,
+    IdentifyOptions,
+    Pools,
+    Settings,
+    TrainingSamples,
+)
+from quadpi_core.models.moving_centre import (
+    MEMORIES_S,
+    MovedAxis,
+    MovingCentre,
+    delay,
+    delayed,
+    means_of,
+    regressed,
+    usable,
+)
 from quadpi_core.models.state_deviation import StateDeviation
 from quadpi_core.parallel import ReportProgress, ignore_progress
 from quadpi_core.records import Records
 from quadpi_core.vehicle import LOAD_VEHICLE, Vehicle
+
+
+class LeftErrors(NamedTuple):
+    """What the live path would err on a flight by the model of the others.
+
+    Attributes:
+        rate_hz: of the samples.
+        errors: by axis held; the spread is the half width of the interval.
+    """
+
+    rate_hz: float
+    errors: Mapping[str, FlightErrors]
+
+
+def calibrate_centre(flights: Sequence[LeftErrors], confidence: float) -> MovingCentre | None:
+    """How intervals move; None where none of the flights lies mostly inside the range of the others.
+
+    Args:
+        flights: left out in turn.
+        confidence: of their intervals.
+    """
+    axes = {}
+    for axis in flights[0].errors if flights else ():
+        own = [(rate_hz, errors[axis]) for rate_hz, errors in flights if errors[axis].usual]
+        if not own:
+            return None
+        known = usable(min(rate for rate, _ in own))
+        means = [means_of(delayed(one.error, delay(rate)), rate)[:, known] for rate, one in own]
+        coefficients = np.zeros(len(MEMORIES_S))
+        coefficients[known], moves = regressed(
+            [(one.error, m) for (_, one), m in zip(own, means, strict=True)]
+        )
+        moved = [
+            FlightErrors(one.error - by, one.spread, one.inside).factors()
+            for (_, one), by in zip(own, moves, strict=True)
+        ]
+        narrower = HeldOutRule(np.stack(moved), len(moved)).factor(confidence)
+        axes[axis] = MovedAxis(coefficients, min(narrower, 1.0))
+    return MovingCentre(axes) if axes else None
+
+
+def errors_left(
+    flights: Sequence[Judged], live: Sequence[LiveErrors], left_out: Sequence[Fitted], factors: Array
+) -> list[LeftErrors]:
+    """Errors of each flight left out, at all samples if the models of the others are at hand.
+
+    Args:
+        flights: of the identification.
+        live: their errors, of all samples or every k-th; see `alarm_calibration.live_errors`.
+        left_out: the model without each flight in turn, or none.
+        factors: (6,) half width of an interval per unit of spread.
+    """
+    found = []
+    extremes = [np.stack((flight.inputs.min(axis=0), flight.inputs.max(axis=0))) for flight in flights]
+    for k, (flight, (every, errors)) in enumerate(zip(flights, live, strict=True)):
+        rows = np.flatnonzero(flight.judged.known) if left_out else every
+        if len(rows) < 2 or not errors:
+            continue
+        halves = {
+            axis: FlightErrors(one.error, one.spread * factors[AXES.index(axis)], one.inside)
+            for axis, one in errors.items()
+        }
+        if left_out:
+            others = np.concatenate([own for place, own in enumerate(extremes) if place != k])
+            halves = _all_samples(flight, rows, left_out[k], factors, others, list(errors))
+        found.append(LeftErrors(1.0 / float(np.median(np.diff(flight.time[rows]))), halves))
+    return found
+
+
+def _all_samples(
+    flight: Judged,
+    rows: npt.NDArray[np.int64],
+    fitted: Fitted,
+    factors: Array,
+    others: Array,
+    axes: Sequence[str],
+) -> dict[str, FlightErrors]:
+    inputs = flight.judged.inputs[rows]
+    said = fitted.evaluate(inputs, factors, flight.judged.derivatives[rows])
+    error = flight.judged.wrench[rows] - 0.5 * (said.lower + said.upper)
+    half, inside = 0.5 * (said.upper - said.lower), inside_range(inputs, others)
+    columns = {axis: AXES.index(axis) for axis in axes}
+    return {axis: FlightErrors(error[:, k], half[:, k], inside) for axis, k in columns.items()}
+
 
 # Each flight is left out in turn to calibrate the intervals, and a model of the others must remain.
 _FEWEST_FLIGHTS = 2

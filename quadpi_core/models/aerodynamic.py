@@ -46,7 +46,7 @@ from quadpi_core.models.rollout_model import RolloutModel
 from quadpi_core.models.sound_flights import SoundFlights
 from quadpi_core.models.state_deviation import SETTLED, StateDeviation
 from quadpi_core.records import Records
-from quadpi_core.signals.force_bandwidth import as_recorded
+from quadpi_core.signals.wrench import as_recorded
 from quadpi_core.vehicle import LOAD_VEHICLE, Vehicle
 from quadpi_core.version import __version__
 
@@ -299,7 +299,7 @@ class AerodynamicModel:
         """Predictions, bounds and evidence for each sample of a flight, all axes at once.
 
         Where the measured forces of the training flights ended at a lower frequency than the other signals,
-        those predicted for a flight are what it would have recorded (`quadpi_core.signals.force_bandwidth`).
+        those predicted for a flight are what it would have recorded (`quadpi_core.signals.wrench`).
 
         Args:
             flight: one of `prepare_flights`; or input vectors (N, 19) alone, columns as

@@ -21,7 +21,7 @@ from quadpi_core.models.model_kind import TrainingSamples
 from quadpi_core.models.physical_regressors import MotionSample, PhysicalVehicle, regressors, wrenches
 from quadpi_core.models.physical_terms import TERMS
 from quadpi_core.records import ROTORS_MAX, Records, record_dtype
-from quadpi_core.signals.force_bandwidth import band_limited
+from quadpi_core.signals.wrench import band_limited
 from quadpi_core.vehicle import Vehicle
 
 

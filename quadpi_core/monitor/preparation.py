@@ -27,8 +27,7 @@ from quadpi_core.monitor.data_quality import (
     quality,
 )
 from quadpi_core.records import ROTORS_MAX, PerRotor, Records, Vector3, record_dtype
-from quadpi_core.signals.chain import ChainMemory, channels
-from quadpi_core.signals.filters import SETTLING_PERIODS, LowPass, design_low_pass
+from quadpi_core.signals.chain import SETTLING_PERIODS, ChainMemory, LowPass, channels, design_low_pass
 from quadpi_core.vehicle import Vehicle
 
 SETTLE_NS = compiled.SETTLE_NS

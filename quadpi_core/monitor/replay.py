@@ -48,8 +48,7 @@ from quadpi_core.paths import staged, whole_outputs
 from quadpi_core.reading_options import MappingOrOptions, reading_options
 from quadpi_core.recording_blocks import by_arrival, cut_block, keep_freed_memory, split_recording
 from quadpi_core.results import LEVEL_ALARM, LEVEL_WARNING, Alarms, Events, Predictions
-from quadpi_core.screening.flight_runs import in_range_of_blocks
-from quadpi_core.screening.rates import RunningRates
+from quadpi_core.screening.flight_runs import RunningRates, in_range_of_blocks
 from quadpi_core.screening.sample_order import order_of, usable_recording, without_unusable_attitudes
 from quadpi_core.vehicle import Vehicle
 from quadpi_core.version import __version__

@@ -13,8 +13,7 @@ import numpy as np
 from quadpi_core.errors import SignalError
 from quadpi_core.findings import Finding
 from quadpi_core.flight import ImuStream, Recording, RotorSpeedStream
-from quadpi_core.screening.excerpt import Excerpt, Pose, excerpt, rotor_excerpt
-from quadpi_core.screening.innovations import cost, innovation
+from quadpi_core.screening.excerpt import Excerpt, Pose, cost, excerpt, innovation, rotor_excerpt
 from quadpi_core.screening.rotor_consistency import rotor_evidence
 from quadpi_core.signals.alignment import Alignment, rotor_offset, span_of, turn_offset
 from quadpi_core.thresholds import Threshold

@@ -20,12 +20,19 @@ from quadpi_core.flight import PoseStream, Recording
 from quadpi_core.frames import Array
 from quadpi_core.sample_limits import STANDARD_GRAVITY
 from quadpi_core.screening.clock_consistency import clock_mistake, rotor_clock_finding
-from quadpi_core.screening.excerpt import Excerpt, Pose, RotorExcerpt, excerpt, rotor_excerpt
-from quadpi_core.screening.frozen_states import without_repeats
-from quadpi_core.screening.innovations import Innovation, cost, innovation
-from quadpi_core.screening.motion_consistency import Hypothesis, hypotheses
+from quadpi_core.screening.excerpt import (
+    Excerpt,
+    Innovation,
+    Pose,
+    RotorExcerpt,
+    cost,
+    excerpt,
+    innovation,
+    rotor_excerpt,
+)
+from quadpi_core.screening.flight_runs import is_slow_state
+from quadpi_core.screening.motion_consistency import Hypothesis, hypotheses, without_repeats
 from quadpi_core.screening.plausibility import check_plausible, is_slow, thrust_coefficient
-from quadpi_core.screening.rates import is_slow_state
 from quadpi_core.screening.rotor_consistency import RotorEvidence, rotor_evidence
 from quadpi_core.screening.rotors_in_flight import stuck_rotors
 from quadpi_core.screening.small_mistakes import small_mistakes

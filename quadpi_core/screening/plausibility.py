@@ -18,7 +18,7 @@ from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording,
 from quadpi_core.frames import Array
 from quadpi_core.rotations import rotate_body_to_world
 from quadpi_core.sample_limits import STANDARD_GRAVITY
-from quadpi_core.screening.rates import seldom, seldom_topics
+from quadpi_core.screening.flight_runs import seldom, seldom_topics
 from quadpi_core.screening.rotors_in_flight import Inertial
 from quadpi_core.screening.wild_samples import Beyond, beyond_limits
 from quadpi_core.signals.resample import interpolate_columns, nominal_rate

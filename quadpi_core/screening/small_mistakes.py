@@ -19,8 +19,14 @@ import numpy.typing as npt
 
 from quadpi_core.frames import Array
 from quadpi_core.rotations import rotate_body_to_world, rotate_world_to_body, rotation_matrix
-from quadpi_core.screening.excerpt import Excerpt
-from quadpi_core.screening.innovations import KEPT_SHARE, TURN_S, Innovation, innovation, second_difference
+from quadpi_core.screening.excerpt import (
+    KEPT_SHARE,
+    TURN_S,
+    Excerpt,
+    Innovation,
+    innovation,
+    second_difference,
+)
 from quadpi_core.screening.motion_consistency import Hypothesis, accelerometer_axes
 from quadpi_core.thresholds import Threshold
 

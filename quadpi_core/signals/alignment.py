@@ -12,7 +12,7 @@ from quadpi_core.errors import SignalError
 from quadpi_core.flight import MAX_GAP_NS, ImuStream, OdometryStream, PoseStream, RotorSpeedStream, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.rotations import body_rates
-from quadpi_core.signals.filters import zero_phase
+from quadpi_core.signals.chain import zero_phase
 from quadpi_core.signals.resample import interpolate
 from quadpi_core.thresholds import Threshold
 from quadpi_core.vehicle import Vehicle

@@ -4,14 +4,122 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from quadpi_core.core import compiled
+from quadpi_core.elementary import cosine, sine
+from quadpi_core.errors import SignalError
 from quadpi_core.frames import Array
-from quadpi_core.records import ROTORS_MAX, Quaternion4
-from quadpi_core.signals.filters import DELAYS, SECTIONS, zero_phase
+from quadpi_core.records import ROTORS_MAX, Quaternion4, Records, record_dtype
+
+ORDER = 4
+SECTIONS = 2
+DELAYS = 2
+# The slowest pole of the filter decays by e^(-0.38 · 2π · 6) = 6e-7 in this many periods of the cut-off.
+SETTLING_PERIODS = 6.0
+
+
+class Section:
+    """One second-order section: gain (1 + z⁻¹)² / (1 + a1 z⁻¹ + a2 z⁻²), of unit gain at zero frequency."""
+
+    gain: float
+    a1: float
+    a2: float
+
+
+class LowPass:
+    """The filter's coefficients: a record, see :mod:`quadpi_core.records`."""
+
+    first: Section
+    second: Section
+    rate_hz: float
+
+
+_LOW_PASS = record_dtype(LowPass)
+
+
+class Filtered(NamedTuple):
+    """Low-passed samples (N, C) and their time derivative (N, C) in units per second."""
+
+    value: Array
+    derivative: Array
+
+
+def design_low_pass(cutoff_hz: float, rate_hz: float) -> Records:
+    """Design the filter, a :class:`LowPass` (1,); its gain at `cutoff_hz` is √½.
+
+    Raises:
+        SignalError: if the cut-off is not between zero and half the sample rate.
+    """
+    if not 0.0 < cutoff_hz < 0.5 * rate_hz:
+        raise SignalError(
+            f"cut-off {cutoff_hz:g} Hz must lie between 0 and half the sample rate ({0.5 * rate_hz:g} Hz)"
+        )
+    # As scipy.signal.butter, whose import takes as long as all else of a live node. The prototype's poles lie
+    # on a half circle, in conjugate pairs at these angles off the negative axis; then the bilinear transform.
+    half = math.pi * cutoff_hz / rate_hz
+    cutoff = float(sine(half) / cosine(half))
+    design = np.zeros(1, _LOW_PASS)
+    for name, angle in (("first", math.pi / (2 * ORDER)), ("second", 3.0 * math.pi / (2 * ORDER))):
+        across, square = 2.0 * float(cosine(angle)) * cutoff, cutoff * cutoff
+        a1 = 2.0 * (square - 1.0) / (1.0 + across + square)
+        a2 = (1.0 - across + square) / (1.0 + across + square)
+        design[name] = (1.0 + a1 + a2) / 4.0, a1, a2
+    design["rate_hz"] = rate_hz
+    return design
+
+
+def zero_phase(
+    signal: Array, cutoff_hz: float, rate_hz: float, derivative_of: slice = slice(None)
+) -> Filtered:
+    """Filter samples (N, C) forward, then backward, without delay; the gain is |H|².
+
+    The derivative covers the channels `derivative_of`, all of them by default.
+
+    The derivative is the forward derivative filter followed by the same backward low-pass: it has the phase
+    of a derivative and the gain |ω| |H|², and trapezoidal integration gives back the filtered signal. Both
+    ends are extended by odd reflection over the settling time of the filter.
+
+    Raises:
+        SignalError: if the cut-off is impossible, the signal is shorter than the settling time of the
+            filter, or a value is not finite.
+    """
+    design = design_low_pass(cutoff_hz, rate_hz)
+    samples = np.ascontiguousarray(signal, dtype=np.float64)
+    _require_finite(samples)
+    padding = int(np.ceil(SETTLING_PERIODS * rate_hz / cutoff_hz))
+    if len(samples) <= padding:
+        raise SignalError(
+            f"{len(samples)} samples are too few to filter at {cutoff_hz:g} Hz: need more than {padding}"
+        )
+    head = 2.0 * samples[0] - samples[padding:0:-1]
+    tail = 2.0 * samples[-1] - samples[-2 : -padding - 2 : -1]
+    forward = filter_settled(design, np.concatenate((head, samples, tail)))
+    keep = slice(padding, padding + len(samples))
+    value = filter_settled(design, forward.value[::-1]).value[::-1]
+    derivative = filter_settled(design, forward.derivative[::-1, derivative_of]).value[::-1]
+    return Filtered(value[keep].copy(), derivative[keep].copy())
+
+
+def filter_settled(design: Records, samples: Array) -> Filtered:
+    """Filter a whole signal (N, C) from the settled state of its first sample, as live."""
+    samples = np.ascontiguousarray(samples)
+    filtered = Filtered(np.empty_like(samples), np.empty_like(samples))
+    state = np.empty((SECTIONS, DELAYS, samples.shape[1]))
+    compiled.settle(design, state, samples[0])
+    compiled.low_pass(design, state, samples, filtered.value, filtered.derivative)
+    return filtered
+
+
+def _require_finite(samples: Array) -> None:
+    finite = np.isfinite(samples)
+    if not finite.all():
+        row = int(np.argmax(~finite.all(axis=1)))
+        raise SignalError(f"sample {row} to be filtered is not finite")
+
 
 # Columns of the signals of a sample, offline and live: velocity over ground [m/s] in body axes, attitude body
 # to world, rates [rad/s], specific force [m/s²] in body axes, rotor speeds [rad/s], as many as the vehicle
@@ -67,10 +175,10 @@ def filter_zero_phase(
     rate_hz: float,
     cutoff_hz: float,
 ) -> FilteredSignals:
-    """Filter a whole flight without delay (see :func:`quadpi_core.signals.filters.zero_phase`).
+    """Filter a whole flight without delay (see :func:`quadpi_core.signals.chain.zero_phase`).
 
     Raises:
-        SignalError: as :func:`quadpi_core.signals.filters.zero_phase` does.
+        SignalError: as :func:`quadpi_core.signals.chain.zero_phase` does.
     """
     samples = _pack(velocity_body, attitude, rates, specific_force, rotor_speeds, wind)
     samples[:, ATTITUDE] = make_continuous(attitude)

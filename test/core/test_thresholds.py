@@ -49,12 +49,10 @@ from quadpi_core.discrepancy.sound_learning import learned, predicts
 from quadpi_core.discrepancy.whitening import EDGES_HZ, Spectrum
 from quadpi_core.errors import DiscrepancyError, SimulationError
 from quadpi_core.flight import AXES, Flight, ImuStream, PoseStream, Recording, RotorSpeedStream
-from quadpi_core.screening.excerpt import Excerpt
-from quadpi_core.screening.flight_runs import long_enough
-from quadpi_core.screening.frozen_states import without_repeats
-from quadpi_core.screening.innovations import innovation
+from quadpi_core.screening.excerpt import Excerpt, innovation
+from quadpi_core.screening.flight_runs import long_enough, seldom_topics
 from quadpi_core.screening.manoeuvres import require_excitation
-from quadpi_core.screening.rates import seldom_topics
+from quadpi_core.screening.motion_consistency import without_repeats
 from quadpi_core.screening.rotor_readings import dropped_out
 from quadpi_core.screening.rotor_readings import held as held_readings
 from quadpi_core.screening.rotors_in_flight import Inertial, has_stopped, stuck_rotors

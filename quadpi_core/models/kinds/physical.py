@@ -23,7 +23,7 @@ from quadpi_core.models.physical_terms import TERM_NAMES, TERMS
 from quadpi_core.models.rollout_identification import calibrated_rollouts, rollout_flights
 from quadpi_core.models.spread_shape import PlacedErrors, fit_shape, squared_speed
 from quadpi_core.parallel import Progress, ReportProgress, one_blas_thread
-from quadpi_core.signals.force_bandwidth import as_recorded
+from quadpi_core.signals.wrench import as_recorded
 
 # Stride over the samples when recording the largest leverage and spread.
 _PEAK_STEP = 8

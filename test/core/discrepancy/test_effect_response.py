@@ -22,9 +22,8 @@ from quadpi_core.discrepancy.other_simulations import CallableSimulation
 from quadpi_core.discrepancy.simulations import Tolerances, VehicleSimulation
 from quadpi_core.inputs import flight_derivatives, flight_inputs
 from quadpi_core.models.aerodynamic import AerodynamicModel, recorded_evaluation
-from quadpi_core.signals.filters import zero_phase
-from quadpi_core.signals.force_bandwidth import band_limited
-from quadpi_core.signals.wrench import measured_wrench
+from quadpi_core.signals.chain import zero_phase
+from quadpi_core.signals.wrench import band_limited, measured_wrench
 from quadpi_core.simulation.applied_effects import EFFECTS, effect_wrench
 
 

@@ -39,7 +39,7 @@ from quadpi_core.logs.importing import import_logs
 from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.model_kind import IdentifyOptions
 from quadpi_core.parallel import Workers
-from quadpi_core.signals.filters import zero_phase
+from quadpi_core.signals.chain import zero_phase
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.applied_effects import EFFECTS, read_effects
 from quadpi_core.vehicle import Vehicle

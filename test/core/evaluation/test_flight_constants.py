@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadpi_core.evaluation.flight_constants import Constant, differences, flight_constants
+from quadpi_core.evaluation.alarm_assessment import Constant, differences, flight_constants
 from quadpi_core.frames import Array
 from quadpi_core.vehicle import Vehicle
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from quadpi_core.screening.frozen_states import without_repeats
+from quadpi_core.screening.motion_consistency import without_repeats
 from test.core.mistakes import frozen
 
 

@@ -9,8 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadpi_core.sample_limits import STANDARD_GRAVITY
-from quadpi_core.screening.excerpt import STEP_S, Excerpt
-from quadpi_core.screening.innovations import Innovation, cost, innovation
+from quadpi_core.screening.excerpt import STEP_S, Excerpt, Innovation, cost, innovation
 
 from .conftest import CELLS, excerpt_of
 

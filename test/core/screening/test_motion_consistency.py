@@ -9,8 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from quadpi_core.screening.excerpt import Excerpt
-from quadpi_core.screening.innovations import cost, innovation
+from quadpi_core.screening.excerpt import Excerpt, cost, innovation
 from quadpi_core.screening.motion_consistency import hypotheses
 from test.core.mistakes import about, attitude
 

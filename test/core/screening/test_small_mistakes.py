@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quadpi_core.screening.innovations import innovation
+from quadpi_core.screening.excerpt import innovation
 from quadpi_core.screening.small_mistakes import motion_fit, small_mistakes
 
 

@@ -14,10 +14,11 @@ from quadpi_core.signals.chain import (
     VELOCITY,
     WIND,
     ChainMemory,
+    design_low_pass,
+    filter_settled,
     filter_zero_phase,
     make_continuous,
 )
-from quadpi_core.signals.filters import design_low_pass, filter_settled
 
 RATE, CUTOFF = 500.0, 40.0
 

@@ -8,7 +8,7 @@ from scipy import signal
 
 from quadpi_core.core import compiled
 from quadpi_core.errors import SignalError
-from quadpi_core.signals.filters import (
+from quadpi_core.signals.chain import (
     DELAYS,
     SECTIONS,
     Filtered,

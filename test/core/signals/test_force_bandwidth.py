@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
-from quadpi_core.signals.force_bandwidth import as_recorded, band_limited
+from quadpi_core.signals.wrench import as_recorded, band_limited
 
 TIME = np.arange(0.0, 4.0, 0.01)
 MIDDLE = slice(100, 300)
