@@ -27,9 +27,9 @@ from quadpi_core.models.model_kind import IdentifyOptions
 from quadpi_core.parallel import Workers
 from quadpi_core.paths import bags_directory, write_json
 from quadpi_core.reading_options import ReadingOptions
+from quadpi_core.report.evaluation_figures import LiveReplay
 from quadpi_core.report.evaluation_page import evaluation_summary, write_evaluation_page
 from quadpi_core.report.field_page import write_field_page
-from quadpi_core.report.live_figure import LiveReplay
 from quadpi_core.report.model_tables import best_known_table, held_out_table
 from quadpi_core.report.page import FlightFiles
 from quadpi_core.report.progress_bar import progress_bar

@@ -24,8 +24,7 @@ from quadpi_core.cli.export_command import export
 from quadpi_core.cli.identify_command import identify
 from quadpi_core.cli.import_command import import_logs
 from quadpi_core.cli.info_command import info
-from quadpi_core.cli.kind_options import KindCommand
-from quadpi_core.cli.options import several_topics
+from quadpi_core.cli.options import KindCommand, several_topics
 from quadpi_core.cli.replay_command import replay
 from quadpi_core.cli.report_command import report
 from quadpi_core.cli.rollout_command import rollout

@@ -11,10 +11,10 @@ import typer
 
 from quadpi_core.cli import options
 from quadpi_core.cli.evaluate_command import write_evaluation
-from quadpi_core.cli.kind_options import choice_of_kind
 from quadpi_core.cli.options import (
     batch_of_flights,
     check_outputs,
+    choice_of_kind,
     open_console,
     print_quality,
     shown_work,

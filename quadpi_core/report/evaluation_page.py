@@ -24,13 +24,14 @@ from quadpi_core.models.alarm_limits import BOUND_CONFIDENCE
 from quadpi_core.models.interval_rules import LevelSupport
 from quadpi_core.report.coverage_verdict import Holding, axis_coverages, joint_verdict, listing
 from quadpi_core.report.evaluation_figures import (
+    LiveReplay,
+    alarm_figure,
     coverage_figure,
     envelope_figure,
     residual_figure,
     time_history_figure,
 )
 from quadpi_core.report.figure import Figure
-from quadpi_core.report.live_figure import LiveReplay, alarm_figure
 from quadpi_core.report.model_tables import held_out_table, selection_table
 from quadpi_core.report.page import FlightFiles, Page, flight_remarks
 from quadpi_core.report.style import (

@@ -8,9 +8,13 @@ A colour is the name of one in `assets/look.css`, which is another on paper, on 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import base64
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from typing import ClassVar
+
+import numpy as np
 
 from quadpi_core.frames import Array
 
@@ -162,3 +166,124 @@ class Space:
     low: Array  # corners (3,) of the space shown
     high: Array
     of_values: str  # what colours and widens a line
+
+
+# Values that the time histories of a page hold together: 1.9 MB at 2.7 bytes each, for a page of 3 MB at most
+# with its text.
+PAGE_VALUES = 700_000
+# Fewer parts hide the peaks of a flight from each other; more than 4000 nobody zooms into.
+_FEWEST_BINS, _MOST_BINS = 150, 4000
+# Values up to which an array is written as text, which a reader of the page understands.
+_AS_TEXT = 8
+_LEVELS = 65534
+_MISSING = 65535
+# Steps of a uniform array differ by less than this share of it.
+_UNIFORM = 1e-6
+
+
+def bins_of(figures: Iterable[Figure | Space]) -> int:
+    """Number of parts to cut flights into, of which each line draws two values, for the size of a page."""
+    lines = sum(
+        isinstance(layer, (Line, Band))
+        for figure in figures
+        if isinstance(figure, Figure) and figure.over_time
+        for panel in figure.panels
+        for layer in panel.layers
+    )
+    return max(_FEWEST_BINS, min(_MOST_BINS, PAGE_VALUES // (2 * max(1, lines))))
+
+
+def thinned(figure: Figure, bins: int) -> Figure:
+    """A figure over time with the extremes of at most `bins` equal parts of each line and band.
+
+    All samples stay where they are few, and in lines with gaps or whose values hold until the next one.
+    """
+    panels = [
+        replace(panel, layers=[_thinned(layer, bins) for layer in panel.layers]) for panel in figure.panels
+    ]
+    return replace(figure, panels=panels)
+
+
+def _thinned(layer: Layer, bins: int) -> Layer:
+    if not isinstance(layer, (Line, Band)) or layer.stepped:
+        return layer
+    low, high = (layer.y, layer.y) if isinstance(layer, Line) else (layer.low, layer.high)
+    size = -(-len(layer.x) // bins)
+    if size <= 2 or np.isnan(low).any():
+        return layer
+    starts = np.arange(0, len(layer.x), size)
+    middle = layer.x[starts] + 0.5 * (layer.x[size - 1] - layer.x[0])
+    low, high = np.minimum.reduceat(low, starts), np.maximum.reduceat(high, starts)
+    if isinstance(layer, Line):
+        return replace(layer, x=middle, y=low, high=high)
+    return replace(layer, x=middle, low=low, high=high)
+
+
+class _Arrays:
+    """Arrays of a page, each stored once."""
+
+    def __init__(self) -> None:
+        self.stored: list[object] = []
+        self._places: dict[bytes, int] = {}
+
+    def place(self, values: Array) -> dict[str, int]:
+        key = np.ascontiguousarray(values, dtype=np.float64).tobytes()
+        if key not in self._places:
+            self._places[key] = len(self.stored)
+            self.stored.append(_packed(np.frombuffer(key)))
+        return {"array": self._places[key]}
+
+
+def figures_as_json(figures: Mapping[str, Figure | Space], bins: int) -> str:
+    """JSON of figures by name and of their arrays, which cannot end a script element that holds it.
+
+    Args:
+        figures: by name.
+        bins: see :func:`thinned`.
+    """
+    arrays = _Arrays()
+    drawn = {
+        name: _plain(
+            thinned(figure, bins) if isinstance(figure, Figure) and figure.over_time else figure, arrays
+        )
+        for name, figure in figures.items()
+    }
+    text = json.dumps({"figures": drawn, "arrays": arrays.stored}, separators=(",", ":"), allow_nan=False)
+    return text.replace("<", "\\u003c")
+
+
+def _plain(value: object, arrays: _Arrays) -> object:
+    """Records as dictionaries without what is unset, arrays by their places."""
+    if isinstance(value, np.ndarray):
+        return arrays.place(value) if value.ndim == 1 else [arrays.place(column) for column in value.T]
+    if isinstance(value, (Figure, Space, SpaceLine, Panel, Scale, Layer)):
+        record = {field.name: _plain(getattr(value, field.name), arrays) for field in fields(value)}
+        named = {"kind": value.kind} if isinstance(value, Layer) else {}
+        return named | {name: part for name, part in record.items() if not _is_unset(part)}
+    if isinstance(value, (np.floating, np.integer)):
+        return value.item()
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return [_plain(part, arrays) for part in value]
+    return value
+
+
+def _packed(values: Array) -> object:
+    """An array (N,) as its ends if it is uniform, as numbers if it is short, else in sixteen bits a value."""
+    if len(values) <= _AS_TEXT:
+        return [float(f"{value:.6g}") if np.isfinite(value) else None for value in values]
+    known = np.isfinite(values)
+    if not known.any():
+        return [None] * len(values)
+    low, high = float(values[known].min()), float(values[known].max())
+    if known.all():
+        straight = np.linspace(values[0], values[-1], len(values))
+        if np.abs(values - straight).max() <= _UNIFORM * max(high - low, 1e-300):
+            return {"from": float(values[0]), "to": float(values[-1]), "count": len(values)}
+    step = (high - low) / _LEVELS or 1.0
+    codes = np.full(len(values), _MISSING, dtype="<u2")
+    codes[known] = np.rint((values[known] - low) / step)
+    return {"low": low, "step": step, "data": base64.b64encode(codes.tobytes()).decode()}
+
+
+def _is_unset(part: object) -> bool:
+    return part is None or part is False or part in ("", [])

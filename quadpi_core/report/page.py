@@ -21,8 +21,7 @@ from quadpi_core.findings import DataQuality
 from quadpi_core.flight_files import FlightLeftOut, named_files
 from quadpi_core.paths import whole_output
 from quadpi_core.report import ASSETS
-from quadpi_core.report.figure import Figure, Space
-from quadpi_core.report.figure_data import bins_of, figures_as_json
+from quadpi_core.report.figure import Figure, Space, bins_of, figures_as_json
 from quadpi_core.report.style import css_colour
 from quadpi_core.version import __version__
 

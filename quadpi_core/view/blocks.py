@@ -8,13 +8,13 @@ ring, so memory does not grow with the flight either.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.flight import AXES, Stamps
+from quadpi_core.flight import AXES, MAX_JUMP_BACK_NS, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.vehicle import ROTORS
@@ -189,3 +189,130 @@ class BlockStore:
         count = min(number - self.newest, self.capacity)
         self._rows[np.arange(number - count + 1, number + 1) % self.capacity] = np.nan
         self.newest = number
+
+
+# One per pixel of a wide screen, of which the first is as long as a block.
+BINS = 2000
+FIRST_BIN_S = 0.05
+# Of the track, which is a line in space.
+POINTS, FIRST_POINT_S = 1000, 0.25
+# Ranks of the states of `trust.State` by code: of several in one bin the highest is shown.
+_RANK = np.array([1, 3, 4, 2, 0], dtype=np.uint8)
+_EMPTY = 255
+
+
+class Timeline:
+    """The most serious state of each bin; bins double their duration when the session outgrows them."""
+
+    def __init__(self) -> None:
+        self.bin_s = FIRST_BIN_S
+        self._states = np.full(BINS, _EMPTY, dtype=np.uint8)
+        self._used = 0
+
+    def add(self, time_s: Array, states: npt.NDArray[np.uint8]) -> None:
+        """Take states (M,) at their times."""
+        for at, state in zip(time_s.tolist(), states.tolist(), strict=True):
+            if at < 0.0:
+                continue
+            while at >= BINS * self.bin_s:
+                self._halve()
+            place = int(at / self.bin_s)
+            self._states[place] = _worst(int(self._states[place]), state)
+            self._used = max(self._used, place + 1)
+
+    @property
+    def codes(self) -> str:
+        """One character per bin: the digit of the state, or `-` without one."""
+        return "".join(
+            "-" if state == _EMPTY else str(state) for state in self._states[: self._used].tolist()
+        )
+
+    def _halve(self) -> None:
+        pairs = self._states.reshape(-1, 2)
+        merged = [_worst(int(one), int(other)) for one, other in pairs]
+        self._states[:] = _EMPTY
+        self._states[: len(merged)] = merged
+        self._used = (self._used + 1) // 2
+        self.bin_s *= 2.0
+
+
+class Track:
+    """Positions of a whole session, at most :data:`POINTS`; every other one goes when it is full."""
+
+    def __init__(self) -> None:
+        self._every_s = FIRST_POINT_S
+        self._points: list[tuple[float, ...]] = []
+        self._next_s = 0.0
+
+    def add(self, time_s: Array, position: Array) -> None:
+        """Take positions (K, 3) at rising times (K,), leaving out those that are too near in time."""
+        while True:
+            place = int(np.searchsorted(time_s, self._next_s))
+            if place == len(time_s):
+                return
+            at = float(time_s[place])
+            self._next_s = at + self._every_s
+            self._points.append((round(at, 2), *(round(float(value), 2) for value in position[place])))
+            if len(self._points) >= POINTS:
+                self._points = self._points[::2]
+                self._every_s *= 2.0
+
+    @property
+    def points(self) -> list[tuple[float, ...]]:
+        """Time and position of each."""
+        return self._points
+
+
+def _worst(one: int, other: int) -> int:
+    if _EMPTY in (one, other):
+        return other if one == _EMPTY else one
+    return one if _RANK[one] >= _RANK[other] else other
+
+
+# A step forward beyond this is not drawn: a pause between two flights, or a clock that was set.
+LONGEST_GAP_NS = 60_000_000_000
+# What is drawn in the place of a jump: enough to be seen on a page of 30 s.
+PAUSE_NS = 1_000_000_000
+
+
+class FlightClock:
+    """Maps stamps to nanoseconds since the first one.
+
+    Args:
+        on_jump: called with the time of the page and the step in nanoseconds, for every jump.
+    """
+
+    def __init__(self, on_jump: Callable[[int, int], None]) -> None:
+        self._on_jump = on_jump
+        self._offset_ns: int | None = None
+        self._last_ns = 0
+
+    @property
+    def started(self) -> bool:
+        """Whether there was a stamp."""
+        return self._offset_ns is not None
+
+    def advance(self, time_ns: Stamps) -> Stamps:
+        """Times (K,) of the stamps that lead: of the first model's predictions; jumps are found here."""
+        if self._offset_ns is None:
+            self._offset_ns, self._last_ns = -int(time_ns[0]), int(time_ns[0])
+        steps = np.diff(time_ns, prepend=self._last_ns)
+        jumps = (steps < -MAX_JUMP_BACK_NS) | (steps > LONGEST_GAP_NS)
+        shifts = np.cumsum(np.where(jumps, PAUSE_NS - steps, 0))
+        times: Stamps = time_ns + self._offset_ns + shifts
+        for place in np.flatnonzero(jumps).tolist():
+            self._on_jump(int(times[place]), int(steps[place]))
+        self._offset_ns += int(shifts[-1])
+        self._last_ns = int(time_ns[-1])
+        return times
+
+    def place(self, time_ns: Stamps) -> tuple[Stamps, npt.NDArray[np.bool_]]:
+        """Times (K,) of other stamps, and which of them are near enough to the leading ones to be drawn."""
+        if self._offset_ns is None:
+            return time_ns, np.zeros(len(time_ns), dtype=np.bool_)
+        near: npt.NDArray[np.bool_] = np.abs(time_ns - self._last_ns) <= LONGEST_GAP_NS
+        return time_ns + self._offset_ns, near
+
+    def time_of(self, stamp_ns: int) -> int:
+        """Time of one stamp, however far from the leading ones."""
+        return stamp_ns + (self._offset_ns or 0)

@@ -23,8 +23,8 @@ from quadpi_core.monitor.quantity_words import INPUT_WORDS
 from quadpi_core.paths import whole_output
 from quadpi_core.results import CAUSE_NAMES, AlarmEvent, Predictions, ReportedAlarms
 from quadpi_core.view.flight_parts import Part
+from quadpi_core.view.motion_inputs import NO_MESSAGE, Told
 from quadpi_core.view.trust import State, states_of
-from quadpi_core.view.vehicle_reports import NO_MESSAGE, Told
 
 TIMELINE = "stamp"
 # Rows a second of each series: an hour takes 230 MB, and every sample at 500 Hz 1.6 GB.

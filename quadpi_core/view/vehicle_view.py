@@ -19,9 +19,8 @@ from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.messages.model_description import DescribedModel
 from quadpi_core.monitor.quantity_words import INPUT_WORDS, OF_RANGE
 from quadpi_core.results import CAUSE_NAMES, EXTRAPOLATION, AlarmEvent, Predictions, ReportedAlarms
-from quadpi_core.view.blocks import BlockStore, Rows
-from quadpi_core.view.flight_clock import PAUSE_NS, FlightClock
-from quadpi_core.view.timeline import Timeline, Track
+from quadpi_core.view.blocks import PAUSE_NS, BlockStore, FlightClock, Rows, Timeline, Track
+from quadpi_core.view.motion_inputs import Told
 from quadpi_core.view.trust import (
     COVERED_S,
     LEAST_COVERED_S,
@@ -33,7 +32,6 @@ from quadpi_core.view.trust import (
     states_of,
     too_many_misses,
 )
-from quadpi_core.view.vehicle_reports import Told
 
 # 20 blocks a second: as fine as a line on a screen, as slow as an eye can follow.
 BLOCK_NS = 50_000_000

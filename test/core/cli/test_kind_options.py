@@ -10,7 +10,7 @@ import pytest
 import typer
 
 from quadpi_core.cli import app
-from quadpi_core.cli.kind_options import choice_of_kind
+from quadpi_core.cli.options import choice_of_kind
 from quadpi_core.models.kind_registry import KINDS
 
 COMMAND = ("identify", "absent.mcap", "--vehicle", "bebop2", "-o", "model")

@@ -22,7 +22,7 @@ from quadpi_core.models.envelope import Envelope
 from quadpi_core.models.fitted_polynomial import FittedPolynomials, PolynomialAxis
 from quadpi_core.models.interval_rules import LEVELS, HeldOutRule
 from quadpi_core.models.regressors import Regressor
-from quadpi_core.report.live_figure import LiveReplay
+from quadpi_core.report.evaluation_figures import LiveReplay
 from quadpi_core.report.table import markdown_table
 
 VOID = {"meta", "br", "link", "img", "input"}

@@ -8,8 +8,19 @@ import json
 import numpy as np
 import pytest
 
-from quadpi_core.report.figure import Band, Figure, Limit, Line, Panel, Points, Scale
-from quadpi_core.report.figure_data import PAGE_VALUES, bins_of, figures_as_json, thinned
+from quadpi_core.report.figure import (
+    PAGE_VALUES,
+    Band,
+    Figure,
+    Limit,
+    Line,
+    Panel,
+    Points,
+    Scale,
+    bins_of,
+    figures_as_json,
+    thinned,
+)
 
 
 def read(figures):

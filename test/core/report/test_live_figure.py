@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 from dataclasses import replace
 
-from quadpi_core.report.live_figure import alarm_figure
+from quadpi_core.report.evaluation_figures import alarm_figure
 
 
 def layers(figure):

@@ -6,9 +6,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from quadpi_core.cli.replay_command import not_judged_sentences, replay_table
 from quadpi_core.monitor.alarm import NotJudgedReason
 from quadpi_core.monitor.replay import ReplaySummary
-from quadpi_core.report.replay_table import not_judged_sentences, replay_table
 
 QUIET = ReplaySummary(
     samples_in=6000,

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from quadpi_core.report.simulation_figures import (
+from quadpi_core.report.simulation_page import (
     effort_figure,
     rotor_names,
     tracking_figure,

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from quadpi_core.view.flight_clock import LONGEST_GAP_NS, PAUSE_NS, FlightClock
+from quadpi_core.view.blocks import LONGEST_GAP_NS, PAUSE_NS, FlightClock
 
 START, S = 1_700_000_000_000_000_000, 1_000_000_000
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadpi_core.view.timeline import BINS, FIRST_BIN_S, POINTS, Timeline, Track
+from quadpi_core.view.blocks import BINS, FIRST_BIN_S, POINTS, Timeline, Track
 from quadpi_core.view.trust import State
 
 
