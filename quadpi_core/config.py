@@ -16,9 +16,8 @@ from typing import Any, ClassVar
 import yaml
 
 from quadpi_core import array_checks
-from quadpi_core.bounded_files import CONFIG_BYTES_MAX, read_bounded
 from quadpi_core.errors import QuadpiError, one_line
-from quadpi_core.paths import config_directory
+from quadpi_core.paths import CONFIG_BYTES_MAX, config_directory, read_bounded
 
 
 def read_config(kind: str, name_or_path: str | Path, error: type[QuadpiError]) -> tuple[Path, Any]:

@@ -10,6 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
+from quadpi_core.core import compiled
+
 Number = TypeVar("Number", float, int, tuple[float, ...])
 
 # Data that many thresholds were set on: flights of the simulated Bebop 2 with hidden effects, whose seeds no
@@ -35,3 +37,15 @@ class Threshold(Generic[Number]):
     unit: str
     reason: str
     data: str
+
+
+RATE_MAX_RAD_S = compiled.RATE_MAX_RAD_S
+STANDARD_GRAVITY = compiled.STANDARD_GRAVITY
+SPECIFIC_FORCE_MAX_M_S2 = compiled.SPECIFIC_FORCE_MAX_M_S2
+AIRSPEED_MAX_M_S = compiled.AIRSPEED_MAX_M_S
+POSITION_MAX_M = compiled.POSITION_MAX_M
+MEASURED_SPEED_MAX_M_S = compiled.MEASURED_SPEED_MAX_M_S
+# Of a state. What an estimator is given may be off by any scale: it is normalised.
+QUATERNION_NORM_TOLERANCE = compiled.QUATERNION_NORM_TOLERANCE
+# Of an attitude in a log or message.
+NORM_TOLERANCE = compiled.NORM_TOLERANCE

@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from quadpi_core.bounded_files import JSON_BYTES_MAX, parse_json, read_bounded
 from quadpi_core.errors import ModelError
 from quadpi_core.identification.identify import identify
 from quadpi_core.identification.prepared_flights import PreparedFlight
@@ -17,7 +16,7 @@ from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.candidate_pool import CandidatePool
 from quadpi_core.models.kind_registry import kind_of
 from quadpi_core.models.model_kind import IdentifyOptions
-from quadpi_core.paths import write_json
+from quadpi_core.paths import JSON_BYTES_MAX, parse_json, read_bounded, write_json
 from quadpi_core.validation.validation_case import code_fingerprint
 from quadpi_core.vehicle import Vehicle
 from quadpi_core.version import __version__

@@ -17,8 +17,7 @@ from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import write_bag
 from quadpi_core.paths import bags_directory
-from quadpi_core.reading_options import ReadingOptions
-from quadpi_core.time_range import TimeRange
+from quadpi_core.reading_options import ReadingOptions, TimeRange
 from quadpi_core.vehicle import Vehicle
 
 METHOD = "physical"

@@ -16,7 +16,6 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from quadpi_core.bounded_files import LIMIT_DEFAULT_MIB, LIMIT_VARIABLE
 from quadpi_core.cli.demo_command import demo
 from quadpi_core.cli.discrepancy_command import discrepancy
 from quadpi_core.cli.evaluate_command import evaluate
@@ -32,6 +31,7 @@ from quadpi_core.cli.simulate_command import simulate
 from quadpi_core.cli.validate_command import validate
 from quadpi_core.cli.view_command import view
 from quadpi_core.errors import QuadpiError
+from quadpi_core.paths import LIMIT_DEFAULT_MIB, LIMIT_VARIABLE
 from quadpi_core.version import __version__
 
 __all__ = ["app", "main"]

@@ -27,8 +27,7 @@ if TYPE_CHECKING:
     from quadpi_core.flight_files import FlightLeftOut
     from quadpi_core.models.model_kind import Kind
     from quadpi_core.parallel import Workers
-    from quadpi_core.reading_options import ReadingOptions
-    from quadpi_core.time_range import TimeRange
+    from quadpi_core.reading_options import ReadingOptions, TimeRange
 
 _NAMED_TOPIC = re.compile(r"[a-z][a-z_/]*=\S")
 # Exit status of a command that did its work for some of the flights given.
@@ -108,7 +107,7 @@ def time_range(from_s: float | None, to_s: float | None) -> TimeRange:
     Raises:
         QuadpiError: for one that is empty or inverted.
     """
-    from quadpi_core.time_range import TimeRange
+    from quadpi_core.reading_options import TimeRange
 
     return TimeRange(0.0 if from_s is None else from_s, math.inf if to_s is None else to_s)
 
@@ -128,8 +127,7 @@ def reading_options(
     """
     from quadpi_core.config import nearest
     from quadpi_core.messages.topics import SENSOR_KINDS
-    from quadpi_core.reading_options import ReadingOptions
-    from quadpi_core.time_range import WHOLE
+    from quadpi_core.reading_options import WHOLE, ReadingOptions
 
     chosen: dict[str, str] = {}
     for text in topics or ():

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from quadpi_core import array_checks
-from quadpi_core.bounded_files import JSON_BYTES_MAX, parse_json, read_bounded
 from quadpi_core.config import is_config_path, nearest
 from quadpi_core.config_schema import Section, Text, Within, parse_config
 from quadpi_core.discrepancy.augmented_simulation import AugmentedSimulation
@@ -22,7 +21,7 @@ from quadpi_core.errors import DiscrepancyError, ModelError, QuadpiError, one_li
 from quadpi_core.flight import AXES
 from quadpi_core.flight_files import LeftOutFlights
 from quadpi_core.models.aerodynamic import AerodynamicModel
-from quadpi_core.paths import config_directory
+from quadpi_core.paths import JSON_BYTES_MAX, config_directory, parse_json, read_bounded
 from quadpi_core.plugins import imported
 from quadpi_core.reading_options import MappingOrOptions
 from quadpi_core.simulation.applied_effects import read_effects

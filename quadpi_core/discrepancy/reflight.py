@@ -18,7 +18,6 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from scipy.stats import t as student
 
-from quadpi_core.bounded_files import parse_json
 from quadpi_core.discrepancy.acceptance import FEW_FLIGHTS
 from quadpi_core.discrepancy.augmented_simulation import AugmentedSimulation, as_it_was, augmented
 from quadpi_core.discrepancy.discrepancy_result import (
@@ -37,6 +36,7 @@ from quadpi_core.flight import AXES, Flight, OdometryStream, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.logs.bag_files import Bag
 from quadpi_core.models.interval_rules import inside_interval
+from quadpi_core.paths import parse_json
 from quadpi_core.rotations import rotate_body_to_world, rotate_world_to_body
 from quadpi_core.signals.resample import interpolate_columns
 from quadpi_core.signals.wrench import measured_wrench

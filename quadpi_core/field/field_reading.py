@@ -21,14 +21,14 @@ from quadpi_core.flight_files import flight_in
 from quadpi_core.logs import identify_format, reading
 from quadpi_core.plugins import Plugins
 from quadpi_core.reading_options import ReadingOptions
-from quadpi_core.sample_limits import (
+from quadpi_core.thresholds import (
     AIRSPEED_MAX_M_S,
     NORM_TOLERANCE,
     POSITION_MAX_M,
     RATE_MAX_RAD_S,
     SPECIFIC_FORCE_MAX_M_S2,
+    Threshold,
 )
-from quadpi_core.thresholds import Threshold
 from quadpi_core.vehicle import Vehicle
 
 STACKS = Plugins("flight stack", stacks, "quadpi.flight_stacks", Stack, LogError)

@@ -33,8 +33,8 @@ from quadpi_core.logs.flight_table import WRENCH, columns_of
 from quadpi_core.models.model_kind import CUTOFF_HZ
 from quadpi_core.monitor.conditions import conditions
 from quadpi_core.rotations import rotate_body_to_world
-from quadpi_core.sample_limits import QUATERNION_NORM_TOLERANCE
 from quadpi_core.screening.plausibility import check_plausible
+from quadpi_core.thresholds import QUATERNION_NORM_TOLERANCE
 from quadpi_core.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -96,7 +96,9 @@ def prepared_from_arrays(
             check_stamps("time_ns", stamps[rows])
             step_ns = float(np.median(np.diff(stamps[rows]))) if len(rows) > 1 else _SHORTEST_STEP_NS
             if step_ns < _SHORTEST_STEP_NS:
-                raise ArgumentError(f"time_ns: {step_ns:g} from sample to sample: looks like µs or ms, not ns")
+                raise ArgumentError(
+                    f"time_ns: {step_ns:g} from sample to sample: looks like µs or ms, not ns"
+                )
         recording = _recording(label, vehicle, stamps[rows], flight_values)
         if filtered:
             for name, values in flight_values.items():

@@ -16,9 +16,9 @@ from typing import Any
 import yaml
 from backports import zstd
 
-from quadpi_core.bounded_files import read_bounded
 from quadpi_core.errors import LogError, one_line
 from quadpi_core.logs.sandbox import read_apart, require_unpackable
+from quadpi_core.paths import read_bounded
 
 PACKED = ".zstd"
 _SUFFIXES = (".mcap", ".db3")

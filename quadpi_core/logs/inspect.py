@@ -29,7 +29,6 @@ from quadpi_core.frames import Array
 from quadpi_core.logs.running_statistics import LongestRun, Range, RunningRange
 from quadpi_core.recording_blocks import StreamParts, streams_by_field
 from quadpi_core.rotations import rotation_matrix
-from quadpi_core.sample_limits import STANDARD_GRAVITY
 from quadpi_core.screening.consistency import contradictions
 from quadpi_core.screening.plausibility import (
     THRUST_COEFFICIENT_POSSIBLE,
@@ -41,6 +40,7 @@ from quadpi_core.screening.plausibility import (
 )
 from quadpi_core.screening.rotors_in_flight import Inertial, in_flight
 from quadpi_core.screening.survey import Excerpting, Selection, StreamSurvey, in_order, survey, survey_quality
+from quadpi_core.thresholds import STANDARD_GRAVITY
 from quadpi_core.vehicle import Vehicle
 
 GAP_INTERVALS = 5.0

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from quadpi_core.findings import REASONS, UnusableReports, Verdict
 from quadpi_core.flight import (
     AirStream,
     BatteryStream,
@@ -37,8 +38,7 @@ from quadpi_core.frames import (
 from quadpi_core.messages.adapters.motor_messages import shares_of_outputs
 from quadpi_core.rotations import from_rotation_vector, product, rotate_world_to_body
 from quadpi_core.rotor_order import RotorOrder
-from quadpi_core.sample_limits import NORM_TOLERANCE, STANDARD_GRAVITY
-from quadpi_core.unusable_readings import REASONS, UnusableReports, Verdict
+from quadpi_core.thresholds import NORM_TOLERANCE, STANDARD_GRAVITY
 from quadpi_core.vehicle import Vehicle
 
 ARDUPILOT, PX4 = 3, 12

@@ -12,16 +12,15 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.errors import LogError
-from quadpi_core.findings import LeftOut
+from quadpi_core.findings import LeftOut, UnusableReports, Verdict
 from quadpi_core.flight import MAX_GAP_NS, NO_STAMP, ImuStream, OdometryStream, RotorSpeedStream, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.rotations import rotate_world_to_body
 from quadpi_core.rotor_order import RotorOrder
-from quadpi_core.sample_limits import NORM_TOLERANCE
 from quadpi_core.screening.plausibility import finite_rows
 from quadpi_core.screening.sample_order import longest, order_of
 from quadpi_core.signals.resample import interpolate, interpolate_attitude
-from quadpi_core.unusable_readings import UnusableReports, Verdict
+from quadpi_core.thresholds import NORM_TOLERANCE
 from quadpi_core.vehicle import ROTORS, Vehicle
 
 _log = logging.getLogger(__name__)
@@ -203,7 +202,7 @@ def without(
 
     Args:
         stream: of N samples.
-        verdict: (N,) see :class:`quadpi_core.unusable_readings.Verdict`.
+        verdict: (N,) see :class:`quadpi_core.findings.Verdict`.
         imu: whose first stamp times count from.
     """
     unusable = UnusableReports()

@@ -23,8 +23,8 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
-from quadpi_core.bounded_files import LIMIT_DEFAULT_MIB, LIMIT_VARIABLE
 from quadpi_core.errors import LogError, QuadpiError, one_line
+from quadpi_core.paths import LIMIT_DEFAULT_MIB, LIMIT_VARIABLE
 
 # A file may unpack to this many times its size, if that is more: repeated values compress to a fiftieth.
 LIMIT_RATIO = 100

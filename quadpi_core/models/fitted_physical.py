@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.bounded_files import parse_json
 from quadpi_core.config_schema import NotNegative, Positive, Text, parse_config
 from quadpi_core.core import compiled
 from quadpi_core.errors import ModelError, named_in
@@ -35,6 +34,7 @@ from quadpi_core.models.physical_flight import (
 from quadpi_core.models.physical_regressors import control_signs, regressors
 from quadpi_core.models.physical_terms import TERM_INDEX, TERM_NAMES, TERMS, delay_words, missing_flying
 from quadpi_core.models.rollout_model import MOVES, RolloutModel, StoredBody, require_arrays, require_known
+from quadpi_core.paths import parse_json
 from quadpi_core.records import Records, record_dtype
 from quadpi_core.vehicle import Vehicle
 

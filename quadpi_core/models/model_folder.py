@@ -20,10 +20,9 @@ from typing import Any
 
 import numpy as np
 
-from quadpi_core.bounded_files import JSON_BYTES_MAX, parse_json, read_bounded
 from quadpi_core.errors import ModelError, OutputError, one_line
 from quadpi_core.frames import Array
-from quadpi_core.paths import require_folder, whole_output
+from quadpi_core.paths import JSON_BYTES_MAX, parse_json, read_bounded, require_folder, whole_output
 
 MODEL_FILE = "model.json"
 ARRAYS_FILE = "arrays.safetensors"

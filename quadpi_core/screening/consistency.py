@@ -18,7 +18,6 @@ from quadpi_core.errors import LogError
 from quadpi_core.findings import Finding
 from quadpi_core.flight import PoseStream, Recording
 from quadpi_core.frames import Array
-from quadpi_core.sample_limits import STANDARD_GRAVITY
 from quadpi_core.screening.clock_consistency import clock_mistake, rotor_clock_finding
 from quadpi_core.screening.excerpt import (
     Excerpt,
@@ -37,6 +36,7 @@ from quadpi_core.screening.rotor_consistency import RotorEvidence, rotor_evidenc
 from quadpi_core.screening.rotors_in_flight import stuck_rotors
 from quadpi_core.screening.small_mistakes import small_mistakes
 from quadpi_core.screening.wild_samples import Beyond
+from quadpi_core.thresholds import STANDARD_GRAVITY
 from quadpi_core.vehicle import ROTORS, Vehicle
 
 # A cost of 1 is what sensors of sound flights differ by (`motion.cost`). Of 139 real flights that any mistake

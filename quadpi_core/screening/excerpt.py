@@ -20,8 +20,8 @@ from quadpi_core.rotations import (
     rotate_body_to_world,
     to_rotation_vector,
 )
-from quadpi_core.sample_limits import STANDARD_GRAVITY
 from quadpi_core.signals.resample import interpolate_columns
+from quadpi_core.thresholds import STANDARD_GRAVITY
 
 # Windows are spread over the flight, so that the cost does not grow with its length.
 WINDOWS, WINDOW_S = 24, 2.5

@@ -18,11 +18,11 @@ import numpy as np
 from quadpi_core.errors import LogError
 from quadpi_core.findings import PAUSES, Break, DataQuality, UsedPart
 from quadpi_core.flight import MAX_GAP_NS, Recording, Stamps, Stream
+from quadpi_core.reading_options import TimeRange
 from quadpi_core.recording_blocks import all_by_field
 from quadpi_core.screening.sample_order import order_of, with_rows
 from quadpi_core.signals.resample import nominal_rate
 from quadpi_core.thresholds import CONVENTION, Threshold
-from quadpi_core.time_range import TimeRange
 
 # So many poses within this time give a velocity by a line; of a slower source the estimator takes several.
 START_POSES, START_NS = 5, 200_000_000

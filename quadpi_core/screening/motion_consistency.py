@@ -28,7 +28,6 @@ from quadpi_core.rotations import (
     rotation_matrix,
     to_rotation_vector,
 )
-from quadpi_core.sample_limits import STANDARD_GRAVITY
 from quadpi_core.screening.excerpt import (
     FALL_M_S2,
     KEPT_SHARE,
@@ -40,7 +39,7 @@ from quadpi_core.screening.excerpt import (
     cost,
 )
 from quadpi_core.screening.rotors_in_flight import runs_of
-from quadpi_core.thresholds import Threshold
+from quadpi_core.thresholds import STANDARD_GRAVITY, Threshold
 
 # Scale factors of units and clocks that are tried: from 1/1000 to 1000, then finely around the best.
 _FACTORS = np.geomspace(1e-3, 1e3, 121)

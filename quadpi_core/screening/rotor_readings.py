@@ -12,10 +12,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from quadpi_core.findings import HELD, READS_ZERO
 from quadpi_core.flight import Recording, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.recording_blocks import Column
-from quadpi_core.sample_limits import STANDARD_GRAVITY
 from quadpi_core.screening.rotors_in_flight import (
     STUCK_S,
     ZERO_RAD_S,
@@ -26,8 +26,7 @@ from quadpi_core.screening.rotors_in_flight import (
     runs_of,
 )
 from quadpi_core.screening.sample_order import Mask, Rows
-from quadpi_core.thresholds import Threshold
-from quadpi_core.unusable_readings import HELD, READS_ZERO
+from quadpi_core.thresholds import STANDARD_GRAVITY, Threshold
 
 RETURNS_S = Threshold(
     "time between two readings with 0 in between, in which no rotor stops and turns again",

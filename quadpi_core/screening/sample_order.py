@@ -46,8 +46,7 @@ from quadpi_core.flight import (
     Stream,
 )
 from quadpi_core.recording_blocks import all_by_field, streams_by_field
-from quadpi_core.sample_limits import NORM_TOLERANCE
-from quadpi_core.thresholds import CONVENTION, Threshold
+from quadpi_core.thresholds import CONVENTION, NORM_TOLERANCE, Threshold
 
 Rows = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]

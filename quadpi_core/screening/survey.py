@@ -16,6 +16,7 @@ import numpy as np
 
 from quadpi_core.findings import DataQuality, UsedPart
 from quadpi_core.flight import STREAM_KINDS, Recording, Stamps, Stream
+from quadpi_core.reading_options import WHOLE, TimeRange
 from quadpi_core.recording_blocks import Column, join_blocks, streams_by_field
 from quadpi_core.screening.excerpt import needed_spans
 from quadpi_core.screening.flight_runs import ASKED_FOR, used_part
@@ -29,7 +30,6 @@ from quadpi_core.screening.sample_order import (
     used_rows,
 )
 from quadpi_core.screening.wild_samples import FEW_SAMPLES, Beyond, Screening, left_out, usable_samples
-from quadpi_core.time_range import WHOLE, TimeRange
 from quadpi_core.vehicle import Vehicle
 
 # Parts of a long flight; together they have FEW_SAMPLES samples of its fastest topic.

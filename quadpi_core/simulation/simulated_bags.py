@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from quadpi_core.bounded_files import parse_json
 from quadpi_core.config_schema import Positive, Section, Vector, parse_config
 from quadpi_core.errors import LogError, one_line
 from quadpi_core.flight import OdometryStream, PoseStream, RotorSpeedStream, Stamps, WindStream
@@ -24,6 +23,7 @@ from quadpi_core.logs.bags import output_topic
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.payloads import Payloads, Topic
 from quadpi_core.messages.topics import TOPIC_TYPES
+from quadpi_core.paths import parse_json
 from quadpi_core.rotations import from_rotation_vector, rotate_body_to_world, rotate_world_to_body
 from quadpi_core.simulation.sensors import Sensed
 from quadpi_core.simulation.truth import Truth

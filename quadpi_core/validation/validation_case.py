@@ -22,12 +22,12 @@ from quadpi_core.inputs import flight_derivatives, flight_inputs
 from quadpi_core.logs.bag_topics import bag_vehicle
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.model_kind import Evaluation
+from quadpi_core.reading_options import WHOLE, TimeRange
 from quadpi_core.records import Records
 from quadpi_core.signals.chain import filter_zero_phase
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.sensor_noise import SensorSuite, StateNoise
 from quadpi_core.simulation.simulated_bags import read_truth
-from quadpi_core.time_range import WHOLE, TimeRange
 from quadpi_core.vehicle import Vehicle
 from quadpi_core.version import __version__
 

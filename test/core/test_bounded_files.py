@@ -6,7 +6,7 @@ import os
 
 import pytest
 
-from quadpi_core.bounded_files import CONFIG_BYTES_MAX, parse_json, read_bounded
+from quadpi_core.paths import CONFIG_BYTES_MAX, parse_json, read_bounded
 
 
 def test_only_files_of_bounded_size_are_read(tmp_path):

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from quadpi_core.errors import QuadpiError
-from quadpi_core.time_range import WHOLE, TimeRange
+from quadpi_core.reading_options import WHOLE, TimeRange
 
 
 @pytest.mark.parametrize("ends", [(2.0, 1.0), (2.0, 2.0), (-1.0, 2.0), (math.nan, 2.0), (1.0, math.nan)])

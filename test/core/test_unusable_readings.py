@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from quadpi_core.unusable_readings import REASONS, Verdict
+from quadpi_core.findings import REASONS, Verdict
 
 
 def test_every_verdict_but_a_sample_has_a_reason_of_its_own() -> None:

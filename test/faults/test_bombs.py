@@ -15,13 +15,13 @@ from backports import zstd
 from lz4 import frame as lz4
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
-from quadpi_core.bounded_files import LIMIT_VARIABLE
 from quadpi_core.errors import LogError
 from quadpi_core.logs import read_recording, sandbox
 from quadpi_core.logs.bags import read_bag
 from quadpi_core.logs.mcap_files import MAGIC
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.definitions import typestore
+from quadpi_core.paths import LIMIT_VARIABLE
 
 from .damage import refusing
 

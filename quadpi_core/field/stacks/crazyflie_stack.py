@@ -18,7 +18,7 @@ from quadpi_core.field.field_log import FieldLog, Series, Setting, Stack, series
 from quadpi_core.frames import body_flu_to_frd, quaternion_flu_enu_to_frd_ned, world_enu_to_ned
 from quadpi_core.logs.formats.cfusdlog import FORMAT, Event, decode_events
 from quadpi_core.logs.reader_steps import normalised_attitude
-from quadpi_core.sample_limits import STANDARD_GRAVITY
+from quadpi_core.thresholds import STANDARD_GRAVITY
 
 _FULL = 65535.0
 _COMMANDS = tuple(

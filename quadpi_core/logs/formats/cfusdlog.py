@@ -38,7 +38,7 @@ from quadpi_core.frames import Array, body_flu_to_frd, quaternion_flu_enu_to_frd
 from quadpi_core.logs.log_format import LogFormat
 from quadpi_core.logs.reader_steps import normalised_attitude, note
 from quadpi_core.rotations import rotate_world_to_body
-from quadpi_core.sample_limits import STANDARD_GRAVITY
+from quadpi_core.thresholds import STANDARD_GRAVITY
 from quadpi_core.vehicle import Vehicle
 
 _MAGIC = 0xBC

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.errors import LogError, require_library
-from quadpi_core.findings import DataQuality
+from quadpi_core.findings import DataQuality, Verdict
 from quadpi_core.flight import (
     AirStream,
     BatteryStream,
@@ -52,7 +52,6 @@ from quadpi_core.logs.sandbox import read_apart
 from quadpi_core.messages.adapters.rotor_messages import EscReports, RotorReader
 from quadpi_core.records import ROTORS_MAX
 from quadpi_core.rotor_order import RPM, Motor, RotorOrder, usual_layout
-from quadpi_core.unusable_readings import Verdict
 from quadpi_core.vehicle import ROTORS, Vehicle
 
 # The columns (N,) of one topic, by the names that pyulog gives them, such as "q[0]".

@@ -49,8 +49,8 @@ from quadpi_core.logs.mapping_draft import mapping_draft
 from quadpi_core.logs.reader_steps import normalised_attitude, note, odometry_of, rising, unsigned_speeds
 from quadpi_core.logs.table_columns import PARQUET_MAGIC, open_columns, stamps_of
 from quadpi_core.rotations import rotate_body_to_world, rotate_world_to_body
-from quadpi_core.sample_limits import STANDARD_GRAVITY
 from quadpi_core.screening.sample_order import SHARE_MAX
+from quadpi_core.thresholds import STANDARD_GRAVITY
 from quadpi_core.vehicle import Vehicle
 
 # Signals that are of no use without the others of the same topic.

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.core import compiled
+from quadpi_core.findings import UnusableReports, Verdict
 from quadpi_core.flight import RotorSpeedStream, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.messages.adapters.adapter_definition import Reading
@@ -25,7 +26,6 @@ from quadpi_core.messages.foreign_messages import Items
 from quadpi_core.messages.payloads import Indices
 from quadpi_core.records import ROTORS_MAX, record_dtype
 from quadpi_core.rotor_order import ERPM, RotorOrder
-from quadpi_core.unusable_readings import UnusableReports, Verdict
 from quadpi_core.vehicle import Vehicle
 
 # PX4's `actuator_function` of the first motor and of the last.

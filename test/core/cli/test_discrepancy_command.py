@@ -13,10 +13,10 @@ from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import write_bag
 from quadpi_core.parallel import Workers
 from quadpi_core.paths import bags_directory
+from quadpi_core.reading_options import TimeRange
 from quadpi_core.screening.flight_runs import in_range
 from quadpi_core.simulation.run import simulate
 from quadpi_core.simulation.scenario import choose_flights, load_scenario, parse_effects
-from quadpi_core.time_range import TimeRange
 from quadpi_core.vehicle import Vehicle
 
 FLIGHTS = """

@@ -22,7 +22,7 @@ from quadpi_core.messages.definitions import codec
 from quadpi_core.messages.sensor_messages import ODOMETRY, pack_odometry
 from quadpi_core.messages.values import ODOMETRY_VALUES
 from quadpi_core.rotations import rotate_world_to_body
-from quadpi_core.sample_limits import SPECIFIC_FORCE_MAX_M_S2
+from quadpi_core.thresholds import SPECIFIC_FORCE_MAX_M_S2
 
 GYRO_NOISE = 0.02
 

@@ -21,8 +21,7 @@ from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.kinds.physical import Physical
 from quadpi_core.models.model_kind import IdentifyOptions
 from quadpi_core.paths import bags_directory
-from quadpi_core.reading_options import ReadingOptions
-from quadpi_core.time_range import TimeRange
+from quadpi_core.reading_options import ReadingOptions, TimeRange
 from quadpi_core.vehicle import Vehicle
 
 from ..commanded_bags import LAG_S, write_bag

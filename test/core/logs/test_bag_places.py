@@ -9,10 +9,10 @@ from backports import zstd
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 from ruamel.yaml import YAML
 
-from quadpi_core.bounded_files import LIMIT_VARIABLE
 from quadpi_core.errors import LogError
 from quadpi_core.logs import decode_recording, is_log_folder, read_recording
 from quadpi_core.logs.bag_files import Bag
+from quadpi_core.paths import LIMIT_VARIABLE
 from quadpi_core.vehicle import Vehicle
 
 from .bag_examples import write_folder

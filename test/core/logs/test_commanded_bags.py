@@ -12,8 +12,7 @@ import pytest
 from quadpi_core.logs import bag_files, read_recording
 from quadpi_core.motors import Motors
 from quadpi_core.paths import bags_directory
-from quadpi_core.reading_options import ReadingOptions
-from quadpi_core.time_range import TimeRange
+from quadpi_core.reading_options import ReadingOptions, TimeRange
 from quadpi_core.vehicle import Vehicle
 
 from ..commanded_bags import write_bag

@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from quadpi_core.bounded_files import LIMIT_VARIABLE
 from quadpi_core.errors import LogError, QuadpiError, SampleError
 from quadpi_core.logs import sandbox
 from quadpi_core.logs.sandbox import read_apart, require_unpackable, unpacked_limit
+from quadpi_core.paths import LIMIT_VARIABLE
 
 
 @pytest.mark.parametrize("limit", ["", "0", "-1", "1e3", "²", "9" * 20])

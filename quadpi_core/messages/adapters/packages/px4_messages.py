@@ -33,7 +33,7 @@ from quadpi_core.messages.cdr import Columns, microsecond_stamps
 from quadpi_core.messages.foreign_messages import Items
 from quadpi_core.messages.payloads import Indices
 from quadpi_core.rotations import rotate_world_to_body
-from quadpi_core.sample_limits import NORM_TOLERANCE
+from quadpi_core.thresholds import NORM_TOLERANCE
 from quadpi_core.vehicle import Vehicle
 
 _NED, _FRD, _BODY = 1, 2, 3
