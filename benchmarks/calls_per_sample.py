@@ -93,7 +93,7 @@ def live_subscriptions(parameters: dict[str, str]) -> Iterator[dict[str, Callabl
     import rclpy
 
     from quadpi_ros.live_process import create_nodes
-    from quadpi_ros.processes import isolated_domain
+    from quadpi_ros.live_session import isolated_domain
     from quadpi_ros.runtime import start
 
     arguments = [part for name, value in parameters.items() for part in ("-p", f"{name}:={value}")]

@@ -65,8 +65,7 @@ def run() -> list[Result]:
 def measure(module: str, parameters: tuple[str, ...], bag: Path) -> Run:
     """Play the bag through a process of nodes."""
     from quadpi_ros.collector import Collector
-    from quadpi_ros.live_session import await_start, play
-    from quadpi_ros.processes import Child, isolated_domain
+    from quadpi_ros.live_session import Child, await_start, isolated_domain, play
 
     arguments = ("--ros-args", *(part for parameter in parameters for part in ("-p", parameter)))
     with isolated_domain() as folder, Collector(start_ns=0) as collector:

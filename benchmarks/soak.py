@@ -47,8 +47,8 @@ _START_S = 300.0
 
 def run() -> list[Result]:
     require_ros()
+    from quadpi_ros.live_session import Child, isolated_domain
     from quadpi_ros.playlist import Playlist
-    from quadpi_ros.processes import Child, isolated_domain
 
     vehicle = Vehicle.load(VEHICLE)
     resident: list[tuple[float, int]] = []

@@ -82,7 +82,7 @@ def run() -> list[Result]:
 
 def live_page() -> tuple[Array, float]:
     """Latencies of alarms in ms, and frames per second."""
-    from quadpi_ros.processes import Child, isolated_domain
+    from quadpi_ros.live_session import Child, isolated_domain
 
     with isolated_domain() as folder, ExitStack() as stack:
         port = free_port()

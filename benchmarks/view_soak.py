@@ -27,7 +27,7 @@ _LOOK_S = 15.0
 def run() -> list[Result]:
     require_ros()
     require_chromium()
-    from quadpi_ros.processes import Child, isolated_domain
+    from quadpi_ros.live_session import Child, isolated_domain
 
     held: list[tuple[float, float, float]] = []
     with isolated_domain() as folder, ExitStack() as stack:

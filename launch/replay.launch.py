@@ -10,7 +10,7 @@ from launch.events import Shutdown
 
 from quadpi_core.errors import QuadpiError
 from quadpi_ros.launching import SENSORS, LaunchError, Programs, argument, live_nodes, monitor_arguments
-from quadpi_ros.node_parameters import CLOCK_HZ, START_TIMEOUT_S
+from quadpi_ros.parameters import CLOCK_HZ, START_TIMEOUT_S
 
 
 def start(context: LaunchContext) -> list:

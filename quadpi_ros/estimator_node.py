@@ -29,8 +29,7 @@ from quadpi_core.messages.values import POSE
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros import diagnostics
 from quadpi_ros.input_sources import AdaptedSources, AdapterError, Source, message_class
-from quadpi_ros.node_parameters import EstimatorParameters
-from quadpi_ros.parameters import ParameterError
+from quadpi_ros.parameters import EstimatorParameters, ParameterError
 from quadpi_ros.runtime import run, serve
 from quadpi_ros.sensor_node import DIAGNOSTICS_PERIOD_S, ConsistencyWatch, SensorNode
 

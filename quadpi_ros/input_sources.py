@@ -20,8 +20,7 @@ from quadpi_core.flight import Stream
 from quadpi_core.messages.adapters import AdapterSettings, known_adapters
 from quadpi_core.messages.adapters.adapter_settings import CommandSettings, StateSettings
 from quadpi_core.vehicle import Vehicle
-from quadpi_ros.node_parameters import adapters_of
-from quadpi_ros.parameters import ParameterError
+from quadpi_ros.parameters import ParameterError, adapters_of
 
 _PRIMITIVES = {"boolean": "bool", "octet": "byte", "float": "float32", "double": "float64"}
 # `sequence<T>` or `sequence<T, 4>`, `T[4]`, or `T`, where T may be `package/Type` or `string<9>`.

@@ -26,8 +26,7 @@ from quadpi_core.results import ReportedAlarms
 from quadpi_core.view.trust import State, states_of
 from quadpi_ros.callbacks import GuardedNode
 from quadpi_ros.inbox import NEWEST_QOS, Inbox
-from quadpi_ros.node_parameters import MarkerParameters
-from quadpi_ros.parameters import read_parameters
+from quadpi_ros.parameters import MarkerParameters, read_parameters
 from quadpi_ros.runtime import run
 
 TOPIC = "markers"

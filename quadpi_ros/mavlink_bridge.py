@@ -39,8 +39,7 @@ from quadpi_ros.callbacks import GuardedNode
 from quadpi_ros.dds_profile import OUTPUT_QOS, SENSOR_QOS, DiscoveryError, await_subscribers
 from quadpi_ros.mavlink_alarm import AlarmTold, Text
 from quadpi_ros.mavlink_link import Chunk, Link, check_connection, is_replay, open_link
-from quadpi_ros.node_parameters import STANDARD_ORDER, BridgeParameters
-from quadpi_ros.parameters import ParameterError, read_parameters
+from quadpi_ros.parameters import STANDARD_ORDER, BridgeParameters, ParameterError, read_parameters
 from quadpi_ros.runtime import run, spin
 
 _READ_TIMEOUT_S = 0.02

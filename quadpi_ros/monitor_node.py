@@ -49,7 +49,7 @@ from quadpi_ros.callbacks import SlowService
 from quadpi_ros.commanded_rotors import CommandedRotors, command_sources
 from quadpi_ros.estimator_node import IMU_TOPIC, EstimatorNode, StateListener, framed_imu
 from quadpi_ros.input_sources import AdaptedSources, Source
-from quadpi_ros.node_parameters import FASTEST_IMU_HZ, MonitorParameters
+from quadpi_ros.parameters import FASTEST_IMU_HZ, MonitorParameters
 from quadpi_ros.result_publishers import Results, named
 from quadpi_ros.runtime import run, serve
 from quadpi_ros.sensor_node import ConsistencyWatch, SensorNode, Watch

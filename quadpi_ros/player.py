@@ -30,7 +30,7 @@ from quadpi_core.paths import whole_output
 from quadpi_ros.callbacks import GuardedNode
 from quadpi_ros.dds_profile import SENSOR_QOS, DiscoveryError, await_listeners
 from quadpi_ros.input_sources import message_class
-from quadpi_ros.node_parameters import CLOCK_HZ
+from quadpi_ros.parameters import CLOCK_HZ
 from quadpi_ros.playlist import SENSOR_TYPES, PlayerError, Playlist
 from quadpi_ros.runtime import run
 

@@ -20,7 +20,7 @@ from quadpi_core.messages.adapters import AdapterSettings, known_adapters
 from quadpi_core.messages.payloads import Topic
 from quadpi_core.messages.topics import LIVE_SENSORS, MOCAP_TOPICS, TOPIC_TYPES
 from quadpi_ros.input_sources import AdapterError, message_class
-from quadpi_ros.node_parameters import adapters_of
+from quadpi_ros.parameters import adapters_of
 
 # Message classes of the standard topics that are played.
 SENSOR_TYPES: dict[str, type] = {name: message_class(TOPIC_TYPES[name]) for name in LIVE_SENSORS}

@@ -30,8 +30,7 @@ from quadpi_ros import diagnostics
 from quadpi_ros.callbacks import GuardedNode
 from quadpi_ros.dds_profile import OUTPUT_QOS, SENSOR_QOS, TRANSFORMS_QOS
 from quadpi_ros.input_sources import AdapterError, message_class
-from quadpi_ros.node_parameters import STRICT
-from quadpi_ros.parameters import Parameters
+from quadpi_ros.parameters import STRICT, Parameters
 from quadpi_ros.runtime import ManagedNode
 
 Sample = TypeVar("Sample", bound=Stream)

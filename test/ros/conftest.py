@@ -25,7 +25,7 @@ from quadpi_core.models.regressors import Regressor, RegressorProgram
 from quadpi_core.vehicle import Vehicle
 
 if TYPE_CHECKING:
-    from quadpi_ros.processes import Child
+    from quadpi_ros.live_session import Child
 
     from .rig import Rig
 

@@ -34,7 +34,7 @@ from sensor_msgs.msg import Imu
 from quadpi_core.flight import ImuStream, PoseStream, Recording, RotorSpeedStream
 from quadpi_core.messages import sensor_messages
 from quadpi_ros.dds_profile import SENSOR_QOS, DiscoveryError, await_listeners
-from quadpi_ros.processes import Child, ChildError
+from quadpi_ros.live_session import Child, ChildError
 
 IMU_HZ = 500.0
 STEP_NS = round(1e9 / IMU_HZ)

@@ -35,9 +35,8 @@ from quadpi_core.results import Predictions
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros.collector import Collector
 from quadpi_ros.input_sources import AdaptedSources, AdapterError
-from quadpi_ros.live_session import play
+from quadpi_ros.live_session import Child, ChildError, isolated_domain, play
 from quadpi_ros.playlist import Playlist
-from quadpi_ros.processes import Child, ChildError, isolated_domain
 
 from ..core.messages.adapters.vendor_messages import (
     DEFINITIONS,

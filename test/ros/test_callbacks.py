@@ -23,7 +23,7 @@ from std_srvs.srv import Trigger
 from quadpi_ros import callbacks, sensor_node
 from quadpi_ros.callbacks import GuardedNode, SlowService
 from quadpi_ros.estimator_node import EstimatorNode
-from quadpi_ros.processes import Child
+from quadpi_ros.live_session import Child
 
 from .failing_live import ESTIMATOR_FAILS_HZ, MONITOR_FAILS_HZ
 from .rig import (

@@ -27,8 +27,7 @@ from quadpi_core.paths import bags_directory
 from quadpi_core.results import BAD_DATA
 from quadpi_core.simulation.failures import Fault
 from quadpi_core.vehicle import Vehicle
-from quadpi_ros.live_session import run_session
-from quadpi_ros.processes import Child
+from quadpi_ros.live_session import Child, run_session
 from test.faults.onboard import Onboard, sent_by, spoilt
 
 from .rig import STARTED_S, STEP_NS, Rig, arguments, assert_alive, assert_whole

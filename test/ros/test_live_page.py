@@ -13,7 +13,7 @@ from rclpy.node import Node
 
 from benchmarks.chromium import PROGRAM, Tab, chromium
 from benchmarks.view_cost import await_port, free_port
-from quadpi_ros.processes import Child
+from quadpi_ros.live_session import Child
 
 from .test_launching import GOLDEN_MODEL
 from .test_view_node import Publishing

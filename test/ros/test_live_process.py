@@ -23,7 +23,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
 
 from quadpi_core.flight import PoseStream, RotorSpeedStream
-from quadpi_ros.processes import Child
+from quadpi_ros.live_session import Child
 
 from .aggregation import groups_of
 from .rig import STARTED_S, STEP_NS, TOPICS, Rig, arguments, assert_alive, assert_whole, values_of

@@ -26,10 +26,17 @@ from quadpi_core.results import LEVEL_ALARM
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros import live_session
 from quadpi_ros.collector import AlarmChange, Collector
-from quadpi_ros.live_session import SessionError, SessionResult, await_rest, await_start, play, run_session
-from quadpi_ros.node_parameters import START_TIMEOUT_S
+from quadpi_ros.live_session import (
+    ChildError,
+    SessionError,
+    SessionResult,
+    await_rest,
+    await_start,
+    play,
+    run_session,
+)
+from quadpi_ros.parameters import START_TIMEOUT_S
 from quadpi_ros.playlist import PlayerError
-from quadpi_ros.processes import ChildError
 
 VEHICLE = "neurobem"
 OUTSIDE_FROM_S = 2.3

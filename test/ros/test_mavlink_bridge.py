@@ -34,8 +34,7 @@ from quadpi_core.messages import sensor_messages
 from quadpi_ros import mavlink_link
 from quadpi_ros.dds_profile import OUTPUT_QOS, SENSOR_QOS
 from quadpi_ros.mavlink_bridge import MavlinkBridge
-from quadpi_ros.node_parameters import BridgeParameters
-from quadpi_ros.parameters import ParameterError
+from quadpi_ros.parameters import BridgeParameters, ParameterError
 
 from .aggregation import groups_of
 from .mavlink_rig import LONG_QUEUE, TOPICS, Sender, await_link, flying, free_port, listening

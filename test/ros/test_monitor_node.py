@@ -17,7 +17,7 @@ from quadpi_core.flight import Recording
 from quadpi_core.messages.payloads import Payloads
 from quadpi_core.messages.result_messages import unpack_alarms
 from quadpi_core.results import BAD_DATA, LEVEL_ALARM, ReportedAlarms
-from quadpi_ros.processes import Child
+from quadpi_ros.live_session import Child
 
 from .rig import STARTED_S, Rig, arguments, assert_alive
 

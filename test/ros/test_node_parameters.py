@@ -11,7 +11,7 @@ import yaml
 
 from quadpi_core.logs.mavlink_samples import SOURCES
 from quadpi_core.monitor import MonitorSettings
-from quadpi_ros.node_parameters import MAVLINK_IMU_MESSAGES, EstimatorParameters, MonitorParameters
+from quadpi_ros.parameters import MAVLINK_IMU_MESSAGES, EstimatorParameters, MonitorParameters
 
 ROOT = Path(__file__).parents[2]
 

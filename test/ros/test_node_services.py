@@ -29,7 +29,7 @@ from rclpy.node import Node
 from rclpy.task import Future
 from type_description_interfaces.srv import GetTypeDescription
 
-from quadpi_ros.processes import Child
+from quadpi_ros.live_session import Child
 
 from .rig import assert_alive, known_client, wait_until
 

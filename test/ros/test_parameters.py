@@ -21,8 +21,7 @@ from quadpi_ros.callbacks import GuardedNode
 from quadpi_ros.dds_profile import SENSOR_QOS, QosOverrideError
 from quadpi_ros.estimator_node import EstimatorNode
 from quadpi_ros.monitor_node import MonitorNode
-from quadpi_ros.node_parameters import BridgeParameters, MonitorParameters
-from quadpi_ros.parameters import ParameterError, read_parameters
+from quadpi_ros.parameters import BridgeParameters, MonitorParameters, ParameterError, read_parameters
 
 from .rig import started
 

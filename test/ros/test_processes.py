@@ -9,7 +9,7 @@ import random
 
 import pytest
 
-from quadpi_ros.processes import ChildError, isolated_domain
+from quadpi_ros.live_session import ChildError, isolated_domain
 
 
 def test_a_domain_is_of_one_session_alone(ros_domain: int, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -22,7 +22,7 @@ from std_msgs.msg import String
 from quadpi_core.errors import ModelError
 from quadpi_ros import runtime
 from quadpi_ros.callbacks import GuardedNode
-from quadpi_ros.node_parameters import parameter
+from quadpi_ros.parameters import parameter
 from quadpi_ros.sensor_node import SensorNode
 
 pytestmark = pytest.mark.usefixtures("ros_domain")

@@ -33,8 +33,8 @@ from quadpi_core.messages import sensor_messages
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros import sensor_node
 from quadpi_ros.dds_profile import TRANSFORMS_QOS
-from quadpi_ros.node_parameters import parameter
-from quadpi_ros.processes import Child
+from quadpi_ros.live_session import Child
+from quadpi_ros.parameters import parameter
 from quadpi_ros.runtime import start
 from quadpi_ros.sensor_node import SensorNode
 from test.core.mistakes import MISTAKES
