@@ -32,13 +32,13 @@ def read_config(kind: str, name_or_path: str | Path, error: type[QuadpiError]) -
         QuadpiError: of that class, naming the file that does not exist or is not YAML.
     """
     path = array_checks.path(kind, name_or_path)
-    own = config_directory() / (kind if kind == "noise" else f"{kind}s")
+    folder = config_directory() / (kind if kind == "noise" else f"{kind}s")
     if not is_config_path(name_or_path):
-        path = own / f"{name_or_path}.yaml"
+        path = folder / f"{name_or_path}.yaml"
     try:
         return path, deepcopy(_parsed(read_bounded(path, CONFIG_BYTES_MAX).decode()))
     except FileNotFoundError:
-        known = sorted(file.stem for file in own.glob("*.yaml"))
+        known = sorted(file.stem for file in folder.glob("*.yaml"))
         raise error(
             f"{path}: no such {kind} file; known {kind}s: {', '.join(known)}, or the path of a .yaml file"
             f"{nearest(path.stem, known)}"

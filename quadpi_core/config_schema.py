@@ -400,10 +400,10 @@ class Each:
 
     def read(self, kind: Any, data: Any) -> Any:
         """The mapping."""
-        found = _read(kind, data)
-        if missing := [name for name in self.names if name not in found]:
+        mapping = _read(kind, data)
+        if missing := [name for name in self.names if name not in mapping]:
             raise RefusedError(f"missing key `{missing[0]}`")
-        return found
+        return mapping
 
 
 class NotEmpty:

@@ -91,12 +91,12 @@ class AdaptedSources:
             AdapterError: see :meth:`named`.
         """
         adapter = known_adapters()[name]
-        own = getattr(self._settings, adapter.kind)
-        if own is None:
-            own = CommandSettings() if adapter.kind == "motor_commands" else StateSettings()
-        if own.topic is None and topic:
-            own = replace(own, topic=topic)
-        return adapted_source(name, replace(self._settings, **{adapter.kind: own}), self._vehicle)
+        settings = getattr(self._settings, adapter.kind)
+        if settings is None:
+            settings = CommandSettings() if adapter.kind == "motor_commands" else StateSettings()
+        if settings.topic is None and topic:
+            settings = replace(settings, topic=topic)
+        return adapted_source(name, replace(self._settings, **{adapter.kind: settings}), self._vehicle)
 
     def instead_of(self, standard: Source, kind: str) -> Source:
         """The input of the adapter of a kind if the file has settings for it, else the standard topic.
@@ -105,17 +105,17 @@ class AdaptedSources:
             AdapterError: see :meth:`named`; if the messages of several adapters are installed, or of none and
                 the file names a topic, which may be of the standard type.
         """
-        own = getattr(self._settings, kind)
-        if own is None:
+        settings = getattr(self._settings, kind)
+        if settings is None:
             return standard
         names = adapters_of(kind)
         installed = [name for name in names if _is_installed(name)]
-        if own.topic is not None and not installed:
-            argument = f"{standard.topic.replace('/', '_')}_topic:={own.topic}"
+        if settings.topic is not None and not installed:
+            argument = f"{standard.topic.replace('/', '_')}_topic:={settings.topic}"
             raise AdapterError(
-                f"{self._file}: `{kind}`: topic {own.topic}: no package with messages for it is installed; "
-                f"if it is of {standard.message_type.__name__}, leave `{kind}` out of the file and give the "
-                f"launch argument {argument}, or remap {standard.topic}"
+                f"{self._file}: `{kind}`: topic {settings.topic}: no package with messages for it is "
+                f"installed; if it is of {standard.message_type.__name__}, leave `{kind}` "
+                f"out of the file and give the launch argument {argument}, or remap {standard.topic}"
             )
         installed = installed or list(names[:1])
         if len(installed) > 1:

@@ -175,11 +175,11 @@ class MonitorNode(SensorNode[MonitorParameters]):
     def _tachometer_status(self, rotors: CommandedRotors) -> DiagnosticStatus:
         """Where rotor speeds come from, and tachometers that do not read what the commands give."""
         source = "motor commands" if rotors.counts else "measured"
-        found = rotors.watch.found(alarm=self._results.alarm_status()[0] != diagnostics.OK)
-        for sentence in found:
+        sentences = rotors.watch.found(alarm=self._results.alarm_status()[0] != diagnostics.OK)
+        for sentence in sentences:
             self.warn(sentence, "see its wiring, or the pairs of poles of its speed controller")
-        level = diagnostics.WARN if found or (rotors.counts and rotors.fallback) else diagnostics.OK
-        return self.status("rotor speeds", level, "; ".join(found) or f"from {source}", {"from": source})
+        level = diagnostics.WARN if sentences or (rotors.counts and rotors.fallback) else diagnostics.OK
+        return self.status("rotor speeds", level, "; ".join(sentences) or f"from {source}", {"from": source})
 
     def _latencies(self) -> dict[str, float | str | None]:
         """Since the last status; results that are far from their stamps tell that the clocks differ."""
@@ -442,8 +442,8 @@ class MonitorNode(SensorNode[MonitorParameters]):
         Raises:
             ModelError: naming the model.
         """
-        own = self._commanded
-        motors = None if own is None or own.fallback is not None else own.motors
+        rotors = self._commanded
+        motors = None if rotors is None or rotors.fallback is not None else rotors.motors
         if _motors(monitor) != motors:
             raise ModelError(
                 f"{monitor.model.identity}: its rotor speeds are not those of the first model, measured or "
@@ -504,8 +504,8 @@ class MonitorNode(SensorNode[MonitorParameters]):
             monitor, error = None, f"{request.path}: cannot be loaded, see the log of the node"
 
         def swap(response: LoadModel.Response) -> None:
-            own = self._commanded
-            if monitor is not None and own is not None and own.counts and own.fallback is not None:
+            rotors = self._commanded
+            if monitor is not None and rotors is not None and rotors.counts and rotors.fallback is not None:
                 self._measuring = monitor
                 response.success, response.model = True, monitor.model.identity
                 response.message = f"{monitor.model.identity} flies once rotor speeds come again"

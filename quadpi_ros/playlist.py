@@ -70,11 +70,11 @@ class Playlist:
             PlayerError: see :func:`find_topics`; if it holds nothing to play.
         """
         with Bag(path) as bag:
-            found = find_topics(bag, names)
-            if not found:
+            topics_by_name = find_topics(bag, names)
+            if not topics_by_name:
                 raise PlayerError(f"{path}: holds none of the topics {', '.join(SENSOR_TYPES)}")
-            by_name = bag.read(list(found.values()))
-        topics = {plain(name): by_name[topic] for name, topic in found.items()}
+            by_name = bag.read(list(topics_by_name.values()))
+        topics = {plain(name): by_name[topic] for name, topic in topics_by_name.items()}
         log_time_ns = np.concatenate([topic.log_time_ns for topic in topics.values()])
         lengths = [len(topic.log_time_ns) for topic in topics.values()]
         order = np.argsort(log_time_ns, kind="stable")
@@ -100,7 +100,7 @@ def find_topics(bag: Bag, names: Sequence[str] = ()) -> dict[str, str]:
         PlayerError: for a name that is not known or not in the bag, or an adapter whose messages are on
             several topics.
     """
-    found = {}
+    topics = {}
     for name in names:
         if plain(name) not in SENSOR_TYPES and name not in known_adapters():
             known = ", ".join((*SENSOR_TYPES, *known_adapters()))
@@ -108,19 +108,19 @@ def find_topics(bag: Bag, names: Sequence[str] = ()) -> dict[str, str]:
         topic = _topic_of(bag, name)
         if topic is None:
             raise PlayerError(f"{bag.path}: topic {name}: the bag does not hold it")
-        found[name] = topic
+        topics[name] = topic
     if names:
-        return found
+        return topics
     standard = {name: topic for name in SENSOR_TYPES if (topic := _topic_of(bag, name))}
     for name, adapter in known_adapters().items():
         if set(_STANDS_IN_FOR[adapter.kind]) & set(standard) or not (topic := _topic_of(bag, name)):
             continue
         try:
             message_class(adapter.type_name)
-            found[name] = topic
+            topics[name] = topic
         except AdapterError as error:
             print(f"quadpi: {bag.path}: cannot be played: {error}", file=sys.stderr)
-    return standard | found
+    return standard | topics
 
 
 @dataclass(frozen=True)
@@ -153,13 +153,13 @@ def live_inputs(path: Path, topics: Sequence[str] = ()) -> LiveInputs:
 
     def first_of(kind: str) -> str:
         candidates = (*_STANDS_IN_FOR[kind], *adapters_of(kind))
-        found = next((name for name in candidates if name in names), None)
-        if found is None:
+        first = next((name for name in candidates if name in names), None)
+        if first is None:
             raise PlayerError(
                 f"{path}: topic {candidates[0]}: the live nodes need it or one of "
                 f"{', '.join(candidates[1:])}; the bag does not hold it"
             )
-        return found
+        return first
 
     imu, mocap = first_of("imu"), first_of("mocap")
     commands = [name for kind in ("motor_commands", "battery") for name in adapters_of(kind) if name in names]

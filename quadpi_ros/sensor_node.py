@@ -275,15 +275,15 @@ class SensorNode(ManagedNode[Parameters]):
 
     def problem(self) -> str | None:
         """Why the active node cannot work, such as a silent topic; None if it can."""
-        found = []
+        problems = []
         for why in (_SILENT, _UNREAD):
             names = sorted(
                 n for n, given in self.lacking.items() if given == why and self._inputs[n].required
             )
             reasons = [reason for name in names if (reason := self._reason(self._inputs[name]))]
             if names:
-                found.append(": ".join((f"{why} {', '.join(names)}", *reasons)))
-        return "; ".join(found) or None
+                problems.append(": ".join((f"{why} {', '.join(names)}", *reasons)))
+        return "; ".join(problems) or None
 
     def lack(self, topic: str) -> str | None:
         """Why a topic had no sample in the last diagnostics period; None if it had some."""
@@ -384,13 +384,15 @@ class SensorNode(ManagedNode[Parameters]):
         me = self.get_fully_qualified_name()
         # What a distribution before Iron sends tells no version.
         versions = {str(TypeHash()), *(str(one.topic_type_hash) for one in own if _node_of(one) == me)}
-        found = set()
+        others_found = set()
         for one in others:
             if one.topic_type != expected:
-                found.add(f"{_node_of(one)} {what} {one.topic_type}, not {expected}")
+                others_found.add(f"{_node_of(one)} {what} {one.topic_type}, not {expected}")
             elif str(one.topic_type_hash) not in versions:
-                found.add(f"{_node_of(one)} {what} {expected} of another version: build it with this quadpi")
-        return f"topic {topic}: {'; '.join(sorted(found))}" if found else None
+                others_found.add(
+                    f"{_node_of(one)} {what} {expected} of another version: build it with this quadpi"
+                )
+        return f"topic {topic}: {'; '.join(sorted(others_found))}" if others_found else None
 
     def _note_policy(self, endpoint: _Input | _Output, event: Any) -> None:
         if isinstance(endpoint, _Input):

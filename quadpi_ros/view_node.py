@@ -92,9 +92,9 @@ class LiveSource:
             self._node.destroy_node()
 
     def _discover(self) -> None:
-        found = dict(self._node.get_topic_names_and_types())
+        types_by_topic = dict(self._node.get_topic_names_and_types())
         claims = {topic: vehicle for vehicle in self._vehicles.values() for topic in vehicle.claimed}
-        for topic, types in found.items():
+        for topic, types in types_by_topic.items():
             if topic in claims:
                 continue
             if ALARM in types or (PREDICTION in types and self._owner(topic) is None):
@@ -110,7 +110,7 @@ class LiveSource:
             vehicle.listen(
                 {
                     topic: types
-                    for topic, types in found.items()
+                    for topic, types in types_by_topic.items()
                     if claims.get(topic, self._owner(topic)) is vehicle
                 }
             )
@@ -158,16 +158,16 @@ def view_live(
         QuadpiError: for a model of another vehicle, or a port in use.
     """
     known = {model.identity: (model, model.load_vehicle(vehicle)) for model in models}
-    own = context is None
+    is_new = context is None
     the_context = Context() if context is None else context
-    if own:
+    if is_new:
         the_context.init(args=[])
     try:
         warm_up()
         source = LiveSource(the_context, known)
         serve_page(source, port, address, on_start, until=lambda: source.ended)
     finally:
-        if own:
+        if is_new:
             the_context.try_shutdown()
 
 

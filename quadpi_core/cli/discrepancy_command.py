@@ -79,8 +79,8 @@ def discrepancy(
             )
         print_quality(console, ((flight.name, flight.quality) for flight in flights))
         with console.status("Searching"):
-            found = study(the_simulation, flights, names=names, seed=seed)
-        data = {**study_json(found), "left_out": list(map(asdict, left_out))}
+            result = study(the_simulation, flights, names=names, seed=seed)
+        data = {**study_json(result), "left_out": list(map(asdict, left_out))}
         for name, flight in data["flights"].items():
             if count := flight["unjudged_samples"]:
                 console.print(
@@ -91,14 +91,14 @@ def discrepancy(
         # A simulation that is no model cannot judge: who looks at a moment names a model.
         files = FlightFiles.of(bags, [model_folder(simulation) or Path("MODEL")], vehicle)
         with whole_outputs(output) as staging, console.status("Writing"):
-            addition = write_addition(found.discovery, staging)
-            written = [addition, *write_formulas(found.discovery.effects, staging)] if addition else []
+            addition = write_addition(result.discovery, staging)
+            written = [addition, *write_formulas(result.discovery.effects, staging)] if addition else []
             data["files"] = added = [file.name for file in written]
             write_json(staging / DATA, data)
-            write_discrepancy_page(staging / PAGE, found, files, left_out)
+            write_discrepancy_page(staging / PAGE, result, files, left_out)
             if json_file is not None:
                 write_json(json_file, data)
             if html_file is not None:
-                write_discrepancy_page(html_file, found, files, left_out)
-        console.print(discrepancy_summary(found))
+                write_discrepancy_page(html_file, result, files, left_out)
+        console.print(discrepancy_summary(result))
         console.print(f"{output}: {', '.join([PAGE, DATA, *added])}", soft_wrap=True)

@@ -269,8 +269,8 @@ class KindCommand(TyperCommand):
             return super().parse_args(ctx, args)
         from quadpi_core.models.kind_registry import KINDS, default_kind
 
-        own = {name for param in self.get_params(ctx) for name in param.opts}
-        asked = {word.partition("=")[0] for word in args if word.startswith("--")} - own
+        common = {name for param in self.get_params(ctx) for name in param.opts}
+        asked = {word.partition("=")[0] for word in args if word.startswith("--")} - common
         asked |= {_CANDIDATES} if "candidates" in given else set()
         asked |= {_PAPER} if given.get("settings") == "paper" else set()
         known = {kind.name: _takes(kind) for kind in KINDS.all()} if asked else {}
@@ -287,9 +287,9 @@ class KindCommand(TyperCommand):
             others = ", ".join(sorted(asked - _takes(first)))
             ctx.meta[_CHOICE] = f"--method {kind.name}: {first.name}, the default, takes no {others}"
         ctx.meta[_OPTIONS] = _options(kind)
-        left = super().parse_args(ctx, args)
-        ctx.obj = replace(kind, **{own.name: ctx.params.pop(own.name) for own in ctx.meta[_OPTIONS]})
-        return left
+        unparsed = super().parse_args(ctx, args)
+        ctx.obj = replace(kind, **{common.name: ctx.params.pop(common.name) for common in ctx.meta[_OPTIONS]})
+        return unparsed
 
 
 def choice_of_kind(context: typer.Context) -> str | None:

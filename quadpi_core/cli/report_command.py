@@ -66,7 +66,7 @@ def report(
         raise QuadpiError(f"--mass {mass:g}: expected kilograms above 0")
     check_outputs([*logs, *(against or ())], folders=[folder])
     known, its_mass = report_vehicle(vehicle) if vehicle else (None, None)
-    found = report_on(
+    report = report_on(
         logs,
         options.reading_options(topics, namespace, mapping),
         known,
@@ -74,17 +74,17 @@ def report(
         against or (),
     )
     with whole_outputs(folder) as staging:
-        write_field_page(staging / "report.html", found)
-        write_json(staging / "report.json", found.to_json())
+        write_field_page(staging / "report.html", report)
+        write_json(staging / "report.json", report.to_json())
     console = open_console()
-    for table in report_summary(found):
+    for table in report_summary(report):
         console.print(terminal_table(table))
-    console.print(found.verdict(), soft_wrap=True)
+    console.print(report.verdict(), soft_wrap=True)
     console.print(f"{folder / 'report.html'}", soft_wrap=True)
-    print_left_out(found.left_out)
-    if fail_on and found.alarmed:
+    print_left_out(report.left_out)
+    if fail_on and report.alarmed:
         raise typer.Exit(FAILED)
-    if found.left_out:
+    if report.left_out:
         raise typer.Exit(SOME_LEFT_OUT)
 
 

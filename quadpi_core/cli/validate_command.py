@@ -40,8 +40,8 @@ def validate(
     from quadpi_core.validation.validation_case import given_case
     from quadpi_core.validation.validation_result import summarise
 
-    kept = None if output is None else output / "realisations"
-    check_outputs(paths, json_file, html_file, folders=[kept])
+    cache_folder = None if output is None else output / "realisations"
+    check_outputs(paths, json_file, html_file, folders=[cache_folder])
     console = open_console()
     folders = [path for path in paths if is_model_folder(path)]
     bags = [path for path in paths if path not in folders]
@@ -52,7 +52,7 @@ def validate(
     case.check()
     try:
         with shown_work(console, workers, scheduler) as counting:
-            tally = run_realisations(case, realisations, folder=kept, workers=counting)
+            tally = run_realisations(case, realisations, folder=cache_folder, workers=counting)
     except KeyboardInterrupt as interruption:
         if output is not None:
             interruption.args = ("finished realisations are kept, and the next run resumes from them",)

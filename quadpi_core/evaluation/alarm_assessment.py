@@ -96,11 +96,11 @@ def flight_constants(limits: ChangeLimits, time: Array, errors: Array) -> dict[s
 def differences(flights: Mapping[str, Mapping[str, Constant]]) -> Iterator[str]:
     """Sentences on the flights that differ most from the others, one an axis, if by more than noise."""
     for axis, (positive, negative, unit) in _SIDES.items():
-        own = {name: constants[axis] for name, constants in flights.items() if axis in constants}
-        if len(own) < _FEWEST_FLIGHTS:
+        of_axis = {name: constants[axis] for name, constants in flights.items() if axis in constants}
+        if len(of_axis) < _FEWEST_FLIGHTS:
             continue
-        names = sorted(own, key=lambda name: own[name].value)
-        values, squares = np.array([(own[name].value, own[name].deviation ** 2) for name in names]).T
+        names = sorted(of_axis, key=lambda name: of_axis[name].value)
+        values, squares = np.array([(of_axis[name].value, of_axis[name].deviation ** 2) for name in names]).T
         split = int(np.argmax(np.diff(values))) + 1
         parts = (slice(0, split), slice(split, None))
         fewer, others = sorted(parts, key=lambda part: len(names[part]))
@@ -207,8 +207,8 @@ def _of_change(
     if model.change_limits is None or model.flown is None:
         return None, {}
     raised = np.flatnonzero(rows.cause_level[:, CAUSES.index(CHANGE)] == LEVEL_ALARM)
-    said = reasons(rows, int(raised[-1]), CHANGE) if len(raised) else ()
-    return said, flight_constants(model.change_limits, time, errors)
+    sentences = reasons(rows, int(raised[-1]), CHANGE) if len(raised) else ()
+    return sentences, flight_constants(model.change_limits, time, errors)
 
 
 @dataclass(frozen=True)

@@ -109,8 +109,8 @@ def calibrate_change(
     hours = BLOCK_S * sum(map(len, usual)) / 3600.0
 
     def limits(of: Sequence[Records], largest: float) -> ChangeLimits:
-        left = {axis: _left_on_axis(of, AXES.index(axis)) for axis in axes}
-        return ChangeLimits(left, levers, len(usual), hours, largest)
+        residuals = {axis: _left_on_axis(of, AXES.index(axis)) for axis in axes}
+        return ChangeLimits(residuals, levers, len(usual), hours, largest)
 
     largest = 0.0
     groups = min(_GROUPS, len(usual))
@@ -214,45 +214,50 @@ class _Axis:
 
 
 def _left_on_axis(flights: Sequence[Records], axis: int) -> LeftOnAxis:
-    own = _Axis(flights, axis)
-    least = np.finfo(float).tiny + 1e-12 * own.variance
+    statistics = _Axis(flights, axis)
+    least = np.finfo(float).tiny + 1e-12 * statistics.variance
     start = np.log(
         [
-            own.of_means + _START["between"] * own.variance + least,
-            _START["walk"] * own.variance + least,
+            statistics.of_means + _START["between"] * statistics.variance + least,
+            _START["walk"] * statistics.variance + least,
             _START_S,
-            _START["process"] * own.variance + least,
-            _START["white"] * own.variance + least,
+            _START["process"] * statistics.variance + least,
+            _START["white"] * statistics.variance + least,
         ]
     )
 
     def cost(logarithms: Array) -> float:
         far = float(np.max(np.abs(logarithms - start)))
-        return own.minus_log_likelihood(logarithms) if far <= 2.0 * _WIDE else np.inf
+        return statistics.minus_log_likelihood(logarithms) if far <= 2.0 * _WIDE else np.inf
 
-    found = minimize(
+    optimum = minimize(
         cost,
         start,
         method="Nelder-Mead",
         options={"maxfev": _EVALUATIONS, "xatol": _CLOSE, "fatol": _CLOSE},
     )
-    own_between = float(np.exp(found.x[0]))
+    own_between = float(np.exp(optimum.x[0]))
     sure = BOUND_CONFIDENCE.value
     # Both ends at once: the second may fall by as much again.
-    drop, upper = 0.5 * float(chi2.ppf(_SURE, 1)), found.x.copy()
+    drop, upper = 0.5 * float(chi2.ppf(_SURE, 1)), optimum.x.copy()
     for place, falls in ((1, drop), (0, 2.0 * drop)):
-        upper[place] = _upper_end(cost, upper, place, start[place], found.fun + falls)
+        upper[place] = _upper_end(cost, upper, place, start[place], optimum.fun + falls)
     count = len(flights)
     # As far as one more flight may lie from the mean of them.
     wider = (1.0 + 1.0 / count) * (t.ppf(0.5 + 0.5 * sure, count - 1) / norm.ppf(0.5 + 0.5 * sure)) ** 2
-    own.set_logarithms(upper)
-    mean = own.whitened().mean
-    own.noise["mean"], own.noise["between"] = mean, max(own.noise["between"][0], wider * own_between)
-    whitened = own.whitened()
+    statistics.set_logarithms(upper)
+    mean = statistics.whitened().mean
+    statistics.noise["mean"], statistics.noise["between"] = (
+        mean,
+        max(statistics.noise["between"][0], wider * own_between),
+    )
+    whitened = statistics.whitened()
     # As the evidence scales them.
     errors = whitened.errors / np.sqrt(np.maximum(whitened.loudness, compiled.LOUDNESS_LEAST))
     loudest = max(1.0, float(whitened.loudness.max()))
-    left = {name: float(own.noise[name][0]) for name in ("between", "walk", "keep", "process", "white")}
+    left = {
+        name: float(statistics.noise[name][0]) for name in ("between", "walk", "keep", "process", "white")
+    }
     return LeftOnAxis(mean=mean, **left, scale=_student_scale(errors), loudest=loudest)
 
 
@@ -292,8 +297,8 @@ def _levers(
 
     def centre(speeds: Array) -> Array:
         moving["rotor_speeds"] = speeds
-        said = evaluate(aerodynamic_inputs(velocity, attitude, rates, speeds, vehicle), moving)
-        return 0.5 * (said.lower + said.upper)
+        evaluation = evaluate(aerodynamic_inputs(velocity, attitude, rates, speeds, vehicle), moving)
+        return 0.5 * (evaluation.lower + evaluation.upper)
 
     speeds = moving["rotor_speeds"].copy()
     squares = np.square(speeds)

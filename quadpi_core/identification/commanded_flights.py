@@ -129,9 +129,9 @@ def read_with_motors(
             if left_out is not None:
                 left_out[:] = tried or ()
             return flights, vehicle, ""
-    motors, each, said = motors_of(paths, vehicle, mapping=mapping, workers=workers)
+    motors, each, sentence = motors_of(paths, vehicle, mapping=mapping, workers=workers)
     flown_by = replace(vehicle, motors=motors)
-    return read(flown_by, left_out, each), flown_by, said
+    return read(flown_by, left_out, each), flown_by, sentence
 
 
 def motors_of(
@@ -202,7 +202,7 @@ def _commanded(shared: tuple[Vehicle, Any], file: FlightFile) -> _Commanded | No
 def _is_sound(log: FieldLog, flight: Flown) -> bool:
     """Whether all tachometers read the same multiple of their commands."""
     try:
-        found = tachometers(log, flight)
+        readings = tachometers(log, flight)
     except QuadpiError:
         return False
-    return not isinstance(found, Tachometers) or not found.odd
+    return not isinstance(readings, Tachometers) or not readings.odd

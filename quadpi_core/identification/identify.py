@@ -76,18 +76,18 @@ def calibrate_centre(flights: Sequence[LeftErrors], confidence: float) -> Moving
     """
     axes = {}
     for axis in flights[0].errors if flights else ():
-        own = [(rate_hz, errors[axis]) for rate_hz, errors in flights if errors[axis].usual]
-        if not own:
+        of_axis = [(rate_hz, errors[axis]) for rate_hz, errors in flights if errors[axis].usual]
+        if not of_axis:
             return None
-        known = usable(min(rate for rate, _ in own))
-        means = [means_of(delayed(one.error, delay(rate)), rate)[:, known] for rate, one in own]
+        known = usable(min(rate for rate, _ in of_axis))
+        means = [means_of(delayed(one.error, delay(rate)), rate)[:, known] for rate, one in of_axis]
         coefficients = np.zeros(len(MEMORIES_S))
         coefficients[known], moves = regressed(
-            [(one.error, m) for (_, one), m in zip(own, means, strict=True)]
+            [(one.error, m) for (_, one), m in zip(of_axis, means, strict=True)]
         )
         moved = [
             FlightErrors(one.error - by, one.spread, one.inside).factors()
-            for (_, one), by in zip(own, moves, strict=True)
+            for (_, one), by in zip(of_axis, moves, strict=True)
         ]
         narrower = HeldOutRule(np.stack(moved), len(moved)).factor(confidence)
         axes[axis] = MovedAxis(coefficients, min(narrower, 1.0))
@@ -105,7 +105,7 @@ def errors_left(
         left_out: the model without each flight in turn, or none.
         factors: (6,) half width of an interval per unit of spread.
     """
-    found = []
+    errors_by_flight = []
     extremes = [np.stack((flight.inputs.min(axis=0), flight.inputs.max(axis=0))) for flight in flights]
     for k, (flight, (every, errors)) in enumerate(zip(flights, live, strict=True)):
         rows = np.flatnonzero(flight.judged.known) if left_out else every
@@ -118,8 +118,8 @@ def errors_left(
         if left_out:
             others = np.concatenate([own for place, own in enumerate(extremes) if place != k])
             halves = _all_samples(flight, rows, left_out[k], factors, others, list(errors))
-        found.append(LeftErrors(1.0 / float(np.median(np.diff(flight.time[rows]))), halves))
-    return found
+        errors_by_flight.append(LeftErrors(1.0 / float(np.median(np.diff(flight.time[rows]))), halves))
+    return errors_by_flight
 
 
 def _all_samples(
@@ -131,9 +131,9 @@ def _all_samples(
     axes: Sequence[str],
 ) -> dict[str, FlightErrors]:
     inputs = flight.judged.inputs[rows]
-    said = fitted.evaluate(inputs, factors, flight.judged.derivatives[rows])
-    error = flight.judged.wrench[rows] - 0.5 * (said.lower + said.upper)
-    half, inside = 0.5 * (said.upper - said.lower), inside_range(inputs, others)
+    evaluation = fitted.evaluate(inputs, factors, flight.judged.derivatives[rows])
+    error = flight.judged.wrench[rows] - 0.5 * (evaluation.lower + evaluation.upper)
+    half, inside = 0.5 * (evaluation.upper - evaluation.lower), inside_range(inputs, others)
     columns = {axis: AXES.index(axis) for axis in axes}
     return {axis: FlightErrors(error[:, k], half[:, k], inside) for axis, k in columns.items()}
 

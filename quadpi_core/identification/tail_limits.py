@@ -76,8 +76,8 @@ def _spread_between(largest: Array, usual_spread: float) -> tuple[float, float, 
     logarithms = np.log(np.maximum(largest, _LEAST))
     n = len(logarithms)
     freedom = USUAL_FLIGHTS + n - 1
-    own = float(np.square(logarithms - logarithms.mean()).sum())
-    spread = float(np.sqrt((USUAL_FLIGHTS * usual_spread**2 + own) / freedom))
+    squares = float(np.square(logarithms - logarithms.mean()).sum())
+    spread = float(np.sqrt((USUAL_FLIGHTS * usual_spread**2 + squares) / freedom))
     return float(logarithms.mean()), spread, freedom, n
 
 

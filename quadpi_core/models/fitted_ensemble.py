@@ -120,8 +120,8 @@ class EnsembleAxis(FittedAxis):
     @cached_property
     def banks(self) -> tuple[Networks, ...]:
         """Members, and noise network if there is one, as the kernel takes them."""
-        scaling, own = self.scaling, (getattr(self, column.name) for column in fields(self))
-        members, *noise = (part for part in own if isinstance(part, Networks))
+        scaling, parts = self.scaling, (getattr(self, column.name) for column in fields(self))
+        members, *noise = (part for part in parts if isinstance(part, Networks))
         prepared = _prepared(members, scaling, scaling.target_mean, scaling.target_scale)
         return prepared, *(_prepared(part, scaling, 0.0, 1.0) for part in noise)
 

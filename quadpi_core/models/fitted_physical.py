@@ -203,9 +203,9 @@ class FittedPhysical(CompiledFitted):
             acting[k, :size], whitening[k, :size, :size] = own.numbers, own.whitening
         common["vehicle"], common["controls"][..., :rotors] = fit.vehicle, control_signs(fit.vehicle)
         common["delay_s"] = fit.sensing.rotor_delay_s
-        kept = np.zeros(len(fit.kept), KEPT)
-        kept["number"], kept["value"] = fit.kept, fit.values[fit.kept]
-        return compiled.Physical(PackedPhysical(common, kept, acting, whitening))
+        terms = np.zeros(len(fit.kept), KEPT)
+        terms["number"], terms["value"] = fit.kept, fit.values[fit.kept]
+        return compiled.Physical(PackedPhysical(common, terms, acting, whitening))
 
     def store(self) -> StoredAxes:
         """Parameters once, what belongs to an axis by axis, and a table of parameters for people."""

@@ -374,5 +374,5 @@ def _first_step(
     first: RolloutModel, left_out: Sequence[RolloutModel], log: Sequence[FitStep], why: str
 ) -> MultiStepFit:
     remark = f"parameters of the wrench; fitting them to errors ahead was not used: {why}"
-    model, *kept = (replace(own, remark=remark) for own in (first, *left_out))
-    return MultiStepFit(model, tuple(kept), 0.0, (*log, FitStep("multi-step fit", f"not used: {why}", 1.0)))
+    model, *others = (replace(own, remark=remark) for own in (first, *left_out))
+    return MultiStepFit(model, tuple(others), 0.0, (*log, FitStep("multi-step fit", f"not used: {why}", 1.0)))

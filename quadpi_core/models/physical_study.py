@@ -128,12 +128,12 @@ class PhysicalStudy:
         """
         information = [own for k, own in enumerate(self.information) if k != left_out]
         problem, log = Problem.of(self.vehicle, self.reference), list(self.log)
-        kept = _EVERYTHING
+        terms = _EVERYTHING
         if choose and len(information) > 1:
-            kept = _chosen_terms(information, problem, self.weighing, log)
-        values = problem.solve(information, self.weighing, kept)
-        covariance = problem.covariance(information, self.weighing, kept)
-        bounded = [name for name in bounded_terms(values, problem.spread) if kept[TERM_INDEX[name]]]
+            terms = _chosen_terms(information, problem, self.weighing, log)
+        values = problem.solve(information, self.weighing, terms)
+        covariance = problem.covariance(information, self.weighing, terms)
+        bounded = [name for name in bounded_terms(values, problem.spread) if terms[TERM_INDEX[name]]]
         return PhysicalFit(
             values,
             covariance,
@@ -208,9 +208,9 @@ def _force_bandwidth(
     """The bandwidth of the measured force by how well predictions smoothed alike agree."""
     forces = np.concatenate([flight.wrench[:, FORCE] for flight in flights])
     deviation = np.maximum(np.sqrt(np.mean(np.square(forces), axis=0)), LEAST)
-    found = Sensing(delay_s)
+    best = Sensing(delay_s)
     for _ in range(_ROUNDS):
-        information = [_summed(flight, record, found) for flight in flights]
+        information = [_summed(flight, record, best) for flight in flights]
         values = problem.solve(information, Weighing.start(information), _EVERYTHING)
         costs = {}
         for bandwidth in (None, *BANDWIDTHS_HZ):
@@ -219,12 +219,12 @@ def _force_bandwidth(
             costs[sensing] = float(np.mean(np.square(errors[:, FORCE] / deviation)))
             of = "none" if bandwidth is None else f"{bandwidth:g} Hz"
             log.append(FitStep("force bandwidth", of, costs[sensing]))
-        before, found = found, min(costs, key=lambda tried: costs[tried])
-        if costs[found] > _WORTH_A_BANDWIDTH * costs[Sensing(delay_s)]:
+        before, best = best, min(costs, key=lambda tried: costs[tried])
+        if costs[best] > _WORTH_A_BANDWIDTH * costs[Sensing(delay_s)]:
             return Sensing(delay_s)
-        if found == before:
+        if best == before:
             break
-    return found
+    return best
 
 
 def _chosen_terms(

@@ -383,8 +383,8 @@ class RolloutModel:
             if not np.all(arrays["measured_variance"] > 0.0):
                 raise ModelError("measured_variance is not positive")
             calibration = TubeCalibration.stored(arrays)
-        kept = entry.gravity, entry.rotor_delay_s, entry.disturbance, arrays["measured_variance"]
-        return cls(*body, *kept, calibration, remark=entry.remark)
+        settings = entry.gravity, entry.rotor_delay_s, entry.disturbance, arrays["measured_variance"]
+        return cls(*body, *settings, calibration, remark=entry.remark)
 
 
 def disturbance_left(models: Sequence[RolloutModel], flights: Sequence[RolloutFlight]) -> Disturbance:

@@ -286,8 +286,8 @@ def _drag(model: AerodynamicModel, vehicle: Vehicle) -> tuple[Estimate, tuple[Es
 def _inverse(square: Estimate, condition: str) -> Estimate:
     """BCOEF of drag with the square of speed."""
     if not square.value or square.low is None or square.high is None:
-        said = "drag that grows with the square of speed is within its error; MCOEF is without it"
-        return not_identified("kg/m²", said)
+        reason = "drag that grows with the square of speed is within its error; MCOEF is without it"
+        return not_identified("kg/m²", reason)
     if square.high > WIDEST_RATIO.value * square.low:
         return not_identified("kg/m²", "its interval is too wide: fly faster")
     return Estimate(1.0 / square.value, 1.0 / square.high, 1.0 / square.low, "kg/m²", condition)
@@ -326,12 +326,12 @@ def _flown_to_and_fro(model: AerodynamicModel, vehicle: Vehicle, axis: int, most
         inputs = aerodynamic_inputs(
             velocity, from_rotation_vector(turn), np.zeros_like(velocity), rotors, vehicle
         )
-        found = model.evaluate(inputs, derivatives=steady)
-        tilt = np.arcsin(np.clip(np.abs(found.predicted[:, axis]) / weight, 0.0, 0.9))
-        lift = np.maximum(-found.predicted[:, 2], 0.1 * weight)
+        evaluation = model.evaluate(inputs, derivatives=steady)
+        tilt = np.arcsin(np.clip(np.abs(evaluation.predicted[:, axis]) / weight, 0.0, 0.9))
+        lift = np.maximum(-evaluation.predicted[:, 2], 0.1 * weight)
         rotors = rotors * np.sqrt(weight * np.cos(tilt) / lift)[:, np.newaxis]
     count = len(_SPEEDS)
-    deviation = 0.5 * (found.upper - found.lower)[:, axis] / norm.ppf(0.5 + 0.5 * model.confidence)
+    deviation = 0.5 * (evaluation.upper - evaluation.lower)[:, axis] / norm.ppf(0.5 + 0.5 * model.confidence)
 
     def error_of(weights: Array) -> float | None:
         both = 0.5 * np.concatenate([-weights, weights])
@@ -339,7 +339,7 @@ def _flown_to_and_fro(model: AerodynamicModel, vehicle: Vehicle, axis: int, most
 
     if error_of(np.ones(count)) is None:
         return None
-    drag = 0.5 * (found.predicted[count:, axis] - found.predicted[:count, axis])
+    drag = 0.5 * (evaluation.predicted[count:, axis] - evaluation.predicted[:count, axis])
     spread = 0.5 * np.hypot(deviation[:count], deviation[count:])
     return _ToAndFro(velocity[:count, axis], drag, spread, error_of)
 

@@ -67,8 +67,8 @@ def comparison_rows(comparison: Comparison) -> Iterator[ComparisonRow]:
 
 def modelled_axes(comparison: Comparison) -> list[str]:
     """Axes that some model holds."""
-    held = {axis for model in comparison.models.values() for axis in _axes_of(model)}
-    return [axis for axis in AXES if axis in held]
+    modelled = {axis for model in comparison.models.values() for axis in _axes_of(model)}
+    return [axis for axis in AXES if axis in modelled]
 
 
 def _axes_of(model: Evaluation) -> Collection[str]:
@@ -100,8 +100,8 @@ def comparison_table(comparison: Comparison, by: Literal["metric", "group"] = "m
 
 
 def _metric_cell(row: ComparisonRow, metric: str, group: str, confidence: float) -> Cell:
-    found = row.groups[group]
-    return coverage_cell(found, confidence) if metric == "PICP %" else Cell(found.mpiw)
+    metrics = row.groups[group]
+    return coverage_cell(metrics, confidence) if metric == "PICP %" else Cell(metrics.mpiw)
 
 
 def comparison_summary(comparison: Comparison) -> Group:
@@ -150,8 +150,8 @@ def comparison_verdict(comparison: Comparison) -> str:
         ]
         for group in comparison.groups
     }
-    found = count_verdicts(coverages, comparison.confidence)
-    return f"Over the axes of all models, {nominal(comparison.confidence)} prediction intervals {found}."
+    verdicts = count_verdicts(coverages, comparison.confidence)
+    return f"Over the axes of all models, {nominal(comparison.confidence)} prediction intervals {verdicts}."
 
 
 def write_comparison_page(
@@ -251,16 +251,16 @@ def _group_figure(comparison: Comparison) -> Figure:
         for place, (name, model) in enumerate(models.items()):
             if axis not in _axes_of(model):
                 continue
-            found = [model.groups[group].axes[axis] for group in groups]
+            cells = [model.groups[group].axes[axis] for group in groups]
             x = np.arange(float(len(groups))) + 0.5 * ((place + 0.5) / len(models) - 0.5)
-            width = np.array([metrics.mpiw for metrics in found])
+            width = np.array([metrics.mpiw for metrics in cells])
             coverage = Points(
                 name,
                 colours[name],
                 x,
-                100.0 * np.array([metrics.picp for metrics in found]),
-                100.0 * np.array([metrics.picp_ci for metrics in found]),
-                texts=[f"{name}: {percent(m.picp)} ({percent_range(m.picp_ci)})" for m in found],
+                100.0 * np.array([metrics.picp for metrics in cells]),
+                100.0 * np.array([metrics.picp_ci for metrics in cells]),
+                texts=[f"{name}: {percent(m.picp)} ({percent_range(m.picp_ci)})" for m in cells],
                 symbol=place % 4,
                 hollow=model.settings == "paper",
                 joined=True,

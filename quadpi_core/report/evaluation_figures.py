@@ -239,7 +239,7 @@ class LiveReplay:
     @property
     def tiles(self) -> dict[str, str]:
         """The statistics as text, by name."""
-        found = self.statistics
+        statistics = self.statistics
         formats: dict[str, tuple[str, Callable[[float], str]]] = {
             "first warning": ("warning_first_s", "{:.2f} s".format),
             "first alarm": ("alarm_first_s", "{:.2f} s".format),
@@ -252,7 +252,7 @@ class LiveReplay:
         }
         tiles = {}
         for name, (key, text) in formats.items():
-            value = found[key]
+            value = statistics[key]
             undefined = "none" if name.startswith("first") else "–"
             tiles[name] = undefined if value is None else text(value)
         return tiles

@@ -145,8 +145,8 @@ def model_summary(model: AerodynamicModel) -> list[RenderableType]:
         f"settings · {percent(model.confidence)} intervals · low-pass {model.cutoff_hz:g} Hz",
         style="bold",
     )
-    said = (model.calibration(), model.alarm_limits.sentence(), change_sentence(model.change_limits))
-    calibration = Text("; ".join(said), style="dim")
+    sentences = (model.calibration(), model.alarm_limits.sentence(), change_sentence(model.change_limits))
+    calibration = Text("; ".join(sentences), style="dim")
     flights = Table(
         [Column("flight", is_text=True), Column("samples"), Column("sha256", is_text=True)],
         [[flight.name, flight.samples, flight.sha256[:12]] for flight in model.flights],

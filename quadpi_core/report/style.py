@@ -54,10 +54,10 @@ def group_colours(groups: Iterable[str]) -> dict[str, str]:
 def method_colours(names: Iterable[str]) -> dict[str, str]:
     """A colour per model, that of its kind where it is named after one; the others share what is left."""
     distinct = dict.fromkeys(names)
-    own = {name: _NAMES.get(kind.colour, kind.colour) for name in distinct if (kind := KINDS.named(name))}
-    taken = {*own.values(), GROUPS[3]}
-    left = cycle(colour for colour in GROUPS if colour not in taken)
-    return {name: own.get(name) or next(left) for name in distinct}
+    colours = {name: _NAMES.get(kind.colour, kind.colour) for name in distinct if (kind := KINDS.named(name))}
+    taken = {*colours.values(), GROUPS[3]}
+    spare = cycle(colour for colour in GROUPS if colour not in taken)
+    return {name: colours.get(name) or next(spare) for name in distinct}
 
 
 def css_colour(colour: str) -> str:

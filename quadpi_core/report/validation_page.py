@@ -111,15 +111,15 @@ def validation_verdict(result: Validation) -> str:
     """The page's headline: in how many axes of all models the intervals hold under each variation."""
     coverages: dict[str, list[Coverage]] = {}
     for key in _JUDGED:
-        coverages[f"the {key.replace('_', ' ')}"] = own = []
+        coverages[f"the {key.replace('_', ' ')}"] = of_key = []
         for axis in AXES:
             for name, model in result.models.items():
                 if axis in model.axes:
                     variation = getattr(model.axes[axis], key)
                     interval = _over_realisations(variation, result.realisations)
-                    own.append(Coverage(f"{name} {axis}", variation.picp, interval))
-    found = count_verdicts(coverages, result.confidence)
-    return f"On these flights {nominal(result.confidence)} intervals {found}."
+                    of_key.append(Coverage(f"{name} {axis}", variation.picp, interval))
+    verdicts = count_verdicts(coverages, result.confidence)
+    return f"On these flights {nominal(result.confidence)} intervals {verdicts}."
 
 
 def _over_realisations(found: Variation, realisations: int) -> tuple[float, float] | None:
@@ -216,8 +216,8 @@ def band_figure(case: ValidationCase, place: int, spread: Spread, result: Valida
     """
     flight = case.flights[place]
     time, known = flight.time, case.samples(flight).wrench
-    held = {axis for model in case.models.values() for axis in model.axes}
-    axes = [axis for axis in BAND_AXES if axis in held] or [axis for axis in AXES if axis in held][:1]
+    modelled = {axis for model in case.models.values() for axis in model.axes}
+    axes = [axis for axis in BAND_AXES if axis in modelled] or [axis for axis in AXES if axis in modelled][:1]
     panels = []
     for axis in axes:
         k, y = AXES.index(axis), Scale(f"{axis} [{unit(axis)}]")

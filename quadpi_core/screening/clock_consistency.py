@@ -137,7 +137,7 @@ def aligned(recording: Recording, vehicle: Vehicle) -> tuple[Recording, dict[str
         SignalError: naming file and topic, if there is neither pose nor odometry, and for an offset that is
             not found or ambiguous; one below NEAR_S is taken for the right one.
     """
-    imu, moved, found = recording.imu, recording, {}
+    imu, moved, delays = recording.imu, recording, {}
     if recording.pose is None and recording.odometry is None:
         raise SignalError(f"{recording.source}: topic mocap/pose is missing: nothing to align")
     for name in ("pose", "odometry", "rotor_speeds"):
@@ -158,7 +158,7 @@ def aligned(recording: Recording, vehicle: Vehicle) -> tuple[Recording, dict[str
                 f"{what}: offsets of {alignment.offset_s:+.3f} s and {alignment.rival_s:+.3f} s fit nearly "
                 "alike, as the motion repeats: align the clocks otherwise"
             )
-        found[stream.topic] = alignment
+        delays[stream.topic] = alignment
         moving = {name: stream, "twist": recording.twist if name == "pose" else None}
         shifted: dict[str, Any] = {
             field: replace(one, time_ns=one.time_ns + alignment.offset_ns)
@@ -166,7 +166,7 @@ def aligned(recording: Recording, vehicle: Vehicle) -> tuple[Recording, dict[str
             if one is not None
         }
         moved = replace(moved, **shifted)
-    return moved, found
+    return moved, delays
 
 
 def shared_s(imu: ImuStream, other: Pose | RotorSpeedStream) -> float:

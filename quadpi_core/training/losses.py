@@ -184,9 +184,9 @@ class QualityDriven(Loss):
         """
         a, b = self._inside(outputs, targets)
         # h + 2 · crossing · w min(0, a + b)
-        held = torch.minimum(a, b).ge_(0.0).mul_(weights)
-        held.div_(held.sum(-1, keepdim=True).clamp_(min=_LEAST_HELD))
-        narrower = held.addcmul_((a + b).clamp_(max=0.0), weights, value=2.0 * self.crossing)
+        inside = torch.minimum(a, b).ge_(0.0).mul_(weights)
+        inside.div_(inside.sum(-1, keepdim=True).clamp_(min=_LEAST_HELD))
+        narrower = inside.addcmul_((a + b).clamp_(max=0.0), weights, value=2.0 * self.crossing)
         # g
         soft_a, soft_b = a.mul_(self.softening).sigmoid_(), b.mul_(self.softening).sigmoid_()
         g = (soft_a * soft_b).mul_(weights)
@@ -202,8 +202,8 @@ class QualityDriven(Loss):
         """Loss of each network, see :meth:`gradient`."""
         a, b = self._inside(outputs, targets)
         width = a + b
-        held = torch.minimum(a, b).ge_(0.0).mul_(weights)
-        mean_width = (width * held).sum(-1) / held.sum(-1).clamp(min=_LEAST_HELD)
+        inside = torch.minimum(a, b).ge_(0.0).mul_(weights)
+        mean_width = (width * inside).sum(-1) / inside.sum(-1).clamp(min=_LEAST_HELD)
         soft = torch.sigmoid(a * self.softening) * torch.sigmoid(b * self.softening)
         missing = (self.confidence - (soft * weights).sum(-1)).clamp(min=0.0)
         crossed = (width.clamp(max=0.0).square() * weights).sum(-1)

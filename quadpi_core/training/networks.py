@@ -33,9 +33,9 @@ class Networks:
         members, hidden, _ = self.hidden_weights.shape
         outputs = self.output_biases.shape[-1]
         expected = ((members, hidden), (members, outputs, hidden), (members, outputs))
-        found = (self.hidden_biases.shape, self.output_weights.shape, self.output_biases.shape)
-        if found != expected:
-            raise ModelError(f"networks of shapes {found}, expected {expected}")
+        shapes = (self.hidden_biases.shape, self.output_weights.shape, self.output_biases.shape)
+        if shapes != expected:
+            raise ModelError(f"networks of shapes {shapes}, expected {expected}")
 
     def __len__(self) -> int:
         return len(self.hidden_weights)

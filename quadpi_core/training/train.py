@@ -276,13 +276,13 @@ class Training:
         blocks = table_blocks(self.weights, n)
         largest = max(tables.stop - tables.start for tables in blocks)
         memory = self.parameters.new_empty((1 if Q == 1 else 2, largest * M, H, n))
-        found = []
+        passes = []
         for tables in blocks:
             weights = self.weights.of(tables)
             forward = Forward(weights, n, memory)
             backward = Backward(weights, gradient.of(tables), forward, memory)
-            found.append(_Block(tables, self.loss.of(tables), forward, backward))
-        return found
+            passes.append(_Block(tables, self.loss.of(tables), forward, backward))
+        return passes
 
     def parts(self, vector: Tensor) -> Parts:
         """Views of a vector of all parameters."""

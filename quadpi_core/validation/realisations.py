@@ -115,8 +115,8 @@ def spread(case: ValidationCase, flight: str, realisations: range) -> Spread:
         noisy = case.samples(noisy_flight(case, clean, realisation))
         measured = _widened(measured, noisy.wrench)
         for name, model in case.models.items():
-            said = model.evaluate(noisy.inputs, case.confidence, noisy.derivatives).predicted
-            predicted[name] = _widened(predicted.get(name), said)
+            prediction = model.evaluate(noisy.inputs, case.confidence, noisy.derivatives).predicted
+            predicted[name] = _widened(predicted.get(name), prediction)
     if measured is None:
         raise ValueError("no realisations given")
     return Spread(measured, predicted)
@@ -138,15 +138,15 @@ def _count(
 ) -> None:
     """Fill in one realisation, model and flight."""
     reference = case.references[name][where[-1]]
-    said = case.models[name].evaluate(noisy.inputs, case.confidence, noisy.derivatives)
+    evaluation = case.models[name].evaluate(noisy.inputs, case.confidence, noisy.derivatives)
     for counts, values, interval in (
-        (tally.model, said.predicted, reference),
+        (tally.model, evaluation.predicted, reference),
         (tally.measurement, noisy.wrench, reference),
-        (tally.combined, noisy.wrench, said),
+        (tally.combined, noisy.wrench, evaluation),
     ):
         counts[where] = inside_interval(values, interval.lower, interval.upper).sum(axis=0)
-    tally.width[where] = (said.upper - said.lower).sum(axis=0)
-    tally.predicted[where] = _extremes(said.predicted)
+    tally.width[where] = (evaluation.upper - evaluation.lower).sum(axis=0)
+    tally.predicted[where] = _extremes(evaluation.predicted)
 
 
 # Realisations of one task: some seconds of work, so that an interruption loses little.
@@ -173,8 +173,8 @@ def run_realisations(
         OutputError: if a chunk cannot be kept.
     """
     spans = [range(start, min(start + CHUNK, count)) for start in range(0, count, CHUNK)]
-    kept = [None if folder is None else _read(_path(folder, case, span), case, span) for span in spans]
-    missing = [k for k, tally in enumerate(kept) if tally is None]
+    tallies = [None if folder is None else _read(_path(folder, case, span), case, span) for span in spans]
+    missing = [k for k, tally in enumerate(tallies) if tally is None]
     finished = sum(len(spans[k]) for k in range(len(spans)) if k not in set(missing))
     workers.progress(Progress("Realisations", finished, count))
 
@@ -188,8 +188,8 @@ def run_realisations(
 
     counted = workers.map(realise, [spans[k] for k in missing], shared=case, done=done)
     for k, tally in zip(missing, counted, strict=True):
-        kept[k] = tally
-    return Tally.joined([tally for tally in kept if tally is not None])
+        tallies[k] = tally
+    return Tally.joined([tally for tally in tallies if tally is not None])
 
 
 def _path(folder: Path, case: ValidationCase, span: range) -> Path:

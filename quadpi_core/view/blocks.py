@@ -102,15 +102,15 @@ class BlockStore:
         self._lay_out(self.models, rotors)
 
     def _lay_out(self, models: int, rotors: int) -> None:
-        held = quantities(models, rotors)
-        placed, before = _placed(held), self.columns
-        rows = np.full((self.capacity, sum(one.width for one in held)), np.nan, dtype=np.float32)
+        columns = quantities(models, rotors)
+        placed, before = _placed(columns), self.columns
+        rows = np.full((self.capacity, sum(one.width for one in columns)), np.nan, dtype=np.float32)
         for name in before.keys() & placed.keys():
             (old, _), (new, _) = before[name], placed[name]
             width = min(before[name][1], placed[name][1])
             rows[:, new : new + width] = self._rows[:, old : old + width]
         self.models, self.rotors, self.columns, self._rows = models, rotors, placed, rows
-        self._quantities = {one.name: one for one in held}
+        self._quantities = {one.name: one for one in columns}
 
     def add(self, time_ns: Stamps, **values: Array) -> None:
         """Take samples into their blocks; those before the first block or the oldest kept are left out.

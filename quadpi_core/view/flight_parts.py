@@ -390,12 +390,12 @@ def _description(opened: Bag) -> tuple[MonitorDescription, list[tuple[str, str]]
         for payload in topic.payloads:
             try:
                 text = codec(_STRING).decode(payload)["data"][0].decode(errors="replace")
-                found = unpack_description(text)
+                described = unpack_description(text)
             except LogError as error:
                 lacks.append((topic.name, f"gives no training ranges: {error}"))
                 break
-            models |= found.models
-            vehicle = found.vehicle or vehicle
+            models |= described.models
+            vehicle = described.vehicle or vehicle
     return MonitorDescription(models, {}, vehicle), lacks
 
 

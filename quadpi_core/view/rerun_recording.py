@@ -243,8 +243,8 @@ def extremes(time_ns: Stamps, values: Array, stretch_ns: int) -> tuple[Stamps, A
     short = last - first < 2
     pairs[short] = np.stack((values[first[short]], values[last[short]]), axis=1)
     rows = np.stack((first, last), axis=1).ravel()
-    kept = np.append(True, np.diff(rows) > 0)
-    return time_ns[rows[kept]], pairs.reshape(-1, values.shape[1])[kept]
+    rising = np.append(True, np.diff(rows) > 0)
+    return time_ns[rows[rising]], pairs.reshape(-1, values.shape[1])[rising]
 
 
 def _firsts(time_ns: Stamps, stretch_ns: int) -> npt.NDArray[np.int64]:

@@ -131,14 +131,14 @@ class VehicleView:
                 self._starts.append((0, self.start_ns))
                 self.version += 1
             time_ns = self._clock.advance(predictions.time_ns)
-            own: dict[str, Array] = {"time": _seconds(time_ns), "measured": predictions.measured}
+            columns: dict[str, Array] = {"time": _seconds(time_ns), "measured": predictions.measured}
         else:
             time_ns, near = self._clock.place(predictions.time_ns)
             if not near.all():
                 time_ns, predictions = time_ns[near], _rows_of(predictions, near)
-            own = {}
+            columns = {}
         outside = (predictions.measured < predictions.lower) | (predictions.measured > predictions.upper)
-        own |= {
+        columns |= {
             f"model_{shown.number}__{name}": values
             for name, values in (
                 ("count", np.ones(len(time_ns))),
@@ -148,7 +148,7 @@ class VehicleView:
                 ("upper", predictions.upper),
             )
         }
-        self.blocks.add(time_ns, **own)
+        self.blocks.add(time_ns, **columns)
 
     def take_inputs(self, time_ns: Stamps, inputs: Array) -> None:
         """Take inputs (K, 19) of the models."""
@@ -197,13 +197,13 @@ class VehicleView:
             return
         states, training = states_of(alarms), self.training
         # A message holds until the next one: they are rarer than blocks.
-        held = [*self._said, *zip(times.tolist(), states, strict=True)]
+        states_at = [*self._said, *zip(times.tolist(), states, strict=True)]
         spans = [
             np.arange(one, other, self.blocks.block_ns) if 0 < other - one <= _SILENCE_NS else np.array([one])
-            for (one, _), (other, _) in pairwise([*held, (held[-1][0] + 1, None)])
+            for (one, _), (other, _) in pairwise([*states_at, (states_at[-1][0] + 1, None)])
         ]
-        drawn, of = np.concatenate(spans), np.repeat(np.arange(len(held)), [len(span) for span in spans])
-        self.blocks.add(drawn, state=np.array([state for _, state in held], dtype=float)[of])
+        drawn, of = np.concatenate(spans), np.repeat(np.arange(len(states_at)), [len(span) for span in spans])
+        self.blocks.add(drawn, state=np.array([state for _, state in states_at], dtype=float)[of])
         for row, number in enumerate((times // self.blocks.block_ns).tolist()):
             if settles(alarms, row):
                 self._settled_from = number + 1
@@ -214,9 +214,9 @@ class VehicleView:
             if states[row] is State.TRUSTED and not words and (misses := self._misses(number)):
                 words, states[row] = (misses,), State.WARNING
             self._note(number, words)
-        said = np.array([*(state for _, state in self._said), *states], dtype=np.uint8)[of]
-        self.blocks.add(drawn, state=said.astype(float))
-        self.timeline.add(_seconds(drawn), said)
+        levels = np.array([*(state for _, state in self._said), *states], dtype=np.uint8)[of]
+        self.blocks.add(drawn, state=levels.astype(float))
+        self.timeline.add(_seconds(drawn), levels)
         self.state, self.reasons = states[-1], self._words[-1][1]
         self._said = [(int(times[-1]), self.state)]
 
@@ -224,7 +224,7 @@ class VehicleView:
         """Take alarms that were raised or cleared."""
         for event in events:
             start_s = _NANOSECONDS * self._clock.time_of(event.start_ns)
-            kept = {
+            entry = {
                 "number": event.number,
                 "cause": CAUSE_NAMES.get(event.cause, str(event.cause)),
                 "start": round(start_s, 3),
@@ -232,7 +232,7 @@ class VehicleView:
                 "peak": round(event.peak_evidence, 3),
                 "reasons": self._with_values(event),
             }
-            self._events[event.number, event.start_ns] = kept
+            self._events[event.number, event.start_ns] = entry
         while len(self._events) > EVENTS_SHOWN:
             del self._events[next(iter(self._events))]
 
@@ -240,8 +240,8 @@ class VehicleView:
         """Reasons of an event; in the place of ratios the values of inputs, as said when it was raised."""
         number = self._clock.time_of(event.start_ns) // self.blocks.block_ns
         place = bisect.bisect_right(self._words, number, key=lambda entry: entry[0]) - 1
-        said = self._words[place][1] if place >= 0 and event.cause == EXTRAPOLATION else ()
-        values = [words for words in said if TRAINED in words]
+        words_then = self._words[place][1] if place >= 0 and event.cause == EXTRAPOLATION else ()
+        values = [words for words in words_then if TRAINED in words]
         return [*values, *(words for words in event.reasons if not (values and words.endswith(OF_RANGE)))]
 
     def take_told(self, told: Sequence[Told]) -> None:
