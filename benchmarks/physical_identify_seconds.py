@@ -36,7 +36,7 @@ def run() -> list[Result]:
     # The first time makes or loads the compiled kernels.
     for _ in range(2):
         start = time.perf_counter()
-        PhysicalStudy.of(flights_of(joined(flights, vehicle)), vehicle).fit(choose=True)
+        PhysicalStudy.from_flights(flights_of(joined(flights, vehicle)), vehicle).fit(choose=True)
         fitted = time.perf_counter()
         identify(flights, vehicle, pools, IdentifyOptions(method="physical"))
         whole_s, first_s = time.perf_counter() - fitted, fitted - start

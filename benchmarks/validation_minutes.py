@@ -59,7 +59,7 @@ def three_methods() -> ValidationCase:
     plans = load_scenario("training").flights
     vehicle, noise = Vehicle.load(plans[0].vehicle), SensorSuite.load("paper").states
     training = [
-        PreparedFlight.of(contaminate(flight, noise, seed), vehicle, "")
+        PreparedFlight.from_flight(contaminate(flight, noise, seed), vehicle, "")
         for seed, flight in enumerate(flown(plans))
     ]
     # Half the sample rate: the paper does not filter these flights.

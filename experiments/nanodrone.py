@@ -143,7 +143,7 @@ class BenchmarkFlight:
             rotor_speeds=rotors,
             wind=np.zeros_like(world),
         )
-        return cls(state.position, RolloutFlight.of(flight, vehicle))
+        return cls(state.position, RolloutFlight.from_flight(flight, vehicle))
 
     @property
     def velocity(self) -> Array:
@@ -212,7 +212,7 @@ def train(flights: Sequence[BenchmarkFlight], vehicle: Vehicle) -> Trained:
         for flight in own
     ]
     delay, step = float(np.median(DELAYS_S)), own[0].step
-    study = PhysicalStudy.of(physical, vehicle, sensing=Sensing(delay))
+    study = PhysicalStudy.from_flights(physical, vehicle, sensing=Sensing(delay))
 
     def first_step(left_out: int | None) -> RolloutModel:
         fit = study.fit(choose=False, left_out=left_out)
@@ -234,7 +234,7 @@ def train(flights: Sequence[BenchmarkFlight], vehicle: Vehicle) -> Trained:
     # Each flight with its own delay, to models without any.
     late = [flight.delayed(there) for flight, there in zip(own, delays, strict=True)]
     apart = [replace(first_step(k), rotor_delay_s=0.0) for k in range(len(own))]
-    whole, problem = replace(start, rotor_delay_s=0.0), Problem.of(vehicle, study.reference)
+    whole, problem = replace(start, rotor_delay_s=0.0), Problem.from_vehicle(vehicle, study.reference)
     process = disturbance_left(apart, late)
     for _ in range(_ROUNDS):
         # By the terms, not by the first step: central differences of the logged states are mostly noise.

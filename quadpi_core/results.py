@@ -82,7 +82,7 @@ class PredictionRows(NamedTuple):
     wrenches: Array
 
     @classmethod
-    def of(cls, predictions: Predictions) -> PredictionRows:
+    def from_predictions(cls, predictions: Predictions) -> PredictionRows:
         """A copy of predictions."""
         time_ns, *columns = vars(predictions).values()
         return cls(time_ns.tolist(), np.stack(columns))

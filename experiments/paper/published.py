@@ -133,7 +133,7 @@ def _flown(plans: Sequence[FlightPlan]) -> list[Flight]:
 def _noisy(clean: Flight, vehicle: Vehicle, noise: StateNoise, seed: int) -> PreparedFlight:
     """A training flight with noise, independent of all realisations on validation flights."""
     flight = contaminate(clean, noise, noise_seed(seed, f"{TRAINING} {clean.name}", 0))
-    return PreparedFlight.of(flight, vehicle, flight_hash(flight))
+    return PreparedFlight.from_flight(flight, vehicle, flight_hash(flight))
 
 
 def training_coverage(

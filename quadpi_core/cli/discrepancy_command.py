@@ -89,7 +89,7 @@ def discrepancy(
             if flight["in_sample"]:
                 console.print(f"{name}: the simulation was identified on this flight", soft_wrap=True)
         # A simulation that is no model cannot judge: who looks at a moment names a model.
-        files = FlightFiles.of(bags, [model_folder(simulation) or Path("MODEL")], vehicle)
+        files = FlightFiles.from_paths(bags, [model_folder(simulation) or Path("MODEL")], vehicle)
         with whole_outputs(output) as staging, console.status("Writing"):
             addition = write_addition(result.discovery, staging)
             written = [addition, *write_formulas(result.discovery.effects, staging)] if addition else []

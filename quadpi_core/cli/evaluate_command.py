@@ -64,7 +64,7 @@ def evaluate(
     members = group_bags([path for path in paths if path not in folders], group or [])
     bags = list(dict.fromkeys(path for own in members.values() for path in own))
     check_outputs([*folders, *bags], json_file, html_file)
-    files = FlightFiles.of(bags, folders, vehicle)
+    files = FlightFiles.from_paths(bags, folders, vehicle)
     with batch_of_flights() as left_out:
         comparison = given_comparison(
             folders,

@@ -153,7 +153,9 @@ def identify(
             case = ComparisonCase(
                 {model.name: model}, {cutoff: flights}, groups, confidence, left_out=left_out
             )
-            write_evaluation(model, case, json_file, html_file, FlightFiles.of(bags, [output], vehicle))
+            write_evaluation(
+                model, case, json_file, html_file, FlightFiles.from_paths(bags, [output], vehicle)
+            )
 
 
 def _print_model(console: Console, model: AerodynamicModel, *, verbose: bool, choice: str | None) -> None:

@@ -60,5 +60,5 @@ def rollout(
         console.print(terminal_table(rollout_summary(evaluation)))
         write_result(json_file, evaluation.to_json())
         if html_file is not None:
-            files = FlightFiles.of(bags, [model], vehicle)
+            files = FlightFiles.from_paths(bags, [model], vehicle)
             write_rollout_page(html_file, flights, evaluation, files)

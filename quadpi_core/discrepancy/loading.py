@@ -130,7 +130,7 @@ def load_simulation(
 def simulation_of(section: Mapping[str, Any], vehicle: Vehicle) -> Simulation:
     """The simulation of an identified model, by the key `simulation` that it gives for a vehicle file."""
     name = f"model of {vehicle.name}"
-    simulation = VehicleSimulation(PhysicalAerodynamics.of(vehicle, section["physical"], name))
+    simulation = VehicleSimulation(PhysicalAerodynamics.from_section(vehicle, section["physical"], name))
     effects = read_effects(section.get("effects", {}), name)
     return AugmentedSimulation(simulation, effects) if effects else simulation
 

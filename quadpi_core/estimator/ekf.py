@@ -90,7 +90,7 @@ class Ekf:
         # The sample at hand.
         self._sample = np.zeros(1, IMU_SAMPLE)
         self._measurement = np.zeros(1, MEASUREMENT)
-        self._fused = FusedSamples.of(np.empty(1, FUSED))
+        self._fused = FusedSamples.from_rows(np.empty(1, FUSED))
         # What a sample that is used gives, by status: made for each it would cost a quarter of its step.
         self._used = tuple(Step(Outcome.USED, status, self._fused) for status in _STATUSES)
         self._live = self._held()
@@ -229,7 +229,7 @@ class Ekf:
         self._run(arrivals, trace)
         count = int(trace.progress["estimates"][0])
         rows, fused = trace.rows[:count], trace.fused[:count]
-        return EkfTrace(rows["time_ns"].copy(), rows, FusedSamples.of(fused), trace.outcomes)
+        return EkfTrace(rows["time_ns"].copy(), rows, FusedSamples.from_rows(fused), trace.outcomes)
 
     def segments(self, recording: Recording) -> list[Segment]:
         """What the filter does over a whole recording, for the smoother.

@@ -43,7 +43,7 @@ class ImuRate(NamedTuple):
     lost: bool = False
 
     @classmethod
-    def of(cls, meters: Records, given_hz: float) -> ImuRate:
+    def from_meters(cls, meters: Records, given_hz: float) -> ImuRate:
         """The rate as a :class:`Meter` (1,) knows it now, beside the one given by the user."""
         span_ns = float(meters["span_ns"][0])
         return cls(1e9 * RATE_SPAN / span_ns if span_ns > 0.0 else 0.0, given_hz, bool(meters["lost"][0]))

@@ -57,7 +57,7 @@ class FusedSamples(NamedTuple):
     twist_covariance: Array
 
     @classmethod
-    def of(cls, rows: Records) -> FusedSamples:
+    def from_rows(cls, rows: Records) -> FusedSamples:
         """The estimates in records (K,)."""
         time_ns = np.ascontiguousarray(rows["time_ns"])
         motion: Array = rows["motion"].view(_MOTION)
@@ -79,11 +79,11 @@ class FusedSamples(NamedTuple):
 
     def where(self, chosen: npt.NDArray[np.bool_]) -> FusedSamples:
         """Those that a mask (K,) chooses; not copied where it chooses all."""
-        return self if chosen.all() else FusedSamples.of(self.rows[chosen])
+        return self if chosen.all() else FusedSamples.from_rows(self.rows[chosen])
 
     def part(self, rows: slice) -> FusedSamples:
         """Those of a range; views."""
-        return FusedSamples.of(self.rows[rows])
+        return FusedSamples.from_rows(self.rows[rows])
 
 
 def with_gyro_faults(imu: ImuStream) -> ImuStream:

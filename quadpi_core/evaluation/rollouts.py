@@ -207,7 +207,7 @@ def judge_flight(
         ModelError: for a horizon or confidence that is not calibrated; naming the flight, where it is shorter
             than the horizon or no roll-out has all rotor speeds.
     """
-    rollout_flight = RolloutFlight.of(flight, vehicle)
+    rollout_flight = RolloutFlight.from_flight(flight, vehicle)
     step = rollout_flight.step
     # Those calibrated up to the one asked for, which is the last.
     times = tuple(sorted({horizon for horizon in HORIZONS_S if horizon < horizon_s} | {horizon_s}))

@@ -130,7 +130,7 @@ def calibrate_alarm(
     sums = [sums_of_misses(flight.time, flight.miss, limits.allowance) for flight, _ in usual]
     misses = limits.miscoverage_s.copy()
     usual_axes = ~np.isnan(usual[0][0].miss[0])
-    walks = {k: Walk.of([s[:, k] for s in sums], times) for k in np.flatnonzero(usual_axes)}
+    walks = {k: Walk.from_sums([s[:, k] for s in sums], times) for k in np.flatnonzero(usual_axes)}
     pooled = float(np.mean([walk.mean for walk in walks.values()]))
     for axis, walk in walks.items():
         # There are too few flights to estimate the tail of each axis alone.

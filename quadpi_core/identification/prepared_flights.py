@@ -137,7 +137,7 @@ class PreparedFlight:
             )
 
     @classmethod
-    def of(
+    def from_flight(
         cls, flight: Flight, vehicle: Vehicle, sha256: str, live: LiveSamples | None = None
     ) -> PreparedFlight:
         """Prepare a flight whose signals have passed the low-pass of its model."""
@@ -299,7 +299,7 @@ def prepare_recording(recording: Recording, vehicle: Vehicle, cutoff_hz: float) 
     causal = CausalPass.over(recording, vehicle)
     flight = fuse_airborne(recording, vehicle, cutoff_hz, causal.segments)
     live = causal.samples(vehicle, cutoff_hz, flight.stamps_ns)
-    prepared = PreparedFlight.of(flight, vehicle, recording_hash(recording), live)
+    prepared = PreparedFlight.from_flight(flight, vehicle, recording_hash(recording), live)
     if (air := flown_in(recording)) is not None:
         prepared = prepared.in_air(air[0], vehicle, air[1])
     recorded_ns = recording.imu.time_ns[-1] - recording.imu.time_ns[0]

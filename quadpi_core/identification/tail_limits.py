@@ -124,7 +124,7 @@ class Walk:
     freedom: float
 
     @classmethod
-    def of(cls, sums: Sequence[Array], times: Sequence[Array]) -> Walk:
+    def from_sums(cls, sums: Sequence[Array], times: Sequence[Array]) -> Walk:
         """From sums (N,) of an axis and stamps (N,) in seconds, of each flight."""
         maxima = [
             np.maximum.reduceat(of_flight, _block_starts(time))

@@ -192,7 +192,7 @@ def _taken(
         wind=np.zeros((len(recording.imu), 3)) if wind is None else wind.velocity,
         biases_estimated=False,
     )
-    prepared = PreparedFlight.of(flight, vehicle, recording_hash(recording))
+    prepared = PreparedFlight.from_flight(flight, vehicle, recording_hash(recording))
     return replace(prepared, file=recording.name, recorded_s=float(flight.time[-1]))
 
 

@@ -192,7 +192,7 @@ class Monitor:
         begin = 0
         for place in self._new_rates(stamps):
             rows += self._rows(stamps, block, known, slice(begin, place))
-            self._rate = ImuRate.of(self._meter, 0.0)
+            self._rate = ImuRate.from_meters(self._meter, 0.0)
             self._monitor.retune(self._rate)
             begin = place
         return rows + self._rows(stamps, block, known, slice(begin, None))

@@ -321,7 +321,7 @@ def _half_reading_findings(rotors: RotorSpeedStream, recording: Recording) -> It
     A rotor cannot change its speed by a factor of two within one short interval; a sensor that misses every
     other pulse does.
     """
-    inertial = Inertial.of(recording)
+    inertial = Inertial.from_recording(recording)
     known = finite_rows(rotors.speeds) & np.all(rotors.speeds > 0.0, axis=1)
     inertial = inertial.at(np.isfinite(inertial.lift))
     if not np.any(known) or not len(inertial.time_ns):

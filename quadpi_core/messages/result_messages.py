@@ -94,7 +94,7 @@ def pack_predictions(
         frame_id: body frame.
     """
     values = np.empty((len(predictions.time_ns), PREDICTION_VALUES))
-    compiled.prediction_values(PredictionRows.of(predictions).wrenches, 0, values)
+    compiled.prediction_values(PredictionRows.from_predictions(predictions).wrenches, 0, values)
     constants = _prediction_constants(model, confidence, axes, frame_id)
     return codec(PREDICTION).encode_stamped(predictions.time_ns, values, constants)
 

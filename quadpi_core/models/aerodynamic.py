@@ -279,7 +279,7 @@ class AerodynamicModel:
         confidence = array_checks.number("confidence", confidence)
         rules = [axis.rule for axis in self.fitted.axes.values()]
         inside = min(rule.flights_inside if isinstance(rule, HeldOutRule) else 0 for rule in rules)
-        return LevelSupport.of(confidence, inside)
+        return LevelSupport.from_flights(confidence, inside)
 
     @cached_property
     def _factors(self) -> Callable[[float], Array]:

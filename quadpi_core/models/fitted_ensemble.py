@@ -57,7 +57,7 @@ class Scaling:
             raise ValueError("each input needs a mean and a positive scale")
 
     @classmethod
-    def of(cls, inputs: Array, target: Array) -> Scaling:
+    def from_samples(cls, inputs: Array, target: Array) -> Scaling:
         """Mean and standard deviation of training samples (N, D) and (N,); a constant input keeps its unit.
 
         Raises:

@@ -182,7 +182,7 @@ class LevelSupport:
     flight_share: float
 
     @classmethod
-    def of(cls, confidence: float, flights: int) -> LevelSupport:
+    def from_flights(cls, confidence: float, flights: int) -> LevelSupport:
         """What flights left out support."""
         return cls(confidence, flights, flights / (flights + 1), conformal_rank(flights) / (flights + 1))
 

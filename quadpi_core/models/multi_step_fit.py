@@ -82,7 +82,7 @@ class Windows(NamedTuple):
     decay: Array
 
     @classmethod
-    def of(cls, flight: RolloutFlight, model: RolloutModel) -> Windows:
+    def from_flight(cls, flight: RolloutFlight, model: RolloutModel) -> Windows:
         """Of a flight whose predictions by the model are finite."""
         track, lead = model.track(flight), model.lead(flight.step)
         horizons = horizon_steps(HORIZONS_S, track.step)
@@ -223,7 +223,7 @@ def fit_multi_step(
     """
     if len(flights) < 2:
         return _first_step(first, left_out, (), "one flight cannot tell whether predictions ahead improve")
-    all_windows = [Windows.of(flight, first) for flight in flights]
+    all_windows = [Windows.from_flight(flight, first) for flight in flights]
     used = [k for k, one in enumerate(all_windows) if len(one.starts)]
     windows = [all_windows[k] for k in used]
     if not windows:

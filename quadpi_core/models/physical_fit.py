@@ -67,7 +67,7 @@ class Information:
     count: int
 
     @classmethod
-    def of(cls, z: Array, wrench: Array) -> Information:
+    def from_samples(cls, z: Array, wrench: Array) -> Information:
         """Of regressors (N, P, 6) and the measured wrench (N, 6)."""
         matrix, moment = np.zeros((len(AXES), len(TERMS), len(TERMS))), np.zeros((len(AXES), len(TERMS)))
         for axis, acting in enumerate(_felt_terms().T):
@@ -106,7 +106,7 @@ class FitStep:
 
 
 @dataclass(frozen=True)
-class Weighing:
+class Weights:
     """What an error counts for.
 
     Attributes:
@@ -120,14 +120,14 @@ class Weighing:
     fewest: float
 
     @classmethod
-    def start(cls, information: Sequence[Information]) -> Weighing:
+    def start(cls, information: Sequence[Information]) -> Weights:
         """From the measured wrench, before there are errors: a tenth of its size."""
         sums = total(information)
         deviation = np.maximum(0.1 * np.sqrt(sums.square / sums.count), LEAST)
         return cls(deviation, np.full(len(AXES), 0.01), 0.0)
 
     @classmethod
-    def of_errors(cls, errors: Sequence[Array], rate_hz: float) -> Weighing:
+    def of_errors(cls, errors: Sequence[Array], rate_hz: float) -> Weights:
         """From the errors (N, 6) of flights, sampled at `rate_hz`."""
         together = np.concatenate(errors)
         deviation = np.sqrt(np.mean(np.square(together), axis=0))
@@ -157,7 +157,7 @@ class Problem:
     lower: Array
 
     @classmethod
-    def of(cls, vehicle: Vehicle, reference: float) -> Problem:
+    def from_vehicle(cls, vehicle: Vehicle, reference: float) -> Problem:
         """Of a vehicle whose rotors have a thrust per ω² of about `reference` [N s²]."""
         scale = scales(vehicle, reference)
         return cls(
@@ -167,7 +167,7 @@ class Problem:
         )
 
     def solve(
-        self, information: Sequence[Information], weighing: Weighing, kept: npt.NDArray[np.bool_]
+        self, information: Sequence[Information], weighing: Weights, kept: npt.NDArray[np.bool_]
     ) -> Array:
         """Parameters (P,); zero where not kept."""
         matrix, right = self._normal(total(information), weighing, kept)
@@ -177,7 +177,7 @@ class Problem:
         return values
 
     def covariance(
-        self, information: Sequence[Information], weighing: Weighing, kept: npt.NDArray[np.bool_]
+        self, information: Sequence[Information], weighing: Weights, kept: npt.NDArray[np.bool_]
     ) -> Array:
         """Covariance (P, P) of what :meth:`solve` gives, with as many errors as are independent.
 
@@ -195,7 +195,7 @@ class Problem:
         return covariance
 
     def _normal(
-        self, sums: Information, weighing: Weighing, kept: npt.NDArray[np.bool_]
+        self, sums: Information, weighing: Weights, kept: npt.NDArray[np.bool_]
     ) -> tuple[Array, Array]:
         """Normal equations of the terms kept: matrix (s, s), right side (s,), for (value - mean) / spread."""
         matrix = np.einsum("a,apq->pq", weighing.weight, sums.matrix)[np.ix_(kept, kept)]

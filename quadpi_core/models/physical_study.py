@@ -24,7 +24,7 @@ from quadpi_core.models.physical_fit import (
     FitStep,
     Information,
     Problem,
-    Weighing,
+    Weights,
     bounded_terms,
     total,
 )
@@ -81,12 +81,12 @@ class PhysicalStudy:
     sensing: Sensing
     delay_range_s: tuple[float, float] | None
     information: tuple[Information, ...]
-    weighing: Weighing
+    weighing: Weights
     rate_hz: float
     log: tuple[FitStep, ...]
 
     @classmethod
-    def of(
+    def from_flights(
         cls, flights: Sequence[PhysicalFlight], vehicle: Vehicle, *, sensing: Sensing | None = None
     ) -> PhysicalStudy:
         """Search delay and bandwidth, sum up and weigh.
@@ -102,19 +102,19 @@ class PhysicalStudy:
         if not flights:
             raise ModelError("no flights to identify on: at least one is needed")
         reference = reference_thrust(flights)
-        problem, record = Problem.of(vehicle, reference), physical_vehicle(vehicle, reference)
+        problem, record = Problem.from_vehicle(vehicle, reference), physical_vehicle(vehicle, reference)
         log: list[FitStep] = []
         delay_range = None
         if sensing is None:
             delay, delay_range = _rotor_delay(flights, record, problem, log)
             sensing = _force_bandwidth(flights, record, problem, delay, log)
         information = [_summed(flight, record, sensing) for flight in flights]
-        weighing = Weighing.start(information)
+        weighing = Weights.start(information)
         rate_hz = float(np.mean([flight.rate_hz for flight in flights]))
         for _ in range(_ROUNDS):
             values = problem.solve(information, weighing, _EVERYTHING)
             errors = [flight.errors(values, record, sensing) for flight in flights]
-            weighing = Weighing.of_errors(errors, rate_hz)
+            weighing = Weights.of_errors(errors, rate_hz)
         return cls(
             vehicle, reference, sensing, delay_range, tuple(information), weighing, rate_hz, tuple(log)
         )
@@ -127,7 +127,7 @@ class PhysicalStudy:
             left_out: number of a flight that is not used.
         """
         information = [own for k, own in enumerate(self.information) if k != left_out]
-        problem, log = Problem.of(self.vehicle, self.reference), list(self.log)
+        problem, log = Problem.from_vehicle(self.vehicle, self.reference), list(self.log)
         terms = _EVERYTHING
         if choose and len(information) > 1:
             terms = _chosen_terms(information, problem, self.weighing, log)
@@ -147,7 +147,9 @@ class PhysicalStudy:
 
 
 def _summed(flight: PhysicalFlight, record: Records, sensing: Sensing) -> Information:
-    return total(Information.of(part.regressors(record, sensing), part.wrench) for part in flight.parts())
+    return total(
+        Information.from_samples(part.regressors(record, sensing), part.wrench) for part in flight.parts()
+    )
 
 
 def _rotor_delay(
@@ -163,7 +165,7 @@ def _rotor_delay(
     for delay_s in DELAYS_S:
         information = [_summed(flight, record, Sensing(delay_s)) for flight in thin]
         if not squares:
-            weighing = Weighing.start(information)
+            weighing = Weights.start(information)
             values = problem.solve(information, weighing, _EVERYTHING)
             weighing = replace(weighing, deviation=np.maximum(total(information).rmse(values), LEAST))
         values = problem.solve(information, weighing, _EVERYTHING)
@@ -174,7 +176,7 @@ def _rotor_delay(
         log.append(FitStep("rotor delay", f"{delay_s * 1e3:g} ms", float(np.mean(squares[-1]))))
     best = int(np.argmin(np.mean(squares, axis=1)))
     rate_hz = float(np.mean([flight.rate_hz for flight in thin]))
-    independent = Weighing.of_errors(errors, rate_hz).independent[MOMENT]
+    independent = Weights.of_errors(errors, rate_hz).independent[MOMENT]
     count = sum(len(flight.time) for flight in thin) * independent
     delay_range = delays_not_ruled_out(np.array(squares), count, best)
     return UNTOLD_DELAY_S if delay_untold(delay_range) else DELAYS_S[best], delay_range
@@ -211,7 +213,7 @@ def _force_bandwidth(
     best = Sensing(delay_s)
     for _ in range(_ROUNDS):
         information = [_summed(flight, record, best) for flight in flights]
-        values = problem.solve(information, Weighing.start(information), _EVERYTHING)
+        values = problem.solve(information, Weights.start(information), _EVERYTHING)
         costs = {}
         for bandwidth in (None, *BANDWIDTHS_HZ):
             sensing = Sensing(delay_s, bandwidth)
@@ -228,7 +230,7 @@ def _force_bandwidth(
 
 
 def _chosen_terms(
-    information: Sequence[Information], problem: Problem, weighing: Weighing, log: list[FitStep]
+    information: Sequence[Information], problem: Problem, weighing: Weights, log: list[FitStep]
 ) -> npt.NDArray[np.bool_]:
     """Leave out, one after the other, the groups of terms that harm flights left out."""
     groups = sorted({term.group for term in TERMS} - {""})

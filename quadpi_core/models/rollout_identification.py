@@ -88,7 +88,7 @@ def calibrated_rollouts(
     final = replace(bare(whole), disturbance=disturbance_left(apart, long))
     log: tuple[FitStep, ...] = ()
     if multi_step:
-        problem = Problem.of(vehicle, float(whole.vehicle["reference_thrust"][0]))
+        problem = Problem.from_vehicle(vehicle, float(whole.vehicle["reference_thrust"][0]))
         with identifiable("the parameters, from errors of predictions ahead,"):
             final, apart, _, log = fit_multi_step(long, final, apart, problem)
     variance = _measured_variance(apart, long)

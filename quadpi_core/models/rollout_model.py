@@ -167,7 +167,7 @@ class RolloutFlight:
     position: Array | None = None
 
     @classmethod
-    def of(cls, flight: Flight, vehicle: Vehicle) -> RolloutFlight:
+    def from_flight(cls, flight: Flight, vehicle: Vehicle) -> RolloutFlight:
         """Of a flight that passed its low-pass, thinned to about 100 Hz."""
         motion = np.zeros(len(flight), record_dtype(MotionSample, vehicle.rotor_count))
         motion["velocity"] = relative_to_air(flight.velocity, flight.attitude, flight.wind)

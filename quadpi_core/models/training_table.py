@@ -54,7 +54,7 @@ class Table:
         for axis, pool in pools.items():
             features, target = RegressorProgram.compile(pool.inputs).evaluate(X), samples.target(axis)[rows]
             with named_in(axis):
-                scaling = Scaling.of(features, target)
+                scaling = Scaling.from_samples(features, target)
             scaled.append(scaling.standardised(features))
             scalings.append(scaling)
             targets.append((target - scaling.target_mean) / scaling.target_scale)

@@ -428,7 +428,7 @@ class Monitors:
     def judge(self, samples: PairedSamples) -> Judged:
         """Take K samples, see :meth:`step`."""
         (first, alarms, events), others = self.step(samples)
-        rows = [PredictionRows.of(predictions) for predictions in (first, *others)]
+        rows = [PredictionRows.from_predictions(predictions) for predictions in (first, *others)]
         return Judged(len(samples.time_ns), rows, alarms, events)
 
     def _put(self, name: str, monitor: Monitor) -> None:

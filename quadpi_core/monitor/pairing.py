@@ -172,7 +172,7 @@ class Pairing:
         self._rings = np.zeros((TOPICS, capacity), kernel.ENTRY)
         self.compiled = compiled.Pairing(kernel.Arrays(self._state, self._rings))
         self._channels = channels(rotors)
-        self.rate = ImuRate.of(self._state["meter"], rate_hz)
+        self.rate = ImuRate.from_meters(self._state["meter"], rate_hz)
         self.due = -1
 
     @property
@@ -224,7 +224,7 @@ class Pairing:
         taken_ns, taken = np.empty(room, np.int64), np.empty((room, self._channels))
         count, rate_changed = compiled.take_samples(self.compiled, taken_ns, taken)
         if rate_changed:
-            self.rate = ImuRate.of(self._state["meter"], self._given_hz)
+            self.rate = ImuRate.from_meters(self._state["meter"], self._given_hz)
         if count == 0:
             return None
         return (
@@ -255,5 +255,5 @@ class Pairing:
                 stretches.append(Stretch(begin, self.rate, samples, slice(before, states), self.settled_ns))
                 filled = rows.stop
             start, begin = stop, next_begin
-            self.rate = ImuRate.of(self._state["meter"], self._given_hz)
+            self.rate = ImuRate.from_meters(self._state["meter"], self._given_hz)
         return stretches

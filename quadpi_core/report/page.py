@@ -45,7 +45,7 @@ class FlightFiles:
     vehicle: str | None = None
 
     @classmethod
-    def of(
+    def from_paths(
         cls, flights: Sequence[Path], models: Sequence[Path] = (), vehicle: str | None = None
     ) -> FlightFiles:
         """The files of flights, by the names that results give them."""

@@ -171,7 +171,7 @@ def _turning(recording: Recording, vehicle: Vehicle) -> tuple[Stamps, Array, Arr
     order = np.argsort(imu.time_ns[known], kind="stable")
     force = np.interp(time_ns, imu.time_ns[known][order], -imu.specific_force[known, 2][order])
     used = squares >= 0.5 * np.percentile(squares, 95)
-    if Inertial.of(recording).stands(int(time_ns[used].min()), int(time_ns[used].max())):
+    if Inertial.from_recording(recording).stands(int(time_ns[used].min()), int(time_ns[used].max())):
         return None
     return time_ns[used], squares[used], force[used]
 

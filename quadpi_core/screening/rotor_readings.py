@@ -75,7 +75,7 @@ class RotorScreening:
         if block.rotor_speeds is None:
             return
         self.samples += len(block.rotor_speeds)
-        values = (block.rotor_speeds.speeds, *Inertial.of(block)[1:])
+        values = (block.rotor_speeds.speeds, *Inertial.from_recording(block)[1:])
         for column, part in zip(self._columns, values, strict=True):
             column.extend(part.astype(np.float32))
 

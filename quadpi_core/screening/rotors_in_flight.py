@@ -94,7 +94,7 @@ class Inertial(NamedTuple):
     rates: Array
 
     @classmethod
-    def of(cls, recording: Recording) -> Inertial:
+    def from_recording(cls, recording: Recording) -> Inertial:
         """The IMU's."""
         imu = recording.imu
         return cls(imu.time_ns, -imu.specific_force[:, 2], imu.angular_velocity[:, :2])
@@ -224,7 +224,7 @@ def stuck_rotors(recording: Recording, gravity_m_s2: float) -> Iterator[Finding]
     if rotors is None or len(rotors) < 2 or len(imu) == 0:
         return
     time_s = (rotors.time_ns - imu.time_ns[0]) * 1e-9
-    speeds, inertial = rotors.speeds, Inertial.of(recording)
+    speeds, inertial = rotors.speeds, Inertial.from_recording(recording)
     flying = in_flight(rotors.time_ns, speeds, inertial, gravity_m_s2)
     if flying is None:
         return

@@ -72,7 +72,7 @@ ALONE, OUTSIDE = "stamp is far from those around it", "stamp is no number from 1
 NO_ROTATION = "attitude is no unit quaternion"
 
 
-class Found(NamedTuple):
+class FaultySamples(NamedTuple):
     """Samples with one fault.
 
     Attributes:
@@ -100,8 +100,8 @@ class SampleOrder:
 
     of: int
     rows: Rows | None = None
-    dropped: tuple[Found, ...] = ()
-    late: Found | None = None
+    dropped: tuple[FaultySamples, ...] = ()
+    late: FaultySamples | None = None
     starts: tuple[int, ...] = (0,)
 
     def runs(self) -> list[Rows]:
@@ -173,13 +173,13 @@ def order_of(time_ns: Stamps, faults: Mapping[str, Mask] | None = None) -> Sampl
         faults: see :func:`faults`; the first one of a sample counts.
     """
     count = len(time_ns)
-    dropped: list[Found] = []
+    dropped: list[FaultySamples] = []
     usable = np.ones(count, dtype=np.bool_)
 
     def drop(fault: str, which: Mask) -> None:
         which = which & usable
         if which.any():
-            dropped.append(Found(fault, int(np.argmax(which)), int(np.count_nonzero(which))))
+            dropped.append(FaultySamples(fault, int(np.argmax(which)), int(np.count_nonzero(which))))
             usable[which] = False
 
     for fault, which in (faults or {}).items():
@@ -212,7 +212,7 @@ def order_of(time_ns: Stamps, faults: Mapping[str, Mask] | None = None) -> Sampl
         of=count,
         rows=rows,
         dropped=tuple(sorted(dropped, key=lambda found: found.first)),
-        late=Found("", int(sorted_in[0]), len(sorted_in)) if len(sorted_in) else None,
+        late=FaultySamples("", int(sorted_in[0]), len(sorted_in)) if len(sorted_in) else None,
         starts=(0, *(np.flatnonzero(np.diff(run_of)) + 1).tolist()),
     )
 

@@ -70,7 +70,7 @@ class Controls(NamedTuple):
     command: Array
 
     @classmethod
-    def of(cls, nominal: Records, effectiveness: Array) -> Controls:
+    def from_nominal(cls, nominal: Records, effectiveness: Array) -> Controls:
         """For a nominal vehicle.
 
         Args:

@@ -188,7 +188,7 @@ def simulate_flight(
     # The quantities that coefficients of effects refer to do not change with a payload.
     for hover in ("hover_rotor_speed", "hover_induced_velocity"):
         physics.vehicle[hover] = nominal[hover]
-    controls = Controls.of(nominal, vehicle.aerodynamics.effectiveness)
+    controls = Controls.from_nominal(nominal, vehicle.aerodynamics.effectiveness)
     if not np.all(np.isfinite(controls.allocation)):
         raise SimulationError(f"vehicle {vehicle.vehicle.name}: its rotors cannot turn it about every axis")
     rotors = vehicle.vehicle.rotor_count

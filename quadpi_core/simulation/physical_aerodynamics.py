@@ -115,10 +115,10 @@ class PhysicalAerodynamics(SimulatedAerodynamics):
         file = read_simulation(name_or_path)
         if file.section.physical is None:
             raise VehicleError(f"{file.path}: cannot be simulated: `simulation.physical` is missing")
-        return cls.of(file.vehicle, file.section.physical, str(file.path))
+        return cls.from_section(file.vehicle, file.section.physical, str(file.path))
 
     @classmethod
-    def of(cls, vehicle: Vehicle, section: Any, where: str) -> PhysicalAerodynamics:
+    def from_section(cls, vehicle: Vehicle, section: Any, where: str) -> PhysicalAerodynamics:
         """The aerodynamics of a vehicle, as the key `simulation.physical` says them.
 
         Raises:

@@ -486,7 +486,7 @@ def tilted_to(cosine):
 def commanded(acceleration):
     """Commanded rotor speeds of a level vehicle at rest that is to accelerate."""
     vehicle = SimulatedVehicle.load("bebop2")
-    controls = Controls.of(vehicle.record(), vehicle.aerodynamics.effectiveness)
+    controls = Controls.from_nominal(vehicle.record(), vehicle.aerodynamics.effectiveness)
     motion = np.zeros(1, dtype=MOTION)
     motion["attitude"][0, 0], motion["rotor_speeds"] = 1.0, 600.0
     none, level = np.zeros((1, 3)), np.zeros(1)

@@ -68,7 +68,7 @@ class Physical(Kind):
         steps = len(flights) + 1
         progress(Progress("Identifying the physical model", 0, steps))
         with one_blas_thread():
-            study = PhysicalStudy.of(flights, samples.vehicle)
+            study = PhysicalStudy.from_flights(flights, samples.vehicle)
             whole = study.fit(choose=True)
             left_out = []
             for k in range(len(flights)):

@@ -23,7 +23,7 @@ def told(time_ns: np.ndarray, given_hz: float = 0.0) -> list[ImuRate]:
     meters, rates = np.zeros(1, METER), []
     for at_ns in time_ns.tolist():
         compiled.follow_rate(meters, at_ns)
-        rates.append(ImuRate.of(meters, given_hz))
+        rates.append(ImuRate.from_meters(meters, given_hz))
     return rates
 
 

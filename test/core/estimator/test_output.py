@@ -42,7 +42,7 @@ def make_state(rng: np.random.Generator) -> State:
 def fused(state: State) -> FusedSamples:
     sample = np.empty(1, FUSED)
     compiled.fill_fused(state.estimate, GYRO_NOISE**2, sample)
-    return FusedSamples.of(sample)
+    return FusedSamples.from_rows(sample)
 
 
 def test_imu_is_corrected_and_velocity_in_body_axes() -> None:

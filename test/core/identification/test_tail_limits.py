@@ -51,7 +51,7 @@ def test_the_rates_of_a_walk_hold_the_truth():
         # Of each block of 5 s one largest value, exponential about 1.
         flights = [rng.exponential(size=60) for _ in range(12)]
         time = 5.0 * np.arange(60.0) + 2.5
-        walk = Walk.of(flights, [time] * 12)
+        walk = Walk.from_sums(flights, [time] * 12)
         low, high = np.quantile(walk.rates(6.0, rng), (0.025, 0.975))
         held += low <= 720.0 * np.exp(-6.0) <= high
     # With twice as many degrees of freedom as flights, fewer than of independent blocks: it holds more often.
@@ -118,7 +118,7 @@ def test_the_tail_of_the_sequential_test_is_a_tenth_of_blocks_of_five_seconds(se
     time = np.arange(float(seconds))
     sums = np.zeros(seconds)
     sums[2 : 5 * blocks : 5] = 1.0
-    walk = Walk.of([sums], [time])
+    walk = Walk.from_sums([sums], [time])
     assert walk.start == 0.0
     assert walk.per_hour == pytest.approx(blocks / (time[-1] / 3600.0))
     assert walk.mean == pytest.approx(2.0 / chi2.ppf(0.2, 2))

@@ -58,7 +58,7 @@ def test_a_table_keeps_its_low_pass(training, quick):
 def test_holes_of_a_log_go_there_and_back(training):
     """Rotor speeds may be unknown for a while; rows that a user took out are another matter."""
     flight = training.prepared[0].flight
-    holed = PreparedFlight.of(flight.slice(np.arange(len(flight)) // 100 != 3), training.vehicle, "")
+    holed = PreparedFlight.from_flight(flight.slice(np.arange(len(flight)) // 100 != 3), training.vehicle, "")
     table = qp.Flights((holed,), training.vehicle).to_pandas()
     again = qp.Flights.from_pandas(table, vehicle="bebop2", filtered=True)
     assert np.array_equal(again.inputs, holed.inputs)

@@ -168,7 +168,9 @@ def test_a_message_is_written_as_in_a_block() -> None:
     predictions = Predictions(IMU.time_ns, *columns)
     block = result_messages.pack_predictions(predictions, model="m", confidence=0.9, axes=AXES, frame_id="b")
     message = result_messages.prediction_message("m", 0.9, AXES, "b")
-    assert result_messages.write_predictions(PredictionRows.of(predictions), message) == list(block)
+    assert result_messages.write_predictions(PredictionRows.from_predictions(predictions), message) == list(
+        block
+    )
 
     constants = sensor_messages.odometry_constants("map", "base_link")
     odometry = OutgoingMessage(codec(sensor_messages.ODOMETRY), constants)

@@ -111,7 +111,7 @@ def test_a_single_member_has_no_deviation(method: str, X: Array) -> None:
 def test_standardised_samples_have_mean_zero_and_unit_scale() -> None:
     rng = np.random.default_rng(3)
     inputs = rng.normal([3.0, -7.0, 2.0], [0.5, 4.0, 0.0], size=(1000, 3))
-    scaling = Scaling.of(inputs, rng.normal(size=1000))
+    scaling = Scaling.from_samples(inputs, rng.normal(size=1000))
     standardised = scaling.standardised(inputs)
     np.testing.assert_allclose(standardised.mean(axis=0), 0.0, atol=1e-12)
     np.testing.assert_allclose(standardised.std(axis=0), [1.0, 1.0, 0.0], atol=1e-12)
@@ -120,7 +120,7 @@ def test_standardised_samples_have_mean_zero_and_unit_scale() -> None:
 
 def test_constant_target_is_refused() -> None:
     with pytest.raises(ModelError, match="constant"):
-        Scaling.of(np.zeros((10, 2)), np.full(10, 3.0))
+        Scaling.from_samples(np.zeros((10, 2)), np.full(10, 3.0))
 
 
 @pytest.mark.parametrize(

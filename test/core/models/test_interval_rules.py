@@ -183,4 +183,4 @@ def test_a_thousandth_of_a_flight_is_above_its_peak() -> None:
     ],
 )
 def test_flights_support_no_level_that_none_of_them_could_show(confidence, flights, sentence) -> None:
-    assert LevelSupport.of(confidence, flights).sentence() == sentence
+    assert LevelSupport.from_flights(confidence, flights).sentence() == sentence

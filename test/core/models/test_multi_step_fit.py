@@ -39,7 +39,7 @@ def one_flight() -> RolloutFlight:
 
 @pytest.fixture(scope="module")
 def windows(one_flight: RolloutFlight) -> Windows:
-    return Windows.of(one_flight, MODEL)
+    return Windows.from_flight(one_flight, MODEL)
 
 
 def test_roll_outs_start_every_half_second_with_the_disturbance_of_predictions(
@@ -57,7 +57,7 @@ def test_the_regressors_of_a_long_flight_are_filtered_in_parts(
 ) -> None:
     monkeypatch.setattr(multi_step_fit, "_SAMPLES", 130)
     np.testing.assert_allclose(
-        Windows.of(one_flight, MODEL).predicted, windows.predicted, rtol=1e-9, atol=1e-15
+        Windows.from_flight(one_flight, MODEL).predicted, windows.predicted, rtol=1e-9, atol=1e-15
     )
 
 
@@ -85,7 +85,7 @@ def test_starts_whose_roll_out_is_not_finite_are_left_out(
 ) -> None:
     motion = one_flight.motion.copy()
     motion["rates"][300] = np.nan
-    found = Windows.of(replace(one_flight, motion=motion), MODEL)
+    found = Windows.from_flight(replace(one_flight, motion=motion), MODEL)
     # The disturbance after that sample is not known either.
     assert found.starts.tolist() == [start for start in windows.starts if start + 50 < 300]
     assert np.all(np.isfinite(found.rolled(MODEL.parameters, derivatives=False).errors))
@@ -103,7 +103,7 @@ def test_errors_of_flights_are_compared_by_their_ratio(windows: Windows) -> None
     assert log_ratio(np.array([diverged]), np.array([right])) > 1e300
 
 
-PROBLEM = Problem.of(VEHICLE, REFERENCE)
+PROBLEM = Problem.from_vehicle(VEHICLE, REFERENCE)
 HUB, TORQUE = TERM_INDEX["hub_height"], TERM_INDEX["torque"]
 
 

@@ -17,7 +17,7 @@ from test.core.models.physical_flights import NOISE, REFERENCE, VEHICLE, flown, 
 
 
 def fitted(*flights: PhysicalFlight) -> PhysicalFit:
-    return PhysicalStudy.of(flights, VEHICLE, sensing=Sensing()).fit(choose=False)
+    return PhysicalStudy.from_flights(flights, VEHICLE, sensing=Sensing()).fit(choose=False)
 
 
 def measured(flight: PhysicalFlight, motion: Records) -> PhysicalFlight:
@@ -103,7 +103,7 @@ def test_what_to_fly_is_summed_up() -> None:
 
 
 def test_hover_leaves_the_delay_open(hover: PhysicalFlight) -> None:
-    study = PhysicalStudy.of([hover], VEHICLE)
+    study = PhysicalStudy.from_flights([hover], VEHICLE)
     assert study.sensing.rotor_delay_s == 0.0
     assert study.delay_range_s == (0.0, 0.015)
     assert delay_words(0.0, study.delay_range_s, 0.015) == (

@@ -17,7 +17,7 @@ from test.core.models.physical_flights import NOISE, VEHICLE, flown, known_param
 
 
 def studied(flights: list[PhysicalFlight]) -> PhysicalStudy:
-    return PhysicalStudy.of(flights, VEHICLE, sensing=Sensing())
+    return PhysicalStudy.from_flights(flights, VEHICLE, sensing=Sensing())
 
 
 def fitted(flights: list[PhysicalFlight]) -> PhysicalFit:
@@ -41,7 +41,7 @@ def test_sums_hold_all_that_the_regressors_do(
     flight, values = flights[0], known_parameters()
     fit = fitted(flights[:1])
     sensing = Sensing(0.0, bandwidth_hz)
-    summed = Information.of(flight.regressors(fit.vehicle, sensing), flight.wrench)
+    summed = Information.from_samples(flight.regressors(fit.vehicle, sensing), flight.wrench)
     errors = flight.errors(values, fit.vehicle, sensing)
     np.testing.assert_allclose(summed.rmse(values), np.sqrt(np.mean(np.square(errors), axis=0)), rtol=1e-6)
 
@@ -70,7 +70,7 @@ def test_standard_errors_hold_where_errors_change_slowly() -> None:
         study = studied(slow)
         fit = study.fit(choose=False)
         assert np.median(independent_hz(study)) < 1.0
-        told = fit.standard_errors < 0.5 * Problem.of(VEHICLE, study.reference).spread
+        told = fit.standard_errors < 0.5 * Problem.from_vehicle(VEHICLE, study.reference).spread
         scores.append((np.abs(fit.values - truth) / fit.standard_errors)[told])
     assert np.mean(np.concatenate(scores) < 1.96) > 0.9
 
@@ -93,7 +93,7 @@ def test_errors_that_hang_together_widen_standard_errors(flights: list[PhysicalF
     coloured = studied(slow)
     assert np.all(independent_hz(coloured) < 0.2 * independent_hz(white))
     wide, narrow = (own.fit(choose=False).standard_errors for own in (coloured, white))
-    told = narrow < 0.1 * Problem.of(VEHICLE, white.reference).spread
+    told = narrow < 0.1 * Problem.from_vehicle(VEHICLE, white.reference).spread
     assert np.median(wide[told] / narrow[told]) > 2.0
 
 

@@ -40,7 +40,7 @@ def fitted(seed: int, folder: Path) -> PhysicalFit:
     seeded = [replace(plan, seed=seed * 10 + k) for k, plan in enumerate(plans)]
     vehicle = RotorLocalModel.load("bebop2").vehicle
     flights = prepare_flights([flight.bag for flight in simulate(seeded, folder)], vehicle)
-    return PhysicalStudy.of(flights_of(joined(flights, vehicle)), vehicle).fit(choose=True)
+    return PhysicalStudy.from_flights(flights_of(joined(flights, vehicle)), vehicle).fit(choose=True)
 
 
 def combinations(fit: PhysicalFit) -> dict[str, tuple[Array, float]]:

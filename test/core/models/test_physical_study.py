@@ -18,7 +18,7 @@ from test.core.models.physical_flights import NOISE, VEHICLE, flown, swept
 @pytest.mark.parametrize("noise", [0.1, 2.0])
 def test_the_delay_of_rotor_speeds_is_found(delay_s: float, noise: float) -> None:
     flights = [swept(10.0, seed, delay_s=delay_s, noise=noise) for seed in (1, 2)]
-    study = PhysicalStudy.of(flights, VEHICLE)
+    study = PhysicalStudy.from_flights(flights, VEHICLE)
     assert study.sensing == Sensing(delay_s, None)
     assert [step.of for step in study.log[:2]] == ["0 ms", "2.5 ms"]
 
@@ -29,14 +29,14 @@ def test_the_bandwidth_of_a_smoothed_force_is_found() -> None:
         wrench = flight.wrench.copy()
         wrench[:, :3] = flight.recorded(wrench[:, :3, np.newaxis], Sensing(0.0, 7.0))[:, :, 0]
         smooth.append(replace(flight, wrench=wrench))
-    found = PhysicalStudy.of(smooth, VEHICLE).sensing.force_bandwidth_hz
+    found = PhysicalStudy.from_flights(smooth, VEHICLE).sensing.force_bandwidth_hz
     assert found is not None
     assert 6.0 <= found <= 8.0
 
 
 def test_flights_left_out_are_predicted_as_well_as_noise_allows() -> None:
     flights = [flown(20.0, seed) for seed in (1, 2, 3)]
-    study = PhysicalStudy.of(flights, VEHICLE, sensing=Sensing())
+    study = PhysicalStudy.from_flights(flights, VEHICLE, sensing=Sensing())
     fit = study.fit(choose=True, left_out=0)
     faster = flown(20.0, 9, speed=6.0)
     for flight in (flights[0], faster):
@@ -55,7 +55,7 @@ def test_a_group_that_harms_flights_left_out_leaves() -> None:
         return replace(flight, wrench=wrench)
 
     flights = [with_products(swept(20.0, seed, noise=0.1), sign) for seed, sign in ((1, 1.0), (2, -1.0))]
-    fit = PhysicalStudy.of(flights, VEHICLE, sensing=Sensing()).fit(choose=True)
+    fit = PhysicalStudy.from_flights(flights, VEHICLE, sensing=Sensing()).fit(choose=True)
     assert "without inertia" in {step.of for step in fit.log}
     assert TERM_INDEX["inertia_z"] not in fit.kept
     assert TERM_INDEX["thrust"] in fit.kept
@@ -63,7 +63,7 @@ def test_a_group_that_harms_flights_left_out_leaves() -> None:
 
 def test_no_flights_are_refused() -> None:
     with pytest.raises(ModelError, match="no flights"):
-        PhysicalStudy.of([], VEHICLE)
+        PhysicalStudy.from_flights([], VEHICLE)
 
 
 def test_delays_of_nearly_the_greatest_likelihood_are_not_ruled_out() -> None:

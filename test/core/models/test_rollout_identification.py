@@ -30,7 +30,7 @@ def flights() -> list[PhysicalFlight]:
 @pytest.fixture(scope="module")
 def fits(flights: list[PhysicalFlight]) -> list[PhysicalFit]:
     """Of all flights, then without each of them."""
-    study = PhysicalStudy.of(flights, VEHICLE, sensing=Sensing())
+    study = PhysicalStudy.from_flights(flights, VEHICLE, sensing=Sensing())
     return [study.fit(choose=False, left_out=k) for k in (None, 0, 1, 2)]
 
 
@@ -77,7 +77,7 @@ def test_the_second_step_is_fitted_and_calibrated(
     ahead = [with_attitude(flight) for flight in flights]
     # A moment of the hub that single samples did not tell, known as badly as the prior.
     hub = TERM_INDEX["hub_height"]
-    spread = Problem.of(VEHICLE, float(fits[0].vehicle["reference_thrust"][0])).spread[hub]
+    spread = Problem.from_vehicle(VEHICLE, float(fits[0].vehicle["reference_thrust"][0])).spread[hub]
     for_hub = np.diag(np.where(np.arange(len(TERMS)) == hub, spread**2, 0.0))
     wrong = [
         replace(

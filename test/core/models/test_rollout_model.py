@@ -105,7 +105,7 @@ def test_a_stored_model_predicts_the_same_and_damage_is_refused(model: RolloutMo
 
 def test_of_a_fused_flight(flights) -> None:
     fused = flights[0]
-    own = RolloutFlight.of(fused, Vehicle.load("bebop2"))
+    own = RolloutFlight.from_flight(fused, Vehicle.load("bebop2"))
     assert 80.0 < 1.0 / own.step < 130.0
     k = len(own.time) // 2
     where = int(np.searchsorted(fused.time, own.time[k]))
@@ -121,13 +121,15 @@ def test_of_a_fused_flight(flights) -> None:
 def test_a_measured_position_is_relative_to_the_air(flights) -> None:
     fused, vehicle = flights[0], Vehicle.load("bebop2")
     windy = replace(fused, wind=np.tile([1.0, -2.0, 0.5], (len(fused), 1)))
-    still, moving = (RolloutFlight.of(own, vehicle) for own in (replace(fused, wind=0.0 * fused.wind), windy))
+    still, moving = (
+        RolloutFlight.from_flight(own, vehicle) for own in (replace(fused, wind=0.0 * fused.wind), windy)
+    )
     assert still.position is not None
     assert moving.position is not None
     np.testing.assert_array_equal(still.position[:2], fused.position[:: len(fused) // len(still.time)][:2])
     drift = np.outer(still.time - still.time[0], [1.0, -2.0, 0.5])
     np.testing.assert_allclose(still.position - moving.position, drift, atol=1e-9)
-    assert RolloutFlight.of(replace(fused, position_measured=False), vehicle).position is None
+    assert RolloutFlight.from_flight(replace(fused, position_measured=False), vehicle).position is None
 
 
 def test_delayed_rotor_speeds_are_those_of_before() -> None:

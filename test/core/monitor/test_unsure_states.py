@@ -71,7 +71,7 @@ def test_blocks_and_single_states_have_the_same_effect():
 
 
 def test_deviations_are_the_numbers_of_messages():
-    fused = FusedSamples.of(np.zeros(2, FUSED))
+    fused = FusedSamples.from_rows(np.zeros(2, FUSED))
     fused.rows["time_ns"] = [1, 2]
     fused.twist_covariance[:, range(3), range(3)] = [[0.01, 0.02, 0.03], [0.0, 0.0, 0.3]]
     fused.pose_covariance[:, range(3, 6), range(3, 6)] = 4e-4

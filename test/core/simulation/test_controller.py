@@ -40,7 +40,7 @@ def wanted(vehicle):
 
     def ask(*, acceleration=(0.0, 0.0, 0.0), velocity=(0.0, 0.0, 0.0), yaw_rate=0.0, wrench=None):
         controls, motion = (
-            Controls.of(vehicle.record(), vehicle.aerodynamics.effectiveness),
+            Controls.from_nominal(vehicle.record(), vehicle.aerodynamics.effectiveness),
             np.zeros(1, dtype=MOTION),
         )
         motion["attitude"][0, 0], motion["velocity"] = 1.0, velocity

@@ -38,7 +38,7 @@ def thrown():
     """The log of every step of a vehicle without aerodynamics that is thrown up and tumbles; the vehicle."""
     vehicle = SimulatedVehicle.load("bebop2")
     record = vehicle.record()
-    controls = Controls.of(record.copy(), vehicle.aerodynamics.effectiveness)
+    controls = Controls.from_nominal(record.copy(), vehicle.aerodynamics.effectiveness)
     for name in AERODYNAMICS:
         record[name] = 0.0
     position, none = np.array([1.0, 2.0, -20.0]), np.zeros((HALF_A_SECOND, 3))
