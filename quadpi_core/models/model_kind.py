@@ -221,7 +221,7 @@ def _plain(value: Any) -> Any:
 
 @dataclass(frozen=True)
 class Fitted(ABC):
-    """A fitted model: it predicts, says what there is to say of it, and a model folder keeps it.
+    """A fitted model: it predicts, describes itself in words and numbers, and a model folder keeps it.
 
     Attributes:
         axes: by name, each of `axis_type`.
