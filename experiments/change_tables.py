@@ -186,7 +186,7 @@ class Causes(NamedTuple):
 def causes_of(model: AerodynamicModel, vehicle: Vehicle, recording: Recording) -> Causes:
     """Replay a recording, as `quadpi replay` does."""
     monitor, raised, beyond = Monitor(model, vehicle, None), np.zeros(len(CAUSES), dtype=bool), False
-    for part in follow(recorded_flight(recording), vehicle):
+    for part in follow(recorded_flight(recording, vehicle), vehicle):
         if part.begin == SET_BACK:
             monitor.reset()
         monitor.retune(part.rate)
