@@ -286,7 +286,8 @@ def judged(flight: Logged, vehicle: Vehicle) -> list[tuple[float, Estimate]]:
     samples = drag_samples(log, aloft, piece_lengths_s([aloft.airborne_s])[0])
     if isinstance(samples, str):
         raise RuntimeError(samples)
-    drag, body = identify_drag([samples]), identify_body([(log, aloft)], vehicle)
+    drag = identify_drag([samples])
+    body = identify_body([(log, aloft)], vehicle, [drag.likely_wind(0)])
     inside = np.zeros(len(flight.time), dtype=bool)
     for one in aloft.stretches:
         inside |= (flight.time >= one.begin) & (flight.time <= one.end)

@@ -134,7 +134,7 @@ class CollectedSamples:
         if self.measurements:
             measurements = _joined(self.measurements)
             if np.any(measurements["deviation"]) or not _is_fast(measurements):
-                recent = _joined([*self._older, *self.measurements])
+                recent = _joined(deque([*self._older, *self.measurements]))
                 initial = initial_from_few(imu, recent, self._noise, self._gravity)
             else:
                 poses = measurements[measurements["kind"] == POSE]

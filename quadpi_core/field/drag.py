@@ -64,6 +64,13 @@ class DragResult:
     wind: tuple[tuple[Estimate, Estimate], ...] = ()
     fitted: tuple[float, float] = (np.nan, np.nan)
 
+    def likely_wind(self, flight: int) -> Array:
+        """The likeliest wind (2,) of a flight, m/s: 0 where nothing tells it, however wide its interval."""
+        if not self.wind:
+            return np.zeros(2)
+        ends = [(one.low, one.high) for one in self.wind[flight]]
+        return np.array([0.0 if low is None or high is None else 0.5 * (low + high) for low, high in ends])
+
 
 def identify_drag(flights: Sequence[DragSamples]) -> DragResult:
     """Drag per mass of one vehicle from its flights, with the wind of each.

@@ -2,11 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Thrust of a rotor and moments of inertia from motor commands, gyro and accelerometer, mass and arms known.
 
-    −m f_z = Σ T(u_i) + c_z w + c_h (u² + v²) + m b,        T(u) = a_1 u + a_2 u²,
+    −m f_z = Σ T(u_i) + c_z w + c_h (u² + v²),        T(u) = a u²,
     I_x ṗ = −Σ y_i T(u_i) + d_p p + …,                      I_y q̇ = Σ x_i T(u_i) + d_q q + …,
 
 over commands u_i behind a first-order lag, which is fitted with all the rest: assumed, it would scale the
-inertia (at 50 and 100 ms by 1.7). Yaw is not told: the torque of a rotor is known by its ratio to I_z alone.
+inertia (at 50 and 100 ms by 1.7). Velocities are those of the air, by the wind that drag tells. That thrust goes
+with the square, and that the accelerometer has no bias, is assumed, and the error of both counted: left free,
+they would take up what a controller answers to gusts. Yaw is not told: commands give the torque of the rotors
+over I_z alone.
 """
 
 from __future__ import annotations
@@ -29,13 +32,15 @@ from quadpi_core.vehicle import Vehicle
 # Signals change below this; rates are differentiated above the noise of the gyro.
 _CUTOFF_HZ = 12.0
 _LAGS_S = tuple(0.005 * step for step in range(31))
-# Bias of an accelerometer, m/s², which hover cannot tell from thrust.
+# Bias of an accelerometer, m/s², one standard deviation.
 _BIAS_M_S2 = 0.15
 _PIECE_S, _SHORTEST_S, _PIECES_MOST = 6.0, 20.0, 40
 # Half width over value beyond which a number is not told.
 _WIDEST = 0.5
-# Columns of thrust: Σu, Σu², climb, speed squared, bias; of a moment: two of T(u), rate, product of rates, 1.
-_THRUST, _MOMENT = 5, 5
+# Columns of thrust: Σu², climb, speed squared; of a moment: that of T(u), rate, product of rates, 1.
+_THRUST, _MOMENT = 3, 4
+# Two standard deviations of the power of command that thrust goes with, over 2: of imrc_brushless it is 2.24.
+_POWER = 0.15
 
 
 @dataclass(frozen=True)
@@ -74,16 +79,19 @@ class _Piece:
     hover: tuple[float, int]
 
 
-def identify_body(flights: Sequence[tuple[FieldLog, Flown]], vehicle: Vehicle | None) -> BodyResult:
+def identify_body(
+    flights: Sequence[tuple[FieldLog, Flown]], vehicle: Vehicle | None, winds: Sequence[Array]
+) -> BodyResult:
     """Thrust and inertia of a vehicle by its flights, or why they are not told.
 
     Args:
         flights: logs with commands by the rotors of the vehicle file, and when each was in the air.
         vehicle: for mass and places of the rotors; None where no file says them.
+        winds: of each flight, to the north and east, m/s.
     """
     if vehicle is None:
         return untold_body("a vehicle file must say mass and places of the rotors (--vehicle)")
-    found = [_pieces(log, flight, vehicle) for log, flight in flights]
+    found = [_pieces(log, flight, vehicle, wind) for (log, flight), wind in zip(flights, winds, strict=True)]
     pieces = [piece for own in found if not isinstance(own, str) for piece in own]
     if len(pieces) < PIECES_FEWEST.value:
         reasons = [own for own in found if isinstance(own, str)]
@@ -100,15 +108,12 @@ def identify_body(flights: Sequence[tuple[FieldLog, Flown]], vehicle: Vehicle | 
             return untold_body("one piece of the flight tells it alone")
         without.append(own)
     told = np.array(
-        [
-            [piece.hover[1], *(own[0, :2, :2].sum() for own in piece.moments), piece.hover[1]]
-            for piece in pieces
-        ]
+        [[piece.hover[1], *(own[0, 0, 0] for own in piece.moments), piece.hover[1]] for piece in pieces]
     )
     low, high = jackknife(whole, np.array(without), told)
     half = 0.5 * (high - low)
-    # Hover alone cannot tell a bias from thrust, whatever the pieces agree on.
     half[0] = np.hypot(half[0], 2.0 * _BIAS_M_S2 * vehicle.mass_kg / vehicle.rotor_count)
+    half[1:3] = np.hypot(half[1:3], _POWER * whole[1:3])
     units = ("N", "kg m²", "kg m²", "s")
     thrust, *inertia, lag = (
         _estimate(value, own, unit)
@@ -124,7 +129,7 @@ def _estimate(value: float, half: float, unit: str) -> Estimate:
     return Estimate(value, value - half, value + half, unit)
 
 
-def _pieces(log: FieldLog, flight: Flown, vehicle: Vehicle) -> list[_Piece] | str:
+def _pieces(log: FieldLog, flight: Flown, vehicle: Vehicle, wind: Array) -> list[_Piece] | str:
     if log.commands is None or log.imu is None:
         return "the log has not both commands and IMU"
     if log.commands.values.shape[1] != vehicle.rotor_count:
@@ -134,11 +139,11 @@ def _pieces(log: FieldLog, flight: Flown, vehicle: Vehicle) -> list[_Piece] | st
         return f"commands and IMU are logged at {slow:.0f} Hz, slower than motors are"
     pieces: list[_Piece] = []
     for one in flight.stretches:
-        pieces += _of_stretch(log, one.begin, one.end, vehicle)
+        pieces += _of_stretch(log, one.begin, one.end, vehicle, wind)
     return pieces or "the flight is too short"
 
 
-def _of_stretch(log: FieldLog, begin: float, end: float, vehicle: Vehicle) -> list[_Piece]:
+def _of_stretch(log: FieldLog, begin: float, end: float, vehicle: Vehicle, wind: Array) -> list[_Piece]:
     assert log.commands is not None
     assert log.imu is not None
     if end - begin < _SHORTEST_S:
@@ -148,7 +153,9 @@ def _of_stretch(log: FieldLog, begin: float, end: float, vehicle: Vehicle) -> li
     commands, imu = log.commands.filled_means(edges), log.imu.filled_means(edges)
     motion, velocity = np.zeros((len(time), 2)), velocity_of(log)
     if velocity is not None and log.attitude is not None:
-        body = rotate_world_to_body(log.attitude.at(time), velocity.at(time))
+        air = velocity.at(time)
+        air[:, :2] -= wind
+        body = rotate_world_to_body(log.attitude.at(time), air)
         motion = np.stack([body[:, 2], body[:, 0] ** 2 + body[:, 1] ** 2], axis=1)
     good = np.flatnonzero(np.isfinite(np.hstack([commands, imu, motion])).all(axis=1))
     if len(good) < _SHORTEST_S * GRID_HZ:
@@ -172,13 +179,13 @@ def _of_stretch(log: FieldLog, begin: float, end: float, vehicle: Vehicle) -> li
     for lag in _LAGS_S:
         (keep,), (now,), (before,) = lag_weights(np.array([1.0 / GRID_HZ]), lag)
         lagged = lfilter([now, before], [1.0, -keep], commands, axis=0, zi=commands[:1] * (1.0 - now))[0]
-        powers = sosfiltfilt(smooth, np.stack([lagged, lagged**2], axis=2), axis=0)
+        squared = sosfiltfilt(smooth, lagged**2, axis=0)
         tables = [
-            np.column_stack([powers.sum(axis=1), others[:, :2], vehicle.mass_kg * ones, targets[:, 0]]),
+            np.column_stack([squared.sum(axis=1), others[:, :2], targets[:, 0]]),
             *(
                 np.column_stack(
                     [
-                        np.einsum("nrp,r->np", powers, arms[axis]),
+                        squared @ arms[axis],
                         others[:, 2 + axis],
                         others[:, 4 + axis],
                         ones,
@@ -219,21 +226,14 @@ def _solved(pieces: Sequence[_Piece]) -> Array | str:
     hover = total / count
     values, errors = np.empty((len(_LAGS_S), 3)), np.zeros(len(_LAGS_S))
     for place in range(len(_LAGS_S)):
-        gram = thrust[place][:_THRUST, :_THRUST].copy()
-        # The residual of a second counts once, as it is autocorrelated.
-        left = thrust[place][_THRUST, _THRUST] / count
-        gram[_THRUST - 1, _THRUST - 1] += max(left, 1e-12) / (_BIAS_M_S2**2) * 1e-2
-        curve = _least_squares(gram, thrust[place][:_THRUST, _THRUST])[:2]
-        values[place, 0] = curve[0] * hover + curve[1] * hover**2
+        own = thrust[place]
+        gain = _least_squares(own[:_THRUST, :_THRUST], own[:_THRUST, _THRUST])[0]
+        values[place, 0] = gain * hover**2
         for axis, own in enumerate(moments):
-            # T(u) of all rotors in one column.
-            shaped = np.zeros((_MOMENT + 1, _MOMENT))
-            shaped[:2, 0] = curve
-            shaped[2:, 1:] = np.eye(_MOMENT - 1)
-            squares = shaped.T @ own[place] @ shaped
-            gram, pull = squares[:-1, :-1], squares[:-1, -1]
+            squares = own[place]
+            gram, pull = squares[:_MOMENT, :_MOMENT], squares[:_MOMENT, _MOMENT]
             found = _least_squares(gram, pull)
-            values[place, 1 + axis] = 1.0 / found[0] if found[0] > 0.0 else np.nan
+            values[place, 1 + axis] = gain / found[0] if found[0] > 0.0 else np.nan
             errors[place] += (squares[-1, -1] - found @ pull) / squares[-1, -1]
     best = int(np.argmin(errors))
     if not np.isfinite(values[best]).all():
