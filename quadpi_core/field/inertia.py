@@ -6,10 +6,10 @@
     I_x ṗ = −Σ y_i T(u_i) + d_p p + …,                      I_y q̇ = Σ x_i T(u_i) + d_q q + …,
 
 over commands u_i behind a first-order lag, which is fitted with all the rest: assumed, it would scale the
-inertia (at 50 and 100 ms by 1.7). Velocities are those of the air, by the wind that drag tells. That thrust goes
-with the square, and that the accelerometer has no bias, is assumed, and the error of both counted: left free,
-they would take up what a controller answers to gusts. Yaw is not told: commands give the torque of the rotors
-over I_z alone.
+inertia (at 50 and 100 ms by 1.7). Velocities are those of the air, by the wind that drag tells.
+That thrust goes with the square, and that the accelerometer has no bias, is assumed, and the error of both
+counted: left free, they would take up what a controller answers to gusts. Yaw is not told: commands give the
+torque of the rotors over I_z alone.
 """
 
 from __future__ import annotations

@@ -1,0 +1,72 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Thrust and inertia from commands: of exact motion behind a lag, and where it cannot be told."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from quadpi_core.field.airborne import Flown, flown
+from quadpi_core.field.field_log import FieldLog, Series
+from quadpi_core.field.inertia import identify_body
+from quadpi_core.vehicle import Vehicle
+
+BEBOP = Vehicle.load("bebop2")
+FULL_N, INERTIA, LAG_S = 6.0, (2.1e-3, 1.7e-3), 0.04
+STILL = [np.zeros(2)]
+
+
+def flight(lag_s: float = LAG_S, shaken: float = 0.02) -> tuple[FieldLog, Flown]:
+    rng = np.random.default_rng(0)
+    time = np.arange(0.0, 60.0, 0.002)
+    mean = np.sqrt(BEBOP.mass_kg * BEBOP.gravity_m_s2 / 4.0 / FULL_N)
+    signs = np.sign(BEBOP.rotor_positions[:, :2])
+    roll, pitch, climb = (
+        sum(np.sin(2.0 * np.pi * hz * time + rng.uniform(0.0, 6.0)) for hz in rng.uniform(0.5, 2.5, 4))
+        for _ in range(3)
+    )
+    commands = mean * (1.0 + shaken * (signs[:, :1] * roll + signs[:, 1:] * pitch + climb)).T
+    keep = np.exp(-0.002 / lag_s)
+    speeds = lfilter([1.0 - keep], [1.0, -keep], commands, axis=0, zi=keep * commands[:1])[0]
+    thrust = FULL_N * speeds**2
+    turning = np.stack([-thrust @ BEBOP.rotor_positions[:, 1], thrust @ BEBOP.rotor_positions[:, 0]], axis=1)
+    turning /= INERTIA
+    rates = np.zeros((len(time), 3))
+    rates[:, :2] = 0.002 * np.cumsum(turning, axis=0) + rng.normal(0.0, 0.01, turning.shape)
+    force = np.zeros((len(time), 3))
+    force[:, 2] = -thrust.sum(axis=1) / BEBOP.mass_kg + rng.normal(0.0, 0.3, len(time))
+    log = FieldLog(
+        name="f", source="f", stack="test", imu=Series(time, np.hstack([rates, force])),
+        commands=Series(time, commands),
+    )  # fmt: skip
+    return log, flown(log)
+
+
+def test_exact_motion_tells_inertia_thrust_and_lag():
+    found = identify_body([flight()], BEBOP, STILL)
+    for one, true in zip(found.inertia, INERTIA, strict=True):
+        assert one.value == pytest.approx(true, rel=0.04)
+        assert one.low < true < one.high
+    assert found.thrust.value == pytest.approx(BEBOP.mass_kg * BEBOP.gravity_m_s2 / 4.0, rel=0.02)
+    assert found.lag.value == pytest.approx(LAG_S, abs=0.004)
+
+
+def test_what_is_lacking_is_said():
+    log, aloft = flight()
+    said = [
+        (identify_body([(log, aloft)], None, STILL), "a vehicle file"),
+        (identify_body([(replace(log, commands=None), aloft)], BEBOP, STILL), "both commands and IMU"),
+        (identify_body([flight(shaken=1e-4)], BEBOP, STILL), ""),
+    ]
+    for found, words in said:
+        assert all(one.value is None and words in one.reason for one in found.inertia)
+
+
+def test_motors_in_another_order_are_no_inertia():
+    log, aloft = flight()
+    swapped = replace(log, commands=Series(log.commands.time, log.commands.values[:, [3, 2, 1, 0]]))
+    assert "vehicle file's order" in identify_body([(swapped, aloft)], BEBOP, STILL).inertia[0].reason
