@@ -4,7 +4,7 @@
 
 Every flight is logged as an autopilot logs it: IMU and commands at 100 Hz, the state at 5 Hz with errors of
 1 m, 0.1 m/s and 2°. A report on each gives drag, thrust and inertia with intervals of 95 %, or says that they
-are not identified; counted is how often the truth is inside.
+are not identified; counted is how often the truth is inside. RotorPy flies them together by PyTorch and roma.
 
     python experiments/gps_flights.py [--flights 100] [--first 1000] [--store FOLDER]
 """
@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 from independent.airframes import GRAVITY_M_S2, Airframe, Array, airframes
+from independent.flying import Path as Path1
 from independent.flying import Path4
 from independent.hidden_effects import Flown
 from page_tables import renew, stamp
@@ -84,19 +85,20 @@ def vehicle_of(airframe: Airframe, rng: np.random.Generator) -> Flown:
 def path_of(rng: np.random.Generator, speed: float) -> Path4:
     """To and fro in x and y with turns, climbs, and quick steps of attitude for a third of the flight."""
 
-    def swing(fastest: float, low_hz: float, high_hz: float):
+    def swing(fastest: float, low_hz: float, high_hz: float) -> Path1:
         hz, phase = rng.uniform(low_hz, high_hz), rng.uniform(0.0, 2.0 * np.pi)
         size = rng.uniform(0.6, 1.0) * fastest / (2.0 * np.pi * hz)
         return lambda t: size * (np.sin(2.0 * np.pi * hz * t + phase) - np.sin(phase))
 
-    def faded(path):
+    def faded(path: Path1) -> Path1:
         def slowly(t: Array) -> Array:
             share = np.clip(t / 8.0, 0.0, 1.0)
-            return share**3 * (10.0 - 15.0 * share + 6.0 * share**2) * path(t)
+            slow: Array = share**3 * (10.0 - 15.0 * share + 6.0 * share**2) * path(t)
+            return slow
 
         return slowly
 
-    def shaken(begin: float, size: float):
+    def shaken(begin: float, size: float) -> Path1:
         hz = rng.uniform(0.9, 1.4)
         gain = size / (2.0 * np.pi * hz) ** 2
         return lambda t: (
@@ -121,10 +123,11 @@ def path_of(rng: np.random.Generator, speed: float) -> Path4:
 def _gusts(rng: np.random.Generator, samples: int) -> Array:
     deviation, constant = rng.uniform(0.5, 1.5), rng.uniform(1.0, 4.0)
     keep = np.exp(-1.0 / (RATE_HZ * constant))
-    gusts = deviation * rng.standard_normal((samples, 3))
+    gusts: Array = deviation * rng.standard_normal((samples, 3))
     for k in range(1, samples):
         gusts[k] = keep * gusts[k - 1] + np.sqrt(1.0 - keep**2) * gusts[k]
-    return gusts * np.array([1.0, 1.0, 0.5])
+    gusts *= [1.0, 1.0, 0.5]
+    return gusts
 
 
 def fly(seeds: Sequence[int]) -> list[Logged]:

@@ -5,7 +5,7 @@
 Of each flight the smoothed state is taken at a few instants a second and given errors; IMU and rotor speeds
 stay. Models are identified on every second flight and judged on the others, and the other way round.
 
-    python experiments/slow_states.py [--seeds 3] [--rate 5]
+    python experiments/degraded_states.py [--seeds 3] [--rate 5]
 """
 
 from __future__ import annotations
@@ -128,7 +128,9 @@ def rows_of(vehicle_name: str, folder: Path, seeds: int, rate_hz: float) -> list
         except QuadpiError as error:
             print(f"{path.name}: left out: {error}", flush=True)
             continue
-        recordings.append(recording), truth.append(prepared), full.append(smooth)
+        recordings.append(recording)
+        truth.append(prepared)
+        full.append(smooth)
     best, known = judged(vehicle, truth), drag(truth, recordings)
     rows = []
     for seed in range(seeds):
