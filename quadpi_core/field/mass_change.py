@@ -212,7 +212,7 @@ def _explained(
         if is_possible and chi < stats.f.ppf(CONFIDENCE.value, open_to, freedom):
             fits.append((float(left @ left), name))
             if name in ("moved centre of gravity", "payload"):
-                position = found[:2]
+                position = np.asarray(found[:2], dtype=np.float64)
     if any(name == "nothing" for _, name in fits):
         return MassChange(share, by, ("nothing",))
     best = min((squares for squares, name in fits if name.startswith(WEAK)), default=0.0)
