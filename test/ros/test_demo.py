@@ -62,6 +62,9 @@ def test_demo_on_the_bundled_flights(tmp_path: Path) -> None:
     page = (tmp_path / "out" / "report.html").read_text()
     assert len(page) < 3e6
     assert f"--model {tmp_path / 'out' / 'model'}" in page
+    # Real logs with a nut near motor 3.
+    assert "motor 3 (rear left) works harder than in earlier flights" in told.getvalue()
+    assert (tmp_path / "out" / "real" / "report.html").exists()
 
 
 @pytest.mark.slow
