@@ -257,7 +257,7 @@ def augmented(discovery: Discovery, without: int | None = None) -> AugmentedSimu
     if discovery.adjusted:
         adjusted = dict(zip(regression.tolerances.names, regression.moved_by(fitted).tolist(), strict=True))
         # What is uncertain in the body are small effects rather than coefficients of the simulation.
-        for effect, deviation in body_tolerances(simulation.tolerances):
+        for effect, deviation in body_tolerances(simulation):
             moved = [deviation * adjusted.pop(f"{effect.name}.{p.name}") for p in effect.parameters]
             small = _named(effect.name, moved)
             effects = merged({effect.name: small}, effects) if any(small.values()) else effects

@@ -159,7 +159,9 @@ def candidates(vehicle: Vehicle, names: Sequence[str] | None = None) -> list[Can
         free = [index for index, parameter in enumerate(effect.parameters) if not parameter.whole]
         # Of what has a state of its own, only the strength may be zero.
         centre = [p.default if index and effect.at_rest else 0.0 for index, p in enumerate(effect.parameters)]
-        choices = [range(int(p.lowest), int(p.highest) + 1) if p.whole else (0,) for p in effect.parameters]
+        # What is a whole number is that of a rotor.
+        most = vehicle.rotor_count
+        choices = [range(int(p.lowest), most + 1) if p.whole else (0,) for p in effect.parameters]
         for start in itertools.product(*choices):
             found.append(
                 Candidate(
@@ -276,7 +278,7 @@ class Tolerances(NamedTuple):
         simulation = flights[0].simulation
         each = [flight.uncertain() for flight in flights]
         shares = []
-        for effect, deviation in body_tolerances(simulation.tolerances):
+        for effect, deviation in body_tolerances(simulation):
             for values in deviation * np.eye(len(effect.parameters)):
                 moved = effect.kind == "vehicle"
                 shares.append(

@@ -209,7 +209,7 @@ class Compared(Kept):
             column._replace(wrench=self.simulation.recorded(self.quiet, column.wrench)[:: self.step])
             for column in self.simulation.uncertain(self.quiet)
         ]
-        for effect, deviation in body_tolerances(self.simulation.tolerances):
+        for effect, deviation in body_tolerances(self.simulation):
             deviations = deviation * np.eye(len(effect.parameters))
             for parameter, values in zip(effect.parameters, deviations, strict=True):
                 columns.append(Column(f"{effect.name}.{parameter.name}", self.added(effect, values)))
@@ -259,16 +259,18 @@ def _without_noise(values: Array, rate_hz: float) -> Array:
     return without
 
 
-def body_tolerances(tolerances: Tolerances) -> tuple[tuple[Effect, float], ...]:
+def body_tolerances(simulation: Simulation) -> tuple[tuple[Effect, float], ...]:
     """Effects that represent what is uncertain in the body, with the standard deviation of their parameters.
 
-    In the order of the tolerances, then of the effects that declare them (`Effect.tolerance`).
+    In the order of the tolerances, then of the effects that declare them (`Effect.tolerance`). Thrusts of
+    single rotors are those of four; of another number they count as alike.
     """
+    rotors = simulation.vehicle.rotor_count
     return tuple(
-        (effect, getattr(tolerances, field.name))
+        (effect, getattr(simulation.tolerances, field.name))
         for field in fields(Tolerances)
         for effect in EFFECTS.values()
-        if effect.tolerance == field.name
+        if effect.tolerance == field.name and (field.name != "thrust" or len(effect.parameters) == rotors)
     )
 
 

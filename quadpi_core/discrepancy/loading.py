@@ -122,7 +122,6 @@ def load_simulation(
             return RecordedSimulation.load(vehicle, bags, mapping, left_out)
         return _callable(text, vehicle)
     simulation = _of_model(path, vehicle) if path.is_dir() else _of_vehicle(text, vehicle)
-    simulation.vehicle.require_four("simulations are compared with flights")
     effects = own_effects(simulation.vehicle_file) if isinstance(simulation, VehicleSimulation) else {}
     return AugmentedSimulation(simulation, effects) if effects else simulation
 

@@ -46,7 +46,7 @@ from quadpi_core.reading_options import MappingOrOptions
 from quadpi_core.signals import resample
 from quadpi_core.signals.chain import zero_phase
 from quadpi_core.thresholds import CONVENTION, Threshold
-from quadpi_core.vehicle import ROTORS, Vehicle
+from quadpi_core.vehicle import Vehicle
 
 _HOVER_ROUNDS = 10
 UNJUDGED_MOST = Threshold(
@@ -289,7 +289,7 @@ def _hover(vehicle: Vehicle, rotor_speed: float) -> Flight:
         rates=none,
         angular_acceleration=none,
         specific_force=none - [0.0, 0.0, vehicle.gravity_m_s2],
-        rotor_speeds=np.full((2, ROTORS), rotor_speed),
+        rotor_speeds=np.full((2, vehicle.rotor_count), rotor_speed),
         wind=none,
     )
 
@@ -357,7 +357,7 @@ class RecordedSimulation(Simulation):
     def hover_rotor_speed(self) -> float:  # type: ignore[override]
         """See :class:`Simulation`."""
         weight = self.vehicle.mass_kg * self.vehicle.gravity_m_s2
-        return float(np.sqrt(weight / (ROTORS * self.thrust_n_s2)))
+        return float(np.sqrt(weight / (self.vehicle.rotor_count * self.thrust_n_s2)))
 
     def wrench(self, flight: Flight) -> Array:
         """See :class:`Simulation`."""
@@ -455,7 +455,7 @@ def instruments(flight: Flight, simulation: Simulation) -> dict[tuple[str, str],
     # are small beside what they share: as sums of large functions that nearly cancel they would be chosen
     # late, and shrunk by the ridge.
     x, y, _ = (vehicle.rotor_positions / np.abs(vehicle.rotor_positions[:, :2]).max()).T
-    sums = np.stack((np.ones_like(x), y, x, vehicle.rotor_spins), axis=1) / ROTORS
+    sums = np.stack((np.ones_like(x), y, x, vehicle.rotor_spins), axis=1) / vehicle.rotor_count
     summed = speeds @ sums
     even = np.concatenate((_products(velocity, velocity), _products(velocity, rates)), axis=1)
     groups = {

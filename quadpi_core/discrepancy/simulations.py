@@ -26,11 +26,12 @@ from quadpi_core.flight import Flight
 from quadpi_core.frames import Array
 from quadpi_core.inputs import relative_to_air
 from quadpi_core.models.sound_flights import SoundFlights
+from quadpi_core.records import record_dtype
 from quadpi_core.signals.wrench import band_limited
 from quadpi_core.simulation.flying import load_aerodynamics
 from quadpi_core.simulation.simulated_aerodynamics import SimulatedAerodynamics, vehicle_record
 from quadpi_core.simulation.simulated_file import read_simulation
-from quadpi_core.simulation.state_records import STATE
+from quadpi_core.simulation.state_records import State
 from quadpi_core.vehicle import Vehicle
 
 
@@ -174,7 +175,7 @@ class Simulation(ABC):
 
     def states(self, flight: Flight) -> npt.NDArray[np.void]:
         """Records `simulation.state_records.STATE` (N,), the input of effects."""
-        states = np.zeros(len(flight), dtype=STATE)
+        states = np.zeros(len(flight), dtype=record_dtype(State, self.vehicle.rotor_count))
         states["position"], states["attitude"] = flight.position, flight.attitude
         velocity = airspeed(flight)
         states["velocity_air"], states["rates"] = velocity, flight.rates

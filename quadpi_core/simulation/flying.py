@@ -175,6 +175,7 @@ def simulate_flight(
     effects = vehicle.with_own(effects)
     if "rotor_thrusts" in effects:
         vehicle.vehicle.require_four("`rotor_thrusts` flies")
+    require_rotors(effects, vehicle.vehicle)
     still = np.zeros(3) if known_wind is None else known_wind
     wind = still + added_wind(effects, time, generator(seed, "air"))
     flown = vehicle.altered(altered_vehicle(effects, vehicle.vehicle))
@@ -222,6 +223,20 @@ def simulate_flight(
         reference=reference.every(every),
         excursion=excursion(vehicle.identified, vehicle.vehicle, log, flown_wind),
     )
+
+
+def require_rotors(effects: Effects, vehicle: Vehicle) -> None:
+    """Refuse an effect on a rotor that a vehicle has not.
+
+    Raises:
+        SimulationError: naming effect and rotor.
+    """
+    for name, values in effects.items():
+        rotor = values.get("rotor", 0.0)
+        if rotor > vehicle.rotor_count:
+            raise SimulationError(
+                f"effect `{name}`: rotor {rotor:.0f}, vehicle {vehicle.name} has {vehicle.rotor_count}"
+            )
 
 
 def _demand(reference: Reference, wind: Array, last: int) -> Demand:

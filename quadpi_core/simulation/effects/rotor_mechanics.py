@@ -8,6 +8,7 @@ import numpy as np
 
 from quadpi_core.elementary import sine
 from quadpi_core.frames import Array
+from quadpi_core.records import ROTORS_MAX
 from quadpi_core.simulation.effect_definition import (
     AERODYNAMIC,
     STRENGTH_OF_ONE_ROTOR,
@@ -17,9 +18,8 @@ from quadpi_core.simulation.effect_definition import (
     effect,
 )
 from quadpi_core.simulation.state_records import State, VehicleNumbers
-from quadpi_core.vehicle import ROTORS
 
-_WHICH = Parameter("rotor", "", 1.0, 1.0, float(ROTORS), whole=True)
+_WHICH = Parameter("rotor", "", 1.0, 1.0, float(ROTORS_MAX), whole=True)
 _INERTIA = Parameter("rotor_inertia_kg_m2", "kg m²", 8e-6, 0.0, 1e-3)
 
 

@@ -12,9 +12,10 @@ import numpy as np
 from quadpi_core.elementary import cosine, sine
 from quadpi_core.flight import Recording, Stamps, Stream
 from quadpi_core.frames import Array
+from quadpi_core.records import ROTORS_MAX
 from quadpi_core.rotations import matrix
 from quadpi_core.simulation.effect_definition import STRENGTH_OF_ONE_ROTOR, Parameter, effect, three
-from quadpi_core.vehicle import ROTORS, Vehicle
+from quadpi_core.vehicle import Vehicle
 
 _Late = TypeVar("_Late", bound=Stream)
 
@@ -121,7 +122,7 @@ def gyro_bias(recording: Recording, vehicle: Vehicle, p: Array) -> Recording:  #
 @effect(
     "sensor",
     "Fx Fy Fz Mx My Mz",
-    Parameter("rotor", "", 0.0, 0.0, float(ROTORS), whole=True),
+    Parameter("rotor", "", 0.0, 0.0, float(ROTORS_MAX), whole=True),
     Parameter("change", "", 0.02, -0.9, 1.0),
     shown_by="weighing the thrust of each rotor; throttle steps with yaw",
     inverse=_inverse_scale,
