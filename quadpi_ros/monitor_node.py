@@ -18,7 +18,6 @@ from quadpi.msg import Erpm, RotorSpeeds
 from quadpi.srv import LoadModel
 from rclpy.clock import ROSClock
 
-from quadpi_core.air import Air
 from quadpi_core.errors import ModelError, QuadpiError
 from quadpi_core.estimator.imu_rate import ImuRate
 from quadpi_core.estimator.output import FusedSamples, with_gyro_faults
@@ -32,6 +31,7 @@ from quadpi_core.flight import (
     RotorSpeedStream,
     WindStream,
 )
+from quadpi_core.flown_air import Air
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.one_by_one import IncomingMessage
 from quadpi_core.models.aerodynamic import AerodynamicModel

@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from quadpi_core.air import UNKNOWN_AIR
 from quadpi_core.field.drag_fit import WIND, DragFit
 from quadpi_core.field.drag_samples import STEP_S, DragSamples
 from quadpi_core.field.estimates import PIECES_FEWEST, Estimate, beyond_zero, not_identified
+from quadpi_core.flown_air import UNKNOWN_AIR
 from quadpi_core.frames import Array
 from quadpi_core.thresholds import CONVENTION, Threshold
 

@@ -22,9 +22,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadpi_core.air import STANDARD_DENSITY
 from quadpi_core.field.drag_samples import STEP_S, DragSamples
 from quadpi_core.field.estimates import PIECES_FEWEST, effective_pieces, jackknife
+from quadpi_core.flown_air import STANDARD_DENSITY
 from quadpi_core.frames import Array
 from quadpi_core.messages.payloads import Indices
 from quadpi_core.thresholds import STANDARD_GRAVITY

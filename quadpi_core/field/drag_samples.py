@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from quadpi_core.air import STANDARD_DENSITY
 from quadpi_core.field.airborne import Flown, velocity_of
 from quadpi_core.field.estimates import PIECES_FEWEST
 from quadpi_core.field.field_log import FieldLog
+from quadpi_core.flown_air import STANDARD_DENSITY
 from quadpi_core.frames import Array
 from quadpi_core.rotations import rotation_matrix
 from quadpi_core.thresholds import Threshold

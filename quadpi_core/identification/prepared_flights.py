@@ -14,7 +14,6 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core import array_checks
-from quadpi_core.air import ASSUMED, MEASURED, flown_in
 from quadpi_core.brief_repr import brief_repr
 from quadpi_core.errors import LogError, ModelError, QuadpiError, named_in
 from quadpi_core.estimator.ekf import Ekf
@@ -31,6 +30,7 @@ from quadpi_core.flight_files import (
     once_each,
     require_flights_left,
 )
+from quadpi_core.flown_air import ASSUMED, MEASURED, flown_in
 from quadpi_core.frames import Array
 from quadpi_core.inputs import (
     DERIVATIVES,
@@ -82,7 +82,7 @@ class PreparedFlight:
         quality: remarks on the data.
         file: name that the flight would have whole, where it is one of several parts.
         recorded_s: that the recording lasts, with the time on the ground.
-        air: what tells the density of the air, see :mod:`quadpi_core.air`.
+        air: what tells the density of the air, see :mod:`quadpi_core.flown_air`.
         flight: what it was made of, that simulations are compared with; None where it was made of arrays.
         state: how unsure a monitor's state was, the median of deviations of velocity m/s and attitude rad.
         state_noise: of a slow state that does not say it, position m, attitude rad and velocity m/s.

@@ -14,11 +14,11 @@ from typing import Annotated, Any, Protocol, TypeVar, runtime_checkable
 import numpy as np
 
 from quadpi_core import array_checks
-from quadpi_core.air import ASSUMED, density_range
 from quadpi_core.config_schema import Flag, NotEmpty, OneOf, ReadBy, Real, Text, Within, parse_config
 from quadpi_core.core import compiled
 from quadpi_core.errors import ArgumentError, ModelError, named_in
 from quadpi_core.flight import AXES
+from quadpi_core.flown_air import ASSUMED, density_range
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES, derivatives_like, whole_derivatives
 from quadpi_core.messages.model_description import DescribedModel
@@ -59,7 +59,7 @@ _Part = TypeVar("_Part")
 
 @dataclass(frozen=True)
 class TrainingFlight:
-    """A flight that a model was identified on, with what told the density of its air (`quadpi_core.air`)."""
+    """A flight that a model was identified on; `air`: what told its density, see `quadpi_core.flown_air`."""
 
     name: str
     sha256: str

@@ -18,10 +18,10 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from scipy.stats import norm
 
-from quadpi_core.air import STANDARD_DENSITY
 from quadpi_core.field.drag import WIDEST_RATIO
 from quadpi_core.field.estimates import Estimate, beyond_zero, not_identified, within
 from quadpi_core.flight import AXES
+from quadpi_core.flown_air import STANDARD_DENSITY
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_INDEX, Derivatives, aerodynamic_inputs
 from quadpi_core.models.aerodynamic import AerodynamicModel

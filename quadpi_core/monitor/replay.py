@@ -19,7 +19,6 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core import array_checks
-from quadpi_core.air import Air
 from quadpi_core.errors import LogError
 from quadpi_core.estimator.ekf import Ekf
 from quadpi_core.estimator.filter_run import EkfTrace, Spans, never_started
@@ -29,6 +28,7 @@ from quadpi_core.estimator.output import FusedSamples, with_gyro_faults
 from quadpi_core.estimator.slow_states import with_slow_states
 from quadpi_core.flight import MAX_JUMP_BACK_NS, ImuStream, OdometryStream, Recording, Stamps, WindStream
 from quadpi_core.flight_files import FlightFile, LeftOutFlights, bags_in, for_each_flight
+from quadpi_core.flown_air import Air
 from quadpi_core.frames import Array
 from quadpi_core.logs import blocks_of, decode_recording, identify_format, open_in_blocks
 from quadpi_core.logs.bag_writer import FAST, mcap_writer

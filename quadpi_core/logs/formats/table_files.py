@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 
-from quadpi_core.air import ZERO_CELSIUS
 from quadpi_core.errors import LogError
 from quadpi_core.flight import (
     FLIGHT_MAX_NS,
@@ -35,6 +34,7 @@ from quadpi_core.flight import (
     WindStream,
     WrenchStream,
 )
+from quadpi_core.flown_air import ZERO_CELSIUS
 from quadpi_core.frames import (
     Array,
     body_flu_to_frd,

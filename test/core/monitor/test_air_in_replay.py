@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from quadpi_core.air import MEASURED
 from quadpi_core.flight import AirStream, TemperatureStream
+from quadpi_core.flown_air import MEASURED
 from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs.bags import read_bag, read_outputs, write_bag
 from quadpi_core.models.aerodynamic import AerodynamicModel

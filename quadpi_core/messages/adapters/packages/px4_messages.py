@@ -13,9 +13,9 @@ from collections import Counter
 
 import numpy as np
 
-from quadpi_core.air import celsius_of
 from quadpi_core.errors import SampleError
 from quadpi_core.flight import AirStream, ImuStream, OdometryStream, Stamps
+from quadpi_core.flown_air import celsius_of
 from quadpi_core.frames import Array
 from quadpi_core.messages.adapters.adapter_definition import Adapter, Reading, of_items
 from quadpi_core.messages.adapters.motor_messages import (

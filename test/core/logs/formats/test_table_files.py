@@ -17,9 +17,9 @@ import scipy.io
 import yaml
 from scipy.spatial.transform import Rotation
 
-from quadpi_core.air import MEASURED, flown_in
 from quadpi_core.errors import LogError, VehicleError
 from quadpi_core.flight import Recording
+from quadpi_core.flown_air import MEASURED, flown_in
 from quadpi_core.logs import read_recording
 from quadpi_core.rotations import rotate_body_to_world
 from quadpi_core.vehicle import Vehicle

@@ -9,7 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from quadpi_core.air import (
+from quadpi_core.flight import AirStream, ImuStream, Recording, TemperatureStream
+from quadpi_core.flown_air import (
     ASSUMED,
     BOARD,
     MEASURED,
@@ -20,7 +21,6 @@ from quadpi_core.air import (
     density_range,
     flown_in,
 )
-from quadpi_core.flight import AirStream, ImuStream, Recording, TemperatureStream
 
 IMU = ImuStream(np.arange(10) * 10**7, np.zeros((10, 3)), np.zeros((10, 3)))
 PLAIN = Recording("flight", "bebop2", "flight.mcap", IMU)
