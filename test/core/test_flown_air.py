@@ -76,7 +76,7 @@ def test_changes_are_told_by_the_imu_samples_that_arrived_before() -> None:
     [
         (MEASURED, STANDARD_DENSITY, (1.0, 1.0)),
         (BOARD, STANDARD_DENSITY, (1.0, 1.1)),
-        (ASSUMED, STANDARD_DENSITY, (0.65, 1.15)),
+        (ASSUMED, STANDARD_DENSITY, (0.62, 1.15)),
         (ASSUMED, 1.1, (0.95, 1.05)),
     ],
 )

@@ -74,7 +74,7 @@ def test_air_that_the_log_does_not_tell_widens_coefficients():
     untold = identified(fast)
     assert untold.ballistic[0].value == told.ballistic[0].value
     assert untold.ballistic[0].low < 0.92 * untold.ballistic[0].value < told.ballistic[0].low
-    assert "-35 to +15 % for the density of the air" in untold.ballistic[0].reason
+    assert "-38 to +15 % for the density of the air" in untold.ballistic[0].reason
     assert untold.per_mass == told.per_mass
 
 
