@@ -105,7 +105,8 @@ def trusted(network: Network, checked: Sequence[Left]) -> Array:
         np.mean([np.square(one.error - share * network(one)).mean(axis=0) for one in checked], axis=0)
         for share in SHARES
     ]
-    return np.array(SHARES)[np.argmin(errors, axis=0)]
+    shares: Array = np.array(SHARES)[np.argmin(errors, axis=0)]
+    return shares
 
 
 def rms(errors: Sequence[Array]) -> Array:
