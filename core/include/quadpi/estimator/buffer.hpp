@@ -120,7 +120,8 @@ public:
             return outcome;
         }
         source.step_before_ns = source.step_ns;
-        source.step_ns = source.arrived_ns == NO_STAMP ? 0 : std::max<std::int64_t>(time_ns - source.arrived_ns, 0);
+        source.step_ns =
+            source.arrived_ns == NO_STAMP ? 0 : std::max<std::int64_t>(time_ns - source.arrived_ns, 0);
         source.arrived_ns = time_ns;
         // In the order of stamps: an odometry's two parts, and sources that overtake each other.
         std::int64_t at = (memory.held_first + memory.held_count) % HELD;

@@ -277,8 +277,7 @@ inline bool same_motion(
         return apart <= AGREE_STDS * std::sqrt(noise.velocity) + acceleration * elapsed;
     }
     const bool turns = measured(first.deviation[1]) && measured(second.deviation[1]);
-    const double angle =
-        turns ? length_of(turn_from(normalised(first.attitude), second.attitude)) : 0.0;
+    const double angle = turns ? length_of(turn_from(normalised(first.attitude), second.attitude)) : 0.0;
     return apart <=
                AGREE_STDS * std::sqrt(noise.position) + (AGREE_SPEED_M_S + AGREE_FACTOR * speed) * elapsed &&
            angle <=
