@@ -8,7 +8,7 @@ CORE_SOURCES = $(shell find core -name '*.[ch]pp')
 export ROS_AUTOMATIC_DISCOVERY_RANGE = LOCALHOST
 unexport AMENT_PREFIX_PATH PYTHONPATH PYTHONHOME
 
-.PHONY: help demo dist development test test-slow test-all lint format bench tables alarm discovery discovery-independent discovery-hidden discovery-real models intervals rollouts nanodrone pictures golden fuzz environment clean
+.PHONY: help demo dist development test test-slow lint format bench tables alarm discovery discovery-independent discovery-hidden discovery-real models intervals rollouts nanodrone pictures golden fuzz environment clean
 
 help: ## list these targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1|/p' $(MAKEFILE_LIST) | while IFS='|' read -r target text; do \
@@ -32,9 +32,6 @@ test: ## the fast tests, live nodes included (TEST_ARGS="-k intervals -x" for so
 
 test-slow: ## the other tests: cluster, statistics, real flights, commands of the documents, searches, fuzzing
 	$(call run_tests,slow)
-
-test-all: ## both, as CI runs them: what several tests share is made once
-	$(call run_tests,slow or not slow)
 
 lint: development ## ruff, clang-format, mypy, the order of the rooms and the house rules, as CI runs them
 	@$(BIN)/ruff check

@@ -48,7 +48,7 @@ SHORT_FORMS = {
     "rollouts": "experiments/test/test_rollout_tables.py",
     "tables": "experiments/test/test_paper_tables.py",
 }
-HERE = {*SHORT, "bench", "clean", "demo", "dist", "help", "pictures", "test", "test-slow"}
+HERE = {*SHORT, "bench", "clean", "demo", "dist", "help", "pictures"}
 
 
 def make(*arguments: str, folder: Path = ROOT) -> str:
@@ -110,10 +110,8 @@ def test_short_forms(target: str, checkout: Path) -> None:
     assert option in make(target, arguments, folder=checkout)
 
 
-@pytest.mark.parametrize(
-    ("target", "marker"), [("test", "not slow"), ("test-slow", "slow"), ("test-all", "slow or not slow")]
-)
-def test_suites_are_of_all_tests_of_their_marker(target: str, marker: str) -> None:
+@pytest.mark.parametrize(("target", "marker"), [("test", "not slow"), ("test-slow", "slow")])
+def test_the_two_suites_are_all_tests(target: str, marker: str) -> None:
     """Those of live nodes included; TEST_ARGS chooses among the tests of the marker."""
     everything = re.findall(r"pytest (.*)", make("--dry-run", target))
     assert all(arguments.startswith(f'-m "{marker}" --numprocesses') for arguments in everything)
