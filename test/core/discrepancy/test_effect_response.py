@@ -163,8 +163,9 @@ def test_predicted_accelerations_are_those_of_the_simulation_but_slow_turns_as_m
     np.testing.assert_allclose(moved, np.tile(constant, (len(flight), 1)), atol=1e-9)
 
 
-def test_tolerances_of_the_body_are_effects_with_their_deviation():
-    found = {effect.name: deviation for effect, deviation in body_tolerances(Tolerances(cg_m=0.002))}
+def test_tolerances_of_the_body_are_effects_with_their_deviation(simulation):
+    wide = replace(simulation, tolerances=Tolerances(cg_m=0.002))
+    found = {effect.name: deviation for effect, deviation in body_tolerances(wide)}
     assert found == {"rotor_thrusts": 0.01, "inertia": 0.02, "cg_offset": 0.002, "imu_lever_arm": 0.002}
 
 
