@@ -14,8 +14,10 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from itertools import chain
+from typing import TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
 from quadpi_core import rotations
 from quadpi_core.estimator.ekf import Ekf
@@ -38,10 +40,19 @@ _STILL_M_S, _STILL_S = 2.0, 0.5
 # States by which a flight shows how often they come.
 _STATES_SEEN = 8
 
+# True or false (3,) for position, attitude and velocity.
+_Parts: TypeAlias = npt.NDArray[np.bool_]
+
 
 def _corrects(odometry: OdometryStream) -> bool:
     """Whether states correct the filter: they come too seldom to be interpolated, or lack a part."""
-    return is_slow_state(odometry) or bool(np.any(odometry.deviation < 0.0))
+    return is_slow_state(odometry) or bool(np.any(_lacking(odometry)))
+
+
+def _lacking(odometry: OdometryStream) -> _Parts:
+    """Which parts (3,) most of the states do not have."""
+    lacking: _Parts = 2 * np.count_nonzero(odometry.deviation < 0.0, axis=0) > len(odometry)
+    return lacking
 
 
 def with_slow_state(recording: Recording, vehicle: Vehicle) -> Recording:
@@ -61,7 +72,7 @@ def with_slow_state(recording: Recording, vehicle: Vehicle) -> Recording:
     unknown &= ~np.any(odometry.deviation, axis=0) & (len(odometry) >= _STATES_SEEN)
     if unknown.any():
         usual = _learned(recording, odometry, vehicle, usual, unknown)
-    return measured_state(recording, odometry, usual)
+    return _measured_state(recording, usual, _lacking(odometry))
 
 
 def with_slow_states(blocks: Iterator[Recording], vehicle: Vehicle) -> tuple[Iterator[Recording], bool]:
@@ -76,13 +87,10 @@ def with_slow_states(blocks: Iterator[Recording], vehicle: Vehicle) -> tuple[Ite
         if states >= _STATES_SEEN:
             break
     known = [block.odometry for block in seen if block.odometry is not None]
-    slow = bool(known) and _corrects(OdometryStream.join(known))
     every = chain(seen, blocks)
-    return (map(partial(_measured, noise=_noise_of(vehicle)), every) if slow else every), slow
-
-
-def _measured(block: Recording, noise: Array) -> Recording:
-    return block if block.odometry is None else measured_state(block, block.odometry, noise)
+    if not known or not _corrects(first := OdometryStream.join(known)):
+        return every, False
+    return map(partial(_measured_state, usual=_noise_of(vehicle), lacking=_lacking(first)), every), True
 
 
 def _noise_of(vehicle: Vehicle) -> Array:
@@ -90,15 +98,18 @@ def _noise_of(vehicle: Vehicle) -> Array:
     return np.array([told or usual for told, usual in zip(vehicle.noise.of_state, _USUAL, strict=True)])
 
 
-def measured_state(recording: Recording, odometry: OdometryStream, usual: Array) -> Recording:
+def _measured_state(recording: Recording, usual: Array, lacking: _Parts) -> Recording:
     """The recording with states as measurements, their noise `usual` (3,) where they do not state it.
 
     An attitude alone is taken as that of a vehicle that stays about where it is: velocity 0, as unsure as
     people fly, once in a while. Forces along x and y are then hardly told, thrust and moments are.
     """
+    odometry = recording.odometry
+    if odometry is None:
+        return recording
     deviation = np.where(odometry.deviation == 0.0, usual, odometry.deviation)
-    if np.any(deviation[:, 2] < 0.0):
-        return _without_velocity(recording, odometry, deviation)
+    if lacking[2]:
+        return _without_velocity(recording, odometry, deviation, at_rest=bool(lacking[0]))
     # As a receiver measures it; in body axes it would hold the error of the attitude twice.
     velocity = rotations.rotate_body_to_world(odometry.attitude, odometry.velocity)
     in_world = np.zeros(len(odometry), dtype=bool)
@@ -115,19 +126,25 @@ def measured_state(recording: Recording, odometry: OdometryStream, usual: Array)
     )
 
 
-def _without_velocity(recording: Recording, odometry: OdometryStream, deviation: Array) -> Recording:
-    """The recording with attitudes, and where they are known positions, as measurements."""
+def _without_velocity(
+    recording: Recording, odometry: OdometryStream, deviation: Array, at_rest: bool
+) -> Recording:
+    """The recording with attitudes, and positions or a vehicle that is `at_rest`, as measurements."""
     stamps = odometry.time_ns
     pose = PoseStream(stamps, odometry.position, odometry.attitude, deviation[:, :2].copy())
-    chosen = np.searchsorted(stamps, np.arange(stamps[0], stamps[-1] + 1, round(1e9 * _STILL_S)))
+    # By the clock, so that blocks of a flight give what the whole gives.
+    periods, chosen = np.unique(stamps // round(1e9 * _STILL_S), return_index=True)
     still = np.zeros((len(chosen), 3))
     # A source that repeats itself to the bit is taken for frozen.
-    still[1::2, 0] = 1e-9
+    still[:, 0] = 1e-9 * (periods % 2)
     twist = TwistStream(
         stamps[chosen], still, np.zeros(len(chosen), dtype=bool), np.full(len(chosen), _STILL_M_S)
     )
-    told = bool(np.all(deviation[:, 0] > 0.0))
-    return replace(recording, pose=pose, twist=None if told else twist, odometry=None, arrivals={})
+    arrivals = dict(recording.arrivals)
+    arrived = arrivals.pop(OdometryStream.topic, None)
+    if arrived is not None:
+        arrivals |= {PoseStream.topic: arrived, TwistStream.topic: arrived[chosen]}
+    return replace(recording, pose=pose, twist=twist if at_rest else None, odometry=None, arrivals=arrivals)
 
 
 def _learned(
@@ -135,10 +152,10 @@ def _learned(
 ) -> Array:
     """The noise (3,) with what is unknown of it as the flight itself tells it."""
     end_ns = int(recording.imu.time_ns[0]) + round(1e9 * _LEARNED_S)
-    part = replace(recording, imu=recording.imu.take(recording.imu.time_ns < end_ns), arrivals={})
-    states = odometry.take(odometry.time_ns < end_ns)
+    imu, states = recording.imu.take(recording.imu.time_ns < end_ns), odometry.take(odometry.time_ns < end_ns)
+    part = replace(recording, imu=imu, odometry=states, arrivals={})
     for _ in range(_ROUNDS):
-        measured = measured_state(part, states, usual)
+        measured = _measured_state(part, usual, _lacking(odometry))
         segments = Ekf(vehicle, nominal_rate(part.imu.time_ns)).segments(measured)
         found = smooth(part.imu, segments)
         taken_ns = states.time_ns - np.round(1e9 * np.interp(states.time_ns, found.time_ns, found.delay_s))

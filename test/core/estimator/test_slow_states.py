@@ -117,6 +117,32 @@ def test_an_attitude_alone_is_of_a_vehicle_that_may_move(recording, full):
     assert 0.3 < unsure < 2.0
 
 
+def test_attitudes_alone_with_a_pause_rise_and_keep_when_all_arrived(recording, full):
+    fast = with_gps(recording, full, 50.0, [NOT_MEASURED, GPS[1], NOT_MEASURED])
+    seconds = 1e-9 * (fast.odometry.time_ns - fast.odometry.time_ns[0])
+    states = fast.odometry.take((seconds < 4.0) | (seconds > 7.0))
+    arrived = np.searchsorted(fast.imu.time_ns, states.time_ns) + 3
+    rotors = np.arange(len(fast.rotor_speeds))
+    arrivals = {OdometryStream.topic: arrived, fast.rotor_speeds.topic: rotors}
+    paused = replace(fast, odometry=states, arrivals=arrivals)
+    corrected = with_slow_state(paused, BEBOP)
+    assert np.all(np.diff(corrected.twist.time_ns) > 0)
+    assert np.all(np.diff(corrected.twist.velocity[:, 0]) != 0.0)
+    assert np.array_equal(corrected.arrivals_of(corrected.pose), arrived)
+    assert np.all(np.isin(corrected.arrivals_of(corrected.twist), arrived))
+    assert np.array_equal(corrected.arrivals_of(corrected.rotor_speeds), rotors)
+
+
+def test_one_state_that_lacks_a_part_does_not_decide_for_the_flight(recording, full):
+    slow = with_gps(recording, full)
+    slow.odometry.deviation[3, 2] = NOT_MEASURED
+    assert np.count_nonzero(with_slow_state(slow, BEBOP).twist.deviation == NOT_MEASURED) == 1
+    fast = with_gps(recording, full, 50.0)
+    fast.odometry.deviation[3] = NOT_MEASURED
+    assert with_slow_state(fast, BEBOP) is fast
+    assert not with_slow_states(split_recording(fast), BEBOP)[1]
+
+
 def test_blocks_are_corrected_as_the_whole(recording, full):
     slow = with_gps(recording, full)
     whole = with_slow_state(slow, BEBOP)
