@@ -73,6 +73,16 @@ class SensorNoise(Section):
         """Of a slow state that does not say it: position m, attitude rad, velocity m/s; None: estimated."""
         return self.state_position_m, self.state_attitude_rad, self.state_velocity_m_s
 
+    def of_odometry(self, stated: Array) -> Array:
+        """Deviations (N, 3) of `mocap/odometry` that states such, in the units of :attr:`of_state`.
+
+        None is surer than motion capture by this file: messages often state a variance that nobody measured,
+        such as 1e-9, by which the filter would reject what comes. Below 0, which is not measured, stays.
+        """
+        usual = np.array([told or 0.0 for told in self.of_state])
+        surest = np.array([self.mocap_position_m, self.mocap_attitude_rad, self.mocap_velocity_m_s])
+        return np.where(stated > 0.0, np.maximum(stated, surest), np.where(stated == 0.0, usual, stated))
+
 
 # Compared and hashed by identity: arrays have no truth value.
 @dataclass(frozen=True, eq=False)

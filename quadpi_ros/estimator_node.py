@@ -8,7 +8,6 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, TransformStamped, TwistStamped
 from nav_msgs.msg import Odometry
@@ -18,7 +17,7 @@ from quadpi_core.core import compiled
 from quadpi_core.estimator.ekf import Ekf
 from quadpi_core.estimator.filter_state import WITHOUT_ESTIMATE, EstimatorStatus, Outcome
 from quadpi_core.estimator.output import FusedSamples, with_gyro_faults
-from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, TwistStream
+from quadpi_core.flight import NOT_MEASURED, ImuStream, OdometryStream, PoseStream, TwistStream
 from quadpi_core.frames import Array
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.definitions import codec
@@ -83,7 +82,7 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         self._body = self.frames_of(parameters.body_frame, parameters.frames)
         self._imu = adapted.instead_of(framed_imu(self._body), "imu")
         self._mocap, self._take_mocap = self._motion_capture(adapted)
-        self._state_noise = np.array([told or 0.0 for told in vehicle.noise.of_state])
+        self._noise = vehicle.noise
         self._ekf = Ekf(vehicle, parameters.imu_rate_hz or None)
         self._publish = self.announce(Odometry, "odometry")
         self._tf = TransformPublisher(self) if parameters.tf_rate_hz else None
@@ -205,9 +204,10 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
     def _take_odometry(self, odometry: OdometryStream) -> None:
         self._consistency.take_copy(odometry)
         time_ns = int(odometry.time_ns[0])
-        stated = np.where(odometry.deviation[0] == 0.0, self._state_noise, odometry.deviation[0])
+        stated = self._noise.of_odometry(odometry.deviation[0])
         self._ekf.update_pose(time_ns, odometry.position[0], odometry.attitude[0], stated[:2])
-        self._ekf.update_velocity(time_ns, odometry.velocity[0], True, stated[2])
+        if stated[2] != NOT_MEASURED:
+            self._ekf.update_velocity(time_ns, odometry.velocity[0], True, stated[2])
 
     def _take_twist(self, twist: TwistStream) -> None:
         self._ekf.update_velocity(int(twist.time_ns[0]), twist.velocity[0], bool(twist.in_body[0]))

@@ -231,6 +231,9 @@ class _Unpacking:
     ) -> None:
         self._path = path
         self._names = names
+        mocap_odometry = partial(
+            sensor_messages.unpack_logged_mocap_odometry, noise=None if vehicle is None else vehicle.noise
+        )
         self._unpackers: dict[str, Callable[[Payloads], Any]] = {
             "imu": Framed(sensor_messages.unpack_imu, frames.imu),
             "rotor_speeds": partial(
@@ -240,7 +243,7 @@ class _Unpacking:
             "mocap/pose": Framed(sensor_messages.POSE_SAMPLES.unpack_logged, frames.world),
             "mocap/transform": Framed(sensor_messages.TRANSFORM_SAMPLES.unpack_logged, frames.world, texts=2),
             "mocap/twist": Framed(sensor_messages.unpack_twist, frames.world),
-            "mocap/odometry": Framed(sensor_messages.unpack_logged_mocap_odometry, frames.world, texts=2),
+            "mocap/odometry": Framed(mocap_odometry, frames.world, texts=2),
             "odometry": Framed(sensor_messages.ODOMETRY_SAMPLES.unpack_logged, frames.world, texts=2),
             "wind": Framed(sensor_messages.unpack_wind, frames.world),
             "simulation/wrench": sensor_messages.unpack_simulated,

@@ -46,7 +46,7 @@ from quadpi_core.messages.payloads import Payloads
 from quadpi_core.messages.values import ODOMETRY_VALUES
 from quadpi_core.records import Records
 from quadpi_core.thresholds import NORM_TOLERANCE
-from quadpi_core.vehicle import Vehicle
+from quadpi_core.vehicle import SensorNoise, Vehicle
 
 IMU = "sensor_msgs/msg/Imu"
 POSE = "geometry_msgs/msg/PoseStamped"
@@ -330,20 +330,23 @@ def pack_twist(stream: TwistStream, body_frame: str = BODY_FRAME, world_frame: s
     return Payloads.merge(parts)
 
 
-def unpack_logged_mocap_odometry(payloads: Payloads | bytes) -> tuple[PoseStream, TwistStream]:
+def unpack_logged_mocap_odometry(
+    payloads: Payloads | bytes, noise: SensorNoise | None = None
+) -> tuple[PoseStream, TwistStream]:
     """Decode nav_msgs/Odometry of motion capture as the pose and the velocity that it holds.
 
+    With the noise of a vehicle file deviations are as the estimator takes them, see `SensorNoise.of_odometry`.
     Beside an orientation that is no unit quaternion, which stays of its length, the velocity is not a number.
     """
     odometry = ODOMETRY_SAMPLES.unpack_logged(payloads)
     with np.errstate(over="ignore", invalid="ignore"):
         wrong = np.abs(np.linalg.norm(odometry.attitude, axis=1) - 1.0) > NORM_TOLERANCE
     odometry.velocity[wrong] = np.nan
+    deviation = odometry.deviation if noise is None else noise.of_odometry(odometry.deviation)
+    in_body = np.ones(len(odometry), dtype=bool)
     return (
-        PoseStream(odometry.time_ns, odometry.position, odometry.attitude, odometry.deviation[:, :2]),
-        TwistStream(
-            odometry.time_ns, odometry.velocity, np.ones(len(odometry), dtype=bool), odometry.deviation[:, 2]
-        ),
+        PoseStream(odometry.time_ns, odometry.position, odometry.attitude, deviation[:, :2]),
+        TwistStream(odometry.time_ns, odometry.velocity, in_body, deviation[:, 2]),
     )
 
 

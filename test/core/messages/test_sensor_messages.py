@@ -18,7 +18,7 @@ from quadpi_core.flight import (
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.definitions import typestore
 from quadpi_core.messages.payloads import Payloads
-from quadpi_core.vehicle import Vehicle
+from quadpi_core.vehicle import SensorNoise, Vehicle
 
 N = 7
 TIME_NS = 1_700_000_000_999_999_990 + 7 * np.arange(N)
@@ -138,6 +138,18 @@ def test_variances_that_stand_for_nothing_are_none(rng):
     found = sensor_messages.unpack_odometry(sensor_messages.pack_odometry(stream, covariance, covariance))
     assert found.deviation[0].tolist() == [0.0, 0.0, 0.0]
     assert found.deviation[1].tolist() == [0.0, NOT_MEASURED, 0.0]
+
+
+def test_odometry_of_motion_capture_is_no_surer_than_the_vehicle_file_says(rng):
+    stream = OdometryStream(TIME_NS, np.ones((N, 3)), attitudes(rng), np.ones((N, 3)), np.ones((N, 3)))
+    covariance = np.zeros((N, 6, 6))
+    covariance[1], covariance[2], covariance[3] = 1e-9 * np.eye(6), 0.25 * np.eye(6), 1e6 * np.eye(6)
+    payloads = sensor_messages.pack_odometry(stream, covariance, covariance)
+    noise = SensorNoise(mocap_position_m=0.004, state_attitude_rad=0.1)
+    pose, twist = sensor_messages.unpack_logged_mocap_odometry(payloads, noise)
+    surest = noise.mocap_attitude_rad, noise.mocap_velocity_m_s
+    assert pose.deviation[:4].tolist() == [[0.0, 0.1], [0.004, surest[0]], [0.5, 0.5], [-1.0, -1.0]]
+    assert twist.deviation[:4].tolist() == [0.0, surest[1], 0.5, NOT_MEASURED]
 
 
 @pytest.mark.parametrize(
