@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from math import isfinite
 
 import numpy as np
+import numpy.typing as npt
 
 from quadpi_core.flight import Recording
 from quadpi_core.frames import Array
@@ -23,6 +24,10 @@ STANDARD_DENSITY = 1.225
 _GAS, ZERO_CELSIUS = 287.053, 273.15
 # Of air that multirotors fly in [kg/m³]: from 9 km above the sea (ISO 2533) to sea level at -60 °C.
 DENSITY_MIN, DENSITY_MAX = 0.4, 1.8
+# Pressures there [Pa], and temperatures [°C], up to a barometer's board 30 K above the warmest air. What is
+# beyond is of another unit, hPa or K above all, or of a dead sensor.
+PRESSURE_MIN, PRESSURE_MAX = 3e4, 1.1e5
+CELSIUS_MIN, CELSIUS_MAX = -60.0, 90.0
 NOTICED = Threshold(
     "change of the density from which a flight goes on in another one",
     0.002,
@@ -67,6 +72,16 @@ def celsius_of(pressure: Array, density: Array) -> Array:
     return celsius
 
 
+def is_pressure(pascal: Array) -> npt.NDArray[np.bool_]:
+    """Which pressures (N,) can be of air that multirotors fly in."""
+    return (pascal >= PRESSURE_MIN) & (pascal <= PRESSURE_MAX)
+
+
+def is_celsius(celsius: Array) -> npt.NDArray[np.bool_]:
+    """Which temperatures (N,) can be of that air, or of a board in it."""
+    return (celsius >= CELSIUS_MIN) & (celsius <= CELSIUS_MAX)
+
+
 def flown_in(recording: Recording) -> tuple[float, str] | None:
     """Median density of the air of a flight [kg/m³], and what tells it; None where nothing does."""
     pressure, celsius = (
@@ -75,7 +90,7 @@ def flown_in(recording: Recording) -> tuple[float, str] | None:
         )
         for name in ("pressure", "celsius")
     )
-    pressure, celsius = pressure[np.isfinite(pressure)], celsius[np.isfinite(celsius)]
+    pressure, celsius = pressure[is_pressure(pressure)], celsius[is_celsius(celsius)]
     if not len(pressure) or not len(celsius):
         return None
     density = float(density_of(np.median(pressure), np.median(celsius)))
@@ -107,10 +122,13 @@ class Air:
         self._pressure = self._celsius = float("nan")
 
     def hear(self, pressure: float, celsius: float) -> bool:
-        """Take what a message tells, NaN for what it does not; whether the density is another now."""
-        self._pressure = pressure if isfinite(pressure) else self._pressure
-        self._celsius = celsius if isfinite(celsius) else self._celsius
-        if not isfinite(self._pressure + self._celsius) or self._celsius <= -ZERO_CELSIUS:
+        """Take what a message tells, NaN for what it does not; whether the density is another now.
+
+        What can be no pressure or temperature of the air counts as not told.
+        """
+        self._pressure = pressure if PRESSURE_MIN <= pressure <= PRESSURE_MAX else self._pressure
+        self._celsius = celsius if CELSIUS_MIN <= celsius <= CELSIUS_MAX else self._celsius
+        if not isfinite(self._pressure + self._celsius):
             return False
         density = self._pressure / (_GAS * (self._celsius + ZERO_CELSIUS))
         if not DENSITY_MIN <= density <= DENSITY_MAX:

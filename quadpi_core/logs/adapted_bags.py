@@ -34,7 +34,7 @@ ADAPTED_KINDS = (
 # Those that are used without being named, and refuse no bag.
 MOTOR_INPUTS = ("motor_commands", "battery")
 AIR_INPUTS = ("pressure", "temperature")
-# Those of another pressure, or of a part that warms itself, by the last level of their names.
+# In names of another pressure, or of a part that warms itself.
 _NO_AIR = re.compile(r"diff|imu|motor|esc|batt|cpu|mag")
 
 
@@ -118,9 +118,15 @@ def unnamed(bag: Bag, kind: str, within: Collection[str], known: str = "") -> li
         for one in _candidates(bag, kind)
         if one.name in within
         and not one.adapter.common
-        and not (kind in AIR_INPUTS and _NO_AIR.search(one.name.rpartition("/")[2].lower()))
+        and not (kind in AIR_INPUTS and _is_of_a_part(one.name.lower()))
     ]
     return [one for rank, one in found if rank == min(rank for rank, _ in found)]
+
+
+def _is_of_a_part(name: str) -> bool:
+    """Whether a topic tells another pressure or temperature than that of the air, as `/imu/temperature`."""
+    *_, before, last = ("", *name.split("/"))
+    return bool(_NO_AIR.search(f"{before}/{last}" if last == "temperature" else last))
 
 
 def _only(bag: Bag, kind: str, chosen: list[AdaptedTopic], asked: str | None) -> AdaptedTopic:

@@ -45,8 +45,9 @@ def test_a_flight_has_the_median_of_both_and_none_of_one_alone() -> None:
     assert told_by == MEASURED
     both = air((0, 90000.0, 25.0))
     assert flown_in(replace(PLAIN, pressure=both, board_air=True)) == (density, BOARD)
-    # In hPa, or of a dead sensor.
-    assert flown_in(replace(PLAIN, pressure=air((0, 900.0, 25.0)))) is None
+    # In hPa, in K, or of a dead sensor.
+    for wrong in ((900.0, 25.0), (90000.0, 298.15), (0.0, -300.0)):
+        assert flown_in(replace(PLAIN, pressure=air((0, *wrong)))) is None
 
 
 def test_density_follows_both_in_steps() -> None:
@@ -61,7 +62,11 @@ def test_density_follows_both_in_steps() -> None:
     assert now.hear(101325.0 * (1.0 + 1.1 * NOTICED.value), np.nan)
     for nonsense in (0.0, -5.0, 1e9):
         assert not now.hear(nonsense, np.nan)
-    assert not now.hear(101325.0, -300.0)
+    for nonsense in (-300.0, 293.15):
+        assert not now.hear(np.nan, nonsense)
+    # One wrong number does not keep the sensor from being heard.
+    assert now.hear(90000.0, np.nan)
+    assert now.density == pytest.approx(float(density_of(np.array(90000.0), np.array(15.0))))
 
 
 def test_changes_are_told_by_the_imu_samples_that_arrived_before() -> None:

@@ -14,9 +14,14 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from quadpi_core.errors import LogError
+from quadpi_core.flight import AirStream
 from quadpi_core.logs import read_recording
+from quadpi_core.logs.adapted_bags import unnamed
+from quadpi_core.logs.bag_files import Bag
+from quadpi_core.logs.bag_writer import write_mcap
 from quadpi_core.logs.bags import read_bag
 from quadpi_core.messages import sensor_messages
+from quadpi_core.messages.payloads import Topic
 from quadpi_core.paths import config_directory
 from quadpi_core.rotations import rotate_body_to_world
 from quadpi_core.vehicle import Vehicle
@@ -264,3 +269,16 @@ def test_commands_of_the_page_run(tmp_path, vendor, topics, quadpi, monkeypatch)
     ran = [quadpi(*shlex.split(line)[1:]) for line in re.findall(r"^quadpi .*$", text, flags=re.MULTILINE)]
     assert [one.status for one in ran] == [0, 0], ran
     assert read_bag("bags/field_bag.mcap").pose is not None
+
+
+def test_the_temperature_of_a_part_is_not_that_of_the_air(tmp_path: Path) -> None:
+    times = np.arange(2) * 10**9
+    nothing = np.full(2, np.nan)
+    payloads = sensor_messages.pack_temperature(AirStream(times, nothing, np.full(2, 40.0)))
+    names = ["/imu/temperature", "/quad/temperature", "/quad/imu/temperature_baro", "/quad/temperature_imu"]
+    write_mcap(
+        tmp_path / "a.mcap", [Topic(name, sensor_messages.TEMPERATURE, times, payloads) for name in names], {}
+    )
+    with Bag(tmp_path / "a.mcap") as bag:
+        found = unnamed(bag, "temperature", names)
+    assert [one.name for one in found] == ["/quad/imu/temperature_baro", "/quad/temperature"]

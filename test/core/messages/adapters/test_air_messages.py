@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from quadpi_core.flown_air import Air, density_of
+from quadpi_core.messages.adapters import known_adapters
 
 from .test_adapter_registry import opened
-from .vendor_messages import EXAMPLES
+from .vendor_messages import EXAMPLES, START_NS, of_the_air
 
 
 def test_both_together_tell_the_density(vendor) -> None:
@@ -29,3 +30,17 @@ def test_both_together_tell_the_density(vendor) -> None:
 def test_px4_tells_the_temperature_by_its_density(vendor) -> None:
     air = opened(vendor.px4_1_14, "px4_air").unpack(EXAMPLES["px4_air"](vendor.px4_1_14))
     assert density_of(air.pressure, air.celsius) == pytest.approx([1.129], rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "field", "wrong", "reason"),
+    [
+        ("fluid_pressure", "fluid_pressure", 950.0, "no pressure of air in Pa"),
+        ("temperature", "temperature", 293.15, "no temperature of air in °C"),
+    ],
+)
+def test_another_unit_is_dropped_and_said(vendor, name, field, wrong, reason) -> None:
+    reading, type_name = opened(vendor.px4_1_14, name), known_adapters()[name].type_name
+    message = of_the_air(vendor.px4_1_14, type_name, START_NS, **{field: wrong})
+    assert len(reading.unpack(message)) == 0
+    assert reading.dropped == {reason: 1}
