@@ -124,6 +124,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
         wind = IncomingMessage(sensor_messages.WIND_SAMPLES, self._body.world, self._body)
         self.listen(Vector3Stamped, "wind", wind, self._take_wind, required=False)
         self._air = Air()
+        self._results.monitors.fly_in(self._air.density)
         for source in self._air_sources:
             self.listen(*source, self._take_air, required=False)
         self.listen(*self._rotors, self._take_rotor_speeds, required=self._commanded is None)

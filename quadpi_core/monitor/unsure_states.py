@@ -10,12 +10,13 @@ slopes say what that does to each axis. Live and in replay it is the same.
 from __future__ import annotations
 
 import math
+from collections import deque
 from typing import NamedTuple
 
 import numpy as np
 
 from quadpi_core.estimator.output import FusedSamples
-from quadpi_core.flight import OdometryStream, Stamps
+from quadpi_core.flight import NO_STAMP, OdometryStream, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.models.state_deviation import StateDeviation
 from quadpi_core.monitor.conditions import CONDITIONS
@@ -30,7 +31,7 @@ UNSURE_S = Threshold(
     "starts of the filter on imrc_brushless and neurobem of ../shared/data: 0.7 s at most",
 )
 _UNSURE_NS = round(1e9 * UNSURE_S.value)
-# Samples wait for their rotor speeds no longer than this.
+# Samples wait for their rotor speeds no longer than this; a filter without states for so long starts anew.
 _KEPT_NS = 1_000_000_000
 _VELOCITY, _ATTITUDE = slice(0, 3), slice(3, 6)
 
@@ -93,9 +94,10 @@ class UnsureStates:
 
     def reset(self) -> None:
         """Forget the past."""
-        self._sure_ns: int | None = None
+        # Stamps of the last state, and of the last that was sure, or the first after a pause.
+        self._newest_ns = self._sure_ns = NO_STAMP
         # Stamps and variances beyond those known, since the first that is beyond.
-        self._beyond: list[tuple[Stamps, Array, Array]] = []
+        self._beyond: deque[tuple[Stamps, Array, Array]] = deque()
 
     @property
     def is_beyond(self) -> bool:
@@ -105,7 +107,7 @@ class UnsureStates:
     def take_one(self, time_ns: int, velocity: float, attitude: float) -> None:
         """Take the deviations of one state."""
         if velocity <= self._known.velocity_m_s and attitude <= self._known.attitude_rad and not self._beyond:
-            self._sure_ns = time_ns
+            self._newest_ns = self._sure_ns = time_ns
             return
         self.take(StateDeviations(np.array([time_ns]), np.array([velocity]), np.array([attitude])))
 
@@ -114,12 +116,16 @@ class UnsureStates:
         time_ns, velocity, attitude = states
         if len(time_ns) == 0:
             return
-        if self._sure_ns is None or time_ns[0] < self._sure_ns:
-            self._sure_ns, self._beyond = int(time_ns[0]), []
+        if time_ns[0] < self._sure_ns:
+            self.reset()
         known = self._known
         sure = (velocity <= known.velocity_m_s) & (attitude <= known.attitude_rad)
+        sure |= np.diff(time_ns, prepend=self._newest_ns) > _KEPT_NS
         last_sure = np.maximum.accumulate(np.where(sure, time_ns, self._sure_ns))
-        self._sure_ns = int(last_sure[-1])
+        self._newest_ns, self._sure_ns = int(time_ns[-1]), int(last_sure[-1])
+        # Where no sample asks for them, as the IMU is silent, states do not pile up.
+        while len(self._beyond) > 1 and self._beyond[1][0][0] < time_ns[0] - 2 * _KEPT_NS:
+            self._beyond.popleft()
         counts = time_ns - last_sure >= _UNSURE_NS
         if not self._beyond and not counts.any():
             return
@@ -143,7 +149,7 @@ class UnsureStates:
                 found["covariance"][:, axis, axis] = own
         kept = stamps >= int(time_ns[-1]) - _KEPT_NS
         kept[-1] = True
-        self._beyond = [(stamps[kept], velocity[kept], attitude[kept])]
-        if not velocity[kept].any() and not attitude[kept].any():
-            self._beyond = []
+        self._beyond.clear()
+        if velocity[kept].any() or attitude[kept].any():
+            self._beyond.append((stamps[kept], velocity[kept], attitude[kept]))
         return found if found["covariance"].any() else None

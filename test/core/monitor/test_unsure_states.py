@@ -43,6 +43,29 @@ def test_a_state_that_settles_changes_nothing(velocity):
     assert not unsure.is_beyond
 
 
+@pytest.mark.parametrize("at_once", [True, False])
+def test_a_pause_is_no_time_in_which_a_state_was_unsure(at_once):
+    """A filter that starts again after motion capture was gone settles as at its first start."""
+    velocity = np.r_[np.full(200, 0.03), np.full(100, 1.0), np.full(200, 0.03)]
+    whole = states(velocity)
+    whole.time_ns[200:] += 10 * round(1e9)
+    unsure = UnsureStates(KNOWN)
+    if at_once:
+        unsure.take(whole)
+    else:
+        for one in zip(*whole, strict=True):
+            unsure.take_one(*one)
+    assert not unsure.is_beyond
+
+
+def test_states_that_no_sample_asks_for_do_not_pile_up():
+    unsure = UnsureStates(KNOWN)
+    for one in zip(*states(0.2, 2000), strict=True):
+        unsure.take_one(*one)
+    assert len(unsure._beyond) <= 202
+    assert beyond(unsure, STEP_NS * np.arange(1900, 2000)) == pytest.approx(0.2**2 - 0.05**2)
+
+
 def test_attitudes_count_by_themselves():
     unsure = UnsureStates(KNOWN)
     unsure.take(states(0.01, attitude=0.04))

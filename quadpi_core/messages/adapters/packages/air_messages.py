@@ -25,7 +25,8 @@ def _start_pressure(_settings: object, _vehicle: Vehicle | None) -> Reading:
     def read(columns: Columns, _items: object) -> AirStream:
         pascal = columns["fluid_pressure"].astype(np.float64)
         known = _counted(is_pressure(pascal), dropped, "no pressure of air in Pa")
-        return AirStream(header_stamps(columns)[known], pascal[known], np.full(np.sum(known), np.nan))
+        pascal = pascal[known]
+        return AirStream(header_stamps(columns)[known], pascal, np.full(len(pascal), np.nan))
 
     return Reading(read, lambda: dropped)
 
@@ -36,9 +37,8 @@ def _start_temperature(_settings: object, _vehicle: Vehicle | None) -> Reading:
     def read(columns: Columns, _items: object) -> TemperatureStream:
         celsius = columns["temperature"].astype(np.float64)
         known = _counted(is_celsius(celsius), dropped, "no temperature of air in °C")
-        return TemperatureStream(
-            header_stamps(columns)[known], np.full(np.sum(known), np.nan), celsius[known]
-        )
+        celsius = celsius[known]
+        return TemperatureStream(header_stamps(columns)[known], np.full(len(celsius), np.nan), celsius)
 
     return Reading(read, lambda: dropped)
 
