@@ -164,12 +164,12 @@ def _learned(
         at, seen = at[inside], states.take(inside)
         if len(at) == 0:
             break
-        assert measured.twist is not None
         turned = rotations.products(rotations.inverses(found.attitude[at]), seen.attitude)
+        # Of a part that is not measured the number counts nowhere: its noise is not unknown.
         off = (
             (seen.position - found.position[at], POSITION),
             (rotations.to_rotation_vector(turned), ATTITUDE),
-            (measured.twist.velocity[inside] - found.velocity[at], VELOCITY),
+            (rotations.rotate_body_to_world(seen.attitude, seen.velocity) - found.velocity[at], VELOCITY),
         )
         variance = [np.mean(np.square(error) + found.variance[at, own]) for error, own in off]
         usual = np.where(unknown, np.maximum(np.sqrt(variance), _SUREST), usual)

@@ -80,6 +80,17 @@ def test_noise_that_nothing_tells_is_learned(recording, full):
     assert stated.twist.deviation[0] == 0.3
 
 
+@pytest.mark.parametrize("lacking", [[2], [0, 2]])
+def test_noise_is_learned_of_the_parts_that_are_measured(recording, full, lacking):
+    deviation = np.zeros(3)
+    deviation[lacking] = NOT_MEASURED
+    corrected = with_slow_state(with_gps(recording, full, deviation=deviation), BEBOP)
+    told = corrected.pose.deviation[0]
+    assert told[1] == pytest.approx(GPS[1], rel=1.0)
+    assert (corrected.twist is None) == (0 not in lacking)
+    assert told[0] == NOT_MEASURED if 0 in lacking else told[0] == pytest.approx(GPS[0], rel=1.0)
+
+
 def test_the_covariance_holds_what_the_estimate_errs_by(recording, full):
     trace = Ekf(BEBOP).run(with_slow_state(with_gps(recording, full), BEBOP))
     _, mine, theirs = np.intersect1d(trace.time_ns, full.stamps_ns, return_indices=True)
