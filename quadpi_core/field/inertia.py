@@ -172,7 +172,8 @@ def _of_stretch(log: FieldLog, begin: float, end: float, vehicle: Vehicle, wind:
         axis=0,
     )
     ones = np.full((len(rates), 1), 1.0)
-    arms = (-vehicle.rotor_positions[:, 1], vehicle.rotor_positions[:, 0])
+    places = _places(log, vehicle)
+    arms = (-places[:, 1], places[:, 0])
     count = max(int(len(rates) / (_PIECE_S * GRID_HZ)), 1)
     cuts = np.linspace(0, len(rates), count + 1).astype(int)
     squares: list[list[list[Array]]] = [[[], [], []] for _ in range(count)]
@@ -208,6 +209,16 @@ def _of_stretch(log: FieldLog, begin: float, end: float, vehicle: Vehicle, wind:
         )
         for piece, own in enumerate(squares)
     ]
+
+
+def _places(log: FieldLog, vehicle: Vehicle) -> Array:
+    """Places (R, 3) of the rotors in the order of the log's motors, by their corners where it knows them."""
+    places = vehicle.rotor_positions
+    if log.corners is None or log.corners.shape != (len(places), 2):
+        return places
+    alike = (np.sign(places[:, :2]) == log.corners[:, np.newaxis]).all(axis=2)
+    is_sure = (alike.sum(axis=0) == 1).all() and (alike.sum(axis=1) == 1).all()
+    return places[np.argmax(alike, axis=1)] if is_sure else places
 
 
 def _joined(pieces: Sequence[_Piece]) -> _Piece:

@@ -65,6 +65,16 @@ def test_what_is_lacking_is_said():
         assert all(one.value is None and words in one.reason for one in found.inertia)
 
 
+def test_motors_are_told_by_their_corners_where_the_log_knows_them():
+    log, aloft = flight()
+    order, corners = [3, 1, 0, 2], np.sign(BEBOP.rotor_positions[:, :2])
+    other = replace(
+        log, commands=Series(log.commands.time, log.commands.values[:, order]), corners=corners[order]
+    )
+    found, told = (identify_body([(one, aloft)], BEBOP, STILL) for one in (other, log))
+    assert [one.value for one in found.inertia] == pytest.approx([one.value for one in told.inertia])
+
+
 def test_motors_in_another_order_are_no_inertia():
     log, aloft = flight()
     swapped = replace(log, commands=Series(log.commands.time, log.commands.values[:, [3, 2, 1, 0]]))
