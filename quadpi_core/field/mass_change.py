@@ -99,7 +99,10 @@ def efforts(log: FieldLog, flight: Flown, *, tachometers_read: bool) -> dict[str
         # A battery that never changes was not measured.
         if log.battery is not None and np.ptp(log.battery.values) > 0.0:
             volts = np.maximum(log.battery.at(log.commands.time), 0.0) ** usual
-            found[BY_VOLTAGE] = _over_force(log, flight, Series(log.commands.time, load * volts))
+            told = np.isfinite(volts[:, 0])
+            found[BY_VOLTAGE] = _over_force(
+                log, flight, Series(log.commands.time[told], (load * volts)[told])
+            )
     return {by: value for by, value in found.items() if np.isfinite(value) and value > 0.0}
 
 
@@ -162,17 +165,18 @@ def _against(value: Array, before: Array, scatter: float) -> tuple[Array, Array,
 def _pattern(
     use: MotorUse, references: Sequence[MotorUse], corners: Array | None
 ) -> tuple[Array, Array, Array] | None:
-    """Thrust (4,) that each rotor gives more than all on average, its deviation, and the corners (4, 2)."""
+    """Thrust (4,) that each rotor gives more than all on average, deviation of a rotor, corners (4, 2)."""
     shares = [np.array([own.value for own in one.motors], dtype=float) for one in (use, *references)]
     known = [own for own in shares[1:] if len(own) == len(shares[0])]
     if corners is None or corners.shape != (4, 2) or not np.all(corners) or not known:
         return None
-    if len(shares[0]) != len(corners):
+    if len(shares[0]) != len(corners) or not np.isfinite([shares[0], *known]).all():
         return None
     # Over the mean of all four a rotor deviates by three quarters of what it does over the others.
     value, deviation, _ = _against(shares[0], np.array(known), 0.75 * SCATTER.value)
-    usual = THRUST_EXPONENT.value[1]
-    return usual * value, usual * deviation, corners
+    usual, rotors = THRUST_EXPONENT.value[1], len(corners)
+    # The mean takes one of four numbers from the deviations: a rotor by itself deviates by more.
+    return usual * value, usual * np.sqrt(rotors / (rotors - 1)) * deviation, corners
 
 
 def _explained(

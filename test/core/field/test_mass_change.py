@@ -77,6 +77,24 @@ def test_what_tells_less_has_a_wider_interval() -> None:
     assert widths == sorted(widths)
 
 
+def test_of_good_flights_one_in_twenty_is_more_than_nothing() -> None:
+    """Against many earlier flights, which tell the scatter."""
+    rng, changed_ones, count = np.random.default_rng(0), 0, 400
+    for _ in range(count):
+        scattered = rng.normal(1.0, 0.015, (31, 4)).tolist()
+        own, *before = (
+            MotorUse(
+                motors=tuple(map(Estimate, np.array(one) / np.mean(one) - 1.0)),
+                efforts={BY_SPEED: float(rng.normal(1.0, 0.01))},
+            )
+            for one in scattered
+        )
+        found = mass_change(own, before, CORNERS)
+        assert isinstance(found, MassChange)
+        changed_ones += found.fits != ("nothing",)
+    assert changed_ones / count < 0.07
+
+
 def test_flights_without_commands_tell_nothing() -> None:
     assert isinstance(mass_change(MotorUse(), [use([1.0] * 4)], CORNERS), str)
     assert mass_change(use([1.2] * 4), [use([1.0] * 4)], None).fits == ()
@@ -118,3 +136,13 @@ def test_a_nut_near_a_motor_and_a_short_propeller_are_told_and_normal_flights_ar
         for one in flights(sorted(folder.glob(f"{kind}*E9*")), normal):
             assert 3 in one.weak_motors(3)
     assert all(one.fits == ("nothing",) for one in flights(normal, normal))
+
+
+def test_a_battery_that_is_logged_late_spoils_no_sample() -> None:
+    """What thrust goes with is a mean over steps, of the commands from the first voltage on."""
+    log = example()
+    late = replace(log, battery=Series(log.battery.time[10:], log.battery.values[10:]))
+    whole, part = (efforts(one, flown(one), tachometers_read=False)[BY_VOLTAGE] for one in (log, late))
+    begin = replace(log, commands=Series(log.commands.time[2000:], log.commands.values[2000:]))
+    assert part == pytest.approx(efforts(begin, flown(log), tachometers_read=False)[BY_VOLTAGE], rel=1e-3)
+    assert part == pytest.approx(whole, rel=0.02)
