@@ -28,6 +28,7 @@ from quadpi_core.field.motor_use import (
     BATTERY_DRIFT,
     IMBALANCE,
     SATURATED,
+    HoverChange,
     MotorUse,
     motor_use,
 )
@@ -434,6 +435,19 @@ def _mass_remarks(change: MassChange) -> Iterator[Remark]:
         )
 
 
+def _change_cause(change: HoverChange, volts: tuple[float, float, float] | None) -> str:
+    """Since when hover takes another command, and what does that."""
+    grows = change.share > 0.0
+    if change.at_s is not None:
+        causes = "a load taken up, or a rotor that gives less" if grows else "a load dropped"
+        return f"from {change.at_s:.0f} s on: {causes}"
+    if not grows:
+        return "at the end: the vehicle becomes lighter, or its motors give more"
+    if volts is None:
+        return "at the end: the battery sags, whose voltage is not logged, or motors give less"
+    return f"at the end, the battery at {volts[1]:.2f} V after {volts[0]:.2f} V: it sags, or motors give less"
+
+
 def _remarks(
     log: FieldLog, use: MotorUse, vibration: Vibration | str, read: Tachometers | str
 ) -> Iterator[Remark]:
@@ -462,11 +476,8 @@ def _remarks(
             is_silent = ratio < SILENT_SHARE.value
             yield Remark(ALARM, f"rotor {rotor} stands, or its tachometer is silent" if is_silent else reads)
     if (change := use.change) is not None:
-        said = f"hover takes {100.0 * change.share:+.0f} % of command"
-        by = "at the end: the battery sags" + ("" if log.battery else ", whose voltage is not logged")
-        if change.at_s is not None:
-            by = f"from {change.at_s:.0f} s on: a load dropped or taken up, or a rotor that gives less"
-        yield Remark(WARNING, f"{said} {by}")
+        said = f"hover takes {abs(100.0 * change.share):.0f} % {'more' if change.share > 0.0 else 'less'} command"
+        yield Remark(WARNING, f"{said} {_change_cause(change, use.volts)}")
     if use.drift is not None and _level(use.drift, (BATTERY_DRIFT.value, np.inf)):
         share = f"{100.0 * (use.drift.value or 0.0):+.0f} %"
         yield Remark(

@@ -98,6 +98,8 @@ def tachometers(log: FieldLog, flight: Flown) -> Tachometers | str:
     if isinstance(parts, str):
         return parts
     commands, speeds = (np.vstack([part[place] for part in parts]) for place in (0, 2))
+    if speeds.shape[1] < 2:
+        return "one rotor has none beside it"
     # Around hover speed grows about linearly with command, the same for motors of one kind.
     gains = np.median(speeds / np.maximum(commands, 1e-6), axis=0)
     ratios = [gains[rotor] / max(np.median(np.delete(gains, rotor)), 1e-9) for rotor in range(len(gains))]

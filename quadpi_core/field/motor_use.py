@@ -117,6 +117,9 @@ def motor_use(log: FieldLog, flight: Flown) -> MotorUse:
     time = np.concatenate([part.time for part in parts])
     piece = np.concatenate([np.full(len(part), number) for number, part in enumerate(parts)])
     mean = commands.mean(axis=1)
+    # Commands of outputs that were off tell nothing, though the vehicle flew.
+    if not mean.any():
+        return MotorUse(volts=volts)
     gain, hover, drift = _thrust(log, cut, _hover(log, mean, time, piece))
     return MotorUse(
         hover=hover,
@@ -142,6 +145,8 @@ def _hover_change(log: FieldLog, mean: Array, time: Array, piece: Array) -> Hove
     if len(held) < 2 * _SIDE:
         return None
     level, when = (np.array([np.mean(own[one & slow]) for one in held]) for own in (mean, time))
+    if level.min() <= 0.0:
+        return None
     splits = range(_SIDE, len(held) - _SIDE + 1)
     rests = [np.concatenate([part - part.mean() for part in np.split(level, [split])]) for split in splits]
     line = np.column_stack([np.ones_like(when), when])

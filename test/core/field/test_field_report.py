@@ -20,7 +20,7 @@ from quadpi_core.field.field_report import FieldReport, report_on
 from quadpi_core.flight_files import NoFlightLeftError
 from quadpi_core.reading_options import ReadingOptions
 
-from .field_examples import example
+from .field_examples import AIRBORNE, example
 
 OPTIONS = ReadingOptions()
 
@@ -273,3 +273,22 @@ def test_drag_of_a_default_px4_log(shared_data: Path):
     assert drag.momentum.low < drag.per_mass[0].value < drag.momentum.high
     assert 0.14 < drag.per_mass[0].low < drag.per_mass[0].value < 0.3
     assert drag.per_mass[1].low > 0.1
+
+
+@pytest.mark.parametrize(
+    ("grows", "battery", "said"),
+    [
+        (0.2, True, "more command at the end, the battery at 14.93 V after 15.89 V: it sags, or"),
+        (0.2, False, "more command at the end: the battery sags, whose voltage is not logged, or"),
+        (-0.2, True, "less command at the end: the vehicle becomes lighter, or its motors give more"),
+    ],
+)
+def test_a_trend_of_hover_is_told_with_what_the_battery_did(report_of, grows, battery, said):
+    log = example()
+    time = log.commands.time
+    begin, end = AIRBORNE
+    trend = 1.0 + grows * np.clip((time - begin) / (end - begin), 0.0, 1.0)
+    slow = Series(log.velocity.time, 0.2 * log.velocity.values)
+    changed = replace(log, velocity=slow, commands=Series(time, log.commands.values * trend[:, np.newaxis]))
+    report = report_of(changed if battery else replace(changed, battery=None))
+    assert any(said in remark.sentence for remark in report.flights[0].remarks), report.flights[0].remarks

@@ -133,3 +133,10 @@ def test_commands_in_another_order_than_the_rotors_are_told(shared_data: Path, o
     assert tachometers(log, flown(log)).order == ()
     swapped = replace(log, commands=Series(log.commands.time, log.commands.values[:, order]))
     assert tachometers(swapped, flown(log)).order == tuple(one + 1 for one in np.argsort(order))
+
+
+def test_one_rotor_has_none_to_be_compared_with():
+    log = example()
+    commands, speeds = (Series(one.time, one.values[:, :1]) for one in (log.commands, log.rotor_speeds))
+    said = tachometers(replace(log, rotors=1, commands=commands, rotor_speeds=speeds), flown(log))
+    assert said == "one rotor has none beside it"

@@ -149,3 +149,12 @@ def test_a_load_that_drops_and_a_pack_that_sags_change_the_command_at_hover(shar
     for name in ("hover_good_1", "hover_25mm_1", "line_good_1", "line_25mm_1"):
         other = read_field_log(folder / f"{name}.BIN", ReadingOptions())
         assert motor_use(other, flown(other)).change is None
+
+
+def test_commands_of_outputs_that_are_off_tell_nothing() -> None:
+    log = example()
+    landed = Series(log.commands.time, (log.commands.values[:, :1] < 0.1) * 1.0)
+    off = replace(log, commands=Series(log.commands.time, 0.0 * log.commands.values), landed=landed)
+    use = use_of(off)
+    assert (use.motors, use.change, use.hover) == ((), None, None)
+    assert use.volts is not None
