@@ -335,7 +335,7 @@ def unpack_logged_mocap_odometry(
 ) -> tuple[PoseStream, TwistStream]:
     """Decode nav_msgs/Odometry of motion capture as the pose and the velocity that it holds.
 
-    With the noise of a vehicle file deviations are as in `SensorNoise.of_odometry`, which the estimator takes.
+    With the noise of a vehicle file deviations are those that `SensorNoise.of_odometry` gives.
     Beside an orientation that is no unit quaternion, which stays of its length, the velocity is not a number.
     """
     odometry = ODOMETRY_SAMPLES.unpack_logged(payloads)
