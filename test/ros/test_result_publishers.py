@@ -23,6 +23,7 @@ from rclpy.serialization import deserialize_message
 from std_msgs.msg import String
 
 from quadpi_core.errors import ModelError
+from quadpi_core.flight import AirStream
 from quadpi_core.messages import result_messages
 from quadpi_core.messages.model_description import MonitorDescription, unpack_description
 from quadpi_core.messages.payloads import Payloads
@@ -202,6 +203,22 @@ def configured(domain: int, folder: Path, *given: str) -> Iterator[MonitorNode]:
         node.destroy_node()
     finally:
         rclpy.try_shutdown()
+
+
+def test_a_node_that_is_activated_again_knows_no_air(ros_domain: int, folder: Path) -> None:
+    with configured(ros_domain, folder) as node:
+        monitors = node._results.monitors
+        excess = []
+        for heard in (True, False):
+            assert node.trigger_activate() == TransitionCallbackReturn.SUCCESS
+            if heard:
+                node._take_air(AirStream(np.array([0]), np.array([8e4]), np.array([15.0])))
+            excess.append(
+                [float(monitors[name].preparation.memory["density_excess"][0]) for name in monitors.names]
+            )
+            assert node.trigger_deactivate() == TransitionCallbackReturn.SUCCESS
+    assert max(excess[0]) < -0.2
+    assert excess[1] == [0.0, 0.0]
 
 
 @pytest.mark.parametrize(
