@@ -131,6 +131,11 @@ def test_position_and_wind_may_be_absent(state):
             {"time_ns": np.arange(9501) * 2000},
             "flight flight: time_ns: 2000 from .* looks like µs or ms, not",
         ),
+        # As of motion capture of 20 Hz.
+        (
+            {"time_ns": np.arange(9501) * 50_000},
+            "flight flight: time_ns: 50000 from .* looks like µs or ms, not",
+        ),
         ({"flight": np.where(np.arange(9501) < 3, 1.0, np.nan)}, "flight: no label in row 3"),
         ({"flight": [None] * 9501}, "flight: no label in row 0"),
         ({"flight": [1, 2]}, r"flight: expected shape \(9501,\) for time_ns, found \(2,\)"),
