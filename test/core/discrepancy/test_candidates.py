@@ -43,6 +43,14 @@ def test_each_whole_number_is_a_candidate_of_its_own():
     np.testing.assert_array_equal(weak[2].values(np.array([0.2, -0.1])), [3.0, 0.2, -0.1])
 
 
+def test_a_whole_number_stays_within_the_bounds_of_its_effect(monkeypatch):
+    weak = EFFECTS["weak_rotor"]
+    first, *others = weak.parameters
+    front = replace(weak, parameters=(replace(first, highest=2.0), *others))
+    monkeypatch.setitem(EFFECTS, "weak_rotor", front)
+    assert [one.start[0] for one in candidates(Vehicle.load("bebop2"), ["weak_rotor"])] == [1.0, 2.0]
+
+
 def test_a_search_looks_for_effects_that_some_manoeuvre_shows():
     names = [own.name for own in candidates(BEBOP)]
     assert list(dict.fromkeys(names)) == [e.name for e in EFFECTS.values() if e.shown_by]
