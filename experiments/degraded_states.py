@@ -5,7 +5,7 @@
 Of each flight the smoothed state is taken at a few instants a second and given errors; IMU and rotor speeds
 stay. Models are identified on every second flight and judged on the others, and the other way round.
 
-    python experiments/degraded_states.py [--seeds 3] [--rate 5]
+    python experiments/degraded_states.py [--only neurobem] [--seeds 4] [--rate 5]
 """
 
 from __future__ import annotations
