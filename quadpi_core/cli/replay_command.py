@@ -6,15 +6,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from quadpi_core.cli import options
 from quadpi_core.cli.options import batch_of_flights, check_outputs, open_console, shown_work, write_result
-from quadpi_core.monitor.replay import ReplaySummary
 from quadpi_core.report.style import count, number, percent
 from quadpi_core.report.table import Cell, Column, Mark, Row, Table
+
+if TYPE_CHECKING:
+    from quadpi_core.monitor.replay import ReplaySummary
 
 
 def replay(
@@ -38,7 +40,6 @@ def replay(
     """Write the bag that the live nodes would have published for a flight; the same bytes each time."""
     from dataclasses import asdict
 
-    from quadpi_core.cli.replay_command import not_judged_sentences, replay_table
     from quadpi_core.flight_files import bags_in, named_files
     from quadpi_core.models.aerodynamic import AerodynamicModel
     from quadpi_core.monitor import MonitorSettings

@@ -54,7 +54,6 @@ def report(
     namespace: options.Namespace = "",
 ) -> None:
     """Report on logs as they are: what was flown, drag and wind, motors, battery, what to log next time."""
-    from quadpi_core.cli.report_command import report_vehicle
     from quadpi_core.field.field_report import report_on
     from quadpi_core.paths import whole_outputs, write_json
     from quadpi_core.report.field_page import report_summary, write_field_page
