@@ -29,14 +29,14 @@ from quadpi_core.vehicle import Vehicle
 GAIN_LEAST = Threshold(
     "least standard deviation of the gain of all rotor speeds from commands",
     0.005,
-    "",
+    "share",
     "another pack on another day; flights of one afternoon differ by less",
     "imrc_payload of ../shared/data by the motors of imrc_brushless",
 )
 ROTORS_DIFFER = Threshold(
     "standard deviation of the speed of a rotor at the command of the others, where no tachometer told it",
     0.03,
-    "",
+    "share",
     "motors of one kind differ; motors known by thrust alone are taken as alike",
     "motors of imrc_brushed of ../shared/data by their tachometers",
 )
@@ -83,7 +83,7 @@ def errors_of_speeds(flights: Sequence[Compared]) -> tuple[OfEachFlight, ...]:
         return ()
     vehicle = flights[0].simulation.vehicle
     columns = Columns(tuple(own.spectrum(_columns(own)) for own in flights))
-    each = [np.diag(_deviations(own.flight.motors, vehicle, len(flights))) for own in flights]
+    each = [np.diag(deviations(own.flight.motors, vehicle, len(flights))) for own in flights]
     return (OfEachFlight(columns, np.stack(each)),)
 
 
@@ -95,7 +95,7 @@ def _columns(flight: Compared) -> Array:
     return np.stack([*gains, flight.added(delay, np.array([_LATE_S, 0.0])) / _LATE_S], axis=2)
 
 
-def _deviations(motors: Motors | None, vehicle: Vehicle, flights: int) -> Array:
+def deviations(motors: Motors | None, vehicle: Vehicle, flights: int) -> Array:
     """Standard deviations (K,) of these of one of several flights; what flights share is in each of them."""
     rotors = vehicle.rotor_count
     if motors is None:

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -21,17 +21,17 @@ from quadpi_core.discrepancy.effect_regression import Regression
 from quadpi_core.discrepancy.whitening import Noise, Part, rows_of
 from quadpi_core.thresholds import CONVENTION, DEVELOPMENT, Threshold
 
-ALIKE = Threshold(
+GAIN_ALIKE = Threshold(
     "share of the squares of an effect that gains of rotor speeds explain, from which that is said",
     0.8,
-    "",
+    "of the squares",
     "what is left of the effect is then less than half of it",
     DEVELOPMENT,
 )
 HIDDEN = Threshold(
     "share of the evidence of an effect that errors of rotor speeds take, from which they hide it",
     0.9,
-    "",
+    "of the evidence",
     "the effect would have to be three times as large to be seen as by measured speeds",
     CONVENTION,
 )
@@ -97,6 +97,18 @@ def traces(regression: Regression, noise: Noise) -> dict[str, float]:
     return found
 
 
+def hidden_effects(measured: Mapping[str, float], commanded: Mapping[str, float]) -> tuple[str, ...]:
+    """Effects that lose most of their evidence [nat] as speeds are commanded ones."""
+    return tuple(
+        name for name, evidence in commanded.items() if evidence < (1.0 - HIDDEN.value) * measured[name]
+    )
+
+
+def resembles_gains(share: float) -> bool:
+    """Whether gains of rotor speeds explain so much of an effect's squares that this is said."""
+    return share >= GAIN_ALIKE.value
+
+
 def commanded_speeds(found: Found) -> CommandedSpeeds | None:
     """What is to be said of rotor speeds from commands after a search; None where all are measured."""
     regression = found.regression
@@ -108,16 +120,14 @@ def commanded_speeds(found: Found) -> CommandedSpeeds | None:
     alike = []
     for index in found.chosen:
         share, gain = _as_gain(regression, regression.added((index,), found.fit))
-        if share >= ALIKE.value:
+        if resembles_gains(share):
             alike.append((regression.candidates[index].name, gain))
     return CommandedSpeeds(
         flights=tuple(by_commands),
         gain=max(GAIN_LEAST.value, *(own.gain for own in by_commands.values())),
         rotors=max(max(own.error, default=ROTORS_DIFFER.value) for own in by_commands.values()),
         scale_known=all(scale_is_known(own, vehicle) for own in by_commands.values()),
-        hidden=tuple(
-            name for name, own in with_these.items() if own < (1.0 - HIDDEN.value) * with_measured[name]
-        ),
+        hidden=hidden_effects(with_measured, with_these),
         alike=tuple(alike),
     )
 

@@ -70,6 +70,11 @@ _TRIED = np.geomspace(_SMALLEST**2, _LARGEST**2, 33)
 _TINY = 1e-9
 
 
+def are_enough(flights: float) -> bool:
+    """Whether so many sound flights tell what a model leaves."""
+    return flights >= LEAST_SOUND.value
+
+
 def learned_from(
     model: AerodynamicModel, flights: Sequence[PreparedFlight], progress: ReportProgress = ignore_progress
 ) -> AerodynamicModel:
@@ -89,8 +94,7 @@ def learned_from(
     """
     array_checks.instance("model", model, AerodynamicModel, LOAD_MODEL)
     flights = array_checks.several("flights", flights, PreparedFlight, PREPARE_FLIGHTS)
-    few = len(flights) < LEAST_SOUND.value
-    if few or len(model.left_out) != len(flights) or len(model.axes) < len(AXES):
+    if not are_enough(len(flights)) or len(model.left_out) != len(flights) or len(model.axes) < len(AXES):
         return model
     vehicle = model.load_vehicle()
     whole = simulation_of(model.simulation_section(), vehicle)

@@ -19,7 +19,14 @@ from scipy.stats import chi2, norm
 from scipy.stats import t as student
 
 from quadpi_core import discrepancy, screening, simulation
-from quadpi_core.discrepancy import acceptance, result_verdicts, study, unexplained, whitening
+from quadpi_core.discrepancy import (
+    acceptance,
+    hidden_by_commands,
+    result_verdicts,
+    study,
+    unexplained,
+    whitening,
+)
 from quadpi_core.discrepancy.acceptance import (
     Accepted,
     Trial,
@@ -36,6 +43,7 @@ from quadpi_core.discrepancy.by_condition import (
 )
 from quadpi_core.discrepancy.candidates import candidates, typical_sizes
 from quadpi_core.discrepancy.closure import Found
+from quadpi_core.discrepancy.commanded_speeds import deviations
 from quadpi_core.discrepancy.discrepancy_result import Coverage, OfFlight
 from quadpi_core.discrepancy.effect_regression import noise_of_flight, settled
 from quadpi_core.discrepancy.effect_response import Compared, predicted_flight, quiet
@@ -45,10 +53,11 @@ from quadpi_core.discrepancy.other_simulations import ModelSimulation, Part, par
 from quadpi_core.discrepancy.reflight import growing_by_chance, rollout_floor
 from quadpi_core.discrepancy.search import keeps
 from quadpi_core.discrepancy.simulations import Tolerances
-from quadpi_core.discrepancy.sound_learning import learned, predicts
+from quadpi_core.discrepancy.sound_learning import are_enough, learned, predicts
 from quadpi_core.discrepancy.whitening import EDGES_HZ, Spectrum
 from quadpi_core.errors import DiscrepancyError, SimulationError
 from quadpi_core.flight import AXES, Flight, ImuStream, PoseStream, Recording, RotorSpeedStream
+from quadpi_core.motors import TERMS, Motors
 from quadpi_core.screening.excerpt import Excerpt, innovation
 from quadpi_core.screening.flight_runs import long_enough, seldom_topics
 from quadpi_core.screening.manoeuvres import require_excitation
@@ -573,6 +582,12 @@ def bridged(share):
     return not refused(DiscrepancyError, lambda: simulation.wrench(flight))
 
 
+def deviations_by_commands(**given: Any) -> list[float]:
+    """What one flight may have of its own by motors whose rotors err by 1 %: gain, rotors, lag."""
+    usual = {"source": "x", "coefficients": ((0.0,) * TERMS,) * 4, "lag_s": 0.0, "error": (0.01,) * 4}
+    return [float(x) for x in deviations(Motors(**usual | given), Vehicle.load("bebop2"), 1)]
+
+
 # What a value in the unit of a threshold leads to, and where that turns over. The values are those of the
 # thresholds, so that neither changes alone.
 EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
@@ -704,6 +719,12 @@ EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
     "MOST_POINTS": (60, lambda x: points_along(int(np.ceil(x))) == np.ceil(x)),
     "BAND_HZ": (20.0, lambda x: tone(x) > 0.5),
     "TAPER_S": (0.5, lambda x: whitening.taper(9000, 1000.0)[int(1000.0 * x)] < 1.0),
+    "GAIN_LEAST": (0.005, lambda x: deviations_by_commands(gain=x)[0] > 0.005),
+    "ROTORS_DIFFER": (0.03, lambda x: deviations_by_commands(error=())[1] > x),
+    "LAG_ERROR": (0.15, lambda x: deviations_by_commands(lag_s=1.0)[-1] > x),
+    "GAIN_ALIKE": (0.8, hidden_by_commands.resembles_gains),
+    "HIDDEN": (0.9, lambda x: len(hidden_by_commands.hidden_effects({"wind": 1.0}, {"wind": 1.0 - x})) > 0),
+    "LEAST_SOUND": (2.0, are_enough),
     # The simulation.
     "FORM_OF_AIR": (0.15, lambda x: x < EFFECTS["rotor_drag"].form),
     "SHAPE_MAX": (3.0, lambda x: shaped_force(x - 1.0)[0] == pytest.approx(x)),
