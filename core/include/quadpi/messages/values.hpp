@@ -64,8 +64,8 @@ constexpr double UNKNOWN_VARIANCE = 1e4;
 
 // Root mean square of three standard deviations on the diagonal of a covariance (6, 6) of a message.
 //
-// 0 where the message says nothing, which zeros, what is below and what is no number are; -1 for a variance so
-// large that it stands for "not measured".
+// 0 where the message says nothing, which zeros, what is below and what is no number are; -1 for a variance
+// so large that it stands for "not measured".
 inline double deviation_of(const double* covariance, std::size_t first) {
     double total = 0.0;
     for (std::size_t axis = first; axis < first + 3; ++axis) {
