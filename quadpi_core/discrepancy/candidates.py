@@ -159,11 +159,11 @@ def candidates(vehicle: Vehicle, names: Sequence[str] | None = None) -> list[Can
         free = [index for index, parameter in enumerate(effect.parameters) if not parameter.whole]
         # Of what has a state of its own, only the strength may be zero.
         centre = [p.default if index and effect.at_rest else 0.0 for index, p in enumerate(effect.parameters)]
-        # What is a whole number is that of a rotor, where its effect is not of fewer.
-        most = [min(int(p.highest), vehicle.rotor_count) if p.whole else 0 for p in effect.parameters]
+        # A whole number is that of a rotor, of all unless its effect is of fewer.
+        rotors = vehicle.rotor_count
         choices = [
-            range(int(p.lowest), end + 1) if p.whole else (0,)
-            for p, end in zip(effect.parameters, most, strict=True)
+            range(int(p.lowest), min(int(p.highest), rotors) + 1) if p.whole else (0,)
+            for p in effect.parameters
         ]
         for start in itertools.product(*choices):
             found.append(

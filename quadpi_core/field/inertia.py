@@ -35,6 +35,7 @@ _LAGS_S = tuple(0.005 * step for step in range(31))
 # Bias of an accelerometer, m/s², one standard deviation.
 _BIAS_M_S2 = 0.15
 _PIECE_S, _SHORTEST_S, _PIECES_MOST = 6.0, 20.0, 40
+_SHORT = f"it takes {_PIECE_S * PIECES_FEWEST.value:.0f} s in the air, {_SHORTEST_S:.0f} s at a stretch or more"
 # Half width over value beyond which a number is not told.
 _WIDEST = 0.5
 # Columns of thrust: Σu², climb, speed squared; of a moment: that of T(u), rate, product of rates, 1.
@@ -95,7 +96,7 @@ def identify_body(
     pieces = [piece for own in found if not isinstance(own, str) for piece in own]
     if len(pieces) < PIECES_FEWEST.value:
         reasons = [own for own in found if isinstance(own, str)]
-        return untold_body(reasons[0] if reasons else "the flight is too short")
+        return untold_body(reasons[0] if reasons else _SHORT)
     if len(pieces) > _PIECES_MOST:
         pieces = [_joined(list(own)) for own in np.array_split(np.array(pieces, dtype=object), _PIECES_MOST)]
     whole = _solved(pieces)
@@ -133,14 +134,15 @@ def _pieces(log: FieldLog, flight: Flown, vehicle: Vehicle, wind: Array) -> list
     if log.commands is None or log.imu is None:
         return "the log has not both commands and IMU"
     if log.commands.values.shape[1] != vehicle.rotor_count:
-        return f"the log has {log.commands.values.shape[1]} commands for {vehicle.rotor_count} rotors"
+        found = log.commands.values.shape[1]
+        return f"the log has commands of {found} motors, the vehicle file {vehicle.rotor_count} rotors"
     slow = min(log.commands.rate_hz, log.imu.rate_hz)
     if slow < SLOWEST_HZ:
         return f"commands and IMU are logged at {slow:.0f} Hz, slower than motors are"
     pieces: list[_Piece] = []
     for one in flight.stretches:
         pieces += _of_stretch(log, one.begin, one.end, vehicle, wind)
-    return pieces or "the flight is too short"
+    return pieces or _SHORT
 
 
 def _of_stretch(log: FieldLog, begin: float, end: float, vehicle: Vehicle, wind: Array) -> list[_Piece]:

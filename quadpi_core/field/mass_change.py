@@ -131,7 +131,7 @@ def mass_change(use: MotorUse, references: Sequence[MotorUse], corners: Array | 
     """
     by = next((by for by in EFFORT_SCATTER if by in use.efforts and _known(by, references)), None)
     if by is None:
-        return "the flight and those before have not both rotor speeds or commands"
+        return "no rotor speeds, and no commands, are both in the flight and in one before"
     before = np.log(_known(by, references))
     ratio, deviation, freedom = _against(np.log(use.efforts[by]), before, EFFORT_SCATTER[by].value)
     half = float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE.value, freedom)) * deviation

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from quadpi_core.field.airborne import Flown, flown
+from quadpi_core.field.airborne import Flown, Stretch, flown
 from quadpi_core.field.field_log import FieldLog, Series
 from quadpi_core.field.inertia import identify_body
 from quadpi_core.vehicle import Vehicle
@@ -60,6 +60,7 @@ def test_what_is_lacking_is_said():
     said = [
         (identify_body([(log, aloft)], None, STILL), "a vehicle file"),
         (identify_body([(replace(log, commands=None), aloft)], BEBOP, STILL), "both commands and IMU"),
+        (identify_body([(log, replace(aloft, stretches=(Stretch(0.0, 15.0),)))], BEBOP, STILL), "takes 30 s"),
     ]
     for found, words in said:
         assert all(one.value is None and words in one.reason for one in found.inertia)
