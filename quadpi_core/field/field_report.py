@@ -476,8 +476,8 @@ def _remarks(
             is_silent = ratio < SILENT_SHARE.value
             yield Remark(ALARM, f"rotor {rotor} stands, or its tachometer is silent" if is_silent else reads)
     if (change := use.change) is not None:
-        more_or_less = "more" if change.share > 0.0 else "less"
-        said = f"hover takes {abs(100.0 * change.share):.0f} % {more_or_less} command"
+        more = "more" if change.share > 0.0 else "less"
+        said = f"hover takes {100.0 * abs(change.share):.0f} % {more} command"
         yield Remark(WARNING, f"{said} {_change_cause(change, use.volts)}")
     if use.drift is not None and _level(use.drift, (BATTERY_DRIFT.value, np.inf)):
         share = f"{100.0 * (use.drift.value or 0.0):+.0f} %"

@@ -35,7 +35,7 @@ _LAGS_S = tuple(0.005 * step for step in range(31))
 # Bias of an accelerometer, m/s², one standard deviation.
 _BIAS_M_S2 = 0.15
 _PIECE_S, _SHORTEST_S, _PIECES_MOST = 6.0, 20.0, 40
-_SHORT = f"it takes {_PIECE_S * PIECES_FEWEST.value:.0f} s in the air, {_SHORTEST_S:.0f} s at a stretch or more"
+_SHORT = f"it takes {_PIECE_S * PIECES_FEWEST.value:.0f} s in the air, {_SHORTEST_S:.0f} s or more at once"
 # Half width over value beyond which a number is not told.
 _WIDEST = 0.5
 # Columns of thrust: Σu², climb, speed squared; of a moment: that of T(u), rate, product of rates, 1.
