@@ -289,7 +289,10 @@ def _flight_report(log: FieldLog, before: Sequence[FlightReport] | None = None) 
         lost = heavier = "the flights before are none, or of another vehicle"
         if alike:
             lost, heavier = losses(use, alike), mass_change(use, alike, log.corners)
-    remarks = [*_motor_remarks(log, flight, lost, heavier), *_remarks(log, use, vibration, read)]
+    remarks = [*_motor_remarks(log, flight, lost, heavier)]
+    if isinstance(heavier, MassChange):
+        remarks += _mass_remarks(heavier)
+    remarks += _remarks(log, use, vibration, read)
     return FlightReport(log.name, log, flight, use, vibration, read, lost, heavier, tuple(remarks))
 
 
@@ -401,8 +404,6 @@ def _motor_remarks(
         yield Remark(
             ALARM, f"{log.motor(motor)} follows no more from {since:.1f} s on: its command stays as it is"
         )
-    if isinstance(heavier, MassChange):
-        yield from _mass_remarks(heavier)
     if not lost or isinstance(lost, str):
         return
     worst = max(range(len(lost)), key=lambda rotor: lost[rotor].thrust.low or 0.0)
