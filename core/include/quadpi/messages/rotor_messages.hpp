@@ -21,7 +21,7 @@ constexpr std::int64_t FIRST_MOTOR = 101, LAST_MOTOR = 112;
 // PX4 takes an ESC that has not reported for as long for gone (MavlinkStreamESCStatus) [ns].
 constexpr std::int64_t ESC_SILENT_NS = 100'000'000;
 
-// Whether reports form a sample, or the reason why not; quadpi_core.unusable_readings has the words.
+// Whether reports form a sample, or the reason why not; quadpi_core.findings has the words.
 enum EscVerdict : std::uint8_t {
     SAMPLE,
     NONE_ANNOUNCED,
