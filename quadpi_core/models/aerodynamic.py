@@ -203,6 +203,11 @@ class AerodynamicModel:
         thinnest, densest = (sum(ends) / len(told) for ends in zip(*told, strict=True))
         return 1.0 / densest, 1.0 / thinnest
 
+    @property
+    def goes_with_air(self) -> bool:
+        """Whether one of its flights told its air; else it holds in that air, whichever it was."""
+        return any(flight.air != ASSUMED for flight in self.flights)
+
     def learned_from(self, sha256: str) -> bool:
         """Whether a flight, by its hash, is one of those that it was identified on: it is in sample."""
         array_checks.instance("sha256", sha256, str)
@@ -467,6 +472,9 @@ def unchecked_evaluation(
     """
     if confidence is None:
         confidence = model.confidence
+    if derivatives is not None and not model.goes_with_air and derivatives["density_excess"].any():
+        derivatives = derivatives.copy()
+        derivatives["density_excess"] = 0.0
     evaluation = model.fitted.evaluate(inputs, model._factors(confidence), derivatives)
     if derivatives is None or compiled_model(model.fitted) or not derivatives["density_excess"].any():
         return evaluation

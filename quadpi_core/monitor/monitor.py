@@ -253,8 +253,11 @@ class Monitor:
         self.preparation.retune(rate)
 
     def fly_in(self, density: float) -> None:
-        """Go on in air of a density [kg/m³]; 0 where only the vehicle file tells."""
-        self.preparation.fly_in(density)
+        """Go on in air of a density [kg/m³]; 0 where only the vehicle file tells.
+
+        A model whose flights did not tell their air stays with the air that it was identified in.
+        """
+        self.preparation.fly_in(density if self.model.goes_with_air else 0.0)
 
     def change(self, settings: MonitorSettings) -> None:
         """Update alarm settings in flight; the interval type cannot change."""
@@ -435,7 +438,8 @@ class Monitors:
         self._paired = None
         monitor.fly_in(self._density)
         for other in self._monitors.values():
-            if other.model.cutoff_hz == monitor.model.cutoff_hz:
+            alike = other.model.goes_with_air == monitor.model.goes_with_air
+            if alike and other.model.cutoff_hz == monitor.model.cutoff_hz:
                 monitor.preparation = other.preparation
                 break
         self._monitors[name] = monitor
