@@ -24,14 +24,15 @@ from quadpi_ros.parameters import adapters_of
 
 # Message classes of the standard topics that are played.
 SENSOR_TYPES: dict[str, type] = {name: message_class(TOPIC_TYPES[name]) for name in LIVE_SENSORS}
+# What the live nodes take beside IMU, state and rotor speeds, in whatever messages.
+BESIDE = ("motor_commands", "battery", "pressure", "temperature")
 # Standard topics that the messages of an adapter replace, by the kind of the adapter.
 _STANDS_IN_FOR = {
     "imu": ("imu",),
     "rotor_speeds": ("rotor_speeds", "erpm"),
     "mocap": MOCAP_TOPICS,
     "odometry": MOCAP_TOPICS,
-    "motor_commands": (),
-    "battery": (),
+    **dict.fromkeys(BESIDE, ()),
 }
 
 
@@ -162,12 +163,13 @@ def live_inputs(path: Path, topics: Sequence[str] = ()) -> LiveInputs:
         return first
 
     imu, mocap = first_of("imu"), first_of("mocap")
-    commands = [name for kind in ("motor_commands", "battery") for name in adapters_of(kind) if name in names]
+    beside = [name for kind in BESIDE for name in adapters_of(kind) if name in names]
+    commands = {*adapters_of("motor_commands")} & names.keys()
     measured = (*_STANDS_IN_FOR["rotor_speeds"], *adapters_of("rotor_speeds"))
     # A model that was identified on commands needs no rotor speeds.
     needed = not commands or not names.keys().isdisjoint(measured)
     rotors = first_of("rotor_speeds") if needed else measured[0]
-    played = (imu, *([rotors] if needed else []), mocap, *commands, *(["wind"] if "wind" in names else []))
+    played = (imu, *([rotors] if needed else []), mocap, *beside, *(["wind"] if "wind" in names else []))
     return LiveInputs(rotors, mocap, tuple(names[name] for name in played))
 
 

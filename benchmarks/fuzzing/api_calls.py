@@ -234,7 +234,7 @@ def array_calls() -> dict[str, Call]:
         "AerodynamicModel.require": Call(_polynomial().require, {"vehicle": vehicle}),
         **{
             f"AerodynamicModel.{name}": Call(getattr(_polynomial(), name), {}, share=0.1)
-            for name in ("described", "calibration")
+            for name in ("described", "calibration", "share_of_air")
         },
         "AerodynamicModel.simulation_section": Call(_physical().simulation_section, {}, share=0.1),
         "AerodynamicModel.require_rollouts": Call(_physical().require_rollouts, {}, share=0.1),

@@ -265,8 +265,9 @@ class _Summary:
 
 
 def _columns(stream: Stream) -> dict[str, Array]:
-    """Measured columns (N, C) by field name, without stamps and masks of axes."""
-    columns = {column.name: getattr(stream, column.name) for column in fields(stream)}
+    """Measured columns (N, C) by field name, without stamps, masks of axes and stated noise."""
+    names = [column.name for column in fields(stream) if column.name != "deviation"]
+    columns = {name: getattr(stream, name) for name in names}
     return {name: values for name, values in columns.items() if values.dtype.kind == "f"}
 
 

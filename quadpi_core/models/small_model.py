@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from quadpi_core.field.drag import WIDEST_RATIO
 from quadpi_core.field.estimates import Estimate, beyond_zero, not_identified, within
@@ -331,7 +331,7 @@ def _flown_to_and_fro(model: AerodynamicModel, vehicle: Vehicle, axis: int, most
         lift = np.maximum(-evaluation.predicted[:, 2], 0.1 * weight)
         rotors = rotors * np.sqrt(weight * np.cos(tilt) / lift)[:, np.newaxis]
     count = len(_SPEEDS)
-    deviation = 0.5 * (evaluation.upper - evaluation.lower)[:, axis] / norm.ppf(0.5 + 0.5 * model.confidence)
+    deviation = 0.5 * (evaluation.upper - evaluation.lower)[:, axis] / ndtri(0.5 + 0.5 * model.confidence)
 
     def error_of(weights: Array) -> float | None:
         both = 0.5 * np.concatenate([-weights, weights])

@@ -8,12 +8,12 @@ from collections.abc import Mapping, Sequence
 from itertools import chain, zip_longest
 from typing import TYPE_CHECKING, Any
 
-from quadpi_core.models.small_model import Headline, headlines
 from quadpi_core.report.style import number, percent
 from quadpi_core.report.table import Cell, Column, Mark, Row, Table, soft
 
 if TYPE_CHECKING:
     from quadpi_core.models.aerodynamic import AerodynamicModel
+    from quadpi_core.models.small_model import Headline
 
 # Columns of what a kind says of its parameters, as far as they are shown in short.
 _BY_AIR = "by the air"
@@ -81,6 +81,8 @@ def _final_terms(log: SelectionLog) -> list[list[Cell | str | float | None]]:
 
 def headline_table(model: AerodynamicModel) -> Table | None:
     """What matters first, in ten lines at most, beside the vehicle file; None if the model tells nothing."""
+    from quadpi_core.models.small_model import headlines
+
     rows: list[Row] = [
         [one.quantity, one.value, _error(one), "" if one.known is None else one.known, one.unit]
         for one in headlines(model, model.load_vehicle())

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from quadpi import msg as quadpi_msg
 
-MESSAGES = ("AlarmEvent", "Erpm", "ExtrapolationAlarm", "RotorSpeeds", "WrenchPrediction")
+MESSAGES = ("AlarmEvent", "Erpm", "ExtrapolationAlarm", "MotorCommands", "RotorSpeeds", "WrenchPrediction")
 
 
 def test_alarm_constants_are_distinct_bits() -> None:

@@ -24,6 +24,7 @@ from std_msgs.msg import String
 
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AirStream
+from quadpi_core.flown_air import MEASURED
 from quadpi_core.messages import result_messages
 from quadpi_core.messages.model_description import MonitorDescription, unpack_description
 from quadpi_core.messages.payloads import Payloads
@@ -211,6 +212,9 @@ def test_a_node_that_is_activated_again_knows_no_air(ros_domain: int, folder: Pa
         excess = []
         for heard in (True, False):
             assert node.trigger_activate() == TransitionCallbackReturn.SUCCESS
+            for monitor in map(monitors.__getitem__, monitors.names):
+                told = tuple(replace(flight, air=MEASURED) for flight in monitor.model.flights)
+                monitor.model = replace(monitor.model, flights=told)
             if heard:
                 node._take_air(AirStream(np.array([0]), np.array([8e4]), np.array([15.0])))
             excess.append(

@@ -96,7 +96,7 @@ def test_other_accelerations_change_the_columns_of_mass_and_inertia_alone(sounde
     share = share_of_wrench(payload.effect, vehicle, 1e-3 * payload.scale) / 1e-3
     shares = [
         share_of_wrench(effect, vehicle, values) if effect.kind == "vehicle" else np.zeros((6, 6))
-        for effect, deviation in body_tolerances(simulation.tolerances)
+        for effect, deviation in body_tolerances(simulation)
         for values in deviation * np.eye(len(effect.parameters))
     ]
     for place, flight in enumerate(sounded.flights):

@@ -190,7 +190,7 @@ BESIDE = ("battery", "pressure", "temperature")
 REAL = {
     "ardupilot_copter_2014.BIN": ("imu", "odometry", "motor_commands", *BESIDE),
     "ardupilot_test.BIN": ("imu", "odometry", *BESIDE),
-    "ardupilot_vtol.tlog": ("imu", "odometry"),
+    "ardupilot_vtol.tlog": ("imu", "odometry", "pressure", "temperature"),
     "betaflight_error_recovery.bbl": ("imu", "motor_commands"),
     "px4_sample_small.ulg": ("imu", *BESIDE),
 }

@@ -250,5 +250,5 @@ def test_entry_is_a_mapping():
 
 def test_signals_are_fields_of_the_streams(sent):
     for topic, signals in SIGNALS.items():
-        columns = {column.name for column in fields(sent[topic].stream)} - {"time_ns"}
+        columns = {column.name for column in fields(sent[topic].stream)} - {"time_ns", "deviation"}
         assert columns == set(signals)
