@@ -23,7 +23,7 @@ from quadpi_core import rotations
 from quadpi_core.estimator.ekf import Ekf
 from quadpi_core.estimator.filter_state import ATTITUDE, POSITION, VELOCITY
 from quadpi_core.estimator.smoother import smooth
-from quadpi_core.flight import OdometryStream, PoseStream, Recording, TwistStream
+from quadpi_core.flight import OdometryStream, PoseStream, Recording, Stamps, TwistStream
 from quadpi_core.frames import Array
 from quadpi_core.screening.flight_runs import is_slow_state
 from quadpi_core.signals.resample import nominal_rate
@@ -108,43 +108,34 @@ def _measured_state(recording: Recording, usual: Array, lacking: _Parts) -> Reco
     if odometry is None:
         return recording
     deviation = np.where(odometry.deviation == 0.0, usual, odometry.deviation)
-    if lacking[2]:
-        return _without_velocity(recording, odometry, deviation, at_rest=bool(lacking[0]))
-    # As a receiver measures it; in body axes it would hold the error of the attitude twice.
-    velocity = rotations.rotate_body_to_world(odometry.attitude, odometry.velocity)
-    in_world = np.zeros(len(odometry), dtype=bool)
+    stamps, chosen = odometry.time_ns, np.arange(len(odometry))
+    twist: TwistStream | None = None
+    if not lacking[2]:
+        # As a receiver measures it; in body axes it would hold the error of the attitude twice.
+        velocity = rotations.rotate_body_to_world(odometry.attitude, odometry.velocity)
+        in_world = np.zeros(len(odometry), dtype=bool)
+        twist = TwistStream(stamps, velocity, in_world, deviation[:, 2].copy())
+    elif lacking[0]:
+        chosen, twist = _at_rest(stamps)
     arrivals = dict(recording.arrivals)
     arrived = arrivals.pop(OdometryStream.topic, None)
     if arrived is not None:
-        arrivals |= {PoseStream.topic: arrived, TwistStream.topic: arrived}
-    return replace(
-        recording,
-        pose=PoseStream(odometry.time_ns, odometry.position, odometry.attitude, deviation[:, :2].copy()),
-        twist=TwistStream(odometry.time_ns, velocity, in_world, deviation[:, 2].copy()),
-        odometry=None,
-        arrivals=arrivals,
-    )
-
-
-def _without_velocity(
-    recording: Recording, odometry: OdometryStream, deviation: Array, at_rest: bool
-) -> Recording:
-    """The recording with attitudes, and positions or a vehicle that is `at_rest`, as measurements."""
-    stamps = odometry.time_ns
+        arrivals[PoseStream.topic] = arrived
+        if twist is not None:
+            arrivals[TwistStream.topic] = arrived[chosen]
     pose = PoseStream(stamps, odometry.position, odometry.attitude, deviation[:, :2].copy())
+    return replace(recording, pose=pose, twist=twist, odometry=None, arrivals=arrivals)
+
+
+def _at_rest(stamps: Stamps) -> tuple[Stamps, TwistStream]:
+    """Rows of states once in a while, and velocities of 0 at them, as unsure as people fly."""
     # By the clock, so that blocks of a flight give what the whole gives.
     periods, chosen = np.unique(stamps // round(1e9 * _STILL_S), return_index=True)
     still = np.zeros((len(chosen), 3))
     # A source that repeats itself to the bit is taken for frozen.
     still[:, 0] = 1e-9 * (periods % 2)
-    twist = TwistStream(
-        stamps[chosen], still, np.zeros(len(chosen), dtype=bool), np.full(len(chosen), _STILL_M_S)
-    )
-    arrivals = dict(recording.arrivals)
-    arrived = arrivals.pop(OdometryStream.topic, None)
-    if arrived is not None:
-        arrivals |= {PoseStream.topic: arrived, TwistStream.topic: arrived[chosen]}
-    return replace(recording, pose=pose, twist=twist if at_rest else None, odometry=None, arrivals=arrivals)
+    in_world = np.zeros(len(chosen), dtype=bool)
+    return chosen, TwistStream(stamps[chosen], still, in_world, np.full(len(chosen), _STILL_M_S))
 
 
 def _learned(
