@@ -9,9 +9,13 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import numpy as np
+import numpy.typing as npt
+
 from quadpi_core.errors import LogError
 from quadpi_core.findings import LeftOut
-from quadpi_core.flight import Stream
+from quadpi_core.flight import Stamps, Stream
+from quadpi_core.frames import Array
 from quadpi_core.messages.adapters.adapter_settings import EXAMPLES, AdapterSettings
 from quadpi_core.messages.cdr import Columns
 from quadpi_core.messages.foreign_messages import ForeignCodec, Items, foreign_codec
@@ -119,3 +123,27 @@ STAMP = {"header.stamp.sec": 1, "header.stamp.nanosec": 1}
 def of_items(array: str, **members: int) -> dict[str, int]:
     """Columns of the items of an array of messages."""
     return {f"{array}.{member}": width for member, width in members.items()}
+
+
+def start_of_numbers(
+    column: str,
+    stamps: Callable[[Columns], Stamps],
+    stream: Callable[[Stamps, Array], Stream],
+    is_known: Callable[[Array], npt.NDArray[np.bool_]],
+    reason: str,
+) -> Callable[[object, Vehicle | None], Reading]:
+    """`Adapter.start` of messages with one number in a column; what is not known is dropped, and counted."""
+
+    def start(_settings: object, _vehicle: Vehicle | None) -> Reading:
+        dropped: Counter[str] = Counter()
+
+        def read(columns: Columns, _items: object) -> Stream:
+            values = columns[column].astype(np.float64)
+            known = is_known(values)
+            if not known.all():
+                dropped[reason] += int(np.sum(~known))
+            return stream(stamps(columns)[known], values[known])
+
+        return Reading(read, lambda: dropped)
+
+    return start

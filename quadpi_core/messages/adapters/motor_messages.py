@@ -12,7 +12,7 @@ import numpy as np
 from quadpi_core.errors import SampleError
 from quadpi_core.flight import BatteryStream, MotorCommandStream, Stamps
 from quadpi_core.frames import Array
-from quadpi_core.messages.adapters.adapter_definition import Reading
+from quadpi_core.messages.adapters.adapter_definition import Reading, start_of_numbers
 from quadpi_core.messages.adapters.adapter_settings import CommandSettings
 from quadpi_core.messages.cdr import Columns
 from quadpi_core.vehicle import Vehicle
@@ -72,17 +72,10 @@ def start_of_battery(
     column: str, stamps: Callable[[Columns], Stamps]
 ) -> Callable[[object, Vehicle | None], Reading]:
     """`Adapter.start` of messages with a voltage [V] in a column; what is not above 0 was not measured."""
-
-    def start(_settings: object, _vehicle: Vehicle | None) -> Reading:
-        dropped: Counter[str] = Counter()
-
-        def read(columns: Columns, _items: object) -> BatteryStream:
-            volts, time_ns = columns[column].astype(np.float64), stamps(columns)
-            known = np.isfinite(volts) & (volts > 0.0)
-            if not known.all():
-                dropped["the voltage is not known"] += int(np.sum(~known))
-            return BatteryStream(time_ns[known], volts[known])
-
-        return Reading(read, lambda: dropped)
-
-    return start
+    return start_of_numbers(
+        column,
+        stamps,
+        BatteryStream,
+        lambda volts: np.isfinite(volts) & (volts > 0.0),
+        "the voltage is not known",
+    )

@@ -4,50 +4,21 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from typing import TypeAlias
-
 import numpy as np
-import numpy.typing as npt
 
-from quadpi_core.flight import AirStream, TemperatureStream
+from quadpi_core.flight import AirStream, Stamps, TemperatureStream
 from quadpi_core.flown_air import is_celsius, is_pressure
-from quadpi_core.messages.adapters.adapter_definition import STAMP, Adapter, Reading
-from quadpi_core.messages.cdr import Columns, header_stamps
-from quadpi_core.vehicle import Vehicle
-
-_Mask: TypeAlias = npt.NDArray[np.bool_]
+from quadpi_core.frames import Array
+from quadpi_core.messages.adapters.adapter_definition import STAMP, Adapter, start_of_numbers
+from quadpi_core.messages.cdr import header_stamps
 
 
-def _start_pressure(_settings: object, _vehicle: Vehicle | None) -> Reading:
-    dropped: Counter[str] = Counter()
-
-    def read(columns: Columns, _items: object) -> AirStream:
-        pascal = columns["fluid_pressure"].astype(np.float64)
-        known = _counted(is_pressure(pascal), dropped, "no pressure of air in Pa")
-        pascal = pascal[known]
-        return AirStream(header_stamps(columns)[known], pascal, np.full(len(pascal), np.nan))
-
-    return Reading(read, lambda: dropped)
+def _pressures(time_ns: Stamps, pascal: Array) -> AirStream:
+    return AirStream(time_ns, pascal, np.full(len(pascal), np.nan))
 
 
-def _start_temperature(_settings: object, _vehicle: Vehicle | None) -> Reading:
-    dropped: Counter[str] = Counter()
-
-    def read(columns: Columns, _items: object) -> TemperatureStream:
-        celsius = columns["temperature"].astype(np.float64)
-        known = _counted(is_celsius(celsius), dropped, "no temperature of air in °C")
-        celsius = celsius[known]
-        return TemperatureStream(header_stamps(columns)[known], np.full(len(celsius), np.nan), celsius)
-
-    return Reading(read, lambda: dropped)
-
-
-def _counted(known: _Mask, dropped: Counter[str], reason: str) -> _Mask:
-    """Those that are known, as the others are counted."""
-    if not known.all():
-        dropped[reason] += int(np.sum(~known))
-    return known
+def _temperatures(time_ns: Stamps, celsius: Array) -> TemperatureStream:
+    return TemperatureStream(time_ns, np.full(len(celsius), np.nan), celsius)
 
 
 PRESSURE = Adapter(
@@ -56,7 +27,9 @@ PRESSURE = Adapter(
     topic="pressure",
     kind="pressure",
     columns=STAMP | {"fluid_pressure": 1},
-    start=_start_pressure,
+    start=start_of_numbers(
+        "fluid_pressure", header_stamps, _pressures, is_pressure, "no pressure of air in Pa"
+    ),
 )
 TEMPERATURE = Adapter(
     name="temperature",
@@ -64,5 +37,7 @@ TEMPERATURE = Adapter(
     topic="temperature",
     kind="temperature",
     columns=STAMP | {"temperature": 1},
-    start=_start_temperature,
+    start=start_of_numbers(
+        "temperature", header_stamps, _temperatures, is_celsius, "no temperature of air in °C"
+    ),
 )
