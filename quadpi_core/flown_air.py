@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from math import isfinite
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +19,8 @@ import numpy.typing as npt
 from quadpi_core.flight import Recording
 from quadpi_core.frames import Array
 from quadpi_core.thresholds import CONVENTION, Threshold
+
+_Number = TypeVar("_Number", float, Array)
 
 # At the sea, and the gas constant of dry air (ISO 2533).
 STANDARD_DENSITY = 1.225
@@ -60,10 +63,9 @@ BOARD_AIR = Threshold(
 )
 
 
-def density_of(pressure: Array, celsius: Array) -> Array:
+def density_of(pressure: _Number, celsius: _Number) -> _Number:
     """Density of dry air [kg/m³] from pressure [Pa] and temperature (ideal gas, ISO 2533)."""
-    density: Array = pressure / (_GAS * (celsius + ZERO_CELSIUS))
-    return density
+    return pressure / (_GAS * (celsius + ZERO_CELSIUS))
 
 
 def celsius_of(pressure: Array, density: Array) -> Array:
@@ -93,7 +95,7 @@ def flown_in(recording: Recording) -> tuple[float, str] | None:
     pressure, celsius = pressure[is_pressure(pressure)], celsius[is_celsius(celsius)]
     if not len(pressure) or not len(celsius):
         return None
-    density = float(density_of(np.median(pressure), np.median(celsius)))
+    density = density_of(float(np.median(pressure)), float(np.median(celsius)))
     if not DENSITY_MIN <= density <= DENSITY_MAX:
         return None
     return density, BOARD if recording.board_air else MEASURED
@@ -130,7 +132,7 @@ class Air:
         self._celsius = celsius if CELSIUS_MIN <= celsius <= CELSIUS_MAX else self._celsius
         if not isfinite(self._pressure + self._celsius):
             return False
-        density = self._pressure / (_GAS * (self._celsius + ZERO_CELSIUS))
+        density = density_of(self._pressure, self._celsius)
         if not DENSITY_MIN <= density <= DENSITY_MAX:
             return False
         if self.density and abs(density / self.density - 1.0) < NOTICED.value:
