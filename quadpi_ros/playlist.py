@@ -13,6 +13,7 @@ import numpy as np
 
 from quadpi_core.errors import QuadpiError
 from quadpi_core.flight import Stamps
+from quadpi_core.logs.adapted_bags import BESIDE_INPUTS
 from quadpi_core.logs.bag_files import Bag
 from quadpi_core.logs.bag_inputs import find_inputs, named_inputs
 from quadpi_core.logs.bag_topics import find_topic
@@ -24,15 +25,13 @@ from quadpi_ros.parameters import adapters_of
 
 # Message classes of the standard topics that are played.
 SENSOR_TYPES: dict[str, type] = {name: message_class(TOPIC_TYPES[name]) for name in LIVE_SENSORS}
-# What the live nodes take beside IMU, state and rotor speeds, in whatever messages.
-BESIDE = ("motor_commands", "battery", "pressure", "temperature")
 # Standard topics that the messages of an adapter replace, by the kind of the adapter.
 _STANDS_IN_FOR = {
     "imu": ("imu",),
     "rotor_speeds": ("rotor_speeds", "erpm"),
     "mocap": MOCAP_TOPICS,
     "odometry": MOCAP_TOPICS,
-    **dict.fromkeys(BESIDE, ()),
+    **dict.fromkeys(BESIDE_INPUTS, ()),
 }
 
 
@@ -163,7 +162,7 @@ def live_inputs(path: Path, topics: Sequence[str] = ()) -> LiveInputs:
         return first
 
     imu, mocap = first_of("imu"), first_of("mocap")
-    beside = [name for kind in BESIDE for name in adapters_of(kind) if name in names]
+    beside = [name for kind in BESIDE_INPUTS for name in adapters_of(kind) if name in names]
     commands = {*adapters_of("motor_commands")} & names.keys()
     measured = (*_STANDS_IN_FOR["rotor_speeds"], *adapters_of("rotor_speeds"))
     # A model that was identified on commands needs no rotor speeds.

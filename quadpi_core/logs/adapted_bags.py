@@ -34,6 +34,7 @@ ADAPTED_KINDS = (
 # Those that are used without being named, and refuse no bag.
 MOTOR_INPUTS = ("motor_commands", "battery")
 AIR_INPUTS = ("pressure", "temperature")
+BESIDE_INPUTS = (*MOTOR_INPUTS, *AIR_INPUTS)
 # In names of another pressure, or of a part that warms itself.
 _NO_AIR = re.compile(r"diff|imu|motor|esc|batt|cpu|mag")
 
@@ -201,7 +202,7 @@ class AdaptedReading:
             LogError: if all were dropped.
         """
         dropped = "; ".join(f"{number}: {reason}" for reason, number in self._unpacker.dropped.most_common())
-        if self._samples == 0 and self._kind not in {*MOTOR_INPUTS, *AIR_INPUTS}:
+        if self._samples == 0 and self._kind not in BESIDE_INPUTS:
             raise LogError(f"{self._where}: none of {count} messages gives a sample ({dropped})")
         if self._unpacker.left_out is not None:
             yield from self._unpacker.left_out(self._kind, start_ns)

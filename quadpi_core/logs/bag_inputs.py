@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 
 from quadpi_core.errors import LogError
 from quadpi_core.logs.adapted_bags import (
-    AIR_INPUTS,
+    BESIDE_INPUTS,
     MOTOR_INPUTS,
     AdaptedReading,
     AdaptedTopic,
@@ -367,7 +367,7 @@ class _Search:
         Motor commands and battery, which only flights without rotor speeds need, and the air are read where
         they can be.
         """
-        for kind in ("imu", "odometry", *MOTOR_INPUTS, *AIR_INPUTS):
+        for kind in ("imu", "odometry", *BESIDE_INPUTS):
             known = {*self._found, *({"odometry"} if "mocap" in self._found else ())}
             motors = self._vehicle.motors if self._vehicle and kind == "motor_commands" else None
             source = motors.source if motors else ""
@@ -384,7 +384,7 @@ class _Search:
                 self._adapted[kind], self._settings = topics[0], chosen
                 if not quiet:
                     self._notes.append(f"topic {kind}: {topics[0].name} is read by its type")
-            elif topics and kind in {*MOTOR_INPUTS, *AIR_INPUTS} and not quiet:
+            elif topics and kind in BESIDE_INPUTS and not quiet:
                 names = ", ".join(one.name for one in topics)
                 how = f"--mapping must name one, as in `{kind}: {{topic: {topics[0].name}}}`"
                 self._notes.append(f"topic {kind}: could be any of {names}: {how}")
@@ -424,7 +424,7 @@ class _Search:
             raise LogError(f"{self._bag.path}: {said}; choose with {self._advice()}")
         notes = (
             *self._notes,
-            *unread(self._bag, {*self._found, *MOTOR_INPUTS, *AIR_INPUTS}),
+            *unread(self._bag, {*self._found, *BESIDE_INPUTS}),
             *self._passed_over(),
         )
         return BagInputs(self.names, self._adapted, self._settings, notes)
