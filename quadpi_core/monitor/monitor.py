@@ -115,7 +115,7 @@ class Monitor:
         array_checks.instance("settings", settings, MonitorSettings)
         self.vehicle = vehicle
         self._channels = channels(vehicle.rotor_count)
-        self.preparation = Preparation(vehicle, rate_hz, model.cutoff_hz)
+        self.preparation = Preparation(vehicle, rate_hz, model.cutoff_hz, goes_with_air=model.goes_with_air)
         self._alarm = Alarm(
             model.envelope,
             model.alarm_limits,
@@ -257,7 +257,7 @@ class Monitor:
 
         A model whose flights did not tell their air stays with the air that it was identified in.
         """
-        self.preparation.fly_in(density if self.model.goes_with_air else 0.0)
+        self.preparation.fly_in(density)
 
     def change(self, settings: MonitorSettings) -> None:
         """Update alarm settings in flight; the interval type cannot change."""
@@ -438,7 +438,7 @@ class Monitors:
         self._paired = None
         monitor.fly_in(self._density)
         for other in self._monitors.values():
-            alike = other.model.goes_with_air == monitor.model.goes_with_air
+            alike = other.preparation.goes_with_air == monitor.preparation.goes_with_air
             if alike and other.model.cutoff_hz == monitor.model.cutoff_hz:
                 monitor.preparation = other.preparation
                 break

@@ -153,16 +153,21 @@ class Preparation:
         vehicle: as in its vehicle file.
         rate_hz: sample rate of the IMU; None if :meth:`retune` will give it.
         cutoff_hz: of the low-pass.
+        goes_with_air: whether the model does; else densities change nothing.
 
     Attributes:
+        goes_with_air: as given.
         memory: a :class:`Memory` (1,), which compiled code changes in place.
 
     Raises:
         SignalError: if the sample rate is too low for the cut-off.
     """
 
-    def __init__(self, vehicle: Vehicle, rate_hz: float | None, cutoff_hz: float) -> None:
+    def __init__(
+        self, vehicle: Vehicle, rate_hz: float | None, cutoff_hz: float, *, goes_with_air: bool = True
+    ) -> None:
         self._vehicle = vehicle
+        self.goes_with_air = goes_with_air
         self._verdict = record_dtype(Verdict, vehicle.rotor_count)
         self._derivatives = record_dtype(Derivatives, vehicle.rotor_count)
         self._cutoff_hz = cutoff_hz
@@ -201,7 +206,7 @@ class Preparation:
     def fly_in(self, density: float) -> None:
         """Go on in air of a density [kg/m³]; 0 where only the vehicle file tells."""
         known = self._vehicle.air_density_kg_m3
-        self.memory["density_excess"] = density / known - 1.0 if density else 0.0
+        self.memory["density_excess"] = density / known - 1.0 if density and self.goes_with_air else 0.0
 
     def step(self, time_ns: Stamps, values: Array, conditions: Records | None = None) -> Prepared:
         """Take K samples; see :meth:`quadpi_core.monitor.Monitor.step`."""
@@ -217,6 +222,9 @@ class Preparation:
         usable_ns = time_ns if used == count else time_ns[verdicts["usable"]]
         erring = _NOT_ERRING
         if conditions is not None:
+            if not self.goes_with_air:
+                conditions = conditions.copy()
+                conditions["air_density"] = 0.0
             erring = np.empty((used, ERRING_COLUMNS))
             compiled.take_conditions(self.memory, conditions, verdicts, filtered[:used], derivatives, erring)
         return Prepared(verdicts, inputs, measured, usable_ns, derivatives, erring)

@@ -11,9 +11,10 @@ import pytest
 
 from benchmarks.random_ensembles import random_ensembles, simulation_inputs
 from quadpi_core.flight import AXES
+from quadpi_core.flown_air import MEASURED
 from quadpi_core.frames import Array
 from quadpi_core.inputs import DERIVATIVES, INPUT_NAMES
-from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.models.aerodynamic import AerodynamicModel, TrainingFlight
 from quadpi_core.models.alarm_limits import AlarmLimits
 from quadpi_core.models.envelope import Envelope
 from quadpi_core.models.fitted_polynomial import FittedPolynomials, PolynomialAxis
@@ -121,7 +122,7 @@ def model_of(fitted: Fitted, vehicle: Vehicle, inputs: Array) -> AerodynamicMode
         fitted=fitted,
         envelope=Envelope.fit(inputs, np.zeros(len(inputs)), evidence.leverage, evidence.relative_width),
         training_range=dict.fromkeys(fitted.axes, 1.0),
-        flights=(),
+        flights=(TrainingFlight("told its air", "", 1, MEASURED),),
         selection={axis: [] for axis in fitted.axes},
         held_out_coverage={axis: [] for axis in fitted.axes},
         moving_centre=MovingCentre({axis: MovedAxis(np.linspace(0.1, 0.02, 8), 1.0) for axis in fitted.axes}),

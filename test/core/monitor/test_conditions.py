@@ -126,6 +126,16 @@ def test_a_model_in_python_is_told_too(model, vehicle, samples):
     )
 
 
+@pytest.mark.parametrize("block", [1, SAMPLES])
+def test_a_model_whose_flights_told_no_air_stays_in_it(each_model, vehicle, samples, block):
+    untold = replace(each_model, flights=())
+    known = conditions(SAMPLES, 0.8 * vehicle.air_density_kg_m3)
+    for said, plain in zip(
+        step(untold, vehicle, samples, known, block), step(untold, vehicle, samples), strict=True
+    ):
+        np.testing.assert_array_equal(said, plain)
+
+
 def test_an_unsure_state_widens_intervals_by_what_it_does(each_model, vehicle):
     rng = np.random.default_rng(3)
     # A steady state passes the low-pass as it is.
