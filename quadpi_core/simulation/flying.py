@@ -15,7 +15,6 @@ import numpy.typing as npt
 
 from quadpi_core import rotations
 from quadpi_core.errors import SimulationError, VehicleError
-from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
 from quadpi_core.linear_algebra import inverse, matrix_times
 from quadpi_core.records import record_dtype
@@ -146,7 +145,6 @@ def simulate_flight(
     effects: Effects = _NO_EFFECTS,
     extra: Sequence[tuple[Law, Sequence[float]]] = (),
     seed: int = 0,
-    done: Stamps | None = None,
 ) -> Truth:
     """Fly a vehicle along a reference, from trim at its first instant.
 
@@ -160,7 +158,6 @@ def simulate_flight(
         effects: effects beside the vehicle's own; those of kind "sensor" do not alter the flight.
         extra: further wrench functions with their parameters, see `applied_effects.compose`.
         seed: seed of gusts.
-        done: (1,) written with the number of steps flown, for a progress bar in another thread.
 
     Raises:
         SimulationError: naming flight, time and state, if the vehicle gets out of control or to the ground;
@@ -195,7 +192,7 @@ def simulate_flight(
     rotors = vehicle.vehicle.rotor_count
     controls.command[:] = start.rotor_speeds
     log = np.zeros(samples, dtype=record_dtype(Logged, rotors))
-    done = np.zeros(1, dtype=np.int64) if done is None else done
+    done = np.zeros(1, dtype=np.int64)
     fly(physics, controls, _demand(reference, wind, last=(samples - 1) * every), memory, log, done)
     flown_wind = wind[::every][:samples].copy()
     if done[0] < (samples - 1) * every:

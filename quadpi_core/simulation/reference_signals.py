@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from typing import Annotated, Any, TypeAlias, TypeVar
 
 import numpy as np
@@ -25,8 +24,8 @@ from quadpi_core.config_schema import (
     NotNegative,
     OneOf,
     Positive,
-    ReadBy,
     Real,
+    RefusedError,
     Section,
     Within,
     check_config,
@@ -34,14 +33,11 @@ from quadpi_core.config_schema import (
 from quadpi_core.core import compiled
 from quadpi_core.frames import Array
 
-# Start, duration and fade of a window [s].
-Span: TypeAlias = tuple[float, float, float]
 # Instants closer than this [s] are the same one: they are sums of decimal numbers.
 _ROUNDING_S = 1e-9
 # Axes that a flight can move, each with the unit of its amplitudes in files; shares are of the weight.
 AXES = {"x": "m", "y": "m", "height": "m", "yaw": "deg", "roll": "deg", "pitch": "deg", "thrust": "share"}
 
-# In the unit of the axis, which :func:`_require_unit` checks.
 Amplitude: TypeAlias = Annotated[Real, Key("amplitude_m", "amplitude_deg", "amplitude_share")]
 # Of edges and fades [s]: anything shorter than the simulation's step is a jump.
 Transition: TypeAlias = Annotated[float, Within(1e-3)]
@@ -49,11 +45,9 @@ Transition: TypeAlias = Annotated[float, Within(1e-3)]
 
 @dataclass(frozen=True, kw_only=True)
 class Window(Section):
-    """A span of time with a smooth begin and a smooth end.
+    """A span of time with a smooth begin and a smooth end, of `fade_s` each.
 
-    Attributes:
-        duration_s: duration; None in a file for a span to the end of the flight, see :func:`within_flight`.
-        fade_s: duration of begin and end each, within the duration.
+    In a file its duration may be left out: it then lasts to the end of the flight, see :func:`within_flight`.
     """
 
     start_s: NotNegative
@@ -61,26 +55,16 @@ class Window(Section):
     fade_s: Transition = 1.0
 
     def __post_init__(self) -> None:
-        if self.duration_s is None:
-            return
-        longest = 0.5 * self.duration_s
+        longest = math.inf if self.duration_s is None else 0.5 * self.duration_s
         _require(self.fade_s <= longest + _ROUNDING_S, f"`fade_s` must be at most {longest:g}", self.fade_s)
-
-    @property
-    def span(self) -> Span:
-        """What the compiled loops take.
-
-        Raises:
-            ValueError: before the duration of the flight is known.
-        """
-        if self.duration_s is None:
-            raise ValueError("the duration of the flight is not known yet")
-        return self.start_s, self.duration_s, self.fade_s
 
     @property
     def end(self) -> float:
         """Instant [s] from which on there is rest."""
-        return self.start_s + self.span[1]
+        return self.start_s + (self.duration_s or 0.0)
+
+    def _span(self) -> Array:
+        return np.array([self.start_s, self.duration_s, self.fade_s], dtype=float)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,8 +73,15 @@ class Wave(Window):
 
     amplitude: Amplitude
 
-    def _jets(self, time: Array, frequencies: Array, phases: Array, rise: float = 0.0) -> Array:
-        return wave_jets(time, self.amplitude, frequencies, phases, rise, self.span)
+    def _sines(self) -> tuple[Array, Array, float]:
+        """Frequencies (K,) Hz, phases (K,) rad, and how fast the frequencies rise [Hz/s]."""
+        raise NotImplementedError
+
+    def jets(self, time: Array) -> Array:
+        """Jets (N, 3) at instants (N,) s."""
+        jets = np.empty((len(time), 3))
+        compiled.wave_jets(time, self.amplitude, *self._sines(), self._span(), jets)
+        return jets
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,9 +91,8 @@ class Sine(Wave):
     frequency_hz: Positive
     phase_deg: Real = 0.0
 
-    def jets(self, time: Array) -> Array:
-        """Jets (N, 3) at instants (N,) s."""
-        return self._jets(time, np.array([self.frequency_hz]), np.array([math.radians(self.phase_deg)]))
+    def _sines(self) -> tuple[Array, Array, float]:
+        return np.array([self.frequency_hz]), np.array([math.radians(self.phase_deg)]), 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,10 +102,8 @@ class Chirp(Wave):
     from_hz: Positive
     to_hz: Positive
 
-    def jets(self, time: Array) -> Array:
-        """Jets (N, 3) at instants (N,) s."""
-        rise = (self.to_hz - self.from_hz) / self.span[1]
-        return self._jets(time, np.array([self.from_hz]), np.zeros(1), rise)
+    def _sines(self) -> tuple[Array, Array, float]:
+        return np.array([self.from_hz]), np.zeros(1), (self.to_hz - self.from_hz) / float(self._span()[1])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,19 +114,14 @@ class Multisine(Wave):
         tuple[Positive, ...], NotEmpty(), Expected("must be a list of positive numbers")
     ]
 
-    def jets(self, time: Array) -> Array:
-        """Jets (N, 3) at instants (N,) s."""
+    def _sines(self) -> tuple[Array, Array, float]:
         order = np.arange(len(self.frequencies_hz))
-        return self._jets(time, np.array(self.frequencies_hz), -math.pi * order * (order + 1) / len(order))
+        return np.array(self.frequencies_hz), -math.pi * order * (order + 1) / len(order), 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Edges(Section):
-    """Smooth steps up and down, in the unit of their axis.
-
-    Attributes:
-        rise_s: duration of each edge.
-    """
+class Step(Section):
+    """A smooth step, which stays, in the unit of its axis; `rise_s` is the duration of its edge."""
 
     amplitude: Amplitude
     rise_s: Transition
@@ -147,20 +130,21 @@ class Edges(Section):
     @property
     def end(self) -> float:
         """Instant [s] from which on there is rest."""
-        return self.start_s + self.rise_s
+        return float(self._edges()[0][-1]) + self.rise_s
 
-
-@dataclass(frozen=True, kw_only=True)
-class Step(Edges):
-    """One step, which stays."""
+    def _edges(self) -> tuple[Array, Array]:
+        """Instants (E,) s at which edges begin, the last one last, and how far each rises (E,)."""
+        return np.array([self.start_s]), np.array([self.amplitude])
 
     def jets(self, time: Array) -> Array:
         """Jets (N, 3) at instants (N,) s."""
-        return edge_jets(time, np.array([self.start_s]), np.array([self.amplitude]), self.rise_s)
+        jets = np.empty((len(time), 3))
+        compiled.edge_jets(time, *self._edges(), self.rise_s, jets)
+        return jets
 
 
 @dataclass(frozen=True, kw_only=True)
-class Pulse(Edges):
+class Pulse(Step):
     """One step and back, once or many times.
 
     Attributes:
@@ -175,9 +159,8 @@ class Pulse(Edges):
     alternate: Flag = False
 
     def __post_init__(self) -> None:
-        _require(
-            self.width_s >= self.rise_s, f"`width_s` must be at least `rise_s`, {self.rise_s:g}", self.width_s
-        )
+        rule = f"`width_s` must be at least `rise_s`, {self.rise_s:g}"
+        _require(self.width_s >= self.rise_s, rule, self.width_s)
         whole = self.width_s + self.rise_s
         _require(self._period >= whole - _ROUNDING_S, f"`period_s` must be at least {whole:g}", self._period)
 
@@ -185,86 +168,80 @@ class Pulse(Edges):
     def _period(self) -> float:
         return 2.0 * self.width_s if self.period_s is None else self.period_s
 
-    @property
-    def end(self) -> float:
-        """See :class:`Edges`."""
-        return super().end + (self.count - 1) * self._period + self.width_s
-
-    def jets(self, time: Array) -> Array:
-        """Jets (N, 3) at instants (N,) s."""
+    def _edges(self) -> tuple[Array, Array]:
         rises = self.start_s + self._period * np.arange(self.count)
         heights = np.full(self.count, float(self.amplitude))
         if self.alternate:
             heights[1::2] *= -1.0
-        begins = np.concatenate((rises, rises + self.width_s))
-        return edge_jets(time, begins, np.concatenate((heights, -heights)), self.rise_s)
+        return np.concatenate((rises, rises + self.width_s)), np.concatenate((heights, -heights))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Orbit(Window):
+    """A circle around the origin, flown at one speed after a smooth start; the nose is north when it begins.
+
+    Attributes:
+        nose: stays north, or points to the centre, or ahead.
+        turn: seen from above.
+    """
+
+    radius_m: Positive
+    speed_m_s: Positive
+    fade_s: Transition = 4.0
+    nose: Annotated[str, OneOf("north", "centre", "ahead")] = "north"
+    turn: Annotated[str, OneOf("clockwise", "counterclockwise")] = "clockwise"
+
+    def jets(self, time: Array) -> Array:
+        """Jets (3, N, 3) of north [m], east [m] and yaw [rad] at instants (N,) s."""
+        sense = 1.0 if self.turn == "clockwise" else -1.0
+        # The centre begins ahead of the nose, or to its side: then yaw is the angle that is flown.
+        bearing = -0.5 * math.pi * sense if self.nose == "ahead" else math.pi
+        jets = np.empty((3, len(time), 3))
+        turn_rate = sense * self.speed_m_s / self.radius_m
+        compiled.orbit_jets(time, self.radius_m, turn_rate, bearing, self._span(), jets)
+        if self.nose == "north":
+            jets[2] = 0.0
+        return jets
 
 
 Signal: TypeAlias = Sine | Pulse | Step | Chirp | Multisine
 # The signals of each axis, which add up.
 Motion: TypeAlias = Mapping[str, tuple[Signal, ...]]
-_Moving = TypeVar("_Moving", bound=Window | Edges)
+_KINDS = {"sine": Sine, "pulse": Pulse, "step": Step, "chirp": Chirp, "multisine": Multisine}
+_Moving = TypeVar("_Moving", bound=Window | Step)
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Entry(Section):
-    """One signal in a file, under the name of its kind."""
+@dataclass(frozen=True)
+class _Entry:
+    """One signal in a file, under the name of its kind; its amplitude's key ends with the unit."""
 
-    sine: Sine | None = None
-    pulse: Pulse | None = None
-    step: Step | None = None
-    chirp: Chirp | None = None
-    multisine: Multisine | None = None
+    unit: str
 
-    def __post_init__(self) -> None:
-        if sum(signal is not None for signal in vars(self).values()) != 1:
-            raise ValueError(f"expected one of {', '.join(vars(self))}")
-
-    @property
-    def signal(self) -> Signal:
+    def read(self, _kind: Any, data: Any) -> Signal:
         """The signal."""
-        signal: Signal = next(signal for signal in vars(self).values() if signal is not None)
-        return signal
-
-
-def _require_unit(unit: str, entries: Any) -> Any:
-    """Refuse keys of amplitudes that do not end with the unit of their axis."""
-    key = f"amplitude_{unit}"
-    for number, entry in enumerate(entries if isinstance(entries, list) else (), start=1):
-        for kind, signal in entry.items() if isinstance(entry, dict) else ():
-            given = [name for name in signal if str(name).startswith("amplitude")] if signal else ()
-            if kind in _KINDS and isinstance(signal, dict) and given != [key]:
+        listed = check_config(dict[Annotated[str, OneOf(*_KINDS)], Any], data)
+        if len(listed) != 1 or None in listed.values():
+            raise RefusedError(f"expected one of {', '.join(_KINDS)}")
+        ((kind, keys),) = listed.items()
+        key = f"amplitude_{self.unit}"
+        if isinstance(keys, Mapping):
+            given = [name for name in keys if str(name).startswith("amplitude")]
+            if given != [key]:
                 wrong = [name for name in given if name != key]
                 problem = f"unknown key `{wrong[0]}`; the amplitude is" if wrong else "missing key"
-                raise ValueError(f"entry {number}, {kind}: {problem} `{key}`")
-    return entries
-
-
-Lengths: TypeAlias = Annotated[tuple[_Entry, ...], ReadBy(partial(_require_unit, "m"), first=True)]
-Angles: TypeAlias = Annotated[tuple[_Entry, ...], ReadBy(partial(_require_unit, "deg"), first=True)]
-Shares: TypeAlias = Annotated[tuple[_Entry, ...], ReadBy(partial(_require_unit, "share"), first=True)]
-
-
-@dataclass(frozen=True, kw_only=True)
-class _MotionFile(Section):
-    """The key `motion` of a flight: the signals of each axis of :data:`AXES`."""
-
-    x: Lengths = ()
-    y: Lengths = ()
-    height: Lengths = ()
-    yaw: Angles = ()
-    roll: Angles = ()
-    pitch: Angles = ()
-    thrust: Shares = ()
-
-
-_KINDS = {"sine": Sine, "pulse": Pulse, "step": Step, "chirp": Chirp, "multisine": Multisine}
+                raise RefusedError(f"{kind}: {problem} `{key}`")
+        by_kind: Any = dict[str, _KINDS[kind]]  # type: ignore[valid-type]
+        signal: Signal = check_config(by_kind, listed)[kind]
+        return signal
 
 
 def read_motion(data: Any) -> Motion:
     """The key `motion` of a flight, for `config_schema.ReadBy`."""
-    entries = vars(check_config(_MotionFile, data))
-    return {axis: tuple(entry.signal for entry in listed) for axis, listed in entries.items() if listed}
+    motion: dict[str, tuple[Signal, ...]] = {}
+    for axis, entries in check_config(dict[Annotated[str, OneOf(*AXES)], Any], data).items():
+        signals: Any = tuple[Annotated[Any, _Entry(AXES[axis])], ...]
+        motion |= check_config(dict[str, signals], {axis: () if entries is None else entries})
+    return {axis: signals for axis, signals in motion.items() if signals}
 
 
 def motion_as_dict(motion: Motion) -> dict[str, Any]:
@@ -300,54 +277,6 @@ def within_flight(signal: _Moving, flight_s: float, where: str) -> _Moving:
     return signal
 
 
-@dataclass(frozen=True, kw_only=True)
-class Orbit(Window):
-    """A circle around the origin, flown at one speed after a smooth start; the nose is north when it begins.
-
-    Attributes:
-        nose: stays north, or points to the centre, or ahead.
-        turn: seen from above.
-    """
-
-    radius_m: Positive
-    speed_m_s: Positive
-    fade_s: Transition = 4.0
-    nose: Annotated[str, OneOf("north", "centre", "ahead")] = "north"
-    turn: Annotated[str, OneOf("clockwise", "counterclockwise")] = "clockwise"
-
-    def jets(self, time: Array) -> tuple[Array, Array, Array]:
-        """Jets (N, 3) of north [m], east [m] and yaw [rad] at instants (N,) s."""
-        sense = 1.0 if self.turn == "clockwise" else -1.0
-        # The centre begins ahead of the nose, or to its side: then yaw is the angle that is flown.
-        bearing = -0.5 * math.pi * sense if self.nose == "ahead" else math.pi
-        turn_rate = sense * self.speed_m_s / self.radius_m
-        north, east, angle = orbit_jets(time, self.radius_m, turn_rate, bearing, self.span)
-        return north, east, np.zeros_like(angle) if self.nose == "north" else angle
-
-
 def _require(condition: bool, rule: str, found: float) -> None:
     if not condition:
         raise ValueError(f"{rule}, found {found:g}")
-
-
-def wave_jets(
-    time: Array, amplitude: float, frequencies: Array, phases: Array, sweep: float, window: Span
-) -> Array:
-    """Jets (N, 3) of a sum of sines whose frequencies (K,) Hz rise by `sweep` [Hz/s], faded in and out."""
-    jets = np.empty((len(time), 3))
-    compiled.wave_jets(time, amplitude, frequencies, phases, sweep, np.array(window), jets)
-    return jets
-
-
-def edge_jets(time: Array, instants: Array, heights: Array, rise: float) -> Array:
-    """Jets (N, 3) of a sum of edges that begin at instants (E,) s and rise by heights (E,)."""
-    jets = np.empty((len(time), 3))
-    compiled.edge_jets(time, instants, heights, rise, jets)
-    return jets
-
-
-def orbit_jets(time: Array, radius: float, turn_rate: float, bearing: float, window: Span) -> Array:
-    """Jets (3, N, 3) of north, east and angle on a circle from a bearing [rad], turning at a rate [rad/s]."""
-    jets = np.empty((3, len(time), 3))
-    compiled.orbit_jets(time, radius, turn_rate, bearing, np.array(window), jets)
-    return jets

@@ -6,8 +6,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
-from dataclasses import dataclass, replace
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import repeat
 from pathlib import Path
 
 import numpy as np
@@ -16,9 +17,8 @@ from quadpi_core import array_checks
 from quadpi_core.brief_repr import brief_repr
 from quadpi_core.elementary import arctangent
 from quadpi_core.errors import SimulationError, named_in
-from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
-from quadpi_core.parallel import DEFAULT_WORKERS, Progress, ReportProgress, Workers
+from quadpi_core.parallel import DEFAULT_WORKERS, Progress, Workers
 from quadpi_core.paths import require_file, whole_outputs
 from quadpi_core.simulation.dynamics import TILT_MAX_DEG
 from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight
@@ -29,7 +29,6 @@ from quadpi_core.simulation.simulated_bags import write_simulated_bag
 from quadpi_core.simulation.truth import STEP_HZ, Reference, Truth
 from quadpi_core.thresholds import CONVENTION, Threshold
 
-_POLL_S = 0.1
 SIMULATED_AIRSPEED_M_S = Threshold(
     "largest airspeed of a reference",
     16.0,
@@ -91,41 +90,48 @@ def simulate(
                 vehicles[plan.vehicle] = SimulatedVehicle.load(plan.vehicle)
             if plan.noise not in suites:
                 suites[plan.noise] = SensorSuite.load(plan.noise)
-    steps = [np.zeros(1, dtype=np.int64) for _ in plans]
-    for plan in plans:
         require_file(output / f"{plan.name}.mcap")
-    with whole_outputs(output) as staging:
-        # Threads suffice: flight, random numbers and compression run outside the interpreter's lock.
-        with ThreadPoolExecutor(workers.count or os.cpu_count()) as pool:
-            futures = [
-                pool.submit(_one, plan, vehicles[plan.vehicle], suites[plan.noise], staging, done)
-                for plan, done in zip(plans, steps, strict=True)
-            ]
-            try:
-                _watch(plans, steps, futures, workers.progress)
-            finally:
-                pool.shutdown(wait=False, cancel_futures=True)
-        flights = [future.result() for future in futures]
-    return [replace(flight, bag=output / flight.bag.name) for flight in flights]
+
+    def flown(plan: FlightPlan, staging: Path) -> SimulatedFlight:
+        bag = f"{plan.name}.mcap"
+        truth, sensed = fly_and_sense(plan, vehicles[plan.vehicle], suites[plan.noise])
+        write_simulated_bag(staging / bag, plan, truth, sensed)
+        return SimulatedFlight(plan, truth, output / bag)
+
+    flights: list[SimulatedFlight] = []
+    whole_s = sum(plan.duration_s for plan in plans)
+    # Threads suffice: flight, random numbers and compression run outside the interpreter's lock.
+    with whole_outputs(output) as staging, ThreadPoolExecutor(workers.count or os.cpu_count()) as pool:
+        # Of several that fail, the first of the plans is reported, not the first in time.
+        for flight in pool.map(flown, plans, repeat(staging)):
+            flights.append(flight)
+            seconds = sum(flight.plan.duration_s for flight in flights)
+            note = f"{len(flights)} of {len(plans)} flights"
+            workers.progress(Progress("Flying", seconds, whole_s, "s", note))
+    return flights
 
 
-def fly_plan(plan: FlightPlan, vehicle: SimulatedVehicle, done: Stamps | None = None) -> Truth:
-    """Truth of a flight; `done` as in :func:`quadpi_core.simulation.flying.simulate_flight`.
+def fly_and_sense(plan: FlightPlan, vehicle: SimulatedVehicle, suite: SensorSuite) -> tuple[Truth, Sensed]:
+    """Truth of a flight, and the messages of its sensors.
+
+    Raises:
+        SimulationError: see :func:`simulate`.
+    """
+    truth = fly_plan(plan, vehicle)
+    effects = vehicle.with_own(plan.effects)
+    return truth, sense(truth, vehicle.vehicle, suite, effects, plan.faults, plan.seed)
+
+
+def fly_plan(plan: FlightPlan, vehicle: SimulatedVehicle) -> Truth:
+    """Truth of a flight.
 
     Raises:
         SimulationError: see :func:`simulate`.
     """
     reference = plan.reference(STEP_HZ)
     require_reachable(plan, vehicle, reference)
-    return simulate_flight(
-        plan.name,
-        vehicle,
-        reference,
-        known_wind=plan.known_wind,
-        effects=plan.effects,
-        seed=plan.seed,
-        done=done,
-    )
+    known_wind, effects, seed = plan.known_wind, plan.effects, plan.seed
+    return simulate_flight(plan.name, vehicle, reference, known_wind=known_wind, effects=effects, seed=seed)
 
 
 def require_reachable(plan: FlightPlan, vehicle: SimulatedVehicle, reference: Reference) -> None:
@@ -162,45 +168,3 @@ def require_reachable(plan: FlightPlan, vehicle: SimulatedVehicle, reference: Re
 def _size(vectors: Array) -> Array:
     size: Array = np.sqrt((vectors * vectors).sum(axis=1))
     return size
-
-
-def fly_and_sense(
-    plan: FlightPlan, vehicle: SimulatedVehicle, suite: SensorSuite, done: Stamps | None = None
-) -> tuple[Truth, Sensed]:
-    """:func:`fly_plan`, and the messages of the sensors.
-
-    Raises:
-        SimulationError: see :func:`simulate`.
-    """
-    truth = fly_plan(plan, vehicle, done)
-    effects = vehicle.with_own(plan.effects)
-    return truth, sense(truth, vehicle.vehicle, suite, effects, plan.faults, plan.seed)
-
-
-def _one(
-    plan: FlightPlan, vehicle: SimulatedVehicle, suite: SensorSuite, folder: Path, done: Stamps
-) -> SimulatedFlight:
-    truth, sensed = fly_and_sense(plan, vehicle, suite, done)
-    bag = folder / f"{plan.name}.mcap"
-    write_simulated_bag(bag, plan, truth, sensed)
-    return SimulatedFlight(plan, truth, bag)
-
-
-def _watch(
-    plans: Sequence[FlightPlan],
-    steps: Sequence[Stamps],
-    futures: Sequence[Future[SimulatedFlight]],
-    progress: ReportProgress,
-) -> None:
-    """Report progress until all flights are written; raise the error of the first plan that fails."""
-    waiting, durations = set(futures), [plan.duration_s for plan in plans]
-    while waiting:
-        finished, waiting = wait(waiting, timeout=_POLL_S, return_when=FIRST_EXCEPTION)
-        seconds = [min(float(done[0]) / STEP_HZ, whole) for done, whole in zip(steps, durations, strict=True)]
-        flown = sum(now >= whole for now, whole in zip(seconds, durations, strict=True))
-        note = f"{flown} of {len(plans)} flights"
-        progress(Progress("Flying", sum(seconds), sum(durations), "s", note))
-        if any(future.exception() is not None for future in finished):
-            # Of several that fail, the first of the plans is reported, not the first in time.
-            for future in futures:
-                future.result()

@@ -12,6 +12,7 @@ import re
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, fields
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -62,17 +63,13 @@ class FlightPlan(Section):
     """One flight of a scenario; the fields are its keys in a file.
 
     Attributes:
-        name: name of the flight and its bag.
-        scenario: name of the scenario of the flight.
-        vehicle: name or path of the vehicle file.
-        noise: name or path of the file of the sensors.
-        seed: seed of all random numbers of the flight.
+        name: of the flight and its bag.
+        vehicle, noise: name or path of the files of vehicle and sensors.
+        seed: of all random numbers of the flight.
         height_m: height over ground of the hover in which the flight begins, nose north.
         head_wind_m_s: wind from the north that an anemometer measures; None without wind or anemometer.
         motion: signals of each axis.
         orbit: circle flown in place of motion along x and y.
-        effects: active effects.
-        faults: faults of the sensors.
         truth_rate_hz: rate of the truth in the bag.
     """
 
@@ -120,11 +117,7 @@ class FlightPlan(Section):
 
     @classmethod
     def from_dict(cls, data: Any, where: str) -> FlightPlan:
-        """Read a flight of a scenario file, with its name, scenario and seed.
-
-        Args:
-            data: keys and values, as of :meth:`as_dict`.
-            where: file and flight, for messages.
+        """Read the keys and values of :meth:`as_dict`; `where` are file and flight, for messages.
 
         Raises:
             SimulationError: naming the key that is missing, unknown or impossible.
@@ -133,13 +126,12 @@ class FlightPlan(Section):
 
     def as_dict(self) -> dict[str, Any]:
         """The plan as JSON; :meth:`from_dict` reads it back."""
-        parts = {
+        return vars(self) | {
             "motion": motion_as_dict(self.motion),
             "orbit": None if self.orbit is None else signal_as_dict(self.orbit),
             "effects": {name: dict(parameters) for name, parameters in self.effects.items()},
             "faults": [fault.as_dict() for fault in self.faults],
         }
-        return {column.name: parts.get(column.name, getattr(self, column.name)) for column in fields(self)}
 
     def overridden(self, **changes: Any) -> FlightPlan:
         """The plan with other values of some keys, as in a scenario file.
@@ -166,28 +158,18 @@ class FlightPlan(Section):
         if self.orbit is not None:
             jets["x"], jets["y"], turn = self.orbit.jets(time)
             jets["yaw"] += turn
-        north, east, up = jets["x"], jets["y"], jets["height"]
-        up[:, 0] += self.height_m
-        position, velocity, acceleration = np.moveaxis(np.stack((north, east, -up), axis=1), 2, 0)
-        return Reference(
-            position=position,
-            velocity=velocity,
-            acceleration=acceleration,
-            yaw=jets["yaw"][:, 0],
-            yaw_rate=jets["yaw"][:, 1],
-            tilt=np.stack((jets["roll"][:, 0], jets["pitch"][:, 0]), axis=1),
-            thrust=jets["thrust"][:, 0],
-        )
-
-
-# Keys that a scenario may set for all flights in its file; the key of a flight takes precedence.
-_SHARED = ("vehicle", "noise", "duration_s", "height_m", "head_wind_m_s", "truth_rate_hz")
-_FLIGHT_KEYS = [column.name for column in fields(FlightPlan) if column.name not in {"name", "scenario"}]
+        jets["height"][:, 0] += self.height_m
+        path = np.stack((jets["x"], jets["y"], -jets["height"]), axis=1)
+        tilt = np.stack((jets["roll"][:, 0], jets["pitch"][:, 0]), axis=1)
+        yaw, yaw_rate, _ = jets["yaw"].T
+        position, velocity, acceleration = np.moveaxis(path, 2, 0)
+        thrust = jets["thrust"][:, 0]
+        return Reference(position, velocity, acceleration, yaw, yaw_rate, tilt, thrust)
 
 
 @dataclass(frozen=True, kw_only=True)
 class _ScenarioFile(Section):
-    """The content of a scenario file; flights are checked when what they share is known."""
+    """The content of a scenario file; `Any` holds for its flights, and is checked with each of them."""
 
     description: Text
     include: Annotated[tuple[Text, ...], Expected("must be a list of names or paths")] = ()
@@ -213,7 +195,7 @@ class Scenario:
     flights: tuple[FlightPlan, ...]
 
 
-def load_scenario(name_or_path: str | Path) -> Scenario:
+def load_scenario(name_or_path: str | Path, _including: tuple[Path, ...] = ()) -> Scenario:
     """Read a scenario by the name of a file in config/scenarios, or by path.
 
     Flights of included files come first. The settings of a file apply to its own flights, its effects to the
@@ -224,55 +206,53 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
         SimulationError: naming file, flight and key that is missing, unknown or impossible; for flights of
             the same name, and for files that include each other.
     """
-    return _load(name_or_path, ())
-
-
-def _load(name_or_path: str | Path, including: tuple[Path, ...]) -> Scenario:
     path, content = load_config("scenario", name_or_path, _ScenarioFile, SimulationError)
-    if path.resolve() in including:
-        circle = " includes ".join(str(file) for file in (*including, path))
+    including = (*_including, path.resolve())
+    if path.resolve() in _including:
+        circle = " includes ".join(str(file) for file in including)
         raise SimulationError(f"{circle}: a scenario cannot include itself")
     effects = read_effects(content.effects, str(path))
-    included: list[FlightPlan] = []
-    for other in content.include:
-        with named_in(f"{path}: `include`"):
-            plans = _load(_beside(path, other), (*including, path.resolve())).flights
-        if effects:
-            plans = tuple(plan.overridden(effects={**effects, **plan.effects}) for plan in plans)
-        included += plans
-    flights = (*included, *_own_flights(path, content, effects))
+    flights: dict[str, FlightPlan] = {}
+    for plan in chain(_included(path, content, effects, including), _own_flights(path, content, effects)):
+        if (other := flights.setdefault(plan.name, plan)) is not plan:
+            scenarios = f"of {other.scenario} and of {plan.scenario}"
+            raise SimulationError(f"{path}: two flights are named `{plan.name}`: {scenarios}")
     if not flights:
         raise SimulationError(f"{path}: holds no flights: `flights` and `include` are empty")
-    seen: dict[str, str] = {}
-    for plan in flights:
-        if plan.name in seen:
-            raise SimulationError(
-                f"{path}: two flights are named `{plan.name}`: of {seen[plan.name]} and of {plan.scenario}"
-            )
-        seen[plan.name] = plan.scenario
-    return Scenario(path.stem, content.description, flights)
+    return Scenario(path.stem, content.description, tuple(flights.values()))
+
+
+def _included(
+    path: Path, content: _ScenarioFile, effects: Effects, including: tuple[Path, ...]
+) -> Iterator[FlightPlan]:
+    for other in content.include:
+        with named_in(f"{path}: `include`"):
+            plans = load_scenario(_beside(path, other), including).flights
+        for plan in plans:
+            yield plan.overridden(effects={**effects, **plan.effects}) if effects else plan
 
 
 def _own_flights(path: Path, content: _ScenarioFile, effects: Effects) -> Iterator[FlightPlan]:
-    shared = {key: getattr(content, key) for key in _SHARED}
+    keys = [column.name for column in fields(FlightPlan) if column.name not in {"name", "scenario"}]
+    shared = {key: value for key, value in vars(content).items() if key in keys}
     for name, data in content.flights.items():
         where = f"{path}: flight `{name}`"
-        keys = {} if data is None else data
-        if not isinstance(keys, dict):
-            raise SimulationError(f"{where}: expected keys and values, found {keys!r}")
-        for key in keys:
-            if key not in _FLIGHT_KEYS:
-                raise SimulationError(f"{where}: {unknown_key(key, _FLIGHT_KEYS)}")
-        merged: dict[str, Any] = shared | {key: value for key, value in keys.items() if value is not None}
-        merged["effects"] = dict(effects) | dict(read_effects(keys.get("effects"), where))
-        if merged.get("seed") is None:
+        given = {} if data is None else data
+        if not isinstance(given, dict):
+            raise SimulationError(f"{where}: expected keys and values, found {given!r}")
+        if unknown := [key for key in given if key not in keys]:
+            raise SimulationError(f"{where}: {unknown_key(unknown[0], keys)}")
+        own = {key: value for key, value in given.items() if value is not None}
+        merged = {"name": str(name), "scenario": path.stem} | shared | own
+        merged["effects"] = {**effects, **read_effects(given.get("effects"), where)}
+        if "seed" not in own:
             if content.seed is None:
                 raise SimulationError(f"{path}: missing key `seed`")
             merged["seed"] = flight_seed(content.seed, str(name))
         for key in ("vehicle", "noise"):
             if isinstance(merged[key], str):
                 merged[key] = str(_beside(path, merged[key]))
-        yield FlightPlan.from_dict(merged | {"name": str(name), "scenario": path.stem}, where)
+        yield FlightPlan.from_dict(merged, where)
 
 
 def flight_seed(scenario_seed: int, name: str) -> int:
@@ -299,7 +279,7 @@ def choose_flights(
     Args:
         scenario: scenario to fly.
         names: names of the flights; none for all.
-        vehicle: vehicle of every flight.
+        vehicle: of every flight.
         noise: sensors of every flight.
         seed: seed from which, with its name, each flight gets its own.
         effects: effects of every flight; they replace those of the same name.
@@ -308,23 +288,21 @@ def choose_flights(
         SimulationError: for a flight that the scenario does not have, and impossible settings.
     """
     known = [plan.name for plan in scenario.flights]
-    for name in names:
-        if name not in known:
-            raise SimulationError(
-                f"scenario {scenario.name}: no flight `{name}`; its flights: {', '.join(known)}"
-                f"{nearest(name, known)}"
-            )
-    chosen = []
-    for plan in scenario.flights:
-        changes: dict[str, Any] = {"vehicle": vehicle, "noise": noise}
-        if seed is not None:
-            changes["seed"] = flight_seed(seed, plan.name)
-        if effects:
-            changes["effects"] = {**plan.effects, **effects}
-        given = {key: value for key, value in changes.items() if value is not None}
-        if not names or plan.name in names:
-            chosen.append(plan.overridden(**given) if given else plan)
-    return chosen
+    if unknown := [name for name in names if name not in known]:
+        raise SimulationError(
+            f"scenario {scenario.name}: no flight `{unknown[0]}`; its flights: {', '.join(known)}"
+            f"{nearest(unknown[0], known)}"
+        )
+    changes = {key: value for key, value in (("vehicle", vehicle), ("noise", noise)) if value is not None}
+    return [
+        plan.overridden(
+            **changes,
+            seed=plan.seed if seed is None else flight_seed(seed, plan.name),
+            effects={**plan.effects, **(effects or {})},
+        )
+        for plan in scenario.flights
+        if not names or plan.name in names
+    ]
 
 
 def parse_effects(texts: Iterable[str]) -> Effects:

@@ -20,8 +20,9 @@ from quadpi_core.config_schema import Key, NotNegative, Section, Share, Vector, 
 from quadpi_core.errors import SimulationError
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array
+from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.rotations import from_rotation_vector, products
-from quadpi_core.simulation.simulated_file import model_folder, model_vehicle
+from quadpi_core.simulation.simulated_file import model_folder
 from quadpi_core.vehicle import SensorNoise, Vehicle
 
 Rate: TypeAlias = Annotated[float, Within(0.1)]
@@ -195,7 +196,7 @@ class SensorSuite:
         """
         folder = model_folder(name_or_path)
         if folder is not None:
-            return cls.of_vehicle(folder.name, model_vehicle(folder).noise)
+            return cls.of_vehicle(folder.name, AerodynamicModel.load(folder).load_vehicle().noise)
         path, file = load_config("noise", name_or_path, _SuiteFile, SimulationError)
         return cls(path.stem, file.imu, file.rotor_speeds, file.mocap, file.wind, file.states)
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -32,8 +33,6 @@ from quadpi_core.version import __version__
 
 if TYPE_CHECKING:
     from quadpi_core.simulation.scenario import FlightPlan
-
-_TRUTH_TOPICS = tuple(topic for topic in TOPIC_TYPES if topic.startswith("truth/"))
 
 _Content = TypeVar("_Content")
 
@@ -95,15 +94,10 @@ def write_simulated_bag(path: Path | str, plan: FlightPlan, truth: Truth, sensed
         "scenario": plan.scenario,
         "flight": plan.name,
         "seed": str(plan.seed),
-        "effects": _json(plan.as_dict()["effects"]),
-        "plan": _json(plan.as_dict()),
-        "truth": _json(vehicle),
     }
+    parts = {"effects": plan.as_dict()["effects"], "plan": plan.as_dict(), "truth": vehicle}
+    metadata |= {name: json.dumps(part, allow_nan=False) for name, part in parts.items()}
     write_mcap(Path(path), [*_sensor_topics(sensed), *_truth_topics(truth, step)], metadata)
-
-
-def _json(data: object) -> str:
-    return json.dumps(data, allow_nan=False)
 
 
 def _sensor_topics(sensed: Sensed) -> list[Topic]:
@@ -128,29 +122,21 @@ def _truth_topics(truth: Truth, step: int) -> list[Topic]:
     time_ns, attitude = truth.time_ns[taken], truth.attitude[taken]
     acceleration = rotate_world_to_body(attitude, truth.acceleration[taken])
     accelerations = np.concatenate((acceleration, truth.angular_acceleration[taken]), axis=1)
-    reference = PoseStream(time_ns, truth.reference.position[taken], _headings(truth.reference.yaw[taken]))
+    level = np.zeros(len(time_ns))
+    headings = from_rotation_vector(np.stack((level, level, truth.reference.yaw[taken]), axis=1))
     odometry = OdometryStream(
         time_ns, truth.position[taken], attitude, truth.velocity[taken], truth.rates[taken]
     )
+    messages = sensor_messages
     packed = {
-        "odometry": sensor_messages.pack_odometry(odometry),
-        "wrench": sensor_messages.pack_body_vectors(time_ns, truth.wrench[taken], sensor_messages.WRENCH),
-        "acceleration": sensor_messages.pack_body_vectors(
-            time_ns, accelerations, sensor_messages.ACCELERATION
-        ),
-        "rotor_speeds": sensor_messages.pack_rotor_speeds(
-            RotorSpeedStream(time_ns, truth.rotor_speeds[taken])
-        ),
-        "wind": sensor_messages.pack_wind(WindStream(time_ns, truth.wind[taken])),
-        "reference": sensor_messages.pack_pose(reference),
+        "odometry": messages.pack_odometry(odometry),
+        "wrench": messages.pack_body_vectors(time_ns, truth.wrench[taken], messages.WRENCH),
+        "acceleration": messages.pack_body_vectors(time_ns, accelerations, messages.ACCELERATION),
+        "rotor_speeds": messages.pack_rotor_speeds(RotorSpeedStream(time_ns, truth.rotor_speeds[taken])),
+        "wind": messages.pack_wind(WindStream(time_ns, truth.wind[taken])),
+        "reference": messages.pack_pose(PoseStream(time_ns, truth.reference.position[taken], headings)),
     }
     return [output_topic(f"truth/{name}", time_ns, payloads) for name, payloads in packed.items()]
-
-
-def _headings(yaw: Array) -> Array:
-    """Level attitudes (N, 4) of headings (N,) rad."""
-    level = np.zeros_like(yaw)
-    return from_rotation_vector(np.stack((level, level, yaw), axis=1))
 
 
 def read_truth(path: Path | str) -> RecordedTruth:
@@ -165,11 +151,11 @@ def read_truth(path: Path | str) -> RecordedTruth:
     path = Path(path)
     with Bag(path) as bag:
         names = {}
-        for topic in _TRUTH_TOPICS:
-            connection = find_topic(bag, topic)
-            if connection is None:
-                raise LogError(f"{path}: topic {topic}: missing: no flight of quadpi's simulation")
-            names[topic] = connection.topic
+        for topic in TOPIC_TYPES:
+            if topic.startswith("truth/"):
+                if (connection := find_topic(bag, topic)) is None:
+                    raise LogError(f"{path}: topic {topic}: missing: no flight of quadpi's simulation")
+                names[topic] = connection.topic
         topics = bag.read(names.values())
         text = bag.metadata.get("truth")
     if text is None:
@@ -184,12 +170,9 @@ def read_truth(path: Path | str) -> RecordedTruth:
         return unpacked_topic(path, topics[names[f"truth/{name}"]], unpack)
 
     odometry = unpacked("odometry", sensor_messages.unpack_odometry)
-    _, wrench = unpacked(
-        "wrench", lambda found: sensor_messages.unpack_body_vectors(found, sensor_messages.WRENCH)
-    )
-    _, accelerations = unpacked(
-        "acceleration", lambda found: sensor_messages.unpack_body_vectors(found, sensor_messages.ACCELERATION)
-    )
+    vectors = sensor_messages.unpack_body_vectors
+    _, wrench = unpacked("wrench", partial(vectors, type_name=sensor_messages.WRENCH))
+    _, accelerations = unpacked("acceleration", partial(vectors, type_name=sensor_messages.ACCELERATION))
     return RecordedTruth(
         mass=body.mass_kg,
         gravity=body.gravity_m_s2,

@@ -118,15 +118,6 @@ def model_folder(name_or_path: str | Path) -> Path | None:
     return path if (path / MODEL_FILE).is_file() else None
 
 
-def model_vehicle(folder: Path) -> Vehicle:
-    """The vehicle of a model.
-
-    Raises:
-        ModelError, VehicleError: for a folder that is no model, or whose vehicle is not known.
-    """
-    return AerodynamicModel.load(folder).load_vehicle()
-
-
 def _of_model(folder: Path) -> tuple[AerodynamicModel, Vehicle, dict[str, Any]]:
     """The model in a folder, its vehicle, and the key `simulation` that flies as the model."""
     model = AerodynamicModel.load(folder)

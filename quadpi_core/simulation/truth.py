@@ -49,13 +49,9 @@ class Excursion(NamedTuple):
 def excursion(
     limits: IdentifiedRange | None, vehicle: Vehicle, log: Records, wind: Array
 ) -> Excursion | None:
-    """How far logged instants lie outside; None inside, and for a vehicle that was not identified.
+    """How far records `dynamics.Logged` (N,) in a wind (N, 3) m/s of the world lie outside; None inside.
 
-    Args:
-        limits: of the vehicle.
-        vehicle: as in its file.
-        log: records `dynamics.LOGGED` (N,).
-        wind: (N, 3) m/s of the world.
+    None also for a vehicle that was not identified, which has no limits.
     """
     if limits is None or len(log) == 0:
         return None
@@ -68,13 +64,8 @@ def excursion(
     if not np.any(outside):
         return None
     row, column = np.unravel_index(int(np.argmax(distances)), distances.shape)
-    return Excursion(
-        share=float(np.mean(outside)),
-        input=INPUT_NAMES[column],
-        reached=float(inputs[row, column]),
-        lower=float(limits.lower[column]),
-        upper=float(limits.upper[column]),
-    )
+    ends = inputs[row, column], limits.lower[column], limits.upper[column]
+    return Excursion(float(np.mean(outside)), INPUT_NAMES[column], *(float(value) for value in ends))
 
 
 # Instants per second at which a flight is simulated, and a reference followed.
@@ -125,9 +116,7 @@ class Truth:
     """N instants of a simulated flight; body axes forward-right-down, world north-east-down, SI.
 
     Attributes:
-        name: name of the flight.
-        vehicle: vehicle as it truly flew: mass and inertia include effects such as a payload.
-        time_ns: (N,) stamps.
+        vehicle: as it truly flew: mass and inertia include effects such as a payload.
         position: (N, 3) m, world.
         attitude: (N, 4) body to world.
         velocity: (N, 3) m/s over ground, body axes.

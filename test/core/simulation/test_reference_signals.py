@@ -74,7 +74,7 @@ def test_rest_before_and_after(signal: Signal):
     np.testing.assert_array_equal(before, 0.0)
     after = signal.jets(signal.end + np.linspace(1e-9, 5.0, 50))
     np.testing.assert_array_equal(after[:, 1:], 0.0)
-    np.testing.assert_allclose(after[:, 0], signal.amplitude if isinstance(signal, Step) else 0.0, atol=1e-12)
+    np.testing.assert_allclose(after[:, 0], signal.amplitude if type(signal) is Step else 0.0, atol=1e-12)
 
 
 @each_signal

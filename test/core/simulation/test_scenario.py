@@ -289,7 +289,7 @@ def sine(**changes: Any) -> dict[str, Any]:
         ({"motion": {"x": [{"sine": SINE}, {"sine": None}]}}, "motion.x, entry 2: expected one of sine"),
         (
             sine(amplitude_deg=1),
-            "motion.x: entry 1, sine: unknown key `amplitude_deg`; the amplitude is `amplitude_m`",
+            "motion.x, entry 1: sine: unknown key `amplitude_deg`; the amplitude is `amplitude_m`",
         ),
         (sine(frequency=1), "did you mean `frequency_hz`?"),
         (sine(duration_s=-2), "sine: `duration_s` must be a positive number, found -2"),

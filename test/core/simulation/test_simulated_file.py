@@ -20,7 +20,6 @@ from quadpi_core.simulation.scenario import load_scenario
 from quadpi_core.simulation.simulated_file import (
     MOTOR_TIME_CONSTANT,
     model_folder,
-    model_vehicle,
     read_simulation,
     vehicle_content,
     write_vehicle_file,
@@ -38,7 +37,7 @@ def test_a_folder_holds_the_vehicle_its_law_and_the_ranges_of_its_flights(physic
     assert (file.vehicle.name, file.vehicle.noise) == ("bebop2", Vehicle.load("bebop2").noise)
     np.testing.assert_array_equal(file.section.identified_range.upper, model.envelope.upper)
     assert file.section.motor_time_constant_s == SimulatedVehicle.load("bebop2").motor_time_constant
-    assert model_vehicle(physical_folder).rotor_speed_max_rad_s == 1200.0
+    assert file.vehicle.rotor_speed_max_rad_s == 1200.0
 
 
 def test_the_lever_arm_of_the_accelerometer_is_an_effect_on_sensors(physical_folder):
