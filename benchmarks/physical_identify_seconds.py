@@ -21,8 +21,8 @@ from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.model_kind import IdentifyOptions
 from quadpi_core.models.physical_flight import flights_of
 from quadpi_core.models.physical_study import PhysicalStudy
-from quadpi_core.simulation.run import simulate
 from quadpi_core.simulation.scenario import load_scenario
+from quadpi_core.simulation.simulated_bags import simulate
 from quadpi_core.vehicle import Vehicle
 
 NAMES = ("physical_identify_seconds", "physical_first_fit_seconds")

@@ -16,8 +16,8 @@ from pathlib import Path
 
 from benchmarks import Result
 from quadpi_core.parallel import Workers
-from quadpi_core.simulation.run import simulate
 from quadpi_core.simulation.scenario import FlightPlan, load_scenario
+from quadpi_core.simulation.simulated_bags import simulate
 
 NAMES = ("simulate_bags",)
 

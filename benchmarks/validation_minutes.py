@@ -25,9 +25,9 @@ from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.model_kind import IdentifyOptions
 from quadpi_core.parallel import Workers
 from quadpi_core.simulation.flying import SimulatedVehicle
-from quadpi_core.simulation.run import fly_plan
 from quadpi_core.simulation.scenario import FlightPlan, load_scenario
 from quadpi_core.simulation.sensor_noise import SensorSuite, contaminate
+from quadpi_core.simulation.simulated_bags import fly_plan
 from quadpi_core.simulation.truth import LOG_HZ
 from quadpi_core.validation.realisations import CHUNK, run_realisations
 from quadpi_core.validation.validation_case import ValidationCase

@@ -40,8 +40,8 @@ from quadpi_core.paths import data_directory
 from quadpi_core.report.style import percent
 from quadpi_core.report.table import Column, Row, Table, markdown_table
 from quadpi_core.results import CAUSES, EXTRAPOLATION, LEVEL_ALARM, LEVEL_WARNING, MISCOVERAGE
-from quadpi_core.simulation.run import simulate
 from quadpi_core.simulation.scenario import FlightPlan, load_scenario
+from quadpi_core.simulation.simulated_bags import simulate
 from quadpi_core.vehicle import Vehicle
 
 PAGE = RESULTS / "alarm.md"

@@ -40,9 +40,9 @@ from quadpi_core.paths import data_directory
 from quadpi_core.report.table import Column, Row, Table, markdown_table
 from quadpi_core.results import CAUSES, CHANGE, EXTRAPOLATION, LEVEL_ALARM, MISCOVERAGE
 from quadpi_core.simulation.flying import SimulatedVehicle
-from quadpi_core.simulation.run import fly_and_sense, simulate
 from quadpi_core.simulation.scenario import FlightPlan
 from quadpi_core.simulation.sensor_noise import SensorSuite
+from quadpi_core.simulation.simulated_bags import fly_and_sense, simulate
 from quadpi_core.vehicle import Vehicle
 
 SIMULATED = "hdbeetle"

@@ -40,8 +40,8 @@ if TYPE_CHECKING:
     from quadpi_core.models.model_kind import IdentifyOptions as IdentifyOptions
     from quadpi_core.monitor.alarm import MonitorSettings as MonitorSettings
     from quadpi_core.monitor.replay import replay as replay
-    from quadpi_core.simulation.run import simulate as simulate
     from quadpi_core.simulation.scenario import load_scenario as load_scenario
+    from quadpi_core.simulation.simulated_bags import simulate as simulate
     from quadpi_core.vehicle import Vehicle as Vehicle
 
 _ROOMS = {
@@ -66,7 +66,7 @@ _ROOMS = {
     "read_flights": "discrepancy.study",
     "read_recording": "logs",
     "replay": "monitor.replay",
-    "simulate": "simulation.run",
+    "simulate": "simulation.simulated_bags",
     "study": "discrepancy.study",
 }
 # Names that others replace here; their functions stay what the rooms call.

@@ -19,8 +19,7 @@ from quadpi_core.messages.payloads import Bytes, Indices
 from quadpi_core.models.physical_rollout import Disturbances, Rolled, Track
 from quadpi_core.models.tubes import Uncertainty
 from quadpi_core.records import Records
-from quadpi_core.simulation.dynamics import Controls, Demand
-from quadpi_core.simulation.state_records import AddedEffect
+from quadpi_core.simulation.state_records import AddedEffect, Controls, Demand
 
 SOURCES: str
 

@@ -28,9 +28,9 @@ from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.kind_registry import kind_named
 from quadpi_core.models.model_kind import CUTOFF_HZ, IdentifyOptions, Settings
 from quadpi_core.simulation.flying import SimulatedVehicle
-from quadpi_core.simulation.run import fly_plan, simulate
 from quadpi_core.simulation.scenario import FlightPlan, load_scenario
 from quadpi_core.simulation.sensor_noise import SensorSuite, StateNoise, contaminate
+from quadpi_core.simulation.simulated_bags import fly_plan, simulate
 from quadpi_core.simulation.truth import LOG_HZ
 from quadpi_core.validation.realisations import noise_seed, run_realisations
 from quadpi_core.validation.validation_case import ValidationCase, flight_hash

@@ -31,9 +31,9 @@ from blind.specimen import Specimen, flights_of
 from quadpi_core.flight import Flight
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.flying import SimulatedVehicle
-from quadpi_core.simulation.run import require_reachable
 from quadpi_core.simulation.scenario import load_scenario
 from quadpi_core.simulation.sensor_noise import SensorSuite
+from quadpi_core.simulation.simulated_bags import require_reachable
 from quadpi_core.simulation.truth import STEP_HZ
 
 

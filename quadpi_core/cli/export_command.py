@@ -138,8 +138,12 @@ def _export_parameters(folder: Path, output: Path, form: str, logs: list[Path]) 
     from quadpi_core.models.small_model import small_model
     from quadpi_core.paths import whole_output
     from quadpi_core.reading_options import ReadingOptions
-    from quadpi_core.simulation.parameter_files import Exported, estimates_of, exported_text
-    from quadpi_core.simulation.simulated_file import motor_time_constant
+    from quadpi_core.simulation.simulated_file import (
+        Exported,
+        estimates_of,
+        exported_text,
+        motor_time_constant,
+    )
 
     check_outputs([folder, *logs], output)
     model = AerodynamicModel.load(folder)

@@ -72,8 +72,8 @@ def simulate(
         write_simulation_page,
     )
     from quadpi_core.report.table import terminal_table
-    from quadpi_core.simulation.run import simulate as fly
     from quadpi_core.simulation.scenario import choose_flights, load_scenario, parse_effects
+    from quadpi_core.simulation.simulated_bags import simulate as fly
     from quadpi_core.simulation.simulated_file import model_folder
 
     the_scenario = load_scenario(scenario)

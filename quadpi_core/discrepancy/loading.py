@@ -26,7 +26,7 @@ from quadpi_core.plugins import imported
 from quadpi_core.reading_options import MappingOrOptions
 from quadpi_core.simulation.applied_effects import read_effects
 from quadpi_core.simulation.flying import own_effects
-from quadpi_core.simulation.physical_aerodynamics import PhysicalAerodynamics
+from quadpi_core.simulation.simulated_aerodynamics import PhysicalAerodynamics
 from quadpi_core.thresholds import CONVENTION, Threshold
 from quadpi_core.vehicle import Vehicle
 

@@ -25,14 +25,12 @@ from quadpi_core.simulation.applied_effects import (
     memory_at_rest,
     read_effects,
 )
-from quadpi_core.simulation.dynamics import Controls, Demand, Logged, Memory, Physics, fly
 from quadpi_core.simulation.effect_definition import Effects
-from quadpi_core.simulation.physical_aerodynamics import PhysicalAerodynamics
 from quadpi_core.simulation.rotor_local import RotorLocalModel
 from quadpi_core.simulation.sensor_noise import generator
-from quadpi_core.simulation.simulated_aerodynamics import SimulatedAerodynamics
+from quadpi_core.simulation.simulated_aerodynamics import PhysicalAerodynamics, SimulatedAerodynamics
 from quadpi_core.simulation.simulated_file import IdentifiedRange, read_simulation
-from quadpi_core.simulation.state_records import Law
+from quadpi_core.simulation.state_records import Controls, Demand, Law, Logged, Memory, Physics, fly
 from quadpi_core.simulation.truth import LOG_HZ, STEP_HZ, Reference, Truth, excursion
 from quadpi_core.vehicle import Vehicle
 

@@ -34,17 +34,18 @@ from quadpi_core.errors import SimulationError, named_in
 from quadpi_core.frames import Array
 from quadpi_core.simulation.applied_effects import read_effects
 from quadpi_core.simulation.effect_definition import Effects
-from quadpi_core.simulation.failures import Fault
-from quadpi_core.simulation.reference_signals import (
+from quadpi_core.simulation.sensors import Fault
+from quadpi_core.simulation.truth import (
     AXES,
+    LOG_HZ,
     Motion,
     Orbit,
+    Reference,
     motion_as_dict,
     read_motion,
     signal_as_dict,
     within_flight,
 )
-from quadpi_core.simulation.truth import LOG_HZ, Reference
 
 # Rate at which a reference is checked for contact with the ground.
 _LOOK_HZ = 100.0

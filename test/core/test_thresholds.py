@@ -68,16 +68,15 @@ from quadpi_core.screening.rotors_in_flight import Inertial, has_stopped, stuck_
 from quadpi_core.screening.sample_order import order_of
 from quadpi_core.screening.small_mistakes import MotionFit, judged, small_mistakes
 from quadpi_core.simulation.applied_effects import EFFECTS
-from quadpi_core.simulation.dynamics import MOTION, Controls, Demand, control, is_lost
 from quadpi_core.simulation.effect_definition import shaped
-from quadpi_core.simulation.effects.proximity import ground_effect
+from quadpi_core.simulation.effects.airframe import ground_effect
 from quadpi_core.simulation.flying import SimulatedVehicle
 from quadpi_core.simulation.rotor_local import RotorLocalModel
-from quadpi_core.simulation.run import require_reachable
 from quadpi_core.simulation.scenario import FlightPlan
 from quadpi_core.simulation.sensor_noise import MotionCapture, SensorSuite
 from quadpi_core.simulation.sensors import ideal_recording
-from quadpi_core.simulation.state_records import block_of
+from quadpi_core.simulation.simulated_bags import require_reachable
+from quadpi_core.simulation.state_records import MOTION, Controls, Demand, block_of, control, is_lost
 from quadpi_core.simulation.truth import Reference
 from quadpi_core.thresholds import Threshold
 from quadpi_core.vehicle import Vehicle

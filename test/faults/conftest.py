@@ -24,7 +24,7 @@ from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.model_kind import IdentifyOptions
 from quadpi_core.monitor.replay import replay
 from quadpi_core.paths import bags_directory
-from quadpi_core.simulation.failures import Fault
+from quadpi_core.simulation.sensors import Fault
 from quadpi_core.vehicle import Vehicle
 from test.faults.onboard import Onboard, sent_by, spoilt
 
@@ -150,7 +150,7 @@ def calm(sensors, fly_onboard):
 
 @pytest.fixture
 def failing(sensors, fly_onboard):
-    """failing(kind, topic, at_s, for_s, …) → Flown with a fault of `quadpi_core.simulation.failures`."""
+    """failing(kind, topic, at_s, for_s, …) → Flown with a fault of `quadpi_core.simulation.sensors`."""
 
     def fly(kind, topic, at_s, for_s, *, seconds=FLIGHT_S, **options):
         return fly_onboard(spoilt(sensors(seconds), Fault(kind, topic, at_s, for_s, **options)))

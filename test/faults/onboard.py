@@ -26,7 +26,7 @@ from quadpi_core.monitor.health import TopicHealth, TopicReport
 from quadpi_core.monitor.monitor import Monitors
 from quadpi_core.monitor.pairing import PairedSamples, Pairing
 from quadpi_core.results import CAUSES, LEVEL_OK, AlarmEvent, Alarms, Predictions
-from quadpi_core.simulation.failures import Fault, Sent, apply_faults
+from quadpi_core.simulation.sensors import Fault, Sent, apply_faults
 from quadpi_core.vehicle import Vehicle
 
 RATE_HZ = 500.0

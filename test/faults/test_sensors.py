@@ -14,7 +14,7 @@ from quadpi_core.flight import WindStream
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.definitions import codec
 from quadpi_core.results import BAD_DATA, EXTRAPOLATION, MISCOVERAGE
-from quadpi_core.simulation.failures import Sent
+from quadpi_core.simulation.sensors import Sent
 from quadpi_core.thresholds import SPECIFIC_FORCE_MAX_M_S2
 from quadpi_core.vehicle import ROTORS
 from test.faults.onboard import deviation

@@ -15,7 +15,7 @@ from quadpi_core.logs.bags import read_bag, read_outputs, write_bag
 from quadpi_core.monitor.replay import replay
 from quadpi_core.paths import bags_directory
 from quadpi_core.results import BAD_DATA
-from quadpi_core.simulation.failures import Sent
+from quadpi_core.simulation.sensors import Sent
 from test.faults.onboard import deviation, sent_by
 
 AT_S = 3.0

@@ -25,7 +25,7 @@ from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.model_folder import ARRAYS_FILE
 from quadpi_core.paths import bags_directory
 from quadpi_core.results import BAD_DATA
-from quadpi_core.simulation.failures import Fault
+from quadpi_core.simulation.sensors import Fault
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros.live_session import Child, run_session
 from test.faults.onboard import Onboard, sent_by, spoilt

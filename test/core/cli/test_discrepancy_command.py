@@ -15,8 +15,8 @@ from quadpi_core.parallel import Workers
 from quadpi_core.paths import bags_directory
 from quadpi_core.reading_options import TimeRange
 from quadpi_core.screening.flight_runs import in_range
-from quadpi_core.simulation.run import simulate
 from quadpi_core.simulation.scenario import choose_flights, load_scenario, parse_effects
+from quadpi_core.simulation.simulated_bags import simulate
 from quadpi_core.vehicle import Vehicle
 
 FLIGHTS = """

@@ -18,9 +18,9 @@ from quadpi_core.estimator.fusion import fuse_airborne
 from quadpi_core.models.model_kind import CUTOFF_HZ
 from quadpi_core.simulation.applied_effects import read_effects
 from quadpi_core.simulation.flying import SimulatedVehicle
-from quadpi_core.simulation.run import fly_and_sense
 from quadpi_core.simulation.scenario import load_scenario, parse_effects
 from quadpi_core.simulation.sensor_noise import SensorSuite
+from quadpi_core.simulation.simulated_bags import fly_and_sense
 
 from .regressions import NAMES, of_sound_flights, regression_of
 

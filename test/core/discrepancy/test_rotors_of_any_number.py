@@ -14,9 +14,9 @@ from quadpi_core.errors import SimulationError
 from quadpi_core.estimator.fusion import fuse_airborne
 from quadpi_core.models.model_kind import CUTOFF_HZ
 from quadpi_core.simulation.flying import SimulatedVehicle
-from quadpi_core.simulation.run import fly_and_sense
 from quadpi_core.simulation.scenario import parse_effects
 from quadpi_core.simulation.sensor_noise import SensorSuite
+from quadpi_core.simulation.simulated_bags import fly_and_sense
 
 from ..multicopters import framed_file
 

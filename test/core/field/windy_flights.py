@@ -15,8 +15,8 @@ from quadpi_core.field.field_log import FieldLog, Series
 from quadpi_core.frames import Array
 from quadpi_core.rotations import from_rotation_vector, products, rotate_body_to_world, rotate_world_to_body
 from quadpi_core.simulation.flying import SimulatedVehicle
-from quadpi_core.simulation.run import fly_plan
 from quadpi_core.simulation.scenario import load_scenario
+from quadpi_core.simulation.simulated_bags import fly_plan
 
 VEHICLE = "bebop2"
 

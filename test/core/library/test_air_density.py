@@ -19,8 +19,8 @@ from quadpi_core.models.model_kind import IdentifyOptions
 from quadpi_core.models.small_model import THRUST, headlines
 from quadpi_core.simulation.flying import SimulatedVehicle
 from quadpi_core.simulation.rotor_local import RotorLocalModel
-from quadpi_core.simulation.run import fly_plan
 from quadpi_core.simulation.scenario import load_scenario
+from quadpi_core.simulation.simulated_bags import fly_plan
 from quadpi_core.simulation.truth import Truth
 
 # Degrees Celsius and metres above the sea, and the pressure there by the standard atmosphere.

@@ -19,8 +19,8 @@ from quadpi_core.models.physical_regressors import MOTION, regressors
 from quadpi_core.models.physical_study import PhysicalStudy
 from quadpi_core.models.physical_terms import TERM_INDEX, TERMS
 from quadpi_core.simulation.rotor_local import RotorLocalModel, airframe_area
-from quadpi_core.simulation.run import simulate
 from quadpi_core.simulation.scenario import load_scenario
+from quadpi_core.simulation.simulated_bags import simulate
 
 SEEDS = range(100, 110)
 # Coefficients that have the same form in both: drag and side force of the rotors, drag of the airframe, and

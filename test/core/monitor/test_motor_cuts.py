@@ -19,10 +19,10 @@ from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.replay import follow, open_flight, recorded_flight
 from quadpi_core.results import BAD_DATA, LEVEL_ALARM
 from quadpi_core.simulation.flying import SimulatedVehicle
-from quadpi_core.simulation.run import fly_plan
 from quadpi_core.simulation.scenario import load_scenario
 from quadpi_core.simulation.sensor_noise import SensorSuite
 from quadpi_core.simulation.sensors import sense
+from quadpi_core.simulation.simulated_bags import fly_plan
 from quadpi_core.vehicle import Vehicle
 from test.core.monitor.motor_cuts import FLOWN_S, with_motor_cut
 

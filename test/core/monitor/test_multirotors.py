@@ -19,10 +19,10 @@ from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.replay import follow, recorded_flight
 from quadpi_core.results import LEVEL_ALARM
 from quadpi_core.simulation.flying import SimulatedVehicle
-from quadpi_core.simulation.run import simulate
 from quadpi_core.simulation.scenario import choose_flights, load_scenario
 from quadpi_core.simulation.sensor_noise import SensorSuite
 from quadpi_core.simulation.sensors import sense
+from quadpi_core.simulation.simulated_bags import simulate
 from quadpi_core.simulation.truth import Truth
 from test.core.monitor.motor_cuts import with_motor_cut
 from test.core.multicopters import framed_file

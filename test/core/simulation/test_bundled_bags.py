@@ -11,8 +11,8 @@ import pytest
 from quadpi_core.logs.bag_files import Bag
 from quadpi_core.paths import bags_directory
 from quadpi_core.simulation import simulated_bags
-from quadpi_core.simulation.run import simulate
 from quadpi_core.simulation.scenario import load_scenario
+from quadpi_core.simulation.simulated_bags import simulate
 
 LARGEST_MB = 25
 REMADE = "faults"

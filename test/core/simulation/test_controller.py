@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from quadpi_core.simulation.applied_effects import read_effects
-from quadpi_core.simulation.dynamics import MOTION, Controls, Demand, control, observe
 from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight
-from quadpi_core.simulation.state_records import STATE
+from quadpi_core.simulation.state_records import MOTION, STATE, Controls, Demand, control, observe
 from quadpi_core.simulation.truth import Reference
 
 from .references import COUPLED, STATION, sines

@@ -19,8 +19,8 @@ from quadpi_core.simulation.applied_effects import (
     read_effects,
     with_memory,
 )
-from quadpi_core.simulation.dynamics import LOGGED, Controls, Demand, Memory, Physics, fly
 from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight
+from quadpi_core.simulation.state_records import LOGGED, Controls, Demand, Memory, Physics, fly
 from quadpi_core.simulation.truth import LOG_HZ, STEP_HZ, Truth
 
 from .references import COUPLED

@@ -9,7 +9,7 @@ import pytest
 from quadpi_core.config_schema import parse_config
 from quadpi_core.errors import SimulationError
 from quadpi_core.flight import ImuStream, PoseStream, RotorSpeedStream, WindStream
-from quadpi_core.simulation.failures import KINDS, SIGNALS, Fault, Sent, apply_faults
+from quadpi_core.simulation.sensors import KINDS, SIGNALS, Fault, Sent, apply_faults
 
 START_NS, STEP_NS, N = 5_000_000_000, 2_000_000, 1000
 END_NS = START_NS + STEP_NS * (N - 1)

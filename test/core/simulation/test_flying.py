@@ -13,9 +13,9 @@ from quadpi_core.paths import config_directory
 from quadpi_core.rotations import rotate_body_to_world, rotate_world_to_body
 from quadpi_core.simulation.applied_effects import read_effects
 from quadpi_core.simulation.flying import LAWS, SimulatedVehicle, load_aerodynamics, simulate_flight, trim
-from quadpi_core.simulation.physical_aerodynamics import PhysicalAerodynamics
 from quadpi_core.simulation.rotor_local import RotorLocalModel
 from quadpi_core.simulation.scenario import load_scenario
+from quadpi_core.simulation.simulated_aerodynamics import PhysicalAerodynamics
 from quadpi_core.simulation.simulated_file import vehicle_content
 from quadpi_core.simulation.truth import STEP_HZ, Reference
 

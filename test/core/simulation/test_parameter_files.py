@@ -19,9 +19,9 @@ from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.small_model import SmallModel, small_model
 from quadpi_core.rotations import rotate_body_to_world
 from quadpi_core.simulation.flying import SimulatedVehicle
-from quadpi_core.simulation.parameter_files import Exported, exported_text
-from quadpi_core.simulation.run import fly_plan
 from quadpi_core.simulation.scenario import load_scenario
+from quadpi_core.simulation.simulated_bags import fly_plan
+from quadpi_core.simulation.simulated_file import Exported, exported_text
 from quadpi_core.simulation.truth import Truth
 from quadpi_core.vehicle import Vehicle
 

@@ -15,9 +15,12 @@ from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.physical_regressors import MOTION, physical_vehicle, wrenches
 from quadpi_core.models.physical_terms import TERM_INDEX, TERMS
 from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight
-from quadpi_core.simulation.physical_aerodynamics import PhysicalAerodynamics, PhysicalCoefficients
 from quadpi_core.simulation.scenario import load_scenario
-from quadpi_core.simulation.simulated_aerodynamics import SimulatedAerodynamics
+from quadpi_core.simulation.simulated_aerodynamics import (
+    PhysicalAerodynamics,
+    PhysicalCoefficients,
+    SimulatedAerodynamics,
+)
 from quadpi_core.simulation.simulated_file import vehicle_content
 from quadpi_core.simulation.truth import STEP_HZ, Reference
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from quadpi_core.config_schema import parse_config
 from quadpi_core.errors import SimulationError
 from quadpi_core.frames import Array
-from quadpi_core.simulation.reference_signals import (
+from quadpi_core.simulation.truth import (
     Chirp,
     Multisine,
     Orbit,

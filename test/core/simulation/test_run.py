@@ -8,8 +8,8 @@ import pytest
 from quadpi_core.errors import OutputError
 from quadpi_core.parallel import Progress, Workers
 from quadpi_core.simulation.applied_effects import EFFECTS
-from quadpi_core.simulation.run import simulate
 from quadpi_core.simulation.scenario import FlightPlan
+from quadpi_core.simulation.simulated_bags import simulate
 
 HOVER = FlightPlan(name="hover", scenario="test", vehicle="bebop2", seed=1, duration_s=0.5)
 

@@ -18,9 +18,9 @@ import yaml
 from quadpi_core.errors import SimulationError
 from quadpi_core.paths import config_directory
 from quadpi_core.simulation.flying import SimulatedVehicle
-from quadpi_core.simulation.reference_signals import Motion, Signal
-from quadpi_core.simulation.run import require_reachable
 from quadpi_core.simulation.scenario import FlightPlan, Scenario, load_scenario
+from quadpi_core.simulation.simulated_bags import require_reachable
+from quadpi_core.simulation.truth import Motion, Signal
 
 SHIPPED = sorted(file.stem for file in (config_directory() / "scenarios").glob("*.yaml"))
 SINE = {"amplitude_m": 2.0, "frequency_hz": 0.3, "start_s": 1.0, "duration_s": 8.0}

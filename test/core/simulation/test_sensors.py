@@ -17,7 +17,6 @@ from quadpi_core.rotations import (
     to_rotation_vector,
 )
 from quadpi_core.simulation.applied_effects import read_effects
-from quadpi_core.simulation.failures import Fault
 from quadpi_core.simulation.sensor_noise import (
     Anemometer,
     Imu,
@@ -26,7 +25,7 @@ from quadpi_core.simulation.sensor_noise import (
     RotorSpeedSensor,
     SensorSuite,
 )
-from quadpi_core.simulation.sensors import sense
+from quadpi_core.simulation.sensors import Fault, sense
 from quadpi_core.vehicle import Vehicle
 
 PERFECT = SensorSuite("perfect")

@@ -17,9 +17,9 @@ from quadpi_core.models.candidate_pool import CandidatePool
 from quadpi_core.models.model_kind import IdentifyOptions
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.flying import SimulatedVehicle
-from quadpi_core.simulation.run import fly_plan
 from quadpi_core.simulation.scenario import load_scenario
 from quadpi_core.simulation.sensor_noise import StateNoise, contaminate
+from quadpi_core.simulation.simulated_bags import fly_plan
 from quadpi_core.validation.validation_case import ValidationCase
 from quadpi_core.vehicle import Vehicle
 

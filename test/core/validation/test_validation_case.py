@@ -15,8 +15,8 @@ import pytest
 import quadpi_core
 from quadpi_core.errors import LogError, ModelError, SignalError
 from quadpi_core.logs.bags import write_bag
-from quadpi_core.simulation.run import simulate
 from quadpi_core.simulation.scenario import load_scenario
+from quadpi_core.simulation.simulated_bags import simulate
 from quadpi_core.validation import validation_case as case_module
 from quadpi_core.validation.realisations import noisy_flight
 from quadpi_core.validation.validation_case import (
