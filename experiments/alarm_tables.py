@@ -37,8 +37,7 @@ from quadpi_core.monitor.alarm import alarm_time
 from quadpi_core.monitor.replay import replay_all
 from quadpi_core.parallel import Workers
 from quadpi_core.paths import data_directory
-from quadpi_core.report.style import percent
-from quadpi_core.report.table import Column, Row, Table, markdown_table
+from quadpi_core.report.table import Column, Row, Table, markdown_table, percent
 from quadpi_core.results import CAUSES, EXTRAPOLATION, LEVEL_ALARM, LEVEL_WARNING, MISCOVERAGE
 from quadpi_core.simulation.scenario import FlightPlan, load_scenario
 from quadpi_core.simulation.simulated_bags import simulate

@@ -35,8 +35,7 @@ from quadpi_core.models.physical_rollout import ATTITUDE, RATES, STATES, VELOCIT
 from quadpi_core.models.physical_study import PhysicalStudy
 from quadpi_core.models.rollout_model import RolloutFlight, RolloutModel, disturbance_left
 from quadpi_core.paths import data_directory, write_json
-from quadpi_core.report.style import number
-from quadpi_core.report.table import Cell, Column, Mark, Row, Table, terminal_table
+from quadpi_core.report.table import Cell, Column, Mark, Row, Table, number, terminal_table
 from quadpi_core.rotations import rotate_body_to_world, rotate_world_to_body
 from quadpi_core.vehicle import Vehicle
 

@@ -33,7 +33,7 @@ from quadpi_core.flight import AXES
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.paths import data_directory
 from quadpi_core.report.comparison_page import comparison_table
-from quadpi_core.report.model_tables import structure_table
+from quadpi_core.report.info_tables import structure_table
 from quadpi_core.report.table import Column, Table, markdown_table
 
 Result = TypeVar("Result")

@@ -21,8 +21,7 @@ from quadpi_core.identification.identify import identify
 from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.model_kind import IdentifyOptions
 from quadpi_core.paths import data_directory
-from quadpi_core.report.style import number
-from quadpi_core.report.table import Column, Row, Table, markdown_table
+from quadpi_core.report.table import Column, Row, Table, markdown_table, number
 
 PAGE = RESULTS / "rollouts.md"
 # Of a data set, spread evenly over its speeds, as of results/models.md.

@@ -30,10 +30,9 @@ from quadpi_core.reading_options import ReadingOptions
 from quadpi_core.report.evaluation_figures import LiveReplay
 from quadpi_core.report.evaluation_page import evaluation_summary, write_evaluation_page
 from quadpi_core.report.field_page import write_field_page
-from quadpi_core.report.model_tables import best_known_table, held_out_table
+from quadpi_core.report.info_tables import best_known_table, held_out_table
 from quadpi_core.report.page import FlightFiles
-from quadpi_core.report.progress_bar import progress_bar
-from quadpi_core.report.table import terminal_table
+from quadpi_core.report.table import progress_bar, terminal_table
 from quadpi_core.vehicle import Vehicle
 from quadpi_core.view.view_server import ADDRESS, PORT, port_problem
 from quadpi_ros.collector import AlarmChange

@@ -54,8 +54,8 @@ def discrepancy(
     from quadpi_core.discrepancy.loading import load_simulation
     from quadpi_core.discrepancy.study import read_flights, study
     from quadpi_core.paths import whole_outputs, write_json
+    from quadpi_core.report.discrepancy_evidence import write_formulas
     from quadpi_core.report.discrepancy_page import discrepancy_summary, write_discrepancy_page
-    from quadpi_core.report.effect_formulas import write_formulas
     from quadpi_core.report.page import FlightFiles
     from quadpi_core.simulation.simulated_file import model_folder
 

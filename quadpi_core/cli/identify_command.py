@@ -100,7 +100,7 @@ def identify(
     from quadpi_core.models.model_folder import require_replaceable
     from quadpi_core.models.model_kind import CUTOFF_HZ, IdentifyOptions
     from quadpi_core.report.page import FlightFiles
-    from quadpi_core.report.progress_bar import progress_bar
+    from quadpi_core.report.table import progress_bar
     from quadpi_core.vehicle import Vehicle
 
     check_outputs(bags, json_file, html_file, folders=[output])
@@ -162,7 +162,7 @@ def _print_model(console: Console, model: AerodynamicModel, *, verbose: bool, ch
     """What matters first; with `verbose`, the rest as well."""
     from quadpi_core.models.alarm_limits import change_sentence
     from quadpi_core.report.evaluation_page import support_text
-    from quadpi_core.report.model_tables import (
+    from quadpi_core.report.info_tables import (
         fact_tables,
         headline_table,
         held_out_table,

@@ -182,7 +182,7 @@ def check_outputs(inputs: Sequence[Path], *files: Path | None, folders: Sequence
 def shown_work(console: Console, workers: int | None, scheduler: str | None) -> Iterator[Workers]:
     """Where `--workers` and `--scheduler` have tasks run; a bar on the terminal shows how far they are."""
     from quadpi_core.parallel import Workers
-    from quadpi_core.report.progress_bar import progress_bar
+    from quadpi_core.report.table import progress_bar
 
     with progress_bar(console) as progress:
         yield Workers(workers, scheduler, progress)

@@ -12,8 +12,7 @@ import typer
 
 from quadpi_core.cli import options
 from quadpi_core.cli.options import batch_of_flights, check_outputs, open_console, shown_work, write_result
-from quadpi_core.report.style import count, number, percent
-from quadpi_core.report.table import Cell, Column, Mark, Row, Table
+from quadpi_core.report.table import Cell, Column, Mark, Row, Table, count, number, percent
 
 if TYPE_CHECKING:
     from quadpi_core.monitor.replay import ReplaySummary

@@ -35,9 +35,8 @@ def rollout(
     from quadpi_core.evaluation.rollouts import evaluate_rollouts
     from quadpi_core.models.aerodynamic import AerodynamicModel
     from quadpi_core.report.page import FlightFiles
-    from quadpi_core.report.progress_bar import progress_bar
-    from quadpi_core.report.rollout_page import rollout_summary, write_rollout_page
-    from quadpi_core.report.table import terminal_table
+    from quadpi_core.report.table import progress_bar, terminal_table
+    from quadpi_core.report.validation_page import rollout_summary, write_rollout_page
 
     check_outputs([model, *bags], json_file, html_file)
     how = options.reading_options(topics, namespace, part=options.time_range(from_s, to_s))

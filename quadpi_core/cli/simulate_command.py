@@ -63,7 +63,6 @@ def simulate(
     """Fly a scenario: a bag per flight, with its truth on /truth/…."""
     from quadpi_core.config import is_config_path
     from quadpi_core.parallel import Workers
-    from quadpi_core.report.progress_bar import progress_bar
     from quadpi_core.report.simulation_page import (
         excursion_sentences,
         flight_json,
@@ -71,7 +70,7 @@ def simulate(
         summarise,
         write_simulation_page,
     )
-    from quadpi_core.report.table import terminal_table
+    from quadpi_core.report.table import progress_bar, terminal_table
     from quadpi_core.simulation.scenario import choose_flights, load_scenario, parse_effects
     from quadpi_core.simulation.simulated_bags import simulate as fly
     from quadpi_core.simulation.simulated_file import model_folder

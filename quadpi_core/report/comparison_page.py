@@ -18,8 +18,7 @@ from quadpi_core.evaluation.evaluation_result import AxisMetrics, Comparison, Ev
 from quadpi_core.evaluation.flight_results import FlightResult
 from quadpi_core.flight import AXES
 from quadpi_core.models.aerodynamic import AerodynamicModel
-from quadpi_core.report.coverage_verdict import axis_coverages, count_verdicts, listing
-from quadpi_core.report.evaluation_figures import time_history_figure
+from quadpi_core.report.evaluation_figures import axis_coverages, count_verdicts, listing, time_history_figure
 from quadpi_core.report.evaluation_page import (
     alarm_sentence,
     axis_cell,
@@ -28,21 +27,36 @@ from quadpi_core.report.evaluation_page import (
     metrics_table,
     short_coverage_note,
 )
-from quadpi_core.report.figure import DASHES, Figure, Layer, Limit, Line, Panel, Points, Scale
-from quadpi_core.report.model_tables import structure_table
-from quadpi_core.report.page import FlightFiles, Page, flight_remarks
-from quadpi_core.report.style import (
+from quadpi_core.report.info_tables import structure_table
+from quadpi_core.report.page import (
+    DASHES,
+    Figure,
+    FlightFiles,
+    Layer,
+    Limit,
+    Line,
+    Page,
+    Panel,
+    Points,
+    Scale,
+    flight_remarks,
+)
+from quadpi_core.report.table import (
     INK,
     MEASURED,
+    Cell,
+    Column,
+    Row,
+    Table,
     hundredths,
     method_colours,
     nominal,
     number,
     percent,
     percent_range,
+    terminal_table,
     unit,
 )
-from quadpi_core.report.table import Cell, Column, Row, Table, terminal_table
 
 # Models of one method have its colour; these tell their settings apart.
 _DASHES = {"default": "", "paper": "dotted"}

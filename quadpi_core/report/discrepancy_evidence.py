@@ -4,14 +4,28 @@
 
 from __future__ import annotations
 
+import inspect
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import CodeType, ModuleType
+from typing import Any, NamedTuple
 
+import numpy as np
+
+from quadpi_core.discrepancy.by_condition import MOST_BINS, VARIABLES, Profile, Residual
+from quadpi_core.discrepancy.closure import Gap
 from quadpi_core.discrepancy.discrepancy_result import Discovery, FoundEffect, RankedCandidate, Study
-from quadpi_core.report.coverage_verdict import listing
-from quadpi_core.report.table import Cell, Column, Mark, Row, Table
+from quadpi_core.elementary import IN_NUMPY
+from quadpi_core.evaluation.metrics import round_edges
+from quadpi_core.flight import AXES
+from quadpi_core.frames import Array
+from quadpi_core.report.evaluation_figures import listing
+from quadpi_core.report.page import Boxes, Cells, Figure, Layer, Line, Panel, Points, Scale
+from quadpi_core.report.table import GROUPS, INK, MEASURED, Cell, Column, Mark, Row, Table, unit
 from quadpi_core.simulation.applied_effects import EFFECTS
+from quadpi_core.simulation.effect_definition import SHAPE, shaped
 
 # Candidates that a table shows at once.
 MOST_CANDIDATES = 8
@@ -255,3 +269,253 @@ def _more_flights(candidate: RankedCandidate, share: float) -> str:
         return f"More such flights may not do: what it needs grows with the evidence of {others}"
     more = 1.0 / share - 1.0
     return f"About {10 * math.ceil(10.0 * more)} % more such flights should do if it is there"
+
+
+BEFORE, AFTER = GROUPS[1], GROUPS[0]
+MAPS = (("u", "v"), ("speed", "height"), ("w", "rotor_speed"))
+# Samples that a cell of a map needs to be drawn.
+_FEWEST_IN_CELL = 20
+_COLUMNS = 3
+
+
+def profile_figure(profiles: Sequence[Profile]) -> Figure:
+    """Root mean square of the residual of each axis over the variable that explains most of it."""
+    panels = []
+    for profile in profiles:
+        lines = (
+            ("allowed by noise and tolerances", profile.allowed, MEASURED, "dotted"),
+            ("with what was found", profile.after, AFTER, "dashed"),
+            ("as it is", profile.beyond, BEFORE, ""),
+        )
+        layers = [
+            Line(name, colour, profile.edges, np.append(values, values[-1]), None, 2.0, dash, True)
+            for name, values, colour, dash in lines
+        ]
+        y = Scale(f"{profile.axis} [{unit(profile.axis)}]", low=0.0)
+        panels.append(Panel(layers, Scale(_label(profile.variable)), y, 190.0))
+    return Figure("Residual by condition", panels, _COLUMNS)
+
+
+def map_figure(flights: Sequence[Residual], axes: Sequence[str]) -> Figure:
+    """Mean residual over pairs of variables (rows) for each axis (columns)."""
+    tables = {axis: [mean_map(flights, AXES.index(axis), *pair) for pair in MAPS] for axis in axes}
+    largest = {
+        axis: max(float(np.nanmax(np.abs(values))) for *_, values in own) for axis, own in tables.items()
+    }
+    panels = []
+    for row, pair in enumerate(MAPS):
+        for axis in axes:
+            x, y, values = tables[axis][row]
+            cells = Cells("", INK, x, y, values.ravel(), largest[axis])
+            title = "" if row else f"{axis} [{unit(axis)}]"
+            notes = [] if row else [f"full colour: ± {largest[axis]:.2g}"]
+            x_scale = Scale(_label(pair[0]), float(x[0]), float(x[-1]))
+            y_scale = Scale(_label(pair[1]), float(y[0]), float(y[-1]))
+            panels.append(Panel([cells], x_scale, y_scale, 190.0, title, notes))
+    return Figure("Maps of the mean residual", panels, len(axes), shared=True)
+
+
+def mean_map(flights: Sequence[Residual], axis: int, x: str, y: str) -> tuple[Array, Array, Array]:
+    """Edges of the bins of two variables, and the mean residual in each cell (Y, X); NaN for few samples."""
+    first, second = (np.concatenate([own.variables[name] for own in flights]) for name in (x, y))
+    values = np.concatenate([own.beyond[:, axis] for own in flights])
+    edges = round_edges(first, MOST_BINS), round_edges(second, MOST_BINS)
+    count, *_ = np.histogram2d(second, first, bins=(edges[1], edges[0]))
+    total, *_ = np.histogram2d(second, first, bins=(edges[1], edges[0]), weights=values)
+    enough = count >= _FEWEST_IN_CELL
+    return *edges, np.where(enough, total / np.maximum(count, 1.0), np.nan)
+
+
+def gap_figure(gap: Gap) -> Figure:
+    """Root mean square error of each axis before and after, and the floor."""
+    panels = []
+    for own in (slice(0, 3), slice(3, 6)):
+        axes, places = AXES[own], np.arange(3.0)
+        layers: list[Layer] = []
+        for name, values, colour, left in (
+            ("before", gap.before, BEFORE, -0.32),
+            ("after", gap.after, AFTER, 0.02),
+        ):
+            bottom = np.zeros(3)
+            layers.append(Boxes(name, colour, places + left, places + left + 0.3, bottom, values[own]))
+        layers.append(Points("floor", MEASURED, places, gap.floor[own], symbol=4))
+        x = Scale("", -0.5, 2.5, ticks=[(float(k), axis) for k, axis in enumerate(axes)])
+        panels.append(Panel(layers, x, Scale(f"RMSE [{unit(axes[0])}]", low=0.0), 230.0))
+    return Figure("Error of each axis before and after", panels, 2)
+
+
+def residual_figure(flight: Residual, floor: Array) -> Figure:
+    """Measured − simulated wrench of one flight over time, before and after.
+
+    Args:
+        flight: its residuals.
+        floor: (6,) root mean square, see `Gap`; twice the floor is drawn as a band.
+    """
+    panels = []
+    whole = np.array([np.nan])
+    for k, axis in enumerate(AXES):
+        band = np.array([2.0 * float(floor[k])])
+        layers = [
+            Boxes("twice the floor", MEASURED, whole, whole, -band, band, 0.18),
+            Line("before", BEFORE, flight.time, flight.before[:, k], width=1.2),
+            Line("after", AFTER, flight.time, flight.after[:, k], width=1.2, dash="dashed"),
+        ]
+        panels.append(Panel(layers, Scale("time [s]"), Scale(f"{axis} [{unit(axis)}]"), 100.0))
+    return Figure("Residuals over time", panels, over_time=True)
+
+
+def _label(variable: str) -> str:
+    words, of, _ = VARIABLES[variable]
+    return f"{words} [{of}]"
+
+
+# The Python is the source of each effect with all that it calls, elementary functions by numpy, so it
+# computes the same to the last digits.
+
+_SYMBOLS = r"""## Symbols
+
+| symbol | |
+| --- | --- |
+| $u, v, w$; $V$ | velocity relative to the air, body axes forward-right-down |
+| $u_i, v_i, w_i$; $V_i$ | that of the hub of rotor i |
+| $p, q, r$; $\Omega$ | body rates |
+| $\omega_i$, $s_i$, $T_i$, $Q_i$ | speed, direction (clockwise +1), thrust and torque of rotor i |
+| $r_i = (x_i, y_i, z_i)$ | place of rotor i |
+| $\omega_h$, $v_h$, $R$ | rotor speed and induced velocity of hover, rotor radius |
+| $h_i$ | height of rotor i over ground |
+| $F$, $M$ | force and moment in body axes |
+| $F_i$, $\Delta T_i$ | forces at rotor i, the second along $-z$; each gives its moment $r_i \times F_i$ too |
+"""
+_SHAPED = r"""
+These flights shape the law: what it adds in an axis $a$ is multiplied by
+$1 + s_a + s_V V/v_h + s_u u/v_h + s_v v/v_h + s_w w/v_h + s_{ww} w^2/v_h^2
++ s_l \sum_i \omega_i^2/(4 \omega_h^2) + s_\Omega R |\Omega|/v_h + s_g R/\max(h, R)$,
+from 0 to 3, of the height $h$ of the vehicle and
+"""
+# Of `SHAPE`, in its order.
+_SHAPE_SYMBOLS = [
+    r"{Fx}",
+    r"{Fy}",
+    r"{Fz}",
+    r"{Mx}",
+    r"{My}",
+    r"{Mz}",
+    r"V",
+    r"u",
+    r"v",
+    r"w",
+    r"l",
+    r"\Omega",
+    r"g",
+    r"{ww}",
+]
+_HEAD = '''"""Effects that quadpi found in flights, as functions of numpy alone.
+
+{names}
+
+Each takes what its first line says; `NAME_PARAMETERS` are the values that were found. Units are SI, body axes
+forward-right-down, world north-east-down, quaternions (w, x, y, z) from body to world.
+"""
+
+from __future__ import annotations
+
+'''
+_WRENCH = f'''
+def wrench_of(effect, p, states, vehicle, shape=np.zeros({len(SHAPE)})):
+    """Wrench (N, 6) [N, Nm] that an effect adds at N instants.
+
+    shape: `NAME_SHAPE` of an effect that has one.
+    states: arrays (N, ...) by name: position, attitude, velocity_air, rates, rotor_speeds,
+        rotor_accelerations,
+        hub_velocity (N, 4, 3), thrusts (N, 4) along -z, torques (N, 4), wrench (N, 6) of all other forces.
+    vehicle: by name: mass, rotor_positions (4, 3), rotor_spins (4,), rotor_radius, hover_induced_velocity,
+        hover_rotor_speed.
+    """
+    state, vehicle = SimpleNamespace(**states), SimpleNamespace(**vehicle)
+    wrench = shaped(effect(state, vehicle, p), state, vehicle, shape)
+    return np.stack(np.broadcast_arrays(*wrench, state.wrench[:, 0])[:6], axis=1)
+'''
+
+
+def write_formulas(effects: Sequence[FoundEffect], folder: Path) -> list[Path]:
+    """Write `effects.md` and `effects.py` into a folder that exists."""
+    parts, values = ["# What the simulation lacked"], {}
+    for found in effects:
+        effect, shape = EFFECTS[found.name], found.shape
+        values[found.name] = {**{p.name: p.value for p in found.parameters}, **shape}
+        rows = ["| | parameter | value | 95 % | |", "| --- | --- | --- | --- | --- |"]
+        for symbol, p in zip(effect.symbols, found.parameters, strict=True):
+            rows.append(
+                f"| ${symbol}$ | {p.name} | {p.value:.4g} | {p.lower:.4g} … {p.upper:.4g} | {p.unit} |"
+            )
+        law = inspect.cleandoc(effect.function.__doc__)
+        parts += [f"## {effect.name}\n\n{law}\n\n$$ {effect.formula} $$", "\n".join(rows)]
+        if shape:
+            pairs = zip(SHAPE, _SHAPE_SYMBOLS, strict=True)
+            stated = [f"$s_{symbol} = {shape[p.name]:.3g}$" for p, symbol in pairs if p.name in shape]
+            parts.append(_SHAPED + "\n" + ", ".join(stated) + ".")
+    text, code = folder / "effects.md", folder / "effects.py"
+    text.write_text("\n\n".join([*parts, _SYMBOLS]))
+    code.write_text(python_source(values))
+    return [text, code]
+
+
+def python_source(effects: Mapping[str, Mapping[str, float]]) -> str:
+    """A Python file with a function for each effect that needs numpy and the standard library alone.
+
+    Args:
+        effects: by name the values of their parameters and of those that shape their laws.
+    """
+    imports, definitions, values = {"import numpy as np"}, dict[str, tuple[Any, str]](), list[str]()
+    for name, found in effects.items():
+        effect = EFFECTS[name]
+        _add(name, effect.function, imports, definitions)
+        numbers = [found[p.name] for p in effect.parameters]
+        described = ", ".join(f"{p.name} [{p.unit or '-'}]" for p in effect.parameters)
+        values.append(f"{name.upper()}_PARAMETERS = np.array({numbers!r})  # {described}")
+        if any(p.name in found for p in effect.shape):
+            shape = [found.get(p.name, p.default) for p in SHAPE]
+            values.append(f"{name.upper()}_SHAPE = np.array({shape!r})  # {', '.join(p.name for p in SHAPE)}")
+    driver = ""
+    if any(EFFECTS[name].kind == "wrench" for name in effects):
+        _add(shaped.__name__, shaped, imports, definitions)
+        driver = _WRENCH
+        imports.add("from types import SimpleNamespace")
+    names = "\n".join(f"{name}: {EFFECTS[name].summary}." for name in effects)
+    head = _HEAD.format(names=names) + "\n".join(sorted(imports))
+    sources = [source for _, source in definitions.values()]
+    return "\n\n\n".join([head, *sources, "\n".join(values)]) + "\n" + driver
+
+
+def _add(name: str, value: Any, imports: set[str], definitions: dict[str, tuple[Any, str]]) -> None:
+    """Add what a name stands for and, before it, all of quadpi that it uses, or the import of it.
+
+    Raises:
+        ValueError: for a name with different meanings in two files of effects.
+    """
+    if isinstance(value, ModuleType):
+        imports.add(f"import {value.__name__} as {name}")
+    elif inspect.isfunction(value) and not value.__module__.startswith("quadpi_core"):
+        imports.add(f"from {value.__module__} import {value.__name__} as {name}")
+    elif name in definitions:
+        if definitions[name][0] is not value:
+            raise ValueError(f"two files of effects define `{name}`: an exported file holds one of them")
+    elif inspect.isfunction(value) and value in IN_NUMPY:
+        definitions[name] = value, f"{name} = {IN_NUMPY[value]}"
+    elif inspect.isfunction(value):
+        for used in sorted(_names(value.__code__) & value.__globals__.keys() - {name}):
+            _add(used, value.__globals__[used], imports, definitions)
+        # Without decorators, and without remarks for linters and type checkers.
+        source = "def " + f"\n{inspect.getsource(value)}".partition("\ndef ")[2]
+        definitions[name] = value, re.sub(r"(?m)  # (?:noqa|type:).*$", "", source).rstrip()
+    elif isinstance(value, type) and issubclass(value, Exception):
+        text = (value.__doc__ or name).strip()
+        definitions[name] = value, f'class {name}(Exception):\n    """{text}"""'
+    else:
+        definitions[name] = value, f"{name} = {value!r}"
+
+
+def _names(code: CodeType) -> set[str]:
+    """Global names that code refers to, those of its inner functions included."""
+    inner = (value for value in code.co_consts if isinstance(value, CodeType))
+    return set(code.co_names).union(*map(_names, inner))

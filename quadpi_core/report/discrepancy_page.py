@@ -28,21 +28,22 @@ from quadpi_core.discrepancy.discrepancy_result import (
 from quadpi_core.discrepancy.result_verdicts import LEAST_ABOVE_FLOOR
 from quadpi_core.flight import AXES
 from quadpi_core.flight_files import FlightLeftOut
-from quadpi_core.report.coverage_verdict import listing
 from quadpi_core.report.discrepancy_evidence import (
     MOST_CANDIDATES,
     changes_table,
     evidence_table,
+    gap_figure,
+    map_figure,
     passed_checks,
+    profile_figure,
+    residual_figure,
     verdict_changes,
     words,
 )
-from quadpi_core.report.discrepancy_figures import gap_figure, map_figure, profile_figure, residual_figure
+from quadpi_core.report.evaluation_figures import listing
 from quadpi_core.report.evaluation_page import axis_cell
-from quadpi_core.report.figure import Figure
-from quadpi_core.report.page import FlightFiles, Page, flight_remarks
-from quadpi_core.report.style import number, percent
-from quadpi_core.report.table import Column, Row, Table, terminal_table
+from quadpi_core.report.page import Figure, FlightFiles, Page, flight_remarks
+from quadpi_core.report.table import Column, Row, Table, number, percent, terminal_table
 from quadpi_core.simulation.applied_effects import EFFECTS
 
 # Rows at most: of the conditions on the page and on the terminal, and of the times of the largest residuals.

@@ -22,28 +22,35 @@ from quadpi_core.flight import AXES
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.alarm_limits import BOUND_CONFIDENCE
 from quadpi_core.models.interval_rules import LevelSupport
-from quadpi_core.report.coverage_verdict import Holding, axis_coverages, joint_verdict, listing
 from quadpi_core.report.evaluation_figures import (
+    Holding,
     LiveReplay,
     alarm_figure,
+    axis_coverages,
     coverage_figure,
     envelope_figure,
+    joint_verdict,
+    listing,
     residual_figure,
     time_history_figure,
 )
-from quadpi_core.report.figure import Figure
-from quadpi_core.report.model_tables import held_out_table, selection_table
-from quadpi_core.report.page import FlightFiles, Page, flight_remarks
-from quadpi_core.report.style import (
+from quadpi_core.report.info_tables import held_out_table, selection_table
+from quadpi_core.report.page import Figure, FlightFiles, Page, flight_remarks
+from quadpi_core.report.table import (
+    Cell,
+    Column,
+    Mark,
+    Table,
+    Value,
     count,
     group_colours,
     nominal,
     number,
     percent,
     percent_range,
+    terminal_table,
     unit,
 )
-from quadpi_core.report.table import Cell, Column, Mark, Table, Value, terminal_table
 
 _UNGROUPED = "flights in no group"
 # Metrics that a terminal of 80 characters has no room for.

@@ -17,10 +17,8 @@ from quadpi_core.field.inertia import BodyResult
 from quadpi_core.field.mass_change import MassChange
 from quadpi_core.field.motor_model import Tachometers
 from quadpi_core.frames import Array
-from quadpi_core.report.figure import DASHES, Boxes, Figure, Layer, Line, Panel, Scale
-from quadpi_core.report.page import Page, flight_remarks
-from quadpi_core.report.style import GROUPS, INK, TRAINING, number, percent
-from quadpi_core.report.table import Cell, Column, Mark, Row, Table
+from quadpi_core.report.page import DASHES, Boxes, Figure, Layer, Line, Page, Panel, Scale, flight_remarks
+from quadpi_core.report.table import GROUPS, INK, TRAINING, Cell, Column, Mark, Row, Table, number, percent
 
 _ESTIMATES = (
     Column("", is_text=True),

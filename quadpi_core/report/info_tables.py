@@ -4,10 +4,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
+from itertools import chain, zip_longest
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.columns import Columns
 from rich.console import RenderableType
@@ -28,11 +29,180 @@ from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.alarm_limits import change_sentence
 from quadpi_core.models.model_folder import MODEL_FILE
 from quadpi_core.reading_options import MappingOrOptions, ReadingOptions, reading_options
-from quadpi_core.report.model_tables import fact_tables, term_tables
-from quadpi_core.report.style import number, percent
-from quadpi_core.report.table import Cell, Column, Mark, Row, Table, terminal_table
+from quadpi_core.report.table import Cell, Column, Mark, Row, Table, number, percent, soft, terminal_table
 from quadpi_core.screening.flight_runs import in_range, in_range_of_blocks
 from quadpi_core.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from quadpi_core.models.aerodynamic import AerodynamicModel
+    from quadpi_core.models.small_model import Headline
+
+# Columns of what a kind says of its parameters, as far as they are shown in short.
+_BY_AIR = "by the air"
+_NUMBERS = ("value", "standard error")
+_PARAMETER = ("parameter", *_NUMBERS, "unit")
+# Steps of a selection, as `kinds.polynomial` gives them.
+SelectionLog = Sequence[Mapping[str, Any]]
+
+
+def selection_table(log: SelectionLog, title: str = "") -> Table:
+    """Steps of the stepwise selection; a term that is not in the final model has no coefficient."""
+    columns = [
+        Column("term", is_text=True, wraps=True),
+        Column("coefficient", "{:.4e}".format),
+        Column("R² reached", "{:.4f}".format),
+        Column("criterion", number),
+    ]
+    rows = []
+    for step in log:
+        removed = f" (removed {', '.join(step['removed'])})" if step.get("removed") else ""
+        criterion = step.get("criterion")
+        row = [
+            f"{step['term']}{removed}",
+            step["coefficient"],
+            "" if step["r2"] is None else step["r2"],
+            "" if criterion is None else criterion,
+        ]
+        rows.append(soft(*row) if step["fixed"] else row)
+    return Table(columns, rows, title=title)
+
+
+# Not left empty, which would mean that there is no term: fixed terms are fitted together.
+_NO_R2 = "–"
+
+
+def structure_table(selection: Mapping[str, SelectionLog], axes: Sequence[str]) -> Table:
+    """Terms, coefficients and R² of the polynomials of some axes side by side, as in the paper."""
+    columns = [
+        column
+        for axis in axes
+        for column in (
+            Column(axis, is_text=True, is_code=True),
+            Column("coefficient", "{:.3e}".format),
+            Column("R²", "{:.4f}".format),
+        )
+    ]
+    empty: list[Cell | str | float | None] = ["", "", ""]
+    steps = zip_longest(*(_final_terms(selection[axis]) for axis in axes), fillvalue=empty)
+    return Table(columns, [list(chain.from_iterable(row)) for row in steps])
+
+
+def _final_terms(log: SelectionLog) -> list[list[Cell | str | float | None]]:
+    """Name, coefficient and R² of each term, in the order in which selection added them for good."""
+    last = {row["term"]: place for place, row in enumerate(log)}
+    return [
+        [
+            Cell(row["term"], Mark.SOFT) if row["fixed"] else row["term"],
+            row["coefficient"],
+            _NO_R2 if row["r2"] is None else row["r2"],
+        ]
+        for place, row in enumerate(log)
+        if row["coefficient"] is not None and place == last[row["term"]]
+    ]
+
+
+def headline_table(model: AerodynamicModel) -> Table | None:
+    """What matters first, in ten lines at most, beside the vehicle file; None if the model tells nothing."""
+    from quadpi_core.models.small_model import headlines
+
+    rows: list[Row] = [
+        [one.quantity, one.value, _error(one), "" if one.known is None else one.known, one.unit]
+        for one in headlines(model, model.load_vehicle())
+    ]
+    columns = [
+        Column("", is_text=True),
+        Column("found", number),
+        Column("±", is_text=True),
+        Column("vehicle file", number),
+        Column("unit", is_text=True),
+    ]
+    note = "±: standard error"
+    if any(_BY_AIR in str(row[2]) for row in rows):
+        note += (
+            f"; {_BY_AIR}: interval of 95 % at the density of the vehicle file, as logs do not tell that of "
+            "the air flown in (log pressure and temperature, or set air_density_kg_m3)"
+        )
+    return Table(columns, rows, title="What the flights tell", note=note) if rows else None
+
+
+def _error(one: Headline) -> str:
+    ends = one.interval()
+    if ends is not None and one.by_air != (1.0, 1.0):
+        return f"{number(one.error or 0.0)}; {number(ends[0])} to {number(ends[1])} {_BY_AIR}"
+    return one.note or ("" if one.error is None else number(one.error))
+
+
+def best_known_table(model: AerodynamicModel, most: int) -> Table | None:
+    """The parameters that its flights tell best, by value over standard error; None of a model without these.
+
+    Args:
+        model: of any kind.
+        most: parameters to show.
+    """
+    for facts in model.fitted.facts(model.rollouts):
+        if not set(_PARAMETER) <= set(facts.columns):
+            continue
+        places = [facts.columns.index(heading) for heading in _PARAMETER]
+        rows = [[row[place] for place in places] for row in facts.rows]
+        known = [row for row in rows if float(row[2]) > 0.0]
+        known.sort(key=lambda row: abs(float(row[1])) / float(row[2]), reverse=True)
+        columns = [
+            Column(heading, number) if heading in _NUMBERS else Column(heading, is_text=True)
+            for heading in _PARAMETER
+        ]
+        title = f"{min(most, len(known))} of {len(known)} parameters, those known best"
+        return Table(columns, [list(row) for row in known[:most]], title=title)
+    return None
+
+
+def fact_tables(model: AerodynamicModel) -> list[Table]:
+    """What the kind of the model has to say of it."""
+    tables = []
+    for facts in model.fitted.facts(model.rollouts):
+        numeric = [not isinstance(cell, str) for cell in facts.rows[0]] if facts.rows else []
+        columns = [
+            Column(heading, number) if is_number else Column(heading, is_text=True, wraps=True)
+            for heading, is_number in zip(facts.columns, numeric, strict=False)
+        ]
+        tables.append(Table(columns, [list(row) for row in facts.rows], title=facts.title, note=facts.note))
+    return tables
+
+
+def term_tables(model: AerodynamicModel) -> list[Table]:
+    """Terms of each axis of a polynomial; of other kinds, one table with the inputs of all axes."""
+    if not all(model.selection[axis] for axis in model.axes):
+        columns = [Column("axis", is_text=True), Column("inputs", is_text=True, wraps=True)]
+        return [Table(columns, [[axis, ", ".join(model.fitted.axes[axis].terms)] for axis in model.axes])]
+    return [structure_table(model.selection, [axis]) for axis in model.axes]
+
+
+def least_held_out(model: AerodynamicModel) -> str:
+    """The least coverage of a training flight by a model of the others; empty if no flight was left out."""
+    coverages = [
+        (share, f"{flight.name}, {axis}")
+        for axis in model.axes
+        for flight, share in zip(model.flights, model.held_out_coverage[axis], strict=False)
+    ]
+    if not coverages:
+        return ""
+    least, where = min(coverages)
+    middle = sorted(share for share, _ in coverages)[len(coverages) // 2]
+    return (
+        f"coverage of each flight by a model of the others: {percent(least)} at least ({where}), "
+        f"median {percent(middle)}"
+    )
+
+
+def held_out_table(model: AerodynamicModel) -> Table | None:
+    """Coverage of each training flight by a model of the others; None if no flight was left out."""
+    if not all(model.held_out_coverage[axis] for axis in model.axes):
+        return None
+    rows: list[Row] = [
+        [flight.name, *(model.held_out_coverage[axis][k] for axis in model.axes)]
+        for k, flight in enumerate(model.flights)
+    ]
+    columns = [Column("flight", is_text=True, wraps=True), *(Column(axis, percent) for axis in model.axes)]
+    return Table(columns, rows, title="Coverage of each flight by a model of the others")
 
 
 def describe(

@@ -14,10 +14,20 @@ import numpy.typing as npt
 
 from quadpi_core.frames import Array, roll_pitch_yaw_from_quaternion, world_ned_to_enu
 from quadpi_core.paths import config_directory
-from quadpi_core.report.figure import DASHES, Figure, Layer, Limit, Line, Panel, Scale, Space, SpaceLine
-from quadpi_core.report.page import Page
-from quadpi_core.report.style import GROUPS, INK, INPUT_LABELS, MEASURED, RULE, number, percent
-from quadpi_core.report.table import Cell, Column, Row, Table
+from quadpi_core.report.page import DASHES, Figure, Layer, Limit, Line, Page, Panel, Scale, Space, SpaceLine
+from quadpi_core.report.table import (
+    GROUPS,
+    INK,
+    INPUT_LABELS,
+    MEASURED,
+    RULE,
+    Cell,
+    Column,
+    Row,
+    Table,
+    number,
+    percent,
+)
 from quadpi_core.rotations import rotate_body_to_world
 from quadpi_core.simulation.applied_effects import EFFECTS
 from quadpi_core.simulation.scenario import load_scenario

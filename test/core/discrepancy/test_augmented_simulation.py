@@ -22,7 +22,7 @@ from quadpi_core.discrepancy.other_simulations import CallableSimulation
 from quadpi_core.discrepancy.simulations import VehicleSimulation
 from quadpi_core.discrepancy.study import discover
 from quadpi_core.errors import DiscrepancyError
-from quadpi_core.report.effect_formulas import write_formulas
+from quadpi_core.report.discrepancy_evidence import write_formulas
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.applied_effects import effect_wrench, read_effects
 from quadpi_core.simulation.flying import SimulatedVehicle

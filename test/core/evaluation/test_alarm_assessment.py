@@ -14,7 +14,7 @@ import pytest
 from quadpi_core.evaluation.alarm_assessment import SIGNALS, Assessed, FlightAlarm, assess
 from quadpi_core.paths import bags_directory
 from quadpi_core.report.evaluation_page import alarm_sentence
-from quadpi_core.report.style import number
+from quadpi_core.report.table import number
 
 RATE_HZ = 50
 GOLDEN = Path(__file__).resolve().parents[2] / "golden" / "model"

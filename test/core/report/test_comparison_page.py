@@ -23,7 +23,7 @@ from quadpi_core.models.model_kind import IdentifyOptions
 from quadpi_core.plugins import names_in
 from quadpi_core.report import ASSETS
 from quadpi_core.report.comparison_page import comparison_rows, comparison_table
-from quadpi_core.report.style import GROUPS, method_colours
+from quadpi_core.report.table import GROUPS, method_colours
 from quadpi_core.vehicle import Vehicle
 
 FORCES = {

@@ -10,7 +10,7 @@ import pytest
 
 from quadpi_core.evaluation.evaluation_result import Comparison
 from quadpi_core.report.comparison_page import comparison_verdict
-from quadpi_core.report.coverage_verdict import Coverage, Holding, count_verdicts, joint_verdict
+from quadpi_core.report.evaluation_figures import Coverage, Holding, count_verdicts, joint_verdict
 from quadpi_core.report.evaluation_page import evaluation_verdict
 
 

@@ -8,7 +8,7 @@ import pytest
 from quadpi_core.discrepancy.by_condition import Profile, Residual
 from quadpi_core.discrepancy.closure import Gap
 from quadpi_core.flight import AXES
-from quadpi_core.report.discrepancy_figures import (
+from quadpi_core.report.discrepancy_evidence import (
     gap_figure,
     map_figure,
     mean_map,

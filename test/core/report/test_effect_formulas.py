@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from quadpi_core.report.effect_formulas import python_source
+from quadpi_core.report.discrepancy_evidence import python_source
 from quadpi_core.simulation.applied_effects import EFFECTS, effect_wrench, read_effects
 from quadpi_core.simulation.rotor_local import RotorLocalModel
 from quadpi_core.simulation.state_records import STATE, VEHICLE

@@ -12,7 +12,7 @@ from quadpi_core.report.evaluation_figures import (
     residual_figure,
     time_history_figure,
 )
-from quadpi_core.report.figure import Boxes, Line
+from quadpi_core.report.page import Boxes, Line
 
 
 def training_range(panel):

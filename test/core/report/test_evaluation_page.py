@@ -11,7 +11,7 @@ from quadpi_core.report.evaluation_page import (
     evaluation_verdict,
     write_evaluation_page,
 )
-from quadpi_core.report.style import percent
+from quadpi_core.report.table import percent
 
 from .conftest import flight_result
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 import re
 
 from quadpi_core.report import ASSETS
-from quadpi_core.report.figure import DASHES, Layer
+from quadpi_core.report.page import DASHES, Layer
 
 
 def test_the_scripts_draw_every_kind_of_layer_and_dash():

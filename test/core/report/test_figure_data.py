@@ -8,7 +8,7 @@ import json
 import numpy as np
 import pytest
 
-from quadpi_core.report.figure import (
+from quadpi_core.report.page import (
     PAGE_VALUES,
     Band,
     Figure,

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
 from quadpi_core.models.aerodynamic import AerodynamicModel
-from quadpi_core.report.model_tables import best_known_table, selection_table, structure_table
+from quadpi_core.report.info_tables import best_known_table, selection_table, structure_table
 from quadpi_core.report.table import terminal_table
 
 

@@ -10,8 +10,7 @@ import pytest
 from jinja2 import UndefinedError
 
 from quadpi_core.errors import OutputError
-from quadpi_core.report.figure import Figure, Line, Panel, Scale
-from quadpi_core.report.page import FlightFiles, Page
+from quadpi_core.report.page import Figure, FlightFiles, Line, Page, Panel, Scale
 from quadpi_core.report.table import Column, Table
 from quadpi_core.version import __version__
 

@@ -13,7 +13,7 @@ from rich.console import Console
 
 from quadpi_core.models.ensemble import training_progress
 from quadpi_core.parallel import Progress
-from quadpi_core.report.progress_bar import progress_bar
+from quadpi_core.report.table import progress_bar
 
 EPOCH = SimpleNamespace(stage="members", epoch=12, epochs=50, loss=0.2134, coverage=0.9412)
 FIRST = SimpleNamespace(stage="noise", epoch=1, epochs=50, loss=-1.5, coverage=None)

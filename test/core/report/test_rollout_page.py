@@ -9,14 +9,14 @@ import pytest
 
 from quadpi_core.evaluation.rollouts import evaluate_rollouts
 from quadpi_core.models.aerodynamic import AerodynamicModel
-from quadpi_core.report.rollout_page import (
+from quadpi_core.report.table import markdown_table
+from quadpi_core.report.validation_page import (
     fan_figure,
     growth_figure,
     rollout_summary,
     rollout_verdict,
     write_rollout_page,
 )
-from quadpi_core.report.table import markdown_table
 from quadpi_core.vehicle import Vehicle
 
 from .conftest import Page

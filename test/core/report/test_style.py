@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 import pytest
 
-from quadpi_core.report.style import number, percent
+from quadpi_core.report.table import number, percent
 
 
 @pytest.mark.parametrize(
