@@ -28,8 +28,7 @@ from quadpi_core.messages.payloads import Payloads
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.results import Predictions
 from quadpi_core.vehicle import Vehicle
-from quadpi_core.view.motion_inputs import NO_MESSAGE, REPORTS, TOLD_S, MotionInputs, Told
-from quadpi_core.view.trust import SILENCE_S
+from quadpi_core.view.trust import NO_MESSAGE, REPORTS, SILENCE_S, TOLD_S, MotionInputs, Told
 from quadpi_core.view.vehicle_view import BLOCK_NS, VehicleView
 from quadpi_ros.dds_profile import DESCRIPTION_QOS, LOG_QOS
 from quadpi_ros.diagnostics import type_name

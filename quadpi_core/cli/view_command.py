@@ -50,7 +50,7 @@ def view(
 ) -> None:
     """Show in a browser how far the model can be trusted now, and why not."""
     from quadpi_core.models.aerodynamic import AerodynamicModel
-    from quadpi_core.view.bag_view import open_bag
+    from quadpi_core.view.rerun_recording import open_bag
     from quadpi_core.view.view_server import announce, serve_page
 
     models = [AerodynamicModel.load(folder) for folder in model or ()]

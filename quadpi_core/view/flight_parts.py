@@ -38,7 +38,7 @@ from quadpi_core.reading_options import MappingOrOptions, reading_options
 from quadpi_core.records import Records
 from quadpi_core.results import BAD_DATA, AlarmEvent, Predictions, ReportedAlarms
 from quadpi_core.vehicle import Vehicle
-from quadpi_core.view.motion_inputs import NO_MESSAGE, REPORTS, TOLD_S, MotionInputs, Told
+from quadpi_core.view.trust import NO_MESSAGE, REPORTS, TOLD_S, MotionInputs, Told
 
 CUT_OFF = "the file is cut off, what comes before is shown; `mcap recover` rebuilds the file"
 _RESULTS = ("prediction", "extrapolation_alarm", "alarm_log", "odometry", "rotor_speeds", "erpm", "wind")

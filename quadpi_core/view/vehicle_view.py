@@ -20,13 +20,13 @@ from quadpi_core.messages.model_description import DescribedModel
 from quadpi_core.monitor.quantity_words import INPUT_WORDS, OF_RANGE
 from quadpi_core.results import CAUSE_NAMES, EXTRAPOLATION, AlarmEvent, Predictions, ReportedAlarms
 from quadpi_core.view.blocks import PAUSE_NS, BlockStore, FlightClock, Rows, Timeline, Track
-from quadpi_core.view.motion_inputs import Told
 from quadpi_core.view.trust import (
     COVERED_S,
     LEAST_COVERED_S,
     SILENCE_S,
     TRAINED,
     State,
+    Told,
     reasons_of,
     settles,
     states_of,

@@ -37,7 +37,7 @@ from quadpi_core.version import __version__
 from quadpi_core.view.vehicle_view import VehicleView
 
 if TYPE_CHECKING:
-    from quadpi_core.view.bag_view import Source
+    from quadpi_core.view.rerun_recording import Source
 
 PORT, ADDRESS = 8710, "127.0.0.1"
 PAGE_FOLDER = Path(__file__).with_name("page")

@@ -13,7 +13,7 @@ from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor.replay import replay
 from quadpi_core.paths import bags_directory
 from quadpi_core.vehicle import Vehicle
-from quadpi_core.view.bag_view import BagSource, open_bag
+from quadpi_core.view.rerun_recording import BagSource, open_bag
 from quadpi_core.view.vehicle_view import VehicleView
 
 MODEL_FOLDER = Path(__file__).resolve().parents[2] / "golden" / "model"

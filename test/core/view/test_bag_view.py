@@ -18,7 +18,7 @@ from quadpi_core.logs.bags import read_outputs
 from quadpi_core.messages.payloads import Payloads
 from quadpi_core.messages.result_messages import unpack_model
 from quadpi_core.vehicle import Vehicle
-from quadpi_core.view.bag_view import open_bag
+from quadpi_core.view.rerun_recording import open_bag
 from quadpi_core.view.trust import State
 
 from .conftest import BAG, read_whole

@@ -21,7 +21,7 @@ from quadpi_core.messages.definitions import codec, typestore
 from quadpi_core.messages.model_description import pack_description
 from quadpi_core.messages.payloads import Payloads, Topic
 from quadpi_core.messages.sensor_messages import pack_rotor_speeds
-from quadpi_core.view.bag_view import open_bag
+from quadpi_core.view.rerun_recording import open_bag
 from quadpi_core.view.trust import State
 
 from .conftest import BAG, read_whole

@@ -13,7 +13,7 @@ from quadpi_core.flight import OdometryStream, RotorSpeedStream, WindStream
 from quadpi_core.logs.bag_files import Bag
 from quadpi_core.logs.bags import read_bag
 from quadpi_core.messages.sensor_messages import unpack_odometry
-from quadpi_core.view.motion_inputs import STRETCH_NS, MotionInputs
+from quadpi_core.view.trust import STRETCH_NS, MotionInputs
 
 from .conftest import BAG
 

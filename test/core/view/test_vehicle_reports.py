@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadpi_core.view.motion_inputs import REPORTS
+from quadpi_core.view.trust import REPORTS
 
 
 @pytest.mark.parametrize(
