@@ -16,20 +16,10 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from quadpi_core.cli.demo_command import demo
-from quadpi_core.cli.discrepancy_command import discrepancy
-from quadpi_core.cli.evaluate_command import evaluate
-from quadpi_core.cli.export_command import export
-from quadpi_core.cli.identify_command import identify
-from quadpi_core.cli.import_command import import_logs
-from quadpi_core.cli.info_command import info
+from quadpi_core.cli.flight_commands import import_logs, info, replay, report, view
+from quadpi_core.cli.model_commands import evaluate, identify, rollout, validate
 from quadpi_core.cli.options import KindCommand, several_topics
-from quadpi_core.cli.replay_command import replay
-from quadpi_core.cli.report_command import report
-from quadpi_core.cli.rollout_command import rollout
-from quadpi_core.cli.simulate_command import simulate
-from quadpi_core.cli.validate_command import validate
-from quadpi_core.cli.view_command import view
+from quadpi_core.cli.simulation_commands import demo, discrepancy, export, simulate
 from quadpi_core.errors import QuadpiError
 from quadpi_core.paths import LIMIT_DEFAULT_MIB, LIMIT_VARIABLE
 from quadpi_core.version import __version__

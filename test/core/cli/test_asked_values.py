@@ -6,8 +6,8 @@ from __future__ import annotations
 
 import pytest
 
-from quadpi_core.cli import report_command
-from quadpi_core.cli.report_command import report_vehicle
+from quadpi_core.cli import flight_commands
+from quadpi_core.cli.flight_commands import report_vehicle
 from quadpi_core.errors import VehicleError
 
 from .test_report_command import raw
@@ -24,9 +24,9 @@ def answered(monkeypatch):
             asked.append(text.partition(":")[0])
             return left.pop(0)
 
-        for stream in (report_command.sys.stdin, report_command.sys.stdout):
+        for stream in (flight_commands.sys.stdin, flight_commands.sys.stdout):
             monkeypatch.setattr(stream, "isatty", lambda: True)
-        monkeypatch.setattr(report_command.typer, "prompt", prompt)
+        monkeypatch.setattr(flight_commands.typer, "prompt", prompt)
         return asked
 
     return answer

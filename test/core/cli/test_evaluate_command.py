@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from quadpi_core.cli.evaluate_command import group_bags
+from quadpi_core.cli.model_commands import group_bags
 from quadpi_core.errors import QuadpiError
 from test.core.evaluation.test_evaluation_result import EVALUATION, METRICS
 

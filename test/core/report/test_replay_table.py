@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from quadpi_core.cli.replay_command import not_judged_sentences, replay_table
+from quadpi_core.cli.flight_commands import not_judged_sentences, replay_table
 from quadpi_core.monitor.alarm import NotJudgedReason
 from quadpi_core.monitor.replay import ReplaySummary
 
