@@ -64,7 +64,7 @@ from quadpi_core.models.model_kind import CUTOFF_HZ
 from quadpi_core.motors import Motors
 from quadpi_core.parallel import DEFAULT_WORKERS, Workers, one_blas_thread
 from quadpi_core.reading_options import MappingOrOptions
-from quadpi_core.screening.manoeuvres import require_changes, require_excitation
+from quadpi_core.screening.rotors_in_flight import require_changes, require_excitation
 from quadpi_core.thresholds import CONVENTION, Threshold
 from quadpi_core.vehicle import Vehicle
 

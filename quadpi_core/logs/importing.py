@@ -26,10 +26,16 @@ from quadpi_core.reading_options import MappingOrOptions, ReadingOptions
 from quadpi_core.recording_blocks import streams_by_field
 from quadpi_core.screening.clock_consistency import aligned
 from quadpi_core.screening.consistency import checked
-from quadpi_core.screening.flight_runs import require_imu_in
+from quadpi_core.screening.flight_runs import (
+    Excerpting,
+    Selection,
+    in_order,
+    require_imu_in,
+    survey,
+    survey_quality,
+)
 from quadpi_core.screening.plausibility import check_plausible, missing_topics
 from quadpi_core.screening.sample_order import require_usable
-from quadpi_core.screening.survey import Excerpting, Selection, in_order, survey, survey_quality
 from quadpi_core.screening.wild_samples import Screening
 from quadpi_core.signals.alignment import Alignment
 from quadpi_core.vehicle import Vehicle

@@ -30,6 +30,14 @@ from quadpi_core.logs.running_statistics import LongestRun, Range, RunningRange
 from quadpi_core.recording_blocks import StreamParts, streams_by_field
 from quadpi_core.rotations import rotation_matrix
 from quadpi_core.screening.consistency import contradictions
+from quadpi_core.screening.flight_runs import (
+    Excerpting,
+    Selection,
+    StreamSurvey,
+    in_order,
+    survey,
+    survey_quality,
+)
 from quadpi_core.screening.plausibility import (
     THRUST_COEFFICIENT_POSSIBLE,
     THRUST_COEFFICIENT_USUAL,
@@ -39,7 +47,6 @@ from quadpi_core.screening.plausibility import (
     thrust_coefficient,
 )
 from quadpi_core.screening.rotors_in_flight import Inertial, in_flight
-from quadpi_core.screening.survey import Excerpting, Selection, StreamSurvey, in_order, survey, survey_quality
 from quadpi_core.thresholds import STANDARD_GRAVITY
 from quadpi_core.vehicle import Vehicle
 

@@ -18,7 +18,12 @@ from quadpi_core.errors import LogError
 from quadpi_core.findings import Finding
 from quadpi_core.flight import PoseStream, Recording
 from quadpi_core.frames import Array
-from quadpi_core.screening.clock_consistency import clock_mistake, rotor_clock_finding
+from quadpi_core.screening.clock_consistency import (
+    RotorEvidence,
+    clock_mistake,
+    rotor_clock_finding,
+    rotor_evidence,
+)
 from quadpi_core.screening.excerpt import (
     Excerpt,
     Innovation,
@@ -30,11 +35,9 @@ from quadpi_core.screening.excerpt import (
     rotor_excerpt,
 )
 from quadpi_core.screening.flight_runs import is_slow_state
-from quadpi_core.screening.motion_consistency import Hypothesis, hypotheses, without_repeats
+from quadpi_core.screening.motion_consistency import Hypothesis, hypotheses, small_mistakes, without_repeats
 from quadpi_core.screening.plausibility import check_plausible, is_slow, thrust_coefficient
-from quadpi_core.screening.rotor_consistency import RotorEvidence, rotor_evidence
 from quadpi_core.screening.rotors_in_flight import stuck_rotors
-from quadpi_core.screening.small_mistakes import small_mistakes
 from quadpi_core.screening.wild_samples import Beyond
 from quadpi_core.thresholds import STANDARD_GRAVITY
 from quadpi_core.vehicle import ROTORS, Vehicle

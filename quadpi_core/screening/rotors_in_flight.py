@@ -8,17 +8,23 @@ squared give by its share, and the vehicle turns. Where neither is so, its senso
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.core import compiled
-from quadpi_core.findings import Finding
-from quadpi_core.flight import Recording, Stamps
+from quadpi_core.errors import DiscrepancyError
+from quadpi_core.findings import HELD, READS_ZERO, Finding
+from quadpi_core.flight import Flight, Recording, Stamps
 from quadpi_core.frames import Array
-from quadpi_core.thresholds import CONVENTION, Threshold
+from quadpi_core.inputs import relative_to_air
+from quadpi_core.recording_blocks import Column
+from quadpi_core.rotations import rotation_matrix
+from quadpi_core.screening.sample_order import Mask, Rows
+from quadpi_core.thresholds import CONVENTION, STANDARD_GRAVITY, Threshold
+from quadpi_core.vehicle import Vehicle
 
 # Share of the weight from which on the rotors carry the vehicle.
 _CARRYING_SHARE = 0.5
@@ -269,3 +275,228 @@ def _is_stuck(speeds: Array, rotor: int, step: float) -> bool:
     # One that reads a single speed throughout has no resolution of its own.
     moves = others > 0.0 if np.isinf(step) else others >= OTHERS_STEPS.value * step
     return moves and len(speeds) >= STUCK_SAMPLES.value
+
+
+# Their samples are left out. A rotor that truly stops keeps its samples; one that reads 0 for longer, or all
+# the time, is a finding of :mod:`quadpi_core.screening.rotors_in_flight`.
+
+RETURNS_S = Threshold(
+    "time between two readings with 0 in between, in which no rotor stops and turns again",
+    0.15,
+    "s",
+    "with a time constant of 20 ms a rotor takes 0.1 s to come below 1 % of its speed, and as long to return",
+    "motor lags of seven vehicles, 20 to 60 ms",
+)
+TURNS_SHARE = Threshold(
+    "reading before and after a drop-out over the median of the rotor in flight",
+    0.4,
+    "1",
+    "a rotor that stops, or begins to turn, reads less first; half of the thrust of hover is 0.7",
+    "14 flights that begin with a throw, their rotors standing (INDIflight)",
+)
+HELD_SHARE = Threshold(
+    "share of readings that more than one sample holds, in a table of a slower source",
+    0.75,
+    "1",
+    "real logs repeat up to half of their readings; a source of half its table's rate, or less, nearly all",
+    "118 real recordings of six vehicles; the 17 of the nanodrone benchmark repeat most",
+)
+HELD_STEPS = Threshold(
+    "change of a held rotor speed to the next one",
+    3.0,
+    "steps of its resolution",
+    "readings that stay the same for want of resolution go on by one step, held ones by many",
+    "bundled flights in steps of 100 eRPM, and held for 20 to 250 ms",
+)
+
+
+class RotorScreening:
+    """Finds samples of rotor speeds that are no measurements, in a flight that comes in blocks.
+
+    Attributes:
+        samples: number of samples so far.
+    """
+
+    def __init__(self) -> None:
+        self.samples = 0
+        # Half of the digits do: they are kept for the whole of a long flight.
+        self._columns = (Column(), Column(), Column())
+
+    def add(self, block: Recording) -> None:
+        """Examine the next block."""
+        if block.rotor_speeds is None:
+            return
+        self.samples += len(block.rotor_speeds)
+        values = (block.rotor_speeds.speeds, *Inertial.from_recording(block)[1:])
+        for column, part in zip(self._columns, values, strict=True):
+            column.extend(part.astype(np.float32))
+
+    def finish(self, rotors_ns: Stamps, imu_ns: Stamps, already: Rows) -> Iterator[tuple[Rows, str]]:
+        """Indices of the samples of the rotor speeds that are no measurements, and why, in words.
+
+        Args:
+            rotors_ns: (N,) stamps of the rotor speeds.
+            imu_ns: (M,) stamps of the IMU.
+            already: indices of samples left out for another reason, but for those in which a rotor reads 0.
+        """
+        if not self.samples:
+            return
+        speeds, lift, rates = (column.whole() for column in self._columns)
+        usable = np.isfinite(speeds).all(axis=1)
+        usable[already] &= np.any(speeds[already] < ZERO_RAD_S.value, axis=1)
+        repeats = usable & held(speeds)
+        if np.any(repeats):
+            seconds = float(np.ptp(rotors_ns)) * 1e-9
+            rate_hz = np.count_nonzero(usable & ~repeats) / max(seconds, 1e-9)
+            yield np.flatnonzero(repeats), f"in which {HELD}: its source gives {rate_hz:.3g} Hz"
+            usable &= ~repeats
+        inertial = Inertial(imu_ns, lift, rates).finite()
+        if np.any(speeds[usable] < ZERO_RAD_S.value) and len(inertial.time_ns):
+            zeros = dropped_out(rotors_ns[usable], speeds[usable], inertial)
+            yield np.flatnonzero(usable)[zeros], f"in which {READS_ZERO}"
+
+
+def dropped_out(time_ns: Stamps, speeds: Array, inertial: Inertial) -> Mask:
+    """Samples (N,) around readings of 0 in flight, for less than STUCK_S, of a rotor that has not stopped.
+
+    Args:
+        time_ns: (N,) stamps.
+        speeds: (N, rotors) rad/s, finite.
+        inertial: of the flight, finite.
+    """
+    dropped = np.zeros(len(speeds), dtype=np.bool_)
+    standing = speeds < ZERO_RAD_S.value
+    if not np.any(standing) or np.any(np.diff(time_ns) <= 0):
+        return dropped
+    # The last reading before, or at the start the first one after, stands for 0.
+    before, after = _whole_around(~standing)
+    bridged = np.where(before >= 0, before, np.minimum(after, len(speeds) - 1))
+    flying = in_flight(time_ns, np.take_along_axis(speeds, bridged, axis=0), inertial, STANDARD_GRAVITY)
+    if flying is None:
+        return dropped
+    for rotor, column in enumerate(standing.T):
+        turning = speeds[flying & ~column, rotor]
+        if len(turning) == 0:
+            continue
+        whole = speeds[:, rotor] >= TURNS_SHARE.value * float(np.median(turning))
+        # The ends of a recording are no evidence of a rotor that stands before or after it.
+        before, after = _whole_around(whole)
+        for begin, end in runs_of(column):
+            first, last = int(before[begin]), int(after[end - 1])
+            if (first < 0 < begin) or (last == len(speeds) > end):
+                continue
+            around_s = float(time_ns[min(last, len(speeds) - 1)] - time_ns[max(first, 0)]) * 1e-9
+            if around_s >= STUCK_S.value or not np.all(flying[max(first, 0) : last + 1]):
+                continue
+            if around_s <= RETURNS_S.value or not has_stopped(time_ns, speeds, rotor, begin, inertial):
+                dropped[first + 1 : last] = True
+    return dropped
+
+
+def _whole_around(whole: Mask) -> tuple[Rows, Rows]:
+    """The last whole sample (N, ...) up to each, and the first from each on; −1 and N without one."""
+    count = len(whole)
+    rows = np.arange(count).reshape(-1, *[1] * (whole.ndim - 1))
+    before = np.maximum.accumulate(np.where(whole, rows, -1), axis=0)
+    after = np.minimum.accumulate(np.where(whole, rows, count)[::-1], axis=0)[::-1]
+    return before, after
+
+
+def held(speeds: Array) -> Mask:
+    """Samples (N,) that repeat the one before, where a slow source is held in a fast table; else none.
+
+    Args:
+        speeds: (N, rotors) rad/s.
+    """
+    turning = np.any(speeds > ZERO_RAD_S.value, axis=1)
+    same = np.zeros(len(speeds), dtype=np.bool_)
+    same[1:] = np.all(speeds[1:] == speeds[:-1], axis=1) & turning[1:]
+    # Readings, not samples, are counted: rotors that idle at one speed for long are one reading.
+    news = turning & ~same
+    repeated = int(np.count_nonzero(news[:-1] & same[1:]))
+    if repeated < HELD_SHARE.value * max(int(np.count_nonzero(news)), 1):
+        return np.zeros_like(same)
+    changes = np.abs(np.diff(speeds, axis=0))[turning[1:] & ~same[1:]] / resolution(speeds)
+    changes = changes[changes > 0.0]
+    return same if len(changes) and np.median(changes) >= HELD_STEPS.value else np.zeros_like(same)
+
+
+_HALF_OF_GENTLE = "about half of what a gentle manoeuvre of any vehicle reaches"
+FLOWN_SPEED = Threshold(
+    "flown forward or sideways", 0.25, "induced velocities of hover", _HALF_OF_GENTLE, CONVENTION
+)
+FLOWN_CLIMB = Threshold("climbed", 0.12, "induced velocities of hover", _HALF_OF_GENTLE, CONVENTION)
+FLOWN_RATE = Threshold("doublet flown", 0.6, "rad/s", _HALF_OF_GENTLE, CONVENTION)
+FLOWN_HEADING = Threshold("heading turned", 0.8, "rad", _HALF_OF_GENTLE, CONVENTION)
+FLOWN_LOAD = Threshold(
+    "throttle step flown",
+    0.15,
+    "extent of the sum of squared rotor speeds over its mean",
+    _HALF_OF_GENTLE,
+    CONVENTION,
+)
+TAIL = Threshold(
+    "samples beyond the largest value",
+    0.01,
+    "of all samples",
+    "noise alone exceeds a threshold now and then",
+    CONVENTION,
+)
+
+
+def require_excitation(flights: Sequence[Flight], vehicle: Vehicle) -> tuple[str, ...]:
+    """Names of the manoeuvres that no flight contains, in a pilot's words.
+
+    Raises:
+        DiscrepancyError: for flights of hover alone, naming what is missing; and, naming the file, for rotor
+            speeds that do not change, as of a stuck sensor or a log that was filled in.
+    """
+    for flight in flights:
+        require_changes(flight)
+    flown = _flown(flights, vehicle)
+    missing = tuple(name for name, there in flown.items() if not there)
+    if len(missing) == len(flown):
+        raise DiscrepancyError(
+            f"{', '.join(flight.name for flight in flights)}: nothing but hover, in which effects look "
+            f"alike; fly {', '.join(missing)}"
+        )
+    return missing
+
+
+def require_changes(flight: Flight) -> None:
+    """Refuse rotor speeds that do not change, naming the file."""
+    stuck = np.flatnonzero(np.ptp(flight.rotor_speeds, axis=0) < STUCK_RAD_S.value)
+    if len(stuck):
+        raise DiscrepancyError(
+            f"{flight.source}: topic rotor_speeds: rotor {stuck[0] + 1} has the same speed throughout, "
+            f"{flight.rotor_speeds[0, stuck[0]]:.4g} rad/s; speeds as measured are needed"
+        )
+
+
+def _flown(flights: Sequence[Flight], vehicle: Vehicle) -> dict[str, bool]:
+    """Whether any flight contains a manoeuvre, by its name."""
+    induced = vehicle.hover_induced_velocity
+    velocity = [relative_to_air(flight.velocity, flight.attitude, flight.wind) for flight in flights]
+    speeds = np.quantile(np.abs(np.concatenate(velocity)), 1.0 - TAIL.value, axis=0) / induced
+    rates = np.quantile(np.abs(np.concatenate([own.rates for own in flights])), 1.0 - TAIL.value, axis=0)
+    loads = [np.square(flight.rotor_speeds).sum(axis=1) for flight in flights]
+    return {
+        "forward and backward flight": speeds[0] > FLOWN_SPEED.value,
+        "sideways flight": speeds[1] > FLOWN_SPEED.value,
+        "climb and descent": speeds[2] > FLOWN_CLIMB.value,
+        "throttle steps": max(_extent(load) / float(load.mean()) for load in loads) > FLOWN_LOAD.value,
+        "roll doublets": rates[0] > FLOWN_RATE.value,
+        "pitch doublets": rates[1] > FLOWN_RATE.value,
+        "yaw doublets": rates[2] > FLOWN_RATE.value,
+        "turns of the heading": max(_extent(_heading(flight)) for flight in flights) > FLOWN_HEADING.value,
+    }
+
+
+def _extent(values: Array) -> float:
+    low, high = np.quantile(values, [TAIL.value, 1.0 - TAIL.value])
+    return float(high - low)
+
+
+def _heading(flight: Flight) -> Array:
+    ahead = rotation_matrix(flight.attitude)[:, :2, 0]
+    return np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))

@@ -30,7 +30,7 @@ from quadpi_core.flight import (
 )
 from quadpi_core.frames import Array
 from quadpi_core.recording_blocks import streams_by_field
-from quadpi_core.screening.rotor_readings import RotorScreening
+from quadpi_core.screening.rotors_in_flight import RotorScreening
 from quadpi_core.screening.sample_order import Mask, Rows, with_rows
 from quadpi_core.thresholds import (
     AIRSPEED_MAX_M_S,

@@ -60,13 +60,16 @@ from quadpi_core.flight import AXES, Flight, ImuStream, PoseStream, Recording, R
 from quadpi_core.motors import TERMS, Motors
 from quadpi_core.screening.excerpt import Excerpt, innovation
 from quadpi_core.screening.flight_runs import long_enough, seldom_topics
-from quadpi_core.screening.manoeuvres import require_excitation
-from quadpi_core.screening.motion_consistency import without_repeats
-from quadpi_core.screening.rotor_readings import dropped_out
-from quadpi_core.screening.rotor_readings import held as held_readings
-from quadpi_core.screening.rotors_in_flight import Inertial, has_stopped, stuck_rotors
+from quadpi_core.screening.motion_consistency import MotionFit, judged, small_mistakes, without_repeats
+from quadpi_core.screening.rotors_in_flight import (
+    Inertial,
+    dropped_out,
+    has_stopped,
+    require_excitation,
+    stuck_rotors,
+)
+from quadpi_core.screening.rotors_in_flight import held as held_readings
 from quadpi_core.screening.sample_order import order_of
-from quadpi_core.screening.small_mistakes import MotionFit, judged, small_mistakes
 from quadpi_core.simulation.applied_effects import EFFECTS
 from quadpi_core.simulation.effect_definition import shaped
 from quadpi_core.simulation.effects.airframe import ground_effect

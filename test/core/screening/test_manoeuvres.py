@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from quadpi_core.errors import DiscrepancyError
-from quadpi_core.screening.manoeuvres import require_changes, require_excitation
+from quadpi_core.screening.rotors_in_flight import require_changes, require_excitation
 
 
 def test_hover_alone_names_what_is_missing(flights, simulation):

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
 
+from quadpi_core.screening.clock_consistency import rotor_evidence
 from quadpi_core.screening.excerpt import STEP_S, RotorExcerpt
-from quadpi_core.screening.rotor_consistency import rotor_evidence
 
 WINDOWS, CELLS, MARGIN = 6, 250, 40
 TORQUE_PER_THRUST_M = 0.02

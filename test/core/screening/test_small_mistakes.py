@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadpi_core.screening.excerpt import innovation
-from quadpi_core.screening.small_mistakes import motion_fit, small_mistakes
+from quadpi_core.screening.motion_consistency import motion_fit, small_mistakes
 
 
 def moved(sample, place_m):

@@ -20,10 +20,10 @@ from quadpi_core.logs.bags import open_recording, recording_topics, write_bag
 from quadpi_core.logs.importing import import_logs
 from quadpi_core.logs.inspect import inspect_blocks, inspect_recording
 from quadpi_core.recording_blocks import streams_by_field
-from quadpi_core.screening import survey, wild_samples
+from quadpi_core.screening import flight_runs, wild_samples
 from quadpi_core.screening.consistency import checked
 from quadpi_core.screening.excerpt import excerpt, rotor_excerpt
-from quadpi_core.screening.survey import Excerpting
+from quadpi_core.screening.flight_runs import Excerpting
 from quadpi_core.screening.wild_samples import Screening, beyond_limits
 from quadpi_core.signals import alignment
 from quadpi_core.vehicle import Vehicle
@@ -85,7 +85,7 @@ def long_bag(tmp_path) -> Path:
 
 
 def few_samples(monkeypatch, count: int) -> None:
-    for module in (wild_samples, survey):
+    for module in (wild_samples, flight_runs):
         monkeypatch.setattr(module, "FEW_SAMPLES", count)
     # The search for another clock has a grid of its own, which does not grow beyond it.
     monkeypatch.setattr(alignment, "_GRID_MAX", count)
