@@ -130,8 +130,7 @@ def batched_training(
     inputs: Floats, targets: Floats, trained: npt.NDArray[np.bool_], unit: npt.NDArray[np.int32], batch: int
 ) -> None:
     """All epochs of all networks, each on its units of the samples, `trained` (M, U)."""
-    from quadpi_core.training.batches import Samples
-    from quadpi_core.training.losses import SquaredError
+    from quadpi_core.training.losses import Samples, SquaredError
     from quadpi_core.training.train import Schedule, train
 
     samples = Samples(inputs[:, None], targets[:, None, None, None], unit, trained, ~trained)

@@ -29,8 +29,7 @@ from quadpi_core.simulation.scenario import FlightPlan, load_scenario
 from quadpi_core.simulation.sensor_noise import SensorSuite, contaminate
 from quadpi_core.simulation.simulated_bags import fly_plan
 from quadpi_core.simulation.truth import LOG_HZ
-from quadpi_core.validation.realisations import CHUNK, run_realisations
-from quadpi_core.validation.validation_case import ValidationCase
+from quadpi_core.validation.validation_case import CHUNK, ValidationCase, run_realisations
 from quadpi_core.vehicle import Vehicle
 
 NAMES = ("validation_minutes",)

@@ -16,7 +16,7 @@ from model_methods import DATA_SETS, DataSet, flights_by_log, speed, spread_over
 from page_tables import RESULTS, ROOT, renew, stamp
 
 from quadpi_core.errors import QuadpiError, one_line
-from quadpi_core.evaluation.rollouts import FlightRolloutMetrics, TubeMetrics, evaluate_rollouts
+from quadpi_core.evaluation.evaluate import FlightRolloutMetrics, TubeMetrics, evaluate_rollouts
 from quadpi_core.identification.identify import identify
 from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.model_kind import IdentifyOptions

@@ -32,8 +32,7 @@ from quadpi_core.simulation.scenario import FlightPlan, load_scenario
 from quadpi_core.simulation.sensor_noise import SensorSuite, StateNoise, contaminate
 from quadpi_core.simulation.simulated_bags import fly_plan, simulate
 from quadpi_core.simulation.truth import LOG_HZ
-from quadpi_core.validation.realisations import noise_seed, run_realisations
-from quadpi_core.validation.validation_case import ValidationCase, flight_hash
+from quadpi_core.validation.validation_case import ValidationCase, flight_hash, noise_seed, run_realisations
 from quadpi_core.validation.validation_result import Validation, summarise
 from quadpi_core.vehicle import Vehicle
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 from pathlib import Path
 from types import ModuleType
 
-from quadpi_core.evaluation.rollouts import FlightRolloutMetrics, TubeMetrics
+from quadpi_core.evaluation.evaluate import FlightRolloutMetrics, TubeMetrics
 
 
 def test_a_row_for_each_horizon_in_the_order_of_the_quantities(tool: ModuleType) -> None:

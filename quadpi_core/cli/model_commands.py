@@ -331,7 +331,7 @@ def rollout(
     html_file: options.HtmlFile = None,
 ) -> None:
     """Predict flights ahead, open loop by the measured rotor speeds, with tubes; from every tenth sample."""
-    from quadpi_core.evaluation.rollouts import evaluate_rollouts
+    from quadpi_core.evaluation.evaluate import evaluate_rollouts
     from quadpi_core.models.aerodynamic import AerodynamicModel
     from quadpi_core.report.page import FlightFiles
     from quadpi_core.report.table import progress_bar, terminal_table
@@ -384,8 +384,7 @@ def validate(
     from quadpi_core.evaluation.evaluate import is_model_folder
     from quadpi_core.parallel import Workers
     from quadpi_core.report.validation_page import validation_summary
-    from quadpi_core.validation.realisations import run_realisations
-    from quadpi_core.validation.validation_case import given_case
+    from quadpi_core.validation.validation_case import given_case, run_realisations
     from quadpi_core.validation.validation_result import summarise
 
     cache_folder = None if output is None else output / "realisations"
@@ -410,7 +409,7 @@ def validate(
     write_result(json_file, result.to_json())
     if html_file is not None:
         from quadpi_core.report.validation_page import SHOWN, write_validation_page
-        from quadpi_core.validation.realisations import spread
+        from quadpi_core.validation.validation_case import spread
 
         names = [flight.name for flight in case.flights]
         shown = partial(spread, realisations=range(SHOWN))

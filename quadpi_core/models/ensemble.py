@@ -22,7 +22,7 @@ from quadpi_core.parallel import Progress, ReportProgress
 from quadpi_core.training.networks import Networks
 
 if TYPE_CHECKING:
-    from quadpi_core.training.batches import Samples
+    from quadpi_core.training.losses import Samples
     from quadpi_core.training.train import Report, Schedule, Training, TrainingState
 
 Floats: TypeAlias = npt.NDArray[np.float32]
@@ -143,7 +143,7 @@ class Ensemble(Kind):
         return Fit(self.fitted_type(axes), held_out)
 
     def _samples(self, table: Table, plan: Plan) -> Samples:
-        from quadpi_core.training.batches import Samples
+        from quadpi_core.training.losses import Samples
 
         return Samples(
             table.features, table.targets.T[..., None, None], plan.unit, plan.trained, plan.omitted

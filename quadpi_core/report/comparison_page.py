@@ -14,8 +14,7 @@ import numpy as np
 from rich.console import Group
 from rich.text import Text
 
-from quadpi_core.evaluation.evaluation_result import AxisMetrics, Comparison, Evaluation
-from quadpi_core.evaluation.flight_results import FlightResult
+from quadpi_core.evaluation.evaluation_result import AxisMetrics, Comparison, Evaluation, FlightResult
 from quadpi_core.flight import AXES
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.report.evaluation_figures import axis_coverages, count_verdicts, listing, time_history_figure

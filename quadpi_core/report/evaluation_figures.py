@@ -12,8 +12,7 @@ from enum import Enum
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.evaluation.evaluation_result import AxisMetrics, Evaluation
-from quadpi_core.evaluation.flight_results import FlightResult
+from quadpi_core.evaluation.evaluation_result import AxisMetrics, Evaluation, FlightResult
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_INDEX
 from quadpi_core.models.envelope import Envelope

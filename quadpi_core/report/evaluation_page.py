@@ -15,9 +15,9 @@ from quadpi_core.evaluation.evaluation_result import (
     AxisMetrics,
     Evaluation,
     FlightEvaluation,
+    FlightResult,
     GroupEvaluation,
 )
-from quadpi_core.evaluation.flight_results import FlightResult
 from quadpi_core.flight import AXES
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.alarm_limits import BOUND_CONFIDENCE

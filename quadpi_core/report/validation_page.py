@@ -15,7 +15,7 @@ from rich.console import Group
 from rich.text import Text
 from scipy.stats import t as student_t
 
-from quadpi_core.evaluation.rollouts import RolledFlight, RolloutEvaluation
+from quadpi_core.evaluation.evaluate import RolledFlight, RolloutEvaluation
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.models.tubes import error_norms, tube_radii
@@ -41,8 +41,7 @@ from quadpi_core.report.table import (
     unit,
 )
 from quadpi_core.rotations import rotate_body_to_world
-from quadpi_core.validation.realisations import HIGHEST, LOWEST, Spread
-from quadpi_core.validation.validation_case import ValidationCase
+from quadpi_core.validation.validation_case import HIGHEST, LOWEST, Spread, ValidationCase
 from quadpi_core.validation.validation_result import VARIATIONS, AxisValidation, Validation, Variation
 
 _TITLES = {"Forces": AXES[:3], "Moments": AXES[3:]}

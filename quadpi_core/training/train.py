@@ -25,8 +25,7 @@ import torch
 from torch import Tensor
 
 from quadpi_core.errors import ModelError
-from quadpi_core.training.batches import Batch, Batches, Floats, Samples
-from quadpi_core.training.losses import Loss
+from quadpi_core.training.losses import Batch, Batches, Floats, Loss, Samples
 from quadpi_core.training.networks import Networks
 
 # Samples that networks are evaluated on at a time.

@@ -12,8 +12,7 @@ import numpy as np
 
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.validation.realisations import HIGHEST, LOWEST, Counts, Tally
-from quadpi_core.validation.validation_case import ValidationCase
+from quadpi_core.validation.validation_case import HIGHEST, LOWEST, Counts, Tally, ValidationCase
 from quadpi_core.version import __version__
 
 VARIATIONS = ("model_variation", "measurement_variation", "combined_variation")

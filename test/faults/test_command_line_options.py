@@ -241,7 +241,7 @@ class TestOutputs:
         for place in (
             "quadpi_core.identification.prepared_flights.prepare_flights",
             "quadpi_core.simulation.simulated_bags.simulate",
-            "quadpi_core.validation.realisations.run_realisations",
+            "quadpi_core.validation.validation_case.run_realisations",
             "quadpi_core.validation.validation_case.given_case",
         ):
             monkeypatch.setattr(place, work)

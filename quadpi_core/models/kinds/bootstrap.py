@@ -148,8 +148,7 @@ class Bootstrap(Ensemble):
         report: Report | None,
     ) -> tuple[Training, Floats]:
         """The variance networks, one per ensemble, and the noise (E, A, N) that they give."""
-        from quadpi_core.training.batches import Samples
-        from quadpi_core.training.losses import GaussianNoise
+        from quadpi_core.training.losses import GaussianNoise, Samples
         from quadpi_core.training.train import train
 
         squares = np.nan_to_num(np.square(errors))

@@ -4,7 +4,7 @@
 
 import numpy as np
 
-from quadpi_core.evaluation.flight_results import FlightResult, evaluate_flights
+from quadpi_core.evaluation.evaluation_result import FlightResult, evaluate_flights
 from quadpi_core.inputs import INPUT_NAMES
 
 RANGES = {"Fx": 4.0, "Fz": 8.0}

@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from quadpi_core.errors import ModelError
-from quadpi_core.evaluation.flight_results import EvaluationError
+from quadpi_core.evaluation.evaluation_result import EvaluationError
 
 from .normal_flights import RANGES, evaluate, flight_result
 

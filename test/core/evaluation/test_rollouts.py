@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from quadpi_core.errors import ModelError, QuadpiError
-from quadpi_core.evaluation.rollouts import JUDGED_S, evaluate_rollouts, judge_flight
+from quadpi_core.evaluation.evaluate import JUDGED_S, evaluate_rollouts, judge_flight
 from quadpi_core.identification.prepared_flights import read_flight
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.vehicle import Vehicle

@@ -13,8 +13,12 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from quadpi_core.evaluation.evaluation_result import ComparedEvaluation, Comparison
-from quadpi_core.evaluation.flight_results import FlightResult, evaluate_flights
+from quadpi_core.evaluation.evaluation_result import (
+    ComparedEvaluation,
+    Comparison,
+    FlightResult,
+    evaluate_flights,
+)
 from quadpi_core.flight import AXES
 from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
 from quadpi_core.models.aerodynamic import AerodynamicModel, TrainingFlight

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from quadpi_core.evaluation.rollouts import evaluate_rollouts
+from quadpi_core.evaluation.evaluate import evaluate_rollouts
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.report.table import markdown_table
 from quadpi_core.report.validation_page import (

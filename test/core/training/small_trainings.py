@@ -9,8 +9,7 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="training needs PyTorch")
 
-from quadpi_core.training.batches import Batch, Samples  # noqa: E402
-from quadpi_core.training.losses import GaussianNoise, Loss, QualityDriven, SquaredError  # noqa: E402
+from quadpi_core.training.losses import Batch, GaussianNoise, Loss, QualityDriven, Samples, SquaredError  # noqa: E402  # noqa: E402
 from quadpi_core.training.train import Schedule, Training  # noqa: E402
 
 TABLES, NETWORKS, WIDTH, COUNT = 2, 3, 4, 300

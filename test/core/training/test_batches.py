@@ -9,7 +9,7 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="training needs PyTorch")
 
-from quadpi_core.training.batches import Batches, Samples  # noqa: E402
+from quadpi_core.training.losses import Batches, Samples  # noqa: E402
 
 TABLES, WIDTH, NETWORKS, UNITS = 2, 3, 4, 5
 CPU = torch.device("cpu")

@@ -18,8 +18,14 @@ from quadpi_core.parallel import Workers
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.sensor_noise import StateNoise, contaminate
 from quadpi_core.validation import realisations as realisation_chunks
-from quadpi_core.validation.realisations import noise_seed, noisy_flight, realise, run_realisations, spread
-from quadpi_core.validation.validation_case import ValidationCase
+from quadpi_core.validation.validation_case import (
+    ValidationCase,
+    noise_seed,
+    noisy_flight,
+    realise,
+    run_realisations,
+    spread,
+)
 
 # All work in this process.
 HERE = Workers(1)

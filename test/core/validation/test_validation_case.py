@@ -18,12 +18,12 @@ from quadpi_core.logs.bags import write_bag
 from quadpi_core.simulation.scenario import load_scenario
 from quadpi_core.simulation.simulated_bags import simulate
 from quadpi_core.validation import validation_case as case_module
-from quadpi_core.validation.realisations import noisy_flight
 from quadpi_core.validation.validation_case import (
     ValidationError,
     code_fingerprint,
     given_case,
     low_passed,
+    noisy_flight,
     recorded_flight,
 )
 from quadpi_core.vehicle import Vehicle

@@ -11,7 +11,7 @@ import pytest
 
 from quadpi_core.config_schema import check_config
 from quadpi_core.inputs import flight_inputs
-from quadpi_core.validation.realisations import Tally, realise
+from quadpi_core.validation.validation_case import Tally, realise
 from quadpi_core.validation.validation_result import VARIATIONS, Validation, summarise
 
 
