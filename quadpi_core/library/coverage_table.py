@@ -20,8 +20,8 @@ from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.identification.prepared_flights import PreparedFlight
 from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES, VELOCITY_INPUTS
+from quadpi_core.library.flight_arrays import counted, html_table, new_axes, pandas
 from quadpi_core.library.flights import Flights, flights_in
-from quadpi_core.library.notebook import counted, html_table, new_axes, pandas
 from quadpi_core.library.wrench_model import WrenchModel
 from quadpi_core.models.interval_rules import inside_interval
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,7 +14,8 @@ import numpy.typing as npt
 from scipy.integrate import cumulative_trapezoid
 
 from quadpi_core import array_checks
-from quadpi_core.errors import ArgumentError, LogError, named_in
+from quadpi_core.array_checks import found
+from quadpi_core.errors import ArgumentError, LogError, named_in, require_library
 from quadpi_core.flight import (
     Flight,
     ImuStream,
@@ -27,7 +29,6 @@ from quadpi_core.flight import (
 )
 from quadpi_core.frames import Array
 from quadpi_core.identification.prepared_flights import PreparedFlight, prepare_recording
-from quadpi_core.library.notebook import pandas
 from quadpi_core.logs.duplicates import recording_hash
 from quadpi_core.logs.flight_table import WRENCH, columns_of
 from quadpi_core.models.model_kind import CUTOFF_HZ
@@ -39,6 +40,52 @@ from quadpi_core.vehicle import Vehicle
 
 if TYPE_CHECKING:
     import pandas as pd
+
+_ROWS_SHOWN = 12
+
+
+def html_table(sentence: str, headings: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
+    """A sentence above a table of HTML, of the first rows only where there are many."""
+    more = f"<p>… {len(rows) - _ROWS_SHOWN} more</p>" if len(rows) > _ROWS_SHOWN else ""
+    body = "".join(_row("td", row) for row in rows[:_ROWS_SHOWN])
+    return f"<p>{escape(sentence)}</p><table>{_row('th', headings)}{body}</table>{more}"
+
+
+def counted(flights: int) -> str:
+    """Their number in words."""
+    return "1 flight" if flights == 1 else f"{flights} flights"
+
+
+def _row(cell: str, values: Iterable[Any]) -> str:
+    return f"<tr>{''.join(f'<{cell}>{escape(str(value))}</{cell}>' for value in values)}</tr>"
+
+
+def new_axes(axes: Any, count: int = 1) -> Any:
+    """Axes (count,) of matplotlib to draw on: those given, else of a new figure, one below another.
+
+    Raises:
+        ArgumentError: for what are no axes, or another number of them.
+        LogError: without matplotlib.
+    """
+    if axes is not None:
+        given = np.ravel(np.array(axes, dtype=object))
+        if len(given) != count or not all(hasattr(one, "fill_between") for one in given):
+            raise ArgumentError(f"axes: expected {count} of matplotlib, found {found(axes)}")
+        return given
+    pyplot = require_library("matplotlib.pyplot", "notebook")
+    height_in = max(3.0, 1.8 * count)
+    figure = {"figsize": (8.0, height_in), "layout": "constrained"}
+    return np.ravel(pyplot.subplots(count, 1, sharex=True, **figure)[1])
+
+
+def pandas() -> Any:
+    """The module pandas.
+
+    Raises:
+        LogError: without it.
+    """
+    return require_library("pandas", "notebook")
+
 
 # Quantities that a table may lack; the second is taken only from signals that have been filtered.
 _OPTIONAL = ("position", "wind")

@@ -22,8 +22,7 @@ from quadpi_core.frames import Array
 from quadpi_core.identification.commanded_flights import prepare_with_motors
 from quadpi_core.identification.prepared_flights import PreparedFlight
 from quadpi_core.inputs import VELOCITY_INPUTS
-from quadpi_core.library.flight_arrays import from_frame, prepared_from_arrays, to_frame
-from quadpi_core.library.notebook import counted, html_table
+from quadpi_core.library.flight_arrays import counted, from_frame, html_table, prepared_from_arrays, to_frame
 from quadpi_core.models.model_kind import CUTOFF_HZ
 from quadpi_core.parallel import Workers
 from quadpi_core.reading_options import MappingOrOptions

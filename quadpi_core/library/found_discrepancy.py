@@ -21,8 +21,8 @@ from quadpi_core.discrepancy.study import study, study_flight
 from quadpi_core.errors import ArgumentError, DiscrepancyError
 from quadpi_core.flight import AXES, Flight
 from quadpi_core.frames import Array
+from quadpi_core.library.flight_arrays import counted, html_table, new_axes, pandas
 from quadpi_core.library.flights import Flights, flights_in
-from quadpi_core.library.notebook import counted, html_table, new_axes, pandas
 from quadpi_core.library.wrench_model import WrenchModel
 from quadpi_core.models.model_kind import CUTOFF_HZ
 from quadpi_core.paths import require_file, scratch_folder, whole_output

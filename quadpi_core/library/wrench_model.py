@@ -19,8 +19,8 @@ from quadpi_core.evaluation.metrics import r_squared
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.identification.identify import identify
+from quadpi_core.library.flight_arrays import counted, html_table, new_axes
 from quadpi_core.library.flights import Flights, flights_in
-from quadpi_core.library.notebook import counted, html_table, new_axes
 from quadpi_core.library.user_regressor import Regressor, RegressorModel, fitted_regressor, is_regressor
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.candidate_pool import load_pools, select_axes

@@ -9,7 +9,7 @@ import sys
 import pytest
 
 import quadpi_core as qp
-from quadpi_core.library.notebook import html_table
+from quadpi_core.library.flight_arrays import html_table
 
 
 def test_text_is_escaped_and_long_tables_are_cut():

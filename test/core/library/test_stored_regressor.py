@@ -21,7 +21,7 @@ from sklearn.svm import SVR
 from sklearn.tree import DecisionTreeRegressor
 
 from quadpi_core.errors import ModelError
-from quadpi_core.library.stored_regressor import StoredRegressor, stored_form
+from quadpi_core.library.user_regressor import StoredRegressor, stored_form
 
 RNG = np.random.default_rng(0)
 X = RNG.normal(size=(400, 19)) * np.logspace(-3, 3, 19)
