@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.random_ensembles import random_ensembles, simulation_inputs
 from quadpi_core.flight import ImuStream, PoseStream, Recording, RotorSpeedStream, Stamps, Stream
-from quadpi_core.frames import Array
+from quadpi_core.frames import Array, rotate_world_to_body
 from quadpi_core.identification.identify import identify
 from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs.bag_writer import mcap_writer
@@ -21,7 +21,6 @@ from quadpi_core.logs.bags import recording_topics, write_bag
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.model_kind import IdentifyOptions
-from quadpi_core.rotations import rotate_world_to_body
 from quadpi_core.vehicle import Vehicle
 
 VEHICLE = "neurobem"

@@ -20,7 +20,7 @@ import numpy as np
 from intervals_raced import model_of
 from page_tables import renew
 
-from quadpi_core import rotations
+from quadpi_core import frames
 from quadpi_core.errors import QuadpiError
 from quadpi_core.estimator.fusion import fuse
 from quadpi_core.evaluation.evaluate import predict_flight
@@ -61,15 +61,15 @@ def degraded(
     """
     rows = np.arange(0, len(full), round(full.rate_hz / rate_hz))
     count = len(rows)
-    tilts = rotations.from_rotation_vector(rng.normal(0.0, errors[1], (count, 3)))
-    attitude = rotations.products(full.attitude[rows], tilts)
-    moving = rotations.rotate_body_to_world(full.attitude[rows], full.velocity[rows])
+    tilts = frames.from_rotation_vector(rng.normal(0.0, errors[1], (count, 3)))
+    attitude = frames.products(full.attitude[rows], tilts)
+    moving = frames.rotate_body_to_world(full.attitude[rows], full.velocity[rows])
     moving += rng.normal(0.0, errors[2], (count, 3))
     state = OdometryStream(
         full.stamps_ns[rows],
         full.position[rows] + rng.normal(0.0, errors[0], (count, 3)),
         attitude,
-        rotations.rotate_world_to_body(attitude, moving),
+        frames.rotate_world_to_body(attitude, moving),
         full.rates[rows],
         np.tile(errors, (count, 1)) if stated else np.zeros((count, 3)),
     )

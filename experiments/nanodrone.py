@@ -26,7 +26,7 @@ from rich.console import Console
 
 from quadpi_core.errors import LogError, QuadpiError
 from quadpi_core.flight import Flight
-from quadpi_core.frames import Array
+from quadpi_core.frames import Array, rotate_body_to_world, rotate_world_to_body
 from quadpi_core.logs import read_recording
 from quadpi_core.models.multi_step_fit import fit_multi_step
 from quadpi_core.models.physical_fit import Problem
@@ -36,7 +36,6 @@ from quadpi_core.models.physical_study import PhysicalStudy
 from quadpi_core.models.rollout_model import RolloutFlight, RolloutModel, disturbance_left
 from quadpi_core.paths import data_directory, write_json
 from quadpi_core.report.table import Cell, Column, Mark, Row, Table, number, terminal_table
-from quadpi_core.rotations import rotate_body_to_world, rotate_world_to_body
 from quadpi_core.vehicle import Vehicle
 
 VEHICLE = "nanodrone"

@@ -19,12 +19,12 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core import array_checks
-from quadpi_core.brief_repr import brief_repr
 from quadpi_core.core import compiled
 from quadpi_core.errors import LogError, named_in
 from quadpi_core.findings import NOTHING_TO_SAY, DataQuality, UsedPart
 from quadpi_core.frames import Array
-from quadpi_core.motors import Motors
+from quadpi_core.records import brief_repr
+from quadpi_core.vehicle import Motors
 
 Stamps: TypeAlias = npt.NDArray[np.int64]
 _DAY_NS = 86_400 * 1_000_000_000
@@ -212,7 +212,7 @@ class RotorSpeedStream(Stream):
 class MotorCommandStream(Stream):
     """commands (N, rotors) to the motors, a share of their range, rotor order of the vehicle file.
 
-    A scale of its own is that of the source: :class:`quadpi_core.motors.Motors` is of one source.
+    A scale of its own is that of the source: :class:`quadpi_core.vehicle.Motors` is of one source.
     """
 
     topic: ClassVar[str] = "motor_commands"

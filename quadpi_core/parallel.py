@@ -25,7 +25,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeVar
 
-from quadpi_core.config import is_config_path
+from quadpi_core.config_schema import is_config_path
 from quadpi_core.errors import QuadpiError, one_line, require_library
 from quadpi_core.reading_options import MappingOrOptions, ReadingOptions, reading_options
 from quadpi_core.version import __version__

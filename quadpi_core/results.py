@@ -10,9 +10,9 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.brief_repr import brief_repr
 from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
+from quadpi_core.records import brief_repr
 
 LEVEL_OK, LEVEL_WARNING, LEVEL_ALARM = 0, 1, 2
 # Causes of an alarm, one bit each.

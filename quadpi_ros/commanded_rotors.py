@@ -11,8 +11,8 @@ from quadpi_core.messages.adapters import known_adapters
 from quadpi_core.monitor import Monitor
 from quadpi_core.monitor.health import SILENT_S
 from quadpi_core.monitor.tachometers import TachometerWatch
-from quadpi_core.motors import Motors
-from quadpi_core.speeds_by_command import CommandedSpeeds
+from quadpi_core.rotor_order import CommandedSpeeds
+from quadpi_core.vehicle import Motors
 from quadpi_ros.input_sources import AdaptedSources, Source
 
 # Rotor speeds that are measured again must come for this long before they are used again.

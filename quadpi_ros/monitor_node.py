@@ -31,7 +31,7 @@ from quadpi_core.flight import (
     RotorSpeedStream,
     WindStream,
 )
-from quadpi_core.flown_air import Air
+from quadpi_core.inputs import Air
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.one_by_one import IncomingMessage
 from quadpi_core.models.aerodynamic import AerodynamicModel
@@ -41,9 +41,8 @@ from quadpi_core.monitor.health import SILENT_S, WATCH_S, Latency, Silence, lack
 from quadpi_core.monitor.monitor import Judged
 from quadpi_core.monitor.pairing import CAPACITY, Pairing
 from quadpi_core.monitor.unsure_states import deviation_of_one
-from quadpi_core.motors import Motors
 from quadpi_core.paths import resolved_below
-from quadpi_core.vehicle import Vehicle
+from quadpi_core.vehicle import Motors, Vehicle
 from quadpi_ros import diagnostics
 from quadpi_ros.callbacks import SlowService
 from quadpi_ros.commanded_rotors import CommandedRotors, command_sources

@@ -24,14 +24,13 @@ from scipy.spatial.transform import Rotation
 from quadpi_core.cli import main
 from quadpi_core.discrepancy.sound_learning import learned_from
 from quadpi_core.flight import ImuStream, PoseStream, Recording, RotorSpeedStream
-from quadpi_core.frames import Array
+from quadpi_core.frames import Array, rotate_world_to_body
 from quadpi_core.identification.identify import identify
 from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs.bags import write_bag
 from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.model_kind import IdentifyOptions
 from quadpi_core.paths import bags_directory, data_directory
-from quadpi_core.rotations import rotate_world_to_body
 from quadpi_core.vehicle import Vehicle
 
 # The same examples in every run: what fails on one computer fails on all.

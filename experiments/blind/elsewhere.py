@@ -18,9 +18,8 @@ import numpy as np
 from quadpi_core.discrepancy.other_simulations import CallableSimulation
 from quadpi_core.estimator.fusion import fuse_airborne
 from quadpi_core.flight import Flight
-from quadpi_core.frames import Array
+from quadpi_core.frames import Array, rotate_world_to_body
 from quadpi_core.models.model_kind import CUTOFF_HZ
-from quadpi_core.rotations import rotate_world_to_body
 from quadpi_core.simulation.flying import START_NS
 from quadpi_core.simulation.scenario import FlightPlan
 from quadpi_core.simulation.sensor_noise import SensorSuite

@@ -13,9 +13,8 @@ import numpy as np
 from blind.formulas import Formulas
 from quadpi_core.estimator.fusion import fuse_airborne
 from quadpi_core.flight import Flight
-from quadpi_core.frames import Array
+from quadpi_core.frames import Array, rotate_body_to_world
 from quadpi_core.models.model_kind import CUTOFF_HZ
-from quadpi_core.rotations import rotate_body_to_world
 from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight
 from quadpi_core.simulation.rotor_local import RotorLocalCoefficients
 from quadpi_core.simulation.scenario import FlightPlan

@@ -19,8 +19,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
 from quadpi_core.flight import Flight, Recording, Stamps, Stream
-from quadpi_core.frames import Array
-from quadpi_core.rotations import rotation_matrix
+from quadpi_core.frames import Array, rotation_matrix
 from quadpi_core.vehicle import ROTORS, Vehicle
 
 # A change that the estimator's biases and delay may take: nothing is missing, but a sensor is not as it was.

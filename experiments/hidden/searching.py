@@ -33,7 +33,7 @@ from quadpi_core.discrepancy.unexplained import as_many_as_stated
 from quadpi_core.errors import QuadpiError, one_line
 from quadpi_core.estimator.fusion import fuse_airborne
 from quadpi_core.flight import AXES, Flight, Recording
-from quadpi_core.frames import Array
+from quadpi_core.frames import Array, rotation_matrix
 from quadpi_core.identification.identify import identify
 from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs import read_recording
@@ -42,7 +42,6 @@ from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.interval_rules import inside_interval
 from quadpi_core.models.model_kind import CUTOFF_HZ, IdentifyOptions
 from quadpi_core.parallel import Workers
-from quadpi_core.rotations import rotation_matrix
 from quadpi_core.screening.consistency import checked
 from quadpi_core.screening.flight_runs import parts_without_pause
 from quadpi_core.vehicle import Vehicle

@@ -18,9 +18,9 @@ from page_tables import replaced
 
 from quadpi_core.estimator.fusion import fuse
 from quadpi_core.flight import OdometryStream
+from quadpi_core.frames import rotation_matrix
 from quadpi_core.logs import read_recording
 from quadpi_core.paths import bags_directory
-from quadpi_core.rotations import rotation_matrix
 from quadpi_core.screening.flight_runs import cut
 from quadpi_core.simulation.applied_effects import EFFECTS
 from quadpi_core.vehicle import Vehicle

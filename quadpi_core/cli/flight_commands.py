@@ -28,8 +28,7 @@ from quadpi_core.cli.options import (
     shown_work,
     write_result,
 )
-from quadpi_core.config import is_config_path, read_config
-from quadpi_core.config_schema import Positive, Section, Within, parse_config
+from quadpi_core.config_schema import Positive, Section, Within, is_config_path, parse_config, read_config
 from quadpi_core.errors import QuadpiError, VehicleError
 from quadpi_core.paths import require_file, whole_output
 from quadpi_core.report.table import Cell, Column, Mark, Row, Table, count, number, percent

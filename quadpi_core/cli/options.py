@@ -125,7 +125,7 @@ def reading_options(
     Raises:
         QuadpiError: for a topic that is not named as NAME=TOPIC, or by no standard name, or twice.
     """
-    from quadpi_core.config import nearest
+    from quadpi_core.config_schema import nearest
     from quadpi_core.messages.topics import SENSOR_KINDS
     from quadpi_core.reading_options import WHOLE, ReadingOptions
 

@@ -84,7 +84,7 @@ def simulate(
     ] = False,
 ) -> None:
     """Fly a scenario: a bag per flight, with its truth on /truth/…."""
-    from quadpi_core.config import is_config_path
+    from quadpi_core.config_schema import is_config_path
     from quadpi_core.parallel import Workers
     from quadpi_core.report.simulation_page import (
         excursion_sentences,

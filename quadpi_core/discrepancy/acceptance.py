@@ -20,7 +20,7 @@ from quadpi_core.discrepancy.candidates import Candidate
 from quadpi_core.discrepancy.effect_regression import ROUNDS, Regression, left_out_squares
 from quadpi_core.discrepancy.evidence import Fit
 from quadpi_core.frames import Array
-from quadpi_core.thresholds import CONVENTION, DEVELOPMENT, Threshold
+from quadpi_core.records import CONVENTION, DEVELOPMENT, Threshold
 
 FALSE_ALARMS = Threshold(
     "false alarms",

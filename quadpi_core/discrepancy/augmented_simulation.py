@@ -14,8 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
-from quadpi_core.brief_repr import brief_repr
-from quadpi_core.config import is_config_path
+from quadpi_core.config_schema import is_config_path
 from quadpi_core.discrepancy.discrepancy_result import Discovery
 from quadpi_core.discrepancy.effect_regression import Regression
 from quadpi_core.discrepancy.effect_response import body_tolerances, predicted_flight, without_sensor_effect
@@ -25,6 +24,7 @@ from quadpi_core.discrepancy.unmeasured_states import BiasResponse, OwnStates, s
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import AXES, Flight
 from quadpi_core.frames import Array
+from quadpi_core.records import brief_repr
 from quadpi_core.signals.resample import interpolate_columns
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.applied_effects import (

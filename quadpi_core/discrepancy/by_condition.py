@@ -33,7 +33,7 @@ from quadpi_core.discrepancy.whitening import Indices, Part, rows_of
 from quadpi_core.evaluation.metrics import round_edges
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array, roll_pitch_yaw_from_quaternion
-from quadpi_core.thresholds import CONVENTION, Threshold
+from quadpi_core.records import CONVENTION, Threshold
 
 FALSE_RANGE = Threshold(
     "chance of a range in sound flights",

@@ -23,9 +23,9 @@ from quadpi_core.discrepancy.whitening import Columns
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
+from quadpi_core.records import CONVENTION, DEVELOPMENT, Threshold
 from quadpi_core.simulation.applied_effects import EFFECTS, state_modulators
 from quadpi_core.simulation.effect_definition import AERODYNAMIC, Effect
-from quadpi_core.thresholds import CONVENTION, DEVELOPMENT, Threshold
 from quadpi_core.vehicle import Vehicle
 
 # Typical sizes of the registry are those of the Bebop 2.

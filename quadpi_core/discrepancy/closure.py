@@ -25,8 +25,8 @@ from quadpi_core.discrepancy.unexplained import Inside, Left, held_axes, slow_st
 from quadpi_core.discrepancy.whitening import Noise, rows_of
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
+from quadpi_core.records import CONVENTION, Threshold
 from quadpi_core.simulation.effect_definition import SHAPE
-from quadpi_core.thresholds import CONVENTION, Threshold
 
 MORE_THAN_SOUND = Threshold(
     "squares that flights leave beyond those of sound flights",

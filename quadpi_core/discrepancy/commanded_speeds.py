@@ -20,11 +20,10 @@ from quadpi_core.discrepancy.simulations import Simulation
 from quadpi_core.discrepancy.whitening import Columns, OfEachFlight
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array
-from quadpi_core.motors import Motors
+from quadpi_core.records import CONVENTION, Threshold
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.applied_effects import EFFECTS
-from quadpi_core.thresholds import CONVENTION, Threshold
-from quadpi_core.vehicle import Vehicle
+from quadpi_core.vehicle import Motors, Vehicle
 
 GAIN_LEAST = Threshold(
     "least standard deviation of the gain of all rotor speeds from commands",

@@ -12,14 +12,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from quadpi_core.brief_repr import brief_repr
 from quadpi_core.discrepancy.acceptance import Verdict
 from quadpi_core.discrepancy.by_condition import Where
 from quadpi_core.discrepancy.closure import Found, Gap
 from quadpi_core.discrepancy.hidden_by_commands import CommandedSpeeds
 from quadpi_core.discrepancy.simulations import Simulation
 from quadpi_core.flight import AXES, Flight
-from quadpi_core.thresholds import CONVENTION, Threshold
+from quadpi_core.records import CONVENTION, Threshold, brief_repr
 from quadpi_core.version import __version__
 
 # Errors of flights that are flown again, by their names in JSON: in words.

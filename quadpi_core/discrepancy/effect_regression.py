@@ -40,7 +40,7 @@ from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.models.sound_flights import SoundFlights
-from quadpi_core.thresholds import CONVENTION, Threshold
+from quadpi_core.records import CONVENTION, Threshold
 
 # Rounds in which the columns of mass and inertia and the accelerations that all columns explain converge.
 _ACCELERATION_ROUNDS = 2

@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from quadpi_core.discrepancy.whitening import Columns, Indices, Noise, Part
 from quadpi_core.frames import Array
-from quadpi_core.thresholds import CONVENTION, Threshold
+from quadpi_core.records import CONVENTION, Threshold
 
 # Prior precision of the form columns of an effect of size zero, whose form cannot differ.
 _PRECISE = 1e12

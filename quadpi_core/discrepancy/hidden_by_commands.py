@@ -19,7 +19,7 @@ from quadpi_core.discrepancy.commanded_speeds import (
 )
 from quadpi_core.discrepancy.effect_regression import Regression
 from quadpi_core.discrepancy.whitening import Noise, Part, rows_of
-from quadpi_core.thresholds import CONVENTION, DEVELOPMENT, Threshold
+from quadpi_core.records import CONVENTION, DEVELOPMENT, Threshold
 
 GAIN_ALIKE = Threshold(
     "share of the squares of an effect that gains of rotor speeds explain, from which that is said",

@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from quadpi_core import array_checks
-from quadpi_core.config import is_config_path, nearest
-from quadpi_core.config_schema import Section, Text, Within, parse_config
+from quadpi_core.config_schema import Section, Text, Within, is_config_path, nearest, parse_config
 from quadpi_core.discrepancy.augmented_simulation import AugmentedSimulation
 from quadpi_core.discrepancy.other_simulations import CallableSimulation, ModelSimulation, RecordedSimulation
 from quadpi_core.discrepancy.simulations import Simulation, VehicleSimulation, read_tolerances
@@ -24,10 +23,10 @@ from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.paths import JSON_BYTES_MAX, config_directory, parse_json, read_bounded
 from quadpi_core.plugins import imported
 from quadpi_core.reading_options import MappingOrOptions
+from quadpi_core.records import CONVENTION, Threshold
 from quadpi_core.simulation.applied_effects import read_effects
 from quadpi_core.simulation.flying import own_effects
 from quadpi_core.simulation.simulated_aerodynamics import PhysicalAerodynamics
-from quadpi_core.thresholds import CONVENTION, Threshold
 from quadpi_core.vehicle import Vehicle
 
 RECORDED = "recorded"

@@ -22,7 +22,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadpi_core.brief_repr import brief_repr
 from quadpi_core.discrepancy.acceptance import FEW_FLIGHTS
 from quadpi_core.discrepancy.simulations import (
     Column,
@@ -43,9 +42,9 @@ from quadpi_core.models.aerodynamic import AerodynamicModel, unchecked_evaluatio
 from quadpi_core.models.model_kind import CUTOFF_HZ, Evaluation
 from quadpi_core.parallel import Workers
 from quadpi_core.reading_options import MappingOrOptions
+from quadpi_core.records import CONVENTION, Threshold, brief_repr
 from quadpi_core.signals import resample
 from quadpi_core.signals.chain import zero_phase
-from quadpi_core.thresholds import CONVENTION, Threshold
 from quadpi_core.vehicle import Vehicle
 
 _HOVER_ROUNDS = 10

@@ -33,18 +33,17 @@ from quadpi_core.discrepancy.effect_response import Compared, residual
 from quadpi_core.discrepancy.simulations import Simulation, VehicleSimulation
 from quadpi_core.errors import DiscrepancyError, LogError, SimulationError, one_line
 from quadpi_core.flight import AXES, Flight, OdometryStream, Stamps
-from quadpi_core.frames import Array
+from quadpi_core.frames import Array, rotate_body_to_world, rotate_world_to_body
 from quadpi_core.logs.bag_files import Bag
 from quadpi_core.models.interval_rules import inside_interval
 from quadpi_core.paths import parse_json
-from quadpi_core.rotations import rotate_body_to_world, rotate_world_to_body
+from quadpi_core.records import CONVENTION, Threshold
 from quadpi_core.signals.resample import interpolate_columns
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight
 from quadpi_core.simulation.scenario import FlightPlan
 from quadpi_core.simulation.simulated_bags import read_truth
 from quadpi_core.simulation.truth import STEP_HZ, Truth
-from quadpi_core.thresholds import CONVENTION, Threshold
 from quadpi_core.vehicle import Vehicle
 
 # Duration of a roll-out: long enough for a missing force to show, and before an unstable vehicle diverges.

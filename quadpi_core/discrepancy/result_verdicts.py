@@ -31,8 +31,8 @@ from quadpi_core.discrepancy.other_simulations import of_coefficient
 from quadpi_core.discrepancy.whitening import Part
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
+from quadpi_core.records import CONVENTION, DEVELOPMENT, Threshold
 from quadpi_core.simulation.applied_effects import EFFECTS
-from quadpi_core.thresholds import CONVENTION, DEVELOPMENT, Threshold
 
 PREDICTABLE = Threshold(
     "squares that are predicted",

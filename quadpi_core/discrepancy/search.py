@@ -44,7 +44,7 @@ from quadpi_core.discrepancy.unexplained import (
 )
 from quadpi_core.discrepancy.whitening import Spectrum
 from quadpi_core.flight import AXES
-from quadpi_core.thresholds import CONVENTION, Threshold
+from quadpi_core.records import CONVENTION, Threshold
 
 MOST_EFFECTS = Threshold(
     "most effects",

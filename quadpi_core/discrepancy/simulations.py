@@ -19,14 +19,13 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.brief_repr import brief_repr
 from quadpi_core.config_schema import Section, Share, parse_config
 from quadpi_core.errors import VehicleError
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array
 from quadpi_core.inputs import relative_to_air
 from quadpi_core.models.sound_flights import SoundFlights
-from quadpi_core.records import record_dtype
+from quadpi_core.records import brief_repr, record_dtype
 from quadpi_core.signals.wrench import band_limited
 from quadpi_core.simulation.flying import load_aerodynamics
 from quadpi_core.simulation.simulated_aerodynamics import SimulatedAerodynamics, vehicle_record

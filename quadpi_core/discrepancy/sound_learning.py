@@ -35,7 +35,7 @@ from quadpi_core.identification.prepared_flights import PREPARE_FLIGHTS, Prepare
 from quadpi_core.models.aerodynamic import LOAD_MODEL, AerodynamicModel
 from quadpi_core.models.sound_flights import SoundFlights
 from quadpi_core.parallel import Progress, ReportProgress, ignore_progress, one_blas_thread
-from quadpi_core.thresholds import CONVENTION, Threshold
+from quadpi_core.records import CONVENTION, Threshold
 from quadpi_core.vehicle import Vehicle
 
 LEAST_SOUND = Threshold(

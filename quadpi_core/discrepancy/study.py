@@ -61,12 +61,11 @@ from quadpi_core.flight_files import FlightFile, LeftOutFlights, for_each_flight
 from quadpi_core.identification.commanded_flights import read_with_motors
 from quadpi_core.identification.prepared_flights import read_flight
 from quadpi_core.models.model_kind import CUTOFF_HZ
-from quadpi_core.motors import Motors
 from quadpi_core.parallel import DEFAULT_WORKERS, Workers, one_blas_thread
 from quadpi_core.reading_options import MappingOrOptions
+from quadpi_core.records import CONVENTION, Threshold
 from quadpi_core.screening.rotors_in_flight import require_changes, require_excitation
-from quadpi_core.thresholds import CONVENTION, Threshold
-from quadpi_core.vehicle import Vehicle
+from quadpi_core.vehicle import Motors, Vehicle
 
 FEWEST_FLIGHTS = Threshold(
     "fewest flights", 2, "flights", "what is found on some flights is tested on others", CONVENTION

@@ -20,10 +20,9 @@ from scipy.special import ndtri
 from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.whitening import EDGES_HZ, Columns, Spectrum, band_means, settled_noise
 from quadpi_core.flight import AXES
-from quadpi_core.frames import Array
+from quadpi_core.frames import Array, rotation_matrix
 from quadpi_core.models.interval_rules import inside_interval
-from quadpi_core.rotations import rotation_matrix
-from quadpi_core.thresholds import CONVENTION, DEVELOPMENT, Threshold
+from quadpi_core.records import CONVENTION, DEVELOPMENT, Threshold
 
 LAGS_S = Threshold(
     "lags of generic functions",

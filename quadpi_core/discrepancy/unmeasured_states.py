@@ -26,14 +26,12 @@ from quadpi_core.estimator.filter_state import (
     assumed_noise,
 )
 from quadpi_core.flight import Flight
-from quadpi_core.frames import Array
-from quadpi_core.records import Records
-from quadpi_core.rotations import rotation_matrix
+from quadpi_core.frames import Array, rotation_matrix
+from quadpi_core.records import CONVENTION, Records, Threshold
 from quadpi_core.signals.resample import interpolate_columns
 from quadpi_core.simulation.applied_effects import remembered_wrenches
 from quadpi_core.simulation.effect_definition import Effect
 from quadpi_core.simulation.state_records import MEMORY
-from quadpi_core.thresholds import CONVENTION, Threshold
 from quadpi_core.vehicle import Vehicle
 
 STEP_S = 0.04

@@ -22,7 +22,7 @@ import numpy.typing as npt
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 
 from quadpi_core.frames import Array
-from quadpi_core.thresholds import CONVENTION, DEVELOPMENT, Threshold
+from quadpi_core.records import CONVENTION, DEVELOPMENT, Threshold
 
 BAND_HZ = Threshold(
     "highest frequency compared",

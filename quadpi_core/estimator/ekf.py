@@ -217,7 +217,7 @@ class Ekf:
         return trace
 
     def take(self, block: Recording) -> EkfTrace:
-        """Estimate over the next block of a recording; see :func:`quadpi_core.recording_blocks.by_arrival`.
+        """Estimate over the next block of a recording; see :func:`quadpi_core.reading_options.by_arrival`.
 
         Blocks of any length give the same estimates, bit for bit. There are none before the filter starts.
 

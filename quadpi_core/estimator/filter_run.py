@@ -23,9 +23,8 @@ from quadpi_core.estimator.filter_state import (
 from quadpi_core.estimator.initialise import Initial
 from quadpi_core.estimator.output import FUSED, FusedSamples
 from quadpi_core.flight import ImuStream, Recording, Stamps
-from quadpi_core.frames import Array
+from quadpi_core.frames import Array, rotate_world_to_body
 from quadpi_core.records import Records, record_dtype
-from quadpi_core.rotations import rotate_world_to_body
 
 
 class EstimatedSample(NominalState):

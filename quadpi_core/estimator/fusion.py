@@ -26,6 +26,7 @@ from quadpi_core.flight import (
     mean_rate_hz,
 )
 from quadpi_core.frames import Array
+from quadpi_core.records import Threshold
 from quadpi_core.screening.flight_runs import pauses, seldom_topics
 from quadpi_core.screening.rotors_in_flight import carrying
 from quadpi_core.signals.chain import filter_zero_phase
@@ -37,7 +38,6 @@ from quadpi_core.signals.resample import (
     nominal_rate,
     uniform_stamps,
 )
-from quadpi_core.thresholds import Threshold
 from quadpi_core.vehicle import Vehicle
 
 EDGE_PERIODS = Threshold(

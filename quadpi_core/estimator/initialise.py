@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadpi_core import rotations
-from quadpi_core.core import compiled
+from quadpi_core import frames
+from quadpi_core.core import compiled, matrix_times, times_each
 from quadpi_core.estimator.filter_state import (
     ACCELEROMETER_BIAS,
     ATTITUDE,
@@ -25,10 +25,8 @@ from quadpi_core.estimator.filter_state import (
     VELOCITY,
 )
 from quadpi_core.flight import Stamps
-from quadpi_core.frames import Array
-from quadpi_core.linear_algebra import matrix_times, times_each
+from quadpi_core.frames import Array, best_rotation, rotate_body_to_world, rotation_matrix
 from quadpi_core.records import Records
-from quadpi_core.rotations import best_rotation, rotate_body_to_world, rotation_matrix
 from quadpi_core.screening.flight_runs import START_NS, START_POSES
 from quadpi_core.signals.resample import interpolate_columns
 from quadpi_core.vehicle import SensorNoise, Vehicle
@@ -252,7 +250,7 @@ def initial_from_poses(imu: Records, poses: Records, noise: SensorNoise, gravity
     attitude = poses["attitude"] / np.linalg.norm(poses["attitude"], axis=1, keepdims=True)
     recent = time_ns >= time_ns[-1] - _VELOCITY_FIT_NS
     velocity = _slope(time_ns[recent], position[recent])
-    mean_rates = np.average(rotations.body_rates(time_ns, attitude), axis=0, weights=np.diff(time_ns))
+    mean_rates = np.average(frames.body_rates(time_ns, attitude), axis=0, weights=np.diff(time_ns))
     gyro_bias = imu["rates"][within].mean(axis=0) - mean_rates
 
     last = int(np.flatnonzero(within)[-1])
@@ -338,7 +336,7 @@ def initial_from_velocities(
     acceleration = _over_ground(rotation, imu["specific_force"][last], gravity)
     by_delay = np.zeros(ERROR_STATES)
     by_delay[VELOCITY], by_delay[DELAY] = acceleration, 1.0
-    attitude, zero = rotations.quaternion_of(rotation), np.zeros(3)
+    attitude, zero = frames.quaternion_of(rotation), np.zeros(3)
     state = _State(zero, velocity[-1], attitude, zero, covariance, by_delay, acceleration)
     return _initial(imu, last_ns, state, noise)
 
@@ -444,7 +442,7 @@ def _align(body: Array, world: Array, velocity_std: float) -> tuple[Array, float
     level = _level(-body.sum(axis=0))
     tilted, wanted = matrix_times(level, body.sum(axis=0)), world.sum(axis=0)
     axis = np.cross(tilted, wanted) / np.sqrt(np.sum(np.square(tilted)) * np.sum(np.square(wanted)))
-    turned = rotate_body_to_world(rotations.from_rotation_vector(axis), level.T)
+    turned = rotate_body_to_world(frames.from_rotation_vector(axis), level.T)
     return turned.T, _HEADING_STD_RAD
 
 

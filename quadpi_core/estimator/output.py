@@ -11,8 +11,15 @@ import numpy.typing as npt
 
 from quadpi_core.flight import ImuStream, OdometryStream, Stamps
 from quadpi_core.frames import Array
-from quadpi_core.records import Quaternion4, Records, Vector3, columns_of, record_dtype
-from quadpi_core.thresholds import RATE_MAX_RAD_S, SPECIFIC_FORCE_MAX_M_S2
+from quadpi_core.records import (
+    RATE_MAX_RAD_S,
+    SPECIFIC_FORCE_MAX_M_S2,
+    Quaternion4,
+    Records,
+    Vector3,
+    columns_of,
+    record_dtype,
+)
 
 
 class Motion:

@@ -19,7 +19,7 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core import rotations
+from quadpi_core import frames
 from quadpi_core.estimator.ekf import Ekf
 from quadpi_core.estimator.filter_state import ATTITUDE, POSITION, VELOCITY
 from quadpi_core.estimator.smoother import smooth
@@ -112,7 +112,7 @@ def _measured_state(recording: Recording, usual: Array, lacking: _Parts) -> Reco
     twist: TwistStream | None = None
     if not lacking[2]:
         # As a receiver measures it; in body axes it would hold the error of the attitude twice.
-        velocity = rotations.rotate_body_to_world(odometry.attitude, odometry.velocity)
+        velocity = frames.rotate_body_to_world(odometry.attitude, odometry.velocity)
         in_world = np.zeros(len(odometry), dtype=bool)
         twist = TwistStream(stamps, velocity, in_world, deviation[:, 2].copy())
     elif lacking[0]:
@@ -155,12 +155,12 @@ def _learned(
         at, seen = at[inside], states.take(inside)
         if len(at) == 0:
             break
-        turned = rotations.products(rotations.inverses(found.attitude[at]), seen.attitude)
+        turned = frames.products(frames.inverses(found.attitude[at]), seen.attitude)
         # Of a part that is not measured the number counts nowhere: its noise is not unknown.
         off = (
             (seen.position - found.position[at], POSITION),
-            (rotations.to_rotation_vector(turned), ATTITUDE),
-            (rotations.rotate_body_to_world(seen.attitude, seen.velocity) - found.velocity[at], VELOCITY),
+            (frames.to_rotation_vector(turned), ATTITUDE),
+            (frames.rotate_body_to_world(seen.attitude, seen.velocity) - found.velocity[at], VELOCITY),
         )
         variance = [np.mean(np.square(error) + found.variance[at, own]) for error, own in off]
         usual = np.where(unknown, np.maximum(np.sqrt(variance), _SUREST), usual)

@@ -25,7 +25,6 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import betaincinv, gammaincinv
 
-from quadpi_core.brief_repr import brief_repr
 from quadpi_core.core import compiled
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
@@ -37,7 +36,7 @@ from quadpi_core.monitor.alarm import Alarm, MonitorSettings, NotJudgedReason, n
 from quadpi_core.monitor.alarm_log import reasons
 from quadpi_core.monitor.change import AXIS_NOISE, BLOCK_S, OF_THRUST
 from quadpi_core.monitor.preparation import Prepared, Verdict
-from quadpi_core.records import record_dtype
+from quadpi_core.records import brief_repr, record_dtype
 from quadpi_core.results import CAUSES, CHANGE, LEVEL_ALARM, Alarms
 
 # Fewest blocks of a flight, 1 s, and flights, that are compared.

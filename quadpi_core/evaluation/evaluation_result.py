@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from quadpi_core.brief_repr import brief_repr
 from quadpi_core.errors import ModelError, QuadpiError
 from quadpi_core.evaluation import metrics
 from quadpi_core.evaluation.alarm_assessment import AlarmAssessment, Assessed, FlightAlarm, assess
@@ -32,6 +31,7 @@ from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES, VELOCITY_INPUTS
 from quadpi_core.models.interval_rules import LevelSupport, inside_interval
 from quadpi_core.models.kind_registry import kind_named
+from quadpi_core.records import brief_repr
 from quadpi_core.version import __version__
 
 

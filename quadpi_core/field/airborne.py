@@ -17,7 +17,7 @@ import numpy.typing as npt
 from quadpi_core.errors import LogError
 from quadpi_core.field.field_log import FieldLog, Series
 from quadpi_core.frames import Array
-from quadpi_core.thresholds import STANDARD_GRAVITY, Threshold
+from quadpi_core.records import STANDARD_GRAVITY, Threshold
 
 _GRID_HZ = 10.0
 _LOADED_SHARE = Threshold(

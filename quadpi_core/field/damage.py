@@ -19,7 +19,7 @@ from quadpi_core.field.estimates import CONFIDENCE, Estimate, not_identified, wi
 from quadpi_core.field.field_log import FieldLog
 from quadpi_core.field.motor_use import FULL_COMMAND, MotorUse
 from quadpi_core.frames import Array
-from quadpi_core.thresholds import CONVENTION, Threshold
+from quadpi_core.records import CONVENTION, Threshold
 
 SCATTER = Threshold(
     "standard deviation of a motor's command over that of the others, between good flights of a vehicle",

@@ -12,9 +12,9 @@ import numpy as np
 from quadpi_core.field.drag_fit import WIND, DragFit
 from quadpi_core.field.drag_samples import STEP_S, DragSamples
 from quadpi_core.field.estimates import PIECES_FEWEST, Estimate, beyond_zero, not_identified
-from quadpi_core.flown_air import UNKNOWN_AIR
 from quadpi_core.frames import Array
-from quadpi_core.thresholds import CONVENTION, Threshold
+from quadpi_core.inputs import UNKNOWN_AIR
+from quadpi_core.records import CONVENTION, Threshold
 
 USABLE_SPEED = Threshold(
     "speed over ground from which a sample tells of drag",

@@ -24,10 +24,10 @@ import numpy as np
 
 from quadpi_core.field.drag_samples import STEP_S, DragSamples
 from quadpi_core.field.estimates import PIECES_FEWEST, effective_pieces, jackknife
-from quadpi_core.flown_air import STANDARD_DENSITY
 from quadpi_core.frames import Array
+from quadpi_core.inputs import STANDARD_DENSITY
 from quadpi_core.messages.payloads import Indices
-from quadpi_core.thresholds import STANDARD_GRAVITY
+from quadpi_core.records import STANDARD_GRAVITY
 
 # What is known before: bias of an accelerometer with the tilt of its mounting [m/s²], wind [m/s], its change
 # in the square root of a second [m/s], lean of the mounting [rad].

@@ -12,10 +12,9 @@ import numpy as np
 from quadpi_core.field.airborne import Flown, velocity_of
 from quadpi_core.field.estimates import PIECES_FEWEST
 from quadpi_core.field.field_log import FieldLog
-from quadpi_core.flown_air import STANDARD_DENSITY
-from quadpi_core.frames import Array
-from quadpi_core.rotations import rotation_matrix
-from quadpi_core.thresholds import Threshold
+from quadpi_core.frames import Array, rotation_matrix
+from quadpi_core.inputs import STANDARD_DENSITY
+from quadpi_core.records import Threshold
 
 # Samples are means of the specific force over a fifth of a second: no state comes less often, and vibration
 # and the lever arm of the IMU average out.

@@ -18,7 +18,7 @@ import numpy as np
 from scipy import stats
 
 from quadpi_core.frames import Array
-from quadpi_core.thresholds import CONVENTION, Threshold
+from quadpi_core.records import CONVENTION, Threshold
 
 CONFIDENCE = Threshold(
     "confidence of the intervals of a report", 0.95, "", "what most readers expect", CONVENTION

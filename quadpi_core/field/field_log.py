@@ -19,7 +19,7 @@ import numpy.typing as npt
 from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
 from quadpi_core.logs.log_format import LogFormat
-from quadpi_core.thresholds import Threshold
+from quadpi_core.records import Threshold
 
 STALE_GAP_S = Threshold(
     "pause behind the first records of a topic that makes them stale",

@@ -21,7 +21,7 @@ from quadpi_core.flight_files import flight_in
 from quadpi_core.logs import identify_format, reading
 from quadpi_core.plugins import Plugins
 from quadpi_core.reading_options import ReadingOptions
-from quadpi_core.thresholds import (
+from quadpi_core.records import (
     AIRSPEED_MAX_M_S,
     NORM_TOLERANCE,
     POSITION_MAX_M,

@@ -42,11 +42,10 @@ from quadpi_core.field.report_record import (
 )
 from quadpi_core.field.vibration import VIBE, Vibration, vibration_of
 from quadpi_core.flight_files import FlightLeftOut, NoFlightLeftError, named_files
-from quadpi_core.motors import SILENT_SHARE
 from quadpi_core.paths import finite_json
 from quadpi_core.reading_options import ReadingOptions
-from quadpi_core.thresholds import Threshold
-from quadpi_core.vehicle import Vehicle
+from quadpi_core.records import Threshold
+from quadpi_core.vehicle import SILENT_SHARE, Vehicle
 
 WARNING, ALARM = "warning", "alarm"
 # Flights of an airframe, the longest, whose drag is identified together: more take minutes and tell no more.

@@ -24,9 +24,8 @@ from quadpi_core.field.airborne import Flown, velocity_of
 from quadpi_core.field.estimates import PIECES_FEWEST, Estimate, jackknife, not_identified
 from quadpi_core.field.field_log import FieldLog
 from quadpi_core.field.motor_model import GRID_HZ, SLOWEST_HZ
-from quadpi_core.frames import Array
-from quadpi_core.rotations import rotate_world_to_body
-from quadpi_core.speeds_by_command import lag_weights
+from quadpi_core.frames import Array, rotate_world_to_body
+from quadpi_core.rotor_order import lag_weights
 from quadpi_core.vehicle import Vehicle
 
 # Signals change below this; rates are differentiated above the noise of the gyro.

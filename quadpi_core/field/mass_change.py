@@ -21,7 +21,7 @@ from quadpi_core.field.estimates import CONFIDENCE, Estimate, not_identified, wi
 from quadpi_core.field.field_log import FieldLog, Series
 from quadpi_core.field.motor_use import MotorUse
 from quadpi_core.frames import Array
-from quadpi_core.thresholds import CONVENTION, STANDARD_GRAVITY, Threshold
+from quadpi_core.records import CONVENTION, STANDARD_GRAVITY, Threshold
 
 WEAK = "weak motor"
 BY_SPEED, BY_VOLTAGE, BY_COMMAND = "rotor speed", "command and battery voltage", "command"

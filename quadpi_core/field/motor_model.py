@@ -21,9 +21,9 @@ from quadpi_core.field.airborne import Flown
 from quadpi_core.field.estimates import Estimate, beyond_zero, jackknife
 from quadpi_core.field.field_log import FieldLog
 from quadpi_core.frames import Array
-from quadpi_core.motors import HALF_READING, TERMS, USUAL_GAIN, Motors
-from quadpi_core.speeds_by_command import lag_weights
-from quadpi_core.thresholds import Threshold
+from quadpi_core.records import Threshold
+from quadpi_core.rotor_order import lag_weights
+from quadpi_core.vehicle import HALF_READING, TERMS, USUAL_GAIN, Motors
 
 GRID_HZ = 100.0
 ORDER = Threshold(

@@ -18,10 +18,8 @@ import numpy as np
 from quadpi_core.field.airborne import Flown, velocity_of
 from quadpi_core.field.field_log import FieldLog
 from quadpi_core.field.motor_model import GRID_HZ, LAGS_S, SLOWEST_HZ, command_columns
-from quadpi_core.frames import Array
-from quadpi_core.motors import TERMS, USUAL_GAIN, Motors
-from quadpi_core.rotations import rotate_world_to_body
-from quadpi_core.vehicle import Vehicle
+from quadpi_core.frames import Array, rotate_world_to_body
+from quadpi_core.vehicle import TERMS, USUAL_GAIN, Motors, Vehicle
 
 # Of C_T = T / (ρ π R⁴ ω²); propellers from 23 to 130 mm radius have 0.01 to 0.035.
 _USUAL_THRUST_COEFFICIENT = 0.02

@@ -23,7 +23,7 @@ from quadpi_core.field.estimates import (
 )
 from quadpi_core.field.field_log import FieldLog, Series
 from quadpi_core.frames import Array
-from quadpi_core.thresholds import CONVENTION, STANDARD_GRAVITY, Threshold
+from quadpi_core.records import CONVENTION, STANDARD_GRAVITY, Threshold
 
 PIECE_S = 5.0
 _STEP_S = 0.2

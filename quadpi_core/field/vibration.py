@@ -11,7 +11,7 @@ from scipy import signal
 
 from quadpi_core.field.airborne import Flown
 from quadpi_core.field.field_log import FieldLog
-from quadpi_core.thresholds import Threshold
+from quadpi_core.records import Threshold
 
 VIBE = Threshold(
     "ArduPilot's VIBE, exceeded in a twentieth of the flight, that is a warning, and an alarm",

@@ -25,10 +25,9 @@ from quadpi_core.field.other_logs import field_log_of
 from quadpi_core.flight_files import FlightFile, FlightLeftOut, LeftOutFlights, for_each_flight
 from quadpi_core.identification.prepared_flights import PreparedFlight, prepare_flights
 from quadpi_core.logs import read_recording
-from quadpi_core.motors import Motors
 from quadpi_core.parallel import DEFAULT_WORKERS, Workers
 from quadpi_core.reading_options import MappingOrOptions
-from quadpi_core.vehicle import Vehicle
+from quadpi_core.vehicle import Motors, Vehicle
 
 _Read = TypeVar("_Read")
 

@@ -14,7 +14,6 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core import array_checks
-from quadpi_core.brief_repr import brief_repr
 from quadpi_core.errors import LogError, ModelError, QuadpiError, named_in
 from quadpi_core.estimator.ekf import Ekf
 from quadpi_core.estimator.filter_run import Segment
@@ -30,15 +29,17 @@ from quadpi_core.flight_files import (
     once_each,
     require_flights_left,
 )
-from quadpi_core.flown_air import ASSUMED, MEASURED, flown_in
 from quadpi_core.frames import Array
 from quadpi_core.inputs import (
+    ASSUMED,
     DERIVATIVES,
     INPUT_NAMES,
+    MEASURED,
     Derivatives,
     derivatives_like,
     flight_derivatives,
     flight_inputs,
+    flown_in,
 )
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.duplicates import recording_hash
@@ -46,15 +47,14 @@ from quadpi_core.models.model_kind import CUTOFF_HZ
 from quadpi_core.monitor.pairing_kernel import SET_BACK
 from quadpi_core.monitor.preparation import Preparation
 from quadpi_core.monitor.replay import Followed, follow, recorded_flight
-from quadpi_core.motors import Motors
 from quadpi_core.parallel import DEFAULT_WORKERS, Workers
 from quadpi_core.reading_options import MappingOrOptions, ReadingOptions
-from quadpi_core.records import Records, record_dtype
+from quadpi_core.records import Records, brief_repr, record_dtype
 from quadpi_core.screening.consistency import checked
 from quadpi_core.screening.flight_runs import long_enough, parts_without_pause
 from quadpi_core.signals.resample import interpolate, nominal_rate
 from quadpi_core.signals.wrench import measured_wrench
-from quadpi_core.vehicle import LOAD_VEHICLE, Vehicle
+from quadpi_core.vehicle import LOAD_VEHICLE, Motors, Vehicle
 
 # What to call for flights, in refusals of anything else.
 PREPARE_FLIGHTS = "prepare_flights(paths, vehicle) gives them"
@@ -82,7 +82,7 @@ class PreparedFlight:
         quality: remarks on the data.
         file: name that the flight would have whole, where it is one of several parts.
         recorded_s: that the recording lasts, with the time on the ground.
-        air: what tells the density of the air, see :mod:`quadpi_core.flown_air`.
+        air: what tells the density of the air, see :mod:`quadpi_core.inputs`.
         flight: what it was made of, that simulations are compared with; None where it was made of arrays.
         state: how unsure a monitor's state was, the median of deviations of velocity m/s and attitude rad.
         state_noise: of a slow state that does not say it, position m, attitude rad and velocity m/s.

@@ -27,15 +27,14 @@ from quadpi_core.flight import (
     check_stamps,
     hole_ends,
 )
-from quadpi_core.frames import Array
+from quadpi_core.frames import Array, rotate_body_to_world
 from quadpi_core.identification.prepared_flights import PreparedFlight, prepare_recording
 from quadpi_core.logs.duplicates import recording_hash
 from quadpi_core.logs.flight_table import WRENCH, columns_of
 from quadpi_core.models.model_kind import CUTOFF_HZ
 from quadpi_core.monitor.conditions import conditions
-from quadpi_core.rotations import rotate_body_to_world
+from quadpi_core.records import QUATERNION_NORM_TOLERANCE
 from quadpi_core.screening.plausibility import check_plausible
-from quadpi_core.thresholds import QUATERNION_NORM_TOLERANCE
 from quadpi_core.vehicle import Vehicle
 
 if TYPE_CHECKING:

@@ -13,7 +13,6 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from quadpi_core import array_checks
-from quadpi_core.brief_repr import brief_repr
 from quadpi_core.errors import ArgumentError, ModelError
 from quadpi_core.evaluation.metrics import r_squared
 from quadpi_core.flight import AXES
@@ -27,6 +26,7 @@ from quadpi_core.models.candidate_pool import load_pools, select_axes
 from quadpi_core.models.kind_registry import kind_of
 from quadpi_core.models.model_folder import damage_named, read_folder
 from quadpi_core.models.model_kind import Evaluation, IdentifyOptions, Kind
+from quadpi_core.records import brief_repr
 
 Self = TypeVar("Self", bound="WrenchModel")
 

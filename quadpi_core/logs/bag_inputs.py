@@ -45,7 +45,7 @@ from quadpi_core.messages.adapters.adapter_settings import (
 from quadpi_core.messages.definitions import typestore
 from quadpi_core.messages.frame_ids import TF_TOPIC, TF_TYPE, plain_name
 from quadpi_core.messages.topics import SENSOR_KINDS, TOPIC_TYPES
-from quadpi_core.thresholds import CONVENTION, Threshold
+from quadpi_core.records import CONVENTION, Threshold
 from quadpi_core.vehicle import Vehicle
 
 AS_FAST = Threshold(

@@ -44,9 +44,9 @@ from quadpi_core.messages.frame_ids import TF_TOPIC, TF_TYPE, BodyFrames, Framed
 from quadpi_core.messages.payloads import Payloads, Topic
 from quadpi_core.messages.result_messages import unpack_alarms, unpack_predictions
 from quadpi_core.messages.topics import TOPIC_TYPES
-from quadpi_core.recording_blocks import join_blocks, split_by_stamp
+from quadpi_core.reading_options import join_blocks, split_by_stamp
 from quadpi_core.results import Predictions, ReportedAlarms
-from quadpi_core.speeds_by_command import CommandedSpeeds, require_source
+from quadpi_core.rotor_order import CommandedSpeeds, require_source
 from quadpi_core.vehicle import Vehicle
 from quadpi_core.version import __version__
 
@@ -183,7 +183,7 @@ class BagRecording:
         return fields
 
     def blocks(self) -> Iterator[Recording]:
-        """The recording in blocks; see :mod:`quadpi_core.recording_blocks`.
+        """The recording in blocks; see :mod:`quadpi_core.reading_options`.
 
         They follow each other in log time. What messages of other packages give is absent from a block that
         has none of them, and when it arrived is not known. What they do not give, the last block says.

@@ -22,8 +22,7 @@ from quadpi_core.logs.duplicates import RunningHash, recording_hash
 from quadpi_core.logs.readers import blocks_of, flights_of, identify_format, open_in_blocks, read_recording
 from quadpi_core.parallel import DEFAULT_WORKERS, Workers
 from quadpi_core.paths import staged, whole_outputs
-from quadpi_core.reading_options import MappingOrOptions, ReadingOptions
-from quadpi_core.recording_blocks import streams_by_field
+from quadpi_core.reading_options import MappingOrOptions, ReadingOptions, streams_by_field
 from quadpi_core.screening.clock_consistency import aligned
 from quadpi_core.screening.consistency import checked
 from quadpi_core.screening.flight_runs import (

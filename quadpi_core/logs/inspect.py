@@ -25,10 +25,10 @@ from quadpi_core.flight import (
     ValueCheck,
     check_stamps,
 )
-from quadpi_core.frames import Array
+from quadpi_core.frames import Array, rotation_matrix
 from quadpi_core.logs.running_statistics import LongestRun, Range, RunningRange
-from quadpi_core.recording_blocks import StreamParts, streams_by_field
-from quadpi_core.rotations import rotation_matrix
+from quadpi_core.reading_options import StreamParts, streams_by_field
+from quadpi_core.records import STANDARD_GRAVITY
 from quadpi_core.screening.consistency import contradictions
 from quadpi_core.screening.flight_runs import (
     Excerpting,
@@ -47,7 +47,6 @@ from quadpi_core.screening.plausibility import (
     thrust_coefficient,
 )
 from quadpi_core.screening.rotors_in_flight import Inertial, in_flight
-from quadpi_core.thresholds import STANDARD_GRAVITY
 from quadpi_core.vehicle import Vehicle
 
 GAP_INTERVALS = 5.0

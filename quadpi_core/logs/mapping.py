@@ -17,11 +17,18 @@ from typing import Annotated, Any
 import numpy as np
 import yaml
 
-from quadpi_core.config import nearest
-from quadpi_core.config_schema import OneOf, ReadBy, Section, Share, load_config, parse_config, unknown_key
+from quadpi_core.config_schema import (
+    OneOf,
+    ReadBy,
+    Section,
+    Share,
+    load_config,
+    nearest,
+    parse_config,
+    unknown_key,
+)
 from quadpi_core.errors import LogError
-from quadpi_core.records import ROTORS_MAX
-from quadpi_core.thresholds import STANDARD_GRAVITY
+from quadpi_core.records import ROTORS_MAX, STANDARD_GRAVITY
 
 ERPM = "erpm"
 TIME = "time"

@@ -16,7 +16,7 @@ import yaml
 from quadpi_core.frames import Array
 from quadpi_core.logs.mapping import ERPM, ROLL_PITCH_YAW, UNITS
 from quadpi_core.logs.table_columns import Columns, bare_name
-from quadpi_core.thresholds import STANDARD_GRAVITY
+from quadpi_core.records import STANDARD_GRAVITY
 
 _BEGIN = r"(^|[\W_])"
 _MOCAP = r"(mocap|vicon|optitrack|vrpn|locsrv|extpos|extatt)"

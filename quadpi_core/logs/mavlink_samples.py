@@ -30,15 +30,17 @@ from quadpi_core.flight import (
 from quadpi_core.frames import (
     Array,
     body_flu_to_frd,
+    from_rotation_vector,
+    product,
     quaternion_body_flu_to_frd,
     quaternion_from_roll_pitch_yaw,
     quaternion_world_enu_to_ned,
+    rotate_world_to_body,
     world_enu_to_ned,
 )
 from quadpi_core.messages.adapters.motor_messages import shares_of_outputs
-from quadpi_core.rotations import from_rotation_vector, product, rotate_world_to_body
+from quadpi_core.records import NORM_TOLERANCE, STANDARD_GRAVITY
 from quadpi_core.rotor_order import RotorOrder
-from quadpi_core.thresholds import NORM_TOLERANCE, STANDARD_GRAVITY
 from quadpi_core.vehicle import Vehicle
 
 ARDUPILOT, PX4 = 3, 12

@@ -14,13 +14,12 @@ import numpy.typing as npt
 from quadpi_core.errors import LogError
 from quadpi_core.findings import LeftOut, UnusableReports, Verdict
 from quadpi_core.flight import MAX_GAP_NS, NO_STAMP, ImuStream, OdometryStream, RotorSpeedStream, Stamps
-from quadpi_core.frames import Array
-from quadpi_core.rotations import rotate_world_to_body
+from quadpi_core.frames import Array, rotate_world_to_body
+from quadpi_core.records import NORM_TOLERANCE
 from quadpi_core.rotor_order import RotorOrder
 from quadpi_core.screening.plausibility import finite_rows
 from quadpi_core.screening.sample_order import longest, order_of
 from quadpi_core.signals.resample import interpolate, interpolate_attitude
-from quadpi_core.thresholds import NORM_TOLERANCE
 from quadpi_core.vehicle import ROTORS, Vehicle
 
 _log = logging.getLogger(__name__)

@@ -19,10 +19,10 @@ from quadpi_core.logs import formats
 from quadpi_core.logs.log_format import HEAD_BYTES, LogFormat, OpenLog
 from quadpi_core.plugins import Plugins
 from quadpi_core.reading_options import MappingOrOptions, reading_options
+from quadpi_core.rotor_order import with_commanded_speeds
 from quadpi_core.screening.flight_runs import in_range
 from quadpi_core.screening.sample_order import usable_recording
 from quadpi_core.screening.wild_samples import screened
-from quadpi_core.speeds_by_command import with_commanded_speeds
 from quadpi_core.vehicle import LOAD_VEHICLE, Vehicle
 
 FORMATS = Plugins("log format", formats, "quadpi.log_formats", LogFormat, LogError)

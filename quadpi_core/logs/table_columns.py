@@ -21,7 +21,7 @@ from quadpi_core.logs.mapping import UNITS
 from quadpi_core.logs.matlab import read_matlab
 from quadpi_core.logs.reader_steps import note, stamps_ns
 from quadpi_core.logs.sandbox import read_apart
-from quadpi_core.thresholds import CONVENTION, Threshold
+from quadpi_core.records import CONVENTION, Threshold
 
 if TYPE_CHECKING:
     import pyarrow as pa

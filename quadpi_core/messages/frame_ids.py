@@ -22,17 +22,16 @@ from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
+from quadpi_core.core import matrix_times
 from quadpi_core.errors import LogError, SampleError
 from quadpi_core.flight import ImuStream
-from quadpi_core.frames import Array
-from quadpi_core.linear_algebra import matrix_times
+from quadpi_core.frames import Array, rotation_matrix
 from quadpi_core.messages.cdr import ORIGIN
 from quadpi_core.messages.definitions import standard_types
 from quadpi_core.messages.foreign_messages import ForeignCodec
 from quadpi_core.messages.mounting import Mounting
 from quadpi_core.messages.payloads import Payloads
 from quadpi_core.messages.sensor_messages import BODY_FRAME, STAMP_END, without_namespace
-from quadpi_core.rotations import rotation_matrix
 
 _log = logging.getLogger(__name__)
 

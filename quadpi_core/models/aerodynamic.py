@@ -18,9 +18,8 @@ from quadpi_core.config_schema import Flag, NotEmpty, OneOf, ReadBy, Real, Text,
 from quadpi_core.core import compiled
 from quadpi_core.errors import ArgumentError, ModelError, named_in
 from quadpi_core.flight import AXES
-from quadpi_core.flown_air import ASSUMED, density_range
 from quadpi_core.frames import Array
-from quadpi_core.inputs import INPUT_NAMES, derivatives_like, whole_derivatives
+from quadpi_core.inputs import ASSUMED, INPUT_NAMES, density_range, derivatives_like, whole_derivatives
 from quadpi_core.messages.model_description import DescribedModel
 from quadpi_core.models.alarm_limits import AlarmLimits, ChangeLimits
 from quadpi_core.models.envelope import Envelope
@@ -59,7 +58,7 @@ _Part = TypeVar("_Part")
 
 @dataclass(frozen=True)
 class TrainingFlight:
-    """A flight that a model was identified on; `air`: what told its density, see `quadpi_core.flown_air`."""
+    """A flight that a model was identified on; `air`: what told its density, see `quadpi_core.inputs`."""
 
     name: str
     sha256: str

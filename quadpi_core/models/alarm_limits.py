@@ -24,7 +24,7 @@ from quadpi_core.config_schema import (
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.thresholds import CONVENTION, Threshold
+from quadpi_core.records import CONVENTION, Threshold
 
 # False alarms per flight hour that limits are calibrated to by default.
 RATE_PER_HOUR = 1.0

@@ -18,7 +18,6 @@ from itertools import combinations_with_replacement
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
-from quadpi_core.brief_repr import brief_repr
 from quadpi_core.config_schema import OneOf, ReadBy, Section, load_config
 from quadpi_core.errors import ModelError, named_in
 from quadpi_core.flight import AXES
@@ -30,6 +29,7 @@ from quadpi_core.models.regressors import (
     monomial_product,
     parse_monomial,
 )
+from quadpi_core.records import brief_repr
 
 # The largest family that comes with quadpi has a few hundred; of more than samples none can be identified.
 _FAMILY_MAX = 20_000

@@ -17,7 +17,6 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core import array_checks
-from quadpi_core.brief_repr import brief_repr
 from quadpi_core.config_schema import Section, Within, parse_config
 from quadpi_core.core import compiled
 from quadpi_core.errors import ArgumentError, ModelError, named_in
@@ -30,7 +29,7 @@ from quadpi_core.models.interval_rules import FlightErrors, Rule, StoredRule
 from quadpi_core.models.regressors import check_inputs
 from quadpi_core.models.rollout_model import RolloutModel
 from quadpi_core.parallel import ReportProgress
-from quadpi_core.records import Records
+from quadpi_core.records import Records, brief_repr
 from quadpi_core.vehicle import Vehicle
 
 Settings: TypeAlias = Literal["default", "paper"]

@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.config_schema import NotEmpty, Numbers, OneOf, Positive, parse_config
-from quadpi_core.elementary import exponential
+from quadpi_core.core import exponential
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array

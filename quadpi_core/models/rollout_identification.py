@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from quadpi_core.frames import Array
+from quadpi_core.frames import Array, from_rotation_vector, inverses, products
 from quadpi_core.inputs import INPUT_INDEX
 from quadpi_core.models.fitted_physical import PhysicalFit
 from quadpi_core.models.least_squares import identifiable
@@ -36,7 +36,6 @@ from quadpi_core.models.tubes import (
     error_norms,
     tube_scores,
 )
-from quadpi_core.rotations import from_rotation_vector, inverses, products
 from quadpi_core.vehicle import Vehicle
 
 # Between the starts that calibrate [s].

@@ -21,13 +21,10 @@ from scipy.special import ndtri
 from quadpi_core.field.drag import WIDEST_RATIO
 from quadpi_core.field.estimates import Estimate, beyond_zero, not_identified, within
 from quadpi_core.flight import AXES
-from quadpi_core.flown_air import STANDARD_DENSITY
-from quadpi_core.frames import Array
-from quadpi_core.inputs import INPUT_INDEX, Derivatives, aerodynamic_inputs
+from quadpi_core.frames import Array, from_rotation_vector
+from quadpi_core.inputs import INPUT_INDEX, STANDARD_DENSITY, Derivatives, aerodynamic_inputs
 from quadpi_core.models.aerodynamic import AerodynamicModel
-from quadpi_core.records import Records, record_dtype
-from quadpi_core.rotations import from_rotation_vector
-from quadpi_core.thresholds import CONVENTION, Threshold
+from quadpi_core.records import CONVENTION, Records, Threshold, record_dtype
 from quadpi_core.vehicle import Vehicle
 
 THRUST, TORQUE = "thrust coefficient C_T, hover", "torque over thrust of a rotor"

@@ -35,8 +35,7 @@ from typing import Annotated
 
 import numpy as np
 
-from quadpi_core.core import compiled
-from quadpi_core.elementary import exponential
+from quadpi_core.core import compiled, exponential
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array

@@ -14,8 +14,8 @@ import numpy.typing as npt
 
 from quadpi_core import array_checks
 from quadpi_core.errors import ArgumentError
-from quadpi_core.flown_air import DENSITY_MAX, DENSITY_MIN
 from quadpi_core.frames import Array
+from quadpi_core.inputs import DENSITY_MAX, DENSITY_MIN
 from quadpi_core.records import ROTORS_MAX, Records, record_dtype
 
 STATE_ERRORS = 9

@@ -22,8 +22,7 @@ import numpy.typing as npt
 from quadpi_core.core import compiled
 from quadpi_core.flight import NO_STAMP
 from quadpi_core.frames import Array
-from quadpi_core.records import ROTORS_MAX, PerRotor, Records, Vector3, record_dtype
-from quadpi_core.thresholds import Threshold
+from quadpi_core.records import ROTORS_MAX, PerRotor, Records, Threshold, Vector3, record_dtype
 from quadpi_core.vehicle import Vehicle
 
 NOT_FINITE, NOT_PLAUSIBLE = compiled.NOT_FINITE, compiled.NOT_PLAUSIBLE

@@ -13,8 +13,7 @@ nothing is judged: at a landing rotors leave the training range.
 from __future__ import annotations
 
 from quadpi_core.core import compiled
-from quadpi_core.records import Vector3
-from quadpi_core.thresholds import Threshold
+from quadpi_core.records import Threshold, Vector3
 
 _FLIGHTS = "imrc_brushless, imrc_brushed, imrc_payload, neurobem and indiflight: 70 real flights"
 LIFTED = Threshold(

@@ -16,7 +16,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadpi_core.brief_repr import brief_repr
 from quadpi_core.core import compiled
 from quadpi_core.estimator.imu_rate import ImuRate
 from quadpi_core.flight import NO_STAMP, Stamps
@@ -24,6 +23,7 @@ from quadpi_core.frames import Array
 from quadpi_core.monitor import pairing_kernel as kernel
 from quadpi_core.monitor.health import Arrived
 from quadpi_core.monitor.pairing_kernel import CONTINUES, IMU, ROTORS, STATE, TOPICS, WIND_TOPIC, Arriving
+from quadpi_core.records import brief_repr
 from quadpi_core.signals.chain import (
     ATTITUDE,
     RATES,

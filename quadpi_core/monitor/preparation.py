@@ -10,7 +10,6 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core import array_checks
-from quadpi_core.brief_repr import brief_repr
 from quadpi_core.core import compiled
 from quadpi_core.estimator.imu_rate import RATE_BEFORE_HZ, ImuRate
 from quadpi_core.flight import AXES, Stamps
@@ -26,7 +25,7 @@ from quadpi_core.monitor.data_quality import (
     frozen_s,
     quality,
 )
-from quadpi_core.records import ROTORS_MAX, PerRotor, Records, Vector3, record_dtype
+from quadpi_core.records import ROTORS_MAX, PerRotor, Records, Vector3, brief_repr, record_dtype
 from quadpi_core.signals.chain import SETTLING_PERIODS, ChainMemory, LowPass, channels, design_low_pass
 from quadpi_core.vehicle import Vehicle
 

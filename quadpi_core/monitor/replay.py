@@ -28,8 +28,8 @@ from quadpi_core.estimator.output import FusedSamples, with_gyro_faults
 from quadpi_core.estimator.slow_states import with_slow_states
 from quadpi_core.flight import MAX_JUMP_BACK_NS, ImuStream, OdometryStream, Recording, Stamps, WindStream
 from quadpi_core.flight_files import FlightFile, LeftOutFlights, bags_in, for_each_flight
-from quadpi_core.flown_air import Air
 from quadpi_core.frames import Array
+from quadpi_core.inputs import Air
 from quadpi_core.logs import blocks_of, decode_recording, identify_format, open_in_blocks
 from quadpi_core.logs.bag_writer import FAST, mcap_writer
 from quadpi_core.logs.bags import output_topic
@@ -45,8 +45,14 @@ from quadpi_core.monitor.pairing import PairedSamples, Pairing
 from quadpi_core.monitor.unsure_states import StateDeviations, UnsureStates
 from quadpi_core.parallel import DEFAULT_WORKERS, Workers
 from quadpi_core.paths import staged, whole_outputs
-from quadpi_core.reading_options import MappingOrOptions, reading_options
-from quadpi_core.recording_blocks import by_arrival, cut_block, keep_freed_memory, split_recording
+from quadpi_core.reading_options import (
+    MappingOrOptions,
+    by_arrival,
+    cut_block,
+    keep_freed_memory,
+    reading_options,
+    split_recording,
+)
 from quadpi_core.results import LEVEL_ALARM, LEVEL_WARNING, Alarms, Events, Predictions
 from quadpi_core.screening.flight_runs import RunningRates, in_range_of_blocks
 from quadpi_core.screening.sample_order import order_of, usable_recording, without_unusable_attitudes
@@ -186,7 +192,7 @@ class RecordedFlight:
         name, source: see :class:`Recording`.
         has_mocap: whether the state comes from the EKF, corrected by motion capture or by odometry that is
             too slow to be interpolated; otherwise from the flight's odometry.
-        blocks: parts of the flight in order of arrival, see :func:`quadpi_core.recording_blocks.by_arrival`.
+        blocks: parts of the flight in order of arrival, see :func:`quadpi_core.reading_options.by_arrival`.
     """
 
     name: str

@@ -18,8 +18,7 @@ import numpy as np
 
 from quadpi_core.core import compiled
 from quadpi_core.frames import Array
-from quadpi_core.records import ROTORS_MAX, PerRotor, Records, Vector3, record_dtype
-from quadpi_core.thresholds import Threshold
+from quadpi_core.records import ROTORS_MAX, PerRotor, Records, Threshold, Vector3, record_dtype
 from quadpi_core.vehicle import Vehicle
 
 _CUTS = "simulated motor cuts of the Bebop 2, and 70 real flights without any"

@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from quadpi_core.frames import Array
-from quadpi_core.motors import HALF_READING, SILENT_SHARE
+from quadpi_core.vehicle import HALF_READING, SILENT_SHARE
 
 # Speeds are compared over about this long, so that lags and single samples do not count.
 _MEMORY_S = 1.0

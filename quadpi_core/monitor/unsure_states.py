@@ -20,8 +20,7 @@ from quadpi_core.flight import NO_STAMP, OdometryStream, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.models.state_deviation import StateDeviation
 from quadpi_core.monitor.conditions import CONDITIONS
-from quadpi_core.records import Records
-from quadpi_core.thresholds import Threshold
+from quadpi_core.records import Records, Threshold
 
 UNSURE_S = Threshold(
     "time for which a state must have been less sure than in a model's flights",

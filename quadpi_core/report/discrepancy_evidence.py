@@ -14,10 +14,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from quadpi_core.core import IN_NUMPY
 from quadpi_core.discrepancy.by_condition import MOST_BINS, VARIABLES, Profile, Residual
 from quadpi_core.discrepancy.closure import Gap
 from quadpi_core.discrepancy.discrepancy_result import Discovery, FoundEffect, RankedCandidate, Study
-from quadpi_core.elementary import IN_NUMPY
 from quadpi_core.evaluation.metrics import round_edges
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array

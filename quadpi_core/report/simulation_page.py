@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.frames import Array, roll_pitch_yaw_from_quaternion, world_ned_to_enu
+from quadpi_core.frames import Array, roll_pitch_yaw_from_quaternion, rotate_body_to_world, world_ned_to_enu
 from quadpi_core.paths import config_directory
 from quadpi_core.report.page import DASHES, Figure, Layer, Limit, Line, Page, Panel, Scale, Space, SpaceLine
 from quadpi_core.report.table import (
@@ -28,7 +28,6 @@ from quadpi_core.report.table import (
     number,
     percent,
 )
-from quadpi_core.rotations import rotate_body_to_world
 from quadpi_core.simulation.applied_effects import EFFECTS
 from quadpi_core.simulation.scenario import load_scenario
 from quadpi_core.simulation.truth import Truth

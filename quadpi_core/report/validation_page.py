@@ -17,7 +17,7 @@ from scipy.stats import t as student_t
 
 from quadpi_core.evaluation.evaluate import RolledFlight, RolloutEvaluation
 from quadpi_core.flight import AXES
-from quadpi_core.frames import Array
+from quadpi_core.frames import Array, rotate_body_to_world
 from quadpi_core.models.tubes import error_norms, tube_radii
 from quadpi_core.report.evaluation_figures import Coverage, count_verdicts, listing
 from quadpi_core.report.page import Band, Figure, FlightFiles, Layer, Line, Page, Panel, Scale, flight_remarks
@@ -40,7 +40,6 @@ from quadpi_core.report.table import (
     terminal_table,
     unit,
 )
-from quadpi_core.rotations import rotate_body_to_world
 from quadpi_core.validation.validation_case import HIGHEST, LOWEST, Spread, ValidationCase
 from quadpi_core.validation.validation_result import VARIATIONS, AxisValidation, Validation, Variation
 

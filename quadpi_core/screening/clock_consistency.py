@@ -15,6 +15,7 @@ from quadpi_core.errors import SignalError
 from quadpi_core.findings import Finding
 from quadpi_core.flight import ImuStream, Recording, RotorSpeedStream
 from quadpi_core.frames import Array
+from quadpi_core.records import Threshold
 from quadpi_core.screening.excerpt import (
     Excerpt,
     Pose,
@@ -25,7 +26,6 @@ from quadpi_core.screening.excerpt import (
     rotor_excerpt,
 )
 from quadpi_core.signals.alignment import Alignment, rotor_offset, span_of, turn_offset
-from quadpi_core.thresholds import Threshold
 from quadpi_core.vehicle import ROTORS, Vehicle
 
 # Thrust and torque of a rotor are proportional to its speed squared. So the regression of the angular

@@ -18,6 +18,7 @@ from quadpi_core.errors import LogError
 from quadpi_core.findings import Finding
 from quadpi_core.flight import PoseStream, Recording
 from quadpi_core.frames import Array
+from quadpi_core.records import STANDARD_GRAVITY
 from quadpi_core.screening.clock_consistency import (
     RotorEvidence,
     clock_mistake,
@@ -39,7 +40,6 @@ from quadpi_core.screening.motion_consistency import Hypothesis, hypotheses, sma
 from quadpi_core.screening.plausibility import check_plausible, is_slow, thrust_coefficient
 from quadpi_core.screening.rotors_in_flight import stuck_rotors
 from quadpi_core.screening.wild_samples import Beyond
-from quadpi_core.thresholds import STANDARD_GRAVITY
 from quadpi_core.vehicle import ROTORS, Vehicle
 
 # A cost of 1 is what sensors of sound flights differ by (`motion.cost`). Of 139 real flights that any mistake

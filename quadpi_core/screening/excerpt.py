@@ -12,16 +12,16 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.flight import MAX_GAP_NS, OdometryStream, PoseStream, Recording, Stamps
-from quadpi_core.frames import Array
-from quadpi_core.rotations import (
+from quadpi_core.frames import (
+    Array,
     from_rotation_vector,
     inverses,
     products,
     rotate_body_to_world,
     to_rotation_vector,
 )
+from quadpi_core.records import STANDARD_GRAVITY
 from quadpi_core.signals.resample import interpolate_columns
-from quadpi_core.thresholds import STANDARD_GRAVITY
 
 # Windows are spread over the flight, so that the cost does not grow with its length.
 WINDOWS, WINDOW_S = 24, 2.5

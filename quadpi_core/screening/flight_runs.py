@@ -18,8 +18,8 @@ import numpy as np
 from quadpi_core.errors import LogError
 from quadpi_core.findings import PAUSES, Break, DataQuality, UsedPart
 from quadpi_core.flight import MAX_GAP_NS, STREAM_KINDS, Recording, Stamps, Stream
-from quadpi_core.reading_options import WHOLE, TimeRange
-from quadpi_core.recording_blocks import Column, all_by_field, join_blocks, streams_by_field
+from quadpi_core.reading_options import WHOLE, Column, TimeRange, all_by_field, join_blocks, streams_by_field
+from quadpi_core.records import CONVENTION, Threshold
 from quadpi_core.screening.excerpt import needed_spans
 from quadpi_core.screening.sample_order import (
     Judged,
@@ -33,7 +33,6 @@ from quadpi_core.screening.sample_order import (
 )
 from quadpi_core.screening.wild_samples import FEW_SAMPLES, Beyond, Screening, left_out, usable_samples
 from quadpi_core.signals.resample import nominal_rate
-from quadpi_core.thresholds import CONVENTION, Threshold
 from quadpi_core.vehicle import Vehicle
 
 # So many poses within this time give a velocity by a line; of a slower source the estimator takes several.

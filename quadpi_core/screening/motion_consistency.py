@@ -19,8 +19,8 @@ import numpy.typing as npt
 
 from quadpi_core.findings import Finding
 from quadpi_core.flight import ImuStream
-from quadpi_core.frames import Array
-from quadpi_core.rotations import (
+from quadpi_core.frames import (
+    Array,
     best_rotation,
     from_rotation_vector,
     inverses,
@@ -31,6 +31,7 @@ from quadpi_core.rotations import (
     rotation_matrix,
     to_rotation_vector,
 )
+from quadpi_core.records import STANDARD_GRAVITY, Threshold
 from quadpi_core.screening.excerpt import (
     FALL_M_S2,
     KEPT_SHARE,
@@ -45,7 +46,6 @@ from quadpi_core.screening.excerpt import (
     second_difference,
 )
 from quadpi_core.screening.rotors_in_flight import runs_of
-from quadpi_core.thresholds import STANDARD_GRAVITY, Threshold
 
 # Scale factors of units and clocks that are tried: from 1/1000 to 1000, then finely around the best.
 _FACTORS = np.geomspace(1e-3, 1e3, 121)

@@ -15,13 +15,12 @@ import numpy.typing as npt
 
 from quadpi_core.errors import LogError
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, Stamps
-from quadpi_core.frames import Array
-from quadpi_core.rotations import rotate_body_to_world
+from quadpi_core.frames import Array, rotate_body_to_world
+from quadpi_core.records import CONVENTION, STANDARD_GRAVITY, Threshold
 from quadpi_core.screening.flight_runs import seldom, seldom_topics
 from quadpi_core.screening.rotors_in_flight import Inertial
 from quadpi_core.screening.wild_samples import Beyond, beyond_limits
 from quadpi_core.signals.resample import interpolate_columns, nominal_rate
-from quadpi_core.thresholds import CONVENTION, STANDARD_GRAVITY, Threshold
 from quadpi_core.vehicle import Vehicle
 
 # Rotors of any size lie between the inner bounds; rpm or erpm taken for rad/s is off by a factor above 36.

@@ -18,12 +18,11 @@ from quadpi_core.core import compiled
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.findings import HELD, READS_ZERO, Finding
 from quadpi_core.flight import Flight, Recording, Stamps
-from quadpi_core.frames import Array
+from quadpi_core.frames import Array, rotation_matrix
 from quadpi_core.inputs import relative_to_air
-from quadpi_core.recording_blocks import Column
-from quadpi_core.rotations import rotation_matrix
+from quadpi_core.reading_options import Column
+from quadpi_core.records import CONVENTION, STANDARD_GRAVITY, Threshold
 from quadpi_core.screening.sample_order import Mask, Rows
-from quadpi_core.thresholds import CONVENTION, STANDARD_GRAVITY, Threshold
 from quadpi_core.vehicle import Vehicle
 
 # Share of the weight from which on the rotors carry the vehicle.

@@ -45,8 +45,8 @@ from quadpi_core.flight import (
     Stamps,
     Stream,
 )
-from quadpi_core.recording_blocks import all_by_field, streams_by_field
-from quadpi_core.thresholds import CONVENTION, NORM_TOLERANCE, Threshold
+from quadpi_core.reading_options import all_by_field, streams_by_field
+from quadpi_core.records import CONVENTION, NORM_TOLERANCE, Threshold
 
 Rows = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]

@@ -29,16 +29,16 @@ from quadpi_core.flight import (
     WindStream,
 )
 from quadpi_core.frames import Array
-from quadpi_core.recording_blocks import streams_by_field
-from quadpi_core.screening.rotors_in_flight import RotorScreening
-from quadpi_core.screening.sample_order import Mask, Rows, with_rows
-from quadpi_core.thresholds import (
+from quadpi_core.reading_options import streams_by_field
+from quadpi_core.records import (
     AIRSPEED_MAX_M_S,
     MEASURED_SPEED_MAX_M_S,
     POSITION_MAX_M,
     RATE_MAX_RAD_S,
     SPECIFIC_FORCE_MAX_M_S2,
 )
+from quadpi_core.screening.rotors_in_flight import RotorScreening
+from quadpi_core.screening.sample_order import Mask, Rows, with_rows
 from quadpi_core.vehicle import Vehicle
 
 # If a larger share of a topic is beyond a limit, its unit is wrong: it is refused, nothing is left out.

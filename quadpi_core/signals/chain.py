@@ -9,8 +9,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from quadpi_core.core import compiled
-from quadpi_core.elementary import cosine, sine
+from quadpi_core.core import compiled, cosine, sine
 from quadpi_core.errors import SignalError
 from quadpi_core.frames import Array
 from quadpi_core.records import ROTORS_MAX, Quaternion4, Records, record_dtype

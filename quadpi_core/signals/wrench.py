@@ -8,9 +8,8 @@ import numpy as np
 
 from quadpi_core.core import compiled
 from quadpi_core.flight import AXES, Flight, mean_rate_hz
-from quadpi_core.frames import Array
+from quadpi_core.frames import Array, rotation_matrix
 from quadpi_core.inputs import INPUT_INDEX
-from quadpi_core.rotations import rotation_matrix
 from quadpi_core.vehicle import Vehicle
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.config import nearest
+from quadpi_core.config_schema import nearest
 from quadpi_core.core import compiled
 from quadpi_core.errors import SimulationError
 from quadpi_core.flight import Recording

@@ -25,10 +25,9 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from quadpi_core.core import compiled
-from quadpi_core.frames import Array
-from quadpi_core.rotations import inverse, product
+from quadpi_core.frames import Array, inverse, product
+from quadpi_core.records import CONVENTION, Threshold
 from quadpi_core.simulation.state_records import State, VehicleNumbers
-from quadpi_core.thresholds import CONVENTION, Threshold
 from quadpi_core.vehicle import Vehicle
 
 # Effects that are switched on: name -> all parameters with their values, in the order of the registry.

@@ -13,10 +13,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core import rotations
+from quadpi_core import frames
+from quadpi_core.core import inverse, matrix_times
 from quadpi_core.errors import SimulationError, VehicleError
 from quadpi_core.frames import Array
-from quadpi_core.linear_algebra import inverse, matrix_times
 from quadpi_core.records import record_dtype
 from quadpi_core.simulation.applied_effects import (
     added_wind,
@@ -254,7 +254,7 @@ def _demand(reference: Reference, wind: Array, last: int) -> Demand:
 
 def _lost(motion: np.void, position: Array, step: int) -> str:
     """Message with the time and state at which the vehicle lost control or hit the ground."""
-    rotation = rotations.matrix(motion["attitude"])
+    rotation = frames.matrix(motion["attitude"])
     tilt = np.degrees(np.arccos(np.clip(rotation[2, 2], -1.0, 1.0)))
     rates = ", ".join(f"{rate:.1f}" for rate in motion["rates"])
     speeds = ", ".join(f"{speed:.0f}" for speed in motion["rotor_speeds"])
@@ -283,7 +283,7 @@ def trim(model: SimulatedAerodynamics, wind: Array, yaw: float = 0.0) -> Trim:
         SimulationError: if there is none within the limits of the rotors.
     """
     vehicle = model.vehicle
-    heading = np.array(rotations.from_rotation_vector(np.array([0.0, 0.0, yaw])))
+    heading = np.array(frames.from_rotation_vector(np.array([0.0, 0.0, yaw])))
     mixing = _mixing(vehicle)
     unknowns = np.append(np.zeros(2), np.ones(4) if len(mixing) == 4 else (1.0, 0.0, 0.0, 0.0))
     speed = math.sqrt(sum(component * component for component in wind.tolist()))
@@ -337,7 +337,7 @@ def _solve(model: SimulatedAerodynamics, wind: Array, heading: Array, start: Arr
 def _unbalance(model: SimulatedAerodynamics, wind: Array, heading: Array, unknowns: Array) -> Array:
     """Residuals (K, 6) of force over weight, and of moment over weight and arm, for unknowns (K, 6)."""
     vehicle = model.vehicle
-    turns = np.array([rotations.matrix(_tilted(heading, row)) for row in unknowns])
+    turns = np.array([frames.matrix(_tilted(heading, row)) for row in unknowns])
     velocity = np.array([matrix_times(np.ascontiguousarray(turn.T), -wind) for turn in turns])
     rotor_speeds = _mixed(_mixing(vehicle), unknowns[:, 2:]) * model.hover_rotor_speed
     wrench = model.wrench(velocity, np.zeros((len(unknowns), 3)), rotor_speeds)
@@ -349,5 +349,5 @@ def _unbalance(model: SimulatedAerodynamics, wind: Array, heading: Array, unknow
 
 
 def _tilted(heading: Array, unknowns: Array) -> Array:
-    tilt = rotations.from_rotation_vector(np.array([unknowns[0], unknowns[1], 0.0]))
-    return np.array(rotations.product(heading, tilt))
+    tilt = frames.from_rotation_vector(np.array([unknowns[0], unknowns[1], 0.0]))
+    return np.array(frames.product(heading, tilt))

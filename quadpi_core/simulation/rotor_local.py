@@ -21,10 +21,10 @@ from quadpi_core.config_schema import Numbers, ReadBy, Real, Section, Text, chec
 from quadpi_core.core import compiled
 from quadpi_core.errors import SimulationError, VehicleError, named_in
 from quadpi_core.frames import Array
+from quadpi_core.records import Threshold
 from quadpi_core.simulation.simulated_aerodynamics import SimulatedAerodynamics, airframe_area
 from quadpi_core.simulation.simulated_file import SimulatedFile, read_simulation
 from quadpi_core.simulation.state_records import Law
-from quadpi_core.thresholds import Threshold
 from quadpi_core.vehicle import Vehicle
 
 FITTED_ADVANCE_RATIO = Threshold(

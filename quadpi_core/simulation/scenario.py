@@ -18,20 +18,21 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from quadpi_core.brief_repr import brief_repr
-from quadpi_core.config import is_config_path, nearest
 from quadpi_core.config_schema import (
     Expected,
     ReadBy,
     Section,
     Text,
     Within,
+    is_config_path,
     load_config,
+    nearest,
     parse_config,
     unknown_key,
 )
 from quadpi_core.errors import SimulationError, named_in
 from quadpi_core.frames import Array
+from quadpi_core.records import brief_repr
 from quadpi_core.simulation.applied_effects import read_effects
 from quadpi_core.simulation.effect_definition import Effects
 from quadpi_core.simulation.sensors import Fault

@@ -19,9 +19,8 @@ import numpy as np
 from quadpi_core.config_schema import Key, NotNegative, Section, Share, Vector, Within, load_config
 from quadpi_core.errors import SimulationError
 from quadpi_core.flight import Flight
-from quadpi_core.frames import Array
+from quadpi_core.frames import Array, from_rotation_vector, products
 from quadpi_core.models.aerodynamic import AerodynamicModel
-from quadpi_core.rotations import from_rotation_vector, products
 from quadpi_core.simulation.simulated_file import model_folder
 from quadpi_core.vehicle import SensorNoise, Vehicle
 

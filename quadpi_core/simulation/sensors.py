@@ -14,9 +14,8 @@ from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 
-from quadpi_core.config import nearest
-from quadpi_core.config_schema import Expected, OneOf, Real, Section, Within, unknown_key
-from quadpi_core.elementary import cosine, sine
+from quadpi_core.config_schema import Expected, OneOf, Real, Section, Within, nearest, unknown_key
+from quadpi_core.core import cosine, sine
 from quadpi_core.errors import SimulationError
 from quadpi_core.flight import (
     MAX_GAP_NS,
@@ -29,6 +28,7 @@ from quadpi_core.flight import (
     WindStream,
 )
 from quadpi_core.frames import Array
+from quadpi_core.records import CONVENTION, Threshold
 from quadpi_core.signals.resample import Mask, interpolate, interpolate_attitude
 from quadpi_core.simulation.applied_effects import altered_recording
 from quadpi_core.simulation.effect_definition import Effects
@@ -42,7 +42,6 @@ from quadpi_core.simulation.sensor_noise import (
     turned,
 )
 from quadpi_core.simulation.truth import Truth
-from quadpi_core.thresholds import CONVENTION, Threshold
 from quadpi_core.vehicle import ROTORS, Vehicle
 
 # Signals of each topic, with the unit that the size of a failure has in files; None where it has no size.

@@ -20,9 +20,9 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.config_schema import NotNegative, Positive, Section, parse_config
+from quadpi_core.core import inverse
 from quadpi_core.errors import SimulationError, VehicleError
 from quadpi_core.frames import Array
-from quadpi_core.linear_algebra import inverse
 from quadpi_core.models.physical_regressors import MotionSample, numbers_of, regressors
 from quadpi_core.models.physical_terms import TERM_INDEX, TERMS
 from quadpi_core.records import record_dtype

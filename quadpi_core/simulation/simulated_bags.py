@@ -17,12 +17,11 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from quadpi_core import array_checks
-from quadpi_core.brief_repr import brief_repr
 from quadpi_core.config_schema import Positive, Section, Vector, parse_config
-from quadpi_core.elementary import arctangent
+from quadpi_core.core import arctangent
 from quadpi_core.errors import LogError, SimulationError, named_in, one_line
 from quadpi_core.flight import OdometryStream, PoseStream, RotorSpeedStream, Stamps, WindStream
-from quadpi_core.frames import Array
+from quadpi_core.frames import Array, from_rotation_vector, rotate_body_to_world, rotate_world_to_body
 from quadpi_core.logs.bag_files import Bag
 from quadpi_core.logs.bag_topics import find_topic, unpacked_topic
 from quadpi_core.logs.bag_writer import write_mcap
@@ -32,14 +31,13 @@ from quadpi_core.messages.payloads import Payloads, Topic
 from quadpi_core.messages.topics import TOPIC_TYPES
 from quadpi_core.parallel import DEFAULT_WORKERS, Progress, Workers
 from quadpi_core.paths import parse_json, require_file, whole_outputs
-from quadpi_core.rotations import from_rotation_vector, rotate_body_to_world, rotate_world_to_body
+from quadpi_core.records import CONVENTION, Threshold, brief_repr
 from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight
 from quadpi_core.simulation.scenario import FlightPlan
 from quadpi_core.simulation.sensor_noise import SensorSuite
 from quadpi_core.simulation.sensors import Sensed, sense
 from quadpi_core.simulation.state_records import TILT_MAX_DEG
 from quadpi_core.simulation.truth import STEP_HZ, Reference, Truth
-from quadpi_core.thresholds import CONVENTION, Threshold
 from quadpi_core.vehicle import is_rigid_body
 from quadpi_core.version import __version__
 

@@ -20,8 +20,7 @@ from xml.sax.saxutils import escape
 import numpy as np
 import yaml
 
-from quadpi_core.config import read_config
-from quadpi_core.config_schema import ReadBy, Section, Within, check_config, parse_config
+from quadpi_core.config_schema import ReadBy, Section, Within, check_config, parse_config, read_config
 from quadpi_core.errors import ModelError, VehicleError
 from quadpi_core.field.estimates import Estimate
 from quadpi_core.field.thrust_curve import ThrustCurve
@@ -31,7 +30,7 @@ from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.model_folder import MODEL_FILE
 from quadpi_core.models.small_model import SmallModel
 from quadpi_core.paths import finite_json, whole_output
-from quadpi_core.thresholds import Threshold
+from quadpi_core.records import Threshold
 from quadpi_core.vehicle import Vehicle, is_rigid_body, simulation_section
 from quadpi_core.version import __version__
 

@@ -15,12 +15,19 @@ from typing import Annotated, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from quadpi_core.core import compiled
+from quadpi_core.core import compiled, pseudo_inverse
 from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
-from quadpi_core.linear_algebra import pseudo_inverse
-from quadpi_core.records import ROTORS_MAX, PerRotor, Quaternion4, Records, Vector3, record_dtype
-from quadpi_core.thresholds import CONVENTION, Threshold
+from quadpi_core.records import (
+    CONVENTION,
+    ROTORS_MAX,
+    PerRotor,
+    Quaternion4,
+    Records,
+    Threshold,
+    Vector3,
+    record_dtype,
+)
 
 # Numbers that an effect may keep as a state of its own.
 MEMORY = 6

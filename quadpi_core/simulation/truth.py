@@ -11,7 +11,6 @@ from typing import Annotated, Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
-from quadpi_core.brief_repr import brief_repr
 from quadpi_core.config_schema import (
     Expected,
     Flag,
@@ -28,11 +27,10 @@ from quadpi_core.config_schema import (
 )
 from quadpi_core.core import compiled
 from quadpi_core.flight import Flight, Stamps
-from quadpi_core.frames import Array
+from quadpi_core.frames import Array, rotate_body_to_world
 from quadpi_core.inputs import INPUT_NAMES, aerodynamic_inputs, relative_to_air
 from quadpi_core.models.envelope import MARGIN, Envelope
-from quadpi_core.records import Records
-from quadpi_core.rotations import rotate_body_to_world
+from quadpi_core.records import Records, brief_repr
 from quadpi_core.simulation.simulated_file import IdentifiedRange
 from quadpi_core.vehicle import Vehicle
 

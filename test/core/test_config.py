@@ -4,7 +4,7 @@
 
 import pytest
 
-from quadpi_core.config import nearest, read_config
+from quadpi_core.config_schema import nearest, read_config
 from quadpi_core.errors import VehicleError
 from quadpi_core.paths import config_directory
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from quadpi_core.flight import AirStream, ImuStream, Recording, TemperatureStream
-from quadpi_core.flown_air import (
+from quadpi_core.inputs import (
     ASSUMED,
     BOARD,
     MEASURED,

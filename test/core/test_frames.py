@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadpi_core import frames
-from quadpi_core.rotations import rotate_body_to_world, rotate_world_to_body, rotation_matrix
+from quadpi_core.frames import rotate_body_to_world, rotate_world_to_body, rotation_matrix
 
 FLU_TO_FRD = np.diag([1.0, -1.0, -1.0])
 ENU_TO_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])

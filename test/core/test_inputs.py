@@ -12,14 +12,13 @@ from scipy.spatial.transform import Rotation
 from quadpi_core.core import compiled
 from quadpi_core.errors import LogError
 from quadpi_core.flight import Flight
-from quadpi_core.frames import Array
+from quadpi_core.frames import Array, rotation_matrix
 from quadpi_core.inputs import (
     INPUT_INDEX,
     INPUT_NAMES,
     aerodynamic_inputs,
     flight_inputs,
 )
-from quadpi_core.rotations import rotation_matrix
 from quadpi_core.vehicle import Vehicle
 from test.core.multicopters import multicopter
 

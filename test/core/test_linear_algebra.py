@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadpi_core.linear_algebra import eigen, inverse, matrix_times, times_each
+from quadpi_core.core import eigen, inverse, matrix_times, times_each
 
 RANDOM = np.random.default_rng(0)
 

@@ -7,8 +7,7 @@ from __future__ import annotations
 import pytest
 
 from quadpi_core.errors import VehicleError
-from quadpi_core.motors import Motors
-from quadpi_core.vehicle import Vehicle
+from quadpi_core.vehicle import Motors, Vehicle
 
 LAG_S = 0.05
 MOTORS = Motors(source="test", coefficients=((100.0, 1000.0, 200.0, 10.0, 20.0),) * 4, lag_s=LAG_S, volts=4.0)

@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 
 from benchmarks.swings import swings, write_long_bag
-from quadpi_core import recording_blocks
+from quadpi_core import reading_options
 from quadpi_core.flight import Recording, TwistStream, WindStream
 from quadpi_core.logs import bag_files, read_recording
 from quadpi_core.logs.bag_writer import write_mcap
 from quadpi_core.logs.bags import open_recording, output_topic, read_bag, write_bag
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.payloads import Payloads
-from quadpi_core.recording_blocks import by_arrival, join_blocks, split_recording
+from quadpi_core.reading_options import by_arrival, join_blocks, split_recording
 from quadpi_core.vehicle import Vehicle
 
 
@@ -58,7 +58,7 @@ def test_blocks_of_a_bag_joined_are_the_bag(recording, tmp_path, monkeypatch, co
 
 @pytest.mark.parametrize("count", [1, 7, 100, 10**6])
 def test_blocks_of_a_recording_joined_are_the_recording(recording, monkeypatch, count):
-    monkeypatch.setattr(recording_blocks, "BLOCK_SAMPLES", count)
+    monkeypatch.setattr(reading_options, "BLOCK_SAMPLES", count)
     arrivals = {stream.topic: recording.arrivals_of(stream) for stream in recording.streams()[1:]}
     assert_same(join_blocks(split_recording(recording)), replace(recording, arrivals=arrivals))
 
@@ -68,7 +68,7 @@ def test_a_bag_has_the_same_bytes_in_parts_of_any_length(recording, tmp_path, mo
     wind = WindStream(recording.imu.time_ns[[3, 90]], np.ones((2, 3)))
     extra = [output_topic("wind", wind.time_ns, sensor_messages.pack_wind(wind))]
     write_bag(tmp_path / "whole.mcap", recording, extra)
-    monkeypatch.setattr(recording_blocks, "BLOCK_SAMPLES", count)
+    monkeypatch.setattr(reading_options, "BLOCK_SAMPLES", count)
     write_bag(tmp_path / "parts.mcap", recording, extra)
     assert (tmp_path / "parts.mcap").read_bytes() == (tmp_path / "whole.mcap").read_bytes()
 

@@ -5,7 +5,7 @@
 import numpy as np
 import pytest
 
-from quadpi_core import thresholds
+from quadpi_core import records
 from quadpi_core.core import compiled
 from quadpi_core.signals.chain import ATTITUDE, ROTOR_SPEEDS, VELOCITY, channels
 
@@ -64,4 +64,4 @@ def test_norms_have_a_least_one_too():
 
 def test_gravity_is_the_standard_one():
     """CGPM 1901."""
-    assert thresholds.STANDARD_GRAVITY == 9.80665
+    assert records.STANDARD_GRAVITY == 9.80665

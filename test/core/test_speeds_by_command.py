@@ -9,8 +9,8 @@ import pytest
 
 from quadpi_core.errors import LogError
 from quadpi_core.flight import BatteryStream, ImuStream, MotorCommandStream, Recording
-from quadpi_core.motors import Motors
-from quadpi_core.speeds_by_command import CommandedSpeeds, with_commanded_speeds
+from quadpi_core.rotor_order import CommandedSpeeds, with_commanded_speeds
+from quadpi_core.vehicle import Motors
 
 LAG_S = 0.05
 MOTORS = Motors(source="test", coefficients=((100.0, 1000.0, 200.0, 10.0, 20.0),) * 4, lag_s=LAG_S, volts=4.0)

@@ -57,7 +57,7 @@ from quadpi_core.discrepancy.sound_learning import are_enough, learned, predicts
 from quadpi_core.discrepancy.whitening import EDGES_HZ, Spectrum
 from quadpi_core.errors import DiscrepancyError, SimulationError
 from quadpi_core.flight import AXES, Flight, ImuStream, PoseStream, Recording, RotorSpeedStream
-from quadpi_core.motors import TERMS, Motors
+from quadpi_core.records import Threshold
 from quadpi_core.screening.excerpt import Excerpt, innovation
 from quadpi_core.screening.flight_runs import long_enough, seldom_topics
 from quadpi_core.screening.motion_consistency import MotionFit, judged, small_mistakes, without_repeats
@@ -81,8 +81,7 @@ from quadpi_core.simulation.sensors import ideal_recording
 from quadpi_core.simulation.simulated_bags import require_reachable
 from quadpi_core.simulation.state_records import MOTION, Controls, Demand, block_of, control, is_lost
 from quadpi_core.simulation.truth import Reference
-from quadpi_core.thresholds import Threshold
-from quadpi_core.vehicle import Vehicle
+from quadpi_core.vehicle import TERMS, Motors, Vehicle
 
 from .simulation.conftest import START_NS, swing
 

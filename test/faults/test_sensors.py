@@ -13,9 +13,9 @@ from quadpi_core.estimator.filter_state import EstimatorStatus, Outcome
 from quadpi_core.flight import WindStream
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.definitions import codec
+from quadpi_core.records import SPECIFIC_FORCE_MAX_M_S2
 from quadpi_core.results import BAD_DATA, EXTRAPOLATION, MISCOVERAGE
 from quadpi_core.simulation.sensors import Sent
-from quadpi_core.thresholds import SPECIFIC_FORCE_MAX_M_S2
 from quadpi_core.vehicle import ROTORS
 from test.faults.onboard import deviation
 

@@ -30,9 +30,8 @@ from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.adapters import known_adapters
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor.replay import replay
-from quadpi_core.motors import Motors
 from quadpi_core.results import Predictions
-from quadpi_core.vehicle import Vehicle
+from quadpi_core.vehicle import Motors, Vehicle
 from quadpi_ros.collector import Collector
 from quadpi_ros.input_sources import AdaptedSources, AdapterError
 from quadpi_ros.live_session import Child, ChildError, isolated_domain, play

@@ -12,8 +12,7 @@ import pytest
 from quadpi_core.errors import LogError
 from quadpi_core.flight import BatteryStream, MotorCommandStream, RotorSpeedStream
 from quadpi_core.monitor import Monitor
-from quadpi_core.motors import Motors
-from quadpi_core.vehicle import Vehicle
+from quadpi_core.vehicle import Motors, Vehicle
 from quadpi_ros.commanded_rotors import CommandedRotors, command_sources
 from quadpi_ros.input_sources import AdaptedSources
 

@@ -24,7 +24,7 @@ from std_msgs.msg import String
 
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AirStream
-from quadpi_core.flown_air import MEASURED
+from quadpi_core.inputs import MEASURED
 from quadpi_core.messages import result_messages
 from quadpi_core.messages.model_description import MonitorDescription, unpack_description
 from quadpi_core.messages.payloads import Payloads

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from quadpi_core.field.field_log import FieldLog, Series, Setting, Stack, held_series, series_of
-from quadpi_core.flown_air import density_of
+from quadpi_core.inputs import density_of
 from quadpi_core.logs.dataflash import Messages, decode_dataflash
 from quadpi_core.logs.formats.ardupilot import (
     FORMAT,

@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from quadpi_core.field.field_log import FieldLog, Series, Setting, Stack, series_of
-from quadpi_core.flown_air import density_of
 from quadpi_core.frames import body_flu_to_frd, quaternion_flu_enu_to_frd_ned, world_enu_to_ned
+from quadpi_core.inputs import density_of
 from quadpi_core.logs.formats.cfusdlog import FORMAT, Event, decode_events
 from quadpi_core.logs.reader_steps import normalised_attitude
-from quadpi_core.thresholds import STANDARD_GRAVITY
+from quadpi_core.records import STANDARD_GRAVITY
 
 _FULL = 65535.0
 _COMMANDS = tuple(

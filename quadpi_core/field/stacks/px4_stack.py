@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from quadpi_core.field.field_log import FieldLog, Series, Setting, Stack, held_series, series_of
-from quadpi_core.flown_air import density_of
 from quadpi_core.frames import Array
+from quadpi_core.inputs import density_of
 from quadpi_core.logs.formats.px4 import FORMAT, airframe_of, live_topics, load_ulog
 from quadpi_core.logs.reader_steps import finite_parameters, normalised_attitude
 

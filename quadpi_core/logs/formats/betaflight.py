@@ -32,8 +32,8 @@ from quadpi_core.logs.airframes import Airframe, has_rotors
 from quadpi_core.logs.blackbox import BlackboxLog, decode_blackbox
 from quadpi_core.logs.log_format import FlightsInFile, LogFormat
 from quadpi_core.logs.reader_steps import by_frame, note, order_of_commands, require_imu
+from quadpi_core.records import STANDARD_GRAVITY
 from quadpi_core.rotor_order import ERPM, RotorOrder
-from quadpi_core.thresholds import STANDARD_GRAVITY
 from quadpi_core.vehicle import Vehicle
 
 _MAGIC = b"H Product:Blackbox"

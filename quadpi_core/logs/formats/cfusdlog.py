@@ -34,11 +34,16 @@ from quadpi_core.flight import (
     RotorSpeedStream,
     Stamps,
 )
-from quadpi_core.frames import Array, body_flu_to_frd, quaternion_flu_enu_to_frd_ned, world_enu_to_ned
+from quadpi_core.frames import (
+    Array,
+    body_flu_to_frd,
+    quaternion_flu_enu_to_frd_ned,
+    rotate_world_to_body,
+    world_enu_to_ned,
+)
 from quadpi_core.logs.log_format import LogFormat
 from quadpi_core.logs.reader_steps import normalised_attitude, note
-from quadpi_core.rotations import rotate_world_to_body
-from quadpi_core.thresholds import STANDARD_GRAVITY
+from quadpi_core.records import STANDARD_GRAVITY
 from quadpi_core.vehicle import Vehicle
 
 _MAGIC = 0xBC

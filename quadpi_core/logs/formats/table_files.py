@@ -34,23 +34,24 @@ from quadpi_core.flight import (
     WindStream,
     WrenchStream,
 )
-from quadpi_core.flown_air import ZERO_CELSIUS
 from quadpi_core.frames import (
     Array,
     body_flu_to_frd,
     quaternion_body_flu_to_frd,
     quaternion_from_roll_pitch_yaw,
     quaternion_world_enu_to_ned,
+    rotate_body_to_world,
+    rotate_world_to_body,
     world_enu_to_ned,
 )
+from quadpi_core.inputs import ZERO_CELSIUS
 from quadpi_core.logs.log_format import LogFormat
 from quadpi_core.logs.mapping import ERPM, QUATERNION_ORDERS, TIME, UNITS, Mapping, Signal
 from quadpi_core.logs.mapping_draft import mapping_draft
 from quadpi_core.logs.reader_steps import normalised_attitude, note, odometry_of, rising, unsigned_speeds
 from quadpi_core.logs.table_columns import PARQUET_MAGIC, open_columns, stamps_of
-from quadpi_core.rotations import rotate_body_to_world, rotate_world_to_body
+from quadpi_core.records import STANDARD_GRAVITY
 from quadpi_core.screening.sample_order import SHARE_MAX
-from quadpi_core.thresholds import STANDARD_GRAVITY
 from quadpi_core.vehicle import Vehicle
 
 # Signals that are of no use without the others of the same topic.

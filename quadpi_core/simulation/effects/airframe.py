@@ -8,9 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from quadpi_core.core import compiled
-from quadpi_core.elementary import exponential
+from quadpi_core.core import compiled, exponential
 from quadpi_core.frames import Array
+from quadpi_core.records import Threshold
 from quadpi_core.simulation.effect_definition import (
     AERODYNAMIC,
     Parameter,
@@ -23,7 +23,6 @@ from quadpi_core.simulation.effect_definition import (
     world_to_body,
 )
 from quadpi_core.simulation.state_records import State, VehicleNumbers
-from quadpi_core.thresholds import Threshold
 from quadpi_core.vehicle import Vehicle, is_rigid_body
 
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from quadpi_core.elementary import exponential, hyperbolic_tangent, sine
+from quadpi_core.core import exponential, hyperbolic_tangent, sine
 from quadpi_core.frames import Array
 from quadpi_core.records import ROTORS_MAX
 from quadpi_core.simulation.effect_definition import (

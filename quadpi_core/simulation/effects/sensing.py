@@ -9,11 +9,10 @@ from typing import TypeVar
 
 import numpy as np
 
-from quadpi_core.elementary import cosine, sine
+from quadpi_core.core import cosine, sine
 from quadpi_core.flight import Recording, Stamps, Stream
-from quadpi_core.frames import Array
+from quadpi_core.frames import Array, matrix
 from quadpi_core.records import ROTORS_MAX
-from quadpi_core.rotations import matrix
 from quadpi_core.simulation.effect_definition import STRENGTH_OF_ONE_ROTOR, Parameter, effect, three
 from quadpi_core.vehicle import Vehicle
 

@@ -15,7 +15,7 @@ from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.other_simulations import CallableSimulation
 from quadpi_core.discrepancy.unmeasured_states import Started
 from quadpi_core.errors import DiscrepancyError
-from quadpi_core.rotations import rotate_world_to_body
+from quadpi_core.frames import rotate_world_to_body
 from quadpi_core.simulation.applied_effects import EFFECTS
 from quadpi_core.vehicle import Vehicle
 

@@ -12,7 +12,7 @@ import pytest
 
 from quadpi_core.discrepancy.discrepancy_result import discovery_json
 from quadpi_core.discrepancy.study import discover
-from quadpi_core.motors import Motors
+from quadpi_core.vehicle import Motors
 
 from .regressions import of_sound_flights
 

@@ -41,7 +41,7 @@ from quadpi_core.discrepancy.result_verdicts import (
 )
 from quadpi_core.discrepancy.study import discover
 from quadpi_core.discrepancy.unexplained import Inside
-from quadpi_core.rotations import rotate_world_to_body
+from quadpi_core.frames import rotate_world_to_body
 
 GUST_N = 0.15
 WORSE = "roll-outs of flights left out get worse with it"

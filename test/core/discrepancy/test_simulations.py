@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
-from quadpi_core.config import read_config
+from quadpi_core.config_schema import read_config
 from quadpi_core.discrepancy.augmented_simulation import AugmentedSimulation
 from quadpi_core.discrepancy.loading import load_simulation
 from quadpi_core.discrepancy.simulations import Tolerances, VehicleSimulation

@@ -28,7 +28,7 @@ from quadpi_core.discrepancy.study import discover, found_and_flown, likely_caus
 from quadpi_core.discrepancy.unexplained import Inside
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import AXES
-from quadpi_core.rotations import rotate_world_to_body
+from quadpi_core.frames import rotate_world_to_body
 from quadpi_core.simulation.applied_effects import effect_wrench
 
 from ..conftest import DRAG, SOUGHT

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from quadpi_core import rotations
+from quadpi_core import frames
 from quadpi_core.core import compiled
 from quadpi_core.estimator.filter_state import (
     ATTITUDE,
@@ -36,7 +36,7 @@ def estimate() -> Records:
     for name in ("position", "velocity", "rates", "gyro_bias"):
         estimate[name] = rng.normal(size=(1, 3))
     estimate["specific_force"] = 0.3, -0.2, -9.7
-    estimate["attitude"] = rotations.from_rotation_vector(np.array([0.2, -0.1, 0.7]))
+    estimate["attitude"] = frames.from_rotation_vector(np.array([0.2, -0.1, 0.7]))
     root = 0.03 * rng.standard_normal((ERROR_STATES - 1, ERROR_STATES - 1))
     estimate["covariance"][0, :-1, :-1] = root @ root.T + 1e-4 * np.eye(ERROR_STATES - 1)
     return estimate
@@ -79,7 +79,7 @@ def kalman(prior: Records, jacobian: np.ndarray, residual: np.ndarray, variance:
 
 def test_a_pose_corrects_as_the_textbook_says(estimate: Records, noise: Records) -> None:
     turn = np.array([0.01, -0.02, 0.015])
-    attitude = rotations.product(estimate["attitude"][0], rotations.from_rotation_vector(turn))
+    attitude = frames.product(estimate["attitude"][0], frames.from_rotation_vector(turn))
     offset = np.array([0.05, -0.03, 0.02])
     pose = measured(POSE, estimate["position"][0] + offset, attitude)
     jacobian = np.zeros((6, ERROR_STATES))
@@ -91,8 +91,8 @@ def test_a_pose_corrects_as_the_textbook_says(estimate: Records, noise: Records)
     np.testing.assert_allclose(corrected["position"] - estimate["position"], [error[POSITION]], rtol=1e-6)
     np.testing.assert_allclose(corrected["velocity"] - estimate["velocity"], [error[VELOCITY]], rtol=1e-6)
     np.testing.assert_allclose(corrected["covariance"][0, :6, :6], covariance[:6, :6], rtol=1e-6, atol=1e-12)
-    turned = rotations.product(rotations.inverse(estimate["attitude"][0]), corrected["attitude"][0])
-    np.testing.assert_allclose(rotations.to_rotation_vector(turned), error[ATTITUDE], rtol=1e-4)
+    turned = frames.product(frames.inverse(estimate["attitude"][0]), corrected["attitude"][0])
+    np.testing.assert_allclose(frames.to_rotation_vector(turned), error[ATTITUDE], rtol=1e-4)
 
 
 def test_a_velocity_of_the_world_corrects_as_the_textbook_says(estimate: Records, noise: Records) -> None:
@@ -110,7 +110,7 @@ def test_a_velocity_of_the_body_is_that_of_the_world_turned(estimate: Records, n
     """Of an attitude that is known, both correct the velocity alike."""
     estimate["covariance"][0, ATTITUDE] = estimate["covariance"][0, :, ATTITUDE] = 0.0
     world = estimate["velocity"][0] + [0.2, 0.1, -0.1]
-    body = rotations.rotate_world_to_body(estimate["attitude"], world[None])
+    body = frames.rotate_world_to_body(estimate["attitude"], world[None])
     by_world, nis = fuse(estimate, noise, measured(WORLD_VELOCITY, world))
     by_body, nis_of_body = fuse(estimate, noise, measured(BODY_VELOCITY, body))
     assert nis_of_body == pytest.approx(nis)
@@ -121,7 +121,7 @@ def test_a_lag_moves_what_is_expected_along_the_motion(estimate: Records, noise:
     """A pose where the vehicle will be agrees with the estimate."""
     lag = 0.02
     rates = estimate["rates"][0] - estimate["gyro_bias"][0]
-    attitude = rotations.product(estimate["attitude"][0], rotations.from_rotation_vector(lag * rates))
+    attitude = frames.product(estimate["attitude"][0], frames.from_rotation_vector(lag * rates))
     ahead = measured(POSE, estimate["position"][0] + lag * estimate["velocity"][0], attitude)
     assert fuse(estimate, noise, ahead, lag)[1] == pytest.approx(0.0, abs=1e-9)
     assert fuse(estimate, noise, ahead)[1] > 0.01
@@ -184,9 +184,7 @@ def test_poses_agree_that_one_plausible_motion_explains(
     """Apart by metres and radians."""
     metres, radians = apart
     estimate["velocity"], estimate["rates"] = (speed_m_s, 0.0, 0.0), estimate["gyro_bias"]
-    turned = rotations.product(
-        estimate["attitude"][0], rotations.from_rotation_vector(np.array([0, 0, radians]))
-    )
+    turned = frames.product(estimate["attitude"][0], frames.from_rotation_vector(np.array([0, 0, radians])))
     first = measured(POSE, (0.0, 0.0, 0.0), estimate["attitude"])
     second = measured(POSE, (metres, 0.0, 0.0), turned, round(seconds * SECOND))
     assert compiled.same_motion(np.concatenate((first, second)), estimate, noise) == agree

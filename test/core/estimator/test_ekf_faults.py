@@ -14,7 +14,7 @@ from quadpi_core.estimator.ekf import Ekf
 from quadpi_core.estimator.filter_run import EkfTrace
 from quadpi_core.estimator.filter_state import EstimatorStatus, Outcome
 from quadpi_core.flight import PoseStream, TwistStream
-from quadpi_core.rotations import rotate_world_to_body
+from quadpi_core.frames import rotate_world_to_body
 from quadpi_core.vehicle import Vehicle
 
 RATE = 500.0

@@ -9,13 +9,13 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from quadpi_core import recording_blocks
+from quadpi_core import reading_options
 from quadpi_core.errors import SignalError
 from quadpi_core.estimator.ekf import Ekf
 from quadpi_core.estimator.filter_run import Spans, in_order_of_arrival, never_started
 from quadpi_core.estimator.filter_state import BODY_VELOCITY, POSE, WORLD_VELOCITY, Outcome
 from quadpi_core.flight import TwistStream
-from quadpi_core.recording_blocks import by_arrival, split_recording
+from quadpi_core.reading_options import by_arrival, split_recording
 from test.core.known_flights import feed
 
 RATE = 500.0
@@ -122,7 +122,7 @@ def test_blocks_of_any_length_give_the_same_estimates_and_segments(
     whole = Ekf(noisy_vehicle, RATE).run(recording)
     segments = Ekf(noisy_vehicle, RATE).segments(recording)
     assert len(segments) == 2
-    monkeypatch.setattr(recording_blocks, "BLOCK_SAMPLES", 37)
+    monkeypatch.setattr(reading_options, "BLOCK_SAMPLES", 37)
     ekf = Ekf(noisy_vehicle, RATE)
     ekf.log_segments(recording)
     blocks = [ekf.take(block) for block in by_arrival(split_recording(recording))]

@@ -11,10 +11,9 @@ from scipy.io import loadmat
 from quadpi_core.errors import LogError, SignalError
 from quadpi_core.estimator.fusion import airborne, fuse
 from quadpi_core.flight import Flight, OdometryStream, WindStream
-from quadpi_core.frames import body_flu_to_frd
+from quadpi_core.frames import body_flu_to_frd, rotate_world_to_body
 from quadpi_core.logs.formats.cfusdlog import read_cfusdlog
 from quadpi_core.logs.formats.neurobem import read_neurobem
-from quadpi_core.rotations import rotate_world_to_body
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.vehicle import Vehicle
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from quadpi_core import rotations
+from quadpi_core import frames
 from quadpi_core.core import compiled
 from quadpi_core.estimator.filter_state import (
     ATTITUDE,
@@ -17,12 +17,11 @@ from quadpi_core.estimator.filter_state import (
 )
 from quadpi_core.estimator.output import FUSED, FusedSamples, with_gyro_faults
 from quadpi_core.flight import ImuStream
-from quadpi_core.frames import Array
+from quadpi_core.frames import Array, rotate_world_to_body
 from quadpi_core.messages.definitions import codec
 from quadpi_core.messages.sensor_messages import ODOMETRY, pack_odometry
 from quadpi_core.messages.values import ODOMETRY_VALUES
-from quadpi_core.rotations import rotate_world_to_body
-from quadpi_core.thresholds import SPECIFIC_FORCE_MAX_M_S2
+from quadpi_core.records import SPECIFIC_FORCE_MAX_M_S2
 
 GYRO_NOISE = 0.02
 
@@ -72,9 +71,9 @@ def test_covariances_match_the_spread_of_perturbed_states() -> None:
     gyro_errors = GYRO_NOISE * rng.standard_normal((len(errors), 3))
     pose, twist = np.empty((len(errors), 6)), np.empty((len(errors), 6))
     for row, (error, gyro_error) in enumerate(zip(errors, gyro_errors, strict=True)):
-        turned = rotations.product(state.attitude, rotations.from_rotation_vector(error[ATTITUDE]))
-        world_turn = rotations.product(turned, rotations.inverse(state.attitude))
-        pose[row] = *error[POSITION], *rotations.to_rotation_vector(world_turn)
+        turned = frames.product(state.attitude, frames.from_rotation_vector(error[ATTITUDE]))
+        world_turn = frames.product(turned, frames.inverse(state.attitude))
+        pose[row] = *error[POSITION], *frames.to_rotation_vector(world_turn)
         twist[row, :3] = rotate_world_to_body(turned, state.velocity + error[VELOCITY])
         twist[row, 3:] = gyro_error - error[GYRO_BIAS]
     sample = fused(state)

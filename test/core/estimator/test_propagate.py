@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadpi_core import rotations
+from quadpi_core import frames
 from quadpi_core.core import compiled
 from quadpi_core.estimator.filter_run import imu_records
 from quadpi_core.estimator.filter_state import (
@@ -44,7 +44,7 @@ def estimate() -> Records:
     estimate = np.zeros(1, ESTIMATE)
     for name in FIELDS:
         estimate[name] = rng.normal(size=(1, 3))
-    estimate["attitude"] = rotations.from_rotation_vector(np.array([0.4, -0.3, 1.1]))
+    estimate["attitude"] = frames.from_rotation_vector(np.array([0.4, -0.3, 1.1]))
     root = 0.1 * rng.standard_normal((ERROR_STATES, ERROR_STATES))
     estimate["covariance"] = root @ root.T
     return estimate
@@ -72,8 +72,8 @@ def erring(estimate: Records, error: Array) -> Records:
     other = estimate.copy()
     for name, states in FIELDS.items():
         other[name] += error[states]
-    turn = rotations.from_rotation_vector(error[ATTITUDE])
-    other["attitude"] = rotations.product(estimate["attitude"][0], turn)
+    turn = frames.from_rotation_vector(error[ATTITUDE])
+    other["attitude"] = frames.product(estimate["attitude"][0], turn)
     other["delay"] += error[DELAY]
     return other
 
@@ -83,8 +83,8 @@ def difference(one: Records, other: Records) -> Array:
     error = np.zeros(ERROR_STATES)
     for name, states in FIELDS.items():
         error[states] = (other[name] - one[name])[0]
-    turn = rotations.product(rotations.inverse(one["attitude"][0]), other["attitude"][0])
-    error[ATTITUDE] = rotations.to_rotation_vector(turn)
+    turn = frames.product(frames.inverse(one["attitude"][0]), other["attitude"][0])
+    error[ATTITUDE] = frames.to_rotation_vector(turn)
     error[DELAY] = other["delay"][0] - one["delay"][0]
     return error
 

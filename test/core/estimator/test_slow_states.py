@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from quadpi_core import rotations
+from quadpi_core import frames
 from quadpi_core.estimator.ekf import Ekf
 from quadpi_core.estimator.fusion import fuse
 from quadpi_core.estimator.slow_states import with_slow_state, with_slow_states
 from quadpi_core.flight import NOT_MEASURED, Flight, OdometryStream, Recording
 from quadpi_core.logs import read_recording
-from quadpi_core.recording_blocks import split_recording
+from quadpi_core.reading_options import split_recording
 from quadpi_core.screening.flight_runs import parts_without_pause
 from quadpi_core.vehicle import Vehicle
 
@@ -39,15 +39,15 @@ def with_gps(recording: Recording, full: Flight, rate_hz: float = 5.0, deviation
     """A state as of GPS and an autopilot in the place of motion capture."""
     rng = np.random.default_rng(3)
     rows = np.arange(0, len(full), round(full.rate_hz / rate_hz))
-    tilt = rotations.from_rotation_vector(rng.normal(0.0, GPS[1], (len(rows), 3)))
-    attitude = rotations.products(full.attitude[rows], tilt)
-    velocity = rotations.rotate_body_to_world(full.attitude[rows], full.velocity[rows])
+    tilt = frames.from_rotation_vector(rng.normal(0.0, GPS[1], (len(rows), 3)))
+    attitude = frames.products(full.attitude[rows], tilt)
+    velocity = frames.rotate_body_to_world(full.attitude[rows], full.velocity[rows])
     velocity += rng.normal(0.0, GPS[2], velocity.shape)
     state = OdometryStream(
         full.stamps_ns[rows],
         full.position[rows] + rng.normal(0.0, GPS[0], (len(rows), 3)),
         attitude,
-        rotations.rotate_world_to_body(attitude, velocity),
+        frames.rotate_world_to_body(attitude, velocity),
         full.rates[rows],
         np.broadcast_to(deviation, (len(rows), 3)).astype(float),
     )
@@ -109,7 +109,7 @@ def test_a_part_that_is_not_measured_is_not_used(recording, full, part):
     if part == 1:
         slow.odometry.attitude[:] = [1.0, 0.0, 0.0, 0.0]
         # As of a receiver: what it says of the velocity is in the world.
-        moving = rotations.rotate_body_to_world(full.attitude, full.velocity)
+        moving = frames.rotate_body_to_world(full.attitude, full.velocity)
         rows = np.isin(full.stamps_ns, slow.odometry.time_ns)
         slow.odometry.velocity[:] = moving[rows]
     else:

@@ -21,7 +21,7 @@ from quadpi_core.estimator.filter_state import (
 )
 from quadpi_core.estimator.smoother import Inputs, Tape, smooth
 from quadpi_core.flight import Recording
-from quadpi_core.rotations import rotate_world_to_body
+from quadpi_core.frames import rotate_world_to_body
 
 RATE = 500.0
 

@@ -12,8 +12,13 @@ import yaml
 from scipy.signal import lfilter
 
 from quadpi_core.field.field_log import FieldLog, Series
-from quadpi_core.frames import Array
-from quadpi_core.rotations import from_rotation_vector, products, rotate_body_to_world, rotate_world_to_body
+from quadpi_core.frames import (
+    Array,
+    from_rotation_vector,
+    products,
+    rotate_body_to_world,
+    rotate_world_to_body,
+)
 from quadpi_core.simulation.flying import SimulatedVehicle
 from quadpi_core.simulation.scenario import load_scenario
 from quadpi_core.simulation.simulated_bags import fly_plan

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from quadpi_core import recording_blocks
+from quadpi_core import reading_options
 from quadpi_core.errors import LogError
 from quadpi_core.estimator.ekf import Ekf
 from quadpi_core.estimator.fusion import fuse
@@ -32,7 +32,7 @@ def vehicle():
 
 @pytest.fixture
 def short_blocks(monkeypatch):
-    monkeypatch.setattr(recording_blocks, "BLOCK_SAMPLES", 700)
+    monkeypatch.setattr(reading_options, "BLOCK_SAMPLES", 700)
 
 
 @pytest.mark.usefixtures("short_blocks")

@@ -15,6 +15,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 
 from quadpi_core.errors import LogError
 from quadpi_core.flight import AirStream
+from quadpi_core.frames import rotate_body_to_world
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.adapted_bags import unnamed
 from quadpi_core.logs.bag_files import Bag
@@ -23,7 +24,6 @@ from quadpi_core.logs.bags import read_bag
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.payloads import Topic
 from quadpi_core.paths import config_directory
-from quadpi_core.rotations import rotate_body_to_world
 from quadpi_core.vehicle import Vehicle
 
 from ..messages.adapters.vendor_messages import frame, mavros_status, px4_status

@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 
 from quadpi_core.logs import bag_files, read_recording
-from quadpi_core.motors import Motors
 from quadpi_core.paths import bags_directory
 from quadpi_core.reading_options import ReadingOptions, TimeRange
-from quadpi_core.vehicle import Vehicle
+from quadpi_core.vehicle import Motors, Vehicle
 
 from ..commanded_bags import write_bag
 from ..messages.adapters.vendor_messages import DEFINITIONS, Messages

@@ -9,9 +9,9 @@ import pytest
 from pyarrow import csv, parquet
 
 from quadpi_core.errors import LogError
+from quadpi_core.frames import rotate_world_to_body
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.flight_table import write_flight_table
-from quadpi_core.rotations import rotate_world_to_body
 from quadpi_core.signals.wrench import measured_wrench
 
 

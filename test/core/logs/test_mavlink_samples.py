@@ -12,8 +12,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 pytest.importorskip("pymavlink", reason="pymavlink is not installed")
+from quadpi_core.frames import rotate_body_to_world
 from quadpi_core.logs.mavlink_samples import ARDUPILOT, PX4, MavlinkSamples, is_epoch, stream_of
-from quadpi_core.rotations import rotate_body_to_world
 from quadpi_core.rotor_order import RotorOrder
 from quadpi_core.vehicle import Vehicle
 

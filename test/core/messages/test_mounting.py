@@ -7,8 +7,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from quadpi_core.frames import rotation_matrix
 from quadpi_core.messages.mounting import LAG_S, Mounting
-from quadpi_core.rotations import rotation_matrix
 
 RATE_HZ = 500.0
 ARM = np.array([0.05, -0.03, 0.08])

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 
 from quadpi_core.flight import AXES
-from quadpi_core.frames import Array
+from quadpi_core.frames import Array, from_rotation_vector, matrix, product
 from quadpi_core.inputs import DERIVATIVES, aerodynamic_inputs
 from quadpi_core.models.fitted_physical import FittedPhysical, PhysicalAxis, PhysicalFit
 from quadpi_core.models.interval_rules import NormalRule
@@ -17,7 +17,6 @@ from quadpi_core.models.physical_flight import PhysicalFlight, Sensing
 from quadpi_core.models.physical_regressors import MOTION, acting_terms, physical_vehicle, wrenches
 from quadpi_core.models.physical_terms import TERM_INDEX, TERM_NAMES, TERMS, scales
 from quadpi_core.records import Records
-from quadpi_core.rotations import from_rotation_vector, matrix, product
 from quadpi_core.vehicle import Vehicle
 
 VEHICLE = Vehicle.load("neurobem")

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from quadpi_core.frames import inverses, products, to_rotation_vector
 from quadpi_core.inputs import aerodynamic_inputs
 from quadpi_core.models.fitted_physical import PhysicalFit
 from quadpi_core.models.model_kind import TrainingSamples
@@ -17,7 +18,6 @@ from quadpi_core.models.physical_terms import TERM_INDEX, TERMS
 from quadpi_core.models.rollout_identification import calibrated_rollouts, rollout_flights
 from quadpi_core.models.rollout_model import RolloutFlight, RolloutModel, horizon_steps
 from quadpi_core.models.tubes import HORIZONS_S, error_norms, tube_scores
-from quadpi_core.rotations import inverses, products, to_rotation_vector
 from test.core.models.flights_ahead import with_attitude
 from test.core.models.physical_flights import VEHICLE, flown, known_parameters, samples_of
 

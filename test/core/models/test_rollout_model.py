@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from quadpi_core.errors import ModelError
+from quadpi_core.frames import rotate_body_to_world
 from quadpi_core.models.physical_rollout import RATES, STATES, AxisDisturbance, Disturbance
 from quadpi_core.models.rollout_model import RolloutFlight, RolloutModel, horizon_steps
 from quadpi_core.models.tubes import HORIZONS_S, QUANTITIES, TubeCalibration
-from quadpi_core.rotations import rotate_body_to_world
 from quadpi_core.vehicle import Vehicle
 from test.core.models.flights_ahead import ahead, true_model
 from test.core.models.physical_flights import STEP_S

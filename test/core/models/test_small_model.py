@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from quadpi_core.flown_air import MEASURED
+from quadpi_core.inputs import MEASURED
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.small_model import SmallModel, small_model
 from quadpi_core.simulation.flying import load_aerodynamics

@@ -11,9 +11,8 @@ import pytest
 
 from benchmarks.random_ensembles import random_ensembles, simulation_inputs
 from quadpi_core.flight import AXES
-from quadpi_core.flown_air import MEASURED
 from quadpi_core.frames import Array
-from quadpi_core.inputs import DERIVATIVES, INPUT_NAMES
+from quadpi_core.inputs import DERIVATIVES, INPUT_NAMES, MEASURED
 from quadpi_core.models.aerodynamic import AerodynamicModel, TrainingFlight
 from quadpi_core.models.alarm_limits import AlarmLimits
 from quadpi_core.models.envelope import Envelope

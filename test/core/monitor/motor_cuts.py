@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from quadpi_core import rotations
+from quadpi_core import frames
 from quadpi_core.frames import Array
 from quadpi_core.simulation.flying import SimulatedVehicle
 from quadpi_core.simulation.truth import LOG_HZ, Truth
@@ -27,7 +27,7 @@ def with_motor_cut(truth: Truth, simulated: SimulatedVehicle, rotor: int, at_s: 
         for name, values in vars(truth).items()
         if isinstance(values, np.ndarray) and len(values) == len(truth.time_ns)
     }
-    turn = np.array(rotations.matrix(truth.attitude[start]))
+    turn = np.array(frames.matrix(truth.attitude[start]))
     attitude, position = truth.attitude[start].copy(), truth.position[start].copy()
     velocity, rates = turn @ truth.velocity[start], truth.rates[start].copy()
     speeds = truth.rotor_speeds[start].copy()
@@ -45,7 +45,7 @@ def with_motor_cut(truth: Truth, simulated: SimulatedVehicle, rotor: int, at_s: 
             command = np.sqrt(np.clip(wanted / per_square, 100.0**2, vehicle.rotor_speed_max_rad_s**2))
             command[rotor] = 0.0
             slopes = (command - speeds) / lag
-            turn = np.array(rotations.matrix(attitude))
+            turn = np.array(frames.matrix(attitude))
             wrench = simulated.aerodynamics.wrench((turn.T @ velocity)[None], rates[None], speeds[None])[0]
             acceleration = turn @ wrench[:3] / vehicle.mass_kg + [0.0, 0.0, vehicle.gravity_m_s2]
             moment = wrench[3:] - np.cross(rates, vehicle.inertia @ rates)
@@ -66,7 +66,7 @@ def with_motor_cut(truth: Truth, simulated: SimulatedVehicle, rotor: int, at_s: 
             velocity = velocity + step_s * acceleration
             position = position + step_s * velocity
             rates = rates + step_s * turning
-            turned = np.array(rotations.from_rotation_vector(step_s * rates))
-            attitude = np.array(rotations.product(attitude, turned))
+            turned = np.array(frames.from_rotation_vector(step_s * rates))
+            attitude = np.array(frames.product(attitude, turned))
             speeds = np.maximum(speeds + step_s * slopes, 0.0)
     return replace(truth, **columns)

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from quadpi_core.flight import AirStream, TemperatureStream
-from quadpi_core.flown_air import ASSUMED, MEASURED
 from quadpi_core.identification.prepared_flights import prepare_flights
+from quadpi_core.inputs import ASSUMED, MEASURED
 from quadpi_core.logs.bags import read_bag, read_outputs, write_bag
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor.replay import replay

@@ -12,6 +12,7 @@ from scipy.stats import norm
 
 from quadpi_core.errors import ArgumentError
 from quadpi_core.flight import AXES
+from quadpi_core.frames import from_rotation_vector, products
 from quadpi_core.inputs import DERIVATIVES, aerodynamic_inputs
 from quadpi_core.models.aerodynamic import unchecked_evaluation
 from quadpi_core.models.model_kind import Fitted
@@ -19,7 +20,6 @@ from quadpi_core.monitor.conditions import STATE_ERRORS, conditions
 from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.pairing import PairedSamples
 from quadpi_core.monitor.preparation import Preparation
-from quadpi_core.rotations import from_rotation_vector, products
 from test.core.models.physical_flights import fitted_physical
 
 RATE_HZ = 500.0

@@ -13,6 +13,7 @@ from quadpi_core.monitor import ground
 from quadpi_core.monitor.alarm import Alarm
 from quadpi_core.monitor.alarm_log import reasons
 from quadpi_core.monitor.data_quality import ROTOR_ZERO
+from quadpi_core.records import Threshold
 from quadpi_core.results import (
     BAD_DATA,
     CARRIED,
@@ -26,7 +27,6 @@ from quadpi_core.results import (
     PARKED,
     Alarms,
 )
-from quadpi_core.thresholds import Threshold
 from test.core.monitor.alarm_samples import FX, LIMITS, RATE_HZ, SETTINGS, Samples
 
 HOVER_RAD_S = 1000.0

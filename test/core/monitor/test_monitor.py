@@ -11,6 +11,7 @@ import pytest
 
 from quadpi_core.errors import ModelError, SignalError
 from quadpi_core.flight import MAX_GAP_NS
+from quadpi_core.frames import rotate_world_to_body
 from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
 from quadpi_core.models.model_kind import Evaluation
 from quadpi_core.monitor.alarm import MonitorSettings
@@ -18,7 +19,6 @@ from quadpi_core.monitor.monitor import Monitor, Monitors
 from quadpi_core.monitor.pairing import PairedSamples, Pairing
 from quadpi_core.monitor.preparation import Preparation
 from quadpi_core.results import BAD_DATA, EXTRAPOLATION, LEVEL_ALARM, LEVEL_OK, Alarms, Events, Predictions
-from quadpi_core.rotations import rotate_world_to_body
 
 RATE_HZ = 500.0
 FX, MY = 0, 4

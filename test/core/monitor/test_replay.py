@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from benchmarks.swings import write_long_bag
-from quadpi_core import recording_blocks
+from quadpi_core import reading_options
 from quadpi_core.errors import LogError, ModelError, SignalError
 from quadpi_core.estimator.ekf import Ekf
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream, WindStream
@@ -243,7 +243,7 @@ def test_blocks_of_a_log_are_followed_like_those_of_its_bag(
     """Logs that are no bags are read whole: what arrived when follows from the stamps."""
     bag = bag_of(with_pose)
     replay(model, vehicle, bag, tmp_path / "bag.mcap")
-    monkeypatch.setattr(recording_blocks, "BLOCK_SAMPLES", samples)
+    monkeypatch.setattr(reading_options, "BLOCK_SAMPLES", samples)
     recording = read_bag(bag, vehicle)
 
     @contextmanager

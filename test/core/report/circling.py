@@ -4,8 +4,7 @@
 
 import numpy as np
 
-from quadpi_core.frames import quaternion_from_roll_pitch_yaw
-from quadpi_core.rotations import rotate_world_to_body
+from quadpi_core.frames import quaternion_from_roll_pitch_yaw, rotate_world_to_body
 from quadpi_core.simulation.truth import Reference, Truth
 from quadpi_core.vehicle import Vehicle
 

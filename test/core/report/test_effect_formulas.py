@@ -77,7 +77,7 @@ def test_exported_effects_share_one_file_with_the_source_of_the_library():
 
 _USE = """
 import numpy as np
-from quadpi_core.rotations import rotate_world_to_body
+from quadpi_core.frames import rotate_world_to_body
 from quadpi_core.simulation.applied_effects import effect_wrench
 from quadpi_core.simulation.applied_effects import EFFECTS, read_effects
 from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight

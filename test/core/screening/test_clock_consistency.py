@@ -14,8 +14,8 @@ import pytest
 
 from quadpi_core.errors import SignalError
 from quadpi_core.flight import OdometryStream, TwistStream
+from quadpi_core.frames import body_rates
 from quadpi_core.logs import read_recording
-from quadpi_core.rotations import body_rates
 from quadpi_core.screening import clock_consistency
 from quadpi_core.screening.clock_consistency import aligned, clock_mistake, rotor_clock_finding
 from quadpi_core.screening.consistency import findings

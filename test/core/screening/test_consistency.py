@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import yaml
 
-from quadpi_core.config import read_config
+from quadpi_core.config_schema import read_config
 from quadpi_core.errors import LogError, VehicleError
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import write_bag

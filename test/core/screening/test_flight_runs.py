@@ -19,8 +19,7 @@ from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs import bag_files, read_recording
 from quadpi_core.logs.bags import write_bag
 from quadpi_core.logs.importing import import_logs
-from quadpi_core.reading_options import ReadingOptions, TimeRange
-from quadpi_core.recording_blocks import join_blocks, split_recording
+from quadpi_core.reading_options import ReadingOptions, TimeRange, join_blocks, split_recording
 from quadpi_core.screening.flight_runs import in_range, in_range_of_blocks, parts_without_pause
 from quadpi_core.vehicle import Vehicle
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from quadpi_core.records import STANDARD_GRAVITY
 from quadpi_core.screening.excerpt import STEP_S, Excerpt, Innovation, cost, innovation
-from quadpi_core.thresholds import STANDARD_GRAVITY
 
 from .conftest import CELLS, excerpt_of
 

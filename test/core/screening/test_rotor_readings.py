@@ -11,7 +11,7 @@ import pytest
 
 from quadpi_core.flight import ImuStream, Recording, RotorSpeedStream
 from quadpi_core.logs import read_recording
-from quadpi_core.recording_blocks import split_recording
+from quadpi_core.reading_options import split_recording
 from quadpi_core.screening.consistency import contradictions
 from quadpi_core.screening.flight_runs import survey
 from quadpi_core.screening.wild_samples import screened

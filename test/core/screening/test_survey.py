@@ -19,7 +19,7 @@ from quadpi_core.logs.bag_writer import write_mcap
 from quadpi_core.logs.bags import open_recording, recording_topics, write_bag
 from quadpi_core.logs.importing import import_logs
 from quadpi_core.logs.inspect import inspect_blocks, inspect_recording
-from quadpi_core.recording_blocks import streams_by_field
+from quadpi_core.reading_options import streams_by_field
 from quadpi_core.screening import flight_runs, wild_samples
 from quadpi_core.screening.consistency import checked
 from quadpi_core.screening.excerpt import excerpt, rotor_excerpt

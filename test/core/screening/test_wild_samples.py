@@ -23,9 +23,9 @@ from quadpi_core.flight import (
 )
 from quadpi_core.logs import decode_recording, read_recording
 from quadpi_core.logs.bags import write_bag
+from quadpi_core.records import RATE_MAX_RAD_S, SPECIFIC_FORCE_MAX_M_S2
 from quadpi_core.screening.plausibility import check_plausible
 from quadpi_core.screening.wild_samples import beyond_limits, screened, usable_samples
-from quadpi_core.thresholds import RATE_MAX_RAD_S, SPECIFIC_FORCE_MAX_M_S2
 from quadpi_core.vehicle import Vehicle
 
 BAG = Path(__file__).parents[3] / "bags" / "train_1.mcap"

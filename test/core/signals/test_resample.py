@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadpi_core.rotations import from_rotation_vector
+from quadpi_core.frames import from_rotation_vector
 from quadpi_core.signals.resample import (
     first_gap,
     interpolate,

@@ -11,8 +11,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from quadpi_core.frames import Array, quaternion_from_roll_pitch_yaw
-from quadpi_core.rotations import rotate_world_to_body
+from quadpi_core.frames import Array, quaternion_from_roll_pitch_yaw, rotate_world_to_body
 from quadpi_core.simulation.applied_effects import effect_wrench, read_effects
 from quadpi_core.simulation.rotor_local import RotorLocalModel
 from quadpi_core.simulation.truth import Reference, Truth

@@ -9,7 +9,7 @@ import numpy.typing as npt
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quadpi_core.rotations import rotate_body_to_world, rotation_matrix
+from quadpi_core.frames import rotate_body_to_world, rotation_matrix
 from quadpi_core.signals.wrench import newton_euler
 from quadpi_core.simulation.applied_effects import (
     EFFECTS,

@@ -9,8 +9,8 @@ import pytest
 import yaml
 
 from quadpi_core.errors import SimulationError, VehicleError
+from quadpi_core.frames import rotate_body_to_world, rotate_world_to_body
 from quadpi_core.paths import config_directory
-from quadpi_core.rotations import rotate_body_to_world, rotate_world_to_body
 from quadpi_core.simulation.applied_effects import read_effects
 from quadpi_core.simulation.flying import LAWS, SimulatedVehicle, load_aerodynamics, simulate_flight, trim
 from quadpi_core.simulation.rotor_local import RotorLocalModel

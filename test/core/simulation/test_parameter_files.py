@@ -15,9 +15,9 @@ import pytest
 from quadpi_core.errors import ModelError
 from quadpi_core.field.estimates import Estimate, not_identified
 from quadpi_core.field.thrust_curve import ThrustCurve, untold_curve
+from quadpi_core.frames import rotate_body_to_world
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.small_model import SmallModel, small_model
-from quadpi_core.rotations import rotate_body_to_world
 from quadpi_core.simulation.flying import SimulatedVehicle
 from quadpi_core.simulation.scenario import load_scenario
 from quadpi_core.simulation.simulated_bags import fly_plan

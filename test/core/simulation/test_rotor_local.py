@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import yaml
 
-from quadpi_core.config import read_config
+from quadpi_core.config_schema import read_config
 from quadpi_core.errors import SimulationError, VehicleError
 from quadpi_core.paths import config_directory
 from quadpi_core.simulation.rotor_local import RotorLocalModel

@@ -7,7 +7,7 @@ import pytest
 
 from quadpi_core.errors import SimulationError
 from quadpi_core.flight import Flight
-from quadpi_core.rotations import inverse, product, to_rotation_vector
+from quadpi_core.frames import inverse, product, to_rotation_vector
 from quadpi_core.simulation.sensor_noise import (
     Accelerometer,
     Gyro,

@@ -7,7 +7,7 @@ import pytest
 
 from quadpi_core.config_schema import parse_config
 from quadpi_core.errors import SimulationError
-from quadpi_core.rotations import (
+from quadpi_core.frames import (
     from_rotation_vector,
     inverse,
     matrix,

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from quadpi_core.errors import LogError
+from quadpi_core.frames import rotate_body_to_world, rotate_world_to_body
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.bag_files import Bag
 from quadpi_core.logs.bag_topics import bag_topics, has_topic
 from quadpi_core.logs.bags import read_bag, write_bag
 from quadpi_core.messages.topics import TOPIC_TYPES
-from quadpi_core.rotations import rotate_body_to_world, rotate_world_to_body
 from quadpi_core.screening.sample_order import usable_recording
 from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight
 from quadpi_core.simulation.scenario import FlightPlan

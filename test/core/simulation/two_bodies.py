@@ -12,9 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from quadpi_core.frames import Array, quaternion_from_roll_pitch_yaw
+from quadpi_core.frames import Array, matrix, quaternion_from_roll_pitch_yaw
 from quadpi_core.records import Records
-from quadpi_core.rotations import matrix
 from quadpi_core.simulation.state_records import STATE
 
 GRAVITY = np.array([0.0, 0.0, 9.80665])

@@ -7,8 +7,8 @@ from __future__ import annotations
 import numpy as np
 
 from quadpi_core.flight import AirStream, Stamps, TemperatureStream
-from quadpi_core.flown_air import is_celsius, is_pressure
 from quadpi_core.frames import Array
+from quadpi_core.inputs import is_celsius, is_pressure
 from quadpi_core.messages.adapters.adapter_definition import STAMP, Adapter, start_of_numbers
 from quadpi_core.messages.cdr import header_stamps
 

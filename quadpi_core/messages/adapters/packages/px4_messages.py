@@ -15,8 +15,8 @@ import numpy as np
 
 from quadpi_core.errors import SampleError
 from quadpi_core.flight import AirStream, ImuStream, OdometryStream, Stamps
-from quadpi_core.flown_air import celsius_of
-from quadpi_core.frames import Array
+from quadpi_core.frames import Array, rotate_world_to_body
+from quadpi_core.inputs import celsius_of
 from quadpi_core.messages.adapters.adapter_definition import Adapter, Reading, of_items
 from quadpi_core.messages.adapters.motor_messages import (
     shares_of_outputs,
@@ -32,8 +32,7 @@ from quadpi_core.messages.adapters.rotor_messages import (
 from quadpi_core.messages.cdr import Columns, microsecond_stamps
 from quadpi_core.messages.foreign_messages import Items
 from quadpi_core.messages.payloads import Indices
-from quadpi_core.rotations import rotate_world_to_body
-from quadpi_core.thresholds import NORM_TOLERANCE
+from quadpi_core.records import NORM_TOLERANCE
 from quadpi_core.vehicle import Vehicle
 
 _NED, _FRD, _BODY = 1, 2, 3

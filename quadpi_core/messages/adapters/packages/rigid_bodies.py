@@ -23,7 +23,7 @@ from quadpi_core.messages.adapters.adapter_definition import STAMP, Adapter, Rea
 from quadpi_core.messages.adapters.adapter_settings import FRD_NED, FUR_EUS, BodySettings
 from quadpi_core.messages.cdr import header_stamps
 from quadpi_core.messages.foreign_messages import Items
-from quadpi_core.thresholds import NORM_TOLERANCE
+from quadpi_core.records import NORM_TOLERANCE
 from quadpi_core.vehicle import Vehicle
 
 _WXYZ = [3, 0, 1, 2]

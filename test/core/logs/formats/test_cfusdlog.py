@@ -14,11 +14,10 @@ import pytest
 
 from quadpi_core.errors import LogError
 from quadpi_core.flight import Recording
+from quadpi_core.frames import rotate_body_to_world, rotate_world_to_body
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.formats.cfusdlog import decode_events
-from quadpi_core.motors import Motors
-from quadpi_core.rotations import rotate_body_to_world, rotate_world_to_body
-from quadpi_core.vehicle import Vehicle
+from quadpi_core.vehicle import Motors, Vehicle
 
 INERTIAL = ["gyro.x(f)", "gyro.y(f)", "gyro.z(f)", "acc.x(f)", "acc.y(f)", "acc.z(f)", "pm.vbatMV(H)"]
 ROTORS = [f"rpm.m{i}(H)" for i in (1, 2, 3, 4)]

@@ -12,8 +12,8 @@ import scipy.io
 
 from quadpi_core.errors import LogError
 from quadpi_core.flight import Recording
+from quadpi_core.frames import rotate_body_to_world, rotate_world_to_body
 from quadpi_core.logs import read_recording
-from quadpi_core.rotations import rotate_body_to_world, rotate_world_to_body
 from quadpi_core.vehicle import Vehicle
 
 SLOW = "bemnn20210223104803seg2.mat"

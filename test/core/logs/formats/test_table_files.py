@@ -19,9 +19,9 @@ from scipy.spatial.transform import Rotation
 
 from quadpi_core.errors import LogError, VehicleError
 from quadpi_core.flight import Recording
-from quadpi_core.flown_air import MEASURED, flown_in
+from quadpi_core.frames import rotate_body_to_world
+from quadpi_core.inputs import MEASURED, flown_in
 from quadpi_core.logs import read_recording
-from quadpi_core.rotations import rotate_body_to_world
 from quadpi_core.vehicle import Vehicle
 
 from ..test_mapping import minimal_mapping

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadpi_core.flown_air import Air, density_of
+from quadpi_core.inputs import Air, density_of
 from quadpi_core.messages.adapters import known_adapters
 
 from .test_adapter_registry import opened

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadpi_core.errors import LogError
-from quadpi_core.frames import world_enu_to_ned
+from quadpi_core.frames import rotation_matrix, world_enu_to_ned
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.adapters import AdapterSettings, known_adapters
 from quadpi_core.messages.adapters.adapter_settings import (
@@ -15,7 +15,6 @@ from quadpi_core.messages.adapters.adapter_settings import (
     BodySettings,
 )
 from quadpi_core.messages.payloads import Payloads
-from quadpi_core.rotations import rotation_matrix
 
 from .vendor_messages import START_NS, frame
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from quadpi_core.errors import SimulationError
-from quadpi_core.rotations import matrix
+from quadpi_core.frames import matrix
 from quadpi_core.simulation.applied_effects import effect_wrench, memory_at_rest, read_effects, with_memory
 from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight
 from quadpi_core.simulation.state_records import STATE
