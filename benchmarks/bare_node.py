@@ -10,7 +10,7 @@ from quadpi.msg import ExtrapolationAlarm, RotorSpeeds, WrenchPrediction
 from rclpy.node import Node
 from sensor_msgs.msg import Imu
 
-from quadpi_ros.dds_profile import OUTPUT_QOS, SENSOR_QOS
+from quadpi_ros.callbacks import OUTPUT_QOS, SENSOR_QOS
 from quadpi_ros.runtime import run, spin
 
 # The monitor repeats its alarm at 10 Hz while the IMU comes at 500 Hz.

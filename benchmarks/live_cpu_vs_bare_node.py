@@ -64,8 +64,7 @@ def run() -> list[Result]:
 
 def measure(module: str, parameters: tuple[str, ...], bag: Path) -> Run:
     """Play the bag through a process of nodes."""
-    from quadpi_ros.collector import Collector
-    from quadpi_ros.live_session import Child, await_start, isolated_domain, play
+    from quadpi_ros.live_session import Child, Collector, await_start, isolated_domain, play
 
     arguments = ("--ros-args", *(part for parameter in parameters for part in ("-p", parameter)))
     with isolated_domain() as folder, Collector(start_ns=0) as collector:

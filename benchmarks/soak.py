@@ -24,7 +24,7 @@ from quadpi_core.messages.sensor_messages import unpack_stamps
 from quadpi_core.vehicle import Vehicle
 
 if TYPE_CHECKING:
-    from quadpi_ros.collector import Listener
+    from quadpi_ros.live_session import Listener
     from quadpi_ros.playlist import Playlist
 
 NAMES = ("soak_growth_mib", "soak_lost")
@@ -127,7 +127,7 @@ def listening(heard: Heard) -> Listener:
     from nav_msgs.msg import Odometry
     from quadpi.msg import ExtrapolationAlarm, WrenchPrediction
 
-    from quadpi_ros.collector import Listener
+    from quadpi_ros.live_session import Listener
 
     return Listener(
         "listener",
@@ -160,7 +160,7 @@ def play_over_and_over(playlist: Playlist, heard: Heard, listener: Listener, loo
     from rclpy.context import Context
     from rclpy.node import Node
 
-    from quadpi_ros.dds_profile import SENSOR_QOS, await_listeners
+    from quadpi_ros.callbacks import SENSOR_QOS, await_listeners
     from quadpi_ros.playlist import SENSOR_TYPES
 
     context = Context()

@@ -64,8 +64,7 @@ def run() -> list[Result]:
 
 def measure(bag: Path, models: list[str], with_page: bool) -> Cost:
     """Play the bag through the live nodes, with the page open or without it."""
-    from quadpi_ros.collector import Collector
-    from quadpi_ros.live_session import Child, await_start, isolated_domain, play
+    from quadpi_ros.live_session import Child, Collector, await_start, isolated_domain, play
 
     parameters = (f"vehicle:={VEHICLE}", f"model:=[{', '.join(models)}]", f"imu_rate_hz:={IMU_HZ}")
     arguments = ("--ros-args", *(part for parameter in parameters for part in ("-p", parameter)))

@@ -112,7 +112,7 @@ class Publisher:
         from rclpy.context import Context
         from rclpy.node import Node
 
-        from quadpi_ros.dds_profile import OUTPUT_QOS
+        from quadpi_ros.callbacks import OUTPUT_QOS
 
         self._context = Context()
         self._context.init()

@@ -9,28 +9,300 @@ rclpy's own services for parameters and the lifecycle, which a client can make r
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 import traceback
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from functools import wraps
-from typing import Any, cast
+from pathlib import Path
+from typing import Any, Literal, cast
 
-from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from lifecycle_msgs.msg import State
+from lifecycle_msgs.srv import GetState
+from rclpy.client import Client
 from rclpy.event_handler import EventHandler
+from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
-from rclpy.qos import QoSProfile
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.service import Service
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 from rclpy.timer import Timer
 
-from quadpi_core.errors import one_line
-from quadpi_ros import diagnostics
-from quadpi_ros.dds_profile import check_overrides, overriding_options
+from quadpi_core.errors import QuadpiError, one_line
+from quadpi_core.messages import topics as qos
+from quadpi_core.monitor.health import TopicReport
+
+# Discovery has two sides: a publisher may already know a subscriber that does not know the publisher yet and
+# drops its messages, on a busy machine for seconds. A participant announces its endpoints in the order of
+# their creation. So a node that has answered a request of a client created after the publishers knows the
+# publishers.
+
+QOS_PREFIX = "qos_overrides."
+
+# The policies that may be overridden, and the type of the value of each; None is a positive integer.
+_VALUES: dict[QoSPolicyKind, type[HistoryPolicy | ReliabilityPolicy | DurabilityPolicy] | None] = {
+    QoSPolicyKind.HISTORY: HistoryPolicy,
+    QoSPolicyKind.DEPTH: None,
+    QoSPolicyKind.RELIABILITY: ReliabilityPolicy,
+    QoSPolicyKind.DURABILITY: DurabilityPolicy,
+}
+_NAME = re.compile(r"/[^.]+\.(?:publisher|subscription)\.(?P<policy>\w+)")
+
+_POLL_S = 0.02
+# When a publisher knows one subscriber, others may not have found each other yet: they do within this.
+_MATCHED_S = 1.0
+# A node that is being configured does not answer; after this time it is asked again.
+_ANSWER_S = 1.0
+
+
+def _profile(offered: qos.Qos) -> QoSProfile:
+    return QoSProfile(
+        depth=offered.depth,
+        reliability=ReliabilityPolicy.RELIABLE if offered.reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if offered.latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+SENSOR_QOS, OUTPUT_QOS, LOG_QOS = (_profile(offered) for offered in (qos.SENSOR, qos.OUTPUT, qos.LOG))
+
+# Whoever subscribes late gets the present one.
+DESCRIPTION_QOS = QoSProfile(
+    depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
+)
+
+# Quality of service of static transforms in tf2.
+TRANSFORMS_QOS = QoSProfile(
+    depth=100, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
+)
+
+
+class QosOverrideError(QuadpiError):
+    """A `qos_overrides` parameter has an unknown name or an invalid value."""
+
+
+def check_overrides(node: Node) -> None:
+    """Refuse invalid `qos_overrides`: rclpy raises deep inside for a wrong value and ignores a wrong name.
+
+    Any topic is accepted, as a parameter file for several nodes names the topics of all of them.
+
+    Args:
+        node: its parameters are declared.
+
+    Raises:
+        QosOverrideError: naming the parameter.
+    """
+    policies = {kind.name.lower(): values for kind, values in _VALUES.items()}
+    # rclpy annotates values, but returns parameters.
+    given: Mapping[str, Any] = node.get_parameters_by_prefix(QOS_PREFIX[:-1])
+    for name, parameter in given.items():
+        where, value = f"node {node.get_name()}: parameter `{QOS_PREFIX}{name}`", parameter.value
+        match = _NAME.fullmatch(name)
+        if match is None or match["policy"] not in policies:
+            raise QosOverrideError(
+                f"{where} is none of {QOS_PREFIX}/TOPIC.publisher.POLICY and "
+                f"{QOS_PREFIX}/TOPIC.subscription.POLICY, where POLICY is {', '.join(policies)}"
+            )
+        values = policies[match["policy"]]
+        if values is None:
+            right, expected = type(value) is int and value > 0, "a positive integer"
+        else:
+            names = [item.lower() for item in values.__members__ if item != "UNKNOWN"]
+            right, expected = value in names, f"one of {', '.join(names)}"
+        if not right:
+            raise QosOverrideError(f"{where} must be {expected}, found {value!r}")
+
+
+def overriding_options(
+    node: Node, topic: str, end: Literal["publisher", "subscription"]
+) -> QoSOverridingOptions:
+    """For creating an endpoint: those policies for which a parameter of the node has a value."""
+    prefix = f"{QOS_PREFIX}{node.resolve_topic_name(topic)}.{end}"
+    return QoSOverridingOptions(
+        [kind for kind in _VALUES if node.has_parameter(f"{prefix}.{kind.name.lower()}")]
+    )
+
+
+class DiscoveryError(QuadpiError):
+    """No subscriber was found in time."""
+
+
+def await_listeners(
+    node: Node, publishers: Sequence[Publisher], managed: Sequence[str], wait_s: float
+) -> None:
+    """Wait until the managed nodes are active and every publisher has a subscriber.
+
+    Args:
+        node: owns the publishers; on no executor.
+        publishers: each needs at least one subscriber.
+        managed: names of lifecycle nodes, relative to the namespace of `node`. They know the publishers.
+        wait_s: timeout.
+
+    Raises:
+        DiscoveryError: on timeout, naming what is missing.
+    """
+    deadline = time.monotonic() + wait_s
+    executor = EventsExecutor(context=node.context)
+    executor.add_node(node)
+    try:
+        for name in managed:
+            client = node.create_client(GetState, f"{name}/get_state")
+            _await_active(node, executor, client, name, deadline)
+            node.destroy_client(client)
+        await_subscribers(node, publishers, deadline - time.monotonic())
+        if managed:
+            time.sleep(_MATCHED_S)
+    finally:
+        executor.remove_node(node)
+        executor.shutdown()
+
+
+def _await_active(node: Node, executor: EventsExecutor, client: Client, name: str, deadline: float) -> None:
+    while node.context.ok():
+        if time.monotonic() > deadline:
+            raise DiscoveryError(f"node {name} does not run, or is not active")
+        if client.service_is_ready():
+            answer = client.call_async(GetState.Request())
+            executor.spin_until_future_complete(answer, timeout_sec=_ANSWER_S)
+            if answer.done() and answer.result().current_state.id == State.PRIMARY_STATE_ACTIVE:
+                return
+            client.remove_pending_request(answer)
+        time.sleep(_POLL_S)
+
+
+def await_subscribers(node: Node, publishers: Sequence[Publisher], wait_s: float) -> None:
+    """Wait until every publisher has a subscriber.
+
+    Args:
+        node: owns the publishers.
+        publishers: to connect.
+        wait_s: timeout.
+
+    Raises:
+        DiscoveryError: on timeout, naming the topics without a subscriber.
+    """
+    deadline = time.monotonic() + wait_s
+    while node.context.ok():
+        lonely = sorted(one.topic_name for one in publishers if one.get_subscription_count() == 0)
+        if not lonely:
+            return
+        if time.monotonic() > deadline:
+            raise DiscoveryError(f"nobody subscribed to {', '.join(lonely)} in time")
+        time.sleep(_POLL_S)
+
+
+OK, WARN, ERROR, STALE = (
+    DiagnosticStatus.OK,
+    DiagnosticStatus.WARN,
+    DiagnosticStatus.ERROR,
+    DiagnosticStatus.STALE,
+)
+
+# A relative error of the rate moves the cut-off of a low-pass by as much.
+_RATE_TOLERANCE = 0.1
+# With fewer samples the rate of the stamps is too uncertain to judge.
+_RATE_SAMPLES_MIN = 20
+
+
+def array(node: Node, statuses: Sequence[DiagnosticStatus]) -> DiagnosticArray:
+    """Message with the statuses of a node, stamped now.
+
+    Sets their `hardware_id` to the node's namespace and the name of its vehicle file, as several vehicles may
+    share a file.
+
+    Args:
+        node: its parameter `vehicle` is the file.
+        statuses: to send.
+    """
+    vehicle = Path(node.get_parameter_or("vehicle", Parameter("vehicle", value="")).value).stem
+    for one in statuses:
+        one.hardware_id = f"{node.get_namespace()}/{vehicle}".lstrip("/")
+    message = DiagnosticArray(status=list(statuses))
+    message.header.stamp = node.get_clock().now().to_msg()
+    return message
+
+
+def full_name(node: Node, name: str) -> str:
+    """Name of a status, preceded by that of its node."""
+    return f"{node.get_fully_qualified_name().lstrip('/')}: {name}"
+
+
+def type_name(message_type: Any) -> str:
+    """Name of a message type in the ROS graph, such as `sensor_msgs/msg/Imu`."""
+    return f"{message_type.__module__.partition('.')[0]}/msg/{message_type.__name__}"
+
+
+def status(name: str, level: bytes, message: str, values: Mapping[str, Any]) -> DiagnosticStatus:
+    """A status; floats are rounded to four digits."""
+    return DiagnosticStatus(
+        name=name,
+        level=level,
+        message=message,
+        values=[KeyValue(key=key, value=_text(value)) for key, value in values.items()],
+    )
+
+
+def topic_status(
+    name: str,
+    report: TopicReport,
+    *,
+    required: bool,
+    rate_hz: float | None,
+    mismatch: str | None,
+    values: Mapping[str, Any],
+) -> DiagnosticStatus:
+    """Status of a subscribed topic.
+
+    Args:
+        name: of the status.
+        report: health of the topic since the last status.
+        required: whether silence is an error.
+        rate_hz: nominal rate, if one is set.
+        mismatch: why a publisher is incompatible.
+        values: further values to report.
+    """
+    level, message = OK, f"{report.rate_hz:.0f} Hz"
+    if report.samples == 0 and mismatch:
+        level, message = ERROR, mismatch
+    elif report.samples == 0 and report.refused_now == 0:
+        level, message = (ERROR if required else OK), "nothing arrives"
+    elif _other_rate(report, rate_hz):
+        level = ERROR
+        message = f"stamps say {report.stamp_rate_hz:.0f} Hz, imu_rate_hz is {rate_hz:g}: set it to 0"
+    elif report.refused_now:
+        level, message = WARN, f"{report.refused_now} samples refused in the last second"
+    elif report.gaps:
+        level, message = WARN, f"{report.gaps} gaps, the longest {report.longest_gap_s:.3f} s"
+    topic: dict[str, Any] = {
+        "samples": report.total,
+        "rate_hz": report.rate_hz,
+        "stamp_rate_hz": report.stamp_rate_hz,
+        "gaps": report.gaps,
+        "longest_gap_s": report.longest_gap_s,
+        "refused": sum(report.refused.values()),
+    }
+    topic |= {f"refused: {reason}": count for reason, count in report.refused.items()}
+    return status(name, level, message, topic | dict(values))
+
+
+def _other_rate(report: TopicReport, rate_hz: float | None) -> bool:
+    if rate_hz is None or report.stamp_rate_hz is None or report.samples < _RATE_SAMPLES_MIN:
+        return False
+    return abs(report.stamp_rate_hz / rate_hz - 1.0) > _RATE_TOLERANCE
+
+
+def _text(value: Any) -> str:
+    if value is None:
+        return "unknown"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
 
 # A callback that fails at every sample is logged at this period.
 _LOG_PERIOD_S = 5.0
@@ -80,10 +352,10 @@ class CaughtExceptions:
         if not total:
             return []
         new, self._reported = total - self._reported, total
-        level = diagnostics.ERROR if new else diagnostics.WARN
+        level = ERROR if new else WARN
         text = f"{new} exceptions in the last second" if new else f"{total} exceptions so far"
-        name = diagnostics.full_name(self._node, "callbacks")
-        return [diagnostics.status(name, level, f"{text}, the last in {self._latest}", self.counts)]
+        name = full_name(self._node, "callbacks")
+        return [status(name, level, f"{text}, the last in {self._latest}", self.counts)]
 
 
 class GuardedNode(Node):

@@ -35,8 +35,7 @@ from quadpi_core.report.page import FlightFiles
 from quadpi_core.report.table import progress_bar, terminal_table
 from quadpi_core.vehicle import Vehicle
 from quadpi_core.view.view_server import ADDRESS, PORT, port_problem
-from quadpi_ros.collector import AlarmChange
-from quadpi_ros.live_session import SessionResult, run_session
+from quadpi_ros.live_session import AlarmChange, SessionResult, run_session
 
 CONFIDENCE = 0.95
 # Real logs below the bundled bags: of a vehicle as it was, and with a nut near motor 3.

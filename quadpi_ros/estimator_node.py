@@ -26,7 +26,7 @@ from quadpi_core.messages.one_by_one import IncomingMessage, OutgoingMessage
 from quadpi_core.messages.result_messages import transform_message
 from quadpi_core.messages.values import POSE
 from quadpi_core.vehicle import Vehicle
-from quadpi_ros import diagnostics
+from quadpi_ros import callbacks
 from quadpi_ros.input_sources import AdaptedSources, AdapterError, Source, message_class
 from quadpi_ros.parameters import EstimatorParameters, ParameterError
 from quadpi_ros.runtime import run, serve
@@ -40,10 +40,10 @@ _INITIALISING_S = 3.0
 _APART_S = 1.0
 _FUSED = {f"{kind} {outcome}" for kind in ("poses", "velocities") for outcome in ("used", "collected")}
 _LEVELS = {
-    EstimatorStatus.INITIALISING: diagnostics.WARN,
-    EstimatorStatus.OK: diagnostics.OK,
-    EstimatorStatus.DEGRADED: diagnostics.WARN,
-    EstimatorStatus.LOST: diagnostics.ERROR,
+    EstimatorStatus.INITIALISING: callbacks.WARN,
+    EstimatorStatus.OK: callbacks.OK,
+    EstimatorStatus.DEGRADED: callbacks.WARN,
+    EstimatorStatus.LOST: callbacks.ERROR,
 }
 
 
@@ -157,7 +157,7 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         values |= self._mocap_outcomes()
         level, message = _LEVELS[ekf.status], ekf.status.name.lower()
         if stale := self.lack(self._imu.topic):
-            level, message = diagnostics.STALE, stale
+            level, message = callbacks.STALE, stale
         return [self.status("filter", level, message, values), self._consistency.status()]
 
     def _mocap_outcomes(self) -> Counter[str]:

@@ -25,7 +25,7 @@ from quadpi_core.messages import result_messages
 from quadpi_core.results import ReportedAlarms
 from quadpi_core.view.trust import State, states_of
 from quadpi_ros.callbacks import GuardedNode
-from quadpi_ros.inbox import NEWEST_QOS, Inbox
+from quadpi_ros.input_sources import NEWEST_QOS, Inbox
 from quadpi_ros.parameters import MarkerParameters, read_parameters
 from quadpi_ros.runtime import run
 

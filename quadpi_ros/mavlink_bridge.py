@@ -34,11 +34,9 @@ from quadpi_core.logs.mavlink_session import MavlinkSession, SessionReport, Sess
 from quadpi_core.messages import result_messages, sensor_messages
 from quadpi_core.rotor_order import RotorOrder
 from quadpi_core.vehicle import Vehicle
-from quadpi_ros import diagnostics
-from quadpi_ros.callbacks import GuardedNode
-from quadpi_ros.dds_profile import OUTPUT_QOS, SENSOR_QOS, DiscoveryError, await_subscribers
-from quadpi_ros.mavlink_alarm import AlarmTold, Text
-from quadpi_ros.mavlink_link import Chunk, Link, check_connection, is_replay, open_link
+from quadpi_ros import callbacks
+from quadpi_ros.callbacks import OUTPUT_QOS, SENSOR_QOS, DiscoveryError, GuardedNode, await_subscribers
+from quadpi_ros.mavlink_link import AlarmTold, Chunk, Link, Text, check_connection, is_replay, open_link
 from quadpi_ros.parameters import STANDARD_ORDER, BridgeParameters, ParameterError, read_parameters
 from quadpi_ros.runtime import run, spin
 
@@ -246,13 +244,13 @@ class MavlinkBridge(GuardedNode):
             **_clock_values(report),
             **{f"refused: {reason}": count for reason, count in report.refused.items()},
         }
-        statuses = [diagnostics.status(diagnostics.full_name(self, "link"), level, text, values)]
+        statuses = [callbacks.status(callbacks.full_name(self, "link"), level, text, values)]
         statuses += self.exceptions.statuses()
-        self._diagnostics.publish(diagnostics.array(self, statuses))
+        self._diagnostics.publish(callbacks.array(self, statuses))
 
     def _log(self, level: bytes, text: str) -> None:
         """Log what keeps the sensors from coming once it lasts, and that they come at the start and again."""
-        if level != diagnostics.ERROR:
+        if level != callbacks.ERROR:
             if self._logs_active:
                 self.get_logger().info(f"active: {text}")
             self._unusable, self._logs_active = (None, 0), False
@@ -269,24 +267,24 @@ class MavlinkBridge(GuardedNode):
 
     def _judged(self, report: SessionReport, rates: dict[str, float], rivals: list[str]) -> tuple[bytes, str]:
         if self._problem is not None:
-            return diagnostics.ERROR, self._problem
+            return callbacks.ERROR, self._problem
         if report.system is None:
             others = f", but packets of {', '.join(sorted(report.others))}" if report.others else ""
-            return diagnostics.ERROR, f"connected, but no heartbeat of an autopilot is heard{others}"
+            return callbacks.ERROR, f"connected, but no heartbeat of an autopilot is heard{others}"
         if report.silent_s > _SILENT_S and not self._is_replay:
-            return diagnostics.ERROR, f"nothing heard of system {report.system} for {report.silent_s:.0f} s"
+            return callbacks.ERROR, f"nothing heard of system {report.system} for {report.silent_s:.0f} s"
         if report.other_airframe:
-            return diagnostics.ERROR, f"system {report.system}: {report.other_airframe}"
+            return callbacks.ERROR, f"system {report.system}: {report.other_airframe}"
         lacking = [topic for topic in ("imu", "rotor_speeds") if rates[f"{topic}_hz"] == 0.0]
         if rates["mocap/pose_hz"] + rates["odometry_hz"] == 0.0:
             lacking.append("pose or velocity")
         if lacking:
-            return diagnostics.ERROR, f"the autopilot sends no {', no '.join(lacking)}"
+            return callbacks.ERROR, f"the autopilot sends no {', no '.join(lacking)}"
         if rivals:
-            return diagnostics.WARN, _rival(", ".join(sorted(rivals)), report.system)
+            return callbacks.WARN, _rival(", ".join(sorted(rivals)), report.system)
         if report.clock is None or not report.clock.exchanged:
-            return diagnostics.WARN, "the autopilot answers no TIMESYNC: stamps are late by the link's delay"
-        return diagnostics.OK, f"system {report.system}: imu at {rates['imu_hz']:.0f} Hz"
+            return callbacks.WARN, "the autopilot answers no TIMESYNC: stamps are late by the link's delay"
+        return callbacks.OK, f"system {report.system}: imu at {rates['imu_hz']:.0f} Hz"
 
 
 def _rival(names: str, system: int | None) -> str:

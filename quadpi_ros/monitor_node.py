@@ -43,11 +43,10 @@ from quadpi_core.monitor.pairing import CAPACITY, Pairing
 from quadpi_core.monitor.unsure_states import deviation_of_one
 from quadpi_core.paths import resolved_below
 from quadpi_core.vehicle import Motors, Vehicle
-from quadpi_ros import diagnostics
+from quadpi_ros import callbacks
 from quadpi_ros.callbacks import SlowService
-from quadpi_ros.commanded_rotors import CommandedRotors, command_sources
 from quadpi_ros.estimator_node import IMU_TOPIC, EstimatorNode, StateListener, framed_imu
-from quadpi_ros.input_sources import AdaptedSources, Source
+from quadpi_ros.input_sources import AdaptedSources, CommandedRotors, Source, command_sources
 from quadpi_ros.parameters import FASTEST_IMU_HZ, MonitorParameters
 from quadpi_ros.result_publishers import Results, named
 from quadpi_ros.runtime import run, serve
@@ -154,15 +153,15 @@ class MonitorNode(SensorNode[MonitorParameters]):
         """The models and their alarm, how samples meet, and how long results take."""
         values = asdict(self._pairing.counts) | {"imu_rate": str(self._rate)} | self._latencies()
         dropped, self._dropped = self._pairing.counts.dropped - self._dropped, self._pairing.counts.dropped
-        level, message = diagnostics.OK, "samples are complete"
+        level, message = callbacks.OK, "samples are complete"
         if dropped:
-            level, message = diagnostics.WARN, f"{dropped} IMU samples without state or rotor speeds in time"
+            level, message = callbacks.WARN, f"{dropped} IMU samples without state or rotor speeds in time"
         if self._rate_problem:
-            level, message = diagnostics.ERROR, self._rate_problem
+            level, message = callbacks.ERROR, self._rate_problem
         alarm_level, alarm, models = self._results.alarm_status()
         judged, self._judged = self._pairing.arrived.judged - self._judged, self._pairing.arrived.judged
         if not judged:
-            level = alarm_level = diagnostics.STALE
+            level = alarm_level = callbacks.STALE
             message = alarm = ", ".join(self._silence.reasons) or "no sample came in the last second"
         told = [] if self._commanded is None else [self._tachometer_status(self._commanded)]
         return [
@@ -175,10 +174,10 @@ class MonitorNode(SensorNode[MonitorParameters]):
     def _tachometer_status(self, rotors: CommandedRotors) -> DiagnosticStatus:
         """Where rotor speeds come from, and tachometers that do not read what the commands give."""
         source = "motor commands" if rotors.counts else "measured"
-        sentences = rotors.watch.found(alarm=self._results.alarm_status()[0] != diagnostics.OK)
+        sentences = rotors.watch.found(alarm=self._results.alarm_status()[0] != callbacks.OK)
         for sentence in sentences:
             self.warn(sentence, "see its wiring, or the pairs of poles of its speed controller")
-        level = diagnostics.WARN if sentences or (rotors.counts and rotors.fallback) else diagnostics.OK
+        level = callbacks.WARN if sentences or (rotors.counts and rotors.fallback) else callbacks.OK
         return self.status("rotor speeds", level, "; ".join(sentences) or f"from {source}", {"from": source})
 
     def _latencies(self) -> dict[str, float | str | None]:

@@ -19,7 +19,7 @@ from quadpi_core.messages.topics import MOCAP_TOPICS
 from quadpi_core.monitor import MonitorSettings
 from quadpi_core.monitor.pairing import TIMEOUT_S
 from quadpi_core.rotor_order import RPM
-from quadpi_ros.dds_profile import QOS_PREFIX
+from quadpi_ros.callbacks import QOS_PREFIX
 
 # No IMU of a quadrotor is faster.
 FASTEST_IMU_HZ = 5000.0

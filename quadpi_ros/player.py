@@ -27,8 +27,7 @@ from quadpi_core.flight import MAX_JUMP_BACK_NS
 from quadpi_core.messages.adapters import known_adapters
 from quadpi_core.messages.sensor_messages import unpack_stamps
 from quadpi_core.paths import whole_output
-from quadpi_ros.callbacks import GuardedNode
-from quadpi_ros.dds_profile import SENSOR_QOS, DiscoveryError, await_listeners
+from quadpi_ros.callbacks import SENSOR_QOS, DiscoveryError, GuardedNode, await_listeners
 from quadpi_ros.input_sources import message_class
 from quadpi_ros.parameters import CLOCK_HZ
 from quadpi_ros.playlist import SENSOR_TYPES, PlayerError, Playlist

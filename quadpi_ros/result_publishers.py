@@ -25,8 +25,8 @@ from quadpi_core.monitor.alarm_log import reasons_by_row
 from quadpi_core.monitor.monitor import Judged, Monitors
 from quadpi_core.results import BAD_DATA, CAUSE_NAMES, LEVEL_OK, Predictions
 from quadpi_core.results import AlarmEvent as Event
-from quadpi_ros import diagnostics
-from quadpi_ros.dds_profile import DESCRIPTION_QOS, LOG_QOS
+from quadpi_ros import callbacks
+from quadpi_ros.callbacks import DESCRIPTION_QOS, LOG_QOS
 from quadpi_ros.sensor_node import SensorNode
 
 _NOT_IN_A_TOPIC = re.compile(r"[^A-Za-z0-9]+")
@@ -205,7 +205,7 @@ class Results:
         """Level, message and values of the status of the alarm."""
         level, causes = self._alarm
         models = {f"model {name}": self.monitors[name].model.identity for name in self.monitors.names}
-        severity = diagnostics.OK if level == LEVEL_OK else diagnostics.WARN
+        severity = callbacks.OK if level == LEVEL_OK else callbacks.WARN
         return severity, _LEVELS[level], {"level": level, "causes": causes} | models
 
 

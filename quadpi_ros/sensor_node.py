@@ -26,9 +26,8 @@ from quadpi_core.messages.frame_ids import TF_TOPIC, TF_TYPE, BodyFrames
 from quadpi_core.monitor.health import TopicHealth
 from quadpi_core.screening.first_seconds import STRETCHES, FirstSeconds, contradictions
 from quadpi_core.vehicle import Vehicle
-from quadpi_ros import diagnostics
-from quadpi_ros.callbacks import GuardedNode
-from quadpi_ros.dds_profile import OUTPUT_QOS, SENSOR_QOS, TRANSFORMS_QOS
+from quadpi_ros import callbacks
+from quadpi_ros.callbacks import OUTPUT_QOS, SENSOR_QOS, TRANSFORMS_QOS, GuardedNode
 from quadpi_ros.input_sources import AdapterError, message_class
 from quadpi_ros.parameters import STRICT, Parameters
 from quadpi_ros.runtime import ManagedNode
@@ -319,18 +318,18 @@ class SensorNode(ManagedNode[Parameters]):
             problem = self.problem()
             self.count_refused()
         self._follow(problem)
-        level = diagnostics.ERROR if problem else diagnostics.OK
+        level = callbacks.ERROR if problem else callbacks.OK
         statuses = [self.status("state", level, problem or self.state, {"state": self.state})]
         statuses += self.exceptions.statuses()
         statuses += [self._input_status(name, topic, period_s) for name, topic in self._inputs.items()]
         statuses += [
-            self.status(name, diagnostics.ERROR, mismatch, {})
+            self.status(name, callbacks.ERROR, mismatch, {})
             for name, output in self._outputs.items()
             if (mismatch := self._standing_mismatch(output))
         ]
         if self.state == "active":
             statuses += self.statuses()
-        self._diagnostics.publish(diagnostics.array(self, statuses))
+        self._diagnostics.publish(callbacks.array(self, statuses))
 
     def _follow(self, problem: str | None) -> None:
         before, seen = self._problem
@@ -344,15 +343,15 @@ class SensorNode(ManagedNode[Parameters]):
 
     def status(self, name: str, level: bytes, message: str, values: Mapping[str, Any]) -> DiagnosticStatus:
         """A status named after the node."""
-        return diagnostics.status(diagnostics.full_name(self, name), level, message, values)
+        return callbacks.status(callbacks.full_name(self, name), level, message, values)
 
     def _input_status(self, name: str, topic: _Input, period_s: float) -> DiagnosticStatus:
         report = topic.health.report(period_s)
         age_s = None
         if report.newest_ns is not None:
             age_s = 1e-9 * (self.get_clock().now().nanoseconds - report.newest_ns)
-        return diagnostics.topic_status(
-            diagnostics.full_name(self, name),
+        return callbacks.topic_status(
+            callbacks.full_name(self, name),
             report,
             required=topic.required,
             rate_hz=topic.health.rate_hz,
@@ -374,7 +373,7 @@ class SensorNode(ManagedNode[Parameters]):
 
         DDS silently does not connect types of other names, and hands over the bytes of other versions.
         """
-        topic, expected = endpoint.topic_name, diagnostics.type_name(endpoint.msg_type)
+        topic, expected = endpoint.topic_name, callbacks.type_name(endpoint.msg_type)
         publishers = self.get_publishers_info_by_topic(topic)
         subscriptions = self.get_subscriptions_info_by_topic(topic)
         if isinstance(endpoint, Subscription):
@@ -462,9 +461,9 @@ class ConsistencyWatch:
     def status(self) -> DiagnosticStatus:
         """Status for `/diagnostics`: every contradiction found since the node became active."""
         found, judged = list(self._found), self._judged
-        level, message = diagnostics.OK, "sensors and vehicle agree"
+        level, message = callbacks.OK, "sensors and vehicle agree"
         if found:
-            level, message = diagnostics.WARN, "; ".join(found)
+            level, message = callbacks.WARN, "; ".join(found)
         elif judged == 0:
             message = f"not judged yet: {self._samples.lacking}"
         values = {"stretches": f"{judged} of {STRETCHES}"}

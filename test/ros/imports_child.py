@@ -31,7 +31,7 @@ def configured(module: str) -> None:
     node = importlib.import_module(module)
     initialise()
     if module.endswith("view_node"):
-        importlib.import_module("quadpi_ros.live_vehicle").warm_up()
+        importlib.import_module("quadpi_ros.view_node").warm_up()
     elif module.endswith("marker_node"):
         node.MarkerNode()
     else:

@@ -33,7 +33,7 @@ from sensor_msgs.msg import Imu
 
 from quadpi_core.flight import ImuStream, PoseStream, Recording, RotorSpeedStream
 from quadpi_core.messages import sensor_messages
-from quadpi_ros.dds_profile import SENSOR_QOS, DiscoveryError, await_listeners
+from quadpi_ros.callbacks import SENSOR_QOS, DiscoveryError, await_listeners
 from quadpi_ros.live_session import Child, ChildError
 
 IMU_HZ = 500.0

@@ -32,9 +32,8 @@ from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor.replay import replay
 from quadpi_core.results import Predictions
 from quadpi_core.vehicle import Motors, Vehicle
-from quadpi_ros.collector import Collector
 from quadpi_ros.input_sources import AdaptedSources, AdapterError
-from quadpi_ros.live_session import Child, ChildError, isolated_domain, play
+from quadpi_ros.live_session import Child, ChildError, Collector, isolated_domain, play
 from quadpi_ros.playlist import Playlist
 
 from ..core.messages.adapters.vendor_messages import (

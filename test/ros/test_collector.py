@@ -21,8 +21,8 @@ from quadpi_core.models.alarm_limits import AlarmLimits
 from quadpi_core.models.envelope import Envelope
 from quadpi_core.monitor.alarm import Alarm, MonitorSettings
 from quadpi_core.results import Alarms, Predictions, ReportedAlarms
-from quadpi_ros.collector import AlarmChange, AlarmFollower, Collector
-from quadpi_ros.dds_profile import OUTPUT_QOS
+from quadpi_ros.callbacks import OUTPUT_QOS
+from quadpi_ros.live_session import AlarmChange, AlarmFollower, Collector
 
 from .rig import PATIENCE_S
 

@@ -13,8 +13,7 @@ from quadpi_core.errors import LogError
 from quadpi_core.flight import BatteryStream, MotorCommandStream, RotorSpeedStream
 from quadpi_core.monitor import Monitor
 from quadpi_core.vehicle import Motors, Vehicle
-from quadpi_ros.commanded_rotors import CommandedRotors, command_sources
-from quadpi_ros.input_sources import AdaptedSources
+from quadpi_ros.input_sources import AdaptedSources, CommandedRotors, command_sources
 
 MOTORS = Motors(source="px4_motors", coefficients=((0.0, 1000.0, 0.0, 10.0, 0.0),) * 4, lag_s=0.0, volts=15.0)
 FALLBACK = cast("Monitor", object())

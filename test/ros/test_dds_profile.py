@@ -14,7 +14,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from sensor_msgs.msg import Imu
 
-from quadpi_ros.dds_profile import SENSOR_QOS, DiscoveryError, await_listeners, await_subscribers
+from quadpi_ros.callbacks import SENSOR_QOS, DiscoveryError, await_listeners, await_subscribers
 
 pytestmark = pytest.mark.usefixtures("ros")
 # Long enough that discovery has settled, with nothing to find.

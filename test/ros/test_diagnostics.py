@@ -10,8 +10,8 @@ import pytest
 from sensor_msgs.msg import Imu
 
 from quadpi_core.monitor.health import TopicReport
-from quadpi_ros import diagnostics
-from quadpi_ros.diagnostics import ERROR, OK, WARN
+from quadpi_ros import callbacks
+from quadpi_ros.callbacks import ERROR, OK, WARN
 from quadpi_ros.estimator_node import EstimatorNode
 
 from .rig import started, values_of
@@ -33,7 +33,7 @@ REFUSED = {"refused_now": 3, "refused": {"no unit quaternion": 3, "stamp jumped"
 def status_of(report: dict[str, Any], **given: Any) -> Any:
     """The status of a topic that is required, whose nominal rate is 500 Hz."""
     settings: dict[str, Any] = {"required": True, "rate_hz": 500.0, "mismatch": None, "values": {}}
-    return diagnostics.topic_status("imu", TopicReport(**SOUND | report), **settings | given)
+    return callbacks.topic_status("imu", TopicReport(**SOUND | report), **settings | given)
 
 
 @pytest.mark.parametrize(
@@ -82,14 +82,14 @@ def test_values_are_short_and_name_every_refusal() -> None:
 
 
 def test_a_message_type_is_named_as_in_the_graph() -> None:
-    assert diagnostics.type_name(Imu) == "sensor_msgs/msg/Imu"
+    assert callbacks.type_name(Imu) == "sensor_msgs/msg/Imu"
 
 
 def test_diagnostics_name_the_vehicle_and_whose_it_is(ros_domain: int) -> None:
     given = ("-p", "autostart:=false", "-p", "vehicle:=some/my-quad.yaml")
     with started(ros_domain, "-r", "__ns:=/uav1", *given):
         node = EstimatorNode()
-        status = diagnostics.status(diagnostics.full_name(node, "state"), diagnostics.OK, "", {})
-        (told,) = diagnostics.array(node, [status]).status
+        status = callbacks.status(callbacks.full_name(node, "state"), callbacks.OK, "", {})
+        (told,) = callbacks.array(node, [status]).status
         node.destroy_node()
     assert (told.name, told.hardware_id) == ("uav1/estimator: state", "uav1/my-quad")

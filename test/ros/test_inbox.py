@@ -14,8 +14,8 @@ from rclpy.node import Node
 from quadpi_core.errors import SampleError
 from quadpi_core.flight import RotorSpeedStream
 from quadpi_core.messages.sensor_messages import pack_rotor_speeds, unpack_odometry, unpack_rotor_speeds
-from quadpi_ros.dds_profile import SENSOR_QOS, await_subscribers
-from quadpi_ros.inbox import Inbox
+from quadpi_ros.callbacks import SENSOR_QOS, await_subscribers
+from quadpi_ros.input_sources import Inbox
 
 from .rig import wait_until
 

@@ -32,7 +32,7 @@ from rosgraph_msgs.msg import Clock
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.paths import bags_directory
 from quadpi_core.vehicle import Vehicle
-from quadpi_ros.collector import Listener
+from quadpi_ros.live_session import Listener
 from quadpi_ros.parameters import EstimatorParameters, MonitorParameters
 from quadpi_ros.player import parse_arguments
 

@@ -25,9 +25,10 @@ from quadpi_core.paths import bags_directory, config_directory
 from quadpi_core.results import LEVEL_ALARM
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros import live_session
-from quadpi_ros.collector import AlarmChange, Collector
 from quadpi_ros.live_session import (
+    AlarmChange,
     ChildError,
+    Collector,
     SessionError,
     SessionResult,
     await_rest,

@@ -22,8 +22,8 @@ from quadpi_core.messages import result_messages, sensor_messages
 from quadpi_core.messages.model_description import DescribedModel, pack_description
 from quadpi_core.vehicle import Vehicle
 from quadpi_core.view.trust import State
-from quadpi_ros import live_vehicle
-from quadpi_ros.dds_profile import DESCRIPTION_QOS, OUTPUT_QOS
+from quadpi_ros import view_node
+from quadpi_ros.callbacks import DESCRIPTION_QOS, OUTPUT_QOS
 from quadpi_ros.view_node import LiveSource
 
 from .rig import wait_until
@@ -163,7 +163,7 @@ def test_battery_and_link_are_told_beside_the_state_while_they_come(node, source
         return {name: text for view in source.vehicles.values() for name, text in view.told.items()}
 
     wait_until(lambda: words() == {"battery": "15.2 V, 50 %", "link": "heard"}, turn, words)
-    monkeypatch.setattr(live_vehicle, "TOLD_S", 0.2)
+    monkeypatch.setattr(view_node, "TOLD_S", 0.2)
     wait_until(lambda: set(words().values()) == {"no message for 5 s"}, fly, words)
 
 

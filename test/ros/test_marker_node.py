@@ -13,7 +13,7 @@ from rclpy.serialization import serialize_message
 from visualization_msgs.msg import Marker, MarkerArray
 
 from quadpi_core.messages import result_messages
-from quadpi_ros.dds_profile import OUTPUT_QOS
+from quadpi_ros.callbacks import OUTPUT_QOS
 from quadpi_ros.marker_node import TOPIC, MarkerNode, arrows, words
 
 from .rig import wait_until

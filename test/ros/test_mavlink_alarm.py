@@ -13,7 +13,7 @@ from quadpi_core.logs.mavlink_frames import Framer
 from quadpi_core.logs.mavlink_session import MavlinkSession, SessionSettings
 from quadpi_core.results import CHANGED_MASS, CHANGED_ROTOR, UNCHANGED
 from quadpi_core.rotor_order import RotorOrder
-from quadpi_ros.mavlink_alarm import AlarmTold, Text
+from quadpi_ros.mavlink_link import AlarmTold, Text
 
 S = 1_000_000_000
 LOST = "rotor 3 gives 3.10 ± 0.40 % less thrust than its speed says since 12:41:07 UTC"

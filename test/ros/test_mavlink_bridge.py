@@ -32,7 +32,7 @@ from sensor_msgs.msg import Imu
 from quadpi_core.logs.mavlink_dialect import load_dialect
 from quadpi_core.messages import sensor_messages
 from quadpi_ros import mavlink_link
-from quadpi_ros.dds_profile import OUTPUT_QOS, SENSOR_QOS
+from quadpi_ros.callbacks import OUTPUT_QOS, SENSOR_QOS
 from quadpi_ros.mavlink_bridge import MavlinkBridge
 from quadpi_ros.parameters import BridgeParameters, ParameterError
 

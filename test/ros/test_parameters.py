@@ -17,8 +17,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import HistoryPolicy, ReliabilityPolicy
 from sensor_msgs.msg import Imu
 
-from quadpi_ros.callbacks import GuardedNode
-from quadpi_ros.dds_profile import SENSOR_QOS, QosOverrideError
+from quadpi_ros.callbacks import SENSOR_QOS, GuardedNode, QosOverrideError
 from quadpi_ros.estimator_node import EstimatorNode
 from quadpi_ros.monitor_node import MonitorNode
 from quadpi_ros.parameters import BridgeParameters, MonitorParameters, ParameterError, read_parameters

@@ -16,8 +16,7 @@ from quadpi_core.monitor.replay import replay
 from quadpi_core.paths import bags_directory
 from quadpi_core.results import LEVEL_ALARM, LEVEL_OK
 from quadpi_core.vehicle import Vehicle
-from quadpi_ros.collector import Collector
-from quadpi_ros.live_session import Child
+from quadpi_ros.live_session import Child, Collector
 from quadpi_ros.parameters import START_TIMEOUT_S
 from quadpi_ros.player import parse_arguments, start_of
 from quadpi_ros.playlist import PlayerError, Playlist

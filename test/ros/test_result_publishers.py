@@ -33,7 +33,7 @@ from quadpi_core.monitor import Monitor
 from quadpi_core.monitor.pairing import PairedSamples
 from quadpi_core.results import BAD_DATA, LEVEL_ALARM, LEVEL_OK
 from quadpi_core.vehicle import Vehicle
-from quadpi_ros import diagnostics
+from quadpi_ros import callbacks
 from quadpi_ros.monitor_node import MonitorNode
 from quadpi_ros.result_publishers import WRENCH_TOPICS, Results, named, topic_name
 
@@ -116,7 +116,7 @@ def test_every_model_predicts_and_the_first_one_raises_the_alarm(models):
     told = result_messages.unpack_alarms(Payloads.join(outputs.sent["extrapolation_alarm"]))
     np.testing.assert_array_equal(told.time_ns, alarms.time_ns)
     level, word, values = results.alarm_status()
-    assert (level, word, values["level"]) == (diagnostics.OK, "ok", LEVEL_OK)
+    assert (level, word, values["level"]) == (callbacks.OK, "ok", LEVEL_OK)
     assert values["model model"] == models["model"].identity
 
 
@@ -144,7 +144,7 @@ def test_silence_and_alarms_are_published_and_logged(models):
     broken = PairedSamples(samples.time_ns[300:500], np.full((200, 20), np.nan))
     for part in (PairedSamples(samples.time_ns[:300], samples.values[:300]), broken):
         results.publish(results.monitors.judge(part))
-    assert results.alarm_status()[:2] == (diagnostics.WARN, "alarm")
+    assert results.alarm_status()[:2] == (callbacks.WARN, "alarm")
     (event,) = result_messages.unpack_events(Payloads.join(outputs.sent["alarm_log"]))
     assert event.cause == BAD_DATA
     assert event.reasons[0] == "no motion capture"

@@ -32,7 +32,7 @@ from quadpi_core.logs.bags import write_bag
 from quadpi_core.messages import sensor_messages
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros import sensor_node
-from quadpi_ros.dds_profile import TRANSFORMS_QOS
+from quadpi_ros.callbacks import TRANSFORMS_QOS
 from quadpi_ros.live_session import Child
 from quadpi_ros.parameters import parameter
 from quadpi_ros.runtime import start

@@ -22,7 +22,7 @@ from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor.change import found_columns, nothing_found
 from quadpi_core.results import Alarms, Predictions
 from quadpi_core.view.trust import SILENCE_S, State
-from quadpi_ros.dds_profile import OUTPUT_QOS, SENSOR_QOS
+from quadpi_ros.callbacks import OUTPUT_QOS, SENSOR_QOS
 from quadpi_ros.view_node import LiveSource
 
 from .rig import wait_until
