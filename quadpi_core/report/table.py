@@ -192,7 +192,8 @@ def terminal_table(table: Table) -> RichTable:
             else column.heading,
             justify="left" if column.is_text else "right",
             vertical="bottom" if grouped else "top",
-            no_wrap=not (column.wraps or column.group),
+            # Text gives way before a figure loses a digit.
+            no_wrap=not (column.wraps or column.is_text or column.group),
             overflow="fold",
         )
     sections = [place for place, column in enumerate(table.columns) if column.is_section]

@@ -47,6 +47,12 @@ def test_terminal_has_sections_and_shared_headings(table, rendered):
     ]
 
 
+def test_on_a_narrow_terminal_text_gives_way_and_no_figure_loses_a_digit(rendered):
+    columns = [Column("quantity", is_text=True), Column("found", "{:.7f}".format), Column("±", is_text=True)]
+    table = Table(columns, [["a long name of a quantity", 0.1234567, "not ruled out: 5 to 7.5"]])
+    assert "0.1234567" in rendered(terminal_table(table), width=32)
+
+
 def test_markdown_has_every_column_and_escapes_bars(table):
     assert markdown_table(table).splitlines() == [
         "| axis | term | all <flights> PICP | all <flights> n |",
