@@ -17,7 +17,7 @@ from quadpi_core.models.model_kind import Evaluation
 from quadpi_core.parallel import Workers
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.sensor_noise import StateNoise, contaminate
-from quadpi_core.validation import realisations as realisation_chunks
+from quadpi_core.validation import validation_case as realisation_chunks
 from quadpi_core.validation.validation_case import (
     ValidationCase,
     noise_seed,
