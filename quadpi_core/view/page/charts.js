@@ -6,6 +6,8 @@ import {axis, element, ink} from "./drawing.js";
 /* global uPlot */
 
 export const WINDOW_S = 30;
+// A flight that has just begun is not stretched further than this span over the width of a chart.
+const BEGIN_S = 5;
 const STATES = ["trusted-line", "warning-line", "alarm-line", "none-line", "none-line"];
 // The higher, the worse.
 const HEIGHTS = [0.3, 0.65, 1, 0.15, 0.2];
@@ -35,8 +37,8 @@ export class TimeChart extends Chart {
   draw(store, cursor, series, {band = false, misses = null, least = 0} = {}) {
     this.renew(series.map(({colour, width}) => [colour, width]).concat(band), () => ({
       padding: [6, 2, 0, 0],
-      scales: {x: {time: false, range: () => [this.cursor - WINDOW_S, this.cursor]}, y: {range: (_, low, high) => this.fit(low, high, least)}},
-      axes: [axis({size: 20, grid: {show: false}, space: 70, values: (_, splits) => splits.map((value) => value < 0 ? "" : `${Number(value.toFixed(1))} s`)}), axis({size: 52, space: 26})],
+      scales: {x: {time: false, range: () => [Math.max(0, this.cursor - WINDOW_S), Math.max(this.cursor, BEGIN_S)]}, y: {range: (_, low, high) => this.fit(low, high, least)}},
+      axes: [axis({size: 20, grid: {show: false}, space: 70, values: (_, splits) => splits.map((value) => `${Number(value.toFixed(1))} s`)}), axis({size: 52, space: 26})],
       series: [{}, ...series.map(({colour, width}) => ({stroke: ink(colour), width: width ?? 1.5, points: {show: false}}))],
       bands: band ? [{series: [2, 1], fill: ink("band-fill")}] : [],
       cursor: {y: false, points: {size: 7}, drag: {x: false, y: false}, sync: {key: "page"}},
