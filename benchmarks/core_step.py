@@ -90,11 +90,12 @@ def microseconds(model: AerodynamicModel, vehicle: Vehicle, recording: Recording
         sample = ekf.step(time_ns, gyro, force).fused
         if sample is None:
             continue
-        pairing.add_estimate(time_ns, sample.motion)
-        pairing.add_rotor_speeds(time_ns, speeds)
-        if monitors.take(pairing) is None:
+        pairing.add_estimate(time_ns, sample.motion, monitors.paired(pairing))
+        completed = pairing.add_rotor_speeds(time_ns, speeds, monitors.paired(pairing))
+        if not isinstance(completed, tuple):
             # The rate of the IMU has become known: it is what the monitor was made for.
             pairing.take()
             continue
+        monitors.judged(completed)
         steps.append(time.perf_counter_ns() - start)
     return np.array(steps[1:]) / 1e3, np.array(corrections) / 1e3

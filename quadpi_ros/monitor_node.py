@@ -39,7 +39,8 @@ from quadpi_core.monitor import Monitor, MonitorSettings
 from quadpi_core.monitor.alarm_log import naming_sensors
 from quadpi_core.monitor.health import SILENT_S, WATCH_S, Latency, Silence, lack
 from quadpi_core.monitor.monitor import Judged
-from quadpi_core.monitor.pairing import CAPACITY, Pairing
+from quadpi_core.monitor.pairing import CAPACITY, Judging, Pairing
+from quadpi_core.monitor.pairing_kernel import NOTHING, Completed
 from quadpi_core.monitor.unsure_states import deviation_of_one
 from quadpi_core.paths import resolved_below
 from quadpi_core.vehicle import Motors, Vehicle
@@ -212,16 +213,14 @@ class MonitorNode(SensorNode[MonitorParameters]):
         """Take one IMU sample."""
         time_ns = int(imu.time_ns[0])
         self._note_arrival(time_ns)
-        self._pairing.add_imu(time_ns, imu.specific_force[0])
-        self._judge_completed()
+        self._publish(self._pairing.add_imu(time_ns, imu.specific_force[0], self._judging()))
 
     def take_estimate(self, sample: FusedSamples) -> None:
         """Take an IMU sample and the state at its stamp."""
         time_ns = int(sample.time_ns[0])
         self._note_arrival(time_ns)
         self._results.monitors.unsure.take_one(time_ns, *deviation_of_one(sample))
-        self._pairing.add_estimate(time_ns, sample.motion)
-        self._judge_completed()
+        self._publish(self._pairing.add_estimate(time_ns, sample.motion, self._judging()))
 
     def _note_arrival(self, time_ns: int) -> None:
         self.look_at_watches()
@@ -238,8 +237,8 @@ class MonitorNode(SensorNode[MonitorParameters]):
         """Take one state."""
         time_ns, (_, attitude, velocity) = int(odometry.time_ns[0]), odometry.deviation[0].tolist()
         self._results.monitors.unsure.take_one(time_ns, max(velocity, 0.0), max(attitude, 0.0))
-        self._pairing.add_state(time_ns, odometry.velocity[0], odometry.attitude[0], odometry.rates[0])
-        self._judge_completed()
+        state = odometry.velocity[0], odometry.attitude[0], odometry.rates[0]
+        self._publish(self._pairing.add_state(time_ns, *state, self._judging()))
 
     def _take_rotor_speeds(self, rotor_speeds: RotorSpeedStream) -> None:
         if self._commanded is not None:
@@ -248,8 +247,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
                 return
             if before and self._measuring is not None and not self._switch(self._measuring):
                 return
-        self._pairing.add_rotor_speeds(int(rotor_speeds.time_ns[0]), rotor_speeds.speeds[0])
-        self._judge_completed()
+        self._add_rotor_speeds(rotor_speeds)
 
     def _take_commands(self, commands: MotorCommandStream) -> None:
         assert self._commanded is not None
@@ -260,8 +258,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
         fallback = self._commanded.fallback
         if not before and fallback is not None and not self._switch(fallback):
             return
-        self._pairing.add_rotor_speeds(int(speeds.time_ns[0]), speeds.speeds[0])
-        self._judge_completed()
+        self._add_rotor_speeds(speeds)
 
     def _switch(self, monitor: Monitor) -> bool:
         """Put another monitor in the place of the first, as rotor speeds are silent, or come again.
@@ -295,24 +292,31 @@ class MonitorNode(SensorNode[MonitorParameters]):
         if self._air.hear(float(air.pressure[0]), float(air.celsius[0])):
             self._results.monitors.fly_in(self._air.density)
 
-    def _judge_completed(self) -> None:
-        """Judge the samples that are complete by now, and publish what follows from them."""
-        while self._pairing.due >= 0:
-            judged = self._judge_due()
-            if judged is None:
-                return
-            self._results.publish(judged)
-            now_ns, predicted_ns = time.monotonic_ns(), judged.predictions[0].time_ns
-            for time_ns in predicted_ns:
-                self._latency.published(time_ns, now_ns)
+    def _add_rotor_speeds(self, rotor_speeds: RotorSpeedStream) -> None:
+        time_ns, speeds = int(rotor_speeds.time_ns[0]), rotor_speeds.speeds[0]
+        self._publish(self._pairing.add_rotor_speeds(time_ns, speeds, self._judging()))
+
+    def _judging(self) -> Judging:
+        """What judges samples as they are completed; None where :meth:`_judge_due` does."""
+        if not self._consistency.complete or self._rate_begins:
+            return None
+        return self._results.monitors.paired(self._pairing)
+
+    def _publish(self, completed: Completed) -> None:
+        """Publish what follows from the samples that are complete by now."""
+        if completed == NOTHING:
+            return
+        monitors = self._results.monitors
+        judged = monitors.judged(completed) if isinstance(completed, tuple) else self._judge_due()
+        if judged is None:
+            return
+        self._results.publish(judged)
+        now_ns, predicted_ns = time.monotonic_ns(), judged.predictions[0].time_ns
+        for time_ns in predicted_ns:
+            self._latency.published(time_ns, now_ns)
 
     def _judge_due(self) -> Judged | None:
         """Judge samples that are complete; None where none is to be judged."""
-        monitors = self._results.monitors
-        if self._consistency.complete and not self._rate_begins:
-            judged = monitors.take(self._pairing)
-            if judged is not None:
-                return judged
         samples = self._pairing.take()
         if self._pairing.rate is not self._rate:
             self._follow_rate()
@@ -321,7 +325,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
             return None
         if not self._consistency.complete:
             self._consistency.take(None, *samples)
-        return monitors.judge(samples)
+        return self._results.monitors.judge(samples)
 
     def _watch_inputs(self) -> None:
         """Raise the alarm while nothing arrives, by this process's clock, at the alarm's rate or slower."""

@@ -25,8 +25,12 @@ public:
         : arrays(its_arrays), state(arrays, "state"), rings(arrays, "rings") {
         checked_rotors(state.only().rotors);
     }
+    virtual ~HeldPairing() = default;
 
     Pairing pairing() const { return Pairing(state.only(), rings.all()); }
+
+    // What Python is told after a sample was added.
+    virtual nanobind::object completed() { return nanobind::int_(due()); }
 
     // How many samples take_samples() may give; −1 where it has nothing to do.
     std::int64_t due() const { return pairing().take_is_due() ? state.only().tracks[IMU].count : -1; }
@@ -64,26 +68,50 @@ public:
     std::unique_ptr<MonitorBlock> block;
 };
 
-// A monitor that takes samples from a pairing, with room for some of them and for what it says of them.
-class PairedMonitor {
+// A pairing, and a monitor that judges what each sample completes.
+class PairedMonitor final : public HeldPairing {
 public:
     explicit PairedMonitor(nanobind::object its_arrays)
-        : arrays(its_arrays),
-          pairing(nanobind::cast<HeldPairing*>(arrays.attr("pairing"))),
-          monitor(nanobind::cast<HeldMonitor*>(arrays.attr("monitor"))),
-          preparation(arrays, "preparation"),
-          wrenches(arrays, "wrenches"),
-          alarms(arrays, "alarms"),
+        : HeldPairing(its_arrays.attr("pairing").attr("arrays")),
+          held(its_arrays),
+          monitor(nanobind::cast<HeldMonitor*>(held.attr("monitor"))),
+          preparation(held, "preparation"),
+          wrenches(held, "wrenches"),
+          alarms(held, "alarms"),
           taken_ns(alarms.all().size),
           predicted_ns(alarms.all().size),
-          taken(taken_ns.size() * channels_of(pairing->state.only().rotors)) {
+          taken(taken_ns.size() * channels_of(state.only().rotors)) {
         require(monitor->model != nullptr, "a model that Python evaluates");
-        require(pairing->state.only().rotors == preparation.only().vehicle.rotors, "of other rotors");
+        require(state.only().rotors == preparation.only().vehicle.rotors, "of other rotors");
+        require(TOPICS * alarms.all().size == rings.all().size, "no room for all that may wait");
         require(wrenches.all().size == 5 * taken_ns.size(), DIFFERENT);
     }
 
-    nanobind::object arrays;
-    HeldPairing* pairing;
+    // How many samples were taken, the stamps of the predictions, and how many rows of the alarm were raised.
+    // Where none is complete, or the rate of the IMU has changed, nothing is taken, and it is due().
+    nanobind::object completed() override {
+        if (pairing().rate_has_changed() || due() < 0) {
+            return nanobind::int_(due());
+        }
+        MonitorRows rows{all(predicted_ns), wrenches.all(), alarms.all()};
+        const auto count = static_cast<std::size_t>(pairing().take(all(taken_ns), taken.data()));
+        step(
+            monitor->memory(),
+            preparation.only(),
+            *monitor->model,
+            {taken_ns.data(), count},
+            {taken.data(), taken.size()},
+            *monitor->block,
+            rows
+        );
+        nanobind::list stamps;
+        for (std::size_t row = 0; row < rows.predictions; ++row) {
+            stamps.append(predicted_ns[row]);
+        }
+        return nanobind::make_tuple(count, stamps, rows.raised);
+    }
+
+    nanobind::object held;
     HeldMonitor* monitor;
     Field<PreparationMemory> preparation;
     Field<Wrench> wrenches;

@@ -11,12 +11,12 @@ namespace nb = nanobind;
 namespace quadpi {
 namespace {
 
-std::int64_t add_imu(HeldPairing& held, std::int64_t time_ns, Records<const Vector3> specific_force) {
+nb::object add_imu(HeldPairing& held, std::int64_t time_ns, Records<const Vector3> specific_force) {
     held.pairing().add_imu(time_ns, only(specific_force));
-    return held.due();
+    return held.completed();
 }
 
-std::int64_t add_state(
+nb::object add_state(
     HeldPairing& held,
     std::int64_t time_ns,
     Records<const Vector3> velocity,
@@ -24,25 +24,25 @@ std::int64_t add_state(
     Records<const Vector3> rates
 ) {
     held.pairing().add_state(time_ns, only(velocity), only(attitude), only(rates));
-    return held.due();
+    return held.completed();
 }
 
-std::int64_t add_estimate(HeldPairing& held, std::int64_t time_ns, Records<const Motion> motion) {
+nb::object add_estimate(HeldPairing& held, std::int64_t time_ns, Records<const Motion> motion) {
     Pairing pairing = held.pairing();
     const Motion& own = only(motion);
     pairing.add_imu(time_ns, own.specific_force);
     pairing.add_state(time_ns, own.velocity, own.attitude, own.rates);
-    return held.due();
+    return held.completed();
 }
 
-std::int64_t add_sample(
+nb::object add_sample(
     HeldPairing& held, std::int64_t topic, std::int64_t time_ns, Records<const double> values
 ) {
     require(0 <= topic && topic < TOPICS && values.size <= WIDEST, "not a sample of a topic");
     PairingState& state = held.state.only();
     require(topic != ROTOR_SPEEDS || values.size == checked_rotors(state.rotors), "not of these rotors");
     held.pairing().add(static_cast<Topic>(topic), time_ns, values.data, values.size);
-    return held.due();
+    return held.completed();
 }
 
 nb::tuple take_samples(HeldPairing& held, Records<std::int64_t> taken_ns, Records<double> taken) {
@@ -171,31 +171,6 @@ nb::tuple step_monitor(
     MonitorRows rows{predicted_ns, wrenches, alarms};
     step(monitor.memory(), only(preparation), *monitor.model, time_ns, samples, *monitor.block, rows);
     return nb::make_tuple(rows.predictions, rows.raised);
-}
-
-// How many samples were taken, the stamps of the predictions, how many rows of the alarm were raised, and
-// what adding to the pairing gives. None where the rate of the IMU has changed: nothing is taken.
-nb::object step_paired(PairedMonitor& paired) {
-    Pairing pairing = paired.pairing->pairing();
-    if (pairing.rate_has_changed()) {
-        return nb::none();
-    }
-    MonitorRows rows{all(paired.predicted_ns), paired.wrenches.all(), paired.alarms.all()};
-    const auto taken = static_cast<std::size_t>(pairing.take(all(paired.taken_ns), paired.taken.data()));
-    step(
-        paired.monitor->memory(),
-        paired.preparation.only(),
-        *paired.monitor->model,
-        {paired.taken_ns.data(), taken},
-        {paired.taken.data(), paired.taken.size()},
-        *paired.monitor->block,
-        rows
-    );
-    nb::list predicted_ns;
-    for (std::size_t row = 0; row < rows.predictions; ++row) {
-        predicted_ns.append(paired.predicted_ns[row]);
-    }
-    return nb::make_tuple(taken, predicted_ns, rows.raised, paired.pairing->due());
 }
 
 // added: (U) squares of what the states add to half widths, or nothing.
@@ -345,9 +320,8 @@ void bind_monitor(nb::module_& module) {
     module.def("adapt", &adapt_all);
     module.def("advance_alarm", &advance_alarm);
     bind_held<HeldMonitor>(module, "Monitor").def(nb::init<nb::object>());
-    nb::class_<PairedMonitor>(module, "PairedMonitor").def(nb::init<nb::object>());
+    nb::class_<PairedMonitor, HeldPairing>(module, "PairedMonitor").def(nb::init<nb::object>());
     module.def("step_monitor", &step_monitor);
-    module.def("step_paired", &step_paired);
     module.def("judge_prepared", &judge_prepared);
     module.def("lasts", &lasts);
     module.def("sum_misses", &sum_misses);

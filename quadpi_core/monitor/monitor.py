@@ -26,6 +26,7 @@ from quadpi_core.monitor.alarm_kernel import ROW
 from quadpi_core.monitor.alarm_log import EventLog
 from quadpi_core.monitor.conditions import CONDITIONS, STATE_ERRORS
 from quadpi_core.monitor.pairing import PairedSamples, Pairing
+from quadpi_core.monitor.pairing_kernel import Said
 from quadpi_core.monitor.preparation import Preparation, Prepared
 from quadpi_core.monitor.unsure_states import UnsureStates
 from quadpi_core.records import Records
@@ -75,8 +76,6 @@ def _predictions(room: _Room, count: int) -> Predictions:
 _NOTHING_SAID, _NOTHING_ADDED = np.empty((5, 0, _AXES)), np.empty((0, _AXES))
 _NO_ALARM = np.empty(0, ROW)
 _NO_EVENTS: Events = []
-# Samples of a pairing that go through a monitor in one call; live it is one but after a pause of a topic.
-_TAKEN = 32
 
 
 class Monitor:
@@ -290,11 +289,11 @@ class Judged(NamedTuple):
 
 
 class _PairedArrays(NamedTuple):
-    """What compiled code knows of a monitor that takes its samples from a pairing.
+    """What compiled code knows of a monitor that judges what the samples of a pairing complete.
 
     Attributes:
         preparation: see :class:`Preparation`.
-        wrenches: (5, R, 6) see :class:`PredictionRows`.
+        wrenches: (5, R, 6) see :class:`PredictionRows`; R is what may wait in the pairing.
         alarms: (R,) room for rows of the alarm.
     """
 
@@ -311,18 +310,15 @@ class _PairedMonitor:
     def __init__(self, monitor: Monitor, pairing: Pairing) -> None:
         self.pairing = pairing
         self._alarm, self._log = monitor._alarm, monitor._log
-        self._wrenches, self._rows = np.empty((5, _TAKEN, _AXES)), np.empty(_TAKEN, ROW)
+        self._wrenches, self._rows = np.empty((5, pairing.capacity, _AXES)), np.empty(pairing.capacity, ROW)
         memory = monitor.preparation.memory
-        self._compiled = compiled.PairedMonitor(
+        self.compiled = compiled.PairedMonitor(
             _PairedArrays(pairing.compiled, monitor._compiled, memory, self._wrenches, self._rows)
         )
 
-    def step(self) -> Judged | None:
-        """See :meth:`Monitors.take`."""
-        taken = compiled.step_paired(self._compiled)
-        if taken is None:
-            return None
-        samples, time_ns, raised, self.pairing.due = taken
+    def judged(self, said: Said) -> Judged:
+        """See :meth:`Monitors.judged`."""
+        samples, time_ns, raised = said
         alarms, events = self._alarm.no_rows, _NO_EVENTS
         if raised:
             alarms = self._alarm.alarms(self._rows[:raised].copy())
@@ -413,11 +409,11 @@ class Monitors:
             predictions.append(monitor._predict(by_preparation[monitor.preparation]))
         return results, predictions
 
-    def take(self, pairing: Pairing) -> Judged | None:
-        """Take samples that a pairing has completed, in one call of the core; as long as any are due.
+    def paired(self, pairing: Pairing) -> compiled.PairedMonitor | None:
+        """What judges the samples of a pairing as they are completed, in the call that adds the last part.
 
-        None where :meth:`judge` must take them instead: where the rate of the IMU has changed, and but for a
-        single monitor whose model is compiled, or where states are less sure than in its flights.
+        None where :meth:`judge` must take them instead: but for a single monitor whose model is compiled, and
+        where states are less sure than in its flights.
         """
         if self.unsure.is_beyond:
             return None
@@ -426,7 +422,12 @@ class Monitors:
             if others or not first._is_compiled:
                 return None
             self._paired = _PairedMonitor(first, pairing)
-        return self._paired.step()
+        return self._paired.compiled
+
+    def judged(self, said: Said) -> Judged:
+        """What :meth:`paired` said of samples that it was given."""
+        assert self._paired
+        return self._paired.judged(said)
 
     def judge(self, samples: PairedSamples) -> Judged:
         """Take K samples, see :meth:`step`."""

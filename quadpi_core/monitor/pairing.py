@@ -12,7 +12,7 @@ measured from its stamps.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -22,7 +22,17 @@ from quadpi_core.flight import NO_STAMP, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.monitor import pairing_kernel as kernel
 from quadpi_core.monitor.health import Arrived
-from quadpi_core.monitor.pairing_kernel import CONTINUES, IMU, ROTORS, STATE, TOPICS, WIND_TOPIC, Arriving
+from quadpi_core.monitor.pairing_kernel import (
+    CONTINUES,
+    IMU,
+    NOTHING,
+    ROTORS,
+    STATE,
+    TOPICS,
+    WIND_TOPIC,
+    Arriving,
+    Completed,
+)
 from quadpi_core.records import brief_repr
 from quadpi_core.signals.chain import (
     ATTITUDE,
@@ -141,8 +151,15 @@ class Stretch(NamedTuple):
     settled_ns: int
 
 
+# The monitor that judges what one more sample completes, see :meth:`.monitor.Monitors.paired`.
+Judging: TypeAlias = "compiled.PairedMonitor | None"
+
+
 class Pairing:
     """The bounded buffers between the topics and the monitor.
+
+    Each sample that is added crosses once into the core. Given a monitor, the same call judges what it
+    completes; else, or where the rate of the IMU has changed, :meth:`take` gives that.
 
     Args:
         timeout_s: how far, in stamps, the IMU may run ahead of an incomplete sample before it is given up.
@@ -152,7 +169,8 @@ class Pairing:
 
     Attributes:
         rate: of the IMU, by its stamps up to the last :meth:`take`; the samples taken have it.
-        due: how many samples :meth:`take` may give; −1 where it has nothing to do.
+        completed: what the last sample has completed, which adding it gave.
+        capacity: as given.
         compiled: what compiled code knows it by.
     """
 
@@ -169,11 +187,12 @@ class Pairing:
         self._state["timeout_ns"] = round(timeout_s * 1e9)
         for stamps in (self._state["tracks"]["newest_ns"], self._state["newest_ns"], self._state["last_ns"]):
             stamps[:] = NO_STAMP
+        self.capacity = capacity
         self._rings = np.zeros((TOPICS, capacity), kernel.ENTRY)
         self.compiled = compiled.Pairing(kernel.Arrays(self._state, self._rings))
         self._channels = channels(rotors)
         self.rate = ImuRate.from_meters(self._state["meter"], rate_hz)
-        self.due = -1
+        self.completed: Completed = NOTHING
 
     @property
     def counts(self) -> PairingCounts:
@@ -195,32 +214,37 @@ class Pairing:
         imu = self._state["tracks"][0, IMU]
         return int(self._rings["time_ns"][IMU, imu["oldest"]]) - 1 if imu["count"] else int(imu["newest_ns"])
 
-    def add_imu(self, time_ns: int, specific_force: Array) -> None:
+    def add_imu(self, time_ns: int, specific_force: Array, by: Judging = None) -> Completed:
         """Take one IMU sample: specific_force (3,) m/s², body axes."""
-        self.due = compiled.add_imu(self.compiled, time_ns, specific_force)
+        self.completed = compiled.add_imu(by or self.compiled, time_ns, specific_force)
+        return self.completed
 
-    def add_state(self, time_ns: int, velocity: Array, attitude: Array, rates: Array) -> None:
+    def add_state(
+        self, time_ns: int, velocity: Array, attitude: Array, rates: Array, by: Judging = None
+    ) -> Completed:
         """Take one state: velocity (3,) m/s and rates (3,) rad/s, body axes; attitude (4,) body to world."""
-        self.due = compiled.add_state(self.compiled, time_ns, velocity, attitude, rates)
+        self.completed = compiled.add_state(by or self.compiled, time_ns, velocity, attitude, rates)
+        return self.completed
 
-    def add_estimate(self, time_ns: int, motion: Array) -> None:
+    def add_estimate(self, time_ns: int, motion: Array, by: Judging = None) -> Completed:
         """Take an IMU sample and the state at its stamp in one, whose `FusedSamples.motion` this is."""
-        self.due = compiled.add_estimate(self.compiled, time_ns, motion)
+        self.completed = compiled.add_estimate(by or self.compiled, time_ns, motion)
+        return self.completed
 
-    def add_rotor_speeds(self, time_ns: int, speeds: Array) -> None:
+    def add_rotor_speeds(self, time_ns: int, speeds: Array, by: Judging = None) -> Completed:
         """Take one sample of the rotor speeds (rotors,) rad/s."""
-        self.due = compiled.add_sample(self.compiled, ROTORS, time_ns, speeds)
+        self.completed = compiled.add_sample(by or self.compiled, ROTORS, time_ns, speeds)
+        return self.completed
 
     def add_wind(self, time_ns: int, velocity: Array) -> None:
         """Take one sample of the wind (3,) m/s in the world."""
-        self.due = compiled.add_sample(self.compiled, WIND_TOPIC, time_ns, velocity)
+        self.completed = compiled.add_sample(self.compiled, WIND_TOPIC, time_ns, velocity)
 
     def take(self) -> PairedSamples | None:
         """The IMU samples completed or given up since the last call, in order; None if there are none."""
-        room = self.due
-        if room < 0:
+        room, self.completed = self.completed, NOTHING
+        if isinstance(room, tuple) or room == NOTHING:
             return None
-        self.due = -1
         taken_ns, taken = np.empty(room, np.int64), np.empty((room, self._channels))
         count, rate_changed = compiled.take_samples(self.compiled, taken_ns, taken)
         if rate_changed:

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, NamedTuple
+from typing import Annotated, NamedTuple, TypeAlias
 
 from quadpi_core.estimator.imu_rate import Meter
 from quadpi_core.flight import Stamps
@@ -19,6 +19,14 @@ _WIDEST = max(RATES.stop, ROTORS_MAX)
 # How a stretch begins: where the previous one ended; with a stamp more than MAX_JUMP_BACK_NS before the
 # newest; with one that far before the stamp of the previous sample, as the IMU's clock was set back.
 CONTINUES, STEPS_BACK, SET_BACK = 0, 1, 2
+
+
+# What a monitor says of samples: their number, the stamps of its predictions, and the number of rows of the
+# alarm that were raised.
+Said: TypeAlias = tuple[int, list[int], int]
+# What one more sample has completed: that, where it was judged; else how many samples may be taken.
+Completed: TypeAlias = Said | int
+NOTHING = -1
 
 
 class Arriving(NamedTuple):

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
-from collections.abc import Iterator
 from copy import deepcopy
 from dataclasses import fields, replace
 
@@ -15,10 +14,11 @@ from quadpi_core.frames import rotate_world_to_body
 from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
 from quadpi_core.models.model_kind import Evaluation
 from quadpi_core.monitor.alarm import MonitorSettings
-from quadpi_core.monitor.monitor import Monitor, Monitors
+from quadpi_core.monitor.monitor import Judged, Monitor, Monitors
 from quadpi_core.monitor.pairing import PairedSamples, Pairing
+from quadpi_core.monitor.pairing_kernel import NOTHING
 from quadpi_core.monitor.preparation import Preparation
-from quadpi_core.results import BAD_DATA, EXTRAPOLATION, LEVEL_ALARM, LEVEL_OK, Alarms, Events, Predictions
+from quadpi_core.results import BAD_DATA, EXTRAPOLATION, LEVEL_ALARM, LEVEL_OK, Alarms, Predictions
 
 RATE_HZ = 500.0
 FX, MY = 0, 4
@@ -328,13 +328,21 @@ def test_each_model_says_what_it_says_alone(model, vehicle, samples):
     assert_same(others[1], Monitor(slower, vehicle, RATE_HZ).step(*samples)[0])
 
 
-def arrive(pairing: Pairing, samples: PairedSamples) -> None:
-    """All that completes samples, the rotor speeds last."""
+def arrive(pairing: Pairing, samples: PairedSamples, monitors: Monitors | None = None) -> list[Judged]:
+    """What monitors say as all comes that completes samples, the rotor speeds last, one for three of them."""
+    found = []
+    by = None if monitors is None else monitors.paired(pairing)
+    last = len(samples.time_ns) - 1
     for row, time_ns in enumerate(samples.time_ns.tolist()):
-        pairing.add_imu(time_ns, samples.specific_force[row])
-        pairing.add_state(time_ns, samples.velocity[row], samples.attitude[row], samples.rates[row])
-    for row, time_ns in enumerate(samples.time_ns.tolist()):
-        pairing.add_rotor_speeds(time_ns, samples.rotor_speeds[row])
+        pairing.add_imu(time_ns, samples.specific_force[row], by)
+        state = samples.velocity[row], samples.attitude[row], samples.rates[row]
+        pairing.add_state(time_ns, *state, by)
+        if row % 3 == 0 or row == last:
+            completed = pairing.add_rotor_speeds(time_ns, samples.rotor_speeds[row], by)
+            if monitors is not None and isinstance(completed, tuple):
+                # The next ones overwrite them.
+                found.append(deepcopy(monitors.judged(completed)))
+    return found
 
 
 def begun(samples: PairedSamples) -> Pairing:
@@ -345,14 +353,6 @@ def begun(samples: PairedSamples) -> Pairing:
     return pairing
 
 
-def taken(monitors: Monitors, pairing: Pairing) -> Iterator[tuple[int, Predictions, Alarms, Events]]:
-    while pairing.due >= 0:
-        judged = monitors.take(pairing)
-        assert judged
-        (rows,) = judged.predictions
-        yield judged.samples, deepcopy(rows).predictions, judged.alarms, judged.events
-
-
 def test_samples_of_a_pairing_give_what_they_give_as_arrays(model, vehicle, samples):
     spoiled = changed(samples)
     spoiled.specific_force[100:140] = np.nan
@@ -360,15 +360,14 @@ def test_samples_of_a_pairing_give_what_they_give_as_arrays(model, vehicle, samp
     pairings, steps = (begun(samples), begun(samples)), Monitor(model, vehicle, RATE_HZ)
     monitors = Monitors({"first": Monitor(model, vehicle, RATE_HZ)})
     for part in parts:
-        for pairing in pairings:
-            arrive(pairing, part)
+        arrive(pairings[0], part)
+        judged = arrive(pairings[1], part, monitors)
         predictions, alarms, events = steps.step(*pairings[0].take())
-        counts, *columns, found = zip(*taken(monitors, pairings[1]), strict=True)
-        assert len(counts) > 1
-        assert sum(counts) == len(part.time_ns)
-        assert_same(predictions, joined(Predictions, columns[0]))
-        assert_same(alarms, joined(Alarms, columns[1]))
-        assert events == [event for block in found for event in block]
+        assert {one.samples for one in judged} == {1, 3}
+        assert sum(one.samples for one in judged) == len(part.time_ns)
+        assert_same(predictions, joined(Predictions, [one.predictions[0].predictions for one in judged]))
+        assert_same(alarms, joined(Alarms, [one.alarms for one in judged]))
+        assert events == [event for one in judged for event in one.events]
         assert len(alarms.time_ns) > 1
     assert pairings[0].counts == pairings[1].counts
 
@@ -376,30 +375,24 @@ def test_samples_of_a_pairing_give_what_they_give_as_arrays(model, vehicle, samp
 def test_a_pairing_is_asked_for_samples_where_the_core_cannot_go_on(model, vehicle, samples):
     monitor = Monitor(model, vehicle, RATE_HZ)
     pairing = begun(samples)
-    arrive(pairing, cut(samples, slice(1, 11)))
-    assert Monitors({"first": monitor, "second": Monitor(model, vehicle, RATE_HZ)}).take(pairing) is None
+    assert Monitors({"first": monitor, "second": Monitor(model, vehicle, RATE_HZ)}).paired(pairing) is None
     monitors = Monitors({"first": monitor})
-    judged = monitors.take(pairing)
-    assert judged
-    assert judged.samples == 10
-    assert pairing.due == -1
+    assert sum(judged.samples for judged in arrive(pairing, cut(samples, slice(1, 11)), monitors)) == 10
+    assert pairing.completed != NOTHING
+    assert pairing.take() is None
     # After a second the rate is known, and filters are designed for it before anything is judged.
-    arrive(pairing, cut(samples, slice(11, 520)))
-    assert monitors.take(pairing) is None
+    assert arrive(pairing, cut(samples, slice(11, 500)), monitors)
+    assert not arrive(pairing, cut(samples, slice(500, 520)), monitors)
     paired = pairing.take()
     assert pairing.rate.filter_hz == pytest.approx(RATE_HZ)
     assert not monitors.retune(pairing.rate)
     assert monitors.judge(paired).samples == len(paired.time_ns)
-    arrive(pairing, cut(samples, slice(520, 530)))
-    assert monitors.take(pairing)
+    assert arrive(pairing, cut(samples, slice(520, 530)), monitors)
     # A monitor that is replaced is no longer asked.
     before = monitors["first"].preparation
     monitors.replace("first", Monitor(replace(model, cutoff_hz=20.0), vehicle, RATE_HZ))
-    arrive(pairing, cut(samples, slice(530, 540)))
     quiet = before.memory.tobytes()
-    judged = monitors.take(pairing)
-    assert judged
-    assert judged.samples == 10
+    assert sum(judged.samples for judged in arrive(pairing, cut(samples, slice(530, 540)), monitors)) == 10
     assert before.memory.tobytes() == quiet
 
 

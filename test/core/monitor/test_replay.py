@@ -26,6 +26,7 @@ from quadpi_core.monitor import replay as replay_module
 from quadpi_core.monitor.alarm import MonitorSettings
 from quadpi_core.monitor.monitor import Monitor, Monitors
 from quadpi_core.monitor.pairing import PairedSamples, Pairing
+from quadpi_core.monitor.pairing_kernel import NOTHING
 from quadpi_core.monitor.replay import recorded_flight, replay, replay_all
 from quadpi_core.parallel import Workers
 from quadpi_core.results import BAD_DATA, EXTRAPOLATION, LEVEL_ALARM, NOT_BEGUN, SETTLES, WHY_NOT_JUDGED
@@ -306,19 +307,21 @@ def test_replay_equals_the_live_path_sample_by_sample(
     )
     live = []
     for time_ns, kind, i in order:
+        by, completed = None if pairing.rate.begins else monitors.paired(pairing), NOTHING
         if kind == 0:
             estimate = ekf.step(int(time_ns), imu.angular_velocity[i], imu.specific_force[i]).fused
             if estimate is not None:
                 state = estimate.odometry
                 pairing.add_imu(int(time_ns), estimate.imu.specific_force[0])
-                pairing.add_state(int(time_ns), state.velocity[0], state.attitude[0], state.rates[0])
+                motion = state.velocity[0], state.attitude[0], state.rates[0]
+                completed = pairing.add_state(int(time_ns), *motion, by)
             else:
-                pairing.add_imu(int(time_ns), imu.specific_force[i])
+                completed = pairing.add_imu(int(time_ns), imu.specific_force[i], by)
         elif kind == 1:
             ekf.update_pose(int(time_ns), pose.position[i], pose.attitude[i])
         else:
-            pairing.add_rotor_speeds(int(time_ns), rotors.speeds[i])
-        judged = None if pairing.rate.begins else monitors.take(pairing)
+            completed = pairing.add_rotor_speeds(int(time_ns), rotors.speeds[i], by)
+        judged = monitors.judged(completed) if isinstance(completed, tuple) else None
         if judged is None:
             paired = pairing.take()
             if paired is not None and not pairing.rate.begins:
