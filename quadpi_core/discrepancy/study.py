@@ -26,7 +26,7 @@ from quadpi_core.discrepancy.acceptance import (
 from quadpi_core.discrepancy.augmented_simulation import augmented
 from quadpi_core.discrepancy.by_condition import locate
 from quadpi_core.discrepancy.candidates import candidates
-from quadpi_core.discrepancy.closure import Closing, Found
+from quadpi_core.discrepancy.closure import Closing, Found, Gap
 from quadpi_core.discrepancy.commanded_speeds import at_scale_of
 from quadpi_core.discrepancy.discrepancy_result import (
     Discovery,
@@ -41,6 +41,7 @@ from quadpi_core.discrepancy.evidence import Fit
 from quadpi_core.discrepancy.hidden_by_commands import commanded_speeds, traces
 from quadpi_core.discrepancy.reflight import HORIZON_S, coverages, reflights
 from quadpi_core.discrepancy.result_verdicts import (
+    CLOSED,
     NEAR_FLOOR,
     OF_GAP,
     Unexplained,
@@ -264,23 +265,31 @@ def _searched_again(ready: Prepared, barred: Mapping[str, str]) -> Discovery:
 def _explaining_nothing(discovery: Discovery) -> dict[str, str]:
     """Which effect explains the least, and why that is nothing; empty otherwise.
 
-    Coefficients stay as stated: within wide tolerances they could close what an effect does. One alone is not
-    doubted where the gap counts as closed, and none on so few flights that they do not predict each other.
+    Coefficients stay as stated: within wide tolerances they could close what an effect does. So an effect that
+    intervals allow for explains something all the same where the gap of the axes that they do not hold is
+    closed with it, and open without. One alone is not doubted where the gap counts as closed, and none on so
+    few flights that they do not predict each other.
     """
-    found, opened = discovery.found, []
-    if found.allowed:
-        least = min(found.allowed, key=lambda index: found.allowed[index])
-        return {found.regression.candidates[least].name: ALLOWED}
+    found = discovery.found
+
+    def stated(chosen: tuple[int, ...]) -> Gap:
+        return replace(found, closing=Closing.of(found.regression, chosen)).gap(adjusted=False)
+
+    whole = stated(found.chosen)
+    without = {own: stated(tuple(k for k in found.chosen if k != own)) for own in found.chosen}
+    names = {own: found.regression.candidates[own].name for own in found.chosen}
+    for own in sorted(found.allowed, key=lambda index: found.allowed[index]):
+        if not without[own].reduction < CLOSED.value <= whole.reduction:
+            return {names[own]: ALLOWED}
     closed = all(check.passed for check in discovery.checks if check.test == "closed")
     few = len(found.regression.flights) < FEW_FLIGHTS.value
     if few or not found.chosen or (len(found.chosen) == 1 and closed):
         return {}
-    whole = found.gap(adjusted=False)
-    for index in found.chosen:
-        others = tuple(other for other in found.chosen if other != index)
-        without = replace(found, closing=Closing.of(found.regression, others)).gap(adjusted=False)
-        further = (np.square(without.after) - np.square(whole.after)) / np.square(whole.floor)
-        opened.append((float(np.max(further)), found.regression.candidates[index].name))
+    squares = np.square(whole.after), np.square(whole.floor)
+    opened = [
+        (float(np.max((np.square(gap.after) - squares[0]) / squares[1])), names[own])
+        for own, gap in without.items()
+    ]
     most, name = min(opened)
     return {} if most > NEAR_FLOOR.value else {name: CLOSES_NOTHING}
 

@@ -128,11 +128,17 @@ def test_what_explains_only_axes_that_intervals_hold_explains_nothing(
     assert [search.regression.candidates[index].name for index in search.allowed] == allowed
 
 
-def test_what_intervals_allow_for_is_barred_from_another_search(simulation, dragged, sought, monkeypatch):
-    """Where that finds nothing else, nothing is missing."""
+@pytest.mark.parametrize(("held", "searched_for"), [(1.0, [{}, {"body_drag": ALLOWED}]), (0.0, [{}])])
+def test_what_intervals_allow_for_is_barred_unless_it_closes_what_they_do_not_hold(
+    simulation, dragged, sought, monkeypatch, held, searched_for
+):
+    """Where another search finds nothing else, nothing is missing."""
     found, searches = sought.found, []
     (drag,) = found.chosen
-    allowed = replace(sought, found=replace(found, allowed={drag: 3.0}))
+    shares = np.ones((4, 6))
+    shares[:, :2] = held
+    inside = Inside(shares, 0.95)
+    allowed = replace(sought, found=replace(found, allowed={drag: 3.0}, inside=inside))
 
     def searched(_, barred):
         searches.append(dict(barred))
@@ -140,8 +146,8 @@ def test_what_intervals_allow_for_is_barred_from_another_search(simulation, drag
 
     monkeypatch.setattr("quadpi_core.discrepancy.study.discovered", searched)
     result = found_and_flown(simulation, dragged, names=SOUGHT)
-    assert searches == [{}, {"body_drag": ALLOWED}]
-    assert (result.verdict, result.effects, result.flown) == ("none", (), None)
+    assert searches == searched_for
+    assert [effect.name for effect in result.effects] == ([] if held else ["body_drag"])
 
 
 def test_a_draught_at_one_place_is_unknown(simulation, flights, pushed):
