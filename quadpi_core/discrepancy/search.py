@@ -304,10 +304,26 @@ class _Search:
                     continue
                 behind = found.log_evidence - swapped.log_evidence
                 if behind < margins * margin:
+                    behind -= 0.0 if candidate.linear else _gained_together(others, rival)
                     odds = np.exp(min(-behind * NAMED_ALONE.value / margin, _MOST_LOG_ODDS))
                     close.append((rival, float(odds)))
             rivals[index] = sorted(close, key=lambda item: -item[1])
         return rivals
+
+
+def _gained_together(others: Accepted, index: int) -> float:
+    """Evidence [nat] that a curved candidate gains by columns about where it fits beside others.
+
+    Those that it has are about where it fits alone, and it would lose to an effect that is linear.
+    """
+
+    def made() -> float:
+        fit = others.fit_with(index)
+        assert fit is not None  # of a rival
+        refined = Accepted(others.regression, tuple(sorted((*others.chosen, index))), fit).refined()
+        return max(0.0, refined.fit.log_evidence - fit.log_evidence) if refined else 0.0
+
+    return others.once(("gained together", index), made)
 
 
 @once_of_effects

@@ -14,7 +14,7 @@ from quadpi_core.discrepancy.candidates import candidates
 from quadpi_core.discrepancy.closure import Found, Gap
 from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.evidence import Fit
-from quadpi_core.discrepancy.search import Prepared, best_condition, search, without_idle
+from quadpi_core.discrepancy.search import Prepared, _Search, best_condition, search, without_idle
 from quadpi_core.discrepancy.unexplained import Inside
 from quadpi_core.discrepancy.whitening import Kept, Spectrum
 
@@ -69,6 +69,19 @@ def test_an_effect_that_a_better_one_made_idle_is_dropped(alone, kept):
     assert after.regression.reweighted == (kept if dropped else ())
     assert [own.effect for own in judgements] == ["effect 0"] * dropped
     assert not any(own.accepted for own in judgements)
+
+
+@pytest.mark.parametrize(("linear", "odds"), [(True, np.exp(-2.3)), (False, np.exp(0.46 * 30.0))])
+def test_a_curved_rival_is_compared_about_where_it_fits_beside_the_others(linear, odds):
+    """About where it fits alone, wind loses to a constant force beside a payload, though both are there."""
+    listed = {(): 0.0, (0,): 800.0, (1,): 800.0, (2,): 900.0, (0, 1): 850.0, (0, 2): 1000.0, (1, 2): 995.0}
+    regression = ListedEvidence(listed)
+    for candidate in regression.candidates:
+        candidate.within, candidate.excludes = False, lambda other, own=candidate: other is own
+    regression.candidates[1].linear = linear
+    regression.moved = lambda _: ListedEvidence(listed | {(1, 2): 1030.0})
+    rivals = _Search({}).rivals(Accepted(regression, (0, 2), regression.fit((0, 2))))
+    assert rivals[0] == [(1, pytest.approx(odds))]
 
 
 @pytest.mark.parametrize(
