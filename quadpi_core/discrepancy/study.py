@@ -265,7 +265,7 @@ def _searched_again(ready: Prepared, barred: Mapping[str, str]) -> Discovery:
 def _explaining_nothing(discovery: Discovery) -> dict[str, str]:
     """Which effect explains the least, and why that is nothing; empty otherwise.
 
-    Coefficients stay as stated: within wide tolerances they could close what an effect does. So an effect that
+    Coefficients stay as stated: within wide tolerances they could close what an effect does. So one that
     intervals allow for explains something all the same where the gap of the axes that they do not hold is
     closed with it, and open without. One alone is not doubted where the gap counts as closed, and none on so
     few flights that they do not predict each other.
