@@ -146,8 +146,8 @@ def checks(found: Found, effects: Sequence[FoundEffect], left: Unexplained, gap:
     # Squares that are credited to the effects, in variances of the sensors.
     reduction = found.regression.reduction(found.chosen, found.fit, sensors)
     named = max(0.0, float(np.sum(reduction.credited)))
-    stated = zip(AXES, found.held, found.regression.stated_squares, strict=True)
-    broken = [name for name, inside, own in stated if own > 0.0 and not inside and not effects]
+    doubtful = found.inside is not None and not effects
+    broken = [name for name, held in zip(AXES, found.held, strict=True) if doubtful and not held]
     sentence = "no axis has broken intervals that no effect explains"
     if broken:
         sentence = f"the intervals of {', '.join(broken)} hold less of these flights than they state"

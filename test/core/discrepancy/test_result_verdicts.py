@@ -7,11 +7,11 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
 
-from quadpi_core.discrepancy import effect_regression
 from quadpi_core.discrepancy.augmented_simulation import write_addition
 from quadpi_core.discrepancy.closure import Closing
 from quadpi_core.discrepancy.discrepancy_result import (
@@ -41,6 +41,7 @@ from quadpi_core.discrepancy.result_verdicts import (
 )
 from quadpi_core.discrepancy.study import discover
 from quadpi_core.discrepancy.unexplained import Inside
+from quadpi_core.flight import AXES
 from quadpi_core.frames import rotate_world_to_body
 
 GUST_N = 0.15
@@ -91,16 +92,19 @@ def test_gusts_are_no_noise_of_sensors(simulation, flights, pushed):
     assert all(check.passed for check in judged)
 
 
-def test_nothing_found_is_no_answer_where_intervals_are_broken(found, monkeypatch):
+@pytest.mark.parametrize("broken", [(), *combinations(AXES, 1), ("Fx", "Mz"), AXES])
+def test_none_is_said_only_where_intervals_hold_every_axis(found, broken):
     """As `evaluate` says of the same flights; with effects that explain it, it is one."""
-    monkeypatch.setattr(effect_regression, "stated_squares", lambda _: np.ones(6))
-    own = replace(found.discovery.found, regression=replace(found.discovery.found.regression))
-    broken = holding(own, [True, True, False, True, True, True])
-    assert doubted(found, found=broken, effects=()) == (
-        "the intervals of Fz hold less of these flights than they state",
-    )
-    assert doubted(found, found=broken) == ()
-    assert doubted(found, found=holding(own, True), effects=()) == ()
+    searched = holding(found.discovery.found, [axis not in broken for axis in AXES])
+    left, gap = Unexplained(np.zeros(6), 0.0, ""), found.discovery.gap
+    result = replace(found.discovery, found=searched, effects=(), checks=checks(searched, (), left, gap))
+    if not broken:
+        assert result.verdict == "none"
+        return
+    assert result.verdict == "unknown"
+    sentence = f"the intervals of {', '.join(broken)} hold less of these flights than they state"
+    assert sentence in result.doubts
+    assert sentence not in doubted(found, found=searched)
 
 
 def test_a_force_that_wanders_slowly_is_a_gap_that_stays(simulation, dragged, pushed):
