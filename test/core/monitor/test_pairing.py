@@ -53,6 +53,21 @@ def test_a_sample_waits_for_its_state() -> None:
     assert taken(pairing) == [2 * MS]
 
 
+def test_an_estimate_is_an_imu_sample_and_a_state() -> None:
+    apart, together = Pairing(), Pairing()
+    force, velocity, rates = np.arange(3.0), np.arange(3.0, 6.0), np.arange(6.0, 9.0)
+    for pairing in (apart, together):
+        add_rotors(pairing, 1 * MS)
+    apart.add_imu(1 * MS, force)
+    apart.add_state(1 * MS, velocity, LEVEL, rates)
+    together.add_estimate(1 * MS, np.concatenate((LEVEL, velocity, rates, force)))
+    one, other = apart.take(), together.take()
+    assert one
+    assert other
+    assert one.time_ns.tolist() == other.time_ns.tolist() == [1 * MS]
+    np.testing.assert_array_equal(one.values, other.values)
+
+
 def test_whole_flight_equals_np_interp() -> None:
     rng = np.random.default_rng(1)
     imu_ns = np.arange(0, 400, 2) * MS
