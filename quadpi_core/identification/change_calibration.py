@@ -23,6 +23,7 @@ from quadpi_core.core import compiled
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.identification.alarm_calibration import Judged, LeftOut, LiveErrors, ranges_of_others
+from quadpi_core.identification.repeating_part import GROUPS, learn_repeating
 from quadpi_core.inputs import INPUT_INDEX, VELOCITY_INPUTS, aerodynamic_inputs
 from quadpi_core.models.alarm_limits import (
     BOUND_CONFIDENCE,
@@ -65,8 +66,6 @@ _SURE = 0.5
 _TAIL = 1.27
 # Steps by which the scale of Student's distribution converges.
 _STEPS = 50
-# Flights are left out in as many groups at most.
-_GROUPS = 12
 # Samples that the levers are averaged over, and the change of a rotor's speed.
 _SAMPLES, _FASTER = 2000, 1.005
 
@@ -109,11 +108,12 @@ def calibrate_change(
     hours = BLOCK_S * sum(map(len, usual)) / 3600.0
 
     def limits(of: Sequence[Records], largest: float) -> ChangeLimits:
-        residuals = {axis: _left_on_axis(of, AXES.index(axis)) for axis in axes}
-        return ChangeLimits(residuals, levers, len(usual), hours, largest)
+        repeating, rest = learn_repeating(of, axes)
+        residuals = {axis: _left_on_axis(rest, AXES.index(axis)) for axis in axes}
+        return ChangeLimits(residuals, levers, len(usual), hours, largest, repeating)
 
     largest = 0.0
-    groups = min(_GROUPS, len(usual))
+    groups = min(GROUPS, len(usual))
     for group in range(groups):
         others = limits([blocks for k, blocks in enumerate(usual) if k % groups != group], 0.0)
         peaks = [float(evidence(others, vehicle, blocks).max()) for blocks in usual[group::groups]]
@@ -148,6 +148,7 @@ def _blocks(flight: Judged, live: LiveErrors, inside: npt.NDArray[np.bool_], rot
         blocks["residual"][:, AXES.index(axis)] = means(errors.error[inside])
     lift = live.errors["Fz"].error[inside] - flight.judged.wrench[rows, AXES.index("Fz")]
     blocks["lift"] = means(lift)
+    blocks["inputs"] = means(flight.judged.inputs[rows])
     blocks["squares"][:, :rotors] = means(np.square(flight.judged.derivatives["rotor_speeds"][rows]))
     filled = counts * float(np.median(np.diff(flight.time[live.rows]))) >= BLOCK_FILLED_S
     return blocks[filled & (blocks["lift"] > 0.0)]

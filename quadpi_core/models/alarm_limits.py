@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass, field
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from quadpi_core.config_schema import (
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
+from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.records import CONVENTION, Threshold
 
 # False alarms per flight hour that limits are calibrated to by default.
@@ -186,6 +187,35 @@ class LeftOnAxis:
     loudest: Positive
 
 
+# Changes of the inputs from block to block that tell what a model leaves of the last of them.
+INPUT_CHANGES = 2
+_OfInputs: TypeAlias = Annotated[dict[str, Real], Each(INPUT_NAMES)]
+
+
+@dataclass(frozen=True)
+class RepeatingPart:
+    """What a model leaves in every flight where inputs change from one block of 0.1 s to the next.
+
+    Where they stay as they are it is nothing: no vehicle that has changed for good hides in it.
+
+    Attributes:
+        lower, upper: by input, its largest fall and rise in the flights; changes beyond count as these.
+        slopes: by axis, by input, N or Nm per unit of its last two changes, the latest first.
+    """
+
+    lower: _OfInputs
+    upper: _OfInputs
+    slopes: dict[
+        Annotated[str, OneOf(*CHANGE_AXES)],
+        Annotated[dict[str, tuple[Real, Real]], Each(INPUT_NAMES)],
+    ]
+
+    def of_axis(self, axis: str) -> Array:
+        """The slopes (INPUT_CHANGES, 19) of an axis."""
+        own: Array = np.array([self.slopes[axis][name] for name in INPUT_NAMES]).T
+        return own
+
+
 @dataclass(frozen=True)
 class ChangeLimits:
     """What is known of sound flights, each under the model of the others.
@@ -196,6 +226,7 @@ class ChangeLimits:
         flights: number of flights.
         hours: that they lasted.
         largest: evidence that one of them gathered at most, with the limits of the others.
+        repeating: what is taken from residuals before they count; None for nothing.
     """
 
     axes: Annotated[dict[Annotated[str, OneOf(*CHANGE_AXES)], LeftOnAxis], NotEmpty()]
@@ -203,6 +234,7 @@ class ChangeLimits:
     flights: Annotated[int, Within(FEWEST_FLIGHTS)]
     hours: Positive
     largest: NotNegative
+    repeating: RepeatingPart | None = None
 
     @property
     def evidence(self) -> float:

@@ -28,7 +28,7 @@ from quadpi_core.core import compiled
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
-from quadpi_core.models.alarm_limits import ChangeLimits
+from quadpi_core.models.alarm_limits import INPUT_CHANGES, ChangeLimits
 from quadpi_core.records import ROTORS_MAX, PerRotor, Records, record_dtype
 from quadpi_core.results import (
     CHANGED_CENTRE_FORWARD,
@@ -68,6 +68,14 @@ class AxisNoise:
     loudest: float  # 0 for an axis that is not known
 
 
+class Repeating:
+    """What a model leaves in every flight where inputs change: see `models.alarm_limits.RepeatingPart`."""
+
+    lower: Annotated[Array, len(INPUT_NAMES)]
+    upper: Annotated[Array, len(INPUT_NAMES)]
+    slopes: Annotated[Array, len(AXES), INPUT_CHANGES, len(INPUT_NAMES)]  # all 0 where no flights told
+
+
 class SoundNoise:
     """What sound flights leave of a model, and the vehicle."""
 
@@ -76,6 +84,7 @@ class SoundNoise:
     arm: float  # m, mean distance of the rotors
     lever: Annotated[Array, ROTORS_MAX, 3]  # change of Fz, Mx, My per newton that a rotor loses, by the model
     noise: Annotated[Records, AxisNoise, len(AXES)]
+    repeating: Repeating
 
 
 class ChangeBlock:
@@ -85,6 +94,14 @@ class ChangeBlock:
     residual: Annotated[Array, len(AXES)]  # measured − predicted
     lift: float  # N, predicted
     squares: PerRotor  # (rad/s)² of the rotors
+    inputs: Annotated[Array, len(INPUT_NAMES)]
+
+
+class BlockInputs:
+    """Inputs of a block that has passed."""
+
+    number: int
+    inputs: Annotated[Array, len(INPUT_NAMES)]
 
 
 class Parts:
@@ -139,6 +156,7 @@ class Change:
     samples: float
     blocks: int
     last: int
+    before: Annotated[Records, BlockInputs, INPUT_CHANGES]  # the latest first
     filters: Annotated[Records, AxisFilter, len(AXES)]
     onsets: Annotated[Records, Onset, _ONSETS]
     settled: float  # evidence of moments that are no longer followed
@@ -170,6 +188,12 @@ def sound_noise(limits: ChangeLimits | None, vehicle: Vehicle | None) -> Records
         for name in ("mean", "between", "walk", "keep", "process", "white", "loudest"):
             own[name] = getattr(left, name)
         own["tail"] = FREEDOM * left.scale * left.scale
+    if limits.repeating is not None:
+        repeating = record["repeating"]
+        for name in ("lower", "upper"):
+            repeating[name] = [getattr(limits.repeating, name)[one] for one in INPUT_NAMES]
+        for axis in limits.repeating.slopes:
+            repeating["slopes"][:, AXES.index(axis)] = limits.repeating.of_axis(axis)
     return record
 
 

@@ -8,13 +8,25 @@ from dataclasses import replace
 import pytest
 
 from quadpi_core.errors import ModelError
-from quadpi_core.models.alarm_limits import ChangeLimits, LeftOnAxis, change_sentence
+from quadpi_core.inputs import INPUT_NAMES
+from quadpi_core.models.alarm_limits import ChangeLimits, LeftOnAxis, RepeatingPart, change_sentence
 
 LEFT = LeftOnAxis(0.1, 0.2, 0.01, 0.6, 0.4, 0.3, 0.65, 2.5)
 LIMITS = ChangeLimits({"Fz": LEFT}, ((1.0, 0.1, -0.1),) * 4, flights=12, hours=0.2, largest=3.0)
 
 
+PART = RepeatingPart(
+    dict.fromkeys(INPUT_NAMES, -1.0),
+    dict.fromkeys(INPUT_NAMES, 1.0),
+    {"Fz": dict.fromkeys(INPUT_NAMES, (0.1, 0.2))},
+)
+
+
 def test_limits_survive_their_file() -> None:
+    repeating = replace(LIMITS, repeating=PART)
+    assert ChangeLimits.from_json(json.loads(json.dumps(repeating.to_json()))) == repeating
+    older = {name: value for name, value in LIMITS.to_json().items() if name != "repeating"}
+    assert ChangeLimits.from_json(json.loads(json.dumps(older))) == LIMITS
     assert ChangeLimits.from_json(json.loads(json.dumps(LIMITS.to_json()))) == LIMITS
 
 
@@ -28,6 +40,8 @@ def test_limits_survive_their_file() -> None:
         ({"axes": {"Fz": LEFT.__dict__ | {"white": 0.0}}}, "`white`"),
         ({"largest": -1.0}, "`largest`"),
         ({"levers": [[1.0, 2.0]]}, "levers"),
+        ({"repeating": PART.__dict__ | {"lower": {"u": 0.0}}}, "missing key `v`"),
+        ({"repeating": PART.__dict__ | {"slopes": {"Fz": {"u": [0.0]}}}}, "slopes"),
     ],
 )
 def test_what_no_flights_give_is_refused(change: dict[str, object], words: str) -> None:

@@ -11,7 +11,7 @@ from quadpi_core.core import compiled
 from quadpi_core.frames import Array
 from quadpi_core.identification.change_calibration import evidence
 from quadpi_core.inputs import INPUT_NAMES
-from quadpi_core.models.alarm_limits import FALSE_FLIGHTS, AlarmLimits, ChangeLimits
+from quadpi_core.models.alarm_limits import FALSE_FLIGHTS, AlarmLimits, ChangeLimits, RepeatingPart
 from quadpi_core.models.envelope import Envelope
 from quadpi_core.monitor.alarm import Alarm
 from quadpi_core.monitor.alarm_log import reasons
@@ -163,12 +163,16 @@ class LiftingAlarm(Alarm):
 
 
 def alarm_of(
-    vehicle: Vehicle, limits: AlarmLimits = LIMITS, change: bool = True, largest: float = 0.0
+    vehicle: Vehicle,
+    limits: AlarmLimits = LIMITS,
+    change: bool = True,
+    largest: float = 0.0,
+    repeating: RepeatingPart | None = None,
 ) -> Alarm:
     count = len(INPUT_NAMES)
     inputs = np.stack((np.full(count, -1.0), np.full(count, 1.0)))
     envelope = Envelope.fit(inputs, np.zeros(2, int), np.full((2, 6), 0.01), np.ones((2, 6)))
-    sound = replace(limits_of(vehicle), largest=largest) if change else None
+    sound = replace(limits_of(vehicle), largest=largest, repeating=repeating) if change else None
     return LiftingAlarm(envelope, limits, SETTINGS, vehicle=vehicle, change=sound)
 
 
@@ -188,6 +192,24 @@ def test_the_alarm_says_what_has_changed_and_any_blocks_give_the_same(vehicle: V
     said = reasons(whole, len(whole) - 1, CHANGE_CAUSE)[0]
     assert said.endswith("g heavier, or less thrust of all rotors since 4.0 s")
     assert (whole.changed[~raised] == UNCHANGED).all()
+
+
+def test_what_repeats_where_inputs_change_is_no_evidence_in_blocks_of_any_length(vehicle: Vehicle) -> None:
+    quiet, samples = (samples_of(vehicle, 6.0, 0.0, 0.0) for _ in range(2))
+    number = samples.time_ns // round(1e9 * BLOCK_S)
+    speed = np.random.default_rng(8).uniform(-0.9, 0.9, number[-1] + 1)
+    speed[: number[0]] = speed[number[0]]
+    samples.inputs[:, 0] = speed[number]
+    samples.measured[:, 2] += 0.1 * (speed[number] - speed[number - 1])
+    none, ends = dict.fromkeys(INPUT_NAMES, (0.0, 0.0)), dict.fromkeys(INPUT_NAMES, 2.0)
+    part = RepeatingPart(dict.fromkeys(INPUT_NAMES, -2.0), ends, {"Fz": none | {"u": (0.1, 0.0)}})
+    assert samples.run(alarm_of(vehicle)).cause_health[-1, COLUMN] == UNCALIBRATED
+    whole, sound = samples.run(alarm_of(vehicle, repeating=part)), quiet.run(alarm_of(vehicle))
+    assert whole.cause_health[-1, COLUMN] == ACTIVE
+    np.testing.assert_allclose(whole.cause_evidence[-20:, COLUMN], sound.cause_evidence[-20:, COLUMN], 1e-6)
+    for block in (1, 7, 1000):
+        parts = samples.run(alarm_of(vehicle, repeating=part), block)
+        np.testing.assert_array_equal(parts.cause_evidence, whole.cause_evidence)
 
 
 def test_health_says_where_a_change_is_not_judged(vehicle: Vehicle) -> None:

@@ -131,6 +131,7 @@ inline void judge_change(
     const AlarmLimits& limits,
     AlarmState& state,
     const Verdict& sample,
+    const InputVector& inputs,
     const Wrench& measured,
     const Wrench& lower,
     const Wrench& upper,
@@ -149,7 +150,7 @@ inline void judge_change(
         for (int axis = 0; axis < AXES; ++axis) {
             error[axis] = measured[axis] - 0.5 * (lower[axis] + upper[axis]);
         }
-        add_to_block(change, error, error[FZ] - measured[FZ], sample.rotor_speeds, step_s);
+        add_to_block(change, error, error[FZ] - measured[FZ], sample.rotor_speeds, inputs, step_s);
     }
     state.charge[CHANGE] = change.raised ? 1.0 : 0.0;
     raise_to(state.row.cause_evidence[CHANGE], change.score);
@@ -310,7 +311,14 @@ inline std::size_t advance(
                         limits, state, measured[used], said.lower[used], said.upper[used], step_s
                     );
                     judge_change(
-                        limits, state, sample, measured[used], said.lower[used], said.upper[used], step_s
+                        limits,
+                        state,
+                        sample,
+                        inputs[used],
+                        measured[used],
+                        said.lower[used],
+                        said.upper[used],
+                        step_s
                     );
                 }
                 judge_rotors(state);

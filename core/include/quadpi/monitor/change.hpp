@@ -5,6 +5,8 @@
 
 #include "quadpi/elementary.hpp"
 #include "quadpi/monitor/axis_filter.hpp"
+#include "quadpi/monitor/directions.hpp"
+#include "quadpi/monitor/repeating_part.hpp"
 
 namespace quadpi {
 
@@ -35,54 +37,11 @@ constexpr double RUIN = 1e-12;
 // Longer pauses [blocks] count as this long.
 constexpr std::int64_t PAUSE_MOST = 100;
 
-// Axes that a direction changes, and by how much, were its size 1.
-struct Template {
-    int axes;  // 0 where they are not all known
-    std::array<int, 3> axis;
-    std::array<double, 3> change;
-};
-using Templates = std::array<Template, DIRECTIONS>;
-
 constexpr std::array<double, SIZES> sizes() {
     std::array<double, SIZES> all{};
     for (int k = 0; k < DOUBLINGS; ++k) {
         all[2 * k] = LEAST_SIZE * static_cast<double>(1 << k);
         all[2 * k + 1] = -all[2 * k];
-    }
-    return all;
-}
-
-inline Template on_axis(const ChangeLimits& limits, int axis, double change) {
-    return {limits.noise[axis].loudest > 0.0 ? 1 : 0, {axis, 0, 0}, {change, 0.0, 0.0}};
-}
-
-// What each direction would change in a block.
-inline Templates templates_of(
-    const ChangeLimits& limits, const RotorGeometry& rotors, const ChangeBlock& block
-) {
-    Templates all{};
-    const double turn = block.lift * limits.arm / static_cast<double>(rotors.rotors);
-    all[LIFT] = on_axis(limits, 2, block.lift);
-    all[PUSH_FORWARD] = on_axis(limits, 0, limits.weight);
-    all[PUSH_RIGHT] = on_axis(limits, 1, limits.weight);
-    all[BALANCE_FORWARD] = on_axis(limits, 4, -turn);
-    all[BALANCE_RIGHT] = on_axis(limits, 3, turn);
-    double total = 0.0;
-    bool known = true;
-    for (int k = 0; k < rotors.rotors; ++k) {
-        total += block.squares[k];
-    }
-    for (const int axis : SHOWN) {
-        known = known && limits.noise[axis].loudest > 0.0;
-    }
-    for (int k = 0; k < rotors.rotors && known && total > 0.0; ++k) {
-        const double thrust = block.lift * block.squares[k] / total;
-        Template &less = all[LESS_1 + k], &more = all[MORE_1 + k];
-        less = more = {3, SHOWN, {}};
-        for (std::size_t shown = 0; shown < SHOWN.size(); ++shown) {
-            less.change[shown] = thrust * rotors.lever[k][shown];
-            more.change[shown] = thrust * limits.lever[k][shown];
-        }
     }
     return all;
 }
@@ -312,6 +271,7 @@ inline double follow_onset(
 
 // Take the mean of a block of samples.
 inline void take_block(const ChangeLimits& limits, const RotorGeometry& rotors, Change& change) {
+    take_repeating(limits.repeating, change);
     const Templates templates = templates_of(limits, rotors, change.sum);
     const std::int64_t passed = take_residuals(limits, change);
     settle_oldest(change);
@@ -361,6 +321,9 @@ inline void end_block(
         for (double& square : block.squares) {
             square *= share;
         }
+        for (double& input : block.inputs) {
+            input *= share;
+        }
         block.lift *= share;
         take_block(limits, rotors, change);
     }
@@ -372,7 +335,12 @@ inline void end_block(
 // error: measured − predicted.
 // step_s: since the sample before.
 inline void add_to_block(
-    Change& change, const Wrench& error, double lift, const PerRotor& rotor_speeds, double step_s
+    Change& change,
+    const Wrench& error,
+    double lift,
+    const PerRotor& rotor_speeds,
+    const InputVector& inputs,
+    double step_s
 ) {
     ChangeBlock& block = change.sum;
     for (int axis = 0; axis < AXES; ++axis) {
@@ -380,6 +348,9 @@ inline void add_to_block(
     }
     for (std::size_t k = 0; k < rotor_speeds.size(); ++k) {
         block.squares[k] += rotor_speeds[k] * rotor_speeds[k];
+    }
+    for (int k = 0; k < INPUTS; ++k) {
+        block.inputs[k] += inputs[k];
     }
     block.lift += lift;
     change.samples += 1.0;

@@ -37,6 +37,16 @@ struct AxisNoise {
     double loudest;  // largest running mean of their squares in any flight; 0 for an axis that is not known
 };
 
+// Changes of the inputs from block to block that tell what a model leaves of the last of them.
+constexpr int INPUT_CHANGES = 2;
+
+// What a model leaves in every flight where inputs change, which is no evidence.
+struct Repeating {
+    InputVector lower, upper;  // largest fall and rise in the flights; changes beyond count as these
+    // N or Nm per unit by which an input changes, the latest change first; all 0 where no flights told.
+    std::array<std::array<InputVector, INPUT_CHANGES>, AXES> slopes;
+};
+
 // What sound flights leave of a model, and the vehicle.
 struct ChangeLimits {
     double evidence;  // of an alarm; 0 where no flights told what is sound
@@ -45,6 +55,7 @@ struct ChangeLimits {
     // Change of Fz, Mx, My per newton that a rotor loses, as the model has it: about 1, m, m.
     std::array<Vector3, ROTORS_MAX> lever;
     std::array<AxisNoise, AXES> noise;
+    Repeating repeating;
 };
 
 // Mean of a block of samples.
@@ -53,6 +64,13 @@ struct ChangeBlock {
     Wrench residual;      // measured − predicted
     double lift;          // N, predicted
     PerRotor squares;     // (rad/s)² of the rotors
+    InputVector inputs;
+};
+
+// Inputs of a block that has passed.
+struct BlockInputs {
+    std::int64_t number;
+    InputVector inputs;
 };
 
 // Two parts of an axis: its constant and its process.
@@ -98,8 +116,9 @@ constexpr ChangeFound NOTHING_FOUND = {NOTHING, 0, 0, 0.0, 0.0, 0.0};
 struct Change {
     ChangeBlock sum;  // of the samples of the block so far
     double filled_s, samples;
-    std::int64_t blocks;  // taken since take-off
-    std::int64_t last;    // number of the last block
+    std::int64_t blocks;                            // taken since take-off
+    std::int64_t last;                              // number of the last block
+    std::array<BlockInputs, INPUT_CHANGES> before;  // the last blocks, the latest first
     std::array<AxisFilter, AXES> filters;
     std::array<Onset, ONSETS> onsets;
     double settled;  // evidence of moments that are no longer followed
