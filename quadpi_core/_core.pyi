@@ -163,6 +163,7 @@ RATE_MAX_RAD_S: float
 RISES: int
 SPECIFIC_FORCE_MAX_M_S2: float
 STANDARD_GRAVITY: float
+UNKNOWN_VARIANCE: float
 
 def scan_order(
     time_ns: Stamps, hole_ns: float, rising: Stamps, kinds: npt.NDArray[np.int8], run_of: Indices, /

@@ -24,7 +24,7 @@ from quadpi_core.errors import LogError, named_in
 from quadpi_core.findings import NOTHING_TO_SAY, DataQuality, UsedPart
 from quadpi_core.frames import Array
 from quadpi_core.records import brief_repr
-from quadpi_core.vehicle import Motors
+from quadpi_core.vehicle import Motors, stated_deviation
 
 Stamps: TypeAlias = npt.NDArray[np.int64]
 _DAY_NS = 86_400 * 1_000_000_000
@@ -295,6 +295,11 @@ class OdometryStream(_NoisyStream):
     deviation (N, 3): standard deviations of position m, attitude rad and velocity m/s; 0 where not known.
     """
 
+    @property
+    def stated(self) -> Array:
+        """The deviations (N, 3) that somebody measured, see :func:`stated_deviation`."""
+        return stated_deviation(self.deviation)
+
     topic: ClassVar[str] = "odometry"
     shapes: ClassVar = ((3,), (4,), (3,), (3,), (3,))
     position: Array
@@ -469,6 +474,7 @@ class Flight:
             is the integrated velocity.
         sha256: hash of the sensor streams, the same for every copy of the flight; empty where not known.
         motors: that made the rotor speeds of motor commands; None where they were measured.
+        air_ratio: density of the air over that of the vehicle file; 1 where nothing tells it.
     """
 
     __repr__ = brief_repr
@@ -491,6 +497,7 @@ class Flight:
     position_measured: bool = True
     sha256: str = ""
     motors: Motors | None = None
+    air_ratio: float = 1.0
 
     def __post_init__(self) -> None:
         """Refuse arrays that do not belong together, in the words of `quadpi_core.array_checks`."""

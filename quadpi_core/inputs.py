@@ -9,7 +9,7 @@ in SI units and body axes forward-right-down. (u, v, w) is the velocity relative
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import isfinite
+from math import isfinite, isnan
 from typing import Annotated, TypeVar
 
 import numpy as np
@@ -242,14 +242,16 @@ def is_celsius(celsius: Array) -> npt.NDArray[np.bool_]:
 
 
 def flown_in(recording: Recording) -> tuple[float, str] | None:
-    """Median density of the air of a flight [kg/m³], and what tells it; None where nothing does."""
-    pressure, celsius = (
-        np.concatenate(
-            [getattr(one, name) for one in (recording.pressure, recording.temperature) if one] or [[]]
-        )
-        for name in ("pressure", "celsius")
-    )
-    pressure, celsius = pressure[is_pressure(pressure)], celsius[is_celsius(celsius)]
+    """Median density of the air of a flight [kg/m³], and what tells it; None where nothing does.
+
+    A temperature that a source tells alone counts before that of a barometer, which warms itself.
+    """
+    nothing, barometer, apart = np.empty(0), recording.pressure, recording.temperature
+    pressure = nothing if barometer is None else barometer.pressure
+    celsius = nothing if apart is None else apart.celsius[is_celsius(apart.celsius)]
+    if not len(celsius) and barometer is not None:
+        celsius = barometer.celsius[is_celsius(barometer.celsius)]
+    pressure = pressure[is_pressure(pressure)]
     if not len(pressure) or not len(celsius):
         return None
     density = density_of(float(np.median(pressure)), float(np.median(celsius)))
@@ -278,6 +280,8 @@ class Air:
 
     def __init__(self) -> None:
         self.density = 0.0
+        # Whether a source tells the temperature alone: a barometer, which warms itself, does not count then.
+        self._apart = False
         self._pressure = self._celsius = float("nan")
 
     def hear(self, pressure: float, celsius: float) -> bool:
@@ -285,6 +289,9 @@ class Air:
 
         What can be no pressure or temperature of the air counts as not told.
         """
+        if CELSIUS_MIN <= celsius <= CELSIUS_MAX:
+            self._apart = self._apart or isnan(pressure)
+            celsius = celsius if isnan(pressure) or not self._apart else float("nan")
         self._pressure = pressure if PRESSURE_MIN <= pressure <= PRESSURE_MAX else self._pressure
         self._celsius = celsius if CELSIUS_MIN <= celsius <= CELSIUS_MAX else self._celsius
         if not isfinite(self._pressure + self._celsius):

@@ -117,13 +117,27 @@ SPIN_SIGN = {"clockwise": 1.0, "counterclockwise": -1.0}
 _MOCAP_DELAY_MAX_S = 0.3
 
 
+# Of an attitude [rad], from which on no vehicle flies by it: drivers fill covariances with ones.
+_FILLED_IN = 1.0
+
+
+def stated_deviation(deviation: Array) -> Array:
+    """Standard deviations (..., 3) of states, 0, not known, in place of those that are filled in.
+
+    Which are those of an attitude that no vehicle could fly by, and what stands beside it.
+    """
+    filled = (deviation[..., 1:2] >= _FILLED_IN) & (deviation >= 0.0)
+    return np.where(filled, 0.0, deviation)
+
+
 @dataclass(frozen=True)
 class SensorNoise(Section):
     """Standard deviations of the sensors that the estimator fuses: the key `noise` of a vehicle file.
 
     ``*_noise`` of the IMU are per sample; ``*_bias_walk`` are in units per square-root second. A pose of
     motion capture with stamp s was measured at s - `mocap_delay_s`, known to within `mocap_delay_std_s`. The
-    estimator refines the delay, unless its deviation is zero: then it is exact.
+    estimator refines the delay, unless its deviation is zero: then it is exact. `wind_m_s` is of the wind to
+    north and east where nothing measures it, 6 unless given; 0: there is none, as in a hall.
     """
 
     accelerometer_noise_m_s2: Positive = 0.3
@@ -138,6 +152,7 @@ class SensorNoise(Section):
     state_position_m: Positive | None = None
     state_attitude_rad: Positive | None = None
     state_velocity_m_s: Positive | None = None
+    wind_m_s: Annotated[float, Within(0.0)] | None = None
 
     @property
     def of_state(self) -> tuple[float | None, float | None, float | None]:
@@ -150,6 +165,7 @@ class SensorNoise(Section):
         None is surer than motion capture by this file: messages often state a variance that nobody measured,
         such as 1e-9, by which the filter would reject what comes. Below 0, which is not measured, stays.
         """
+        stated = stated_deviation(stated)
         usual = np.array([told or 0.0 for told in self.of_state])
         surest = np.array([self.mocap_position_m, self.mocap_attitude_rad, self.mocap_velocity_m_s])
         return np.where(stated > 0.0, np.maximum(stated, surest), np.where(stated == 0.0, usual, stated))

@@ -6,8 +6,10 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any, NamedTuple
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, TransformStamped, TwistStamped
 from nav_msgs.msg import Odometry
@@ -17,11 +19,13 @@ from quadpi_core.core import compiled
 from quadpi_core.estimator.ekf import Ekf
 from quadpi_core.estimator.filter_state import WITHOUT_ESTIMATE, EstimatorStatus, Outcome
 from quadpi_core.estimator.output import FusedSamples, with_gyro_faults
+from quadpi_core.estimator.slow_states import usual_noise
 from quadpi_core.flight import NOT_MEASURED, ImuStream, OdometryStream, PoseStream, TwistStream
 from quadpi_core.frames import Array
 from quadpi_core.messages import sensor_messages
+from quadpi_core.messages.adapters.packages.satellite_fixes import NAVSATFIX
 from quadpi_core.messages.definitions import codec
-from quadpi_core.messages.frame_ids import TF_TYPE, BodyFrames
+from quadpi_core.messages.frame_ids import TF_TYPE, BodyFrames, FrameRefusedError, names_of
 from quadpi_core.messages.one_by_one import IncomingMessage, OutgoingMessage
 from quadpi_core.messages.result_messages import transform_message
 from quadpi_core.messages.values import POSE
@@ -80,9 +84,10 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         )
         adapted = AdaptedSources(self.get_name(), parameters.adapters, vehicle)
         self._body = self.frames_of(parameters.body_frame, parameters.frames)
+        self._oriented = b""
         self._imu = adapted.instead_of(framed_imu(self._body), "imu")
         self._mocap, self._take_mocap = self._motion_capture(adapted)
-        self._noise = vehicle.noise
+        self._noise, self._usual = vehicle.noise, usual_noise(vehicle)
         self._ekf = Ekf(vehicle, parameters.imu_rate_hz or None)
         self._publish = self.announce(Odometry, "odometry")
         self._tf = TransformPublisher(self) if parameters.tf_rate_hz else None
@@ -108,10 +113,22 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
             "mocap/odometry": (Odometry, sensor_messages.ODOMETRY_SAMPLES, self._take_odometry),
             "mocap/twist": (TwistStamped, sensor_messages.twist_samples(body_frame), self._take_twist),
         }
+        if topic == NAVSATFIX.name:
+            self._imu = self._imu._replace(unpack=self._noting(self._imu.unpack))
+            return adapted.self_described(topic), self._take_fix
         if topic not in standard:
             return adapted.named(topic), self._take_pose
         message_type, kind, take = standard[topic]
         return Source(message_type, topic, IncomingMessage(kind, self._body.world, self._body)), take
+
+    def _noting(self, unpack: Callable[[bytes], ImuStream]) -> Callable[[bytes], ImuStream]:
+        """An unpacker that notes the message, for its orientation."""
+
+        def noted(payload: bytes) -> ImuStream:
+            self._oriented = payload
+            return unpack(payload)
+
+        return noted
 
     @property
     def mocap_ns(self) -> int | None:
@@ -208,6 +225,19 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         self._ekf.update_pose(time_ns, odometry.position[0], odometry.attitude[0], stated[:2])
         if stated[2] != NOT_MEASURED:
             self._ekf.update_velocity(time_ns, odometry.velocity[0], True, stated[2])
+
+    def _take_fix(self, fix: OdometryStream) -> None:
+        """Take a position by satellites, with the attitude that the IMU's last message says."""
+        turned: tuple[Any, Any, Any] = ((), (), ())
+        with suppress(FrameRefusedError):
+            if self._oriented and self._body.imu(names_of(self._oriented, 1)[0]) is None:
+                turned = sensor_messages.unpack_orientation(self._oriented)
+        if len(turned[0]) == 0:
+            self._mocap_health.refuse(f"no orientation of the body in {self._imu.topic}")
+            return
+        fix.deviation[:, 1] = turned[2]
+        stated = np.where(fix.deviation == 0.0, self._usual, fix.deviation)[0]
+        self._ekf.update_pose(int(fix.time_ns[0]), fix.position[0], turned[1][0], stated[:2])
 
     def _take_twist(self, twist: TwistStream) -> None:
         self._ekf.update_velocity(int(twist.time_ns[0]), twist.velocity[0], bool(twist.in_body[0]))

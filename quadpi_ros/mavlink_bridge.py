@@ -23,9 +23,9 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
-from quadpi.msg import ExtrapolationAlarm, RotorSpeeds
+from quadpi.msg import ExtrapolationAlarm, MotorCommands, RotorSpeeds
 from rclpy.clock import Clock, ClockType
-from sensor_msgs.msg import Imu
+from sensor_msgs.msg import BatteryState, Imu
 
 from quadpi_core.errors import QuadpiError, one_line
 from quadpi_core.logs.mavlink_frames import signing_key
@@ -67,7 +67,9 @@ class _Reported(NamedTuple):
 
 
 class MavlinkBridge(GuardedNode):
-    """Publishes `imu`, `rotor_speeds`, `mocap/pose` and `mocap/odometry` if the autopilot sends them.
+    """Publishes what the autopilot sends of `imu`, `rotor_speeds`, `mocap/pose`, `mocap/odometry`.
+
+    And of `motor_commands`, shares of their range in the vehicle's rotor order, and `battery`.
 
     Args:
         node: keyword arguments of rclpy's Node.
@@ -95,6 +97,8 @@ class MavlinkBridge(GuardedNode):
             "rotor_speeds": self.create_publisher(RotorSpeeds, "rotor_speeds", SENSOR_QOS).publish,
             "mocap/pose": self.create_publisher(PoseStamped, "mocap/pose", SENSOR_QOS).publish,
             "odometry": self.create_publisher(Odometry, "mocap/odometry", SENSOR_QOS).publish,
+            "motor_commands": self.create_publisher(MotorCommands, "motor_commands", SENSOR_QOS).publish,
+            "battery": self.create_publisher(BatteryState, "battery", SENSOR_QOS).publish,
         }
         self._told = AlarmTold()
         self.create_subscription(ExtrapolationAlarm, "extrapolation_alarm", self._tell, OUTPUT_QOS, raw=True)
@@ -131,6 +135,10 @@ class MavlinkBridge(GuardedNode):
             return sensor_messages.pack_imu(stream, body)[0]
         if topic == "rotor_speeds":
             return sensor_messages.pack_rotor_speeds(stream, body)[0]
+        if topic == "motor_commands":
+            return sensor_messages.pack_motor_commands(stream, body)[0]
+        if topic == "battery":
+            return sensor_messages.pack_battery(stream, body)[0]
         if topic == "mocap/pose":
             return sensor_messages.pack_pose(stream, world)[0]
         return sensor_messages.pack_odometry(stream, frame_id=world, child_frame_id=body)[0]
@@ -275,7 +283,9 @@ class MavlinkBridge(GuardedNode):
             return callbacks.ERROR, f"nothing heard of system {report.system} for {report.silent_s:.0f} s"
         if report.other_airframe:
             return callbacks.ERROR, f"system {report.system}: {report.other_airframe}"
-        lacking = [topic for topic in ("imu", "rotor_speeds") if rates[f"{topic}_hz"] == 0.0]
+        # Rotor speeds can be made of commands.
+        rotors = "motor_commands" if rates["motor_commands_hz"] > 0.0 else "rotor_speeds"
+        lacking = [topic for topic in ("imu", rotors) if rates[f"{topic}_hz"] == 0.0]
         if rates["mocap/pose_hz"] + rates["odometry_hz"] == 0.0:
             lacking.append("pose or velocity")
         if lacking:

@@ -14,6 +14,7 @@ from rclpy.parameter import Parameter
 
 from quadpi_core.errors import QuadpiError
 from quadpi_core.messages.adapters import known_adapters
+from quadpi_core.messages.adapters.packages.satellite_fixes import NAVSATFIX
 from quadpi_core.messages.sensor_messages import BODY_FRAME, WORLD_FRAME
 from quadpi_core.messages.topics import MOCAP_TOPICS
 from quadpi_core.monitor import MonitorSettings
@@ -120,7 +121,7 @@ class EstimatorParameters(LiveParameters):
     mocap_topic: str = parameter(
         "mocap/pose",
         "topic and type of the motion capture to use",
-        choices=MOCAP_TOPICS,
+        choices=(*MOCAP_TOPICS, NAVSATFIX.name),
         adapters="mocap",
     )
     world_frame: str = parameter(WORLD_FRAME, "frame_id of odometry: the world, east-north-up")

@@ -4,6 +4,7 @@
 #include <nanobind/nanobind.h>
 
 #include "bindings/rotors.hpp"
+#include "quadpi/messages/values.hpp"
 #include "quadpi/monitor/data_quality.hpp"
 #include "quadpi/screening/sample_order.hpp"
 
@@ -33,6 +34,7 @@ void bind_limits(nb::module_& module) {
         {"RATE_MAX_RAD_S", RATE_MAX_RAD_S},
         {"SPECIFIC_FORCE_MAX_M_S2", SPECIFIC_FORCE_MAX_M_S2},
         {"STANDARD_GRAVITY", STANDARD_GRAVITY},
+        {"UNKNOWN_VARIANCE", UNKNOWN_VARIANCE},
     };
     for (const auto& [name, value] : limits) {
         module.attr(name) = value;

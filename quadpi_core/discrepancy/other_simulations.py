@@ -29,6 +29,7 @@ from quadpi_core.discrepancy.simulations import (
     Simulation,
     Tolerances,
     airspeed,
+    attribute_of,
     read_tolerances,
 )
 from quadpi_core.discrepancy.unmeasured_states import INDEPENDENT_HZ
@@ -201,7 +202,7 @@ class CallableSimulation(_Answering):
         finite = np.isfinite(wrench).all(axis=1)
         if not finite.all():
             raise DiscrepancyError(f"{where}: sample {np.argmin(finite)}: not finite")
-        return wrench
+        return wrench * flight.air_ratio
 
 
 @dataclass(frozen=True)
@@ -219,6 +220,8 @@ class ModelSimulation(_Answering):
     model: AerodynamicModel
     tolerances: Tolerances = field(default_factory=Tolerances)
     vehicle_file: str = ""
+
+    goes_with_air = attribute_of("model.goes_with_air")
 
     @property
     def _near_hover(self) -> float:
@@ -253,8 +256,9 @@ class ModelSimulation(_Answering):
         return self.model.learned_from(flight.sha256)
 
     def _evaluated(self, flight: Flight) -> Evaluation:
-        inputs = flight_inputs(flight, self.vehicle)
-        return unchecked_evaluation(self.model, inputs, derivatives=flight_derivatives(flight))
+        inputs, derivatives = flight_inputs(flight, self.vehicle), flight_derivatives(flight)
+        derivatives["density_excess"] = flight.air_ratio - 1.0
+        return unchecked_evaluation(self.model, inputs, derivatives=derivatives)
 
     def _by_airspeed(self, flight: Flight, turning: Array) -> list[Part]:
         """As a whole, as a model knows nothing of a motion reversed."""

@@ -99,6 +99,8 @@ class Simulation(ABC):
         own_inputs: whether it was computed from other inputs than the flight's, with noise of their own. Then
             `learned`, `answering` and `explained` say what flights tell of it.
         intervals_of: the identified model whose intervals are its own; None without intervals.
+        goes_with_air: whether it is known which air its coefficients are of: the wrench goes with that of a
+            flight.
     """
 
     name: str
@@ -113,9 +115,14 @@ class Simulation(ABC):
     own_inputs: bool = False
     intervals_of: Simulation | None = None
 
+    @property
+    def goes_with_air(self) -> bool:
+        """See :class:`Simulation`."""
+        return self.intervals_of is None or self.intervals_of.goes_with_air
+
     @abstractmethod
     def wrench(self, flight: Flight) -> Array:
-        """Wrench (N, 6) [N, Nm] of a flight, body axes, gravity not included.
+        """Wrench (N, 6) [N, Nm] of a flight in its air, body axes, gravity not included.
 
         Raises:
             DiscrepancyError: where the simulation gives no such wrench.
@@ -261,7 +268,7 @@ class VehicleSimulation(Simulation):
                 jerks[1:-1] = 2.0 * np.diff(slopes, axis=0) / (time[2:] - time[:-2])[:, np.newaxis]
                 speeds = np.maximum(speeds - delay * accelerations + 0.5 * delay**2 * jerks, 0.0)
                 accelerations = accelerations - delay * jerks
-        return self.model.states(
+        states = self.model.states(
             airspeed(flight),
             flight.rates,
             speeds,
@@ -269,6 +276,10 @@ class VehicleSimulation(Simulation):
             position=flight.position,
             attitude=flight.attitude,
         )
+        if self.goes_with_air and flight.air_ratio != 1.0:
+            for name in ("wrench", "thrusts", "torques"):
+                states[name] *= flight.air_ratio
+        return states
 
     def recorded(self, flight: Flight, wrench: Array) -> Array:
         """See :class:`Simulation`; forces of the bandwidth that its flights had."""
@@ -279,7 +290,10 @@ class VehicleSimulation(Simulation):
     def uncertain(self, flight: Flight) -> list[Column]:
         """One factor on each kind of coefficient, and separate ones on static thrust and torque."""
         names, added = self.model.coefficients_by_name, self.model.added_by_coefficients(self._acting(flight))
-        return [Column(name, own * self._tolerance(name)) for name, own in zip(names, added, strict=True)]
+        return [
+            Column(name, own * (self._tolerance(name) * (flight.air_ratio if self.goes_with_air else 1.0)))
+            for name, own in zip(names, added, strict=True)
+        ]
 
     def with_coefficients(self, multiples: Mapping[str, float]) -> VehicleSimulation:
         """See :class:`Simulation`."""

@@ -67,9 +67,9 @@ def with_slow_state(recording: Recording, vehicle: Vehicle) -> Recording:
         return recording
     if not _corrects(odometry):
         return recording
-    usual = _noise_of(vehicle)
+    usual = usual_noise(vehicle)
     unknown = np.array([told is None for told in vehicle.noise.of_state])
-    unknown &= ~np.any(odometry.deviation, axis=0) & (len(odometry) >= _STATES_SEEN)
+    unknown &= ~np.any(odometry.stated, axis=0) & (len(odometry) >= _STATES_SEEN)
     if unknown.any():
         usual = _learned(recording, odometry, vehicle, usual, unknown)
     return _measured_state(recording, usual, _lacking(odometry))
@@ -90,10 +90,10 @@ def with_slow_states(blocks: Iterator[Recording], vehicle: Vehicle) -> tuple[Ite
     every = chain(seen, blocks)
     if not known or not _corrects(first := OdometryStream.join(known)):
         return every, False
-    return map(partial(_measured_state, usual=_noise_of(vehicle), lacking=_lacking(first)), every), True
+    return map(partial(_measured_state, usual=usual_noise(vehicle), lacking=_lacking(first)), every), True
 
 
-def _noise_of(vehicle: Vehicle) -> Array:
+def usual_noise(vehicle: Vehicle) -> Array:
     """Deviations (3,) of a state that does not say them."""
     return np.array([told or usual for told, usual in zip(vehicle.noise.of_state, _USUAL, strict=True)])
 
@@ -107,7 +107,8 @@ def _measured_state(recording: Recording, usual: Array, lacking: _Parts) -> Reco
     odometry = recording.odometry
     if odometry is None:
         return recording
-    deviation = np.where(odometry.deviation == 0.0, usual, odometry.deviation)
+    stated = odometry.stated
+    deviation = np.where(stated == 0.0, usual, stated)
     stamps, chosen = odometry.time_ns, np.arange(len(odometry))
     twist: TwistStream | None = None
     if not lacking[2]:

@@ -81,6 +81,11 @@ def predict_flight(
         adaptive: intervals that adapt to the measurement as the flight goes, as the monitor's may.
         with_alarm: run the alarm as well, on the model's own intervals in either case.
     """
+    if model.wind is not None:
+        # Slow to import, and most models have no wind to find.
+        from quadpi_core.identification.found_wind import in_found_wind
+
+        flight = in_found_wind(flight, model.wind, model.load_vehicle())
     evaluation = model.evaluate(flight, confidence)
     lower, upper = evaluation.lower, evaluation.upper
     if adaptive:

@@ -31,11 +31,13 @@ from quadpi_core.records import STANDARD_GRAVITY
 
 # What is known before: bias of an accelerometer with the tilt of its mounting [m/s²], wind [m/s], its change
 # in the square root of a second [m/s], lean of the mounting [rad].
-_BIAS, WIND, _WALK, _LEAN = 0.5, 6.0, 0.3, 0.05
+BIAS, WIND, WALK, _LEAN = 0.5, 6.0, 0.3, 0.05
 _KNOTS_S = 10.0
 # Of all flights together: an hour takes no more than ten minutes do.
 _KNOTS_MOST, _SAMPLES_MOST = 60, 6000
 _ITERATIONS, _SETTLED = 12, 1e-5
+# Information on what is known: more than any flight's.
+_KNOWN = 1e12
 
 
 class _Information(NamedTuple):
@@ -53,10 +55,24 @@ class DragFit:
     Attributes:
         theta: (P,) drag parameters first.
         prior: (P, P) information of what is known before; the square terms `without` are known to be 0.
+        mean: (P,) what it is known to be.
+
+    Args:
+        flights: samples of each.
+        quadratic: EKF2's split of drag, or else one coefficient an axis.
+        without: axes that have no square term.
+        known: drag (2,) along x and y, 1/s, where it is not to be found.
+        wind: standard deviation of the wind beforehand, m/s.
     """
 
     def __init__(
-        self, flights: Sequence[DragSamples], *, quadratic: bool, without: Sequence[int] = ()
+        self,
+        flights: Sequence[DragSamples],
+        *,
+        quadratic: bool,
+        without: Sequence[int] = (),
+        known: Sequence[float] | None = None,
+        wind: float = WIND,
     ) -> None:
         stride = -(-sum(len(one.time) for one in flights) // _SAMPLES_MOST)
         self.flights, self.step_s = [one.every(stride) for one in flights], stride * STEP_S
@@ -74,44 +90,53 @@ class DragFit:
         self.theta = np.zeros(place)
         # No drag leaves the wind without an effect: begin at that of a usual vehicle.
         self.theta[: self.drags] = [0.15, 0.005, 0.005] if quadratic else [0.3, 0.3]
-        self.prior, self.scale = self._prior(), np.array([0.3, 0.3])
+        self.mean, self.prior, self.scale = np.zeros(place), self._prior(wind), np.array([0.3, 0.3])
         for axis in without:
-            self.theta[1 + axis], self.prior[1 + axis, 1 + axis] = 0.0, 1e12
+            self.theta[1 + axis], self.prior[1 + axis, 1 + axis] = 0.0, _KNOWN
+        for axis, value in enumerate(known or ()):
+            self.theta[axis] = self.mean[axis] = value
+            self.prior[axis, axis] = _KNOWN
         self._solve()
 
-    def _prior(self) -> Array:
+    def _prior(self, wind: float) -> Array:
         prior = np.zeros((len(self.theta), len(self.theta)))
         for place, knots in self.layout:
-            prior[range(place, place + 4), range(place, place + 4)] = np.repeat([_BIAS**-2, _LEAN**-2], 2)
+            prior[range(place, place + 4), range(place, place + 4)] = np.repeat([BIAS**-2, _LEAN**-2], 2)
             for axis in range(2):
                 own = place + 4 + axis * len(knots) + np.arange(len(knots))
-                prior[own, own] += WIND**-2 / len(knots)
-                step = 1.0 / (_WALK**2 * np.diff(knots))
+                prior[own, own] += wind**-2 / len(knots)
+                step = 1.0 / (WALK**2 * np.diff(knots))
                 np.add.at(prior, (own[1:], own[1:]), step)
                 np.add.at(prior, (own[:-1], own[:-1]), step)
                 np.add.at(prior, (own[1:], own[:-1]), -step)
                 np.add.at(prior, (own[:-1], own[1:]), -step)
         return prior
 
-    def _weights(self, flight: int) -> Array:
-        """Shares (N, K) of the knots of the wind at each sample."""
-        one, (_, knots) = self.flights[flight], self.layout[flight]
-        after = np.clip(np.searchsorted(knots, one.time), 1, len(knots) - 1)
+    def _weights(self, flight: int, time: Array) -> Array:
+        """Shares (N, K) of the knots of the wind at times (N,) s."""
+        _, knots = self.layout[flight]
+        after = np.clip(np.searchsorted(knots, time), 1, len(knots) - 1)
         share = np.clip(
-            (one.time - knots[after - 1]) / np.maximum(knots[after] - knots[after - 1], 1e-9), 0.0, 1.0
+            (time - knots[after - 1]) / np.maximum(knots[after] - knots[after - 1], 1e-9), 0.0, 1.0
         )
-        weights = np.zeros((len(one.time), len(knots)))
-        rows = np.arange(len(one.time))
+        weights = np.zeros((len(time), len(knots)))
+        rows = np.arange(len(time))
         weights[rows, after - 1], weights[rows, after] = 1.0 - share, share
         return weights
+
+    def wind_at(self, flight: int, time: Array) -> Array:
+        """Wind (N, 2) of a flight to north and east, m/s, at times (N,) s."""
+        place, knots = self.layout[flight]
+        winds = self.theta[place + 4 : place + 4 + 2 * len(knots)].reshape(2, -1).T
+        found: Array = self._weights(flight, time) @ winds
+        return found
 
     def residuals(self, flight: int) -> tuple[Array, Array, Array]:
         """Residuals (N, 2) in m/s², slopes (N, 2, C) by its columns, airspeed (N, 3) in body axes."""
         one, (place, knots), theta = self.flights[flight], self.layout[flight], self.theta
-        weights, count = self._weights(flight), len(knots)
-        winds = np.stack([theta[place + 4 + axis * count + np.arange(count)] for axis in range(2)], axis=1)
+        weights, count = self._weights(flight, one.time), len(knots)
         air = one.velocity.copy()
-        air[:, :2] -= weights @ winds
+        air[:, :2] -= self.wind_at(flight, one.time)
         body = np.einsum("nji,nj->ni", one.turn, air)
         speed = np.linalg.norm(body, axis=1)
         slopes = np.zeros((len(body), 2, self.drags + 4 + 2 * count))
@@ -142,7 +167,7 @@ class DragFit:
 
     def normal(self) -> tuple[Array, Array, list[_Information]]:
         """Information (P, P) and gradient (P,) with what was known before; and of each piece."""
-        whole, pull = self.prior.copy(), self.prior @ self.theta
+        whole, pull = self.prior.copy(), self.prior @ (self.theta - self.mean)
         pieces = []
         for flight, one in enumerate(self.flights):
             residuals, slopes, _ = self.residuals(flight)

@@ -140,8 +140,9 @@ def field_log_of(
     if odometry is not None and len(odometry):
         attitude = series_of(odometry.time_ns, odometry.attitude, start_ns)
         world = rotate_body_to_world(odometry.attitude, odometry.velocity)
-        velocity = series_of(odometry.time_ns, world, start_ns)
-        position = series_of(odometry.time_ns, odometry.position, start_ns)
+        placed, _, moving = (odometry.deviation >= 0.0).T
+        velocity = series_of(odometry.time_ns[moving], world[moving], start_ns)
+        position = series_of(odometry.time_ns[placed], odometry.position[placed], start_ns)
     elif pose is not None and len(pose):
         attitude = series_of(pose.time_ns, pose.attitude, start_ns)
         position = series_of(pose.time_ns, pose.position, start_ns)

@@ -24,6 +24,7 @@ from quadpi_core.identification.alarm_calibration import (
     live_errors,
 )
 from quadpi_core.identification.change_calibration import calibrate_change
+from quadpi_core.identification.found_wind import with_found_wind
 from quadpi_core.identification.prepared_flights import PREPARE_FLIGHTS, PreparedFlight
 from quadpi_core.models.aerodynamic import AerodynamicModel, TrainingFlight
 from quadpi_core.models.candidate_pool import CandidatePool
@@ -49,6 +50,7 @@ from quadpi_core.models.moving_centre import (
     regressed,
     usable,
 )
+from quadpi_core.models.small_model import errors_by_flight
 from quadpi_core.models.state_deviation import StateDeviation
 from quadpi_core.parallel import ReportProgress, ignore_progress
 from quadpi_core.records import Records
@@ -170,6 +172,7 @@ def identify(
     check_options(options, pools)
     _require_samples(flights, options.settings)
     kind = kind_of(options)
+    flights, wind = with_found_wind(flights, vehicle)
     samples = joined(flights, vehicle)
     axes = [axis for axis in AXES if axis in pools]
     with identifiable(f"a {options.method or kind.name} model"):
@@ -205,7 +208,7 @@ def identify(
     margin = envelope.near.margin
     change = calibrate_change(flights, live, signals, margin, vehicle, evaluate) if rules else None
     left = errors_left(flights, live, fit.left_out, factors) if rules else []
-    return AerodynamicModel(
+    model = AerodynamicModel(
         name="",
         vehicle=vehicle.name,
         vehicle_fingerprint=vehicle.fingerprint,
@@ -229,8 +232,10 @@ def identify(
         change_limits=change,
         moving_centre=calibrate_centre(left, options.confidence),
         state=StateDeviation.of_flights([flight.state for flight in flights]),
+        wind=wind,
         left_out=tuple(fit.left_out),
     )
+    return replace(model, by_flight=errors_by_flight(model, vehicle))
 
 
 def _with_learned_noise(vehicle: Vehicle, flights: Sequence[PreparedFlight]) -> Vehicle:

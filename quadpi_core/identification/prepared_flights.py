@@ -86,6 +86,7 @@ class PreparedFlight:
         flight: what it was made of, that simulations are compared with; None where it was made of arrays.
         state: how unsure a monitor's state was, the median of deviations of velocity m/s and attitude rad.
         state_noise: of a slow state that does not say it, position m, attitude rad and velocity m/s.
+        wind_unknown: whether the state is that of a vehicle in the open, and nothing measures the wind.
     """
 
     __repr__ = brief_repr
@@ -105,6 +106,7 @@ class PreparedFlight:
     flight: Flight | None = None
     state: tuple[float, float] = (0.0, 0.0)
     state_noise: tuple[float, float, float] | None = None
+    wind_unknown: bool = False
 
     def __post_init__(self) -> None:
         """Refuse arrays that do not belong together, in the words of `quadpi_core.array_checks`."""
@@ -163,7 +165,9 @@ class PreparedFlight:
             return derivatives
 
         live = None if self.live is None else self.live._replace(derivatives=moved(self.live.derivatives))
-        return replace(self, derivatives=moved(self.derivatives), live=live, air=told_by)
+        ratio = density / vehicle.air_density_kg_m3
+        flight = None if self.flight is None else replace(self.flight, air_ratio=ratio)
+        return replace(self, derivatives=moved(self.derivatives), live=live, air=told_by, flight=flight)
 
     @property
     def judged(self) -> LiveSamples:
@@ -309,12 +313,21 @@ def prepare_recording(recording: Recording, vehicle: Vehicle, cutoff_hz: float) 
         recorded_s=1e-9 * float(recorded_ns),
         state=causal.deviation(),
         state_noise=_learned_noise(given, recording),
+        wind_unknown=_wind_unknown(given, recording, vehicle),
     )
+
+
+def _wind_unknown(given: Recording, corrected: Recording, vehicle: Vehicle) -> bool:
+    """Whether a flight by a slow state with velocities may have been in a wind that nothing measures."""
+    state = given.odometry
+    if corrected is given or state is None or given.wind is not None or vehicle.noise.wind_m_s == 0.0:
+        return False
+    return 2 * int(np.count_nonzero(state.deviation[:, 2] < 0.0)) < len(state)
 
 
 def _learned_noise(given: Recording, corrected: Recording) -> tuple[float, float, float] | None:
     """Noise of a slow state that the flight told, as its messages do not: of position, attitude, velocity."""
-    if corrected is given or given.odometry is None or np.any(given.odometry.deviation):
+    if corrected is given or given.odometry is None or np.any(given.odometry.stated):
         return None
     if corrected.pose is None or corrected.twist is None:
         return None
@@ -337,7 +350,12 @@ def read_flight(path: Path, vehicle: Vehicle, cutoff_hz: float, mapping: Mapping
     """
     recording = checked(parts_without_pause(read_recording(path, vehicle, mapping))[0], vehicle)
     recording = with_slow_state(recording, vehicle)
-    return replace(fuse_airborne(recording, vehicle, cutoff_hz), sha256=recording_hash(recording))
+    air = flown_in(recording)
+    return replace(
+        fuse_airborne(recording, vehicle, cutoff_hz),
+        sha256=recording_hash(recording),
+        air_ratio=1.0 if air is None else air[0] / vehicle.air_density_kg_m3,
+    )
 
 
 def flight_hash(path: Path, vehicle: Vehicle, mapping: MappingOrOptions = None) -> str:

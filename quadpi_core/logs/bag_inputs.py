@@ -384,7 +384,7 @@ class _Search:
                 self._adapted[kind], self._settings = topics[0], chosen
                 if not quiet:
                     self._notes.append(f"topic {kind}: {topics[0].name} is read by its type")
-            elif topics and kind in BESIDE_INPUTS and not quiet:
+            elif topics and kind != "imu" and not quiet:
                 names = ", ".join(one.name for one in topics)
                 how = f"--mapping must name one, as in `{kind}: {{topic: {topics[0].name}}}`"
                 self._notes.append(f"topic {kind}: could be any of {names}: {how}")

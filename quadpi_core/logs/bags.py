@@ -17,6 +17,7 @@ import numpy as np
 from quadpi_core.errors import LogError
 from quadpi_core.findings import DataQuality, LeftOut
 from quadpi_core.flight import (
+    NOT_MEASURED,
     AirStream,
     BatteryStream,
     ImuStream,
@@ -33,6 +34,7 @@ from quadpi_core.flight import (
     WrenchStream,
 )
 from quadpi_core.flight_files import flight_in
+from quadpi_core.frames import Array
 from quadpi_core.logs.adapted_bags import AdaptedReading, AdaptedTopic
 from quadpi_core.logs.bag_files import Bag
 from quadpi_core.logs.bag_inputs import find_inputs, topics_of
@@ -40,7 +42,7 @@ from quadpi_core.logs.bag_topics import find_topic, unpacked_topic
 from quadpi_core.logs.bag_writer import BagWriter, mcap_writer
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.adapters.adapter_settings import AdapterSettings
-from quadpi_core.messages.frame_ids import TF_TOPIC, TF_TYPE, BodyFrames, Framed
+from quadpi_core.messages.frame_ids import TF_TOPIC, TF_TYPE, BodyFrames, Framed, names_of
 from quadpi_core.messages.payloads import Payloads, Topic
 from quadpi_core.messages.result_messages import unpack_alarms, unpack_predictions
 from quadpi_core.messages.topics import TOPIC_TYPES
@@ -86,6 +88,8 @@ _PACKERS: dict[type[Stream], Callable[[Any], Payloads]] = {
     ),
 }
 _READ_AT_ONCE = 1 << 20
+# Attitudes alone, one in so many ns: more of them hang together, and cost as much each.
+_ATTITUDE_NS = 50_000_000
 # Custom data of a bag: whose scale its commands have, and that a barometer's board was as warm as it says.
 _COMMANDS_OF, _BOARD_AIR = "motor_commands", "board_air"
 _NO_IMU = ImuStream(np.empty(0, dtype=np.int64), np.empty((0, 3)), np.empty((0, 3)))
@@ -159,13 +163,47 @@ class BagRecording:
         self._command_source = commands.adapter.name if commands else ""
         if commands is not None and commands.adapter.type_name == sensor_messages.MOTOR_COMMANDS:
             self._command_source = bag.metadata.get(_COMMANDS_OF, self._command_source)
-        told = [self._adapted[kind] for kind in ("pressure", "temperature") if kind in self._adapted]
-        self._board_air = bag.metadata.get(_BOARD_AIR) == "true" or any(
-            one.adapter.name == "px4_air" or "baro" in one.name.rpartition("/")[2] for one in told
+        warmth = self._adapted.get("temperature", self._adapted.get("pressure"))
+        self._board_air = bag.metadata.get(_BOARD_AIR) == "true" or (
+            warmth is not None
+            and (warmth.adapter.name == "px4_air" or "baro" in warmth.name.rpartition("/")[2])
         )
+        self._turning = self._takes_orientation()
+        if self._turning:
+            self.streams.add("odometry")
         if commands is not None and motors is not None:
             require_source(str(bag.path), self._command_source, motors)
             self.streams.add("rotor_speeds")
+
+    def _takes_orientation(self) -> bool:
+        """Whether the orientation of the IMU's messages is the attitude, as no other topic tells it.
+
+        A position whose attitude nothing tells is left out, and that is said.
+        """
+        states = self._adapted.get("odometry")
+        if {"pose", "twist"} & self.streams or (states is None and "odometry" in self.streams):
+            return False
+        if states is not None and not states.adapter.without_attitude:
+            return False
+        topic = self._names.get("imu")
+        for block in () if topic is None else self._bag.blocks([topic]):
+            assert topic is not None
+            names, _ = names_of(block[topic].payloads[0], 1)
+            in_body = self._frames.imu(names) is None
+            turned = sensor_messages.unpack_orientation(block[topic].payloads)[1]
+            if in_body and len(turned) > 1 and np.ptp(turned, axis=0).any():
+                if states is None:
+                    _log.warning(
+                        "%s: topic %s: its orientation is the attitude, alone", self._bag.path, topic
+                    )
+                return True
+            break
+        if states is not None:
+            del self._adapted["odometry"]
+            self.streams.discard("odometry")
+            said = "is not read: its attitude must be the orientation of an IMU in body axes, which %s lacks"
+            _log.warning(f"%s: topic %s: {said}", self._bag.path, states.name, topic or "the topic imu")
+        return False
 
     @property
     def _is_commanded(self) -> bool:
@@ -191,6 +229,7 @@ class BagRecording:
         unpacking = _Unpacking(
             self._bag.path, self._names, self._adapted, self._adapters, self._known_vehicle, self._frames
         )
+        unpacking.orientation = _Orientation() if self._turning else None
         for topics in self._bag.blocks(unpacking.topics):
             streams, arrivals = unpacking.unpack(topics)
             yield Recording(
@@ -254,6 +293,7 @@ class _Unpacking:
         self._commanded: CommandedSpeeds | None = None
         if vehicle is not None and vehicle.motors is not None and "motor_commands" in adapted:
             self._commanded = CommandedSpeeds(vehicle.motors)
+        self.orientation: _Orientation | None = None
         self.topics = [*names.values(), *(reading.name for reading in self._adapted.values())]
         self._read = dict.fromkeys(self.topics, 0)
         self._start_ns = 0
@@ -277,6 +317,12 @@ class _Unpacking:
             stream = reading.unpack(topics[reading.name], before=self._read[reading.name])
             if stream is not None:
                 streams[_FIELDS_OF_KINDS[kind]] = stream
+        if self.orientation is not None and len(topics[self._names["imu"]].payloads):
+            self.orientation.take(topics[self._names["imu"]].payloads)
+            states = self.orientation.of_states(
+                streams.get("odometry"), streams["imu"], "odometry" in self._adapted
+            )
+            streams["odometry"] = states
         if self._commanded is not None:
             # Those that are measured stand in nowhere, not even where no command came.
             streams.pop("rotor_speeds", None)
@@ -310,6 +356,43 @@ class _Unpacking:
             for reading in self._adapted.values()
             for one in reading.finish(self._read[reading.name], self._start_ns)
         )
+
+
+class _Orientation:
+    """Attitudes of a state that has none, or alone, by the orientation of the IMU's messages."""
+
+    def __init__(self) -> None:
+        self._time_ns: Stamps = np.empty(0, np.int64)
+        self._attitude: Array = np.empty((0, 4))
+        self._deviation: Array = np.empty(0)
+
+    def take(self, payloads: Payloads) -> None:
+        """Take the messages that come next, and keep the last one before them."""
+        time_ns, attitude, deviation = sensor_messages.unpack_orientation(payloads)
+        self._time_ns = np.concatenate((self._time_ns[-1:], time_ns))
+        self._attitude = np.concatenate((self._attitude[-1:], attitude))
+        self._deviation = np.concatenate((self._deviation[-1:], deviation))
+
+    def of_states(
+        self, states: OdometryStream | None, imu: ImuStream, positions: bool
+    ) -> OdometryStream | None:
+        """The states with the attitude that was last told; of attitudes alone one in each period."""
+        if positions:
+            if states is None:
+                return None
+            at = np.searchsorted(self._time_ns, states.time_ns, side="right") - 1
+            states, at = states.take(at >= 0), at[at >= 0]
+        else:
+            at = np.flatnonzero(np.diff(self._time_ns // _ATTITUDE_NS))
+            at = at[np.isin(self._time_ns[at], imu.time_ns)]
+            nothing = np.zeros((len(at), 3))
+            states = OdometryStream(
+                self._time_ns[at], nothing, self._attitude[at], nothing.copy(), nothing.copy()
+            )
+            states.rates[:] = imu.angular_velocity[np.searchsorted(imu.time_ns, states.time_ns)]
+            states.deviation[:] = NOT_MEASURED
+        states.attitude[:], states.deviation[:, 1] = self._attitude[at], self._deviation[at]
+        return states
 
 
 def _frames_of(bag: Bag) -> BodyFrames:

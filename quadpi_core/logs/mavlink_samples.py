@@ -130,7 +130,6 @@ class MavlinkSamples:
     Args:
         vehicle: its pole pairs are needed for electrical speeds only; may be None otherwise.
         order: speed controller of each rotor, and the unit: rpm unless it is erpm.
-        beside: decode what gives the topics of `BESIDE` too.
 
     Attributes:
         refused: number of refused messages by "NAME: reason".
@@ -138,7 +137,7 @@ class MavlinkSamples:
         autopilot, vehicle_type: MAV_AUTOPILOT and MAV_TYPE of the last heartbeat, or None.
     """
 
-    def __init__(self, vehicle: Vehicle | None, order: RotorOrder, *, beside: bool = False) -> None:
+    def __init__(self, vehicle: Vehicle | None, order: RotorOrder) -> None:
         self.refused: Counter[str] = Counter()
         self.unusable = UnusableReports()
         self.autopilot: int | None = None
@@ -169,15 +168,12 @@ class MavlinkSamples:
             "ESC_TELEMETRY_5_TO_8": self._esc_telemetry,
             "ESC_TELEMETRY_9_TO_12": self._esc_telemetry,
             "RAW_RPM": self._raw_rpm,
+            "ACTUATOR_OUTPUT_STATUS": self._outputs,
+            "SERVO_OUTPUT_RAW": self._servos,
+            "BATTERY_STATUS": self._battery,
+            "SYS_STATUS": self._system,
+            "SCALED_PRESSURE": self._pressure,
         }
-        if beside:
-            self._decoders |= {
-                "ACTUATOR_OUTPUT_STATUS": self._outputs,
-                "SERVO_OUTPUT_RAW": self._servos,
-                "BATTERY_STATUS": self._battery,
-                "SYS_STATUS": self._system,
-                "SCALED_PRESSURE": self._pressure,
-            }
 
     @property
     def names(self) -> frozenset[str]:

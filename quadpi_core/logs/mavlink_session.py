@@ -21,6 +21,7 @@ from quadpi_core.logs.mavlink_frames import FrameCounts, Framer, signature_stamp
 from quadpi_core.logs.mavlink_samples import (
     ARDUPILOT,
     AUTOPILOT_INVALID,
+    BESIDE,
     LATEST_US,
     ONBOARD_CONTROLLER,
     PX4,
@@ -49,6 +50,10 @@ _GONE_NS = 3 * _SECOND
 _DELAY_MAX_NS = 10 * _SECOND
 _ACTIVE, _PROTOCOL = 4, 3
 _SET_MESSAGE_INTERVAL = 511
+# Topics that are told: of the air nothing, as the temperature is that of the barometer's board.
+_TOLD = SOURCES | {topic: BESIDE[topic] for topic in ("motor_commands", "battery")}
+# Battery voltages asked for, per second: they change slowly.
+_BATTERY_HZ = 2.0
 _ESC_TELEMETRY = ("ESC_TELEMETRY_1_TO_4", "ESC_TELEMETRY_5_TO_8", "ESC_TELEMETRY_9_TO_12")
 
 
@@ -232,9 +237,9 @@ class MavlinkSession:
 
     def _stamped(self, message: Any, sample: Sample, arrival_ns: int) -> Received | None:
         """The sample on this computer's clock; None if its topic uses another message or the stamp falls."""
-        if not self._is_chosen(sample, arrival_ns):
+        if sample.topic not in _TOLD or not self._is_chosen(sample, arrival_ns):
             return None
-        if sample.topic == "rotor_speeds" and (why := self._other_airframe()):
+        if sample.topic in {"rotor_speeds", "motor_commands"} and (why := self._other_airframe()):
             self._samples.refused[f"{sample.source}: {why}"] += 1
             return None
         time_ns = arrival_ns
@@ -260,7 +265,7 @@ class MavlinkSession:
         return "" if airframe is None else airframe.other_than(self._vehicle)
 
     def _is_chosen(self, sample: Sample, arrival_ns: int) -> bool:
-        ranks = SOURCES[sample.topic]
+        ranks = _TOLD[sample.topic]
         if sample.topic == "imu" and self._settings.imu_source not in {"auto", sample.source}:
             return False
         current, seen_ns = self._sources.get(sample.topic, (sample.source, arrival_ns))
@@ -331,15 +336,15 @@ class MavlinkSession:
         """Requested rate by message, for messages that this autopilot can send."""
         rates = self._settings.rates_hz
         imu, rotors, states = rates["imu"], rates["rotor_speeds"], rates["odometry"]
-        desired = {"HIGHRES_IMU": imu, "ATTITUDE_QUATERNION": states}
+        desired = {"HIGHRES_IMU": imu, "ATTITUDE_QUATERNION": states, "BATTERY_STATUS": _BATTERY_HZ}
         if self._samples.autopilot == ARDUPILOT:
             groups = {controller // 4 for controller in self._order.controllers}
             desired |= {_ESC_TELEMETRY[group]: rotors for group in groups if group < len(_ESC_TELEMETRY)}
-            desired["LOCAL_POSITION_NED"] = states
+            desired |= {"LOCAL_POSITION_NED": states, "SERVO_OUTPUT_RAW": rotors}
             if self._seen_before and not self._seen["HIGHRES_IMU"]:
                 desired["RAW_IMU"] = imu
             return desired
-        desired |= {"ODOMETRY": states, "ESC_STATUS": rotors}
+        desired |= {"ODOMETRY": states, "ESC_STATUS": rotors, "ACTUATOR_OUTPUT_STATUS": rotors}
         return desired | ({"ESC_INFO": 1.0} if self._samples.autopilot == PX4 else {})
 
     def _pack(self, now_ns: int, name: str, *values: Any) -> bytes:
@@ -364,7 +369,7 @@ class MavlinkSession:
             rivals=dict(self._rivals),
             # Of the autopilot alone: packets that a ground station lost are no fault of this link.
             frames=replace(self._framer.counts, lost=self._framer.lost[self._peer[:2]] if self._peer else 0),
-            samples={topic: self._counts[topic] for topic in SOURCES},
+            samples={topic: self._counts[topic] for topic in _TOLD},
             sources={topic: source for topic, (source, _) in self._sources.items()},
             refused=dict(self._samples.refused),
             # A sender may have two clocks: since its boot, and since 1970.

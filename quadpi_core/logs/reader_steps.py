@@ -13,7 +13,15 @@ import numpy.typing as npt
 
 from quadpi_core.errors import LogError
 from quadpi_core.findings import LeftOut, UnusableReports, Verdict
-from quadpi_core.flight import MAX_GAP_NS, NO_STAMP, ImuStream, OdometryStream, RotorSpeedStream, Stamps
+from quadpi_core.flight import (
+    MAX_GAP_NS,
+    NO_STAMP,
+    NOT_MEASURED,
+    ImuStream,
+    OdometryStream,
+    RotorSpeedStream,
+    Stamps,
+)
 from quadpi_core.frames import Array, rotate_world_to_body
 from quadpi_core.records import NORM_TOLERANCE
 from quadpi_core.rotor_order import RotorOrder
@@ -124,6 +132,30 @@ def odometry_of(
     unit = turned.values[both]
     velocity = rotate_world_to_body(unit, velocity_world[both])
     return OdometryStream(time_ns[both], position[both], unit, velocity, rates.values[both])
+
+
+def attitude_alone(attitude: tuple[Stamps, Array] | None, imu: ImuStream) -> OdometryStream | None:
+    """Odometry of a log that has no position or velocity; None without an attitude.
+
+    Args:
+        attitude: stamps (K,) and quaternions (K, 4), FRD to NED; rising stamps.
+        imu: gives the rates.
+    """
+    if attitude is None:
+        return None
+    nothing = np.zeros((len(attitude[0]), 3))
+    return without_parts(
+        odometry_of(attitude[0], nothing, nothing, attitude, imu), position=True, velocity=True
+    )
+
+
+def without_parts(
+    odometry: OdometryStream | None, *, position: bool, velocity: bool
+) -> OdometryStream | None:
+    """The states, position or velocity of which were not measured."""
+    if odometry is not None:
+        odometry.deviation[:] = [NOT_MEASURED if position else 0.0, 0.0, NOT_MEASURED if velocity else 0.0]
+    return odometry
 
 
 def _longest_gap_ns(time_ns: Stamps) -> int:

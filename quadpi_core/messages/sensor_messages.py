@@ -36,6 +36,7 @@ from quadpi_core.frames import (
     Array,
     body_flu_to_frd,
     body_frd_to_flu,
+    quaternion_flu_enu_to_frd_ned,
     quaternion_frd_ned_to_flu_enu,
     world_enu_to_ned,
     world_ned_to_enu,
@@ -129,6 +130,21 @@ class SampleKind(Generic[SomeStream]):
     def unpack_logged(self, payloads: Payloads | bytes) -> SomeStream:
         """:meth:`unpack`, with orientations that are no unit quaternion as they are."""
         return self.unpack(payloads, strict=False)
+
+
+def unpack_orientation(payloads: Payloads | bytes) -> tuple[Stamps, Array, Array]:
+    """Stamps, attitudes (M, 4) and their deviations (M,) rad of IMU messages that have an orientation.
+
+    A deviation is 0 where the message does not say it. The axes are those of the IMU.
+    """
+    columns = codec(IMU).decode(payloads)
+    quaternion, covariance = columns["orientation"], columns["orientation_covariance"]
+    norm = np.linalg.norm(quaternion, axis=1)
+    told = (covariance[:, 0] != _ABSENT) & (np.abs(norm - 1.0) <= NORM_TOLERANCE)
+    wxyz = quaternion[told][:, [3, 0, 1, 2]] / norm[told, np.newaxis]
+    mean = np.mean(covariance[told][:, [0, 4, 8]], axis=1)
+    deviation = np.sqrt(np.where((mean > 0.0) & (mean < compiled.UNKNOWN_VARIANCE), mean, 0.0))
+    return header_stamps(columns)[told], quaternion_flu_enu_to_frd_ned(wxyz), deviation
 
 
 def require_rotations(wrong: int | None, values: Array) -> None:
@@ -256,22 +272,26 @@ def pack_odometry(
 
     Args:
         stream: N states.
-        pose_covariance: (N, 6, 6) of position [m²] and of rotations about the world's axes [rad²], NED;
-            zero (unknown) where not given.
-        twist_covariance: (N, 6, 6) of velocity and rates in body axes FRD; zero where not given.
+        pose_covariance: (N, 6, 6) of position [m²] and of rotations about the world's axes [rad²], NED; of
+            the stream's deviations where not given.
+        twist_covariance: (N, 6, 6) of velocity and rates in body axes FRD, alike.
         frame_id: the world.
         child_frame_id: the body.
     """
     count = len(stream.time_ns)
-    unknown = np.zeros((count, 6, 6))
+    stated = np.where(stream.deviation < 0.0, compiled.UNKNOWN_VARIANCE, np.square(stream.deviation))
+    pose, twist = np.zeros((2, count, 6, 6))
+    for covariance, first, part in ((pose, 0, 0), (pose, 3, 1), (twist, 0, 2)):
+        for axis in range(first, first + 3):
+            covariance[:, axis, axis] = stated[:, part]
     values = np.empty((count, ODOMETRY_VALUES))
     compiled.odometry_values(
         np.ascontiguousarray(stream.position),
         np.ascontiguousarray(stream.attitude),
         np.ascontiguousarray(stream.velocity),
         np.ascontiguousarray(stream.rates),
-        np.ascontiguousarray(unknown if pose_covariance is None else pose_covariance),
-        np.ascontiguousarray(unknown if twist_covariance is None else twist_covariance),
+        np.ascontiguousarray(pose if pose_covariance is None else pose_covariance),
+        np.ascontiguousarray(twist if twist_covariance is None else twist_covariance),
         values,
     )
     texts = odometry_constants(frame_id, child_frame_id)

@@ -43,7 +43,7 @@ from quadpi_core.models.model_kind import (
 from quadpi_core.models.moving_centre import MovingCentre
 from quadpi_core.models.rollout_model import RolloutModel
 from quadpi_core.models.sound_flights import SoundFlights
-from quadpi_core.models.state_deviation import SETTLED, StateDeviation
+from quadpi_core.models.state_deviation import SETTLED, StateDeviation, WindDrag
 from quadpi_core.records import Records
 from quadpi_core.signals.wrench import as_recorded
 from quadpi_core.vehicle import LOAD_VEHICLE, Vehicle
@@ -118,6 +118,8 @@ class AerodynamicModel:
         change_limits: what the alarm tells a change of the vehicle by; None for a model of too few flights.
         moving_centre: how intervals that adapt move; None where no flights left out told.
         state: how unsure the states of its flights were.
+        wind: drag that told the wind of its flights; None where it was measured, or taken to be nil.
+        by_flight: standard errors of its small model by leaving out each flight, by what they are of.
         sound: what flights leave of a model identified without them; None where they do not tell.
         left_out: `fitted` without each of `flights` in turn; empty in a model that was read.
         flown: the vehicle of the flights; None for a model of an earlier version, which knows its name.
@@ -141,6 +143,8 @@ class AerodynamicModel:
     change_limits: ChangeLimits | None = None
     moving_centre: MovingCentre | None = None
     state: StateDeviation = SETTLED
+    wind: WindDrag | None = None
+    by_flight: Mapping[str, float] = field(default_factory=dict)
     sound: SoundFlights | None = None
     left_out: tuple[Fitted, ...] = field(default=(), repr=False, compare=False)
     flown: Vehicle | None = field(default=None, repr=False, compare=False)
@@ -397,6 +401,8 @@ class AerodynamicModel:
             **({} if self.change_limits is None else {"change": self.change_limits.to_json()}),
             **({} if self.moving_centre is None else {"moving_centre": self.moving_centre.to_json()}),
             **({} if self.state == SETTLED else {"state": asdict(self.state)}),
+            **({} if self.wind is None else {"wind": asdict(self.wind)}),
+            **({"errors_by_flight": dict(self.by_flight)} if self.by_flight else {}),
             "flights": [flight.to_json() for flight in self.flights],
             "versions": {
                 "quadpi": __version__,
@@ -448,6 +454,8 @@ class AerodynamicModel:
                 change_limits=described.change,
                 moving_centre=described.moving_centre,
                 state=described.state,
+                wind=described.wind,
+                by_flight=described.errors_by_flight,
                 sound=_stored_part(content, _SOUND, SoundFlights.stored),
                 flown=described.flown(),
             )
@@ -552,6 +560,8 @@ class _Description:
     change: Annotated[ChangeLimits, ReadBy(ChangeLimits.from_json)] | None = None
     moving_centre: Annotated[MovingCentre, ReadBy(MovingCentre.from_json)] | None = None
     state: StateDeviation = SETTLED
+    wind: WindDrag | None = None
+    errors_by_flight: dict[str, Annotated[float, Within(0.0)]] = field(default_factory=dict)
 
     def flown(self) -> Vehicle | None:
         """The vehicle of the flights, where the model holds it."""

@@ -6,16 +6,19 @@ Thrust and torque are k ω² of each rotor, as near hover. Drag is PX4's, F = �
 y, by least squares of what the model predicts for steady flight to and fro, tilted as that takes, at speeds
 that its flights have reached. Each is a sum of predictions, and its standard error is that by the covariance
 of the model's parameters; drag errs, beside that, as the intervals of these predictions say, which know what
-the terms of the model lack.
+the terms of the model lack. What flights differ by, a covariance of samples does not know: each number is
+found again without each of the flights, and where that says more, the error is the jackknife's by flight
+(B. Efron, R. Tibshirani, An Introduction to the Bootstrap, 1993, ch. 11).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
+from scipy import stats
 from scipy.special import ndtri
 
 from quadpi_core.field.drag import WIDEST_RATIO
@@ -32,6 +35,10 @@ INERTIAS = {axis: f"inertia {axis}, by arms and thrust" for axis in "xy"}
 _SPEED_M_S, _CHANGE = 1.0, 0.1
 # Standard errors to the ends of an interval of 95 %.
 _ERRORS = 1.96
+# Flights of which a jackknife tells what they differ by.
+_FEWEST_FLIGHTS = 3
+# Drag of PX4: momentum drag, and the inverses of both ballistic coefficients.
+_DRAGS = ("momentum drag", "bluff-body drag along x", "bluff-body drag along y")
 
 
 class Headline(NamedTuple):
@@ -69,6 +76,33 @@ def interval(value: float, error: float, by_air: tuple[float, float]) -> tuple[f
     return float(low), float(high)
 
 
+def errors_by_flight(model: AerodynamicModel, vehicle: Vehicle) -> dict[str, float]:
+    """Standard errors of the numbers of a small model by leaving out each flight in turn, by what they are.
+
+    They are of Student's t on as many flights, as the number of standard errors to the ends of an interval is
+    that of a normal. Empty where the model does not hold what is left without each flight.
+    """
+    each = [_numbers(replace(model, fitted=own, by_flight={}), vehicle) for own in model.left_out]
+    if len(each) < _FEWEST_FLIGHTS:
+        return {}
+    widening = float(stats.t.ppf(0.975, len(each) - 1)) / _ERRORS
+    return {
+        name: widening * float(np.sqrt((len(own) - 1) * np.var(own)))
+        for name in each[0]
+        if len(own := [one[name] for one in each if name in one]) == len(each)
+    }
+
+
+def _numbers(model: AerodynamicModel, vehicle: Vehicle) -> dict[str, float]:
+    """Values by what they are, the drag of PX4 as parameters linear in it."""
+    found = {line.quantity: line.value for line in headlines(model, vehicle) if line.error is not None}
+    flown, _ = _drag_flown(model, vehicle)
+    if flown:
+        sums = _least_squares(flown, vehicle, (), {})
+        found |= dict(zip(_DRAGS, (value for value, _ in sums), strict=True))
+    return found
+
+
 def headlines(model: AerodynamicModel, vehicle: Vehicle) -> list[Headline]:
     """Thrust, drag, torque, inertia and delay, as far as the model holds the axes and was flown near hover.
 
@@ -76,7 +110,12 @@ def headlines(model: AerodynamicModel, vehicle: Vehicle) -> list[Headline]:
         model: of any kind.
         vehicle: of the model.
     """
-    lines = list(_near_hover(model, vehicle)) if model.alarm_limits.hover_rotor_speed > 0.0 else []
+    lines = [
+        line._replace(error=max(line.error, model.by_flight.get(line.quantity, 0.0)))
+        if line.error is not None
+        else line
+        for line in (_near_hover(model, vehicle) if model.alarm_limits.hover_rotor_speed > 0.0 else ())
+    ]
     if (delay := model.fitted.rotor_delay) is not None:
         low, high = (1e3 * bound for bound in delay.range_s or (delay.used_s, delay.used_s))
         note = f"not ruled out: {low:g} to {high:g}" if high > low else ""
@@ -249,6 +288,29 @@ def _estimate(line: Headline | None, scale: float, unit: str, condition: str) ->
 
 def _drag(model: AerodynamicModel, vehicle: Vehicle) -> tuple[Estimate, tuple[Estimate, Estimate]]:
     """MCOEF, and BCOEF along x and y."""
+    flown, said = _drag_flown(model, vehicle)
+    if not flown:
+        return not_identified("1/s", said), (not_identified("kg/m²", said),) * 2
+    fast = model.share_of_air()
+    # Momentum drag goes with the square root of the density.
+    slow = (fast[0] ** 0.5, fast[1] ** 0.5)
+    without: list[int] = []
+    while True:
+        sums = _least_squares(flown, vehicle, without, model.by_flight)
+        momentum, *squares = (
+            beyond_zero(within((value, *interval(value, error, by_air)), "1/s", said))
+            for (value, error), by_air in zip(sums, (slow, fast, fast), strict=True)
+        )
+        ballistic = [_inverse(square, said) for square in squares]
+        # A square of no known size would take its part of the drag from the other terms.
+        unknown = [axis for axis in (0, 1) if axis not in without and ballistic[axis].value is None]
+        if not unknown:
+            return momentum, (ballistic[0], ballistic[1])
+        without += unknown
+
+
+def _drag_flown(model: AerodynamicModel, vehicle: Vehicle) -> tuple[list[_ToAndFro], str]:
+    """Predictions along x and y with the condition of what they tell; or none, and why."""
     lower, upper = model.envelope.lower, model.envelope.upper
     most = [float(min(-lower[INPUT_INDEX[name]], upper[INPUT_INDEX[name]])) for name in "uv"]
     why = (
@@ -259,25 +321,10 @@ def _drag(model: AerodynamicModel, vehicle: Vehicle) -> tuple[Estimate, tuple[Es
     if min(most) < LEAST_SPEED.value:
         why = f"flights to and fro reach {min(most):.1f} m/s"
     flown = [] if why else [_flown_to_and_fro(model, vehicle, axis, most[axis]) for axis in (0, 1)]
-    if not flown or any(one is None for one in flown):
-        return not_identified("1/s", why or _NO_ERROR), (not_identified("kg/m²", why or _NO_ERROR),) * 2
-    condition = f"steady flight to {most[0]:.1f} m/s along x and {most[1]:.1f} along y"
-    fast = model.share_of_air()
-    # Momentum drag goes with the square root of the density.
-    slow = (fast[0] ** 0.5, fast[1] ** 0.5)
-    without: list[int] = []
-    while True:
-        sums = _least_squares([one for one in flown if one], vehicle, without)
-        momentum, *squares = (
-            beyond_zero(within((value, *interval(value, error, by_air)), "1/s", condition))
-            for (value, error), by_air in zip(sums, (slow, fast, fast), strict=True)
-        )
-        ballistic = [_inverse(square, condition) for square in squares]
-        # A square of no known size would take its part of the drag from the other terms.
-        unknown = [axis for axis in (0, 1) if axis not in without and ballistic[axis].value is None]
-        if not unknown:
-            return momentum, (ballistic[0], ballistic[1])
-        without += unknown
+    told = [one for one in flown if one is not None]
+    if len(told) < len(most):
+        return [], why or _NO_ERROR
+    return told, f"steady flight to {most[0]:.1f} m/s along x and {most[1]:.1f} along y"
 
 
 def _inverse(square: Estimate, condition: str) -> Estimate:
@@ -342,7 +389,7 @@ def _flown_to_and_fro(model: AerodynamicModel, vehicle: Vehicle, axis: int, most
 
 
 def _least_squares(
-    flown: Sequence[_ToAndFro], vehicle: Vehicle, without: Sequence[int]
+    flown: Sequence[_ToAndFro], vehicle: Vehicle, without: Sequence[int], by_flight: Mapping[str, float]
 ) -> list[tuple[float, float]]:
     """MCOEF and the inverses of both BCOEF, each with its standard error; 0 where it is to be `without`."""
     ratio, count = vehicle.air_density_kg_m3 / STANDARD_DENSITY, len(_SPEEDS)
@@ -353,10 +400,10 @@ def _least_squares(
             design[axis, :, 1 + axis] = 0.5 * vehicle.air_density_kg_m3 * one.along**2
     weights = np.linalg.pinv(design.reshape(2 * count, 3)).reshape(3, 2, count) / vehicle.mass_kg
     found = []
-    for row in weights:
+    for name, row in zip(_DRAGS, weights, strict=True):
         value = sum(float(own @ one.drag) for own, one in zip(row, flown, strict=True))
         # Axes share parameters, and neighbouring speeds what terms lack: errors add up at worst.
         error = sum(one.error_of(own) or 0.0 for own, one in zip(row, flown, strict=True))
         spread = sum(float(np.abs(own) @ one.deviation) for own, one in zip(row, flown, strict=True))
-        found.append((value, float(np.hypot(error, spread))))
+        found.append((value, max(float(np.hypot(error, spread)), by_flight.get(name, 0.0))))
     return found

@@ -1,6 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""How unsure the states of a model's flights were: its intervals hold what that did to them."""
+"""How unsure the states of a model's flights were, and the drag that told their wind.
+
+A model's intervals hold what both did to them.
+"""
 
 from __future__ import annotations
 
@@ -38,3 +41,23 @@ class StateDeviation:
 
 # Of motion capture, and of models of earlier versions.
 SETTLED = StateDeviation()
+
+
+@dataclass(frozen=True, kw_only=True)
+class WindDrag:
+    """Linear drag along body x and y, which tells the wind of a flight where nothing measures it.
+
+    Attributes:
+        per_mass_x_1_s, per_mass_y_1_s: drag over mass and airspeed.
+        noise_x_m_s2, noise_y_m_s2: deviation of a fifth of a second's specific force from it, in which errors
+            that hang together count as often as they are independent.
+        wind_m_s: standard deviation of the wind to north and east before a flight.
+        known_m_s: that a monitor knew it by in the model's flights, whose intervals hold what that does.
+    """
+
+    per_mass_x_1_s: Annotated[float, Within(0.0)]
+    per_mass_y_1_s: Annotated[float, Within(0.0)]
+    noise_x_m_s2: Annotated[float, Within(0.0)]
+    noise_y_m_s2: Annotated[float, Within(0.0)]
+    wind_m_s: Annotated[float, Within(0.0)]
+    known_m_s: Annotated[float, Within(0.0)] = 0.0

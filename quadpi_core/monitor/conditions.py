@@ -34,11 +34,13 @@ class Conditions:
             flights were unsure of is in its intervals already: give what goes beyond.
         commanded: bit per rotor, the first 1, whose speed follows from its command, as nothing measured it.
             Verdicts carry it on; nothing is decided by it yet.
+        unsettled: 1 while the wind is still to be told; the sample then counts as one whose state settles.
     """
 
     air_density: float
     covariance: Annotated[Array, STATE_ERRORS, STATE_ERRORS]
     commanded: int
+    unsettled: int
 
 
 CONDITIONS = record_dtype(Conditions)

@@ -19,7 +19,6 @@ from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.models.aerodynamic import LOAD_MODEL, AerodynamicModel, unchecked_evaluation
 from quadpi_core.models.model_kind import compiled_model
-from quadpi_core.models.state_deviation import SETTLED
 from quadpi_core.monitor.adaptive import MEMORY, AdaptiveIntervals
 from quadpi_core.monitor.alarm import Alarm, MonitorSettings
 from quadpi_core.monitor.alarm_kernel import ROW
@@ -28,7 +27,7 @@ from quadpi_core.monitor.conditions import CONDITIONS, STATE_ERRORS
 from quadpi_core.monitor.pairing import PairedSamples, Pairing
 from quadpi_core.monitor.pairing_kernel import Said
 from quadpi_core.monitor.preparation import Preparation, Prepared
-from quadpi_core.monitor.unsure_states import UnsureStates
+from quadpi_core.monitor.wind_state import Surroundings
 from quadpi_core.records import Records
 from quadpi_core.results import Alarms, Events, PredictionRows, Predictions
 from quadpi_core.signals.chain import channels
@@ -334,8 +333,8 @@ class Monitors:
 
     def __init__(self, monitors: Mapping[str, Monitor]) -> None:
         self._monitors: dict[str, Monitor] = {}
-        # By what states are less sure than in the flights of the first model.
-        self.unsure = UnsureStates(SETTLED)
+        # Of the first model.
+        self.around = Surroundings(None)
         self._rate: ImuRate | None = None
         self._density = 0.0
         self._paired: _PairedMonitor | None = None
@@ -380,7 +379,7 @@ class Monitors:
         """Forget the past: as after construction."""
         for monitor in self._monitors.values():
             monitor.reset()
-        self.unsure.reset()
+        self.around.reset()
 
     def retune(self, rate: ImuRate) -> list[str]:
         """Go on with samples of another rate; returns a sentence for each model that it is too low for."""
@@ -396,16 +395,17 @@ class Monitors:
     def step(self, samples: PairedSamples) -> tuple[tuple[Predictions, Alarms, Events], list[Predictions]]:
         """Take K samples: the results of the first monitor, see :meth:`Monitor.step`; others' predictions."""
         first, *others = self._monitors.values()
-        conditions = self.unsure.conditions(samples.time_ns)
+        time_ns, values, conditions = self.around.of(samples)
         if not others and conditions is None:
-            return first._step(*samples), []
-        prepared = first.preparation.step(*samples, conditions)
+            return first._step(time_ns, values), []
+        prepared = first.preparation.step(time_ns, values, conditions)
         results = first._judge(prepared)
         by_preparation = {first.preparation: prepared}
         predictions = []
         for monitor in others:
             if monitor.preparation not in by_preparation:
-                by_preparation[monitor.preparation] = monitor.preparation.step(*samples, conditions)
+                prepared = monitor.preparation.step(time_ns, values, conditions)
+                by_preparation[monitor.preparation] = prepared
             predictions.append(monitor._predict(by_preparation[monitor.preparation]))
         return results, predictions
 
@@ -413,9 +413,9 @@ class Monitors:
         """What judges the samples of a pairing as they are completed, in the call that adds the last part.
 
         None where :meth:`judge` must take them instead: but for a single monitor whose model is compiled, and
-        where states are less sure than in its flights.
+        where states are less sure than in its flights, or the wind is to be told.
         """
-        if self.unsure.is_beyond:
+        if self.around.count:
             return None
         if self._paired is None or self._paired.pairing is not pairing:
             first, *others = self._monitors.values()
@@ -445,4 +445,4 @@ class Monitors:
                 break
         self._monitors[name] = monitor
         if name == next(iter(self._monitors)):
-            self.unsure = UnsureStates(monitor.model.state)
+            self.around = Surroundings(monitor.model)

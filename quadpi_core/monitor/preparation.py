@@ -54,6 +54,7 @@ class Verdict:
     specific_force: Vector3  # m/s², body axes
     rotor_speeds: PerRotor  # rad/s
     commanded: int  # bit per rotor whose speed follows from its command, see :mod:`.conditions`
+    windy: bool  # whether the wind is still to be told: it then has not settled either
 
 
 class Memory:

@@ -42,7 +42,8 @@ from quadpi_core.monitor.alarm import MonitorSettings, NotJudgedReason, alarm_ti
 from quadpi_core.monitor.alarm_log import reasons_by_row
 from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.pairing import PairedSamples, Pairing
-from quadpi_core.monitor.unsure_states import StateDeviations, UnsureStates
+from quadpi_core.monitor.unsure_states import StateDeviations
+from quadpi_core.monitor.wind_state import Surroundings
 from quadpi_core.parallel import DEFAULT_WORKERS, Workers
 from quadpi_core.paths import staged, whole_outputs
 from quadpi_core.reading_options import (
@@ -138,7 +139,7 @@ def _write(flight: RecordedFlight, monitor: Monitor, vehicle: Vehicle, output: P
     """Judge a flight, write its results and sum them up."""
     metadata = {"vehicle": vehicle.name, "model": monitor.model.identity}
     metadata |= {"source": flight.name, "version": __version__}
-    tally, unsure = _Tally(), UnsureStates(monitor.model.state)
+    tally, around = _Tally(), Surroundings(monitor.model)
     with mcap_writer(output, metadata, FAST) as writer:
         names = ["odometry"] if flight.has_mocap else []
         writer.announce(
@@ -150,12 +151,11 @@ def _write(flight: RecordedFlight, monitor: Monitor, vehicle: Vehicle, output: P
                 writer.flush()
             if stretch.begin == pairing_kernel.SET_BACK:
                 monitor.reset()
-                unsure.reset()
+                around.reset()
             monitor.retune(stretch.rate)
             monitor.fly_in(stretch.density)
-            unsure.take(stretch.deviations)
-            conditions = unsure.conditions(stretch.samples.time_ns)
-            predictions, alarms, events = monitor.step(*stretch.samples, conditions)
+            around.unsure.take(stretch.deviations)
+            predictions, alarms, events = monitor.step(*around.of(stretch.samples))
             for topic in _messages(stretch.states, predictions, alarms, events, monitor):
                 writer.add(topic)
             writer.flush(stretch.settled_ns)

@@ -56,7 +56,7 @@ class StateDeviations(NamedTuple):
     @classmethod
     def of_odometry(cls, odometry: OdometryStream) -> StateDeviations:
         """Of states of another estimator, as far as its messages say."""
-        told = np.maximum(odometry.deviation, 0.0)
+        told = np.maximum(odometry.stated, 0.0)
         return cls(odometry.time_ns, told[:, 2], told[:, 1])
 
 

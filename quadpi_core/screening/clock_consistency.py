@@ -4,10 +4,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from itertools import combinations, permutations
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -26,7 +27,7 @@ from quadpi_core.screening.excerpt import (
     rotor_excerpt,
 )
 from quadpi_core.signals.alignment import Alignment, rotor_offset, span_of, turn_offset
-from quadpi_core.vehicle import ROTORS, Vehicle
+from quadpi_core.vehicle import Vehicle
 
 # Thrust and torque of a rotor are proportional to its speed squared. So the regression of the angular
 # acceleration on the squares shows the place and spin of each rotor, for any coefficients, and the ratio of
@@ -51,6 +52,12 @@ _SAME_SHARE = 0.9
 _LAGS_S = 0.3
 # Windows in which the rotors' mean square is below this share of the fastest window's are on the ground.
 _CARRYING_SHARE = 0.4
+# Fewer rotors than that carry no multirotor; of so many all 120 orders are tried.
+_FEWEST_ROTORS, _ALL_ORDERS_OF = 3, 5
+# Score of an order, the order, and whether spins are inverted.
+_Best: TypeAlias = tuple[float, tuple[int, ...], bool]
+_INVERTED = 1e-6
+_NONE: _Best = (-np.inf, (), False)
 
 
 class RotorEvidence:
@@ -64,10 +71,10 @@ class RotorEvidence:
         correlation: (3,) of the roll, pitch and yaw accelerations with the moments that the vehicle's rotor
             places and spins give.
         ratio: (2,) inertia times acceleration over arm times thrust, about roll and pitch; near 1.
-        order: rotor columns that fit the vehicle's rotors best; (0, 1, 2, 3) if none is swapped.
+        order: rotor columns that fit the vehicle's rotors best; 0, 1, 2, … if none is swapped.
         spins_inverted: whether inverted spins fit best.
         order_correlation: (3,) correlation with this order and these spins.
-        mean_squares: (4,) of each rotor, over the flight.
+        mean_squares: (rotors,) of each rotor, over the flight.
         windows: how many windows of flight all of this is of.
     """
 
@@ -100,14 +107,14 @@ class RotorEvidence:
         thrust = float(vehicle.mass_kg * np.sum(-sample.force[..., 2] * totals) / np.sum(totals**2))
         self.ratio = gain[:2] * np.diag(vehicle.inertia)[:2] / thrust
         self.order, self.spins_inverted, self.order_correlation = _best_order(moving, shown, levers)
-        self.mean_squares = self._now.reshape(-1, ROTORS).mean(axis=0)
+        self.mean_squares = self._now.reshape(-1, self._now.shape[2]).mean(axis=0)
         self.windows = len(self._now)
 
     @property
     def same(self) -> tuple[int, int] | None:
         """Two rotors whose speeds are one, in nearly every cell; None if there are none."""
-        pairs = combinations(range(ROTORS), 2)
         now = self._now
+        pairs = combinations(range(now.shape[2]), 2)
         return next((p for p in pairs if np.mean(now[..., p[0]] == now[..., p[1]]) > _SAME_SHARE), None)
 
     @property
@@ -166,11 +173,13 @@ class RotorEvidence:
             return None
 
         def share(moved: Array) -> float:
-            """Of the signals, in the median piece, that any four coefficients explain."""
+            """Of the signals, in the median piece, that any coefficients of the rotors explain."""
             medians, shown = [], pieces(_smoothed(moved))
             for loud, weight, signal in heard:
                 told = shown[loud] * weight[..., np.newaxis]
-                coefficients, *_ = np.linalg.lstsq(told.reshape(-1, ROTORS), signal.ravel(), rcond=None)
+                coefficients, *_ = np.linalg.lstsq(
+                    told.reshape(-1, told.shape[2]), signal.ravel(), rcond=None
+                )
                 medians.append(np.median(np.mean((signal - told @ coefficients) ** 2, axis=1)))
             return 1.0 - float(np.mean(medians))
 
@@ -181,8 +190,8 @@ class RotorEvidence:
 
 
 def rotor_evidence(sample: RotorExcerpt, vehicle: Vehicle) -> RotorEvidence | None:
-    """Compare rotor speeds and motion of an excerpt; None if the rotors never turn, or are not four."""
-    if vehicle.rotor_count != ROTORS:
+    """Compare rotor speeds and motion of an excerpt; None if the rotors never turn, or are below three."""
+    if vehicle.rotor_count < _FEWEST_ROTORS:
         return None
     inside = slice(sample.margin, sample.margin + sample.rates.shape[1])
     level = sample.squares[:, inside].sum(axis=2).mean(axis=1)
@@ -201,15 +210,45 @@ def _whiteness(values: Array) -> Array:
 
 def _best_order(moving: Array, squares: Array, levers: Array) -> tuple[tuple[int, ...], bool, Array]:
     """Order of columns and sense of the spins whose moments follow the accelerations best."""
-    best = (-np.inf, tuple(range(ROTORS)), False, np.zeros(3))
-    for order in permutations(range(ROTORS)):
-        correlation, _ = _correlation(moving, squares[:, order] @ levers.T)
-        for inverted in (False, True):
-            signed = correlation * (1.0, 1.0, -1.0 if inverted else 1.0)
-            score = float(np.sum(signed * np.abs(signed)))
-            if score > best[0] + 1e-9:
-                best = (score, order, inverted, signed)
-    return best[1:]
+    count = len(levers.T)
+    # Sums of products are taken once: (3, rotors) with the motion, and of squares.
+    told, gram, power = moving.T @ squares, squares.T @ squares, np.sum(moving**2, axis=0)
+
+    def best_of(orders: Iterable[Sequence[int]], best: _Best = _NONE) -> _Best:
+        for order in orders:
+            own = list(order)
+            spread = np.einsum("ar,rs,as->a", levers, gram[np.ix_(own, own)], levers)
+            correlation = np.sum(told[:, own] * levers, axis=1) / np.sqrt(np.maximum(power * spread, 1e-30))
+            for inverted in (False, True):
+                signed = correlation * (1.0, 1.0, -1.0 if inverted else 1.0)
+                score = float(np.sum(signed * np.abs(signed)))
+                # Two on one arm that change places are as spins inverted: the order is the likelier mistake.
+                score -= _INVERTED * inverted * (count > _ALL_ORDERS_OF)
+                if score > best[0] + 1e-9:
+                    best = (score, tuple(own), inverted)
+        return best
+
+    if count <= _ALL_ORDERS_OF:
+        _, order, inverted = best_of(permutations(range(count)))
+    else:
+        # From each turn of the numbers, either way round, one swap after another as long as it gains.
+        best = best_of([range(count)])
+        rings = [np.roll(np.arange(count), turned) for turned in range(count)]
+        for start in [*rings, *(ring[::-1] for ring in rings)]:
+            now, before = best_of([start.tolist()]), -np.inf
+            while now[0] > before + 1e-9:
+                before, now = now[0], best_of(_swapped(now[1]), now)
+            best = now if now[0] > best[0] + 1e-9 else best
+        _, order, inverted = best
+    correlation, _ = _correlation(moving, squares[:, order] @ levers.T)
+    return order, inverted, correlation * (1.0, 1.0, -1.0 if inverted else 1.0)
+
+
+def _swapped(order: Sequence[int]) -> Iterator[list[int]]:
+    for one, other in combinations(range(len(order)), 2):
+        swapped = list(order)
+        swapped[one], swapped[other] = swapped[other], swapped[one]
+        yield swapped
 
 
 def _correlation(of: Array, over: Array) -> tuple[Array, Array]:
@@ -222,19 +261,19 @@ def _correlation(of: Array, over: Array) -> tuple[Array, Array]:
 
 
 def _explained(squares: Array, signals: Array) -> float:
-    """Share of the variance of signals (N, C), each on its own scale, that the squares (N, 4) explain."""
+    """Share of the variance of signals (N, C), each on its own scale, that squares (N, rotors) explain."""
     coefficients, *_ = np.linalg.lstsq(squares, signals, rcond=None)
     residual = np.sum((signals - squares @ coefficients) ** 2, axis=0)
     return float(np.mean(1.0 - residual / np.maximum(np.sum(signals**2, axis=0), 1e-30)))
 
 
 def _shifted(squares: Array, first: int, cells: int, step: float) -> Array:
-    """Squares (N, 4) from a cell on, weighted and filtered as the acceleration is."""
-    return _band(_smoothed(squares[:, first : first + cells]), step).reshape(-1, ROTORS)
+    """Squares (N, rotors) from a cell on, weighted and filtered as the acceleration is."""
+    return _band(_smoothed(squares[:, first : first + cells]), step).reshape(-1, squares.shape[2])
 
 
 def _smoothed(squares: Array) -> Array:
-    """Squares (W, K, 4) weighted as a central difference weights the acceleration."""
+    """Squares (W, K, rotors) weighted as a central difference weights the acceleration."""
     return np.asarray(0.25 * squares[:, :-2] + 0.5 * squares[:, 1:-1] + 0.25 * squares[:, 2:])
 
 

@@ -164,11 +164,6 @@ def findings(recording: Recording, vehicle: Vehicle | None) -> Iterator[Finding]
         return
     if rotors is not None and turned is not None:
         rotors = replace(rotors, rates=rotors.rates @ turned.T)
-    if vehicle.rotor_count != ROTORS:
-        yield _of_rotors(
-            "rotors not checked",
-            f"order, places and spins of {vehicle.rotor_count} rotors are not checked: those of four are",
-        )
     evidence = None if rotors is None else rotor_evidence(rotors, vehicle)
     if evidence is not None:
         yield from _rotor_findings(recording, evidence, vehicle)
@@ -283,6 +278,9 @@ def _rotor_findings(recording: Recording, evidence: RotorEvidence, vehicle: Vehi
         )
     arm_squared = float(np.mean(np.sum(vehicle.rotor_positions[:, :2] ** 2, axis=1)))
     shape = float(vehicle.inertia[2, 2]) / (vehicle.mass_kg * arm_squared)
+    # These two were set on quadrotors: of others, inertia may be spread otherwise, or a servo turn about z.
+    if vehicle.rotor_count != ROTORS:
+        return
     if shape < _YAW_INERTIA and ratio < _MOMENTS_SMALL:
         yield _of_rotors(
             "arms",
@@ -297,7 +295,7 @@ def _order_finding(evidence: RotorEvidence, vehicle: Vehicle) -> Finding | None:
     """Rotors in another order, at other places or with other spins than in the vehicle file."""
     now, best = evidence.correlation, evidence.order_correlation
     gain = float(np.sum(best * np.abs(best)) - np.sum(now * np.abs(now)))
-    same = evidence.order == tuple(range(ROTORS))
+    same = evidence.order == tuple(range(vehicle.rotor_count))
     if min(best[:2]) < _FOLLOWS or (same and not evidence.spins_inverted):
         return None
     rises = (", ".join(f"{value:.2f}" for value in values) for values in (now, best))
@@ -328,10 +326,10 @@ def _order_finding(evidence: RotorEvidence, vehicle: Vehicle) -> Finding | None:
 
 def _mirrored(vehicle: Vehicle, axis: int) -> tuple[int, ...]:
     """For each rotor, the one in its mirror image across a body axis."""
-    signs = np.sign(vehicle.rotor_positions[:, :2])
-    image = signs.copy()
+    places = vehicle.rotor_positions[:, :2]
+    image = places.copy()
     image[:, axis] *= -1.0
-    return tuple(int(np.argmin(np.abs(signs - one).sum(axis=1))) for one in image)
+    return tuple(int(np.argmin(np.abs(places - one).sum(axis=1))) for one in image)
 
 
 def _low_rotor(evidence: RotorEvidence, vehicle: Vehicle) -> Iterator[Finding]:

@@ -339,13 +339,19 @@ def _sdf(exported: Exported) -> str:
     hover = small.hover_speed.value or 1.0
     # Gazebo's drag of a rotor is per its speed: all of the vehicle's is given to the rotors, as at hover.
     drag = vehicle.mass_kg * _drag_per_mass(small) / (count * hover)
-    moments = {f"i{'xyz'[i]}{'xyz'[j]}": body.inertia[i, j] for i in range(3) for j in range(i, 3)}
+    # What the rotors have of mass and inertia, the base link has not: together they are the vehicle's.
+    base_mass = vehicle.mass_kg - count * rotor_mass
+    centre = -rotor_mass * body.places.sum(axis=0) / base_mass
+    inertia = body.inertia - base_mass * _of_point(centre) - count * spin_inertia * np.eye(3)
+    inertia = inertia - rotor_mass * sum(_of_point(place) for place in body.places)
+    moments = {f"i{'xyz'[i]}{'xyz'[j]}": inertia[i, j] for i in range(3) for j in range(i, 3)}
     lines = ['<?xml version="1.0"?>', '<sdf version="1.9">']
     lines += _comment(
-        exported, f"each rotor has {_ROTOR_SHARE:g} of the mass; linear drag is the rotors', as at hover"
+        exported,
+        f"each rotor has {_ROTOR_SHARE:g} of the mass, the base the rest; drag is the rotors', as at hover",
     )
     lines += [f'<model name="{name}">', '  <link name="base_link">']
-    lines += _inertial(vehicle.mass_kg - count * rotor_mass, moments)
+    lines += _inertial(base_mass, moments, centre)
     lines.append("  </link>")
     for number, (place, spin) in enumerate(zip(body.places.tolist(), body.spins, strict=True)):
         pose = " ".join(f"{value:.6g}" for value in (*place, 0.0, 0.0, 0.0))
@@ -378,8 +384,15 @@ def _sdf(exported: Exported) -> str:
     return "\n".join([*lines, "</model>", "</sdf>"]) + "\n"
 
 
-def _inertial(mass: float, moments: dict[str, float]) -> Iterator[str]:
-    yield f"    <inertial><mass>{mass:.6g}</mass><inertia>"
+def _of_point(place: Array) -> Array:
+    """Inertia (3, 3) over mass of a point, about the origin (Steiner)."""
+    inertia: Array = float(place @ place) * np.eye(3) - np.outer(place, place)
+    return inertia
+
+
+def _inertial(mass: float, moments: dict[str, float], centre: Array | None = None) -> Iterator[str]:
+    pose = "" if centre is None else f"<pose>{_numbers([*centre, 0.0, 0.0, 0.0])}</pose>"
+    yield f"    <inertial>{pose}<mass>{mass:.6g}</mass><inertia>"
     yield "      " + "".join(f"<{key}>{value:.6g}</{key}>" for key, value in moments.items())
     yield "    </inertia></inertial>"
 

@@ -87,3 +87,18 @@ def test_changes_are_told_by_the_imu_samples_that_arrived_before() -> None:
 )
 def test_what_is_left_open(told_by: str, file_density: float, expected: tuple[float, float]) -> None:
     assert density_range(told_by, file_density) == expected
+
+
+def test_a_temperature_told_alone_counts_before_that_of_a_barometer() -> None:
+    board, outside = (
+        air((0, 95000.0, 45.0)),
+        TemperatureStream(np.array([5]), np.array([np.nan]), np.array([15.0])),
+    )
+    density, _ = flown_in(replace(PLAIN, pressure=board, temperature=outside))
+    assert density == pytest.approx(density_of(95000.0, 15.0))
+    now = Air()
+    assert now.hear(95000.0, 45.0)
+    assert now.hear(np.nan, 15.0)
+    assert now.density == pytest.approx(density)
+    assert not now.hear(95000.0, 45.0)
+    assert now.density == pytest.approx(density)

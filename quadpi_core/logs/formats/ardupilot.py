@@ -31,6 +31,7 @@ from quadpi_core.logs.airframes import Airframe, has_rotors
 from quadpi_core.logs.dataflash import HEAD, Messages, decode_dataflash
 from quadpi_core.logs.log_format import LogFormat
 from quadpi_core.logs.reader_steps import (
+    attitude_alone,
     finite_parameters,
     note,
     odometry_of,
@@ -201,7 +202,9 @@ def _air(logged: Messages | None) -> AirStream | None:
 
 def _odometry(source: str, messages: dict[str, Messages], imu: ImuStream) -> OdometryStream | None:
     moved, attitude = motion_of(messages), attitude_of(source, messages)
-    return None if moved is None or attitude is None else odometry_of(*moved, attitude, imu)
+    if moved is None or attitude is None:
+        return attitude_alone(attitude, imu)
+    return odometry_of(*moved, attitude, imu)
 
 
 def motion_of(messages: dict[str, Messages]) -> tuple[Stamps, Array, Array] | None:

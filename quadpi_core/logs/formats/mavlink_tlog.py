@@ -121,7 +121,7 @@ def read_tlog(path: Path, vehicle: Vehicle | None, order: RotorOrder | None = No
     source = str(path)
     if order is None:
         order = by_frame(source, vehicle, unit=RPM)
-    samples, arrived = _decode(path, lambda: MavlinkSamples(vehicle, order, beside=True))
+    samples, arrived = _decode(path, lambda: MavlinkSamples(vehicle, order))
     arrived, quality = _longest_run(arrived)
     time_ns = _stamps(arrived)
     unusable = samples.unusable

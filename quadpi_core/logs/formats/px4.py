@@ -36,6 +36,7 @@ from quadpi_core.frames import Array
 from quadpi_core.logs.airframes import Airframe, has_rotors
 from quadpi_core.logs.log_format import LogFormat
 from quadpi_core.logs.reader_steps import (
+    attitude_alone,
     by_frame,
     finite_parameters,
     has_attitude,
@@ -315,14 +316,16 @@ def _commands(
 
 def _odometry(source: str, topics: dict[str, Columns], imu: ImuStream) -> OdometryStream | None:
     local, turned = topics.get("vehicle_local_position"), topics.get("vehicle_attitude")
-    if local is None or turned is None:
-        return None
-    if not _holds(local, *_LOCAL_POSITION, *_LOCAL_VELOCITY, *_VALID) or not _holds(turned, *_QUATERNION):
+    if turned is None or not _holds(turned, *_QUATERNION):
         return None
     attitude = unit_attitudes(source, OdometryStream.topic, _sampled(turned), _stack(turned, *_QUATERNION))
+    if local is None or not _holds(local, *_LOCAL_POSITION, *_LOCAL_VELOCITY, *_VALID):
+        return attitude_alone(attitude, imu)
     valid = np.all([local[name].astype(bool) for name in _VALID], axis=0)
     if not np.all(valid):
         note(source, f"topic odometry: {np.count_nonzero(~valid)} of {len(valid)} positions are not valid")
+    if not np.any(valid):
+        return attitude_alone(attitude, imu)
     time_ns, (position, velocity) = rising(
         _sampled(local)[valid], _stack(local, *_LOCAL_POSITION)[valid], _stack(local, *_LOCAL_VELOCITY)[valid]
     )

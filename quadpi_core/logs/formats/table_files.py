@@ -48,7 +48,14 @@ from quadpi_core.inputs import ZERO_CELSIUS
 from quadpi_core.logs.log_format import LogFormat
 from quadpi_core.logs.mapping import ERPM, QUATERNION_ORDERS, TIME, UNITS, Mapping, Signal
 from quadpi_core.logs.mapping_draft import mapping_draft
-from quadpi_core.logs.reader_steps import normalised_attitude, note, odometry_of, rising, unsigned_speeds
+from quadpi_core.logs.reader_steps import (
+    normalised_attitude,
+    note,
+    odometry_of,
+    rising,
+    unsigned_speeds,
+    without_parts,
+)
 from quadpi_core.logs.table_columns import PARQUET_MAGIC, open_columns, stamps_of
 from quadpi_core.records import STANDARD_GRAVITY
 from quadpi_core.screening.sample_order import SHARE_MAX
@@ -57,7 +64,6 @@ from quadpi_core.vehicle import Vehicle
 # Signals that are of no use without the others of the same topic.
 _TOGETHER = MappingProxyType(
     {
-        "odometry": ("position", "attitude", "velocity"),
         "mocap/pose": ("mocap_position", "mocap_attitude"),
         "simulation/wrench": ("simulated_force", "simulated_moment"),
     }
@@ -71,9 +77,9 @@ _log = logging.getLogger(__name__)
 def read_table(path: Path, vehicle: Vehicle | None, mapping: Mapping | None) -> Recording:
     """Read a table; topics whose signals the mapping does not have are None.
 
-    imu needs `angular_velocity` and `acceleration`; rotor_speeds `rotor_speeds`; odometry `position`,
-    `attitude`, `velocity` and `angular_velocity`; mocap/pose `mocap_position` and `mocap_attitude`; wind
-    `wind`; simulation/wrench `simulated_force` and `simulated_moment`.
+    imu needs `angular_velocity` and `acceleration`; rotor_speeds `rotor_speeds`; odometry `attitude` and
+    `angular_velocity`, with `position` and `velocity` where they were measured; mocap/pose `mocap_position`
+    and `mocap_attitude`; wind `wind`; simulation/wrench `simulated_force` and `simulated_moment`.
 
     Raises:
         LogError: naming file, topic and sample, without a mapping, for columns that are missing or not
@@ -140,7 +146,10 @@ class _TableReader:
         return self.path.parent / other.file if other and other.file else self.path
 
     def recording(self) -> Recording:
-        for topic, names in _TOGETHER.items():
+        together: dict[str, tuple[str, ...]] = dict(_TOGETHER)
+        if not self._has("attitude"):
+            together["odometry"] = ("attitude", "position", "velocity")
+        for topic, names in together.items():
             present = [name for name in names if self._has(name)]
             missing = [name for name in names if not self._has(name)]
             if present and missing:
@@ -153,7 +162,7 @@ class _TableReader:
             imu=self._imu(),
             rotor_speeds=self._rotor_speeds() if self._has("rotor_speeds") else None,
             pose=self._pose() if self._has(*_TOGETHER["mocap/pose"]) else None,
-            odometry=self._odometry() if self._has(*_TOGETHER["odometry"]) else None,
+            odometry=self._odometry() if self._has("attitude") else None,
             wind=self._wind() if self._has("wind") else None,
             simulated=self._simulated() if self._has(*_TOGETHER["simulation/wrench"]) else None,
             battery=BatteryStream(*self._known("battery")) if self._has("battery") else None,
@@ -183,14 +192,25 @@ class _TableReader:
         return PoseStream(*self._complete(PoseStream.topic, of, *signals))
 
     def _odometry(self) -> OdometryStream | None:
-        of = _TOGETHER["odometry"]
-        state = self._position("position"), self._attitude("attitude"), self._velocity()
+        of = [name for name in ("position", "attitude", "velocity") if self._has(name)]
+        attitude = self._attitude("attitude")
+        nothing = np.zeros((len(attitude), 3))
+        lacking = {name: not self._has(name) for name in ("position", "velocity")}
+        state = (
+            nothing if lacking["position"] else self._position("position"),
+            attitude,
+            nothing if lacking["velocity"] else self._velocity(),
+        )
         if self._is_in_one_table((*of, "angular_velocity")):
             signals = (*state, self._rates())
-            return OdometryStream(*self._complete(OdometryStream.topic, (*of, "angular_velocity"), *signals))
+            states = OdometryStream(
+                *self._complete(OdometryStream.topic, (*of, "angular_velocity"), *signals)
+            )
+            return without_parts(states, **lacking)
         time_ns, (position, attitude, velocity) = rising(*self._complete(OdometryStream.topic, of, *state))
         in_world = rotate_body_to_world(attitude, velocity)
-        return odometry_of(time_ns, position, in_world, (time_ns, attitude), self._imu())
+        found = odometry_of(time_ns, position, in_world, (time_ns, attitude), self._imu())
+        return without_parts(found, **lacking)
 
     def _wind(self) -> WindStream:
         return WindStream(*self._complete(WindStream.topic, ("wind",), self._position("wind")))

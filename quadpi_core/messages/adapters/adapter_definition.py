@@ -53,6 +53,7 @@ class Adapter:
         start: (settings of its kind, vehicle) begins to read the messages of one topic.
         common: whether messages of this type hold many other things too, so that the topic must be named.
         battery: of motor commands, the adapter of the voltage that belongs to them, and its topic.
+        without_attitude: of a state, whether its attitude must be the orientation of the IMU's messages.
     """
 
     name: str
@@ -63,6 +64,7 @@ class Adapter:
     start: Callable[[Any, Vehicle | None], Reading]
     common: bool = False
     battery: tuple[str, str] | None = None
+    without_attitude: bool = False
 
     def open(self, definition: str, settings: AdapterSettings, vehicle: Vehicle | None) -> Unpacker:
         """Unpacker of the messages of this type on one topic.

@@ -4,6 +4,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 import yaml
@@ -11,11 +14,22 @@ import yaml
 from quadpi_core.config_schema import read_config
 from quadpi_core.discrepancy.augmented_simulation import AugmentedSimulation
 from quadpi_core.discrepancy.loading import load_simulation
+from quadpi_core.discrepancy.other_simulations import ModelSimulation
 from quadpi_core.discrepancy.simulations import Tolerances, VehicleSimulation
 from quadpi_core.discrepancy.study import discover
 from quadpi_core.errors import VehicleError
+from quadpi_core.flight import AirStream
+from quadpi_core.identification.prepared_flights import read_flight
+from quadpi_core.inputs import MEASURED, density_of
+from quadpi_core.logs import read_recording
+from quadpi_core.logs.bags import write_bag
+from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.paths import bags_directory
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.applied_effects import EFFECTS, read_effects
+from quadpi_core.vehicle import Vehicle
+
+GOLDEN = Path(__file__).parents[2] / "golden" / "model"
 
 
 @pytest.fixture
@@ -107,3 +121,31 @@ def test_an_effect_is_found_in_flights_of_its_own(name, flown):
     found = discover(load_simulation("bebop2"), flown(name), names=sorted({name, *OTHERS}))
     named = {effect.name for effect in found.effects} | {r for e in found.effects for r in e.rivals}
     assert name in named
+
+
+def test_the_wrench_goes_with_the_air_that_a_flight_tells(flight):
+    thin = replace(flight, air_ratio=0.9)
+    simulation = load_simulation("bebop2")
+    for name in ("wrench", "thrusts", "torques"):
+        np.testing.assert_allclose(simulation.states(thin)[name], 0.9 * simulation.states(flight)[name])
+    for one, other in zip(simulation.uncertain(thin), simulation.uncertain(flight), strict=True):
+        np.testing.assert_allclose(one.wrench, 0.9 * other.wrench)
+    # Of a model whose flights did not tell their air nobody knows which one its coefficients are of.
+    model = AerodynamicModel.load(GOLDEN)
+    untold = ModelSimulation("model", model.load_vehicle(), model)
+    np.testing.assert_array_equal(untold.wrench(thin), untold.wrench(flight))
+    told = tuple(replace(one, air=MEASURED) for one in model.flights)
+    known = replace(untold, model=replace(model, flights=told))
+    lift = [known.wrench(one)[:, 2].mean() for one in (thin, flight)]
+    assert lift[0] == pytest.approx(0.9 * lift[1], rel=0.01)
+
+
+def test_a_flight_tells_its_air(tmp_path):
+    vehicle = Vehicle.load("bebop2")
+    recording = read_recording(bags_directory() / "train_1.mcap", vehicle)
+    start = recording.imu.time_ns[:1]
+    air = AirStream(start, np.array([90000.0]), np.array([25.0]))
+    write_bag(tmp_path / "thin.mcap", replace(recording, pressure=air))
+    thin = read_flight(tmp_path / "thin.mcap", vehicle, 30.0)
+    assert thin.air_ratio == pytest.approx(density_of(90000.0, 25.0) / 1.225)
+    assert read_flight(bags_directory() / "train_1.mcap", vehicle, 30.0).air_ratio == 1.0

@@ -14,8 +14,9 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from quadpi_core.errors import LogError
-from quadpi_core.flight import AirStream
-from quadpi_core.frames import rotate_body_to_world
+from quadpi_core.field.field_reading import read_field_log
+from quadpi_core.flight import NOT_MEASURED, AirStream
+from quadpi_core.frames import body_frd_to_flu, quaternion_frd_ned_to_flu_enu, rotate_body_to_world
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.adapted_bags import unnamed
 from quadpi_core.logs.bag_files import Bag
@@ -24,9 +25,10 @@ from quadpi_core.logs.bags import read_bag
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.payloads import Topic
 from quadpi_core.paths import config_directory
+from quadpi_core.reading_options import ReadingOptions
 from quadpi_core.vehicle import Vehicle
 
-from ..messages.adapters.vendor_messages import frame, mavros_status, px4_status
+from ..messages.adapters.vendor_messages import frame, mavros_status, px4_status, satellite_fix
 
 VEHICLE = "neurobem"
 PAGE = Path(__file__).parents[3] / "docs" / "adapters.md"
@@ -282,3 +284,72 @@ def test_the_temperature_of_a_part_is_not_that_of_the_air(tmp_path: Path) -> Non
     with Bag(tmp_path / "a.mcap") as bag:
         found = unnamed(bag, "temperature", names)
     assert [one.name for one in found] == ["/quad/imu/temperature_baro", "/quad/temperature"]
+
+
+def oriented(vendor, flight):
+    """IMU messages whose orientation is the attitude of motion capture, as mavros sends them."""
+    imu, pose = flight.imu, flight.pose
+    at = np.clip(np.searchsorted(pose.time_ns, imu.time_ns), 0, len(pose) - 1)
+    turned = quaternion_frd_ned_to_flu_enu(pose.attitude[at])[:, [1, 2, 3, 0]]
+    payloads = [
+        vendor.bytes(
+            vendor.make(
+                "sensor_msgs/msg/Imu",
+                header=vendor.header(int(time_ns), "base_link"),
+                orientation=vendor.make("geometry_msgs/msg/Quaternion", **dict(zip("xyzw", q, strict=True))),
+                orientation_covariance=4e-4 * np.eye(3).ravel(),
+                angular_velocity_covariance=np.zeros(9),
+                linear_acceleration_covariance=np.zeros(9),
+                angular_velocity=vendor.make("geometry_msgs/msg/Vector3", **dict(zip("xyz", w, strict=True))),
+                linear_acceleration=vendor.make(
+                    "geometry_msgs/msg/Vector3", **dict(zip("xyz", f, strict=True))
+                ),
+            )
+        )
+        for time_ns, q, w, f in zip(
+            imu.time_ns,
+            turned,
+            body_frd_to_flu(imu.angular_velocity),
+            body_frd_to_flu(imu.specific_force),
+            strict=True,
+        )
+    ]
+    return {"/mavros/imu/data": ("sensor_msgs/msg/Imu", imu.time_ns, payloads)}
+
+
+def test_a_position_by_satellites_has_the_orientation_of_the_imu(tmp_path, vendor, flown, caplog):
+    store, pose = vendor.px4_1_14, flown.pose
+    fixes = pose.take(slice(10, None, 20))
+    degrees = np.rad2deg(fixes.position / 6.37e6)
+    payloads = [
+        satellite_fix(store, int(time_ns), 0.001 + north, 8.0 + east, 500.0 - down)
+        for time_ns, (north, east, _), (*_, down) in zip(fixes.time_ns, degrees, fixes.position, strict=True)
+    ]
+    topics = oriented(store, flown)
+    topics["/mavros/global_position/raw/fix"] = ("sensor_msgs/msg/NavSatFix", fixes.time_ns, payloads)
+    state = read_bag(write(tmp_path / "fixes", store, topics)).odometry
+    assert len(state) == len(fixes)
+    assert np.all(state.deviation[:, 0] == 2.0)
+    assert np.all(state.deviation[:, 2] == NOT_MEASURED)
+    np.testing.assert_allclose(state.deviation[:, 1], 0.02)
+    at = np.searchsorted(pose.time_ns, state.time_ns)
+    assert np.abs(np.sum(state.attitude * pose.attitude[at], axis=1)).min() > 0.999
+    # On a sphere of about the earth's size.
+    np.testing.assert_allclose(
+        state.position - state.position[0], fixes.position - fixes.position[0], atol=0.02, rtol=0.01
+    )
+    imu = {"/imu": imu_topic(flown), "/fix": topics["/mavros/global_position/raw/fix"]}
+    assert read_bag(write(tmp_path / "plain", store, imu)).odometry is None
+    assert "topic /fix: is not read: its attitude must be the orientation of an IMU" in caplog.text
+
+
+def test_an_orientation_alone_is_the_attitude(tmp_path, vendor, flown, caplog):
+    bag = write(tmp_path / "turned", vendor.px4_1_14, oriented(vendor.px4_1_14, flown))
+    state = read_bag(bag).odometry
+    assert np.unique(state.deviation[:, [0, 2]]).tolist() == [NOT_MEASURED]
+    assert np.diff(state.time_ns).min() >= 40_000_000
+    assert 15.0 < len(state) / (1e-9 * float(np.ptp(flown.imu.time_ns))) <= 21.0
+    assert "its orientation is the attitude, alone" in caplog.text
+    log = read_field_log(tmp_path / "turned", ReadingOptions())
+    assert (log.velocity, log.position) == (None, None)
+    assert len(log.attitude) == len(state)

@@ -243,12 +243,10 @@ def test_an_attitude_that_is_not_finite_is_not_kept(
 
 def test_outputs_battery_and_air_of_a_log(mavlink_message: Callable[..., Any]) -> None:
     order = RotorOrder((3, 0, 1, 2), "rpm")
-    plain, beside = MavlinkSamples(None, order), MavlinkSamples(None, order, beside=True)
+    samples = MavlinkSamples(None, order)
 
     def decode(name: str, *values: Any) -> Any:
-        message = mavlink_message(name, *values)
-        assert plain.decode(message, 0.0) is None
-        return beside.decode(message, 0.0)
+        return samples.decode(mavlink_message(name, *values), 0.0)
 
     dshot = decode("ACTUATOR_OUTPUT_STATUS", 1234, 4, [400.0, 800.0, 1200.0, 1600.0, *[NAN] * 28])
     assert (dshot.topic, dshot.clock_us) == ("motor_commands", 1234)
@@ -256,7 +254,7 @@ def test_outputs_battery_and_air_of_a_log(mavlink_message: Callable[..., Any]) -
     disarmed = decode("ACTUATOR_OUTPUT_STATUS", 1234, 4, [900.0] * 4 + [0.0] * 28)
     assert disarmed.values.tolist() == [0.0] * 4
     heartbeat = mavlink_message("HEARTBEAT", 2, ARDUPILOT, 0, 0, 4, 3)
-    beside.decode(heartbeat, 0.0)
+    samples.decode(heartbeat, 0.0)
     pulses = decode("SERVO_OUTPUT_RAW", 99, 0, 1100, 1200, 1300, 1400, *[0] * 12)
     assert (pulses.source, pulses.clock_us) == ("SERVO_OUTPUT_RAW", None)
     assert pulses.values == pytest.approx([0.4, 0.1, 0.2, 0.3])

@@ -216,6 +216,27 @@ def test_motion_capture_of_the_vehicle_s_own_system_is_used(mavlink_sender: Any)
     assert [one.topic for one in autopilot.deliver(mocap, START)] == ["mocap/pose"]
 
 
+@pytest.mark.parametrize("kind", [PX4, ARDUPILOT])
+def test_commands_of_the_motors_and_the_battery_are_told(kind: int, mavlink_sender: Any) -> None:
+    autopilot = Autopilot(mavlink_sender(), kind=kind)
+    autopilot.heartbeat(START)
+    if kind == PX4:
+        outputs = autopilot.sender.packet("ACTUATOR_OUTPUT_STATUS", 5_000, 4, [1500.0] * 4 + [0.0] * 28)
+    else:
+        outputs = autopilot.sender.packet("SERVO_OUTPUT_RAW", 5_000, 0, *[1500] * 4, *[0] * 12)
+    cells = [4000] * 4 + [0xFFFF] * 6
+    battery = autopilot.sender.packet("BATTERY_STATUS", 0, 0, 1, 2500, cells, 100, 0, 0, 50)
+    air = autopilot.sender.packet("SCALED_PRESSURE", 5, 950.25, 0.0, 2310)
+    packets, now = (outputs, battery, air), START + 5 * MS
+    received = [one for packet in packets for one in autopilot.deliver(packet, now)]
+    assert [one.topic for one in received] == ["motor_commands", "battery"]
+    assert received[0].values.shape == (4,)
+    assert 0.4 < received[0].values.min() <= received[0].values.max() < 0.8
+    assert received[1].values.tolist() == [pytest.approx(16.0)]
+    report = autopilot.session.report(START)
+    assert (report.samples["motor_commands"], report.samples["battery"]) == (1, 1)
+
+
 def test_nobody_takes_the_place_of_the_peer_by_its_number(mavlink_sender: Any) -> None:
     session = MavlinkSession(None, ORDER, SessionSettings())
     sender = mavlink_sender()

@@ -12,7 +12,7 @@ import pytest
 
 from quadpi_core.inputs import MEASURED
 from quadpi_core.models.aerodynamic import AerodynamicModel
-from quadpi_core.models.small_model import SmallModel, small_model
+from quadpi_core.models.small_model import THRUST, SmallModel, errors_by_flight, headlines, small_model
 from quadpi_core.simulation.flying import load_aerodynamics
 
 GOLDEN = Path(__file__).parents[2] / "golden" / "model"
@@ -86,3 +86,29 @@ def test_a_model_without_standard_errors_gives_no_numbers() -> None:
     for one in (found.thrust, found.torque, found.hover_speed, found.momentum, *found.ballistic):
         assert one.value is None
         assert one.reason.startswith("not identified: ")
+
+
+def test_what_flights_differ_by_widens_what_a_covariance_says(physical_folder: Path) -> None:
+    model = AerodynamicModel.load(physical_folder)
+    vehicle = model.load_vehicle()
+    assert model.by_flight["momentum drag"] > 0.0
+    assert set(model.by_flight) > {
+        line.quantity for line in headlines(model, vehicle) if line.error is not None
+    }
+    alone, apart = (
+        small_model(replace(model, by_flight=errors), vehicle)
+        for errors in ({}, {THRUST: 1.0, "momentum drag": 0.04})
+    )
+    assert apart.thrust.half_width > alone.thrust.half_width
+    assert apart.momentum.half_width == pytest.approx(1.96 * 0.04, rel=0.5)
+    assert apart.torque == alone.torque
+    for line in headlines(model, vehicle):
+        assert line.error is None or line.error >= model.by_flight[line.quantity]
+
+
+def test_leaving_out_flights_that_agree_adds_nothing(physical_folder: Path) -> None:
+    model = AerodynamicModel.load(physical_folder)
+    vehicle = model.load_vehicle()
+    same = replace(model, left_out=(model.fitted,) * 4)
+    assert max(errors_by_flight(same, vehicle).values()) < 1e-9
+    assert errors_by_flight(replace(model, left_out=(model.fitted,) * 2), vehicle) == {}

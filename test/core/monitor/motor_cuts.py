@@ -38,6 +38,9 @@ def with_motor_cut(truth: Truth, simulated: SimulatedVehicle, rotor: int, at_s: 
     per_square = weight / (rotors * simulated.aerodynamics.hover_rotor_speed**2)
     lag = np.full(rotors, simulated.motor_time_constant)
     step_s = 1.0 / (LOG_HZ * _STEPS)
+    # What a servo that tilts a rotor gives about z stays as it is.
+    now = simulated.aerodynamics.wrench(truth.velocity[start : start + 1], rates[None], speeds[None])[0]
+    servo = truth.wrench[start, 5] - now[5] if vehicle.rotor_count == 3 else 0.0
     for row in range(start, start + count):
         for step in range(_STEPS):
             moment = -25.0 * vehicle.inertia[[0, 1], [0, 1]] * rates[:2]
@@ -47,6 +50,7 @@ def with_motor_cut(truth: Truth, simulated: SimulatedVehicle, rotor: int, at_s: 
             slopes = (command - speeds) / lag
             turn = np.array(frames.matrix(attitude))
             wrench = simulated.aerodynamics.wrench((turn.T @ velocity)[None], rates[None], speeds[None])[0]
+            wrench[5] += servo
             acceleration = turn @ wrench[:3] / vehicle.mass_kg + [0.0, 0.0, vehicle.gravity_m_s2]
             moment = wrench[3:] - np.cross(rates, vehicle.inertia @ rates)
             turning: Array = np.linalg.solve(vehicle.inertia, moment)

@@ -4,12 +4,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import quadpi_core as qp
+from quadpi_core.flight import Recording
 from quadpi_core.logs.readers import read_recording
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.kinds.physical import Physical
@@ -18,12 +20,14 @@ from quadpi_core.monitor.alarm_log import reasons
 from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.replay import follow, recorded_flight
 from quadpi_core.results import LEVEL_ALARM
+from quadpi_core.screening.consistency import checked
 from quadpi_core.simulation.flying import SimulatedVehicle
 from quadpi_core.simulation.scenario import choose_flights, load_scenario
 from quadpi_core.simulation.sensor_noise import SensorSuite
 from quadpi_core.simulation.sensors import sense
 from quadpi_core.simulation.simulated_bags import simulate
 from quadpi_core.simulation.truth import Truth
+from quadpi_core.vehicle import Vehicle
 from test.core.monitor.motor_cuts import with_motor_cut
 from test.core.multicopters import framed_file
 
@@ -48,6 +52,18 @@ def first_stopped(model: AerodynamicModel, truth: Truth, simulated: SimulatedVeh
     return ""
 
 
+def swapped_order(recording: Recording, vehicle: Vehicle, one: int, other: int) -> str:
+    """What is said of a flight of which two columns of rotor speeds are in each other's place."""
+    assert not list(recording.quality.sentences())
+    order = np.arange(vehicle.rotor_count)
+    order[[one, other]] = other, one
+    speeds = recording.rotor_speeds
+    assert speeds is not None
+    swapped = replace(recording, rotor_speeds=replace(speeds, speeds=speeds.speeds[:, order]))
+    assert not any("rotor" in said for said in checked(recording, vehicle).quality.sentences())
+    return "; ".join(checked(swapped, vehicle).quality.sentences())
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("layout", ["quad-plus", "hexa-x", "octo-x", "octo-coaxial-x"])
 def test_from_bags_to_the_rotor_that_stops(layout: str, tmp_path: Path) -> None:
@@ -56,7 +72,9 @@ def test_from_bags_to_the_rotor_that_stops(layout: str, tmp_path: Path) -> None:
     *flown, unseen = simulate(plans, tmp_path / "bags")
     simulated = SimulatedVehicle.load(file)
     vehicle, count = simulated.vehicle, simulated.vehicle.rotor_count
-    assert read_recording(unseen.bag, vehicle).rotor_speeds.speeds.shape[1] == count
+    recording = read_recording(unseen.bag, vehicle)
+    assert recording.rotor_speeds.speeds.shape[1] == count
+    assert "rotors 1 and 2 look swapped" in swapped_order(recording, vehicle, 0, 1)
 
     fitted = qp.WrenchModel(Physical(multi_step=False)).fit(
         qp.load_flights([one.bag for one in flown], vehicle=str(file))

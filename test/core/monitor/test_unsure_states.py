@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -107,3 +109,22 @@ def test_deviations_are_the_numbers_of_messages():
         np.array([1]), zero, np.eye(4)[:1], zero, zero, np.array([[1.0, 0.1, NOT_MEASURED]])
     )
     assert StateDeviations.of_odometry(told)[1:] == (0.0, 0.1)
+
+
+def test_ones_that_fill_a_covariance_say_nothing():
+    many = 500
+    zeros = np.zeros((many, 3))
+    states = OdometryStream(
+        np.arange(many) * 10_000_000,
+        zeros,
+        np.tile([1.0, 0.0, 0.0, 0.0], (many, 1)),
+        zeros,
+        zeros,
+        np.ones((many, 3)),
+    )
+    unsure = UnsureStates(KNOWN)
+    unsure.take(StateDeviations.of_odometry(states))
+    assert not unsure.is_beyond
+    told = replace(states, deviation=np.tile([1.0, 0.03, 1.0], (many, 1)))
+    unsure.take(StateDeviations.of_odometry(told))
+    assert unsure.is_beyond

@@ -12,6 +12,8 @@ from scipy.ndimage import gaussian_filter1d
 
 from quadpi_core.screening.clock_consistency import rotor_evidence
 from quadpi_core.screening.excerpt import STEP_S, RotorExcerpt
+from quadpi_core.vehicle import Vehicle
+from test.core.multicopters import framed_file, multicopter
 
 WINDOWS, CELLS, MARGIN = 6, 250, 40
 TORQUE_PER_THRUST_M = 0.02
@@ -21,11 +23,11 @@ TORQUE_PER_THRUST_M = 0.02
 def flown(vehicle):
     """flown(lag_s) → what a vehicle without damping does, its rotor speeds late by so much."""
 
-    def fly(lag_s: float = 0.0, noise: float = 0.0) -> RotorExcerpt:
-        rng = np.random.default_rng(4)
-        swing = gaussian_filter1d(rng.standard_normal((WINDOWS, CELLS + 2 * MARGIN, 4)), 2.0, axis=1)
+    def fly(lag_s: float = 0.0, noise: float = 0.0, vehicle: Vehicle = vehicle) -> RotorExcerpt:
+        rng, count = np.random.default_rng(4), vehicle.rotor_count
+        swing = gaussian_filter1d(rng.standard_normal((WINDOWS, CELLS + 2 * MARGIN, count)), 2.0, axis=1)
         squares = 4e5 * (1.0 + 0.3 * swing)
-        thrust = vehicle.mass_kg * vehicle.gravity_m_s2 / 4.0 * squares / 4e5
+        thrust = vehicle.mass_kg * vehicle.gravity_m_s2 / count * squares / 4e5
         places, spins = vehicle.rotor_positions, vehicle.rotor_spins
         # Rotors push up: M = r × (0, 0, -T); a rotor that turns clockwise pushes the body anticlockwise.
         moment = np.stack(
@@ -78,6 +80,20 @@ def test_another_order_of_the_columns_is_found(flown, vehicle, order):
     assert not found.spins_inverted
     assert np.all(found.order_correlation > 0.99)
     assert found.correlation.min() < 0.7
+
+
+@pytest.mark.parametrize("rotors", [3, 6, 8, "octo-coaxial-x"])
+def test_orders_of_other_numbers_of_rotors_are_found(flown, tmp_path, rotors):
+    if isinstance(rotors, int):
+        other = multicopter(tmp_path, rotors)
+    else:
+        other = Vehicle.load(framed_file(tmp_path, rotors))
+    sample, same = flown(vehicle=other), tuple(range(other.rotor_count))
+    assert rotor_evidence(sample, other).order == same
+    for order in (same[1:] + same[:1], same[::-1], (same[2], *same[1:2], same[0], *same[3:])):
+        found = rotor_evidence(replace(sample, squares=sample.squares[..., np.argsort(order)]), other)
+        assert (found.order, found.spins_inverted) == (order, False)
+        assert np.all(found.order_correlation > 0.99)
 
 
 def test_inverted_spins_and_inertia_are_found(flown, vehicle):

@@ -117,6 +117,17 @@ def test_the_sdf_is_a_model_of_the_vehicles_mass_with_a_motor_for_each_rotor() -
     base = model.find("link/inertial/inertia")
     # Forward-left-up: the product of x and z changes its sign.
     assert float(base.findtext("ixz")) == pytest.approx(-vehicle.inertia[0, 2], rel=1e-4)
+    # Base and rotors together have the vehicle's inertia, about its centre of gravity.
+    total, first = np.zeros((3, 3)), np.zeros(3)
+    for link in model.findall("link"):
+        mass = float(link.findtext("inertial/mass"))
+        poses = [link.findtext("pose"), link.findtext("inertial/pose")]
+        place = sum(np.array([float(word) for word in (pose or "0 0 0").split()[:3]]) for pose in poses)
+        own = {key: float(link.findtext(f"inertial/inertia/{key}") or 0.0) for key in ("ixx", "iyy", "izz")}
+        total += np.diag(list(own.values())) + mass * (place @ place * np.eye(3) - np.outer(place, place))
+        first += mass * place
+    np.testing.assert_allclose(np.diag(total), np.diag(vehicle.inertia), rtol=1e-3)
+    np.testing.assert_allclose(first, 0.0, atol=1e-8)
 
 
 @pytest.mark.parametrize("form", ["sdf", "mjcf"])

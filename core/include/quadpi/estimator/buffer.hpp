@@ -39,6 +39,8 @@ constexpr double SETTLED_VELOCITY_STD_M_S = 0.05;
 constexpr double SETTLED_BIAS_STD_M_S2 = 0.1;
 // The same of a state by measurements that state a noise: theirs, up to this.
 constexpr double SETTLED_COARSE_STD_M_S = 0.5;
+// Time [s] over which positions tell the velocity where no velocities come: it is known to their error in it.
+constexpr double SETTLED_BY_POSITIONS_S = 1.0;
 // Steps of a slow source that are waited for, one lost or several, before the state is DEGRADED, and LOST.
 constexpr std::int64_t SLOW_DEGRADED = 3, SLOW_LOST = 5;
 
@@ -191,13 +193,14 @@ private:
         return poses == 0 || velocities == 0 ? std::max(poses, velocities) : std::min(poses, velocities);
     }
 
-    // Standard deviation of the velocity of a settled state: no more than that of one coarse measurement.
+    // Standard deviation of the velocity of a settled state: no more than that of one coarse measurement, and
+    // without velocities no more than positions tell of it in a while.
     double settled_velocity_std() const {
-        double coarsest = SETTLED_VELOCITY_STD_M_S;
-        for (const Source& source : memory.sources) {
-            coarsest = std::max(coarsest, source.last.deviation[0]);
-        }
-        return std::min(coarsest, SETTLED_COARSE_STD_M_S);
+        const Source& velocities = memory.sources[1];
+        const double coarse = velocities.arrived_ns != NO_STAMP
+                                  ? velocities.last.deviation[0]
+                                  : memory.sources[0].last.deviation[0] / SETTLED_BY_POSITIONS_S;
+        return std::min(std::max(SETTLED_VELOCITY_STD_M_S, coarse), SETTLED_COARSE_STD_M_S);
     }
 
     std::int64_t after(std::int64_t place) const { return (place + 1) % size; }

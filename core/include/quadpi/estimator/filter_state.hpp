@@ -142,6 +142,9 @@ struct Correction {
     Widening widening;
 };
 
+// Of a source of 1 Hz [ns], the slowest that corrects, with its jitter.
+constexpr std::int64_t SLOWEST_STEP_NS = 1'100'000'000;
+
 // What is remembered of one source of measurements: poses or velocities.
 struct Source {
     std::int64_t arrived_ns;  // stamp of the last measurement that was held
@@ -154,8 +157,9 @@ struct Source {
     std::int64_t step_ns;   // between the last two measurements, and between the two before
     std::int64_t step_before_ns;
 
-    // Time between its measurements, one that was lost apart; 0 before it is known.
-    std::int64_t usual_step_ns() const { return std::min(step_ns, step_before_ns); }
+    // Time between its measurements, one that was lost apart; 0 before it is known. What comes more seldom
+    // than the slowest source is a measurement by itself, after which the next is not waited for.
+    std::int64_t usual_step_ns() const { return std::min({step_ns, step_before_ns, SLOWEST_STEP_NS}); }
 };
 
 // All that the filter remembers beside its ring of estimates.

@@ -304,7 +304,8 @@ inline std::size_t advance(
                             inputs[used], measured[used][FZ], said.lower[used][FZ], said.upper[used][FZ]
                         ),
                         said.leverage[used],
-                        said.relative_width[used],
+                        // Until the wind is told, intervals are as wide as it is unsure.
+                        sample.windy ? Wrench{} : said.relative_width[used],
                         step_s
                     );
                     judge_miscoverage(

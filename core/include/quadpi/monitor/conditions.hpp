@@ -18,6 +18,7 @@ struct Conditions {
     // Of the state, in what it is less sure of than in the flights of the model; zero where nothing tells.
     StateCovariance covariance;
     std::int64_t commanded;  // bit per rotor whose speed follows from its command, as nothing measured it
+    std::int64_t unsettled;  // 1 while the wind is still to be told: as while the state settles
 };
 
 // Lower triangular root L of a covariance L Lᵀ (Cholesky); what rounding leaves of no variance is zero.
@@ -86,6 +87,8 @@ inline void take_conditions(
     for (std::size_t sample = 0; sample < conditions.size; ++sample) {
         const Conditions& own = conditions[sample];
         verdicts[sample].commanded = own.commanded;
+        verdicts[sample].windy = own.unsettled != 0;
+        verdicts[sample].settled = verdicts[sample].settled && !verdicts[sample].windy;
         if (!verdicts[sample].usable) {
             continue;
         }

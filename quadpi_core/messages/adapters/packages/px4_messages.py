@@ -13,8 +13,9 @@ from collections import Counter
 
 import numpy as np
 
+from quadpi_core.core import compiled
 from quadpi_core.errors import SampleError
-from quadpi_core.flight import AirStream, ImuStream, OdometryStream, Stamps
+from quadpi_core.flight import NOT_MEASURED, AirStream, ImuStream, OdometryStream, Stamps
 from quadpi_core.frames import Array, rotate_world_to_body
 from quadpi_core.inputs import celsius_of
 from quadpi_core.messages.adapters.adapter_definition import Adapter, Reading, of_items
@@ -90,9 +91,13 @@ def _read_odometry(columns: Columns, dropped: Counter[str]) -> OdometryStream:
 
 
 def _deviation(variances: Array) -> Array:
-    """Root mean square (N,) of deviations by their variances (N, 3); 0 where NaN says that none is known."""
+    """Root mean square (N,) of deviations by their variances (N, 3); 0 where NaN says that none is known.
+
+    One that is larger than any estimator knows says that the part was not measured, as in other messages.
+    """
     mean = np.mean(variances.astype(np.float64), axis=1)
-    return np.sqrt(np.where(mean > 0.0, mean, 0.0))
+    known = np.sqrt(np.where(mean > 0.0, mean, 0.0))
+    return np.where(mean >= compiled.UNKNOWN_VARIANCE, NOT_MEASURED, known)
 
 
 def _read_imu(columns: Columns) -> ImuStream:

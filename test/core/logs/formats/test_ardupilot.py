@@ -13,7 +13,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadpi_core.errors import LogError
-from quadpi_core.flight import Recording
+from quadpi_core.flight import NOT_MEASURED, Recording
 from quadpi_core.logs.formats.ardupilot import read_ardupilot
 from quadpi_core.vehicle import Vehicle
 
@@ -71,6 +71,13 @@ def test_the_first_imu_and_the_first_core_that_logs_count(read):
     assert recording.odometry.attitude[0] == pytest.approx(TURNED)
     # North is on the left of a nose that points east.
     assert recording.odometry.velocity[0] == pytest.approx([3.0, -2.0, 4.0], abs=1e-6)
+
+
+def test_without_a_position_the_attitude_is_the_state(read):
+    alone = read(IMU, [("XKQ", now, 0, *TURNED) for now in TIMES]).odometry
+    assert alone.attitude[0] == pytest.approx(TURNED)
+    assert alone.rates[0] == pytest.approx([0.1, 0.2, 0.3])
+    assert np.unique(alone.deviation[:, [0, 2]]).tolist() == [NOT_MEASURED]
 
 
 def test_euler_angles_are_degrees_where_nothing_better_is_logged(read):

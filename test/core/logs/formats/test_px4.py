@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 pytest.importorskip("pyulog", reason="pyulog is not installed")
 from quadpi_core.errors import LogError
-from quadpi_core.flight import Recording
+from quadpi_core.flight import NOT_MEASURED, Recording
 from quadpi_core.logs.formats.px4 import read_px4
 from quadpi_core.vehicle import Vehicle
 
@@ -119,8 +119,13 @@ def test_a_state_is_stamped_when_it_was_measured(read):
 def test_positions_that_are_not_valid_are_left_out(read, place, caplog):
     valid = [True] * 4
     valid[place] = False
-    assert read(state(valid)).odometry is None
+    alone = read(state(valid)).odometry
     assert "topic odometry: 100 of 100 positions are not valid" in caplog.text
+    # The attitude is left, by its own stamps, as where no position is logged.
+    assert np.unique(alone.deviation[:, [0, 2]]).tolist() == [NOT_MEASURED]
+    assert alone.attitude[0] == pytest.approx(TURNED)
+    attitude = {topic: rows for topic, rows in state().items() if topic[0] == "vehicle_attitude"}
+    np.testing.assert_array_equal(read(attitude).odometry.time_ns, alone.time_ns)
 
 
 def test_only_the_first_instance_of_a_topic_counts(tmp_path):

@@ -18,7 +18,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from quadpi_core.errors import LogError, VehicleError
-from quadpi_core.flight import Recording
+from quadpi_core.flight import NOT_MEASURED, Recording
 from quadpi_core.frames import rotate_body_to_world
 from quadpi_core.inputs import MEASURED, flown_in
 from quadpi_core.logs import read_recording
@@ -255,14 +255,22 @@ def test_the_sign_of_rotor_speeds_is_the_sense_of_rotation(tmp_path: Path, vehic
     assert "topic rotor_speeds: negative of rotor 2, 4, by the sense of rotation" in caplog.text
 
 
-@pytest.mark.parametrize("lacking", ["position", "attitude", "velocity"])
-def test_what_is_mapped_and_not_used_is_said(tmp_path: Path, lacking: str, caplog):
+def test_what_is_mapped_and_not_used_is_said(tmp_path: Path, caplog):
     mapping = state_mapping()
-    del mapping[lacking]
+    del mapping["attitude"]
     recording = read(tmp_path, mapping, tumbling()[0])
     assert recording.odometry is None
-    others = [name for name in ("position", "attitude", "velocity") if name != lacking]
-    assert f"topic odometry: {lacking} is missing, so {' and '.join(others)} are not used" in caplog.text
+    assert "topic odometry: attitude is missing, so position and velocity are not used" in caplog.text
+
+
+@pytest.mark.parametrize("lacking", [("position",), ("velocity",), ("position", "velocity")])
+def test_an_attitude_needs_no_position_and_no_velocity(tmp_path: Path, lacking: tuple[str, ...]):
+    whole = read(tmp_path, state_mapping(), tumbling()[0]).odometry
+    mapping = {name: signal for name, signal in state_mapping().items() if name not in lacking}
+    state = read(tmp_path, mapping, tumbling()[0]).odometry
+    np.testing.assert_array_equal(state.attitude, whole.attitude)
+    for place, name in enumerate(("position", "attitude", "velocity")):
+        assert set(state.deviation[:, place]) == {NOT_MEASURED if name in lacking else 0.0}
 
 
 def test_a_damaged_row_is_left_out_and_a_damaged_parquet_file_refused(tmp_path: Path, caplog):

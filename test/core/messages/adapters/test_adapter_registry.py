@@ -43,6 +43,7 @@ PUBLISHED = {
     "pressure": ("sensor_msgs/msg/FluidPressure", AirStream),
     "temperature": ("sensor_msgs/msg/Temperature", TemperatureStream),
     "fmu/out/vehicle_air_data": ("px4_msgs/msg/VehicleAirData", AirStream),
+    "fix": ("sensor_msgs/msg/NavSatFix", OdometryStream),
     "rigid_bodies": ("mocap4r2_msgs/msg/RigidBodies", PoseStream),
     "poses": ("motion_capture_tracking_interfaces/msg/NamedPoseArray", PoseStream),
     "/tf": (TF_TYPE, PoseStream),

@@ -305,6 +305,22 @@ def of_the_air(vendor, kind, time_ns, **values):
     return vendor.bytes(vendor.make(kind, **stamps, **values))
 
 
+def satellite_fix(vendor, time_ns, latitude, longitude, altitude, status=0, variance=4.0, kind=2):
+    """A position by satellites; kind 0: its covariance is not known."""
+    return vendor.bytes(
+        vendor.make(
+            "sensor_msgs/msg/NavSatFix",
+            header=vendor.header(time_ns),
+            status=vendor.make("sensor_msgs/msg/NavSatStatus", status=status),
+            latitude=latitude,
+            longitude=longitude,
+            altitude=altitude,
+            position_covariance=variance * np.eye(3).ravel(),
+            position_covariance_type=kind,
+        )
+    )
+
+
 SETTINGS = AdapterSettings(
     rotor_speeds=RotorSettings((3, 1, 4, 2), "rpm"),
     mocap=BodySettings("quad", "flu-enu"),
@@ -339,6 +355,7 @@ EXAMPLES = {
     "temperature": lambda vendor: of_the_air(
         vendor, "sensor_msgs/msg/Temperature", START_NS, temperature=20.0
     ),
+    "fix": lambda vendor: satellite_fix(vendor, START_NS, 47.0, 8.0, 500.0),
     "px4_air": lambda vendor: of_the_air(
         vendor, "px4_msgs/msg/VehicleAirData", START_NS, baro_pressure_pa=95000.0, rho=1.129
     ),

@@ -1,0 +1,211 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Wind as a state of the monitor: told by drag, where no topic tells it and the model's flights did so.
+
+The specific force along body x and y is drag over mass, with a bias: f = −k (Rᵀ(v − w)) + b. A Kalman filter
+of the wind w to north and east and of b takes the means of each fifth of a second; w walks as the wind of
+:mod:`quadpi_core.field.drag_fit` does. What is filtered is scalar arithmetic, so that live and replay give
+the same bits.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from quadpi_core.flight import Stamps
+from quadpi_core.frames import Array, rotation_matrix
+from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.models.state_deviation import SETTLED, WindDrag
+from quadpi_core.monitor.conditions import CONDITIONS
+from quadpi_core.monitor.ground import LIFTED
+from quadpi_core.monitor.pairing import PairedSamples
+from quadpi_core.monitor.unsure_states import UnsureStates
+from quadpi_core.records import CONVENTION, Records, Threshold
+
+TOLD = Threshold(
+    "standard deviation of the wind, over that in a model's flights, up to which forces are judged",
+    2.0,
+    "",
+    "beyond, at the start of a flight, they are predicted, with intervals that are several times as wide",
+    CONVENTION,
+)
+# Steps without a sample after which the wind is told anew: ten minutes, in which it turns.
+_FORGOTTEN = 3000
+_STATES = range(4)
+
+
+class WindState:
+    """Estimates the wind of a flight from paired samples, as they come.
+
+    Args:
+        drag: of the model.
+        hover_rotor_speed: of the model, rad/s: slower rotors do not carry the vehicle, and the ground's force
+            is no drag; 0 where it is not known.
+
+    Attributes:
+        heard: whether a topic tells the wind, which then counts.
+    """
+
+    def __init__(self, drag: WindDrag, hover_rotor_speed: float) -> None:
+        # Slow to import, and most models have no wind to find.
+        from quadpi_core.field.drag_fit import BIAS, WALK
+        from quadpi_core.field.drag_samples import STEP_S
+
+        self._drag, self._step_ns = drag, round(1e9 * STEP_S)
+        self._bias, self._walked = BIAS * BIAS, WALK * WALK * STEP_S
+        self._carrying = LIFTED.value * hover_rotor_speed * hover_rotor_speed
+        self.heard = False
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the past."""
+        self._step = -1
+        # Sums of a step: specific force and velocity along x and y, both rows of the rotation, count.
+        self._sums = np.zeros(9)
+        self._state = [0.0] * 4
+        variances = (self._drag.wind_m_s**2, self._drag.wind_m_s**2, self._bias, self._bias)
+        self._covariance = [[variances[i] if i == j else 0.0 for j in _STATES] for i in _STATES]
+
+    @property
+    def deviation(self) -> float:
+        """Standard deviation of the wind, m/s: root mean square of north and east."""
+        return math.sqrt(0.5 * (self._covariance[0][0] + self._covariance[1][1]))
+
+    def take(self, samples: PairedSamples) -> tuple[PairedSamples, Array]:
+        """Samples (K) with the wind that was known before each, and its deviation (K,) m/s.
+
+        Blocks of any length have the same effect.
+        """
+        deviation = np.zeros(len(samples.time_ns))
+        self.heard = self.heard or bool(np.any(samples.wind))
+        if self.heard or len(deviation) == 0:
+            return samples, deviation
+        steps = samples.time_ns // self._step_ns
+        wind = np.zeros((len(steps), 3))
+        rows = self._rows(samples)
+        begins = np.flatnonzero(np.diff(steps, prepend=steps[0] - 1))
+        for begin, end in zip(begins, [*begins[1:], len(steps)], strict=True):
+            step = int(steps[begin])
+            if step != self._step:
+                self._close(step - self._step)
+                self._step = step
+            wind[begin:end, 0], wind[begin:end, 1] = self._state[0], self._state[1]
+            deviation[begin:end] = self.deviation
+            # Sample by sample, so that no length of blocks shows in the digits.
+            self._sums = np.add.accumulate(np.vstack([self._sums, rows[begin:end]]))[-1]
+        values = samples.values.copy()
+        values[:, -3:] = wind
+        return PairedSamples(samples.time_ns, values), deviation
+
+    def _rows(self, samples: PairedSamples) -> Array:
+        """What each sample (K, 9) adds to the sums of its step: nothing where it is not usable."""
+        turn = rotation_matrix(samples.attitude)
+        rows = np.column_stack(
+            (
+                samples.specific_force[:, :2],
+                samples.velocity[:, :2],
+                *(turn[:, world, body] for body in (0, 1) for world in (0, 1)),
+                np.ones(len(turn)),
+            )
+        )
+        squares = np.square(samples.rotor_speeds)
+        load = squares[:, 0].copy()
+        for rotor in range(1, squares.shape[1]):
+            load += squares[:, rotor]
+        with np.errstate(invalid="ignore"):
+            usable = np.isfinite(rows).all(axis=1) & (load >= self._carrying * squares.shape[1])
+        return np.where(usable[:, np.newaxis], rows, 0.0)
+
+    def _close(self, elapsed: int) -> None:
+        """Take the means of the step that ends, and let the wind walk for as many steps as have passed."""
+        *sums, count = self._sums.tolist()
+        self._sums = np.zeros(9)
+        if self._step < 0 or not 0 < elapsed < _FORGOTTEN:
+            if self._step >= 0:
+                self.reset()
+            return
+        if count > 0.0:
+            force, velocity, turn = (
+                [one / count for one in sums[begin:end]] for begin, end in ((0, 2), (2, 4), (4, 8))
+            )
+            drag = self._drag
+            for axis, (gain, noise) in enumerate(
+                ((drag.per_mass_x_1_s, drag.noise_x_m_s2), (drag.per_mass_y_1_s, drag.noise_y_m_s2))
+            ):
+                slope = [gain * turn[2 * axis], gain * turn[2 * axis + 1], 0.0, 0.0]
+                slope[2 + axis] = 1.0
+                self._correct(slope, force[axis] + gain * velocity[axis], noise * noise)
+        for axis in range(2):
+            self._covariance[axis][axis] += self._walked * elapsed
+
+    def _correct(self, slope: list[float], measured: float, variance: float) -> None:
+        """A scalar measurement, linear in the state."""
+        p = self._covariance
+        across = [_dot(row, slope) for row in p]
+        total = variance + _dot(slope, across)
+        off = measured - _dot(slope, self._state)
+        self._state = [self._state[i] + across[i] * off / total for i in _STATES]
+        self._covariance = [[p[i][j] - across[i] * across[j] / total for j in _STATES] for i in _STATES]
+
+    def conditions(self, attitude: Array, deviation: Array, others: Records | None) -> Records | None:
+        """The conditions (K,) of samples with what the model's intervals do not hold of the wind's errors.
+
+        Args:
+            attitude: (K, 4) of the samples.
+            deviation: (K,) of the wind, m/s, see :meth:`take`.
+            others: conditions of the state, to which this is added; None where there are none.
+        """
+        known = self._drag.known_m_s
+        beyond = np.maximum(np.square(deviation) - known * known, 0.0)
+        if not beyond.any():
+            return others
+        found = np.zeros(len(deviation), CONDITIONS) if others is None else others
+        found["unsettled"] = deviation > TOLD.value * known
+        # Horizontal, in body axes; an attitude that is none is of a sample that is not used.
+        down = np.nan_to_num(rotation_matrix(attitude)[:, 2])
+        for row in range(3):
+            for column in range(3):
+                level = (row == column) - down[:, row] * down[:, column]
+                found["covariance"][:, row, column] += beyond * level
+        return found
+
+
+def _dot(left: list[float], right: list[float]) -> float:
+    """Of four numbers, added one after the other: `sum` does it otherwise in newer versions of Python."""
+    return left[0] * right[0] + left[1] * right[1] + left[2] * right[2] + left[3] * right[3]
+
+
+class Surroundings:
+    """What a model is told beside its samples: the wind that drag tells, and how sure state and wind are.
+
+    Attributes:
+        unsure: takes how sure the states are.
+        wind: as drag tells it; None for a model whose flights did not.
+    """
+
+    def __init__(self, model: AerodynamicModel | None) -> None:
+        self.unsure = UnsureStates(SETTLED if model is None else model.state)
+        self.wind: WindState | None = None
+        if model is not None and model.wind is not None:
+            self.wind = WindState(model.wind, model.alarm_limits.hover_rotor_speed)
+
+    def reset(self) -> None:
+        """Forget the past."""
+        self.unsure.reset()
+        if self.wind is not None:
+            self.wind.reset()
+
+    @property
+    def count(self) -> bool:
+        """Whether samples go through here: a wind is to be told, or a state was less sure than known."""
+        return self.unsure.is_beyond or (self.wind is not None and not self.wind.heard)
+
+    def of(self, samples: PairedSamples) -> tuple[Stamps, Array, Records | None]:
+        """Stamps (K,), channels and conditions of samples; None where state and wind are sure enough."""
+        conditions = self.unsure.conditions(samples.time_ns)
+        if self.wind is None:
+            return *samples, conditions
+        samples, deviation = self.wind.take(samples)
+        return *samples, self.wind.conditions(samples.attitude, deviation, conditions)

@@ -1,0 +1,188 @@
+# SPDX-FileCopyrightText: 2026 The quadpi authors
+# SPDX-License-Identifier: Apache-2.0
+"""Flights by GPS in a wind that nothing measures: drag tells it, in identification and sample by sample."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from quadpi_core import frames
+from quadpi_core.estimator.fusion import fuse
+from quadpi_core.flight import OdometryStream, Recording
+from quadpi_core.frames import Array
+from quadpi_core.identification.found_wind import in_found_wind, with_found_wind
+from quadpi_core.identification.prepared_flights import PreparedFlight, prepare_recording
+from quadpi_core.inputs import VELOCITY_INPUTS
+from quadpi_core.monitor.pairing import PairedSamples
+from quadpi_core.monitor.wind_state import WindState
+from quadpi_core.simulation.flying import SimulatedVehicle
+from quadpi_core.simulation.scenario import load_scenario
+from quadpi_core.simulation.sensor_noise import SensorSuite
+from quadpi_core.simulation.sensors import sense
+from quadpi_core.simulation.simulated_bags import fly_plan
+from quadpi_core.vehicle import Vehicle
+
+VEHICLE = Vehicle.load("bebop2")
+GPS = np.array([1.0, 0.03, 0.1])
+WINDS = ((3.0, -2.0), (-1.0, 3.5), (0.5, -4.0))
+
+
+def by_gps(folder: Path, wind: tuple[float, float], seed: int) -> Recording:
+    """A flight to and fro with turns, its state at 5 Hz with the errors of GPS in place of motion capture."""
+    rng = np.random.default_rng(seed)
+
+    def sine(unit: str, fastest: float) -> list[dict[str, dict[str, float]]]:
+        hz = float(rng.uniform(0.06, 0.12))
+        return [
+            {
+                "sine": {
+                    f"amplitude_{unit}": fastest / (2.0 * np.pi * hz),
+                    "frequency_hz": hz,
+                    "phase_deg": float(rng.uniform(0.0, 360.0)),
+                    "start_s": 1.0,
+                    "duration_s": 58.0,
+                    "fade_s": 5.0,
+                }
+            }
+        ]
+
+    motion = {"x": sine("m", 5.0), "y": sine("m", 5.0), "yaw": sine("deg", 30.0)}
+    effects = {
+        "wind": {"north_m_s": wind[0], "east_m_s": wind[1]},
+        "gust": {"intensity_m_s": 0.5, "time_s": 2.0},
+    }
+    content = {
+        "description": "wind",
+        "vehicle": "bebop2",
+        "seed": seed,
+        "duration_s": 60.0,
+        "height_m": 20.0,
+        "flights": {f"windy{seed}": {"motion": motion, "effects": effects}},
+    }
+    path = folder / f"windy{seed}.yaml"
+    path.write_text(yaml.safe_dump(content))
+    truth = fly_plan(load_scenario(path).flights[0], SimulatedVehicle.load("bebop2"))
+    recording = sense(truth, VEHICLE, SensorSuite.load("paper"), {}, (), seed).recording
+    assert recording.wind is None
+    full = fuse(recording, VEHICLE, 30.0)
+    rows = np.arange(0, len(full), round(full.rate_hz / 5.0))
+    tilt = frames.from_rotation_vector(rng.normal(0.0, GPS[1], (len(rows), 3)))
+    attitude = frames.products(full.attitude[rows], tilt)
+    velocity = frames.rotate_body_to_world(full.attitude[rows], full.velocity[rows])
+    velocity += rng.normal(0.0, GPS[2], velocity.shape)
+    state = OdometryStream(
+        full.stamps_ns[rows],
+        full.position[rows] + rng.normal(0.0, GPS[0], (len(rows), 3)),
+        attitude,
+        frames.rotate_world_to_body(attitude, velocity),
+        full.rates[rows],
+        np.tile(GPS, (len(rows), 1)),
+    )
+    return replace(recording, pose=None, odometry=state, arrivals={})
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> list[Recording]:
+    folder = tmp_path_factory.mktemp("windy")
+    return [by_gps(folder, wind, seed) for seed, wind in enumerate(WINDS)]
+
+
+@pytest.fixture(scope="module")
+def prepared(recordings: Sequence[Recording]) -> list[PreparedFlight]:
+    return [prepare_recording(one, VEHICLE, 30.0) for one in recordings]
+
+
+def test_the_wind_of_each_flight_is_found_with_the_drag(prepared: Sequence[PreparedFlight]) -> None:
+    found, drag = with_found_wind(prepared, VEHICLE)
+    assert drag is not None
+    for one, wind in zip(found, WINDS, strict=True):
+        np.testing.assert_allclose(one.flight.wind.mean(axis=0)[:2], wind, atol=0.6)
+        assert not one.wind_unknown
+    # By the drag of the others' model, the wind of a flight that it has not seen is the same.
+    alone = in_found_wind(prepared[0], drag, VEHICLE)
+    np.testing.assert_array_equal(alone.inputs, found[0].inputs)
+    settled = found[0].live.known & (found[0].time > 20.0)
+    off = (found[0].live.inputs - found[0].inputs)[settled][:, VELOCITY_INPUTS]
+    assert np.sqrt(np.mean(np.square(off[:, :2]))) < 1.0
+    assert 0.1 < drag.known_m_s < 1.5
+
+
+def test_no_wind_is_sought_in_a_hall_and_where_it_was_measured(recordings: Sequence[Recording]) -> None:
+    hall = replace(VEHICLE, noise=replace(VEHICLE.noise, wind_m_s=0.0))
+    flight = prepare_recording(recordings[0], hall, 30.0)
+    assert not flight.wind_unknown
+    flights, drag = with_found_wind([flight], hall)
+    assert flights[0] is flight
+    assert drag is None
+
+
+def paired(flight: PreparedFlight) -> PairedSamples:
+    own = flight.flight
+    return PairedSamples.join(
+        own.stamps_ns,
+        velocity=own.velocity,
+        attitude=own.attitude,
+        rates=own.rates,
+        specific_force=own.specific_force,
+        rotor_speeds=own.rotor_speeds,
+        wind=np.zeros((len(own), 3)),
+    )
+
+
+def test_the_wind_is_told_sample_by_sample(prepared: Sequence[PreparedFlight]) -> None:
+    _, drag = with_found_wind(prepared, VEHICLE)
+    samples = paired(prepared[0])
+    whole, deviation = WindState(drag, 0.0).take(samples)
+    late = samples.time_ns > samples.time_ns[0] + 25_000_000_000
+    off = whole.wind[late, :2] - WINDS[0]
+    # Gusts of 0.5 m/s are part of it.
+    assert np.abs(off).mean() < 1.0
+    assert np.mean(np.abs(off) < 2.0 * np.hypot(deviation[late], 0.5)[:, np.newaxis]) > 0.9
+    assert deviation[0] == 6.0
+    assert deviation[late].max() < 1.5
+
+    parts, state = [], WindState(drag, 0.0)
+    for begin in range(0, 20_000, 37):
+        rows = slice(begin, min(begin + 37, 20_000))
+        parts.append(state.take(PairedSamples(samples.time_ns[rows], samples.values[rows]))[0].wind)
+    np.testing.assert_array_equal(np.concatenate(parts), whole.wind[:20_000])
+
+
+def test_a_wind_that_a_topic_tells_counts(prepared: Sequence[PreparedFlight]) -> None:
+    _, drag = with_found_wind(prepared, VEHICLE)
+    samples = paired(prepared[0])
+    samples.wind[:] = [1.0, 2.0, 0.0]
+    state = WindState(drag, 0.0)
+    told, deviation = state.take(samples)
+    assert state.heard
+    assert told is samples
+    assert not deviation.any()
+    assert state.conditions(told.attitude, deviation, None) is None
+
+
+def test_what_drag_cannot_tell_is_handed_to_the_model(prepared: Sequence[PreparedFlight]) -> None:
+    _, drag = with_found_wind(prepared, VEHICLE)
+    state = WindState(drag, 0.0)
+    rolled = np.tile([np.sqrt(0.5), np.sqrt(0.5), 0.0, 0.0], (2, 1))
+    found = state.conditions(rolled, np.array([drag.known_m_s, 6.0]), None)
+    assert found["unsettled"].tolist() == [0, 1]
+    variances: Array = found["covariance"][:, :3, :3]
+    np.testing.assert_allclose(variances[0], 0.0)
+    # By a quarter of a turn about x, y points down: no part of the wind is along it.
+    beyond = 36.0 - drag.known_m_s**2
+    np.testing.assert_allclose(variances[1], np.diag([beyond, 0.0, beyond]), atol=1e-12)
+
+
+def test_the_ground_tells_no_wind(prepared: Sequence[PreparedFlight]) -> None:
+    _, drag = with_found_wind(prepared, VEHICLE)
+    hover = float(np.sqrt(np.mean(np.square(prepared[0].flight.rotor_speeds))))
+    samples = paired(prepared[0])
+    samples.rotor_speeds[:] = 0.3 * hover
+    _, deviation = WindState(drag, hover).take(samples)
+    assert deviation.min() == 6.0
