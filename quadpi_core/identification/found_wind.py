@@ -127,7 +127,7 @@ def _samples_of(flight: Flight, piece_s: float) -> DragSamples:
     def means(values: Array) -> Array:
         return np.add.reduceat(values, begins) / counts.reshape(-1, *[1] * (values.ndim - 1))
 
-    time: Array = STEP_S * (kept + 0.5)
+    time: Array = STEP_S * (kept.astype(np.float64) + 0.5)
     return DragSamples(
         time,
         np.floor(time / piece_s).astype(np.int64),
