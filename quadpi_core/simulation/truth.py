@@ -63,7 +63,7 @@ class Excursion(NamedTuple):
 def excursion(
     limits: IdentifiedRange | None, vehicle: Vehicle, log: Records, wind: Array
 ) -> Excursion | None:
-    """How far records `dynamics.Logged` (N,) in a wind (N, 3) m/s of the world lie outside; None inside.
+    """How far records `state_records.Logged` (N,) in a wind (N, 3) m/s of the world lie outside; None inside.
 
     None also for a vehicle that was not identified, which has no limits.
     """

@@ -1,6 +1,6 @@
 // SPDX-FileCopyrightText: 2026 The quadpi authors
 // SPDX-License-Identifier: Apache-2.0
-// Figures of written pages: rows and columns of uPlot charts from the records of figure.py, with one legend, one cursor and
+// Figures of written pages: rows and columns of uPlot charts from the records of page.py, with one legend, one cursor and
 // one zoom. Lines and bands are series of uPlot; other layers are painted on its scales.
 
 import {axis, DASHES, element, faded, ink, node, short} from "./drawing.js";

@@ -1,6 +1,6 @@
 // SPDX-FileCopyrightText: 2026 The quadpi authors
 // SPDX-License-Identifier: Apache-2.0
-// A path in space, drawn as SVG from the records of figure.py: to be turned by dragging or by keys.
+// A path in space, drawn as SVG from the records of page.py: to be turned by dragging or by keys.
 
 import {DASHES, element, node, short, ticks} from "./drawing.js";
 
