@@ -70,7 +70,7 @@ inline void begin(Meter& meter, std::int64_t time_ns) {
     append(meter, time_ns);
 }
 
-// The median over spans of ten steps among the first stamps, as signals/resample.py finds it.
+// The median over spans of ten steps among the first stamps, as signals/chain.py finds it.
 inline double usual_span(const Meter& meter) {
     const std::int64_t span = std::min<std::int64_t>(RATE_SPAN, meter.count - 1);
     const std::int64_t spans = meter.count - span, half = spans / 2;

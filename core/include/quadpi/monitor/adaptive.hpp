@@ -28,7 +28,7 @@ struct AdaptiveMemory {
     std::array<Wrench, ERRORS_KEPT> waiting;  // errors, the last ones
 };
 
-// Let the means take the error that is old enough at the next sample; see models/moving_centre.py.
+// Let the means take the error that is old enough at the next sample; see models/interval_rules.py.
 inline void move_centre(AdaptiveMemory& memory, const Wrench& error) {
     memory.waiting[memory.samples % ERRORS_KEPT] = error;
     ++memory.samples;

@@ -1,6 +1,6 @@
 // SPDX-FileCopyrightText: 2026 The quadpi authors
 // SPDX-License-Identifier: Apache-2.0
-// Why a sample cannot be judged or trusted: one bit per fault, O(1) per sample; see monitor/data_quality.py.
+// Why a sample cannot be judged or trusted: one bit per fault, O(1) per sample; see monitor/preparation.py.
 #pragma once
 
 #include <algorithm>

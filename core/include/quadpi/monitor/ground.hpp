@@ -1,6 +1,6 @@
 // SPDX-FileCopyrightText: 2026 The quadpi authors
 // SPDX-License-Identifier: Apache-2.0
-// Whether the vehicle flies, from rotors, motion and specific force together; see monitor/ground.py.
+// Whether the vehicle flies, from rotors, motion and specific force together; see monitor/alarm_kernel.py.
 #pragma once
 
 #include "quadpi/monitor/preparation.hpp"

@@ -1,7 +1,7 @@
 // SPDX-FileCopyrightText: 2026 The quadpi authors
 // SPDX-License-Identifier: Apache-2.0
 // Whether a rotor has stopped, or only its telemetry: the measured wrench tells whether its thrust is gone;
-// see monitor/rotor_thrust.py.
+// see monitor/alarm_kernel.py.
 #pragma once
 
 #include "quadpi/monitor/preparation.hpp"

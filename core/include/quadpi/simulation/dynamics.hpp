@@ -1,7 +1,7 @@
 // SPDX-FileCopyrightText: 2026 The quadpi authors
 // SPDX-License-Identifier: Apache-2.0
 // A controlled quadrotor as a rigid body with first-order motors, by fourth-order Runge-Kutta at 1 kHz; see
-// dynamics.py.
+// state_records.py.
 #pragma once
 
 #include <cstdint>

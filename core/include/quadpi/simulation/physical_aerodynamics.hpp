@@ -1,6 +1,6 @@
 // SPDX-FileCopyrightText: 2026 The quadpi authors
 // SPDX-License-Identifier: Apache-2.0
-// Aerodynamics of a flight by the terms of the physical model; see simulation/physical_aerodynamics.py.
+// Aerodynamics of a flight by the terms of the physical model; see simulation/simulated_aerodynamics.py.
 #pragma once
 
 #include "quadpi/simulation/physical_wrench.hpp"

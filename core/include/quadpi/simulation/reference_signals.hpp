@@ -1,6 +1,6 @@
 // SPDX-FileCopyrightText: 2026 The quadpi authors
 // SPDX-License-Identifier: Apache-2.0
-// Signals of references with their first and second derivatives by time; see reference_signals.py.
+// Signals of references with their first and second derivatives by time; see truth.py.
 #pragma once
 
 #include <algorithm>

@@ -1,6 +1,6 @@
 // SPDX-FileCopyrightText: 2026 The quadpi authors
 // SPDX-License-Identifier: Apache-2.0
-// Effects of surfaces near the rotors; parameters, sources and sizes are in effects/proximity.py.
+// Effects of surfaces near the rotors; parameters, sources and sizes are in effects/airframe.py.
 #pragma once
 
 #include "quadpi/simulation/effects/parts.hpp"

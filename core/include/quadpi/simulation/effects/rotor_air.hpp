@@ -1,6 +1,6 @@
 // SPDX-FileCopyrightText: 2026 The quadpi authors
 // SPDX-License-Identifier: Apache-2.0
-// Aerodynamic effects of the rotors; parameters, sources and sizes are in effects/rotor_air.py.
+// Aerodynamic effects of the rotors; parameters, sources and sizes are in effects/rotors.py.
 #pragma once
 
 #include "quadpi/simulation/effects/parts.hpp"

@@ -1,6 +1,6 @@
 // SPDX-FileCopyrightText: 2026 The quadpi authors
 // SPDX-License-Identifier: Apache-2.0
-// Effects of the rotors as built; parameters, sources and sizes are in effects/rotor_mechanics.py.
+// Effects of the rotors as built; parameters, sources and sizes are in effects/rotors.py.
 #pragma once
 
 #include "quadpi/simulation/effects/parts.hpp"
