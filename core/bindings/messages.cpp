@@ -28,9 +28,7 @@ bool lies_in(std::int64_t start, std::int64_t length, std::size_t size) {
 void copy_spans(
     Bytes source, Stamps source_starts, Records<std::uint8_t> target, Stamps target_starts, Stamps lengths
 ) {
-    require(
-        source_starts.size == lengths.size && target_starts.size == lengths.size, "spans of different numbers"
-    );
+    require_each(lengths.size, source_starts, target_starts);
     for (std::size_t i = 0; i < lengths.size; ++i) {
         const bool inside = lies_in(source_starts[i], lengths[i], source.size) &&
                             lies_in(target_starts[i], lengths[i], target.size);
@@ -88,9 +86,7 @@ std::int64_t state_values(
     Records<Vector3> rates,
     Records<Vector3> deviation
 ) {
-    require(position.size == values.size && attitude.size == values.size, DIFFERENT);
-    require(velocity.size == values.size && rates.size == values.size, DIFFERENT);
-    require(deviation.size == values.size, DIFFERENT);
+    require_each(values.size, position, attitude, velocity, rates, deviation);
     return first_wrong(values.size, [&](std::size_t row) {
         return read_odometry(
             values[row], position[row], attitude[row], velocity[row], rates[row], deviation[row]
@@ -122,9 +118,7 @@ void odometry_values(
     Records<const Matrix6> twist_covariance,
     Records<OdometryNumbers> values
 ) {
-    require(position.size == values.size && attitude.size == values.size, DIFFERENT);
-    require(velocity.size == values.size && rates.size == values.size, DIFFERENT);
-    require(pose_covariance.size == values.size && twist_covariance.size == values.size, DIFFERENT);
+    require_each(values.size, position, attitude, velocity, rates, pose_covariance, twist_covariance);
     for (std::size_t row = 0; row < values.size; ++row) {
         const Motion motion{attitude[row], velocity[row], rates[row], {}};
         write_odometry({0, position[row], motion, pose_covariance[row], twist_covariance[row]}, values[row]);

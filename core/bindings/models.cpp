@@ -71,7 +71,7 @@ public:
 
 private:
     Field<const Operation> operations;
-    Field<const PolynomialAxis> axes;
+    Field<const FittedAxis> axes;
     Field<const PolynomialTerm> terms;
     Field<const double> whitening;
     Field<double> memory;

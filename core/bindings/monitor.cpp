@@ -125,8 +125,7 @@ void adapt_all(
     Records<Wrench> upper
 ) {
     const std::size_t count = measured.size;
-    require(own_lower.size == count && own_upper.size == count, DIFFERENT);
-    require(lower.size == count && upper.size == count, DIFFERENT);
+    require_each(count, own_lower, own_upper, lower, upper);
     for (std::size_t row = 0; row < count; ++row) {
         adapt(only(memory), measured[row], own_lower[row], own_upper[row], lower[row], upper[row]);
     }
@@ -146,9 +145,8 @@ std::size_t advance_alarm(
 ) {
     const std::size_t used = inputs.size;
     checked_rotors(only(limits).rotors.rotors);
-    require(rows.size >= verdicts.size && used <= verdicts.size && measured.size == used, DIFFERENT);
-    require(lower.size == used && upper.size == used, DIFFERENT);
-    require(leverage.size == used && relative_width.size == used, DIFFERENT);
+    require(rows.size >= verdicts.size && used <= verdicts.size, DIFFERENT);
+    require_each(used, measured, lower, upper, leverage, relative_width);
     return advance(
         only(limits), only(state), verdicts, inputs, measured, {lower, upper, leverage, relative_width}, rows
     );
@@ -194,8 +192,7 @@ nb::tuple judge_prepared(
     for (const Verdict& verdict : given.verdicts) {
         used += verdict.usable ? 1 : 0;
     }
-    require(given.inputs.size == used && given.measured.size == used, DIFFERENT);
-    require(given.derivatives.size == used && predicted_ns.size == used, DIFFERENT);
+    require_each(used, given.inputs, given.measured, given.derivatives, predicted_ns);
     require(wrenches.size == 5 * used && (added.size == 0 || added.size == used), DIFFERENT);
     require(alarms.size == 0 || alarms.size >= given.verdicts.size, DIFFERENT);
     require(said.size == (monitor.model == nullptr ? 5 * used : 0), DIFFERENT);

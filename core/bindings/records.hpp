@@ -108,6 +108,23 @@ inline void require(bool holds, const char* what) {
 
 constexpr const char* DIFFERENT = "samples of different numbers";
 
+// Refuse arrays that are not all of so many records.
+template <class... T>
+void require_each(std::size_t count, const Records<T>&... arrays) {
+    require(((arrays.size == count) && ...), DIFFERENT);
+}
+
+// A function of single records as one of arrays of them, of which the last takes what it returns.
+template <class Out, class... In>
+auto over_rows(Out (*function)(In...)) {
+    return [function](Records<const std::decay_t<In>>... in, Records<Out> out) {
+        require_each(out.size, in...);
+        for (std::size_t row = 0; row < out.size; ++row) {
+            out[row] = function(in[row]...);
+        }
+    };
+}
+
 // The only one of an array that stands for a record.
 template <class T>
 T& only(Records<T> records) {

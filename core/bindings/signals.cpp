@@ -65,22 +65,10 @@ void find_wrenches(
     Records<Wrench> wrench
 ) {
     const std::size_t count = wrench.size;
-    require(specific_force.size == count && rates.size == count && acceleration.size == count, DIFFERENT);
+    require_each(count, specific_force, rates, acceleration);
     for (std::size_t row = 0; row < count; ++row) {
         wrench[row] =
             newton_euler(specific_force[row], rates[row], acceleration[row], mass_kg, only(inertia));
-    }
-}
-
-void find_air_velocities(
-    Records<const Vector3> velocity,
-    Records<const Quaternion> attitude,
-    Records<const Vector3> wind,
-    Records<Vector3> out
-) {
-    require(velocity.size == out.size && attitude.size == out.size && wind.size == out.size, DIFFERENT);
-    for (std::size_t row = 0; row < out.size; ++row) {
-        out[row] = relative_to_air(velocity[row], attitude[row], wind[row]);
     }
 }
 
@@ -120,7 +108,7 @@ void bind_signals(nb::module_& module) {
     module.def("forget_samples", [](Records<ChainMemory> memory) { forget(only(memory)); });
     module.def("newton_euler", &find_wrenches);
     module.def("turn_by_rates", &turn_by_rates);
-    module.def("relative_to_air", &find_air_velocities);
+    module.def("relative_to_air", over_rows(&relative_to_air));
     module.def("fill_inputs", &find_inputs);
     module.def("follow_rate", [](Records<Meter> meter, std::int64_t time_ns) {
         follow(only(meter), time_ns);

@@ -132,12 +132,9 @@ using DemandFields = std::tuple<
 Demand demand_of(const DemandFields& fields) {
     const auto demand = made_of<Demand>(fields);
     const std::size_t count = demand.yaw.size;
-    for (const Vectors& vectors :
-         {demand.position, demand.velocity, demand.acceleration, demand.jerk, demand.wind}) {
-        require(vectors.size == count, DIFFERENT);
-    }
-    const bool same = demand.yaw_rate.size == count && demand.thrust.size == count;
-    require(count > 0 && same && demand.tilt.size == count, DIFFERENT);
+    require_each(count, demand.position, demand.velocity, demand.acceleration, demand.jerk, demand.wind);
+    require_each(count, demand.yaw_rate, demand.thrust, demand.tilt);
+    require(count > 0, DIFFERENT);
     return demand;
 }
 
@@ -279,20 +276,6 @@ void fill_orbit(
     orbit_jets(time, radius, turn_rate, bearing, only(window), jets);
 }
 
-void fill_quaternions(Records<const Vector3> vectors, Records<Quaternion> quaternions) {
-    require(vectors.size == quaternions.size, DIFFERENT);
-    for (std::size_t i = 0; i < vectors.size; ++i) {
-        quaternions[i] = from_rotation_vector(vectors[i]);
-    }
-}
-
-void fill_rotation_vectors(Records<const Quaternion> quaternions, Records<Vector3> vectors) {
-    require(vectors.size == quaternions.size, DIFFERENT);
-    for (std::size_t i = 0; i < vectors.size; ++i) {
-        vectors[i] = to_rotation_vector(quaternions[i]);
-    }
-}
-
 void bind_constants(nb::module_& module) {
     module.attr("ADVANCE_RATIO_MAX") = ADVANCE_RATIO_MAX;
     module.attr("FLOWN_RATE_MAX_RAD_S") = FLOWN_RATE_MAX_RAD_S;
@@ -348,8 +331,8 @@ void bind_simulation(nb::module_& module) {
     module.def("wave_jets", &fill_waves);
     module.def("edge_jets", &fill_edges);
     module.def("orbit_jets", &fill_orbit);
-    module.def("quaternions_of", &fill_quaternions);
-    module.def("rotation_vectors_of", &fill_rotation_vectors);
+    module.def("quaternions_of", over_rows(&from_rotation_vector));
+    module.def("rotation_vectors_of", over_rows(&to_rotation_vector));
 }
 
 }  // namespace quadpi

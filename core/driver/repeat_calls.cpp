@@ -77,6 +77,11 @@ public:
     }
 
     template <class T>
+    operator Records<T>() {
+        return records<T>();
+    }
+
+    template <class T>
     T& one() {
         const Records<T> all = records<T>();
         if (all.size == 0) {
@@ -108,57 +113,40 @@ private:
 
 void catch_up_call(Arguments& given) {
     Filter& filter = given.one<Filter>();
-    const auto ring = given.records<Estimate>();
-    Buffer(filter, ring).catch_up(given.records<ImuSample>());
+    const Records<Estimate> ring = given;
+    Buffer(filter, ring).catch_up(given);
 }
 
 void hold_call(Arguments& given) {
     Filter& filter = given.one<Filter>();
-    const auto ring = given.records<Estimate>();
+    const Records<Estimate> ring = given;
     Buffer(filter, ring).hold(given.one<Measurement>());
 }
 
-Trace trace_of(Arguments& given) {
-    auto& progress = given.one<Progress>();
-    const auto outcomes = given.records<std::int64_t>();
-    const auto rows = given.records<FilteredSample>();
-    const auto fused = given.records<FusedSample>();
-    return {progress, outcomes, rows, fused, given.records<Correction>()};
-}
+// In braces, arguments are taken from the left to the right.
+Trace trace_of(Arguments& given) { return {given.one<Progress>(), given, given, given, given}; }
 
 void run_call(Arguments& given) {
     Filter& filter = given.one<Filter>();
-    const auto ring = given.records<Estimate>();
-    const auto samples = given.records<ImuSample>();
-    const auto measurements = given.records<Measurement>();
-    const auto after = given.records<std::int64_t>();
+    const Records<Estimate> ring = given;
+    const Arrivals arrivals{given, given, given};
     Trace trace = trace_of(given);
-    run(filter, ring, {samples, measurements, after}, trace);
+    run(filter, ring, arrivals, trace);
 }
 
 void record_call(Arguments& given) {
     Filter& filter = given.one<Filter>();
-    const auto ring = given.records<Estimate>();
+    const Records<Estimate> ring = given;
     Trace trace = trace_of(given);
     record(Buffer(filter, ring), filter, trace, given.one<std::int64_t>());
 }
 
 void take_stretch_call(Arguments& given) {
     auto& state = given.one<PairingState>();
-    const auto rings = given.records<Entry>();
-    ArrivingSamples arriving{};
-    arriving.kind = given.records<const std::int64_t>();
-    arriving.row = given.records<const std::int64_t>();
-    arriving.imu_ns = given.records<const std::int64_t>();
-    arriving.specific_force = given.records<const Vector3>();
-    arriving.state_ns = given.records<const std::int64_t>();
-    arriving.states = given.records<const StateValues>();
-    arriving.rotor_ns = given.records<const std::int64_t>();
-    arriving.rotor_speeds = given.records<const double>();
-    arriving.wind_ns = given.records<const std::int64_t>();
-    arriving.wind = given.records<const Vector3>();
+    const Records<Entry> rings = given;
+    const ArrivingSamples arriving{given, given, given, given, given, given, given, given, given, given};
     const auto start = given.one<std::int64_t>();
-    const auto taken_ns = given.records<std::int64_t>();
+    const Records<std::int64_t> taken_ns = given;
     Pairing(state, rings).take_stretch(arriving, start, taken_ns, given.records<double>().data);
 }
 
@@ -166,33 +154,19 @@ void take_stretch_call(Arguments& given) {
 using Model = std::unique_ptr<Evaluator>;
 
 Model polynomials(Arguments& given) {
-    Polynomials model{};
-    model.operations = given.records<const Operation>();
-    model.axes = given.records<const PolynomialAxis>();
-    model.terms = given.records<const PolynomialTerm>();
-    model.whitening = given.records<const double>().data;
+    const Polynomials model{given, given, given, given.records<double>().data};
     return std::make_unique<PolynomialEvaluator>(model, Rows{given.records<double>().data, 1});
 }
 
 Model physical(Arguments& given) {
-    const auto& common = given.one<const PhysicalCommon>();
-    const auto kept = given.records<const KeptTerm>();
-    const auto acting = given.records<const std::int64_t>();
-    return std::make_unique<PhysicalEvaluator>(
-        PhysicalModel{common, kept, acting, given.records<const double>()}
-    );
+    const PhysicalModel model{given.one<const PhysicalCommon>(), given, given, given};
+    return std::make_unique<PhysicalEvaluator>(model);
 }
 
 Model ensembles(Arguments& given) {
-    Ensembles model{};
-    model.operations = given.records<const Operation>();
-    model.axes = given.records<const EnsembleAxis>();
-    model.source = given.records<const std::int64_t>();
-    model.weights = given.records<const double>().data;
-    EnsembleScratch scratch{};
-    scratch.rows = given.records<double>().data;
-    scratch.activations = given.records<double>().data;
-    const auto outputs = given.records<double>();
+    const Ensembles model{given, given, given, given.records<double>().data};
+    EnsembleScratch scratch{given.records<double>().data, given.records<double>().data, nullptr, 0};
+    const Records<double> outputs = given;
     scratch.outputs = outputs.data;
     scratch.networks = outputs.size / (BANKS * MOST_OUTPUTS * ENSEMBLE_BLOCK);
     return std::make_unique<EnsembleEvaluator>(model, scratch);
@@ -211,26 +185,23 @@ Model model_of(Arguments& given) {
 
 void evaluate_call(Arguments& given) {
     const Model model = model_of(given);
-    const auto inputs = given.records<const InputVector>();
-    const auto derivatives = given.records<const Derivatives>();
+    const Records<const InputVector> inputs = given;
+    const Records<const Derivatives> derivatives = given;
     const auto& factors = given.one<const Wrench>();
-    model->evaluate(inputs, derivatives, factors, Evaluation::in(given.records<Wrench>(), inputs.size));
+    model->evaluate(inputs, derivatives, factors, Evaluation::in(given, inputs.size));
 }
 
 void step_monitor_call(Arguments& given) {
-    const auto& limits = given.one<const AlarmLimits>();
-    auto& alarm = given.one<AlarmState>();
-    const auto adaptive = given.records<AdaptiveMemory>();
-    const auto& factors = given.one<const Wrench>();
+    const MonitorMemory memory{
+        given.one<const AlarmLimits>(), given.one<AlarmState>(), given, given.one<const Wrench>()
+    };
     const Model model = model_of(given);
     auto& preparation = given.one<PreparationMemory>();
-    const auto time_ns = given.records<const std::int64_t>();
-    const auto samples = given.records<const double>();
-    const auto predicted_ns = given.records<std::int64_t>();
-    const auto wrenches = given.records<Wrench>();
-    MonitorRows rows{predicted_ns, wrenches, given.records<AlarmRow>()};
+    const Records<const std::int64_t> time_ns = given;
+    const Records<const double> samples = given;
+    MonitorRows rows{given, given, given};
     const auto block = std::make_unique<MonitorBlock>();
-    step({limits, alarm, adaptive, factors}, preparation, *model, time_ns, samples, *block, rows);
+    step(memory, preparation, *model, time_ns, samples, *block, rows);
 }
 
 using Call = void (*)(Arguments&);

@@ -9,6 +9,14 @@
 
 namespace quadpi {
 
+// One axis of a model by least squares; its spread is √(1 + κ h + γ V²) of the leverage h and the airspeed V.
+struct FittedAxis {
+    std::int64_t size;  // terms, 0 where the axis is not held
+    double inflation;   // κ
+    double growth;      // γ [s²/m²]
+    double rms_spread;  // root mean square of the spread over the training samples
+};
+
 // Arrays of N samples, zero for axes that the model does not hold.
 struct Evaluation {
     Wrench* predicted;  // N and Nm, body forward-right-down
@@ -31,6 +39,23 @@ struct Evaluation {
         lower[sample][axis] = centre - factor * spread;
         upper[sample][axis] = centre + factor * spread;
         relative_width[sample][axis] = spread / rms_spread;
+    }
+
+    // Fill all of a sample, whose velocity comes first in its inputs, by a fitted axis.
+    void fill(
+        std::size_t sample,
+        std::size_t axis,
+        double centre,
+        double its_leverage,
+        double factor,
+        const FittedAxis& fitted,
+        const InputVector& inputs
+    ) const {
+        const double u = inputs[0], v = inputs[1], w = inputs[2], speed_squared = u * u + v * v + w * w;
+        const double spread =
+            std::sqrt(1.0 + fitted.inflation * its_leverage + fitted.growth * speed_squared);
+        fill(sample, axis, centre, spread, factor, fitted.rms_spread);
+        leverage[sample][axis] = its_leverage;
     }
 };
 

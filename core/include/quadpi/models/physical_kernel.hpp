@@ -8,20 +8,12 @@
 
 namespace quadpi {
 
-// One axis of the model.
-struct PhysicalAxis {
-    std::int64_t size;  // terms that act on it, 0 where it is not held
-    double inflation;   // κ of its spread
-    double growth;      // γ of its spread [s²/m²]
-    double rms_spread;  // unit of the relative width
-};
-
 // What the axes share, and the axes.
 struct PhysicalCommon {
     PhysicalVehicle vehicle;
     std::array<PerRotor, 3> controls;  // signs that gave U_p, U_q and U_r of the rotor speeds
     double delay_s;                    // that rotor speeds act after they were measured
-    std::array<PhysicalAxis, AXES> axes;
+    std::array<FittedAxis, AXES> axes;
 };
 
 // A term in the model: its number, and its parameter.
@@ -38,11 +30,6 @@ struct PhysicalModel {
     Records<const double> whitening;     // (6, S, S) lower triangular Wᵀ with leverage h = |W z|²
 
     std::size_t longest() const { return acting.size / AXES; }
-};
-
-// What a model says of a sample, by axis.
-struct PhysicalPrediction {
-    Wrench predicted, spread, leverage;
 };
 
 // Motion of an input vector and derivatives, the rotor speeds as they were some time ago.
@@ -100,38 +87,6 @@ inline double leverage_of(const PhysicalModel& model, const Regressors& row, int
     return leverage;
 }
 
-// Wrench, spread and leverage of a sample; of axes that are not held the wrench alone.
-inline PhysicalPrediction predict(
-    const PhysicalModel& model, const InputVector& inputs, const Derivatives& derivatives
-) {
-    Regressors row;
-    const PhysicalVehicle& vehicle = model.common.vehicle;
-    fill_regressors(
-        motion_of(inputs, derivatives, model.common.controls, vehicle.rotors, model.common.delay_s),
-        vehicle,
-        row
-    );
-    if (derivatives.density_excess != 0.0) {
-        scale_by_density(row, 1.0 + derivatives.density_excess);
-    }
-    PhysicalPrediction found{};
-    for (const KeptTerm& term : model.kept) {
-        for (int axis = 0; axis < AXES; ++axis) {
-            found.predicted[axis] += term.value * terms_of(row)[term.number][axis];
-        }
-    }
-    const double speed_squared = inputs[0] * inputs[0] + inputs[1] * inputs[1] + inputs[2] * inputs[2];
-    for (int axis = 0; axis < AXES; ++axis) {
-        const PhysicalAxis& fitted = model.common.axes[axis];
-        if (fitted.size > 0) {
-            const double leverage = leverage_of(model, row, axis);
-            found.leverage[axis] = leverage;
-            found.spread[axis] = std::sqrt(1.0 + fitted.inflation * leverage + fitted.growth * speed_squared);
-        }
-    }
-    return found;
-}
-
 // A physical model, which needs no room.
 struct PhysicalEvaluator final : Evaluator {
     explicit PhysicalEvaluator(const PhysicalModel& its_model) : model(its_model) {}
@@ -146,15 +101,25 @@ struct PhysicalEvaluator final : Evaluator {
         const Wrench& factors,
         const Evaluation& out
     ) override {
+        const auto& [vehicle, controls, delay_s, axes] = model.common;
+        Regressors row;
         for (std::size_t i = 0; i < inputs.size; ++i) {
-            const PhysicalPrediction found = predict(model, inputs[i], derivatives[i]);
-            for (std::size_t axis = 0; axis < AXES; ++axis) {
-                const PhysicalAxis& fitted = model.common.axes[axis];
-                if (fitted.size > 0) {
-                    out.fill(
-                        i, axis, found.predicted[axis], found.spread[axis], factors[axis], fitted.rms_spread
-                    );
-                    out.leverage[i][axis] = found.leverage[axis];
+            const MotionSample motion =
+                motion_of(inputs[i], derivatives[i], controls, vehicle.rotors, delay_s);
+            fill_regressors(motion, vehicle, row);
+            if (derivatives[i].density_excess != 0.0) {
+                scale_by_density(row, 1.0 + derivatives[i].density_excess);
+            }
+            Wrench predicted{};
+            for (const KeptTerm& term : model.kept) {
+                for (int axis = 0; axis < AXES; ++axis) {
+                    predicted[axis] += term.value * terms_of(row)[term.number][axis];
+                }
+            }
+            for (int axis = 0; axis < AXES; ++axis) {
+                if (axes[axis].size > 0) {
+                    const double leverage = leverage_of(model, row, axis);
+                    out.fill(i, axis, predicted[axis], leverage, factors[axis], axes[axis], inputs[i]);
                 }
             }
         }

@@ -10,14 +10,6 @@
 
 namespace quadpi {
 
-// One axis; its spread is √(1 + κ h + γ V²) of the leverage h and the airspeed V.
-struct PolynomialAxis {
-    std::int64_t size;  // terms, 0 where the axis is not held
-    double inflation;   // κ
-    double growth;      // γ
-    double rms_spread;  // root mean square of the spread over the training samples
-};
-
 // One term of an axis.
 struct PolynomialTerm {
     std::int64_t row;  // of the program
@@ -30,7 +22,7 @@ constexpr std::size_t TERMS_TOGETHER = 4;
 // The polynomials of a model, their tables padded to the longest.
 struct Polynomials {
     Records<const Operation> operations;
-    Records<const PolynomialAxis> axes;
+    Records<const FittedAxis> axes;
     Records<const PolynomialTerm> terms;  // by axis
     const double* whitening;              // by axis: lower triangular W, with leverage h = |W z|²
 
@@ -54,11 +46,8 @@ struct PolynomialEvaluator final : Evaluator {
         const std::size_t longest = model.longest();
         for (std::size_t i = 0; i < inputs.size; ++i) {
             fill_rows(inputs.part(i, i + 1), model.operations, rows);
-            // u, v and w come first.
-            const double u = inputs[i][0], v = inputs[i][1], w = inputs[i][2];
-            const double speed_squared = u * u + v * v + w * w;
             for (std::size_t axis = 0; axis < AXES; ++axis) {
-                const PolynomialAxis& fitted = model.axes[axis];
+                const FittedAxis& fitted = model.axes[axis];
                 const PolynomialTerm* terms = model.terms.data + axis * longest;
                 const double* whitening = model.whitening + axis * longest * longest;
                 const auto size = static_cast<std::size_t>(fitted.size);
@@ -79,10 +68,7 @@ struct PolynomialEvaluator final : Evaluator {
                         leverage += whitened[k] * whitened[k];
                     }
                 }
-                const double spread =
-                    std::sqrt(1.0 + fitted.inflation * leverage + fitted.growth * speed_squared);
-                out.fill(i, axis, predicted, spread, factors[axis], fitted.rms_spread);
-                out.leverage[i][axis] = leverage;
+                out.fill(i, axis, predicted, leverage, factors[axis], fitted, inputs[i]);
             }
         }
         scale_by_density(derivatives, out);
