@@ -24,11 +24,10 @@ from std_msgs.msg import String
 
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AirStream
-from quadpi_core.inputs import MEASURED
 from quadpi_core.messages import result_messages
 from quadpi_core.messages.model_description import MonitorDescription, unpack_description
 from quadpi_core.messages.payloads import Payloads
-from quadpi_core.models.aerodynamic import AerodynamicModel, TrainingFlight
+from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor import Monitor
 from quadpi_core.monitor.pairing import PairedSamples
 from quadpi_core.results import BAD_DATA, LEVEL_ALARM, LEVEL_OK
@@ -213,8 +212,8 @@ def test_a_node_that_is_activated_again_knows_no_air(ros_domain: int, folder: Pa
         for heard in (True, False):
             assert node.trigger_activate() == TransitionCallbackReturn.SUCCESS
             for monitor in map(monitors.__getitem__, monitors.names):
-                told = (TrainingFlight("told", "", 1, MEASURED),)
-                monitor.model = replace(monitor.model, flights=told)
+                # As of a model whose flights told their air.
+                monitor.preparation.goes_with_air = True
             if heard:
                 node._take_air(AirStream(np.array([0]), np.array([8e4]), np.array([15.0])))
             excess.append(
