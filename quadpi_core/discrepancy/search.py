@@ -297,14 +297,15 @@ class _Search:
                 if same or is_none or any(map(candidate.excludes, others.candidates)):
                     continue
                 # An effect that explains the error of a law is no rival of one that scales existing forces.
-                if scales and not candidate.effect.scales_existing:
+                if scales and not (candidate.effect.scales_existing or candidate.effect.scales_thrust):
                     continue
                 swapped = others.fit_with(rival)
                 if swapped is None or not Accepted(regression, (rival,), swapped).sizeable:
                     continue
                 behind = found.log_evidence - swapped.log_evidence
+                if 0.0 < behind < _NEAR * margins * margin:
+                    behind -= _gained_together(others, rival)
                 if behind < margins * margin:
-                    behind -= 0.0 if candidate.linear else _gained_together(others, rival)
                     odds = np.exp(min(-behind * NAMED_ALONE.value / margin, _MOST_LOG_ODDS))
                     close.append((rival, float(odds)))
             rivals[index] = sorted(close, key=lambda item: -item[1])
@@ -312,15 +313,16 @@ class _Search:
 
 
 def _gained_together(others: Accepted, index: int) -> float:
-    """Evidence [nat] that a curved candidate gains by columns about where it fits beside others.
+    """Evidence [nat] that a candidate beside others gains by columns about where they fit together.
 
-    Those that it has are about where it fits alone, and it would lose to an effect that is linear.
+    Curved ones have columns about where they fit alone, or beside what the candidate would replace.
     """
 
     def made() -> float:
         fit = others.fit_with(index)
         assert fit is not None  # of a rival
-        refined = Accepted(others.regression, tuple(sorted((*others.chosen, index))), fit).refined()
+        larger = Accepted(others.regression, tuple(sorted((*others.chosen, index))), fit)
+        refined = None if all(own.linear for own in larger.candidates) else larger.refined()
         return max(0.0, refined.fit.log_evidence - fit.log_evidence) if refined else 0.0
 
     return others.once(("gained together", index), made)

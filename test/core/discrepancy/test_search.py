@@ -71,17 +71,36 @@ def test_an_effect_that_a_better_one_made_idle_is_dropped(alone, kept):
     assert not any(own.accepted for own in judgements)
 
 
-@pytest.mark.parametrize(("linear", "odds"), [(True, np.exp(-2.3)), (False, np.exp(0.46 * 30.0))])
-def test_a_curved_rival_is_compared_about_where_it_fits_beside_the_others(linear, odds):
-    """About where it fits alone, wind loses to a constant force beside a payload, though both are there."""
-    listed = {(): 0.0, (0,): 800.0, (1,): 800.0, (2,): 900.0, (0, 1): 850.0, (0, 2): 1000.0, (1, 2): 995.0}
-    regression = ListedEvidence(listed)
+LISTED = {(): 0.0, (0,): 800.0, (1,): 800.0, (2,): 900.0, (0, 1): 850.0, (0, 2): 1000.0, (1, 2): 995.0}
+
+
+def rivals_of_the_first(regression):
+    """In the set of the first and the third effect."""
     for candidate in regression.candidates:
         candidate.within, candidate.excludes = False, lambda other, own=candidate: other is own
-    regression.candidates[1].linear = linear
-    regression.moved = lambda _: ListedEvidence(listed | {(1, 2): 1030.0})
-    rivals = _Search({}).rivals(Accepted(regression, (0, 2), regression.fit((0, 2))))
-    assert rivals[0] == [(1, pytest.approx(odds))]
+    return _Search({}).rivals(Accepted(regression, (0, 2), regression.fit((0, 2))))[0]
+
+
+@pytest.mark.parametrize(("curved", "odds"), [((), -5.0), ((1,), 30.0), ((2,), 30.0)])
+def test_sets_with_curved_effects_are_compared_where_these_fit_together(curved, odds):
+    """About where it fits alone, wind loses to a constant force beside a payload, though both are there."""
+    regression = ListedEvidence(LISTED)
+    for index in curved:
+        regression.candidates[index].linear = False
+    regression.moved = lambda _: ListedEvidence(LISTED | {(1, 2): 1030.0})
+    # A tenth of what it gains is the margin, for which odds are a hundred.
+    assert rivals_of_the_first(regression) == [(1, pytest.approx(np.exp(0.46 * odds)))]
+
+
+@pytest.mark.parametrize("scales_thrust", [True, False])
+def test_beside_a_law_a_rival_of_what_scales_forces_scales_them_too(scales_thrust):
+    """As speeds that read fast do; other effects explain the error of the law."""
+    regression = ListedEvidence(LISTED)
+    first, rival, law = regression.candidates
+    first.effect = SimpleNamespace(scales_existing=True, scales_thrust=True)
+    rival.effect = SimpleNamespace(scales_existing=False, scales_thrust=scales_thrust)
+    law.form = 0.3
+    assert bool(rivals_of_the_first(regression)) == scales_thrust
 
 
 @pytest.mark.parametrize(
