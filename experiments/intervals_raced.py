@@ -31,6 +31,7 @@ from model_methods import (
 )
 from numpy.typing import NDArray
 from page_tables import RESULTS, ROOT, renew, stamp
+from region_rivals import REGIONS, RegionResult, region_result
 
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
@@ -301,6 +302,29 @@ def by_method(entries: Sequence[Entry]) -> str:
     return f"{markdown_table(Table([*columns, *_COVERS], rows))}\n\nOn {', '.join(titles)}."
 
 
+def joint(job: Job, titles: Sequence[str]) -> str:
+    """Regions of all axes at once, of the physical model at 50 Hz, by rule over all data sets."""
+    found: dict[str, list[RegionResult]] = {}
+    for data_set in DATA_SETS:
+        if data_set.title not in titles:
+            continue
+        race, _ = race_of(errors_on(job, data_set, METHODS[0]), RATES_HZ[1])
+        for name, rule in REGIONS.items():
+            found.setdefault(name, []).append(region_result(rule(race), round(WINDOW_S * race.rate_hz)))
+    first = next(iter(found.values()))
+    rows: list[Row] = []
+    for name, results in found.items():
+        widths = [
+            float(np.mean(own.width)) / float(np.mean(one.width))
+            for own, one in zip(results, first, strict=True)
+        ]
+        coverage, worst = (np.concatenate([getattr(o, n) for o in results]) for n in ("coverage", "worst"))
+        held = [100.0 * float(np.mean(of >= at)) for of, at in ((coverage, COVERED), (worst, WORST_COVERED))]
+        rows.append([name, geometric(np.array(widths)), 100.0 * float(coverage.mean()), *held])
+    columns = [Column("region", is_text=True), Column("width", _TWO), Column("coverage %", _ONE), *_COVERS]
+    return f"{markdown_table(Table(columns, rows))}\n\nOn {', '.join(titles)}."
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Race, and renew the page."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -319,6 +343,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         for rate_hz in (RATES_HZ if method == METHODS[0] else RATES_HZ[1:2])
     ]
     tables = {"rules": summary(entries), "races": by_set(entries), "methods": by_method(entries)}
+    titles = dict.fromkeys(entry.data_set for entry in entries if entry.method == METHODS[0])
+    tables["regions"] = joint(job, list(titles))
     renew(options.page, {name: f"{table}\n\n*{stamp()}*" for name, table in tables.items()})
 
 

@@ -88,4 +88,5 @@ def test_the_page_has_a_place_for_each_table(tool: ModuleType) -> None:
         "rules",
         "races",
         "methods",
+        "regions",
     ]
