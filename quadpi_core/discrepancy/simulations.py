@@ -257,7 +257,16 @@ class VehicleSimulation(Simulation):
         return states
 
     def _acting(self, flight: Flight) -> npt.NDArray[np.void]:
-        """Records STATE (N,) with the rotor speeds that act, which are recorded later."""
+        """Records STATE (N,) in the flight's air, with the rotor speeds that act, recorded later."""
+        states, ratio = self._in_file_air(flight), self._air_of(flight)
+        for name in ("wrench", "thrusts", "torques") if ratio != 1.0 else ():
+            states[name] *= ratio
+        return states
+
+    def _air_of(self, flight: Flight) -> float:
+        return flight.air_ratio if self.goes_with_air else 1.0
+
+    def _in_file_air(self, flight: Flight) -> npt.NDArray[np.void]:
         time, speeds, accelerations = flight.time, flight.rotor_speeds, None
         if not self.memoryless:
             accelerations = np.gradient(speeds, time, axis=0)
@@ -268,7 +277,7 @@ class VehicleSimulation(Simulation):
                 jerks[1:-1] = 2.0 * np.diff(slopes, axis=0) / (time[2:] - time[:-2])[:, np.newaxis]
                 speeds = np.maximum(speeds - delay * accelerations + 0.5 * delay**2 * jerks, 0.0)
                 accelerations = accelerations - delay * jerks
-        states = self.model.states(
+        return self.model.states(
             airspeed(flight),
             flight.rates,
             speeds,
@@ -276,10 +285,6 @@ class VehicleSimulation(Simulation):
             position=flight.position,
             attitude=flight.attitude,
         )
-        if self.goes_with_air and flight.air_ratio != 1.0:
-            for name in ("wrench", "thrusts", "torques"):
-                states[name] *= flight.air_ratio
-        return states
 
     def recorded(self, flight: Flight, wrench: Array) -> Array:
         """See :class:`Simulation`; forces of the bandwidth that its flights had."""
@@ -289,10 +294,10 @@ class VehicleSimulation(Simulation):
 
     def uncertain(self, flight: Flight) -> list[Column]:
         """One factor on each kind of coefficient, and separate ones on static thrust and torque."""
-        names, added = self.model.coefficients_by_name, self.model.added_by_coefficients(self._acting(flight))
+        added, ratio = self.model.added_by_coefficients(self._in_file_air(flight)), self._air_of(flight)
         return [
-            Column(name, own * (self._tolerance(name) * (flight.air_ratio if self.goes_with_air else 1.0)))
-            for name, own in zip(names, added, strict=True)
+            Column(name, own * (self._tolerance(name) * ratio))
+            for name, own in zip(self.model.coefficients_by_name, added, strict=True)
         ]
 
     def with_coefficients(self, multiples: Mapping[str, float]) -> VehicleSimulation:
