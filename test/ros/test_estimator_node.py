@@ -15,11 +15,13 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import NavSatFix
 from std_msgs.msg import String
 
 from quadpi_core.flight import ImuStream, PoseStream
 from quadpi_core.messages import sensor_messages
-from quadpi_core.messages.definitions import typestore
+from quadpi_core.messages.definitions import codec, typestore
 from quadpi_core.messages.frame_ids import TF_TYPE
 from quadpi_core.messages.payloads import Payloads
 from quadpi_core.messages.sensor_messages import ODOMETRY
@@ -170,6 +172,38 @@ def test_the_estimate_and_its_transform_are_the_same(
         assert vars(one.transform.rotation) == vars(pose.orientation)
         moved = one.transform.translation
         assert [moved.x, moved.y, moved.z] == [pose.position.x, pose.position.y, pose.position.z]
+
+
+def test_satellites_give_the_position_and_the_imu_the_attitude(
+    ros_domain: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """North at 1 m/s, the nose to the east; the IMU comes at 100 Hz, fixes at 5 Hz."""
+    published: list[bytes] = []
+    # Of a body whose forward is east: that is no rotation from east-north-up.
+    orientation = {"orientation": np.array([[0.0, 0.0, 0.0, 1.0]])}
+    known = {**orientation, "orientation_covariance": 1e-4 * np.eye(3).reshape(1, 9)}
+    felt = {"angular_velocity": np.zeros((1, 3)), "linear_acceleration": np.array([[0.0, 0.0, 9.81]])}
+    with started(ros_domain, "-p", "vehicle:=neurobem", "-p", "mocap_topic:=fix"):
+        node = EstimatorNode()
+        monkeypatch.setattr(node, "announce", lambda *_, **__: published.append)
+        start([node])
+        take = {one.topic_name: one.callback for one in node.subscriptions}
+        for step in range(800):
+            stamp = np.array([10_000_000 * (100 + step)])
+            header = sensor_messages.header_columns(stamp, "base_link")
+            take["/imu"](codec(sensor_messages.IMU).encode(1, {**header, **known, **felt})[0])
+            if step % 20 == 10:
+                fix = NavSatFix(latitude=47.0 + np.rad2deg(0.01 * step / 6.3726e6), longitude=8.0)
+                fix.status.status = 0
+                fix.header.stamp.sec, fix.header.stamp.nanosec = divmod(int(stamp[0]), 10**9)
+                fix.position_covariance, fix.position_covariance_type = np.diag([0.04] * 3).ravel(), 2
+                take["/fix"](serialize_message(fix))
+        node.destroy_node()
+    odometry = sensor_messages.unpack_odometry(Payloads.join(published))
+    assert len(odometry) > 500
+    # Forward-right-down, with the nose to the east: north is on the left.
+    np.testing.assert_allclose(odometry.velocity[-1], [0.0, -1.0, 0.0], atol=0.15)
+    np.testing.assert_allclose(odometry.position[-1], [7.8, 0.0, 0.0], atol=0.3)
 
 
 @pytest.mark.skipif(importlib.util.find_spec("tf2_msgs") is not None, reason="tf2_msgs is installed")
