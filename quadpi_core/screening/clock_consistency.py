@@ -56,7 +56,7 @@ _CARRYING_SHARE = 0.4
 _FEWEST_ROTORS, _ALL_ORDERS_OF = 3, 5
 # Score of an order, the order, and whether spins are inverted.
 _Best: TypeAlias = tuple[float, tuple[int, ...], bool]
-_INVERTED = 1e-6
+_INVERTED, _ALIKE = 1e-6, 0.05
 _NONE: _Best = (-np.inf, (), False)
 
 
@@ -239,7 +239,9 @@ def _best_order(moving: Array, squares: Array, levers: Array) -> tuple[tuple[int
             while now[0] > before + 1e-9:
                 before, now = now[0], best_of(_swapped(now[1]), now)
             best = now if now[0] > best[0] + 1e-9 else best
-        _, order, inverted = best
+        # Commands of many rotors move four ways alone: of orders that do alike the simplest counts.
+        simple = best_of([range(count), *_swapped(range(count))])
+        _, order, inverted = simple if simple[0] > best[0] - _ALIKE else best
     correlation, _ = _correlation(moving, squares[:, order] @ levers.T)
     return order, inverted, correlation * (1.0, 1.0, -1.0 if inverted else 1.0)
 

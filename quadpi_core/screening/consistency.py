@@ -321,6 +321,9 @@ def _order_finding(evidence: RotorEvidence, vehicle: Vehicle) -> Finding | None:
     columns = ", ".join(str(column + 1) for column in evidence.order)
     swapped = f"rotors {moved[0]} and {moved[1]} look swapped" if len(moved) == 2 else "the order looks wrong"
     spins = " and all spins inverted" if evidence.spins_inverted else ""
+    if len(moved) != 2 and vehicle.rotor_count > ROTORS:
+        # Commands of so many move four ways alone, which several orders explain.
+        return _of_rotors("rotor order", f"the order looks wrong: in another one {rise}")
     return _of_rotors("rotor order", f"{swapped}: with the columns in the order {columns}{spins} {rise}")
 
 

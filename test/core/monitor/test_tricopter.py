@@ -129,6 +129,6 @@ def test_from_flights_to_the_rotor_that_stops(simulated: SimulatedVehicle, truth
         assert line.value == pytest.approx(line.known, rel=0.05)
 
     named = [first_stopped(model, truths[4], simulated, rotor) for rotor in range(3)]
-    # Of the front ones the loss is not told from another within the 0.4 s that are flown; none is named wrongly.
+    # The loss of a front one is not told from another's within the 0.4 s flown; none is named wrongly.
     assert named[2] == "rotor 3 stopped"
     assert all(words in {"", f"rotor {rotor + 1} stopped"} for rotor, words in enumerate(named))
