@@ -24,7 +24,7 @@ from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.model_kind import CUTOFF_HZ
 from quadpi_core.monitor.change import OF_THRUST
 from quadpi_core.monitor.monitor import Monitor
-from quadpi_core.monitor.pairing_kernel import SET_BACK
+from quadpi_core.monitor.pairing import SET_BACK
 from quadpi_core.monitor.preparation import Prepared
 from quadpi_core.monitor.replay import follow, recorded_flight
 from quadpi_core.paths import data_directory

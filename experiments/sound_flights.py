@@ -33,7 +33,7 @@ from quadpi_core.models.alarm_limits import change_sentence
 from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.model_kind import CUTOFF_HZ, IdentifyOptions
 from quadpi_core.monitor.monitor import Monitor
-from quadpi_core.monitor.pairing_kernel import SET_BACK
+from quadpi_core.monitor.pairing import SET_BACK
 from quadpi_core.monitor.replay import follow, recorded_flight
 from quadpi_core.parallel import Workers
 from quadpi_core.paths import data_directory

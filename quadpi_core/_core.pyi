@@ -18,7 +18,7 @@ from quadpi_core.messages.adapters.rotor_messages import EscReports
 from quadpi_core.messages.payloads import Bytes, Indices
 from quadpi_core.models.physical_rollout import Disturbances, Rolled, Track
 from quadpi_core.models.tubes import Uncertainty
-from quadpi_core.monitor.pairing_kernel import Completed
+from quadpi_core.monitor.pairing import Completed
 from quadpi_core.records import Records
 from quadpi_core.simulation.state_records import AddedEffect, Controls, Demand
 

@@ -151,7 +151,7 @@ class Alarms(AlarmRows):
             columns as `quadpi_core.inputs.INPUT_NAMES`.
         input_excess: (M, 19) how far each input lies outside its training range, in widths of that range,
             zero inside.
-        faults: (M,) what is wrong with the data, bits of `monitor.data_quality`.
+        faults: (M,) what is wrong with the data, bits of `monitor.preparation`.
         more_faults: (M, 2) the same of rotors 5 to 8, and 9 to 12.
         stopped: (M,) rotors that have stopped, one bit each.
         why_not_judged: (M,) keys of `WHY_NOT_JUDGED`, or JUDGED.

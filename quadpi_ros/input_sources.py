@@ -34,8 +34,7 @@ from quadpi_core.messages.adapters import AdapterSettings, known_adapters
 from quadpi_core.messages.adapters.adapter_settings import CommandSettings, StateSettings
 from quadpi_core.messages.payloads import Payloads
 from quadpi_core.monitor import Monitor
-from quadpi_core.monitor.health import SILENT_S
-from quadpi_core.monitor.tachometers import TachometerWatch
+from quadpi_core.monitor.health import SILENT_S, TachometerWatch
 from quadpi_core.rotor_order import CommandedSpeeds
 from quadpi_core.vehicle import Motors, Vehicle
 from quadpi_ros.parameters import ParameterError, adapters_of

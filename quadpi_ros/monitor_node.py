@@ -39,8 +39,7 @@ from quadpi_core.monitor import Monitor, MonitorSettings
 from quadpi_core.monitor.alarm_log import naming_sensors
 from quadpi_core.monitor.health import SILENT_S, WATCH_S, Latency, Silence, lack
 from quadpi_core.monitor.monitor import Judged
-from quadpi_core.monitor.pairing import CAPACITY, Judging, Pairing
-from quadpi_core.monitor.pairing_kernel import NOTHING, Completed
+from quadpi_core.monitor.pairing import CAPACITY, NOTHING, Completed, Judging, Pairing
 from quadpi_core.monitor.unsure_states import deviation_of_one
 from quadpi_core.paths import resolved_below
 from quadpi_core.vehicle import Motors, Vehicle

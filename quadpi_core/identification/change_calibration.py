@@ -35,6 +35,7 @@ from quadpi_core.models.alarm_limits import (
 from quadpi_core.models.envelope import Envelope
 from quadpi_core.models.interval_rules import FEWEST_INSIDE
 from quadpi_core.models.model_kind import Evaluation
+from quadpi_core.monitor.alarm_kernel import geometry_record
 from quadpi_core.monitor.change import (
     AXIS_NOISE,
     BLOCK_FILLED_S,
@@ -46,7 +47,6 @@ from quadpi_core.monitor.change import (
     nothing_found,
     sound_noise,
 )
-from quadpi_core.monitor.rotor_thrust import geometry_record
 from quadpi_core.records import Records
 from quadpi_core.vehicle import Vehicle
 

@@ -44,7 +44,7 @@ from quadpi_core.inputs import (
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.duplicates import recording_hash
 from quadpi_core.models.model_kind import CUTOFF_HZ
-from quadpi_core.monitor.pairing_kernel import SET_BACK
+from quadpi_core.monitor.pairing import SET_BACK
 from quadpi_core.monitor.preparation import Preparation
 from quadpi_core.monitor.replay import Followed, follow, recorded_flight
 from quadpi_core.parallel import DEFAULT_WORKERS, Workers

@@ -32,7 +32,7 @@ from quadpi_core.identification.prepared_flights import PreparedFlight, prepare_
 from quadpi_core.logs.duplicates import recording_hash
 from quadpi_core.logs.flight_table import WRENCH, columns_of
 from quadpi_core.models.model_kind import CUTOFF_HZ
-from quadpi_core.monitor.conditions import conditions
+from quadpi_core.monitor.preparation import conditions
 from quadpi_core.records import QUATERNION_NORM_TOLERANCE
 from quadpi_core.screening.plausibility import check_plausible
 from quadpi_core.vehicle import Vehicle

@@ -23,8 +23,8 @@ from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.interval_rules import inside_interval
 from quadpi_core.monitor.alarm import MonitorSettings
 from quadpi_core.monitor.alarm_log import reasons
-from quadpi_core.monitor.conditions import conditions
 from quadpi_core.monitor.monitor import Monitor as BlockMonitor
+from quadpi_core.monitor.preparation import conditions
 from quadpi_core.records import Records
 from quadpi_core.results import Alarms, Events, Predictions
 from quadpi_core.vehicle import Vehicle
@@ -159,7 +159,7 @@ class Monitor:
             wind: (3,) or (K, 3) m/s of the air, world; none unless given.
             air_density: kg/m³, one or (K,); that of the vehicle file unless given.
             state_covariance: (9, 9) or (K, 9, 9) of velocity, attitude and rates, by what they are less sure
-                than in the flights of the model, see `monitor.conditions.Conditions`; it widens intervals.
+                than in the flights of the model, see `monitor.preparation.Conditions`; it widens intervals.
 
         Raises:
             ArgumentError: naming the quantity that is absent or of another shape.

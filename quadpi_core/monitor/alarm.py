@@ -24,8 +24,8 @@ CHANGE is evidence by the sizes of the residuals that the vehicle is not that of
 limit are no evidence.
 
 On the ground neither EXTRAPOLATION nor MISCOVERAGE is judged, for there the wrench is not aerodynamic; what
-`monitor.ground` takes for flying is. A vehicle that moves with all rotors at 0 is half of the charge of
-BAD_DATA: it is carried, or there is no telemetry. A rotor that stops (`monitor.rotor_thrust`) is an alarm of
+`monitor.alarm_kernel` takes for flying is. A vehicle that moves with all rotors at 0 is half of the charge of
+BAD_DATA: it is carried, or there is no telemetry. A rotor that stops (`monitor.alarm_kernel`) is an alarm of
 MISCOVERAGE at once, and no fault of its sensor.
 While the state settles (`monitor.preparation.SETTLE_NS`) of the sums of MISCOVERAGE that of Fz alone changes.
 """
@@ -47,9 +47,9 @@ from quadpi_core.models.alarm_limits import AlarmLimits, ChangeLimits
 from quadpi_core.models.envelope import Envelope
 from quadpi_core.models.model_kind import Evaluation
 from quadpi_core.monitor import alarm_kernel as kernel
+from quadpi_core.monitor.alarm_kernel import geometry_record
 from quadpi_core.monitor.change import found_columns, sound_noise
 from quadpi_core.monitor.preparation import Prepared
-from quadpi_core.monitor.rotor_thrust import geometry_record
 from quadpi_core.records import Records
 from quadpi_core.results import (
     ACTIVE,

@@ -4,9 +4,12 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from datetime import datetime, timezone
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,14 +17,12 @@ from quadpi_core.flight import AXES
 from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
 from quadpi_core.models.envelope import LEVERAGE_HEADROOM, WIDTH_HEADROOM
 from quadpi_core.monitor.alarm_kernel import WARNING_CHARGE
-from quadpi_core.monitor.change_words import change_words
-from quadpi_core.monitor.data_quality import (
+from quadpi_core.monitor.preparation import (
     EITHER_MISSING_WORDS,
     ROTORS_MISSING_WORDS,
     STATE_MISSING_WORDS,
     fault_words,
 )
-from quadpi_core.monitor.quantity_words import AXIS_WORDS, INPUT_WORDS, OF_RANGE, piloted_first
 from quadpi_core.records import ROTORS_MAX
 from quadpi_core.results import (
     BAD_DATA,
@@ -29,6 +30,12 @@ from quadpi_core.results import (
     CAUSE_NAMES,
     CAUSES,
     CHANGE,
+    CHANGED_CENTRE_FORWARD,
+    CHANGED_CENTRE_RIGHT,
+    CHANGED_FORCE_FORWARD,
+    CHANGED_FORCE_RIGHT,
+    CHANGED_MASS,
+    CHANGED_ROTOR,
     EVENTS_KEPT,
     EXTRAPOLATION,
     JUDGED,
@@ -37,9 +44,140 @@ from quadpi_core.results import (
     SETTLES,
     WHY_NOT_JUDGED,
     AlarmEvent,
+    AlarmRows,
     Alarms,
     Events,
 )
+
+# Of the wrench; body axes forward-right-down.
+AXIS_WORDS = dict(
+    zip(
+        AXES,
+        (
+            *("forward force", "force to the right", "downward force"),
+            *("roll moment", "pitch moment", "yaw moment"),
+        ),
+        strict=True,
+    )
+)
+
+# How the monitor ends what it says of an input: it knows how far that is out, not on which side.
+OF_RANGE = "x the training range"
+
+
+class InputWords(NamedTuple):
+    """An input in plain words: its name, what it is where positive and where negative, and its unit."""
+
+    name: str
+    positive: str
+    negative: str
+    unit: str = ""
+    angle: str = ""  # of which this is the "sin" or "cos"
+
+
+def _unsigned(name: str, unit: str = "", angle: str = "") -> InputWords:
+    return InputWords(name, name, name, unit, angle)
+
+
+INPUT_WORDS = {
+    "u": InputWords("forward or backward speed", "forward speed", "backward speed", "m/s"),
+    "v": InputWords("sideways speed", "speed to the right", "speed to the left", "m/s"),
+    "w": InputWords("vertical body speed", "downward body speed", "upward body speed", "m/s"),
+    "v_in": _unsigned("induced velocity", "m/s"),
+    "p": InputWords("roll rate", "roll rate to the right", "roll rate to the left", "rad/s"),
+    "q": InputWords("pitch rate", "pitch rate nose up", "pitch rate nose down", "rad/s"),
+    "r": InputWords("yaw rate", "yaw rate to the right", "yaw rate to the left", "rad/s"),
+    "omega_avg": _unsigned("mean rotor speed", "rad/s"),
+    "sin_phi": InputWords("roll angle", "roll angle to the right", "roll angle to the left", "°", "sin"),
+    "cos_phi": _unsigned("roll angle", "°", "cos"),
+    "sin_theta": InputWords("pitch angle", "pitch angle nose up", "pitch angle nose down", "°", "sin"),
+    "cos_theta": _unsigned("pitch angle", "°", "cos"),
+    "U_p": InputWords("roll control", "roll control to the right", "roll control to the left", "rad/s"),
+    "U_q": InputWords("pitch control", "pitch control nose up", "pitch control nose down", "rad/s"),
+    # Rotors that turn clockwise yaw the body to the left.
+    "U_r": InputWords("yaw control", "yaw control to the left", "yaw control to the right", "rad/s"),
+    "mu_x": InputWords(
+        *(f"{way} speed over tip speed" for way in ("forward or backward", "forward", "backward"))
+    ),
+    "mu_y": InputWords(*(f"{way} speed over tip speed" for way in ("sideways", "rightward", "leftward"))),
+    "mu_z": InputWords(*(f"{way} body speed over tip speed" for way in ("vertical", "downward", "upward"))),
+    "mu_v_in": _unsigned("induced velocity over tip speed"),
+}
+# What a pilot has a hand on is named first.
+_PILOTED = {*"uvwpqr", "sin_phi", "cos_phi", "sin_theta", "cos_theta"}
+
+
+def piloted_first(names: Iterable[str]) -> list[str]:
+    """Names of inputs, the first one that a pilot has a hand on in front, the others as they were."""
+    names = list(names)
+    first = next((name for name in names if name in _PILOTED), None)
+    return names if first is None else [first, *(name for name in names if name != first)]
+
+
+# Stamps from here on [s] are those of a clock that knows the day: the year 2001.
+_OF_A_CLOCK_S = 1e9
+
+
+class _Words(NamedTuple):
+    """A sentence about a size, one where it is negative, and a factor to its unit."""
+
+    positive: str
+    negative: str
+    unit: str
+    factor: float
+
+
+_WORDS = {
+    CHANGED_MASS: _Words(
+        "{} heavier, or less thrust of all rotors", "{} lighter, or more thrust of all rotors", "g", 1e3
+    ),
+    CHANGED_FORCE_FORWARD: _Words("something pushes forward, {}", "something pushes backward, {}", "N", 1.0),
+    CHANGED_FORCE_RIGHT: _Words(
+        "something pushes to the right, {}", "something pushes to the left, {}", "N", 1.0
+    ),
+    CHANGED_CENTRE_FORWARD: _Words(
+        "centre of gravity {} farther forward", "centre of gravity {} farther back", "mm", 1e3
+    ),
+    CHANGED_CENTRE_RIGHT: _Words(
+        "centre of gravity {} farther right", "centre of gravity {} farther left", "mm", 1e3
+    ),
+    CHANGED_ROTOR: _Words(
+        "rotor {rotor} gives {} less thrust than its speed says",
+        "rotor {rotor} gives {} more thrust than its speed says",
+        "%",
+        1e2,
+    ),
+}
+
+
+def change_words(alarms: AlarmRows, row: int) -> list[str]:
+    """Such as "12.0 ± 3.0 g heavier, … since 12:41:07 UTC"; none where nothing is named."""
+    words = _WORDS.get(int(alarms.changed[row]))
+    if words is None:
+        return []
+    size = words.factor * float(alarms.change_size[row])
+    half = 0.5 * words.factor * float(alarms.change_upper[row] - alarms.change_lower[row])
+    said = words.positive if size >= 0.0 else words.negative
+    since = _time(int(alarms.change_since_ns[row]))
+    if alarms.change_from_start[row]:
+        since = "this flight is judged"
+    named = said.format(_size(abs(size), half, words.unit), rotor=alarms.changed_rotor[row])
+    return [f"{named} since {since}"]
+
+
+def _size(size: float, half: float, unit: str) -> str:
+    """With two digits of what it is unsure by, at most."""
+    places = max(0, 1 - math.floor(math.log10(half))) if half > 0.0 else 2
+    return f"{size:.{places}f} ± {half:.{places}f} {unit}"
+
+
+def _time(time_ns: int) -> str:
+    """Time of the day, or of a clock that does not know it."""
+    seconds = 1e-9 * time_ns
+    if seconds < _OF_A_CLOCK_S:
+        return f"{seconds:.1f} s"
+    return f"{datetime.fromtimestamp(time_ns // 10**9, timezone.utc):%H:%M:%S} UTC"
+
 
 # Inputs or axes named of each kind of evidence, the strongest.
 _MOST = 3

@@ -23,10 +23,8 @@ from quadpi_core.monitor.adaptive import MEMORY, AdaptiveIntervals
 from quadpi_core.monitor.alarm import Alarm, MonitorSettings
 from quadpi_core.monitor.alarm_kernel import ROW
 from quadpi_core.monitor.alarm_log import EventLog
-from quadpi_core.monitor.conditions import CONDITIONS, STATE_ERRORS
-from quadpi_core.monitor.pairing import PairedSamples, Pairing
-from quadpi_core.monitor.pairing_kernel import Said
-from quadpi_core.monitor.preparation import Preparation, Prepared
+from quadpi_core.monitor.pairing import PairedSamples, Pairing, Said
+from quadpi_core.monitor.preparation import CONDITIONS, STATE_ERRORS, Preparation, Prepared
 from quadpi_core.monitor.wind_state import Surroundings
 from quadpi_core.records import Records
 from quadpi_core.results import Alarms, Events, PredictionRows, Predictions

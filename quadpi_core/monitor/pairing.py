@@ -12,37 +12,107 @@ measured from its stamps.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple, TypeAlias
+from typing import Annotated, NamedTuple, TypeAlias
 
 import numpy as np
 
 from quadpi_core.core import compiled
-from quadpi_core.estimator.imu_rate import ImuRate
+from quadpi_core.estimator.imu_rate import ImuRate, Meter
 from quadpi_core.flight import NO_STAMP, Stamps
 from quadpi_core.frames import Array
-from quadpi_core.monitor import pairing_kernel as kernel
 from quadpi_core.monitor.health import Arrived
-from quadpi_core.monitor.pairing_kernel import (
-    CONTINUES,
-    IMU,
-    NOTHING,
-    ROTORS,
-    STATE,
-    TOPICS,
-    WIND_TOPIC,
-    Arriving,
-    Completed,
-)
-from quadpi_core.records import brief_repr
-from quadpi_core.signals.chain import (
-    ATTITUDE,
-    RATES,
-    ROTOR_SPEEDS,
-    SPECIFIC_FORCE,
-    VELOCITY,
-    WIND,
-    channels,
-)
+from quadpi_core.records import ROTORS_MAX, Records, brief_repr, record_dtype
+from quadpi_core.signals.chain import ATTITUDE, RATES, ROTOR_SPEEDS, SPECIFIC_FORCE, VELOCITY, WIND, channels
+
+# The topics.
+IMU, STATE, ROTORS, WIND_TOPIC, TOPICS = 0, 1, 2, 3, 4
+# A state, the first signals of a sample, or many rotors have the most numbers.
+_WIDEST = max(RATES.stop, ROTORS_MAX)
+# How a stretch begins: where the previous one ended; with a stamp more than MAX_JUMP_BACK_NS before the
+# newest; with one that far before the stamp of the previous sample, as the IMU's clock was set back.
+CONTINUES, STEPS_BACK, SET_BACK = 0, 1, 2
+
+
+# What a monitor says of samples: their number, the stamps of its predictions, and the number of rows of the
+# alarm that were raised.
+Said: TypeAlias = tuple[int, list[int], int]
+# What one more sample has completed: that, where it was judged; else how many samples may be taken.
+Completed: TypeAlias = Said | int
+NOTHING = -1
+
+
+class Arriving(NamedTuple):
+    """Samples in the order in which they arrive.
+
+    Attributes:
+        kind: (E,) topic of each, :data:`IMU`, ….
+        row: (E,) its row in the arrays of that topic.
+        imu_ns, specific_force: (N,), (N, 3).
+        state_ns, states: (S,), (S, 10) velocity, attitude and rates; see :meth:`.pairing.Pairing.add_state`.
+        rotor_ns, rotor_speeds: (R,), (R, rotors).
+        wind_ns, wind: (W,), (W, 3).
+    """
+
+    kind: Stamps
+    row: Stamps
+    imu_ns: Stamps
+    specific_force: Array
+    state_ns: Stamps
+    states: Array
+    rotor_ns: Stamps
+    rotor_speeds: Array
+    wind_ns: Stamps
+    wind: Array
+
+
+class Track:
+    """Where the last samples of a topic are in its ring; their stamps strictly increase."""
+
+    oldest: int
+    count: int
+    newest_ns: int  # NO_STAMP before the first
+
+
+class Entry:
+    """A sample of a topic: as many of the numbers as it has are used."""
+
+    time_ns: int
+    values: Annotated[Array, _WIDEST]
+
+
+class PairingState:
+    """What the pairing remembers beside the rings."""
+
+    tracks: Annotated[Records, Track, TOPICS]
+    meter: Meter
+    rotors: int
+    timeout_ns: int
+    # Of the IMU: the newest stamp since one stepped back, and that of the last sample. Of replays only.
+    newest_ns: int
+    last_ns: int
+    rate_changes: int  # `meter.changes` at the last `compiled.take_samples`
+    noted: bool  # whether the stamp at which a stretch begins has been noted
+    # See pairing.PairingCounts.
+    paired: int
+    early: int
+    dropped: int
+    disordered: int
+
+
+PAIRING_STATE, ENTRY = record_dtype(PairingState), record_dtype(Entry)
+
+
+class Arrays(NamedTuple):
+    """The memory of a pairing, which compiled code holds.
+
+    Attributes:
+        state: (1,) a :class:`PairingState`.
+        rings: (TOPICS, capacity) each an :class:`Entry`.
+    """
+
+    state: Records
+    rings: Records
+
 
 # How long, in stamps, an IMU sample waits for its state and rotor speed; live and in replay.
 TIMEOUT_S = 0.1
@@ -182,14 +252,14 @@ class Pairing:
         rotors: int = 4,
     ) -> None:
         self._given_hz = rate_hz
-        self._state = np.zeros(1, kernel.PAIRING_STATE)
+        self._state = np.zeros(1, PAIRING_STATE)
         self._state["rotors"] = rotors
         self._state["timeout_ns"] = round(timeout_s * 1e9)
         for stamps in (self._state["tracks"]["newest_ns"], self._state["newest_ns"], self._state["last_ns"]):
             stamps[:] = NO_STAMP
         self.capacity = capacity
-        self._rings = np.zeros((TOPICS, capacity), kernel.ENTRY)
-        self.compiled = compiled.Pairing(kernel.Arrays(self._state, self._rings))
+        self._rings = np.zeros((TOPICS, capacity), ENTRY)
+        self.compiled = compiled.Pairing(Arrays(self._state, self._rings))
         self._channels = channels(rotors)
         self.rate = ImuRate.from_meters(self._state["meter"], rate_hz)
         self.completed: Completed = NOTHING

@@ -4,30 +4,237 @@
 
 from __future__ import annotations
 
-from typing import Annotated, NamedTuple
+from collections.abc import Iterable, Iterator
+from typing import Annotated, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from quadpi_core import array_checks
 from quadpi_core.core import compiled
+from quadpi_core.errors import ArgumentError
 from quadpi_core.estimator.imu_rate import RATE_BEFORE_HZ, ImuRate
-from quadpi_core.flight import AXES, Stamps
+from quadpi_core.flight import AXES, NO_STAMP, Stamps
 from quadpi_core.frames import Array
-from quadpi_core.inputs import INPUT_NAMES, Derivatives, VehicleConstants, derivatives_like, vehicle_constants
-from quadpi_core.monitor.conditions import STATE_ERRORS
-from quadpi_core.monitor.data_quality import (
-    RATE_DIFFERS,
-    RATE_LOW,
-    RATE_UNKNOWN,
-    MoreFaults,
-    Quality,
-    frozen_s,
-    quality,
+from quadpi_core.inputs import (
+    DENSITY_MAX,
+    DENSITY_MIN,
+    INPUT_NAMES,
+    Derivatives,
+    VehicleConstants,
+    derivatives_like,
+    vehicle_constants,
 )
-from quadpi_core.records import ROTORS_MAX, PerRotor, Records, Vector3, brief_repr, record_dtype
+from quadpi_core.records import ROTORS_MAX, PerRotor, Records, Threshold, Vector3, brief_repr, record_dtype
 from quadpi_core.signals.chain import SETTLING_PERIODS, ChainMemory, LowPass, channels, design_low_pass
 from quadpi_core.vehicle import Vehicle
+
+# The density of the air, how sure the state is, and which rotor speeds are commands.
+
+STATE_ERRORS = 9
+# By what share of its scale a covariance may be off a symmetric one without negative variances: rounding.
+_ROUNDING = 1e-9
+
+
+class Conditions:
+    """Of one sample.
+
+    Attributes:
+        air_density: kg/m³; 0 where only the vehicle file tells. At the same velocities and rotor speeds the
+            wrench of the air goes with it.
+        covariance: of the errors of the state: velocity in body axes m/s, rotation about the world's axes
+            rad, rates rad/s; as `nav_msgs/Odometry` has them. Zero where nothing is known. What the model's
+            flights were unsure of is in its intervals already: give what goes beyond.
+        commanded: bit per rotor, the first 1, whose speed follows from its command, as nothing measured it.
+            Verdicts carry it on; nothing is decided by it yet.
+        unsettled: 1 while the wind is still to be told; the sample then counts as one whose state settles.
+    """
+
+    air_density: float
+    covariance: Annotated[Array, STATE_ERRORS, STATE_ERRORS]
+    commanded: int
+    unsettled: int
+
+
+CONDITIONS = record_dtype(Conditions)
+
+
+def conditions(
+    samples: int,
+    air_density: npt.ArrayLike | None = None,
+    state_covariance: npt.ArrayLike | None = None,
+    commanded: npt.ArrayLike | None = None,
+) -> Records | None:
+    """The :class:`Conditions` (K,) of samples; None where nothing is given.
+
+    Args:
+        samples: K.
+        air_density: kg/m³, one or (K,).
+        state_covariance: (9, 9) or (K, 9, 9), see :class:`Conditions`.
+        commanded: (n,) or (K, n) which rotors' speeds are commands.
+
+    Raises:
+        ArgumentError: naming what is no density of air, no covariance, or of other shapes.
+    """
+    if air_density is None and state_covariance is None and commanded is None:
+        return None
+    found = np.zeros(samples, CONDITIONS)
+    if air_density is not None:
+        if np.ndim(air_density) == 0:
+            air_density = np.full(samples, air_density)
+        density = array_checks.floats("air_density", air_density, rows=samples, of="time_ns")
+        if wrong := np.flatnonzero((density < DENSITY_MIN) | (density > DENSITY_MAX)).tolist():
+            raise ArgumentError(
+                f"air_density: sample {wrong[0]} has {density[wrong[0]]:g}, no density of air in kg/m³ "
+                f"({DENSITY_MIN:g} to {DENSITY_MAX:g})"
+            )
+        found["air_density"] = density
+    if commanded is not None:
+        flags = np.atleast_2d(np.asarray(commanded))
+        fits = flags.ndim == 2 and len(flags) in (1, samples) and flags.shape[1] <= ROTORS_MAX
+        if flags.dtype != np.bool_ or not fits:
+            raise ArgumentError(
+                f"commanded: expected true or false for each rotor, found {array_checks.found(flags)}"
+            )
+        found["commanded"] = flags @ (1 << np.arange(flags.shape[1]))
+    if state_covariance is not None:
+        found["covariance"] = _checked(state_covariance, samples)
+    return found
+
+
+def _checked(covariance: npt.ArrayLike, samples: int) -> Array:
+    if np.ndim(covariance) == 2:
+        one = array_checks.floats("state_covariance", covariance, STATE_ERRORS, rows=STATE_ERRORS)
+        covariance = np.broadcast_to(one, (samples, *one.shape))
+    rows = array_checks.floats(
+        "state_covariance", covariance, STATE_ERRORS, STATE_ERRORS, rows=samples, of="time_ns"
+    )
+    scale = np.sqrt(np.maximum(np.einsum("kii->ki", rows), 0.0))
+    limits = _ROUNDING * scale[:, :, np.newaxis] * scale[:, np.newaxis]
+    uneven = (np.abs(rows - np.swapaxes(rows, 1, 2)) > limits).any(axis=(1, 2))
+    # In units of its own deviations, so that metres and radians are alike.
+    units = np.where(scale > 0.0, scale, 1.0)
+    least = np.linalg.eigvalsh(rows / (units[:, :, np.newaxis] * units[:, np.newaxis]))[:, 0]
+    if wrong := np.flatnonzero(uneven | (least < -STATE_ERRORS * _ROUNDING)).tolist():
+        raise ArgumentError(
+            f"state_covariance: that of sample {wrong[0]} is none: not symmetric, or a variance below 0"
+        )
+    return rows
+
+
+# Some faults make a sample unusable: it is not finite, not plausible, or its stamp does not advance. The
+# others are reported of samples that are used: a sensor that repeats its reading for longer than noise
+# allows, a rotor whose speed contradicts the others.
+#
+# The yaw moment of four rotors in flight is small, so the squared speeds of those turning one way and of
+# those turning the other have about the same sum. A rotor reads half its speed where these sums differ, its
+# own speed is far below that of the others, and doubling its reading makes the sums agree.
+
+NOT_FINITE, NOT_PLAUSIBLE = compiled.NOT_FINITE, compiled.NOT_PLAUSIBLE
+STAMP_REPEATED, STAMP_BACKWARD, GAP = compiled.STAMP_REPEATED, compiled.STAMP_BACKWARD, compiled.GAP
+STATE_MISSING, ROTORS_MISSING = compiled.STATE_MISSING, compiled.ROTORS_MISSING
+GYRO_FROZEN, ACCELEROMETER_FROZEN = compiled.GYRO_FROZEN, compiled.ACCELEROMETER_FROZEN
+# One bit per rotor from each of these on, for rotors 1 to 4. Of `more_faults` the first has the bits of
+# rotors 5 to 8 at the same places, the second those of rotors 9 to 12.
+MoreFaults: TypeAlias = Annotated[npt.NDArray[np.int64], 2]
+_OF_WORD = 4
+ROTOR_FROZEN, ROTOR_HALF, ROTOR_JUMPS = compiled.ROTOR_FROZEN, compiled.ROTOR_HALF, compiled.ROTOR_JUMPS
+ROTOR_DIFFERS, ROTOR_ZERO = compiled.ROTOR_DIFFERS, compiled.ROTOR_ZERO
+# The IMU's rate.
+RATE_DIFFERS, RATE_UNKNOWN, RATE_LOW = compiled.RATE_DIFFERS, compiled.RATE_UNKNOWN, compiled.RATE_LOW
+
+# An inertial sensor repeats a sample bit for bit once in a while, not for this long [s] and this many
+# samples.
+_FROZEN_S, _FROZEN_SAMPLES = 0.03, 8
+FINE_STEP = Threshold(
+    "resolution in which a rotor that turns changes its reading within half a second",
+    compiled.FINE_STEP,
+    "of the speed",
+    "in half a second of flight a rotor's speed changes by 0.6 % or more, that of one of four by 1.1 %",
+    "24 real flights of five vehicles, in steps of 0 to 0.05 %",
+)
+
+
+class Quality:
+    """What the checks know of the vehicle, and remember of the samples."""
+
+    rotors: int
+    rotor_speed_max: float  # rad/s, beyond which a reading is not plausible
+    rotor_spins: PerRotor  # ±1
+    frozen_after_s: float  # for which an inertial sensor may repeat a reading
+    previous_ns: int  # stamp of the last usable sample; NO_STAMP before the first
+    followed_ns: int  # of the last one that was usable but for readings of rotors
+    # The last reading of each sensor, and for how long it has not changed.
+    rates: Vector3
+    rates_still_s: float
+    specific_force: Vector3
+    specific_force_still_s: float
+    rotor_speeds: PerRotor
+    rotor_still_s: PerRotor
+    # Of all rotors, since each of them has not changed.
+    rotors_lowest: Annotated[Array, ROTORS_MAX, ROTORS_MAX]
+    rotors_highest: Annotated[Array, ROTORS_MAX, ROTORS_MAX]
+    # The last reading that a rotor held, for how long it has not, and the smallest step between two [rad/s].
+    rotor_held: PerRotor
+    rotor_moves_s: PerRotor
+    rotor_step: float
+    mean_squares: PerRotor  # of the rotor speeds, over 0.3 s
+    averaged_s: float  # since the means began
+
+
+def quality(vehicle: Vehicle, rate_hz: float) -> Records:
+    """The :class:`Quality` (1,) of a vehicle, and the sample rate of its IMU, before the first sample."""
+    memory = np.zeros(1, record_dtype(Quality))
+    memory["rotor_speed_max"] = vehicle.rotor_speed_spike_rad_s
+    memory["rotors"] = vehicle.rotor_count
+    memory["rotor_spins"][:, : vehicle.rotor_count] = vehicle.rotor_spins
+    memory["frozen_after_s"] = frozen_s(rate_hz)
+    memory["rotor_step"] = np.inf
+    memory["previous_ns"] = memory["followed_ns"] = NO_STAMP
+    return memory
+
+
+def frozen_s(rate_hz: float) -> float:
+    """For how long an inertial sensor of that rate may repeat a reading [s]."""
+    return max(_FROZEN_S, _FROZEN_SAMPLES / rate_hz)
+
+
+STATE_MISSING_WORDS, ROTORS_MISSING_WORDS = "state missing", "rotor speeds missing"
+# Which of the two nobody can tell from a sample alone.
+EITHER_MISSING_WORDS = "state or rotor speeds missing"
+
+
+def fault_words(faults: int, more: Iterable[int] = ()) -> Iterator[str]:
+    """What the bits of faults, and of those of more rotors than four, mean, in plain words."""
+    words = {
+        NOT_FINITE: "sample not finite",
+        NOT_PLAUSIBLE: "sample not plausible",
+        STAMP_REPEATED: "stamp repeated",
+        STAMP_BACKWARD: "stamp runs backward",
+        GAP: "gap in the samples",
+        STATE_MISSING: STATE_MISSING_WORDS,
+        ROTORS_MISSING: ROTORS_MISSING_WORDS,
+        GYRO_FROZEN: "gyro frozen",
+        ACCELEROMETER_FROZEN: "accelerometer frozen",
+        RATE_DIFFERS: "imu rate is not imu_rate_hz",
+        RATE_UNKNOWN: "imu rate not known yet",
+        RATE_LOW: "imu rate too low for the model",
+    }
+    if faults & STATE_MISSING and faults & ROTORS_MISSING:
+        yield EITHER_MISSING_WORDS
+        faults &= ~(STATE_MISSING | ROTORS_MISSING)
+    yield from (text for bit, text in words.items() if faults & bit)
+    for first, text in (
+        (ROTOR_FROZEN, "frozen"),
+        (ROTOR_HALF, "reads half"),
+        (ROTOR_JUMPS, "jumps"),
+        (ROTOR_DIFFERS, "differs from the others"),
+        (ROTOR_ZERO, "reads 0"),
+    ):
+        every = [bits & first << k for bits in (faults, *more) for k in range(_OF_WORD)]
+        for rotor in np.flatnonzero(every).tolist():
+            yield f"rotor {rotor + 1} {text}"
+
 
 SETTLE_NS = compiled.SETTLE_NS
 
@@ -42,7 +249,7 @@ class Verdict:
     """
 
     time_ns: int
-    faults: int  # bits of what is wrong, see :mod:`quadpi_core.monitor.data_quality`
+    faults: int  # bits of what is wrong, see :mod:`quadpi_core.monitor.preparation`
     more_faults: MoreFaults  # of rotors 5 to 12
     usable: bool
     # Bit per rotor without a reading, in a sample that is usable but for these: the last ones hold.

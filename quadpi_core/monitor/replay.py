@@ -37,7 +37,7 @@ from quadpi_core.messages import result_messages, sensor_messages
 from quadpi_core.messages.payloads import Topic
 from quadpi_core.messages.topics import TOPIC_TYPES
 from quadpi_core.models.aerodynamic import LOAD_MODEL, AerodynamicModel
-from quadpi_core.monitor import pairing_kernel
+from quadpi_core.monitor import pairing
 from quadpi_core.monitor.alarm import MonitorSettings, NotJudgedReason, alarm_time, not_judged
 from quadpi_core.monitor.alarm_log import reasons_by_row
 from quadpi_core.monitor.monitor import Monitor
@@ -146,10 +146,10 @@ def _write(flight: RecordedFlight, monitor: Monitor, vehicle: Vehicle, output: P
             {f"/{name}": TOPIC_TYPES[name] for name in [*names, "prediction", "extrapolation_alarm"]}
         )
         for stretch in follow(flight, vehicle):
-            if stretch.begin != pairing_kernel.CONTINUES:
+            if stretch.begin != pairing.CONTINUES:
                 # Stamps repeat from here on, and must not mix with the earlier ones.
                 writer.flush()
-            if stretch.begin == pairing_kernel.SET_BACK:
+            if stretch.begin == pairing.SET_BACK:
                 monitor.reset()
                 around.reset()
             monitor.retune(stretch.rate)
@@ -420,7 +420,7 @@ class _Imu(NamedTuple):
 
 def _arriving(
     block: Recording, imu: _Imu, odometry: OdometryStream, state_of: Stamps | None
-) -> pairing_kernel.Arriving:
+) -> pairing.Arriving:
     """The samples of a block in the order in which they reach the pairing.
 
     Args:
@@ -434,14 +434,14 @@ def _arriving(
     wind = block.wind or WindStream(np.empty(0, dtype=np.int64), np.empty((0, 3)))
     # Three places per IMU sample: for what came since the previous one, for the sample, and for its state.
     came = {
-        pairing_kernel.WIND_TOPIC: 3 * block.arrivals_of(wind),
-        pairing_kernel.ROTORS: 3 * block.arrivals_of(rotor_speeds),
-        pairing_kernel.IMU: 3 * imu.used + 1,
-        pairing_kernel.STATE: 3 * block.arrivals_of(odometry) if state_of is None else 3 * state_of + 2,
+        pairing.WIND_TOPIC: 3 * block.arrivals_of(wind),
+        pairing.ROTORS: 3 * block.arrivals_of(rotor_speeds),
+        pairing.IMU: 3 * imu.used + 1,
+        pairing.STATE: 3 * block.arrivals_of(odometry) if state_of is None else 3 * state_of + 2,
     }
-    rows = {kind: np.arange(len(places)) for kind, places in came.items()} | {pairing_kernel.IMU: imu.used}
+    rows = {kind: np.arange(len(places)) for kind, places in came.items()} | {pairing.IMU: imu.used}
     order = np.argsort(np.concatenate(list(came.values())), kind="stable")
-    return pairing_kernel.Arriving(
+    return pairing.Arriving(
         kind=np.repeat(list(came), [len(places) for places in came.values()])[order],
         row=np.concatenate([rows[kind] for kind in came])[order],
         imu_ns=imu.time_ns,

@@ -18,9 +18,9 @@ from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array, rotation_matrix
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.state_deviation import SETTLED, WindDrag
-from quadpi_core.monitor.conditions import CONDITIONS
-from quadpi_core.monitor.ground import LIFTED
+from quadpi_core.monitor.alarm_kernel import LIFTED
 from quadpi_core.monitor.pairing import PairedSamples
+from quadpi_core.monitor.preparation import CONDITIONS
 from quadpi_core.monitor.unsure_states import UnsureStates
 from quadpi_core.records import CONVENTION, Records, Threshold
 

@@ -27,7 +27,7 @@ from quadpi_core.messages.foreign_messages import foreign_codec
 from quadpi_core.messages.model_description import DescribedModel, MonitorDescription, unpack_description
 from quadpi_core.messages.payloads import Payloads, Topic
 from quadpi_core.models.aerodynamic import AerodynamicModel
-from quadpi_core.monitor import pairing_kernel
+from quadpi_core.monitor import pairing
 from quadpi_core.monitor.alarm_log import naming_sensors, reasons_by_row
 from quadpi_core.monitor.health import lack
 from quadpi_core.monitor.monitor import Monitor
@@ -212,7 +212,7 @@ def judged(
     raised: dict[int, tuple[str, ...]] = {}
     with open_flight(bag, vehicle, mapping) as flight:
         for stretch in follow(_noting(flight, held, seen), vehicle):
-            if stretch.begin == pairing_kernel.SET_BACK:
+            if stretch.begin == pairing.SET_BACK:
                 for monitor in monitors:
                     monitor.reset()
                 around.reset()

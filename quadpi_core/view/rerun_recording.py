@@ -25,7 +25,7 @@ from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.logs.cut_off import is_cut_off, whole_part
 from quadpi_core.messages.model_description import DescribedModel
 from quadpi_core.models.aerodynamic import AerodynamicModel
-from quadpi_core.monitor.quantity_words import INPUT_WORDS
+from quadpi_core.monitor.alarm_log import INPUT_WORDS
 from quadpi_core.paths import whole_output
 from quadpi_core.reading_options import MappingOrOptions
 from quadpi_core.results import CAUSE_NAMES, AlarmEvent, Predictions, ReportedAlarms

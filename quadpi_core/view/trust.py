@@ -16,8 +16,7 @@ from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES, aerodynamic_inputs, relative_to_air
 from quadpi_core.messages.model_description import DescribedModel
 from quadpi_core.models.alarm_limits import allowance
-from quadpi_core.monitor.alarm_log import OUTSIDE_RATIO
-from quadpi_core.monitor.quantity_words import AXIS_WORDS, INPUT_WORDS, OF_RANGE, piloted_first
+from quadpi_core.monitor.alarm_log import AXIS_WORDS, INPUT_WORDS, OF_RANGE, OUTSIDE_RATIO, piloted_first
 from quadpi_core.results import (
     ACTIVE,
     BAD_DATA,

@@ -14,8 +14,7 @@ import pytest
 from quadpi_core.flight import Recording
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.importing import Imported, import_logs
-from quadpi_core.monitor.data_quality import fault_words
-from quadpi_core.monitor.preparation import Preparation
+from quadpi_core.monitor.preparation import Preparation, fault_words
 from quadpi_core.screening.consistency import checked
 from quadpi_core.signals.chain import ROTOR_SPEEDS
 from quadpi_core.vehicle import Vehicle

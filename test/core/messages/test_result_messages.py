@@ -12,7 +12,7 @@ from quadpi_core.messages.definitions import typestore
 from quadpi_core.messages.frame_ids import TF_TYPE
 from quadpi_core.monitor.alarm_log import reasons, reasons_by_row
 from quadpi_core.monitor.change import found_columns, nothing_found
-from quadpi_core.monitor.data_quality import GYRO_FROZEN
+from quadpi_core.monitor.preparation import GYRO_FROZEN
 from quadpi_core.results import AlarmEvent, Alarms, Predictions
 
 from .test_sensor_messages import TIME_NS, N, assert_same, reference

@@ -12,7 +12,7 @@ import pytest
 from quadpi_core.models.alarm_limits import AlarmLimits
 from quadpi_core.monitor.alarm import Alarm
 from quadpi_core.monitor.alarm_log import reasons
-from quadpi_core.monitor.data_quality import GYRO_FROZEN, ROTOR_HALF, STAMP_REPEATED
+from quadpi_core.monitor.preparation import GYRO_FROZEN, ROTOR_HALF, STAMP_REPEATED
 from quadpi_core.results import (
     ACTIVE,
     BAD_DATA,

@@ -11,8 +11,7 @@ import pytest
 
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.monitor.alarm import Alarm
-from quadpi_core.monitor.alarm_log import EventLog, reasons
-from quadpi_core.monitor.quantity_words import INPUT_WORDS
+from quadpi_core.monitor.alarm_log import INPUT_WORDS, EventLog, reasons
 from quadpi_core.results import EVENTS_KEPT, EXTRAPOLATION, LEVEL_OK, MISCOVERAGE
 from test.core.monitor.alarm_samples import FX, LIMITS, MY, SETTINGS, Samples, U, missing_shares
 

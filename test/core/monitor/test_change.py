@@ -14,6 +14,7 @@ from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.models.alarm_limits import FALSE_FLIGHTS, AlarmLimits, ChangeLimits, RepeatingPart
 from quadpi_core.models.envelope import Envelope
 from quadpi_core.monitor.alarm import Alarm
+from quadpi_core.monitor.alarm_kernel import geometry_record
 from quadpi_core.monitor.alarm_log import reasons
 from quadpi_core.monitor.change import (
     BLOCK_S,
@@ -23,7 +24,6 @@ from quadpi_core.monitor.change import (
     nothing_found,
     sound_noise,
 )
-from quadpi_core.monitor.rotor_thrust import geometry_record
 from quadpi_core.records import Records
 from quadpi_core.results import (
     ACTIVE,

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from quadpi_core.monitor.change_words import change_words
+from quadpi_core.monitor.alarm_log import change_words
 from quadpi_core.results import (
     CHANGED_CENTRE_FORWARD,
     CHANGED_CENTRE_RIGHT,

@@ -16,10 +16,9 @@ from quadpi_core.frames import from_rotation_vector, products
 from quadpi_core.inputs import DERIVATIVES, aerodynamic_inputs
 from quadpi_core.models.aerodynamic import unchecked_evaluation
 from quadpi_core.models.model_kind import Fitted
-from quadpi_core.monitor.conditions import STATE_ERRORS, conditions
 from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.pairing import PairedSamples
-from quadpi_core.monitor.preparation import Preparation
+from quadpi_core.monitor.preparation import STATE_ERRORS, Preparation, conditions
 from test.core.models.physical_flights import fitted_physical
 
 RATE_HZ = 500.0

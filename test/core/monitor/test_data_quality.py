@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from quadpi_core.core import compiled
-from quadpi_core.monitor import data_quality
-from quadpi_core.monitor.data_quality import fault_words
-from quadpi_core.monitor.preparation import Preparation
+from quadpi_core.monitor import preparation
+from quadpi_core.monitor.preparation import Preparation, fault_words
 from quadpi_core.vehicle import Vehicle
 from test.core.monitor.conftest import CUTOFF_HZ, RATE_HZ, fly
 
@@ -121,7 +120,7 @@ def test_spikes_are_told_where_they_are(flight):
 
 
 def test_an_inertial_sensor_is_frozen_after_30_ms_and_eight_samples():
-    assert (data_quality.frozen_s(500.0), data_quality.frozen_s(100.0)) == (0.03, 0.08)
+    assert (preparation.frozen_s(500.0), preparation.frozen_s(100.0)) == (0.03, 0.08)
 
 
 @pytest.mark.parametrize(
@@ -216,14 +215,14 @@ def test_blocks_give_the_same_bits(flight):
 
 
 def test_bits_do_not_overlap():
-    single = [getattr(data_quality, name) for name in ("NOT_FINITE", "GAP", "STATE_MISSING", "GYRO_FROZEN")]
+    single = [getattr(preparation, name) for name in ("NOT_FINITE", "GAP", "STATE_MISSING", "GYRO_FROZEN")]
     per_rotor = [
         first << k
         for first in (
-            data_quality.ROTOR_FROZEN,
-            data_quality.ROTOR_HALF,
-            data_quality.ROTOR_JUMPS,
-            data_quality.ROTOR_DIFFERS,
+            preparation.ROTOR_FROZEN,
+            preparation.ROTOR_HALF,
+            preparation.ROTOR_JUMPS,
+            preparation.ROTOR_DIFFERS,
         )
         for k in range(4)
     ]

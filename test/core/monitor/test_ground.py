@@ -9,10 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from quadpi_core.monitor import ground
+from quadpi_core.monitor import alarm_kernel
 from quadpi_core.monitor.alarm import Alarm
 from quadpi_core.monitor.alarm_log import reasons
-from quadpi_core.monitor.data_quality import ROTOR_ZERO
+from quadpi_core.monitor.preparation import ROTOR_ZERO
 from quadpi_core.records import Threshold
 from quadpi_core.results import (
     BAD_DATA,
@@ -98,10 +98,10 @@ def moving(quantity: str, value: float) -> Samples:
 @pytest.mark.parametrize(
     ("quantity", "threshold"),
     [
-        ("speed", ground.MOVES_M_S),
-        ("way", ground.GONE_M),
-        ("rate", ground.MOVES_RAD_S),
-        ("force", ground.MOVES_G),
+        ("speed", alarm_kernel.MOVES_M_S),
+        ("way", alarm_kernel.GONE_M),
+        ("rate", alarm_kernel.MOVES_RAD_S),
+        ("force", alarm_kernel.MOVES_G),
     ],
 )
 def test_slow_rotors_fly_once_the_vehicle_moves(envelope, quantity: str, threshold: Threshold):
@@ -120,7 +120,7 @@ def test_speeds_that_all_read_half_fly(envelope):
 
 @pytest.mark.parametrize("moves", [False, True])
 def test_rotors_tell_alone_at_the_ends_only(envelope, moves: bool):
-    threshold = ground.TURNING.value if moves else ground.LIFTED.value
+    threshold = alarm_kernel.TURNING.value if moves else alarm_kernel.LIFTED.value
     for factor, flies in ((0.98, False), (1.02, True)):
         samples = vehicle_at(factor * threshold)
         samples.velocity[:, 0] = 0.5 * moves

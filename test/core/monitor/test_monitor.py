@@ -15,8 +15,7 @@ from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
 from quadpi_core.models.model_kind import Evaluation
 from quadpi_core.monitor.alarm import MonitorSettings
 from quadpi_core.monitor.monitor import Judged, Monitor, Monitors
-from quadpi_core.monitor.pairing import PairedSamples, Pairing
-from quadpi_core.monitor.pairing_kernel import NOTHING
+from quadpi_core.monitor.pairing import NOTHING, PairedSamples, Pairing
 from quadpi_core.monitor.preparation import Preparation
 from quadpi_core.results import BAD_DATA, EXTRAPOLATION, LEVEL_ALARM, LEVEL_OK, Alarms, Predictions
 

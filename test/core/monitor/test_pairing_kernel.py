@@ -9,8 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from quadpi_core.monitor.pairing import PairedSamples, Pairing
-from quadpi_core.monitor.pairing_kernel import (
+from quadpi_core.monitor.pairing import (
     CONTINUES,
     IMU,
     ROTORS,
@@ -19,6 +18,8 @@ from quadpi_core.monitor.pairing_kernel import (
     STEPS_BACK,
     WIND_TOPIC,
     Arriving,
+    PairedSamples,
+    Pairing,
 )
 from test.core.monitor.test_pairing import LEVEL, MS, add_imu, add_rotors, add_state, taken
 

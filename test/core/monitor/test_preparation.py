@@ -12,8 +12,7 @@ from quadpi_core.errors import SignalError
 from quadpi_core.estimator.imu_rate import ImuRate
 from quadpi_core.frames import rotate_body_to_world, rotate_world_to_body
 from quadpi_core.inputs import aerodynamic_inputs
-from quadpi_core.monitor.data_quality import RATE_DIFFERS, RATE_LOW, RATE_UNKNOWN
-from quadpi_core.monitor.preparation import Preparation, Prepared
+from quadpi_core.monitor.preparation import RATE_DIFFERS, RATE_LOW, RATE_UNKNOWN, Preparation, Prepared
 from test.core.monitor.conftest import CUTOFF_HZ, RATE_HZ
 from test.core.monitor.test_monitor import changed, cut
 

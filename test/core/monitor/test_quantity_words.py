@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from quadpi_core.flight import AXES
 from quadpi_core.inputs import INPUT_NAMES
-from quadpi_core.monitor.quantity_words import AXIS_WORDS, INPUT_WORDS, piloted_first
+from quadpi_core.monitor.alarm_log import AXIS_WORDS, INPUT_WORDS, piloted_first
 from quadpi_core.view.view_server import PAGE_FOLDER
 
 

@@ -25,8 +25,7 @@ from quadpi_core.messages.payloads import Payloads, join_topics
 from quadpi_core.monitor import replay as replay_module
 from quadpi_core.monitor.alarm import MonitorSettings
 from quadpi_core.monitor.monitor import Monitor, Monitors
-from quadpi_core.monitor.pairing import PairedSamples, Pairing
-from quadpi_core.monitor.pairing_kernel import NOTHING
+from quadpi_core.monitor.pairing import NOTHING, PairedSamples, Pairing
 from quadpi_core.monitor.replay import recorded_flight, replay, replay_all
 from quadpi_core.parallel import Workers
 from quadpi_core.results import BAD_DATA, EXTRAPOLATION, LEVEL_ALARM, NOT_BEGUN, SETTLES, WHY_NOT_JUDGED

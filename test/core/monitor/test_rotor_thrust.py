@@ -9,10 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from quadpi_core.monitor import rotor_thrust
+from quadpi_core.monitor import alarm_kernel
 from quadpi_core.monitor.alarm import Alarm
 from quadpi_core.monitor.alarm_log import reasons
-from quadpi_core.monitor.data_quality import ROTOR_DIFFERS, ROTOR_FROZEN, ROTOR_JUMPS, ROTOR_ZERO
+from quadpi_core.monitor.preparation import ROTOR_DIFFERS, ROTOR_FROZEN, ROTOR_JUMPS, ROTOR_ZERO
 from quadpi_core.results import BAD_DATA, LEVEL_ALARM, MISCOVERAGE
 from quadpi_core.vehicle import Vehicle
 from test.core.monitor.alarm_samples import LIMITS, SETTINGS, Samples
@@ -64,7 +64,7 @@ def test_a_rotor_without_thrust_has_stopped(envelope, rotor: int, telemetry: str
             samples.faults[samples.between(2.05, 4.0)] |= fault << rotor
     rows = watched(envelope, samples)
     seconds, _, words = alarms(rows)[0]
-    lasts = rotor_thrust.SILENT_LOST_S if telemetry == "reads 0" else rotor_thrust.LOST_S
+    lasts = alarm_kernel.SILENT_LOST_S if telemetry == "reads 0" else alarm_kernel.LOST_S
     assert seconds == pytest.approx(2.0 + lasts.value, abs=0.01)
     assert f"rotor {rotor + 1} stopped" in words
     assert not np.any(rows.causes[rows.time_ns > 3_060_000_000] & BAD_DATA)
@@ -83,11 +83,11 @@ def test_zeros_of_the_telemetry_alone_are_bad_data(envelope, seconds: float):
 @pytest.mark.parametrize(
     ("share", "stopped"),
     [
-        (0.98 * rotor_thrust.LOST_SHARE.value, False),
-        (1.02 * rotor_thrust.LOST_SHARE.value, True),
-        (0.95 * rotor_thrust.LOST_MOST.value, True),
+        (0.98 * alarm_kernel.LOST_SHARE.value, False),
+        (1.02 * alarm_kernel.LOST_SHARE.value, True),
+        (0.95 * alarm_kernel.LOST_MOST.value, True),
         # The mean follows while this lasts.
-        (1.25 * rotor_thrust.LOST_MOST.value, False),
+        (1.25 * alarm_kernel.LOST_MOST.value, False),
     ],
 )
 @pytest.mark.parametrize("shown", range(3))
@@ -99,7 +99,7 @@ def test_every_axis_must_show_half_of_the_loss_and_no_more_than_twice(envelope, 
 
 @pytest.mark.parametrize(("factor", "stopped"), [(0.9, False), (1.1, True)])
 def test_a_loss_must_last(envelope, factor: float, stopped: bool):
-    samples = hovering(1.0, until_s=2.0 + factor * rotor_thrust.LOST_S.value)
+    samples = hovering(1.0, until_s=2.0 + factor * alarm_kernel.LOST_S.value)
     assert np.any(watched(envelope, samples).stopped) == stopped
 
 
@@ -107,7 +107,7 @@ def test_a_loss_must_last(envelope, factor: float, stopped: bool):
 def test_a_rotor_whose_speed_swings_tells_by_its_readings_alone(envelope, factor: float, stopped: bool):
     """In fast turns it is told to slow down: without a reading, a loss of thrust is no stop."""
     samples = hovering(1.0, until_s=2.15)
-    swing = 1.0 + factor * rotor_thrust.STEADY_SHARE.value * (-1.0) ** np.arange(len(samples.time_ns))
+    swing = 1.0 + factor * alarm_kernel.STEADY_SHARE.value * (-1.0) ** np.arange(len(samples.time_ns))
     samples.rotor_speeds[:, 2] *= np.sqrt(swing)
     assert np.any(watched(envelope, reading_zero(samples, 2, 2.0, 2.15)).stopped) == stopped
 
@@ -116,7 +116,7 @@ def test_a_rotor_whose_speed_swings_tells_by_its_readings_alone(envelope, factor
 def test_a_rotor_without_a_reading_may_slow_down_with_the_others(envelope, factor: float, stopped: bool):
     samples = hovering(1.0, until_s=2.15)
     slow = samples.between(2.0, 2.15)
-    share = factor * rotor_thrust.TOGETHER_SHARE.value
+    share = factor * alarm_kernel.TOGETHER_SHARE.value
     samples.rotor_speeds[slow] *= np.sqrt(share)
     for k in (0, 1, 3):  # what they lose is measured
         x, y, _ = BEBOP.rotor_positions[k]

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadpi_core.monitor.tachometers import TachometerWatch
+from quadpi_core.monitor.health import TachometerWatch
 
 COMMANDED = np.array([1500.0, 1520.0, 1480.0, 1500.0])
 
