@@ -26,8 +26,8 @@ from quadpi_core.identification.identify import identify
 from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs.bags import write_bag
 from quadpi_core.models.aerodynamic import AerodynamicModel
-from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.model_kind import IdentifyOptions
+from quadpi_core.models.regressors import load_pools
 from quadpi_core.monitor.monitor import Monitor, Monitors
 from quadpi_core.monitor.pairing import Pairing
 from quadpi_core.vehicle import Vehicle

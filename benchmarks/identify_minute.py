@@ -20,8 +20,8 @@ from rosbags.highlevel import AnyReader
 from benchmarks import Result
 from quadpi_core.identification.identify import identify
 from quadpi_core.identification.prepared_flights import prepare_flights
-from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.model_kind import CUTOFF_HZ, IdentifyOptions
+from quadpi_core.models.regressors import load_pools
 from quadpi_core.simulation.scenario import load_scenario
 from quadpi_core.simulation.simulated_bags import simulate
 from quadpi_core.vehicle import Vehicle

@@ -17,10 +17,10 @@ from benchmarks import Result
 from benchmarks.identify_minute import CANDIDATES, DURATION_S, FLIGHTS, SCENARIO
 from quadpi_core.identification.identify import identify, joined
 from quadpi_core.identification.prepared_flights import prepare_flights
-from quadpi_core.models.candidate_pool import load_pools
+from quadpi_core.models.kinds.physical import PhysicalStudy
 from quadpi_core.models.model_kind import IdentifyOptions
-from quadpi_core.models.physical_flight import flights_of
-from quadpi_core.models.physical_study import PhysicalStudy
+from quadpi_core.models.physical_fit import flights_of
+from quadpi_core.models.regressors import load_pools
 from quadpi_core.simulation.scenario import load_scenario
 from quadpi_core.simulation.simulated_bags import simulate
 from quadpi_core.vehicle import Vehicle

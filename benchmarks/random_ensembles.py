@@ -10,12 +10,11 @@ from dataclasses import replace
 import numpy as np
 
 from quadpi_core.frames import Array
-from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.fitted_ensemble import EnsembleAxis, FittedEnsembles, Scaling
 from quadpi_core.models.interval_rules import NormalRule, Rule
 from quadpi_core.models.kinds.bootstrap import BootstrapAxis, FittedBootstrap
 from quadpi_core.models.kinds.quality_driven import FittedQualityDriven, QualityDrivenAxis
-from quadpi_core.models.regressors import Regressor, RegressorProgram
+from quadpi_core.models.regressors import Regressor, RegressorProgram, load_pools
 from quadpi_core.training.networks import Networks
 
 NOISE_UNITS = 25

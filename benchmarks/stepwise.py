@@ -16,10 +16,9 @@ import numpy as np
 from benchmarks import Result, interleaved_seconds
 from benchmarks.synthetic_inputs import planted_target, smooth_inputs
 from quadpi_core.frames import Array
-from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.kinds.polynomial import TermSearch
-from quadpi_core.models.regressors import RegressorProgram
-from quadpi_core.models.selection import SelectionSettings
+from quadpi_core.models.least_squares import SelectionSettings
+from quadpi_core.models.regressors import RegressorProgram, load_pools
 
 NAMES = ("stepwise_vs_direct", "stepwise_vs_gram")
 

@@ -19,8 +19,8 @@ from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs.bag_writer import mcap_writer
 from quadpi_core.logs.bags import recording_topics, write_bag
 from quadpi_core.models.aerodynamic import AerodynamicModel
-from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.model_kind import IdentifyOptions
+from quadpi_core.models.regressors import load_pools
 from quadpi_core.vehicle import Vehicle
 
 VEHICLE = "neurobem"

@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmarks import Result, UnavailableError, interleaved_seconds
-from quadpi_core.models.training_table import Plan
+from quadpi_core.models.ensemble import Plan
 
 NAMES = ("training_vs_eager_loop", "training_vs_batched_autograd")
 

@@ -21,8 +21,8 @@ from benchmarks.random_ensembles import random_ensembles, simulation_inputs
 from quadpi_core.flight import Flight
 from quadpi_core.identification.identify import identify
 from quadpi_core.identification.prepared_flights import PreparedFlight
-from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.model_kind import IdentifyOptions
+from quadpi_core.models.regressors import load_pools
 from quadpi_core.parallel import Workers
 from quadpi_core.simulation.flying import SimulatedVehicle
 from quadpi_core.simulation.scenario import FlightPlan, load_scenario

@@ -31,8 +31,8 @@ from quadpi_core.logs.bags import read_outputs
 from quadpi_core.logs.importing import import_logs
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.alarm_limits import FEWEST_FLIGHTS
-from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.model_kind import CUTOFF_HZ, IdentifyOptions
+from quadpi_core.models.regressors import load_pools
 from quadpi_core.monitor.alarm import alarm_time
 from quadpi_core.monitor.replay import replay_all
 from quadpi_core.parallel import Workers

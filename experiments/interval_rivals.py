@@ -20,8 +20,7 @@ from scipy.signal import lfilter
 
 from quadpi_core.frames import Array
 from quadpi_core.identification.change_calibration import _left_on_axis
-from quadpi_core.models.interval_rules import conformal_rank
-from quadpi_core.models.moving_centre import delayed, means_of, regressed, usable
+from quadpi_core.models.interval_rules import conformal_rank, delayed, means_of, regressed, usable
 from quadpi_core.monitor.adaptive import GAIN_PER_S, MOST_STEP
 from quadpi_core.monitor.change import BLOCK_S, CHANGE_BLOCK
 
@@ -346,7 +345,7 @@ def by_turn(race: Race, centre: Array, spread: Array) -> Said:
 
 
 def centre_moves(race: Race) -> Said:
-    """The model's own spread about a centre that past errors move: see `models.moving_centre`."""
+    """The model's own spread about a centre that past errors move: see `models.interval_rules`."""
     means, known = means_of(race.past(), race.rate_hz), np.isfinite(race.error[..., 0])
     centres = np.full((len(race.calibrating()), *race.error.shape), np.nan)
     for turn, own in enumerate(race.calibrating()):

@@ -38,11 +38,10 @@ from quadpi_core.frames import Array
 from quadpi_core.identification.identify import identify
 from quadpi_core.identification.prepared_flights import PreparedFlight
 from quadpi_core.models.aerodynamic import AerodynamicModel
-from quadpi_core.models.candidate_pool import load_pools
-from quadpi_core.models.interval_rules import FEWEST_INSIDE, inside_range
+from quadpi_core.models.interval_rules import FEWEST_INSIDE, delay, inside_range
 from quadpi_core.models.kind_registry import kind_named
 from quadpi_core.models.model_kind import IdentifyOptions
-from quadpi_core.models.moving_centre import delay
+from quadpi_core.models.regressors import load_pools
 from quadpi_core.paths import data_directory
 from quadpi_core.report.table import Column, Row, Table, markdown_table
 from quadpi_core.vehicle import Vehicle

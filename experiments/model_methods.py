@@ -29,10 +29,10 @@ from quadpi_core.frames import Array
 from quadpi_core.identification.identify import identify
 from quadpi_core.identification.prepared_flights import LiveSamples, PreparedFlight, prepare_flights
 from quadpi_core.logs.importing import import_logs
-from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.interval_rules import inside_interval
 from quadpi_core.models.kind_registry import KINDS, kind_named
 from quadpi_core.models.model_kind import IdentifyOptions
+from quadpi_core.models.regressors import load_pools
 from quadpi_core.parallel import Workers
 from quadpi_core.paths import data_directory, write_json
 from quadpi_core.report.table import Column, Row, Table, markdown_table

@@ -28,11 +28,10 @@ from quadpi_core.errors import LogError, QuadpiError
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array, rotate_body_to_world, rotate_world_to_body
 from quadpi_core.logs import read_recording
+from quadpi_core.models.kinds.physical import PhysicalStudy
 from quadpi_core.models.multi_step_fit import fit_multi_step
-from quadpi_core.models.physical_fit import Problem
-from quadpi_core.models.physical_flight import PhysicalFlight, Sensing
+from quadpi_core.models.physical_fit import PhysicalFlight, Problem, Sensing
 from quadpi_core.models.physical_rollout import ATTITUDE, RATES, STATES, VELOCITY, Disturbance
-from quadpi_core.models.physical_study import PhysicalStudy
 from quadpi_core.models.rollout_model import RolloutFlight, RolloutModel, disturbance_left
 from quadpi_core.paths import data_directory, write_json
 from quadpi_core.report.table import Cell, Column, Mark, Row, Table, number, terminal_table

@@ -16,7 +16,7 @@ from interval_rivals import ALPHA, AXES, RULES, Race, Said, quantile_regression,
 from numpy.typing import NDArray
 
 from quadpi_core.frames import Array
-from quadpi_core.models.moving_centre import delayed, means_of
+from quadpi_core.models.interval_rules import delayed, means_of
 from quadpi_core.monitor.adaptive import GAIN_PER_S, MOST_STEP
 
 # Samples that the radius of MultiDimSPCI is regressed on, and ranges of speed of a local ellipsoid.

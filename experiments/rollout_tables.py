@@ -18,8 +18,8 @@ from page_tables import RESULTS, ROOT, renew, stamp
 from quadpi_core.errors import QuadpiError, one_line
 from quadpi_core.evaluation.evaluate import FlightRolloutMetrics, TubeMetrics, evaluate_rollouts
 from quadpi_core.identification.identify import identify
-from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.model_kind import IdentifyOptions
+from quadpi_core.models.regressors import load_pools
 from quadpi_core.paths import data_directory
 from quadpi_core.report.table import Column, Row, Table, markdown_table, number
 

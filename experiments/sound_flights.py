@@ -30,8 +30,8 @@ from quadpi_core.identification.prepared_flights import PreparedFlight, prepare_
 from quadpi_core.logs import read_recording
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.alarm_limits import change_sentence
-from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.model_kind import CUTOFF_HZ, IdentifyOptions
+from quadpi_core.models.regressors import load_pools
 from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.pairing import SET_BACK
 from quadpi_core.monitor.replay import follow, recorded_flight

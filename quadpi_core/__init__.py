@@ -36,8 +36,8 @@ if TYPE_CHECKING:
     from quadpi_core.library.wrench_model import load_model as load_model
     from quadpi_core.logs import read_recording as read_recording
     from quadpi_core.models.aerodynamic import AerodynamicModel as AerodynamicModel
-    from quadpi_core.models.candidate_pool import load_pools as load_pools
     from quadpi_core.models.model_kind import IdentifyOptions as IdentifyOptions
+    from quadpi_core.models.regressors import load_pools as load_pools
     from quadpi_core.monitor.alarm import MonitorSettings as MonitorSettings
     from quadpi_core.monitor.replay import replay as replay
     from quadpi_core.simulation.scenario import load_scenario as load_scenario
@@ -59,7 +59,7 @@ _ROOMS = {
     "judge": "evaluation.evaluate",
     "load_flights": "library.flights",
     "load_model": "library.wrench_model",
-    "load_pools": "models.candidate_pool",
+    "load_pools": "models.regressors",
     "load_scenario": "simulation.scenario",
     "load_simulation": "discrepancy.loading",
     "prepare_flights": "identification.prepared_flights",

@@ -21,9 +21,9 @@ from quadpi_core.identification.identify import identify
 from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.importing import import_logs
-from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.kind_registry import kind_of
 from quadpi_core.models.model_kind import IdentifyOptions
+from quadpi_core.models.regressors import load_pools
 from quadpi_core.parallel import Workers
 from quadpi_core.paths import bags_directory, write_json
 from quadpi_core.reading_options import ReadingOptions

@@ -28,8 +28,8 @@ from quadpi_core.frames import Array, rotate_world_to_body
 from quadpi_core.identification.identify import identify
 from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs.bags import write_bag
-from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.model_kind import IdentifyOptions
+from quadpi_core.models.regressors import load_pools
 from quadpi_core.paths import bags_directory, data_directory
 from quadpi_core.vehicle import Vehicle
 

@@ -22,8 +22,8 @@ from golden_trace import Table
 from quadpi_core.identification.identify import identify
 from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.models.aerodynamic import AerodynamicModel
-from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.model_kind import IdentifyOptions
+from quadpi_core.models.regressors import load_pools
 from quadpi_core.parallel import Workers
 from quadpi_core.paths import bags_directory, data_directory, whole_output
 from quadpi_core.vehicle import Vehicle

@@ -46,9 +46,9 @@ from quadpi_core.flight import Flight, ImuStream, PoseStream, Recording
 from quadpi_core.identification.prepared_flights import LiveSamples, PreparedFlight
 from quadpi_core.inputs import DERIVATIVES, aerodynamic_inputs
 from quadpi_core.models.aerodynamic import AerodynamicModel
-from quadpi_core.models.candidate_pool import CandidatePool
 from quadpi_core.models.kinds.physical import Physical
 from quadpi_core.models.model_kind import IdentifyOptions
+from quadpi_core.models.regressors import CandidatePool
 from quadpi_core.monitor.alarm import MonitorSettings
 from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.preparation import Prepared

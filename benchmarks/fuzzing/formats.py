@@ -49,8 +49,8 @@ from quadpi_core.messages.adapters import AdapterSettings
 from quadpi_core.messages.definitions import typestore
 from quadpi_core.messages.payloads import Payloads
 from quadpi_core.models.aerodynamic import AerodynamicModel
-from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.model_folder import ARRAYS_FILE, MODEL_FILE
+from quadpi_core.models.regressors import load_pools
 from quadpi_core.paths import config_directory
 from quadpi_core.report.info_tables import describe
 from quadpi_core.rotor_order import RPM, RotorOrder

@@ -38,9 +38,9 @@ from quadpi_core.identification.identify import identify
 from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.duplicates import recording_hash
-from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.interval_rules import inside_interval
 from quadpi_core.models.model_kind import CUTOFF_HZ, IdentifyOptions
+from quadpi_core.models.regressors import load_pools
 from quadpi_core.parallel import Workers
 from quadpi_core.screening.consistency import checked
 from quadpi_core.screening.flight_runs import parts_without_pause

@@ -13,9 +13,9 @@ from quadpi_core.errors import ModelError
 from quadpi_core.identification.identify import identify
 from quadpi_core.identification.prepared_flights import PreparedFlight
 from quadpi_core.models.aerodynamic import AerodynamicModel
-from quadpi_core.models.candidate_pool import CandidatePool
 from quadpi_core.models.kind_registry import kind_of
 from quadpi_core.models.model_kind import IdentifyOptions
+from quadpi_core.models.regressors import CandidatePool
 from quadpi_core.paths import JSON_BYTES_MAX, parse_json, read_bounded, write_json
 from quadpi_core.validation.validation_case import code_fingerprint
 from quadpi_core.vehicle import Vehicle

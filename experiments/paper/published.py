@@ -24,9 +24,9 @@ from quadpi_core.evaluation.evaluation_result import Comparison
 from quadpi_core.flight import AXES, Flight
 from quadpi_core.identification.prepared_flights import PreparedFlight, prepare_flights
 from quadpi_core.models.aerodynamic import AerodynamicModel
-from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.kind_registry import kind_named
 from quadpi_core.models.model_kind import CUTOFF_HZ, IdentifyOptions, Settings
+from quadpi_core.models.regressors import load_pools
 from quadpi_core.simulation.flying import SimulatedVehicle
 from quadpi_core.simulation.scenario import FlightPlan, load_scenario
 from quadpi_core.simulation.sensor_noise import SensorSuite, StateNoise, contaminate

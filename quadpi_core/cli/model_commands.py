@@ -220,10 +220,10 @@ def identify(
     from quadpi_core.identification.commanded_flights import prepare_with_motors
     from quadpi_core.identification.identify import check_options
     from quadpi_core.identification.identify import identify as identify_model
-    from quadpi_core.models.candidate_pool import load_pools, select_axes
     from quadpi_core.models.kind_registry import kind_of
     from quadpi_core.models.model_folder import require_replaceable
     from quadpi_core.models.model_kind import CUTOFF_HZ, IdentifyOptions
+    from quadpi_core.models.regressors import load_pools, select_axes
     from quadpi_core.report.page import FlightFiles
     from quadpi_core.report.table import progress_bar
     from quadpi_core.vehicle import Vehicle

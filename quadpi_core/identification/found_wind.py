@@ -21,7 +21,7 @@ from quadpi_core.flight import Flight
 from quadpi_core.frames import Array, rotation_matrix
 from quadpi_core.identification.prepared_flights import LiveSamples, PreparedFlight
 from quadpi_core.inputs import INPUT_INDEX, VELOCITY_INPUTS, aerodynamic_inputs, flight_inputs
-from quadpi_core.models.state_deviation import WindDrag
+from quadpi_core.models.interval_rules import WindDrag
 from quadpi_core.monitor.pairing import PairedSamples
 from quadpi_core.monitor.wind_state import WindState
 from quadpi_core.vehicle import Vehicle

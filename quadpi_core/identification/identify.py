@@ -27,9 +27,22 @@ from quadpi_core.identification.change_calibration import calibrate_change
 from quadpi_core.identification.found_wind import with_found_wind
 from quadpi_core.identification.prepared_flights import PREPARE_FLIGHTS, PreparedFlight
 from quadpi_core.models.aerodynamic import AerodynamicModel, TrainingFlight
-from quadpi_core.models.candidate_pool import CandidatePool
 from quadpi_core.models.envelope import Envelope
-from quadpi_core.models.interval_rules import FlightErrors, HeldOutRule, inside_range, require_confidence
+from quadpi_core.models.interval_rules import (
+    MEMORIES_S,
+    FlightErrors,
+    HeldOutRule,
+    MovedAxis,
+    MovingCentre,
+    StateDeviation,
+    delay,
+    delayed,
+    inside_range,
+    means_of,
+    regressed,
+    require_confidence,
+    usable,
+)
 from quadpi_core.models.kind_registry import kind_of
 from quadpi_core.models.least_squares import identifiable
 from quadpi_core.models.model_kind import (
@@ -40,18 +53,8 @@ from quadpi_core.models.model_kind import (
     Settings,
     TrainingSamples,
 )
-from quadpi_core.models.moving_centre import (
-    MEMORIES_S,
-    MovedAxis,
-    MovingCentre,
-    delay,
-    delayed,
-    means_of,
-    regressed,
-    usable,
-)
+from quadpi_core.models.regressors import CandidatePool
 from quadpi_core.models.small_model import errors_by_flight
-from quadpi_core.models.state_deviation import StateDeviation
 from quadpi_core.parallel import ReportProgress, ignore_progress
 from quadpi_core.records import Records
 from quadpi_core.vehicle import LOAD_VEHICLE, Vehicle

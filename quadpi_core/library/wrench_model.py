@@ -22,10 +22,10 @@ from quadpi_core.library.flight_arrays import counted, html_table, new_axes
 from quadpi_core.library.flights import Flights, flights_in
 from quadpi_core.library.user_regressor import Regressor, RegressorModel, fitted_regressor, is_regressor
 from quadpi_core.models.aerodynamic import AerodynamicModel
-from quadpi_core.models.candidate_pool import load_pools, select_axes
 from quadpi_core.models.kind_registry import kind_of
 from quadpi_core.models.model_folder import damage_named, read_folder
 from quadpi_core.models.model_kind import Evaluation, IdentifyOptions, Kind
+from quadpi_core.models.regressors import load_pools, select_axes
 from quadpi_core.records import brief_repr
 
 Self = TypeVar("Self", bound="WrenchModel")

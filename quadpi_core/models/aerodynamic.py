@@ -23,7 +23,14 @@ from quadpi_core.inputs import ASSUMED, INPUT_NAMES, density_range, derivatives_
 from quadpi_core.messages.model_description import DescribedModel
 from quadpi_core.models.alarm_limits import AlarmLimits, ChangeLimits
 from quadpi_core.models.envelope import Envelope
-from quadpi_core.models.interval_rules import HeldOutRule, LevelSupport
+from quadpi_core.models.interval_rules import (
+    SETTLED,
+    HeldOutRule,
+    LevelSupport,
+    MovingCentre,
+    StateDeviation,
+    WindDrag,
+)
 from quadpi_core.models.kind_registry import kind_named
 from quadpi_core.models.model_folder import (
     MODEL_FILE,
@@ -40,10 +47,8 @@ from quadpi_core.models.model_kind import (
     compiled_model,
     named_arrays,
 )
-from quadpi_core.models.moving_centre import MovingCentre
 from quadpi_core.models.rollout_model import RolloutModel
 from quadpi_core.models.sound_flights import SoundFlights
-from quadpi_core.models.state_deviation import SETTLED, StateDeviation, WindDrag
 from quadpi_core.records import Records
 from quadpi_core.signals.wrench import as_recorded
 from quadpi_core.vehicle import LOAD_VEHICLE, Vehicle

@@ -21,18 +21,28 @@ from quadpi_core.frames import Array
 from quadpi_core.models.fitted_polynomial import RmsSpread
 from quadpi_core.models.interval_rules import StoredRule
 from quadpi_core.models.model_kind import CompiledFitted, Facts, FittedAxis, RotorDelay, StoredAxes
-from quadpi_core.models.physical_fit import AT_BOUND, FitStep, bounded_terms, worst_pairs
-from quadpi_core.models.physical_flight import (
+from quadpi_core.models.physical_fit import (
+    AT_BOUND,
     DELAYS_S,
     KEPT,
     Common,
+    FitStep,
     PackedPhysical,
     PhysicalFlight,
     Sensing,
+    bounded_terms,
     motions,
+    worst_pairs,
 )
-from quadpi_core.models.physical_regressors import control_signs, regressors
-from quadpi_core.models.physical_terms import TERM_INDEX, TERM_NAMES, TERMS, delay_words, missing_flying
+from quadpi_core.models.physical_terms import (
+    TERM_INDEX,
+    TERM_NAMES,
+    TERMS,
+    control_signs,
+    delay_words,
+    missing_flying,
+    regressors,
+)
 from quadpi_core.models.rollout_model import MOVES, RolloutModel, StoredBody, require_arrays, require_known
 from quadpi_core.paths import parse_json
 from quadpi_core.records import Records, record_dtype

@@ -19,8 +19,20 @@ from typing import Annotated, Any, ClassVar, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.config_schema import NotNegative, Numbers, Positive, ReadBy, Real, Within, parse_config
+from quadpi_core.config_schema import (
+    NotEmpty,
+    NotNegative,
+    Numbers,
+    OneOf,
+    Positive,
+    ReadBy,
+    Real,
+    Within,
+    parse_config,
+)
+from quadpi_core.core import exponential
 from quadpi_core.errors import ModelError
+from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.signals.resample import interpolate_columns
 
@@ -318,3 +330,185 @@ def _check_confidence(confidence: float, lowest: float, highest: float) -> None:
         raise ModelError(
             f"confidence {confidence} is outside {lowest:g} to {highest:g}, which can be calibrated"
         )
+
+
+# Errors of a model last: a flight has a constant of its own, and an effect that the model lacks acts for a
+# while. The centre moves by a regression of the error on running means of those before it,
+#
+#     m_k ← m_k + (1 − exp(−1/(τ_k f))) (e − m_k),      centre = model + Σ_k b_k m_k,
+#
+# with f the sample rate. Means of short and of long memories together foresee a slope. As the memories τ are
+# times, the coefficients b hold at any rate. They are learned from errors on flights left out, as the live
+# path would make them. Among rivals of the literature: experiments/results/intervals-raced.md.
+
+# Memories [s] of the running means: from less than the delay of the low-pass to most of a short flight.
+MEMORIES_S = (0.004, 0.01, 0.02, 0.04, 0.1, 0.3, 1.0, 5.0)
+# Shortest memory, in samples, of a mean that is learned: a shorter one is the last error, as the next is.
+_SHORTEST = 0.4
+# An error counts once it is as old as this: the low-pass, which all signals pass, delays by as much.
+DELAY_S = 0.014
+# Ridge of the regression, in variances of each mean: they are much alike.
+_RIDGE = 1e-3
+# Shares of the regression's coefficients that are tried.
+_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
+
+
+@dataclass(frozen=True)
+class MovedAxis:
+    """How the interval of an axis moves.
+
+    Attributes:
+        coefficients: (8,) of the running means.
+        narrower: half width that covers as often about the centre that moves, over the model's own.
+    """
+
+    coefficients: Annotated[Array, Numbers(len(MEMORIES_S))]
+    narrower: Positive
+
+
+@dataclass(frozen=True)
+class MovingCentre:
+    """How the intervals of a model move, by axis."""
+
+    axes: Annotated[dict[Annotated[str, OneOf(*AXES)], MovedAxis], NotEmpty()]
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain numbers for the model file; :meth:`from_json` reads them."""
+        return {
+            "axes": {
+                axis: {"coefficients": own.coefficients.tolist(), "narrower": own.narrower}
+                for axis, own in self.axes.items()
+            }
+        }
+
+    @classmethod
+    def from_json(cls, data: Any) -> MovingCentre:
+        """What :meth:`to_json` gave.
+
+        Raises:
+            ModelError: naming the key that is missing, or whose numbers no flights give.
+        """
+        return parse_config(cls, data, "moving centre", ModelError)
+
+
+def shares(rate_hz: float) -> Array:
+    """Share (8,) of a new error in each running mean."""
+    return 1.0 - exponential(-1.0 / (np.array(MEMORIES_S) * rate_hz))
+
+
+def usable(rate_hz: float) -> npt.NDArray[np.bool_]:
+    """Which running means (8,) errors at a rate can teach."""
+    found: npt.NDArray[np.bool_] = np.array(MEMORIES_S) * rate_hz >= _SHORTEST
+    return found
+
+
+def delay(rate_hz: float) -> int:
+    """Samples after which an error is known; of a rate that is none, one."""
+    return max(int(np.ceil(DELAY_S * rate_hz - 0.1)), 1)
+
+
+def delayed(errors: Array, samples: int) -> Array:
+    """The errors (T, ...) that have become known at each sample, zero before the first and for NaN."""
+    known = np.zeros_like(errors)
+    known[samples:] = np.nan_to_num(errors[:-samples])
+    return known
+
+
+def means_of(errors: Array, rate_hz: float) -> Array:
+    """Running means (T, ..., 8) of errors (T, ...), each with the error of its sample."""
+    # Slow to import, and no model in flight needs it.
+    from scipy.signal import lfilter
+
+    return np.stack(
+        [lfilter([share], [1.0, share - 1.0], errors, axis=0) for share in shares(rate_hz)], axis=-1
+    )
+
+
+def regressed(flights: Sequence[tuple[Array, Array]]) -> tuple[Array, list[Array]]:
+    """Coefficients (8,) of running means, by least squares in which each flight counts the same.
+
+    They are shrunk to the share that is best for each flight by the others: where errors do not repeat
+    themselves from flight to flight, the centre stays.
+
+    Args:
+        flights: errors (N,) of an axis, and the means (N, 8) that were known at each.
+
+    Returns:
+        The coefficients, and by how much those of the others move the centre (N,) of each flight.
+    """
+    squares = [means.T @ means / len(means) for _, means in flights]
+    products = [means.T @ error / len(means) for error, means in flights]
+    square, product = (np.sum(each, axis=0) for each in (squares, products))
+    moved = [
+        means @ _solved(square - own, product - mine)
+        for (_, means), own, mine in zip(flights, squares, products, strict=True)
+    ]
+    # Sums of |error| over those about a centre that stays, which all flights have alike.
+    costs = [
+        sum(
+            float(np.sum(np.abs(error - share * by)) / max(np.sum(np.abs(error)), np.finfo(float).tiny))
+            for (error, _), by in zip(flights, moved, strict=True)
+        )
+        for share in _SHARES
+    ]
+    share = _SHARES[int(np.argmin(costs))] if len(flights) > 1 else 0.0
+    return share * _solved(square, product), [share * by for by in moved]
+
+
+def _solved(square: Array, product: Array) -> Array:
+    scale = np.sqrt(np.maximum(np.diag(square), 0.0))
+    # Of errors that are all zero.
+    scale[scale == 0.0] = 1.0
+    penalised = square / np.outer(scale, scale) + _RIDGE * np.eye(len(scale))
+    found: Array = np.linalg.solve(penalised, product / scale) / scale
+    return found
+
+
+# A model's intervals hold what both did to them.
+
+# What motion capture never exceeds once a filter has settled: see buffer.hpp for the velocity; a pose errs by
+# half of this angle.
+_VELOCITY_M_S, _ATTITUDE_RAD = 0.05, 0.02
+
+
+@dataclass(frozen=True, kw_only=True)
+class StateDeviation:
+    """Standard deviations of the states that a monitor had, root mean squares over the axes.
+
+    Attributes:
+        velocity_m_s: of the velocity.
+        attitude_rad: of the attitude.
+    """
+
+    velocity_m_s: Annotated[float, Within(0.0)] = _VELOCITY_M_S
+    attitude_rad: Annotated[float, Within(0.0)] = _ATTITUDE_RAD
+
+    @classmethod
+    def of_flights(cls, flights: Sequence[tuple[float, float]]) -> StateDeviation:
+        """Of a model of flights whose median deviations, m/s and rad, these are."""
+        velocity, attitude = np.median(np.array(flights), axis=0).tolist()
+        return cls(velocity_m_s=max(velocity, _VELOCITY_M_S), attitude_rad=max(attitude, _ATTITUDE_RAD))
+
+
+# Of motion capture, and of models of earlier versions.
+SETTLED = StateDeviation()
+
+
+@dataclass(frozen=True, kw_only=True)
+class WindDrag:
+    """Linear drag along body x and y, which tells the wind of a flight where nothing measures it.
+
+    Attributes:
+        per_mass_x_1_s, per_mass_y_1_s: drag over mass and airspeed.
+        noise_x_m_s2, noise_y_m_s2: deviation of a fifth of a second's specific force from it, in which errors
+            that hang together count as often as they are independent.
+        wind_m_s: standard deviation of the wind to north and east before a flight.
+        known_m_s: that a monitor knew it by in the model's flights, whose intervals hold what that does.
+    """
+
+    per_mass_x_1_s: Annotated[float, Within(0.0)]
+    per_mass_y_1_s: Annotated[float, Within(0.0)]
+    noise_x_m_s2: Annotated[float, Within(0.0)]
+    noise_y_m_s2: Annotated[float, Within(0.0)]
+    wind_m_s: Annotated[float, Within(0.0)]
+    known_m_s: Annotated[float, Within(0.0)] = 0.0

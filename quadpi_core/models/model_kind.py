@@ -24,9 +24,8 @@ from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.inputs import DERIVATIVES, whole_derivatives
 from quadpi_core.models.alarm_limits import RATE_PER_HOUR
-from quadpi_core.models.candidate_pool import CandidatePool
 from quadpi_core.models.interval_rules import FlightErrors, Rule, StoredRule
-from quadpi_core.models.regressors import check_inputs
+from quadpi_core.models.regressors import CandidatePool, check_inputs
 from quadpi_core.models.rollout_model import RolloutModel
 from quadpi_core.parallel import ReportProgress
 from quadpi_core.records import Records, brief_repr

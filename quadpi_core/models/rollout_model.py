@@ -21,7 +21,6 @@ from quadpi_core.errors import ModelError, named_in
 from quadpi_core.flight import Flight, hole_ends
 from quadpi_core.frames import Array
 from quadpi_core.inputs import relative_to_air
-from quadpi_core.models.physical_regressors import MotionSample, PhysicalVehicle, control_signs, wrenches
 from quadpi_core.models.physical_rollout import (
     POSITION,
     STATES,
@@ -31,7 +30,15 @@ from quadpi_core.models.physical_rollout import (
     Track,
     roll_out,
 )
-from quadpi_core.models.physical_terms import TERM_INDEX, TERM_NAMES, TERMS
+from quadpi_core.models.physical_terms import (
+    TERM_INDEX,
+    TERM_NAMES,
+    TERMS,
+    MotionSample,
+    PhysicalVehicle,
+    control_signs,
+    wrenches,
+)
 from quadpi_core.models.tubes import TubeCalibration, Uncertainty, error_covariance
 from quadpi_core.records import ROTORS_MAX, Records, record_dtype
 from quadpi_core.signals.wrench import measured_wrench

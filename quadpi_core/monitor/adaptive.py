@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Intervals that adapt to the measured wrench, so that the coverage of any flight approaches the nominal one.
 
-Their centre moves with past errors (`models.moving_centre`), and their width follows the misses: adaptive
+Their centre moves with past errors (`models.interval_rules`), and their width follows the misses: adaptive
 conformal inference (Gibbs and Candès 2021) in the form of quantile tracking (Angelopoulos, Candès and
 Tibshirani 2023). The half width of sample t is that calibrated about such a centre, times a factor f_t, and
 
@@ -39,7 +39,7 @@ from quadpi_core.core import compiled, exponential
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.models.moving_centre import MEMORIES_S, MovingCentre, delay, shares
+from quadpi_core.models.interval_rules import MEMORIES_S, MovingCentre, delay, shares
 from quadpi_core.records import record_dtype
 
 GAIN_PER_S = 10.0

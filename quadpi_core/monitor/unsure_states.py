@@ -18,7 +18,7 @@ import numpy as np
 from quadpi_core.estimator.output import FusedSamples
 from quadpi_core.flight import NO_STAMP, OdometryStream, Stamps
 from quadpi_core.frames import Array
-from quadpi_core.models.state_deviation import StateDeviation
+from quadpi_core.models.interval_rules import StateDeviation
 from quadpi_core.monitor.preparation import CONDITIONS
 from quadpi_core.records import Records, Threshold
 

@@ -17,7 +17,7 @@ import numpy as np
 from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array, rotation_matrix
 from quadpi_core.models.aerodynamic import AerodynamicModel
-from quadpi_core.models.state_deviation import SETTLED, WindDrag
+from quadpi_core.models.interval_rules import SETTLED, WindDrag
 from quadpi_core.monitor.alarm_kernel import LIFTED
 from quadpi_core.monitor.pairing import PairedSamples
 from quadpi_core.monitor.preparation import CONDITIONS

@@ -23,8 +23,7 @@ from quadpi_core.config_schema import NotNegative, Positive, Section, parse_conf
 from quadpi_core.core import inverse
 from quadpi_core.errors import SimulationError, VehicleError
 from quadpi_core.frames import Array
-from quadpi_core.models.physical_regressors import MotionSample, numbers_of, regressors
-from quadpi_core.models.physical_terms import TERM_INDEX, TERMS
+from quadpi_core.models.physical_terms import TERM_INDEX, TERMS, MotionSample, numbers_of, regressors
 from quadpi_core.records import record_dtype
 from quadpi_core.simulation.simulated_file import read_simulation
 from quadpi_core.simulation.state_records import Law, State, VehicleNumbers, apply_to_all

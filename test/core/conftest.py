@@ -19,8 +19,8 @@ from quadpi_core.flight import Flight
 from quadpi_core.frames import Array
 from quadpi_core.identification.identify import identify
 from quadpi_core.identification.prepared_flights import prepare_flights, read_flight
-from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.model_kind import IdentifyOptions
+from quadpi_core.models.regressors import load_pools
 from quadpi_core.paths import bags_directory
 from quadpi_core.simulation.applied_effects import effect_wrench
 from quadpi_core.vehicle import Vehicle

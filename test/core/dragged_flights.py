@@ -9,8 +9,8 @@ import pytest
 from quadpi_core.identification.identify import identify
 from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs.bags import write_bag
-from quadpi_core.models.candidate_pool import CandidatePool
 from quadpi_core.models.model_kind import IdentifyOptions
+from quadpi_core.models.regressors import CandidatePool
 from quadpi_core.vehicle import Vehicle
 
 CUTOFF_HZ = 20.0

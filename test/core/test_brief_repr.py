@@ -10,7 +10,7 @@ import pytest
 from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs import read_recording
 from quadpi_core.models.aerodynamic import AerodynamicModel
-from quadpi_core.models.candidate_pool import load_pools
+from quadpi_core.models.regressors import load_pools
 from quadpi_core.paths import bags_directory
 from quadpi_core.records import LONGEST, brief_repr
 from quadpi_core.vehicle import Vehicle

@@ -20,8 +20,8 @@ from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.importing import import_logs
 from quadpi_core.models.aerodynamic import AerodynamicModel
-from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.model_kind import IdentifyOptions
+from quadpi_core.models.regressors import load_pools
 from quadpi_core.monitor.replay import replay
 from quadpi_core.paths import bags_directory
 from quadpi_core.simulation.sensors import Fault

@@ -17,10 +17,10 @@ from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import write_bag
 from quadpi_core.models import kinds
-from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.ensemble import Ensemble
 from quadpi_core.models.kind_registry import kind_named
 from quadpi_core.models.model_kind import IdentifyOptions
+from quadpi_core.models.regressors import load_pools
 from quadpi_core.plugins import names_in
 from quadpi_core.vehicle import Vehicle
 from test.conftest import run_without_torch

@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import numpy as np
 
 from quadpi_core.config_schema import Positive, ReadBy
-from quadpi_core.models.ensemble import Ensemble, Floats, Trained, mean_over
+from quadpi_core.models.ensemble import Ensemble, Floats, Plan, Table, Trained, mean_over
 from quadpi_core.models.fitted_ensemble import EnsembleAxis, FittedEnsembles
 from quadpi_core.models.interval_rules import NormalRule, Rule
-from quadpi_core.models.training_table import Plan, Table
 from quadpi_core.training.networks import Networks
 
 if TYPE_CHECKING:

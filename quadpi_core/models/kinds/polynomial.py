@@ -14,14 +14,22 @@ import numpy.typing as npt
 from quadpi_core.config_schema import Within
 from quadpi_core.errors import ModelError, named_in
 from quadpi_core.frames import Array
-from quadpi_core.models.candidate_pool import CandidatePool
+from quadpi_core.models.envelope import PlacedErrors, SpreadShape, fit_shape, leverage_of, squared_speed
 from quadpi_core.models.fitted_polynomial import FittedPolynomials, PolynomialAxis
 from quadpi_core.models.interval_rules import FlightErrors, ResidualRule, Rule, calibrate, inside_range
-from quadpi_core.models.least_squares import Gram, fit_coefficients, flight_grams, huber, sum_grams
+from quadpi_core.models.least_squares import (
+    Gram,
+    SelectionSettings,
+    SelectionStep,
+    StopRule,
+    fit_coefficients,
+    flight_grams,
+    huber,
+    select,
+    sum_grams,
+)
 from quadpi_core.models.model_kind import Fit, IdentifyOptions, Kind, Pools, TrainingSamples, option
-from quadpi_core.models.regressors import Regressor, RegressorProgram
-from quadpi_core.models.selection import SelectionSettings, SelectionStep, StopRule, select
-from quadpi_core.models.spread_shape import PlacedErrors, SpreadShape, fit_shape, leverage_of, squared_speed
+from quadpi_core.models.regressors import CandidatePool, Regressor, RegressorProgram
 from quadpi_core.parallel import Progress, ReportProgress, one_blas_thread
 
 # Stride over the training samples when recording the largest leverage and spread.

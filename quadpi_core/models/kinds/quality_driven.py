@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 import numpy as np
 
 from quadpi_core.config_schema import NotNegative
-from quadpi_core.models.ensemble import Ensemble, Floats, Trained, mean_over
+from quadpi_core.models.ensemble import Ensemble, Floats, Plan, Table, Trained, mean_over
 from quadpi_core.models.fitted_ensemble import EnsembleAxis, FittedEnsembles
 from quadpi_core.models.interval_rules import Rule, TrainedRule
-from quadpi_core.models.training_table import Plan, Table
 
 if TYPE_CHECKING:
     from quadpi_core.training.train import Report, Training

@@ -10,8 +10,8 @@ import pytest
 
 from quadpi_core.identification.identify import identify
 from quadpi_core.identification.prepared_flights import prepare_flights
-from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.model_kind import CUTOFF_HZ, IdentifyOptions
+from quadpi_core.models.regressors import load_pools
 from quadpi_core.vehicle import Vehicle
 
 

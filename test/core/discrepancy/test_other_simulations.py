@@ -36,8 +36,8 @@ from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import read_bag, write_bag
 from quadpi_core.logs.importing import import_logs
-from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.model_kind import IdentifyOptions
+from quadpi_core.models.regressors import load_pools
 from quadpi_core.parallel import Workers
 from quadpi_core.signals.chain import zero_phase
 from quadpi_core.signals.wrench import measured_wrench

@@ -23,8 +23,8 @@ from quadpi_core.evaluation.evaluate import (
 from quadpi_core.flight import AXES
 from quadpi_core.identification.identify import identify
 from quadpi_core.identification.prepared_flights import prepare_flights
-from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.model_kind import IdentifyOptions
+from quadpi_core.models.regressors import load_pools
 from quadpi_core.vehicle import Vehicle
 
 from ..dragged_flights import CUTOFF_HZ

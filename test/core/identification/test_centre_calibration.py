@@ -10,8 +10,7 @@ from scipy.signal import lfilter
 
 from quadpi_core.flight import AXES
 from quadpi_core.identification.identify import LeftErrors, calibrate_centre
-from quadpi_core.models.interval_rules import FlightErrors
-from quadpi_core.models.moving_centre import DELAY_S, MEMORIES_S, delay
+from quadpi_core.models.interval_rules import DELAY_S, MEMORIES_S, FlightErrors, delay
 from quadpi_core.monitor.adaptive import AdaptiveIntervals
 
 RATE_HZ = 500.0

@@ -17,9 +17,9 @@ from quadpi_core.library.flights import load_flights
 from quadpi_core.logs import read_recording
 from quadpi_core.logs.bags import read_outputs
 from quadpi_core.models.aerodynamic import AerodynamicModel
-from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.kinds.physical import Physical
 from quadpi_core.models.model_kind import IdentifyOptions
+from quadpi_core.models.regressors import load_pools
 from quadpi_core.paths import bags_directory
 from quadpi_core.reading_options import ReadingOptions, TimeRange
 from quadpi_core.vehicle import Vehicle

@@ -13,9 +13,9 @@ import pytest
 import quadpi_core as qp
 from quadpi_core.errors import ArgumentError
 from quadpi_core.identification.identify import identify
-from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.kinds.physical import Physical
 from quadpi_core.models.model_kind import IdentifyOptions
+from quadpi_core.models.regressors import load_pools
 from quadpi_core.models.small_model import THRUST, headlines
 from quadpi_core.simulation.flying import SimulatedVehicle
 from quadpi_core.simulation.rotor_local import RotorLocalModel

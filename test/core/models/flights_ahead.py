@@ -7,10 +7,9 @@ from __future__ import annotations
 import numpy as np
 
 from quadpi_core.frames import from_rotation_vector, product
-from quadpi_core.models.physical_flight import PhysicalFlight
-from quadpi_core.models.physical_regressors import physical_vehicle
+from quadpi_core.models.physical_fit import PhysicalFlight
 from quadpi_core.models.physical_rollout import STATES, Disturbance
-from quadpi_core.models.physical_terms import TERMS
+from quadpi_core.models.physical_terms import TERMS, physical_vehicle
 from quadpi_core.models.rollout_model import RolloutFlight, RolloutModel
 from test.core.models.physical_flights import REFERENCE, STEP_S, VEHICLE, flown, known_parameters
 

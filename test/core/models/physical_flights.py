@@ -12,10 +12,17 @@ from quadpi_core.inputs import DERIVATIVES, aerodynamic_inputs
 from quadpi_core.models.fitted_physical import FittedPhysical, PhysicalAxis, PhysicalFit
 from quadpi_core.models.interval_rules import NormalRule
 from quadpi_core.models.model_kind import TrainingSamples
-from quadpi_core.models.physical_fit import FitStep
-from quadpi_core.models.physical_flight import PhysicalFlight, Sensing
-from quadpi_core.models.physical_regressors import MOTION, acting_terms, physical_vehicle, wrenches
-from quadpi_core.models.physical_terms import TERM_INDEX, TERM_NAMES, TERMS, scales
+from quadpi_core.models.physical_fit import FitStep, PhysicalFlight, Sensing
+from quadpi_core.models.physical_terms import (
+    MOTION,
+    TERM_INDEX,
+    TERM_NAMES,
+    TERMS,
+    acting_terms,
+    physical_vehicle,
+    scales,
+    wrenches,
+)
 from quadpi_core.records import Records
 from quadpi_core.vehicle import Vehicle
 

@@ -12,9 +12,8 @@ import numpy.typing as npt
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.inputs import DERIVATIVES, INPUT_NAMES
-from quadpi_core.models.candidate_pool import CandidatePool
 from quadpi_core.models.model_kind import Fit, Fitted, IdentifyOptions, Kind, TrainingSamples
-from quadpi_core.models.regressors import Regressor
+from quadpi_core.models.regressors import CandidatePool, Regressor
 from quadpi_core.parallel import ignore_progress
 from quadpi_core.vehicle import Vehicle
 

@@ -19,14 +19,12 @@ from quadpi_core.identification.identify import identify
 from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.inputs import DERIVATIVES, INPUT_INDEX
 from quadpi_core.models.aerodynamic import AerodynamicModel, TrainingFlight
-from quadpi_core.models.candidate_pool import CandidatePool, load_pools
-from quadpi_core.models.envelope import Envelope
+from quadpi_core.models.envelope import Envelope, SpreadShape, leverage_of, squared_speed
 from quadpi_core.models.fitted_polynomial import FittedPolynomials
 from quadpi_core.models.kinds.polynomial import KIND
 from quadpi_core.models.model_folder import ARRAYS_FILE, MODEL_FILE
 from quadpi_core.models.model_kind import Evaluation, IdentifyOptions, TrainingSamples
-from quadpi_core.models.regressors import RegressorProgram
-from quadpi_core.models.spread_shape import SpreadShape, leverage_of, squared_speed
+from quadpi_core.models.regressors import CandidatePool, RegressorProgram, load_pools
 from quadpi_core.parallel import ignore_progress
 from quadpi_core.vehicle import Vehicle
 

@@ -9,8 +9,7 @@ import pytest
 
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
-from quadpi_core.models.candidate_pool import CandidatePool, expand_family, load_pools
-from quadpi_core.models.regressors import Regressor
+from quadpi_core.models.regressors import CandidatePool, Regressor, expand_family, load_pools
 
 
 @pytest.mark.parametrize(("axis", "count"), [("Fx", 324), ("Fz", 590), ("My", 688)])

@@ -11,8 +11,7 @@ import pytest
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.models.fitted_physical import FittedPhysical, PhysicalFit
-from quadpi_core.models.physical_regressors import physical_vehicle
-from quadpi_core.models.physical_terms import TERMS
+from quadpi_core.models.physical_terms import TERMS, physical_vehicle
 from test.core.models.physical_flights import (
     REFERENCE,
     VEHICLE,

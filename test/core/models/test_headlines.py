@@ -12,8 +12,8 @@ import pytest
 from quadpi_core.identification.identify import identify
 from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.models.aerodynamic import AerodynamicModel
-from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.model_kind import IdentifyOptions
+from quadpi_core.models.regressors import load_pools
 from quadpi_core.models.small_model import headlines
 from quadpi_core.paths import bags_directory
 from quadpi_core.vehicle import Vehicle

@@ -22,10 +22,10 @@ from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs.bags import read_outputs
 from quadpi_core.models import kinds
 from quadpi_core.models.aerodynamic import AerodynamicModel
-from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.interval_rules import inside_interval
 from quadpi_core.models.kind_registry import KINDS, kind_named
 from quadpi_core.models.model_kind import IdentifyOptions
+from quadpi_core.models.regressors import load_pools
 from quadpi_core.paths import bags_directory
 from quadpi_core.vehicle import Vehicle
 

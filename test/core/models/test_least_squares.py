@@ -7,9 +7,8 @@ import pytest
 
 from benchmarks.synthetic_inputs import smooth_inputs
 from quadpi_core.errors import ModelError
-from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.least_squares import Gram, fit_coefficients, flight_grams, huber, identifiable
-from quadpi_core.models.regressors import RegressorProgram
+from quadpi_core.models.regressors import RegressorProgram, load_pools
 
 
 @pytest.mark.parametrize("count", [7, 384, 2 * 2048 + 1])

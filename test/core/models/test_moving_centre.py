@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 from quadpi_core.errors import ModelError
-from quadpi_core.models.moving_centre import MEMORIES_S, MovedAxis, MovingCentre, delayed, means_of, regressed
+from quadpi_core.models.interval_rules import (
+    MEMORIES_S,
+    MovedAxis,
+    MovingCentre,
+    delayed,
+    means_of,
+    regressed,
+)
 
 
 def means_and_errors(count, slope):

@@ -11,7 +11,7 @@ from quadpi_core.frames import Array
 from quadpi_core.models import multi_step_fit
 from quadpi_core.models.multi_step_fit import (
     EVERY_S,
-    HORIZONS_S,
+    FITTED_HORIZONS_S,
     WEIGHTS_TRIED,
     MultiStepFit,
     Windows,
@@ -46,7 +46,7 @@ def test_roll_outs_start_every_half_second_with_the_disturbance_of_predictions(
     one_flight: RolloutFlight, windows: Windows
 ) -> None:
     assert np.diff(windows.starts).tolist() == [round(EVERY_S / STEP_S)] * (len(windows.starts) - 1)
-    assert windows.horizons.tolist() == [round(horizon / STEP_S) for horizon in HORIZONS_S]
+    assert windows.horizons.tolist() == [round(horizon / STEP_S) for horizon in FITTED_HORIZONS_S]
     predicted = MODEL.predicted(one_flight, windows.starts, windows.horizons)
     rolled = windows.rolled(MODEL.parameters, derivatives=False)
     np.testing.assert_allclose(rolled.errors, predicted.errors, rtol=1e-9, atol=1e-12)

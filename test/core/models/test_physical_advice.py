@@ -8,10 +8,15 @@ import numpy as np
 import pytest
 
 from quadpi_core.models.fitted_physical import PhysicalFit
-from quadpi_core.models.physical_flight import PhysicalFlight, Sensing
-from quadpi_core.models.physical_regressors import physical_vehicle, wrenches
-from quadpi_core.models.physical_study import PhysicalStudy
-from quadpi_core.models.physical_terms import delay_untold, delay_words, missing_flying
+from quadpi_core.models.kinds.physical import PhysicalStudy
+from quadpi_core.models.physical_fit import PhysicalFlight, Sensing
+from quadpi_core.models.physical_terms import (
+    delay_untold,
+    delay_words,
+    missing_flying,
+    physical_vehicle,
+    wrenches,
+)
 from quadpi_core.records import Records
 from test.core.models.physical_flights import NOISE, REFERENCE, VEHICLE, flown, known_parameters
 

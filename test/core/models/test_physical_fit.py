@@ -9,9 +9,15 @@ import pytest
 
 from quadpi_core.frames import Array
 from quadpi_core.models.fitted_physical import PhysicalFit
-from quadpi_core.models.physical_fit import Information, Problem, thrust_variance, worst_pairs
-from quadpi_core.models.physical_flight import PhysicalFlight, Sensing
-from quadpi_core.models.physical_study import PhysicalStudy
+from quadpi_core.models.kinds.physical import PhysicalStudy
+from quadpi_core.models.physical_fit import (
+    Information,
+    PhysicalFlight,
+    Problem,
+    Sensing,
+    thrust_variance,
+    worst_pairs,
+)
 from quadpi_core.models.physical_terms import TERM_INDEX, TERM_NAMES
 from test.core.models.physical_flights import NOISE, VEHICLE, flown, known_parameters
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from quadpi_core.errors import ModelError
-from quadpi_core.models.physical_flight import Sensing, flights_of, reference_thrust
-from quadpi_core.models.physical_regressors import physical_vehicle
+from quadpi_core.models.physical_fit import Sensing, flights_of, reference_thrust
+from quadpi_core.models.physical_terms import physical_vehicle
 from test.core.models.physical_flights import (
     REFERENCE,
     VEHICLE,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from quadpi_core.models.physical_flight import delayed, motions
+from quadpi_core.models.physical_fit import delayed, motions
 from test.core.models.physical_flights import VEHICLE, derivatives_of, inputs_of, swept
 
 

@@ -14,10 +14,9 @@ from quadpi_core.frames import Array
 from quadpi_core.identification.identify import joined
 from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.models.fitted_physical import PhysicalFit
-from quadpi_core.models.physical_flight import flights_of
-from quadpi_core.models.physical_regressors import MOTION, regressors
-from quadpi_core.models.physical_study import PhysicalStudy
-from quadpi_core.models.physical_terms import TERM_INDEX, TERMS
+from quadpi_core.models.kinds.physical import PhysicalStudy
+from quadpi_core.models.physical_fit import flights_of
+from quadpi_core.models.physical_terms import MOTION, TERM_INDEX, TERMS, regressors
 from quadpi_core.simulation.rotor_local import RotorLocalModel, airframe_area
 from quadpi_core.simulation.scenario import load_scenario
 from quadpi_core.simulation.simulated_bags import simulate

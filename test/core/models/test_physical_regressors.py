@@ -12,14 +12,17 @@ import pytest
 import quadpi_core
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
-from quadpi_core.models.physical_regressors import (
+from quadpi_core.models.physical_terms import (
     MOTION,
+    TERM_INDEX,
+    TERM_NAMES,
+    TERMS,
     MotionSample,
     physical_vehicle,
     regressors,
+    scales,
     wrenches,
 )
-from quadpi_core.models.physical_terms import TERM_INDEX, TERM_NAMES, TERMS, scales
 from quadpi_core.records import Records, record_dtype
 from quadpi_core.vehicle import Vehicle
 from test.core.multicopters import multicopter

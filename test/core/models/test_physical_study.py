@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from quadpi_core.errors import ModelError
-from quadpi_core.models.physical_flight import PhysicalFlight, Sensing
-from quadpi_core.models.physical_study import PhysicalStudy, delays_not_ruled_out
+from quadpi_core.models.kinds.physical import PhysicalStudy, delays_not_ruled_out
+from quadpi_core.models.physical_fit import PhysicalFlight, Sensing
 from quadpi_core.models.physical_terms import TERM_INDEX
 from test.core.models.physical_flights import NOISE, VEHICLE, flown, swept
 

@@ -8,8 +8,7 @@ import pytest
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
-from quadpi_core.models.candidate_pool import CandidatePool, load_pools
-from quadpi_core.models.regressors import Regressor, RegressorProgram
+from quadpi_core.models.regressors import CandidatePool, Regressor, RegressorProgram, load_pools
 from quadpi_core.paths import config_directory
 
 POOL_FILES = sorted(path.stem for path in (config_directory() / "candidates").glob("*.yaml"))

@@ -10,12 +10,11 @@ import pytest
 from quadpi_core.frames import inverses, products, to_rotation_vector
 from quadpi_core.inputs import aerodynamic_inputs
 from quadpi_core.models.fitted_physical import PhysicalFit
+from quadpi_core.models.kinds.physical import PhysicalStudy
 from quadpi_core.models.model_kind import TrainingSamples
-from quadpi_core.models.physical_fit import Problem
-from quadpi_core.models.physical_flight import PhysicalFlight, Sensing
-from quadpi_core.models.physical_study import PhysicalStudy
+from quadpi_core.models.multi_step_fit import calibrated_rollouts, rollout_flights
+from quadpi_core.models.physical_fit import PhysicalFlight, Problem, Sensing
 from quadpi_core.models.physical_terms import TERM_INDEX, TERMS
-from quadpi_core.models.rollout_identification import calibrated_rollouts, rollout_flights
 from quadpi_core.models.rollout_model import RolloutFlight, RolloutModel, horizon_steps
 from quadpi_core.models.tubes import HORIZONS_S, error_norms, tube_scores
 from test.core.models.flights_ahead import with_attitude

@@ -12,14 +12,14 @@ from benchmarks.stepwise import direct_stepwise, squared_error
 from benchmarks.synthetic_inputs import planted_target, smooth_inputs
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
-from quadpi_core.models.candidate_pool import load_pools
-from quadpi_core.models.least_squares import Gram, fit_coefficients
-from quadpi_core.models.regressors import RegressorProgram
-from quadpi_core.models.selection import (
+from quadpi_core.models.least_squares import (
+    Gram,
     SelectionSettings,
     StopRule,
+    fit_coefficients,
     select,
 )
+from quadpi_core.models.regressors import RegressorProgram, load_pools
 
 
 def gram_of(Z: Array, y: Array) -> Gram:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from quadpi_core.frames import Array
-from quadpi_core.models.spread_shape import PlacedErrors, SpreadShape, fit_shape, squared_speed
+from quadpi_core.models.envelope import PlacedErrors, SpreadShape, fit_shape, squared_speed
 
 
 def errors(error: Array, leverage: Array, speed_squared: Array) -> PlacedErrors:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import pytest
 
-from quadpi_core.models.state_deviation import SETTLED, StateDeviation
+from quadpi_core.models.interval_rules import SETTLED, StateDeviation
 
 
 def test_the_median_flight_counts_and_motion_capture_is_the_least():

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from quadpi_core.errors import ModelError
-from quadpi_core.models.physical_regressors import physical_vehicle
-from quadpi_core.models.physical_terms import TERM_NAMES, TERMS
+from quadpi_core.models.physical_terms import TERM_NAMES, TERMS, physical_vehicle
 from quadpi_core.models.rollout_model import StoredBody
 from test.core.models.physical_flights import REFERENCE, VEHICLE, known_parameters
 

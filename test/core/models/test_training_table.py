@@ -11,9 +11,8 @@ import pytest
 
 from quadpi_core.errors import ModelError
 from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
-from quadpi_core.models.candidate_pool import CandidatePool
-from quadpi_core.models.regressors import Regressor
-from quadpi_core.models.training_table import Plan, Table
+from quadpi_core.models.ensemble import Plan, Table
+from quadpi_core.models.regressors import CandidatePool, Regressor
 
 from .small_fits import AXIS, COLUMNS, input_vectors, samples_of
 

@@ -17,9 +17,8 @@ from quadpi_core.models.aerodynamic import AerodynamicModel, TrainingFlight
 from quadpi_core.models.alarm_limits import AlarmLimits
 from quadpi_core.models.envelope import Envelope
 from quadpi_core.models.fitted_polynomial import FittedPolynomials, PolynomialAxis
-from quadpi_core.models.interval_rules import ResidualRule
+from quadpi_core.models.interval_rules import MovedAxis, MovingCentre, ResidualRule
 from quadpi_core.models.model_kind import Fitted
-from quadpi_core.models.moving_centre import MovedAxis, MovingCentre
 from quadpi_core.models.regressors import Regressor, RegressorProgram
 from quadpi_core.monitor.pairing import PairedSamples
 from quadpi_core.monitor.preparation import Preparation

@@ -15,8 +15,8 @@ from quadpi_core.frames import Array
 from quadpi_core.identification.identify import identify
 from quadpi_core.library.flights import Flights
 from quadpi_core.models.aerodynamic import AerodynamicModel
-from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.model_kind import IdentifyOptions
+from quadpi_core.models.regressors import load_pools
 from quadpi_core.monitor.alarm_log import reasons
 from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.vehicle import Vehicle

@@ -13,9 +13,9 @@ import yaml
 from quadpi_core import frames
 from quadpi_core.identification.identify import identify
 from quadpi_core.identification.prepared_flights import prepare_recording
-from quadpi_core.models.candidate_pool import load_pools
 from quadpi_core.models.kinds.physical import Physical
 from quadpi_core.models.model_kind import IdentifyOptions
+from quadpi_core.models.regressors import load_pools
 from quadpi_core.models.small_model import headlines
 from quadpi_core.paths import config_directory
 from quadpi_core.simulation.flying import SimulatedVehicle

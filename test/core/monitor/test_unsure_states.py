@@ -11,7 +11,7 @@ import pytest
 
 from quadpi_core.estimator.output import FUSED, FusedSamples
 from quadpi_core.flight import NOT_MEASURED, OdometryStream
-from quadpi_core.models.state_deviation import StateDeviation
+from quadpi_core.models.interval_rules import StateDeviation
 from quadpi_core.monitor.unsure_states import UNSURE_S, StateDeviations, UnsureStates, deviation_of_one
 
 STEP_NS = 10_000_000

@@ -17,9 +17,9 @@ from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs.bag_files import Bag
 from quadpi_core.messages.definitions import typestore
 from quadpi_core.models import kinds
-from quadpi_core.models.candidate_pool import CandidatePool
 from quadpi_core.models.kind_registry import kind_named
 from quadpi_core.models.model_kind import IdentifyOptions
+from quadpi_core.models.regressors import CandidatePool
 from quadpi_core.plugins import names_in
 from quadpi_core.report import ASSETS
 from quadpi_core.report.comparison_page import comparison_rows, comparison_table

@@ -12,8 +12,7 @@ import yaml
 
 from quadpi_core.errors import SimulationError, VehicleError
 from quadpi_core.models.aerodynamic import AerodynamicModel
-from quadpi_core.models.physical_regressors import MOTION, physical_vehicle, wrenches
-from quadpi_core.models.physical_terms import TERM_INDEX, TERMS
+from quadpi_core.models.physical_terms import MOTION, TERM_INDEX, TERMS, physical_vehicle, wrenches
 from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight
 from quadpi_core.simulation.scenario import load_scenario
 from quadpi_core.simulation.simulated_aerodynamics import (

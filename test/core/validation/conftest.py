@@ -13,8 +13,8 @@ from quadpi_core.flight import Flight
 from quadpi_core.identification.identify import identify
 from quadpi_core.identification.prepared_flights import PreparedFlight
 from quadpi_core.inputs import flight_derivatives, flight_inputs
-from quadpi_core.models.candidate_pool import CandidatePool
 from quadpi_core.models.model_kind import IdentifyOptions
+from quadpi_core.models.regressors import CandidatePool
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.flying import SimulatedVehicle
 from quadpi_core.simulation.scenario import load_scenario

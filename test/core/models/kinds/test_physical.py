@@ -11,11 +11,11 @@ import pytest
 
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
-from quadpi_core.models.candidate_pool import CandidatePool
 from quadpi_core.models.kind_registry import kind_named
 from quadpi_core.models.kinds.physical import Physical
 from quadpi_core.models.model_kind import Evaluation, Fit, IdentifyOptions
-from quadpi_core.models.physical_flight import PhysicalFlight, Sensing
+from quadpi_core.models.physical_fit import PhysicalFlight, Sensing
+from quadpi_core.models.regressors import CandidatePool
 from quadpi_core.parallel import ignore_progress
 from test.core.models.physical_flights import (
     NOISE,

@@ -12,10 +12,9 @@ from scipy.stats import t as student_t
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
-from quadpi_core.models.candidate_pool import CandidatePool
 from quadpi_core.models.kinds.polynomial import KIND, Polynomial
 from quadpi_core.models.model_kind import Fit
-from quadpi_core.models.regressors import RegressorProgram
+from quadpi_core.models.regressors import CandidatePool, RegressorProgram
 
 from ..small_fits import AXIS, axis_of, interval, prediction, spread
 from ..small_fits import fit as fit_table
