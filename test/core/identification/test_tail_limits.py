@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest, chi2, norm, t
 
-from quadpi_core.identification.tail_limits import (
+from quadpi_core.identification.alarm_calibration import (
     Walk,
     chances_to_exceed,
     lasting_maximum,
