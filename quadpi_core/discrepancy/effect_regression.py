@@ -20,8 +20,7 @@ from quadpi_core.discrepancy.candidates import (
     first_point,
     in_frequency,
 )
-from quadpi_core.discrepancy.commanded_speeds import errors_of_speeds
-from quadpi_core.discrepancy.effect_response import Compared, share_of_wrench
+from quadpi_core.discrepancy.effect_response import Compared, errors_of_speeds, share_of_wrench
 from quadpi_core.discrepancy.evidence import Block, Condition, Equations, Fit, own_sizes
 from quadpi_core.discrepancy.unexplained import stated_squares
 from quadpi_core.discrepancy.whitening import (

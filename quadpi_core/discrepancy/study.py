@@ -27,7 +27,6 @@ from quadpi_core.discrepancy.augmented_simulation import augmented
 from quadpi_core.discrepancy.by_condition import locate
 from quadpi_core.discrepancy.candidates import candidates
 from quadpi_core.discrepancy.closure import Closing, Found, Gap
-from quadpi_core.discrepancy.commanded_speeds import at_scale_of
 from quadpi_core.discrepancy.discrepancy_result import (
     Discovery,
     FlightCondition,
@@ -35,10 +34,11 @@ from quadpi_core.discrepancy.discrepancy_result import (
     FoundParameter,
     OfFlight,
     Study,
+    commanded_speeds,
+    traces,
 )
-from quadpi_core.discrepancy.effect_response import Compared
+from quadpi_core.discrepancy.effect_response import Compared, at_scale_of
 from quadpi_core.discrepancy.evidence import Fit
-from quadpi_core.discrepancy.hidden_by_commands import commanded_speeds, traces
 from quadpi_core.discrepancy.reflight import HORIZON_S, coverages, reflights
 from quadpi_core.discrepancy.result_verdicts import (
     CLOSED,

@@ -21,7 +21,7 @@ from scipy.stats import t as student
 from quadpi_core import discrepancy, screening, simulation
 from quadpi_core.discrepancy import (
     acceptance,
-    hidden_by_commands,
+    discrepancy_result,
     result_verdicts,
     study,
     unexplained,
@@ -43,10 +43,9 @@ from quadpi_core.discrepancy.by_condition import (
 )
 from quadpi_core.discrepancy.candidates import candidates, typical_sizes
 from quadpi_core.discrepancy.closure import Found
-from quadpi_core.discrepancy.commanded_speeds import deviations
 from quadpi_core.discrepancy.discrepancy_result import Coverage, OfFlight
 from quadpi_core.discrepancy.effect_regression import noise_of_flight, settled
-from quadpi_core.discrepancy.effect_response import Compared, predicted_flight, quiet
+from quadpi_core.discrepancy.effect_response import Compared, deviations, predicted_flight, quiet
 from quadpi_core.discrepancy.evidence import Fit, student_weights
 from quadpi_core.discrepancy.loading import load_simulation
 from quadpi_core.discrepancy.other_simulations import ModelSimulation, Part, part_columns
@@ -723,8 +722,8 @@ EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
     "GAIN_LEAST": (0.005, lambda x: deviations_by_commands(gain=x)[0] > 0.005),
     "ROTORS_DIFFER": (0.03, lambda x: deviations_by_commands(error=())[1] > x),
     "LAG_ERROR": (0.15, lambda x: deviations_by_commands(lag_s=1.0)[-1] > x),
-    "GAIN_ALIKE": (0.8, hidden_by_commands.resembles_gains),
-    "HIDDEN": (0.9, lambda x: len(hidden_by_commands.hidden_effects({"wind": 1.0}, {"wind": 1.0 - x})) > 0),
+    "GAIN_ALIKE": (0.8, discrepancy_result.resembles_gains),
+    "HIDDEN": (0.9, lambda x: len(discrepancy_result.hidden_effects({"wind": 1.0}, {"wind": 1.0 - x})) > 0),
     "LEAST_SOUND": (2.0, are_enough),
     # The simulation.
     "FORM_OF_AIR": (0.15, lambda x: x < EFFECTS["rotor_drag"].form),

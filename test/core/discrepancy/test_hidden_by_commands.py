@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import pytest
 
-from quadpi_core.discrepancy.hidden_by_commands import CommandedSpeeds
+from quadpi_core.discrepancy.discrepancy_result import CommandedSpeeds
 from quadpi_core.library.flights import load_flights
 from quadpi_core.library.found_discrepancy import find_discrepancy
 from quadpi_core.logs import read_recording
