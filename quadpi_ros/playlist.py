@@ -13,10 +13,9 @@ import numpy as np
 
 from quadpi_core.errors import QuadpiError
 from quadpi_core.flight import Stamps
-from quadpi_core.logs.adapted_bags import BESIDE_INPUTS
 from quadpi_core.logs.bag_files import Bag
 from quadpi_core.logs.bag_inputs import find_inputs, named_inputs
-from quadpi_core.logs.bag_topics import find_topic
+from quadpi_core.logs.bag_topics import BESIDE_INPUTS, find_topic
 from quadpi_core.messages.adapters import AdapterSettings, known_adapters
 from quadpi_core.messages.payloads import Topic
 from quadpi_core.messages.topics import LIVE_SENSORS, MOCAP_TOPICS, TOPIC_TYPES

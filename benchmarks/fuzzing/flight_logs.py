@@ -16,7 +16,7 @@ class Sender:
     """One system; numbers its packets, and signs them if there is a key."""
 
     def __init__(self, system: int = 1, component: int = 1, key: bytes | None = None) -> None:
-        from quadpi_core.logs.mavlink_dialect import load_dialect
+        from quadpi_core.logs.mavlink_frames import load_dialect
 
         self.dialect = load_dialect()
         self.mav = self.dialect.MAVLink(None, system, component)

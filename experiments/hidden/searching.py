@@ -37,7 +37,7 @@ from quadpi_core.frames import Array, rotation_matrix
 from quadpi_core.identification.identify import identify
 from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs import read_recording
-from quadpi_core.logs.duplicates import recording_hash
+from quadpi_core.logs.readers import recording_hash
 from quadpi_core.models.interval_rules import inside_interval
 from quadpi_core.models.model_kind import CUTOFF_HZ, IdentifyOptions
 from quadpi_core.models.regressors import load_pools

@@ -24,8 +24,7 @@ from quadpi_core.frames import Array, rotate_body_to_world
 from quadpi_core.logs import decode_recording, identify_format, reading
 from quadpi_core.logs.formats import ros_bags, table_files
 from quadpi_core.logs.mapping import ERPM, Mapping
-from quadpi_core.logs.mapping_draft import mapping_draft
-from quadpi_core.logs.table_columns import Columns, bare_name, open_columns, stamps_of
+from quadpi_core.logs.table_columns import Columns, bare_name, mapping_draft, open_columns, stamps_of
 from quadpi_core.paths import config_directory
 from quadpi_core.reading_options import ReadingOptions
 from quadpi_core.rotor_order import LAYOUTS, Motor

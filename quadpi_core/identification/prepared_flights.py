@@ -42,7 +42,7 @@ from quadpi_core.inputs import (
     flown_in,
 )
 from quadpi_core.logs import read_recording
-from quadpi_core.logs.duplicates import recording_hash
+from quadpi_core.logs.readers import recording_hash
 from quadpi_core.models.model_kind import CUTOFF_HZ
 from quadpi_core.monitor.pairing import SET_BACK
 from quadpi_core.monitor.preparation import Preparation

@@ -29,8 +29,8 @@ from quadpi_core.flight import (
 )
 from quadpi_core.frames import Array, rotate_body_to_world
 from quadpi_core.identification.prepared_flights import PreparedFlight, prepare_recording
-from quadpi_core.logs.duplicates import recording_hash
 from quadpi_core.logs.flight_table import WRENCH, columns_of
+from quadpi_core.logs.readers import recording_hash
 from quadpi_core.models.model_kind import CUTOFF_HZ
 from quadpi_core.monitor.preparation import conditions
 from quadpi_core.records import QUATERNION_NORM_TOLERANCE

@@ -24,10 +24,16 @@ from backports import zstd
 
 from quadpi_core.errors import LogError, one_line
 from quadpi_core.flight import Stamps
-from quadpi_core.logs.bag_databases import DatabaseFile
-from quadpi_core.logs.bag_places import PACKED, ZSTD_MAGIC, bag_places, is_packed, unpack
+from quadpi_core.logs.bag_storages import (
+    PACKED,
+    ZSTD_MAGIC,
+    DatabaseFile,
+    Ros1File,
+    bag_places,
+    is_packed,
+    unpack,
+)
 from quadpi_core.logs.mcap_files import MAGIC, Connection, McapFile
-from quadpi_core.logs.ros1_bags import Ros1File
 from quadpi_core.logs.sandbox import read_apart
 from quadpi_core.messages.payloads import Payloads, Topic, join_topics
 from quadpi_core.paths import scratch_folder

@@ -21,18 +21,20 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from quadpi_core.errors import LogError
-from quadpi_core.logs.adapted_bags import (
+from quadpi_core.logs.bag_files import Bag
+from quadpi_core.logs.bag_topics import (
     BESIDE_INPUTS,
     MOTOR_INPUTS,
     AdaptedReading,
     AdaptedTopic,
     adapter_of,
     find_adapted,
+    is_named,
+    is_truth,
+    require_type,
     unnamed,
     unread,
 )
-from quadpi_core.logs.bag_files import Bag
-from quadpi_core.logs.bag_topics import is_named, is_truth, require_type
 from quadpi_core.logs.mcap_files import Connection
 from quadpi_core.messages.adapters.adapter_registry import known_adapters
 from quadpi_core.messages.adapters.adapter_settings import (

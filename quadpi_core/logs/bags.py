@@ -35,10 +35,9 @@ from quadpi_core.flight import (
 )
 from quadpi_core.flight_files import flight_in
 from quadpi_core.frames import Array
-from quadpi_core.logs.adapted_bags import AdaptedReading, AdaptedTopic
 from quadpi_core.logs.bag_files import Bag
 from quadpi_core.logs.bag_inputs import find_inputs, topics_of
-from quadpi_core.logs.bag_topics import find_topic, unpacked_topic
+from quadpi_core.logs.bag_topics import AdaptedReading, AdaptedTopic, find_topic, unpacked_topic
 from quadpi_core.logs.bag_writer import BagWriter, mcap_writer
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.adapters.adapter_settings import AdapterSettings

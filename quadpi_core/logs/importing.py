@@ -18,8 +18,15 @@ from quadpi_core.findings import NOTHING_TO_SAY, DataQuality
 from quadpi_core.flight import PoseStream, ValueCheck, check_stamps
 from quadpi_core.flight_files import FlightFile, LeftOutFlights, bags_in, for_each_flight, once_each
 from quadpi_core.logs.bags import recording_topics, recording_writer, write_bag, written_streams
-from quadpi_core.logs.duplicates import RunningHash, recording_hash
-from quadpi_core.logs.readers import blocks_of, flights_of, identify_format, open_in_blocks, read_recording
+from quadpi_core.logs.readers import (
+    RunningHash,
+    blocks_of,
+    flights_of,
+    identify_format,
+    open_in_blocks,
+    read_recording,
+    recording_hash,
+)
 from quadpi_core.parallel import DEFAULT_WORKERS, Workers
 from quadpi_core.paths import staged, whole_outputs
 from quadpi_core.reading_options import MappingOrOptions, ReadingOptions, streams_by_field

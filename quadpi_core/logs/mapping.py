@@ -235,7 +235,7 @@ class Mapping:
 
     @classmethod
     def draft(cls, text: str, source: Path) -> Mapping:
-        """The mapping that a draft for a table is, see :mod:`quadpi_core.logs.mapping_draft`.
+        """The mapping that a draft for a table is, see :mod:`quadpi_core.logs.table_columns`.
 
         Raises:
             LogError: naming the table.

@@ -14,10 +14,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 from quadpi_core.frames import Array
-from quadpi_core.logs.airframes import Airframe
 from quadpi_core.logs.clocks import ClockOffset, Offset
-from quadpi_core.logs.mavlink_dialect import load_dialect
-from quadpi_core.logs.mavlink_frames import FrameCounts, Framer, signature_stamp
+from quadpi_core.logs.mavlink_frames import FrameCounts, Framer, load_dialect, signature_stamp
 from quadpi_core.logs.mavlink_samples import (
     ARDUPILOT,
     AUTOPILOT_INVALID,
@@ -31,6 +29,7 @@ from quadpi_core.logs.mavlink_samples import (
     is_autopilot,
     is_epoch,
 )
+from quadpi_core.logs.reader_steps import Airframe
 from quadpi_core.rotor_order import RotorOrder
 from quadpi_core.vehicle import Vehicle
 

@@ -18,8 +18,7 @@ from quadpi_core.identification.prepared_flights import flight_hash
 from quadpi_core.logs.bag_files import Bag
 from quadpi_core.logs.bag_inputs import holds_imu
 from quadpi_core.logs.bag_topics import find_topic, has_topic, unpacked_topic
-from quadpi_core.logs.cut_off import is_cut_off, whole_part
-from quadpi_core.logs.mcap_files import Connection
+from quadpi_core.logs.mcap_files import Connection, is_cut_off, whole_part
 from quadpi_core.logs.readers import identify_format
 from quadpi_core.messages import result_messages, sensor_messages
 from quadpi_core.messages.definitions import codec

@@ -25,7 +25,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu
 
-from quadpi_core.logs.mavlink_dialect import load_dialect
+from quadpi_core.logs.mavlink_frames import load_dialect
 from quadpi_core.messages import sensor_messages
 from quadpi_ros.mavlink_bridge import MavlinkBridge
 

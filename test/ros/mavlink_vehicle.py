@@ -12,8 +12,7 @@ import argparse
 import socket
 import time
 
-from quadpi_core.logs.mavlink_dialect import load_dialect
-from quadpi_core.logs.mavlink_frames import Framer, signing_key
+from quadpi_core.logs.mavlink_frames import Framer, load_dialect, signing_key
 
 PX4 = 12
 

@@ -8,8 +8,7 @@ from typing import Any
 import pytest
 
 pytest.importorskip("pymavlink", reason="pymavlink is not installed")
-from quadpi_core.logs.mavlink_dialect import load_dialect
-from quadpi_core.logs.mavlink_frames import Framer
+from quadpi_core.logs.mavlink_frames import Framer, load_dialect
 from quadpi_core.logs.mavlink_session import MavlinkSession, SessionSettings
 from quadpi_core.results import CHANGED_MASS, CHANGED_ROTOR, UNCHANGED
 from quadpi_core.rotor_order import RotorOrder

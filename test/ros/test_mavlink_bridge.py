@@ -29,7 +29,7 @@ from rclpy.experimental import EventsExecutor
 from rclpy.task import Future
 from sensor_msgs.msg import Imu
 
-from quadpi_core.logs.mavlink_dialect import load_dialect
+from quadpi_core.logs.mavlink_frames import load_dialect
 from quadpi_core.messages import sensor_messages
 from quadpi_ros import mavlink_link
 from quadpi_ros.callbacks import OUTPUT_QOS, SENSOR_QOS

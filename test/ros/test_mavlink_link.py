@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import pytest
 
 pytest.importorskip("pymavlink", reason="pymavlink is not installed")
-from quadpi_core.logs.mavlink_dialect import load_dialect
+from quadpi_core.logs.mavlink_frames import load_dialect
 from quadpi_ros import mavlink_link
 from quadpi_ros.mavlink_link import LinkError, check_connection, open_link
 

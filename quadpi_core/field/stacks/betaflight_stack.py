@@ -15,9 +15,9 @@ import numpy as np
 
 from quadpi_core.field.field_log import FieldLog, Setting, Stack, series_of
 from quadpi_core.frames import Array
-from quadpi_core.logs.blackbox import BlackboxLog
 from quadpi_core.logs.formats.betaflight import (
     FORMAT,
+    BlackboxLog,
     decoded_flights,
     imu_of,
     pole_pairs_of,

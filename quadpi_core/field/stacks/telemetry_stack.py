@@ -10,9 +10,9 @@ from pathlib import Path
 from quadpi_core.errors import LogError
 from quadpi_core.field.field_log import FieldLog, Stack
 from quadpi_core.field.other_logs import read_other
-from quadpi_core.logs.airframes import Airframe
 from quadpi_core.logs.formats.mavlink_tlog import FORMAT, read_records
 from quadpi_core.logs.mavlink_samples import is_autopilot
+from quadpi_core.logs.reader_steps import Airframe
 from quadpi_core.reading_options import ReadingOptions
 
 

@@ -27,12 +27,13 @@ from quadpi_core.flight import (
     Stamps,
 )
 from quadpi_core.frames import Array, quaternion_from_roll_pitch_yaw
-from quadpi_core.logs.airframes import Airframe, has_rotors
 from quadpi_core.logs.dataflash import HEAD, Messages, decode_dataflash
 from quadpi_core.logs.log_format import LogFormat
 from quadpi_core.logs.reader_steps import (
+    Airframe,
     attitude_alone,
     finite_parameters,
+    has_rotors,
     note,
     odometry_of,
     require_imu,

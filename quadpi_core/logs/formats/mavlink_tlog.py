@@ -25,7 +25,6 @@ from quadpi_core.flight import (
     Stamps,
     Stream,
 )
-from quadpi_core.logs.airframes import Airframe, has_rotors
 from quadpi_core.logs.clocks import line_below
 from quadpi_core.logs.formats import ardupilot, px4
 from quadpi_core.logs.log_format import LogFormat
@@ -40,7 +39,7 @@ from quadpi_core.logs.mavlink_samples import (
     is_epoch,
     stream_of,
 )
-from quadpi_core.logs.reader_steps import by_frame, note, require_imu
+from quadpi_core.logs.reader_steps import Airframe, by_frame, has_rotors, note, require_imu
 from quadpi_core.rotor_order import RPM, RotorOrder
 from quadpi_core.vehicle import Vehicle
 

@@ -23,13 +23,12 @@ from quadpi_core.flight import (
     RotorSpeedStream,
 )
 from quadpi_core.frames import Array, body_flu_to_frd, quaternion_flu_enu_to_frd_ned, world_enu_to_ned
+from quadpi_core.logs.column_files import read_matlab
 from quadpi_core.logs.formats.table_files import read_table
 from quadpi_core.logs.log_format import LogFormat
 from quadpi_core.logs.mapping import Mapping
-from quadpi_core.logs.mapping_draft import mapping_draft
-from quadpi_core.logs.matlab import read_matlab
 from quadpi_core.logs.reader_steps import normalised_attitude, note, stamps_ns
-from quadpi_core.logs.table_columns import open_columns
+from quadpi_core.logs.table_columns import mapping_draft, open_columns
 from quadpi_core.vehicle import Vehicle
 
 _COLUMN_COUNT = 41

@@ -33,13 +33,14 @@ from quadpi_core.flight import (
     Stamps,
 )
 from quadpi_core.frames import Array
-from quadpi_core.logs.airframes import Airframe, has_rotors
 from quadpi_core.logs.log_format import LogFormat
 from quadpi_core.logs.reader_steps import (
+    Airframe,
     attitude_alone,
     by_frame,
     finite_parameters,
     has_attitude,
+    has_rotors,
     normalised_attitude,
     note,
     odometry_of,

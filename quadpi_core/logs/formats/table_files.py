@@ -47,7 +47,6 @@ from quadpi_core.frames import (
 from quadpi_core.inputs import ZERO_CELSIUS
 from quadpi_core.logs.log_format import LogFormat
 from quadpi_core.logs.mapping import ERPM, QUATERNION_ORDERS, TIME, UNITS, Mapping, Signal
-from quadpi_core.logs.mapping_draft import mapping_draft
 from quadpi_core.logs.reader_steps import (
     normalised_attitude,
     note,
@@ -56,7 +55,7 @@ from quadpi_core.logs.reader_steps import (
     unsigned_speeds,
     without_parts,
 )
-from quadpi_core.logs.table_columns import PARQUET_MAGIC, open_columns, stamps_of
+from quadpi_core.logs.table_columns import PARQUET_MAGIC, mapping_draft, open_columns, stamps_of
 from quadpi_core.records import STANDARD_GRAVITY
 from quadpi_core.screening.sample_order import SHARE_MAX
 from quadpi_core.vehicle import Vehicle

@@ -18,8 +18,8 @@ from quadpi_core.field.field_reading import read_field_log
 from quadpi_core.flight import NOT_MEASURED, AirStream
 from quadpi_core.frames import body_frd_to_flu, quaternion_frd_ned_to_flu_enu, rotate_body_to_world
 from quadpi_core.logs import read_recording
-from quadpi_core.logs.adapted_bags import unnamed
 from quadpi_core.logs.bag_files import Bag
+from quadpi_core.logs.bag_topics import unnamed
 from quadpi_core.logs.bag_writer import write_mcap
 from quadpi_core.logs.bags import read_bag
 from quadpi_core.messages import sensor_messages

@@ -7,7 +7,7 @@ from __future__ import annotations
 import pytest
 
 from quadpi_core.errors import LogError
-from quadpi_core.logs.airframes import Airframe, has_rotors
+from quadpi_core.logs.reader_steps import Airframe, has_rotors
 from quadpi_core.vehicle import Vehicle
 
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from quadpi_core.core import compiled
 from quadpi_core.errors import LogError
-from quadpi_core.logs.blackbox import RULES, decode_blackbox
+from quadpi_core.logs.formats.betaflight import RULES, decode_blackbox
 
 from .blackbox_writer import PLAIN, inter, intra, log, signed, unsigned
 

@@ -11,7 +11,7 @@ import pytest
 
 from quadpi_core.errors import LogError
 from quadpi_core.logs.bag_files import Bag
-from quadpi_core.logs.cut_off import is_cut_off, whole_part
+from quadpi_core.logs.mcap_files import is_cut_off, whole_part
 from quadpi_core.paths import bags_directory
 
 BAG = bags_directory() / "extrapolation.mcap"

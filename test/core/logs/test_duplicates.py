@@ -12,7 +12,7 @@ import numpy as np
 
 from quadpi_core.flight import ImuStream, Recording, RotorSpeedStream
 from quadpi_core.frames import body_flu_to_frd, body_frd_to_flu
-from quadpi_core.logs.duplicates import RunningHash, recording_hash
+from quadpi_core.logs.readers import RunningHash, recording_hash
 
 
 def with_speeds(recording: Recording, change: Callable[[np.ndarray], object]) -> Recording:

@@ -16,8 +16,8 @@ from quadpi_core.errors import LogError
 from quadpi_core.flight import BatteryStream, ImuStream, Recording, RotorSpeedStream
 from quadpi_core.frames import body_frd_to_flu
 from quadpi_core.logs import decode_recording, read_recording
-from quadpi_core.logs.duplicates import recording_hash
 from quadpi_core.logs.inspect import inspect_recording
+from quadpi_core.logs.readers import recording_hash
 from quadpi_core.screening.plausibility import check_plausible, thrust_coefficient
 from quadpi_core.vehicle import Vehicle
 

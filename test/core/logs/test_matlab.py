@@ -11,7 +11,7 @@ import scipy.io
 import scipy.sparse
 
 from quadpi_core.errors import LogError
-from quadpi_core.logs.matlab import read_matlab
+from quadpi_core.logs.column_files import read_matlab
 
 
 @pytest.fixture

@@ -14,8 +14,7 @@ import pytest
 
 pytest.importorskip("pymavlink", reason="pymavlink is not installed")
 from quadpi_core.errors import LogError
-from quadpi_core.logs.mavlink_dialect import load_dialect
-from quadpi_core.logs.mavlink_frames import Framer
+from quadpi_core.logs.mavlink_frames import Framer, load_dialect
 
 ROOT = Path(__file__).parents[3]
 

@@ -11,8 +11,8 @@ from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from quadpi_core.errors import LogError
 from quadpi_core.logs import identify_format
+from quadpi_core.logs.bag_storages import Ros1File
 from quadpi_core.logs.bags import open_recording, read_bag
-from quadpi_core.logs.ros1_bags import Ros1File
 from quadpi_core.messages.definitions import typestore
 from quadpi_core.vehicle import Vehicle
 

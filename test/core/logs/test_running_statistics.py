@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from quadpi_core.logs.running_statistics import LongestRun, RunningRange
+from quadpi_core.logs.inspect import LongestRun, RunningRange
 
 
 @settings(deadline=None)
