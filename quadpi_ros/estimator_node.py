@@ -27,8 +27,8 @@ from quadpi_core.messages.adapters.packages.satellite_fixes import NAVSATFIX
 from quadpi_core.messages.definitions import codec
 from quadpi_core.messages.frame_ids import TF_TYPE, BodyFrames, FrameRefusedError, names_of
 from quadpi_core.messages.one_by_one import IncomingMessage, OutgoingMessage
+from quadpi_core.messages.payloads import POSE
 from quadpi_core.messages.result_messages import transform_message
-from quadpi_core.messages.values import POSE
 from quadpi_core.vehicle import Vehicle
 from quadpi_ros import callbacks
 from quadpi_ros.input_sources import AdaptedSources, AdapterError, Source, message_class

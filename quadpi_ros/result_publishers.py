@@ -17,8 +17,8 @@ from std_msgs.msg import String
 
 from quadpi_core.errors import ModelError
 from quadpi_core.messages import result_messages
-from quadpi_core.messages.model_description import pack_description
 from quadpi_core.messages.one_by_one import OutgoingMessage
+from quadpi_core.messages.result_messages import pack_description
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor import Monitor
 from quadpi_core.monitor.alarm_log import reasons_by_row

@@ -34,8 +34,8 @@ from quadpi_core.errors import LogError
 from quadpi_core.flight import OdometryStream
 from quadpi_core.messages import result_messages, sensor_messages
 from quadpi_core.messages.definitions import codec
-from quadpi_core.messages.model_description import unpack_description
 from quadpi_core.messages.payloads import Payloads
+from quadpi_core.messages.result_messages import unpack_description
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.results import Predictions
 from quadpi_core.vehicle import Vehicle

@@ -38,7 +38,7 @@ from quadpi_core.frames import (
     rotate_world_to_body,
     world_enu_to_ned,
 )
-from quadpi_core.messages.adapters.motor_messages import shares_of_outputs
+from quadpi_core.messages.adapters.rotor_messages import shares_of_outputs
 from quadpi_core.records import NORM_TOLERANCE, STANDARD_GRAVITY
 from quadpi_core.rotor_order import RotorOrder
 from quadpi_core.vehicle import Vehicle

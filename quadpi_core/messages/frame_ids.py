@@ -27,8 +27,7 @@ from quadpi_core.errors import LogError, SampleError
 from quadpi_core.flight import ImuStream
 from quadpi_core.frames import Array, rotation_matrix
 from quadpi_core.messages.cdr import ORIGIN
-from quadpi_core.messages.definitions import standard_types
-from quadpi_core.messages.foreign_messages import ForeignCodec
+from quadpi_core.messages.definitions import ForeignCodec, standard_types
 from quadpi_core.messages.mounting import Mounting
 from quadpi_core.messages.payloads import Payloads
 from quadpi_core.messages.sensor_messages import BODY_FRAME, STAMP_END, without_namespace

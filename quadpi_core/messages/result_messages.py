@@ -4,8 +4,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import fields
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -13,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.core import compiled
+from quadpi_core.errors import LogError, VehicleError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
@@ -20,7 +22,7 @@ from quadpi_core.messages.cdr import Codec, Field, header_stamps
 from quadpi_core.messages.definitions import codec
 from quadpi_core.messages.frame_ids import TF_TYPE
 from quadpi_core.messages.one_by_one import OutgoingMessage
-from quadpi_core.messages.payloads import Payloads
+from quadpi_core.messages.payloads import PREDICTION_VALUES, Payloads
 from quadpi_core.messages.sensor_messages import (
     ALARM,
     BODY_FRAME,
@@ -32,8 +34,8 @@ from quadpi_core.messages.sensor_messages import (
     mirrored,
     stamp_columns,
 )
-from quadpi_core.messages.values import PREDICTION_VALUES
 from quadpi_core.results import AlarmEvent, AlarmRows, Alarms, PredictionRows, Predictions, ReportedAlarms
+from quadpi_core.vehicle import Vehicle
 
 
 def unpack_predictions(payloads: Payloads | bytes) -> Predictions:
@@ -250,3 +252,101 @@ def _mirrored_bounds(lower: Array, upper: Array) -> tuple[Array, Array]:
     one, other = mirrored(lower), mirrored(upper)
     swapped = FLU_SIGNS < 0.0
     return np.where(swapped, other, one), np.where(swapped, one, other)
+
+
+# As `robot_description` gives every tool the vehicle, `~/description` of a monitor gives it the training
+# ranges, and what inputs are computed with, whether or not it can read the model's folder.
+
+
+@dataclass(frozen=True)
+class DescribedModel:
+    """What a page has to know of a model.
+
+    Attributes:
+        identity: name and hash.
+        vehicle: that it was identified for.
+        lower: (19,) smallest value of each input on the training flights.
+        upper: (19,) largest value.
+        cutoff_hz: of its low-pass; None where the monitor does not say it.
+    """
+
+    identity: str
+    vehicle: str
+    lower: Array
+    upper: Array
+    cutoff_hz: float | None = None
+
+
+@dataclass(frozen=True)
+class MonitorDescription:
+    """The models of a monitor, the one that gives the alarm first.
+
+    Attributes:
+        models: by identity.
+        topics: resolved names, by the names of the topics before remapping.
+        vehicle: of all models; None where the monitor does not say it.
+    """
+
+    models: dict[str, DescribedModel]
+    topics: dict[str, str]
+    vehicle: Vehicle | None = None
+
+
+def pack_description(
+    models: Sequence[DescribedModel], topics: Mapping[str, str], vehicle: Vehicle | None = None
+) -> str:
+    """The JSON of a description."""
+    rows = [
+        {
+            "identity": model.identity,
+            "vehicle": model.vehicle,
+            "cutoff_hz": model.cutoff_hz,
+            "training": {
+                name: [float(model.lower[k]), float(model.upper[k])] for k, name in enumerate(INPUT_NAMES)
+            },
+        }
+        for model in models
+    ]
+    whole: dict[str, Any] = {"models": rows, "topics": dict(topics)}
+    if vehicle is not None:
+        whole["vehicle"] = {"name": vehicle.name, "file": vehicle.to_file()}
+    return json.dumps(whole, allow_nan=False)
+
+
+def unpack_description(text: str) -> MonitorDescription:
+    """The description in its JSON.
+
+    Raises:
+        LogError: for a text that is none.
+    """
+    try:
+        given = json.loads(text)
+        models = {}
+        for model in given["models"]:
+            ranges = np.array([model["training"][name] for name in INPUT_NAMES], dtype=float)
+            if ranges.shape != (len(INPUT_NAMES), 2) or not np.isfinite(ranges).all():
+                raise ValueError("a training range is no pair of numbers")
+            identity = str(model["identity"])
+            models[identity] = DescribedModel(
+                identity, str(model["vehicle"]), ranges[:, 0], ranges[:, 1], _cutoff(model.get("cutoff_hz"))
+            )
+        topics = {str(name): str(topic) for name, topic in given["topics"].items()}
+        vehicle = None
+        if (flown := given.get("vehicle")) is not None:
+            name = str(flown["name"])
+            vehicle = Vehicle.of_file(flown["file"], name, f"vehicle {name}")
+    except (
+        *(ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError),
+        VehicleError,
+    ) as error:
+        raise LogError(f"not the description of a monitor: {error}") from error
+    return MonitorDescription(models, topics, vehicle)
+
+
+def _cutoff(given: Any) -> float | None:
+    if given is None:
+        return None
+    cutoff_hz = float(given)
+    if not 0.0 < cutoff_hz < np.inf:
+        raise ValueError(f"the cut-off {cutoff_hz:g} Hz is no frequency")
+    return cutoff_hz

@@ -43,8 +43,7 @@ from quadpi_core.frames import (
 )
 from quadpi_core.messages.cdr import NANOSECONDS, header_stamps
 from quadpi_core.messages.definitions import codec
-from quadpi_core.messages.payloads import Payloads
-from quadpi_core.messages.values import ODOMETRY_VALUES
+from quadpi_core.messages.payloads import ODOMETRY_VALUES, Payloads
 from quadpi_core.records import NORM_TOLERANCE, Records
 from quadpi_core.vehicle import SensorNoise, Vehicle
 

@@ -20,7 +20,7 @@ from quadpi_core.errors import ArgumentError, ModelError, named_in
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.inputs import ASSUMED, INPUT_NAMES, density_range, derivatives_like, whole_derivatives
-from quadpi_core.messages.model_description import DescribedModel
+from quadpi_core.messages.result_messages import DescribedModel
 from quadpi_core.models.alarm_limits import AlarmLimits, ChangeLimits
 from quadpi_core.models.envelope import Envelope
 from quadpi_core.models.interval_rules import (

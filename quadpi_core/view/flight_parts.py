@@ -21,10 +21,9 @@ from quadpi_core.logs.bag_topics import find_topic, has_topic, unpacked_topic
 from quadpi_core.logs.mcap_files import Connection, is_cut_off, whole_part
 from quadpi_core.logs.readers import identify_format
 from quadpi_core.messages import result_messages, sensor_messages
-from quadpi_core.messages.definitions import codec
-from quadpi_core.messages.foreign_messages import foreign_codec
-from quadpi_core.messages.model_description import DescribedModel, MonitorDescription, unpack_description
+from quadpi_core.messages.definitions import codec, foreign_codec
 from quadpi_core.messages.payloads import Payloads, Topic
+from quadpi_core.messages.result_messages import DescribedModel, MonitorDescription, unpack_description
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor import pairing
 from quadpi_core.monitor.alarm_log import naming_sensors, reasons_by_row

@@ -23,7 +23,7 @@ from quadpi_core.flight_files import named_files
 from quadpi_core.frames import Array, quaternion_frd_ned_to_flu_enu, world_ned_to_enu
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.logs.mcap_files import is_cut_off, whole_part
-from quadpi_core.messages.model_description import DescribedModel
+from quadpi_core.messages.result_messages import DescribedModel
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor.alarm_log import INPUT_WORDS
 from quadpi_core.paths import whole_output

@@ -14,7 +14,7 @@ import numpy as np
 from quadpi_core.flight import AXES, MAX_GAP_NS, OdometryStream, RotorSpeedStream, Stamps, WindStream
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES, aerodynamic_inputs, relative_to_air
-from quadpi_core.messages.model_description import DescribedModel
+from quadpi_core.messages.result_messages import DescribedModel
 from quadpi_core.models.alarm_limits import allowance
 from quadpi_core.monitor.alarm_log import AXIS_WORDS, INPUT_WORDS, OF_RANGE, OUTSIDE_RATIO, piloted_first
 from quadpi_core.results import (

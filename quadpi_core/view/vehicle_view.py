@@ -16,7 +16,7 @@ import numpy as np
 from quadpi_core.flight import AXES, OdometryStream, RotorSpeedStream, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
-from quadpi_core.messages.model_description import DescribedModel
+from quadpi_core.messages.result_messages import DescribedModel
 from quadpi_core.monitor.alarm_log import INPUT_WORDS, OF_RANGE
 from quadpi_core.results import CAUSE_NAMES, EXTRAPOLATION, AlarmEvent, Predictions, ReportedAlarms
 from quadpi_core.view.blocks import PAUSE_NS, BlockStore, FlightClock, Rows, Timeline, Track

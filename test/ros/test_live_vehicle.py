@@ -19,7 +19,7 @@ from std_msgs.msg import String
 from quadpi_core.flight import AXES, OdometryStream, RotorSpeedStream
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.messages import result_messages, sensor_messages
-from quadpi_core.messages.model_description import DescribedModel, pack_description
+from quadpi_core.messages.result_messages import DescribedModel, pack_description
 from quadpi_core.vehicle import Vehicle
 from quadpi_core.view.trust import State
 from quadpi_ros import view_node

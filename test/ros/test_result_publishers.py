@@ -25,8 +25,8 @@ from std_msgs.msg import String
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AirStream
 from quadpi_core.messages import result_messages
-from quadpi_core.messages.model_description import MonitorDescription, unpack_description
 from quadpi_core.messages.payloads import Payloads
+from quadpi_core.messages.result_messages import MonitorDescription, unpack_description
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor import Monitor
 from quadpi_core.monitor.pairing import PairedSamples

@@ -18,7 +18,7 @@ from quadpi_core.flight import Stamps, Stream
 from quadpi_core.frames import Array
 from quadpi_core.messages.adapters.adapter_settings import EXAMPLES, AdapterSettings
 from quadpi_core.messages.cdr import Columns
-from quadpi_core.messages.foreign_messages import ForeignCodec, Items, foreign_codec
+from quadpi_core.messages.definitions import ForeignCodec, Items, foreign_codec
 from quadpi_core.messages.payloads import Payloads
 from quadpi_core.vehicle import Vehicle
 

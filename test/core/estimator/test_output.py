@@ -19,8 +19,8 @@ from quadpi_core.estimator.output import FUSED, FusedSamples, with_gyro_faults
 from quadpi_core.flight import ImuStream
 from quadpi_core.frames import Array, rotate_world_to_body
 from quadpi_core.messages.definitions import codec
+from quadpi_core.messages.payloads import ODOMETRY_VALUES
 from quadpi_core.messages.sensor_messages import ODOMETRY, pack_odometry
-from quadpi_core.messages.values import ODOMETRY_VALUES
 from quadpi_core.records import SPECIFIC_FORCE_MAX_M_S2
 
 GYRO_NOISE = 0.02

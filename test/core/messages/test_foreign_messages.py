@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from quadpi_core.errors import LogError
-from quadpi_core.messages.definitions import ITEMS_MAX, codec, definition_text, typestore
-from quadpi_core.messages.foreign_messages import foreign_codec
+from quadpi_core.messages.definitions import ITEMS_MAX, codec, definition_text, foreign_codec, typestore
 from quadpi_core.messages.payloads import Payloads
 
 TRANSFORMS = "tf2_msgs/msg/TFMessage"

@@ -12,7 +12,7 @@ import pytest
 
 from quadpi_core.errors import LogError
 from quadpi_core.inputs import INPUT_NAMES
-from quadpi_core.messages.model_description import DescribedModel, pack_description, unpack_description
+from quadpi_core.messages.result_messages import DescribedModel, pack_description, unpack_description
 from quadpi_core.vehicle import Vehicle
 
 LOWER = -np.arange(1.0, len(INPUT_NAMES) + 1.0)

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadpi_core.core import compiled
-from quadpi_core.messages import values
+from quadpi_core.messages import payloads
 from quadpi_core.messages.definitions import codec
 from quadpi_core.messages.sensor_messages import ODOMETRY, PREDICTION
 
@@ -35,7 +35,7 @@ def covariance(rng):
 
 
 def test_sizes_are_those_of_the_messages():
-    for kind, count in ((ODOMETRY, values.ODOMETRY_VALUES), (PREDICTION, values.PREDICTION_VALUES)):
+    for kind, count in ((ODOMETRY, payloads.ODOMETRY_VALUES), (PREDICTION, payloads.PREDICTION_VALUES)):
         assert max(place.stop for place in codec(kind).places.values()) == count
 
 
@@ -43,7 +43,7 @@ def test_odometry_is_that_of_rotation_matrices(state, rng):
     """Also its covariances, which turn with the axes that they are of."""
     pose, twist, places = covariance(rng), covariance(rng), codec(ODOMETRY).places
     position, attitude, velocity, rates = state
-    numbers = np.full((N, values.ODOMETRY_VALUES), np.nan)
+    numbers = np.full((N, payloads.ODOMETRY_VALUES), np.nan)
     wxyz = attitude.as_quat(scalar_first=True)
     compiled.odometry_values(position, wxyz, velocity, rates, pose, twist, numbers)
     np.testing.assert_array_equal(numbers[:, places["pose.pose.position"]], position @ WORLD.T)

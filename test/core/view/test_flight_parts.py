@@ -18,8 +18,8 @@ from quadpi_core.logs.bag_files import Bag
 from quadpi_core.logs.bag_writer import write_mcap
 from quadpi_core.logs.bags import output_topic, read_bag, write_bag
 from quadpi_core.messages.definitions import codec, typestore
-from quadpi_core.messages.model_description import pack_description
 from quadpi_core.messages.payloads import Payloads, Topic
+from quadpi_core.messages.result_messages import pack_description
 from quadpi_core.messages.sensor_messages import pack_rotor_speeds
 from quadpi_core.view.rerun_recording import open_bag
 from quadpi_core.view.trust import State

@@ -15,7 +15,7 @@ import pytest
 
 from quadpi_core.flight import AXES, OdometryStream, RotorSpeedStream
 from quadpi_core.inputs import INPUT_NAMES
-from quadpi_core.messages.model_description import DescribedModel
+from quadpi_core.messages.result_messages import DescribedModel
 from quadpi_core.monitor.change import found_columns, nothing_found
 from quadpi_core.results import ACTIVE, AlarmEvent, Predictions, ReportedAlarms
 from quadpi_core.view.flight_parts import Part

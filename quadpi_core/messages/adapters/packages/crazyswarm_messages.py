@@ -10,7 +10,7 @@ unless given.
 from __future__ import annotations
 
 from quadpi_core.messages.adapters.adapter_definition import STAMP, Adapter
-from quadpi_core.messages.adapters.motor_messages import start_of_battery, start_of_commands
+from quadpi_core.messages.adapters.rotor_messages import start_of_battery, start_of_commands
 from quadpi_core.messages.cdr import ANY, header_stamps
 
 _FULL = 65535.0

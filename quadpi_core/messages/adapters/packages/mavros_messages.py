@@ -7,10 +7,14 @@ from __future__ import annotations
 import numpy as np
 
 from quadpi_core.messages.adapters.adapter_definition import STAMP, Adapter, of_items
-from quadpi_core.messages.adapters.motor_messages import start_of_commands
-from quadpi_core.messages.adapters.rotor_messages import EscReports, reports_in_esc_order, start_of_rotors
+from quadpi_core.messages.adapters.rotor_messages import (
+    EscReports,
+    reports_in_esc_order,
+    start_of_commands,
+    start_of_rotors,
+)
 from quadpi_core.messages.cdr import ANY, Columns, header_stamps
-from quadpi_core.messages.foreign_messages import Items
+from quadpi_core.messages.definitions import Items
 from quadpi_core.messages.payloads import Indices
 
 

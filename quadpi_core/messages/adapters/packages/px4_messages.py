@@ -19,19 +19,17 @@ from quadpi_core.flight import NOT_MEASURED, AirStream, ImuStream, OdometryStrea
 from quadpi_core.frames import Array, rotate_world_to_body
 from quadpi_core.inputs import celsius_of
 from quadpi_core.messages.adapters.adapter_definition import Adapter, Reading, of_items
-from quadpi_core.messages.adapters.motor_messages import (
-    shares_of_outputs,
-    start_of_battery,
-    start_of_commands,
-)
 from quadpi_core.messages.adapters.rotor_messages import (
     MOTORS,
     EscReports,
     reports_of_motors,
+    shares_of_outputs,
+    start_of_battery,
+    start_of_commands,
     start_of_rotors,
 )
 from quadpi_core.messages.cdr import Columns, microsecond_stamps
-from quadpi_core.messages.foreign_messages import Items
+from quadpi_core.messages.definitions import Items
 from quadpi_core.messages.payloads import Indices
 from quadpi_core.records import NORM_TOLERANCE
 from quadpi_core.vehicle import Vehicle

@@ -8,11 +8,12 @@ from collections import Counter
 
 import numpy as np
 
-from quadpi_core.flight import MotorCommandStream
+from quadpi_core.flight import AirStream, MotorCommandStream, Stamps, TemperatureStream
 from quadpi_core.frames import Array
-from quadpi_core.messages.adapters.adapter_definition import STAMP, Adapter, Reading
+from quadpi_core.inputs import is_celsius, is_pressure
+from quadpi_core.messages.adapters.adapter_definition import STAMP, Adapter, Reading, start_of_numbers
 from quadpi_core.messages.adapters.adapter_settings import CommandSettings
-from quadpi_core.messages.adapters.motor_messages import start_of_commands
+from quadpi_core.messages.adapters.rotor_messages import start_of_battery, start_of_commands
 from quadpi_core.messages.cdr import ANY, Columns, header_stamps
 from quadpi_core.messages.sensor_messages import MOTOR_COMMANDS
 from quadpi_core.vehicle import Vehicle
@@ -44,4 +45,44 @@ COMMANDS = Adapter(
     columns=STAMP | {"commands": ANY},
     start=_start,
     battery=("battery_state", "battery"),
+)
+
+
+def _pressures(time_ns: Stamps, pascal: Array) -> AirStream:
+    return AirStream(time_ns, pascal, np.full(len(pascal), np.nan))
+
+
+def _temperatures(time_ns: Stamps, celsius: Array) -> TemperatureStream:
+    return TemperatureStream(time_ns, np.full(len(celsius), np.nan), celsius)
+
+
+PRESSURE = Adapter(
+    name="fluid_pressure",
+    type_name="sensor_msgs/msg/FluidPressure",
+    topic="pressure",
+    kind="pressure",
+    columns=STAMP | {"fluid_pressure": 1},
+    start=start_of_numbers(
+        "fluid_pressure", header_stamps, _pressures, is_pressure, "no pressure of air in Pa"
+    ),
+)
+TEMPERATURE = Adapter(
+    name="temperature",
+    type_name="sensor_msgs/msg/Temperature",
+    topic="temperature",
+    kind="temperature",
+    columns=STAMP | {"temperature": 1},
+    start=start_of_numbers(
+        "temperature", header_stamps, _temperatures, is_celsius, "no temperature of air in °C"
+    ),
+)
+
+
+BATTERY = Adapter(
+    name="battery_state",
+    type_name="sensor_msgs/msg/BatteryState",
+    topic="battery",
+    kind="battery",
+    columns=STAMP | {"voltage": 1},
+    start=start_of_battery("voltage", header_stamps),
 )

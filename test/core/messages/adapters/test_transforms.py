@@ -7,7 +7,7 @@ import pytest
 
 from quadpi_core.errors import SampleError
 from quadpi_core.messages.adapters.adapter_settings import AdapterSettings, BodySettings
-from quadpi_core.messages.adapters.packages.transforms import TF
+from quadpi_core.messages.adapters.packages.rigid_bodies import TF
 from quadpi_core.messages.definitions import definition_text
 
 from .vendor_messages import tf as message
