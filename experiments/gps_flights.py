@@ -25,8 +25,7 @@ from page_tables import renew, stamp
 from scipy.spatial.transform import Rotation
 
 from quadpi_core.field.airborne import flown
-from quadpi_core.field.drag import identify_drag
-from quadpi_core.field.drag_samples import drag_samples, piece_lengths_s
+from quadpi_core.field.drag import drag_samples, identify_drag, piece_lengths_s
 from quadpi_core.field.estimates import Estimate
 from quadpi_core.field.field_log import FieldLog, Series
 from quadpi_core.field.inertia import identify_body

@@ -320,7 +320,7 @@ def _export_vehicle(model: Path, output: Path) -> None:
 
 def _export_parameters(folder: Path, output: Path, form: str, logs: list[Path]) -> None:
     from quadpi_core.field.field_report import report_on
-    from quadpi_core.field.thrust_curve import thrust_curve, untold_curve
+    from quadpi_core.field.motor_use import thrust_curve, untold_curve
     from quadpi_core.models.aerodynamic import AerodynamicModel
     from quadpi_core.models.small_model import small_model
     from quadpi_core.paths import whole_output

@@ -6,15 +6,375 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from quadpi_core.field.drag_fit import WIND, DragFit
-from quadpi_core.field.drag_samples import STEP_S, DragSamples
-from quadpi_core.field.estimates import PIECES_FEWEST, Estimate, beyond_zero, not_identified
-from quadpi_core.frames import Array
-from quadpi_core.inputs import UNKNOWN_AIR
-from quadpi_core.records import CONVENTION, Threshold
+from quadpi_core.field.airborne import Flown, velocity_of
+from quadpi_core.field.estimates import (
+    PIECES_FEWEST,
+    Estimate,
+    beyond_zero,
+    effective_pieces,
+    jackknife,
+    not_identified,
+)
+from quadpi_core.field.field_log import FieldLog
+from quadpi_core.frames import Array, rotation_matrix
+from quadpi_core.inputs import STANDARD_DENSITY, UNKNOWN_AIR
+from quadpi_core.messages.payloads import Indices
+from quadpi_core.records import CONVENTION, STANDARD_GRAVITY, Threshold
+
+# Samples are means of the specific force over a fifth of a second: no state comes less often, and vibration
+# and the lever arm of the IMU average out.
+STEP_S = 0.2
+PIECE_S = Threshold(
+    "shortest and longest pieces that intervals leave out; a tenth of the flights lies between",
+    (3.0, 10.0),
+    "s",
+    "gusts at 2 to 50 m of height are correlated for 1 to 10 s at 5 m/s and more (Dryden, MIL-F-8785C)",
+    "simulated windy flights of seeds below 100, other than those whose coverage is counted",
+)
+# Pieces of one flight: an hour takes no more than ten minutes do.
+_PIECES_MOST = 60
+
+
+@dataclass(frozen=True)
+class DragSamples:
+    """Samples (N,) of one flight, a fifth of a second apart where it was in the air.
+
+    Attributes:
+        time: s.
+        piece: (N,) the piece of flight of each.
+        force: (N, 3) m/s² body.
+        velocity: (N, 3) m/s over ground, world.
+        turn: (N, 3, 3) body to world.
+        density: kg/m³, of the air; None where the log does not tell it.
+    """
+
+    time: Array
+    piece: Array
+    force: Array
+    velocity: Array
+    turn: Array
+    density: float | None
+
+    def every(self, stride: int) -> DragSamples:
+        """One sample of so many."""
+        own = (self.time, self.piece, self.force, self.velocity, self.turn)
+        time, piece, force, velocity, turn = (values[::stride] for values in own)
+        return DragSamples(time, piece, force, velocity, turn, self.density)
+
+    @property
+    def air_ratio(self) -> float:
+        """Density of the air over that of standard air; 1 where it is not known."""
+        return 1.0 if self.density is None else self.density / STANDARD_DENSITY
+
+    @property
+    def body_velocity(self) -> Array:
+        """Velocity over ground (N, 3) in body axes."""
+        body: Array = np.einsum("nji,nj->ni", self.turn, self.velocity)
+        return body
+
+
+def piece_lengths_s(airborne_s: Sequence[float]) -> list[float]:
+    """Length of the pieces of each flight that intervals leave out.
+
+    Of many flights drag leaves out whole ones, and the pieces tell of the wind of theirs alone.
+    """
+    together = sum(airborne_s)
+    return [_length_s(own if len(airborne_s) >= PIECES_FEWEST.value else together) for own in airborne_s]
+
+
+def _length_s(airborne_s: float) -> float:
+    usual = float(np.clip(0.1 * airborne_s, PIECE_S.value[0], PIECE_S.value[1]))
+    return max(usual, airborne_s / _PIECES_MOST)
+
+
+def drag_samples(log: FieldLog, flight: Flown, piece_s: float) -> DragSamples | str:
+    """The samples of a flight that tell of drag, or what the log lacks for them.
+
+    Args:
+        log: of the flight.
+        flight: when it was in the air.
+        piece_s: see :func:`piece_lengths_s`.
+    """
+    velocity = velocity_of(log)
+    if log.imu is None or log.attitude is None or velocity is None:
+        needed = {"specific force": log.imu, "attitude": log.attitude, "velocity": velocity}
+        lacking = [name for name, series in needed.items() if series is None]
+        return f"the log has no {' and no '.join(lacking)}"
+    times, pieces, forces = [], [], []
+    count = 0
+    for one in flight.stretches:
+        edges = np.arange(one.begin, one.end, STEP_S)
+        if len(edges) < 2:
+            continue
+        middle = 0.5 * (edges[1:] + edges[:-1])
+        forces.append(log.imu.filled_means(edges)[:, 3:])
+        times.append(middle)
+        parts = max(1, round(one.duration_s / piece_s))
+        place = np.minimum((parts * np.arange(len(middle))) // len(middle), parts - 1)
+        pieces.append(count + place)
+        count += parts
+    if not times:
+        return "the flight is too short"
+    time = np.concatenate(times)
+    moving, attitude, force = velocity.at(time), log.attitude.at(time), np.concatenate(forces)
+    length = np.linalg.norm(attitude, axis=1, keepdims=True)
+    good = np.isfinite(np.hstack([moving, attitude, force])).all(axis=1) & (length[:, 0] > 0.5)
+    if not good.any():
+        return "specific force, attitude and velocity do not overlap"
+    air = None if log.density is None else float(np.median(log.density.values))
+    return DragSamples(
+        time[good],
+        np.concatenate(pieces)[good].astype(np.int64),
+        force[good],
+        moving[good],
+        rotation_matrix(attitude[good] / length[good]),
+        air,
+    )
+
+
+# An accelerometer senses no gravity, and the thrust of a multirotor has no part along body x and y: what it
+# reads there is drag over mass, its bias, and a tilt of its mounting. With linear drag, k in 1/s,
+#
+#     f_x = −k_x (Rᵀ(v − w))_x + b_x + e_x (f_z + g),        f_y likewise,
+#
+# where R turns body into world, v is the velocity over ground and w the wind, horizontal and slow. Neither
+# rotor speeds nor mass are needed. Source: D. Abeywardena et al., Improved state estimation in quadrotor MAVs
+# (IEEE RAM 2013), eqs. 5–7; PX4's drag_fusion.cpp for the split into momentum drag and bluff-body drag.
+#
+# The wind of each flight is a polygon over time whose steps are a random walk. All is solved together by
+# Gauss–Newton; intervals leave out pieces of flight (see :mod:`quadpi_core.field.estimates`).
+
+# What is known before: bias of an accelerometer with the tilt of its mounting [m/s²], wind [m/s], its change
+# in the square root of a second [m/s], lean of the mounting [rad].
+BIAS, WIND, WALK, _LEAN = 0.5, 6.0, 0.3, 0.05
+_KNOTS_S = 10.0
+# Of all flights together: an hour takes no more than ten minutes do.
+_KNOTS_MOST, _SAMPLES_MOST = 60, 6000
+_ITERATIONS, _SETTLED = 12, 1e-5
+# Information on what is known: more than any flight's.
+_KNOWN = 1e12
+
+
+class _Information(NamedTuple):
+    """What a piece of a flight tells of the parameters at `columns` (C,): (C, C) and (C,)."""
+
+    flight: int
+    columns: Indices
+    information: Array
+    gradient: Array
+
+
+class DragFit:
+    """The joint problem of several flights: drag of the vehicle, wind and bias of each flight.
+
+    Attributes:
+        theta: (P,) drag parameters first.
+        prior: (P, P) information of what is known before; the square terms `without` are known to be 0.
+        mean: (P,) what it is known to be.
+
+    Args:
+        flights: samples of each.
+        quadratic: EKF2's split of drag, or else one coefficient an axis.
+        without: axes that have no square term.
+        known: drag (2,) along x and y, 1/s, where it is not to be found.
+        wind: standard deviation of the wind beforehand, m/s.
+    """
+
+    def __init__(
+        self,
+        flights: Sequence[DragSamples],
+        *,
+        quadratic: bool,
+        without: Sequence[int] = (),
+        known: Sequence[float] | None = None,
+        wind: float = WIND,
+    ) -> None:
+        stride = -(-sum(len(one.time) for one in flights) // _SAMPLES_MOST)
+        self.flights, self.step_s = [one.every(stride) for one in flights], stride * STEP_S
+        self.drags = 3 if quadratic else 2
+        self.quadratic = quadratic
+        self.layout: list[tuple[int, Array]] = []
+        place = self.drags
+        for one in flights:
+            count = round((one.time[-1] - one.time[0]) / _KNOTS_S) + 1
+            knots = np.linspace(
+                one.time[0], one.time[-1], max(2, min(count, 2 * _KNOTS_MOST // len(flights), _KNOTS_MOST))
+            )
+            self.layout.append((place, knots))
+            place += 4 + 2 * len(knots)
+        self.theta = np.zeros(place)
+        # No drag leaves the wind without an effect: begin at that of a usual vehicle.
+        self.theta[: self.drags] = [0.15, 0.005, 0.005] if quadratic else [0.3, 0.3]
+        self.mean, self.prior, self.scale = np.zeros(place), self._prior(wind), np.array([0.3, 0.3])
+        for axis in without:
+            self.theta[1 + axis], self.prior[1 + axis, 1 + axis] = 0.0, _KNOWN
+        for axis, value in enumerate(known or ()):
+            self.theta[axis] = self.mean[axis] = value
+            self.prior[axis, axis] = _KNOWN
+        self._solve()
+
+    def _prior(self, wind: float) -> Array:
+        prior = np.zeros((len(self.theta), len(self.theta)))
+        for place, knots in self.layout:
+            prior[range(place, place + 4), range(place, place + 4)] = np.repeat([BIAS**-2, _LEAN**-2], 2)
+            for axis in range(2):
+                own = place + 4 + axis * len(knots) + np.arange(len(knots))
+                prior[own, own] += wind**-2 / len(knots)
+                step = 1.0 / (WALK**2 * np.diff(knots))
+                np.add.at(prior, (own[1:], own[1:]), step)
+                np.add.at(prior, (own[:-1], own[:-1]), step)
+                np.add.at(prior, (own[1:], own[:-1]), -step)
+                np.add.at(prior, (own[:-1], own[1:]), -step)
+        return prior
+
+    def _weights(self, flight: int, time: Array) -> Array:
+        """Shares (N, K) of the knots of the wind at times (N,) s."""
+        _, knots = self.layout[flight]
+        after = np.clip(np.searchsorted(knots, time), 1, len(knots) - 1)
+        share = np.clip(
+            (time - knots[after - 1]) / np.maximum(knots[after] - knots[after - 1], 1e-9), 0.0, 1.0
+        )
+        weights = np.zeros((len(time), len(knots)))
+        rows = np.arange(len(time))
+        weights[rows, after - 1], weights[rows, after] = 1.0 - share, share
+        return weights
+
+    def wind_at(self, flight: int, time: Array) -> Array:
+        """Wind (N, 2) of a flight to north and east, m/s, at times (N,) s."""
+        place, knots = self.layout[flight]
+        winds = self.theta[place + 4 : place + 4 + 2 * len(knots)].reshape(2, -1).T
+        found: Array = self._weights(flight, time) @ winds
+        return found
+
+    def residuals(self, flight: int) -> tuple[Array, Array, Array]:
+        """Residuals (N, 2) in m/s², slopes (N, 2, C) by its columns, airspeed (N, 3) in body axes."""
+        one, (place, knots), theta = self.flights[flight], self.layout[flight], self.theta
+        weights, count = self._weights(flight, one.time), len(knots)
+        air = one.velocity.copy()
+        air[:, :2] -= self.wind_at(flight, one.time)
+        body = np.einsum("nji,nj->ni", one.turn, air)
+        speed = np.linalg.norm(body, axis=1)
+        slopes = np.zeros((len(body), 2, self.drags + 4 + 2 * count))
+        residuals = np.empty((len(body), 2))
+        thrust = one.force[:, 2] + STANDARD_GRAVITY
+        for axis in range(2):
+            if self.quadratic:
+                # EKF2: −(MCOEF √(ρ/ρ0) + ½ ρ |v| / BCOEF) v.
+                linear, square = np.sqrt(one.air_ratio), 0.5 * STANDARD_DENSITY * one.air_ratio * speed
+                gain = theta[0] * linear + theta[1 + axis] * square
+                slopes[:, axis, 0] = linear * body[:, axis]
+                slopes[:, axis, 1 + axis] = square * body[:, axis]
+            else:
+                gain = np.full(len(body), theta[axis])
+                slopes[:, axis, axis] = body[:, axis]
+            bias, lean = theta[place + axis], theta[place + 2 + axis]
+            residuals[:, axis] = one.force[:, axis] + gain * body[:, axis] - bias - lean * thrust
+            slopes[:, axis, self.drags + axis], slopes[:, axis, self.drags + 2 + axis] = -1.0, -thrust
+            for world in range(2):
+                own = self.drags + 4 + world * count + np.arange(count)
+                slopes[:, axis, own] = -(gain * one.turn[:, world, axis])[:, np.newaxis] * weights
+        return residuals, slopes, body
+
+    def columns(self, flight: int) -> Indices:
+        """Places (C,) of the parameters that a flight tells of: drag, and its own."""
+        place, knots = self.layout[flight]
+        return np.concatenate([np.arange(self.drags), place + np.arange(4 + 2 * len(knots))])
+
+    def normal(self) -> tuple[Array, Array, list[_Information]]:
+        """Information (P, P) and gradient (P,) with what was known before; and of each piece."""
+        whole, pull = self.prior.copy(), self.prior @ (self.theta - self.mean)
+        pieces = []
+        for flight, one in enumerate(self.flights):
+            residuals, slopes, _ = self.residuals(flight)
+            slopes, scaled = slopes / self.scale[:, np.newaxis], residuals / self.scale
+            columns = self.columns(flight)
+            for piece in np.unique(one.piece):
+                rows = one.piece == piece
+                flat = slopes[rows].reshape(-1, len(columns))
+                information, gradient = flat.T @ flat, flat.T @ scaled[rows].ravel()
+                pieces.append(_Information(flight, columns, information, gradient))
+                whole[np.ix_(columns, columns)] += information
+                pull[columns] += gradient
+        return whole, pull, pieces
+
+    def _solve(self) -> None:
+        for _ in range(_ITERATIONS):
+            whole, pull, _ = self.normal()
+            step = np.linalg.solve(whole, pull)
+            self.theta = self.theta - step
+            # Drag that turns up slightly negative would flip the wind on the way.
+            self.theta[: self.drags] = np.maximum(self.theta[: self.drags], -0.5)
+            together = np.vstack([self.residuals(flight)[0] for flight in range(len(self.flights))])
+            # Of autocorrelated samples fewer count: a second's worth each.
+            self.scale = np.sqrt(np.mean(together**2, axis=0) / min(self.step_s, 1.0)) + 1e-6
+            if np.abs(step[: self.drags]).max() < _SETTLED:
+                break
+
+    def intervals(self, *, by_flight: bool) -> tuple[Array, Array, Array]:
+        """Drag parameters and mean wind, north and east, of each flight (M,), and ends of intervals (M, 2).
+
+        Also the number (D,) of pieces that would share the information on each drag parameter evenly.
+
+        Args:
+            by_flight: leave out whole flights for drag. A wind has one flight: its pieces are left out with
+                drag held, and the other flights for what their drag does to it.
+        """
+        whole, pull, pieces = self.normal()
+        wanted = np.zeros((self.drags + 2 * len(self.layout), len(self.theta)))
+        wanted[range(self.drags), range(self.drags)] = 1.0
+        for flight, (place, knots) in enumerate(self.layout):
+            for axis in range(2):
+                own = place + 4 + axis * len(knots) + np.arange(len(knots))
+                wanted[self.drags + 2 * flight + axis, own] = 1.0 / len(knots)
+        groups = [[one] for one in pieces]
+        if by_flight:
+            groups = [[one for one in pieces if one.flight == flight] for flight in range(len(self.flights))]
+        without = np.array([self._without(whole, pull, group) @ wanted.T for group in groups])
+        told = np.array([sum(np.diag(one.information)[: self.drags] for one in group) for group in groups])
+        share = np.hstack([told, np.ones((len(told), len(wanted) - self.drags))])
+        value = wanted @ self.theta
+        half = jackknife(value, without, share)[1] - value
+        if by_flight:
+            for flight in range(len(self.flights)):
+                own = self.drags + 2 * flight + np.arange(2)
+                half[own] = self._wind_half(whole, pull, groups[flight], wanted[own])
+                others = np.delete(without, flight, axis=0)[:, own]
+                half[own] = np.hypot(
+                    half[own], jackknife(value[own], others, np.ones_like(others))[1] - value[own]
+                )
+        # Of the wind the pieces tell what the data do, and the information what was known before.
+        known = np.einsum("mp,pm->m", wanted, np.linalg.solve(whole, wanted.T))
+        half[self.drags :] = np.hypot(half, 2.0 * np.sqrt(known))[self.drags :]
+        return value, np.stack([value - half, value + half], axis=1), effective_pieces(told)
+
+    def _without(self, whole: Array, pull: Array, group: Sequence[_Information]) -> Array:
+        """Parameters (P,) without some pieces, by one Newton step."""
+        less, rest = whole.copy(), pull.copy()
+        for one in group:
+            less[np.ix_(one.columns, one.columns)] -= one.information
+            rest[one.columns] -= one.gradient
+        without: Array = self.theta - np.linalg.solve(less, rest)
+        return without
+
+    def _wind_half(self, whole: Array, pull: Array, group: Sequence[_Information], wanted: Array) -> Array:
+        """Half the interval (2,) of the wind of a flight from its own pieces; not finite for too few."""
+        if len(group) < PIECES_FEWEST.value:
+            return np.full(2, np.inf)
+        own, drags = group[0].columns[self.drags :], self.drags
+        part, held, slope = wanted[:, own], whole[np.ix_(own, own)], pull[own]
+        steps = [
+            np.linalg.solve(held - one.information[drags:, drags:], slope - one.gradient[drags:])
+            for one in group
+        ]
+        value = part @ self.theta[own]
+        without = value - np.array(steps) @ part.T
+        half: Array = jackknife(value, without, np.ones((len(group), 2)))[1] - value
+        return half
+
 
 USABLE_SPEED = Threshold(
     "speed over ground from which a sample tells of drag",

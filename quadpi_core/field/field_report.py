@@ -16,8 +16,7 @@ import numpy as np
 from quadpi_core.errors import LogError, QuadpiError
 from quadpi_core.field.airborne import Flown, flown
 from quadpi_core.field.damage import RotorLoss, frozen_motors, losses
-from quadpi_core.field.drag import DragResult, identify_drag
-from quadpi_core.field.drag_samples import drag_samples, piece_lengths_s
+from quadpi_core.field.drag import DragResult, drag_samples, identify_drag, piece_lengths_s
 from quadpi_core.field.estimates import Estimate
 from quadpi_core.field.field_log import FieldLog
 from quadpi_core.field.field_reading import read_field_log

@@ -19,8 +19,7 @@ from quadpi_core.errors import LogError, QuadpiError
 from quadpi_core.estimator.fusion import COMMANDS_ALONE
 from quadpi_core.field.airborne import Flown, flown
 from quadpi_core.field.field_log import FieldLog
-from quadpi_core.field.motor_model import Tachometers, identified_motors, tachometers
-from quadpi_core.field.motor_thrust import motors_by_thrust
+from quadpi_core.field.motor_model import Tachometers, identified_motors, motors_by_thrust, tachometers
 from quadpi_core.field.other_logs import field_log_of
 from quadpi_core.flight_files import FlightFile, FlightLeftOut, LeftOutFlights, for_each_flight
 from quadpi_core.identification.prepared_flights import PreparedFlight, prepare_flights

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The wind of flights in the open that nothing measures: found with the drag of their vehicle.
 
-As a report finds it (:mod:`quadpi_core.field.drag_fit`): the specific force along x and y is drag, in a wind
+As a report finds it (:mod:`quadpi_core.field.drag`): the specific force along x and y is drag, in a wind
 that walks slowly. Inputs of a model are then relative to the air, those of live samples by the wind that a
 monitor would have known by then.
 """
@@ -14,9 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from quadpi_core.field.drag import identify_drag
-from quadpi_core.field.drag_fit import WIND, DragFit
-from quadpi_core.field.drag_samples import STEP_S, DragSamples, piece_lengths_s
+from quadpi_core.field.drag import STEP_S, WIND, DragFit, DragSamples, identify_drag, piece_lengths_s
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array, rotation_matrix
 from quadpi_core.identification.prepared_flights import LiveSamples, PreparedFlight

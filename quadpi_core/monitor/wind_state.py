@@ -4,7 +4,7 @@
 
 The specific force along body x and y is drag over mass, with a bias: f = −k (Rᵀ(v − w)) + b. A Kalman filter
 of the wind w to north and east and of b takes the means of each fifth of a second; w walks as the wind of
-:mod:`quadpi_core.field.drag_fit` does. What is filtered is scalar arithmetic, so that live and replay give
+:mod:`quadpi_core.field.drag` does. What is filtered is scalar arithmetic, so that live and replay give
 the same bits.
 """
 
@@ -50,8 +50,7 @@ class WindState:
 
     def __init__(self, drag: WindDrag, hover_rotor_speed: float) -> None:
         # Slow to import, and most models have no wind to find.
-        from quadpi_core.field.drag_fit import BIAS, WALK
-        from quadpi_core.field.drag_samples import STEP_S
+        from quadpi_core.field.drag import BIAS, STEP_S, WALK
 
         self._drag, self._step_ns = drag, round(1e9 * STEP_S)
         self._bias, self._walked = BIAS * BIAS, WALK * WALK * STEP_S

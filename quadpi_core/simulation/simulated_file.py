@@ -23,7 +23,7 @@ import yaml
 from quadpi_core.config_schema import ReadBy, Section, Within, check_config, parse_config, read_config
 from quadpi_core.errors import ModelError, VehicleError
 from quadpi_core.field.estimates import Estimate
-from quadpi_core.field.thrust_curve import ThrustCurve
+from quadpi_core.field.motor_use import ThrustCurve
 from quadpi_core.frames import Array, body_frd_to_flu
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.models.aerodynamic import AerodynamicModel

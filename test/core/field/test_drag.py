@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from quadpi_core.field.airborne import flown
-from quadpi_core.field.drag import DragResult, identify_drag
-from quadpi_core.field.drag_samples import drag_samples, piece_lengths_s
+from quadpi_core.field.drag import DragResult, drag_samples, identify_drag, piece_lengths_s
 from quadpi_core.field.field_log import FieldLog, Series
 
 from .field_examples import DRAG, example

@@ -7,7 +7,7 @@ from __future__ import annotations
 import pytest
 
 from quadpi_core.field.airborne import flown
-from quadpi_core.field.drag_samples import drag_samples, piece_lengths_s
+from quadpi_core.field.drag import drag_samples, piece_lengths_s
 
 from .field_examples import example
 

@@ -13,8 +13,7 @@ import pytest
 from quadpi_core.field.airborne import flown
 from quadpi_core.field.field_log import Series
 from quadpi_core.field.field_reading import read_field_log
-from quadpi_core.field.motor_model import identified_motors
-from quadpi_core.field.motor_thrust import motors_by_thrust
+from quadpi_core.field.motor_model import identified_motors, motors_by_thrust
 from quadpi_core.reading_options import ReadingOptions
 from quadpi_core.vehicle import Vehicle
 

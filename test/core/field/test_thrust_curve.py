@@ -13,8 +13,7 @@ import pytest
 from quadpi_core.field.airborne import flown
 from quadpi_core.field.estimates import Estimate
 from quadpi_core.field.field_log import FieldLog, Series
-from quadpi_core.field.motor_use import MotorUse, motor_use
-from quadpi_core.field.thrust_curve import ThrustCurve, thrust_curve
+from quadpi_core.field.motor_use import MotorUse, ThrustCurve, motor_use, thrust_curve
 
 from .field_examples import HOVER, example
 

@@ -14,7 +14,7 @@ import pytest
 
 from quadpi_core.errors import ModelError
 from quadpi_core.field.estimates import Estimate, not_identified
-from quadpi_core.field.thrust_curve import ThrustCurve, untold_curve
+from quadpi_core.field.motor_use import ThrustCurve, untold_curve
 from quadpi_core.frames import rotate_body_to_world
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.small_model import SmallModel, small_model
