@@ -10,8 +10,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from quadpi_core.estimator.filter_run import Arrivals, Trace
-from quadpi_core.estimator.smoother import Inputs, Tape
+from quadpi_core.estimator.filter_run import Arrivals, Inputs, Tape, Trace
 from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
 from quadpi_core.messages.adapters.rotor_messages import EscReports

@@ -17,8 +17,8 @@ from sensor_msgs.msg import Imu
 
 from quadpi_core.core import compiled
 from quadpi_core.estimator.ekf import Ekf
+from quadpi_core.estimator.filter_run import FusedSamples, with_gyro_faults
 from quadpi_core.estimator.filter_state import WITHOUT_ESTIMATE, EstimatorStatus, Outcome
-from quadpi_core.estimator.output import FusedSamples, with_gyro_faults
 from quadpi_core.estimator.slow_states import usual_noise
 from quadpi_core.flight import NOT_MEASURED, ImuStream, OdometryStream, PoseStream, TwistStream
 from quadpi_core.frames import Array

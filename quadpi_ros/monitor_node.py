@@ -19,8 +19,8 @@ from quadpi.srv import LoadModel
 from rclpy.clock import ROSClock
 
 from quadpi_core.errors import ModelError, QuadpiError
-from quadpi_core.estimator.imu_rate import ImuRate
-from quadpi_core.estimator.output import FusedSamples, with_gyro_faults
+from quadpi_core.estimator.filter_run import FusedSamples, with_gyro_faults
+from quadpi_core.estimator.filter_state import ImuRate
 from quadpi_core.flight import (
     MAX_JUMP_BACK_NS,
     NO_STAMP,

@@ -41,7 +41,7 @@ from benchmarks.fuzzing.argument_changes import (
 from benchmarks.fuzzing.library_calls import library_calls
 from benchmarks.fuzzing.mutation import Finding
 from quadpi_core.errors import QuadpiError
-from quadpi_core.estimator.imu_rate import ImuRate
+from quadpi_core.estimator.filter_state import ImuRate
 from quadpi_core.flight import Flight, ImuStream, PoseStream, Recording
 from quadpi_core.identification.prepared_flights import LiveSamples, PreparedFlight
 from quadpi_core.inputs import DERIVATIVES, aerodynamic_inputs

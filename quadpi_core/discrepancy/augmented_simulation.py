@@ -25,7 +25,7 @@ from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import AXES, Flight
 from quadpi_core.frames import Array
 from quadpi_core.records import brief_repr
-from quadpi_core.signals.resample import interpolate_columns
+from quadpi_core.signals.chain import interpolate_columns
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.applied_effects import (
     EFFECTS,

@@ -27,7 +27,7 @@ from quadpi_core.discrepancy.whitening import BAND_HZ, Columns, Kept, OfEachFlig
 from quadpi_core.flight import Flight, ImuStream, PoseStream, Recording, RotorSpeedStream
 from quadpi_core.frames import Array, rotate_body_to_world, rotate_world_to_body
 from quadpi_core.records import CONVENTION, Threshold
-from quadpi_core.signals.resample import interpolate_columns
+from quadpi_core.signals.chain import interpolate_columns
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.applied_effects import EFFECTS, effect_wrench, with_memory
 from quadpi_core.simulation.effect_definition import Effect

@@ -44,7 +44,7 @@ from quadpi_core.models.model_kind import CUTOFF_HZ, Evaluation
 from quadpi_core.parallel import Workers
 from quadpi_core.reading_options import MappingOrOptions
 from quadpi_core.records import CONVENTION, Threshold, brief_repr
-from quadpi_core.signals import resample
+from quadpi_core.signals import chain
 from quadpi_core.signals.chain import zero_phase
 from quadpi_core.vehicle import Vehicle
 
@@ -240,7 +240,7 @@ class ModelSimulation(_Answering):
                 f"first for sample {np.argmin(finite)}"
             )
         rows = np.arange(len(wrench))
-        return resample.interpolate_columns(rows[finite], wrench[finite], rows)
+        return chain.interpolate_columns(rows[finite], wrench[finite], rows)
 
     def margins(self, flight: Flight) -> Margins:
         """See :class:`Simulation`; at the confidence of the model."""
@@ -349,7 +349,7 @@ class RecordedSimulation(Simulation):
             wrenches[source] = found
             squares = np.square(rotors.speeds)
             total, turning = squares.sum(axis=1), squares @ flown.rotor_spins
-            wrench = resample.interpolate_columns(found.time_ns, found.wrench, rotors.time_ns)
+            wrench = chain.interpolate_columns(found.time_ns, found.wrench, rotors.time_ns)
             sums += [-total @ wrench[:, 2], total @ total, turning @ wrench[:, 5], turning @ turning]
         thrust, torque = sums[[0, 2]] / np.maximum(sums[[1, 3]], _TINY)
         if thrust <= 0.0:
@@ -374,7 +374,7 @@ class RecordedSimulation(Simulation):
                 f"{where}: its stamps, {1e-9 * first:.3f} to {1e-9 * last:.3f} s after the start of the "
                 f"flight, do not cover it, 0 to {1e-9 * end:.3f} s; they must be on the clock of the sensors"
             )
-        return resample.interpolate_columns(recorded.time_ns, recorded.wrench, stamps)
+        return chain.interpolate_columns(recorded.time_ns, recorded.wrench, stamps)
 
     def loads(self, flight: Flight) -> tuple[Array, Array, Array]:
         """See :class:`Simulation`."""
@@ -433,13 +433,13 @@ def _wrench_of_flight(
     if recording.rotor_speeds is None:
         raise DiscrepancyError(f"{where} rotor_speeds: missing")
     simulated.check(str(file.path))
-    gap = resample.first_gap(simulated.time_ns, MAX_GAP_NS)
+    gap = chain.first_gap(simulated.time_ns, MAX_GAP_NS)
     if gap is not None:
         late = f"comes more than {1e-9 * MAX_GAP_NS:g} s after the one before"
         raise DiscrepancyError(f"{where} {simulated.topic}: sample {gap}: {late}")
-    grid = resample.uniform_stamps(simulated.time_ns)
-    wrench = resample.interpolate(simulated.time_ns, simulated.wrench, grid, MAX_GAP_NS).values
-    rate_hz, cutoff_hz = resample.nominal_rate(grid), CUTOFF_HZ["default"]
+    grid = chain.uniform_stamps(simulated.time_ns)
+    wrench = chain.interpolate(simulated.time_ns, simulated.wrench, grid, MAX_GAP_NS).values
+    rate_hz, cutoff_hz = chain.nominal_rate(grid), CUTOFF_HZ["default"]
     if 2.0 * cutoff_hz < rate_hz:
         wrench = zero_phase(wrench, cutoff_hz, rate_hz, slice(0)).value
     return recording.source, WrenchStream(grid, wrench), recording.rotor_speeds

@@ -38,7 +38,7 @@ from quadpi_core.logs.bag_files import Bag
 from quadpi_core.models.interval_rules import inside_interval
 from quadpi_core.paths import parse_json
 from quadpi_core.records import CONVENTION, Threshold
-from quadpi_core.signals.resample import interpolate_columns
+from quadpi_core.signals.chain import interpolate_columns
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight
 from quadpi_core.simulation.scenario import FlightPlan

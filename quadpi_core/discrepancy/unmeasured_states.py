@@ -28,7 +28,7 @@ from quadpi_core.estimator.filter_state import (
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array, rotation_matrix
 from quadpi_core.records import CONVENTION, Records, Threshold
-from quadpi_core.signals.resample import interpolate_columns
+from quadpi_core.signals.chain import interpolate_columns
 from quadpi_core.simulation.applied_effects import remembered_wrenches
 from quadpi_core.simulation.effect_definition import Effect
 from quadpi_core.simulation.state_records import MEMORY

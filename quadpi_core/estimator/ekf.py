@@ -17,8 +17,10 @@ from quadpi_core.core import compiled
 from quadpi_core.errors import SignalError
 from quadpi_core.estimator import filter_state
 from quadpi_core.estimator.filter_run import (
+    FUSED,
     Arrivals,
     EkfTrace,
+    FusedSamples,
     Segment,
     SegmentLog,
     Spans,
@@ -32,18 +34,17 @@ from quadpi_core.estimator.filter_state import (
     IMU_SAMPLE,
     MEASUREMENT,
     POSE,
+    RATE_BEFORE_HZ,
     WORLD_VELOCITY,
     EstimatorStatus,
     Outcome,
     State,
 )
-from quadpi_core.estimator.imu_rate import RATE_BEFORE_HZ
 from quadpi_core.estimator.initialise import COLLECT_NS, CollectedSamples, Initial
-from quadpi_core.estimator.output import FUSED, FusedSamples
 from quadpi_core.flight import MAX_GAP_NS, MAX_JUMP_BACK_NS, Recording
 from quadpi_core.frames import Array
 from quadpi_core.records import Records
-from quadpi_core.signals.resample import RATE_SPAN, nominal_rate
+from quadpi_core.signals.chain import RATE_SPAN, nominal_rate
 from quadpi_core.vehicle import Vehicle
 
 _OUTCOMES = tuple(Outcome)

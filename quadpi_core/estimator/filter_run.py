@@ -4,27 +4,40 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Annotated, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from quadpi_core.core import compiled
 from quadpi_core.errors import SignalError
 from quadpi_core.estimator.filter_state import (
     BODY_VELOCITY,
     ERROR_STATES,
+    ESTIMATE,
     IMU_SAMPLE,
     MEASUREMENT,
     POSE,
+    SCALAR,
+    TRANSITION,
     WORLD_VELOCITY,
     NominalState,
 )
 from quadpi_core.estimator.initialise import Initial
-from quadpi_core.estimator.output import FUSED, FusedSamples
-from quadpi_core.flight import ImuStream, Recording, Stamps
+from quadpi_core.flight import ImuStream, OdometryStream, Recording, Stamps
 from quadpi_core.frames import Array, rotate_world_to_body
-from quadpi_core.records import Records, record_dtype
+from quadpi_core.records import (
+    RATE_MAX_RAD_S,
+    SPECIFIC_FORCE_MAX_M_S2,
+    Quaternion4,
+    Records,
+    Vector3,
+    columns_of,
+    record_dtype,
+)
 
 
 class EstimatedSample(NominalState):
@@ -292,3 +305,183 @@ def _extended(span: tuple[int, int] | None, time_ns: Stamps) -> tuple[int, int] 
 
 def _span_text(span: tuple[int, int] | None) -> str:
     return "no time" if span is None else f"{span[0] * 1e-9:.3f} to {span[1] * 1e-9:.3f} s"
+
+
+class Motion:
+    """What the monitor needs of an estimate; velocity over ground, rates and specific force in body axes."""
+
+    attitude: Quaternion4
+    velocity: Vector3
+    rates: Vector3
+    specific_force: Vector3
+
+
+class FusedSample:
+    """One estimate: odometry, and the IMU sample less its biases."""
+
+    time_ns: int
+    position: Vector3
+    motion: Motion
+    pose_covariance: Annotated[Array, 6, 6]
+    twist_covariance: Annotated[Array, 6, 6]
+
+
+FUSED = record_dtype(FusedSample)
+MOTION_ATTITUDE, MOTION_VELOCITY, MOTION_RATES, MOTION_FORCE = columns_of(Motion)
+_MOTION = np.dtype((np.float64, MOTION_FORCE.stop))
+
+
+class FusedSamples(NamedTuple):
+    """K estimates: one live, all of a flight offline. Arrays are views of `rows`.
+
+    Attributes:
+        time_ns: (K,) stamps of IMU samples.
+        rows: (K,) each :class:`FusedSample`.
+        motion: (K, 13) each :class:`Motion` as a row of numbers.
+        pose_covariance: (K, 6, 6) of position and of rotations about the world's axes, m² and rad².
+        twist_covariance: (K, 6, 6) of velocity and rates in body axes, (m/s)² and (rad/s)².
+    """
+
+    time_ns: Stamps
+    rows: Records
+    motion: Array
+    pose_covariance: Array
+    twist_covariance: Array
+
+    @classmethod
+    def from_rows(cls, rows: Records) -> FusedSamples:
+        """The estimates in records (K,)."""
+        time_ns = np.ascontiguousarray(rows["time_ns"])
+        motion: Array = rows["motion"].view(_MOTION)
+        return cls(time_ns, rows, motion, rows["pose_covariance"], rows["twist_covariance"])
+
+    @property
+    def odometry(self) -> OdometryStream:
+        """The states at those stamps."""
+        motion = self.rows["motion"]
+        return OdometryStream(
+            self.time_ns, self.rows["position"], motion["attitude"], motion["velocity"], motion["rates"]
+        )
+
+    @property
+    def imu(self) -> ImuStream:
+        """The IMU samples less the estimated biases."""
+        motion = self.rows["motion"]
+        return ImuStream(self.time_ns, motion["rates"], motion["specific_force"])
+
+    def where(self, chosen: npt.NDArray[np.bool_]) -> FusedSamples:
+        """Those that a mask (K,) chooses; not copied where it chooses all."""
+        return self if chosen.all() else FusedSamples.from_rows(self.rows[chosen])
+
+    def part(self, rows: slice) -> FusedSamples:
+        """Those of a range; views."""
+        return FusedSamples.from_rows(self.rows[rows])
+
+
+def with_gyro_faults(imu: ImuStream) -> ImuStream:
+    """IMU samples (K) whose specific force shows an impossible gyro sample: not finite, or too large.
+
+    The monitor takes the specific force from the IMU and the rates from the state, which a sample that the
+    filter refuses does not change: by itself it would interpolate over a gyro that fails.
+    """
+    rates = imu.angular_velocity
+    fails = ~(np.abs(rates) <= RATE_MAX_RAD_S).all(axis=1, keepdims=True)
+    shown = rates * (SPECIFIC_FORCE_MAX_M_S2 / RATE_MAX_RAD_S)
+    return ImuStream(imu.time_ns, rates, np.where(fails, shown, imu.specific_force))
+
+
+# The result is that of Rauch, Tung and Striebel; the form is Bierman's modification of the Bryson-Frazier
+# smoother, a recursion of the adjoint state that needs no inverse: G. J. Bierman, "Fixed interval smoothing
+# with discrete measurements" (1973). The forward pass repeats the corrections of the causal filter in the
+# order of their instants. It is stored at checkpoints only; between two of them it runs again when the
+# backward pass gets there, so that memory stays bounded.
+
+# IMU samples between checkpoints: a second at the usual rate.
+CHUNK = 500
+
+
+class Inputs(NamedTuple):
+    """What the forward pass runs over.
+
+    Attributes:
+        imu: (M,) each :class:`ImuSample` that the filter used.
+        journal: (J,) each :class:`Correction`, by its instant.
+        noise: (1,) the :class:`Noise`.
+    """
+
+    imu: Records
+    journal: Records
+    noise: Records
+
+
+class Length:
+    """How much of a tape is in use."""
+
+    events: int
+    steps: int
+    scalars: int
+    estimates: int
+
+
+class Tape(NamedTuple):
+    """A forward pass over a chunk, for the backward pass.
+
+    Attributes:
+        length: (1,) see :class:`Length`.
+        events: (T,) what happened, in order; the details are in the next array's order of each kind.
+        steps: each :class:`Transition`.
+        scalars: each :class:`Scalar`.
+        estimates: each :class:`Estimate`.
+    """
+
+    length: Records
+    events: Stamps
+    steps: Records
+    scalars: Records
+    estimates: Records
+
+    @classmethod
+    def empty(cls, samples: int, corrections: int) -> Tape:
+        """Room for a pass over that many IMU samples and corrections; without any, a pass is not recorded."""
+        return cls(
+            np.zeros(1, record_dtype(Length)),
+            np.empty(2 * samples + 7 * corrections, dtype=np.int64),
+            # With room for one more step and correction: a pass works there.
+            np.empty(samples + corrections + 1, TRANSITION),
+            np.empty(6 * corrections + 6, SCALAR),
+            np.empty(samples, ESTIMATE),
+        )
+
+
+def smooth(imu_stream: ImuStream, segments: Sequence[Segment]) -> Estimates:
+    """Smoothed estimates over a whole recording, at the IMU samples that the filter used.
+
+    Args:
+        imu_stream: of the recording.
+        segments: at least one, see :meth:`.ekf.Ekf.segments`.
+    """
+    imu = imu_records(imu_stream)
+    rows = np.concatenate([_smooth(imu, segment) for segment in segments])
+    return Estimates(rows["time_ns"].copy(), rows)
+
+
+def _smooth(imu: Records, segment: Segment) -> Records:
+    """Smoothed estimates (M,) of one segment."""
+    inputs = Inputs(imu[segment.samples], segment.journal, segment.noise)
+    bounds = [*range(0, len(inputs.imu), CHUNK), len(inputs.imu)]
+    chunks = list(pairwise(bounds))
+    checkpoints = np.empty(len(chunks), ESTIMATE)
+    applied = np.zeros(len(chunks) + 1, dtype=np.int64)
+    estimate, no_tape = segment.initial.estimate.copy(), Tape.empty(0, 0)
+    for chunk, (first, last) in enumerate(chunks):
+        checkpoints[chunk] = estimate[0]
+        applied[chunk + 1] = compiled.forward(inputs, estimate, first, last, int(applied[chunk]), no_tape)
+
+    smoothed = np.empty(len(inputs.imu), ESTIMATED)
+    adjoint, information = np.zeros(ERROR_STATES), np.zeros((ERROR_STATES, ERROR_STATES))
+    tape = Tape.empty(CHUNK, int(np.diff(applied).max(initial=0)))
+    for chunk, (first, last) in reversed(list(enumerate(chunks))):
+        compiled.forward(inputs, checkpoints[chunk : chunk + 1], first, last, int(applied[chunk]), tape)
+        compiled.backward(tape, adjoint, information, smoothed[first:last])
+    smoothed["time_ns"] = inputs.imu["time_ns"]
+    return smoothed[segment.first :]

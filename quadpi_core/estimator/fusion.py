@@ -12,8 +12,7 @@ import numpy as np
 
 from quadpi_core.errors import LogError, SignalError
 from quadpi_core.estimator.ekf import Ekf
-from quadpi_core.estimator.filter_run import Segment
-from quadpi_core.estimator.smoother import smooth
+from quadpi_core.estimator.filter_run import Segment, smooth
 from quadpi_core.findings import Break, DataQuality, LeftOut
 from quadpi_core.flight import (
     MAX_GAP_NS,
@@ -29,9 +28,9 @@ from quadpi_core.frames import Array
 from quadpi_core.records import Threshold
 from quadpi_core.screening.flight_runs import pauses, seldom_topics
 from quadpi_core.screening.rotors_in_flight import carrying
-from quadpi_core.signals.chain import filter_zero_phase
-from quadpi_core.signals.resample import (
+from quadpi_core.signals.chain import (
     Mask,
+    filter_zero_phase,
     first_gap,
     interpolate,
     interpolate_attitude,

@@ -28,7 +28,7 @@ from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array, best_rotation, rotate_body_to_world, rotation_matrix
 from quadpi_core.records import Records
 from quadpi_core.screening.flight_runs import START_NS, START_POSES
-from quadpi_core.signals.resample import interpolate_columns
+from quadpi_core.signals.chain import interpolate_columns
 from quadpi_core.vehicle import SensorNoise, Vehicle
 
 COLLECT_NS = 1_000_000_000

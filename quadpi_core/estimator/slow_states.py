@@ -21,12 +21,12 @@ import numpy.typing as npt
 
 from quadpi_core import frames
 from quadpi_core.estimator.ekf import Ekf
+from quadpi_core.estimator.filter_run import smooth
 from quadpi_core.estimator.filter_state import ATTITUDE, POSITION, VELOCITY
-from quadpi_core.estimator.smoother import smooth
 from quadpi_core.flight import OdometryStream, PoseStream, Recording, Stamps, TwistStream
 from quadpi_core.frames import Array
 from quadpi_core.screening.flight_runs import is_slow_state
-from quadpi_core.signals.resample import nominal_rate
+from quadpi_core.signals.chain import nominal_rate
 from quadpi_core.vehicle import Vehicle
 
 # Of a state by GPS: position m, attitude rad, velocity m/s.

@@ -52,7 +52,7 @@ from quadpi_core.reading_options import MappingOrOptions, ReadingOptions
 from quadpi_core.records import Records, brief_repr, record_dtype
 from quadpi_core.screening.consistency import checked
 from quadpi_core.screening.flight_runs import long_enough, parts_without_pause
-from quadpi_core.signals.resample import interpolate, nominal_rate
+from quadpi_core.signals.chain import interpolate, nominal_rate
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.vehicle import LOAD_VEHICLE, Motors, Vehicle
 

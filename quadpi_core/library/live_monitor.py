@@ -15,7 +15,7 @@ import numpy.typing as npt
 from quadpi_core import array_checks
 from quadpi_core.core import compiled
 from quadpi_core.errors import ArgumentError
-from quadpi_core.estimator.imu_rate import METER, ImuRate
+from quadpi_core.estimator.filter_state import METER, ImuRate
 from quadpi_core.flight import AXES, STAMP_MAX_NS
 from quadpi_core.frames import Array
 from quadpi_core.library.wrench_model import WrenchModel, only_axes

@@ -28,7 +28,7 @@ from quadpi_core.records import NORM_TOLERANCE
 from quadpi_core.rotor_order import RotorOrder
 from quadpi_core.screening.plausibility import finite_rows
 from quadpi_core.screening.sample_order import longest, order_of
-from quadpi_core.signals.resample import interpolate, interpolate_attitude
+from quadpi_core.signals.chain import interpolate, interpolate_attitude
 from quadpi_core.vehicle import ROTORS, Vehicle
 
 _log = logging.getLogger(__name__)

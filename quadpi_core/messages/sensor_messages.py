@@ -303,7 +303,7 @@ def pack_fused(
     frame_id: str = WORLD_FRAME,
     child_frame_id: str = BODY_FRAME,
 ) -> Payloads:
-    """Encode estimates (N,), records of `quadpi_core.estimator.output.FusedSample`, as nav_msgs/Odometry."""
+    """Encode estimates (N,), records `estimator.filter_run.FusedSample`, as nav_msgs/Odometry."""
     values = np.empty((len(time_ns), ODOMETRY_VALUES))
     compiled.fill_odometry(samples, values)
     return codec(ODOMETRY).encode_stamped(time_ns, values, odometry_constants(frame_id, child_frame_id))

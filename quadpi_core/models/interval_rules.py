@@ -34,7 +34,7 @@ from quadpi_core.core import exponential
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.signals.resample import interpolate_columns
+from quadpi_core.signals.chain import interpolate_columns
 
 # Share of new flights whose coverage should reach the nominal one.
 FLIGHT_SHARE = 0.9

@@ -13,7 +13,7 @@ import numpy as np
 from quadpi_core import array_checks
 from quadpi_core.core import compiled
 from quadpi_core.errors import ModelError, SignalError
-from quadpi_core.estimator.imu_rate import RATE_BEFORE_HZ, ImuRate
+from quadpi_core.estimator.filter_state import RATE_BEFORE_HZ, ImuRate
 from quadpi_core.flight import AXES, NO_STAMP, STAMP_MAX_NS, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES

@@ -17,7 +17,7 @@ from typing import Annotated, NamedTuple, TypeAlias
 import numpy as np
 
 from quadpi_core.core import compiled
-from quadpi_core.estimator.imu_rate import ImuRate, Meter
+from quadpi_core.estimator.filter_state import ImuRate, Meter
 from quadpi_core.flight import NO_STAMP, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.monitor.health import Arrived

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from quadpi_core import array_checks
 from quadpi_core.core import compiled
 from quadpi_core.errors import ArgumentError
-from quadpi_core.estimator.imu_rate import RATE_BEFORE_HZ, ImuRate
+from quadpi_core.estimator.filter_state import RATE_BEFORE_HZ, ImuRate
 from quadpi_core.flight import AXES, NO_STAMP, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.inputs import (

@@ -21,10 +21,8 @@ import numpy.typing as npt
 from quadpi_core import array_checks
 from quadpi_core.errors import LogError
 from quadpi_core.estimator.ekf import Ekf
-from quadpi_core.estimator.filter_run import EkfTrace, Spans, never_started
-from quadpi_core.estimator.filter_state import WITHOUT_ESTIMATE, EstimatorStatus
-from quadpi_core.estimator.imu_rate import ImuRate
-from quadpi_core.estimator.output import FusedSamples, with_gyro_faults
+from quadpi_core.estimator.filter_run import EkfTrace, FusedSamples, Spans, never_started, with_gyro_faults
+from quadpi_core.estimator.filter_state import WITHOUT_ESTIMATE, EstimatorStatus, ImuRate
 from quadpi_core.estimator.slow_states import with_slow_states
 from quadpi_core.flight import MAX_JUMP_BACK_NS, ImuStream, OdometryStream, Recording, Stamps, WindStream
 from quadpi_core.flight_files import FlightFile, LeftOutFlights, bags_in, for_each_flight

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadpi_core.estimator.output import FusedSamples
+from quadpi_core.estimator.filter_run import FusedSamples
 from quadpi_core.flight import NO_STAMP, OdometryStream, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.models.interval_rules import StateDeviation

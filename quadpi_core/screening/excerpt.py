@@ -21,7 +21,7 @@ from quadpi_core.frames import (
     to_rotation_vector,
 )
 from quadpi_core.records import STANDARD_GRAVITY
-from quadpi_core.signals.resample import interpolate_columns
+from quadpi_core.signals.chain import interpolate_columns
 
 # Windows are spread over the flight, so that the cost does not grow with its length.
 WINDOWS, WINDOW_S = 24, 2.5

@@ -32,7 +32,7 @@ from quadpi_core.screening.sample_order import (
     with_rows,
 )
 from quadpi_core.screening.wild_samples import FEW_SAMPLES, Beyond, Screening, left_out, usable_samples
-from quadpi_core.signals.resample import nominal_rate
+from quadpi_core.signals.chain import nominal_rate
 from quadpi_core.vehicle import Vehicle
 
 # So many poses within this time give a velocity by a line; of a slower source the estimator takes several.

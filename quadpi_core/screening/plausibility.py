@@ -20,7 +20,7 @@ from quadpi_core.records import CONVENTION, STANDARD_GRAVITY, Threshold
 from quadpi_core.screening.flight_runs import seldom, seldom_topics
 from quadpi_core.screening.rotors_in_flight import Inertial
 from quadpi_core.screening.wild_samples import Beyond, beyond_limits
-from quadpi_core.signals.resample import interpolate_columns, nominal_rate
+from quadpi_core.signals.chain import interpolate_columns, nominal_rate
 from quadpi_core.vehicle import Vehicle
 
 # Rotors of any size lie between the inner bounds; rpm or erpm taken for rad/s is off by a factor above 36.

@@ -12,8 +12,7 @@ from quadpi_core.errors import SignalError
 from quadpi_core.flight import MAX_GAP_NS, ImuStream, OdometryStream, PoseStream, RotorSpeedStream, Stamps
 from quadpi_core.frames import Array, body_rates
 from quadpi_core.records import Threshold
-from quadpi_core.signals.chain import zero_phase
-from quadpi_core.signals.resample import interpolate
+from quadpi_core.signals.chain import interpolate, zero_phase
 from quadpi_core.vehicle import Vehicle
 
 MIN_CORRELATION = 0.5

@@ -29,7 +29,7 @@ from quadpi_core.flight import (
 )
 from quadpi_core.frames import Array
 from quadpi_core.records import CONVENTION, Threshold
-from quadpi_core.signals.resample import Mask, interpolate, interpolate_attitude
+from quadpi_core.signals.chain import Mask, interpolate, interpolate_attitude
 from quadpi_core.simulation.applied_effects import altered_recording
 from quadpi_core.simulation.effect_definition import Effects
 from quadpi_core.simulation.effects.sensing import imu_misalignment

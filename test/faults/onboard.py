@@ -12,8 +12,8 @@ import numpy as np
 
 from quadpi_core.errors import LogError
 from quadpi_core.estimator.ekf import Ekf
+from quadpi_core.estimator.filter_run import with_gyro_faults
 from quadpi_core.estimator.filter_state import WITHOUT_ESTIMATE, EstimatorStatus, Outcome
-from quadpi_core.estimator.output import with_gyro_faults
 from quadpi_core.flight import MAX_JUMP_BACK_NS, Recording, Stamps
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.one_by_one import IncomingMessage

@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from quadpi_core.estimator.ekf import Ekf
+from quadpi_core.estimator.filter_run import smooth
 from quadpi_core.estimator.filter_state import ACCELEROMETER_BIAS, DELAY, GYRO_BIAS, Outcome
-from quadpi_core.estimator.smoother import smooth
 from quadpi_core.frames import rotate_body_to_world
 from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight
 from quadpi_core.simulation.scenario import load_scenario

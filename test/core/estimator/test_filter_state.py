@@ -14,7 +14,7 @@ from quadpi_core.estimator import filter_state
 from quadpi_core.estimator.filter_state import ESTIMATE, IMU_SAMPLE, allocate, assumed_noise
 from quadpi_core.flight import NO_STAMP
 from quadpi_core.records import Records
-from quadpi_core.signals.resample import RATE_SPAN
+from quadpi_core.signals.chain import RATE_SPAN
 
 
 @pytest.fixture

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from quadpi_core.core import compiled
-from quadpi_core.estimator.imu_rate import METER, ImuRate
-from quadpi_core.signals.resample import nominal_rate
+from quadpi_core.estimator.filter_state import METER, ImuRate
+from quadpi_core.signals.chain import nominal_rate
 
 START_NS = 1_700_000_000_000_000_000
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from quadpi_core import frames
 from quadpi_core.core import compiled
+from quadpi_core.estimator.filter_run import FUSED, FusedSamples, with_gyro_faults
 from quadpi_core.estimator.filter_state import (
     ATTITUDE,
     ERROR_STATES,
@@ -15,7 +16,6 @@ from quadpi_core.estimator.filter_state import (
     VELOCITY,
     State,
 )
-from quadpi_core.estimator.output import FUSED, FusedSamples, with_gyro_faults
 from quadpi_core.flight import ImuStream
 from quadpi_core.frames import Array, rotate_world_to_body
 from quadpi_core.messages.definitions import codec

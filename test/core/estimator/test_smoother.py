@@ -9,7 +9,7 @@ import pytest
 
 from quadpi_core.core import compiled
 from quadpi_core.estimator.ekf import Ekf
-from quadpi_core.estimator.filter_run import imu_records
+from quadpi_core.estimator.filter_run import Inputs, Tape, imu_records, smooth
 from quadpi_core.estimator.filter_state import (
     ACCELEROMETER_BIAS,
     ATTITUDE,
@@ -19,7 +19,6 @@ from quadpi_core.estimator.filter_state import (
     POSITION,
     VELOCITY,
 )
-from quadpi_core.estimator.smoother import Inputs, Tape, smooth
 from quadpi_core.flight import Recording
 from quadpi_core.frames import rotate_world_to_body
 

@@ -13,13 +13,13 @@ import pytest
 from quadpi_core import reading_options
 from quadpi_core.errors import LogError
 from quadpi_core.estimator.ekf import Ekf
+from quadpi_core.estimator.filter_run import smooth
 from quadpi_core.estimator.fusion import fuse
-from quadpi_core.estimator.smoother import smooth
 from quadpi_core.flight import ImuStream
 from quadpi_core.identification.prepared_flights import CausalPass, prepare_flights
 from quadpi_core.logs import read_recording
 from quadpi_core.parallel import Workers
-from quadpi_core.signals.resample import nominal_rate
+from quadpi_core.signals.chain import nominal_rate
 from quadpi_core.vehicle import Vehicle
 
 from ..dragged_flights import CUTOFF_HZ

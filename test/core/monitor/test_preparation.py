@@ -9,7 +9,7 @@ import pytest
 from scipy import signal
 
 from quadpi_core.errors import SignalError
-from quadpi_core.estimator.imu_rate import ImuRate
+from quadpi_core.estimator.filter_state import ImuRate
 from quadpi_core.frames import rotate_body_to_world, rotate_world_to_body
 from quadpi_core.inputs import aerodynamic_inputs
 from quadpi_core.monitor.preparation import RATE_DIFFERS, RATE_LOW, RATE_UNKNOWN, Preparation, Prepared

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from quadpi_core.estimator.output import FUSED, FusedSamples
+from quadpi_core.estimator.filter_run import FUSED, FusedSamples
 from quadpi_core.flight import NOT_MEASURED, OdometryStream
 from quadpi_core.models.interval_rules import StateDeviation
 from quadpi_core.monitor.unsure_states import UNSURE_S, StateDeviations, UnsureStates, deviation_of_one

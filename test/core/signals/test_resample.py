@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from quadpi_core.frames import from_rotation_vector
-from quadpi_core.signals.resample import (
+from quadpi_core.signals.chain import (
     first_gap,
     interpolate,
     interpolate_attitude,
