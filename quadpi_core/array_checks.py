@@ -121,7 +121,7 @@ def records(
     if not (type(values) is np.ndarray and values.dtype is dtype and values.flags.carray):
         if not isinstance(values, np.ndarray) or _layout(values.dtype) != _layout(dtype):
             fields = ", ".join(dtype.names or ())
-            raise ArgumentError(f"{name}: expected records of {fields}, found {found(values)}")
+            raise ArgumentError(f"{name}: expected records of {fields}, found {description(values)}")
         values = np.ascontiguousarray(values.astype(dtype))
     _require_shape(name, values, (), rows, of)
     array: Records = values
@@ -142,7 +142,7 @@ def number(name: str, value: Any, *, above: float = -math.inf) -> float:
         if math.isfinite(checked) and checked > above:
             return checked
     bound = {-math.inf: "a finite number", 0.0: "a positive number"}.get(above, f"a number above {above:g}")
-    raise ArgumentError(f"{name}: expected {bound}, found {found(value)}")
+    raise ArgumentError(f"{name}: expected {bound}, found {description(value)}")
 
 
 def whole(name: str, value: Any, lowest: int, highest: int) -> int:
@@ -153,7 +153,9 @@ def whole(name: str, value: Any, lowest: int, highest: int) -> int:
     """
     if isinstance(value, (int, np.integer)) and not isinstance(value, bool) and lowest <= value <= highest:
         return int(value)
-    raise ArgumentError(f"{name}: expected a whole number from {lowest} to {highest}, found {found(value)}")
+    raise ArgumentError(
+        f"{name}: expected a whole number from {lowest} to {highest}, found {description(value)}"
+    )
 
 
 def instance(name: str, value: Any, kind: type[Any], hint: str = "") -> Any:
@@ -204,7 +206,7 @@ def paths(name: str, values: Any) -> list[Path]:
     return [path(f"{name}, entry {place}", value) for place, value in enumerate(entries, 1)]
 
 
-def found(value: Any) -> str:
+def description(value: Any) -> str:
     """What a value is, in a few words."""
     if isinstance(value, np.ndarray):
         return f"an array {value.shape} of {value.dtype if value.dtype.names is None else 'records'}"
@@ -223,12 +225,12 @@ def _as(dtype: np.dtype[Any], kinds: str, words: str, name: str, values: Any) ->
     try:
         array = np.asarray(values)
     except Exception:  # whatever an object raises that pretends to be an array
-        raise ArgumentError(f"{name}: expected {words}, found {found(values)}") from None
+        raise ArgumentError(f"{name}: expected {words}, found {description(values)}") from None
     if array.dtype.kind not in kinds and array.size:
         hint = ""
         if dtype is _INT and array.dtype.kind == "f" and not np.any(array >= 1e11):  # beyond stamps in s
             hint = "; of seconds, np.rint(1e9 * seconds).astype(np.int64) makes them"
-        shown = found(array) if array.dtype.kind != "O" or array.ndim else found(values)
+        shown = description(array) if array.dtype.kind != "O" or array.ndim else description(values)
         raise ArgumentError(f"{name}: expected {words}, found {shown}{hint}")
     if array.dtype.kind == "u" and dtype is _INT and array.size and int(array.max()) > np.iinfo(_INT).max:
         raise ArgumentError(f"{name}: expected {words}, found {int(array.max())}")
@@ -266,7 +268,7 @@ def _entries(name: str, expected: str, values: Any, hint: str = "") -> Iterator[
 
 
 def _another(name: str, expected: str, value: Any, hint: str = "") -> ArgumentError:
-    return ArgumentError(f"{name}: expected {expected}, found {found(value)}{hint and f'; {hint}'}")
+    return ArgumentError(f"{name}: expected {expected}, found {description(value)}{hint and f'; {hint}'}")
 
 
 def _layout(dtype: np.dtype[Any]) -> list[tuple[str, str, tuple[int, ...]]] | None:

@@ -89,7 +89,7 @@ class Stream:
                 words = {"i": "an array of int64 nanoseconds", "b": "an array of true and false"}.get(
                     kinds, "an array of numbers"
                 )
-                found = array_checks.found(values)
+                found = array_checks.description(values)
                 raise LogError(
                     f"{source}: topic {self.topic}: {column.name}: expected {words}, found {found}"
                 )

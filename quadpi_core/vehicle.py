@@ -239,7 +239,7 @@ class Vehicle:
         return content.vehicle(path.stem)
 
     @classmethod
-    def of_file(cls, data: Any, name: str, where: str) -> Vehicle:
+    def from_content(cls, data: Any, name: str, where: str) -> Vehicle:
         """The vehicle of a vehicle file's content, as of :meth:`to_file`.
 
         Raises:

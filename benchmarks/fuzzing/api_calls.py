@@ -341,8 +341,8 @@ def array_calls() -> dict[str, Call]:
             share=4.0,
         ),
         "Vehicle.load": Call(Vehicle.load, {"name_or_path": named("bebop2")}),
-        "Vehicle.of_file": Call(
-            Vehicle.of_file,
+        "Vehicle.from_content": Call(
+            Vehicle.from_content,
             {
                 "data": thing(_vehicle().to_file()),
                 "name": thing("bebop2", "name", allowed=lambda _: True),

@@ -296,7 +296,7 @@ def _require_pools(pools: Pools) -> None:
     for axis, pool in pools.items():
         if axis not in AXES:
             raise ArgumentError(
-                f"pools: expected axes of {', '.join(AXES)}, found {array_checks.found(axis)}"
+                f"pools: expected axes of {', '.join(AXES)}, found {array_checks.description(axis)}"
             )
         array_checks.instance(f"pools, {axis}", pool, CandidatePool, hint)
 

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from scipy.integrate import cumulative_trapezoid
 
 from quadpi_core import array_checks
-from quadpi_core.array_checks import found
+from quadpi_core.array_checks import description
 from quadpi_core.errors import ArgumentError, LogError, named_in, require_library
 from quadpi_core.flight import (
     Flight,
@@ -69,7 +69,7 @@ def new_axes(axes: Any, count: int = 1) -> Any:
     if axes is not None:
         given = np.ravel(np.array(axes, dtype=object))
         if len(given) != count or not all(hasattr(one, "fill_between") for one in given):
-            raise ArgumentError(f"axes: expected {count} of matplotlib, found {found(axes)}")
+            raise ArgumentError(f"axes: expected {count} of matplotlib, found {description(axes)}")
         return given
     pyplot = require_library("matplotlib.pyplot", "notebook")
     height_in = max(3.0, 1.8 * count)
@@ -291,7 +291,7 @@ def from_frame(
     for argument, name in (("time", time), ("flight", _FLIGHT if flight is None else flight)):
         if not isinstance(name, _COLUMN):
             raise ArgumentError(
-                f"{argument}: expected the name of a column, found {array_checks.found(name)}"
+                f"{argument}: expected the name of a column, found {array_checks.description(name)}"
             )
         if name not in frame.columns and (argument, flight) != ("flight", None):
             indexed = name in frame.index.names

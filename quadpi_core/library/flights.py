@@ -309,7 +309,7 @@ def flights_in(name: str, given: object) -> Flights:
     why = ""
     if isinstance(given, np.ndarray) or hasattr(given, "__array__"):
         why = " (a model also needs how the rotors speed up, and which vehicle it is)"
-    types = array_checks.found(given)
+    types = array_checks.description(given)
     raise ArgumentError(
         f"{name}: expected Flights, found {types}{why}; load_flights(logs, vehicle) reads them, "
         "Flights.from_pandas and Flights.from_arrays make them of data of your own"

@@ -98,7 +98,7 @@ class Monitor:
             if isinstance(model, WrenchModel):
                 hint = "a regressor of your own judges flights offline; docs/add-a-kind-of-model.md goes on"
             raise ArgumentError(
-                f"model: expected a kind of model, found {array_checks.found(fitted)}; {hint}"
+                f"model: expected a kind of model, found {array_checks.description(fitted)}; {hint}"
             )
         flown = vehicle if isinstance(vehicle, Vehicle) else fitted.load_vehicle(vehicle)
         self._monitor = BlockMonitor(fitted, flown, rate_hz, confidence, settings)
@@ -258,7 +258,7 @@ def _array(name: str, given: npt.ArrayLike) -> npt.NDArray[Any]:
     try:
         return np.asarray(given)
     except ValueError:
-        raise ArgumentError(f"{name}: expected numbers, found {array_checks.found(given)}") from None
+        raise ArgumentError(f"{name}: expected numbers, found {array_checks.description(given)}") from None
 
 
 def _columns(name: str, given: npt.ArrayLike | None, stamps: npt.NDArray[np.int64], width: int) -> Array:

@@ -390,7 +390,7 @@ def predictions(regressor: Regressor, X: Array) -> Array:
     with _named(regressor):
         values = np.asarray(regressor.predict(X))
     if values.size != len(X) or values.dtype.kind not in "iuf":
-        raise ModelError(f"{name}: predicts {array_checks.found(values)} for {len(X)} samples")
+        raise ModelError(f"{name}: predicts {array_checks.description(values)} for {len(X)} samples")
     if not np.isfinite(values).all():
         raise ModelError(f"{name}: sample {np.argmin(np.isfinite(values.ravel()))}: prediction is not finite")
     return values.astype(float).reshape(len(X))

@@ -131,7 +131,7 @@ class WrenchModel:
         if kind is None and (isinstance(self.estimator, WrenchModel) or not is_regressor(self.estimator)):
             raise ArgumentError(
                 "estimator: expected the name of a kind of model, a kind, or a regressor with fit and "
-                f"predict, found {array_checks.found(self.estimator)}"
+                f"predict, found {array_checks.description(self.estimator)}"
             )
         options = IdentifyOptions(cutoff_hz=given.cutoff_hz, method=kind, confidence=self.confidence)
         used = self._learned(given, 0.0 if kind is None else kind_of(options).shortest_s)

@@ -208,7 +208,7 @@ def _inspect(blocks: Callable[[], Iterator[Recording]], vehicle: Vehicle | None)
     start_ns = int(streams["imu"].stored_ns[0]) if len(streams["imu"].stored_ns) else 0
     findings = (
         *(finding for topic in topics for finding in _timing_findings(topic)),
-        *implausibilities(recording, vehicle, {stream.topic: stream.found for stream in streams.values()}),
+        *implausibilities(recording, vehicle, {stream.topic: stream.beyond for stream in streams.values()}),
         *(f"topic {one.topic}: {said}" for one in streams.values() if (said := one.order.problem())),
         *map(str, (*recording.quality.breaks, *recording.quality.used, *recording.quality.left_out)),
         *(f"{said}; `import` and `identify` do" for said in survey_quality(streams).sentences()),

@@ -334,7 +334,7 @@ def unpack_description(text: str) -> MonitorDescription:
         vehicle = None
         if (flown := given.get("vehicle")) is not None:
             name = str(flown["name"])
-            vehicle = Vehicle.of_file(flown["file"], name, f"vehicle {name}")
+            vehicle = Vehicle.from_content(flown["file"], name, f"vehicle {name}")
     except (
         *(ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError),
         VehicleError,

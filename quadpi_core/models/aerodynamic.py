@@ -572,7 +572,7 @@ class _Description:
         """The vehicle of the flights, where the model holds it."""
         if self.vehicle_file is None:
             return None
-        flown = Vehicle.of_file(self.vehicle_file, self.vehicle, f"{MODEL_FILE}: vehicle_file")
+        flown = Vehicle.from_content(self.vehicle_file, self.vehicle, f"{MODEL_FILE}: vehicle_file")
         if flown.fingerprint != self.vehicle_fingerprint:
             raise ModelError(
                 f"{MODEL_FILE}: vehicle_file: is another vehicle than the model was identified for"

@@ -86,10 +86,12 @@ class IdentifyOptions:
         array_checks.number("confidence", self.confidence)
         if not isinstance(self.settings, str) or self.settings not in get_args(Settings):
             known = " or ".join(get_args(Settings))
-            raise ArgumentError(f"settings: expected {known}, found {array_checks.found(self.settings)}")
+            raise ArgumentError(
+                f"settings: expected {known}, found {array_checks.description(self.settings)}"
+            )
         if not isinstance(self.method, str | Kind | None):
             raise ArgumentError(
-                f"method: expected a kind of model or its name, found {array_checks.found(self.method)}"
+                f"method: expected a kind of model or its name, found {array_checks.description(self.method)}"
             )
 
 

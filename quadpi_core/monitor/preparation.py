@@ -94,7 +94,7 @@ def conditions(
         fits = flags.ndim == 2 and len(flags) in (1, samples) and flags.shape[1] <= ROTORS_MAX
         if flags.dtype != np.bool_ or not fits:
             raise ArgumentError(
-                f"commanded: expected true or false for each rotor, found {array_checks.found(flags)}"
+                f"commanded: expected true or false for each rotor, found {array_checks.description(flags)}"
             )
         found["commanded"] = flags @ (1 << np.arange(flags.shape[1]))
     if state_covariance is not None:

@@ -129,7 +129,7 @@ def write_discrepancy_page(
         ranges=_range_table(study, _MOST_RANGES) if where.telling else None,
         no_range=_no_range_sentence(study),
         maps=bool(loud),
-        effects=[EffectSection.of(effect) for effect in discovery.effects],
+        effects=[EffectSection.from_effect(effect) for effect in discovery.effects],
         judgements=_judgement_table(discovery.found.judgements),
         reduction=percent(discovery.gap.reduction),
         gap=_gap_table(discovery),
@@ -217,7 +217,7 @@ class EffectSection:
     parameters: Table
 
     @classmethod
-    def of(cls, found: FoundEffect) -> EffectSection:
+    def from_effect(cls, found: FoundEffect) -> EffectSection:
         """The section of an effect."""
         effect = EFFECTS[found.name]
         summary, _, rest = inspect.cleandoc(effect.function.__doc__ or "").partition("\n\n")

@@ -282,12 +282,12 @@ class StreamSurvey(Judged):
 
     Attributes:
         rows: (M,) the samples used, in order; None for all as they are.
-        found: samples beyond limits, of those used.
+        beyond: samples beyond limits, of those used.
         usable: (M,) mask of the samples that are not left out; None if none is.
     """
 
     rows: Rows | None = None
-    found: tuple[Beyond, ...] = ()
+    beyond: tuple[Beyond, ...] = ()
     usable: Mask | None = None
 
     @property
@@ -334,7 +334,7 @@ def survey(
             screening.add(block)
     outliers = screening.finish({name: one.time_ns for name, one in streams.items()})
     return {
-        name: replace(one, found=tuple(outliers[name]), usable=usable_samples(outliers[name]))
+        name: replace(one, beyond=tuple(outliers[name]), usable=usable_samples(outliers[name]))
         for name, one in streams.items()
     }
 
@@ -371,7 +371,7 @@ def survey_quality(surveys: Mapping[str, StreamSurvey], part: TimeRange = WHOLE)
     beyond = tuple(
         one
         for stream in surveys.values()
-        for one in left_out(stream.topic, stream.found, stream.time_ns, imu.time_ns)
+        for one in left_out(stream.topic, stream.beyond, stream.time_ns, imu.time_ns)
     )
     used: tuple[UsedPart, ...] = ()
     if not part.is_whole and len(imu.time_ns):

@@ -343,7 +343,7 @@ class RotorScreening:
         speeds, lift, rates = (column.whole() for column in self._columns)
         usable = np.isfinite(speeds).all(axis=1)
         usable[already] &= np.any(speeds[already] < ZERO_RAD_S.value, axis=1)
-        repeats = usable & held(speeds)
+        repeats = usable & repeated_speeds(speeds)
         if np.any(repeats):
             seconds = float(np.ptp(rotors_ns)) * 1e-9
             rate_hz = np.count_nonzero(usable & ~repeats) / max(seconds, 1e-9)
@@ -401,7 +401,7 @@ def _whole_around(whole: Mask) -> tuple[Rows, Rows]:
     return before, after
 
 
-def held(speeds: Array) -> Mask:
+def repeated_speeds(speeds: Array) -> Mask:
     """Samples (N,) that repeat the one before, where a slow source is held in a fast table; else none.
 
     Args:

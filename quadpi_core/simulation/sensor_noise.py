@@ -195,12 +195,12 @@ class SensorSuite:
         """
         folder = model_folder(name_or_path)
         if folder is not None:
-            return cls.of_vehicle(folder.name, AerodynamicModel.load(folder).load_vehicle().noise)
+            return cls.from_vehicle(folder.name, AerodynamicModel.load(folder).load_vehicle().noise)
         path, file = load_config("noise", name_or_path, _SuiteFile, SimulationError)
         return cls(path.stem, file.imu, file.rotor_speeds, file.mocap, file.wind, file.states)
 
     @classmethod
-    def of_vehicle(cls, name: str, noise: SensorNoise) -> SensorSuite:
+    def from_vehicle(cls, name: str, noise: SensorNoise) -> SensorSuite:
         """The noise that a vehicle file states; rates, drifts and all else are those of the usual suite."""
         usual = cls.load(_USUAL)
         # Walks of a vehicle file are room for the estimator's corrections rather than measured drifts.

@@ -14,7 +14,7 @@ MOTORS = Motors(source="test", coefficients=((100.0, 1000.0, 200.0, 10.0, 20.0),
 
 
 def test_a_vehicle_file_keeps_them():
-    vehicle = Vehicle.of_file(
+    vehicle = Vehicle.from_content(
         {**Vehicle.load("neurobem").to_file(), "motors": MOTORS.to_file()}, "mine", "a file"
     )
     assert vehicle.motors == MOTORS
@@ -34,4 +34,4 @@ def test_a_vehicle_file_keeps_them():
 def test_what_is_no_motor_is_refused(change, said):
     content = {**Vehicle.load("neurobem").to_file(), "motors": {**MOTORS.to_file(), **change}}
     with pytest.raises(VehicleError, match=said):
-        Vehicle.of_file(content, "mine", "a file")
+        Vehicle.from_content(content, "mine", "a file")

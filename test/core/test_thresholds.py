@@ -67,7 +67,7 @@ from quadpi_core.screening.rotors_in_flight import (
     require_excitation,
     stuck_rotors,
 )
-from quadpi_core.screening.rotors_in_flight import held as held_readings
+from quadpi_core.screening.rotors_in_flight import repeated_speeds as held_readings
 from quadpi_core.screening.sample_order import order_of
 from quadpi_core.simulation.applied_effects import EFFECTS
 from quadpi_core.simulation.effect_definition import shaped
