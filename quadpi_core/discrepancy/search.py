@@ -304,7 +304,8 @@ class _Search:
                     continue
                 behind = found.log_evidence - swapped.log_evidence
                 if 0.0 < behind < _NEAR * margins * margin:
-                    behind -= _gained_together(others, rival)
+                    chosen = tuple(sorted((*others.chosen, rival)))
+                    behind -= _gained_together(Accepted(regression, chosen, swapped))
                 if behind < margins * margin:
                     odds = np.exp(min(-behind * NAMED_ALONE.value / margin, _MOST_LOG_ODDS))
                     close.append((rival, float(odds)))
@@ -312,20 +313,14 @@ class _Search:
         return rivals
 
 
-def _gained_together(others: Accepted, index: int) -> float:
-    """Evidence [nat] that a candidate beside others gains by columns about where they fit together.
+@once_of_effects
+def _gained_together(accepted: Accepted) -> float:
+    """Evidence [nat] that a set with curved effects gains by columns about where it fits together.
 
-    Curved ones have columns about where they fit alone, or beside what the candidate would replace.
+    They have columns about where they fit alone, or beside what another effect of the set would replace.
     """
-
-    def made() -> float:
-        fit = others.fit_with(index)
-        assert fit is not None  # of a rival
-        larger = Accepted(others.regression, tuple(sorted((*others.chosen, index))), fit)
-        refined = None if all(own.linear for own in larger.candidates) else larger.refined()
-        return max(0.0, refined.fit.log_evidence - fit.log_evidence) if refined else 0.0
-
-    return others.once(("gained together", index), made)
+    refined = None if all(own.linear for own in accepted.candidates) else accepted.refined()
+    return max(0.0, refined.fit.log_evidence - accepted.fit.log_evidence) if refined else 0.0
 
 
 @once_of_effects
