@@ -157,7 +157,8 @@ class Monitor:
             specific_force: (3,) or (K, 3) m/s², body axes: z near −9.8 in hover.
             rotor_speeds: (rotors,) or (K, rotors) rad/s, rotors in the order of the vehicle file.
             wind: (3,) or (K, 3) m/s of the air, world; none unless given.
-            air_density: kg/m³, one or (K,); that of the vehicle file unless given.
+            air_density: kg/m³, one or (K,); that of the vehicle file unless given. It counts for models
+                whose flights told theirs; others stay in the air that they were identified in.
             state_covariance: (9, 9) or (K, 9, 9) of velocity, attitude and rates, by what they are less sure
                 than in the flights of the model, see `monitor.preparation.Conditions`; it widens intervals.
 

@@ -187,9 +187,9 @@ class BagRecording:
         topic = self._names.get("imu")
         for block in () if topic is None else self._bag.blocks([topic]):
             assert topic is not None
+            turned = unpacked_topic(self._bag.path, block[topic], sensor_messages.unpack_orientation)[1]
             names, _ = names_of(block[topic].payloads[0], 1)
             in_body = self._frames.imu(names) is None
-            turned = sensor_messages.unpack_orientation(block[topic].payloads)[1]
             if in_body and len(turned) > 1 and np.ptp(turned, axis=0).any():
                 if states is None:
                     _log.warning(

@@ -124,7 +124,7 @@ def test_an_axis_is_explained_where_intervals_hold_as_much_as_they_say(simulatio
     def margins(flight):
         return Margins(np.tile(-wide, (len(flight), 1)), np.tile(wide, (len(flight), 1)), confidence)
 
-    model = replace(simulation, intervals_of=SimpleNamespace(margins=margins))
+    model = replace(simulation, intervals_of=SimpleNamespace(margins=margins, goes_with_air=True))
     inside = inside_intervals([Compared(flight, model) for flight in flights[:2]])
     np.testing.assert_array_equal(inside.held, [held, True, False, False, False, False])
     np.testing.assert_allclose(inside.shares[:, :2].mean(axis=0), [0.9, 1.0], atol=0.02)
@@ -133,7 +133,7 @@ def test_an_axis_is_explained_where_intervals_hold_as_much_as_they_say(simulatio
 
 
 def with_intervals(simulation, margins):
-    return replace(simulation, intervals_of=SimpleNamespace(margins=margins))
+    return replace(simulation, intervals_of=SimpleNamespace(margins=margins, goes_with_air=True))
 
 
 @pytest.mark.parametrize("confidence", [0.6827, 0.95])

@@ -192,7 +192,7 @@ REAL = {
     "ardupilot_test.BIN": ("imu", "odometry", *BESIDE),
     "ardupilot_vtol.tlog": ("imu", "odometry", "pressure", "temperature"),
     "betaflight_error_recovery.bbl": ("imu", "motor_commands"),
-    "px4_sample_small.ulg": ("imu", *BESIDE),
+    "px4_sample_small.ulg": ("imu", "odometry", *BESIDE),
 }
 
 

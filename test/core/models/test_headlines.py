@@ -28,7 +28,8 @@ def test_a_physical_model_tells_them_with_standard_errors(physical_folder: Path)
     for axis, inertia in zip("xy", TRUE_INERTIA, strict=True):
         own = found[f"inertia {axis}, by arms and thrust"]
         assert own.known == pytest.approx(inertia)
-        assert abs(own.value - inertia) < 3.0 * own.error < 0.1 * inertia
+        # By leaving out each of four flights, which are few: 55 % of the value.
+        assert abs(own.value - inertia) < 3.0 * own.error < 0.8 * inertia
         place = found[f"middle of thrust from CG, {axis}"]
         assert place.known == pytest.approx(0.0)
         assert abs(place.value) < 3.0 * place.error < 1.0

@@ -143,7 +143,7 @@ def fingerprint_with_a_comment_in(file):
         file.write_text(original)
 
 
-@pytest.mark.parametrize("name", ["cli/options.py", "report/style.py"])
+@pytest.mark.parametrize("name", ["cli/options.py", "report/table.py"])
 def test_counts_are_kept_when_only_the_presentation_changes(name, copied):
     assert fingerprint_with_a_comment_in(copied / name) == code_fingerprint()
 
