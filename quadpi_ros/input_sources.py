@@ -125,7 +125,8 @@ class AdaptedSources:
         settings = getattr(self._settings, kind)
         if settings is None:
             return standard
-        names = adapters_of(kind)
+        # A state that lacks its attitude is asked for by name.
+        names = [name for name in adapters_of(kind) if not known_adapters()[name].without_attitude]
         installed = [name for name in names if _is_installed(name)]
         if settings.topic is not None and not installed:
             argument = f"{standard.topic.replace('/', '_')}_topic:={settings.topic}"
@@ -134,7 +135,7 @@ class AdaptedSources:
                 f"installed; if it is of {standard.message_type.__name__}, leave `{kind}` "
                 f"out of the file and give the launch argument {argument}, or remap {standard.topic}"
             )
-        installed = installed or list(names[:1])
+        installed = installed or names[:1]
         if len(installed) > 1:
             raise AdapterError(f"{self._file}: `{kind}` could be any of {', '.join(installed)}")
         return self.named(installed[0])
