@@ -283,9 +283,9 @@ class MavlinkBridge(GuardedNode):
             return callbacks.ERROR, f"nothing heard of system {report.system} for {report.silent_s:.0f} s"
         if report.other_airframe:
             return callbacks.ERROR, f"system {report.system}: {report.other_airframe}"
-        # Rotor speeds can be made of commands.
-        rotors = "motor_commands" if rates["motor_commands_hz"] > 0.0 else "rotor_speeds"
-        lacking = [topic for topic in ("imu", rotors) if rates[f"{topic}_hz"] == 0.0]
+        by_commands = rates["rotor_speeds_hz"] == 0.0 and rates["motor_commands_hz"] > 0.0
+        needed = ("imu", "motor_commands" if by_commands else "rotor_speeds")
+        lacking = [topic for topic in needed if rates[f"{topic}_hz"] == 0.0]
         if rates["mocap/pose_hz"] + rates["odometry_hz"] == 0.0:
             lacking.append("pose or velocity")
         if lacking:
@@ -294,6 +294,8 @@ class MavlinkBridge(GuardedNode):
             return callbacks.WARN, _rival(", ".join(sorted(rivals)), report.system)
         if report.clock is None or not report.clock.exchanged:
             return callbacks.WARN, "the autopilot answers no TIMESYNC: stamps are late by the link's delay"
+        if by_commands:
+            return callbacks.WARN, "the autopilot sends no rotor_speeds, but motor_commands"
         return callbacks.OK, f"system {report.system}: imu at {rates['imu_hz']:.0f} Hz"
 
 

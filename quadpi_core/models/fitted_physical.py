@@ -156,7 +156,7 @@ class PhysicalAxis(FittedAxis):
     Attributes:
         acting: S terms that act on the axis.
         whitening: (S, S) lower triangular Wᵀ with leverage h = |W z|², of these terms.
-        inflation, growth: of the spread, see :class:`.spread_shape.SpreadShape`.
+        inflation, growth: of the spread, see :class:`.envelope.SpreadShape`.
         rule: gives the interval's factor on the spread.
         rms_spread: root mean square of the spread over the training samples, the unit of relative width.
     """

@@ -39,7 +39,7 @@ class PolynomialAxis(FittedAxis):
         regressors: s terms, the bias first, the fixed ones before the selected.
         coefficients: (s,), SI units.
         whitening: (s, s) lower triangular W with leverage h = |W z|².
-        inflation, growth: of the spread, see :class:`.spread_shape.SpreadShape`.
+        inflation, growth: of the spread, see :class:`.envelope.SpreadShape`.
         rule: gives the interval's factor on the spread.
         rms_spread: root mean square of the spread over the training samples, the unit of relative width.
     """

@@ -147,7 +147,7 @@ class Monitor:
         Args:
             time_ns: (K,) stamps.
             values: (K, 16 + rotors), see :class:`quadpi_core.monitor.pairing.PairedSamples`.
-            conditions: (K,) of :func:`.conditions.conditions`, where more is known of the samples.
+            conditions: (K,) of :func:`.preparation.conditions`, where more is known of the samples.
 
         Raises:
             ArgumentError: for arrays of other shapes, another number of stamps than rows, and stamps that are

@@ -207,7 +207,7 @@ class Stretch(NamedTuple):
     """Samples between which the IMU's stamps do not step back and its rate does not change.
 
     Attributes:
-        begin: how it begins, one of `CONTINUES`, `STEPS_BACK` and `SET_BACK` of :mod:`.pairing_kernel`.
+        begin: how it begins, one of `CONTINUES`, `STEPS_BACK` and `SET_BACK`.
         rate: of the IMU.
         samples: that were completed or given up.
         states: rows of the states that came.

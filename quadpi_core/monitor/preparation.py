@@ -260,7 +260,7 @@ class Verdict:
     rates: Vector3  # rad/s
     specific_force: Vector3  # m/s², body axes
     rotor_speeds: PerRotor  # rad/s
-    commanded: int  # bit per rotor whose speed follows from its command, see :mod:`.conditions`
+    commanded: int  # bit per rotor whose speed follows from its command, see :class:`Conditions`
     windy: bool  # whether the wind is still to be told: it then has not settled either
 
 

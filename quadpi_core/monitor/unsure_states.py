@@ -3,7 +3,7 @@
 """States that are less sure than in the flights of a model widen its intervals by what that does to them.
 
 A model's intervals hold what the states of its own flights erred by. What goes beyond, the difference of
-variances, is handed to the model as the covariance of a state (:class:`.conditions.Conditions`); its own
+variances, is handed to the model as the covariance of a state (:class:`.preparation.Conditions`); its own
 slopes say what that does to each axis. Live and in replay it is the same.
 """
 

@@ -22,7 +22,7 @@ constexpr double SHARE_S = 2.0;
 // After this long without a usable sample [s], the model is not judged.
 constexpr double SILENT_S = 0.1;
 
-// Evidence [to 1] at which 5 % of sound flights raise CHANGE: see FALSE_FLIGHTS in models/change_limits.py.
+// Evidence [to 1] at which 5 % of sound flights raise CHANGE: see FALSE_FLIGHTS in models/alarm_limits.py.
 constexpr double STATED_EVIDENCE = 20.0;
 
 // For this long after a sample beyond a warning of EXTRAPOLATION [s] a manoeuvre is unlike those of training.
