@@ -37,6 +37,11 @@ from .regressions import of_sound_flights
 ALIKE = ("payload", "thrust_coefficient", "body_drag")
 
 
+def sure_within(margins):
+    """A model of these intervals alone."""
+    return SimpleNamespace(margins=margins, goes_with_air=True)
+
+
 @pytest.fixture(scope="module")
 def sought(simulation, dragged):
     """What the first search finds, before its roll-outs."""
@@ -76,7 +81,7 @@ def test_effects_on_axes_that_intervals_hold_are_not_looked_for(simulation, drag
         bounds = np.tile(half_width, (len(flight), 1))
         return Margins(-bounds, bounds, 0.95)
 
-    sure = replace(simulation, intervals_of=SimpleNamespace(margins=margins, goes_with_air=True))
+    sure = replace(simulation, intervals_of=sure_within(margins))
     found = discover(sure, dragged, names=["body_drag", "rate_damping"])
     assert [effect.name for effect in found.effects] == ["body_drag"]
     assert found.within_intervals == ("rate_damping",)
@@ -98,7 +103,7 @@ def test_what_intervals_hold_does_not_tell_effects_apart(simulation, flights, pu
         lost = -0.1 * simulation.wrench(flight)
         lost[:, 3:] = 0.0
         weak.append(pushed(flight, simulation.vehicle, lost))
-    sure = replace(of_sound_flights(simulation), intervals_of=SimpleNamespace(margins=margins, goes_with_air=True))
+    sure = replace(of_sound_flights(simulation), intervals_of=sure_within(margins))
     found = discover(sure, weak, names=["payload", "thrust_coefficient"])
     assert [(effect.name, effect.rivals) for effect in found.effects] == [("payload", rivals)]
     # What noise hides tells nothing apart, and is no reason to prefer another.
@@ -121,7 +126,7 @@ def test_what_explains_only_axes_that_intervals_hold_explains_nothing(
         added = effect_wrench("rotor_tilt", tilt, simulation.states(flight), simulation.record())
         added[:, :3] = -0.1 * simulation.wrench(flight)[:, :3]
         loaded.append(pushed(flight, simulation.vehicle, added))
-    sure = replace(of_sound_flights(simulation), intervals_of=SimpleNamespace(margins=margins, goes_with_air=True))
+    sure = replace(of_sound_flights(simulation), intervals_of=sure_within(margins))
     found = discover(sure, loaded, names=["payload", "rotor_tilt"])
     assert {effect.name for effect in found.effects} == {"payload", "rotor_tilt"}
     search = found.found
