@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import gammaincinv, ndtr, stdtrit
+from scipy.special import ndtr, stdtrit
 
 from quadpi_core.core import compiled
 from quadpi_core.flight import AXES
@@ -41,8 +41,6 @@ BLOCK_S = 5.0
 USUAL_FLIGHTS = 6
 # Share of the blocks that the tail is fitted to, and their least number, at most half of all.
 _TAIL_SHARE, _TAIL_BLOCKS = 0.1, 10
-# Confidence of the upper bound of the tail's mean.
-_SURE = 0.8
 # Least value, and least mean excess in seconds: a signal that never moved does not justify a tight limit.
 _LEAST = 0.02
 # Numbers drawn for what is not known of a tail.
@@ -124,18 +122,18 @@ class Walk:
 
     Attributes:
         start: s.
-        mean: of the excess, s, at the upper end of its confidence interval with twice as many degrees of
-            freedom as flights.
+        mean: of the excess, s.
         per_hour: blocks beyond `start`.
         count: number of these blocks.
-        freedom: degrees of freedom of `mean`.
+        flights: whose excesses are one draw each of what `mean` is estimated from, as blocks of a flight
+            depend on each other.
     """
 
     start: float
     mean: float
     per_hour: float
     count: int
-    freedom: float
+    flights: int
 
     @classmethod
     def from_sums(cls, sums: Sequence[Array], times: Sequence[Array]) -> Walk:
@@ -148,20 +146,23 @@ class Walk:
         count = min(max(int(_TAIL_SHARE * len(ordered)), _TAIL_BLOCKS), len(ordered) // 2)
         start = float(ordered[count])
         hours = sum(float(time[-1] - time[0]) for time in times) / 3600.0
-        freedom = 2.0 * len(sums)
-        unsure = 0.5 * freedom / float(gammaincinv(0.5 * freedom, 1.0 - _SURE))
         excess = float(np.maximum(ordered - start, 0.0).sum()) / count
-        return cls(start, max(excess * unsure, _LEAST), count / hours, count, freedom)
+        return cls(start, max(excess, _LEAST), count / hours, count, len(sums))
 
     def limit(self, rate_per_hour: float) -> float:
-        """Level that is exceeded at this rate."""
-        folds = float(np.log(max(self.per_hour / rate_per_hour, 1.0)))
+        """Level that is exceeded at this rate, what is not known of `mean` included.
+
+        Of n draws, the next one exceeds x with probability (1 + x / (n mean))⁻ⁿ, the average of
+        exp(-x / mean) over what the draws say of the mean (Gelman et al., Bayesian Data Analysis: the
+        exponential model without prior knowledge).
+        """
+        rarer = max(self.per_hour / rate_per_hour, 1.0)
+        folds = self.flights * (float(rarer ** (1.0 / self.flights)) - 1.0)
         return self.start + self.mean * folds
 
     def rates(self, limit: float, random: np.random.Generator) -> Array:
         """Rates per hour (:data:`DRAWS`,) at which a level is exceeded, as far as the blocks tell."""
-        half = 0.5 * self.freedom
-        means = self.mean * float(gammaincinv(half, 1.0 - _SURE)) / random.gamma(half, size=DRAWS)
+        means = self.mean * self.flights / random.gamma(self.flights, size=DRAWS)
         beyond = self.per_hour * random.gamma(self.count, size=DRAWS) / self.count
         rates: Array = beyond * np.exp(-max(limit - self.start, 0.0) / means)
         return rates
