@@ -78,24 +78,26 @@ class WindState:
         Blocks of any length have the same effect.
         """
         deviation = np.zeros(len(samples.time_ns))
-        self.heard = self.heard or bool(np.any(samples.wind))
-        if self.heard or len(deviation) == 0:
+        measured = np.flatnonzero(np.any(samples.wind != 0.0, axis=1))
+        # A topic counts from its first sample on, wherever in a block that is.
+        before = 0 if self.heard else int(measured[0]) if len(measured) else len(deviation)
+        self.heard = self.heard or len(measured) > 0
+        if before == 0:
             return samples, deviation
-        steps = samples.time_ns // self._step_ns
-        wind = np.zeros((len(steps), 3))
-        rows = self._rows(samples)
+        values = samples.values.copy()
+        wind = values[:, -3:]
+        steps = samples.time_ns[:before] // self._step_ns
+        rows = self._rows(PairedSamples(samples.time_ns[:before], samples.values[:before]))
         begins = np.flatnonzero(np.diff(steps, prepend=steps[0] - 1))
-        for begin, end in zip(begins, [*begins[1:], len(steps)], strict=True):
+        for begin, end in zip(begins, [*begins[1:], before], strict=True):
             step = int(steps[begin])
             if step != self._step:
                 self._close(step - self._step)
                 self._step = step
-            wind[begin:end, 0], wind[begin:end, 1] = self._state[0], self._state[1]
+            wind[begin:end, :2] = self._state[:2]
             deviation[begin:end] = self.deviation
             # Sample by sample, so that no length of blocks shows in the digits.
             self._sums = np.add.accumulate(np.vstack([self._sums, rows[begin:end]]))[-1]
-        values = samples.values.copy()
-        values[:, -3:] = wind
         return PairedSamples(samples.time_ns, values), deviation
 
     def _rows(self, samples: PairedSamples) -> Array:

@@ -19,6 +19,7 @@ from quadpi_core.frames import Array
 from quadpi_core.identification.found_wind import in_found_wind, with_found_wind
 from quadpi_core.identification.prepared_flights import PreparedFlight, prepare_recording
 from quadpi_core.inputs import VELOCITY_INPUTS
+from quadpi_core.models.interval_rules import WindDrag
 from quadpi_core.monitor.pairing import PairedSamples
 from quadpi_core.monitor.wind_state import WindState
 from quadpi_core.simulation.flying import SimulatedVehicle
@@ -164,6 +165,50 @@ def test_a_wind_that_a_topic_tells_counts(prepared: Sequence[PreparedFlight]) ->
     assert told is samples
     assert not deviation.any()
     assert state.conditions(told.attitude, deviation, None) is None
+
+
+def in_blocks(samples: PairedSamples, drag: WindDrag, length: int) -> tuple[Array, Array]:
+    """Wind and its deviation by a state that takes so many samples at a time."""
+    state, parts = WindState(drag, 0.0), []
+    for begin in range(0, len(samples.time_ns), length):
+        rows = slice(begin, begin + length)
+        told, deviation = state.take(PairedSamples(samples.time_ns[rows], samples.values[rows]))
+        parts.append((told.wind, deviation))
+    wind, deviations = zip(*parts, strict=True)
+    return np.concatenate(wind), np.concatenate(deviations)
+
+
+DRAG = WindDrag(
+    per_mass_x_1_s=0.3, per_mass_y_1_s=0.3, noise_x_m_s2=0.1, noise_y_m_s2=0.1, wind_m_s=6.0, known_m_s=0.5
+)
+
+
+def drifting(count: int = 1000) -> PairedSamples:
+    """Level and at rest in a wind from behind that nothing measures, at 100 Hz."""
+    still = np.zeros((count, 3))
+    return PairedSamples.join(
+        10**18 + 10_000_000 * np.arange(count),
+        velocity=still,
+        attitude=np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
+        rates=still,
+        specific_force=np.tile([0.9, 0.0, -9.8], (count, 1)),
+        rotor_speeds=np.full((count, 4), 800.0),
+        wind=still,
+    )
+
+
+@pytest.mark.parametrize("length", [1, 37])
+def test_a_topic_that_begins_inside_a_block_counts_from_there(length: int) -> None:
+    samples = drifting()
+    samples.wind[500:] = [3.0, 0.0, 0.0]
+    wind, deviation = in_blocks(samples, DRAG, 1000)
+    parts, deviations = in_blocks(samples, DRAG, length)
+    np.testing.assert_array_equal(parts, wind)
+    np.testing.assert_array_equal(deviations, deviation)
+    assert 2.0 < wind[499, 0] < 3.0
+    assert deviation[499] > 0.0
+    np.testing.assert_array_equal(wind[500:], samples.wind[500:])
+    assert not deviation[500:].any()
 
 
 def test_what_drag_cannot_tell_is_handed_to_the_model(prepared: Sequence[PreparedFlight]) -> None:
