@@ -22,7 +22,15 @@ from quadpi_core.monitor.alarm_kernel import LIFTED
 from quadpi_core.monitor.pairing import PairedSamples
 from quadpi_core.monitor.preparation import CONDITIONS
 from quadpi_core.monitor.unsure_states import UnsureStates
-from quadpi_core.records import CONVENTION, Records, Threshold
+from quadpi_core.records import (
+    AIRSPEED_MAX_M_S,
+    CONVENTION,
+    QUATERNION_NORM_TOLERANCE,
+    RATE_MAX_RAD_S,
+    SPECIFIC_FORCE_MAX_M_S2,
+    Records,
+    Threshold,
+)
 
 TOLD = Threshold(
     "standard deviation of the wind, over that in a model's flights, up to which forces are judged",
@@ -31,8 +39,13 @@ TOLD = Threshold(
     "beyond, at the start of a flight, they are predicted, with intervals that are several times as wide",
     CONVENTION,
 )
-# Steps without a sample after which the wind is told anew: ten minutes, in which it turns.
-_FORGOTTEN = 3000
+FORGOTTEN_S = Threshold(
+    "time without a sample after which the wind of before is forgotten",
+    600.0,
+    "s",
+    "it turns in that time; stamps that jump by so much, or back, for less than two steps are no time",
+    CONVENTION,
+)
 _STATES = range(4)
 
 
@@ -53,6 +66,7 @@ class WindState:
         from quadpi_core.field.drag import BIAS, STEP_S, WALK
 
         self._drag, self._step_ns = drag, round(1e9 * STEP_S)
+        self._forgotten = round(FORGOTTEN_S.value / STEP_S)
         self._bias, self._walked = BIAS * BIAS, WALK * WALK * STEP_S
         self._carrying = LIFTED.value * hover_rotor_speed * hover_rotor_speed
         self.heard = False
@@ -60,7 +74,9 @@ class WindState:
 
     def reset(self) -> None:
         """Forget the past."""
-        self._step = -1
+        self._step: int | None = None
+        # The step of samples whose stamps have just jumped from there; None without.
+        self._aside: int | None = None
         # Sums of a step: specific force and velocity along x and y, both rows of the rotation, count.
         self._sums = np.zeros(9)
         self._state = [0.0] * 4
@@ -90,43 +106,62 @@ class WindState:
         rows = self._rows(PairedSamples(samples.time_ns[:before], samples.values[:before]))
         begins = np.flatnonzero(np.diff(steps, prepend=steps[0] - 1))
         for begin, end in zip(begins, [*begins[1:], before], strict=True):
-            step = int(steps[begin])
-            if step != self._step:
-                self._close(step - self._step)
-                self._step = step
+            counts = self._go_to(int(steps[begin]))
             wind[begin:end, :2] = self._state[:2]
             deviation[begin:end] = self.deviation
-            # Sample by sample, so that no length of blocks shows in the digits.
-            self._sums = np.add.accumulate(np.vstack([self._sums, rows[begin:end]]))[-1]
+            if counts:
+                # Sample by sample, so that no length of blocks shows in the digits.
+                self._sums = np.add.accumulate(np.vstack([self._sums, rows[begin:end]]))[-1]
         return PairedSamples(samples.time_ns, values), deviation
 
     def _rows(self, samples: PairedSamples) -> Array:
         """What each sample (K, 9) adds to the sums of its step: nothing where it is not usable."""
-        turn = rotation_matrix(samples.attitude)
-        rows = np.column_stack(
-            (
-                samples.specific_force[:, :2],
-                samples.velocity[:, :2],
-                *(turn[:, world, body] for body in (0, 1) for world in (0, 1)),
-                np.ones(len(turn)),
+        with np.errstate(invalid="ignore", over="ignore"):
+            turn = rotation_matrix(samples.attitude)
+            rows = np.column_stack(
+                (
+                    samples.specific_force[:, :2],
+                    samples.velocity[:, :2],
+                    *(turn[:, world, body] for body in (0, 1) for world in (0, 1)),
+                    np.ones(len(turn)),
+                )
             )
-        )
-        squares = np.square(samples.rotor_speeds)
-        load = squares[:, 0].copy()
-        for rotor in range(1, squares.shape[1]):
-            load += squares[:, rotor]
-        with np.errstate(invalid="ignore"):
+            squares = np.square(samples.rotor_speeds)
+            load = squares[:, 0].copy()
+            for rotor in range(1, squares.shape[1]):
+                load += squares[:, rotor]
             usable = np.isfinite(rows).all(axis=1) & (load >= self._carrying * squares.shape[1])
+            # A sample that data quality refuses.
+            usable &= np.abs(np.linalg.norm(samples.attitude, axis=1) - 1.0) <= QUATERNION_NORM_TOLERANCE
+            for values, largest in (
+                (samples.specific_force, SPECIFIC_FORCE_MAX_M_S2),
+                (samples.velocity, AIRSPEED_MAX_M_S),
+                (samples.rates, RATE_MAX_RAD_S),
+            ):
+                usable &= (np.abs(values) <= largest).all(axis=1)
         return np.where(usable[:, np.newaxis], rows, 0.0)
+
+    def _go_to(self, step: int) -> bool:
+        """Go on to the step of the next samples; whether they count, as their stamps have not just jumped."""
+        if self._step is None:
+            self._step = step
+        elapsed = step - self._step
+        if not 0 <= elapsed < self._forgotten:
+            if self._aside is None or not 0 < step - self._aside < self._forgotten:
+                self._aside = step
+                return False
+            self.reset()
+            self._step, elapsed = step, 0
+        self._aside = None
+        if elapsed:
+            self._close(elapsed)
+            self._step = step
+        return True
 
     def _close(self, elapsed: int) -> None:
         """Take the means of the step that ends, and let the wind walk for as many steps as have passed."""
         *sums, count = self._sums.tolist()
         self._sums = np.zeros(9)
-        if self._step < 0 or not 0 < elapsed < _FORGOTTEN:
-            if self._step >= 0:
-                self.reset()
-            return
         if count > 0.0:
             force, velocity, turn = (
                 [one / count for one in sums[begin:end]] for begin, end in ((0, 2), (2, 4), (4, 8))
@@ -165,7 +200,8 @@ class WindState:
         found = np.zeros(len(deviation), CONDITIONS) if others is None else others
         found["unsettled"] = deviation > TOLD.value * known
         # Horizontal, in body axes; an attitude that is none is of a sample that is not used.
-        down = np.nan_to_num(rotation_matrix(attitude)[:, 2])
+        with np.errstate(invalid="ignore", over="ignore"):
+            down = np.clip(np.nan_to_num(rotation_matrix(attitude)[:, 2]), -1.0, 1.0)
         for row in range(3):
             for column in range(3):
                 level = (row == column) - down[:, row] * down[:, column]

@@ -211,6 +211,41 @@ def test_a_topic_that_begins_inside_a_block_counts_from_there(length: int) -> No
     assert not deviation[500:].any()
 
 
+@pytest.mark.parametrize(
+    ("quantity", "wild"),
+    [
+        ("specific_force", 1.7e308),
+        ("specific_force", 1e5),
+        ("velocity", 1e3),
+        ("rates", 1e3),
+        ("attitude", 30.0),
+        ("attitude", 1e200),
+    ],
+)
+def test_samples_that_data_quality_refuses_tell_no_wind(quantity: str, wild: float) -> None:
+    sound, samples = drifting(), drifting()
+    getattr(samples, quantity)[500:502, 1] = wild
+    wind, deviation = in_blocks(samples, DRAG, 1000)
+    expected, known = in_blocks(sound, DRAG, 1000)
+    np.testing.assert_allclose(wind, expected, atol=1e-9)
+    np.testing.assert_allclose(deviation, known, atol=1e-9)
+    np.testing.assert_array_equal(in_blocks(samples, DRAG, 37)[0], wind)
+
+
+@pytest.mark.parametrize("jump_s", [-100, 700])
+def test_a_stamp_far_off_forgets_no_wind_and_a_clock_that_is_set_does(jump_s: int) -> None:
+    samples = drifting()
+    samples.time_ns[500] += jump_s * 1_000_000_000
+    wind, deviation = in_blocks(samples, DRAG, 1000)
+    np.testing.assert_allclose(wind[-1], in_blocks(drifting(), DRAG, 1000)[0][-1], atol=1e-9)
+    np.testing.assert_array_equal(in_blocks(samples, DRAG, 1)[1], deviation)
+    samples.time_ns[501:] += jump_s * 1_000_000_000
+    wind, deviation = in_blocks(samples, DRAG, 1000)
+    assert deviation[530] == 6.0
+    assert deviation[-1] < 1.1 * in_blocks(drifting(450), DRAG, 1000)[1][-1]
+    np.testing.assert_array_equal(in_blocks(samples, DRAG, 37)[0], wind)
+
+
 def test_what_drag_cannot_tell_is_handed_to_the_model(prepared: Sequence[PreparedFlight]) -> None:
     _, drag = with_found_wind(prepared, VEHICLE)
     state = WindState(drag, 0.0)
