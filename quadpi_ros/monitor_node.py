@@ -218,7 +218,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
         """Take an IMU sample and the state at its stamp."""
         time_ns = int(sample.time_ns[0])
         self._note_arrival(time_ns)
-        self._results.monitors.around.unsure.take_one(time_ns, *deviation_of_one(sample))
+        self._results.monitors.sample_context.unsure.take_one(time_ns, *deviation_of_one(sample))
         self._publish(self._pairing.add_estimate(time_ns, sample.motion, self._judging()))
 
     def _note_arrival(self, time_ns: int) -> None:
@@ -235,7 +235,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
     def take_odometry(self, odometry: OdometryStream) -> None:
         """Take one state."""
         time_ns, (_, attitude, velocity) = int(odometry.time_ns[0]), odometry.stated[0].tolist()
-        self._results.monitors.around.unsure.take_one(time_ns, max(velocity, 0.0), max(attitude, 0.0))
+        self._results.monitors.sample_context.unsure.take_one(time_ns, max(velocity, 0.0), max(attitude, 0.0))
         state = odometry.velocity[0], odometry.attitude[0], odometry.rates[0]
         self._publish(self._pairing.add_state(time_ns, *state, self._judging()))
 

@@ -25,7 +25,7 @@ from quadpi_core.monitor.alarm_kernel import ROW
 from quadpi_core.monitor.alarm_log import EventLog
 from quadpi_core.monitor.pairing import PairedSamples, Pairing, Said
 from quadpi_core.monitor.preparation import CONDITIONS, STATE_ERRORS, Preparation, Prepared
-from quadpi_core.monitor.wind_state import Surroundings
+from quadpi_core.monitor.wind_state import SampleContext
 from quadpi_core.records import Records
 from quadpi_core.results import Alarms, Events, PredictionRows, Predictions
 from quadpi_core.signals.chain import channels
@@ -332,7 +332,7 @@ class Monitors:
     def __init__(self, monitors: Mapping[str, Monitor]) -> None:
         self._monitors: dict[str, Monitor] = {}
         # Of the first model.
-        self.around = Surroundings(None)
+        self.sample_context = SampleContext(None)
         self._rate: ImuRate | None = None
         self._density = 0.0
         self._paired: _PairedMonitor | None = None
@@ -377,7 +377,7 @@ class Monitors:
         """Forget the past: as after construction."""
         for monitor in self._monitors.values():
             monitor.reset()
-        self.around.reset()
+        self.sample_context.reset()
 
     def retune(self, rate: ImuRate) -> list[str]:
         """Go on with samples of another rate; returns a sentence for each model that it is too low for."""
@@ -393,7 +393,7 @@ class Monitors:
     def step(self, samples: PairedSamples) -> tuple[tuple[Predictions, Alarms, Events], list[Predictions]]:
         """Take K samples: the results of the first monitor, see :meth:`Monitor.step`; others' predictions."""
         first, *others = self._monitors.values()
-        time_ns, values, conditions = self.around.of(samples)
+        time_ns, values, conditions = self.sample_context.of(samples)
         if not others and conditions is None:
             return first._step(time_ns, values), []
         prepared = first.preparation.step(time_ns, values, conditions)
@@ -413,7 +413,7 @@ class Monitors:
         None where :meth:`judge` must take them instead: but for a single monitor whose model is compiled, and
         where states are less sure than in its flights, or the wind is to be told.
         """
-        if self.around.count:
+        if self.sample_context.is_needed:
             return None
         if self._paired is None or self._paired.pairing is not pairing:
             first, *others = self._monitors.values()
@@ -443,4 +443,4 @@ class Monitors:
                 break
         self._monitors[name] = monitor
         if name == next(iter(self._monitors)):
-            self.around = Surroundings(monitor.model)
+            self.sample_context = SampleContext(monitor.model)

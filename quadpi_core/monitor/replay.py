@@ -41,7 +41,7 @@ from quadpi_core.monitor.alarm_log import reasons_by_row
 from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.pairing import PairedSamples, Pairing
 from quadpi_core.monitor.unsure_states import StateDeviations
-from quadpi_core.monitor.wind_state import Surroundings
+from quadpi_core.monitor.wind_state import SampleContext
 from quadpi_core.parallel import DEFAULT_WORKERS, Workers
 from quadpi_core.paths import staged, whole_outputs
 from quadpi_core.reading_options import (
@@ -137,7 +137,7 @@ def _write(flight: RecordedFlight, monitor: Monitor, vehicle: Vehicle, output: P
     """Judge a flight, write its results and sum them up."""
     metadata = {"vehicle": vehicle.name, "model": monitor.model.identity}
     metadata |= {"source": flight.name, "version": __version__}
-    tally, around = _Tally(), Surroundings(monitor.model)
+    tally, context = _Tally(), SampleContext(monitor.model)
     with mcap_writer(output, metadata, FAST) as writer:
         names = ["odometry"] if flight.has_mocap else []
         writer.announce(
@@ -149,11 +149,11 @@ def _write(flight: RecordedFlight, monitor: Monitor, vehicle: Vehicle, output: P
                 writer.flush()
             if stretch.begin == pairing.SET_BACK:
                 monitor.reset()
-                around.reset()
+                context.reset()
             monitor.retune(stretch.rate)
             monitor.fly_in(stretch.density)
-            around.unsure.take(stretch.deviations)
-            predictions, alarms, events = monitor.step(*around.of(stretch.samples))
+            context.unsure.take(stretch.deviations)
+            predictions, alarms, events = monitor.step(*context.of(stretch.samples))
             for topic in _messages(stretch.states, predictions, alarms, events, monitor):
                 writer.add(topic)
             writer.flush(stretch.settled_ns)

@@ -58,7 +58,7 @@ class WindState:
             is no drag; 0 where it is not known.
 
     Attributes:
-        heard: whether a topic tells the wind, which then counts.
+        is_measured: whether a topic tells the wind, which then counts.
     """
 
     def __init__(self, drag: WindDrag, hover_rotor_speed: float) -> None:
@@ -69,7 +69,7 @@ class WindState:
         self._forgotten = round(FORGOTTEN_S.value / STEP_S)
         self._bias, self._walked = BIAS * BIAS, WALK * WALK * STEP_S
         self._carrying = LIFTED.value * hover_rotor_speed * hover_rotor_speed
-        self.heard = False
+        self.is_measured = False
         self.reset()
 
     def reset(self) -> None:
@@ -96,8 +96,8 @@ class WindState:
         deviation = np.zeros(len(samples.time_ns))
         measured = np.flatnonzero(np.any(samples.wind != 0.0, axis=1))
         # A topic counts from its first sample on, wherever in a block that is.
-        before = 0 if self.heard else int(measured[0]) if len(measured) else len(deviation)
-        self.heard = self.heard or len(measured) > 0
+        before = 0 if self.is_measured else int(measured[0]) if len(measured) else len(deviation)
+        self.is_measured = self.is_measured or len(measured) > 0
         if before == 0:
             return samples, deviation
         values = samples.values.copy()
@@ -214,7 +214,7 @@ def _dot(left: list[float], right: list[float]) -> float:
     return left[0] * right[0] + left[1] * right[1] + left[2] * right[2] + left[3] * right[3]
 
 
-class Surroundings:
+class SampleContext:
     """What a model is told beside its samples: the wind that drag tells, and how sure state and wind are.
 
     Attributes:
@@ -235,9 +235,9 @@ class Surroundings:
             self.wind.reset()
 
     @property
-    def count(self) -> bool:
+    def is_needed(self) -> bool:
         """Whether samples go through here: a wind is to be told, or a state was less sure than known."""
-        return self.unsure.is_beyond or (self.wind is not None and not self.wind.heard)
+        return self.unsure.is_beyond or (self.wind is not None and not self.wind.is_measured)
 
     def of(self, samples: PairedSamples) -> tuple[Stamps, Array, Records | None]:
         """Stamps (K,), channels and conditions of samples; None where state and wind are sure enough."""

@@ -31,7 +31,7 @@ from quadpi_core.monitor.health import lack
 from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.pairing import PairedSamples
 from quadpi_core.monitor.replay import RecordedFlight, follow, open_flight
-from quadpi_core.monitor.wind_state import Surroundings
+from quadpi_core.monitor.wind_state import SampleContext
 from quadpi_core.reading_options import MappingOrOptions, reading_options
 from quadpi_core.records import Records
 from quadpi_core.results import BAD_DATA, AlarmEvent, Predictions, ReportedAlarms
@@ -203,7 +203,7 @@ def judged(
 ) -> Iterator[Part]:
     """Parts of a flight, judged as `quadpi replay` does."""
     monitors = [Monitor(model, vehicle, None, confidence) for model in models]
-    around = Surroundings(models[0])
+    context = SampleContext(models[0])
     held: list[OdometryStream] = []
     seen: dict[str, list[Stamps]] = {}
     # Reasons of the events that stand, by their numbers.
@@ -213,13 +213,13 @@ def judged(
             if stretch.begin == pairing.SET_BACK:
                 for monitor in monitors:
                     monitor.reset()
-                around.reset()
+                context.reset()
             for monitor in monitors:
                 monitor.retune(stretch.rate)
             states = held[:] if stretch.states is None else [stretch.states.odometry]
             held.clear()
-            around.unsure.take(stretch.deviations)
-            time_ns, values, conditions = around.of(stretch.samples)
+            context.unsure.take(stretch.deviations)
+            time_ns, values, conditions = context.of(stretch.samples)
             yield _judged_part(monitors, PairedSamples(time_ns, values), conditions, states, seen, raised)
 
 

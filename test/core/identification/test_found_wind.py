@@ -161,7 +161,7 @@ def test_a_wind_that_a_topic_tells_counts(prepared: Sequence[PreparedFlight]) ->
     samples.wind[:] = [1.0, 2.0, 0.0]
     state = WindState(drag, 0.0)
     told, deviation = state.take(samples)
-    assert state.heard
+    assert state.is_measured
     assert told is samples
     assert not deviation.any()
     assert state.conditions(told.attitude, deviation, None) is None
