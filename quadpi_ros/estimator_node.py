@@ -19,7 +19,7 @@ from quadpi_core.core import compiled
 from quadpi_core.estimator.ekf import Ekf
 from quadpi_core.estimator.filter_run import FusedSamples, with_gyro_faults
 from quadpi_core.estimator.filter_state import WITHOUT_ESTIMATE, EstimatorStatus, Outcome
-from quadpi_core.estimator.slow_states import usual_noise
+from quadpi_core.estimator.slow_states import VelocityRate, usual_noise
 from quadpi_core.flight import NOT_MEASURED, ImuStream, OdometryStream, PoseStream, TwistStream
 from quadpi_core.frames import Array
 from quadpi_core.messages import sensor_messages
@@ -95,6 +95,7 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
     def activate(self) -> None:
         """Reset the filter and subscribe to its inputs."""
         self._ekf.reset()
+        self._velocities = VelocityRate()
         self._consistency = ConsistencyWatch(self, None)
         self.hear_transforms(self._body)
         self._imu_health = self.listen(
@@ -134,6 +135,11 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
     def mocap_ns(self) -> int | None:
         """Newest stamp of the motion capture; None before the first."""
         return self._mocap_health.newest_ns
+
+    @property
+    def has_slow_velocity(self) -> bool:
+        """Whether velocities come as seldom as by GPS."""
+        return self._velocities.is_slow
 
     def problem(self) -> str | None:
         """As the base class, and why samples arrive but give no state."""
@@ -224,6 +230,7 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         stated = self._noise.of_odometry(odometry.deviation[0])
         self._ekf.update_pose(time_ns, odometry.position[0], odometry.attitude[0], stated[:2])
         if stated[2] != NOT_MEASURED:
+            self._velocities.take([time_ns])
             self._ekf.update_velocity(time_ns, odometry.velocity[0], True, stated[2])
 
     def _take_fix(self, fix: OdometryStream) -> None:
@@ -240,6 +247,7 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         self._ekf.update_pose(int(fix.time_ns[0]), fix.position[0], turned[1][0], stated[:2])
 
     def _take_twist(self, twist: TwistStream) -> None:
+        self._velocities.take([int(twist.time_ns[0])])
         self._ekf.update_velocity(int(twist.time_ns[0]), twist.velocity[0], bool(twist.in_body[0]))
 
 

@@ -218,7 +218,10 @@ class MonitorNode(SensorNode[MonitorParameters]):
         """Take an IMU sample and the state at its stamp."""
         time_ns = int(sample.time_ns[0])
         self._note_arrival(time_ns)
-        self._results.monitors.sample_context.unsure.take_one(time_ns, *deviation_of_one(sample))
+        context = self._results.monitors.sample_context
+        context.unsure.take_one(time_ns, *deviation_of_one(sample))
+        if self._estimator is not None:
+            context.wind_unknown = self._estimator.has_slow_velocity
         self._publish(self._pairing.add_estimate(time_ns, sample.motion, self._judging()))
 
     def _note_arrival(self, time_ns: int) -> None:

@@ -10,7 +10,7 @@ algorithm" (1982), eq. 14.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import chain
@@ -25,8 +25,8 @@ from quadpi_core.estimator.filter_run import smooth
 from quadpi_core.estimator.filter_state import ATTITUDE, POSITION, VELOCITY
 from quadpi_core.flight import OdometryStream, PoseStream, Recording, Stamps, TwistStream
 from quadpi_core.frames import Array
-from quadpi_core.screening.flight_runs import is_slow_state
-from quadpi_core.signals.chain import nominal_rate
+from quadpi_core.screening.flight_runs import BRIDGED_HZ, is_slow_state
+from quadpi_core.signals.chain import RATE_SPAN, nominal_rate
 from quadpi_core.vehicle import Vehicle
 
 # Of a state by GPS: position m, attitude rad, velocity m/s.
@@ -55,6 +55,56 @@ def _lacking(odometry: OdometryStream) -> _Parts:
     return lacking
 
 
+class VelocityRate:
+    """Whether the velocities of a state come as seldom as those of GPS, by the stamps of the first.
+
+    Those of motion capture, or of odometry that is interpolated, come often.
+
+    Attributes:
+        is_slow: whether they come too seldom to be interpolated; false before the second.
+    """
+
+    def __init__(self) -> None:
+        self.is_slow = False
+        self._stamps: list[int] = []
+
+    @property
+    def is_known(self) -> bool:
+        """Whether no further stamp changes what is said."""
+        return len(self._stamps) > RATE_SPAN
+
+    def take(self, time_ns: Sequence[int]) -> None:
+        """Take the stamps of the next velocities."""
+        if self.is_known:
+            return
+        self._stamps += time_ns[: RATE_SPAN + 1 - len(self._stamps)]
+        if len(self._stamps) > 1:
+            lasted_s = 1e-9 * (self._stamps[-1] - self._stamps[0])
+            self.is_slow = len(self._stamps) - 1 < BRIDGED_HZ * lasted_s
+
+
+def has_slow_velocity(recording: Recording) -> bool:
+    """Whether velocities of a recording are of a state as by GPS, in whose flights the wind is sought."""
+    state = recording.odometry
+    if recording.pose is not None or recording.twist is not None or state is None:
+        velocities = VelocityRate()
+        velocities.take([] if recording.twist is None else recording.twist.time_ns.tolist())
+        return velocities.is_slow
+    return _corrects(state) and not _lacking(state)[2]
+
+
+def with_velocity_rate(blocks: Iterator[Recording]) -> tuple[Iterator[Recording], bool]:
+    """Blocks of a flight by motion capture, and whether its velocities are slow as those of GPS."""
+    seen, velocities = [], VelocityRate()
+    for block in blocks:
+        seen.append(block)
+        if block.twist is not None:
+            velocities.take(block.twist.time_ns.tolist())
+        if velocities.is_known:
+            break
+    return chain(seen, blocks), velocities.is_slow
+
+
 def with_slow_state(recording: Recording, vehicle: Vehicle) -> Recording:
     """The recording with a slow state as measurements of a pose and a velocity; any other as it is.
 
@@ -75,8 +125,10 @@ def with_slow_state(recording: Recording, vehicle: Vehicle) -> Recording:
     return _measured_state(recording, usual, _lacking(odometry))
 
 
-def with_slow_states(blocks: Iterator[Recording], vehicle: Vehicle) -> tuple[Iterator[Recording], bool]:
-    """Blocks of a flight that has odometry alone, and whether it is slow: see :func:`with_slow_state`.
+def with_slow_states(blocks: Iterator[Recording], vehicle: Vehicle) -> tuple[Iterator[Recording], bool, bool]:
+    """Blocks of a flight that has odometry alone, whether it is slow, and whether it then has velocities.
+
+    See :func:`with_slow_state`.
 
     Looked at are the blocks that hold the first states; noise that nothing tells is that of a usual GPS.
     """
@@ -89,8 +141,10 @@ def with_slow_states(blocks: Iterator[Recording], vehicle: Vehicle) -> tuple[Ite
     known = [block.odometry for block in seen if block.odometry is not None]
     every = chain(seen, blocks)
     if not known or not _corrects(first := OdometryStream.join(known)):
-        return every, False
-    return map(partial(_measured_state, usual=usual_noise(vehicle), lacking=_lacking(first)), every), True
+        return every, False, False
+    lacking = _lacking(first)
+    measured = map(partial(_measured_state, usual=usual_noise(vehicle), lacking=lacking), every)
+    return measured, True, not lacking[2]
 
 
 def usual_noise(vehicle: Vehicle) -> Array:

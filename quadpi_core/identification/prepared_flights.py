@@ -18,7 +18,7 @@ from quadpi_core.errors import LogError, ModelError, QuadpiError, named_in
 from quadpi_core.estimator.ekf import Ekf
 from quadpi_core.estimator.filter_run import Segment
 from quadpi_core.estimator.fusion import fuse_airborne, require_streams
-from quadpi_core.estimator.slow_states import with_slow_state
+from quadpi_core.estimator.slow_states import has_slow_velocity, with_slow_state
 from quadpi_core.findings import NOTHING_TO_SAY, DataQuality
 from quadpi_core.flight import AXES, MAX_GAP_NS, Flight, Recording, Stamps
 from quadpi_core.flight_files import (
@@ -313,16 +313,13 @@ def prepare_recording(recording: Recording, vehicle: Vehicle, cutoff_hz: float) 
         recorded_s=1e-9 * float(recorded_ns),
         state=causal.deviation(),
         state_noise=_learned_noise(given, recording),
-        wind_unknown=_wind_unknown(given, recording, vehicle),
+        wind_unknown=_wind_unknown(given, vehicle),
     )
 
 
-def _wind_unknown(given: Recording, corrected: Recording, vehicle: Vehicle) -> bool:
+def _wind_unknown(given: Recording, vehicle: Vehicle) -> bool:
     """Whether a flight by a slow state with velocities may have been in a wind that nothing measures."""
-    state = given.odometry
-    if corrected is given or state is None or given.wind is not None or vehicle.noise.wind_m_s == 0.0:
-        return False
-    return 2 * int(np.count_nonzero(state.deviation[:, 2] < 0.0)) < len(state)
+    return given.wind is None and vehicle.noise.wind_m_s != 0.0 and has_slow_velocity(given)
 
 
 def _learned_noise(given: Recording, corrected: Recording) -> tuple[float, float, float] | None:

@@ -332,7 +332,7 @@ class Monitors:
     def __init__(self, monitors: Mapping[str, Monitor]) -> None:
         self._monitors: dict[str, Monitor] = {}
         # Of the first model.
-        self.sample_context = SampleContext(None)
+        self.sample_context = SampleContext(None, None)
         self._rate: ImuRate | None = None
         self._density = 0.0
         self._paired: _PairedMonitor | None = None
@@ -443,4 +443,5 @@ class Monitors:
                 break
         self._monitors[name] = monitor
         if name == next(iter(self._monitors)):
-            self.sample_context = SampleContext(monitor.model)
+            unknown = self.sample_context.wind_unknown
+            self.sample_context = SampleContext(monitor.model, monitor.vehicle, wind_unknown=unknown)

@@ -23,7 +23,7 @@ from quadpi_core.errors import LogError
 from quadpi_core.estimator.ekf import Ekf
 from quadpi_core.estimator.filter_run import EkfTrace, FusedSamples, Spans, never_started, with_gyro_faults
 from quadpi_core.estimator.filter_state import WITHOUT_ESTIMATE, EstimatorStatus, ImuRate
-from quadpi_core.estimator.slow_states import with_slow_states
+from quadpi_core.estimator.slow_states import with_slow_states, with_velocity_rate
 from quadpi_core.flight import MAX_JUMP_BACK_NS, ImuStream, OdometryStream, Recording, Stamps, WindStream
 from quadpi_core.flight_files import FlightFile, LeftOutFlights, bags_in, for_each_flight
 from quadpi_core.frames import Array
@@ -137,7 +137,7 @@ def _write(flight: RecordedFlight, monitor: Monitor, vehicle: Vehicle, output: P
     """Judge a flight, write its results and sum them up."""
     metadata = {"vehicle": vehicle.name, "model": monitor.model.identity}
     metadata |= {"source": flight.name, "version": __version__}
-    tally, context = _Tally(), SampleContext(monitor.model)
+    tally, context = _Tally(), SampleContext(monitor.model, vehicle, wind_unknown=flight.wind_unknown)
     with mcap_writer(output, metadata, FAST) as writer:
         names = ["odometry"] if flight.has_mocap else []
         writer.announce(
@@ -191,12 +191,14 @@ class RecordedFlight:
         has_mocap: whether the state comes from the EKF, corrected by motion capture or by odometry that is
             too slow to be interpolated; otherwise from the flight's odometry.
         blocks: parts of the flight in order of arrival, see :func:`quadpi_core.reading_options.by_arrival`.
+        wind_unknown: whether velocities come as seldom as by GPS: then drag tells the wind.
     """
 
     name: str
     source: str
     has_mocap: bool
     blocks: Iterator[Recording]
+    wind_unknown: bool
 
 
 @contextmanager
@@ -244,9 +246,11 @@ def _flight(
     if "rotor_speeds" not in streams:
         raise LogError(f"{source}: topic rotor_speeds (or erpm) is missing")
     blocks = map(without_unusable_attitudes, blocks)
-    if not has_mocap:
-        blocks, has_mocap = with_slow_states(blocks, vehicle)
-    return RecordedFlight(name, source, has_mocap, blocks)
+    if has_mocap:
+        blocks, wind_unknown = with_velocity_rate(blocks)
+    else:
+        blocks, has_mocap, wind_unknown = with_slow_states(blocks, vehicle)
+    return RecordedFlight(name, source, has_mocap, blocks, wind_unknown)
 
 
 class Followed(NamedTuple):

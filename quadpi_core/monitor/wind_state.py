@@ -31,6 +31,7 @@ from quadpi_core.records import (
     Records,
     Threshold,
 )
+from quadpi_core.vehicle import Vehicle
 
 TOLD = Threshold(
     "standard deviation of the wind, over that in a model's flights, up to which forces are judged",
@@ -69,11 +70,15 @@ class WindState:
         self._forgotten = round(FORGOTTEN_S.value / STEP_S)
         self._bias, self._walked = BIAS * BIAS, WALK * WALK * STEP_S
         self._carrying = LIFTED.value * hover_rotor_speed * hover_rotor_speed
-        self.is_measured = False
         self.reset()
 
     def reset(self) -> None:
-        """Forget the past."""
+        """Forget the past: as after construction."""
+        self.is_measured = False
+        self._forget()
+
+    def _forget(self) -> None:
+        """Forget the wind."""
         self._step: int | None = None
         # The step of samples whose stamps have just jumped from there; None without.
         self._aside: int | None = None
@@ -150,7 +155,7 @@ class WindState:
             if self._aside is None or not 0 < step - self._aside < self._forgotten:
                 self._aside = step
                 return False
-            self.reset()
+            self._forget()
             self._step, elapsed = step, 0
         self._aside = None
         if elapsed:
@@ -217,15 +222,26 @@ def _dot(left: list[float], right: list[float]) -> float:
 class SampleContext:
     """What a model is told beside its samples: the wind that drag tells, and how sure state and wind are.
 
+    Args:
+        model: None for none.
+        vehicle: that flies; in halls, where its wind is 0, none is sought.
+        wind_unknown: whether the flight is as those that tell a model the wind, see
+            :mod:`quadpi_core.estimator.slow_states`.
+
     Attributes:
         unsure: takes how sure the states are.
         wind: as drag tells it; None for a model whose flights did not.
+        wind_unknown: as given.
     """
 
-    def __init__(self, model: AerodynamicModel | None) -> None:
+    def __init__(
+        self, model: AerodynamicModel | None, vehicle: Vehicle | None, *, wind_unknown: bool = False
+    ) -> None:
         self.unsure = UnsureStates(SETTLED if model is None else model.state)
         self.wind: WindState | None = None
-        if model is not None and model.wind is not None:
+        self.wind_unknown = wind_unknown
+        in_the_open = vehicle is not None and vehicle.noise.wind_m_s != 0.0
+        if model is not None and model.wind is not None and in_the_open:
             self.wind = WindState(model.wind, model.alarm_limits.hover_rotor_speed)
 
     def reset(self) -> None:
@@ -237,12 +253,13 @@ class SampleContext:
     @property
     def is_needed(self) -> bool:
         """Whether samples go through here: a wind is to be told, or a state was less sure than known."""
-        return self.unsure.is_beyond or (self.wind is not None and not self.wind.is_measured)
+        seeks = self.wind is not None and self.wind_unknown and not self.wind.is_measured
+        return self.unsure.is_beyond or seeks
 
     def of(self, samples: PairedSamples) -> tuple[Stamps, Array, Records | None]:
         """Stamps (K,), channels and conditions of samples; None where state and wind are sure enough."""
         conditions = self.unsure.conditions(samples.time_ns)
-        if self.wind is None:
+        if self.wind is None or not self.wind_unknown:
             return *samples, conditions
         samples, deviation = self.wind.take(samples)
         return *samples, self.wind.conditions(samples.attitude, deviation, conditions)

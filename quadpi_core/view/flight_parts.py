@@ -203,12 +203,12 @@ def judged(
 ) -> Iterator[Part]:
     """Parts of a flight, judged as `quadpi replay` does."""
     monitors = [Monitor(model, vehicle, None, confidence) for model in models]
-    context = SampleContext(models[0])
     held: list[OdometryStream] = []
     seen: dict[str, list[Stamps]] = {}
     # Reasons of the events that stand, by their numbers.
     raised: dict[int, tuple[str, ...]] = {}
     with open_flight(bag, vehicle, mapping) as flight:
+        context = SampleContext(models[0], vehicle, wind_unknown=flight.wind_unknown)
         for stretch in follow(_noting(flight, held, seen), vehicle):
             if stretch.begin == pairing.SET_BACK:
                 for monitor in monitors:

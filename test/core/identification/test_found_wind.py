@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,14 +15,16 @@ import yaml
 
 from quadpi_core import frames
 from quadpi_core.estimator.fusion import fuse
+from quadpi_core.estimator.slow_states import with_slow_state
 from quadpi_core.flight import OdometryStream, Recording
 from quadpi_core.frames import Array
 from quadpi_core.identification.found_wind import in_found_wind, with_found_wind
 from quadpi_core.identification.prepared_flights import PreparedFlight, prepare_recording
 from quadpi_core.inputs import VELOCITY_INPUTS
-from quadpi_core.models.interval_rules import WindDrag
+from quadpi_core.models.interval_rules import SETTLED, WindDrag
 from quadpi_core.monitor.pairing import PairedSamples
-from quadpi_core.monitor.wind_state import WindState
+from quadpi_core.monitor.replay import recorded_flight
+from quadpi_core.monitor.wind_state import SampleContext, WindState
 from quadpi_core.simulation.flying import SimulatedVehicle
 from quadpi_core.simulation.scenario import load_scenario
 from quadpi_core.simulation.sensor_noise import SensorSuite
@@ -244,6 +247,33 @@ def test_a_stamp_far_off_forgets_no_wind_and_a_clock_that_is_set_does(jump_s: in
     assert deviation[530] == 6.0
     assert deviation[-1] < 1.1 * in_blocks(drifting(450), DRAG, 1000)[1][-1]
     np.testing.assert_array_equal(in_blocks(samples, DRAG, 37)[0], wind)
+
+
+def test_a_wind_is_sought_by_slow_velocities_in_the_open_alone(
+    recordings: Sequence[Recording], prepared: Sequence[PreparedFlight]
+) -> None:
+    _, drag = with_found_wind(prepared, VEHICLE)
+    model = SimpleNamespace(wind=drag, state=SETTLED, alarm_limits=SimpleNamespace(hover_rotor_speed=0.0))
+    samples = paired(prepared[0])
+
+    def sought(recording: Recording, vehicle: Vehicle = VEHICLE) -> bool:
+        unknown = recorded_flight(recording, vehicle).wind_unknown
+        context = SampleContext(model, vehicle, wind_unknown=unknown)
+        given = context.of(samples)[1][:, -3:].any()
+        assert given == context.is_needed
+        assert given == prepare_recording(recording, vehicle, 30.0).wind_unknown
+        return bool(given)
+
+    assert sought(recordings[0])
+    slow = with_slow_state(recordings[0], VEHICLE)
+    assert sought(slow)
+    assert not sought(replace(slow, twist=None))
+    assert not sought(recordings[0], replace(VEHICLE, noise=replace(VEHICLE.noise, wind_m_s=0.0)))
+    own = prepared[0].flight
+    fast = OdometryStream(
+        own.stamps_ns, own.position, own.attitude, own.velocity, own.rates, np.zeros((len(own), 3))
+    )
+    assert not sought(replace(recordings[0], odometry=fast.take(slice(None, None, 5))))
 
 
 def test_what_drag_cannot_tell_is_handed_to_the_model(prepared: Sequence[PreparedFlight]) -> None:
