@@ -39,6 +39,8 @@ _SUREST = (0.01, 0.002, 0.01)
 _STILL_M_S, _STILL_S = 2.0, 0.5
 # States by which a flight shows how often they come.
 _STATES_SEEN = 8
+# Poses after which velocities, where there are any, have begun: two seconds at 100 Hz.
+_POSES_SEEN = 200
 
 # True or false (3,) for position, attitude and velocity.
 _Parts: TypeAlias = npt.NDArray[np.bool_]
@@ -94,13 +96,17 @@ def has_slow_velocity(recording: Recording) -> bool:
 
 
 def with_velocity_rate(blocks: Iterator[Recording]) -> tuple[Iterator[Recording], bool]:
-    """Blocks of a flight by motion capture, and whether its velocities are slow as those of GPS."""
-    seen, velocities = [], VelocityRate()
+    """Blocks of a flight by motion capture, and whether its velocities are slow as those of GPS.
+
+    Looked at are the blocks of the first velocities; where poses come without any, so do the rest.
+    """
+    seen, velocities, poses = [], VelocityRate(), 0
     for block in blocks:
         seen.append(block)
+        poses += 0 if block.pose is None else len(block.pose)
         if block.twist is not None:
             velocities.take(block.twist.time_ns.tolist())
-        if velocities.is_known:
+        if velocities.is_known or poses > _POSES_SEEN:
             break
     return chain(seen, blocks), velocities.is_slow
 
