@@ -31,6 +31,7 @@ from quadpi_core.discrepancy.loading import simulation_of
 from quadpi_core.discrepancy.whitening import EDGES_HZ, Columns, Indices, Spectrum
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
+from quadpi_core.identification.found_wind import in_found_wind
 from quadpi_core.identification.prepared_flights import PREPARE_FLIGHTS, PreparedFlight
 from quadpi_core.models.aerodynamic import LOAD_MODEL, AerodynamicModel
 from quadpi_core.models.sound_flights import SoundFlights
@@ -105,7 +106,10 @@ def learned_from(
             progress(Progress("Learning what sound flights leave", place, len(flights)))
             if prepared.flight is None:
                 return model
-            flight = prepared.flight.longest_stretch()
+            # In the wind that the model found, which its residual would hold as an error of its own.
+            blown = in_found_wind(prepared, model.wind, vehicle).flight
+            assert blown is not None
+            flight = blown.longest_stretch()
             compared, without = Compared(flight, whole), Compared(flight, simulation_of(section, vehicle))
             columns = [linearise(own, [compared], np.zeros(len(own.free)))[0][1] for own in sought]
             # What the other flights leave open of the coefficients is in these residuals, and in no search,

@@ -24,7 +24,9 @@ from quadpi_core.models.interval_rules import inside_interval
 from quadpi_core.monitor.alarm import MonitorSettings
 from quadpi_core.monitor.alarm_log import reasons
 from quadpi_core.monitor.monitor import Monitor as BlockMonitor
+from quadpi_core.monitor.pairing import PairedSamples
 from quadpi_core.monitor.preparation import conditions
+from quadpi_core.monitor.wind_state import SampleContext
 from quadpi_core.records import Records
 from quadpi_core.results import Alarms, Events, Predictions
 from quadpi_core.vehicle import Vehicle
@@ -102,6 +104,7 @@ class Monitor:
             )
         flown = vehicle if isinstance(vehicle, Vehicle) else fitted.load_vehicle(vehicle)
         self._monitor = BlockMonitor(fitted, flown, rate_hz, confidence, settings)
+        self._wind = SampleContext(fitted, flown).wind
         # Of the stamps; None where it was given.
         self._rate = ImuRate() if rate_hz is None else None
         self._meter = np.zeros(1, METER)
@@ -156,7 +159,8 @@ class Monitor:
             rates: (3,) or (K, 3) rad/s, body axes.
             specific_force: (3,) or (K, 3) m/s², body axes: z near −9.8 in hover.
             rotor_speeds: (rotors,) or (K, rotors) rad/s, rotors in the order of the vehicle file.
-            wind: (3,) or (K, 3) m/s of the air, world; none unless given.
+            wind: (3,) or (K, 3) m/s of the air, world. Unless given it is as drag tells it, for a model whose
+                flights by GPS did so and a vehicle that flies in the open; else none.
             air_density: kg/m³, one or (K,); that of the vehicle file unless given. It counts for models
                 whose flights told theirs; others stay in the air that they were identified in.
             state_covariance: (9, 9) or (K, 9, 9) of velocity, attitude and rates, by what they are less sure
@@ -189,6 +193,8 @@ class Monitor:
             None if air_density is None else _array("air_density", air_density),
             None if state_covariance is None else _array("state_covariance", state_covariance),
         )
+        if self._wind is not None and wind is not None:
+            self._wind.is_measured = True
         rows: list[MonitorRow] = []
         begin = 0
         for place in self._new_rates(stamps):
@@ -215,7 +221,11 @@ class Monitor:
         if len(stamps) == 0 or (self._rate is not None and self._rate.begins):
             return []
         known = None if known is None else known[part]
-        predictions, alarms, _ = self._monitor.step(stamps, np.ascontiguousarray(block[part]), known)
+        samples = PairedSamples(stamps, np.ascontiguousarray(block[part]))
+        if self._wind is not None:
+            samples, deviation = self._wind.take(samples)
+            known = self._wind.conditions(samples.attitude, deviation, known)
+        predictions, alarms, _ = self._monitor.step(*samples, known)
         axes = self._monitor.model.axes
         bounds = (predictions.predicted, predictions.lower, predictions.upper)
         predicted, lower, upper = (only_axes(array, axes) for array in bounds)
@@ -240,6 +250,8 @@ class Monitor:
     def reset(self) -> None:
         """Forget the past: as after construction."""
         self._monitor.reset()
+        if self._wind is not None:
+            self._wind.reset()
         self._level, self._cause = 0, ""
         if self._rate is not None:
             self._meter, self._rate = np.zeros(1, METER), ImuRate()

@@ -213,7 +213,13 @@ class WrenchModel:
             confidence = array_checks.number("confidence", confidence)
         for flight in given.prepared:
             flight.require_finite()
-        return [model.evaluate(flight, confidence) for flight in given.prepared]
+        prepared = given.prepared
+        if isinstance(model, AerodynamicModel) and model.wind is not None:
+            # Slow to import, and most models have no wind to find.
+            from quadpi_core.identification.found_wind import in_found_wind
+
+            prepared = [in_found_wind(flight, model.wind, given.vehicle) for flight in prepared]
+        return [model.evaluate(flight, confidence) for flight in prepared]
 
     def score(self, flights: Flights, y: None = None) -> float:
         """Coefficient of determination R², the mean over the axes held; each over the samples of all flights.

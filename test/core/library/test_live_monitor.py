@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from sklearn.linear_model import Ridge
@@ -11,11 +13,17 @@ from sklearn.linear_model import Ridge
 import quadpi_core as qp
 from quadpi_core.errors import ArgumentError
 from quadpi_core.flight import AXES
+from quadpi_core.models.interval_rules import WindDrag
 from quadpi_core.monitor.monitor import Monitor as BlockMonitor
+from quadpi_core.monitor.pairing import PairedSamples
+from quadpi_core.monitor.wind_state import WindState
 from quadpi_core.results import CAUSES, EXTRAPOLATION
 
 NAMES = ("velocity", "attitude", "rates", "specific_force", "rotor_speeds", "wind")
 SAMPLES = 3000
+DRAG = WindDrag(
+    per_mass_x_1_s=0.3, per_mass_y_1_s=0.3, noise_x_m_s2=0.1, noise_y_m_s2=0.1, wind_m_s=6.0, known_m_s=0.5
+)
 
 
 def samples(flights, count=SAMPLES, **change):
@@ -42,6 +50,29 @@ def test_rows_are_those_of_the_internal_monitor(quick, unseen):
         assert row.outside == tuple(axis for axis in ("Fx", "Fz") if missed[AXES.index(axis)])
     assert {row.alarm for row in rows} == {"ok"}
     assert not any(row.cause for row in rows)
+
+
+def test_a_wind_that_is_not_given_is_told_by_the_drag_of_the_model(quick, unseen):
+    model = replace(quick.model_, wind=DRAG)
+    stamps, arrays = samples(unseen)
+    windless = np.zeros((SAMPLES, 3))
+    given = PairedSamples.join(stamps, **arrays | {"wind": windless})
+    state = WindState(DRAG, model.alarm_limits.hover_rotor_speed)
+    blown, deviation = state.take(given)
+    conditions = state.conditions(blown.attitude, deviation, None)
+    del arrays["wind"]
+    monitor = qp.Monitor(model, rate_hz=500.0)
+    for more, expected in (
+        ({}, (*blown, conditions)),
+        ({"wind": windless}, given),
+        ({}, (*blown, conditions)),
+    ):
+        said, _, _ = BlockMonitor(model, unseen.vehicle, 500.0).step(*expected)
+        rows = monitor.step(stamps, **arrays, **more)
+        for name in ("predicted", "lower"):
+            own = np.array([getattr(row, name) for row in rows])[:, np.isin(AXES, quick.axes_)]
+            np.testing.assert_array_equal(own, getattr(said, name)[:, np.isin(AXES, quick.axes_)])
+        monitor.reset()
 
 
 def test_one_by_one_as_in_a_block_while_the_rate_is_measured(quick, unseen):

@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 import pickle
 import re
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -24,6 +25,8 @@ import quadpi_core as qp
 from quadpi_core.evaluation.metrics import r_squared
 from quadpi_core.findings import DataQuality, Finding
 from quadpi_core.flight import AXES
+from quadpi_core.identification.found_wind import in_found_wind
+from quadpi_core.models.interval_rules import WindDrag
 from quadpi_core.paths import bags_directory
 
 INPUTS = np.zeros((5, 19))
@@ -283,3 +286,16 @@ def test_the_same_checks_on_flights(training, unseen):
 
 def test_scikit_learn_knows_what_is_fitted(quick):
     check_is_fitted(quick)
+
+
+def test_flights_in_a_wind_that_nothing_measures_are_judged_in_that_of_drag(quick, unseen):
+    drag = WindDrag(per_mass_x_1_s=0.3, per_mass_y_1_s=0.3, noise_x_m_s2=0.1, noise_y_m_s2=0.1, wind_m_s=6.0)
+    one = replace(unseen.prepared[0], wind_unknown=True)
+    flights = replace(unseen, prepared=(one,))
+    model = copy(quick)
+    model.model_ = replace(quick.model_, wind=drag)
+    found = in_found_wind(one, drag, unseen.vehicle)
+    expected = model.model_.evaluate(found).predicted
+    held = np.isin(AXES, quick.axes_)
+    np.testing.assert_array_equal(model.predict(flights)[:, held], expected[:, held])
+    assert not np.allclose(expected, quick.model_.evaluate(one).predicted)
