@@ -333,8 +333,10 @@ class _Summary:
             self.not_finite += int(np.sum(~finite_rows(*columns.values())))
         if isinstance(stream, RotorSpeedStream):
             columns = {}  # rotors may stand; those that read the same in flight are judged with the IMU
+        lacking = _not_measured(stream)
         for name, values in columns.items():
-            self.runs.setdefault(name, LongestRun()).add(values)
+            if name not in lacking:
+                self.runs.setdefault(name, LongestRun()).add(values)
         for quantity, unit, values in _quantities(stream):
             self.ranges.setdefault(quantity, RunningRange(quantity, unit)).add(values)
 
@@ -344,6 +346,15 @@ def _columns(stream: Stream) -> dict[str, Array]:
     names = [column.name for column in fields(stream) if column.name != "deviation"]
     columns = {name: getattr(stream, name) for name in names}
     return {name: values for name, values in columns.items() if values.dtype.kind == "f"}
+
+
+def _not_measured(stream: Stream) -> set[str]:
+    """Parts of a state that have no values in any sample."""
+    if not isinstance(stream, OdometryStream | PoseStream):
+        return set()
+    parts = ("position", "attitude", "velocity")[: stream.deviation.shape[1]]
+    lacking = np.all(stream.deviation < 0.0, axis=0) & (len(stream) > 0)
+    return {part for part, absent in zip(parts, lacking, strict=True) if absent}
 
 
 def _timing_findings(topic: TopicReport) -> Iterator[str]:
@@ -433,10 +444,14 @@ def _battery_findings(recording: Recording) -> Iterator[str]:
 
 
 def _envelope(summaries: Mapping[str, _Summary], recording: Recording) -> Iterator[Range]:
-    states = [name for name in ("odometry", "pose") if name in summaries and summaries[name].count]
-    for name in (*states[:1], "imu", "rotor_speeds"):
-        for running in summaries[name].ranges.values() if name in summaries else ():
-            yield from running.ranges()
+    shown: dict[str, RunningRange] = {}
+    for name in ("odometry", "pose", "imu", "rotor_speeds"):
+        for quantity, running in summaries[name].ranges.items() if name in summaries else ():
+            # Of motion capture beside a state, what the state lacks.
+            if summaries[name].count:
+                shown.setdefault(quantity, running)
+    for running in shown.values():
+        yield from running.ranges()
     if recording.battery is not None:
         battery = RunningRange("battery", "V")
         battery.add(recording.battery.voltage)
@@ -445,12 +460,15 @@ def _envelope(summaries: Mapping[str, _Summary], recording: Recording) -> Iterat
 
 def _quantities(stream: Stream) -> Iterator[tuple[str, str, Array]]:
     """Name, unit and values (N,) of the quantities that describe the flown envelope."""
-    if isinstance(stream, OdometryStream):
+    lacking = _not_measured(stream)
+    if isinstance(stream, OdometryStream) and "velocity" not in lacking:
         yield "speed", "m/s", np.linalg.norm(stream.velocity, axis=1)
     if isinstance(stream, OdometryStream | PoseStream):
-        yield "altitude", "m", -stream.position[:, 2]
-        tilt = np.degrees(np.arccos(np.clip(rotation_matrix(stream.attitude)[:, 2, 2], -1.0, 1.0)))
-        yield "tilt", "deg", tilt
+        if "position" not in lacking:
+            yield "altitude", "m", -stream.position[:, 2]
+        if "attitude" not in lacking:
+            tilt = np.degrees(np.arccos(np.clip(rotation_matrix(stream.attitude)[:, 2, 2], -1.0, 1.0)))
+            yield "tilt", "deg", tilt
     elif isinstance(stream, ImuStream):
         for axis, name in enumerate("pqr"):
             yield f"rate {name}", "rad/s", stream.angular_velocity[:, axis]

@@ -178,7 +178,7 @@ def _turning(recording: Recording, vehicle: Vehicle) -> tuple[Stamps, Array, Arr
 def _advance(recording: Recording, vehicle: Vehicle, time_ns: Stamps, squares: Array) -> Array:
     """Speed in the air over that of the blades' tips (N,), from positions; infinite where no state tells."""
     state, wind = recording.pose or recording.odometry, recording.wind
-    if state is None:
+    if state is None or np.all(state.deviation[:, 0] < 0.0):
         return np.full(len(squares), np.inf)
     clock, at = ((stamps - state.time_ns[0]) * 1e-9 for stamps in (state.time_ns, time_ns))
     half_s = 0.5 * _SPEED_S

@@ -13,7 +13,14 @@ import numpy as np
 import pytest
 
 from quadpi_core.errors import LogError
-from quadpi_core.flight import BatteryStream, ImuStream, Recording, RotorSpeedStream
+from quadpi_core.flight import (
+    NOT_MEASURED,
+    BatteryStream,
+    ImuStream,
+    OdometryStream,
+    Recording,
+    RotorSpeedStream,
+)
 from quadpi_core.frames import body_frd_to_flu
 from quadpi_core.logs import decode_recording, read_recording
 from quadpi_core.logs.inspect import inspect_recording
@@ -66,6 +73,20 @@ def test_envelope(hover: Recording, vehicle: Vehicle):
     assert rows["tilt"].highest == pytest.approx(np.degrees(0.2), rel=1e-3)
     assert rows["battery"].unit == "V"
     assert rows["rotor 4"].median == pytest.approx(HOVER_RAD_S, rel=0.01)
+
+
+def test_parts_of_a_state_that_nobody_measured_are_no_values(hover: Recording, vehicle: Vehicle):
+    pose = hover.pose
+    nothing = np.zeros((len(pose), 3))
+    deviation = np.tile([NOT_MEASURED, 0.0, NOT_MEASURED], (len(pose), 1))
+    turned = OdometryStream(pose.time_ns, nothing, pose.attitude, nothing, nothing + pose.position, deviation)
+    rows = {row.quantity: row for row in inspect_recording(replace(hover, odometry=turned)).envelope}
+    assert "speed" not in rows
+    assert rows["altitude"].lowest == pytest.approx(1.0)
+    alone = replace(hover, odometry=turned, pose=None)
+    assert {row.quantity for row in inspect_recording(alone).envelope}.isdisjoint({"speed", "altitude"})
+    assert "stays the same" not in findings(alone, None)
+    assert thrust_coefficient(alone, vehicle, in_hover=True) is None
 
 
 def test_gap_repeated_and_backward_stamps_are_counted(hover: Recording, vehicle: Vehicle):
