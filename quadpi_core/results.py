@@ -34,8 +34,8 @@ CHANGED_CENTRE_FORWARD, CHANGED_CENTRE_RIGHT, CHANGED_ROTOR = range(4, 7)
 # louder than on any flight that told what is sound.
 ACTIVE, WAITING, UNAVAILABLE, UNCALIBRATED = 0, 1, 2, 3
 # Why a model is not judged: the vehicle does not fly, there are no samples, or the state settles, when only
-# MISCOVERAGE is not judged.
-JUDGED, PARKED, IDLES, CARRIED, MOVED, NO_SAMPLES, SETTLES, LANDS = range(8)
+# MISCOVERAGE and CHANGE are not judged, or, of horizontal forces, the wind is still to be told.
+JUDGED, PARKED, IDLES, CARRIED, MOVED, NO_SAMPLES, SETTLES, LANDS, WIND_UNKNOWN = range(9)
 WHY_NOT_JUDGED = {
     PARKED: "on the ground, rotors at rest",
     IDLES: "on the ground, rotors turn too slowly to fly",
@@ -44,6 +44,7 @@ WHY_NOT_JUDGED = {
     LANDS: "it lands: its rotors slow down, and something else carries it",
     NO_SAMPLES: "no usable samples",
     SETTLES: "the state settles, the downward force alone is judged",
+    WIND_UNKNOWN: "the wind is not told yet, the horizontal forces are not judged: fly or turn",
 }
 # Of a flight before the first sample that a monitor could take.
 NOT_BEGUN = "state or rotor speeds have not begun"

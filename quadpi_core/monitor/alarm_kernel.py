@@ -276,6 +276,7 @@ class State:
     not_judged_s: float  # of that, for which the model was not judged
     previous_ns: int  # stamp of the last sample; NO_STAMP before the first
     settled: bool  # whether the misses of the last usable sample counted
+    wind_unknown: bool  # whether those of the horizontal forces did not, as of a change
     reported_inputs: int  # bits of the inputs outside that rows have reported since the level was last ok
     reported_faults: int  # the same for faults
     reported_more_faults: MoreFaults

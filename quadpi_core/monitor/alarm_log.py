@@ -43,6 +43,7 @@ from quadpi_core.results import (
     MISCOVERAGE,
     SETTLES,
     WHY_NOT_JUDGED,
+    WIND_UNKNOWN,
     AlarmEvent,
     AlarmRows,
     Alarms,
@@ -254,7 +255,7 @@ def reasons(alarms: Alarms, row: int, causes: int | None = None) -> tuple[str, .
     words += over
     why = int(alarms.why_not_judged[row])
     if causes is None and why != JUDGED:
-        of_what = "coverage not judged" if why == SETTLES else "not judged"
+        of_what = "coverage not judged" if why in (SETTLES, WIND_UNKNOWN) else "not judged"
         share = 100.0 * alarms.not_judged_share[row]
         words = [text for text in words if text != WHY_NOT_JUDGED[why]]
         words.append(f"{of_what}: {WHY_NOT_JUDGED[why]} ({share:.0f} % of the time so far)")

@@ -47,13 +47,13 @@ class Conditions:
             flights were unsure of is in its intervals already: give what goes beyond.
         commanded: bit per rotor, the first 1, whose speed follows from its command, as nothing measured it.
             Verdicts carry it on; nothing is decided by it yet.
-        unsettled: 1 while the wind is still to be told; the sample then counts as one whose state settles.
+        wind_unknown: 1 while the wind is still to be told: horizontal forces are not judged.
     """
 
     air_density: float
     covariance: Annotated[Array, STATE_ERRORS, STATE_ERRORS]
     commanded: int
-    unsettled: int
+    wind_unknown: int
 
 
 CONDITIONS = record_dtype(Conditions)
@@ -261,7 +261,7 @@ class Verdict:
     specific_force: Vector3  # m/s², body axes
     rotor_speeds: PerRotor  # rad/s
     commanded: int  # bit per rotor whose speed follows from its command, see :class:`Conditions`
-    windy: bool  # whether the wind is still to be told: it then has not settled either
+    wind_unknown: bool  # whether the wind is still to be told: horizontal forces are not judged
 
 
 class Memory:

@@ -203,7 +203,7 @@ class WindState:
         if not beyond.any():
             return others
         found = np.zeros(len(deviation), CONDITIONS) if others is None else others
-        found["unsettled"] = deviation > TOLD.value * known
+        found["wind_unknown"] = deviation > TOLD.value * known
         # Horizontal, in body axes; an attitude that is none is of a sample that is not used.
         with np.errstate(invalid="ignore", over="ignore"):
             down = np.clip(np.nan_to_num(rotation_matrix(attitude)[:, 2]), -1.0, 1.0)

@@ -281,7 +281,7 @@ def test_what_drag_cannot_tell_is_handed_to_the_model(prepared: Sequence[Prepare
     state = WindState(drag, 0.0)
     rolled = np.tile([np.sqrt(0.5), np.sqrt(0.5), 0.0, 0.0], (2, 1))
     found = state.conditions(rolled, np.array([drag.known_m_s, 6.0]), None)
-    assert found["unsettled"].tolist() == [0, 1]
+    assert found["wind_unknown"].tolist() == [0, 1]
     variances: Array = found["covariance"][:, :3, :3]
     np.testing.assert_allclose(variances[0], 0.0)
     # By a quarter of a turn about x, y points down: no part of the wind is along it.

@@ -42,6 +42,7 @@ class Samples:
         self.measured, self.predicted = np.zeros((2, count, 6))
         self.faults = np.zeros(count, dtype=np.int64)
         self.settled = np.ones(count, dtype=np.bool_)
+        self.wind_unknown = np.zeros(count, dtype=np.bool_)
 
     def between(self, start_s: float, stop_s: float) -> slice:
         return slice(round(start_s * RATE_HZ), round(stop_s * RATE_HZ))
@@ -53,7 +54,7 @@ class Samples:
             used = self.usable[keep]
             verdicts = np.zeros(len(used), VERDICT)
             for name in (
-                *("time_ns", "usable", "faults", "settled"),
+                *("time_ns", "usable", "faults", "settled", "wind_unknown"),
                 *("velocity", "rates", "specific_force", "rotor_speeds"),
             ):
                 verdicts[name] = getattr(self, name)[keep]

@@ -23,6 +23,7 @@ from quadpi_core.results import (
     UNAVAILABLE,
     UNCALIBRATED,
     WAITING,
+    WIND_UNKNOWN,
 )
 from test.core.monitor.alarm_samples import (
     ALLOWANCE,
@@ -61,6 +62,23 @@ def test_misses_count_once_the_state_has_settled_those_of_fz_at_once(envelope, a
     seconds = 1e-9 * (rows.time_ns - samples.time_ns[0])
     assert np.all(rows.cause_health[seconds < 3.0, :2] == [ACTIVE, WAITING])
     assert np.all(rows.cause_health[seconds >= 3.0, :2] == ACTIVE)
+    raised = seconds[np.argmax(rows.level == LEVEL_ALARM)]
+    assert raised == pytest.approx(from_s + 1.0 / (1.0 - ALLOWANCE), abs=0.02)
+
+
+@pytest.mark.parametrize(("axis", "from_s"), [(FX, 3.0), (1, 3.0), (FZ, 0.0), (MY, 0.0)])
+def test_only_misses_of_horizontal_forces_wait_for_the_wind(envelope, axis, from_s):
+    samples = Samples(8.0)
+    samples.measured[:, axis] = 2.0
+    samples.wind_unknown[samples.between(0.0, 3.0)] = True
+    rows = samples.run(Alarm(envelope, LIMITS, SETTINGS))
+    seconds = 1e-9 * (rows.time_ns - samples.time_ns[0])
+    assert np.all(rows.cause_health[:, :2] == ACTIVE)
+    assert np.all((rows.why_not_judged == WIND_UNKNOWN) == (seconds < 3.0))
+    assert reasons(rows, 0) == (
+        "coverage not judged: the wind is not told yet, the horizontal forces are not judged: fly or turn "
+        "(100 % of the time so far)",
+    )
     raised = seconds[np.argmax(rows.level == LEVEL_ALARM)]
     assert raised == pytest.approx(from_s + 1.0 / (1.0 - ALLOWANCE), abs=0.02)
 

@@ -83,6 +83,8 @@ inline void count_time(AlarmState& state, double step_s) {
         row.why_not_judged = NO_SAMPLES;
     } else if (state.ground.why == JUDGED && !state.settled) {
         row.why_not_judged = SETTLES;
+    } else if (state.ground.why == JUDGED && state.wind_unknown) {
+        row.why_not_judged = WIND_UNKNOWN;
     } else {
         row.why_not_judged = state.ground.why;
     }
@@ -93,7 +95,8 @@ inline void count_time(AlarmState& state, double step_s) {
     row.not_judged_share = state.since_first_s > 0.0 ? state.not_judged_s / state.since_first_s : 1.0;
 }
 
-// Advance the sequential test of each axis; while the state settles, that of Fz alone.
+// Advance the sequential test of each axis; while the state settles, that of Fz alone, and
+// those of Fx and Fy not until the wind is known.
 inline void judge_miscoverage(
     const AlarmLimits& limits,
     AlarmState& state,
@@ -110,7 +113,8 @@ inline void judge_miscoverage(
         if (limit == INF) {
             continue;
         }
-        if (state.settled || axis == FZ) {
+        const bool blown = state.wind_unknown && (axis == FX || axis == FY);
+        if ((state.settled && !blown) || axis == FZ) {
             const double half = 0.5 * (upper[axis] - lower[axis]) * limits.interval_ratio[axis];
             const double miss =
                 std::abs(measured[axis] - 0.5 * (upper[axis] + lower[axis])) > half ? 1.0 : 0.0;
@@ -126,7 +130,8 @@ inline void judge_miscoverage(
     state.charge[MISCOVERAGE] = worst;
 }
 
-// Gather evidence that the vehicle has changed, where the model knows the inputs and the state has settled.
+// Gather evidence that the vehicle has changed, where the model knows the inputs and the wind, and the
+// state has settled.
 inline void judge_change(
     const AlarmLimits& limits,
     AlarmState& state,
@@ -145,7 +150,7 @@ inline void judge_change(
     }
     end_block(limits.change, limits.rotors, change, floor_divided(sample.time_ns, BLOCK_NS));
     change.unlike_s = state.extrapolates ? UNLIKE_S : std::max(0.0, change.unlike_s - step_s);
-    if (state.settled && !state.extrapolates) {
+    if (state.settled && !state.wind_unknown && !state.extrapolates) {
         Wrench error;
         for (int axis = 0; axis < AXES; ++axis) {
             error[axis] = measured[axis] - 0.5 * (lower[axis] + upper[axis]);
@@ -201,7 +206,7 @@ inline std::int64_t health_of_change(const AlarmLimits& limits, const AlarmState
     if (limits.change.evidence == 0.0 || state.silent_s >= SILENT_S) {
         return UNAVAILABLE;
     }
-    if (state.ground.why != JUDGED || !state.settled) {
+    if (state.ground.why != JUDGED || !state.settled || state.wind_unknown) {
         return WAITING;
     }
     // Of a limit that a sound flight has set no share is stated.
@@ -293,6 +298,7 @@ inline std::size_t advance(
         if (sample.usable) {
             state.silent_s = 0.0;
             state.settled = sample.settled;
+            state.wind_unknown = sample.wind_unknown;
             faults = follow_vehicle(limits, state, sample, measured[used], step_s);
             if (state.ground.flying) {
                 if (state.ground.why == JUDGED) {
@@ -305,7 +311,7 @@ inline std::size_t advance(
                         ),
                         said.leverage[used],
                         // Until the wind is told, intervals are as wide as it is unsure.
-                        sample.windy ? Wrench{} : said.relative_width[used],
+                        sample.wind_unknown ? Wrench{} : said.relative_width[used],
                         step_s
                     );
                     judge_miscoverage(

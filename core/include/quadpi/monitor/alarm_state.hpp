@@ -14,7 +14,7 @@ enum Level : std::int64_t { LEVEL_OK, LEVEL_WARNING, LEVEL_ALARM };
 enum Health : std::int64_t { ACTIVE, WAITING, UNAVAILABLE, UNCALIBRATED };
 // Columns of the causes; the bit of each in a row is 1 << column.
 enum Cause : int { EXTRAPOLATION, MISCOVERAGE, BAD_DATA, CHANGE, CAUSES };
-constexpr int FZ = 2;
+constexpr int FX = 0, FY = 1, FZ = 2;
 
 using PerCause = std::array<double, CAUSES>;
 using WholePerCause = std::array<std::int64_t, CAUSES>;
@@ -83,6 +83,7 @@ struct AlarmState {
     double not_judged_s;       // of that, for which the model was not judged
     std::int64_t previous_ns;  // stamp of the last sample; NO_STAMP before the first
     bool settled;              // whether the misses of the last usable sample counted
+    bool wind_unknown;         // whether those of the horizontal forces did not, as of a change
     std::int64_t
         reported_inputs;     // bits of the inputs outside that rows have reported since the level was last ok
     Faults reported_faults;  // the same for faults

@@ -17,8 +17,8 @@ struct Conditions {
     double air_density;  // kg/m³, 0 where only the vehicle file tells
     // Of the state, in what it is less sure of than in the flights of the model; zero where nothing tells.
     StateCovariance covariance;
-    std::int64_t commanded;  // bit per rotor whose speed follows from its command, as nothing measured it
-    std::int64_t unsettled;  // 1 while the wind is still to be told: as while the state settles
+    std::int64_t commanded;     // bit per rotor whose speed follows from its command, as nothing measured it
+    std::int64_t wind_unknown;  // 1 while the wind is still to be told: horizontal forces are not judged
 };
 
 // Lower triangular root L of a covariance L Lᵀ (Cholesky); what rounding leaves of no variance is zero.
@@ -87,8 +87,7 @@ inline void take_conditions(
     for (std::size_t sample = 0; sample < conditions.size; ++sample) {
         const Conditions& own = conditions[sample];
         verdicts[sample].commanded = own.commanded;
-        verdicts[sample].windy = own.unsettled != 0;
-        verdicts[sample].settled = verdicts[sample].settled && !verdicts[sample].windy;
+        verdicts[sample].wind_unknown = own.wind_unknown != 0;
         if (!verdicts[sample].usable) {
             continue;
         }

@@ -20,7 +20,17 @@ constexpr double SUPPORTED_G = 0.6, SUPPORTED_S = 0.3;
 constexpr double WAY_S = 5.0, CARRIED_S = 0.3;
 
 // Why a model is not judged.
-enum WhyNotJudged : std::int64_t { JUDGED, PARKED, IDLES, CARRIED, MOVED, NO_SAMPLES, SETTLES, LANDS };
+enum WhyNotJudged : std::int64_t {
+    JUDGED,
+    PARKED,
+    IDLES,
+    CARRIED,
+    MOVED,
+    NO_SAMPLES,
+    SETTLES,
+    LANDS,
+    WIND_UNKNOWN
+};
 
 // What is remembered of the samples.
 struct Ground {

@@ -35,7 +35,7 @@ struct Verdict {
     Vector3 specific_force;  // m/s², body axes
     PerRotor rotor_speeds;   // rad/s
     std::int64_t commanded;  // bit per rotor whose speed follows from its command
-    bool windy;              // whether the wind is still to be told: it then has not settled either
+    bool wind_unknown;       // whether the wind is still to be told: horizontal forces are not judged
 };
 
 // All that the preparation knows and remembers.
