@@ -443,5 +443,8 @@ class Monitors:
                 break
         self._monitors[name] = monitor
         if name == next(iter(self._monitors)):
-            unknown = self.sample_context.wind_unknown
-            self.sample_context = SampleContext(monitor.model, monitor.vehicle, wind_unknown=unknown)
+            before = self.sample_context
+            self.sample_context = SampleContext(
+                monitor.model, monitor.vehicle, wind_unknown=before.wind_unknown
+            )
+            self.sample_context.go_on_from(before)

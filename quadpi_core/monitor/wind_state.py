@@ -59,6 +59,7 @@ class WindState:
             is no drag; 0 where it is not known.
 
     Attributes:
+        drag: as given.
         is_measured: whether a topic tells the wind, which then counts.
     """
 
@@ -66,7 +67,7 @@ class WindState:
         # Slow to import, and most models have no wind to find.
         from quadpi_core.field.drag import BIAS, STEP_S, WALK
 
-        self._drag, self._step_ns = drag, round(1e9 * STEP_S)
+        self.drag, self._step_ns = drag, round(1e9 * STEP_S)
         self._forgotten = round(FORGOTTEN_S.value / STEP_S)
         self._bias, self._walked = BIAS * BIAS, WALK * WALK * STEP_S
         self._carrying = LIFTED.value * hover_rotor_speed * hover_rotor_speed
@@ -85,7 +86,7 @@ class WindState:
         # Sums of a step: specific force and velocity along x and y, both rows of the rotation, count.
         self._sums = np.zeros(9)
         self._state = [0.0] * 4
-        variances = (self._drag.wind_m_s**2, self._drag.wind_m_s**2, self._bias, self._bias)
+        variances = (self.drag.wind_m_s**2, self.drag.wind_m_s**2, self._bias, self._bias)
         self._covariance = [[variances[i] if i == j else 0.0 for j in _STATES] for i in _STATES]
 
     @property
@@ -171,7 +172,7 @@ class WindState:
             force, velocity, turn = (
                 [one / count for one in sums[begin:end]] for begin, end in ((0, 2), (2, 4), (4, 8))
             )
-            drag = self._drag
+            drag = self.drag
             for axis, (gain, noise) in enumerate(
                 ((drag.per_mass_x_1_s, drag.noise_x_m_s2), (drag.per_mass_y_1_s, drag.noise_y_m_s2))
             ):
@@ -198,7 +199,7 @@ class WindState:
             deviation: (K,) of the wind, m/s, see :meth:`take`.
             others: conditions of the state, to which this is added; None where there are none.
         """
-        known = self._drag.known_m_s
+        known = self.drag.known_m_s
         beyond = np.maximum(np.square(deviation) - known * known, 0.0)
         if not beyond.any():
             return others
@@ -249,6 +250,11 @@ class SampleContext:
         self.unsure.reset()
         if self.wind is not None:
             self.wind.reset()
+
+    def go_on_from(self, before: SampleContext) -> None:
+        """Keep the wind of a model whose place is taken, where it is told by the same drag."""
+        if self.wind is not None and before.wind is not None and self.wind.drag == before.wind.drag:
+            self.wind = before.wind
 
     @property
     def is_needed(self) -> bool:
