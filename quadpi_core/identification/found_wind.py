@@ -54,7 +54,8 @@ def with_found_wind(
         flight, deviation = _in_wind(one, drag, vehicle)
         found.append(flight)
         deviations += [deviation] if deviation else []
-    return found, replace(drag, known_m_s=float(np.median(deviations)))
+    # Without live samples nothing is known of it but what is before a flight.
+    return found, replace(drag, known_m_s=float(np.median(deviations or [known])))
 
 
 def in_found_wind(flight: PreparedFlight, drag: WindDrag | None, vehicle: Vehicle) -> PreparedFlight:

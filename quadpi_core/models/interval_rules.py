@@ -508,7 +508,7 @@ class WindDrag:
 
     per_mass_x_1_s: Annotated[float, Within(0.0)]
     per_mass_y_1_s: Annotated[float, Within(0.0)]
-    noise_x_m_s2: Annotated[float, Within(0.0)]
-    noise_y_m_s2: Annotated[float, Within(0.0)]
+    noise_x_m_s2: Positive
+    noise_y_m_s2: Positive
     wind_m_s: Annotated[float, Within(0.0)]
     known_m_s: Annotated[float, Within(0.0)] = 0.0

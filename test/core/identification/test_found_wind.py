@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,6 +14,8 @@ import pytest
 import yaml
 
 from quadpi_core import frames
+from quadpi_core.config_schema import parse_config
+from quadpi_core.errors import ModelError
 from quadpi_core.estimator.fusion import fuse
 from quadpi_core.estimator.slow_states import with_slow_state
 from quadpi_core.flight import OdometryStream, Recording
@@ -296,3 +298,60 @@ def test_the_ground_tells_no_wind(prepared: Sequence[PreparedFlight]) -> None:
     samples.rotor_speeds[:] = 0.3 * hover
     _, deviation = WindState(drag, hover).take(samples)
     assert deviation.min() == 6.0
+
+
+def context_of(drag: WindDrag) -> SampleContext:
+    model = SimpleNamespace(wind=drag, state=SETTLED, alarm_limits=SimpleNamespace(hover_rotor_speed=0.0))
+    return SampleContext(model, VEHICLE, wind_unknown=True)
+
+
+def test_a_wind_that_is_known_to_twice_what_it_was_in_training_lets_forces_be_judged() -> None:
+    level = np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
+    for known in (0.3, 0.5):
+        state = WindState(replace(DRAG, known_m_s=known), 0.0)
+        found = state.conditions(level, known * np.array([1.98, 2.02]), None)
+        assert found["wind_unknown"].tolist() == [0, 1]
+
+
+@pytest.mark.parametrize(("gap_s", "kept"), [(590, True), (610, False)])
+def test_a_wind_is_forgotten_after_ten_minutes(gap_s: int, kept: bool) -> None:
+    samples = drifting()
+    samples.time_ns[500:] += gap_s * 1_000_000_000
+    wind, _ = in_blocks(samples, DRAG, 1000)
+    assert (wind[530, 0] > 2.0) == kept
+
+
+def test_a_model_of_the_same_drag_goes_on_with_the_wind_that_is_known() -> None:
+    before, samples = context_of(DRAG), drifting()
+    before.of(samples)
+    for drag in (replace(DRAG), replace(DRAG, per_mass_x_1_s=0.4)):
+        after = context_of(drag)
+        after.go_on_from(before)
+        assert (after.wind.deviation == before.wind.deviation) == (drag == DRAG)
+        assert (after.wind.deviation < 6.0) == (drag == DRAG)
+
+
+def test_after_a_reset_no_topic_measures_the_wind() -> None:
+    context, samples = context_of(DRAG), drifting()
+    samples.wind[:] = 1.0
+    context.of(samples)
+    assert not context.is_needed
+    context.reset()
+    assert context.is_needed
+    assert context.of(drifting())[1][-1, -3] > 2.0
+
+
+def test_flights_without_live_samples_tell_a_drag_that_can_be_kept(
+    prepared: Sequence[PreparedFlight],
+) -> None:
+    _, drag = with_found_wind([replace(one, live=None) for one in prepared], VEHICLE)
+    assert drag is not None
+    assert drag.known_m_s == drag.wind_m_s
+
+
+def test_a_drag_without_noise_is_refused() -> None:
+    content = asdict(DRAG)
+    assert parse_config(WindDrag, content, "a model", ModelError) == DRAG
+    for name in ("noise_x_m_s2", "noise_y_m_s2"):
+        with pytest.raises(ModelError, match=name):
+            parse_config(WindDrag, content | {name: 0.0}, "a model", ModelError)
