@@ -218,7 +218,7 @@ class WrenchModel:
             # Slow to import, and most models have no wind to find.
             from quadpi_core.identification.found_wind import in_found_wind
 
-            prepared = [in_found_wind(flight, model.wind, given.vehicle) for flight in prepared]
+            prepared = tuple(in_found_wind(flight, model.wind, given.vehicle) for flight in prepared)
         return [model.evaluate(flight, confidence) for flight in prepared]
 
     def score(self, flights: Flights, y: None = None) -> float:
