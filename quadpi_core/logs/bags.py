@@ -180,6 +180,9 @@ class BagRecording:
         A position whose attitude nothing tells is left out, and that is said.
         """
         states = self._adapted.get("odometry")
+        if states is not None and states.adapter.without_attitude and not self._is_read(states):
+            self._leave_out(states, "none of its messages gives a position")
+            states = None
         if {"pose", "twist"} & self.streams or (states is None and "odometry" in self.streams):
             return False
         if states is not None and not states.adapter.without_attitude:
@@ -198,11 +201,24 @@ class BagRecording:
                 return True
             break
         if states is not None:
-            del self._adapted["odometry"]
-            self.streams.discard("odometry")
-            said = "is not read: its attitude must be the orientation of an IMU in body axes, which %s lacks"
-            _log.warning(f"%s: topic %s: {said}", self._bag.path, states.name, topic or "the topic imu")
+            lacks = f"which {topic or 'the topic imu'} lacks"
+            self._leave_out(states, f"its attitude must be the orientation of an IMU in body axes, {lacks}")
         return False
+
+    def _is_read(self, states: AdaptedTopic) -> bool:
+        """Whether any message of a state gives a sample."""
+        reading = AdaptedReading(self._bag.path, states, self._adapters, self._known_vehicle)
+        before = 0
+        for block in self._bag.blocks([states.name]):
+            if reading.unpack(block[states.name], before):
+                return True
+            before += len(block[states.name].payloads)
+        return False
+
+    def _leave_out(self, states: AdaptedTopic, why: str) -> None:
+        del self._adapted["odometry"]
+        self.streams.discard("odometry")
+        _log.warning("%s: topic %s: is not read: %s", self._bag.path, states.name, why)
 
     @property
     def _is_commanded(self) -> bool:

@@ -286,7 +286,7 @@ def test_the_temperature_of_a_part_is_not_that_of_the_air(tmp_path: Path) -> Non
     assert [one.name for one in found] == ["/quad/imu/temperature_baro", "/quad/temperature"]
 
 
-def oriented(vendor, flight):
+def oriented(vendor, flight, frame_id="base_link"):
     """IMU messages whose orientation is the attitude of motion capture, as mavros sends them."""
     imu, pose = flight.imu, flight.pose
     at = np.clip(np.searchsorted(pose.time_ns, imu.time_ns), 0, len(pose) - 1)
@@ -295,7 +295,7 @@ def oriented(vendor, flight):
         vendor.bytes(
             vendor.make(
                 "sensor_msgs/msg/Imu",
-                header=vendor.header(int(time_ns), "base_link"),
+                header=vendor.header(int(time_ns), frame_id),
                 orientation=vendor.make("geometry_msgs/msg/Quaternion", **dict(zip("xyzw", q, strict=True))),
                 orientation_covariance=4e-4 * np.eye(3).ravel(),
                 angular_velocity_covariance=np.zeros(9),
@@ -353,3 +353,12 @@ def test_an_orientation_alone_is_the_attitude(tmp_path, vendor, flown, caplog):
     log = read_field_log(tmp_path / "turned", ReadingOptions())
     assert (log.velocity, log.position) == (None, None)
     assert len(log.attitude) == len(state)
+
+
+def test_satellites_without_a_fix_are_as_no_topic(tmp_path, vendor, flown, caplog):
+    store, stamps = vendor.px4_1_14, flown.pose.time_ns[::20]
+    lost = [satellite_fix(store, int(time_ns), 47.0, 8.0, 500.0, status=-1) for time_ns in stamps]
+    topics = oriented(store, flown) | {"/fix": ("sensor_msgs/msg/NavSatFix", stamps, lost)}
+    state = read_bag(write(tmp_path / "lost", store, topics)).odometry
+    assert np.unique(state.deviation[:, [0, 2]]).tolist() == [NOT_MEASURED]
+    assert "topic /fix: is not read: none of its messages gives a position" in caplog.text
