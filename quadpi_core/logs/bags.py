@@ -41,7 +41,7 @@ from quadpi_core.logs.bag_topics import AdaptedReading, AdaptedTopic, find_topic
 from quadpi_core.logs.bag_writer import BagWriter, mcap_writer
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.adapters.adapter_settings import AdapterSettings
-from quadpi_core.messages.frame_ids import TF_TOPIC, TF_TYPE, BodyFrames, Framed, names_of
+from quadpi_core.messages.frame_ids import TF_TOPIC, TF_TYPE, BodyFrames, Framed, FrameRefusedError, names_of
 from quadpi_core.messages.payloads import Payloads, Topic
 from quadpi_core.messages.result_messages import unpack_alarms, unpack_predictions
 from quadpi_core.messages.topics import TOPIC_TYPES
@@ -192,7 +192,10 @@ class BagRecording:
             assert topic is not None
             turned = unpacked_topic(self._bag.path, block[topic], sensor_messages.unpack_orientation)[1]
             names, _ = names_of(block[topic].payloads[0], 1)
-            in_body = self._frames.imu(names) is None
+            try:
+                in_body = self._frames.imu(names) is None
+            except FrameRefusedError as error:
+                raise LogError(f"{self._bag.path}: topic {topic}: sample 0: {error}") from error
             if in_body and len(turned) > 1 and np.ptp(turned, axis=0).any():
                 if states is None:
                     _log.warning(

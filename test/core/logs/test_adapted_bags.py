@@ -362,3 +362,10 @@ def test_satellites_without_a_fix_are_as_no_topic(tmp_path, vendor, flown, caplo
     state = read_bag(write(tmp_path / "lost", store, topics)).odometry
     assert np.unique(state.deviation[:, [0, 2]]).tolist() == [NOT_MEASURED]
     assert "topic /fix: is not read: none of its messages gives a position" in caplog.text
+
+
+def test_an_orientation_in_axes_that_cannot_be_used_is_one_clear_line(tmp_path, vendor, flown):
+    store = vendor.px4_1_14
+    bag = write(tmp_path / "ned", store, oriented(store, flown, "imu_ned"))
+    with pytest.raises(LogError, match=r"ned: topic /mavros/imu/data: sample 0: the frame `imu_ned`"):
+        read_bag(bag)
