@@ -183,9 +183,8 @@ class BagRecording:
         if states is not None and states.adapter.without_attitude and not self._is_read(states):
             self._leave_out(states, "none of its messages gives a position")
             states = None
-        if {"pose", "twist"} & self.streams or (states is None and "odometry" in self.streams):
-            return False
-        if states is not None and not states.adapter.without_attitude:
+        bare = states is not None and states.adapter.without_attitude
+        if not bare and {"pose", "twist", "odometry"} & self.streams:
             return False
         topic = self._names.get("imu")
         for block in () if topic is None else self._bag.blocks([topic]):
@@ -335,12 +334,13 @@ class _Unpacking:
             stream = reading.unpack(topics[reading.name], before=self._read[reading.name])
             if stream is not None:
                 streams[_FIELDS_OF_KINDS[kind]] = stream
-        if self.orientation is not None and len(topics[self._names["imu"]].payloads):
-            self.orientation.take(topics[self._names["imu"]].payloads)
-            states = self.orientation.of_states(
-                streams.get("odometry"), streams["imu"], "odometry" in self._adapted
-            )
-            streams["odometry"] = states
+        if self.orientation is not None:
+            states = streams.pop("odometry", None)
+            if len(topics[self._names["imu"]].payloads):
+                self.orientation.take(topics[self._names["imu"]].payloads)
+                streams["odometry"] = self.orientation.of_states(
+                    states, streams["imu"], "odometry" in self._adapted
+                )
         if self._commanded is not None:
             # Those that are measured stand in nowhere, not even where no command came.
             streams.pop("rotor_speeds", None)

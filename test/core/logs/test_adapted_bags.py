@@ -17,12 +17,13 @@ from quadpi_core.errors import LogError
 from quadpi_core.field.field_reading import read_field_log
 from quadpi_core.flight import NOT_MEASURED, AirStream
 from quadpi_core.frames import body_frd_to_flu, quaternion_frd_ned_to_flu_enu, rotate_body_to_world
-from quadpi_core.logs import read_recording
+from quadpi_core.logs import bag_files, read_recording
 from quadpi_core.logs.bag_files import Bag
 from quadpi_core.logs.bag_topics import unnamed
 from quadpi_core.logs.bag_writer import write_mcap
 from quadpi_core.logs.bags import read_bag
 from quadpi_core.messages import sensor_messages
+from quadpi_core.messages.adapters.adapter_settings import AdapterSettings
 from quadpi_core.messages.payloads import Topic
 from quadpi_core.paths import config_directory
 from quadpi_core.reading_options import ReadingOptions
@@ -369,3 +370,30 @@ def test_an_orientation_in_axes_that_cannot_be_used_is_one_clear_line(tmp_path, 
     bag = write(tmp_path / "ned", store, oriented(store, flown, "imu_ned"))
     with pytest.raises(LogError, match=r"ned: topic /mavros/imu/data: sample 0: the frame `imu_ned`"):
         read_bag(bag)
+
+
+def test_satellites_beside_motion_capture_get_no_attitude_that_nobody_measured(tmp_path, vendor, flown):
+    store, pose = vendor.px4_1_14, flown.pose
+    fixes = [satellite_fix(store, int(time_ns), 47.0, 8.0, 500.0) for time_ns in pose.time_ns[::20]]
+    topics = {
+        "/imu": imu_topic(flown),
+        "/mocap/pose": (sensor_messages.POSE, pose.time_ns, list(sensor_messages.pack_pose(pose))),
+        "/fix": ("sensor_msgs/msg/NavSatFix", pose.time_ns[::20], fixes),
+    }
+    named = AdapterSettings().with_topics({"odometry": "/fix"}, "")
+    recording = read_bag(write(tmp_path / "both", store, topics), adapters=named)
+    assert recording.odometry is None
+    assert len(recording.pose) == len(pose)
+
+
+def test_satellites_without_an_imu_beside_them_have_no_attitude(tmp_path, vendor, flown, monkeypatch):
+    store = vendor.px4_1_14
+    later = flown.imu.time_ns[-1] + 100_000_000 * np.arange(1, 400)
+    stamps = np.concatenate((flown.pose.time_ns[10::20], later))
+    fixes = [satellite_fix(store, int(time_ns), 47.0, 8.0, 500.0) for time_ns in stamps]
+    topics = oriented(store, flown) | {"/fix": ("sensor_msgs/msg/NavSatFix", stamps, fixes)}
+    monkeypatch.setattr(bag_files, "BLOCK_MESSAGES", 100)
+    state = read_bag(write(tmp_path / "gone", store, topics)).odometry
+    level = np.all(state.attitude == [1.0, 0.0, 0.0, 0.0], axis=1)
+    assert len(state) < 300
+    assert not level.any()
