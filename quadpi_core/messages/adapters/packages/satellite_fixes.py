@@ -8,6 +8,7 @@ from collections import Counter
 
 import numpy as np
 
+from quadpi_core.core import compiled, cosine, sine
 from quadpi_core.flight import NOT_MEASURED, OdometryStream
 from quadpi_core.frames import Array
 from quadpi_core.messages.adapters.adapter_definition import STAMP, Adapter, Reading
@@ -16,8 +17,8 @@ from quadpi_core.vehicle import Vehicle
 
 # Semi-major axis [m] and squared eccentricity of WGS 84 (NIMA TR8350.2).
 _AXIS_M, _ECCENTRICITY = 6_378_137.0, 6.694_379_990_14e-3
-# `status` without a fix, and `position_covariance_type` of one that is not known.
-_NO_FIX, _UNKNOWN = 0, 0
+# Least `status` of a fix, and `position_covariance_type` of one that is not known.
+_LEAST_STATUS, _UNKNOWN = 0, 0
 
 
 def local_position(latitude: Array, longitude: Array, height: Array, origin: Array) -> Array:
@@ -32,10 +33,10 @@ def local_position(latitude: Array, longitude: Array, height: Array, origin: Arr
         height: (N,) m above the ellipsoid.
         origin: latitude, longitude and height.
     """
-    sine, cosine = np.sin(np.deg2rad(origin[0])), np.cos(np.deg2rad(origin[0]))
-    flatness = 1.0 - _ECCENTRICITY * sine * sine
-    along = _AXIS_M * (1.0 - _ECCENTRICITY) / flatness**1.5 + origin[2]
-    across = (_AXIS_M / np.sqrt(flatness) + origin[2]) * cosine
+    turned = np.deg2rad(origin[:1])
+    flatness = 1.0 - _ECCENTRICITY * sine(turned) * sine(turned)
+    along = _AXIS_M * (1.0 - _ECCENTRICITY) / (flatness * np.sqrt(flatness)) + origin[2]
+    across = (_AXIS_M / np.sqrt(flatness) + origin[2]) * cosine(turned)
     # The shorter way round, where a flight crosses 180°.
     east = (longitude - origin[1] + 180.0) % 360.0 - 180.0
     metres: Array = np.column_stack(
@@ -50,9 +51,18 @@ def _start(_settings: object, _vehicle: Vehicle | None) -> Reading:
 
     def read(columns: Columns, _items: object) -> OdometryStream:
         fixes = np.column_stack([columns[name] for name in ("latitude", "longitude", "altitude")])
-        fixed = np.isfinite(fixes).all(axis=1) & (columns["status.status"] >= _NO_FIX)
+        # Receivers say zeros until they know better, some with the status of a fix.
+        possible = (np.abs(fixes[:, 0]) <= 90.0) & (np.abs(fixes[:, 1]) <= 360.0) & fixes[:, :2].any(axis=1)
+        fixed = possible & np.isfinite(fixes[:, 2]) & (columns["status.status"] >= _LEAST_STATUS)
         if not fixed.all():
             dropped["no fix"] += int(np.sum(~fixed))
+        covariance = columns["position_covariance"]
+        mean = (covariance[:, 0] + covariance[:, 4] + covariance[:, 8]) / 3.0
+        told = columns["position_covariance_type"] != _UNKNOWN
+        vague = fixed & told & (mean >= compiled.UNKNOWN_VARIANCE)
+        if vague.any():
+            dropped["position is not known"] += int(np.sum(vague))
+            fixed &= ~vague
         fixes, time_ns = fixes[fixed], header_stamps(columns)[fixed]
         if len(fixes) and not origin:
             origin.append(fixes[0])
@@ -61,11 +71,8 @@ def _start(_settings: object, _vehicle: Vehicle | None) -> Reading:
             if len(fixes)
             else np.empty((0, 3))
         )
-        variances = columns["position_covariance"].reshape(-1, 3, 3)[fixed]
-        mean = np.einsum("nii->n", variances) / 3.0
-        known = (columns["position_covariance_type"][fixed] != _UNKNOWN) & (mean > 0.0)
         deviation = np.full((len(fixes), 3), NOT_MEASURED)
-        deviation[:, 0] = np.sqrt(np.where(known, mean, 0.0))
+        deviation[:, 0] = np.sqrt(np.where(told & (mean > 0.0), mean, 0.0)[fixed])
         level, nothing = np.zeros((len(fixes), 4)), np.zeros((len(fixes), 3))
         level[:, 0] = 1.0
         return OdometryStream(time_ns, position, level, nothing, nothing.copy(), deviation)

@@ -65,3 +65,26 @@ def test_what_is_no_fix_is_dropped_and_is_no_origin(vendor) -> None:
     assert reading.dropped == {"no fix": 2}
     at = reading.unpack(satellite_fix(vendor.px4_1_14, START_NS + 2, 47.0, 8.0, 500.0))
     np.testing.assert_array_equal(at.position, np.zeros((1, 3)))
+
+
+@pytest.mark.parametrize(("latitude", "longitude"), [(0.0, 0.0), (91.0, 8.0), (47.0, 400.0)])
+def test_no_place_is_no_origin(vendor, latitude, longitude):
+    reading = opened(vendor.px4_1_14, "fix")
+    first = satellite_fix(vendor.px4_1_14, START_NS, latitude, longitude, 0.0)
+    assert len(reading.unpack(first)) == 0
+    at = reading.unpack(satellite_fix(vendor.px4_1_14, START_NS + 1, 47.0, 8.0, 500.0))
+    assert at.position.tolist() == [[0.0, 0.0, 0.0]]
+    assert reading.dropped == {"no fix": 1}
+
+
+@pytest.mark.parametrize("variance", [np.inf, 1e4])
+def test_a_position_that_its_message_does_not_know_is_none(vendor, variance):
+    reading = opened(vendor.px4_1_14, "fix")
+    fix = satellite_fix(vendor.px4_1_14, START_NS, 47.0, 8.0, 500.0, variance=variance)
+    assert len(reading.unpack(fix)) == 0
+    assert reading.dropped == {"position is not known": 1}
+
+
+def test_a_covariance_that_is_no_number_says_nothing(vendor):
+    fix = satellite_fix(vendor.px4_1_14, START_NS, 47.0, 8.0, 500.0, variance=np.nan)
+    assert opened(vendor.px4_1_14, "fix").unpack(fix).deviation[0, 0] == 0.0

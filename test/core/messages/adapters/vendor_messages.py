@@ -315,7 +315,7 @@ def satellite_fix(vendor, time_ns, latitude, longitude, altitude, status=0, vari
             latitude=latitude,
             longitude=longitude,
             altitude=altitude,
-            position_covariance=variance * np.eye(3).ravel(),
+            position_covariance=np.diag([variance] * 3).ravel(),
             position_covariance_type=kind,
         )
     )
