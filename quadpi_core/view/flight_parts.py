@@ -216,6 +216,7 @@ def judged(
                 context.reset()
             for monitor in monitors:
                 monitor.retune(stretch.rate)
+                monitor.fly_in(stretch.density)
             states = held[:] if stretch.states is None else [stretch.states.odometry]
             held.clear()
             context.unsure.take(stretch.deviations)

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor.replay import replay
 from quadpi_core.paths import bags_directory
 from quadpi_core.vehicle import Vehicle
+from quadpi_core.view.flight_parts import judged
 
 # From 5 s on the vehicle is 1000 m higher, as if it had been carried up.
 THICK, THIN = (101325.0, 15.0), (89874.6, 8.5)
@@ -71,6 +73,12 @@ def test_predictions_go_with_the_density(bags, physical_folder: Path, tmp_path: 
     ratios = air.predicted[:, 2] / plain.predicted[:, 2]
     assert np.median(ratios[seconds < 3.0]) == pytest.approx(1.0, abs=2e-3)
     assert np.median(ratios[seconds > 6.0]) == pytest.approx(1.1117 / 1.225, abs=2e-3)
+    # The page shows the same.
+    page = Mock()
+    for part in judged(bags[1], [model], vehicle, None):
+        part(page)
+    shown = [call.args[1].predicted for call in page.take_predictions.call_args_list]
+    assert np.array_equal(np.concatenate(shown), air.predicted)
 
 
 def test_prepared_flights_have_the_density_of_their_air(bags) -> None:
