@@ -118,7 +118,7 @@ _MOCAP_DELAY_MAX_S = 0.3
 
 
 # Of an attitude [rad], from which on no vehicle flies by it: drivers fill covariances with ones.
-_FILLED_IN = 1.0
+FILLED_IN = 1.0
 
 
 def stated_deviation(deviation: Array) -> Array:
@@ -126,7 +126,7 @@ def stated_deviation(deviation: Array) -> Array:
 
     Which are those of an attitude that no vehicle could fly by, and what stands beside it.
     """
-    filled = (deviation[..., 1:2] >= _FILLED_IN) & (deviation >= 0.0)
+    filled = (deviation[..., 1:2] >= FILLED_IN) & (deviation >= 0.0)
     return np.where(filled, 0.0, deviation)
 
 

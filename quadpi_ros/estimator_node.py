@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, NamedTuple
@@ -42,6 +42,8 @@ IMU_TOPIC = "imu"
 _INITIALISING_S = 3.0
 # Newest stamps of two topics that are further apart come from different clocks.
 _APART_S = 1.0
+# IMU messages that a late position finds the orientation of its stamp in: half a second at 1 kHz.
+_REMEMBERED = 512
 _FUSED = {f"{kind} {outcome}" for kind in ("poses", "velocities") for outcome in ("used", "collected")}
 _LEVELS = {
     EstimatorStatus.INITIALISING: callbacks.WARN,
@@ -84,7 +86,7 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         )
         adapted = AdaptedSources(self.get_name(), parameters.adapters, vehicle)
         self._body = self.frames_of(parameters.body_frame, parameters.frames)
-        self._oriented = b""
+        self._oriented: deque[tuple[int, bytes]] = deque(maxlen=_REMEMBERED)
         self._imu = adapted.instead_of(framed_imu(self._body), "imu")
         self._mocap, self._take_mocap = self._motion_capture(adapted)
         self._noise, self._usual = vehicle.noise, usual_noise(vehicle)
@@ -123,11 +125,12 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         return Source(message_type, topic, IncomingMessage(kind, self._body.world, self._body)), take
 
     def _noting(self, unpack: Callable[[bytes], ImuStream]) -> Callable[[bytes], ImuStream]:
-        """An unpacker that notes the message, for its orientation."""
+        """An unpacker that notes the messages, for their orientation."""
 
         def noted(payload: bytes) -> ImuStream:
-            self._oriented = payload
-            return unpack(payload)
+            imu = unpack(payload)
+            self._oriented.extend((int(time_ns), payload) for time_ns in imu.time_ns)
+            return imu
 
         return noted
 
@@ -234,17 +237,19 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
             self._ekf.update_velocity(time_ns, odometry.velocity[0], True, stated[2])
 
     def _take_fix(self, fix: OdometryStream) -> None:
-        """Take a position by satellites, with the attitude that the IMU's last message says."""
+        """Take a position by satellites, with the attitude that the IMU's last message before it says."""
         turned: tuple[Any, Any, Any] = ((), (), ())
+        stamp_ns = int(fix.time_ns[0])
+        message = next((one for time_ns, one in reversed(self._oriented) if time_ns <= stamp_ns), b"")
         with suppress(FrameRefusedError):
-            if self._oriented and self._body.imu(names_of(self._oriented, 1)[0]) is None:
-                turned = sensor_messages.unpack_orientation(self._oriented)
+            if message and self._body.imu(names_of(message, 1)[0]) is None:
+                turned = sensor_messages.unpack_orientation(message)
         if len(turned[0]) == 0:
             self._mocap_health.refuse(f"no orientation of the body in {self._imu.topic}")
             return
         fix.deviation[:, 1] = turned[2]
         stated = np.where(fix.deviation == 0.0, self._usual, fix.deviation)[0]
-        self._ekf.update_pose(int(fix.time_ns[0]), fix.position[0], turned[1][0], stated[:2])
+        self._ekf.update_pose(stamp_ns, fix.position[0], turned[1][0], stated[:2])
 
     def _take_twist(self, twist: TwistStream) -> None:
         self._velocities.take([int(twist.time_ns[0])])

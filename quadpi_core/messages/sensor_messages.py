@@ -45,7 +45,7 @@ from quadpi_core.messages.cdr import NANOSECONDS, header_stamps
 from quadpi_core.messages.definitions import codec
 from quadpi_core.messages.payloads import ODOMETRY_VALUES, Payloads
 from quadpi_core.records import NORM_TOLERANCE, Records
-from quadpi_core.vehicle import SensorNoise, Vehicle
+from quadpi_core.vehicle import FILLED_IN, SensorNoise, Vehicle
 
 IMU = "sensor_msgs/msg/Imu"
 POSE = "geometry_msgs/msg/PoseStamped"
@@ -134,7 +134,7 @@ class SampleKind(Generic[SomeStream]):
 def unpack_orientation(payloads: Payloads | bytes) -> tuple[Stamps, Array, Array]:
     """Stamps, attitudes (M, 4) and their deviations (M,) rad of IMU messages that have an orientation.
 
-    A deviation is 0 where the message does not say it. The axes are those of the IMU.
+    A deviation is 0 where the message does not say it, or is filled in. The axes are those of the IMU.
     """
     columns = codec(IMU).decode(payloads)
     quaternion, covariance = columns["orientation"], columns["orientation_covariance"]
@@ -142,7 +142,7 @@ def unpack_orientation(payloads: Payloads | bytes) -> tuple[Stamps, Array, Array
     told = (covariance[:, 0] != _ABSENT) & (np.abs(norm - 1.0) <= NORM_TOLERANCE)
     wxyz = quaternion[told][:, [3, 0, 1, 2]] / norm[told, np.newaxis]
     mean = np.mean(covariance[told][:, [0, 4, 8]], axis=1)
-    deviation = np.sqrt(np.where((mean > 0.0) & (mean < compiled.UNKNOWN_VARIANCE), mean, 0.0))
+    deviation = np.sqrt(np.where((mean > 0.0) & (mean < FILLED_IN**2), mean, 0.0))
     return header_stamps(columns)[told], quaternion_flu_enu_to_frd_ned(wxyz), deviation
 
 

@@ -206,6 +206,40 @@ def test_satellites_give_the_position_and_the_imu_the_attitude(
     np.testing.assert_allclose(odometry.position[-1], [7.8, 0.0, 0.0], atol=0.3)
 
 
+def test_a_late_fix_has_the_orientation_of_its_stamp(
+    ros_domain: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Yaw at 1 rad/s; the IMU comes at 100 Hz, fixes at 5 Hz, 0.15 s after their stamps."""
+    told: list[list[float]] = []
+    felt = {"angular_velocity": np.array([[0.0, 0.0, 1.0]]), "linear_acceleration": np.array([[0, 0, 9.81]])}
+    with started(ros_domain, "-p", "vehicle:=neurobem", "-p", "mocap_topic:=fix"):
+        node = EstimatorNode()
+        start([node])
+        monkeypatch.setattr(
+            node._ekf, "update_pose", lambda *given: told.append([given[0], *given[2], given[3][1]])
+        )
+        take = {one.topic_name: one.callback for one in node.subscriptions}
+        for step in range(100):
+            stamp, half = np.array([10_000_000 * (100 + step)]), 0.005 * step
+            header = sensor_messages.header_columns(stamp, "base_link")
+            known = {
+                "orientation": np.array([[0.0, 0.0, np.sin(half), np.cos(half)]]),
+                "orientation_covariance": np.eye(3).reshape(1, 9),
+            }
+            take["/imu"](codec(sensor_messages.IMU).encode(1, {**header, **known, **felt})[0])
+            if step % 20 == 19:
+                fix = NavSatFix(latitude=47.0, longitude=8.0)
+                fix.status.status = 0
+                fix.header.stamp.sec, fix.header.stamp.nanosec = divmod(int(stamp[0]) - 150_000_000, 10**9)
+                take["/fix"](serialize_message(fix))
+        node.destroy_node()
+    time_ns, *attitude, deviation = np.array(told).T
+    # Forward-right-down of a body that turns to the left from east.
+    yaw = 2.0 * np.arctan2(attitude[3], attitude[0])
+    np.testing.assert_allclose(np.pi / 2.0 - (1e-9 * time_ns - 1.0), yaw, atol=1e-6)
+    assert np.all(deviation < 1.0), "ones are filled in"
+
+
 @pytest.mark.skipif(importlib.util.find_spec("tf2_msgs") is not None, reason="tf2_msgs is installed")
 def test_without_the_package_of_its_messages_the_estimator_does_not_start(
     run_main: Callable[..., tuple[int, str]],

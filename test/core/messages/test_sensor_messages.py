@@ -16,7 +16,7 @@ from quadpi_core.flight import (
     WindStream,
 )
 from quadpi_core.messages import sensor_messages
-from quadpi_core.messages.definitions import typestore
+from quadpi_core.messages.definitions import codec, typestore
 from quadpi_core.messages.payloads import Payloads
 from quadpi_core.vehicle import SensorNoise, Vehicle
 
@@ -66,6 +66,21 @@ def test_imu_is_flu_and_marks_orientation_absent(rng):
         assert one.header.frame_id == "drone/base"
     assert_same(sensor_messages.unpack_imu(payloads), stream)
     assert sensor_messages.unpack_imu(payloads[3]).time_ns.tolist() == [TIME_NS[3]]
+
+
+@pytest.mark.parametrize(("variance", "deviation"), [(0.04, 0.2), (0.81, 0.9), (1.0, 0.0), (np.nan, 0.0)])
+def test_an_orientation_whose_covariance_is_filled_in_says_no_noise(variance, deviation):
+    message = codec(sensor_messages.IMU).encode(
+        1,
+        {
+            **sensor_messages.header_columns(TIME_NS[:1], "base_link"),
+            "orientation": np.array([[0.0, 0.0, 0.0, 1.0]]),
+            "orientation_covariance": np.diag([variance] * 3).reshape(1, 9),
+            "angular_velocity": np.zeros((1, 3)),
+            "linear_acceleration": np.zeros((1, 3)),
+        },
+    )
+    assert sensor_messages.unpack_orientation(message)[2].tolist() == pytest.approx([deviation])
 
 
 def test_pose_is_enu_with_x_first_quaternion(rng):
