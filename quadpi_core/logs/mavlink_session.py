@@ -335,15 +335,18 @@ class MavlinkSession:
         """Requested rate by message, for messages that this autopilot can send."""
         rates = self._settings.rates_hz
         imu, rotors, states = rates["imu"], rates["rotor_speeds"], rates["odometry"]
+        # Commands stand in for speeds that nobody tells.
+        silent = self._seen_before and not any(self._seen[name] for name in ("ESC_STATUS", *_ESC_TELEMETRY))
+        commands = rotors if silent else 0.0
         desired = {"HIGHRES_IMU": imu, "ATTITUDE_QUATERNION": states, "BATTERY_STATUS": _BATTERY_HZ}
         if self._samples.autopilot == ARDUPILOT:
             groups = {controller // 4 for controller in self._order.controllers}
             desired |= {_ESC_TELEMETRY[group]: rotors for group in groups if group < len(_ESC_TELEMETRY)}
-            desired |= {"LOCAL_POSITION_NED": states, "SERVO_OUTPUT_RAW": rotors}
+            desired |= {"LOCAL_POSITION_NED": states, "SERVO_OUTPUT_RAW": commands}
             if self._seen_before and not self._seen["HIGHRES_IMU"]:
                 desired["RAW_IMU"] = imu
             return desired
-        desired |= {"ODOMETRY": states, "ESC_STATUS": rotors, "ACTUATOR_OUTPUT_STATUS": rotors}
+        desired |= {"ODOMETRY": states, "ESC_STATUS": rotors, "ACTUATOR_OUTPUT_STATUS": commands}
         return desired | ({"ESC_INFO": 1.0} if self._samples.autopilot == PX4 else {})
 
     def _pack(self, now_ns: int, name: str, *values: Any) -> bytes:

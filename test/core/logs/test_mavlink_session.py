@@ -132,6 +132,25 @@ def test_messages_that_lack_are_asked_for(kind: int, rotors: int, state: int, ma
     assert rotors in again
 
 
+@pytest.mark.parametrize(("kind", "outputs"), [(PX4, 375), (ARDUPILOT, 36)])
+@pytest.mark.parametrize("told", [False, True])
+def test_commands_are_asked_for_where_no_speed_is_told(
+    kind: int, outputs: int, told: bool, mavlink_sender: Any
+) -> None:
+    settings = SessionSettings(rates_hz={"imu": 200.0, "rotor_speeds": 100.0, "odometry": 50.0})
+    autopilot = Autopilot(mavlink_sender(), settings, kind)
+    autopilot.heartbeat(START)
+    assert outputs not in asked(autopilot.listen(START))
+    if told and kind == PX4:
+        status = autopilot.sender.packet("ESC_STATUS", 0, 10_000, [4000] * 4, [0.0] * 4, [0.0] * 4)
+        autopilot.deliver(status, START + S)
+    elif told:
+        zeros = [0] * 4
+        speeds = ([30] * 4, zeros, zeros, zeros, [4000] * 4, zeros)
+        autopilot.deliver(autopilot.sender.packet("ESC_TELEMETRY_1_TO_4", *speeds), START + S)
+    assert (outputs in asked(autopilot.listen(START + 6 * S))) == (not told)
+
+
 def test_a_passive_session_sends_nothing(mavlink_sender: Any) -> None:
     autopilot = Autopilot(mavlink_sender(), SessionSettings(passive=True))
     autopilot.heartbeat(START)
