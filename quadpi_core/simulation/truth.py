@@ -424,7 +424,7 @@ def read_motion(data: Any) -> Motion:
     for axis, entries in check_config(dict[Annotated[str, OneOf(*AXES)], Any], data).items():
         signals: Any = tuple[Annotated[Any, _Entry(AXES[axis])], ...]
         motion |= check_config(dict[str, signals], {axis: () if entries is None else entries})
-    return {axis: signals for axis, signals in motion.items() if signals}
+    return {axis: motion[axis] for axis in AXES if motion.get(axis)}
 
 
 def motion_as_dict(motion: Motion) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadpi_core.signals.wrench import newton_euler
-from quadpi_core.simulation.truth import Reference
+from quadpi_core.simulation.truth import Reference, read_motion
 
 from .references import COUPLED
 
@@ -56,3 +56,10 @@ def test_truth_as_a_flight_measures_its_own_wrench(truth):
     assert (flight.start_ns, flight.time[0]) == (truth.time_ns[0], 0.0)
     np.testing.assert_allclose(np.diff(flight.time), 0.002, atol=1e-9)
     np.testing.assert_array_equal(flight.wind, truth.wind)
+
+
+def test_axes_of_a_motion_have_one_order_whatever_the_file_s():
+    step = {
+        "sine": {"amplitude_m": 1.5, "frequency_hz": 0.25, "start_s": 0.5, "duration_s": 7.0, "fade_s": 2.0}
+    }
+    assert list(read_motion({"height": [step], "y": None, "x": [step]})) == ["x", "height"]
