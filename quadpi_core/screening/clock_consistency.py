@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Streams that were stamped by different clocks: the offset at which they tell of one motion."""
+"""Whether streams tell of one motion: the offset of their clocks, and the order and spins of the rotors."""
 
 from __future__ import annotations
 
@@ -56,6 +56,8 @@ _CARRYING_SHARE = 0.4
 _FEWEST_ROTORS, _ALL_ORDERS_OF = 3, 5
 # Score of an order, the order, and whether spins are inverted.
 _Best: TypeAlias = tuple[float, tuple[int, ...], bool]
+# By how much of the score, the sum over axes of squared correlations, inverted spins count less than another
+# order (a tie-break alone), and within which orders count as alike (set, not measured).
 _INVERTED, _ALIKE = 1e-6, 0.05
 _NONE: _Best = (-np.inf, (), False)
 
@@ -213,12 +215,15 @@ def _best_order(moving: Array, squares: Array, levers: Array) -> tuple[tuple[int
     count = len(levers.T)
     # Sums of products are taken once: (3, rotors) with the motion, and of squares.
     told, gram, power = moving.T @ squares, squares.T @ squares, np.sum(moving**2, axis=0)
+    # Where the squares of the rotors cancel but for rounding, nothing correlates.
+    least = 1e-9 * np.trace(gram) * np.sum(levers**2, axis=1)
 
     def best_of(orders: Iterable[Sequence[int]], best: _Best = _NONE) -> _Best:
         for order in orders:
             own = list(order)
             spread = np.einsum("ar,rs,as->a", levers, gram[np.ix_(own, own)], levers)
-            correlation = np.sum(told[:, own] * levers, axis=1) / np.sqrt(np.maximum(power * spread, 1e-30))
+            noticed = np.sqrt(np.maximum(power * np.maximum(spread, least), 1e-30))
+            correlation = np.sum(told[:, own] * levers, axis=1) / noticed
             for inverted in (False, True):
                 signed = correlation * (1.0, 1.0, -1.0 if inverted else 1.0)
                 score = float(np.sum(signed * np.abs(signed)))
