@@ -157,8 +157,9 @@ def test_one_state_that_lacks_a_part_does_not_decide_for_the_flight(recording, f
 def test_blocks_are_corrected_as_the_whole(recording, full):
     slow = with_gps(recording, full)
     whole = with_slow_state(slow, BEBOP)
-    blocks, corrects = with_slow_states(split_recording(slow), BEBOP)
+    blocks, corrects, has_velocity = with_slow_states(split_recording(slow), BEBOP)
     assert corrects
+    assert has_velocity
     joined = [block.pose.deviation for block in blocks]
     assert np.array_equal(np.concatenate(joined), whole.pose.deviation)
     fast = replace(recording, pose=None, odometry=with_gps(recording, full, 50.0).odometry, arrivals={})
