@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.stats import binomtest, chi2, norm, t
+from scipy.stats import binomtest, norm, t
 
 from quadpi_core.identification.alarm_calibration import (
     Walk,
@@ -114,11 +114,20 @@ def test_a_signal_that_never_moved_counts_as_a_fiftieth():
 
 @pytest.mark.parametrize(("seconds", "blocks"), [(1001, 20), (251, 10)])
 def test_the_tail_of_the_sequential_test_is_a_tenth_of_blocks_of_five_seconds(seconds, blocks):
-    """Ten blocks at least; the mean excess is that at the upper end of 80 % confidence."""
+    """Ten blocks at least."""
     time = np.arange(float(seconds))
     sums = np.zeros(seconds)
     sums[2 : 5 * blocks : 5] = 1.0
     walk = Walk.from_sums([sums], [time])
     assert walk.start == 0.0
     assert walk.per_hour == pytest.approx(blocks / (time[-1] / 3600.0))
-    assert walk.mean == pytest.approx(2.0 / chi2.ppf(0.2, 2))
+    assert (walk.mean, walk.flights) == (1.0, 1)
+
+
+@pytest.mark.parametrize("flights", [8, 12, 40])
+def test_a_limit_is_passed_as_often_as_stated_by_what_flights_say_of_the_tail(flights):
+    """Of means that flights may have drawn, each followed to the limit."""
+    random = np.random.default_rng(2)
+    drawn = random.exponential(0.4, (20_000, flights)).mean(axis=1)
+    limits = [Walk(0.3, float(mean), 72.0, 1000, flights).limit(0.5) for mean in drawn]
+    assert np.mean(72.0 * np.exp(-(np.array(limits) - 0.3) / 0.4)) == pytest.approx(0.5, rel=0.15)
