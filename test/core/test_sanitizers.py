@@ -17,6 +17,7 @@ from quadpi_core.core import compiled
 ROOT = Path(__file__).parents[2]
 # Together they call each function of the core; in most other tests Python takes far longer.
 TESTS = (
+    "discrepancy/test_unmeasured_states.py::test_a_bias_that_hardly_wanders",
     "discrepancy/test_unmeasured_states.py::test_a_swing_that_is_not_found_is_left_at_rest",
     "estimator",
     "identification/test_change_calibration.py::test_what_flights_leave_is_found_again",
