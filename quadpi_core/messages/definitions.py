@@ -132,6 +132,8 @@ def parse_definition(type_name: str, text: str) -> dict[str, tuple[Member, ...]]
     for number, section in enumerate(re.split("^=+\n", text, flags=re.MULTILINE)):
         name, lines = type_name, section.splitlines()
         if number:
+            if not lines:
+                raise ValueError("a separator with no type behind it")
             name = _whole_name(lines.pop(0).removeprefix("MSG:").strip(), "")
         members = [member for line in lines if (member := _member(line, name.partition("/")[0]))]
         if len({member.name for member in members}) < len(members):

@@ -10,6 +10,7 @@ from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typest
 from quadpi_core.messages.definitions import (
     codec,
     definition_text,
+    parse_definition,
     parsed_definition,
     typestore,
 )
@@ -86,3 +87,8 @@ def test_definitions_of_others_up_to_1024_items_are_read():
     )
     assert set(types) == {"a/msg/B", "a/msg/Part"}
     assert [name for name, _ in types["a/msg/B"][1]] == ["x", "y", "z"]
+
+
+def test_a_separator_with_no_type_behind_it_is_refused():
+    with pytest.raises(ValueError, match="no type behind it"):
+        parse_definition("a/msg/B", "float64 value\n====\n====\nMSG: a/C\nfloat64 other\n")
