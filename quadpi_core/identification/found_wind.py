@@ -16,7 +16,7 @@ import numpy as np
 
 from quadpi_core.field.drag import STEP_S, WIND, DragFit, DragSamples, identify_drag, piece_lengths_s
 from quadpi_core.flight import Flight
-from quadpi_core.frames import Array, rotation_matrix
+from quadpi_core.frames import Array, rotate_body_to_world, rotate_world_to_body, rotation_matrix
 from quadpi_core.identification.prepared_flights import LiveSamples, PreparedFlight
 from quadpi_core.inputs import INPUT_INDEX, VELOCITY_INPUTS, aerodynamic_inputs, flight_inputs
 from quadpi_core.models.interval_rules import WindDrag
@@ -99,7 +99,7 @@ def _live_in_wind(
             wind=np.zeros_like(velocity),
         )
     )
-    air = velocity - np.einsum("nji,nj->ni", rotation_matrix(attitude), samples.wind)
+    air = velocity - rotate_world_to_body(attitude, samples.wind)
     inputs = live.inputs.copy()
     inputs[known] = aerodynamic_inputs(air, attitude, rates, speeds, vehicle)
     # The heading alone is that of the smoothed state.
@@ -120,8 +120,6 @@ def _drag_samples(flights: Sequence[Flight]) -> list[DragSamples]:
 def _samples_of(flight: Flight, piece_s: float) -> DragSamples:
     steps = np.floor(flight.time / STEP_S).astype(np.int64)
     kept, begins, counts = np.unique(steps, return_index=True, return_counts=True)
-    turn = rotation_matrix(flight.attitude)
-    moving = np.einsum("nij,nj->ni", turn, flight.velocity)
 
     def means(values: Array) -> Array:
         return np.add.reduceat(values, begins) / counts.reshape(-1, *[1] * (values.ndim - 1))
@@ -131,7 +129,7 @@ def _samples_of(flight: Flight, piece_s: float) -> DragSamples:
         time,
         np.floor(time / piece_s).astype(np.int64),
         means(flight.specific_force),
-        means(moving),
-        turn[begins + counts // 2],
+        means(rotate_body_to_world(flight.attitude, flight.velocity)),
+        rotation_matrix(flight.attitude[begins + counts // 2]),
         None,
     )

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Annotated, Any, NamedTuple, TypeAlias, TypeVar
@@ -251,14 +252,14 @@ class Window(Section):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Wave(Window):
+class Wave(Window, ABC):
     """Sines that are faded in and out, in the unit of their axis."""
 
     amplitude: Amplitude
 
+    @abstractmethod
     def _sines(self) -> tuple[Array, Array, float]:
         """Frequencies (K,) Hz, phases (K,) rad, and how fast the frequencies rise [Hz/s]."""
-        raise NotImplementedError
 
     def jets(self, time: Array) -> Array:
         """Jets (N, 3) at instants (N,) s."""
