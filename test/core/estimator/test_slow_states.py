@@ -19,6 +19,7 @@ from quadpi_core.logs import read_recording
 from quadpi_core.reading_options import split_recording
 from quadpi_core.screening.flight_runs import parts_without_pause
 from quadpi_core.vehicle import Vehicle
+from test.core.flights_by_gps import state_by_gps
 
 BEBOP = Vehicle.load("bebop2")
 BAG = Path(__file__).parents[3] / "bags" / "train_1.mcap"
@@ -37,21 +38,7 @@ def full(recording) -> Flight:
 
 def with_gps(recording: Recording, full: Flight, rate_hz: float = 5.0, deviation: object = GPS) -> Recording:
     """A state as of GPS and an autopilot in the place of motion capture."""
-    rng = np.random.default_rng(3)
-    rows = np.arange(0, len(full), round(full.rate_hz / rate_hz))
-    tilt = frames.from_rotation_vector(rng.normal(0.0, GPS[1], (len(rows), 3)))
-    attitude = frames.products(full.attitude[rows], tilt)
-    velocity = frames.rotate_body_to_world(full.attitude[rows], full.velocity[rows])
-    velocity += rng.normal(0.0, GPS[2], velocity.shape)
-    state = OdometryStream(
-        full.stamps_ns[rows],
-        full.position[rows] + rng.normal(0.0, GPS[0], (len(rows), 3)),
-        attitude,
-        frames.rotate_world_to_body(attitude, velocity),
-        full.rates[rows],
-        np.broadcast_to(deviation, (len(rows), 3)).astype(float),
-    )
-    return replace(recording, pose=None, odometry=state, arrivals={})
+    return state_by_gps(recording, full, np.random.default_rng(3), GPS, rate_hz, deviation)
 
 
 def velocity_error(recording: Recording, full: Flight) -> np.ndarray:

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 import yaml
 
-from quadpi_core import frames
 from quadpi_core.config_schema import parse_config
 from quadpi_core.errors import ModelError
 from quadpi_core.estimator.fusion import fuse
@@ -33,6 +32,7 @@ from quadpi_core.simulation.sensor_noise import SensorSuite
 from quadpi_core.simulation.sensors import sense
 from quadpi_core.simulation.simulated_bags import fly_plan
 from quadpi_core.vehicle import Vehicle
+from test.core.flights_by_gps import state_by_gps
 
 VEHICLE = Vehicle.load("bebop2")
 GPS = np.array([1.0, 0.03, 0.1])
@@ -77,20 +77,7 @@ def by_gps(folder: Path, wind: tuple[float, float], seed: int) -> Recording:
     recording = sense(truth, VEHICLE, SensorSuite.load("paper"), {}, (), seed).recording
     assert recording.wind is None
     full = fuse(recording, VEHICLE, 30.0)
-    rows = np.arange(0, len(full), round(full.rate_hz / 5.0))
-    tilt = frames.from_rotation_vector(rng.normal(0.0, GPS[1], (len(rows), 3)))
-    attitude = frames.products(full.attitude[rows], tilt)
-    velocity = frames.rotate_body_to_world(full.attitude[rows], full.velocity[rows])
-    velocity += rng.normal(0.0, GPS[2], velocity.shape)
-    state = OdometryStream(
-        full.stamps_ns[rows],
-        full.position[rows] + rng.normal(0.0, GPS[0], (len(rows), 3)),
-        attitude,
-        frames.rotate_world_to_body(attitude, velocity),
-        full.rates[rows],
-        np.tile(GPS, (len(rows), 1)),
-    )
-    return replace(recording, pose=None, odometry=state, arrivals={})
+    return state_by_gps(recording, full, rng, GPS)
 
 
 @pytest.fixture(scope="module")
