@@ -317,7 +317,11 @@ def _squares_left(product: Array, used: Indices, mean: Array, covariance: Array)
     weights = np.concatenate(([1.0], -mean))
     moment = np.outer(weights, weights)
     moment[1:, 1:] += covariance
-    squares: Array = np.einsum("acij,ij->ac", product[:, :, used[:, np.newaxis], used], moment)
+    # As one product of a matrix and a vector: the columns used of `product` are not copied. A column that is
+    # shared and each flight's own as well is used twice.
+    whole = np.zeros(product.shape[2:])
+    np.add.at(whole, (used[:, np.newaxis], used), moment)
+    squares: Array = product.reshape(*product.shape[:2], -1) @ whole.ravel()
     return squares
 
 
@@ -353,7 +357,8 @@ def _left_out(found: _Variances, posterior: _Posterior, rows: Array) -> Array:
 
 def _posterior(products: Array, variances: _Variances) -> _Posterior:
     common, own = np.flatnonzero(variances.common), np.flatnonzero(variances.of_flight)
-    grams = np.tensordot(products, 1.0 / variances.noise, axes=((1, 2), (0, 1)))
+    flat = products.reshape(len(products), variances.noise.size, -1)
+    grams = ((1.0 / variances.noise).ravel() @ flat).reshape(len(products), *products.shape[3:])
     information, projection = np.diag(1.0 / variances.common[common]), np.zeros(len(common))
     flights = []
     for gram in grams:
