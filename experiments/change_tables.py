@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Renew the tables of results/alarm.md on CHANGE: altered recordings of real flights through the live path.
 
-Every second flight of the Crazyflie identifies a model, the others judge it, and the other way round.
+Every second flight of the Crazyflie identifies a model, the others judge it, and the other way round; with
+`--split` random halves do.
 """
 
 from __future__ import annotations
@@ -49,6 +50,10 @@ _MARGIN_S = 2.0
 _GRAVITY = 9.80665
 # Longer than any flight.
 _EVER_S = 1e6
+# Hook, markers and payload of the laden flights, and how near to it a mass is to be named, when.
+_LOAD_KG, _NEAR, _NAMED_S = 0.0397 + 0.0047 - 0.037, 0.15, 3.0
+# Fewest flights for CHANGE: so many of the slower half identify the model that faster ones are judged by.
+_SLOWER = 8
 
 
 class Told(NamedTuple):
@@ -58,6 +63,7 @@ class Told(NamedTuple):
         judged_ns: stamps of the first and the last row in which CHANGE was judged; None without one.
         raised_ns: at which it was raised; None where it was not.
         kind, rotor, size, lower, upper: of the change named last.
+        early: size of a change of mass as named 3 s after the first of these rows; 0 for none.
     """
 
     judged_ns: tuple[int, int] | None
@@ -67,6 +73,7 @@ class Told(NamedTuple):
     size: float
     lower: float
     upper: float
+    early: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -105,6 +112,13 @@ def all_faster(recording: Recording, begin_ns: int, _: int, share: float) -> Rec
     return faster_rotor(recording, begin_ns, -1, share)
 
 
+def all_weaker(prepared: Prepared, begin_ns: int, _: int, share: float, vehicle: Vehicle) -> Prepared:
+    """All rotors give less thrust: a bias of the measured force along z by a share of the weight."""
+    measured = prepared.measured.copy()
+    measured[prepared.usable_ns >= begin_ns, 2] += share * vehicle.mass_kg * _GRAVITY
+    return prepared._replace(measured=measured)
+
+
 def offset_accelerometer(recording: Recording, begin_ns: int, _: int, share: float) -> Recording:
     """An accelerometer that is off along z by a share of the weight."""
     force = recording.imu.specific_force.copy()
@@ -132,6 +146,7 @@ ALTERATIONS = (
     Alteration("a speed reads 1.0101 times, mid-flight", False, 0.02, faster_rotor, None, CHANGED_ROTOR),
     Alteration("a speed reads 1.0101 times, from take-off", True, 0.02, faster_rotor, None, CHANGED_ROTOR),
     Alteration("all speeds read 1.0076 times, mid-flight", False, 0.015, all_faster, None, CHANGED_MASS),
+    Alteration("all rotors give 1.5 % of the weight less", False, 0.015, None, all_weaker, CHANGED_MASS),
     Alteration(
         "accelerometer off by 1.5 % of g, mid-flight", False, 0.015, offset_accelerometer, None, CHANGED_MASS
     ),
@@ -147,6 +162,7 @@ def told_of(
     """Replay a recording, as `quadpi replay` does, and sum up what the alarm says of a change."""
     monitor, column = Monitor(model, vehicle, None), CAUSES.index(CHANGE)
     judged, raised, last = [], [], None
+    masses: list[tuple[int, float]] = [(0, 0.0)]
     for part in follow(recorded_flight(recording, vehicle), vehicle):
         if part.begin == SET_BACK:
             monitor.reset()
@@ -155,9 +171,12 @@ def told_of(
         health, level = alarms.cause_health[:, column], alarms.cause_level[:, column]
         judged += alarms.time_ns[(health == 0) | (health == 3)].tolist()
         raised += alarms.time_ns[level == LEVEL_ALARM].tolist()
+        mass = np.where(alarms.changed == CHANGED_MASS, alarms.change_size, 0.0)
+        masses += zip(alarms.time_ns.tolist(), mass.tolist(), strict=True)
         if len(alarms) and level[-1] == LEVEL_ALARM:
             last = alarms
-    return Told(
+    until_ns = judged[0] + 1e9 * _NAMED_S if judged else 0.0
+    told = Told(
         (judged[0], judged[-1]) if judged else None,
         raised[0] if raised else None,
         0 if last is None else int(last.changed[-1]),
@@ -168,6 +187,7 @@ def told_of(
             else (last.change_size[-1], last.change_lower[-1], last.change_upper[-1])
         ),
     )
+    return told._replace(early=next(size for time_ns, size in reversed(masses) if time_ns <= until_ns))
 
 
 class Causes(NamedTuple):
@@ -199,10 +219,18 @@ def causes_of(model: AerodynamicModel, vehicle: Vehicle, recording: Recording) -
     return Causes(bool(raised[CAUSES.index(EXTRAPOLATION)]), bool(evidence), beyond)
 
 
-def told_apart(data: Path) -> str:
+def flights_of(data: Path, split: int | None) -> list[Path]:
+    """The sound flights, in an order of which every second one belongs together."""
+    paths = sorted((data / SOUND).iterdir())
+    if split is None:
+        return paths
+    return [paths[k] for k in np.random.default_rng(split).permutation(len(paths))]
+
+
+def told_apart(data: Path, split: int | None) -> str:
     """The table of faster flights and of changed vehicles."""
     vehicle = Vehicle.load(VEHICLE)
-    paths, laden = sorted((data / SOUND).iterdir()), sorted((data / LADEN).iterdir())
+    paths, laden = flights_of(data, split), sorted((data / LADEN).iterdir())
     counts: dict[str, list[Causes]] = {}
 
     def judge(name: str, model: AerodynamicModel, recording: Recording) -> Causes:
@@ -213,19 +241,23 @@ def told_apart(data: Path) -> str:
     def identified(flights: Sequence[Path]) -> AerodynamicModel:
         return model_of(prepare_flights(flights, vehicle, CUTOFF_HZ["default"]), VEHICLE, METHOD)
 
-    half = len(paths) // 2
-    model = identified(paths[:half])
-    for path in paths[half:]:
-        judge("ten faster flights, by a model of the ten slower ones", model, read_recording(path, vehicle))
+    # They are named by their speeds.
+    half = sorted(paths)[len(paths) // 2]
+    slower, faster = ([path for path in paths if (path < half) == is_slower] for is_slower in (True, False))
+    model = identified(slower if split is None else slower[:_SLOWER])
+    for path in faster:
+        judge(
+            "the faster half of the flights, by a model of slower ones", model, read_recording(path, vehicle)
+        )
     for parity in (0, 1):
         model = identified(paths[parity::2])
         for path in paths[1 - parity :: 2]:
             recording = read_recording(path, vehicle)
             judge("sound, by a model of every second flight", model, recording)
             for share in (0.03, 0.06):
-                faster = all_faster(recording, 0, 0, share)
-                judge(f"{100.0 * share:g} % less thrust of all rotors", model, faster)
-    model = identified(paths)
+                weaker = all_faster(recording, 0, 0, share)
+                judge(f"{100.0 * share:g} % less thrust of all rotors", model, weaker)
+    model = identified(paths if split is None else paths[::2])
     for path in laden:
         found = causes_of(model, vehicle, read_recording(path, vehicle))
         name = (
@@ -266,9 +298,10 @@ def row_of(
     return [name, str(len(late)), *shares, named, size, holding]
 
 
-def changes(data: Path, repeats: int) -> str:
-    """The table."""
-    vehicle, random = Vehicle.load(VEHICLE), np.random.default_rng(SEED)
+def changes(data: Path, repeats: int, split: int | None) -> str:
+    """The table, and how many payloads are named by their mass in time."""
+    vehicle, random = Vehicle.load(VEHICLE), np.random.default_rng(SEED if split is None else (SEED, split))
+    near: list[bool] = []
     delays: dict[str, list[float]] = {}
     right: dict[str, list[bool]] = {}
     sizes: dict[str, list[float]] = {}
@@ -278,8 +311,8 @@ def changes(data: Path, repeats: int) -> str:
         for column, value in ((delays, delay), (right, named), (sizes, size), (held, holds)):
             column.setdefault(name, []).append(value)  # type: ignore[arg-type]
 
+    paths = flights_of(data, split)
     for half in (0, 1):
-        paths = sorted((data / SOUND).iterdir())
         model = model_of(prepare_flights(paths[half::2], vehicle, CUTOFF_HZ["default"]), VEHICLE, METHOD)
         for path in paths[1 - half :: 2]:
             recording = read_recording(path, vehicle)
@@ -318,12 +351,15 @@ def changes(data: Path, repeats: int) -> str:
             first = told.judged_ns[0] if told.judged_ns else 0
             delay = np.inf if told.raised_ns is None else 1e-9 * (told.raised_ns - first)
             note("payload of 12 %", delay, told.kind == CHANGED_MASS, told.size / vehicle.mass_kg)
+            near.append(abs(told.early - _LOAD_KG) <= _NEAR * _LOAD_KG)
     headings = (
         *("replays", "within 0.5 s", "1.5 s", "3 s", "at all", "of these named right", "size, median"),
         "its interval holds",
     )
     rows = [row_of(name, delays[name], right[name], sizes[name], held[name]) for name in delays]
-    return markdown_table(Table([Column("flights", is_text=True), *map(Column, headings)], rows))
+    table = markdown_table(Table([Column("flights", is_text=True), *map(Column, headings)], rows))
+    found = f"Payloads named with {1e3 * _LOAD_KG:.1f} g ± {100.0 * _NEAR:g} % after {_NAMED_S:g} s"
+    return f"{table}\n\n{found}: {sum(near)} of {len(near)}."
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -332,13 +368,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--data", type=Path, default=data_directory(), help=f"folder that holds {SOUND}/")
     parser.add_argument("--page", type=Path, default=PAGE, help="to renew")
     parser.add_argument("--repeats", type=int, default=3, help="moments in each flight")
+    parser.add_argument("--split", type=int, help="seed of random halves in the place of every second flight")
     parser.add_argument("--only", choices=("apart", "changes"), help="one of the tables")
     options = parser.parse_args(arguments)
     data = options.data.resolve()
     if options.only != "changes":
-        renew(options.page, {"apart": f"{told_apart(data)}\n\n*{stamp()}*"})
+        renew(options.page, {"apart": f"{told_apart(data, options.split)}\n\n*{stamp()}*"})
     if options.only != "apart":
-        renew(options.page, {"changes": f"{changes(data, options.repeats)}\n\n*{stamp()}*"})
+        renew(options.page, {"changes": f"{changes(data, options.repeats, options.split)}\n\n*{stamp()}*"})
 
 
 if __name__ == "__main__":

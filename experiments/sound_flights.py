@@ -60,6 +60,8 @@ REAL = (
     ),
     DataSet("nano-drone benchmark", "nanodrone_benchmark/*", "nanodrone", mapping="nanodrone"),
 )
+# Room of the seeds of a model's sets.
+_SETS_MOST = 1000
 # Halves judge each other where each has enough flights for CHANGE, else quarters are left out.
 _HALVES = 16
 _MAPPING = str(HERE / "mappings" / "mocap.yaml")
@@ -163,13 +165,13 @@ def _rotorpy(airframe: Airframe, sets: Iterable[int], work: Path) -> Iterator[Pa
             yield rotorpy_logs.write(flown, fly(flown, named, random), random, work)
 
 
-def rotorpy(airframe: Airframe, sets: int, work: Path) -> Judged:
+def rotorpy(airframe: Airframe, number: int, sets: int, work: Path) -> Judged:
     """One model of flights of RotorPy, on others of them."""
-    vehicle = Vehicle.load(str(airframe.file))
-    training = list(_rotorpy(airframe, range(SETS), work))
+    vehicle, first = Vehicle.load(str(airframe.file)), number * _SETS_MOST
+    training = list(_rotorpy(airframe, range(first, first + SETS), work))
     model = model_of(prepare_flights(training, vehicle, CUTOFF_HZ["default"], mapping=_MAPPING), vehicle)
     print(model.alarm_limits.sentence(), flush=True)
-    unseen = _rotorpy(airframe, range(SETS, SETS + sets), work)
+    unseen = _rotorpy(airframe, range(first + SETS, first + SETS + sets), work)
     return judged(model, vehicle, (read_recording(log, vehicle, _MAPPING) for log in unseen))
 
 
@@ -213,9 +215,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--page", type=Path, default=PAGE, help="to renew")
     parser.add_argument("--models", type=int, default=10, help="of our simulation")
+    parser.add_argument("--first", type=int, default=0, help="model; others are of other flights")
     parser.add_argument("--flights", type=int, default=306, help="of a minute that each of them judges")
     parser.add_argument(
-        "--sets", type=int, default=25, help="of RotorPy's eight flights that its model judges"
+        "--sets", type=int, default=25, help="of RotorPy's eight flights that its model judges, or 0"
     )
     parser.add_argument("--data", type=Path, default=data_directory(), help="folder of real flights")
     parser.add_argument("--only", choices=("real", "simulated"), help="one of the tables")
@@ -240,9 +243,11 @@ def simulated_table(options: argparse.Namespace) -> None:
 
     with tempfile.TemporaryDirectory() as folder:
         work = Path(folder)
-        add(rotorpy(small, options.sets, work).row("RotorPy's Crazyflie", "1"))
+        if options.sets:
+            number = options.first
+            add(rotorpy(small, number, options.sets, work).row("RotorPy's Crazyflie", str(number + 1)))
         found = []
-        for number in range(options.models):
+        for number in range(options.first, options.first + options.models):
             found.append(simulated(number, options.flights, work))
             add(found[-1].row(SIMULATED, str(number + 1)))
             whole = Judged.total(found)
