@@ -26,7 +26,6 @@ from quadpi_core.results import (
     LEVEL_ALARM,
     LEVEL_WARNING,
     MISCOVERAGE,
-    UNAVAILABLE,
     UNCALIBRATED,
     ReportedAlarms,
 )
@@ -57,7 +56,6 @@ COVERED_S, LEAST_COVERED_S = 10.0, 2.0
 
 def states_of(alarms: ReportedAlarms) -> list[State]:
     """The state that each alarm message says."""
-    extrapolation = alarms.cause_health[:, CAUSES.index(EXTRAPOLATION)]
     states = []
     for row, (level, has_sample) in enumerate(zip(alarms.level, alarms.of_samples, strict=True)):
         if not has_sample:
@@ -67,13 +65,13 @@ def states_of(alarms: ReportedAlarms) -> list[State]:
         elif level == LEVEL_WARNING:
             states.append(State.WARNING)
         else:
-            states.append(State.TRUSTED if extrapolation[row] in _JUDGED else State.NOT_JUDGED)
+            states.append(State.TRUSTED if _is_judged(alarms, row) else State.NOT_JUDGED)
     return states
 
 
-def settles(alarms: ReportedAlarms, row: int) -> bool:
-    """Whether coverage is not judged yet, as the state settles."""
-    return alarms.cause_health[row, CAUSES.index(MISCOVERAGE)] not in (*_JUDGED, UNAVAILABLE)
+def _is_judged(alarms: ReportedAlarms, row: int) -> bool:
+    """Whether both where the vehicle flies and its intervals are judged: not so while the state settles."""
+    return all(alarms.cause_health[row, CAUSES.index(one)] in _JUDGED for one in (EXTRAPOLATION, MISCOVERAGE))
 
 
 def reasons_of(
@@ -92,12 +90,9 @@ def reasons_of(
         return tuple(alarms.reasons[row]) or ("nothing arrives",)
     given = alarms.reasons[row]
     if alarms.level[row] < LEVEL_WARNING:
-        health = alarms.cause_health[row]
-        if health[CAUSES.index(EXTRAPOLATION)] not in _JUDGED:
-            return tuple(given) or ("on the ground, or the state settles",)
-        if not settles(alarms, row):
+        if _is_judged(alarms, row):
             return ()
-        return tuple(given) or ("coverage is judged once the state has settled",)
+        return tuple(given) or ("on the ground, or the state settles",)
     words: list[str] = []
     if training is not None and alarms.causes[row] & EXTRAPOLATION:
         words = _outside(alarms.inputs_outside[row], training, low, high)

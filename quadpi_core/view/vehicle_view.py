@@ -28,7 +28,6 @@ from quadpi_core.view.trust import (
     State,
     Told,
     reasons_of,
-    settles,
     states_of,
     too_many_misses,
 )
@@ -99,8 +98,6 @@ class VehicleView:
         self._events: dict[tuple[int, int], dict[str, Any]] = {}
         # Time and state of the last message; none before the first.
         self._said: list[tuple[int, State]] = []
-        # The first block since coverage has been judged.
-        self._settled_from = 0
         # Block, words and what is told at every change of them; ends with the blocks.
         self._words: list[tuple[int, tuple[str, ...], dict[str, str]]] = []
         self._coming: deque[Told] = deque()
@@ -205,8 +202,6 @@ class VehicleView:
         drawn, of = np.concatenate(spans), np.repeat(np.arange(len(states_at)), [len(span) for span in spans])
         self.blocks.add(drawn, state=np.array([state for _, state in states_at], dtype=float)[of])
         for row, number in enumerate((times // self.blocks.block_ns).tolist()):
-            if settles(alarms, row):
-                self._settled_from = number + 1
             words = reasons_of(alarms, row, training, *self._inputs_before(number))
             while self._coming and self._coming[0].time_ns <= alarms.time_ns[row]:
                 told = self._coming.popleft()
@@ -341,8 +336,7 @@ class VehicleView:
         first = next(iter(self.models.values()), None)
         if first is None:
             return None
-        settled_s = _NANOSECONDS * self.blocks.block_ns * (number + 1 - self._settled_from)
-        inside = self.blocks.inside(number, first.number, min(COVERED_S, settled_s), LEAST_COVERED_S)
+        inside = self.blocks.inside(number, first.number, COVERED_S, LEAST_COVERED_S)
         return too_many_misses(inside, first.axes, first.confidence)
 
     def _inputs_before(self, number: int) -> tuple[Array, Array]:

@@ -51,7 +51,8 @@ def message(
     ("alarm", "state"),
     [
         (message(), State.TRUSTED),
-        (message(health=(UNCALIBRATED, WAITING, ACTIVE)), State.TRUSTED),
+        (message(health=(UNCALIBRATED, UNCALIBRATED, ACTIVE)), State.TRUSTED),
+        (message(health=(ACTIVE, WAITING, ACTIVE)), State.NOT_JUDGED),
         (message(LEVEL_WARNING, EXTRAPOLATION), State.WARNING),
         (message(LEVEL_ALARM, MISCOVERAGE), State.ALARM),
         (message(LEVEL_ALARM, BAD_DATA), State.ALARM),
@@ -188,7 +189,7 @@ def test_nothing_is_trusted_whose_intervals_do_not_hold(inside, words):
     ("alarm", "words"),
     [
         (message(), ()),
-        (message(health=(ACTIVE, WAITING, ACTIVE)), ("coverage is judged once the state has settled",)),
+        (message(health=(ACTIVE, WAITING, ACTIVE)), ("on the ground, or the state settles",)),
         (message(health=(WAITING, WAITING, ACTIVE)), ("on the ground, or the state settles",)),
         (
             message(LEVEL_ALARM, BAD_DATA, (WAITING, WAITING, UNAVAILABLE), reasons=("no imu for 0.4 s",)),
