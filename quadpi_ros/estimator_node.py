@@ -232,7 +232,9 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         time_ns = int(odometry.time_ns[0])
         stated = self._noise.of_odometry(odometry.deviation[0])
         self._ekf.update_pose(time_ns, odometry.position[0], odometry.attitude[0], stated[:2])
-        if stated[2] != NOT_MEASURED:
+        if stated[2] == NOT_MEASURED:
+            self._velocities.take_poses()
+        else:
             self._velocities.take([time_ns])
             self._ekf.update_velocity(time_ns, odometry.velocity[0], True, stated[2])
 

@@ -60,7 +60,8 @@ def _lacking(odometry: OdometryStream) -> _Parts:
 class VelocityRate:
     """Whether the velocities of a state come as seldom as those of GPS, by the stamps of the first.
 
-    Those of motion capture, or of odometry that is interpolated, come often.
+    Those of motion capture, or of odometry that is interpolated, come often. Where poses have come without
+    any for a while, none counts.
 
     Attributes:
         is_slow: whether they come too seldom to be interpolated; false before the second.
@@ -69,11 +70,16 @@ class VelocityRate:
     def __init__(self) -> None:
         self.is_slow = False
         self._stamps: list[int] = []
+        self._poses = 0
 
     @property
     def is_known(self) -> bool:
         """Whether no further stamp changes what is said."""
-        return len(self._stamps) > RATE_SPAN
+        return len(self._stamps) > RATE_SPAN or (not self._stamps and self._poses > _POSES_SEEN)
+
+    def take_poses(self, count: int = 1) -> None:
+        """Take poses that come without a velocity."""
+        self._poses += count
 
     def take(self, time_ns: Sequence[int]) -> None:
         """Take the stamps of the next velocities."""
@@ -84,13 +90,21 @@ class VelocityRate:
             lasted_s = 1e-9 * (self._stamps[-1] - self._stamps[0])
             self.is_slow = len(self._stamps) - 1 < BRIDGED_HZ * lasted_s
 
+    def take_recording(self, recording: Recording) -> None:
+        """Take the velocities of motion capture, and the poses that come before the first."""
+        twist, pose = recording.twist, recording.pose
+        stamps = [] if twist is None else twist.time_ns.tolist()
+        if pose is not None:
+            self.take_poses(int(np.sum(pose.time_ns < stamps[0])) if stamps else len(pose))
+        self.take(stamps)
+
 
 def has_slow_velocity(recording: Recording) -> bool:
     """Whether velocities of a recording are of a state as by GPS, in whose flights the wind is sought."""
     state = recording.odometry
     if recording.pose is not None or recording.twist is not None or state is None:
         velocities = VelocityRate()
-        velocities.take([] if recording.twist is None else recording.twist.time_ns.tolist())
+        velocities.take_recording(recording)
         return velocities.is_slow
     return _corrects(state) and not _lacking(state)[2]
 
@@ -100,13 +114,11 @@ def with_velocity_rate(blocks: Iterator[Recording]) -> tuple[Iterator[Recording]
 
     Looked at are the blocks of the first velocities; where poses come without any, so do the rest.
     """
-    seen, velocities, poses = [], VelocityRate(), 0
+    seen, velocities = [], VelocityRate()
     for block in blocks:
         seen.append(block)
-        poses += 0 if block.pose is None else len(block.pose)
-        if block.twist is not None:
-            velocities.take(block.twist.time_ns.tolist())
-        if velocities.is_known or poses > _POSES_SEEN:
+        velocities.take_recording(block)
+        if velocities.is_known:
             break
     return chain(seen, blocks), velocities.is_slow
 

@@ -120,6 +120,13 @@ TIMEOUT_S = 0.1
 CAPACITY = 256
 
 
+def heard(wind: Array) -> Array:
+    """Readings of the wind as samples hold them: one of 0 as next to 0, which is that of no reading."""
+    # Changes no digit of an airspeed, and neither it nor its square is subnormal.
+    stands: Array = np.where(wind == 0.0, 1e-150, wind)
+    return stands
+
+
 class PairedSamples(NamedTuple):
     """K samples, one per IMU stamp, with all that a monitor needs.
 
@@ -308,7 +315,7 @@ class Pairing:
 
     def add_wind(self, time_ns: int, velocity: Array) -> None:
         """Take one sample of the wind (3,) m/s in the world."""
-        self.completed = compiled.add_sample(self.compiled, WIND_TOPIC, time_ns, velocity)
+        self.completed = compiled.add_sample(self.compiled, WIND_TOPIC, time_ns, heard(velocity))
 
     def take(self) -> PairedSamples | None:
         """The IMU samples completed or given up since the last call, in order; None if there are none."""

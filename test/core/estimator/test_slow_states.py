@@ -13,7 +13,12 @@ import pytest
 from quadpi_core import frames
 from quadpi_core.estimator.ekf import Ekf
 from quadpi_core.estimator.fusion import fuse
-from quadpi_core.estimator.slow_states import with_slow_state, with_slow_states
+from quadpi_core.estimator.slow_states import (
+    VelocityRate,
+    with_slow_state,
+    with_slow_states,
+    with_velocity_rate,
+)
 from quadpi_core.flight import NOT_MEASURED, Flight, OdometryStream, Recording
 from quadpi_core.logs import read_recording
 from quadpi_core.reading_options import split_recording
@@ -152,3 +157,24 @@ def test_blocks_are_corrected_as_the_whole(recording, full):
     fast = replace(recording, pose=None, odometry=with_gps(recording, full, 50.0).odometry, arrivals={})
     assert with_slow_state(fast, BEBOP) is fast
     assert not with_slow_states(split_recording(fast), BEBOP)[1]
+
+
+@pytest.mark.parametrize(("poses", "is_slow"), [(190, True), (210, False)])
+def test_velocities_that_begin_after_two_seconds_of_poses_count_for_nothing(recording, full, poses, is_slow):
+    """Live, one by one, as in blocks of a recording."""
+    slow = with_slow_state(with_gps(recording, full, 10.0), BEBOP)
+    begin_ns = slow.pose.time_ns[100]
+    before = begin_ns - 10_000_000 * np.arange(poses, 0, -1)
+    pose = slow.pose.take(slow.pose.time_ns >= begin_ns)
+    early = replace(pose.take(np.zeros(poses, dtype=int)), time_ns=before)
+    joined = type(pose).join([early, pose])
+    late = replace(slow, pose=joined, twist=slow.twist.take(slow.twist.time_ns >= begin_ns), arrivals={})
+    assert with_velocity_rate(iter([late]))[1] == is_slow
+    assert with_velocity_rate(split_recording(late))[1] == is_slow
+    live = VelocityRate()
+    for time_ns in joined.time_ns.tolist():
+        if time_ns < begin_ns:
+            live.take_poses()
+        else:
+            live.take([time_ns])
+    assert live.is_slow == is_slow

@@ -23,7 +23,7 @@ from quadpi_core.identification.found_wind import in_found_wind, with_found_wind
 from quadpi_core.identification.prepared_flights import PreparedFlight, prepare_recording
 from quadpi_core.inputs import VELOCITY_INPUTS
 from quadpi_core.models.interval_rules import SETTLED, WindDrag
-from quadpi_core.monitor.pairing import PairedSamples
+from quadpi_core.monitor.pairing import PairedSamples, Pairing
 from quadpi_core.monitor.replay import recorded_flight
 from quadpi_core.monitor.wind_state import SampleContext, WindState
 from quadpi_core.simulation.flying import SimulatedVehicle
@@ -201,6 +201,21 @@ def test_a_topic_that_begins_inside_a_block_counts_from_there(length: int) -> No
     assert deviation[499] > 0.0
     np.testing.assert_array_equal(wind[500:], samples.wind[500:])
     assert not deviation[500:].any()
+
+
+def test_an_anemometer_that_reads_0_is_heard() -> None:
+    pairing, stamp_ns = Pairing(), 10**9
+    level = np.array([1.0, 0.0, 0.0, 0.0])
+    pairing.add_wind(stamp_ns, np.zeros(3))
+    pairing.add_state(stamp_ns, np.ones(3), level, np.zeros(3))
+    pairing.add_rotor_speeds(stamp_ns, np.full(4, 500.0))
+    pairing.add_imu(stamp_ns, np.zeros(3))
+    samples = pairing.take()
+    state = WindState(DRAG, 0.0)
+    told, deviation = state.take(samples)
+    assert state.is_measured
+    assert deviation == 0.0
+    np.testing.assert_array_equal(told.velocity - told.wind, np.ones((1, 3)))
 
 
 @pytest.mark.parametrize(
