@@ -75,20 +75,32 @@ def losses(use: MotorUse, references: Sequence[MotorUse]) -> tuple[RotorLoss, ..
     known = [one for one in shares[1:] if len(one) == count]
     if not count or not known:
         return "the flight, or those before, have no commands"
-    before = np.array(known)
-    freedom = WORTH_FLIGHTS + len(before) - 1
-    squares = np.sum((before - before.mean(axis=0)) ** 2, axis=0)
-    deviation = np.sqrt((WORTH_FLIGHTS * SCATTER.value**2 + squares) / freedom)
-    half = stats.t.ppf(0.5 + 0.5 * CONFIDENCE.value, freedom) * deviation * np.sqrt(1.0 + 1.0 / len(before))
-    said = f"against {len(before)} flight{'s' * (len(before) > 1)}"
+    values, deviation, freedom = against(shares[0], np.array(known), SCATTER.value)
+    half = stats.t.ppf(0.5 + 0.5 * CONFIDENCE.value, freedom) * deviation
+    said = f"against {len(known)} flight{'s' * (len(known) > 1)}"
     found = []
-    for value, width in zip(shares[0] - before.mean(axis=0), half, strict=True):
+    for value, width in zip(values, half, strict=True):
         ends = [float(end) for end in (value, value - width, value + width)]
         thrust = not_identified("", "its command is half of what it was, or less")
         if min(ends) > -_HALF:
             thrust = within([_thrust(*pair) for pair in zip(ends, (1, 0, 2), strict=True)], "", said)
         found.append(RotorLoss(within(ends, "", said), thrust))
     return tuple(found)
+
+
+def against(value: Array, before: Array, scatter: float) -> tuple[Array, Array, int]:
+    """Difference from the mean of earlier flights, its standard deviation, and degrees of freedom.
+
+    Args:
+        value: of the flight.
+        before: of the earlier ones, along the first axis.
+        scatter: standard deviation between good flights.
+    """
+    count = len(before)
+    freedom = WORTH_FLIGHTS + count - 1
+    squares = np.sum((before - np.mean(before, axis=0)) ** 2, axis=0)
+    pooled = (WORTH_FLIGHTS * scatter**2 + squares) / freedom
+    return value - np.mean(before, axis=0), np.sqrt(pooled * (1.0 + 1.0 / count)), freedom
 
 
 def _over_others(use: MotorUse) -> Array:

@@ -7,9 +7,10 @@
 
 over commands u_i behind a first-order lag, which is fitted with all the rest: assumed, it would scale the
 inertia (at 50 and 100 ms by 1.7). Velocities are those of the air, by the wind that drag tells.
-That thrust goes with the square, and that the accelerometer has no bias, is assumed, and the error of both
-counted: left free, they would take up what a controller answers to gusts. Yaw is not told: commands give the
-torque of the rotors over I_z alone.
+That thrust goes with the square is assumed, and the error counted: left free, it would take up what a
+controller answers to gusts. The bias of the accelerometer along z is what its mean along the vertical lacks
+of gravity, but for the change of velocity; without a state it is taken as 0, its error counted. Yaw is not
+told: commands give the torque of the rotors over I_z alone.
 """
 
 from __future__ import annotations
@@ -24,23 +25,53 @@ from quadpi_core.field.airborne import Flown, velocity_of
 from quadpi_core.field.estimates import PIECES_FEWEST, Estimate, jackknife, not_identified
 from quadpi_core.field.field_log import FieldLog
 from quadpi_core.field.motor_model import GRID_HZ, SLOWEST_HZ
-from quadpi_core.frames import Array, rotate_world_to_body
+from quadpi_core.frames import Array, rotate_body_to_world, rotate_world_to_body, rotation_matrix
+from quadpi_core.records import CONVENTION, STANDARD_GRAVITY, Threshold
 from quadpi_core.rotor_order import lag_weights
 from quadpi_core.vehicle import Vehicle
 
-# Signals change below this; rates are differentiated above the noise of the gyro.
-_CUTOFF_HZ = 12.0
-_LAGS_S = tuple(0.005 * step for step in range(31))
-# Bias of an accelerometer, m/s², one standard deviation.
-_BIAS_M_S2 = 0.15
-_PIECE_S, _SHORTEST_S, _PIECES_MOST = 6.0, 20.0, 40
-_SHORT = f"it takes {_PIECE_S * PIECES_FEWEST.value:.0f} s in the air, {_SHORTEST_S:.0f} s or more at once"
-# Half width over value beyond which a number is not told.
-_WIDEST = 0.5
+# Grid of the lag, s: motors of 1 g to 1 kg lag by 10 to 100 ms. Pieces that go together, and their number.
+_LAGS_S, _PIECE_S, _PIECES_MOST = tuple(0.005 * step for step in range(31)), 6.0, 40
+CUTOFF_HZ = Threshold(
+    "frequency below which accelerations and squared commands are compared",
+    12.0,
+    "Hz",
+    "attitude is controlled below; above, a gyro's noise grows with frequency, and frames bend",
+    "RotorPy flights of seeds below 100, see experiments/gps_flights.py",
+)
+SHORTEST_S = Threshold(
+    "shortest time in the air at once that tells an inertia",
+    20.0,
+    "s",
+    "a take-off and a landing, which are no flight by these equations, take 5 s of it",
+    CONVENTION,
+)
+BIAS_M_S2 = Threshold(
+    "bias of an accelerometer along z, one standard deviation: as it comes, and by a state of velocity",
+    (0.15, 0.03),
+    "m/s²",
+    "data sheets say 20 to 40 mg; a velocity that errs by 0.3 m/s over 20 s, a tilt by 3°, leave 0.02",
+    "data sheets of the BMI088 and the ICM-20689",
+)
+POWER = Threshold(
+    "by which share the power of command that thrust goes with may be another than 2, two deviations",
+    0.15,
+    "",
+    "tachometers and accelerometer of that vehicle tell a power of 2.24",
+    "imrc_brushless of ../shared/data",
+)
+WIDEST = Threshold(
+    "half width over value beyond which a number is not told",
+    0.5,
+    "",
+    "a wider interval tells its order of magnitude alone, which size and mass do",
+    CONVENTION,
+)
+_SHORT = (
+    f"it takes {_PIECE_S * PIECES_FEWEST.value:.0f} s in the air, {SHORTEST_S.value:.0f} s or more at once"
+)
 # Columns of thrust: Σu², climb, speed squared; of a moment: that of T(u), rate, product of rates, 1.
 _THRUST, _MOMENT = 3, 4
-# Two standard deviations of the power of command that thrust goes with, over 2: of imrc_brushless it is 2.24.
-_POWER = 0.15
 
 
 @dataclass(frozen=True)
@@ -112,8 +143,9 @@ def identify_body(
     )
     low, high = jackknife(whole, np.array(without), told)
     half = 0.5 * (high - low)
-    half[0] = np.hypot(half[0], 2.0 * _BIAS_M_S2 * vehicle.mass_kg / vehicle.rotor_count)
-    half[1:3] = np.hypot(half[1:3], _POWER * whole[1:3])
+    bias = BIAS_M_S2.value[all(_tells_bias(log) for log, _ in flights)]
+    half[0] = np.hypot(half[0], 2.0 * bias * vehicle.mass_kg / vehicle.rotor_count)
+    half[1:3] = np.hypot(half[1:3], POWER.value * whole[1:3])
     units = ("N", "kg m²", "kg m²", "s")
     thrust, *inertia, lag = (
         _estimate(value, own, unit)
@@ -123,7 +155,7 @@ def identify_body(
 
 
 def _estimate(value: float, half: float, unit: str) -> Estimate:
-    if half > _WIDEST * abs(value) and unit != "s":
+    if half > WIDEST.value * abs(value) and unit != "s":
         said = "its interval is too wide: roll and pitch quickly, to and fro"
         return not_identified(unit, said, value - half, value + half)
     return Estimate(value, value - half, value + half, unit)
@@ -147,24 +179,26 @@ def _pieces(log: FieldLog, flight: Flown, vehicle: Vehicle, wind: Array) -> list
 def _of_stretch(log: FieldLog, begin: float, end: float, vehicle: Vehicle, wind: Array) -> list[_Piece]:
     assert log.commands is not None
     assert log.imu is not None
-    if end - begin < _SHORTEST_S:
+    if end - begin < SHORTEST_S.value:
         return []
     edges = np.arange(begin, end, 1.0 / GRID_HZ)
     time = 0.5 * (edges[1:] + edges[:-1])
     commands, imu = log.commands.filled_means(edges), log.imu.filled_means(edges)
     motion, velocity = np.zeros((len(time), 2)), velocity_of(log)
     if velocity is not None and log.attitude is not None:
-        air = velocity.at(time)
+        air, attitude = velocity.at(time), log.attitude.at(time)
+        attitude /= np.linalg.norm(attitude, axis=1, keepdims=True)
+        imu[:, 5] -= _bias_of(time, imu[:, 3:], attitude, air[:, 2])
         air[:, :2] -= wind
-        body = rotate_world_to_body(log.attitude.at(time), air)
+        body = rotate_world_to_body(attitude, air)
         motion = np.stack([body[:, 2], body[:, 0] ** 2 + body[:, 1] ** 2], axis=1)
     good = np.flatnonzero(np.isfinite(np.hstack([commands, imu, motion])).all(axis=1))
-    if len(good) < _SHORTEST_S * GRID_HZ:
+    if len(good) < SHORTEST_S.value * GRID_HZ:
         return []
     rows = slice(int(good[0]), int(good[-1]) + 1)
     commands, imu, motion = (np.nan_to_num(own[rows]) for own in (commands, imu, motion))
     rates = imu[:, :3]
-    smooth = butter(4, _CUTOFF_HZ, fs=GRID_HZ, output="sos")
+    smooth = butter(4, CUTOFF_HZ.value, fs=GRID_HZ, output="sos")
     turning = np.gradient(rates, 1.0 / GRID_HZ, axis=0)
     targets = sosfiltfilt(smooth, np.column_stack([-vehicle.mass_kg * imu[:, 5], turning[:, :2]]), axis=0)
     others = sosfiltfilt(
@@ -210,6 +244,22 @@ def _of_stretch(log: FieldLog, begin: float, end: float, vehicle: Vehicle, wind:
         )
         for piece, own in enumerate(squares)
     ]
+
+
+def _tells_bias(log: FieldLog) -> bool:
+    return log.attitude is not None and velocity_of(log) is not None
+
+
+def _bias_of(time: Array, force: Array, attitude: Array, down: Array) -> float:
+    """Bias along body z of specific force (N, 3), by attitude (N, 4) and velocity down (N,) at times (N,)."""
+    vertical = rotate_body_to_world(attitude, force)[:, 2]
+    known = np.flatnonzero(np.isfinite(vertical + down))
+    if len(known) < 2:
+        return 0.0
+    first, last = known[[0, -1]]
+    gained = (down[last] - down[first]) / (time[last] - time[first])
+    upright = rotation_matrix(attitude[known])[:, 2, 2].mean()
+    return float((vertical[known].mean() + STANDARD_GRAVITY - gained) / upright)
 
 
 def _places(log: FieldLog, vehicle: Vehicle) -> Array:

@@ -16,7 +16,7 @@ import numpy as np
 from scipy import stats
 
 from quadpi_core.field.airborne import Flown
-from quadpi_core.field.damage import SCATTER, THRUST_EXPONENT, WORTH_FLIGHTS
+from quadpi_core.field.damage import SCATTER, THRUST_EXPONENT, against
 from quadpi_core.field.estimates import CONFIDENCE, Estimate, not_identified, within
 from quadpi_core.field.field_log import FieldLog, Series
 from quadpi_core.field.motor_use import MotorUse
@@ -133,7 +133,7 @@ def mass_change(use: MotorUse, references: Sequence[MotorUse], corners: Array | 
     if by is None:
         return "no rotor speeds, and no commands, are both in the flight and in one before"
     before = np.log(_known(by, references))
-    ratio, deviation, freedom = _against(np.log(use.efforts[by]), before, EFFORT_SCATTER[by].value)
+    ratio, deviation, freedom = against(np.log(use.efforts[by]), before, EFFORT_SCATTER[by].value)
     half = float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE.value, freedom)) * deviation
     usual = (SPEED_EXPONENT if by == BY_SPEED else THRUST_EXPONENT).value
     powers = [one / usual[1] for one in usual]
@@ -153,15 +153,6 @@ def _known(by: str, references: Sequence[MotorUse]) -> list[float]:
     return [one.efforts[by] for one in references if by in one.efforts]
 
 
-def _against(value: Array, before: Array, scatter: float) -> tuple[Array, Array, int]:
-    """Difference from the mean of earlier flights, its standard deviation, and degrees of freedom."""
-    count = len(before)
-    freedom = WORTH_FLIGHTS + count - 1
-    squares = np.sum((before - np.mean(before, axis=0)) ** 2, axis=0)
-    pooled = (WORTH_FLIGHTS * scatter**2 + squares) / freedom
-    return value - np.mean(before, axis=0), np.sqrt(pooled * (1.0 + 1.0 / count)), freedom
-
-
 def _pattern(
     use: MotorUse, references: Sequence[MotorUse], corners: Array | None
 ) -> tuple[Array, Array, Array] | None:
@@ -173,7 +164,7 @@ def _pattern(
     if len(shares[0]) != len(corners) or not np.isfinite([shares[0], *known]).all():
         return None
     # Over the mean of all four a rotor deviates by three quarters of what it does over the others.
-    value, deviation, _ = _against(shares[0], np.array(known), 0.75 * SCATTER.value)
+    value, deviation, _ = against(shares[0], np.array(known), 0.75 * SCATTER.value)
     usual, rotors = THRUST_EXPONENT.value[1], len(corners)
     # The mean takes one of four numbers from the deviations: a rotor by itself deviates by more.
     return usual * value, usual * np.sqrt(rotors / (rotors - 1)) * deviation, corners

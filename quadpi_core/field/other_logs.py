@@ -42,7 +42,7 @@ _SCALES = (
     ((0.0, 2047.5), (48.0, 2047.0)),
     ((0.0, 65535.5), (0.0, 65535.0)),
 )
-_ROTORS_FEWEST = 3
+_ROTORS_FEWEST, _ABSENT = 3, "not in the log"
 _ELECTRICAL = "rotor speeds are electrical, by the pairs of poles faster than the motors turn (--vehicle)"
 
 
@@ -175,39 +175,19 @@ def field_log_of(
 
 def _poles(notes: tuple[str, ...]) -> Iterator[Setting]:
     if any(_ELECTRICAL in one for one in notes):
-        yield Setting(
-            "pairs of poles",
-            "not in the log",
-            "give a vehicle file that has them (--vehicle)",
-            "rotor speeds",
-        )
+        wanted = "give a vehicle file that has them (--vehicle)"
+        yield Setting("pairs of poles", _ABSENT, wanted, "rotor speeds")
 
 
-def _settings(recording: Recording, commands: Series | None, stack: str) -> list[Setting]:
+def _settings(recording: Recording, commands: Series | None, stack: str) -> Iterator[Setting]:
+    telemetry = "record the speed controllers' telemetry, such as /fmu/out/esc_status or /mavros/esc_status"
     is_bag = stack == ros_bags.FORMAT.description
-    settings = []
     if recording.odometry is None and recording.pose is None:
-        settings.append(
-            Setting(
-                "odometry", "not in the log", "record the autopilot's odometry, or a pose", "drag and wind"
-            )
-        )
+        yield Setting("odometry", _ABSENT, "record the autopilot's odometry, or a pose", "drag and wind")
     if recording.rotor_speeds is None:
-        settings.append(
-            Setting(
-                "rotor speeds",
-                "not in the log",
-                "record the speed controllers' telemetry, such as /fmu/out/esc_status or /mavros/esc_status"
-                if is_bag
-                else "log them",
-                "measured rotor speeds",
-            )
-        )
+        yield Setting("rotor speeds", _ABSENT, telemetry if is_bag else "log them", "measured rotor speeds")
     if commands is None and not is_bag:
-        settings.append(
-            Setting("motor commands", "not in the log", "log them", "hover throttle and saturation")
-        )
-    return settings
+        yield Setting("motor commands", _ABSENT, "log them", "hover throttle and saturation")
 
 
 def _of_table(

@@ -210,20 +210,18 @@ def _settings(
     if "RCOU" not in messages and not bits & _RC_OUTPUT:
         lacking[_RC_OUTPUT] = "commands (RC output)"
     if lacking:
-        yield Setting(
-            "LOG_BITMASK",
-            present("LOG_BITMASK"),
-            f"set it to {bits | sum(lacking)}",
-            "; ".join(lacking.values()),
-        )
+        wanted = f"set it to {bits | sum(lacking)}"
+        yield Setting("LOG_BITMASK", present("LOG_BITMASK"), wanted, "; ".join(lacking.values()))
     if speeds is None:
-        yield Setting(
-            "SERVO_BLH_AUTO",
-            present("SERVO_BLH_AUTO"),
-            f"{'check' if parameters.get('SERVO_BLH_AUTO') == 1.0 else 'set it to 1, with'} the telemetry "
-            "wire on a port of SERIALn_PROTOCOL 16, or set SERVO_BLH_BDMASK to the outputs of two-way DShot",
-            "measured rotor speeds",
+        name = "SERVO_BLH_AUTO"
+        wanted = (
+            f"{'check' if parameters.get(name) == 1.0 else 'set it to 1, with'} the telemetry wire on a port "
+            "of SERIALn_PROTOCOL 16, or set SERVO_BLH_BDMASK to the outputs of two-way DShot"
         )
+        yield Setting(name, present(name), wanted, "measured rotor speeds")
+    if parameters.get("INS_LOG_BAT_MASK") == 0.0:
+        name, gains = "INS_LOG_BAT_OPT", "vibration at the sensor's rate, in tools that read such batches"
+        yield Setting(name, present(name), "set it to 1, with INS_LOG_BAT_MASK 1", gains)
 
 
 STACK = Stack(FORMAT, read_ardupilot_field)

@@ -31,19 +31,8 @@ _ERPM = tuple(f"eRPM[{motor}]" for motor in range(8))
 # Of INDIflight; the filter of the others delays them.
 _OMEGA = tuple(tuple(f"{name}[{motor}]" for motor in range(8)) for name in ("omegaUnfiltered", "omega"))
 _FIELDS = (
-    *("loopIteration", "time", "gyroADC[0]", "gyroADC[1]", "gyroADC[2]", "accSmooth[0]", "accSmooth[1]"),
-    *(
-        "accSmooth[2]",
-        "vbatLatest",
-        *_MOTORS,
-        *_ERPM,
-        *_OMEGA[0],
-        *_OMEGA[1],
-        "extPos[0]",
-        "extPos[1]",
-        "extPos[2]",
-    ),
-    *("extAtt[0]", "extAtt[1]", "extAtt[2]"),
+    *("loopIteration", "time", "vbatLatest", *_MOTORS, *_ERPM, *_OMEGA[0], *_OMEGA[1]),
+    *(f"{name}[{axis}]" for name in ("gyroADC", "accSmooth", "extPos", "extAtt") for axis in range(3)),
 )
 _FRAMES = {3: "tricopter", 4: "quadcopter", 6: "hexacopter", 8: "octocopter"}
 _ERPM_PER_COUNT = 100.0
@@ -72,21 +61,18 @@ def read_betaflight_field(path: Path, number: int | None = None, poles: int | No
     battery = None
     if "vbatLatest" in columns and (scale := _battery_scale(texts)):
         battery = series_of(time_ns, columns["vbatLatest"] * scale, start_ns)
-    pulses = (
-        np.stack([columns[name] for name in _MOTORS[:motors]], axis=1)
-        if motors
-        else np.empty((len(time_ns), 0))
-    )
-    several = (
-        f"holds {len(flights)} flights; read is the longest, number {chosen}" if len(flights) > 1 else ""
-    )
+    commands = None
+    if motors:
+        pulses = np.stack([columns[name] for name in _MOTORS[:motors]], axis=1)
+        shares = np.clip((pulses - ranges[0]) / (ranges[1] - ranges[0]), 0.0, 1.0)
+        commands = series_of(time_ns, shares, start_ns)
+    notes = [f"holds {len(flights)} flights; read is the longest, number {chosen}"] * (len(flights) > 1)
+    notes.append(f"commands are the motor fields, taken as {ranges[0]:g} to {ranges[1]:g}")
     return FieldLog(
         name=path.stem if number is None else f"{path.stem}_{number}",
         source=source,
         stack="INDIflight" if "ndiflight" in texts.get("Firmware revision", "") else "Betaflight",
-        firmware=" ".join(
-            filter(None, (texts.get("Firmware revision", ""), texts.get("Board information", "")))
-        ),
+        firmware=" ".join(filter(None, map(texts.get, ("Firmware revision", "Board information")))),
         frame=_FRAMES.get(motors, ""),
         rotors=motors or None,
         no_multirotor=f"a log of {motors} motors is of no multicopter" if motors in {1, 2} else "",
@@ -95,20 +81,14 @@ def read_betaflight_field(path: Path, number: int | None = None, poles: int | No
         else series_of(time_ns, np.hstack([imu.angular_velocity, imu.specific_force]), start_ns),
         attitude=None if pose is None else series_of(pose.time_ns, pose.attitude, start_ns),
         position=None if pose is None else series_of(pose.time_ns, pose.position, start_ns),
-        commands=series_of(
-            time_ns, np.clip((pulses - ranges[0]) / (ranges[1] - ranges[0]), 0.0, 1.0), start_ns
-        )
-        if motors
-        else None,
+        commands=commands,
         rotor_speeds=None if speeds is None else series_of(time_ns, speeds, start_ns),
         battery=battery,
         corners=np.sign(np.array([motor[:2] for motor in LAYOUTS["betaflight"]])) if motors == 4 else None,
         facts=_facts(texts),
         parameters={name: float(value) for name, value in log.headers.items()},
         settings=tuple(_settings(log, speeds is not None, motors, battery is not None)),
-        notes=tuple(
-            filter(None, (several, f"commands are the motor fields, taken as {ranges[0]:g} to {ranges[1]:g}"))
-        ),
+        notes=tuple(notes),
     )
 
 
@@ -153,56 +133,29 @@ def _facts(texts: Mapping[str, str]) -> dict[str, str]:
 
 def _settings(log: BlackboxLog, has_speeds: bool, motors: int, has_battery: bool) -> Iterator[Setting]:
     disabled = f"fields_disabled_mask {log.headers.get('fields_disabled_mask', 0)}"
+    off, measured = f"not logged ({disabled})", "measured rotor speeds"
+    bidirectional = log.headers.get("dshot_bidir", "not in the log")
     if not has_speeds:
         if any(np.any(log.columns[name]) for name in _ERPM if name in log.columns):
+            present = "not in the log, which has electrical speeds"
+            yield Setting("motor_poles", present, "update the firmware: newer ones write it", measured)
+        elif bidirectional == 1:
+            wanted = "`set blackbox_disable_rpm = OFF`; before 4.5 update the firmware"
             yield Setting(
-                "motor_poles",
-                "not in the log, which has electrical speeds",
-                "update the firmware: newer ones write it",
-                "measured rotor speeds",
-            )
-        elif log.headers.get("dshot_bidir") == 1:
-            yield Setting(
-                "Blackbox field RPM",
-                f"not logged (dshot_bidir is 1, {disabled})",
-                "`set blackbox_disable_rpm = OFF`; before 4.5 update the firmware",
-                "measured rotor speeds",
+                "Blackbox field RPM", f"not logged (dshot_bidir is 1, {disabled})", wanted, measured
             )
         else:
-            yield Setting(
-                "dshot_bidir",
-                str(log.headers.get("dshot_bidir", "not in the log")),
-                "`set dshot_bidir = ON`",
-                "measured rotor speeds",
-            )
-    if "accSmooth[0]" not in log.columns:
-        yield Setting(
-            "Blackbox field ACC",
-            f"not logged ({disabled})",
-            "`set blackbox_disable_acc = OFF`",
-            "thrust, drag and vibration",
-        )
-    if not motors:
-        yield Setting(
-            "Blackbox field MOTOR",
-            f"not logged ({disabled})",
-            "`set blackbox_disable_motors = OFF`",
-            "commands",
-        )
-    if not has_battery:
-        yield Setting(
-            "Blackbox field BATTERY",
-            f"not logged ({disabled})",
-            "`set blackbox_disable_bat = OFF`",
-            "motor speeds from commands",
-        )
+            yield Setting("dshot_bidir", str(bidirectional), "`set dshot_bidir = ON`", measured)
+    for is_there, field, switch, gains in (
+        ("accSmooth[0]" in log.columns, "ACC", "acc", "thrust, drag and vibration"),
+        (motors, "MOTOR", "motors", "commands"),
+        (has_battery, "BATTERY", "bat", "motor speeds from commands"),
+    ):
+        if not is_there:
+            yield Setting(f"Blackbox field {field}", off, f"`set blackbox_disable_{switch} = OFF`", gains)
     if "extPos[0]" not in log.columns:
-        yield Setting(
-            "attitude and velocity",
-            "not in the log",
-            "nothing: Blackbox of this firmware has none that tell drag",
-            "drag and wind",
-        )
+        wanted = "nothing: Blackbox of this firmware has none that tell drag"
+        yield Setting("attitude and velocity", "not in the log", wanted, "drag and wind")
 
 
 STACK = Stack(FORMAT, read_betaflight_field)

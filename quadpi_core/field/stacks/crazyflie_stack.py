@@ -111,12 +111,8 @@ def _settings(events: Mapping[str, Event], has: Mapping[str, bool]) -> Iterator[
     def lacking(names: Sequence[str], gains: str) -> Iterator[Setting]:
         missing = [name for name in names if name not in logged]
         if missing:
-            yield Setting(
-                ", ".join(missing),
-                "not among the variables of the log",
-                "add to config.txt on the card",
-                gains,
-            )
+            present = "not among the variables of the log"
+            yield Setting(", ".join(missing), present, "add to config.txt on the card", gains)
 
     yield from lacking(
         ("gyro.x", "gyro.y", "gyro.z", "acc.x", "acc.y", "acc.z"),

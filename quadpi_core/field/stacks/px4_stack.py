@@ -231,25 +231,16 @@ def _settings(parameters: Mapping[str, float], topics: Topics, speeds: Series | 
     def present(name: str) -> str:
         return f"{parameters[name]:g}" if name in parameters else "not in the log"
 
-    profile = int(parameters.get("SDLOG_PROFILE", 0))
+    name = "SDLOG_PROFILE"
+    profile = int(parameters.get(name, 0))
     if profile & 24 != 24:
-        yield Setting(
-            "SDLOG_PROFILE",
-            present("SDLOG_PROFILE"),
-            f"set it to {profile | 25}",
-            "commands, state and reports of the speed controllers at full rate instead of 10 Hz",
-        )
+        gains = "commands, state and reports of the speed controllers at full rate instead of 10 Hz"
+        yield Setting(name, present(name), f"set it to {profile | 25}", gains)
     if speeds is None:
-        yield Setting(
-            "DSHOT_TEL_CFG",
-            present("DSHOT_TEL_CFG"),
-            "set it to the port of the telemetry wire, or DSHOT_BIDIR_EN to 1 (UAVCAN_ENABLE 3 on DroneCAN)",
-            "measured rotor speeds",
-        )
+        wire = "set it to the port of the telemetry wire, or DSHOT_BIDIR_EN to 1 (DroneCAN: UAVCAN_ENABLE 3)"
+        yield Setting("DSHOT_TEL_CFG", present("DSHOT_TEL_CFG"), wire, "measured rotor speeds")
     if "vehicle_local_position" not in topics or "vehicle_attitude" not in topics:
-        yield Setting(
-            "SDLOG_PROFILE", present("SDLOG_PROFILE"), "add 1 to it", "position, velocity and attitude"
-        )
+        yield Setting(name, present(name), "add 1 to it", "position, velocity and attitude")
 
 
 STACK = Stack(FORMAT, read_px4_field)

@@ -20,7 +20,7 @@ FULL_N, INERTIA, LAG_S = 6.0, (2.1e-3, 1.7e-3), 0.04
 STILL = [np.zeros(2)]
 
 
-def flight(lag_s: float = LAG_S, shaken: float = 0.02) -> tuple[FieldLog, Flown]:
+def flight(lag_s: float = LAG_S, shaken: float = 0.02, noise: float = 0.01) -> tuple[FieldLog, Flown]:
     rng = np.random.default_rng(0)
     time = np.arange(0.0, 60.0, 0.002)
     mean = np.sqrt(BEBOP.mass_kg * BEBOP.gravity_m_s2 / 4.0 / FULL_N)
@@ -36,7 +36,7 @@ def flight(lag_s: float = LAG_S, shaken: float = 0.02) -> tuple[FieldLog, Flown]
     turning = np.stack([-thrust @ BEBOP.rotor_positions[:, 1], thrust @ BEBOP.rotor_positions[:, 0]], axis=1)
     turning /= INERTIA
     rates = np.zeros((len(time), 3))
-    rates[:, :2] = 0.002 * np.cumsum(turning, axis=0) + rng.normal(0.0, 0.01, turning.shape)
+    rates[:, :2] = 0.002 * np.cumsum(turning, axis=0) + rng.normal(0.0, noise, turning.shape)
     force = np.zeros((len(time), 3))
     force[:, 2] = -thrust.sum(axis=1) / BEBOP.mass_kg + rng.normal(0.0, 0.3, len(time))
     log = FieldLog(
@@ -80,3 +80,47 @@ def test_motors_in_another_order_are_no_inertia():
     log, aloft = flight()
     swapped = replace(log, commands=Series(log.commands.time, log.commands.values[:, [3, 2, 1, 0]]))
     assert "vehicle file's order" in identify_body([(swapped, aloft)], BEBOP, STILL).inertia[0].reason
+
+
+def test_a_flight_of_25_s_at_once_is_long_enough():
+    log, aloft = flight()
+    parts = tuple(Stretch(begin, begin + 25.0) for begin in (0.0, 30.0))
+    assert identify_body([(log, replace(aloft, stretches=parts))], BEBOP, STILL).inertia[0].value is not None
+
+
+def test_the_power_of_thrust_is_in_the_interval_of_inertia_and_the_bias_in_that_of_thrust():
+    found = identify_body([flight()], BEBOP, STILL)
+    assert 0.15 < found.inertia[0].half_width / found.inertia[0].value < 0.17
+    weight = BEBOP.mass_kg * BEBOP.gravity_m_s2 / 4.0
+    assert 0.0305 < found.thrust.half_width / weight < 0.04
+
+
+def with_state(log: FieldLog, bias: float) -> FieldLog:
+    """Level flight in which the accelerometer's mean is gravity and the climb, with a bias along z."""
+    time, values = log.imu.time, log.imu.values.copy()
+    down = np.cumsum(values[:, 5] + 9.80665) * 0.002
+    values[:, 5] += bias
+    velocity = np.column_stack([np.zeros((len(time), 2)), down])
+    level = np.tile([1.0, 0.0, 0.0, 0.0], (len(time), 1))
+    rows = slice(None, None, 100)
+    return replace(
+        log,
+        imu=Series(time, values),
+        attitude=Series(time[rows], level[rows]),
+        velocity=Series(time[rows], velocity[rows]),
+    )
+
+
+@pytest.mark.parametrize("bias", [-0.3, 0.0, 0.3])
+def test_a_state_tells_the_bias_of_the_accelerometer(bias):
+    log, aloft = flight()
+    found = identify_body([(with_state(log, bias), aloft)], BEBOP, STILL).thrust
+    assert found.value == pytest.approx(BEBOP.mass_kg * BEBOP.gravity_m_s2 / 4.0, rel=0.01)
+    assert 0.006 < found.half_width / found.value < 0.012
+
+
+@pytest.mark.parametrize(("noise", "is_told"), [(2.0, True), (5.0, False)])
+def test_an_inertia_whose_interval_is_wide_is_not_told(noise, is_told):
+    """Hardly shaken, and with a gyro so noisy that the interval is 37 % and 71 % of the value."""
+    one = identify_body([flight(shaken=0.002, noise=noise)], BEBOP, STILL).inertia[0]
+    assert (one.value is not None) == is_told

@@ -158,3 +158,48 @@ def test_commands_of_outputs_that_are_off_tell_nothing() -> None:
     use = use_of(off)
     assert (use.motors, use.change, use.hover) == ((), None, None)
     assert use.volts is not None
+
+
+def changed(share: float, **changes: float) -> MotorUse:
+    """Slow flight near the weight whose command is another by a share from the middle on."""
+    given = {"speed": 0.2, "thrust": 1.0, "noise": 0.0} | changes
+    log = example()
+    time, piece = log.commands.time, ((log.commands.time - AIRBORNE[0]) // 5.0).astype(int)
+    command = HOVER * np.where(time < 30.0, 1.0, 1.0 + share) * (1.0 + given["noise"] * (-1.0) ** piece)
+    aloft = (time >= AIRBORNE[0]) & (time < AIRBORNE[1])
+    values = log.imu.values.copy()
+    values[:, 5] = -9.80665 * given["thrust"]
+    velocity = np.tile([given["speed"], 0.0, 0.0], (len(log.velocity), 1))
+    return use_of(
+        replace(
+            log,
+            commands=Series(time, np.where(aloft, command, 0.05)[:, np.newaxis] * np.ones(4)),
+            imu=replace(log.imu, values=values),
+            velocity=replace(log.velocity, values=velocity),
+        )
+    )
+
+
+@pytest.mark.parametrize(
+    ("changes", "is_told"),
+    [
+        ({"speed": 2.8}, True),
+        ({"speed": 3.2}, False),
+        ({"thrust": 1.19}, True),
+        ({"thrust": 1.21}, False),
+        ({"noise": 0.016}, True),
+        ({"noise": 0.045}, False),
+    ],
+)
+def test_a_change_shows_in_slow_flight_near_the_weight_beyond_its_noise(changes, is_told) -> None:
+    assert (changed(0.12, **changes).change is not None) == is_told
+
+
+@pytest.mark.parametrize(("share", "is_told"), [(0.2, False), (0.4, True)])
+def test_commands_that_hardly_move_tell_no_thrust_over_command(share, is_told) -> None:
+    """Those of 1.4 and of 2.8 per cent of their median."""
+    log = example()
+    mean = np.mean(log.commands.values[(log.commands.time > 6.0) & (log.commands.time < 54.0)])
+    values = np.where(log.commands.values > 0.2, mean + share * (log.commands.values - mean), 0.05)
+    gain = use_of(replace(log, commands=Series(log.commands.time, values))).thrust_gain
+    assert ("hardly changed" not in gain.reason) == is_told

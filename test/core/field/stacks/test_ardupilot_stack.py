@@ -80,10 +80,12 @@ def test_the_land_detector_holds_until_it_says_otherwise(read):
 
 
 def test_settings_name_their_present_value_and_all_that_is_lacking_together(read):
-    settings = read(LOG_BITMASK=176126, SERVO_BLH_AUTO=0, INS_LOG_BAT_OPT=0).settings
-    assert [one.parameter for one in settings] == ["LOG_BITMASK", "SERVO_BLH_AUTO"]
+    batches = {"INS_LOG_BAT_OPT": 0, "INS_LOG_BAT_MASK": 0}
+    settings = read(LOG_BITMASK=176126, SERVO_BLH_AUTO=0, **batches).settings
+    assert [one.parameter for one in settings] == ["LOG_BITMASK", "SERVO_BLH_AUTO", "INS_LOG_BAT_OPT"]
     assert settings[0].sentence().startswith("LOG_BITMASK is 176126: set it to 438271, for the state")
     assert settings[1].sentence().startswith("SERVO_BLH_AUTO is 0: set it to 1, with the telemetry wire")
+    assert settings[2].sentence().startswith("INS_LOG_BAT_OPT is 0: set it to 1, with INS_LOG_BAT_MASK 1")
     (check,) = read(LOG_BITMASK=438271, SERVO_BLH_AUTO=1).settings
     assert check.sentence().startswith("SERVO_BLH_AUTO is 1: check the telemetry wire")
 
