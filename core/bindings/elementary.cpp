@@ -16,9 +16,7 @@ void bind_elementary(nb::module_& module) {
     module.def("cosine", over_rows(&cosine));
     module.def("arctangent", over_rows(&arctangent));
     module.def("exponential", over_rows(&exponential));
-    module.def("exponential_minus_1", over_rows(&exponential_minus_1));
     module.def("hyperbolic_tangent", over_rows(&hyperbolic_tangent));
-    module.def("logarithm_of_1_plus", over_rows(&logarithm_of_1_plus));
 }
 
 }  // namespace quadpi

@@ -3,10 +3,7 @@
 // What Python calls of the estimator. Records are changed in place; single ones are arrays of length one.
 #include <nanobind/nanobind.h>
 
-#include <algorithm>
-
 #include "bindings/records.hpp"
-#include "quadpi/estimator/pose_information.hpp"
 #include "quadpi/estimator/smoother.hpp"
 
 namespace nb = nanobind;
@@ -150,87 +147,12 @@ void relative_attitudes(Records<ImuSample> imu, std::int64_t last_ns, Records<Qu
     }
 }
 
-// Single steps, for tests of them.
-void bind_steps(nb::module_& module) {
-    using Estimates = Records<Estimate>;
-    using Noises = Records<Noise>;
-    using Measurements = Records<Measurement>;
-    module.def(
-        "propagate_between",
-        [](Estimates estimate,
-           Noises noise,
-           Records<ImuSample> between,
-           std::int64_t to_ns,
-           Records<Transition> by) {
-            propagate_between(only(estimate), only(noise), between[0], between[1], to_ns, only(by));
-        }
-    );
-    module.def("interpolate_sample", [](Estimates estimate, Records<ImuSample> between) {
-        interpolate_sample(only(estimate), between[0], between[1]);
-    });
-    module.def("apply_transposed", [](Records<Transition> by, Records<ErrorVector> vectors) {
-        for (ErrorVector& vector : vectors) {
-            apply_transposed(only(by), vector);
-        }
-    });
-    module.def(
-        "correct_scalar",
-        [](Records<ErrorMatrix> covariance, Records<ErrorVector> error, Records<Scalar> scalar) {
-            correct_scalar(only(covariance), only(error), only(scalar));
-        }
-    );
-    module.def("inject", [](Estimates estimate, Records<ErrorVector> error) {
-        inject(only(estimate), only(error));
-    });
-    module.def(
-        "fuse", [](Estimates estimate, Noises noise, Measurements measurement, Records<Scalar> scalars) {
-            Scalars found;
-            require(scalars.size == found.size(), "not six scalars");
-            std::copy_n(scalars.begin(), found.size(), found.begin());
-            const double nis = fuse(only(estimate), only(noise), only(measurement), found);
-            std::copy_n(found.begin(), found.size(), scalars.begin());
-            return nis;
-        }
-    );
-    module.def("taken_ns", [](Estimates estimate, Measurements measurement) {
-        return taken_ns(only(estimate), only(measurement));
-    });
-    module.def("significance", [](double x, double y, double z, double variance) {
-        return significance({x, y, z}, variance);
-    });
-    module.def("same_motion", [](Measurements pair, Estimates estimate, Noises noise) {
-        return same_motion(pair[0], pair[1], only(estimate), only(noise));
-    });
-    module.def("motion_shows", [](Estimates estimate, Noises noise, std::int64_t kind, double elapsed) {
-        return motion_shows(only(estimate), only(noise), kind, elapsed);
-    });
-    module.def("status_of", [](Filters filter, Ring ring) {
-        return static_cast<std::int64_t>(Buffer(only(filter), ring).status());
-    });
-    module.def("fill_fused", [](Estimates estimate, double gyro_variance, Records<FusedSample> fused) {
-        fill_fused(only(estimate), gyro_variance, only(fused));
-    });
-}
-
-void bind_constants(nb::module_& module) {
-    module.attr("ANGULAR_ACCELERATION") = ANGULAR_ACCELERATION;
-    module.attr("BUFFER_NS") = BUFFER_NS;
-    module.attr("DEGRADED_NS") = DEGRADED_NS;
-    module.attr("DELAY_MAX_S") = DELAY_MAX_S;
-    module.attr("HELD") = HELD;
-    module.attr("HOLD_NS") = HOLD_NS;
-    module.attr("LOST_NS") = LOST_NS;
-    module.attr("POSE_GATE") = POSE_GATE;
-    module.attr("SCALAR_CORRECTION") = static_cast<std::int64_t>(SCALAR_CORRECTION);
-    module.attr("STEP") = static_cast<std::int64_t>(STEP);
-    module.attr("VELOCITY_GATE") = VELOCITY_GATE;
-}
-
 }  // namespace
 
 void bind_estimator(nb::module_& module) {
-    bind_constants(module);
-    bind_steps(module);
+    module.attr("ANGULAR_ACCELERATION") = ANGULAR_ACCELERATION;
+    module.attr("BUFFER_NS") = BUFFER_NS;
+    module.attr("HELD") = HELD;
     module.def("pose_information", &find_pose_information);
     bind_held<LiveFilter>(module, "LiveFilter").def(nb::init<nb::object>());
     module.def("step", &step_live);

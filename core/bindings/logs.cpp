@@ -31,17 +31,6 @@ nb::tuple decode_blackbox(
     return nb::make_tuple(found.frames, found.ended, found.damaged_at, found.damaged);
 }
 
-std::int64_t read_blackbox_fields(
-    blackbox::Bytes data,
-    std::size_t position,
-    Records<const std::int64_t> encoding,
-    Records<std::int64_t> values
-) {
-    blackbox::Cursor cursor(data, position);
-    blackbox::read_fields(cursor, encoding, values);
-    return cursor.stop();
-}
-
 template <std::size_t N>
 nb::list listed(const std::array<std::int64_t, N>& numbers) {
     nb::list list;
@@ -63,12 +52,9 @@ void bind_logs(nb::module_& module) {
     module.attr("BLACKBOX_PREDICTORS") = listed(blackbox::PREDICTORS);
     module.attr("BLACKBOX_KINDS") = nb::str(blackbox::KINDS.data(), blackbox::KINDS.size());
     module.attr("BLACKBOX_FIELDS_MAX") = blackbox::FIELDS_MAX;
-    module.attr("BLACKBOX_CUT") = blackbox::CUT;
-    module.attr("BLACKBOX_BROKEN") = blackbox::BROKEN;
     module.attr("BLACKBOX_NOTHING") = static_cast<std::int64_t>(blackbox::NOTHING);
     module.attr("BLACKBOX_TAG8_4S16") = static_cast<std::int64_t>(blackbox::TAG8_4S16);
     module.def("decode_blackbox", &decode_blackbox);
-    module.def("read_blackbox_fields", &read_blackbox_fields);
     module.def("mcap_messages", &mcap_messages);
 }
 

@@ -249,7 +249,6 @@ void bind_faults(nb::module_& module) {
         {"STATE_MISSING", STATE_MISSING},
         {"ROTORS_MISSING", ROTORS_MISSING},
         {"GYRO_FROZEN", GYRO_FROZEN},
-        {"IN_FLIGHT_ONLY", IN_FLIGHT_ONLY},
         {"ACCELEROMETER_FROZEN", ACCELEROMETER_FROZEN},
         {"ROTOR_FROZEN", ROTOR_FROZEN},
         {"ROTOR_HALF", ROTOR_HALF},

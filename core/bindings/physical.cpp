@@ -165,7 +165,6 @@ void spread_errors(
 }  // namespace
 
 void bind_physical(nb::module_& module) {
-    module.def("solve_induced_velocity", &solve_induced_velocity);
     module.def("fill_regressors", &find_regressors, Unlocked());
     module.def("physical_wrenches", &find_physical_wrenches, Unlocked());
     module.def("read_motions", &read_motions);

@@ -16,13 +16,6 @@ inline std::size_t checked_rotors(std::int64_t rotors) {
     return static_cast<std::size_t>(rotors);
 }
 
-// That of a row of signals.
-inline std::int64_t rotors_of_row(Records<const double> row) {
-    const auto rotors = static_cast<std::int64_t>(row.size) - static_cast<std::int64_t>(ROTOR_CHANNEL);
-    checked_rotors(rotors);
-    return rotors;
-}
-
 // Refuse rows of signals that are not so many, of so many rotors.
 inline void require_rows(Records<const double> rows, std::size_t count, std::int64_t rotors) {
     checked_rotors(rotors);

@@ -61,16 +61,6 @@ void bind_screening(nb::module_& module) {
     module.def("usable_imu", [](Records<const Vector3> rates, Records<const Vector3> specific_force) {
         return usable_imu(only(rates), only(specific_force));
     });
-    // For tests of the limits.
-    module.def("usable_pose", [](Records<const Vector3> position, Records<const Quaternion> attitude) {
-        return usable_pose(only(position), only(attitude));
-    });
-    module.def("usable_velocity", [](Records<const Vector3> velocity) {
-        return usable_velocity(only(velocity));
-    });
-    module.def("plausible", [](Records<const double> sample, double rotor_speed_max) {
-        return plausible(signals_in(sample.data, rotors_of_row(sample)), rotor_speed_max);
-    });
 }
 
 }  // namespace quadpi

@@ -37,25 +37,6 @@ void filter_rows(
     low_pass(only(design), delays, samples.size / delays.channels, samples.data, value.data, derivative.data);
 }
 
-void filter_one(
-    Records<const LowPass> design,
-    Records<ChainMemory> memory,
-    Records<const double> sample,
-    Records<double> value,
-    Records<double> slope,
-    Records<double> curvature
-) {
-    const std::int64_t rotors = rotors_of_row(sample);
-    require(value.size == sample.size && slope.size == sample.size, DIFFERENT);
-    require(curvature.size == static_cast<std::size_t>(rotors), DIFFERENT);
-    Signals raw = signals_in(sample.data, rotors), filtered{}, derivative{};
-    PerRotor second{};
-    filter_sample(only(design), only(memory), raw, filtered, derivative, second, rotors);
-    fill_row(filtered, rotors, value.data);
-    fill_row(derivative, rotors, slope.data);
-    std::copy_n(second.begin(), rotors, curvature.data);
-}
-
 void find_wrenches(
     Records<const Vector3> specific_force,
     Records<const Vector3> rates,
@@ -104,8 +85,6 @@ void bind_signals(nb::module_& module) {
     module.def("make_continuous", [](Records<Quaternion> attitudes, Records<const Quaternion> last) {
         make_continuous(attitudes, only(last));
     });
-    module.def("filter_sample", &filter_one);
-    module.def("forget_samples", [](Records<ChainMemory> memory) { forget(only(memory)); });
     module.def("newton_euler", &find_wrenches);
     module.def("turn_by_rates", &turn_by_rates);
     module.def("relative_to_air", over_rows(&relative_to_air));
@@ -113,7 +92,6 @@ void bind_signals(nb::module_& module) {
     module.def("follow_rate", [](Records<Meter> meter, std::int64_t time_ns) {
         follow(only(meter), time_ns);
     });
-    module.def("off_for", &off_for);
 }
 
 }  // namespace quadpi

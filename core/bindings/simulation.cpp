@@ -302,28 +302,6 @@ void bind_simulation(nb::module_& module) {
     bind_constants(module);
     const nb::call_guard<nb::gil_scoped_release> unlocked;
     module.def("fly", &fly_along);
-    module.def(
-        "control",
-        [](nb::handle given,
-           Records<const IntegratedMotion> motion,
-           const DemandFields& given_demand,
-           std::size_t step) {
-            HeldControls held(given);
-            const Demand demand = demand_of(given_demand);
-            require(step < demand.yaw.size, "no such instant");
-            Controls controls = held.controls();
-            control(controls, only(motion), demand, step);
-            held.give_back();
-        }
-    );
-    module.def("observe", [](nb::handle given, Records<const State> state) {
-        HeldControls held(given);
-        Controls controls = held.controls();
-        observe(controls, only(state));
-    });
-    module.def("is_lost", [](Records<const IntegratedMotion> motion, Records<const Vector3> position) {
-        return is_lost(only(motion), only(position));
-    });
     module.def("fill_aerodynamics", &fill_aerodynamics, unlocked);
     module.def("effect_wrenches", &effect_wrenches, unlocked);
     module.def("remember", &remember_along, unlocked);

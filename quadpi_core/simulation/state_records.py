@@ -242,23 +242,6 @@ class Controls(NamedTuple):
         )
 
 
-def observe(controls: Controls, state: Records) -> None:
-    """Update the disturbance: the wrench of a STATE (1,) less that of rotors in hover at its rotor speeds."""
-    compiled.observe(controls, state)
-
-
-def control(controls: Controls, motion: Records, demand: Demand, step: int) -> None:
-    """Set the commanded rotor speeds for one step.
-
-    Args:
-        controls: see :class:`Controls`; its `command` is replaced.
-        motion: record MOTION (1,) of the true state.
-        demand: reference to follow.
-        step: index of the instant.
-    """
-    compiled.control(controls, motion, demand, step)
-
-
 class IntegratedMotion:
     """The integrated state, or its derivative; position and velocity in the world.
 
@@ -288,14 +271,14 @@ class Logged:
 
 
 # Of four rotors.
-MOTION, LOGGED = record_dtype(IntegratedMotion, 4), record_dtype(Logged, 4)
+LOGGED = record_dtype(Logged, 4)
 
 
 class Memory(NamedTuple):
     """The integrator's memory.
 
     Attributes:
-        motions: records MOTION (6,): the state, a state ahead of it and the slopes of four stages.
+        motions: (6,) :class:`IntegratedMotion`: the state, one ahead of it and the slopes of four stages.
         state: record STATE (1,), which effects read and add to.
     """
 
@@ -384,13 +367,3 @@ def fly(
         log,
         done,
     )
-
-
-def is_lost(motion: Records, position: Array) -> bool:
-    """Whether the vehicle is upside down, spins, is below the ground, off its reference, or no number.
-
-    Args:
-        motion: record MOTION (1,).
-        position: (3,) of the reference.
-    """
-    return compiled.is_lost(motion, position)

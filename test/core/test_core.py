@@ -15,7 +15,7 @@ import pytest
 
 import quadpi_core
 from quadpi_core.core import compiled
-from quadpi_core.estimator.filter_state import ESTIMATE, NOISE
+from quadpi_core.estimator.filter_state import MEASUREMENT, NOISE
 
 PACKAGE = Path(quadpi_core.__file__).parent
 SOURCES = PACKAGE.parent / "core"
@@ -53,20 +53,20 @@ def test_nothing_is_said_of_what_a_program_still_holds_as_it_ends() -> None:
 
 
 @pytest.mark.parametrize(
-    "estimate",
-    [np.zeros(1), np.zeros(1, NOISE), np.zeros((2, 2), ESTIMATE)[:, 0], [1.0], None],
+    "measurement",
+    [np.zeros(1), np.zeros(1, NOISE), np.zeros((2, 2), MEASUREMENT)[:, 0], [1.0], None],
     ids=["numbers", "other records", "not contiguous", "a list", "None"],
 )
-def test_what_are_no_records_of_that_kind_is_refused(estimate: object) -> None:
+def test_what_are_no_records_of_that_kind_is_refused(measurement: object) -> None:
     with pytest.raises(TypeError):
-        compiled.inject(estimate, np.zeros(16))
+        compiled.usable_measurement(measurement)
 
 
 def test_records_that_cannot_be_written_are_refused() -> None:
-    estimate = np.zeros(1, ESTIMATE)
-    estimate.flags.writeable = False
+    measurement = np.zeros(1, MEASUREMENT)
+    measurement.flags.writeable = False
     with pytest.raises(TypeError):
-        compiled.inject(estimate, np.zeros(16))
+        compiled.usable_measurement(measurement)
 
 
 def test_what_begins_anywhere_is_read_all_the_same() -> None:

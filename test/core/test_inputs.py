@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quadpi_core.core import compiled
 from quadpi_core.errors import LogError
 from quadpi_core.flight import Flight
 from quadpi_core.frames import Array, rotation_matrix
@@ -22,15 +21,8 @@ from quadpi_core.inputs import (
 from quadpi_core.vehicle import Vehicle
 from test.core.multicopters import multicopter
 
-HOVER = 4.6  # m/s, the scale of the induced velocity of a small quadrotor
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
-
-
-def induced_velocity(velocity: Array) -> Array:
-    """(N,) m/s at velocities (N, 3) relative to the air, of a rotor with :data:`HOVER`."""
-    return np.array(
-        [compiled.solve_induced_velocity(float(np.hypot(u, v)), w, HOVER) for u, v, w in velocity]
-    )
+HOVER = Vehicle.load("bebop2").hover_induced_velocity  # m/s
 
 
 @pytest.fixture(scope="module")
@@ -59,6 +51,11 @@ def inputs_of(
         np.full((count, 4), 600.0) if rotor_speeds is None else rotor_speeds,
         vehicle,
     )
+
+
+def induced_velocity(velocity: Array) -> Array:
+    """(N,) m/s at velocities (N, 3) relative to the air, of rotors with :data:`HOVER`."""
+    return inputs_of(Vehicle.load("bebop2"), velocity=velocity)[:, INPUT_INDEX["v_in"]]
 
 
 def random_state(rng: np.random.Generator, count: int) -> tuple[Array, Array, Array, Array]:

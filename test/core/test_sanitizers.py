@@ -63,7 +63,6 @@ TESTS = (
     "test_inputs.py",
     "test_rotations.py",
     "test_sample_limits.py",
-    "test_thresholds.py::test_a_threshold_decides_at_its_value[POSITION_ERROR_MAX_M]",
 )
 FLAGS = "-O1 -g1 -Werror -fsanitize=address,undefined -fno-sanitize-recover=undefined"
 

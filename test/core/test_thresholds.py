@@ -78,11 +78,12 @@ from quadpi_core.simulation.scenario import FlightPlan
 from quadpi_core.simulation.sensor_noise import MotionCapture, SensorSuite
 from quadpi_core.simulation.sensors import ideal_recording
 from quadpi_core.simulation.simulated_bags import require_reachable
-from quadpi_core.simulation.state_records import MOTION, Controls, Demand, block_of, control, is_lost
+from quadpi_core.simulation.state_records import block_of
 from quadpi_core.simulation.truth import Reference
 from quadpi_core.vehicle import TERMS, Motors, Vehicle
 
 from .simulation.conftest import START_NS, swing
+from .simulation.references import held_still
 
 BEBOP = Vehicle.load("bebop2")
 ARM_M = float(np.linalg.norm(BEBOP.rotor_positions[:, :2], axis=1).mean())
@@ -482,9 +483,7 @@ def leaning(degrees):
 
 
 def lost(*, attitude=(1.0, 0.0, 0.0, 0.0), rates=0.0, distance=0.0):
-    motion = np.zeros(1, dtype=MOTION)
-    motion["attitude"], motion["rates"][0, 1], motion["position"][0, 2] = attitude, rates, -20.0
-    return bool(is_lost(motion, np.array([distance, 0.0, -20.0])))
+    return held_still(1, attitude=attitude, rates=[0.0, rates, 0.0], aside=distance)[2] == 0
 
 
 def tilted_to(cosine):
@@ -494,16 +493,7 @@ def tilted_to(cosine):
 
 def commanded(acceleration):
     """Commanded rotor speeds of a level vehicle at rest that is to accelerate."""
-    vehicle = SimulatedVehicle.load("bebop2")
-    controls = Controls.from_nominal(vehicle.record(), vehicle.aerodynamics.effectiveness)
-    motion = np.zeros(1, dtype=MOTION)
-    motion["attitude"][0, 0], motion["rotor_speeds"] = 1.0, 600.0
-    none, level = np.zeros((1, 3)), np.zeros(1)
-    demand = Demand(
-        none, none, np.array([acceleration], dtype=float), none, level, level, np.zeros((1, 2)), level, none
-    )
-    control(controls, motion, demand, 0)
-    return controls.command.tolist()
+    return held_still(1, acceleration=acceleration)[0]
 
 
 def not_limited(degrees):

@@ -11,7 +11,15 @@ import pytest
 
 from quadpi_core.core import compiled
 from quadpi_core.estimator import filter_state
-from quadpi_core.estimator.filter_state import ESTIMATE, IMU_SAMPLE, allocate, assumed_noise
+from quadpi_core.estimator.filter_run import Inputs, Tape
+from quadpi_core.estimator.filter_state import (
+    CORRECTION,
+    ESTIMATE,
+    IMU_SAMPLE,
+    NOISE,
+    allocate,
+    assumed_noise,
+)
 from quadpi_core.flight import NO_STAMP
 from quadpi_core.records import Records
 from quadpi_core.signals.chain import RATE_SPAN
@@ -83,15 +91,18 @@ def test_a_start_keeps_the_noise_and_the_counts_and_nothing_else(noisy_vehicle, 
 
 
 def test_a_sample_between_two_is_on_the_line_between_them():
-    samples = np.zeros(2, IMU_SAMPLE)
+    """Where a correction lies; one of which nothing was measured changes no state."""
+    samples, correction = np.zeros(2, IMU_SAMPLE), np.zeros(1, CORRECTION)
+    correction["measurement"]["deviation"] = -1.0
     first, second = samples[:1], samples[1:]
     first["time_ns"], second["time_ns"] = 1_000, 3_000
     first["rates"], second["rates"] = [1.0, 2.0, 3.0], [2.0, 0.0, 7.0]
     second["specific_force"] = [4.0, -4.0, 8.0]
     between = np.zeros(1, ESTIMATE)
     for time_ns in (1_000, 1_500, 3_000):
-        between["time_ns"] = time_ns
-        compiled.interpolate_sample(between, samples)
+        between["time_ns"] = correction["time_ns"] = time_ns
+        inputs = Inputs(samples, correction, np.zeros(1, NOISE))
+        assert compiled.forward(inputs, between, 1, 2, 0, Tape.empty(2, 1)) == 1
         for name in ("rates", "specific_force"):
             ends = np.array([first[name][0], second[name][0]])
             expected = [np.interp(time_ns, [1_000, 3_000], column) for column in ends.T]

@@ -101,16 +101,24 @@ def test_a_rate_that_is_given_counts_unless_the_stamps_contradict(given_hz: floa
 
 
 @pytest.mark.parametrize(
-    ("span_ms", "step_ms", "off_ms"),
-    [
-        (22.5, 2, 52),  # more than 12 % longer than usual
-        (17.5, 2, 52),
-        (22.3, 2, 42),  # one that fits outweighs four that do not
-        (100.0, 90, 70),  # a gap counts for 20 ms
-    ],
+    ("span_share", "lost"), [(1.115, False), (1.125, True), (0.885, False), (0.875, True)]
 )
-def test_spans_that_differ_by_an_eighth_add_up_and_those_that_fit_outweigh_them(span_ms, step_ms, off_ms):
-    """Of usual spans of 20 ms, after 50 ms of others."""
-    found = compiled.off_for(50_000_000, round(1e6 * span_ms), 20_000_000.0, step_ms * 1_000_000)
-    assert found == off_ms * 1_000_000
-    assert compiled.off_for(1_000_000, 20_000_000, 20_000_000.0, 2_000_000) == 0
+def test_spans_that_differ_by_an_eighth_are_another_rate(span_share: float, lost: bool) -> None:
+    before = stamps(500.0, 2.0)
+    after = stamps(500.0 / span_share, 0.5, int(before[-1]) + 2_000_000)
+    assert any(rate.lost for rate in told(np.concatenate((before, after)))) == lost
+
+
+@pytest.mark.parametrize(("fitting", "lost"), [(2, True), (5, False)])
+def test_one_span_that_fits_outweighs_four_that_do_not(fitting: int, lost: bool) -> None:
+    """Of 500 Hz with ten steps of 4 ms now and then: spans differ for 52 ms, and some fit."""
+    steps = np.tile([4] * 10 + [2] * (9 + fitting), 60)
+    time_ns = np.concatenate((stamps(500.0, 2.0), START_NS + 2_000_000_000 + 1_000_000 * np.cumsum(steps)))
+    assert any(rate.lost for rate in told(time_ns)) == lost
+
+
+@pytest.mark.parametrize(("gaps", "lost"), [(8, False), (10, True)])
+def test_a_gap_counts_for_20_ms(gaps: int, lost: bool) -> None:
+    steps = np.concatenate(([90] * gaps, [2] * 20))
+    time_ns = np.concatenate((stamps(500.0, 2.0), START_NS + 1_998_000_000 + 1_000_000 * np.cumsum(steps)))
+    assert any(rate.lost for rate in told(time_ns)) == lost

@@ -11,6 +11,7 @@ from quadpi_core.estimator.filter_state import (
     ATTITUDE,
     ERROR_STATES,
     ESTIMATE,
+    FILTER,
     GYRO_BIAS,
     POSITION,
     VELOCITY,
@@ -39,8 +40,9 @@ def make_state(rng: np.random.Generator) -> State:
 
 
 def fused(state: State) -> FusedSamples:
-    sample = np.empty(1, FUSED)
-    compiled.fill_fused(state.estimate, GYRO_NOISE**2, sample)
+    sample, memory = np.empty(1, FUSED), np.zeros(1, FILTER)
+    memory["noise"]["rates"] = GYRO_NOISE**2
+    compiled.fill_newest(memory, state.estimate, sample)
     return FusedSamples.from_rows(sample)
 
 

@@ -9,18 +9,17 @@ import pytest
 
 from quadpi_core import frames
 from quadpi_core.core import compiled
-from quadpi_core.estimator.filter_run import imu_records
+from quadpi_core.estimator.filter_run import ESTIMATED, Inputs, Tape, imu_records
 from quadpi_core.estimator.filter_state import (
     ACCELEROMETER_BIAS,
     ATTITUDE,
+    CORRECTION,
     DELAY,
     ERROR_STATES,
     ESTIMATE,
     GYRO_BIAS,
     NOISE,
     POSITION,
-    SCALAR,
-    TRANSITION,
     VELOCITY,
 )
 from quadpi_core.flight import ImuStream
@@ -89,11 +88,18 @@ def difference(one: Records, other: Records) -> Array:
     return error
 
 
-def stepped(estimate: Records, noise: Records, imu: Records) -> tuple[Records, Records]:
-    """The estimate after a step of the IMU, and the transition of its errors."""
-    after, transition = estimate.copy(), np.zeros(1, TRANSITION)
-    compiled.propagate_between(after, noise, imu, STEP_NS, transition)
-    return after, transition
+def stepped(estimate: Records, noise: Records, imu: Records) -> tuple[Records, Tape]:
+    """The estimate after a step between each two samples of the IMU, and its tape."""
+    after, tape = estimate.copy(), Tape.empty(len(imu), 0)
+    compiled.forward(Inputs(imu, np.zeros(0, CORRECTION), noise), after, 1, len(imu), 0, tape)
+    return after, tape
+
+
+def stepped_back(tape: Tape, adjoint: Array) -> Records:
+    """The smoothed estimates of a tape; the adjoint state at its end becomes that at its beginning."""
+    smoothed = np.zeros(len(tape.estimates), ESTIMATED)
+    compiled.backward(tape, adjoint, np.zeros((ERROR_STATES, ERROR_STATES)), smoothed)
+    return smoothed
 
 
 def measured_transition(estimate: Records, noise: Records, imu: Records) -> Array:
@@ -112,13 +118,12 @@ def test_dead_reckoning_on_ideal_sensors_is_of_second_order(noisy_vehicle, true_
         time = np.arange(0.0, 2.0 + 1e-9, 1.0 / rate)
         time_ns = np.rint(time * 1e9).astype(np.int64)
         true = true_flight(time)
-        estimate, noise, transition = np.zeros(1, ESTIMATE), np.zeros(1, NOISE), np.zeros(1, TRANSITION)
+        estimate, noise = np.zeros(1, ESTIMATE), np.zeros(1, NOISE)
         estimate["position"], estimate["velocity"] = true.position[0], true.velocity[0]
         estimate["attitude"], noise["gravity"] = true.attitude[0], noisy_vehicle.gravity_m_s2
         samples = imu_records(ImuStream(time_ns, true.rates, true.specific_force))
-        for k, to_ns in enumerate(time_ns[1:]):
-            compiled.propagate_between(estimate, noise, samples[k : k + 2], to_ns, transition)
-        errors.append(np.linalg.norm(estimate["velocity"][0] - true.velocity[-1]))
+        after, _ = stepped(estimate, noise, samples)
+        errors.append(np.linalg.norm(after["velocity"][0] - true.velocity[-1]))
     assert errors[0] < 2e-3
     assert errors[1] < 0.3 * errors[0]
 
@@ -144,36 +149,25 @@ def test_the_covariance_is_that_of_the_errors_after_the_step(estimate, noise, im
 
 
 def test_the_transposed_transition_is_that_of_the_errors(estimate, noise, imu):
-    _, transition = stepped(estimate, noise, imu)
     rows = np.eye(ERROR_STATES)
-    compiled.apply_transposed(transition, rows)
+    for row in rows:
+        stepped_back(stepped(estimate, noise, imu)[1], row)
     np.testing.assert_allclose(rows, measured_transition(estimate, noise, imu), atol=1e-5)
 
 
-def test_a_scalar_corrects_as_the_textbook_says(estimate):
-    rng = np.random.default_rng(8)
-    by, residual, variance = rng.normal(size=ERROR_STATES), 0.7, 0.3
-    scalar, error = np.zeros(1, SCALAR), 0.1 * rng.normal(size=ERROR_STATES)
-    scalar["jacobian"], scalar["residual"], scalar["variance"] = by, residual, variance
-    before, prior = error.copy(), estimate["covariance"][0].copy()
-    compiled.correct_scalar(estimate["covariance"][0], error, scalar)
-    expected = by @ prior @ by + variance
-    gain = prior @ by / expected
-    np.testing.assert_allclose(error, before + gain * (residual - by @ before), rtol=1e-12)
-    np.testing.assert_allclose(scalar["gain"][0], gain, rtol=1e-12)
-    np.testing.assert_allclose(scalar["innovation_variance"], expected, rtol=1e-12)
-    after = estimate["covariance"][0]
-    np.testing.assert_allclose(after, prior - np.outer(gain, by @ prior), atol=1e-13)
-    np.testing.assert_array_equal(after, after.T)
+def test_an_estimated_error_is_added_and_the_delay_stays_within_the_buffer(estimate, noise, imu):
+    """With a covariance of one, the smoother adds the adjoint state with the other sign."""
 
+    def corrected(error: Array) -> Records:
+        _, tape = stepped(estimate, noise, imu)
+        tape.estimates["covariance"] = np.eye(ERROR_STATES)
+        return stepped_back(tape, -error)[:1]
 
-def test_an_estimated_error_is_added_and_the_delay_stays_within_the_buffer(estimate):
+    after, _ = stepped(estimate, noise, imu)
     error = 0.1 * np.random.default_rng(9).normal(size=ERROR_STATES)
-    corrected = estimate.copy()
-    compiled.inject(corrected, error)
-    np.testing.assert_allclose(difference(estimate, corrected), error, rtol=1e-9)
-    assert np.linalg.norm(corrected["attitude"]) == pytest.approx(1.0, rel=1e-15)
+    smoothed = corrected(error)
+    np.testing.assert_allclose(difference(after, smoothed), error, rtol=1e-9)
+    assert np.linalg.norm(smoothed["attitude"]) == pytest.approx(1.0, rel=1e-15)
     for sign in (1.0, -1.0):
         error[DELAY] = sign
-        compiled.inject(corrected, error)
-        assert corrected["delay"] == sign * compiled.DELAY_MAX_S == sign * 0.35
+        assert corrected(error)["delay"] == sign * 0.35

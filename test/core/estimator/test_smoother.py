@@ -23,6 +23,8 @@ from quadpi_core.flight import Recording
 from quadpi_core.frames import rotate_world_to_body
 
 RATE = 500.0
+# Events of a tape.
+STEP, SCALAR_CORRECTION = 0, 1
 
 
 def dense(transition):
@@ -49,13 +51,13 @@ def textbook(tape, covariance, noise):
     """Rauch, Tung and Striebel with dense matrices: smoothed errors and variances at the estimates."""
     steps, transitions, scalars = [], iter(tape.steps), iter(tape.scalars)
     for event in tape.events[: tape.length["events"][0]]:
-        if event == compiled.STEP:
+        if event == STEP:
             transition = next(transitions)
             f = dense(transition)
             predicted = f @ covariance @ f.T + process_noise(noise, transition["dt"])
             steps.append(("step", covariance @ f.T @ np.linalg.inv(predicted), covariance, predicted))
             covariance = predicted
-        elif event == compiled.SCALAR_CORRECTION:
+        elif event == SCALAR_CORRECTION:
             scalar = next(scalars)
             innovation, expected = scalar["innovation"], scalar["innovation_variance"]
             gain = covariance @ scalar["jacobian"] / expected

@@ -10,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from quadpi_core.core import compiled
+from quadpi_core.logs.formats.betaflight import RULES
 
 from .blackbox_writer import signed, unsigned
 
 SIGNED_VB, UNSIGNED_VB, NEG_14BIT, TAG8_8SVB = 0, 1, 3, 6
-CUT, BROKEN = compiled.BLACKBOX_CUT, compiled.BLACKBOX_BROKEN
 
 # The bits of three values A, B and C, by encoding; the shortest form that holds them is taken.
 FORMS = {
@@ -78,13 +78,18 @@ def test_encoders_of_this_test_give_the_bytes_of_the_documentation():
     assert triple([1, -2, -1], 7) == bytes([0b00011011])
 
 
-def read(data: bytes, *encodings: int) -> tuple[list[int], int]:
-    """What is read of a frame whose fields are in these encodings, and the position behind it."""
-    count = len(encodings)
-    values = np.full(count, -99, dtype=np.int64)
-    kinds = np.array(encodings, dtype=np.int64)
-    stop = compiled.read_blackbox_fields(data, 0, kinds, values)
-    return values.tolist(), stop
+def read(packed: bytes, *encodings: int) -> tuple[list[int] | None, int]:
+    """The values of a frame whose fields are in these encodings, if it is whole, and the damaged bytes."""
+    count, rules = len(encodings), np.zeros(1, RULES)
+    rules["sizes"][0, 0], rules["encoding"][0, 0, :count] = count, encodings
+    rules["signed"][0, :count] = np.not_equal(encodings, UNSIGNED_VB)
+    for name in ("every", "numerator", "denominator"):
+        rules[name] = 1
+    # Fields that no frame has.
+    rules["time"] = rules["iteration"] = compiled.BLACKBOX_FIELDS_MAX - 1
+    table = np.empty((1, count))
+    frames, _, _, damaged = compiled.decode_blackbox(b"I" + packed, 0, rules, np.arange(count), table)
+    return table[0].astype(int).tolist() if frames else None, damaged
 
 
 @pytest.mark.parametrize("encoding", ENCODERS)
@@ -95,28 +100,26 @@ def test_every_value_of_every_encoding(encoding, data):
     size = data.draw(st.integers(1, 8)) if encoding == 6 else SIZES[encoding]
     values = data.draw(st.lists(st.integers(-most - 1, most), min_size=size, max_size=size))
     packed = ENCODERS[encoding](values)
-    assert read(packed + b"rest", *[encoding] * size) == (values, len(packed))
+    assert read(packed + b"I", *[encoding] * size) == (values, 0)
     for cut in range(len(packed)):
-        assert read(packed[:cut], *[encoding] * size)[1] == CUT
+        assert read(packed[:cut], *[encoding] * size) == (None, 0)
 
 
 def test_numbers_without_sign_of_14_bits_and_none_at_all():
     packed = unsigned(2**32 - 1) + unsigned(40) + unsigned(-5 & 0x3FFF)
-    assert read(packed, UNSIGNED_VB, NEG_14BIT, NEG_14BIT, compiled.BLACKBOX_NOTHING) == (
-        [2**32 - 1, -40, 5, 0],
-        len(packed),
-    )
+    found = read(packed, UNSIGNED_VB, NEG_14BIT, NEG_14BIT, compiled.BLACKBOX_NOTHING)
+    assert found == ([2**32 - 1, -40, 5, 0], 0)
 
 
 def test_a_number_of_more_than_five_bytes_is_none():
-    assert read(b"\xff" * 6, UNSIGNED_VB)[1] == BROKEN
-    assert read(b"\x01" + b"\xff" * 6, UNSIGNED_VB, SIGNED_VB)[1] == BROKEN
+    assert read(b"\xff" * 6, UNSIGNED_VB) == (None, 7)
+    assert read(b"\x01" + b"\xff" * 6, UNSIGNED_VB, SIGNED_VB) == (None, 8)
 
 
 def test_groups_of_eight_end_with_the_fields_of_their_encoding():
     """Nine fields in a row are a group of eight and one by itself, which has no byte before it."""
     values = [3, 0, -2, 0, 0, 1, 0, 7, -6]
     packed = eight(values[:8]) + signed(values[8])
-    assert read(packed, *[TAG8_8SVB] * 9) == (values, len(packed))
+    assert read(packed, *[TAG8_8SVB] * 9) == (values, 0)
     two = eight([5, 0]) + signed(9)
-    assert read(two, TAG8_8SVB, TAG8_8SVB, SIGNED_VB) == ([5, 0, 9], len(two))
+    assert read(two, TAG8_8SVB, TAG8_8SVB, SIGNED_VB) == ([5, 0, 9], 0)

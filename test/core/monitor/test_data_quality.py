@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadpi_core.core import compiled
 from quadpi_core.monitor import preparation
 from quadpi_core.monitor.preparation import Preparation, fault_words
 from quadpi_core.vehicle import Vehicle
@@ -228,4 +227,3 @@ def test_bits_do_not_overlap():
     ]
     assert len(set(single + per_rotor)) == len(single) + len(per_rotor)
     assert all(list(fault_words(bit)) for bit in single + per_rotor)
-    assert all(bit & compiled.IN_FLIGHT_ONLY for bit in per_rotor)

@@ -11,10 +11,9 @@ import pytest
 
 from quadpi_core.simulation.applied_effects import read_effects
 from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight
-from quadpi_core.simulation.state_records import MOTION, STATE, Controls, Demand, control, observe
 from quadpi_core.simulation.truth import Reference
 
-from .references import COUPLED, STATION, sines
+from .references import COUPLED, STATION, held_still, sines
 
 VEHICLES = ("bebop2", "hdbeetle")
 POSITION_GAIN = 5.0
@@ -25,54 +24,33 @@ def vehicle():
     return SimulatedVehicle.load("bebop2")
 
 
-@pytest.fixture(scope="module")
-def wanted(vehicle):
-    """wanted(…) → thrust and moments (4,) that a level vehicle asks of its rotors, and their speeds squared.
+def wanted(**demanded):
+    """Thrust and moments (4,) that a level vehicle asks of its rotors, and their speeds squared.
 
     Rotors follow their command until they turn as it wants.
     """
-    model = vehicle.aerodynamics
+    model = SimulatedVehicle.load("bebop2").aerodynamics
     x, y, _ = model.vehicle.rotor_positions.T
     slope = model.vehicle.mass_kg * model.vehicle.gravity_m_s2 / (4.0 * model.hover_rotor_speed**2)
     ratio = model.coefficients.torque[0] / model.coefficients.thrust[0] * model.vehicle.rotor_radius_m
     effect = slope * np.stack((np.ones(4), -y, x, model.vehicle.rotor_spins * ratio))
-
-    def ask(*, acceleration=(0.0, 0.0, 0.0), velocity=(0.0, 0.0, 0.0), yaw_rate=0.0, wrench=None):
-        controls, motion = (
-            Controls.from_nominal(vehicle.record(), vehicle.aerodynamics.effectiveness),
-            np.zeros(1, dtype=MOTION),
-        )
-        motion["attitude"][0, 0], motion["velocity"] = 1.0, velocity
-        speeds = motion["rotor_speeds"][0]
-        speeds[:] = model.hover_rotor_speed
-        if wrench is not None:
-            state = np.zeros(1, dtype=STATE)
-            state["rotor_speeds"], state["wrench"] = speeds, wrench
-            observe(controls, state)
-        none, level, tilt = np.zeros((1, 3)), np.zeros(1), np.zeros((1, 2))
-        demanded, turning = np.array([acceleration], dtype=float), np.array([yaw_rate])
-        demand = Demand(none, none, demanded, none, level, turning, tilt, level, none)
-        for _ in range(100):
-            control(controls, motion, demand, 0)
-            speeds += 0.4 * (controls.command - speeds)
-        return effect @ speeds**2, speeds**2
-
-    return ask
+    squares = held_still(200, **demanded)[1]["rotor_speeds"][0, :4] ** 2
+    return effect @ squares, squares
 
 
-def test_in_hover_the_rotors_carry_the_weight(vehicle, wanted):
+def test_in_hover_the_rotors_carry_the_weight(vehicle):
     weight = vehicle.vehicle.mass_kg * vehicle.vehicle.gravity_m_s2
     np.testing.assert_allclose(wanted()[0], [weight, 0.0, 0.0, 0.0], atol=1e-9)
 
 
-def test_what_the_wrench_lacked_is_asked_for_in_addition(vehicle, wanted):
+def test_what_the_wrench_lacked_is_asked_for_in_addition(vehicle):
     """An air that pushes down with 0.3 N, and a moment of 0.01 Nm about each axis."""
     weight = vehicle.vehicle.mass_kg * vehicle.vehicle.gravity_m_s2
-    asked, _ = wanted(wrench=[0.0, 0.0, 0.3 - weight, 0.01, 0.01, 0.003])
+    asked, _ = wanted(disturbance=[0.0, 0.0, 0.3, 0.01, 0.01, 0.003])
     np.testing.assert_allclose(asked, [weight + 0.3, -0.01, -0.01, -0.003], atol=1e-9)
 
 
-def test_a_velocity_error_asks_for_an_acceleration_against_it(vehicle, wanted):
+def test_a_velocity_error_asks_for_an_acceleration_against_it(vehicle):
     """Of four per second: downward at 0.5 m/s, upward force of 2 m/s² more."""
     mass, gravity = vehicle.vehicle.mass_kg, vehicle.vehicle.gravity_m_s2
     thrust = wanted(velocity=(0.0, 0.0, 0.5))[0][0]
@@ -83,7 +61,7 @@ def test_a_velocity_error_asks_for_an_acceleration_against_it(vehicle, wanted):
     assert [roll, yaw] == pytest.approx([0.0, 0.0], abs=1e-9)
 
 
-def test_where_rotors_saturate_yaw_gives_way_first_then_thrust(vehicle, wanted):
+def test_where_rotors_saturate_yaw_gives_way_first_then_thrust(vehicle):
     mass, gravity = vehicle.vehicle.mass_kg, vehicle.vehicle.gravity_m_s2
     most = vehicle.vehicle.rotor_speed_max_rad_s**2
     modest, (spinning, squares) = wanted(yaw_rate=1.0)[0], wanted(yaw_rate=100.0)
@@ -95,8 +73,8 @@ def test_where_rotors_saturate_yaw_gives_way_first_then_thrust(vehicle, wanted):
     assert yaw < spinning[3] < 100.0 * yaw
     assert min(squares.min(), most - squares.max()) == pytest.approx(0.0, abs=1e-6 * most)
     # More than the rotors have, and a moment: the moment is kept.
-    weak = {"wrench": [0.0, 0.0, -mass * gravity, 0.05, 0.0, 0.0]}
-    climbing, squares = wanted(acceleration=(0.0, 0.0, -100.0), **weak)
+    roll = [0.0, 0.0, 0.0, 0.05, 0.0, 0.0]
+    climbing, squares = wanted(acceleration=(0.0, 0.0, -100.0), disturbance=roll)
     np.testing.assert_allclose(climbing[1:], [-0.05, 0.0, 0.0], atol=1e-9)
     assert squares.max() == pytest.approx(most)
 

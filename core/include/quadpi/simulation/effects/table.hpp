@@ -9,11 +9,8 @@
 #include <string_view>
 
 #include "quadpi/records.hpp"
-#include "quadpi/simulation/effects/body.hpp"
-#include "quadpi/simulation/effects/proximity.hpp"
-#include "quadpi/simulation/effects/rotor_air.hpp"
-#include "quadpi/simulation/effects/rotor_mechanics.hpp"
-#include "quadpi/simulation/effects/slung_load.hpp"
+#include "quadpi/simulation/effects/airframe.hpp"
+#include "quadpi/simulation/effects/rotors.hpp"
 
 namespace quadpi {
 
