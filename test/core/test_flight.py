@@ -2,13 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Streams, recordings and flights: what is refused, how they are cut and joined, what arrived when."""
 
+from __future__ import annotations
+
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from quadpi_core.errors import LogError
+from quadpi_core.errors import LogError, QuadpiError
+from quadpi_core.findings import REASONS, Verdict
 from quadpi_core.flight import Flight, ImuStream, PoseStream, Recording, ValueCheck, WindStream
+from quadpi_core.reading_options import WHOLE, ReadingOptions, TimeRange, reading_options
 
 SECOND, DAY = 10**9, 86_400 * 10**9
 N = 100
@@ -116,3 +121,38 @@ def test_a_flight_that_is_cut_keeps_its_clock():
     assert cut.time[0] == 2 / 250.0
     assert (flight.rate_hz, cut.rate_hz) == (pytest.approx(250.0), pytest.approx(125.0))
     np.testing.assert_array_equal(cut.rotor_speeds, four[2::2])
+
+
+# Parts of flights by time, as `--from` and `--to` ask for them.
+
+
+@pytest.mark.parametrize("ends", [(2.0, 1.0), (2.0, 2.0), (-1.0, 2.0), (math.nan, 2.0), (1.0, math.nan)])
+def test_a_range_that_is_none_is_refused(ends):
+    with pytest.raises(QuadpiError, match="no range of seconds since the first IMU sample"):
+        TimeRange(*ends)
+
+
+def test_stamps_count_from_the_first_imu_sample():
+    assert TimeRange(1.5, 2.0).stamps(10) == (1_500_000_010, 2_000_000_010)
+    first, last = TimeRange(to_s=1.0).stamps(10**9)
+    assert (first < 0, last) == (True, 2 * 10**9)
+    assert WHOLE.is_whole
+    assert str(TimeRange(1.5)) == "from 1.5 s to its end"
+
+
+# Every verdict on the reports of speed controllers but one is a reason, in its own words.
+
+
+def test_every_verdict_but_a_sample_has_a_reason_of_its_own() -> None:
+    assert set(REASONS) == set(Verdict) - {Verdict.SAMPLE}
+    assert len(set(REASONS.values())) == len(REASONS)
+
+
+# What a user says of a log: options, or a mapping file alone.
+
+
+def test_a_mapping_alone_stands_for_options_with_it():
+    assert reading_options("mavros") == ReadingOptions("mavros")
+    assert reading_options(None) == ReadingOptions()
+    chosen = ReadingOptions(None, {"imu": "/uav1/imu"}, "/uav1")
+    assert reading_options(chosen) is chosen

@@ -212,3 +212,22 @@ def test_terms_of_any_number_of_rotors(tmp_path: Path, rotors: int) -> None:
     np.testing.assert_allclose(wrenches(motion, record, parameters), total, rtol=1e-9)
     joined = np.concatenate((motion, motion))
     np.testing.assert_array_equal(regressors(joined, record)[20:], regressors(motion, record))
+
+
+def test_terms_have_names_of_their_own_and_spreads() -> None:
+    assert len(set(TERM_NAMES)) == len(TERMS)
+    assert all(term.spread > 0.0 for term in TERMS)
+    assert all(term.mean >= 0.0 for term in TERMS if term.positive)
+
+
+def test_scales_are_those_of_the_vehicle() -> None:
+    vehicle, reference = Vehicle.load("neurobem"), 1.55e-6
+    scale = dict(zip(TERM_NAMES, scales(vehicle, reference), strict=True))
+    assert scale["thrust"] == reference
+    assert scale["torque"] == pytest.approx(reference * vehicle.rotor_radius_m)
+    assert scale["imu_x"] == vehicle.rotor_radius_m
+    assert scale["bias_z"] == pytest.approx(vehicle.mass_kg * vehicle.gravity_m_s2)
+    half_length, half_width = np.abs(vehicle.rotor_positions).mean(axis=0)[:2]
+    area = 4.0 * half_length * half_width
+    assert scale["drag_x"] == pytest.approx(0.5 * vehicle.air_density_kg_m3 * area)
+    assert TERM_INDEX["thrust"] == 0

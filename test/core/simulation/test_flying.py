@@ -2,20 +2,24 @@
 # SPDX-License-Identifier: Apache-2.0
 """Flights of a simulated vehicle: trim, start, repeatability, and how they fail."""
 
-from dataclasses import replace
+from __future__ import annotations
+
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 import yaml
 
-from quadpi_core.errors import SimulationError, VehicleError
+from quadpi_core.errors import OutputError, SimulationError, VehicleError
 from quadpi_core.frames import rotate_body_to_world, rotate_world_to_body
+from quadpi_core.parallel import Progress, Workers
 from quadpi_core.paths import config_directory
-from quadpi_core.simulation.applied_effects import read_effects
+from quadpi_core.simulation.applied_effects import EFFECTS, read_effects
 from quadpi_core.simulation.flying import LAWS, SimulatedVehicle, load_aerodynamics, simulate_flight, trim
 from quadpi_core.simulation.rotor_local import RotorLocalModel
-from quadpi_core.simulation.scenario import load_scenario
+from quadpi_core.simulation.scenario import FlightPlan, load_scenario
 from quadpi_core.simulation.simulated_aerodynamics import PhysicalAerodynamics
+from quadpi_core.simulation.simulated_bags import simulate
 from quadpi_core.simulation.simulated_file import vehicle_content
 from quadpi_core.simulation.truth import STEP_HZ, Reference
 
@@ -187,3 +191,65 @@ def test_every_law_reads_what_it_writes(physical_folder, tmp_path):
         file = tmp_path / f"{law.key}.yaml"
         file.write_text(yaml.safe_dump(data))
         assert law.load(file).to_section() == law.load(source).to_section()
+
+
+# Simulated flights beyond those that a vehicle was identified on.
+
+
+def fly(source, scenario, name, seconds=60.0):
+    (plan,) = (plan for plan in load_scenario(scenario).flights if plan.name == name)
+    whole = plan.reference(STEP_HZ)
+    part = {column.name: getattr(whole, column.name)[: int(seconds * STEP_HZ)] for column in fields(whole)}
+    return simulate_flight(name, SimulatedVehicle.load(source), replace(whole, **part), seed=1)
+
+
+def test_a_flight_like_those_of_the_identification_is_inside(physical_folder):
+    assert fly(physical_folder, "bundled", "train_2").excursion is None
+
+
+def test_a_faster_one_says_where_it_went(physical_folder):
+    found = fly(physical_folder, "dash", "dash", seconds=13.0).excursion
+    assert 0.05 < found.share < 1.0
+    assert not found.lower <= found.reached <= found.upper
+    assert found.input in found.sentence()
+    assert f"{found.share:.1%} of its time" in found.sentence()
+
+
+def test_one_that_is_lost_says_that_it_was_outside(physical_folder):
+    with pytest.raises(
+        SimulationError, match=r"out of control .*; it was beyond the flights .*identified on"
+    ):
+        fly(physical_folder, "dash", "dash")
+
+
+def test_a_vehicle_that_was_not_identified_has_no_range():
+    assert fly("bebop2", "dash", "dash", seconds=13.0).excursion is None
+
+
+HOVER = FlightPlan(name="hover", scenario="test", vehicle="bebop2", seed=1, duration_s=0.5)
+
+
+def test_several_flights_at_a_time_with_effects_of_the_core_and_of_python(tmp_path, monkeypatch):
+    monkeypatch.setitem(EFFECTS, "own", replace(EFFECTS["gyroscopic"], name="own"))
+    hover = FlightPlan(name="one", scenario="test", vehicle="bebop2", seed=1, duration_s=0.5)
+    effects = ({"gyroscopic": None}, {"own": None}) * 2
+    plans = [hover.overridden(name=f"hover_{k}", effects=own) for k, own in enumerate(effects)]
+    flights = simulate(plans, tmp_path / "bags", workers=Workers(4))
+    for flight in flights:
+        np.testing.assert_allclose(flight.truth.wrench, flights[0].truth.wrench, rtol=1e-12, atol=1e-15)
+    assert len(list((tmp_path / "bags").iterdir())) == 4
+
+
+def test_progress_is_reported_until_the_end(tmp_path):
+    seen = []
+    simulate([HOVER], tmp_path, workers=Workers(progress=seen.append))
+    assert seen[-1] == Progress("Flying", 0.5, 0.5, "s", "1 of 1 flights")
+    assert [progress.done for progress in seen] == sorted(progress.done for progress in seen)
+
+
+def test_a_file_in_the_place_of_the_folder(tmp_path):
+    (tmp_path / "bags").write_text("mine")
+    with pytest.raises(OutputError, match=r"bags.* cannot be written: Not a directory"):
+        simulate([HOVER], tmp_path / "bags")
+    assert [path.name for path in tmp_path.iterdir()] == ["bags"]
+    assert (tmp_path / "bags").read_text() == "mine"

@@ -1,5 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
 import json
 from dataclasses import fields, replace
 
@@ -13,12 +15,14 @@ from quadpi_core.logs.bag_files import Bag
 from quadpi_core.logs.bag_topics import bag_topics, has_topic
 from quadpi_core.logs.bags import read_bag, write_bag
 from quadpi_core.messages.topics import TOPIC_TYPES
+from quadpi_core.paths import bags_directory
 from quadpi_core.screening.sample_order import usable_recording
+from quadpi_core.simulation import simulated_bags
 from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight
-from quadpi_core.simulation.scenario import FlightPlan
+from quadpi_core.simulation.scenario import FlightPlan, load_scenario
 from quadpi_core.simulation.sensor_noise import SensorSuite
 from quadpi_core.simulation.sensors import sense
-from quadpi_core.simulation.simulated_bags import read_truth, write_simulated_bag
+from quadpi_core.simulation.simulated_bags import read_truth, simulate, write_simulated_bag
 from quadpi_core.vehicle import Vehicle
 from quadpi_core.version import __version__
 
@@ -79,7 +83,7 @@ def test_bag_of_a_vehicle_without_pole_pairs_holds_rotor_speeds(tmp_path, plan, 
     assert_same_streams(read_bag(tmp_path / "swing.mcap"), sent.recording)
 
 
-def test_topics(bag):
+def test_cdr(bag):
     names = [topic.name for topic in bag_topics(bag)]
     sensors = ["/erpm", "/imu", "/mocap/pose", "/wind"]
     assert names == sorted([*sensors, *(f"/{topic}" for topic in TOPIC_TYPES if topic.startswith("truth/"))])
@@ -242,3 +246,35 @@ def test_a_damaged_truth_is_refused_in_one_line(monkeypatch, bag, text):
     monkeypatch.setattr(Bag, "metadata", metadata)
     with pytest.raises(LogError, match=r"swing\.mcap: `truth` in its metadata: "):
         read_truth(bag)
+
+
+# The bags that come with quadpi are those that its simulation makes.
+
+
+LARGEST_MB = 25
+REMADE = "faults"
+PLANS = {plan.name: plan for plan in load_scenario("bundled").flights}
+
+
+def metadata(path):
+    with Bag(path) as bag:
+        return bag.metadata
+
+
+def test_there_is_a_bag_of_every_flight_and_no_other():
+    found = sorted(bags_directory().glob("*.mcap"))
+    assert [path.stem for path in found] == sorted(PLANS)
+    assert sum(path.stat().st_size for path in found) < 1e6 * LARGEST_MB
+
+
+@pytest.mark.parametrize("name", PLANS)
+def test_bag_holds_the_plan_as_it_is_now(name):
+    assert json.loads(metadata(bags_directory() / f"{name}.mcap")["plan"]) == PLANS[name].as_dict()
+
+
+def test_a_bag_is_made_again_byte_for_byte(monkeypatch, tmp_path):
+    original = bags_directory() / f"{REMADE}.mcap"
+    # A later version of quadpi need not ship new bags that differ in nothing but its name.
+    monkeypatch.setattr(simulated_bags, "__version__", metadata(original)["version"])
+    (flight,) = simulate([PLANS[REMADE]], tmp_path)
+    assert flight.bag.read_bytes() == original.read_bytes()

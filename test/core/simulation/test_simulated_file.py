@@ -16,7 +16,9 @@ from quadpi_core.errors import ModelError, VehicleError
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.simulation.flying import SimulatedVehicle, simulate_flight
+from quadpi_core.simulation.rotor_local import RotorLocalModel
 from quadpi_core.simulation.scenario import load_scenario
+from quadpi_core.simulation.simulated_aerodynamics import SimulatedAerodynamics, airframe_area, vehicle_record
 from quadpi_core.simulation.simulated_file import (
     MOTOR_TIME_CONSTANT,
     model_folder,
@@ -124,3 +126,25 @@ def test_what_cannot_fly_is_refused_and_nothing_written(tmp_path):
     with pytest.raises(ModelError, match=r"model\.json"):
         write_vehicle_file(tmp_path, tmp_path / "own.yaml")
     assert not (tmp_path / "own.yaml").exists()
+
+
+# What every law of the aerodynamics has in common.
+
+
+@pytest.mark.parametrize("name", ["bebop2", "hdbeetle"])
+def test_effectiveness_in_hover_agrees_with_differences_of_the_wrench(name):
+    model = RotorLocalModel.load(name)
+    by_differences = SimulatedAerodynamics.effectiveness.func(model)
+    np.testing.assert_allclose(by_differences, model.effectiveness, rtol=1e-9, atol=1e-18)
+
+
+def test_record_of_a_vehicle():
+    model = RotorLocalModel.load("bebop2")
+    record = vehicle_record(model.vehicle, 700.0, 0.03)
+    assert (record["mass"], record["hover_rotor_speed"], record["motor_time_constant"]) == (
+        0.374,
+        700.0,
+        0.03,
+    )
+    np.testing.assert_allclose(record["inertia"][0] @ record["inverse_inertia"][0], np.eye(3), atol=1e-12)
+    assert airframe_area(model.vehicle) == pytest.approx(4.0 * 0.0875 * 0.115)
