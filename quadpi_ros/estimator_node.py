@@ -173,13 +173,8 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
     def statuses(self) -> list[DiagnosticStatus]:
         """Status of the filter with the outcomes of the motion capture, and of the consistency check."""
         ekf = self._ekf
-        values: dict[str, float | int] = {}
-        if ekf.initialised:
-            values = {
-                "delay_s": ekf.delay_s,
-                "delay_std_s": ekf.delay_std_s,
-                "since_correction_s": ekf.since_correction_s,
-            }
+        told = ("delay_s", "delay_std_s", "since_correction_s") if ekf.initialised else ()
+        values: dict[str, float | int] = {name: getattr(ekf, name) for name in told}
         values |= self._mocap_outcomes()
         level, message = _LEVELS[ekf.status], ekf.status.name.lower()
         if stale := self.lack(self._imu.topic):
@@ -232,10 +227,9 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         time_ns = int(odometry.time_ns[0])
         stated = self._noise.of_odometry(odometry.deviation[0])
         self._ekf.update_pose(time_ns, odometry.position[0], odometry.attitude[0], stated[:2])
-        if stated[2] == NOT_MEASURED:
-            self._velocities.take_poses()
-        else:
-            self._velocities.take([time_ns])
+        is_moving = stated[2] != NOT_MEASURED
+        self._velocities.take([time_ns] if is_moving else [], poses=not is_moving)
+        if is_moving:
             self._ekf.update_velocity(time_ns, odometry.velocity[0], True, stated[2])
 
     def _take_fix(self, fix: OdometryStream) -> None:

@@ -60,8 +60,7 @@ def _lacking(odometry: OdometryStream) -> _Parts:
 class VelocityRate:
     """Whether the velocities of a state come as seldom as those of GPS, by the stamps of the first.
 
-    Those of motion capture, or of odometry that is interpolated, come often. Where poses have come without
-    any for a while, none counts.
+    Those of motion capture come often. Where poses have come without any for a while, none counts.
 
     Attributes:
         is_slow: whether they come too seldom to be interpolated; false before the second.
@@ -77,12 +76,9 @@ class VelocityRate:
         """Whether no further stamp changes what is said."""
         return len(self._stamps) > RATE_SPAN or (not self._stamps and self._poses > _POSES_SEEN)
 
-    def take_poses(self, count: int = 1) -> None:
-        """Take poses that come without a velocity."""
-        self._poses += count
-
-    def take(self, time_ns: Sequence[int]) -> None:
-        """Take the stamps of the next velocities."""
+    def take(self, time_ns: Sequence[int], poses: int = 0) -> None:
+        """Take so many poses without a velocity, and the stamps of the next velocities."""
+        self._poses += poses
         if self.is_known:
             return
         self._stamps += time_ns[: RATE_SPAN + 1 - len(self._stamps)]
@@ -90,22 +86,12 @@ class VelocityRate:
             lasted_s = 1e-9 * (self._stamps[-1] - self._stamps[0])
             self.is_slow = len(self._stamps) - 1 < BRIDGED_HZ * lasted_s
 
-    def take_recording(self, recording: Recording) -> None:
-        """Take the velocities of motion capture, and the poses that come before the first."""
-        twist, pose = recording.twist, recording.pose
-        stamps = [] if twist is None else twist.time_ns.tolist()
-        if pose is not None:
-            self.take_poses(int(np.sum(pose.time_ns < stamps[0])) if stamps else len(pose))
-        self.take(stamps)
-
 
 def has_slow_velocity(recording: Recording) -> bool:
     """Whether velocities of a recording are of a state as by GPS, in whose flights the wind is sought."""
     state = recording.odometry
     if recording.pose is not None or recording.twist is not None or state is None:
-        velocities = VelocityRate()
-        velocities.take_recording(recording)
-        return velocities.is_slow
+        return with_velocity_rate(iter([recording]))[1]
     return _corrects(state) and not _lacking(state)[2]
 
 
@@ -117,7 +103,9 @@ def with_velocity_rate(blocks: Iterator[Recording]) -> tuple[Iterator[Recording]
     seen, velocities = [], VelocityRate()
     for block in blocks:
         seen.append(block)
-        velocities.take_recording(block)
+        stamps = [] if block.twist is None else block.twist.time_ns.tolist()
+        poses = np.empty(0) if block.pose is None else block.pose.time_ns
+        velocities.take(stamps, int(np.sum(poses < stamps[0])) if stamps else len(poses))
         if velocities.is_known:
             break
     return chain(seen, blocks), velocities.is_slow

@@ -21,7 +21,7 @@ from quadpi_core.field.estimates import Estimate
 from quadpi_core.field.field_log import FieldLog
 from quadpi_core.field.field_reading import read_field_log
 from quadpi_core.field.inertia import BodyResult, identify_body
-from quadpi_core.field.mass_change import MassChange, efforts, mass_change
+from quadpi_core.field.mass_change import BY_SPEED, MassChange, efforts, mass_change
 from quadpi_core.field.motor_model import MotorModel, Tachometers, motor_model, tachometers
 from quadpi_core.field.motor_use import (
     BATTERY_DRIFT,
@@ -62,6 +62,13 @@ LOSS_ALARM = Threshold(
     "%",
     "good flights never reached it; a propeller short by a fifth or more did",
     "good flights of imrc_brushless, imrc_brushed and indiflight of ../shared/data",
+)
+WRONG_MASS = Threshold(
+    "mass that rotor speeds carry over that given, beyond which one is wrong: less, and more",
+    (0.75, 2.0),
+    "",
+    "C_T of a bench errs by a tenth; in fast flight rotors turn up to twice as much by squares (at 16 m/s)",
+    "good flights of indiflight and neurobem in ../shared/data",
 )
 # Parameters of motors and their outputs that no flight learns.
 _OUTPUTS = re.compile(
@@ -257,7 +264,9 @@ def report_on(
                 # Counted twice it would tell nothing more, and narrow every interval of several flights.
                 raise LogError(f"{file.path}: holds the samples of {first}, which is in the report")
             others = [flight for own, flight in before if own != digest]
-            flights.append(_flight_report(log, others if before else None))
+            flight = _flight_report(log, others if before else None)
+            said = _mass_doubts(flight.use, vehicle, mass)
+            flights.append(replace(flight, remarks=(*flight.remarks, *said)))
         except QuadpiError as error:
             left_out.append(FlightLeftOut(file.name, str(file.path), str(error)))
     if not flights:
@@ -399,9 +408,8 @@ def _motor_remarks(
     heavier: MassChange | str | None,
 ) -> Iterator[Remark]:
     for motor, since in frozen_motors(log, flight):
-        yield Remark(
-            ALARM, f"{log.motor(motor)} follows no more from {since:.1f} s on: its command stays as it is"
-        )
+        said = f"{log.motor(motor)} follows no more from {since:.1f} s on: its command stays as it is"
+        yield Remark(ALARM, said)
     if not lost or isinstance(lost, str):
         return
     worst = max(range(len(lost)), key=lambda rotor: lost[rotor].thrust.low or 0.0)
@@ -428,10 +436,20 @@ def _mass_remarks(change: MassChange) -> Iterator[Remark]:
             f"{change.share.reason}){place}, or thrust has changed by as much",
         )
     elif change.fits and set(change.fits) <= {"moved centre of gravity", "payload"} and change.side:
-        yield Remark(
-            WARNING,
-            f"the centre of gravity has moved to the {change.side}: a battery mounted elsewhere, or a load",
-        )
+        said = f"the centre of gravity has moved to the {change.side}: a battery mounted elsewhere, or a load"
+        yield Remark(WARNING, said)
+
+
+def _mass_doubts(use: MotorUse, vehicle: Vehicle | int | None, mass: float | None) -> Iterator[Remark]:
+    """A mass that the rotor speeds contradict, by the thrust that the vehicle file gives for them."""
+    if not isinstance(vehicle, Vehicle) or not vehicle.thrust_coefficient or BY_SPEED not in use.efforts:
+        return
+    disc = vehicle.air_density_kg_m3 * np.pi * vehicle.rotor_radius_m**4
+    carried = vehicle.thrust_coefficient * disc * vehicle.rotor_count * use.efforts[BY_SPEED]
+    low, high = WRONG_MASS.value
+    if not low < carried / (given := mass or vehicle.mass_kg) < high:
+        by_file = "by the vehicle file's thrust_coefficient"
+        yield Remark(WARNING, f"rotor speeds carry {carried:.2g} kg {by_file}, not {given:g} kg")
 
 
 def _change_cause(change: HoverChange, volts: tuple[float, float, float] | None) -> str:
@@ -469,17 +487,15 @@ def _remarks(
             yield Remark(WARNING, said)
         for rotor in read.odd:
             ratio = read.ratio[rotor - 1]
-            reads = (
-                f"the tachometer of rotor {rotor} reads {ratio:.2f} times what its command gives the others"
-            )
-            is_silent = ratio < SILENT_SHARE.value
-            yield Remark(ALARM, f"rotor {rotor} stands, or its tachometer is silent" if is_silent else reads)
+            said = f"the tachometer of rotor {rotor} reads {ratio:.2f} times what its command gives others"
+            if ratio < SILENT_SHARE.value:
+                said = f"rotor {rotor} stands, or its tachometer is silent"
+            yield Remark(ALARM, said)
     if (change := use.change) is not None:
         more = "more" if change.share > 0.0 else "less"
         said = f"hover takes {100.0 * abs(change.share):.0f} % {more} command"
         yield Remark(WARNING, f"{said} {_change_cause(change, use.volts)}")
     if use.drift is not None and _level(use.drift, (BATTERY_DRIFT.value, np.inf)):
         share = f"{100.0 * (use.drift.value or 0.0):+.0f} %"
-        yield Remark(
-            WARNING, f"thrust over command changes by {share} along the flight{_shortness(use.drift)}"
-        )
+        said = f"thrust over command changes by {share} along the flight{_shortness(use.drift)}"
+        yield Remark(WARNING, said)

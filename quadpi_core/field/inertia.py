@@ -32,13 +32,8 @@ from quadpi_core.vehicle import Vehicle
 
 # Grid of the lag, s: motors of 1 g to 1 kg lag by 10 to 100 ms. Pieces that go together, and their number.
 _LAGS_S, _PIECE_S, _PIECES_MOST = tuple(0.005 * step for step in range(31)), 6.0, 40
-CUTOFF_HZ = Threshold(
-    "frequency below which accelerations and squared commands are compared",
-    12.0,
-    "Hz",
-    "attitude is controlled below; above, a gyro's noise grows with frequency, and frames bend",
-    "RotorPy flights of seeds below 100, see experiments/gps_flights.py",
-)
+# Signals change below this; half and twice as much move no inertia of simulated flights by more than 1 %.
+_CUTOFF_HZ = 12.0
 SHORTEST_S = Threshold(
     "shortest time in the air at once that tells an inertia",
     20.0,
@@ -59,6 +54,13 @@ POWER = Threshold(
     "",
     "tachometers and accelerometer of that vehicle tell a power of 2.24",
     "imrc_brushless of ../shared/data",
+)
+LIFT = Threshold(
+    "share of what the square of the airspeed does to thrust that is not known, two deviations",
+    0.5,
+    "",
+    "gusts are not in that airspeed: what a controller answers to them goes into the term",
+    "30 RotorPy flights of seeds below 100, see experiments/gps_flights.py",
 )
 WIDEST = Threshold(
     "half width over value beyond which a number is not told",
@@ -144,7 +146,9 @@ def identify_body(
     low, high = jackknife(whole, np.array(without), told)
     half = 0.5 * (high - low)
     bias = BIAS_M_S2.value[all(_tells_bias(log) for log, _ in flights)]
-    half[0] = np.hypot(half[0], 2.0 * bias * vehicle.mass_kg / vehicle.rotor_count)
+    slow = _solved(pieces, thrust_terms=_THRUST - 1)
+    lift = 0.0 if isinstance(slow, str) else LIFT.value * (whole[0] - slow[0])
+    half[0] = np.hypot(np.hypot(half[0], lift), 2.0 * bias * vehicle.mass_kg / vehicle.rotor_count)
     half[1:3] = np.hypot(half[1:3], POWER.value * whole[1:3])
     units = ("N", "kg m²", "kg m²", "s")
     thrust, *inertia, lag = (
@@ -198,7 +202,7 @@ def _of_stretch(log: FieldLog, begin: float, end: float, vehicle: Vehicle, wind:
     rows = slice(int(good[0]), int(good[-1]) + 1)
     commands, imu, motion = (np.nan_to_num(own[rows]) for own in (commands, imu, motion))
     rates = imu[:, :3]
-    smooth = butter(4, CUTOFF_HZ.value, fs=GRID_HZ, output="sos")
+    smooth = butter(4, _CUTOFF_HZ, fs=GRID_HZ, output="sos")
     turning = np.gradient(rates, 1.0 / GRID_HZ, axis=0)
     targets = sosfiltfilt(smooth, np.column_stack([-vehicle.mass_kg * imu[:, 5], turning[:, :2]]), axis=0)
     others = sosfiltfilt(
@@ -280,8 +284,8 @@ def _joined(pieces: Sequence[_Piece]) -> _Piece:
     return _Piece(thrust, (about_x, about_y), (float(total), int(count)))
 
 
-def _solved(pieces: Sequence[_Piece]) -> Array | str:
-    """Thrust at hover, both moments of inertia and the lag (4,), or why they are not told."""
+def _solved(pieces: Sequence[_Piece], thrust_terms: int = _THRUST) -> Array | str:
+    """Thrust at hover by its first terms, moments of inertia and lag (4,), or why they are not told."""
     thrust, moments, (total, count) = (
         getattr(_joined(pieces), name) for name in ("thrust", "moments", "hover")
     )
@@ -289,7 +293,7 @@ def _solved(pieces: Sequence[_Piece]) -> Array | str:
     values, errors = np.empty((len(_LAGS_S), 3)), np.zeros(len(_LAGS_S))
     for place in range(len(_LAGS_S)):
         own = thrust[place]
-        gain = _least_squares(own[:_THRUST, :_THRUST], own[:_THRUST, _THRUST])[0]
+        gain = _least_squares(own[:thrust_terms, :thrust_terms], own[:thrust_terms, _THRUST])[0]
         values[place, 0] = gain * hover**2
         for axis, own in enumerate(moments):
             squares = own[place]

@@ -84,7 +84,7 @@ def read_other(path: Path, options: ReadingOptions, known: Vehicle | int | None)
         )
     log = field_log_of(recording, commands, battery)
     stack = re.split(r" \(| with |,", log_format.description)[0]
-    settings = (*_poles(tuple(notes)), *_settings(recording, log.commands, log_format.description))
+    settings = tuple(_settings(recording, log.commands, log_format.description, notes))
     return replace(
         log, name=path.stem, source=str(path), stack=stack, settings=settings, notes=(*notes, *log.notes)
     )
@@ -173,13 +173,12 @@ def field_log_of(
     )
 
 
-def _poles(notes: tuple[str, ...]) -> Iterator[Setting]:
+def _settings(
+    recording: Recording, commands: Series | None, stack: str, notes: Sequence[str]
+) -> Iterator[Setting]:
     if any(_ELECTRICAL in one for one in notes):
         wanted = "give a vehicle file that has them (--vehicle)"
         yield Setting("pairs of poles", _ABSENT, wanted, "rotor speeds")
-
-
-def _settings(recording: Recording, commands: Series | None, stack: str) -> Iterator[Setting]:
     telemetry = "record the speed controllers' telemetry, such as /fmu/out/esc_status or /mavros/esc_status"
     is_bag = stack == ros_bags.FORMAT.description
     if recording.odometry is None and recording.pose is None:

@@ -118,13 +118,8 @@ class Arrays(NamedTuple):
 TIMEOUT_S = 0.1
 # Samples kept per topic.
 CAPACITY = 256
-
-
-def heard(wind: Array) -> Array:
-    """Readings of the wind as samples hold them: one of 0 as next to 0, which is that of no reading."""
-    # Changes no digit of an airspeed, and neither it nor its square is subnormal.
-    stands: Array = np.where(wind == 0.0, 1e-150, wind)
-    return stands
+# In place of a wind of 0, which stands for no reading; it changes no digit of a speed.
+HEARD_M_S = 1e-150
 
 
 class PairedSamples(NamedTuple):
@@ -315,7 +310,7 @@ class Pairing:
 
     def add_wind(self, time_ns: int, velocity: Array) -> None:
         """Take one sample of the wind (3,) m/s in the world."""
-        self.completed = compiled.add_sample(self.compiled, WIND_TOPIC, time_ns, heard(velocity))
+        self.completed = compiled.add_sample(self.compiled, WIND_TOPIC, time_ns, velocity + HEARD_M_S)
 
     def take(self) -> PairedSamples | None:
         """The IMU samples completed or given up since the last call, in order; None if there are none."""

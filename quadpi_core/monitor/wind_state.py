@@ -133,9 +133,7 @@ class WindState:
                 )
             )
             squares = np.square(samples.rotor_speeds)
-            load = squares[:, 0].copy()
-            for rotor in range(1, squares.shape[1]):
-                load += squares[:, rotor]
+            load = np.add.accumulate(squares, axis=1)[:, -1]
             usable = np.isfinite(rows).all(axis=1) & (load >= self._carrying * squares.shape[1])
             # A sample that data quality refuses.
             usable &= np.abs(np.linalg.norm(samples.attitude, axis=1) - 1.0) <= QUATERNION_NORM_TOLERANCE

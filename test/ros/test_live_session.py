@@ -15,10 +15,15 @@ import numpy as np
 import pytest
 
 from quadpi_core.flight import AXES, OdometryStream, Recording, TwistStream, WindStream
+from quadpi_core.identification.identify import identify
+from quadpi_core.identification.prepared_flights import prepare_recording
 from quadpi_core.logs.bag_files import Bag
 from quadpi_core.logs.bags import output_topic, read_outputs, write_bag
 from quadpi_core.messages import sensor_messages
 from quadpi_core.models.aerodynamic import AerodynamicModel
+from quadpi_core.models.kinds.polynomial import Polynomial
+from quadpi_core.models.model_kind import IdentifyOptions
+from quadpi_core.models.regressors import load_pools
 from quadpi_core.monitor import MonitorSettings
 from quadpi_core.monitor.replay import replay
 from quadpi_core.paths import bags_directory, config_directory
@@ -38,6 +43,7 @@ from quadpi_ros.live_session import (
 )
 from quadpi_ros.parameters import START_TIMEOUT_S
 from quadpi_ros.playlist import PlayerError
+from test.core.identification.test_found_wind import WINDS, by_gps
 
 VEHICLE = "neurobem"
 OUTSIDE_FROM_S = 2.3
@@ -182,6 +188,30 @@ def test_live_equals_replay_with_a_physical_model(physical_folder: Path, tmp_pat
     assert session.dropped == 0
     assert session.predictions.predicted.any(axis=0).all()
     assert_live_equals_replay(session, physical_folder, "bebop2", bag)
+
+
+@pytest.mark.slow
+def test_live_equals_replay_in_a_wind_that_drag_tells(tmp_path: Path) -> None:
+    """Flights by GPS: two teach model and drag, of the third half a minute is flown live."""
+    *learned, flown = (by_gps(tmp_path, wind, seed) for seed, wind in enumerate(WINDS))
+    vehicle = Vehicle.load("bebop2")
+    prepared = [prepare_recording(one, vehicle, 30.0) for one in learned]
+    options = IdentifyOptions(method=Polynomial())
+    model = identify(prepared, vehicle, load_pools("quadrotor"), options)
+    assert model.wind is not None
+    model.save(tmp_path / "model")
+    begin_ns = flown.imu.time_ns[0]
+    part = {name: getattr(flown, name) for name in ("imu", "rotor_speeds", "odometry")}
+    cut = {name: own.take(own.time_ns < begin_ns + 30_000_000_000) for name, own in part.items()}
+    bag, state = tmp_path / "windy.mcap", cut["odometry"]
+    packed = output_topic("mocap/odometry", state.time_ns, sensor_messages.pack_odometry(state))
+    write_bag(bag, replace(flown, **cut | {"odometry": None}), (packed,))
+    session = run_session(bag, tmp_path / "model", vehicle="bebop2")
+    assert session.dropped == 0
+    assert_live_equals_replay(session, tmp_path / "model", "bebop2", bag)
+    widths = (session.predictions.upper - session.predictions.lower)[:, 0]
+    # Intervals of Fx are wider until the wind is told.
+    assert np.median(widths[:500]) > 2.0 * np.median(widths[-5000:])
 
 
 @pytest.mark.usefixtures("ros_domain")

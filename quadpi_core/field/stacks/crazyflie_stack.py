@@ -76,17 +76,11 @@ def read_crazyflie_field(path: Path, _number: int | None = None, _poles: int | N
         attitude=attitude,
         velocity=_turned(state["velocity"]),
         position=_turned(state["position"]),
-        commands=None
-        if commands is None
-        else Series(commands.time, np.clip(commands.values / _FULL, 0.0, 1.0)),
-        rotor_speeds=None
-        if speeds is None
-        else Series(speeds.time, np.abs(speeds.values) * (2.0 * np.pi / 60.0)),
-        battery=None if battery is None else _volts(battery),
+        commands=commands and Series(commands.time, np.clip(commands.values / _FULL, 0.0, 1.0)),
+        rotor_speeds=speeds and Series(speeds.time, np.abs(speeds.values) * (2.0 * np.pi / 60.0)),
+        battery=battery and _volts(battery),
         # In hPa and °C.
-        density=None
-        if air is None
-        else Series(air.time, density_of(100.0 * air.values[:, :1], air.values[:, 1:])),
+        density=air and Series(air.time, density_of(100.0 * air.values[:, :1], air.values[:, 1:])),
         corners=np.array(_CORNERS),
         facts={"commands": f"{named[0].partition('.')[0]}, of {_FULL:g}"} if commands else {},
         settings=tuple(_settings(events, {"pwm": named[0].startswith("pwm"), "rpm": speeds is not None})),

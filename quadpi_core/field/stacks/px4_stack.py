@@ -217,13 +217,9 @@ def _facts(parameters: Mapping[str, float], information: Mapping[str, Any]) -> d
     ):
         if name in parameters:
             facts[key] = f"{parameters[name]:.4g} ({name})"
-    poles = {
-        value
-        for name, value in parameters.items()
-        if name.startswith("DSHOT_MOT_POL") or name == "MOT_POLE_COUNT"
-    }
-    if poles:
-        facts["poles"] = f"{max(poles):g} (MOT_POLE_COUNT)"
+    named = [name for name in parameters if name.startswith(("DSHOT_MOT_POL", "MOT_POLE_COUNT"))]
+    if named:
+        facts["poles"] = f"{max(parameters[name] for name in named):g} (MOT_POLE_COUNT)"
     return facts
 
 

@@ -173,8 +173,5 @@ def test_velocities_that_begin_after_two_seconds_of_poses_count_for_nothing(reco
     assert with_velocity_rate(split_recording(late))[1] == is_slow
     live = VelocityRate()
     for time_ns in joined.time_ns.tolist():
-        if time_ns < begin_ns:
-            live.take_poses()
-        else:
-            live.take([time_ns])
+        live.take([time_ns] if time_ns >= begin_ns else [], poses=time_ns < begin_ns)
     assert live.is_slow == is_slow

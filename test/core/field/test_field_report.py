@@ -19,6 +19,7 @@ from quadpi_core.field.field_log import FieldLog, Series
 from quadpi_core.field.field_report import FieldReport, report_on
 from quadpi_core.flight_files import NoFlightLeftError
 from quadpi_core.reading_options import ReadingOptions
+from quadpi_core.vehicle import Vehicle
 
 from .field_examples import AIRBORNE, example
 
@@ -292,3 +293,14 @@ def test_a_trend_of_hover_is_told_with_what_the_battery_did(report_of, grows, ba
     changed = replace(log, velocity=slow, commands=Series(time, log.commands.values * trend[:, np.newaxis]))
     report = report_of(changed if battery else replace(changed, battery=None))
     assert any(said in remark.sentence for remark in report.flights[0].remarks), report.flights[0].remarks
+
+
+@pytest.mark.parametrize(
+    ("mass", "wrong"), [(None, False), (0.33, False), (0.29, True), (0.53, False), (0.6, True)]
+)
+def test_a_mass_that_rotor_speeds_do_not_carry_is_said(shared_data: Path, mass: float | None, wrong: bool):
+    """Of 0.428 kg."""
+    vehicle = Vehicle.load("indiflight")
+    report = report_on([shared_data / "indiflight" / "LOG00230.BFL"], OPTIONS, vehicle, mass)
+    said = [one.sentence for one in report.flights[0].remarks if "rotor speeds carry 0.4" in one.sentence]
+    assert bool(said) == wrong
