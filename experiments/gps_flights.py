@@ -6,7 +6,7 @@ Every flight is logged as an autopilot logs it: IMU and commands at 100 Hz, the 
 1 m, 0.1 m/s and 2°. A report on each gives drag, thrust and inertia with intervals of 95 %, or says that they
 are not identified; counted is how often the truth is inside. RotorPy flies them together by PyTorch and roma.
 
-    python experiments/gps_flights.py [--flights 100] [--first 1000] [--store FOLDER]
+    python experiments/gps_flights.py [--flights 100] [--seconds 60 150] [--first 1000] [--store FOLDER]
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from quadpi_core.vehicle import Vehicle
 
 PAGE = Path(__file__).parent / "results" / "slow-states.md"
 
-RATE_HZ, DURATION_S, STATE_HZ = 100.0, 60.0, 5.0
+RATE_HZ, STATE_HZ = 100.0, 5.0
 # Errors of a state by GPS: position m, velocity m/s, attitude rad.
 STATE_ERRORS = (1.0, 0.1, np.deg2rad(2.0))
 _HEIGHT_M = 20.0
@@ -129,7 +129,7 @@ def _gusts(rng: np.random.Generator, samples: int) -> Array:
     return gusts
 
 
-def fly(seeds: Sequence[int]) -> list[Logged]:
+def fly(seeds: Sequence[int], seconds: int) -> list[Logged]:
     """One flight for each seed, of a vehicle drawn for it; all at once, as RotorPy can by PyTorch.
 
     Raises:
@@ -144,7 +144,7 @@ def fly(seeds: Sequence[int]) -> list[Logged]:
     draws = [np.random.default_rng(seed) for seed in seeds]
     vehicles = [vehicle_of(airframes()[0], rng) for rng in draws]
     parameters = [dict(one.parameters) for one in vehicles]
-    samples = int(DURATION_S * RATE_HZ)
+    samples = int(seconds * RATE_HZ)
     time = np.arange(samples) / RATE_HZ
     names = ("x", "x_dot", "x_ddot", "yaw", "yaw_dot")
     sampled = [path_of(rng, 5.0).sampled(time) for rng in draws]
@@ -241,15 +241,16 @@ def _logged(
     )
 
 
-def stored(seeds: Sequence[int], store: Path) -> list[Logged]:
+def stored(seeds: Sequence[int], seconds: int, store: Path) -> list[Logged]:
     """Flights, flown where the store does not hold them."""
     store.mkdir(parents=True, exist_ok=True)
-    lacking = [seed for seed in seeds if not (store / f"gps-{seed}.npz").exists()]
-    for seed, one in zip(lacking, fly(lacking) if lacking else [], strict=True):
-        np.savez_compressed(store / f"gps-{seed}.npz", **one._asdict())
+    files = {seed: store / f"gps-{seconds}-{seed}.npz" for seed in seeds}
+    lacking = [seed for seed, file in files.items() if not file.exists()]
+    for seed, one in zip(lacking, fly(lacking, seconds) if lacking else [], strict=True):
+        np.savez_compressed(files[seed], **one._asdict())
     flights = []
-    for seed in seeds:
-        with np.load(store / f"gps-{seed}.npz") as file:
+    for path in files.values():
+        with np.load(path) as file:
             flights.append(Logged(**{name: file[name] for name in Logged._fields}))
     return flights
 
@@ -328,16 +329,19 @@ def main() -> None:
     """Fly, judge, and renew the page."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--flights", type=int, default=100)
+    parser.add_argument("--seconds", type=int, nargs="+", default=[60, 150], help="length of the flights")
     parser.add_argument("--first", type=int, default=1000, help="seed; those below were looked at")
     parser.add_argument("--store", type=Path, default=Path("out") / "gps-flights")
     parser.add_argument("--page", type=Path, default=PAGE)
     given = parser.parse_args()
     vehicle = vehicle_file()
     seeds = range(given.first, given.first + given.flights)
-    told = [judged(flight, vehicle) for flight in stored(seeds, given.store)]
-    text = markdown_table(table(told))
-    print(text)
-    renew(given.page, {"gps": f"{text}\n\n*{stamp()}*"})
+    tables = {}
+    for seconds in given.seconds:
+        told = [judged(flight, vehicle) for flight in stored(seeds, seconds, given.store)]
+        tables[f"gps {seconds}"] = f"{markdown_table(table(told))}\n\n*{stamp()}*"
+        print(tables[f"gps {seconds}"], flush=True)
+    renew(given.page, tables)
 
 
 if __name__ == "__main__":

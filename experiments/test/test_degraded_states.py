@@ -41,7 +41,9 @@ def test_intervals_by_gps_and_commands_hold_the_truth(tmp_path):
         pytest.importorskip(needed)
     import gps_flights as program
 
-    told = [program.judged(one, program.vehicle_file()) for one in program.stored(range(500, 504), tmp_path)]
+    told = [
+        program.judged(one, program.vehicle_file()) for one in program.stored(range(500, 504), 60, tmp_path)
+    ]
     known = [(true, one) for flight in told for true, one in flight if one.low is not None]
     assert len(known) == 20
     assert sum(one.low <= true <= one.high for true, one in known) >= 17
