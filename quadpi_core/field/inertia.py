@@ -55,13 +55,6 @@ POWER = Threshold(
     "tachometers and accelerometer of that vehicle tell a power of 2.24",
     "imrc_brushless of ../shared/data",
 )
-LIFT = Threshold(
-    "share of what the square of the airspeed does to thrust that is not known, two deviations",
-    0.5,
-    "",
-    "gusts are not in that airspeed: what a controller answers to them goes into the term",
-    "30 RotorPy flights of seeds below 100, see experiments/gps_flights.py",
-)
 WIDEST = Threshold(
     "half width over value beyond which a number is not told",
     0.5,
@@ -72,8 +65,11 @@ WIDEST = Threshold(
 _SHORT = (
     f"it takes {_PIECE_S * PIECES_FEWEST.value:.0f} s in the air, {SHORTEST_S.value:.0f} s or more at once"
 )
-# Columns of thrust: Σu², climb, speed squared; of a moment: that of T(u), rate, product of rates, 1.
+# Columns of thrust: Σu², climb, speed squared, 1; of a moment: that of T(u), rate, product of rates, 1.
 _THRUST, _MOMENT = 3, 4
+# What a controller answers to gusts is in Σu² and no thrust: 1 stands in for it where errors are to be 0 on
+# average, as an instrument (J. Wooldridge, Econometric Analysis of Cross Section and Panel Data, ch. 5).
+_INSTRUMENTS = [3, 1, 2]
 
 
 @dataclass(frozen=True)
@@ -146,9 +142,7 @@ def identify_body(
     low, high = jackknife(whole, np.array(without), told)
     half = 0.5 * (high - low)
     bias = BIAS_M_S2.value[all(_tells_bias(log) for log, _ in flights)]
-    slow = _solved(pieces, thrust_terms=_THRUST - 1)
-    lift = 0.0 if isinstance(slow, str) else LIFT.value * (whole[0] - slow[0])
-    half[0] = np.hypot(np.hypot(half[0], lift), 2.0 * bias * vehicle.mass_kg / vehicle.rotor_count)
+    half[0] = np.hypot(half[0], 2.0 * bias * vehicle.mass_kg / vehicle.rotor_count)
     half[1:3] = np.hypot(half[1:3], POWER.value * whole[1:3])
     units = ("N", "kg m²", "kg m²", "s")
     thrust, *inertia, lag = (
@@ -221,7 +215,7 @@ def _of_stretch(log: FieldLog, begin: float, end: float, vehicle: Vehicle, wind:
         lagged = lfilter([now, before], [1.0, -keep], commands, axis=0, zi=commands[:1] * (1.0 - now))[0]
         squared = sosfiltfilt(smooth, lagged**2, axis=0)
         tables = [
-            np.column_stack([squared.sum(axis=1), others[:, :2], targets[:, 0]]),
+            np.column_stack([squared.sum(axis=1), others[:, :2], ones, targets[:, 0]]),
             *(
                 np.column_stack(
                     [
@@ -284,8 +278,8 @@ def _joined(pieces: Sequence[_Piece]) -> _Piece:
     return _Piece(thrust, (about_x, about_y), (float(total), int(count)))
 
 
-def _solved(pieces: Sequence[_Piece], thrust_terms: int = _THRUST) -> Array | str:
-    """Thrust at hover by its first terms, moments of inertia and lag (4,), or why they are not told."""
+def _solved(pieces: Sequence[_Piece]) -> Array | str:
+    """Thrust at hover, both moments of inertia and the lag (4,), or why they are not told."""
     thrust, moments, (total, count) = (
         getattr(_joined(pieces), name) for name in ("thrust", "moments", "hover")
     )
@@ -293,7 +287,7 @@ def _solved(pieces: Sequence[_Piece], thrust_terms: int = _THRUST) -> Array | st
     values, errors = np.empty((len(_LAGS_S), 3)), np.zeros(len(_LAGS_S))
     for place in range(len(_LAGS_S)):
         own = thrust[place]
-        gain = _least_squares(own[:thrust_terms, :thrust_terms], own[:thrust_terms, _THRUST])[0]
+        gain = _least_squares(own[_INSTRUMENTS, :_THRUST], own[_INSTRUMENTS, -1])[0]
         values[place, 0] = gain * hover**2
         for axis, own in enumerate(moments):
             squares = own[place]
