@@ -139,10 +139,8 @@ def scan_order(
 def usable_imu(rates: Array, specific_force: Array, /) -> bool: ...
 
 # signals, inputs and the rate of the IMU
-MEASURED_NS: int
 METER_ROOM: int
 ROTORS_MAX: int
-NOTICED_NS: int
 RATE_SPAN: int
 
 def settle(design: Records, state: Array, sample: Array, /) -> None: ...

@@ -47,7 +47,6 @@ INPUT_INDEX = {name: index for index, name in enumerate(INPUT_NAMES)}
 # Columns of u, v, w.
 VELOCITY_INPUTS = [INPUT_INDEX[name] for name in ("u", "v", "w")]
 # Which inputs are cosines of an angle: near 1 they go with its square.
-COSINES = np.array([name.startswith("cos_") for name in INPUT_NAMES])
 
 
 class Derivatives:

@@ -35,7 +35,7 @@ from quadpi_core.report.page import FlightFiles
 from quadpi_core.report.table import progress_bar, terminal_table
 from quadpi_core.vehicle import Vehicle
 from quadpi_core.view.view_server import ADDRESS, PORT, port_problem
-from quadpi_ros.live_session import AlarmChange, SessionResult, run_session
+from quadpi_ros.live_session import SessionResult, run_session
 
 CONFIDENCE = 0.95
 # Real logs below the bundled bags: of a vehicle as it was, and with a nut near motor 3.
@@ -158,7 +158,7 @@ def _run(flights: DemoFlights, output: Path, rate: float, console: Console, view
         output / "model",
         vehicle=vehicle.name,
         rate=rate,
-        on_alarm=lambda change: _show(console, change),
+        on_alarm=lambda change: console.print(Text(str(change), style=_LEVEL_STYLES[change.level])),
         page=page,
     )
     live = session.summary()
@@ -218,10 +218,6 @@ def _page(vehicle: Vehicle, model: Path, console: Console) -> list[str] | None:
         return None
     console.print(f"Page at http://{ADDRESS}:{PORT}/ while the flight lasts")
     return ["--vehicle", vehicle.name, "--model", str(model)]
-
-
-def _show(console: Console, change: AlarmChange) -> None:
-    console.print(Text(str(change), style=_LEVEL_STYLES[change.level]))
 
 
 def _first_times(live: dict[str, float | int | None]) -> str:

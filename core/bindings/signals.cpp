@@ -75,10 +75,8 @@ void find_inputs(
 }  // namespace
 
 void bind_signals(nb::module_& module) {
-    module.attr("MEASURED_NS") = MEASURED_NS;
     module.attr("METER_ROOM") = METER_ROOM;
     module.attr("ROTORS_MAX") = ROTORS_MAX;
-    module.attr("NOTICED_NS") = NOTICED_NS;
     module.attr("RATE_SPAN") = RATE_SPAN;
     module.def("settle", &settle_at);
     module.def("low_pass", &filter_rows);

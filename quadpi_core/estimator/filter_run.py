@@ -327,7 +327,7 @@ class FusedSample:
 
 
 FUSED = record_dtype(FusedSample)
-MOTION_ATTITUDE, MOTION_VELOCITY, MOTION_RATES, MOTION_FORCE = columns_of(Motion)
+*_, MOTION_FORCE = columns_of(Motion)
 _MOTION = np.dtype((np.float64, MOTION_FORCE.stop))
 
 

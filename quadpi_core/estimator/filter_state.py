@@ -352,16 +352,14 @@ def assumed_noise(vehicle: Vehicle, rate_hz: float) -> Records:
 # A rate is measured over the first second by :func:`quadpi_core.signals.chain.nominal_rate`, which jitter,
 # single lost samples and repeated stamps do not change. From then on every span of ten steps is compared with
 # it. Single spans are longer where samples were lost; the rate has changed when nearly all spans differ for
-# :data:`NOTICED_NS`. After a pause or a jump of the clock the rate is measured again: the driver may have
+# a while (imu_rate.hpp). After a pause or a jump of the clock the rate is measured again: the driver may have
 # restarted.
 
-MEASURED_NS = compiled.MEASURED_NS
 # Largest difference from a given rate, as a share of it: the cut-off of a low-pass designed for that rate,
 # and the noise of the estimator, are off by as much.
 RATE_TOLERANCE = 0.1
 # Used until the rate is known; no sample is judged before.
 RATE_BEFORE_HZ = 500.0
-NOTICED_NS = compiled.NOTICED_NS
 
 
 class ImuRate(NamedTuple):

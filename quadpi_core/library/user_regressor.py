@@ -137,7 +137,10 @@ class Trees(StoredRegressor):
             )
             and self.constant.shape == (1,)
             and self.roots.ndim == 1
-            and all(_is_whole(places) for places in (self.feature, self.left, self.right, self.roots))
+            and all(
+                np.all(np.isfinite(places) & (places == np.rint(places)))
+                for places in (self.feature, self.left, self.right, self.roots)
+            )
             and np.all(self.feature < _INPUTS)
             and np.all((self.roots >= 0) & (self.roots < nodes))
             and all(np.all((to > numbers)[asks] & (to < nodes)[asks]) for to in (self.left, self.right))
@@ -159,10 +162,6 @@ class Trees(StoredRegressor):
                 node[asking] = np.where(goes_left, left[at], right[at])
             total += self.value[node]
         return total
-
-
-def _is_whole(places: Array) -> bool:
-    return bool(np.all(np.isfinite(places) & (places == np.rint(places))))
 
 
 def stored_form(regressor: Any, X: Array, name: str) -> StoredRegressor:

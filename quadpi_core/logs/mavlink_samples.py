@@ -248,7 +248,7 @@ class MavlinkSamples:
         velocity = self._finite("LOCAL_POSITION_NED", (m.vx, m.vy, m.vz))
         if velocity is None:
             return None
-        attitude = _extrapolated(attitude, rates, ahead_s)
+        attitude = np.array(product(attitude, from_rotation_vector(ahead_s * rates)))
         velocity = rotate_world_to_body(attitude, velocity)
         row = np.concatenate(((m.x, m.y, m.z), attitude, velocity, rates))
         return Sample("odometry", "LOCAL_POSITION_NED", m.time_boot_ms * 1000, row)
@@ -269,7 +269,9 @@ class MavlinkSamples:
         if m.frame_id == _LOCAL_ENU:
             position, attitude = world_enu_to_ned(position), quaternion_world_enu_to_ned(attitude)
         elif m.frame_id == _LOCAL_FLU:
-            position, attitude = body_flu_to_frd(position), _half_turn_about_x(attitude)
+            # By half a turn about x: (0, 1, 0, 0) * q.
+            w, x, y, z = attitude
+            position, attitude = body_flu_to_frd(position), np.array((-x, w, -z, y))
         elif m.frame_id not in {_LOCAL_NED, _LOCAL_FRD}:
             return self._refuse("ODOMETRY", f"frame_id {m.frame_id} is not known")
         if np.isnan(np.concatenate((velocity, rates))).any():
@@ -398,14 +400,3 @@ class MavlinkSamples:
 def _milli_units(m: Any) -> Array:
     rates = np.array((m.xgyro, m.ygyro, m.zgyro)) * 1e-3
     return np.concatenate((rates, np.array((m.xacc, m.yacc, m.zacc)) * _MILLI_G))
-
-
-def _half_turn_about_x(quaternion: Array) -> Array:
-    """Attitude in a forward-right-down world from one in a forward-left-up world: (0, 1, 0, 0) * q."""
-    w, x, y, z = quaternion
-    return np.array((-x, w, -z, y))
-
-
-def _extrapolated(attitude: Array, rates: Array, seconds: float) -> Array:
-    """The attitude after a time at constant body rates."""
-    return np.array(product(attitude, from_rotation_vector(seconds * rates)))

@@ -194,18 +194,16 @@ class MavlinkSession:
     def _meet(self, heartbeat: Any, arrival_ns: int, address: object) -> None:
         """Accept the sender of a heartbeat as the autopilot, or count it as a rival of the present one."""
         wanted, system = self._settings.system, heartbeat.get_srcSystem()
+        # Of either sign: this computer's clock may be set back.
+        gone = abs(arrival_ns - self._heard_ns) > _GONE_NS
         if self._peer is None and wanted in (0, system):
             self._first_ns = arrival_ns
-        elif self._peer is None or self._peer.system != system or not self._is_gone(arrival_ns):
+        elif self._peer is None or self._peer.system != system or not gone:
             sender = self._stranger(heartbeat, address)
             if sender is not None and (not wanted or wanted == system):
                 self._rivals[sender] += 1
             return
         self._peer = Peer(system, heartbeat.get_srcComponent(), address)
-
-    def _is_gone(self, now_ns: int) -> bool:
-        # Of either sign: this computer's clock may be set back.
-        return abs(now_ns - self._heard_ns) > _GONE_NS
 
     def _stranger(self, message: Any, address: object) -> str | None:
         """Name in the diagnostics of a sender that is not the autopilot; None for the autopilot."""

@@ -162,10 +162,6 @@ def _room(stream: Callable[..., SomeStream], *widths: int) -> Callable[[Stamps, 
     return lambda time_ns, _: stream(time_ns, *(np.empty((len(time_ns), width)) for width in widths))
 
 
-def _fill_rotor_speeds(values: Array, rotors: RotorSpeedStream) -> None:
-    rotors.speeds[:] = values
-
-
 IMU_SAMPLES = SampleKind(
     IMU,
     _room(ImuStream, 3, 3),
@@ -200,7 +196,10 @@ unpack_wind = WIND_SAMPLES.unpack
 def rotor_speed_samples(rotors: int) -> SampleKind[RotorSpeedStream]:
     """Messages of quadpi/RotorSpeeds of a vehicle with this number of rotors."""
     return SampleKind(
-        ROTOR_SPEEDS, _room(RotorSpeedStream, rotors), _fill_rotor_speeds, counts={"rotor_speeds": rotors}
+        ROTOR_SPEEDS,
+        _room(RotorSpeedStream, rotors),
+        lambda values, sample: np.copyto(sample.speeds, values),
+        counts={"rotor_speeds": rotors},
     )
 
 

@@ -288,11 +288,10 @@ _FAMILY_STARTS: dict[str, tuple[str, ...]] = {
 }
 
 
-def _family(name: str) -> str:
-    return next(family for family, starts in _FAMILY_STARTS.items() if name.startswith(starts))
-
-
-_FAMILIES = {name: _family(name) for name in _FLYING}
+_FAMILIES = {
+    name: next(family for family, starts in _FAMILY_STARTS.items() if name.startswith(starts))
+    for name in _FLYING
+}
 
 
 @dataclass(frozen=True)

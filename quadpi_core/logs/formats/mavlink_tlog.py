@@ -134,6 +134,8 @@ def read_tlog(path: Path, vehicle: Vehicle | None, order: RotorOrder | None = No
     commands, battery, pressure = (_stream(topic, arrived, time_ns) for topic in BESIDE)
     imu = require_imu(source, cast("ImuStream | None", imu), "HIGHRES_IMU, RAW_IMU or SCALED_IMU")
     left_out = tuple(unusable.left_out("rotor_speeds", int(imu.time_ns[0]))) if its_rotors else ()
+    # The adapter whose commands have the same scale.
+    scale = ardupilot.RC_OUT if samples.autopilot == ARDUPILOT else "px4_outputs"
     return Recording(
         name=path.stem,
         vehicle=vehicle.name if vehicle else "",
@@ -143,17 +145,12 @@ def read_tlog(path: Path, vehicle: Vehicle | None, order: RotorOrder | None = No
         pose=cast("PoseStream | None", pose),
         odometry=cast("OdometryStream | None", odometry),
         commands=cast("MotorCommandStream | None", commands) if its_rotors else None,
-        command_source=_scale_of(samples) if commands is not None and its_rotors else "",
+        command_source=scale if commands is not None and its_rotors else "",
         battery=cast("BatteryStream | None", battery),
         pressure=cast("AirStream | None", pressure),
         board_air=True,
         quality=quality.joined(DataQuality(left_out=left_out)),
     )
-
-
-def _scale_of(samples: MavlinkSamples) -> str:
-    """The adapter whose commands have the same scale."""
-    return ardupilot.RC_OUT if samples.autopilot == ARDUPILOT else "px4_outputs"
 
 
 def _telling(source: str, rotors: Stream | None, samples: MavlinkSamples) -> RotorSpeedStream | None:

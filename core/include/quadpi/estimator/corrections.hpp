@@ -88,12 +88,8 @@ inline Vector3 turn_from(const Quaternion& attitude, const Quaternion& measured)
 
 // Acceleration [m/s²] over ground, in the world, of an estimate with its IMU sample.
 inline Vector3 world_acceleration(const Estimate& estimate, double gravity) {
-    const auto [f0, f1, f2] = minus(estimate.specific_force, estimate.accelerometer_bias, 1.0);
-    const Matrix3 rotation = rotation_matrix(estimate.attitude);
-    Vector3 acceleration;
-    for (int axis = 0; axis < 3; ++axis) {
-        acceleration[axis] = rotation[axis][0] * f0 + rotation[axis][1] * f1 + rotation[axis][2] * f2;
-    }
+    const Vector3 force = minus(estimate.specific_force, estimate.accelerometer_bias);
+    Vector3 acceleration = times(rotation_matrix(estimate.attitude), force);
     acceleration[2] += gravity;
     return acceleration;
 }

@@ -187,6 +187,15 @@ struct Filter {
     Scalars scalars;
 };
 
+// What lies on the line between two vectors, at a share of the way.
+inline Vector3 on_line(const Vector3& first, const Vector3& second, double share) {
+    Vector3 between;
+    for (int axis = 0; axis < 3; ++axis) {
+        between[axis] = first[axis] + share * (second[axis] - first[axis]);
+    }
+    return between;
+}
+
 // Give an estimate the IMU sample of its instant, on the line between two samples around it.
 inline void interpolate_sample(Estimate& estimate, const ImuSample& first, const ImuSample& second) {
     double share = 0.0;
@@ -194,11 +203,8 @@ inline void interpolate_sample(Estimate& estimate, const ImuSample& first, const
         share = static_cast<double>(estimate.time_ns - first.time_ns) /
                 static_cast<double>(second.time_ns - first.time_ns);
     }
-    for (int axis = 0; axis < 3; ++axis) {
-        const double rate = first.rates[axis], force = first.specific_force[axis];
-        estimate.rates[axis] = rate + share * (second.rates[axis] - rate);
-        estimate.specific_force[axis] = force + share * (second.specific_force[axis] - force);
-    }
+    estimate.rates = on_line(first.rates, second.rates, share);
+    estimate.specific_force = on_line(first.specific_force, second.specific_force, share);
 }
 
 }  // namespace quadpi

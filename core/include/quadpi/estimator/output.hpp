@@ -76,9 +76,9 @@ inline void fill_fused(const Estimate& estimate, double gyro_variance, FusedSamp
             in_body += to_world[other][axis] * estimate.velocity[other];
         }
         motion.velocity[axis] = in_body;
-        motion.rates[axis] = estimate.rates[axis] - estimate.gyro_bias[axis];
-        motion.specific_force[axis] = estimate.specific_force[axis] - estimate.accelerometer_bias[axis];
     }
+    motion.rates = minus(estimate.rates, estimate.gyro_bias);
+    motion.specific_force = minus(estimate.specific_force, estimate.accelerometer_bias);
     const auto [u, v, w] = motion.velocity;
 
     OdometryJacobian pose{}, twist{};

@@ -147,12 +147,8 @@ inline void propagate_between(
     const std::int64_t from_ns = estimate.time_ns;
     const double share = 0.5 * static_cast<double>((from_ns - first.time_ns) + (to_ns - first.time_ns)) /
                          static_cast<double>(second.time_ns - first.time_ns);
-    Vector3 rates, force;
-    for (int axis = 0; axis < 3; ++axis) {
-        rates[axis] = first.rates[axis] + share * (second.rates[axis] - first.rates[axis]);
-        force[axis] =
-            first.specific_force[axis] + share * (second.specific_force[axis] - first.specific_force[axis]);
-    }
+    const Vector3 rates = on_line(first.rates, second.rates, share);
+    const Vector3 force = on_line(first.specific_force, second.specific_force, share);
     propagate(estimate, noise, 1e-9 * static_cast<double>(to_ns - from_ns), rates, force, transition);
     estimate.time_ns = to_ns;
 }
