@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""`quadpi identify`: its options decide what the model holds."""
+"""Commands on models: identify, replay, evaluate, rollout and validate."""
 
 from __future__ import annotations
 

@@ -1,5 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
+"""Messages of each package that is known, as streams."""
+
 from __future__ import annotations
 
 from dataclasses import replace

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bootstrap ensembles: the noise that they learn, and how few members count."""
+"""Ensembles of networks, by bootstrap and quality-driven: the noise that they learn, and how few count."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Forces and moments on the body as a whole."""
+"""Effects on the body as a whole: forces and moments, air, surfaces nearby."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""`quadpi info`: the JSON keys of a recording, of results and of a model."""
+"""Commands on logs: info, import and export."""
 
 from __future__ import annotations
 
