@@ -46,7 +46,6 @@ INPUT_NAMES = (
 INPUT_INDEX = {name: index for index, name in enumerate(INPUT_NAMES)}
 # Columns of u, v, w.
 VELOCITY_INPUTS = [INPUT_INDEX[name] for name in ("u", "v", "w")]
-# Which inputs are cosines of an angle: near 1 they go with its square.
 
 
 class Derivatives:
