@@ -442,11 +442,17 @@ class Regression(Kept):
         columns = [self.blocks[index].columns for index in chosen]
         return [Part(own.columns, -own.weights) for own in found.residual() if own.columns in columns]
 
+    @cached_property
+    def noise_squares(self) -> Array:
+        """Squares (6,) of the noise over all flights."""
+        squares = np.zeros(len(AXES))
+        for variance, own in zip(self.noise.variance, self.residual.spectra, strict=True):
+            squares += variance[:, own.band].sum(axis=1)
+        return squares
+
     def loudness(self, index: int, found: Fit) -> float:
         """Root mean square of the contribution of a candidate over that of the noise, in its loudest axis."""
-        pairs = zip(self.noise.variance, self.residual.spectra, strict=True)
-        noise = sum(variance[:, own.band].sum(axis=1) for variance, own in pairs)
-        ratio = self.squares(self.added((index,), found)) / noise
+        ratio = self.squares(self.added((index,), found)) / self.noise_squares
         return float(np.sqrt(np.max(ratio)))
 
     def energy(self, chosen: Sequence[int], found: Fit) -> float:

@@ -115,7 +115,7 @@ def search(prepared: Prepared, barred: Mapping[str, str] = MappingProxyType({}))
         prepared: flights beside their simulation.
         barred: why effects, by their names, may not be named.
     """
-    regression, inside, own = prepared.regression, prepared.inside, _Search(barred)
+    regression, inside, own = prepared.regression, prepared.inside, _Search(barred, prepared.inside)
     accepted = Accepted(regression, (), regression.fit_none())
     disputed, gain = tuple[str, ...](), 0.0
     for _ in range(MOST_EFFECTS.value):
@@ -154,8 +154,9 @@ class _Search:
         judgements: those of all rounds, in their order.
     """
 
-    def __init__(self, barred: Mapping[str, str]) -> None:
+    def __init__(self, barred: Mapping[str, str], inside: Inside | None) -> None:
         self._barred, self.judgements = barred, list[Judgement]()
+        self._broken = None if inside is None else ~inside.held
         # Effects that became idle, which are not tried again.
         self._idle = set[int]()
 
@@ -201,6 +202,7 @@ class _Search:
                 barred=self._barred.get(own.name, ""),
                 behind=behind.label if behind and stands_behind(own, behind) else "",
                 instead=self._about_as_well(before, index, fit, fits),
+                broken=self._broken,
             )
             judgement, larger = trial.outcome()
             self.judgements.append(judgement)
@@ -262,6 +264,7 @@ class _Search:
             fit=others.fit_with(rival),
             barred=self._barred.get(regression.candidates[rival].name, ""),
             instead=regression.candidates[index].label if ordinary else "",
+            broken=self._broken,
         )
 
     def with_fitted_coefficients(self, accepted: Accepted) -> Accepted:

@@ -44,7 +44,7 @@ from quadpi_core.discrepancy.by_condition import (
 from quadpi_core.discrepancy.candidates import candidates, typical_sizes
 from quadpi_core.discrepancy.closure import Found
 from quadpi_core.discrepancy.discrepancy_result import Coverage, OfFlight
-from quadpi_core.discrepancy.effect_regression import noise_of_flight, settled
+from quadpi_core.discrepancy.effect_regression import Reduction, noise_of_flight, settled
 from quadpi_core.discrepancy.effect_response import Compared, deviations, predicted_flight, quiet
 from quadpi_core.discrepancy.evidence import Fit, student_weights
 from quadpi_core.discrepancy.loading import load_simulation
@@ -116,7 +116,7 @@ def by_chance(mean):
     return "position_m" in growing_by_chance(before, [np.full((3, 4), np.exp(2.0 * own)) for own in growth])
 
 
-def accepted(*, size=1.0, loudness=1.0, instead="", squares=99.0):
+def accepted(*, size=1.0, loudness=1.0, instead="", squares=99.0, stated=1.0):
     """Whether a candidate of two parameters is, by such numbers."""
     own = SimpleNamespace(name="own", label="own", free=(0, 1))
     plain = Fit(100.0, (), np.arange(2), np.array([np.sqrt(squares), 0.0]), np.eye(2), np.zeros(2))
@@ -129,14 +129,16 @@ def accepted(*, size=1.0, loudness=1.0, instead="", squares=99.0):
         equations=lambda _: SimpleNamespace(parameters=lambda _: np.arange(2)),
         fit=lambda *_, **__: plain,
         energy=lambda *_: 0.0,
-        sound=None,
+        sound=(),
+        reduction=lambda *_: Reduction(SQUARES, first_axis(100.0 * stated, -1e6)),
+        noise_squares=SQUARES,
         beside=lambda *_: regression,
         once=lambda _, make: make(),
     )
     regression.varied = regression
     none = replace(plain, log_evidence=0.0)
     before = Accepted(regression, (), none)
-    trial = Trial(before, 0, plain, instead=instead)
+    trial = Trial(before, 0, plain, instead=instead, broken=np.arange(6) == 0)
     trial.__dict__["refined"] = replace(before, fit=plain)
     return trial.judgement.accepted
 
@@ -591,6 +593,7 @@ EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
     "SMALLEST": (0.13, lambda x: judge_size({"large": 1.0, "small": x}).passed),
     "LOUDNESS": (0.1, lambda x: accepted(loudness=x)),
     "GROWTH": (0.5, lambda x: judge_left_out(SQUARES, SQUARES + first_axis(100.0 * x), 10).passed),
+    "OF_ITSELF": (0.5, lambda x: accepted(stated=x)),
     "FEW_FLIGHTS": (4.0, lambda x: judge_left_out(SQUARES, 9.0 * SQUARES, x).passed),
     "NAMED_ALONE": (4.6, lambda x: x < acceptance.rival_margin(0.0)),
     "ALIKE": (0.1, lambda x: 1000.0 * x < acceptance.rival_margin(1000.0)),

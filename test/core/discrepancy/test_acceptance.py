@@ -7,7 +7,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadpi_core.discrepancy.acceptance import judge_left_out, least_evidence, stands_behind
+from quadpi_core.discrepancy.acceptance import (
+    judge_left_out,
+    judge_of_itself,
+    least_evidence,
+    stands_behind,
+)
 from quadpi_core.discrepancy.candidates import candidates
 from quadpi_core.vehicle import Vehicle
 
@@ -23,6 +28,14 @@ def test_what_an_effect_takes_from_one_axis_may_return_in_another():
     after = SQUARES + first_axis(200.0, -80.0)
     assert judge_left_out(SQUARES, after, 10).passed == (200.0 <= 0.5 * (100.0 + 200.0))
     assert judge_left_out(SQUARES, SQUARES + first_axis(140.0, -80.0), 10).passed
+
+
+@pytest.mark.parametrize(
+    ("fitted", "stated", "passed"), [(100.0, 90.0, True), (100.0, -300.0, False), (0.0, 0.0, True)]
+)
+def test_what_coefficients_close_beside_an_effect_does_not_speak_for_it(fitted, stated, passed):
+    """A wrong rotor makes an axis worse, which coefficients undo; axes that it leaves alone say nothing."""
+    assert judge_of_itself(fitted, stated).passed == passed
 
 
 def test_the_least_evidence_counts_the_candidates():

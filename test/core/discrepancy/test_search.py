@@ -78,7 +78,7 @@ def rivals_of_the_first(regression):
     """In the set of the first and the third effect."""
     for candidate in regression.candidates:
         candidate.within, candidate.excludes = False, lambda other, own=candidate: other is own
-    return _Search({}).rivals(Accepted(regression, (0, 2), regression.fit((0, 2))))[0]
+    return _Search({}, None).rivals(Accepted(regression, (0, 2), regression.fit((0, 2))))[0]
 
 
 @pytest.mark.parametrize(("curved", "odds"), [((), -5.0), ((1,), 30.0), ((2,), 30.0)])
