@@ -16,7 +16,6 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import ndtr, stdtrit
 
 from quadpi_core.discrepancy.acceptance import FEW_FLIGHTS, Judgement, least_evidence
 from quadpi_core.discrepancy.candidates import AXES_OVER_FORM
@@ -26,7 +25,6 @@ from quadpi_core.discrepancy.unexplained import Inside, Left, held_axes, slow_st
 from quadpi_core.discrepancy.whitening import Noise, rows_of
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
-from quadpi_core.models.sound_flights import SoundFlights
 from quadpi_core.records import CONVENTION, Threshold
 from quadpi_core.simulation.effect_definition import SHAPE
 
@@ -280,29 +278,30 @@ class Found:
         few = len(self.regression.flights) < FEW_FLIGHTS.value
         return np.zeros(len(deviation)) if few else self.closing.disagreement(index, deviation)
 
-    def _sound_leave(self, sound: SoundFlights, deviations: float) -> Array:
-        """Variance (6, C) that as many sound flights leave, so many standard deviations above their mean."""
+    @cached_property
+    def _as_sound(self) -> Array | None:
+        """Variance (6, C) that as many sound flights leave at most; None where none are known."""
+        sound = self.regression.sound
+        if sound is None:
+            return None
         # Both means vary, of these flights and of the sound ones.
         error = sound.differ * np.sqrt(1.0 / len(self.regression.flights) + 1.0 / sound.flights)
-        allowed: Array = sound.left * (1.0 + deviations * error)[:, np.newaxis]
+        allowed: Array = sound.left * (1.0 + MORE_THAN_SOUND.value * error)[:, np.newaxis]
         return allowed
 
     def gap(self, *, adjusted: bool = True) -> Gap:
         """The gap of flights left out, see :meth:`Closing.gap`; what sensors do not explain is no floor.
 
         The floor is the most that as many sound flights may leave. Where no axis is further off, though
-        intervals are broken, it is what they leave on average. By how much few sound flights differ is hardly
-        known (Student's t): up to that, what the intervals state is no gap either.
+        intervals are broken, it is what they leave on average. Sound flights that are too few to predict each
+        other hardly tell how much they differ: what the intervals state is no gap then either.
         """
-        regression, sound = self.regression, self.regression.sound
+        sound, stated = self.regression.sound, self.regression.stated_squares
         measured = partial(self.closing.gap, adjusted=adjusted, held=self.held)
-        if sound is None:
-            return measured(np.minimum(regression.noise.variance, self.sensors), regression.stated_squares)
-        unsure = float(stdtrit(sound.flights - 1, ndtr(MORE_THAN_SOUND.value)))
-        samples = sum(len(flight.thinned) for flight in regression.flights)
-        most = self._sound_leave(sound, unsure) @ regression.residual.counts / samples
-        stated = np.minimum(regression.stated_squares, most)
-        gap = measured(self._sound_leave(sound, MORE_THAN_SOUND.value), stated)
+        if sound is None or self._as_sound is None:
+            return measured(np.minimum(self.regression.noise.variance, self.sensors), stated)
+        stated = stated * (sound.flights < FEW_FLIGHTS.value)
+        gap = measured(self._as_sound, stated)
         broken = self.inside is not None and not self.inside.held.all()
         if not broken or np.any(gap.before > gap.floor, where=~self.held):
             return gap
@@ -315,10 +314,8 @@ class Found:
         Without sound flights they are those beyond what the simulation's own intervals state, infinite where
         there are none.
         """
-        sound = self.regression.sound
-        if sound is not None:
-            allowed = self._sound_leave(sound, MORE_THAN_SOUND.value)
-        else:
+        allowed = self._as_sound
+        if allowed is None:
             stated = self.regression.stated_squares
             if not stated.any():
                 return np.full(len(AXES), np.inf)
