@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from change_tables import all_faster, faster_rotor, offset_accelerometer, row_of
+from change_tables import SOUND, all_faster, faster_rotor, flights_of, offset_accelerometer, row_of
 
 from quadpi_core.logs import read_recording
 from quadpi_core.paths import bags_directory
@@ -36,3 +36,13 @@ def test_a_row_counts_the_flights_without_an_alarm_too() -> None:
     )
     assert row == ["x", "4", "25 %", "50 %", "50 %", "75 %", "67 %", "3 %", "50 %"]
     assert row_of("y", [np.inf], [False], [0.0], [None])[2:] == ["0 %"] * 4 + ["–", "–", "–"]
+
+
+def test_random_halves_are_of_all_flights(tmp_path) -> None:
+    (tmp_path / SOUND).mkdir()
+    for k in range(20):
+        (tmp_path / SOUND / f"flight{k:02d}").touch()
+    usual, one, other = (flights_of(tmp_path, split) for split in (None, 1, 2))
+    assert usual == sorted(usual)
+    assert one == flights_of(tmp_path, 1) != other
+    assert sorted(one) == sorted(other) == usual
