@@ -68,9 +68,9 @@ class MassChange:
     side: str = ""
 
     def weak_motors(self, worst: int) -> tuple[int, ...]:
-        """Motors, from 1, of which one may be weak; the one that works hardest where nothing known fits."""
-        weak = tuple(int(name.split()[-1]) for name in self.fits if name.startswith(WEAK))
-        return weak if self.fits else (worst,)
+        """Motors, from 1, that may be weak: the hardest working and others that fit; none if none does."""
+        weak = [int(name.split()[-1]) for name in self.fits if name.startswith(WEAK)]
+        return tuple(dict.fromkeys((worst, *weak))) if weak or not self.fits else ()
 
     @property
     def may_be_heavier(self) -> bool:

@@ -118,6 +118,7 @@ def test_a_propeller_short_by_25_mm_is_told_and_good_flights_are_not_named(share
         assert [one.low > 0.0 for one in first] == [False, False, True, True]
         assert first[3].value > first[2].value > max(first[0].value, first[1].value)
         assert "motor 1 (front right) works harder" in cuts[3].remarks[0].sentence
+        assert cuts[2].remarks[0].sentence.startswith("motor 1 (front right)")
     for flight in flights(folder, good, good):
         assert all(one.thrust.low < 0.0 for one in flight.losses)
 
@@ -130,8 +131,18 @@ def test_structural_changes_of_crazyflies(shared_data: Path) -> None:
         cut = sorted(one.name for one in folder.iterdir() if f"M3_3mm_{body}" in one.name)
         for flight in flights(folder, cut, normal):
             assert [one.thrust.low > 0.0 for one in flight.losses] == [False, False, True, False]
+            assert flight.remarks[0].sentence.startswith("motor 3 (rear left)")
         for flight in flights(folder, normal, normal):
             assert all(one.thrust.low < 0.0 for one in flight.losses)
+    # Two propellers short by 2 mm each.
+    both = sorted(one.name for one in folder.iterdir() if one.name.startswith("cut_M2"))
+    for flight in flights(folder, both, normal):
+        assert "motor 1 (front right), or motor 2 (rear right)" in flight.remarks[0].sentence
+    # A lack of 0 to 1 %, by the near end, that is within the scatter of all motors is not said.
+    for flight in flights(
+        folder, ["cut_propeller_M3_1mm_E8_log02"], [one.name for one in folder.glob("normal_*E8*")]
+    ):
+        assert not flight.remarks
     nut = [f"add_weight_W3_near_M3_E9_log0{number}" for number in (0, 2, 3)]
     for flight in flights(folder, nut, normal):
         assert "motor 3 (rear left) works harder" in flight.remarks[0].sentence
