@@ -23,7 +23,7 @@ from quadpi_core import frames
 from quadpi_core.estimator.ekf import Ekf
 from quadpi_core.estimator.filter_run import smooth
 from quadpi_core.estimator.filter_state import ATTITUDE, POSITION, VELOCITY
-from quadpi_core.flight import OdometryStream, PoseStream, Recording, Stamps, TwistStream
+from quadpi_core.flight import NO_STAMP, OdometryStream, PoseStream, Recording, Stamps, TwistStream
 from quadpi_core.frames import Array
 from quadpi_core.screening.flight_runs import BRIDGED_HZ, is_slow_state
 from quadpi_core.signals.chain import RATE_SPAN, nominal_rate
@@ -44,6 +44,7 @@ _POSES_SEEN = 200
 
 # True or false (3,) for position, attitude and velocity.
 _Parts: TypeAlias = npt.NDArray[np.bool_]
+_Blocks: TypeAlias = Iterator[Recording]
 
 
 def _corrects(odometry: OdometryStream) -> bool:
@@ -64,51 +65,56 @@ class VelocityRate:
 
     Attributes:
         is_slow: whether they come too seldom to be interpolated; false before the second.
+        stamps: of the first.
     """
 
     def __init__(self) -> None:
         self.is_slow = False
-        self._stamps: list[int] = []
+        self.stamps: list[int] = []
         self._poses = 0
 
     @property
     def is_known(self) -> bool:
         """Whether no further stamp changes what is said."""
-        return len(self._stamps) > RATE_SPAN or (not self._stamps and self._poses > _POSES_SEEN)
+        return len(self.stamps) > RATE_SPAN or (not self.stamps and self._poses > _POSES_SEEN)
 
     def take(self, time_ns: Sequence[int], poses: int = 0) -> None:
         """Take so many poses without a velocity, and the stamps of the next velocities."""
         self._poses += poses
         if self.is_known:
             return
-        self._stamps += time_ns[: RATE_SPAN + 1 - len(self._stamps)]
-        if len(self._stamps) > 1:
-            lasted_s = 1e-9 * (self._stamps[-1] - self._stamps[0])
-            self.is_slow = len(self._stamps) - 1 < BRIDGED_HZ * lasted_s
+        self.stamps += time_ns[: RATE_SPAN + 1 - len(self.stamps)]
+        if len(self.stamps) > 1:
+            lasted_s = 1e-9 * (self.stamps[-1] - self.stamps[0])
+            self.is_slow = len(self.stamps) - 1 < BRIDGED_HZ * lasted_s
 
 
 def has_slow_velocity(recording: Recording) -> bool:
     """Whether velocities of a recording are of a state as by GPS, in whose flights the wind is sought."""
     state = recording.odometry
     if recording.pose is not None or recording.twist is not None or state is None:
-        return with_velocity_rate(iter([recording]))[1]
+        return with_velocity_rate(iter([recording]))[1] is not None
     return _corrects(state) and not _lacking(state)[2]
 
 
-def with_velocity_rate(blocks: Iterator[Recording]) -> tuple[Iterator[Recording], bool]:
-    """Blocks of a flight by motion capture, and whether its velocities are slow as those of GPS.
+def with_velocity_rate(blocks: _Blocks) -> tuple[_Blocks, int | None]:
+    """Blocks of a flight by motion capture, and since when its velocities are known to be slow as by GPS.
 
-    Looked at are the blocks of the first velocities; where poses come without any, so do the rest.
+    Since the IMU sample before the second arrived, which is when it is known live; None where they are not.
     """
-    seen, velocities = [], VelocityRate()
+    seen, velocities, since_ns = [], VelocityRate(), 0
     for block in blocks:
         seen.append(block)
+        lacking = 2 - len(velocities.stamps)
+        if block.twist is not None and 0 < lacking <= len(block.twist) and len(block.imu):
+            arrived = int(block.arrivals_of(block.twist)[lacking - 1])
+            since_ns = int(block.imu.time_ns[max(arrived, 1) - 1])
         stamps = [] if block.twist is None else block.twist.time_ns.tolist()
         poses = np.empty(0) if block.pose is None else block.pose.time_ns
         velocities.take(stamps, int(np.sum(poses < stamps[0])) if stamps else len(poses))
         if velocities.is_known:
             break
-    return chain(seen, blocks), velocities.is_slow
+    return chain(seen, blocks), since_ns if velocities.is_slow else None
 
 
 def with_slow_state(recording: Recording, vehicle: Vehicle) -> Recording:
@@ -131,12 +137,11 @@ def with_slow_state(recording: Recording, vehicle: Vehicle) -> Recording:
     return _measured_state(recording, usual, _lacking(odometry))
 
 
-def with_slow_states(blocks: Iterator[Recording], vehicle: Vehicle) -> tuple[Iterator[Recording], bool, bool]:
-    """Blocks of a flight that has odometry alone, whether it is slow, and whether it then has velocities.
+def with_slow_states(blocks: _Blocks, vehicle: Vehicle) -> tuple[_Blocks, bool, int | None]:
+    """Blocks of a flight that has odometry alone, whether it is slow, and since when it then has velocities.
 
-    See :func:`with_slow_state`.
-
-    Looked at are the blocks that hold the first states; noise that nothing tells is that of a usual GPS.
+    Looked at are the blocks that hold the first states, see :func:`with_slow_state`; noise that nothing tells
+    is that of a usual GPS.
     """
     seen, states = [], 0
     for block in blocks:
@@ -147,10 +152,10 @@ def with_slow_states(blocks: Iterator[Recording], vehicle: Vehicle) -> tuple[Ite
     known = [block.odometry for block in seen if block.odometry is not None]
     every = chain(seen, blocks)
     if not known or not _corrects(first := OdometryStream.join(known)):
-        return every, False, False
+        return every, False, None
     lacking = _lacking(first)
     measured = map(partial(_measured_state, usual=usual_noise(vehicle), lacking=lacking), every)
-    return measured, True, not lacking[2]
+    return measured, True, None if lacking[2] else NO_STAMP
 
 
 def usual_noise(vehicle: Vehicle) -> Array:

@@ -444,7 +444,5 @@ class Monitors:
         self._monitors[name] = monitor
         if name == next(iter(self._monitors)):
             before = self.sample_context
-            self.sample_context = SampleContext(
-                monitor.model, monitor.vehicle, wind_unknown=before.wind_unknown
-            )
+            self.sample_context = SampleContext(monitor.model, monitor.vehicle, before.wind_since_ns)
             self.sample_context.go_on_from(before)

@@ -137,7 +137,7 @@ def _write(flight: RecordedFlight, monitor: Monitor, vehicle: Vehicle, output: P
     """Judge a flight, write its results and sum them up."""
     metadata = {"vehicle": vehicle.name, "model": monitor.model.identity}
     metadata |= {"source": flight.name, "version": __version__}
-    tally, context = _Tally(), SampleContext(monitor.model, vehicle, wind_unknown=flight.wind_unknown)
+    tally, context = _Tally(), SampleContext(monitor.model, vehicle, flight.wind_since_ns)
     with mcap_writer(output, metadata, FAST) as writer:
         names = ["odometry"] if flight.has_mocap else []
         writer.announce(
@@ -191,14 +191,14 @@ class RecordedFlight:
         has_mocap: whether the state comes from the EKF, corrected by motion capture or by odometry that is
             too slow to be interpolated; otherwise from the flight's odometry.
         blocks: parts of the flight in order of arrival, see :func:`quadpi_core.reading_options.by_arrival`.
-        wind_unknown: whether velocities come as seldom as by GPS: then drag tells the wind.
+        wind_since_ns: since when velocities are known to come as seldom as by GPS: then drag tells the wind.
     """
 
     name: str
     source: str
     has_mocap: bool
     blocks: Iterator[Recording]
-    wind_unknown: bool
+    wind_since_ns: int | None
 
 
 @contextmanager
@@ -247,10 +247,10 @@ def _flight(
         raise LogError(f"{source}: topic rotor_speeds (or erpm) is missing")
     blocks = map(without_unusable_attitudes, blocks)
     if has_mocap:
-        blocks, wind_unknown = with_velocity_rate(blocks)
+        blocks, wind_since_ns = with_velocity_rate(blocks)
     else:
-        blocks, has_mocap, wind_unknown = with_slow_states(blocks, vehicle)
-    return RecordedFlight(name, source, has_mocap, blocks, wind_unknown)
+        blocks, has_mocap, wind_since_ns = with_slow_states(blocks, vehicle)
+    return RecordedFlight(name, source, has_mocap, blocks, wind_since_ns)
 
 
 class Followed(NamedTuple):

@@ -224,21 +224,21 @@ class SampleContext:
     Args:
         model: None for none.
         vehicle: that flies; in halls, where its wind is 0, none is sought.
-        wind_unknown: whether the flight is as those that tell a model the wind, see
-            :mod:`quadpi_core.estimator.slow_states`.
+        wind_since_ns: stamp after which the flight is known to be as those that tell a model the wind (see
+            :mod:`quadpi_core.estimator.slow_states`), or None.
 
     Attributes:
         unsure: takes how sure the states are.
         wind: as drag tells it; None for a model whose flights did not.
-        wind_unknown: as given.
+        wind_since_ns: as given.
     """
 
     def __init__(
-        self, model: AerodynamicModel | None, vehicle: Vehicle | None, *, wind_unknown: bool = False
+        self, model: AerodynamicModel | None, vehicle: Vehicle | None, wind_since_ns: int | None = None
     ) -> None:
         self.unsure = UnsureStates(SETTLED if model is None else model.state)
         self.wind: WindState | None = None
-        self.wind_unknown = wind_unknown
+        self.wind_since_ns = wind_since_ns
         in_the_open = vehicle is not None and vehicle.noise.wind_m_s != 0.0
         if model is not None and model.wind is not None and in_the_open:
             self.wind = WindState(model.wind, model.alarm_limits.hover_rotor_speed)
@@ -257,13 +257,16 @@ class SampleContext:
     @property
     def is_needed(self) -> bool:
         """Whether samples go through here: a wind is to be told, or a state was less sure than known."""
-        seeks = self.wind is not None and self.wind_unknown and not self.wind.is_measured
+        seeks = self.wind is not None and self.wind_since_ns is not None and not self.wind.is_measured
         return self.unsure.is_beyond or seeks
 
     def of(self, samples: PairedSamples) -> tuple[Stamps, Array, Records | None]:
         """Stamps (K,), channels and conditions of samples; None where state and wind are sure enough."""
         conditions = self.unsure.conditions(samples.time_ns)
-        if self.wind is None or not self.wind_unknown:
+        if self.wind is None or self.wind_since_ns is None:
             return *samples, conditions
-        samples, deviation = self.wind.take(samples)
+        first = int(np.searchsorted(samples.time_ns, self.wind_since_ns, side="right"))
+        told, unsure = self.wind.take(PairedSamples(samples.time_ns[first:], samples.values[first:]))
+        samples = PairedSamples(samples.time_ns, np.vstack([samples.values[:first], told.values]))
+        deviation = np.append(np.zeros(first), unsure)
         return *samples, self.wind.conditions(samples.attitude, deviation, conditions)

@@ -208,7 +208,7 @@ def judged(
     # Reasons of the events that stand, by their numbers.
     raised: dict[int, tuple[str, ...]] = {}
     with open_flight(bag, vehicle, mapping) as flight:
-        context = SampleContext(models[0], vehicle, wind_unknown=flight.wind_unknown)
+        context = SampleContext(models[0], vehicle, flight.wind_since_ns)
         for stretch in follow(_noting(flight, held, seen), vehicle):
             if stretch.begin == pairing.SET_BACK:
                 for monitor in monitors:

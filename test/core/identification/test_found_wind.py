@@ -17,7 +17,7 @@ from quadpi_core.config_schema import parse_config
 from quadpi_core.errors import ModelError
 from quadpi_core.estimator.fusion import fuse
 from quadpi_core.estimator.slow_states import with_slow_state
-from quadpi_core.flight import OdometryStream, Recording
+from quadpi_core.flight import NO_STAMP, OdometryStream, Recording
 from quadpi_core.frames import Array
 from quadpi_core.identification.found_wind import in_found_wind, with_found_wind
 from quadpi_core.identification.prepared_flights import PreparedFlight, prepare_recording
@@ -261,8 +261,7 @@ def test_a_wind_is_sought_by_slow_velocities_in_the_open_alone(
     samples = paired(prepared[0])
 
     def sought(recording: Recording, vehicle: Vehicle = VEHICLE) -> bool:
-        unknown = recorded_flight(recording, vehicle).wind_unknown
-        context = SampleContext(model, vehicle, wind_unknown=unknown)
+        context = SampleContext(model, vehicle, recorded_flight(recording, vehicle).wind_since_ns)
         given = context.of(samples)[1][:, -3:].any()
         assert given == context.is_needed
         assert given == prepare_recording(recording, vehicle, 30.0).wind_unknown
@@ -304,7 +303,7 @@ def test_the_ground_tells_no_wind(prepared: Sequence[PreparedFlight]) -> None:
 
 def context_of(drag: WindDrag) -> SampleContext:
     model = SimpleNamespace(wind=drag, state=SETTLED, alarm_limits=SimpleNamespace(hover_rotor_speed=0.0))
-    return SampleContext(model, VEHICLE, wind_unknown=True)
+    return SampleContext(model, VEHICLE, wind_since_ns=NO_STAMP)
 
 
 def test_a_wind_that_is_known_to_twice_what_it_was_in_training_lets_forces_be_judged() -> None:
@@ -331,6 +330,18 @@ def test_a_model_of_the_same_drag_goes_on_with_the_wind_that_is_known() -> None:
         after.go_on_from(before)
         assert (after.wind.deviation == before.wind.deviation) == (drag == DRAG)
         assert (after.wind.deviation < 6.0) == (drag == DRAG)
+
+
+def test_the_wind_is_sought_since_it_is_known_to_be_unknown() -> None:
+    samples = drifting()
+    whole, since = context_of(DRAG).of(samples), context_of(DRAG)
+    since.wind_since_ns = int(samples.time_ns[99])
+    _, values, conditions = since.of(samples)
+    assert not values[:100, -3:].any()
+    assert not conditions["covariance"][:100].any()
+    later = PairedSamples(samples.time_ns[100:], samples.values[100:])
+    np.testing.assert_array_equal(values[100:], context_of(DRAG).of(later)[1])
+    assert np.abs(values[-1, -3:] - whole[1][-1, -3:]).max() < 0.5
 
 
 def test_after_a_reset_no_topic_measures_the_wind() -> None:
