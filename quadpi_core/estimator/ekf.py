@@ -370,8 +370,11 @@ class Ekf:
             return
         self._initial = initial
         arrived_ns = self._memory.filter["sources"]["arrived_ns"].copy()
-        if self._measures_rate:
-            self._set_rate(nominal_rate(imu["time_ns"]))
+        if self._measures_rate and (rate_hz := nominal_rate(imu["time_ns"])) != self._rate_hz:
+            counts = self._memory.filter["counts"]
+            self._memory, self._rate_hz = filter_state.allocate(self._vehicle, rate_hz), rate_hz
+            self._memory.filter["counts"] = counts
+            self._live = self._held()
         memory = self._memory
         filter_state.begin(memory, initial.estimate, initial.imu_ns)
         if self._measures_rate:
@@ -385,15 +388,6 @@ class Ekf:
         while collected.imu[0]["time_ns"][0] < initial.imu_ns:
             collected.imu.popleft()
         collected.clear_measurements()
-
-    def _set_rate(self, rate_hz: float) -> None:
-        """Use a memory for an IMU of that rate; the counts stay."""
-        if rate_hz != self._rate_hz:
-            counts = self._memory.filter["counts"]
-            self._memory = filter_state.allocate(self._vehicle, rate_hz)
-            self._memory.filter["counts"] = counts
-            self._live = self._held()
-            self._rate_hz = rate_hz
 
     def _held(self) -> compiled.LiveFilter:
         return compiled.LiveFilter(filter_state.Live(*self._memory, self._sample, self._fused.rows))

@@ -468,8 +468,7 @@ def smooth(imu_stream: ImuStream, segments: Sequence[Segment]) -> Estimates:
 def _smooth(imu: Records, segment: Segment) -> Records:
     """Smoothed estimates (M,) of one segment."""
     inputs = Inputs(imu[segment.samples], segment.journal, segment.noise)
-    bounds = [*range(0, len(inputs.imu), CHUNK), len(inputs.imu)]
-    chunks = list(pairwise(bounds))
+    chunks = list(pairwise([*range(0, len(inputs.imu), CHUNK), len(inputs.imu)]))
     checkpoints = np.empty(len(chunks), ESTIMATE)
     applied = np.zeros(len(chunks) + 1, dtype=np.int64)
     estimate, no_tape = segment.initial.estimate.copy(), Tape.empty(0, 0)

@@ -415,9 +415,7 @@ class Meter:
     newest_ns: int
     jumped_ns: int  # stamp of the previous sample, where that was far from all before it
     off_ns: int  # for how long nearly all spans have differed from the usual one
-    stamps: Annotated[
-        npt.NDArray[np.int64], compiled.METER_ROOM
-    ]  # a ring of those since the measurement began
+    stamps: Annotated[npt.NDArray[np.int64], compiled.METER_ROOM]  # a ring of those since it began
 
 
 METER = record_dtype(Meter)

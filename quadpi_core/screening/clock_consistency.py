@@ -151,7 +151,9 @@ class RotorEvidence:
         """
         rates, force, step = self._sample.rates, self._sample.force, self._sample.step_s
         signals = np.concatenate((self._acceleration[:, 1:-1, :2], -force[:, 1:-1, 2:]), axis=2)
-        noise = _whiteness(np.concatenate((rates[..., :2], force[..., 2:]), axis=2))
+        # Standard deviations of white noise, from the second differences.
+        rough = np.diff(np.concatenate((rates[..., :2], force[..., 2:]), axis=2), 2, axis=1) ** 2
+        noise = np.sqrt(np.median(rough, axis=(0, 1)) / _MEDIAN_SQUARE / _SECOND_DIFFERENCE)
         squares = self._sample.squares[:, self._first :][:, : rates.shape[1]]
         piece = round(_PIECE_S / step)
 
@@ -203,12 +205,6 @@ def rotor_evidence(sample: RotorExcerpt, vehicle: Vehicle) -> RotorEvidence | No
     flying = level > _CARRYING_SHARE * level.max()
     rates, force, squares = sample.rates[flying], sample.force[flying], sample.squares[flying]
     return RotorEvidence(replace(sample, rates=rates, force=force, squares=squares), vehicle)
-
-
-def _whiteness(values: Array) -> Array:
-    """Standard deviation (C,) of the white noise of values (W, K, C), from their second differences."""
-    rough = np.median(np.diff(values, 2, axis=1) ** 2, axis=(0, 1))
-    return np.asarray(np.sqrt(rough / _MEDIAN_SQUARE / _SECOND_DIFFERENCE))
 
 
 def _best_order(moving: Array, squares: Array, levers: Array) -> tuple[tuple[int, ...], bool, Array]:

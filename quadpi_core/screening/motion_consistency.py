@@ -492,17 +492,17 @@ def motion_fit(sample: Excerpt, found: Innovation) -> MotionFit:
     inliers = np.ones(len(force), dtype=np.bool_)
     for _ in range(_ROUNDS):
         ((squares, right),) = _sums(columns, missing, inliers[:, np.newaxis])
-        solution = _solved(squares, right)
+        solution = np.linalg.lstsq(squares, right, rcond=None)[0]
         residual = np.linalg.norm(missing - columns @ solution, axis=1)
         inliers = residual <= np.quantile(residual, KEPT_SHARE)
     half_window = np.arange(len(force)) // max(1, len(force) // (2 * windows))
     members = inliers[:, np.newaxis] & (half_window[:, np.newaxis] == np.arange(half_window[-1] + 1))
     sums = _sums(columns, missing, members)
     whole, all_right = (np.sum(one, axis=0) for one in zip(*sums, strict=True))
-    others = [_solved(whole - squares, all_right - right) for squares, right in sums]
+    others = [np.linalg.lstsq(whole - own, all_right - right, rcond=None)[0] for own, right in sums]
     error = np.sqrt((len(others) - 1) * np.var(others, axis=0))
     scale = 1.0 / (1.0 + solution[_SCALE])
-    return MotionFit(float(scale), float(error[_SCALE]), solution[_ORIGIN], error[_ORIGIN])
+    return MotionFit(float(scale), float(error[_SCALE]), np.asarray(solution[_ORIGIN], float), error[_ORIGIN])
 
 
 def _sums(columns: Array, missing: Array, members: npt.NDArray[np.bool_]) -> list[tuple[Array, Array]]:
@@ -512,10 +512,6 @@ def _sums(columns: Array, missing: Array, members: npt.NDArray[np.bool_]) -> lis
     return list(
         zip(squares, np.einsum("nb,nic,ni->bc", weights, columns, missing, optimize=True), strict=True)
     )
-
-
-def _solved(squares: Array, right: Array) -> Array:
-    return np.asarray(np.linalg.lstsq(squares, right, rcond=None)[0])
 
 
 def better_axes(sample: Excerpt, found: Innovation) -> tuple[Array, float]:

@@ -479,6 +479,8 @@ def _flown(flights: Sequence[Flight], vehicle: Vehicle) -> dict[str, bool]:
     speeds = np.quantile(np.abs(np.concatenate(velocity)), 1.0 - TAIL.value, axis=0) / induced
     rates = np.quantile(np.abs(np.concatenate([own.rates for own in flights])), 1.0 - TAIL.value, axis=0)
     loads = [np.square(flight.rotor_speeds).sum(axis=1) for flight in flights]
+    noses = [rotation_matrix(flight.attitude)[:, :2, 0] for flight in flights]
+    headings = [np.unwrap(np.arctan2(east, north)) for north, east in (nose.T for nose in noses)]
     return {
         "forward and backward flight": speeds[0] > FLOWN_SPEED.value,
         "sideways flight": speeds[1] > FLOWN_SPEED.value,
@@ -487,15 +489,10 @@ def _flown(flights: Sequence[Flight], vehicle: Vehicle) -> dict[str, bool]:
         "roll doublets": rates[0] > FLOWN_RATE.value,
         "pitch doublets": rates[1] > FLOWN_RATE.value,
         "yaw doublets": rates[2] > FLOWN_RATE.value,
-        "turns of the heading": max(_extent(_heading(flight)) for flight in flights) > FLOWN_HEADING.value,
+        "turns of the heading": max(map(_extent, headings)) > FLOWN_HEADING.value,
     }
 
 
 def _extent(values: Array) -> float:
     low, high = np.quantile(values, [TAIL.value, 1.0 - TAIL.value])
     return float(high - low)
-
-
-def _heading(flight: Flight) -> Array:
-    ahead = rotation_matrix(flight.attitude)[:, :2, 0]
-    return np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))

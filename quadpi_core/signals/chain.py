@@ -90,7 +90,9 @@ def zero_phase(
     """
     design = design_low_pass(cutoff_hz, rate_hz)
     samples = np.ascontiguousarray(signal, dtype=np.float64)
-    _require_finite(samples)
+    finite = np.isfinite(samples).all(axis=1)
+    if not finite.all():
+        raise SignalError(f"sample {int(np.argmin(finite))} to be filtered is not finite")
     padding = int(np.ceil(SETTLING_PERIODS * rate_hz / cutoff_hz))
     if len(samples) <= padding:
         raise SignalError(
@@ -113,13 +115,6 @@ def filter_settled(design: Records, samples: Array) -> Filtered:
     compiled.settle(design, state, samples[0])
     compiled.low_pass(design, state, samples, filtered.value, filtered.derivative)
     return filtered
-
-
-def _require_finite(samples: Array) -> None:
-    finite = np.isfinite(samples)
-    if not finite.all():
-        row = int(np.argmax(~finite.all(axis=1)))
-        raise SignalError(f"sample {row} to be filtered is not finite")
 
 
 # Columns of the signals of a sample, offline and live: velocity over ground [m/s] in body axes, attitude body
