@@ -12,7 +12,15 @@ import pytest
 from quadpi_core.models.alarm_limits import AlarmLimits
 from quadpi_core.monitor.alarm import Alarm
 from quadpi_core.monitor.alarm_log import reasons
-from quadpi_core.monitor.preparation import GYRO_FROZEN, ROTOR_HALF, STAMP_REPEATED
+from quadpi_core.monitor.preparation import (
+    GYRO_FROZEN,
+    ROTOR_DIFFERS,
+    ROTOR_FROZEN,
+    ROTOR_HALF,
+    ROTOR_JUMPS,
+    ROTOR_ZERO,
+    STAMP_REPEATED,
+)
 from quadpi_core.results import (
     ACTIVE,
     BAD_DATA,
@@ -167,7 +175,15 @@ def test_health_without_samples_and_without_calibration(envelope):
 
 
 def test_faults_of_samples_that_are_used_raise_bad_data_in_flight_only(envelope):
-    for fault, on_ground in ((STAMP_REPEATED, True), (GYRO_FROZEN, False), (ROTOR_HALF << 2, False)):
+    of_rotors = (
+        ROTOR_FROZEN,
+        ROTOR_HALF << 1,
+        ROTOR_JUMPS << 3,
+        ROTOR_DIFFERS,
+        ROTOR_ZERO << 3,
+        ROTOR_HALF << 2,
+    )
+    for fault, on_ground in ((STAMP_REPEATED, True), *((one, False) for one in (GYRO_FROZEN, *of_rotors))):
         samples = Samples(2.0)
         samples.faults[samples.between(1.0, 2.0)] = fault
         flying = samples.run(Alarm(envelope, LIMITS, SETTINGS))
