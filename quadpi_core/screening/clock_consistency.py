@@ -56,9 +56,8 @@ _CARRYING_SHARE = 0.4
 _FEWEST_ROTORS, _ALL_ORDERS_OF = 3, 5
 # Score of an order, the order, and whether spins are inverted.
 _Best: TypeAlias = tuple[float, tuple[int, ...], bool]
-# By how much of the score, the sum over axes of squared correlations, inverted spins count less than another
-# order (a tie-break alone), and within which the simplest order counts. Of 24 simulated flights of hexa- and
-# octocopters in x and + another was better than the right one by 0.033 at most; of 5 % of other orders by 0.39.
+# By how much of the score inverted spins count less (a tie-break), and within which the simplest order counts: of
+# 24 simulated hexa- and octocopter flights another beat the right one by 0.033, 19 of 20 wrong ones by 0.39.
 _INVERTED, _ALIKE = 1e-6, 0.05
 _NONE: _Best = (-np.inf, (), False)
 
