@@ -4,9 +4,10 @@
 
 Every flight is logged as an autopilot logs it: IMU and commands at 100 Hz, the state at 5 Hz with errors of
 1 m, 0.1 m/s and 2°. A report on each gives drag, thrust and inertia with intervals of 95 %, or says that they
-are not identified; counted is how often the truth is inside. RotorPy flies them together by PyTorch, roma and torchdiffeq.
+are not identified; counted is how often the truth is inside. RotorPy flies them together by PyTorch, roma
+and torchdiffeq.
 
-    python experiments/gps_flights.py [--flights 100] [--seconds 60 150] [--first 1000] [--store FOLDER]
+    python experiments/gps_flights.py [--flights 100] [--seconds 60 150] [--first 2000] [--store FOLDER]
 """
 
 from __future__ import annotations

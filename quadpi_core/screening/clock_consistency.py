@@ -56,8 +56,8 @@ _CARRYING_SHARE = 0.4
 _FEWEST_ROTORS, _ALL_ORDERS_OF = 3, 5
 # Score of an order, the order, and whether spins are inverted.
 _Best: TypeAlias = tuple[float, tuple[int, ...], bool]
-# By how much of the score inverted spins count less (a tie-break), and within which the simplest order counts:
-# of 24 simulated hexa- and octocopter flights another beat the right one by 0.033, 19 of 20 wrong ones by 0.39.
+# By how much of the score inverted spins count less (a tie-break), and within which the simplest order wins:
+# of 24 simulated hexa- and octocopter flights one beat the right order by 0.033, 19 of 20 wrong ones by 0.39.
 _INVERTED, _ALIKE = 1e-6, 0.05
 _NONE: _Best = (-np.inf, (), False)
 
