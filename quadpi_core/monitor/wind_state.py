@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from quadpi_core.flight import Stamps
+from quadpi_core.flight import NO_STAMP, Stamps
 from quadpi_core.frames import Array, rotation_matrix
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.interval_rules import SETTLED, WindDrag
@@ -230,7 +230,7 @@ class SampleContext:
     Attributes:
         unsure: takes how sure the states are.
         wind: as drag tells it; None for a model whose flights did not.
-        wind_since_ns: as given.
+        wind_since_ns: as given, and before all stamps once that is reached.
     """
 
     def __init__(
@@ -266,6 +266,9 @@ class SampleContext:
         if self.wind is None or self.wind_since_ns is None:
             return *samples, conditions
         first = int(np.searchsorted(samples.time_ns, self.wind_since_ns, side="right"))
+        if first < len(samples.time_ns):
+            # Reached: all to come count, also after a clock that is set back.
+            self.wind_since_ns = NO_STAMP
         told, unsure = self.wind.take(PairedSamples(samples.time_ns[first:], samples.values[first:]))
         samples = PairedSamples(samples.time_ns, np.vstack([samples.values[:first], told.values]))
         deviation = np.append(np.zeros(first), unsure)

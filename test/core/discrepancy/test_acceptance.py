@@ -31,7 +31,14 @@ def test_what_an_effect_takes_from_one_axis_may_return_in_another():
 
 
 @pytest.mark.parametrize(
-    ("fitted", "stated", "passed"), [(100.0, 90.0, True), (100.0, -300.0, False), (0.0, 0.0, True)]
+    ("fitted", "stated", "passed"),
+    [
+        (100.0, 90.0, True),
+        (100.0, -300.0, False),
+        (0.0, 0.0, True),
+        (-50.0, -300.0, False),
+        (np.nan, 1.0, False),
+    ],
 )
 def test_what_coefficients_close_beside_an_effect_does_not_speak_for_it(fitted, stated, passed):
     """A wrong rotor makes an axis worse, which coefficients undo; axes that it leaves alone say nothing."""

@@ -342,6 +342,10 @@ def test_the_wind_is_sought_since_it_is_known_to_be_unknown() -> None:
     later = PairedSamples(samples.time_ns[100:], samples.values[100:])
     np.testing.assert_array_equal(values[100:], context_of(DRAG).of(later)[1])
     assert np.abs(values[-1, -3:] - whole[1][-1, -3:]).max() < 0.5
+    # A clock that is set back does not unlearn it.
+    since.reset()
+    set_back = PairedSamples(samples.time_ns - 3_600_000_000_000, samples.values)
+    np.testing.assert_array_equal(since.of(set_back)[1], context_of(DRAG).of(set_back)[1])
 
 
 def test_after_a_reset_no_topic_measures_the_wind() -> None:

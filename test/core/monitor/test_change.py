@@ -105,15 +105,6 @@ def test_payload_push_and_balance_are_named_with_their_sizes(vehicle: Vehicle) -
         assert found["change_size"][0] == pytest.approx(size, rel=0.25)
 
 
-def test_the_size_of_a_large_change_is_not_that_of_its_first_blocks(vehicle: Vehicle) -> None:
-    blocks = sound_blocks(vehicle, 8.0, np.random.default_rng(6))
-    lost = 0.15 * blocks["lift"]
-    lost[:3] *= 0.6
-    blocks["residual"][:, 2] += lost
-    _, found = found_in(blocks, limits_of(vehicle), vehicle)
-    assert found["change_size"][0] == pytest.approx(vehicle.mass_kg * 0.15 / 0.85, rel=0.1)
-
-
 def test_one_violent_block_is_no_change(vehicle: Vehicle) -> None:
     for seed in range(20):
         blocks = sound_blocks(vehicle, 8.0, np.random.default_rng(seed))

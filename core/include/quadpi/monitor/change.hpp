@@ -51,7 +51,6 @@ struct Response {
     int axes;
     double sound;                              // product over the axes of 1 + surprise² / tail
     std::array<double, 3> error, moved, tail;  // surprise, its change by the direction, and the tail
-    double squares, products;  // for the size: what has changed is loud itself, so not by how loud it was
 };
 
 // Move the filters' answer to a direction on by one block.
@@ -61,19 +60,18 @@ inline Response answer(
     const Template& direction,
     std::array<Parts, 3>& moved
 ) {
-    Response response{direction.axes, 1.0, {}, {}, {}, 0.0, 0.0};
+    Response response{direction.axes, 1.0, {}, {}, {}};
     for (int i = 0; i < direction.axes; ++i) {
         const AxisFilter& filter = filters[direction.axis[i]];
+        const AxisNoise& noise = limits.noise[direction.axis[i]];
         const double error = direction.change[i] - moved[i].constant - moved[i].process;
         moved[i].constant += filter.gain.constant * error;
         moved[i].process += filter.gain.process * error;
-        const double share = quieter(filter), answered = error / filter.spread;
-        response.squares += answered * answered;
-        response.products += answered * filter.surprise;
+        const double share = quieter(filter);
         response.error[i] = filter.surprise * share;
-        response.moved[i] = answered * share;
-        response.tail[i] = limits.noise[direction.axis[i]].tail;
-        response.sound *= 1.0 + response.error[i] * response.error[i] / response.tail[i];
+        response.moved[i] = error / filter.spread * share;
+        response.tail[i] = noise.tail;
+        response.sound *= 1.0 + response.error[i] * response.error[i] / noise.tail;
     }
     return response;
 }
@@ -262,8 +260,10 @@ inline double follow_onset(
             }
         }
         const Response response = answer(limits, change.filters, own, moved);
-        onset.squares[direction] += response.squares;
-        onset.products[direction] += response.products;
+        for (int i = 0; i < own.axes; ++i) {
+            onset.squares[direction] += response.moved[i] * response.moved[i];
+            onset.products[direction] += response.moved[i] * response.error[i];
+        }
         total += bet(response, onset.wealth[direction], onset.gain[direction], settle);
     }
     return onset.prior * total;
