@@ -520,8 +520,8 @@ def judge_size(sizes: Mapping[str, float], test: str = "size") -> Verdict:
 
 def judge_of_itself(fitted: float, stated: float) -> Verdict:
     """Whether an effect reduces most squares that it does with fitted coefficients with stated ones too."""
-    # What leaves these squares alone passes; what makes them larger does not.
-    share = stated / fitted if fitted > 0.0 else float(fitted == 0.0)
+    # What closes none of these squares explains other axes, which `ALLOWED` judges.
+    share = 1.0 if fitted <= 0.0 else stated / fitted
     sentence = f"closes {100.0 * share:.0f} % of what it does without coefficients that move beside it"
     sentence += f", {100.0 * OF_ITSELF.value:.0f} % needed"
     return Verdict.of(OF_ITSELF, "of itself", share, share >= OF_ITSELF.value, sentence)

@@ -36,7 +36,7 @@ def test_what_an_effect_takes_from_one_axis_may_return_in_another():
         (100.0, 90.0, True),
         (100.0, -300.0, False),
         (0.0, 0.0, True),
-        (-50.0, -300.0, False),
+        (-50.0, -300.0, True),
         (np.nan, 1.0, False),
     ],
 )
