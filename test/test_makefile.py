@@ -113,14 +113,28 @@ def test_short_forms(target: str, checkout: Path) -> None:
 @pytest.mark.parametrize(("target", "marker"), [("test", "not slow"), ("test-slow", "slow")])
 def test_the_two_suites_are_all_tests(target: str, marker: str) -> None:
     """Those of live nodes included; TEST_ARGS chooses among the tests of the marker."""
-    everything = re.findall(r"pytest (.*)", make("--dry-run", target))
+    everything = re.findall(r"pytest ([^;>]*)", make("--dry-run", target))
     assert all(arguments.startswith(f'-m "{marker}" --numprocesses') for arguments in everything)
     assert [arguments.split()[-2:] for arguments in everything] == [
-        ["--ignore", "test/ros"],
         ["loadfile", "test/ros"],
+        ["--ignore", "test/ros"],
     ]
     (some,) = re.findall(r"pytest (.*)", make("--dry-run", target, "TEST_ARGS=-k intervals -x"))
     assert some == f'-m "{marker}" -k intervals -x'
+
+
+@pytest.mark.parametrize("fails", ["", "loadfile test/ros", "--ignore test/ros"])
+def test_a_suite_fails_with_either_of_its_halves_and_shows_both(fails: str, tmp_path: Path) -> None:
+    shutil.copy(ROOT / "Makefile", tmp_path)
+    (tmp_path / "tools").mkdir()
+    (tmp_path / "tools" / "bootstrap.sh").write_text("")
+    python = tmp_path / ".venv" / "bin" / "python"
+    python.parent.mkdir(parents=True)
+    python.write_text(f'#!/bin/sh\necho "ran $*"\ncase "$*" in *"{fails or "nothing"}") exit 1; esac\n')
+    python.chmod(0o755)
+    ran = subprocess.run(["make", "test"], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert ran.stdout.count("ran -m pytest") == 2
+    assert (ran.returncode != 0) == bool(fails)
 
 
 def test_bench_takes_a_name(checkout: Path) -> None:

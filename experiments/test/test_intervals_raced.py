@@ -16,6 +16,8 @@ RATE_HZ, SAMPLES, FLIGHTS = 50.0, 1500, 8
 # Rules whose guarantee asks for independent samples, or that learn too little of so few flights.
 LOOSE = {"SAOCP", "DtACI", "EnbPI"}
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def race() -> Race:

@@ -23,6 +23,8 @@ from quadpi_core.vehicle import Vehicle
 METHOD = "physical"
 BAGS = tuple(f"train_{k}.mcap" for k in (1, 2, 3))
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def folder(tmp_path) -> Path:

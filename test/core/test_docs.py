@@ -181,6 +181,7 @@ def keys(data: Any) -> Iterator[str]:
             yield from keys(value)
 
 
+@pytest.mark.slow
 def test_every_json_key_is_documented(quadpi, bags, predicting, tmp_path):
     model, data, scenario = tmp_path / "model", tmp_path / "data.json", tmp_path / "still.yaml"
     scenario.write_text("{description: still, vehicle: bebop2, seed: 1, flights: {still: {duration_s: 1}}}")

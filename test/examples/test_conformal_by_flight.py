@@ -38,6 +38,7 @@ def flights(rng, count):
     return X, y, np.repeat(np.arange(count), SAMPLES)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("calibrating", "share"), [(3, 0.75), (9, 0.9), (19, 0.9)])
 def test_promised_share_of_new_flights_reaches_the_nominal_coverage(calibrating, share):
     rng = np.random.default_rng(calibrating)

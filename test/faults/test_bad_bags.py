@@ -188,6 +188,7 @@ def flipped_bytes(whole, seed):
         yield flipped
 
 
+@pytest.mark.slow
 def test_no_flipped_byte_goes_unnoticed(bag, recording):
     """A flip is refused, or lies where it changes no sample."""
     refused = 0
@@ -205,6 +206,7 @@ def test_no_flipped_byte_goes_unnoticed(bag, recording):
     assert refused > FLIPS / 2
 
 
+@pytest.mark.slow
 def test_flipped_bytes_in_a_bag_without_checksums_raise_nothing_else(tmp_path, recording):
     with Writer(tmp_path / "folder", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         connection = writer.add_connection("/imu", sensor_messages.IMU, typestore=typestore())

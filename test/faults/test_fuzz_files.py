@@ -144,6 +144,7 @@ def unchecked(folder):
     return without_checksums(folder / "sound.mcap")
 
 
+@pytest.mark.slow
 def test_lengths_of_records_that_lie(folder, unchecked):
     """Every length of every record in turn: nothing, one more, and far too much."""
     path = folder / "lying.mcap"
@@ -156,6 +157,7 @@ def test_lengths_of_records_that_lie(folder, unchecked):
                 read_bag(path)
 
 
+@pytest.mark.slow
 def test_sizes_of_chunks_that_lie(folder, unchecked):
     """The uncompressed size is what a reader would allocate."""
     path = folder / "sizes.mcap"

@@ -37,6 +37,7 @@ def test_a_few_cases_of_every_format():
         assert f"\n{name} " in done.stdout
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "cases"), [("mcap", 40), ("configuration", 240)])
 def test_damaged_files(name, cases, tmp_path):
     for number in range(cases):

@@ -60,6 +60,7 @@ def test_the_action_reports_on_all_logs_of_a_pattern(step, tmp_path):
     assert (tmp_path / "summary.md").read_text() == f"{report['verdict']}\n"
 
 
+@pytest.mark.slow
 def test_the_action_fails_on_an_alarm_unless_it_is_told_not_to(step, tmp_path):
     raw(tmp_path / "log00", harder=2.0)
     assert step(logs="log00").returncode == 1

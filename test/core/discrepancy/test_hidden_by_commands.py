@@ -49,6 +49,7 @@ def test_bags_with_commands_alone_are_searched(bags, tmp_path, quadpi):
     assert "Rotor speeds are made of motor commands" in (tmp_path / "found" / "discrepancy.html").read_text()
 
 
+@pytest.mark.slow
 def test_the_library_searches_flights_by_commands(bags):
     found = find_discrepancy("bebop2", load_flights([str(path) for path in bags], "bebop2"), effects=["wind"])
     assert found.study.discovery.commanded.gain > 0.0

@@ -54,6 +54,7 @@ def test_nothing_is_missing_in_flights_of_the_simulation(simulation, flights):
     assert np.array_equal(found.gap.after, found.gap.before)
 
 
+@pytest.mark.slow
 def test_what_is_missing_is_named_among_all(simulation, dragged):
     found = discover(simulation, dragged)
     assert found.verdict == "effects"
@@ -155,6 +156,7 @@ def test_what_intervals_allow_for_is_barred_unless_it_closes_what_they_do_not_ho
     assert [effect.name for effect in result.effects] == ([] if held else ["body_drag"])
 
 
+@pytest.mark.slow
 def test_a_draught_at_one_place_is_unknown(simulation, flights, pushed):
     """Flights pass it in other directions and with other headings; no function of motion knows it."""
     drafty = []

@@ -103,6 +103,7 @@ def test_what_flights_leave_is_found_again(flights: list[tuple[Flown, LiveErrors
         assert (roll, pitch) == (pytest.approx(0.8 * y, rel=0.02), pytest.approx(-0.8 * x, rel=0.02))
 
 
+@pytest.mark.slow
 def test_the_limits_hold_on_other_flights_and_find_a_weak_rotor(
     flights: list[tuple[Flown, LiveErrors]],
 ) -> None:
@@ -123,6 +124,7 @@ def test_few_flights_and_models_without_fz_tell_nothing(flights: list[tuple[Flow
     assert calibrated(flown_ones, without) is None
 
 
+@pytest.mark.slow
 def test_samples_count_as_they_do_in_flight(flights: list[tuple[Flown, LiveErrors]]) -> None:
     flown_ones, live = zip(*flights, strict=True)
     hours = calibrated(flown_ones, live).hours

@@ -53,6 +53,7 @@ def bags(recordings, request, tmp_path_factory):
     ]
 
 
+@pytest.mark.slow
 def test_flights_without_rotor_speeds_become_a_model_that_replays(bags, recordings, tmp_path, quadpi):
     adapter, paths = bags
     model = tmp_path / "model"

@@ -253,6 +253,7 @@ def test_a_stamp_far_off_forgets_no_wind_and_a_clock_that_is_set_does(jump_s: in
     np.testing.assert_array_equal(in_blocks(samples, DRAG, 37)[0], wind)
 
 
+@pytest.mark.slow
 def test_a_wind_is_sought_by_slow_velocities_in_the_open_alone(
     recordings: Sequence[Recording], prepared: Sequence[PreparedFlight]
 ) -> None:

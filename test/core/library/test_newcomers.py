@@ -49,6 +49,7 @@ def test_coverage_in_six_lines(logs, capsys):
     assert min(shares) > 0.85
 
 
+@pytest.mark.slow
 def test_a_model_of_kinds_and_of_forests(flights, tmp_path):
     learned, unseen = flights
     for estimator in ("polynomial", RandomForestRegressor(n_estimators=3, max_depth=4, random_state=0)):

@@ -78,6 +78,7 @@ def text_log(flight: Recording) -> str:
     return "".join([*head, *(line for _, line in rows)])
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("reader")
 def test_commands_run_as_written(fly, quadpi, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

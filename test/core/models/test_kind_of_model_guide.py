@@ -70,6 +70,7 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return installed / "my_package" / "ridge.py"
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("in_folder")
 def test_commands_run_as_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for bag in bags_directory().glob("*.mcap"):
