@@ -20,7 +20,7 @@ from quadpi_core.estimator.ekf import Ekf
 from quadpi_core.estimator.filter_run import FusedSamples, with_gyro_faults
 from quadpi_core.estimator.filter_state import WITHOUT_ESTIMATE, EstimatorStatus, Outcome
 from quadpi_core.estimator.slow_states import VelocityRate, usual_noise
-from quadpi_core.flight import NOT_MEASURED, ImuStream, OdometryStream, PoseStream, TwistStream
+from quadpi_core.flight import NOT_MEASURED, ImuStream, OdometryStream, PoseStream, Stamps, TwistStream
 from quadpi_core.frames import Array
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.adapters.packages.satellite_fixes import NAVSATFIX
@@ -135,9 +135,9 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         return noted
 
     @property
-    def mocap_ns(self) -> int | None:
-        """Newest stamp of the motion capture; None before the first."""
-        return self._mocap_health.newest_ns
+    def mocap_ns(self) -> Stamps:
+        """The newest stamps of the motion capture."""
+        return np.array(self._mocap_health.recent, dtype=np.int64)
 
     @property
     def has_slow_velocity(self) -> bool:

@@ -37,9 +37,9 @@ from quadpi_core.messages.one_by_one import IncomingMessage
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor import Monitor, MonitorSettings
 from quadpi_core.monitor.alarm_log import naming_sensors
-from quadpi_core.monitor.health import SILENT_S, WATCH_S, Latency, Silence, lack
+from quadpi_core.monitor.health import SILENT_S, WATCH_S, Latency, Silence, lacks
 from quadpi_core.monitor.monitor import Judged
-from quadpi_core.monitor.pairing import CAPACITY, NOTHING, Completed, Judging, Pairing
+from quadpi_core.monitor.pairing import CAPACITY, NOTHING, ROTORS, STATE, Completed, Judging, Pairing
 from quadpi_core.monitor.unsure_states import deviation_of_one
 from quadpi_core.paths import resolved_below
 from quadpi_core.vehicle import Motors, Vehicle
@@ -339,7 +339,8 @@ class MonitorNode(SensorNode[MonitorParameters]):
         if not self._silence.reasons or since_s < 1.0 / self.parameters.alarm_rate_hz - 0.5 * WATCH_S:
             return
         self._silence_published_s = now_s
-        time_ns, reasons = self.get_clock().now().nanoseconds, self._explained(self._silence.reasons)
+        time_ns = self.get_clock().now().nanoseconds
+        reasons = self._explained(self._silence.reasons, self._newest_ns)
         if self._newest_ns != NO_STAMP:
             time_ns = self._newest_ns + round(1e9 * self._silence.elapsed_s)
         if simulated_ns is not None:
@@ -349,17 +350,16 @@ class MonitorNode(SensorNode[MonitorParameters]):
                 reasons = (*reasons, "/clock stands still")
         self._results.publish_silence(time_ns, reasons)
 
-    def _explained(self, reasons: tuple[str, ...]) -> tuple[str, ...]:
-        """Reasons with the sensors that lack, by their stamps, and what of a sensor is refused."""
-        arrived, lacks = self._pairing.arrived, []
-        if arrived.imu_ns is not None:
-            of_state = ("odometry", arrived.state_ns)
+    def _explained(self, reasons: tuple[str, ...], time_ns: int) -> tuple[str, ...]:
+        """Reasons with the sensors that lack at a stamp, and what of a sensor is refused."""
+        lacking = []
+        if self._pairing.arrived.imu_ns is not None:
+            of_state = {"odometry": [self._pairing.recent(STATE)]}
             if self._estimator is not None:
-                of_state = ("motion capture", self._estimator.mocap_ns)
-            for sensor, newest_ns in (of_state, ("rotor speeds", arrived.rotors_ns)):
-                lacks += lack(sensor, newest_ns, arrived.imu_ns)
+                of_state = {"motion capture": [self._estimator.mocap_ns]}
+            lacking = lacks(of_state | {"rotor speeds": [self._pairing.recent(ROTORS)]}, time_ns)
         refused = self.refusals() + (self._estimator.refusals() if self._estimator else ())
-        return tuple(dict.fromkeys(naming_sensors((*reasons, *refused), lacks)))
+        return tuple(dict.fromkeys(naming_sensors((*reasons, *refused), lacking)))
 
     def _follow_rate(self) -> None:
         """Design the filters for the rate of the IMU; nothing is predicted without one."""

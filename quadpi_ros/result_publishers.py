@@ -5,8 +5,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable
-from dataclasses import replace
+from collections.abc import Iterable
 from typing import Any
 
 from geometry_msgs.msg import WrenchStamped
@@ -21,9 +20,9 @@ from quadpi_core.messages.one_by_one import OutgoingMessage
 from quadpi_core.messages.result_messages import pack_description
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor import Monitor
-from quadpi_core.monitor.alarm_log import reasons_by_row
+from quadpi_core.monitor.alarm_log import Explain, Explained
 from quadpi_core.monitor.monitor import Judged, Monitors
-from quadpi_core.results import BAD_DATA, CAUSE_NAMES, LEVEL_OK, Predictions
+from quadpi_core.results import CAUSE_NAMES, LEVEL_OK, Predictions
 from quadpi_core.results import AlarmEvent as Event
 from quadpi_ros import callbacks
 from quadpi_ros.callbacks import DESCRIPTION_QOS, LOG_QOS
@@ -92,7 +91,7 @@ class Results:
         node: to publish from.
         monitors: by name.
         frame_id: body frame.
-        explained: reasons of bad data, with what the node knows of its sensors.
+        explained: reasons of bad data, at a stamp, with what the node knows of its sensors.
         wrenches: whether the predictions are published as wrenches, too.
     """
 
@@ -101,13 +100,11 @@ class Results:
         node: SensorNode[Any],
         monitors: dict[str, Monitor],
         frame_id: str,
-        explained: Callable[[tuple[str, ...]], tuple[str, ...]] = lambda reasons: reasons,
+        explained: Explain = lambda reasons, _: reasons,
         wrenches: bool = False,
     ) -> None:
         self.monitors = Monitors(monitors)
-        self._log, self._explained = node.get_logger(), explained
-        # Reasons of the events that stand, by their numbers.
-        self._raised: dict[int, tuple[str, ...]] = {}
+        self._log, self._words = node.get_logger(), Explained(explained)
         self._frame_id = frame_id
         self._messages = {name: _message(monitor, frame_id) for name, monitor in monitors.items()}
         self._first, *others = monitors
@@ -133,14 +130,12 @@ class Results:
         alarms, events = judged.alarms, judged.events
         if len(alarms):
             self._alarm = (int(alarms.level[-1]), int(alarms.causes[-1]))
-            reasons = [
-                self._explained(words) if causes & BAD_DATA else words
-                for words, causes in zip(reasons_by_row(alarms), alarms.causes.tolist(), strict=True)
-            ]
-            for payload in result_messages.pack_alarms(alarms, reasons, self._frame_id):
+            for payload in result_messages.pack_alarms(alarms, self._words.rows(alarms), self._frame_id):
                 self._publish_alarm(payload)
         if events:
-            told = [self._told(event) for event in events]
+            told = self._words.events(events)
+            for event in told:
+                self._tell(event)
             for payload in result_messages.pack_events(told, self._frame_id):
                 self._publish_log(payload)
         for (name, publish), other in zip(self._publish_others, others, strict=True):
@@ -150,19 +145,13 @@ class Results:
             for publisher, rows in zip(self._wrenches, judged.predictions, strict=True):
                 publisher.publish(rows.predictions)
 
-    def _told(self, event: Event) -> Event:
-        """The event as it is published, and logged; bad data with what was known as it was raised."""
-        name = CAUSE_NAMES[event.cause]
+    def _tell(self, event: Event) -> None:
+        """Log an event."""
+        said = f"{CAUSE_NAMES[event.cause]}: {'; '.join(event.reasons)}"
         if not event.end_ns:
-            reasons = self._explained(event.reasons) if event.cause == BAD_DATA else event.reasons
-            self._raised[event.number] = reasons
-            self._log.warning(f"alarm, {name}: {'; '.join(reasons)}")
-            return replace(event, reasons=reasons)
-        raised = self._raised.pop(event.number, event.reasons)
-        reasons = raised if event.cause == BAD_DATA else event.reasons
-        lasted_s = 1e-9 * (event.end_ns - event.start_ns)
-        self._log.info(f"alarm over after {lasted_s:.1f} s, {name}: {'; '.join(reasons)}")
-        return replace(event, reasons=reasons)
+            self._log.warning(f"alarm, {said}")
+            return
+        self._log.info(f"alarm over after {1e-9 * (event.end_ns - event.start_ns):.1f} s, {said}")
 
     def publish_silence(self, time_ns: int, reasons: tuple[str, ...]) -> None:
         """Publish an alarm at an instant without a sample."""

@@ -9,11 +9,11 @@ from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from datetime import datetime, timezone
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from quadpi_core.flight import AXES
+from quadpi_core.flight import AXES, NO_STAMP
 from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
 from quadpi_core.models.envelope import LEVERAGE_HEADROOM, WIDTH_HEADROOM
 from quadpi_core.monitor.alarm_kernel import WARNING_CHARGE
@@ -42,6 +42,8 @@ from quadpi_core.results import (
     LEVEL_ALARM,
     MISCOVERAGE,
     SETTLES,
+    UNCALIBRATED,
+    UNCALIBRATED_WORDS,
     WHY_NOT_JUDGED,
     WIND_UNKNOWN,
     AlarmEvent,
@@ -253,6 +255,10 @@ def reasons(alarms: Alarms, row: int, causes: int | None = None) -> tuple[str, .
             judged = alarms.cause_evidence[row, CAUSES.index(cause)] > 0.0
             over.append(ends if judged else f"{CAUSE_NAMES[cause]} when last judged")
     words += over
+    # Of the others the model says it once for all flights.
+    if wanted & CHANGE or causes is None:
+        health = alarms.cause_health[row, CAUSES.index(CHANGE)]
+        words += [UNCALIBRATED_WORDS] if health == UNCALIBRATED else []
     why = int(alarms.why_not_judged[row])
     if causes is None and why != JUDGED:
         of_what = "coverage not judged" if why in (SETTLES, WIND_UNKNOWN) else "not judged"
@@ -320,9 +326,44 @@ def naming_sensors(reasons: Sequence[str], lacks: Sequence[str]) -> tuple[str, .
     return others if len(others) == len(reasons) else (*lacks, *others)
 
 
-def reasons_by_row(alarms: Alarms) -> list[tuple[str, ...]]:
-    """Why the causes are not ok, for each row of a block, as :func:`reasons`."""
-    return [reasons(alarms, row) for row in range(len(alarms))]
+Explain: TypeAlias = Callable[[tuple[str, ...], int], tuple[str, ...]]
+
+
+class Explained:
+    """Reasons of rows and events; those of bad data with what is known of the sensors at their stamps.
+
+    Args:
+        explain: makes reasons, at a stamp, those with what is known.
+    """
+
+    def __init__(self, explain: Explain = lambda reasons, _: reasons) -> None:
+        self._explain = explain
+        self._before_ns = NO_STAMP
+        # Reasons of the events that stand, by their numbers.
+        self._raised: dict[int, tuple[str, ...]] = {}
+
+    def rows(self, alarms: Alarms) -> list[tuple[str, ...]]:
+        """Why the causes are not ok, for each row of a block, as :func:`reasons`."""
+        by_row = [reasons(alarms, row) for row in range(len(alarms))]
+        stamps = [self._before_ns, *alarms.time_ns.tolist()]
+        self._before_ns = stamps[-1]
+        for row in np.flatnonzero(alarms.causes & BAD_DATA).tolist():
+            words = self._explain(by_row[row], stamps[row + 1])
+            # What a row says is of all samples since the row before, when a sensor that is back lacked.
+            if any(text.startswith(_OF_A_SENSOR) for text in words):
+                words = self._explain(by_row[row], stamps[row])
+            by_row[row] = words
+        return by_row
+
+    def events(self, events: Events) -> Events:
+        """Events; of bad data as known when it was raised: of its start later blocks know no more."""
+        return [replace(one, reasons=self._event(one)) if one.cause == BAD_DATA else one for one in events]
+
+    def _event(self, event: AlarmEvent) -> tuple[str, ...]:
+        if event.end_ns:
+            return self._raised.pop(event.number, event.reasons)
+        self._raised[event.number] = found = self._explain(event.reasons, event.start_ns)
+        return found
 
 
 def _beyond(scores: np.ndarray, limit: float, most: int = _MOST) -> list[int]:

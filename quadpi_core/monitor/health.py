@@ -6,17 +6,23 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
-from quadpi_core.flight import Stamps
+from quadpi_core.flight import Recording, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.vehicle import HALF_READING, SILENT_SHARE
 
 # Samples whose latency is kept between two reports.
 _LATENCIES_MAX = 4096
+# Stamps of a topic that are kept: samples are judged a tenth of a second after they came at most.
+_STAMPS_KEPT = 512
+# Streams of the last blocks whose stamps are kept: samples are judged a block after they came at most, and
+# motion capture has two.
+_STREAMS_KEPT = 4
 # Different reasons for a refusal that are counted; further ones count as "other".
 _REASONS_MAX = 16
 # A step between stamps longer than this multiple of the nominal or the usual step is a gap.
@@ -71,11 +77,13 @@ class TopicHealth:
         rate_hz: nominal rate; None takes the rate of the previous period.
         refused: number of refused samples by reason.
         latest: the last of the reasons; empty before the first.
+        recent: the newest stamps.
     """
 
     rate_hz: float | None = None
     latest: str = ""
     refused: Counter[str] = field(default_factory=Counter)
+    recent: deque[int] = field(default_factory=lambda: deque(maxlen=_STAMPS_KEPT))
     _refused_before: int = 0
     _total: int = 0
     _newest_ns: int | None = None
@@ -94,6 +102,7 @@ class TopicHealth:
     def take(self, time_ns: int) -> None:
         """Count one sample by its stamp; one that does not advance counts as arrived only."""
         self._samples += 1
+        self.recent.append(time_ns)
         if self._newest_ns is not None:
             step_ns = time_ns - self._newest_ns
             if step_ns > self._gap_ns:
@@ -245,6 +254,28 @@ def lack(sensor: str, newest_ns: int | None, now_ns: int) -> list[str]:
         return []
     differs = f"{behind_s:.0f} s, or its clock differs"
     return [f"no {sensor} for {differs if behind_s > _LONG_S else f'{behind_s:.1f} s'}"]
+
+
+def lacks(stamps: Mapping[str, Sequence[Stamps]], time_ns: int) -> list[str]:
+    """Sensors whose last stamp up to an instant is far behind it, live as in a replay; see :func:`lack`."""
+    found = []
+    for sensor, parts in stamps.items():
+        before = [int(part[part <= time_ns].max()) for part in parts if (part <= time_ns).any()]
+        found += lack(sensor, max(before, default=None), time_ns)
+    return found
+
+
+def note_sensors(stamps: dict[str, list[Stamps]], block: Recording, *, has_mocap: bool) -> None:
+    """Note stamps of the sensors of a block, the first and the last, for :func:`lacks`."""
+    of_state = [block.pose, block.twist] if has_mocap else [block.odometry]
+    sensors = {
+        "motion capture" if has_mocap else "odometry": of_state,
+        "rotor speeds": [block.rotor_speeds],
+    }
+    for sensor, streams in sensors.items():
+        old = stamps.get(sensor, [])
+        new = [stream.time_ns for stream in streams if stream is not None and len(stream)]
+        stamps[sensor] = [*old[:1], *old[1:][-_STREAMS_KEPT:], *new]
 
 
 class Silence:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -37,7 +37,8 @@ from quadpi_core.messages.topics import TOPIC_TYPES
 from quadpi_core.models.aerodynamic import LOAD_MODEL, AerodynamicModel
 from quadpi_core.monitor import pairing
 from quadpi_core.monitor.alarm import MonitorSettings, NotJudgedReason, alarm_time, not_judged
-from quadpi_core.monitor.alarm_log import reasons_by_row
+from quadpi_core.monitor.alarm_log import Explained, naming_sensors
+from quadpi_core.monitor.health import lacks, note_sensors
 from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.pairing import PairedSamples, Pairing
 from quadpi_core.monitor.unsure_states import StateDeviations
@@ -138,6 +139,7 @@ def _write(flight: RecordedFlight, monitor: Monitor, vehicle: Vehicle, output: P
     metadata = {"vehicle": vehicle.name, "model": monitor.model.identity}
     metadata |= {"source": flight.name, "version": __version__}
     tally, context = _Tally(), SampleContext(monitor.model, vehicle, flight.wind_since_ns)
+    words = explained(flight)
     with mcap_writer(output, metadata, FAST) as writer:
         names = ["odometry"] if flight.has_mocap else []
         writer.announce(
@@ -154,15 +156,25 @@ def _write(flight: RecordedFlight, monitor: Monitor, vehicle: Vehicle, output: P
             monitor.fly_in(stretch.density)
             context.unsure.take(stretch.deviations)
             predictions, alarms, events = monitor.step(*context.of(stretch.samples))
-            for topic in _messages(stretch.states, predictions, alarms, events, monitor):
+            for topic in _messages(stretch.states, predictions, alarms, events, monitor, words):
                 writer.add(topic)
             writer.flush(stretch.settled_ns)
             tally.add(stretch, predictions, alarms, events)
     return tally.summary()
 
 
+def explained(flight: RecordedFlight) -> Explained:
+    """Reasons as live nodes give them, by the stamps of the flight's sensors up to what is followed."""
+    return Explained(lambda reasons, time_ns: naming_sensors(reasons, lacks(flight.sensors, time_ns)))
+
+
 def _messages(
-    states: FusedSamples | None, predictions: Predictions, alarms: Alarms, events: Events, monitor: Monitor
+    states: FusedSamples | None,
+    predictions: Predictions,
+    alarms: Alarms,
+    events: Events,
+    monitor: Monitor,
+    words: Explained,
 ) -> Iterator[Topic]:
     """The topics that the nodes publish, with their messages."""
     if states is not None:
@@ -175,11 +187,11 @@ def _messages(
     yield output_topic("prediction", predictions.time_ns, packed)
     if len(alarms):
         yield output_topic(
-            "extrapolation_alarm", alarms.time_ns, result_messages.pack_alarms(alarms, reasons_by_row(alarms))
+            "extrapolation_alarm", alarms.time_ns, result_messages.pack_alarms(alarms, words.rows(alarms))
         )
     if events:
         stamps = np.array([event.time_ns for event in events])
-        yield output_topic("alarm_log", stamps, result_messages.pack_events(events))
+        yield output_topic("alarm_log", stamps, result_messages.pack_events(words.events(events)))
 
 
 @dataclass(frozen=True)
@@ -192,6 +204,7 @@ class RecordedFlight:
             too slow to be interpolated; otherwise from the flight's odometry.
         blocks: parts of the flight in order of arrival, see :func:`quadpi_core.reading_options.by_arrival`.
         wind_since_ns: since when velocities are known to come as seldom as by GPS: then drag tells the wind.
+        sensors: stamps of what was followed, see :func:`.health.note_sensors`.
     """
 
     name: str
@@ -199,6 +212,7 @@ class RecordedFlight:
     has_mocap: bool
     blocks: Iterator[Recording]
     wind_since_ns: int | None
+    sensors: dict[str, list[Stamps]] = field(default_factory=dict)
 
 
 @contextmanager
@@ -297,6 +311,7 @@ def follow(flight: RecordedFlight, vehicle: Vehicle, ekf: Ekf | None = None) -> 
     for block, density in _in_its_air(flight.blocks):
         block.require_rotors(vehicle.name, vehicle.rotor_count)
         rates.add(block)
+        note_sensors(flight.sensors, block, has_mocap=flight.has_mocap)
         odometry, state_of, states = block.odometry, None, None
         imu = _Imu(block.imu.time_ns, with_gyro_faults(block.imu).specific_force, np.arange(len(block.imu)))
         if ekf is not None:

@@ -26,24 +26,20 @@ from quadpi_core.messages.payloads import Payloads, Topic
 from quadpi_core.messages.result_messages import DescribedModel, MonitorDescription, unpack_description
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor import pairing
-from quadpi_core.monitor.alarm_log import naming_sensors, reasons_by_row
-from quadpi_core.monitor.health import lack
+from quadpi_core.monitor.alarm_log import Explained
 from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.pairing import PairedSamples
-from quadpi_core.monitor.replay import RecordedFlight, follow, open_flight
+from quadpi_core.monitor.replay import RecordedFlight, explained, follow, open_flight
 from quadpi_core.monitor.wind_state import SampleContext
 from quadpi_core.reading_options import MappingOrOptions, reading_options
 from quadpi_core.records import Records
-from quadpi_core.results import BAD_DATA, AlarmEvent, Predictions, ReportedAlarms
+from quadpi_core.results import AlarmEvent, Predictions, ReportedAlarms
 from quadpi_core.vehicle import Vehicle
 from quadpi_core.view.trust import NO_MESSAGE, REPORTS, TOLD_S, MotionInputs, Told
 
 CUT_OFF = "the file is cut off, what comes before is shown; `mcap recover` rebuilds the file"
 _RESULTS = ("prediction", "extrapolation_alarm", "alarm_log", "odometry", "rotor_speeds", "erpm", "wind")
 _STAMP = {"header.stamp.sec": 1, "header.stamp.nanosec": 1}
-# Streams of the last blocks whose stamps are kept to say which sensor lacks: samples are judged a block after
-# they came at most, and motion capture has two.
-_STAMPS_KEPT = 4
 _STRING, _DESCRIPTION = "std_msgs/msg/String", "description"
 # What is not shown without a topic of a bag of results.
 _WITHOUT = {
@@ -204,12 +200,9 @@ def judged(
     """Parts of a flight, judged as `quadpi replay` does."""
     monitors = [Monitor(model, vehicle, None, confidence) for model in models]
     held: list[OdometryStream] = []
-    seen: dict[str, list[Stamps]] = {}
-    # Reasons of the events that stand, by their numbers.
-    raised: dict[int, tuple[str, ...]] = {}
     with open_flight(bag, vehicle, mapping) as flight:
-        context = SampleContext(models[0], vehicle, flight.wind_since_ns)
-        for stretch in follow(_noting(flight, held, seen), vehicle):
+        context, words = SampleContext(models[0], vehicle, flight.wind_since_ns), explained(flight)
+        for stretch in follow(_noting(flight, held), vehicle):
             if stretch.begin == pairing.SET_BACK:
                 for monitor in monitors:
                     monitor.reset()
@@ -221,30 +214,16 @@ def judged(
             held.clear()
             context.unsure.take(stretch.deviations)
             time_ns, values, conditions = context.of(stretch.samples)
-            yield _judged_part(monitors, PairedSamples(time_ns, values), conditions, states, seen, raised)
+            yield _judged_part(monitors, PairedSamples(time_ns, values), conditions, states, words)
 
 
-def _noting(
-    flight: RecordedFlight, held: list[OdometryStream], seen: dict[str, list[Stamps]]
-) -> RecordedFlight:
-    """The flight; what its blocks say of the state by themselves is noted, as no estimator gives it.
-
-    So are stamps of the sensors, the first and the last, to say which of them lacks.
-    """
+def _noting(flight: RecordedFlight, held: list[OdometryStream]) -> RecordedFlight:
+    """The flight; what its blocks say of the state by themselves is noted, as no estimator gives it."""
 
     def blocks() -> Iterator[Recording]:
         for block in flight.blocks:
             if not flight.has_mocap and block.odometry is not None:
                 held.append(block.odometry)
-            of_state = [block.pose, block.twist] if flight.has_mocap else [block.odometry]
-            sensors = {
-                "motion capture" if flight.has_mocap else "odometry": of_state,
-                "rotor speeds": [block.rotor_speeds],
-            }
-            for sensor, streams in sensors.items():
-                old = seen.get(sensor, [])
-                new = [stream.time_ns for stream in streams if stream is not None and len(stream)]
-                seen[sensor] = [*old[:1], *old[1:][-_STAMPS_KEPT:], *new]
             yield block
 
     return replace(flight, blocks=blocks())
@@ -255,8 +234,7 @@ def _judged_part(
     samples: PairedSamples,
     conditions: Records | None,
     states: Sequence[OdometryStream],
-    seen: Mapping[str, Sequence[Stamps]],
-    raised: dict[int, tuple[str, ...]],
+    words: Explained,
 ) -> Part:
     first, *others = monitors
     prepared = first.preparation.step(*samples, conditions)
@@ -264,21 +242,9 @@ def _judged_part(
     further = [(other, other.predict(other.preparation.step(*samples, conditions))) for other in others]
     reported = None
     if len(alarms):
-        reasons = [
-            naming_sensors(words, _lacks(seen, time_ns)) if causes & BAD_DATA else words
-            for words, time_ns, causes in zip(
-                reasons_by_row(alarms), alarms.time_ns.tolist(), alarms.causes.tolist(), strict=True
-            )
-        ]
-        reported = result_messages.unpack_alarms(result_messages.pack_alarms(alarms, reasons))
+        reported = result_messages.unpack_alarms(result_messages.pack_alarms(alarms, words.rows(alarms)))
     rotors = RotorSpeedStream(samples.time_ns, samples.rotor_speeds)
-    told = []
-    for event in events:
-        # Of bad data with what was known as it was raised: of its start later blocks know no more.
-        if event.cause == BAD_DATA and not event.end_ns:
-            raised[event.number] = naming_sensors(event.reasons, _lacks(seen, event.start_ns))
-        words = raised.get(event.number, event.reasons)
-        told.append(replace(event, reasons=words if event.cause == BAD_DATA else event.reasons))
+    told = words.events(events)
 
     def show(view: FlightTaker) -> None:
         for monitor, given in ((first, predictions), *further):
@@ -293,15 +259,6 @@ def _judged_part(
         view.take_events(told)
 
     return show
-
-
-def _lacks(seen: Mapping[str, Sequence[Stamps]], time_ns: int) -> list[str]:
-    """Sensors whose last stamp before an instant is far behind it."""
-    lacks = []
-    for sensor, parts in seen.items():
-        before = [int(stamps[stamps <= time_ns].max()) for stamps in parts if stamps.min() <= time_ns]
-        lacks += lack(sensor, max(before, default=None), time_ns)
-    return lacks
 
 
 def recorded(bag: Path, command: str, models: Sequence[AerodynamicModel] = ()) -> Iterator[Part]:

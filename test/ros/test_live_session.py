@@ -130,6 +130,19 @@ def test_live_equals_replay(session: SessionResult, folder: Path) -> None:
     assert_live_equals_replay(session, folder / "model", VEHICLE, folder / "hover.mcap")
 
 
+def test_live_equals_replay_in_what_it_says_while_a_sensor_lacks(
+    folder: Path, hover: Recording, tmp_path: Path
+) -> None:
+    bag, stamps = tmp_path / "lacking.mcap", hover.rotor_speeds.time_ns
+    since_ns = stamps - stamps[0] - 1_300_000_000
+    speeds = hover.rotor_speeds.take((since_ns < 0) | (since_ns > 1_000_000_000))
+    write_bag(bag, replace(hover, rotor_speeds=speeds))
+    session = run_session(bag, folder / "model", vehicle=VEHICLE)
+    assert_live_equals_replay(session, folder / "model", VEHICLE, bag)
+    said = {text for words in session.alarms.reasons for text in words}
+    assert "no rotor speeds for 0.8 s" in said
+
+
 def moving(hover: Recording, in_body: bool) -> TwistStream:
     """Velocities as motion capture would have them of a vehicle that stands, nearly."""
     rng = np.random.default_rng(3)

@@ -138,7 +138,7 @@ def test_the_models_that_fly_are_described_with_their_training_ranges_and_topics
 def test_silence_and_alarms_are_published_and_logged(models):
     outputs, samples = Outputs(), hover(1200)
     results = Results(
-        outputs, named([monitor_of(models["model"])]), "body", lambda given: ("no motion capture", *given)
+        outputs, named([monitor_of(models["model"])]), "body", lambda given, _: ("no motion capture", *given)
     )
     broken = PairedSamples(samples.time_ns[300:500], np.full((200, 20), np.nan))
     for part in (PairedSamples(samples.time_ns[:300], samples.values[:300]), broken):

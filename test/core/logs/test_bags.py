@@ -16,7 +16,7 @@ from quadpi_core.logs.bag_files import Bag
 from quadpi_core.logs.bag_writer import write_mcap
 from quadpi_core.logs.bags import output_topic, read_bag, read_outputs, write_bag
 from quadpi_core.messages import result_messages, sensor_messages
-from quadpi_core.monitor.alarm_log import reasons_by_row
+from quadpi_core.monitor.alarm_log import Explained
 from quadpi_core.monitor.change import found_columns, nothing_found
 from quadpi_core.results import Alarms, Predictions
 from quadpi_core.vehicle import Vehicle
@@ -112,7 +112,7 @@ def test_outputs_of_the_monitor(tmp_path, recording, rng):
         [
             output_topic("prediction", time_ns, packed),
             output_topic(
-                "extrapolation_alarm", time_ns, result_messages.pack_alarms(alarms, reasons_by_row(alarms))
+                "extrapolation_alarm", time_ns, result_messages.pack_alarms(alarms, Explained().rows(alarms))
             ),
         ],
     )

@@ -10,7 +10,7 @@ from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.messages import result_messages, sensor_messages
 from quadpi_core.messages.definitions import typestore
 from quadpi_core.messages.frame_ids import TF_TYPE
-from quadpi_core.monitor.alarm_log import reasons, reasons_by_row
+from quadpi_core.monitor.alarm_log import Explained, reasons
 from quadpi_core.monitor.change import found_columns, nothing_found
 from quadpi_core.monitor.preparation import GYRO_FROZEN
 from quadpi_core.results import AlarmEvent, Alarms, Predictions
@@ -85,7 +85,7 @@ def test_alarms_name_the_inputs_outside_farthest_first(rng):
         why_not_judged=np.zeros(N, dtype=np.int64),
         not_judged_share=np.zeros(N),
     )
-    payloads = result_messages.pack_alarms(alarms, reasons_by_row(alarms))
+    payloads = result_messages.pack_alarms(alarms, Explained().rows(alarms))
     outside = [(), ("u",), ("mu_x", "u"), (), (), ("u",), ()]
     for sample, one in enumerate(reference(payloads, sensor_messages.ALARM)):
         assert tuple(one.inputs_outside) == outside[sample]

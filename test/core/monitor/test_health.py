@@ -9,7 +9,7 @@ import pytest
 
 from quadpi_core.messages.result_messages import pack_alarms, unpack_alarms
 from quadpi_core.monitor import Monitor
-from quadpi_core.monitor.alarm_log import reasons_by_row
+from quadpi_core.monitor.alarm_log import Explained
 from quadpi_core.monitor.health import Arrived, Latency, Silence, TopicHealth, lack
 from quadpi_core.monitor.pairing import Pairing
 from quadpi_core.results import BAD_DATA, LEVEL_ALARM, UNAVAILABLE
@@ -226,5 +226,5 @@ def test_an_alarm_without_a_sample_says_bad_data_and_changes_nothing(model, vehi
     assert reported.cause_health.tolist() == [[UNAVAILABLE] * 4]
     assert reported.reasons == [("no imu for 0.4 s",)]
     assert not reported.of_samples.any()
-    assert unpack_alarms(pack_alarms(expected, reasons_by_row(expected))).of_samples.all()
+    assert unpack_alarms(pack_alarms(expected, Explained().rows(expected))).of_samples.all()
     assert len(reported.where(reported.of_samples).reasons) == 0

@@ -16,11 +16,12 @@ from quadpi_core.flight import PoseStream, RotorSpeedStream
 from quadpi_core.logs import bag_files
 from quadpi_core.logs.bag_files import Bag
 from quadpi_core.logs.bag_writer import write_mcap
-from quadpi_core.logs.bags import output_topic, read_bag, write_bag
+from quadpi_core.logs.bags import output_topic, read_bag, read_outputs, write_bag
 from quadpi_core.messages.definitions import codec, typestore
 from quadpi_core.messages.payloads import Payloads, Topic
 from quadpi_core.messages.result_messages import pack_description
 from quadpi_core.messages.sensor_messages import pack_rotor_speeds
+from quadpi_core.monitor.replay import replay
 from quadpi_core.view.rerun_recording import open_bag
 from quadpi_core.view.trust import State
 
@@ -87,6 +88,13 @@ def test_a_lack_of_motion_capture_is_called_so(model, vehicle, tmp_path, monkeyp
     assert [(one["reasons"], one["end"] is None) for one in events] == [
         (["no motion capture for 2.1 s"], False)
     ]
+    replay(model, vehicle, tmp_path / "gap.mcap", tmp_path / "replayed.mcap")
+    _, alarms = read_outputs(tmp_path / "replayed.mcap")
+    assert {text for words in alarms.reasons for text in words} >= {"no motion capture for 3.0 s"}
+    late = alarms.where(alarms.time_ns - alarms.time_ns[0] > 3_500_000_000)
+    assert not any("missing" in text for words in late.reasons for text in words)
+    given = read_whole(open_bag(tmp_path / "replayed.mcap", [model], vehicle)).overview()["events"]
+    assert [one["reasons"] for one in given if one["cause"] == "bad data"] == [events[0]["reasons"]]
 
 
 def battery(stamps_ns: Sequence[int], volts: Sequence[float]) -> Topic:
