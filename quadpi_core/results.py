@@ -33,6 +33,7 @@ CHANGED_CENTRE_FORWARD, CHANGED_CENTRE_RIGHT, CHANGED_ROTOR = range(4, 7)
 # CHANGE, a model of too few flights. UNCALIBRATED: judged by plain limits or, for CHANGE, where residuals are
 # louder than on any flight that told what is sound.
 ACTIVE, WAITING, UNAVAILABLE, UNCALIBRATED = 0, 1, 2, 3
+UNCALIBRATED_WORDS = "uncalibrated: as no flight of the calibration was, no rate of false alarms holds"
 # Why a model is not judged: the vehicle does not fly, there are no samples, or the state settles, when only
 # MISCOVERAGE and CHANGE are not judged, or, of horizontal forces, the wind is still to be told.
 JUDGED, PARKED, IDLES, CARRIED, MOVED, NO_SAMPLES, SETTLES, LANDS, WIND_UNKNOWN = range(9)

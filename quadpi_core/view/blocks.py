@@ -18,7 +18,6 @@ from quadpi_core.flight import AXES, MAX_JUMP_BACK_NS, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.vehicle import ROTORS
-from quadpi_core.view.trust import State
 
 Rows = npt.NDArray[np.float32]
 
@@ -36,6 +35,7 @@ _AXES, _INPUTS = len(AXES), len(INPUT_NAMES)
 COMMON = (
     Quantity("time", 1),  # of the newest sample, seconds since the first
     Quantity("state", 1),  # see `trust.State`
+    Quantity("judged", 1),  # 1 where inputs and intervals are judged, else 0
     Quantity("measured", _AXES),
     Quantity("inputs", _INPUTS),
     Quantity("position", 3),
@@ -165,13 +165,13 @@ class BlockStore:
     def inside(self, last: int, model: int, seconds: float, least_s: float) -> Array:
         """Share (6,) of a model's samples inside their intervals, over the seconds up to a block.
 
-        Blocks that nobody judged do not count; NaN with fewer than `least_s` of others.
+        Blocks that are not judged do not count; NaN with fewer than `least_s` of others.
         """
         first = max(self.oldest, last + 1 - round(1e9 * seconds / self.block_ns))
         slots = np.arange(first, min(last, self.newest) + 1) % self.capacity
         place, _ = self.columns[f"{model}.count"]
         rows = self._rows[slots, place : place + 1 + _AXES]
-        rows = rows[(self._rows[slots, self.columns["state"][0]] < State.NO_DATA) & ~np.isnan(rows[:, 0])]
+        rows = rows[(self._rows[slots, self.columns["judged"][0]] == 1.0) & ~np.isnan(rows[:, 0])]
         if len(rows) * self.block_ns < 1e9 * least_s:
             return np.full(_AXES, np.nan)
         count, *misses = rows.sum(axis=0, dtype=float)

@@ -27,6 +27,7 @@ from quadpi_core.results import (
     LEVEL_WARNING,
     MISCOVERAGE,
     UNCALIBRATED,
+    UNCALIBRATED_WORDS,
     ReportedAlarms,
 )
 from quadpi_core.vehicle import Vehicle
@@ -65,11 +66,11 @@ def states_of(alarms: ReportedAlarms) -> list[State]:
         elif level == LEVEL_WARNING:
             states.append(State.WARNING)
         else:
-            states.append(State.TRUSTED if _is_judged(alarms, row) else State.NOT_JUDGED)
+            states.append(State.TRUSTED if is_judged(alarms, row) else State.NOT_JUDGED)
     return states
 
 
-def _is_judged(alarms: ReportedAlarms, row: int) -> bool:
+def is_judged(alarms: ReportedAlarms, row: int) -> bool:
     """Whether both where the vehicle flies and its intervals are judged: not so while the state settles."""
     return all(alarms.cause_health[row, CAUSES.index(one)] in _JUDGED for one in (EXTRAPOLATION, MISCOVERAGE))
 
@@ -90,8 +91,8 @@ def reasons_of(
         return tuple(alarms.reasons[row]) or ("nothing arrives",)
     given = alarms.reasons[row]
     if alarms.level[row] < LEVEL_WARNING:
-        if _is_judged(alarms, row):
-            return ()
+        if is_judged(alarms, row):
+            return tuple(text for text in given if text == UNCALIBRATED_WORDS)
         return tuple(given) or ("on the ground, or the state settles",)
     words: list[str] = []
     if training is not None and alarms.causes[row] & EXTRAPOLATION:

@@ -27,6 +27,7 @@ from quadpi_core.view.trust import (
     TRAINED,
     State,
     Told,
+    is_judged,
     reasons_of,
     states_of,
     too_many_misses,
@@ -96,8 +97,8 @@ class VehicleView:
         self._known = dict(known)
         self._clock = FlightClock(self._jumped)
         self._events: dict[tuple[int, int], dict[str, Any]] = {}
-        # Time and state of the last message; none before the first.
-        self._said: list[tuple[int, State]] = []
+        # Time and state of the last message, and whether it is of what is judged; none before the first.
+        self._said: list[tuple[int, State, bool]] = []
         # Block, words and what is told at every change of them; ends with the blocks.
         self._words: list[tuple[int, tuple[str, ...], dict[str, str]]] = []
         self._coming: deque[Told] = deque()
@@ -194,26 +195,28 @@ class VehicleView:
             return
         states, training = states_of(alarms), self.training
         # A message holds until the next one: they are rarer than blocks.
-        states_at = [*self._said, *zip(times.tolist(), states, strict=True)]
+        judged = [is_judged(alarms, row) for row in range(len(alarms))]
+        held = [*self._said, *zip(times.tolist(), states, judged, strict=True)]
+        begins = [time_ns for time_ns, *_ in held]
         spans = [
             np.arange(one, other, self.blocks.block_ns) if 0 < other - one <= _SILENCE_NS else np.array([one])
-            for (one, _), (other, _) in pairwise([*states_at, (states_at[-1][0] + 1, None)])
+            for one, other in pairwise([*begins, begins[-1] + 1])
         ]
-        drawn, of = np.concatenate(spans), np.repeat(np.arange(len(states_at)), [len(span) for span in spans])
-        self.blocks.add(drawn, state=np.array([state for _, state in states_at], dtype=float)[of])
+        drawn, of = np.concatenate(spans), np.repeat(np.arange(len(held)), [len(span) for span in spans])
+        self.blocks.add(drawn, judged=np.array([one for *_, one in held], dtype=float)[of])
         for row, number in enumerate((times // self.blocks.block_ns).tolist()):
             words = reasons_of(alarms, row, training, *self._inputs_before(number))
             while self._coming and self._coming[0].time_ns <= alarms.time_ns[row]:
                 told = self._coming.popleft()
                 self.told = {**self.told, told.name: told.words}
-            if states[row] is State.TRUSTED and not words and (misses := self._misses(number)):
-                words, states[row] = (misses,), State.WARNING
+            if states[row] is State.TRUSTED and (misses := self._misses(number)):
+                words, states[row] = (misses, *words), State.WARNING
             self._note(number, words)
-        levels = np.array([*(state for _, state in self._said), *states], dtype=np.uint8)[of]
+        levels = np.array([*(state for _, state, _ in self._said), *states], dtype=np.uint8)[of]
         self.blocks.add(drawn, state=levels.astype(float))
         self.timeline.add(_seconds(drawn), levels)
         self.state, self.reasons = states[-1], self._words[-1][1]
-        self._said = [(int(times[-1]), self.state)]
+        self._said = [(int(times[-1]), self.state, judged[-1])]
 
     def take_events(self, events: Sequence[AlarmEvent]) -> None:
         """Take alarms that were raised or cleared."""

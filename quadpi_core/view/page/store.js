@@ -4,8 +4,6 @@
 
 const PAGE = 200;
 const PAGES_KEPT = 20;
-// Of the states: from here on nobody judges.
-const UNJUDGED = 3;
 const LEAST_COVERED_S = 2;
 
 export class Store {
@@ -121,7 +119,7 @@ export class Store {
   }
 
   // Share of the samples inside the interval: of each axis, over the seconds before a block. As `BlockStore.inside`:
-  // blocks that nobody judged do not count, and of less than 2 s nothing is said.
+  // blocks that are not judged do not count, and of less than 2 s nothing is said.
   coverage(block, model, seconds) {
     const misses = new Array(6).fill(0), first = Math.max(0, block - Math.round(seconds / this.blockS) + 1);
     let count = 0, blocks = 0;
@@ -129,7 +127,7 @@ export class Store {
     if (countAt === undefined) return {count, inside: misses.map(() => NaN)};
     for (let at = first; at <= block; at++) {
       const place = this.at(at);
-      if (!place || Number.isNaN(place[0][place[1] + countAt]) || place[0][place[1] + this.columns.state[0]] >= UNJUDGED) continue;
+      if (!place || Number.isNaN(place[0][place[1] + countAt]) || place[0][place[1] + this.columns.judged[0]] !== 1) continue;
       blocks++;
       count += place[0][place[1] + countAt];
       for (let k = 0; k < 6; k++) misses[k] += place[0][place[1] + missesAt + k];

@@ -15,7 +15,7 @@ from quadpi_core.models.alarm_limits import FALSE_FLIGHTS, AlarmLimits, ChangeLi
 from quadpi_core.models.envelope import Envelope
 from quadpi_core.monitor.alarm import Alarm
 from quadpi_core.monitor.alarm_kernel import geometry_record
-from quadpi_core.monitor.alarm_log import reasons
+from quadpi_core.monitor.alarm_log import Explained, reasons
 from quadpi_core.monitor.change import (
     BLOCK_S,
     CHANGE,
@@ -33,8 +33,10 @@ from quadpi_core.results import (
     CHANGED_FORCE_RIGHT,
     CHANGED_MASS,
     CHANGED_ROTOR,
+    EXTRAPOLATION,
     UNAVAILABLE,
     UNCALIBRATED,
+    UNCALIBRATED_WORDS,
     UNCHANGED,
     WAITING,
     Alarms,
@@ -243,6 +245,11 @@ def test_after_a_manoeuvre_beyond_training_no_share_is_stated(vehicle: Vehicle) 
     seconds = 1e-9 * rows.time_ns - 1.0
     assert unlike[(seconds > 2.01) & (seconds < 4.05)].all()
     assert not unlike[(seconds < 1.99) | (seconds > 4.15)].any()
+    said = [UNCALIBRATED_WORDS in words for words in Explained().rows(rows)]
+    np.testing.assert_array_equal(said, unlike)
+    # Those of the other causes are not its own.
+    assert UNCALIBRATED_WORDS not in reasons(rows, int(np.argmax(unlike)), EXTRAPOLATION)
+    assert UNCALIBRATED_WORDS in reasons(rows, int(np.argmax(unlike)), CHANGE_CAUSE)
 
 
 def test_a_change_is_judged_only_where_it_is_wanted(vehicle: Vehicle) -> None:

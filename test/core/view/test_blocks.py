@@ -8,7 +8,6 @@ import numpy as np
 from numpy.testing import assert_allclose
 
 from quadpi_core.view.blocks import BlockStore, quantities
-from quadpi_core.view.trust import State
 
 BLOCK_NS = 50_000_000
 
@@ -78,8 +77,8 @@ def test_shares_inside_are_those_of_blocks_that_were_judged():
     misses = np.zeros((100, 6))
     misses[:, 1] = 1.0
     misses[60:, 2] = 1.0
-    states = np.where(np.arange(100) < 50, State.NOT_JUDGED, State.ALARM).astype(float)
-    store.add(times, model_0__count=np.full(100, 4.0), model_0__misses=misses, state=states)
+    judged = (np.arange(100) >= 50).astype(float)
+    store.add(times, model_0__count=np.full(100, 4.0), model_0__misses=misses, judged=judged)
     assert_allclose(store.inside(99, 0, 10.0, 2.0), [1.0, 0.75, 0.8, 1.0, 1.0, 1.0])
     assert_allclose(store.inside(99, 0, 1.0, 1.0)[:3], [1.0, 0.75, 0.75])
     assert np.isnan(store.inside(88, 0, 10.0, 2.0)).all()

@@ -16,6 +16,8 @@ from quadpi_core.results import (
     ACTIVE,
     EXTRAPOLATION,
     LEVEL_ALARM,
+    LEVEL_OK,
+    UNCALIBRATED_WORDS,
     WAITING,
     AlarmEvent,
     Predictions,
@@ -72,16 +74,27 @@ def test_nothing_is_trusted_whose_intervals_do_not_hold():
     assert reason == "force to the right outside its interval 15 % of the last 10 s, 5 % allowed"
 
 
-def test_misses_while_the_state_settles_do_not_count():
+@pytest.mark.parametrize("level", [LEVEL_OK, LEVEL_ALARM])
+def test_misses_while_the_state_settles_do_not_count(level):
+    """Under an alarm as well, such as that of a motion capture that has just come back."""
     one = view()
     for second in range(10):
         predicted, health = predictions(1.0, START + second * 10**9), (ACTIVE, ACTIVE, ACTIVE)
         if second < 5:
             predicted.measured[::2, 1], health = 2.0, (ACTIVE, WAITING, ACTIVE)
         one.take_predictions("m", predicted, "m@1", 0.95, AXES)
+        raised = (level, EXTRAPOLATION) if second < 5 and level else ()
         for tenth in range(10):
-            one.take_alarms(said_at(second + 0.1 * tenth, message(health=health)))
-        assert one.state is (State.NOT_JUDGED if second < 5 else State.TRUSTED), second
+            one.take_alarms(said_at(second + 0.1 * tenth, message(*raised, health=health)))
+        settling = State.ALARM if level else State.NOT_JUDGED
+        assert one.state is (settling if second < 5 else State.TRUSTED), second
+
+
+def test_the_page_says_uncalibrated_and_trusts_the_model_on():
+    one = view()
+    one.take_predictions("m", predictions(1.0), "m@1", 0.95, AXES)
+    one.take_alarms(said_at(0.5, message(reasons=(UNCALIBRATED_WORDS,))))
+    assert (one.state, one.reasons) == (State.TRUSTED, (UNCALIBRATED_WORDS,))
 
 
 def test_a_state_holds_until_the_next_message_and_a_short_alarm_is_short():
