@@ -15,6 +15,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtr, stdtrit
+from scipy.stats import norm
 
 from quadpi_core.core import compiled
 from quadpi_core.flight import AXES
@@ -22,7 +23,13 @@ from quadpi_core.frames import Array
 from quadpi_core.identification.prepared_flights import LiveSamples
 from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
 from quadpi_core.models.aerodynamic import Motion
-from quadpi_core.models.alarm_limits import BOUND_CONFIDENCE, FEWEST_FLIGHTS, AlarmLimits, allowance
+from quadpi_core.models.alarm_limits import (
+    BOUND_CONFIDENCE,
+    FEWEST_FLIGHTS,
+    AlarmLimits,
+    allowance,
+    least_carried,
+)
 from quadpi_core.models.envelope import LEVERAGE_HEADROOM, WIDTH_HEADROOM, Envelope
 from quadpi_core.models.interval_rules import FEWEST_INSIDE, FlightErrors, HeldOutRule, inside_interval
 from quadpi_core.models.model_kind import Evaluation
@@ -45,11 +52,15 @@ _TAIL_SHARE, _TAIL_BLOCKS = 0.1, 10
 _LEAST = 0.02
 # Numbers drawn for what is not known of a tail.
 DRAWS = 4000
+# Steps of the fit to flights some of which stay below a floor: to 1 % of the spread.
+_EM_ROUNDS = 50
+# Distance up to which a flight counts as within the ranges of the others: a cosine always reaches its end.
+_WITHIN = 1.02
 # Bisections in the search for a largest sustained value: to 1e-9 of its range.
 _HALVINGS = 30
 
 
-def next_flight(largest: Array, chance: float, usual_spread: float) -> float:
+def next_flight(largest: Array, chance: float, usual_spread: float, floor: float = 0.0) -> float:
     """Prediction bound: the value that one more flight exceeds with probability `chance`.
 
     The logarithms of the flights' largest values are taken to be normal. One more of them then lies about
@@ -63,34 +74,50 @@ def next_flight(largest: Array, chance: float, usual_spread: float) -> float:
         largest: (n,) not negative, of at least two flights.
         chance: between 0 and 1.
         usual_spread: prior standard deviation of the logarithms.
+        floor: values up to this are known to be no larger than it, and no more of them.
     """
-    mean, spread, freedom, n = _spread_between(largest, usual_spread)
+    mean, spread, freedom, n = _spread_between(largest, usual_spread, floor)
     return float(np.exp(mean - stdtrit(freedom, chance) * spread * np.sqrt(1.0 + 1.0 / n)))
 
 
 def chances_to_exceed(
-    limit: float, largest: Array, usual_spread: float, random: np.random.Generator
+    limit: float, largest: Array, usual_spread: float, random: np.random.Generator, floor: float = 0.0
 ) -> Array:
     """Chances (:data:`DRAWS`,) that one more flight exceeds a limit, as far as the flights tell.
 
     Mean and spread are drawn as :func:`next_flight`, whose arguments these are, has them; with its own limit
     the mean of the chances is its chance.
     """
-    mean, spread, freedom, n = _spread_between(largest, usual_spread)
+    mean, spread, freedom, n = _spread_between(largest, usual_spread, floor)
     spreads = spread * np.sqrt(freedom / random.chisquare(freedom, DRAWS))
     means = mean + spreads / np.sqrt(n) * random.standard_normal(DRAWS)
     chances: Array = ndtr((means - np.log(max(limit, _LEAST))) / spreads)
     return chances
 
 
-def _spread_between(largest: Array, usual_spread: float) -> tuple[float, float, int, int]:
-    """Mean and spread of the logarithms, the spread's degrees of freedom, and the number of flights."""
-    logarithms = np.log(np.maximum(largest, _LEAST))
-    n = len(logarithms)
-    freedom = USUAL_FLIGHTS + n - 1
-    squares = float(np.square(logarithms - logarithms.mean()).sum())
-    spread = float(np.sqrt((USUAL_FLIGHTS * usual_spread**2 + squares) / freedom))
-    return float(logarithms.mean()), spread, freedom, n
+def _spread_between(largest: Array, usual_spread: float, floor: float) -> tuple[float, float, int, int]:
+    """Mean and spread of the logarithms, the spread's degrees of freedom, and the number of flights.
+
+    In the place of those at the floor stand their mean and variance below it (Tobin 1958, by the EM steps of
+    Dempster, Laird and Rubin 1977): taken as they are, flights of which half never leave the ranges of the
+    others seem half as different as they are. At most five in six are taken to stay below it.
+    """
+    logarithms = np.log(np.maximum(largest, max(floor, _LEAST)))
+    n, least = len(logarithms), float(np.log(max(floor, _LEAST)))
+    below = logarithms <= least if floor else np.zeros(n, dtype=bool)
+    freedom, hidden = USUAL_FLIGHTS + n - 1, 0.0
+    for _ in range(_EM_ROUNDS):
+        mean = float(logarithms.mean())
+        squares = float(np.square(logarithms - mean).sum()) + hidden
+        spread = float(np.sqrt((USUAL_FLIGHTS * usual_spread**2 + squares) / freedom))
+        if not below.any():
+            break
+        mean = max(mean, least - spread)
+        beyond = (least - mean) / spread
+        ratio = float(norm.pdf(beyond) / ndtr(beyond))
+        logarithms[below] = mean - spread * ratio
+        hidden = np.count_nonzero(below) * spread**2 * (1.0 - beyond * ratio - ratio**2)
+    return mean, spread, freedom, n
 
 
 def lasting_maximum(values: Array, time: Array, persistence_s: float, release_s: float) -> float:
@@ -256,7 +283,8 @@ def calibrate_alarm(
         envelope: of all flights, with the fixed limits.
         flights: each under the model of the others, at least one.
         confidence: of the intervals that `miss` refers to.
-        rate_per_hour: false alarms per flight hour.
+        rate_per_hour: false alarms per flight hour that are asked for; the limits state no less than the
+            flights carry, see :func:`.alarm_limits.least_carried`.
         hover_rotor_speed: see :class:`~quadpi_core.models.alarm_limits.AlarmLimits`.
     """
     limits = AlarmLimits(
@@ -273,6 +301,7 @@ def calibrate_alarm(
         return envelope, limits
     times = [flight.time for flight, _ in usual]
     hours = sum(float(time[-1] - time[0]) for time in times) / 3600.0
+    rate_per_hour = max(rate_per_hour, least_carried(hours))
     # Fixed, so that the same flights give the same model.
     random = np.random.default_rng(0)
     per_flight = 0.5 * rate_per_hour * hours / len(usual)
@@ -297,7 +326,12 @@ def calibrate_alarm(
     low, high = np.quantile(rates, _ENDS)
     estimate = (float(np.mean(rates)), float(low), float(high))
     return calibrated, replace(
-        limits, miscoverage_s=misses, flights=len(usual), hours=hours, estimate_per_hour=estimate
+        limits,
+        miscoverage_s=misses,
+        rate_per_hour=rate_per_hour,
+        flights=len(usual),
+        hours=hours,
+        estimate_per_hour=estimate,
     )
 
 
@@ -342,8 +376,9 @@ def _limits_of_extrapolation(
         beyond = widths**2 - typical**2
         width = max(float(np.sqrt(typical**2 + next_flight(beyond, chance, _USUAL_SPREAD.width))), 1.0)
         alarms += chances_to_exceed(width**2 - typical**2, beyond, _USUAL_SPREAD.width, random)
-    distance = max(next_flight(distances, chance, _USUAL_SPREAD.distance), 1.0)
-    alarms += chances_to_exceed(distance, distances, _USUAL_SPREAD.distance, random)
+    usual_spread = _USUAL_SPREAD.distance
+    distance = max(next_flight(distances, chance, usual_spread, _WITHIN), 1.0)
+    alarms += chances_to_exceed(distance, distances, usual_spread, random, _WITHIN)
     return distance, leverage, width, alarms
 
 

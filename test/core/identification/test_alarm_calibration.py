@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.signal import lfilter
-from scipy.stats import t
+from scipy.stats import norm, t
 
 from quadpi_core.identification.alarm_calibration import LeftOut, calibrate_alarm, hover_rotor_speed
 from quadpi_core.inputs import DERIVATIVES, INPUT_INDEX, INPUT_NAMES
@@ -122,6 +122,20 @@ def test_rarer_false_alarms_ask_for_higher_limits():
     assert rare_limits.miscoverage_s[FX] > often_limits.miscoverage_s[FX]
 
 
+def test_no_rate_is_stated_that_the_flights_do_not_carry():
+    """At most 25 times below what they would show without an alarm: of 8 min, 22.5 per hour."""
+    flights = [left_out(60.0, seed) for seed in range(8)]
+    (asked, limits), (least, carried) = (calibrated(flights, rate) for rate in (0.1, 22.5 / 25.0))
+    assert limits.rate_per_hour == pytest.approx(22.5 / 25.0, rel=0.01)
+    np.testing.assert_allclose(asked.margin, least.margin, rtol=0.01)
+    assert "per flight hour on 8 flights, each left out in turn (8 min), the least that they carry" in (
+        limits.sentence()
+    )
+    assert calibrated(flights, 1.0)[1].rate_per_hour == 1.0
+    assert "carry" not in calibrated(flights, 1.0)[1].sentence()
+    assert carried.rate_per_hour == 22.5 / 25.0
+
+
 def test_few_flights_are_told_less_of():
     flights = [left_out(60.0, seed) for seed in range(24)]
     few = [calibrated(flights[k::3])[1].miscoverage_s[FX] for k in range(3)]
@@ -194,4 +208,7 @@ def test_flights_that_are_all_alike_may_still_differ_by_the_usual_spread():
     hours = time[-1] / 3600.0
     fewer, more = (t.isf(-np.expm1(-0.5 * rate * hours / 3), 13) for rate in rates)
     apart = np.sqrt(6.0 / 13.0 * (1.0 + 1.0 / 8.0)) * (fewer - more)
-    np.testing.assert_allclose(found, apart * np.array([0.15, 0.8, 1.4]), rtol=1e-6)
+    # None leaves the range: of a normal variable below its mean plus its deviation, the variance stands in.
+    ratio = norm.pdf(1.0) / norm.cdf(1.0)
+    hidden = np.sqrt(13.0 / (13.0 - 8.0 * (1.0 - ratio - ratio**2)))
+    np.testing.assert_allclose(found, apart * np.array([0.15 * hidden, 0.8, 1.4]), rtol=1e-6)

@@ -45,6 +45,17 @@ def test_the_chances_at_a_limit_are_those_it_was_set_for_on_average_and_hold_the
     assert binomtest(held, 300, 0.95).pvalue > 0.01
 
 
+def test_flights_that_stay_within_a_floor_do_not_seem_alike():
+    """Of half of them nothing is known but that; taken as they are, twice as many pass their limit."""
+    rng, usual, passed, naive = np.random.default_rng(8), 0.67 * USUAL, 0, 0
+    drawn = np.maximum(np.exp(USUAL * rng.standard_normal((2000, 13))), 1.0)
+    for *flights, next_one in drawn:
+        passed += next_one > next_flight(np.array(flights), 0.005, usual, floor=1.0)
+        naive += next_one > next_flight(np.array(flights), 0.005, usual)
+    assert passed <= 0.01 * len(drawn)
+    assert naive >= 1.5 * passed
+
+
 def test_the_rates_of_a_walk_hold_the_truth():
     rng, held = np.random.default_rng(6), 0
     for _ in range(300):
