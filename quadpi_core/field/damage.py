@@ -57,10 +57,12 @@ class RotorLoss:
     Attributes:
         excess: its command over that of the others, by how much more than in those, as a share.
         thrust: share of thrust at the same command that it lacks, if that is the cause.
+        beyond_chance: whether `excess` is above 0 at the confidence of all rotors together (Bonferroni).
     """
 
     excess: Estimate
     thrust: Estimate
+    beyond_chance: bool
 
 
 def losses(use: MotorUse, references: Sequence[MotorUse]) -> tuple[RotorLoss, ...] | str:
@@ -76,15 +78,18 @@ def losses(use: MotorUse, references: Sequence[MotorUse]) -> tuple[RotorLoss, ..
     if not count or not known:
         return "the flight, or those before, have no commands"
     values, deviation, freedom = against(shares[0], np.array(known), SCATTER.value)
-    half = stats.t.ppf(0.5 + 0.5 * CONFIDENCE.value, freedom) * deviation
+    alone, together = (
+        stats.t.ppf(1.0 - 0.5 * (1.0 - CONFIDENCE.value) / rotors, freedom) * deviation
+        for rotors in (1, count)
+    )
     said = f"against {len(known)} flight{'s' * (len(known) > 1)}"
     found = []
-    for value, width in zip(values, half, strict=True):
+    for value, width, widest in zip(values, alone, together, strict=True):
         ends = [float(end) for end in (value, value - width, value + width)]
         thrust = not_identified("", "its command is half of what it was, or less")
         if min(ends) > -_HALF:
             thrust = within([_thrust(*pair) for pair in zip(ends, (1, 0, 2), strict=True)], "", said)
-        found.append(RotorLoss(within(ends, "", said), thrust))
+        found.append(RotorLoss(within(ends, "", said), thrust, bool(value > widest)))
     return tuple(found)
 
 

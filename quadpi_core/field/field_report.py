@@ -21,7 +21,7 @@ from quadpi_core.field.estimates import Estimate
 from quadpi_core.field.field_log import FieldLog
 from quadpi_core.field.field_reading import read_field_log
 from quadpi_core.field.inertia import BodyResult, identify_body
-from quadpi_core.field.mass_change import BY_SPEED, MassChange, efforts, mass_change
+from quadpi_core.field.mass_change import BY_SPEED, MOVED, MassChange, efforts, mass_change
 from quadpi_core.field.motor_model import MotorModel, Tachometers, motor_model, tachometers
 from quadpi_core.field.motor_use import (
     BATTERY_DRIFT,
@@ -415,15 +415,18 @@ def _motor_remarks(
     worst = max(range(len(lost)), key=lambda rotor: lost[rotor].thrust.low or 0.0)
     value, low, high = (100.0 * (end or 0.0) for end in astuple(lost[worst].thrust)[:3])
     weak: tuple[int, ...] = (worst + 1,)
-    # The scatter of all motors together may hide one whose own interval is clearly above 0.
-    if isinstance(heavier, MassChange) and (heavier.fits != ("nothing",) or low < 0.5 * LOSS_ALARM.value):
+    cause = "the vehicle has become heavier near it"
+    # The scatter of all motors together may hide one that is beyond chance by itself.
+    if isinstance(heavier, MassChange) and not (heavier.fits == ("nothing",) and lost[worst].beyond_chance):
         weak = heavier.weak_motors(worst + 1)
+        if MOVED in heavier.fits and heavier.side:
+            cause = f"the centre of gravity has moved to the {heavier.side}, or {cause}"
     names = ", or ".join(log.motor(motor) for motor in weak)
     if low > 0.0 and weak:
         yield Remark(
             ALARM if low > LOSS_ALARM.value else WARNING,
             f"{names} works harder than in earlier flights: it gives {value:.0f} % less "
-            f"thrust ({low:.0f} to {high:.0f} %), or the vehicle has become heavier near it",
+            f"thrust ({low:.0f} to {high:.0f} %), or {cause}",
         )
 
 
@@ -438,7 +441,7 @@ def _mass_remarks(change: MassChange) -> Iterator[Remark]:
             f"{abs(value):.0f} % {word} than in earlier flights ({ends[0]:.0f} to {ends[1]:.0f} %, "
             f"{change.share.reason}){place}, or thrust has changed by as much",
         )
-    elif change.fits and set(change.fits) <= {"moved centre of gravity", "payload"} and change.side:
+    elif change.fits and set(change.fits) <= {MOVED, "payload"} and change.side:
         said = f"the centre of gravity has moved to the {change.side}: a battery mounted elsewhere, or a load"
         yield Remark(WARNING, said)
 

@@ -23,7 +23,7 @@ from quadpi_core.field.motor_use import MotorUse
 from quadpi_core.frames import Array
 from quadpi_core.records import CONVENTION, STANDARD_GRAVITY, Threshold
 
-WEAK = "weak motor"
+WEAK, MOVED = "weak motor", "moved centre of gravity"
 BY_SPEED, BY_VOLTAGE, BY_COMMAND = "rotor speed", "command and battery voltage", "command"
 EFFORT_SCATTER: Mapping[str, Threshold[float]] = {
     by: Threshold(f"standard deviation of thrust at the same {by}, between good flights", value, "", why, of)
@@ -186,7 +186,7 @@ def _explained(
     moved = np.vstack([sides, np.zeros(2)])
     tried: list[tuple[str, Array]] = [
         ("nothing", np.zeros((rotors + 1, 0))),
-        ("moved centre of gravity", moved),
+        (MOVED, moved),
     ]
     for rotor in range(rotors):
         # It is commanded more to give what it gave; its torque may differ, which yaw answers.
@@ -206,7 +206,7 @@ def _explained(
         )
         if is_possible and chi < stats.f.ppf(CONFIDENCE.value, open_to, freedom):
             fits.append((float(left @ left), name))
-            if name in ("moved centre of gravity", "payload"):
+            if name in (MOVED, "payload"):
                 position = np.asarray(found[:2], dtype=np.float64)
     if any(name == "nothing" for _, name in fits):
         return MassChange(share, by, ("nothing",))

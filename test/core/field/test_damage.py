@@ -39,6 +39,12 @@ def test_a_rotor_that_needs_more_command_lacks_thrust() -> None:
     assert all(one.thrust.high < found[1].thrust.high for one in found[::2])
 
 
+@pytest.mark.parametrize(("more", "alone", "of_four"), [(0.03, 0, 0), (0.042, 1, 0), (0.055, 1, 1)])
+def test_the_hardest_working_of_four_must_stand_out_of_four(more: float, alone: bool, of_four: bool) -> None:
+    (first, *_) = losses(use(0.5 * (1.0 + more), 0.5, 0.5, 0.5), [use(0.5, 0.5, 0.5, 0.5)] * 5)
+    assert (first.thrust.low > 0.0, first.beyond_chance) == (alone, of_four)
+
+
 def test_the_battery_and_the_weight_cancel() -> None:
     (first, *_) = losses(use(0.6, 0.66, 0.6, 0.63), [use(0.4, 0.44, 0.4, 0.42)])
     assert first.excess.value == pytest.approx(0.0)

@@ -296,11 +296,15 @@ def test_a_trend_of_hover_is_told_with_what_the_battery_did(report_of, grows, ba
 
 
 @pytest.mark.parametrize(
-    ("mass", "wrong"), [(None, False), (0.33, False), (0.29, True), (0.53, False), (0.6, True)]
+    ("mass", "wrong"), [(None, False), (0.0285, False), (0.025, True), (0.047, False), (0.052, True)]
 )
 def test_a_mass_that_rotor_speeds_do_not_carry_is_said(shared_data: Path, mass: float | None, wrong: bool):
-    """Of 0.428 kg."""
-    vehicle = Vehicle.load("indiflight")
-    report = report_on([shared_data / "indiflight" / "LOG00230.BFL"], OPTIONS, vehicle, mass)
-    said = [one.sentence for one in report.flights[0].remarks if "rotor speeds carry 0.4" in one.sentence]
+    """Of 0.037 kg, by the thrust of another vehicle's propellers of the same kind; neither set the limits."""
+    same = Vehicle.load("nanodrone")
+    radius = {"rotor_radius_m": same.rotor_radius_m, "thrust_coefficient": same.thrust_coefficient}
+    vehicle = replace(Vehicle.load("crazyflie_rpm"), **radius)
+    report = report_on([shared_data / "imrc_brushless" / "eckart12"], OPTIONS, vehicle, mass)
+    said = [
+        one.sentence for one in report.flights[0].remarks if "rotor speeds carry 0.037 kg" in one.sentence
+    ]
     assert bool(said) == wrong
