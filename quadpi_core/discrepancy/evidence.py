@@ -28,6 +28,13 @@ _PRECISE = 1e12
 _ROUNDS, _LEAST_DIFFERENCE = 12, 1e-4
 # Precision of what flights share, in prior ones.
 _FREE = 1e-4
+LACKED = Threshold(
+    "flights that may lack what the others share",
+    0.25,
+    "of the flights",
+    "one of four with a turned IMU hides nothing; what more of them lack acts in some flights only",
+    CONVENTION,
+)
 TAILS = Threshold(
     "tails of what flights have of their own",
     1.0,
@@ -316,7 +323,8 @@ def own_sizes(per_flight: Array, residual: Array, shared: Indices, own: Indices)
     """Standard deviations (F, k) of what each flight has of k columns about what all share of them.
 
     Those of the largest evidence, by expectation and maximisation for a Student's t: an effect that all
-    flights have is no condition of one, and a flight that differs by much says nothing of the others.
+    flights have is no condition of one, and a flight that differs by much says nothing of the others. What
+    more than a few flights lack is not shared, and theirs are about zero.
 
     Args:
         per_flight: (F, K, K) Gram matrices of the residual and columns.
@@ -337,16 +345,17 @@ def own_sizes(per_flight: Array, residual: Array, shared: Indices, own: Indices)
             inner.append((solved, gain, gram[own] @ residual))
         covariance = np.linalg.inv(information)
         mean = covariance @ projection
-        squares = np.array(
-            [
-                np.square(solved @ seen - gain.T @ mean) + np.diag(solved + gain.T @ covariance @ gain)
-                for solved, gain, seen in inner
-            ]
+        apart = np.array([solved @ seen - gain.T @ mean for solved, gain, seen in inner])
+        squares = np.square(apart) + np.array(
+            [np.diag(solved + gain.T @ covariance @ gain) for solved, gain, _ in inner]
         )
         weights = student_weights(squares / np.square(typical))
         typical = np.maximum(np.sqrt(np.mean(weights * squares, axis=0)), _LEAST_DIFFERENCE)
         sizes = np.clip(typical / np.sqrt(weights), _LEAST_DIFFERENCE, 1.0)
-    return sizes
+    of_all = np.array([float(mean[shared == column].sum()) for column in own])
+    # A flight lacks what is nearer to zero in it than to what all are said to have.
+    lack = np.mean(np.sign(of_all) * apart < -0.5 * np.abs(of_all), axis=0) > LACKED.value
+    return own_sizes(per_flight, residual, np.setdiff1d(shared, own[lack]), own) if lack.any() else sizes
 
 
 def student_weights(squares: Array) -> Array:

@@ -172,12 +172,9 @@ class _Search:
             gained = beside.fit.log_evidence - accepted.fit.log_evidence if beside else -np.inf
             fits = _fits_with_one_more(accepted) if len(accepted.chosen) < MOST_EFFECTS.value else []
             gains = {k: fit.log_evidence - accepted.fit.log_evidence for k, fit in fits if fit is not None}
-            as_shared = gains.get(beside.regression.conditions[-1].index) if beside else None
+            as_shared = gains.get(beside.regression.conditions[-1].index, -np.inf) if beside else -np.inf
             larger, more = None, 0.0
-            if fits and (
-                (as_shared is not None and keeps(as_shared, gained))
-                or max(gains.values(), default=-np.inf) >= gained
-            ):
+            if fits and (keeps(as_shared, gained) or max(gains.values(), default=-np.inf) >= gained):
                 larger, more = self._one_more(accepted, fits)
             # A condition gains more than any effect, or those that gain more were refused.
             larger = larger or beside
@@ -330,8 +327,8 @@ def _gained_together(accepted: Accepted) -> float:
 def best_condition(accepted: Accepted) -> Accepted | None:
     """The set beside what each flight may have of its own, its last condition, that gains the most evidence.
 
-    None where nothing gains as much as a first effect has to and leaves the effects most of their evidence,
-    and without sound flights that tell how much flights differ.
+    None where nothing gains as much as a first effect has to and leaves every effect most of its evidence or
+    more than enough, as of a load, whose swing is no constant of each flight; and without sound flights.
     """
     regression, chosen = accepted.regression, accepted.chosen
     best, before = None, accepted.gains()
@@ -342,17 +339,10 @@ def best_condition(accepted: Accepted) -> Accepted | None:
         if beside is None:
             continue
         gain = beside.fit.log_evidence - accepted.fit.log_evidence
-        if gain >= most and _keep_enough(beside.gains(), before):
+        kept = beside.gains().items()
+        if gain >= most and all(own >= FURTHER_NUMBER.value or keeps(own, before[k]) for k, own in kept):
             best, most = beside, gain
     return best
-
-
-def _keep_enough(kept: Mapping[int, float], before: Mapping[int, float]) -> bool:
-    """Whether every effect keeps most of its evidence, or more than enough, beside what flights have.
-
-    The weight of a load is a constant of each flight as well, but its swing is none.
-    """
-    return all(own >= FURTHER_NUMBER.value or keeps(own, before[k]) for k, own in kept.items())
 
 
 def keeps(evidence: float, of: float) -> bool:

@@ -201,6 +201,16 @@ def test_what_flights_have_of_their_own_is_told_from_what_they_share(pulled):
     assert conditioned.found(BIAS, both)[0] == pytest.approx(0.4, abs=0.1)
 
 
+def test_what_half_of_the_flights_lack_is_not_shared(pulled):
+    """Those that have it have it of their own: no effect explains it beside that."""
+    changed = with_forces(pulled, np.array([[x, 0.4, 0.0] for x in (0.0, 0.0, 0.8, 0.9)]))
+    sizes = changed.sizes_of_condition(BIAS, ())
+    assert sizes[2:, 0].min() > 0.5
+    assert sizes[:2, 0].max() < 0.2
+    conditioned = changed.with_condition(Condition(BIAS, sizes))
+    assert conditioned.found(BIAS, conditioned.fit((BIAS,)))[:2] == pytest.approx([0.0, 0.4], abs=0.1)
+
+
 def test_a_flight_that_differs_by_much_does_not_hide_what_the_others_share(pulled):
     values = np.full((4, 3), 0.2)
     values[0] = -2.0
