@@ -248,14 +248,21 @@ class Found:
         """Variance (6, C) of the noise that sensors and the errors of states make, in C bands.
 
         It is what sound flights leave, where they are known. Else that of sensors is what is left at the
-        highest frequencies: white in a force, and in a moment largest there; and no less than what a model
-        states by its intervals.
+        highest frequencies: white in a force, and in a moment largest there. It is no less than what a model
+        states by its intervals, unless sound flights are enough to tell how much they differ.
         """
         noise, sound = self.left.noise, self.regression.sound
         if sound is not None:
-            return sound.left
+            return np.maximum(sound.left, self._stated[:, np.newaxis])
         slow = slow_state_noise(self.regression.flights, noise.shape[1])
-        return np.maximum(noise[:, -1:] + slow, self.regression.stated_squares[:, np.newaxis])
+        return np.maximum(noise[:, -1:] + slow, self._stated[:, np.newaxis])
+
+    @property
+    def _stated(self) -> Array:
+        """Mean squares (6,) of intervals, which are no gap; 0 where enough sound flights tell more."""
+        sound = self.regression.sound
+        stated: Array = self.regression.stated_squares * (sound is None or sound.flights < FEW_FLIGHTS.value)
+        return stated
 
     def deviation(self, index: int) -> Array:
         """Standard deviation (k,) of the parameters of a chosen candidate, in their units; 0 at a bound.
@@ -286,26 +293,20 @@ class Found:
             return None
         # Both means vary, of these flights and of the sound ones.
         error = sound.differ * np.sqrt(1.0 / len(self.regression.flights) + 1.0 / sound.flights)
-        allowed: Array = sound.left * (1.0 + MORE_THAN_SOUND.value * error)[:, np.newaxis]
-        return allowed
+        return np.asarray(sound.left * (1.0 + MORE_THAN_SOUND.value * error)[:, np.newaxis])
 
     def gap(self, *, adjusted: bool = True) -> Gap:
         """The gap of flights left out, see :meth:`Closing.gap`; what sensors do not explain is no floor.
 
-        The floor is the most that as many sound flights may leave. Where no axis is further off, though
-        intervals are broken, it is what they leave on average. Sound flights that are too few to predict each
-        other hardly tell how much they differ: what the intervals state is no gap then either.
+        That is the most that as many sound flights leave; their mean, where only intervals are broken.
         """
-        sound, stated = self.regression.sound, self.regression.stated_squares
-        measured = partial(self.closing.gap, adjusted=adjusted, held=self.held)
+        sound, measured = self.regression.sound, partial(self.closing.gap, adjusted=adjusted, held=self.held)
         if sound is None or self._as_sound is None:
-            return measured(np.minimum(self.regression.noise.variance, self.sensors), stated)
-        stated = stated * (sound.flights < FEW_FLIGHTS.value)
-        gap = measured(self._as_sound, stated)
+            return measured(np.minimum(self.regression.noise.variance, self.sensors), self._stated)
+        gap = measured(self._as_sound, self._stated)
         broken = self.inside is not None and not self.inside.held.all()
-        if not broken or np.any(gap.before > gap.floor, where=~self.held):
-            return gap
-        return measured(sound.left, stated)
+        further = np.any(gap.before > gap.floor, where=~self.held)
+        return measured(sound.left, self._stated) if broken and not further else gap
 
     @property
     def beyond_sound(self) -> Array:
@@ -314,12 +315,10 @@ class Found:
         Without sound flights they are those beyond what the simulation's own intervals state, infinite where
         there are none.
         """
-        allowed = self._as_sound
-        if allowed is None:
-            stated = self.regression.stated_squares
-            if not stated.any():
-                return np.full(len(AXES), np.inf)
-            allowed = np.repeat(stated[:, np.newaxis], self.regression.residual.bands, axis=1)
+        stated = np.repeat(self._stated[:, np.newaxis], self.regression.residual.bands, axis=1)
+        allowed = stated if self._as_sound is None else np.maximum(self._as_sound, stated)
+        if not allowed.any():
+            return np.full(len(AXES), np.inf)
         squares = np.zeros(len(AXES))
         for left, own in zip(self.regression.left(self.fit), self.regression.residual.spectra, strict=True):
             squares += np.sum(np.square(left) / allowed[:, own.band] - 1.0, axis=1)

@@ -47,7 +47,6 @@ from quadpi_core.discrepancy.result_verdicts import (
     Unexplained,
     checks,
     is_rejected,
-    judge_coverage,
     judge_not_zero,
     judged_by_rollouts,
     ranked_candidates,
@@ -70,6 +69,13 @@ from quadpi_core.vehicle import Motors, Vehicle
 
 FEWEST_FLIGHTS = Threshold(
     "fewest flights", 2, "flights", "what is found on some flights is tested on others", CONVENTION
+)
+UNSEEN = Threshold(
+    "samples of an axis that intervals lose without one of several effects",
+    0.02,
+    "of the samples",
+    "a change that pushes fewer out is not visible, by the benchmark of real flights",
+    CONVENTION,
 )
 # Vehicle, motors of single flights by path, cut-off, how to read.
 _Task = tuple[Vehicle, Mapping[str, Motors], float, MappingOrOptions]
@@ -211,10 +217,8 @@ def found_and_flown(
     """Find the effects that a simulation lacks, and judge them by roll-outs of flights left out.
 
     An effect that closes nothing of the gap, or explains what the simulation's own intervals allow for, is no
-    explanation, and is barred from another search. So is one of several without which alone the intervals of
-    a model hold as much as before, where nothing else speaks against them: a search compares up to 20 Hz, and
-    what is faster is judged here, such as the moments of rotors that another delay would shift. At last one
-    is barred without which the result holds.
+    explanation, and is barred from another search. So is one of several without which these hold as much, of
+    what is faster than a search compares, too. At last one is barred without which the result holds.
 
     Args:
         simulation: simulation to compare with.
@@ -236,10 +240,8 @@ def _searched_again(ready: Prepared, barred: Mapping[str, str]) -> Discovery:
     It is flown again where that may decide anything: not beside a test that no flight changes.
     """
     discovery = discovered(ready, barred)
-    more, hopeless = (
-        _explaining_nothing(discovery),
-        any(not check.passed and check.test not in OF_GAP for check in discovery.checks),
-    )
+    more = _explaining_nothing(discovery)
+    hopeless = any(not check.passed and check.test not in OF_GAP for check in discovery.checks)
     if not (more or hopeless):
         discovery = flown_again(discovery)
         more = _spoiling(discovery)
@@ -311,20 +313,20 @@ def _doubtful(discovery: Discovery) -> dict[str, str]:
 
 
 def _spoiling(discovery: Discovery) -> dict[str, str]:
-    """The effect without which alone intervals hold as much as before, and why it counts; empty otherwise."""
-    compared, inside = discovery.found.regression.flights, discovery.found.inside
-    failed = [check for check in discovery.checks if not check.passed]
-    if inside is None or len(discovery.effects) == 1 or [check.test for check in failed] != ["coverage"]:
+    """Which of several effects intervals hold as much without, unless all fail otherwise; or empty."""
+    compared, flown = discovery.found.regression.flights, discovery.flown
+    several = flown is not None and flown.coverage and len(discovery.effects) > 1
+    if not several or any(not check.passed and check.test != "coverage" for check in discovery.checks):
         return {}
     after = [augmented(discovery, without=place) for place in range(len(compared))]
-    better = []
+    lost = {}
     for name in (effect.name for effect in discovery.effects):
         others = [{own: values for own, values in one.effects.items() if own != name} for one in after]
         fewer = [replace(one, effects=effects) for one, effects in zip(after, others, strict=True)]
-        verdict = judge_coverage(coverages(compared, fewer), inside.confidence)
-        if verdict.passed:
-            better.append((verdict.value, name))
-    return {min(better)[1]: failed[0].sentence} if better else {}
+        held = coverages(compared, fewer)
+        lost[name] = max(own.after - held[axis].after for axis, own in flown.coverage.items())
+    name = min(lost, key=lost.__getitem__)
+    return {name: "intervals hold as much without it"} if lost[name] <= UNSEEN.value else {}
 
 
 def _flown(discovery: Discovery) -> Discovery:

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -34,6 +35,7 @@ from quadpi_core.discrepancy.acceptance import (
     judge_left_out,
     judge_size,
 )
+from quadpi_core.discrepancy.augmented_simulation import AugmentedSimulation
 from quadpi_core.discrepancy.by_condition import (
     Range,
     bin_edges,
@@ -46,7 +48,7 @@ from quadpi_core.discrepancy.closure import Found
 from quadpi_core.discrepancy.discrepancy_result import Coverage, OfFlight
 from quadpi_core.discrepancy.effect_regression import Reduction, noise_of_flight, settled
 from quadpi_core.discrepancy.effect_response import Compared, deviations, predicted_flight, quiet
-from quadpi_core.discrepancy.evidence import Fit, student_weights
+from quadpi_core.discrepancy.evidence import Fit, own_sizes, student_weights
 from quadpi_core.discrepancy.loading import load_simulation
 from quadpi_core.discrepancy.other_simulations import ModelSimulation, Part, part_columns
 from quadpi_core.discrepancy.reflight import growing_by_chance, rollout_floor
@@ -107,6 +109,31 @@ def beside(gain, *, energy=1e6, law=False, beside_law=False, scales=False, known
 def alike_share():
     """Share of the noise of all in that of a flight of which twenty rows are left at zero."""
     return noise_of_flight(np.zeros((6, 20)), np.zeros(20, dtype=int), np.ones((6, 1)))[0, 0]
+
+
+def needs(lost):
+    """Whether intervals need the second of two effects, without which they hold some samples fewer."""
+
+    def held(share):
+        return {"Fx": Coverage(0.0, share)}
+
+    two = {"first": {}, "second": {}}
+    with (
+        patch.object(study, "augmented", lambda *_, **__: AugmentedSimulation(None, two)),
+        patch.object(study, "coverages", lambda _, a: held(0.9 - lost if "first" in a[0].effects else 0.1)),
+    ):
+        found = SimpleNamespace(regression=SimpleNamespace(flights=[None]))
+        named = [SimpleNamespace(name=name) for name in two]
+        flown = SimpleNamespace(coverage=held(0.9))
+        return not study._spoiling(SimpleNamespace(found=found, flown=flown, effects=named, checks=()))
+
+
+def shared_by(lacking):
+    """Whether what all but a share of many flights have is no difference between them."""
+    values = (np.arange(1000) >= 1000 * lacking).astype(float)
+    grams = [1e4 * np.outer((value, 1.0), (value, 1.0)) for value in values]
+    own = np.array([1])
+    return own_sizes(np.array(grams), np.array([1.0, 0.0]), own, own)[-1, 0] < 0.5
 
 
 def by_chance(mean):
@@ -433,8 +460,10 @@ def beyond_sound(deviations):
     sound = SimpleNamespace(left=np.ones((6, 1)), differ=np.full(6, 0.2), flights=12)
     more = 1.0 + deviations * 0.2 * np.sqrt(1.0 / 4.0 + 1.0 / 12.0)
     left = [np.full((6, 10), np.sqrt(more))] * 4
-    residual = SimpleNamespace(spectra=[Spectrum(own, np.zeros(10, dtype=np.intp)) for own in left])
-    regression = SimpleNamespace(sound=sound, residual=residual, flights=left, left=lambda _: left)
+    residual = SimpleNamespace(spectra=[Spectrum(own, np.zeros(10, dtype=np.intp)) for own in left], bands=1)
+    regression = SimpleNamespace(
+        sound=sound, residual=residual, flights=left, stated_squares=np.zeros(6), left=lambda _: left
+    )
     none = SimpleNamespace(left=None)
     return Found(regression, (), none, None, 0.0, {}, None, ()).beyond_sound.max() > 0.0
 
@@ -600,6 +629,7 @@ EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
     "PREDICTABLE": (0.3, lambda x: result_verdicts.predictable(first_axis(100.0 * x), 100).any()),
     "LOUD_AXIS": (0.8, lambda x: share(first_axis(100.0 * x), first_axis(9.0, 1e6), 100) > 0.5),
     "PART_OF_AXIS": (0.2, lambda x: share(first_axis(1e3 * x), first_axis(1e3, 1e9), 1) > 0.1),
+    "UNSEEN": (0.02, needs),
     "UNEXPLAINED": (0.05, lambda x: result_verdicts.judge_unexplained(x).passed),
     "DIFFERENT": (0.95, lambda x: accepted(squares=float(chi2.ppf(x, 2)))),
     "FAR_COEFFICIENT": (
@@ -646,6 +676,7 @@ EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
         0.1,
         lambda x: result_verdicts.judge_rollouts({"rates": (1.0, 1.0 + x)}, {"rates"}).passed,
     ),
+    "LACKED": (0.25, shared_by),
     "TAILS": (1.0, lambda x: student_weights(2.0 + x) < 0.5),
     "SHOWN": (5.0, known_error),
     "BETTER": (0.95, explained_better),

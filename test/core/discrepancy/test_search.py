@@ -126,25 +126,28 @@ def test_what_flights_have_of_their_own_leaves_an_effect_enough_of_its_evidence(
     assert best is None or best.fit.log_evidence == gained
 
 
-@pytest.mark.parametrize(("sound_flights", "stated"), [(8, 0.0), (3, 0.2)])
+@pytest.mark.parametrize(("sound_flights", "least"), [(8, 0.0), (3, 1.2)])
 @pytest.mark.parametrize(
     ("before", "share_inside", "of_mean"), [(1.4, 0.5, True), (1.8, 0.5, False), (1.4, 1.0, False)]
 )
 def test_a_gap_is_beyond_the_mean_of_sound_flights_where_only_intervals_are_broken(
-    before, share_inside, of_mean, sound_flights, stated
+    before, share_inside, of_mean, sound_flights, least
 ):
-    """Else beyond what as many leave at most, here 1.5 times their mean; and what is stated, of few."""
+    """Else beyond what as many leave at most, here 1.5 times their mean; of few, beyond what is stated."""
 
     def gap(noise, stated, adjusted, held):  # noqa: ARG001
-        floor = noise[:, 0] + stated
+        floor = np.maximum(noise[:, 0], stated)
         return Gap(np.full(6, before), np.full(6, 0.9), floor, float(adjusted))
 
     differ = 0.25 / np.sqrt(1.0 / 8.0 + 1.0 / sound_flights)
     sound = SimpleNamespace(left=np.ones((6, 1)), differ=np.full(6, differ), flights=sound_flights)
-    regression = SimpleNamespace(sound=sound, flights=[None] * 8, stated_squares=np.full(6, 0.2))
+    regression = SimpleNamespace(sound=sound, flights=[None] * 8, stated_squares=np.full(6, 1.2))
     inside, closing = Inside(np.full((8, 6), share_inside), 0.95), SimpleNamespace(gap=gap)
-    found = Found(regression, (), None, closing, 0.0, {}, None, (), inside=inside)
-    assert found.gap().floor == pytest.approx(np.full(6, (1.0 if of_mean else 1.5) + stated))
+    left = SimpleNamespace(noise=None)
+    found = Found(regression, (), None, closing, 0.0, {}, left, (), inside=inside)
+    assert found.gap().floor == pytest.approx(np.full(6, max(1.0 if of_mean else 1.5, least)))
+    # The tests of the result as a whole go by the same.
+    assert found.sensors[:, 0] == pytest.approx(np.full(6, max(1.0, least)))
 
 
 @pytest.mark.parametrize(("stated", "beyond"), [(0.0, np.inf), (1.0, 40 * 0.96), (2.0, 0.0)])

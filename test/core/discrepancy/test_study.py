@@ -319,34 +319,46 @@ def test_a_barred_effect_is_not_named_and_the_page_says_why(simulation, dragged)
     assert (own.named, own.test, own.reason) == (False, "barred", BARRED)
 
 
-@pytest.mark.parametrize("others", [(), ("closed",)])
-def test_what_alone_takes_an_axis_out_of_its_intervals_is_barred_from_another_search(
-    simulation, dragged, sought, monkeypatch, others
+@pytest.mark.parametrize(
+    ("held", "failed", "barred"),
+    [
+        # By the one it is out of its intervals; needed for one axis; for none.
+        (0.9, ("coverage",), True),
+        (0.9, ("coverage", "closed"), False),
+        (0.17, (), False),
+        (0.19, (), True),
+    ],
+)
+def test_what_intervals_hold_as_much_without_is_barred_from_another_search(
+    simulation, dragged, sought, monkeypatch, held, failed, barred
 ):
-    """Only where nothing else speaks against the first result."""
+    """Only where nothing else speaks against the first result; a fiftieth of the samples counts."""
     drag, searches = sought.effects[0], []
-    within = replace(sought.found, inside=Inside(np.ones((4, 6)), 0.95))
-    two = replace(sought, effects=(drag, replace(drag, name="wind")), found=within)
+    coverage = {axis: Coverage(0.1, 0.2) for axis in AXES}
+    two = replace(sought, effects=(drag, replace(drag, name="wind")))
     both = AugmentedSimulation(simulation, {"body_drag": DRAG, "wind": {}})
 
     def searched(_, barred):
         searches.append(dict(barred))
-        return two
+        return replace(two, effects=(drag,)) if barred else two
 
     def flown(discovery):
-        failed = [Verdict(test, False, 0.0, 1.0, "", test) for test in ("coverage", *others)]
-        return discovery if searches[-1] else replace(discovery, checks=tuple(failed))
+        checks = [Verdict(test, False, 0.0, 1.0, "", test) for test in failed]
+        of = replace(discovery, flown=SimpleNamespace(coverage=coverage))
+        return of if searches[-1] else replace(of, checks=tuple(checks))
 
     def covered(_, after):
-        return {axis: Coverage(0.9, 0.2 if "wind" in after[0].effects else 0.9) for axis in AXES}
+        without_wind = {axis: Coverage(0.1, held if axis == "Mz" else 0.9) for axis in AXES}
+        without_drag = {axis: Coverage(0.1, 0.1) for axis in AXES}
+        return without_drag if "wind" in after[0].effects else without_wind
 
     for name, made in (("discovered", searched), ("flown_again", flown), ("coverages", covered)):
         monkeypatch.setattr(f"quadpi_core.discrepancy.study.{name}", made)
     monkeypatch.setattr("quadpi_core.discrepancy.study.augmented", lambda *_, **__: both)
     monkeypatch.setattr("quadpi_core.discrepancy.study._doubtful", lambda _: {})
     result = found_and_flown(simulation, dragged, names=SOUGHT)
-    assert searches == ([{}] if others else [{}, {"wind": "coverage"}])
-    assert result.verdict == ("unknown" if others else "effects")
+    assert searches == ([{}, {"wind": "intervals hold as much without it"}] if barred else [{}])
+    assert result.verdict == ("unknown" if len(failed) > 1 else "effects")
 
 
 @pytest.mark.parametrize("again", ["effects", "unknown"])
