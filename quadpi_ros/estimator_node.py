@@ -20,7 +20,15 @@ from quadpi_core.estimator.ekf import Ekf
 from quadpi_core.estimator.filter_run import FusedSamples, with_gyro_faults
 from quadpi_core.estimator.filter_state import WITHOUT_ESTIMATE, EstimatorStatus, Outcome
 from quadpi_core.estimator.slow_states import VelocityRate, usual_noise
-from quadpi_core.flight import NOT_MEASURED, ImuStream, OdometryStream, PoseStream, Stamps, TwistStream
+from quadpi_core.flight import (
+    NO_STAMP,
+    NOT_MEASURED,
+    ImuStream,
+    OdometryStream,
+    PoseStream,
+    Stamps,
+    TwistStream,
+)
 from quadpi_core.frames import Array
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.adapters.packages.satellite_fixes import NAVSATFIX
@@ -140,9 +148,13 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         return np.array(self._mocap_health.recent, dtype=np.int64)
 
     @property
-    def has_slow_velocity(self) -> bool:
-        """Whether velocities come as seldom as by GPS."""
-        return self._velocities.is_slow
+    def slow_since_ns(self) -> int | None:
+        """Since when velocities are known to come as seldom as by GPS; None where they do not."""
+        return self._velocities.slow_since_ns
+
+    def _note_velocities(self, time_ns: list[int], poses: int = 0) -> None:
+        imu_ns = self._imu_health.newest_ns
+        self._velocities.take(time_ns, [NO_STAMP if imu_ns is None else imu_ns] * len(time_ns), poses)
 
     def problem(self) -> str | None:
         """As the base class, and why samples arrive but give no state."""
@@ -228,7 +240,7 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         stated = self._noise.of_odometry(odometry.deviation[0])
         self._ekf.update_pose(time_ns, odometry.position[0], odometry.attitude[0], stated[:2])
         is_moving = stated[2] != NOT_MEASURED
-        self._velocities.take([time_ns] if is_moving else [], poses=not is_moving)
+        self._note_velocities([time_ns] if is_moving else [], poses=not is_moving)
         if is_moving:
             self._ekf.update_velocity(time_ns, odometry.velocity[0], True, stated[2])
 
@@ -248,7 +260,7 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         self._ekf.update_pose(stamp_ns, fix.position[0], turned[1][0], stated[:2])
 
     def _take_twist(self, twist: TwistStream) -> None:
-        self._velocities.take([int(twist.time_ns[0])])
+        self._note_velocities([int(twist.time_ns[0])])
         self._ekf.update_velocity(int(twist.time_ns[0]), twist.velocity[0], bool(twist.in_body[0]))
 
 

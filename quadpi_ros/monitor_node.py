@@ -221,7 +221,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
         context = self._results.monitors.sample_context
         context.unsure.take_one(time_ns, *deviation_of_one(sample))
         if self._estimator is not None:
-            context.wind_since_ns = NO_STAMP if self._estimator.has_slow_velocity else None
+            context.wind_since_ns = self._estimator.slow_since_ns
         self._publish(self._pairing.add_estimate(time_ns, sample.motion, self._judging()))
 
     def _note_arrival(self, time_ns: int) -> None:

@@ -26,7 +26,7 @@ from quadpi_core.estimator.filter_state import ATTITUDE, POSITION, VELOCITY
 from quadpi_core.flight import NO_STAMP, OdometryStream, PoseStream, Recording, Stamps, TwistStream
 from quadpi_core.frames import Array
 from quadpi_core.screening.flight_runs import BRIDGED_HZ, is_slow_state
-from quadpi_core.signals.chain import RATE_SPAN, nominal_rate
+from quadpi_core.signals.chain import nominal_rate
 from quadpi_core.vehicle import Vehicle
 
 # Of a state by GPS: position m, attitude rad, velocity m/s.
@@ -39,6 +39,9 @@ _SUREST = (0.01, 0.002, 0.01)
 _STILL_M_S, _STILL_S = 2.0, 0.5
 # States by which a flight shows how often they come.
 _STATES_SEEN = 8
+# Steps of velocities by which it is decided how often they come: by GPS of 5 Hz before the state has settled,
+# and one step that is lost, or none, decides nothing.
+VELOCITY_STEPS = 4
 # Poses after which velocities, where there are any, have begun: two seconds at 100 Hz.
 _POSES_SEEN = 200
 
@@ -61,32 +64,40 @@ def _lacking(odometry: OdometryStream) -> _Parts:
 class VelocityRate:
     """Whether the velocities of a state come as seldom as those of GPS, by the stamps of the first.
 
-    Those of motion capture come often. Where poses have come without any for a while, none counts.
+    Those of motion capture come often. Where poses have come without any for a while, none counts. It is
+    decided once, by the same stamps live and in a replay.
 
     Attributes:
-        is_slow: whether they come too seldom to be interpolated; false before the second.
+        slow_since_ns: stamp of the last IMU sample before the velocity by which they are known to come too
+            seldom to be interpolated; None before that, and where they come often.
         stamps: of the first.
     """
 
     def __init__(self) -> None:
-        self.is_slow = False
+        self.slow_since_ns: int | None = None
         self.stamps: list[int] = []
         self._poses = 0
 
     @property
     def is_known(self) -> bool:
         """Whether no further stamp changes what is said."""
-        return len(self.stamps) > RATE_SPAN or (not self.stamps and self._poses > _POSES_SEEN)
+        return len(self.stamps) > VELOCITY_STEPS or (not self.stamps and self._poses > _POSES_SEEN)
 
-    def take(self, time_ns: Sequence[int], poses: int = 0) -> None:
-        """Take so many poses without a velocity, and the stamps of the next velocities."""
+    def take(self, time_ns: Sequence[int], imu_ns: Sequence[int], poses: int = 0) -> None:
+        """Take so many poses without a velocity, and the next velocities.
+
+        Args:
+            time_ns: stamps of the velocities.
+            imu_ns: of each, stamp of the last IMU sample that came before it, NO_STAMP for none.
+            poses: their number.
+        """
         self._poses += poses
+        lacking = VELOCITY_STEPS + 1 - len(self.stamps)
         if self.is_known:
             return
-        self.stamps += time_ns[: RATE_SPAN + 1 - len(self.stamps)]
-        if len(self.stamps) > 1:
-            lasted_s = 1e-9 * (self.stamps[-1] - self.stamps[0])
-            self.is_slow = len(self.stamps) - 1 < BRIDGED_HZ * lasted_s
+        self.stamps += time_ns[:lacking]
+        if len(time_ns) >= lacking and BRIDGED_HZ * 1e-9 * np.ptp(self.stamps) > VELOCITY_STEPS:
+            self.slow_since_ns = imu_ns[lacking - 1]
 
 
 def has_slow_velocity(recording: Recording) -> bool:
@@ -98,23 +109,19 @@ def has_slow_velocity(recording: Recording) -> bool:
 
 
 def with_velocity_rate(blocks: _Blocks) -> tuple[_Blocks, int | None]:
-    """Blocks of a flight by motion capture, and since when its velocities are known to be slow as by GPS.
-
-    Since the IMU sample before the second arrived, which is when it is known live; None where they are not.
-    """
-    seen, velocities, since_ns = [], VelocityRate(), 0
+    """Blocks of a flight by motion capture, and :attr:`VelocityRate.slow_since_ns` of its velocities."""
+    seen, velocities, newest_ns = [], VelocityRate(), NO_STAMP
     for block in blocks:
         seen.append(block)
-        lacking = 2 - len(velocities.stamps)
-        if block.twist is not None and 0 < lacking <= len(block.twist) and len(block.imu):
-            arrived = int(block.arrivals_of(block.twist)[lacking - 1])
-            since_ns = int(block.imu.time_ns[max(arrived, 1) - 1])
+        imu_ns = np.append(newest_ns, block.imu.time_ns)
+        newest_ns = int(imu_ns[-1])
         stamps = [] if block.twist is None else block.twist.time_ns.tolist()
+        before = [] if block.twist is None else imu_ns[block.arrivals_of(block.twist)].tolist()
         poses = np.empty(0) if block.pose is None else block.pose.time_ns
-        velocities.take(stamps, int(np.sum(poses < stamps[0])) if stamps else len(poses))
+        velocities.take(stamps, before, int(np.sum(poses < stamps[0])) if stamps else len(poses))
         if velocities.is_known:
             break
-    return chain(seen, blocks), since_ns if velocities.is_slow else None
+    return chain(seen, blocks), velocities.slow_since_ns
 
 
 def with_slow_state(recording: Recording, vehicle: Vehicle) -> Recording:

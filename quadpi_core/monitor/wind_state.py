@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from quadpi_core.flight import NO_STAMP, Stamps
+from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array, rotation_matrix
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.interval_rules import SETTLED, WindDrag
@@ -230,7 +230,7 @@ class SampleContext:
     Attributes:
         unsure: takes how sure the states are.
         wind: as drag tells it; None for a model whose flights did not.
-        wind_since_ns: as given, and before all stamps once that is reached.
+        wind_since_ns: as given.
     """
 
     def __init__(
@@ -239,6 +239,8 @@ class SampleContext:
         self.unsure = UnsureStates(SETTLED if model is None else model.state)
         self.wind: WindState | None = None
         self.wind_since_ns = wind_since_ns
+        # Whether a sample was later: then all to come count, also after a clock that is set back.
+        self._seeks = False
         in_the_open = vehicle is not None and vehicle.noise.wind_m_s != 0.0
         if model is not None and model.wind is not None and in_the_open:
             self.wind = WindState(model.wind, model.alarm_limits.hover_rotor_speed)
@@ -251,6 +253,7 @@ class SampleContext:
 
     def go_on_from(self, before: SampleContext) -> None:
         """Keep the wind of a model whose place is taken, where it is told by the same drag."""
+        self._seeks = before._seeks
         if self.wind is not None and before.wind is not None and self.wind.drag == before.wind.drag:
             self.wind = before.wind
 
@@ -265,10 +268,9 @@ class SampleContext:
         conditions = self.unsure.conditions(samples.time_ns)
         if self.wind is None or self.wind_since_ns is None:
             return *samples, conditions
-        first = int(np.searchsorted(samples.time_ns, self.wind_since_ns, side="right"))
-        if first < len(samples.time_ns):
-            # Reached: all to come count, also after a clock that is set back.
-            self.wind_since_ns = NO_STAMP
+        late = samples.time_ns > self.wind_since_ns
+        first = 0 if self._seeks else int(np.argmax(late)) if late.any() else len(late)
+        self._seeks |= first < len(late)
         told, unsure = self.wind.take(PairedSamples(samples.time_ns[first:], samples.values[first:]))
         samples = PairedSamples(samples.time_ns, np.vstack([samples.values[:first], told.values]))
         deviation = np.append(np.zeros(first), unsure)

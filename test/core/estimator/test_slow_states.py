@@ -19,7 +19,7 @@ from quadpi_core.estimator.slow_states import (
     with_slow_states,
     with_velocity_rate,
 )
-from quadpi_core.flight import NOT_MEASURED, Flight, OdometryStream, Recording
+from quadpi_core.flight import NOT_MEASURED, Flight, OdometryStream, Recording, TwistStream
 from quadpi_core.logs import read_recording
 from quadpi_core.reading_options import split_recording
 from quadpi_core.screening.flight_runs import parts_without_pause
@@ -169,13 +169,32 @@ def test_velocities_that_begin_after_two_seconds_of_poses_count_for_nothing(reco
     early = replace(pose.take(np.zeros(poses, dtype=int)), time_ns=before)
     joined = type(pose).join([early, pose])
     late = replace(slow, pose=joined, twist=slow.twist.take(slow.twist.time_ns >= begin_ns), arrivals={})
-    # Live it is known when the second velocity has arrived.
-    known_ns = int(late.twist.time_ns[1])
+    # Live it is known when the fifth velocity has arrived.
+    known_ns = int(late.twist.time_ns[4])
     for blocks in (iter([late]), split_recording(late)):
         since_ns = with_velocity_rate(blocks)[1]
         assert (since_ns is not None) == is_slow
         assert since_ns is None or 0 <= known_ns - since_ns < 5_000_000
     live = VelocityRate()
     for time_ns in joined.time_ns.tolist():
-        live.take([time_ns] if time_ns >= begin_ns else [], poses=time_ns < begin_ns)
-    assert live.is_slow == is_slow
+        before_ns = int(late.imu.time_ns[late.imu.time_ns <= time_ns][-1])
+        live.take([time_ns] if time_ns >= begin_ns else [], [before_ns], poses=time_ns < begin_ns)
+    assert live.slow_since_ns == since_ns
+
+
+@pytest.mark.parametrize(("early_s", "late_s", "is_slow"), [(0.2, 0.01, True), (0.01, 0.2, False)])
+def test_how_often_velocities_come_is_decided_once_by_the_first(recording, early_s, late_s, is_slow):
+    """By five, whatever comes then, in blocks of any length; live, one by one, at the same sample."""
+    imu_ns = recording.imu.time_ns
+    steps = np.cumsum([early_s] * 5 + [late_s] * 20)
+    stamps = imu_ns[100] + np.round(1e9 * steps).astype(np.int64)
+    twist = TwistStream(stamps, np.zeros((25, 3)), np.zeros(25, dtype=bool))
+    flown = replace(recording, twist=twist, arrivals={})
+    before = imu_ns[np.searchsorted(imu_ns, stamps, side="right") - 1]
+    expected = int(before[4]) if is_slow else None
+    for blocks in (iter([flown]), split_recording(flown)):
+        assert with_velocity_rate(blocks)[1] == expected
+    live = VelocityRate()
+    for stamp, imu in zip(stamps.tolist(), before.tolist(), strict=True):
+        live.take([stamp], [imu])
+    assert live.slow_since_ns == expected
