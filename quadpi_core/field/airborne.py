@@ -230,9 +230,8 @@ def _runs(series: Series) -> list[Stretch]:
         return []
     values = series.means(edges)[:, 0]
     filled = np.where(np.isfinite(values), values, series.at(edges[:-1])[:, 0])
-    aloft: npt.NDArray[np.bool_] = np.nan_to_num(filled) > 0.5
-    ends = np.flatnonzero(np.diff(np.concatenate([[False], aloft, [False]]).astype(int)))
-    runs = [(edges[begin], edges[min(end, len(edges) - 1)]) for begin, end in ends.reshape(-1, 2)]
+    aloft = runs_of(np.nan_to_num(filled) > 0.5)
+    runs = [(edges[begin], edges[min(end, len(edges) - 1)]) for begin, end in aloft]
     joined: list[tuple[float, float]] = []
     for begin, end in runs:
         if joined and begin - joined[-1][1] < _JOINED_S:
@@ -240,6 +239,13 @@ def _runs(series: Series) -> list[Stretch]:
         else:
             joined.append((begin, end))
     return [Stretch(float(begin), float(end)) for begin, end in joined if end - begin >= _SHORTEST_S]
+
+
+def runs_of(mask: npt.NDArray[np.bool_]) -> list[list[int]]:
+    """First sample of each run that a mask (N,) has, and the one after its last."""
+    ends = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
+    runs: list[list[int]] = ends.reshape(-1, 2).tolist()
+    return runs
 
 
 def _moved(log: FieldLog, stretch: Stretch, *, is_sure: bool) -> bool:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from quadpi_core.field.airborne import Flown
+from quadpi_core.field.airborne import Flown, runs_of
 from quadpi_core.field.estimates import CONFIDENCE, Estimate, not_identified, within
 from quadpi_core.field.field_log import FieldLog
 from quadpi_core.field.motor_use import FULL_COMMAND, MotorUse
@@ -142,7 +142,7 @@ def frozen_motors(log: FieldLog, flight: Flown) -> list[tuple[int, float]]:
             # Motors at the least that controllers give stay there in hard turns; one that is off gets less.
             least = others[others > _NEAR].min(initial=1.0) + _NEAR
             stands = (np.diff(own) == 0.0) & (own[1:] > least) & (own[1:] < most)
-            for begin, end in _runs(stands):
+            for begin, end in runs_of(stands):
                 if part.time[end] - part.time[begin] < FROZEN_S.value:
                     continue
                 # Saturation is reached slowly, and a disarmed vehicle has no motor that moves.
@@ -151,9 +151,3 @@ def frozen_motors(log: FieldLog, flight: Flown) -> list[tuple[int, float]]:
                 if (leaps or goes_out) and np.median(np.ptp(others[begin:end], axis=0)) > _NEAR:
                     found.setdefault(motor + 1, float(part.time[begin]))
     return sorted(found.items(), key=lambda pair: pair[1])
-
-
-def _runs(mask: Array) -> list[tuple[int, int]]:
-    """First and last sample of each run of steps (N,) that a mask has."""
-    ends = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
-    return [(int(begin), int(end)) for begin, end in ends.reshape(-1, 2)]

@@ -377,13 +377,12 @@ def _vehicles(
         motors = motor_model(sound) if sound else "the tachometers of no flight read what the commands give"
         body = None
         if isinstance(vehicle, Vehicle):
-            winds = [np.zeros(2)] * len(longest)
-            if not isinstance(drag, str):
-                told = list(samples)
-                winds = [
-                    drag.likely_wind(told.index(one.name)) if one.name in told else np.zeros(2)
-                    for one in longest
-                ]
+            winds = [
+                drag.likely_wind(list(samples).index(one.name))
+                if isinstance(drag, DragResult) and one.name in samples
+                else np.zeros(2)
+                for one in longest
+            ]
             body = identify_body([(one.log, one.flown) for one in longest], vehicle, winds)
         yield VehicleReport(name, names, said, drag, tuple(samples), motors, own[0].log.drag_prefix, body)
 

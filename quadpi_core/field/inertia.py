@@ -8,21 +8,24 @@
 over commands u_i behind a first-order lag, which is fitted with all the rest: assumed, it would scale the
 inertia (at 50 and 100 ms by 1.7). Velocities are those of the air, by the wind that drag tells.
 That thrust goes with the square is assumed, and the error counted: left free, it would take up what a
-controller answers to gusts. The bias of the accelerometer along z is what its mean along the vertical lacks
-of gravity, but for the change of velocity; without a state it is taken as 0, its error counted. Yaw is not
-told: commands give the torque of the rotors over I_z alone.
+controller answers to gusts. The bias of the accelerometer is what its mean along the vertical lacks of
+gravity, but for the change of velocity: in a steady lean that is one along x or y as well, so less of it is
+taken for one along z, and the rest counted. Without a state all of it is counted. Yaw is not told: commands
+give the torque of the rotors over I_z alone.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from scipy.signal import butter, lfilter, sosfiltfilt
 
 from quadpi_core.field.airborne import Flown, velocity_of
-from quadpi_core.field.estimates import PIECES_FEWEST, Estimate, jackknife, not_identified
+from quadpi_core.field.estimates import PIECES_FEWEST, Estimate, jackknife, not_identified, within
 from quadpi_core.field.field_log import FieldLog
 from quadpi_core.field.motor_model import GRID_HZ, SLOWEST_HZ
 from quadpi_core.frames import Array, rotate_body_to_world, rotate_world_to_body, rotation_matrix
@@ -42,10 +45,12 @@ SHORTEST_S = Threshold(
     CONVENTION,
 )
 BIAS_M_S2 = Threshold(
-    "bias of an accelerometer along z, one standard deviation: as it comes, and by a state of velocity",
-    (0.15, 0.03),
+    "bias of an accelerometer, one standard deviation: of an axis as it comes, of what a state of velocity "
+    "leaves along the vertical; and the largest that is one",
+    (0.15, 0.03, 1.0),
     "m/s²",
-    "data sheets say 20 to 40 mg; a velocity that errs by 0.3 m/s over 20 s, a tilt by 3°, leave 0.02",
+    "data sheets say 20 to 40 mg; a velocity that errs by 0.3 m/s over 20 s, a tilt by 3°, leave 0.02; a "
+    "tenth of gravity and more is a state or an orientation that is wrong",
     "data sheets of the BMI088 and the ICM-20689",
 )
 POWER = Threshold(
@@ -62,9 +67,8 @@ WIDEST = Threshold(
     "a wider interval tells its order of magnitude alone, which size and mass do",
     CONVENTION,
 )
-_SHORT = (
-    f"it takes {_PIECE_S * PIECES_FEWEST.value:.0f} s in the air, {SHORTEST_S.value:.0f} s or more at once"
-)
+_SHORT = f"takes {_PIECE_S * PIECES_FEWEST.value:.0f} s in the air, {SHORTEST_S.value:.0f} s or more at once"
+_SPEEDS = "hover, and fly at several speeds"
 # Columns of thrust: Σu², climb, speed squared, 1; of a moment: that of T(u), rate, product of rates, 1.
 _THRUST, _MOMENT = 3, 4
 # What a controller answers to gusts is in Σu² and no thrust: 1 stands in for it where errors are to be 0 on
@@ -87,76 +91,70 @@ class BodyResult:
     lag: Estimate
 
 
-def untold_body(reason: str) -> BodyResult:
-    """Nothing, and why."""
+def _untold(reason: str) -> BodyResult:
     none = not_identified("kg m²", reason)
     return BodyResult(not_identified("N", reason), (none, none), not_identified("s", reason))
 
 
-@dataclass(frozen=True)
-class _Piece:
-    """What a piece of flight tells, by lag: squares of columns and target (L, C + 1, C + 1).
+class _Piece(NamedTuple):
+    """What a piece of flight tells: by lag, squares of columns and target (L, C + 1, C + 1), see `_THRUST`.
 
-    Attributes:
-        thrust: of the vertical force.
-        moments: about x, about y.
-        hover: sum of mean commands, and number of samples.
+    Of `hover` sums (3,) over samples: of mean commands, of 1, and of the deviation of the bias along z.
     """
 
     thrust: Array
-    moments: tuple[Array, Array]
-    hover: tuple[float, int]
+    about_x: Array
+    about_y: Array
+    hover: Array
 
 
 def identify_body(
-    flights: Sequence[tuple[FieldLog, Flown]], vehicle: Vehicle | None, winds: Sequence[Array]
+    flights: Sequence[tuple[FieldLog, Flown]], vehicle: Vehicle, winds: Sequence[Array]
 ) -> BodyResult:
     """Thrust and inertia of a vehicle by its flights, or why they are not told.
 
     Args:
         flights: logs with commands by the rotors of the vehicle file, and when each was in the air.
-        vehicle: for mass and places of the rotors; None where no file says them.
+        vehicle: for mass and places of the rotors.
         winds: of each flight, to the north and east, m/s.
     """
-    if vehicle is None:
-        return untold_body("a vehicle file must say mass and places of the rotors (--vehicle)")
     found = [_pieces(log, flight, vehicle, wind) for (log, flight), wind in zip(flights, winds, strict=True)]
     pieces = [piece for own in found if not isinstance(own, str) for piece in own]
     if len(pieces) < PIECES_FEWEST.value:
         reasons = [own for own in found if isinstance(own, str)]
-        return untold_body(reasons[0] if reasons else _SHORT)
+        return _untold(reasons[0] if reasons else _SHORT)
     if len(pieces) > _PIECES_MOST:
-        pieces = [_joined(list(own)) for own in np.array_split(np.array(pieces, dtype=object), _PIECES_MOST)]
+        cuts = np.linspace(0, len(pieces), _PIECES_MOST + 1).astype(int).tolist()
+        pieces = [_joined(pieces[begin:end]) for begin, end in pairwise(cuts)]
     whole = _solved(pieces)
     if isinstance(whole, str):
-        return untold_body(whole)
+        return _untold(whole)
     without = []
     for place in range(len(pieces)):
         own = _solved(pieces[:place] + pieces[place + 1 :])
         if isinstance(own, str):
-            return untold_body("one piece of the flight tells it alone")
+            return _untold("one piece of the flight tells it alone")
         without.append(own)
     told = np.array(
-        [[piece.hover[1], *(own[0, 0, 0] for own in piece.moments), piece.hover[1]] for piece in pieces]
+        [[one.hover[1], one.about_x[0, 0, 0], one.about_y[0, 0, 0], one.hover[1]] for one in pieces]
     )
     low, high = jackknife(whole, np.array(without), told)
     half = 0.5 * (high - low)
-    bias = BIAS_M_S2.value[all(_tells_bias(log) for log, _ in flights)]
-    half[0] = np.hypot(half[0], 2.0 * bias * vehicle.mass_kg / vehicle.rotor_count)
+    _, count, deviations = _joined(pieces).hover
+    half[0] = np.hypot(half[0], 2.0 * deviations / count * vehicle.mass_kg / vehicle.rotor_count)
     half[1:3] = np.hypot(half[1:3], POWER.value * whole[1:3])
-    units = ("N", "kg m²", "kg m²", "s")
-    thrust, *inertia, lag = (
-        _estimate(value, own, unit)
-        for value, own, unit in zip(whole.tolist(), half.tolist(), units, strict=True)
-    )
+    thrust = _estimate(whole[0], half[0], "N", _SPEEDS)
+    flown_so = "roll and pitch quickly, to and fro" if thrust.value else "thrust is not told"
+    inertia = [_estimate(whole[1 + axis], half[1 + axis], "kg m²", flown_so) for axis in range(2)]
+    lag = within((whole[3], whole[3] - half[3], whole[3] + half[3]), "s")
     return BodyResult(thrust, (inertia[0], inertia[1]), lag)
 
 
-def _estimate(value: float, half: float, unit: str) -> Estimate:
-    if half > WIDEST.value * abs(value) and unit != "s":
-        said = "its interval is too wide: roll and pitch quickly, to and fro"
-        return not_identified(unit, said, value - half, value + half)
-    return Estimate(value, value - half, value + half, unit)
+def _estimate(value: float, half: float, unit: str, advice: str) -> Estimate:
+    ends = float(value), float(value - half), float(value + half)
+    if half > WIDEST.value * abs(value):
+        return not_identified(unit, f"its interval is too wide: {advice}", *ends[1:])
+    return within(ends, unit)
 
 
 def _pieces(log: FieldLog, flight: Flown, vehicle: Vehicle, wind: Array) -> list[_Piece] | str:
@@ -170,11 +168,14 @@ def _pieces(log: FieldLog, flight: Flown, vehicle: Vehicle, wind: Array) -> list
         return f"commands and IMU are logged at {slow:.0f} Hz, slower than motors are"
     pieces: list[_Piece] = []
     for one in flight.stretches:
-        pieces += _of_stretch(log, one.begin, one.end, vehicle, wind)
+        found = _of_stretch(log, one.begin, one.end, vehicle, wind)
+        if isinstance(found, str):
+            return found
+        pieces += found
     return pieces or _SHORT
 
 
-def _of_stretch(log: FieldLog, begin: float, end: float, vehicle: Vehicle, wind: Array) -> list[_Piece]:
+def _of_stretch(log: FieldLog, begin: float, end: float, vehicle: Vehicle, wind: Array) -> list[_Piece] | str:
     assert log.commands is not None
     assert log.imu is not None
     if end - begin < SHORTEST_S.value:
@@ -182,11 +183,14 @@ def _of_stretch(log: FieldLog, begin: float, end: float, vehicle: Vehicle, wind:
     edges = np.arange(begin, end, 1.0 / GRID_HZ)
     time = 0.5 * (edges[1:] + edges[:-1])
     commands, imu = log.commands.filled_means(edges), log.imu.filled_means(edges)
-    motion, velocity = np.zeros((len(time), 2)), velocity_of(log)
+    motion, velocity, deviation = np.zeros((len(time), 2)), velocity_of(log), BIAS_M_S2.value[0]
     if velocity is not None and log.attitude is not None:
         air, attitude = velocity.at(time), log.attitude.at(time)
         attitude /= np.linalg.norm(attitude, axis=1, keepdims=True)
-        imu[:, 5] -= _bias_of(time, imu[:, 3:], attitude, air[:, 2])
+        bias, deviation = _bias_of(time, imu[:, 3:], attitude, air[:, 2])
+        if abs(bias) > BIAS_M_S2.value[2]:
+            return f"accelerometer and state differ by {bias:.1f} m/s² along the vertical: one is wrong"
+        imu[:, 5] -= bias
         air[:, :2] -= wind
         body = rotate_world_to_body(attitude, air)
         motion = np.stack([body[:, 2], body[:, 0] ** 2 + body[:, 1] ** 2], axis=1)
@@ -205,59 +209,49 @@ def _of_stretch(log: FieldLog, begin: float, end: float, vehicle: Vehicle, wind:
         axis=0,
     )
     ones = np.full((len(rates), 1), 1.0)
-    places = _places(log, vehicle)
-    arms = (-places[:, 1], places[:, 0])
+    per_sample = np.column_stack([commands.mean(axis=1), ones, deviation * ones])
+    arms = _places(log, vehicle)[:, [1, 0]].T * [[-1.0], [1.0]]
     count = max(int(len(rates) / (_PIECE_S * GRID_HZ)), 1)
     cuts = np.linspace(0, len(rates), count + 1).astype(int)
-    squares: list[list[list[Array]]] = [[[], [], []] for _ in range(count)]
+    parts = [slice(*ends) for ends in pairwise(cuts.tolist())]
+    fixed = [
+        np.column_stack([*columns, ones, target])
+        for *columns, target in (
+            (others[:, :2], targets[:, 0]),
+            *((others[:, 2 + axis], others[:, 4 + axis], targets[:, 1 + axis]) for axis in range(2)),
+        )
+    ]
+    squares: list[list[list[Array]]] = [[], [], []]
     for lag in _LAGS_S:
         (keep,), (now,), (before,) = lag_weights(np.array([1.0 / GRID_HZ]), lag)
         lagged = lfilter([now, before], [1.0, -keep], commands, axis=0, zi=commands[:1] * (1.0 - now))[0]
         squared = sosfiltfilt(smooth, lagged**2, axis=0)
-        tables = [
-            np.column_stack([squared.sum(axis=1), others[:, :2], ones, targets[:, 0]]),
-            *(
-                np.column_stack(
-                    [
-                        squared @ arms[axis],
-                        others[:, 2 + axis],
-                        others[:, 4 + axis],
-                        ones,
-                        targets[:, 1 + axis],
-                    ]
-                )
-                for axis in range(2)
-            ),
-        ]
-        for piece in range(count):
-            part = slice(cuts[piece], cuts[piece + 1])
-            for kind, own in enumerate(tables):
-                squares[piece][kind].append(own[part].T @ own[part])
-    mean = commands.mean(axis=1)
-    return [
-        _Piece(
-            np.array(own[0]),
-            (np.array(own[1]), np.array(own[2])),
-            (float(mean[cuts[piece] : cuts[piece + 1]].sum()), int(cuts[piece + 1] - cuts[piece])),
-        )
-        for piece, own in enumerate(squares)
-    ]
+        driven = (squared.sum(axis=1), *(squared @ arm for arm in arms))
+        for own, first, rest in zip(squares, driven, fixed, strict=True):
+            table = np.column_stack([first, rest])
+            own.append([table[part].T @ table[part] for part in parts])
+    sums = [per_sample[part].sum(axis=0) for part in parts]
+    by_piece = (np.swapaxes(own, 0, 1) for own in squares)
+    return list(map(_Piece, *by_piece, sums))
 
 
-def _tells_bias(log: FieldLog) -> bool:
-    return log.attitude is not None and velocity_of(log) is not None
+def _bias_of(time: Array, force: Array, attitude: Array, down: Array) -> tuple[float, float]:
+    """Likeliest bias along body z of specific force (N, 3), m/s², and its deviation.
 
-
-def _bias_of(time: Array, force: Array, attitude: Array, down: Array) -> float:
-    """Bias along body z of specific force (N, 3), by attitude (N, 4) and velocity down (N,) at times (N,)."""
+    By attitude (N, 4) and velocity down (N,) at times (N,): the mean along the vertical has the biases of
+    all axes in it, by how they lean on average, and each is as likely as any other (Kalman's update).
+    """
+    alone, told, _ = BIAS_M_S2.value
     vertical = rotate_body_to_world(attitude, force)[:, 2]
     known = np.flatnonzero(np.isfinite(vertical + down))
     if len(known) < 2:
-        return 0.0
+        return 0.0, alone
     first, last = known[[0, -1]]
     gained = (down[last] - down[first]) / (time[last] - time[first])
-    upright = rotation_matrix(attitude[known])[:, 2, 2].mean()
-    return float((vertical[known].mean() + STANDARD_GRAVITY - gained) / upright)
+    axes = rotation_matrix(attitude[known])[:, 2].mean(axis=0)
+    share = alone**2 * axes[2] / (alone**2 * axes @ axes + told**2)
+    bias = share * (vertical[known].mean() + STANDARD_GRAVITY - gained)
+    return float(bias), float(alone * np.sqrt(1.0 - share * axes[2]))
 
 
 def _places(log: FieldLog, vehicle: Vehicle) -> Array:
@@ -272,22 +266,19 @@ def _places(log: FieldLog, vehicle: Vehicle) -> Array:
 
 def _joined(pieces: Sequence[_Piece]) -> _Piece:
     """What several pieces tell together."""
-    total, count = np.sum([piece.hover for piece in pieces], axis=0)
-    about_x, about_y = (np.sum([piece.moments[axis] for piece in pieces], axis=0) for axis in range(2))
-    thrust: Array = np.sum([piece.thrust for piece in pieces], axis=0)
-    return _Piece(thrust, (about_x, about_y), (float(total), int(count)))
+    return _Piece(*(np.sum(own, axis=0) for own in zip(*pieces, strict=True)))
 
 
 def _solved(pieces: Sequence[_Piece]) -> Array | str:
     """Thrust at hover, both moments of inertia and the lag (4,), or why they are not told."""
-    thrust, moments, (total, count) = (
-        getattr(_joined(pieces), name) for name in ("thrust", "moments", "hover")
-    )
+    thrust, *moments, (total, count, _) = _joined(pieces)
     hover = total / count
     values, errors = np.empty((len(_LAGS_S), 3)), np.zeros(len(_LAGS_S))
     for place in range(len(_LAGS_S)):
         own = thrust[place]
         gain = _least_squares(own[_INSTRUMENTS, :_THRUST], own[_INSTRUMENTS, -1])[0]
+        if np.isnan(gain):
+            return f"flown at one speed: {_SPEEDS}"
         values[place, 0] = gain * hover**2
         for axis, own in enumerate(moments):
             squares = own[place]
@@ -308,6 +299,8 @@ def _solved(pieces: Sequence[_Piece]) -> Array | str:
 
 
 def _least_squares(gram: Array, pull: Array) -> Array:
+    """Coefficients; NaN where columns other than 0 say the same, of which the smallest would be as good."""
     scale = np.maximum(np.sqrt(np.diag(gram)), 1e-12)
-    solved: Array = np.linalg.lstsq(gram / np.outer(scale, scale), pull / scale, rcond=1e-10)[0] / scale
-    return solved
+    solved, _, rank, _ = np.linalg.lstsq(gram / np.outer(scale, scale), pull / scale, rcond=1e-10)
+    told: Array = solved / scale if rank == np.count_nonzero(scale > 1e-12) else np.full(len(pull), np.nan)
+    return told

@@ -58,7 +58,6 @@ def test_exact_motion_tells_inertia_thrust_and_lag():
 def test_what_is_lacking_is_said():
     log, aloft = flight()
     said = [
-        (identify_body([(log, aloft)], None, STILL), "a vehicle file"),
         (identify_body([(replace(log, commands=None), aloft)], BEBOP, STILL), "both commands and IMU"),
         (identify_body([(log, replace(aloft, stretches=(Stretch(0.0, 15.0),)))], BEBOP, STILL), "takes 30 s"),
     ]
@@ -95,18 +94,19 @@ def test_the_power_of_thrust_is_in_the_interval_of_inertia_and_the_bias_in_that_
     assert 0.0305 < found.thrust.half_width / weight < 0.04
 
 
-def with_state(log: FieldLog, bias: float) -> FieldLog:
-    """Level flight in which the accelerometer's mean is gravity and the climb, with a bias along z."""
-    time, values = log.imu.time, log.imu.values.copy()
-    down = np.cumsum(values[:, 5] + 9.80665) * 0.002
-    values[:, 5] += bias
-    velocity = np.column_stack([np.zeros((len(time), 2)), down])
-    level = np.tile([1.0, 0.0, 0.0, 0.0], (len(time), 1))
+def with_state(log: FieldLog, bias: float, axis: int = 2, lean_deg: float = 0.0, ahead=0.0) -> FieldLog:
+    """Flight in a steady lean, its velocity by the accelerometer, which then has a bias along an axis."""
+    time, values, half = log.imu.time, log.imu.values.copy(), np.deg2rad(0.5 * lean_deg)
+    vertical = np.cos(2.0 * half) * values[:, 5] - np.sin(2.0 * half) * values[:, 3]
+    down = np.cumsum(vertical + 9.80665) * 0.002
+    values[:, 3 + axis] += bias
+    velocity = np.column_stack([ahead * np.ones(len(time)), np.zeros(len(time)), down])
+    leaning = np.tile([np.cos(half), 0.0, np.sin(half), 0.0], (len(time), 1))
     rows = slice(None, None, 100)
     return replace(
         log,
         imu=Series(time, values),
-        attitude=Series(time[rows], level[rows]),
+        attitude=Series(time[rows], leaning[rows]),
         velocity=Series(time[rows], velocity[rows]),
     )
 
@@ -117,6 +117,33 @@ def test_a_state_tells_the_bias_of_the_accelerometer(bias):
     found = identify_body([(with_state(log, bias), aloft)], BEBOP, STILL).thrust
     assert found.value == pytest.approx(BEBOP.mass_kg * BEBOP.gravity_m_s2 / 4.0, rel=0.01)
     assert 0.006 < found.half_width / found.value < 0.012
+
+
+@pytest.mark.parametrize(("lean_deg", "half"), [(20, 0.012), (45, 0.022), (85, 0.031)])
+@pytest.mark.parametrize("bias", [-0.3, 0.2])
+def test_in_a_steady_lean_a_bias_along_x_is_in_the_interval(lean_deg: float, half: float, bias: float):
+    log, aloft = flight()
+    found = identify_body([(with_state(log, bias, 0, lean_deg), aloft)], BEBOP, STILL).thrust
+    assert found.low < BEBOP.mass_kg * BEBOP.gravity_m_s2 / 4.0 < found.high
+    assert found.half_width / found.value == pytest.approx(half, abs=0.002)
+
+
+@pytest.mark.parametrize(("bias", "is_one"), [(0.9, True), (1.2, False), (-1.2, False)])
+def test_a_state_and_an_accelerometer_that_contradict_each_other_tell_nothing(bias: float, is_one: bool):
+    log, aloft = flight()
+    thrust = identify_body([(with_state(log, bias), aloft)], BEBOP, STILL).thrust
+    assert ("m/s² along the vertical: one is wrong" in thrust.reason) != is_one
+
+
+def test_a_thrust_that_one_speed_does_not_tell_asks_for_others():
+    log, aloft = flight()
+    steady, hardly = (
+        identify_body([(with_state(log, 0.0, ahead=ahead), aloft)], BEBOP, STILL)
+        for ahead in (8.0, 8.0 + np.random.default_rng(0).normal(0.0, 0.1, len(log.imu.time)))
+    )
+    assert steady.thrust.reason.endswith("hover, and fly at several speeds")
+    assert steady.inertia[0].value is None
+    assert hardly.thrust.low < BEBOP.mass_kg * BEBOP.gravity_m_s2 / 4.0 < hardly.thrust.high
 
 
 @pytest.mark.parametrize(("noise", "is_told"), [(2.0, True), (5.0, False)])
