@@ -180,7 +180,7 @@ def test_another_name_is_refused(name: str) -> None:
 
 def test_the_default_is_the_best_on_flights_that_it_has_not_seen() -> None:
     """That of `make models`; see also test_kind_options.py for the command line."""
-    page = (ROOT / "experiments" / "results" / "models.md").read_text()
+    page = (Path(__file__).parents[3] / "experiments" / "results" / "models.md").read_text()
     (best,) = re.findall(r"^Best: \*\*(\S+)\*\*\.$", page, re.MULTILINE)
     assert kind_of(IdentifyOptions()) is kind_named(best)
 
