@@ -222,9 +222,8 @@ def least_evidence(candidates: int) -> float:
     """Evidence [nat] that a first effect has to gain, given the number of candidates.
 
     Without any effect, the odds of the data with one candidate over those without are 1 on average, so they
-    exceed x in at most one search of x (Markov's inequality), and for any of several candidates the chances
-    add up. That holds for coefficients drawn from their tolerances and known noise; it is approximate for
-    the form of laws, for curved effects, and as the noise is that of the residual.
+    exceed x in at most one search of x (Markov's inequality), and chances of several candidates add up. It is
+    approximate for the form of laws, for curved effects, and as the noise is that of the residual.
     """
     return float(np.log(max(candidates, 1) / FALSE_ALARMS.value))
 

@@ -153,11 +153,9 @@ class Closing:
     def disagreement(self, index: int, deviation: Array) -> Array:
         """Spread (k,) between flights of the parameters of a candidate, over what one fit to all leaves open.
 
-        The spread is the jackknife's, of fits without each flight in turn, without bounds: these would hold
-        what a fit without a flight knows least, and call it known. A flight that alone shows an effect
-        spreads it, too, but then the fit without it says that it knows less: the spread is compared with
-        that, where it is more. Where the law holds, 1 is the most to expect; see Birge, The calculation of
-        errors by the method of least squares (1932).
+        The spread is the jackknife's, without bounds, which would call known what is not. Where one flight
+        alone shows an effect, the fit without it knows less, and the spread is compared with that. Where the
+        law holds, 1 is the most to expect: Birge, The calculation of errors by least squares (1932).
 
         Args:
             index: index of the candidate.
@@ -214,8 +212,8 @@ class Found:
             odds against it.
         left: prediction of the residual after the set by generic functions.
         judgements: one of every candidate in every round, best first.
-        disputed: a sentence for each chosen effect in whose place another has much more evidence but fails a
-            test.
+        disputed: a sentence for each chosen effect in whose place another, or itself beyond its bounds, has
+            much more evidence but fails a test.
         inside: what the intervals of the simulation hold of the flights; None without intervals.
         allowed: evidence of each chosen candidate that gains too little with as much noise as intervals state
             in axes that these hold [nat].
@@ -267,10 +265,8 @@ class Found:
     def deviation(self, index: int) -> Array:
         """Standard deviation (k,) of the parameters of a chosen candidate, in their units; 0 at a bound.
 
-        The fit's own holds what tolerances and noise leave open, as if flights differed by nothing else;
-        where they do, in any parameter of the law, it is as much wider, as is usual for measurements that
-        disagree. It is no less than what the laws of the effects leave open, of which each axis may be off by
-        a share, even where no flight asks for it.
+        The fit's own holds what tolerances and noise leave open. Where flights differ by more, in any
+        parameter of the law, it is as much wider; and it is no less than an error of the laws leaves open.
         """
         regression = self.regression
         with_forms = regression.equations(self.chosen, self.chosen).with_forms(self.fit)

@@ -141,10 +141,19 @@ def search(prepared: Prepared, barred: Mapping[str, str] = MappingProxyType({}))
         rivals=rivals,
         left=predicted(accepted.regression.left(accepted.fit), spectra, names),
         judgements=tuple(own.judgements),
-        disputed=disputed,
+        disputed=(*disputed, *_beyond_bounds(accepted)),
         inside=inside,
         allowed=allowed,
     )
+
+
+def _beyond_bounds(accepted: Accepted) -> list[str]:
+    """What is said of effects that flights ask for beyond bounds, by as much as suffices a further effect."""
+    regression, limit = accepted.regression, np.inf
+    free = [replace(own, lowest=own.lowest - limit, highest=own.highest + limit) for own in regression.blocks]
+    fit = replace(regression, blocks=tuple(free)).fit(accepted.chosen)
+    beyond = fit is not None and fit.log_evidence - accepted.fit.log_evidence >= FURTHER_NUMBER.value
+    return ["flights ask for parameters beyond their bounds"] if beyond else []
 
 
 class _Search:
@@ -227,9 +236,7 @@ class _Search:
     def exchanged(self, accepted: Accepted, least_odds: float = 1.0) -> tuple[Accepted, tuple[str, ...]]:
         """The set with effects replaced by those that have better odds in their place and pass all tests.
 
-        The search adds one effect at a time, and takes the next best where the best fails a test. Where that
-        one has odds of more than a hundred against an effect that was taken instead, neither is certain: that
-        is disputed.
+        Disputed is an effect against which one that fails a test has odds of more than a hundred.
         """
         for _ in range(MOST_EFFECTS.value):
             rivals = self.rivals(accepted, of_its_name=True)

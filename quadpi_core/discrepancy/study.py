@@ -315,8 +315,8 @@ def _doubtful(discovery: Discovery) -> dict[str, str]:
 def _spoiling(discovery: Discovery) -> dict[str, str]:
     """Which of several effects intervals hold as much without, unless all fail otherwise; or empty."""
     compared, flown = discovery.found.regression.flights, discovery.flown
-    several = flown is not None and flown.coverage and len(discovery.effects) > 1
-    if not several or any(not check.passed and check.test != "coverage" for check in discovery.checks):
+    against = any(not check.passed and check.test != "coverage" for check in discovery.checks)
+    if flown is None or not flown.coverage or len(discovery.effects) < 2 or against:
         return {}
     after = [augmented(discovery, without=place) for place in range(len(compared))]
     lost = {}
@@ -336,8 +336,7 @@ def _flown(discovery: Discovery) -> Discovery:
 def flown_again(discovery: Discovery) -> Discovery:
     """The discovery judged by roll-outs of flights left out; as it is where nothing was named.
 
-    Moment errors too small to matter in one step accumulate over 0.5 s. So coefficients that are moved
-    with the effects stay as stated, if roll-outs with the effects alone do better.
+    Coefficients stay as stated, if roll-outs do better so: small errors of moments accumulate over 0.5 s.
 
     Raises:
         DiscrepancyError: for a flight shorter than a roll-out, and an effect that cannot be added to one that

@@ -266,15 +266,13 @@ def started(
 ) -> Started:
     """Estimate the state of an effect at the start of a flight, such as the swing of a slung load.
 
-    A recording begins in mid-air, and nothing measures that state. Its value at the start is the most
-    probable one given the residual of the first seconds: least squares with a normal prior, by Gauss-Newton.
-    The strength of the effect, its first parameter, is free meanwhile, as the state does not depend on it: so
-    the contribution of the effect stays in proportion to it.
+    A recording begins in mid-air. The state is the most probable one given the residual: least squares with a
+    normal prior, by Gauss-Newton. The strength of the effect, its first parameter, is free meanwhile, as the
+    state does not depend on it.
 
-    A swing has many optima, the more the longer it is seen, as a start that is off by little is off by turns
-    of phase later. So the first seconds are explained first, from several states, then each longer stretch
-    from there. A start that explains less beyond rest than its freedom costs is not used, but rest: a swing
-    that was not found would tell of a load without mass.
+    A swing has many optima, the more the longer it is seen. So the first seconds are explained first, from
+    several states, then each longer stretch from there. A start that explains less beyond rest than its
+    freedom costs is not used, but rest: a swing that was not found would tell of a load without mass.
 
     Args:
         effect: one with a state of its own.

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,9 +15,18 @@ from quadpi_core.discrepancy.candidates import candidates
 from quadpi_core.discrepancy.closure import Found, Gap
 from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.evidence import Fit
-from quadpi_core.discrepancy.search import Prepared, _Search, best_condition, search, without_idle
+from quadpi_core.discrepancy.search import (
+    Prepared,
+    _beyond_bounds,
+    _Search,
+    best_condition,
+    search,
+    without_idle,
+)
 from quadpi_core.discrepancy.unexplained import Inside
 from quadpi_core.discrepancy.whitening import Kept, Spectrum
+
+from .regressions import regression_of
 
 
 class ListedEvidence(Kept):
@@ -163,6 +173,16 @@ def test_without_sound_flights_as_much_may_be_left_as_intervals_state(stated, be
     )
     found = Found(regression, (), SimpleNamespace(left=None), None, 0.0, {}, None, ())
     assert found.beyond_sound == pytest.approx(np.full(6, beyond))
+
+
+def test_an_effect_that_flights_ask_for_beyond_its_bounds_is_disputed(simulation, dragged):
+    """Half of the drag that they have along x; with room for all of it, it is not."""
+    regression = regression_of(simulation, dragged, ["body_drag"])
+    drag, at = regression.blocks[0], regression.found(0, regression.fit((0,)))
+    for share, disputed in ((0.5, True), (2.0, False)):
+        highest = np.where([True, False, False], share * at, np.inf)
+        bounded = replace(regression, blocks=(replace(drag, highest=highest),))
+        assert bool(_beyond_bounds(Accepted.fitted(bounded, (0,)))) == disputed
 
 
 def test_what_fitted_coefficients_clearly_prefer_is_named(simulation, dragged, monkeypatch):
