@@ -78,6 +78,8 @@ _REPLACED = {
     "study": "find_discrepancy(simulation, flights)",
 }
 
+__all__ = sorted(_ROOMS.keys() - _REPLACED)  # noqa: PLE0605 - imported when used
+
 
 def __getattr__(name: str) -> Any:
     """Import a public name from its room."""

@@ -212,6 +212,8 @@ def description(value: Any) -> str:
         return f"an array {value.shape} of {value.dtype if value.dtype.names is None else 'records'}"
     if value is None:
         return "None"
+    if isinstance(value, type):
+        return f"the class {value.__name__}"
     text = one_line(ValueError(repr(value))) if isinstance(value, (str, bytes, int, float)) else ""
     text = f" {text if len(text) <= _SHOWN_MAX else text[:_SHOWN_MAX] + '…'}" if text else ""
     return f"{type(value).__name__}{text}"

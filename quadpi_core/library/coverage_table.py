@@ -98,6 +98,9 @@ class CoverageTable:
     def __len__(self) -> int:
         return len(self.rows)
 
+    def __getitem__(self, place: int) -> CoverageRow:
+        return self.rows[place]
+
     def __repr__(self) -> str:
         below, flights = sum(row.high < self.confidence for row in self.pooled), self._flights
         shares = [row.coverage for row in self.pooled]

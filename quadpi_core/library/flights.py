@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import glob
 import logging
+import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core import array_checks
+from quadpi_core.config_schema import is_config_path
 from quadpi_core.errors import ArgumentError, LogError
 from quadpi_core.flight import mean_rate_hz
 from quadpi_core.flight_files import LeftOutFlights
@@ -124,7 +126,7 @@ class Flights:
         }
         flown = _vehicle(vehicle)
         prepared = prepared_from_arrays(time_ns, arrays, flight, flown, cutoff_hz, air_density=air_density)
-        return cls(prepared, flown, cutoff_hz)
+        return _warned(cls(prepared, flown, cutoff_hz))
 
     @classmethod
     def from_pandas(
@@ -163,7 +165,7 @@ class Flights:
         prepared, cutoff_hz = from_frame(
             frame, flown, cutoff_hz, flight=flight, time=time, names=columns, filtered=filtered
         )
-        return cls(prepared, flown, cutoff_hz)
+        return _warned(cls(prepared, flown, cutoff_hz))
 
     def to_pandas(self) -> pd.DataFrame:
         """A row for each sample: flight, time_ns, the filtered state, and the measured wrench fx_n … mz_nm.
@@ -178,14 +180,18 @@ class Flights:
     def __iter__(self) -> Iterator[Flights]:
         return (self[place] for place in range(len(self)))
 
-    def __getitem__(self, key: int | slice | str | Sequence[int] | npt.NDArray[Any]) -> Flights:
-        """Part of the flights: by place, name, slice, several places, or a mask."""
-        if isinstance(key, str):
-            if key not in self.names:
-                raise KeyError(f"no flight {key}; there are {', '.join(self.names)}")
-            key = self.names.index(key)
-        places = np.arange(len(self))[key]
-        return Flights(tuple(self.prepared[k] for k in np.atleast_1d(places)), self.vehicle, self.cutoff_hz)
+    def __contains__(self, name: object) -> bool:
+        return name in self.names
+
+    def __getitem__(self, key: int | slice | str | Sequence[int | str] | npt.NDArray[Any]) -> Flights:
+        """Part of the flights: by place, name, slice, several places or names, or a mask."""
+        places: Any = [key] if isinstance(key, str) else key
+        if isinstance(places, list | tuple | np.ndarray) and all(isinstance(name, str) for name in places):
+            if absent := [name for name in places if name not in self.names]:
+                raise KeyError(f"no flight {absent[0]}; there are {', '.join(self.names)}")
+            places = [self.names.index(name) for name in places]
+        places = np.atleast_1d(np.arange(len(self))[places])
+        return Flights(tuple(self.prepared[k] for k in places), self.vehicle, self.cutoff_hz)
 
     def __add__(self, other: Flights) -> Flights:
         return joined_flights([self, other]) if isinstance(other, Flights) else NotImplemented
@@ -244,13 +250,12 @@ class Flights:
                 len(flight.time),
                 f"{mean_rate_hz(flight.time):.0f}",
                 f"{self[place].speed.max():.1f}",
-                flight.quality.flaw or "",
+                "; ".join(map(str, flight.quality.findings)),
             )
             for place, flight in enumerate(self.prepared)
         ]
-        return html_table(
-            repr(self), ("flight", "in the air [s]", "samples", "rate [Hz]", "up to [m/s]", "flaw"), rows
-        )
+        headings = ("flight", "in the air [s]", "samples", "rate [Hz]", "up to [m/s]", "likely mistakes")
+        return html_table(repr(self), headings, rows)
 
 
 def load_flights(
@@ -293,7 +298,7 @@ def load_flights(
     )
     if read.said:
         _log.warning("%s", read.said)
-    return Flights(tuple(read.flights), read.vehicle, cutoff_hz)
+    return _warned(Flights(tuple(read.flights), read.vehicle, cutoff_hz))
 
 
 def flights_in(name: str, given: object) -> Flights:
@@ -335,7 +340,19 @@ def joined_flights(parts: Sequence[Flights]) -> Flights:
     return Flights(tuple(one for part in parts for one in part.prepared), first.vehicle, first.cutoff_hz)
 
 
+def _warned(flights: Flights) -> Flights:
+    """The flights, after a warning of each likely mistake in their data, such as an order of rotors."""
+    for flight in flights.prepared:
+        for finding in flight.quality.findings:
+            warnings.warn(f"flight {flight.name}: {finding}", stacklevel=3)
+    return flights
+
+
 def _vehicle(given: Vehicle | str | Path) -> Vehicle:
+    if isinstance(given, str | Path) and not is_config_path(given) and Path(given).is_file():
+        raise ArgumentError(
+            f"vehicle: {given} is a log: load_flights(logs, vehicle), with the name of a vehicle or its .yaml"
+        )
     return given if isinstance(given, Vehicle) else Vehicle.load(given)
 
 

@@ -139,8 +139,7 @@ class Discrepancy:
             for effect in self.effects
             for size in effect.parameters
         ]
-        frame: pd.DataFrame = pandas().DataFrame(rows, columns=_COLUMNS)
-        return frame
+        return pandas().DataFrame(rows, columns=_COLUMNS)
 
     def __repr__(self) -> str:
         study, gap = self.study, self.study.discovery.gap
@@ -219,7 +218,10 @@ def find_discrepancy(
         raise DiscrepancyError(
             f"{simulation.name}: of another vehicle than the flights of {given.vehicle.name}: numbers differ"
         )
-    return Discrepancy(study(simulation, _states(given), names=effects, seed=seed))
+    names = None if effects is None else array_checks.several("effects", effects, str)
+    if names == []:
+        raise ArgumentError("effects: expected names, found none; None looks for all")
+    return Discrepancy(study(simulation, _states(given), names=names, seed=seed))
 
 
 def _states(flights: Flights) -> list[Flight]:

@@ -66,7 +66,7 @@ class StoredRegressor(ABC):
         raise ModelError("a regressor read from a folder cannot be fitted again: make the model anew")
 
     def arrays(self) -> dict[str, Array]:
-        """What a folder keeps, by name."""
+        """The arrays of a folder, by name."""
         return {name: np.asarray(values, dtype=float) for name, values in vars(self).items()}
 
     @staticmethod
@@ -99,8 +99,7 @@ class Affine(StoredRegressor):
 
     def predict(self, X: Array) -> Array:
         """See the base class."""
-        values: Array = X @ self.coefficients[:-1] + self.coefficients[-1]
-        return values
+        return X @ self.coefficients[:-1] + self.coefficients[-1]
 
 
 @dataclass(frozen=True)

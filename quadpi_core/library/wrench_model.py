@@ -7,6 +7,7 @@ from __future__ import annotations
 import inspect
 import warnings
 from collections.abc import Sequence
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -22,7 +23,7 @@ from quadpi_core.library.flight_arrays import counted, html_table, new_axes
 from quadpi_core.library.flights import Flights, flights_in
 from quadpi_core.library.user_regressor import Regressor, RegressorModel, fitted_regressor, is_regressor
 from quadpi_core.models.aerodynamic import AerodynamicModel
-from quadpi_core.models.kind_registry import kind_of
+from quadpi_core.models.kind_registry import KINDS, kind_of
 from quadpi_core.models.model_folder import damage_named, read_folder
 from quadpi_core.models.model_kind import Evaluation, IdentifyOptions, Kind
 from quadpi_core.models.regressors import load_pools, select_axes
@@ -270,12 +271,20 @@ class WrenchModel:
         return self.model_
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:
-        """Constructor arguments by name; with `deep`, those of a regressor too, as `estimator__NAME`."""
+        """Constructor arguments by name; with `deep`, options of the estimator too, as `estimator__NAME`."""
         settings = {name: getattr(self, name) for name in inspect.signature(type(self)).parameters}
+        nested: dict[str, Any] = {}
         if deep and hasattr(self.estimator, "get_params"):
             nested = self.estimator.get_params(deep=True)
-            settings |= {f"estimator__{name}": value for name, value in nested.items()}
-        return settings
+        elif deep and (kind := self._kind()) is not None:
+            nested = {option.name: getattr(kind, option.name) for option in fields(kind)}
+        return settings | {f"estimator__{name}": value for name, value in nested.items()}
+
+    def _kind(self) -> Kind | None:
+        """The kind of model that `estimator` is or names; None for a regressor and what `fit` refuses."""
+        if isinstance(self.estimator, str) and not isinstance(self.estimator, StoredEstimator):
+            return KINDS.named(self.estimator)
+        return self.estimator if isinstance(self.estimator, Kind) else None
 
     def set_params(self: Self, **params: Any) -> Self:
         """Change constructor arguments by name, `estimator` before what is nested in it.
@@ -283,17 +292,16 @@ class WrenchModel:
         Raises:
             ParameterError: for a name that there is not.
         """
-        known = self.get_params(deep=False)
-        for name, value in params.items():
-            if name in known:
-                setattr(self, name, value)
-        for name, value in params.items():
-            outer, nested, inner = name.partition("__")
-            if name in known:
-                continue
-            if outer != "estimator" or not nested or not hasattr(self.estimator, "set_params"):
+        for name, value in sorted(params.items(), key=lambda item: "__" in item[0]):
+            if name not in self.get_params():
                 raise ParameterError(f"unknown parameter {name!r}; known: {', '.join(self.get_params())}")
-            self.estimator.set_params(**{inner: value})
+            inner = name.partition("__")[2]
+            if not inner:
+                setattr(self, name, value)
+            elif (kind := self._kind()) is not None:
+                self.estimator = replace(kind, **{inner: value})
+            else:
+                self.estimator.set_params(**{inner: value})  # type: ignore[union-attr]
         return self
 
     def __sklearn_tags__(self) -> Any:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from quadpi_core.config_schema import nearest
 from quadpi_core.errors import ModelError
 from quadpi_core.models import kinds
 from quadpi_core.models.model_kind import IdentifyOptions, Kind
@@ -41,5 +42,6 @@ def kind_named(name: str) -> Kind:
     """
     kind = KINDS.named(name)
     if kind is None:
-        raise ModelError(f"method {name!r} is not known to this version ({', '.join(KINDS.names())})")
+        hint = nearest(name, KINDS.names())
+        raise ModelError(f"method {name!r} is not known to this version ({', '.join(KINDS.names())}){hint}")
     return kind

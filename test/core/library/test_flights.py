@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import quadpi_core as qp
+from quadpi_core import frames
 from quadpi_core.identification.prepared_flights import PreparedFlight, prepare_flights
 from quadpi_core.paths import bags_directory
 
@@ -85,6 +86,10 @@ def test_what_cannot_be_used_is_left_out_where_it_is_asked_for(tmp_path):
             lambda f: f[:1] + replace(f[1:2], vehicle=qp.Vehicle.load("neurobem")),
             "of two vehicles, bebop2",
         ),
+        (
+            lambda _: qp.load_flights("bebop2", BAGS / "train_1.mcap"),
+            r"vehicle: .*train_1.mcap is a log: load_flights\(logs",
+        ),
         (lambda f: qp.Flights([f], f.vehicle), "prepared, entry 1: expected PreparedFlight"),
     ],
 )
@@ -94,9 +99,22 @@ def test_a_plausible_mistake_is_one_clear_line(training, call, message):
     assert "\n" not in str(caught.value)
 
 
-def test_a_name_that_is_none_of_them(training):
-    with pytest.raises(KeyError, match="no flight train_9; there are train_1, train_2"):
-        training["train_9"]
+def test_flights_by_their_names(training):
+    assert "train_2" in training
+    assert training[["train_3", "train_1"]].names == ("train_3", "train_1")
+    for key in ("train_9", ["train_1", "train_9"]):
+        with pytest.raises(KeyError, match="no flight train_9; there are train_1, train_2"):
+            training[key]
+
+
+def test_a_likely_mistake_in_the_data_is_a_warning(training):
+    flight = training.prepared[0].flight
+    wrong = {name: getattr(flight, name) for name in NAMES[:5]} | {
+        "attitude": frames.inverses(flight.attitude)
+    }
+    with pytest.warns(UserWarning, match="flight flight: topic odometry: .* looks conjugated"):
+        flights = qp.Flights.from_arrays(flight.stamps_ns, vehicle="bebop2", **wrong)
+    assert "looks conjugated" in flights._repr_html_()
 
 
 def test_they_show_themselves(training):

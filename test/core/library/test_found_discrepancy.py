@@ -106,6 +106,7 @@ def test_a_function_of_the_session_has_no_file(found, simulation, dragged, tmp_p
         ),
         (lambda f: qp.find_discrepancy("bebop2", f[:1]), "flight"),
         (lambda f: qp.find_discrepancy("bebop2", f, effects=["ghosts"]), "ghosts"),
+        (lambda f: qp.find_discrepancy("bebop2", f, effects=[]), "effects: expected names, found none"),
         (lambda f: qp.find_discrepancy("bebop2", replace(f, cutoff_hz=20.0)), "low-passed at 20 Hz"),
         (lambda _: qp.find_discrepancy("bebop2", np.zeros((3, 19))), "flights: expected Flights"),
     ],

@@ -113,6 +113,8 @@ def test_parameters_are_set_by_name():
     assert repr(qp.WrenchModel(confidence=None)) == "<WrenchModel physical, confidence None, not fitted>"
     with pytest.raises(ValueError, match="unknown parameter 'estimator__alpha'"):
         qp.WrenchModel().set_params(estimator__alpha=1.0)
+    named = clone(qp.WrenchModel("polynomial").set_params(estimator__max_terms=3))
+    assert (named.estimator.max_terms, named.get_params()["estimator__max_terms"]) == (3, 3)
 
 
 def test_flights_with_a_flaw_are_left_out(training):
@@ -139,8 +141,8 @@ def test_flights_with_a_flaw_are_left_out(training):
         (lambda m, f: m.predict_interval(f, 1.5), "confidence 1.5 is not between 0 and 1"),
         (lambda m, f: m.predict_interval(f, "high"), "confidence: expected a finite number, found str"),
         (lambda _, f: qp.WrenchModel().predict(f), r"not fitted: call fit\(flights\) first"),
-        (lambda _, f: qp.WrenchModel("physics").fit(f), "method 'physics' is not known to this version"),
-        (lambda _, f: qp.WrenchModel(estimator=Ridge).fit(f), "estimator: expected the name of a kind"),
+        (lambda _, f: qp.WrenchModel("physics").fit(f), r"'physics' is not known.*did you mean `physical`\?"),
+        (lambda _, f: qp.WrenchModel(estimator=Ridge).fit(f), "estimator: expected .* the class Ridge$"),
         (lambda _, f: qp.WrenchModel(axes="Fx").fit(f), "axes: expected a list of names, found 'Fx'"),
         (lambda _, f: qp.WrenchModel(axes=[]).fit(f), "axes: expected some of Fx, Fy.* found none; None is"),
         (lambda m, f: qp.WrenchModel(m).fit(f), "estimator: expected the name of a kind.* WrenchModel$"),
