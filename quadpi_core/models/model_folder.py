@@ -28,6 +28,8 @@ MODEL_FILE = "model.json"
 ARRAYS_FILE = "arrays.safetensors"
 ARRAYS_KEY, FURTHER_KEY = "arrays_sha256", "files_sha256"
 FORMAT = 6
+# That of version 0.1 too; its physical models lack the covariance of their parameters, and are refused.
+_FORMATS = (5, FORMAT)
 
 
 @dataclass(frozen=True)
@@ -80,7 +82,7 @@ def read_folder(folder: Path) -> tuple[FolderContent, str]:
         content = parse_json(text)
         if not isinstance(content, dict) or "format" not in content:
             raise ModelError(f"{MODEL_FILE}: not a quadpi model: missing key `format`")
-        if content["format"] != FORMAT:
+        if content["format"] not in _FORMATS:
             raise ModelError(
                 f"{MODEL_FILE}: format {content['format']!r} is not known to this version ({FORMAT})"
             )

@@ -56,6 +56,15 @@ def with_table(model: AerodynamicModel, tmp_path: Path, monkeypatch: pytest.Monk
     return tmp_path / "model"
 
 
+def test_the_format_of_version_0_1_is_read(folder: Path, model: AerodynamicModel) -> None:
+    described = folder / MODEL_FILE
+    described.write_text(described.read_text().replace('"format": 6', '"format": 5'))
+    assert AerodynamicModel.load(folder).fitted.axes.keys() == model.fitted.axes.keys()
+    described.write_text(described.read_text().replace('"format": 5', '"format": 4'))
+    with pytest.raises(ModelError, match=r"format 4 is not known to this version \(6\)"):
+        AerodynamicModel.load(folder)
+
+
 def test_is_read_and_replaced_with_the_model(with_table: Path) -> None:
     model = AerodynamicModel.load(with_table)
     assert (with_table / TABLE).is_file()
