@@ -48,12 +48,7 @@ class LeftOut:
 class Reordered:
     """Samples of one topic that were stored out of order, and sorted by their stamps.
 
-    Attributes:
-        topic: that they came on.
-        samples: how many were sorted in.
-        of: how many the topic had.
-        first: index of the first of them, as stored.
-        first_s: its stamp, in seconds since the first IMU sample.
+    Attributes are those of :class:`LeftOut`; `first` is the index as stored.
     """
 
     topic: str
@@ -152,10 +147,10 @@ class DataQuality:
     """Problems found in the data of one flight."""
 
     left_out: tuple[LeftOut, ...] = ()
-    findings: tuple[Finding, ...] = ()
     reordered: tuple[Reordered, ...] = ()
     breaks: tuple[Break, ...] = ()
     used: tuple[UsedPart, ...] = ()
+    findings: tuple[Finding, ...] = ()
 
     def joined(self, later: DataQuality) -> DataQuality:
         """These problems, and those that were found later."""
@@ -173,13 +168,7 @@ class DataQuality:
 
     def to_json(self) -> dict[str, Any]:
         """As JSON holds it."""
-        return {
-            "left_out": [asdict(samples) for samples in self.left_out],
-            "reordered": [asdict(samples) for samples in self.reordered],
-            "breaks": [asdict(where) for where in self.breaks],
-            "used": [asdict(part) for part in self.used],
-            "findings": [asdict(finding) for finding in self.findings],
-        }
+        return {one.name: list(map(asdict, getattr(self, one.name))) for one in fields(self)}
 
 
 NOTHING_TO_SAY = DataQuality()

@@ -100,8 +100,7 @@ class AlarmRows:
     """One row per published alarm state, as the monitor gives it and as its message says it.
 
     The evidence of a row is the largest since the row before it. A score is a value over its limit. Columns
-    of
-    causes: EXTRAPOLATION, MISCOVERAGE, BAD_DATA, CHANGE; of axes: Fx … Mz.
+    of causes: EXTRAPOLATION, MISCOVERAGE, BAD_DATA, CHANGE; of axes: Fx … Mz.
 
     Attributes:
         level: (M,) 0 ok, 1 warning, 2 alarm; the highest of the causes.
@@ -188,8 +187,7 @@ class ReportedAlarms(AlarmRows):
     @property
     def of_samples(self) -> npt.NDArray[np.bool_]:
         """(M,) False for a message without a sample: by the monitor's own clock, while nothing came."""
-        of_samples: npt.NDArray[np.bool_] = self.cause_health[:, CAUSES.index(BAD_DATA)] != UNAVAILABLE
-        return of_samples
+        return self.cause_health[:, CAUSES.index(BAD_DATA)] != UNAVAILABLE
 
     def where(self, chosen: npt.NDArray[np.bool_]) -> ReportedAlarms:
         """Those that a mask (M,) chooses."""

@@ -129,7 +129,7 @@ FINDING = Finding("units_of_rates", "imu", "looks like deg/s: multiply by 0.0175
 
 
 def test_sentences_name_the_topic_first_and_what_was_left_out_before_what_contradicts():
-    assert list(DataQuality((LEFT_OUT,), (FINDING,)).sentences()) == [
+    assert list(DataQuality((LEFT_OUT,), findings=(FINDING,)).sentences()) == [
         "topic imu: left out 2 of 500 samples beyond 70 rad/s; the first is sample 17, at 0.034 s",
         "topic imu: looks like deg/s: multiply by 0.0175",
     ]
@@ -137,7 +137,7 @@ def test_sentences_name_the_topic_first_and_what_was_left_out_before_what_contra
 
 
 def test_json_holds_every_number():
-    data = json.loads(json.dumps(DataQuality((LEFT_OUT,), (FINDING,)).to_json()))
+    data = json.loads(json.dumps(DataQuality((LEFT_OUT,), findings=(FINDING,)).to_json()))
     assert data["left_out"] == [
         {
             "topic": "imu",
