@@ -276,8 +276,7 @@ def check_config(content: type[_Content], data: Any) -> _Content:
     Raises:
         RefusedError: if the data does not fit the type.
     """
-    checked: _Content = _read(content, data)
-    return checked
+    return _read(content, data)
 
 
 def _read(content: Any, data: Any) -> Any:
@@ -397,7 +396,7 @@ def _declared(kind: type) -> tuple[_Declared, ...]:
 
 
 def _judged(function: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
-    """What a function gives that raises ValueError for what it refuses."""
+    """The result of a function, whose ValueError becomes a refusal."""
     try:
         return function(*arguments, **named)
     except RefusedError:
@@ -426,13 +425,13 @@ class Section:
 
 
 class Key:
-    """The key of a file that gives a field, where it is not the field's name; or several, one of them."""
+    """The key in a file, where it differs from the name of the field; of several, a file has one."""
 
     def __init__(self, *names: str) -> None:
         self.names = names
 
     def read(self, kind: Any, data: Any) -> Any:
-        """As without it."""
+        """The value, unchanged."""
         return _read(kind, data)
 
 
@@ -455,12 +454,12 @@ class ReadBy:
 
 @dataclass(frozen=True)
 class Expected:
-    """What a value must be, in the words of a refusal, instead of the reason."""
+    """What a value must be: the words of its refusal, in place of the reason."""
 
     words: str
 
     def read(self, kind: Any, data: Any) -> Any:
-        """The value in other words."""
+        """The value; it is refused in these words."""
         try:
             return _read(kind, data)
         except RefusedError:
@@ -489,8 +488,7 @@ class Within:
             and abs(data) < math.inf
             and (data > 0 or not self.positive)
         ):
-            value: float = kind(data)
-            return value
+            return kind(data)
         raise RefusedError(self._words("whole number" if kind is int else "number"), data)
 
     def _words(self, noun: str) -> str:
@@ -541,8 +539,7 @@ class OneOf:
         """The name."""
         if data not in self._names:
             raise RefusedError(f"must be one of {', '.join(self._names)}", data, self._names)
-        name: str = data
-        return name
+        return data
 
 
 @dataclass(frozen=True)

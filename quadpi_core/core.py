@@ -90,8 +90,7 @@ def _of_each(function: Callable[..., None], *arguments: ArrayLike) -> Array:
     given = np.broadcast_arrays(*(np.asarray(one, float) for one in arguments))
     values = np.empty(given[0].shape)
     function(*map(np.ascontiguousarray, given), values)
-    result: Array = values[()]
-    return result
+    return values[()]
 
 
 # Sweeps over all pairs, of which a 4 x 4 matrix takes five or six; and the share of a difference on the
@@ -111,8 +110,7 @@ def matrix_times(matrix: NDArray[np.float64], other: NDArray[np.float64]) -> NDA
 def times_each(matrix: NDArray[np.float64], vector: NDArray[np.float64]) -> NDArray[np.float64]:
     """Products (..., 3) of matrices (..., 3, 3) and vectors (..., 3)."""
     x, y, z = (matrix[..., k] * vector[..., k, None] for k in range(3))
-    product: NDArray[np.float64] = x + y + z
-    return product
+    return x + y + z
 
 
 def eigen(matrix: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

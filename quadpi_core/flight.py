@@ -241,18 +241,18 @@ class AirStream(Stream):
 
 @dataclass(frozen=True, repr=False)
 class TemperatureStream(AirStream):
-    """The same, of a source that tells the temperature alone."""
+    """An :class:`AirStream` of a source that measures temperature alone."""
 
     topic: ClassVar[str] = "temperature"
 
 
-# Standard deviation of what was not measured.
+# Standard deviation that marks a quantity as not measured.
 NOT_MEASURED = -1.0
 
 
 @dataclass(frozen=True, repr=False)
 class _NoisyStream(Stream):
-    """Samples that may state their noise: `deviation`, 0 where the vehicle file's holds."""
+    """Samples with an optional standard deviation: 0 takes that of the vehicle file."""
 
     def __post_init__(self) -> None:
         if self.deviation is None:  # type: ignore[attr-defined]

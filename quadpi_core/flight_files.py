@@ -174,7 +174,7 @@ def for_each_flight(
 
 @dataclass(frozen=True)
 class _Refusing(Generic[Shared, Result]):
-    """A function whose refusal of a file is a result: in other processes, the rest goes on."""
+    """A function that returns its refusal of a file, so that processes go on with the other files."""
 
     function: Callable[[Shared, FlightFile], Result]
 

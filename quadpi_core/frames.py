@@ -75,8 +75,7 @@ def quaternion_frd_ned_to_flu_enu(quaternion: Array) -> Array:
 def quaternion_body_flu_to_frd(quaternion: Array) -> Array:
     """Convert quaternions (..., 4), w first, out of FLU body axes to out of FRD: q * (0, 1, 0, 0)."""
     w, x, y, z = np.moveaxis(quaternion, -1, 0)
-    rotated: Array = np.stack((-x, w, z, -y), axis=-1)
-    return rotated
+    return np.stack((-x, w, z, -y), axis=-1)
 
 
 def quaternion_world_enu_to_ned(quaternion: Array) -> Array:
@@ -89,7 +88,7 @@ def quaternion_world_enu_to_ned(quaternion: Array) -> Array:
 def quaternion_from_roll_pitch_yaw(angles: Array) -> Array:
     """Quaternions (..., 4), w first, of angles (..., 3) rad: yaw about z, then pitch, then roll."""
     (cr, cp, cy), (sr, sp, sy) = (np.moveaxis(f(0.5 * angles), -1, 0) for f in (cosine, sine))
-    quaternion: Array = np.stack(
+    return np.stack(
         (
             cr * cp * cy + sr * sp * sy,
             sr * cp * cy - cr * sp * sy,
@@ -98,13 +97,12 @@ def quaternion_from_roll_pitch_yaw(angles: Array) -> Array:
         ),
         axis=-1,
     )
-    return quaternion
 
 
 def roll_pitch_yaw_from_quaternion(quaternion: Array) -> Array:
     """Angles (..., 3) rad of unit quaternions (..., 4), w first: pitch within ±π/2, the others ±π."""
     w, x, y, z = np.moveaxis(quaternion, -1, 0)
-    angles: Array = np.stack(
+    return np.stack(
         (
             arctangent(2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
             arcsine(np.clip(2 * (w * y - x * z), -1.0, 1.0)),
@@ -112,7 +110,6 @@ def roll_pitch_yaw_from_quaternion(quaternion: Array) -> Array:
         ),
         axis=-1,
     )
-    return angles
 
 
 # All give the bits of the compiled core. Up to :func:`matrix` they take one rotation, then arrays of them.
@@ -197,7 +194,7 @@ def products(left: Array, right: Array) -> Array:
     """Quaternion products (..., 4): the rotations `right` followed by `left`."""
     w, x, y, z = np.moveaxis(left, -1, 0)
     a, b, c, d = np.moveaxis(right, -1, 0)
-    product: Array = np.stack(
+    return np.stack(
         (
             w * a - x * b - y * c - z * d,
             w * b + x * a + y * d - z * c,
@@ -206,7 +203,6 @@ def products(left: Array, right: Array) -> Array:
         ),
         axis=-1,
     )
-    return product
 
 
 def inverses(quaternions: Array) -> Array:

@@ -49,7 +49,7 @@ VELOCITY_INPUTS = [INPUT_INDEX[name] for name in ("u", "v", "w")]
 
 
 class Derivatives:
-    """What a model may know of the motion beside the input vector; it has passed the same low-pass.
+    """Derivatives that a model may use beside the input vector, after the same low-pass.
 
     Attributes:
         angular_acceleration: rad/s², measured, body axes.
@@ -193,7 +193,7 @@ NOTICED = Threshold(
     "16 m of height, or 0.6 K, change it by as much: a fifth of the percent that is asked of thrust",
     CONVENTION,
 )
-# What tells the density of a flight: nothing, sensors of the air, or a barometer on a board.
+# Source of the density of a flight: none (assumed), sensors of the air, or a barometer on a board.
 ASSUMED, MEASURED, BOARD = "", "measured", "barometer"
 UNKNOWN_AIR = Threshold(
     "least and largest density of the air flown in, over the standard one, where nothing tells it",
@@ -225,8 +225,7 @@ def density_of(pressure: _Number, celsius: _Number) -> _Number:
 
 def celsius_of(pressure: Array, density: Array) -> Array:
     """Temperature of dry air of a pressure [Pa] and density [kg/m³]."""
-    celsius: Array = pressure / (_GAS * density) - ZERO_CELSIUS
-    return celsius
+    return pressure / (_GAS * density) - ZERO_CELSIUS
 
 
 def is_pressure(pascal: Array) -> npt.NDArray[np.bool_]:
@@ -240,7 +239,7 @@ def is_celsius(celsius: Array) -> npt.NDArray[np.bool_]:
 
 
 def flown_in(recording: Recording) -> tuple[float, str] | None:
-    """Median density of the air of a flight [kg/m³], and what tells it; None where nothing does.
+    """Median density of the air of a flight [kg/m³] and its source; None without one.
 
     A temperature that a source tells alone counts before that of a barometer, which warms itself.
     """

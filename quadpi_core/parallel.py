@@ -185,8 +185,7 @@ def _pickled(task: Any) -> bytes:
         # Other processes import the main module too, if it has a file.
         if b"__main__" not in by_name or hasattr(sys.modules["__main__"], "__file__"):
             return by_name
-    by_value: bytes = require_library("cloudpickle", "cluster").dumps(task)
-    return by_value
+    return require_library("cloudpickle", "cluster").dumps(task)
 
 
 # In a worker process: the function, and what its tasks share.

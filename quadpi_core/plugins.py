@@ -104,8 +104,7 @@ class Plugins(Generic[Declared]):
         plugin = self._plugin(name)
         for declared in self._declared(plugin):
             if declared.name == name:
-                own: Declared = declared
-                return own
+                return declared
         raise self.error(f"{self.sort} {plugin}: nothing there has that name")
 
     def _found(self) -> list[_Plugin]:

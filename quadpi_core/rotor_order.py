@@ -380,8 +380,7 @@ class CommandedSpeeds:
         """Speeds (N, R) at which the motors would settle by commands (N, R) and voltages (N, 1)."""
         c = np.array(self._motors.coefficients).T
         told = c[0] + u * (c[1] + u * c[2]) + volts * (c[3] + u * c[4])
-        settled: Array = np.where(u > 0.0, np.maximum(told, 0.0), 0.0)
-        return settled
+        return np.where(u > 0.0, np.maximum(told, 0.0), 0.0)
 
 
 def lag_weights(steps_s: Array, lag_s: float) -> tuple[list[float], list[float], list[float]]:

@@ -117,14 +117,15 @@ SPIN_SIGN = {"clockwise": 1.0, "counterclockwise": -1.0}
 _MOCAP_DELAY_MAX_S = 0.3
 
 
-# Of an attitude [rad], from which on no vehicle flies by it: drivers fill covariances with ones.
+# Deviation of an attitude [rad] that is a placeholder: drivers fill covariances with ones, and no vehicle
+# could fly with an attitude that uncertain.
 FILLED_IN = 1.0
 
 
 def stated_deviation(deviation: Array) -> Array:
-    """Standard deviations (..., 3) of states, 0, not known, in place of those that are filled in.
+    """Standard deviations (..., 3) of states, with 0 (not known) for placeholders, see :data:`FILLED_IN`.
 
-    Which are those of an attitude that no vehicle could fly by, and what stands beside it.
+    The deviations of position and velocity beside a placeholder of the attitude are placeholders too.
     """
     filled = (deviation[..., 1:2] >= FILLED_IN) & (deviation >= 0.0)
     return np.where(filled, 0.0, deviation)
@@ -156,14 +157,14 @@ class SensorNoise(Section):
 
     @property
     def of_state(self) -> tuple[float | None, float | None, float | None]:
-        """Of a slow state that does not say it: position m, attitude rad, velocity m/s; None: estimated."""
+        """Deviations of a slow state that states none: position m, attitude rad, velocity m/s; or None."""
         return self.state_position_m, self.state_attitude_rad, self.state_velocity_m_s
 
     def of_odometry(self, stated: Array) -> Array:
-        """Deviations (N, 3) of `mocap/odometry` that states such, in the units of :attr:`of_state`.
+        """Deviations (N, 3) to use for the stated ones of `mocap/odometry`, in the units of :attr:`of_state`.
 
-        None is surer than motion capture by this file: messages often state a variance that nobody measured,
-        such as 1e-9, by which the filter would reject what comes. Below 0, which is not measured, stays.
+        At least those of motion capture in this file: drivers often state a variance that nobody measured,
+        such as 1e-9, with which the filter would reject later samples. Negative ones (not measured) stay.
         """
         stated = stated_deviation(stated)
         usual = np.array([told or 0.0 for told in self.of_state])

@@ -237,8 +237,8 @@ def open_console() -> Console:
     return Console(markup=False, emoji=False)
 
 
-# Of a click context: the options of kinds that its command takes beside its own; why it took a kind that is
-# not the first default.
+# Keys of click's `meta`: options of the kind of model that a command was given; why it took a kind other than
+# the first default.
 _OPTIONS, _CHOICE = f"{__name__}.options", f"{__name__}.choice"
 # Options of the command that not every kind has a use for.
 _CANDIDATES, _PAPER = "--candidates", "--settings paper"
@@ -257,7 +257,7 @@ class KindCommand(TyperCommand):
         return [*super().get_params(ctx), *ctx.meta.get(_OPTIONS, ())]
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Read what is given, once it is known which kind's options that may be.
+        """Parse the arguments, with the options of the kind of model that they name or imply.
 
         Raises:
             ModelError: for an option of another kind.
@@ -294,8 +294,7 @@ class KindCommand(TyperCommand):
 
 def choice_of_kind(context: typer.Context) -> str | None:
     """Why a command took another kind of model than the default; None where it did not, or one was named."""
-    sentence: str | None = context.meta.get(_CHOICE)
-    return sentence
+    return context.meta.get(_CHOICE)
 
 
 def _takes(kind: Kind) -> set[str]:

@@ -203,7 +203,7 @@ class AerodynamicModel:
         )
 
     def share_of_air(self) -> tuple[float, float]:
-        """Least and largest share that the density of the air of its flights leaves of a coefficient.
+        """Least and largest factor on a coefficient that the air densities of its flights allow.
 
         1 where it was measured: coefficients are those in air of the vehicle file's density.
         """
@@ -213,11 +213,11 @@ class AerodynamicModel:
 
     @property
     def goes_with_air(self) -> bool:
-        """Whether one of its flights told its air; else it holds in that air, whichever it was."""
+        """Whether predictions scale with air density: True if a training flight recorded its air."""
         return any(flight.air != ASSUMED for flight in self.flights)
 
     def learned_from(self, sha256: str) -> bool:
-        """Whether a flight, by its hash, is one of those that it was identified on: it is in sample."""
+        """Whether the flight of a hash is a training flight, so that results on it are in sample."""
         array_checks.instance("sha256", sha256, str)
         return bool(sha256) and any(flight.sha256 == sha256 for flight in self.flights)
 
@@ -229,11 +229,12 @@ class AerodynamicModel:
             ModelError: if name or numbers differ.
         """
         array_checks.instance("vehicle", vehicle, Vehicle, LOAD_VEHICLE)
+        model = f"model {self.name}".rstrip()  # one that is not saved has no name
         if vehicle.name != self.vehicle:
-            raise ModelError(f"model {self.name} is of vehicle {self.vehicle}, not {vehicle.name}")
+            raise ModelError(f"{model} is of vehicle {self.vehicle}, not {vehicle.name}")
         if vehicle.fingerprint != self.vehicle_fingerprint:
             raise ModelError(
-                f"model {self.name} was identified with another mass, inertia or rotor geometry than vehicle "
+                f"{model} was identified with another mass, inertia or rotor geometry than vehicle "
                 f"file {vehicle.name} gives now"
             )
         if self.rollouts is not None:
@@ -368,8 +369,7 @@ class AerodynamicModel:
         """
         confidence = array_checks.number("confidence", confidence)
         own, other = self._factors(self.confidence), self._factors(confidence)
-        ratio: Array = np.divide(own, other, out=np.ones(len(AXES)), where=other > 0.0)
-        return ratio
+        return np.divide(own, other, out=np.ones(len(AXES)), where=other > 0.0)
 
     def __getstate__(self) -> dict[str, Any]:
         """State for pickling, without what is cached."""

@@ -183,7 +183,7 @@ CHANGE_AXES = ("Fx", "Fy", "Fz", "Mx", "My")
 
 @dataclass(frozen=True)
 class LeftOnAxis:
-    """What flights leave of a model on one axis, in N or Nm, by blocks of 0.1 s.
+    """Statistics of a model's residuals on one axis over sound flights, in N or Nm, by blocks of 0.1 s.
 
     Attributes:
         mean: of the constants of the flights.
@@ -207,16 +207,16 @@ class LeftOnAxis:
     loudest: Positive
 
 
-# Changes of the inputs from block to block that tell what a model leaves of the last of them.
+# Number of block-to-block changes of the inputs that the residual of a block is regressed on.
 INPUT_CHANGES = 2
 _OfInputs: TypeAlias = Annotated[dict[str, Real], Each(INPUT_NAMES)]
 
 
 @dataclass(frozen=True)
 class RepeatingPart:
-    """What a model leaves in every flight where inputs change from one block of 0.1 s to the next.
+    """The residual that repeats in every flight: linear in the changes of the inputs between blocks of 0.1 s.
 
-    Where they stay as they are it is nothing: no vehicle that has changed for good hides in it.
+    With constant inputs it is zero, so it cannot hide a lasting change of the vehicle.
 
     Attributes:
         lower, upper: by input, its largest fall and rise in the flights; changes beyond count as these.
@@ -232,13 +232,12 @@ class RepeatingPart:
 
     def of_axis(self, axis: str) -> Array:
         """The slopes (INPUT_CHANGES, 19) of an axis."""
-        own: Array = np.array([self.slopes[axis][name] for name in INPUT_NAMES]).T
-        return own
+        return np.array([self.slopes[axis][name] for name in INPUT_NAMES]).T
 
 
 @dataclass(frozen=True)
 class ChangeLimits:
-    """What is known of sound flights, each under the model of the others.
+    """Statistics of sound flights, each under the model identified without it, for the alarm of change.
 
     Attributes:
         axes: by axis of CHANGE_AXES, those that the model holds.
@@ -258,7 +257,7 @@ class ChangeLimits:
 
     @property
     def evidence(self) -> float:
-        """At which the alarm is raised: never less than any sound flight has gathered."""
+        """Evidence at which the alarm is raised: at least the most that any sound flight gathered."""
         return max(1.0 / FALSE_FLIGHTS.value, self.largest)
 
     def sentence(self) -> str:
@@ -295,7 +294,7 @@ class ChangeLimits:
 
 
 def change_sentence(limits: ChangeLimits | None) -> str:
-    """What `identify` and `info` say of the evidence of a change that a model can raise."""
+    """Sentence of `identify` and `info`: how a change of the vehicle is judged, or why it is not."""
     if limits is not None:
         return limits.sentence()
     return (

@@ -88,8 +88,7 @@ class Table:
         X = self.X[self.rows[flight]]
         if len(lowest) == 0:
             return np.zeros(len(X), dtype=bool)
-        inside: Flags = ((lowest.min(axis=0) <= X) & (highest.max(axis=0) >= X)).all(axis=1)
-        return inside
+        return ((lowest.min(axis=0) <= X) & (highest.max(axis=0) >= X)).all(axis=1)
 
     def mostly_inside(self, flight: int, others: Indices) -> bool:
         """Whether the errors on a flight count for intervals (see :class:`.interval_rules.HeldOutRule`)."""
@@ -193,8 +192,7 @@ def _omitted(
     size = max(1, round(share * len(pieces)))
     rounds = -(-members * size // len(pieces))
     order = np.concatenate([random.permutation(len(pieces)) for _ in range(rounds)])[: members * size]
-    omitted: Flags = pieces[order].reshape(members, size, -1).any(axis=1)
-    return omitted
+    return pieces[order].reshape(members, size, -1).any(axis=1)
 
 
 Floats: TypeAlias = npt.NDArray[np.float32]
@@ -323,7 +321,7 @@ class Ensemble(Kind):
 
     @abstractmethod
     def _outcome(self, members: Training, table: Table, plan: Plan, ensemble: int) -> Sequence[Floats]:
-        """Centre, spread and errors (A, N) of an ensemble; errors are NaN where none is honest."""
+        """Centre, spread and errors (A, N) of an ensemble; errors: NaN where all members saw the sample."""
 
     def _outcomes(self, members: Training, table: Table, plan: Plan) -> Iterator[Floats]:
         """What :meth:`_outcome` gives, (E, A, N) of all ensembles."""

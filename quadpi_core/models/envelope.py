@@ -98,8 +98,7 @@ class Envelope:
         high = 1.0 - RANGE_QUANTILE
 
         def peak(values: Array) -> Array:
-            peaks: Array = np.max([np.quantile(values[flight], high, axis=0) for flight in flights], axis=0)
-            return peaks
+            return np.max([np.quantile(values[flight], high, axis=0) for flight in flights], axis=0)
 
         leverage_peak, width_peak = peak(leverage), peak(relative_width)
         return cls(
@@ -244,13 +243,12 @@ class SpreadShape:
 
     def of(self, leverage: Array, speed_squared: Array) -> Array:
         """Spread (N,) at leverages (N,) and squared airspeeds (N,) in m²/s²."""
-        spread: Array = np.sqrt(1.0 + self.inflation * leverage + self.growth * speed_squared)
-        return spread
+        return np.sqrt(1.0 + self.inflation * leverage + self.growth * speed_squared)
 
 
 @dataclass(frozen=True)
 class PlacedErrors:
-    """Errors of a model on one flight, and where they were made.
+    """Errors of a model on one flight, with the leverage and airspeed of each.
 
     Attributes:
         error: (N,).
@@ -316,11 +314,9 @@ def fit_shape(flights: Sequence[PlacedErrors], most_inflation: float) -> SpreadS
 
 def squared_speed(inputs: Array) -> Array:
     """Squared airspeed (N,), m²/s², of input vectors (N, 19)."""
-    squared: Array = np.square(inputs[:, VELOCITY_INPUTS]).sum(axis=1)
-    return squared
+    return np.square(inputs[:, VELOCITY_INPUTS]).sum(axis=1)
 
 
 def leverage_of(regressors: Array, whitening: Array) -> Array:
     """Leverage h (N,) = |W z|² for each row z of the regressors (N, s)."""
-    leverage: Array = np.square(regressors @ whitening.T).sum(axis=1)
-    return leverage
+    return np.square(regressors @ whitening.T).sum(axis=1)

@@ -71,8 +71,7 @@ class Scaling:
 
     def standardised(self, inputs: Array) -> Array:
         """Inputs (N, D) as the networks take them."""
-        standardised: Array = (inputs - self.input_mean) / self.input_scale
-        return standardised
+        return (inputs - self.input_mean) / self.input_scale
 
     def to_json(self) -> dict[str, Any]:
         """What a model folder keeps."""

@@ -49,13 +49,13 @@ from quadpi_core.records import Records, record_dtype
 from quadpi_core.vehicle import Vehicle
 
 FIT_FILE, TABLE_FILE = "fit.json", "parameters.csv"
-# Least variance of a direction of correlated parameters: hover leaves some that are known to 1e-13 of others.
+# Floor of the eigenvalues of a correlation matrix: after hover some are 1e-13 of the largest.
 _LEAST_VARIANCE = 1e-12
 
 
 @dataclass(frozen=True)
 class PhysicalFit:
-    """The parameters, which all axes share, and what there is to say of their fit.
+    """Parameters shared by all axes, their covariance, and remarks on their fit.
 
     Attributes:
         values: (P,) in the order of TERMS, SI; zero where a term was left out.
@@ -79,7 +79,7 @@ class PhysicalFit:
 
     @cached_property
     def standard_errors(self) -> Array:
-        """Standard errors (P,) of the parameters, by as many errors as are independent."""
+        """Standard errors (P,) of the parameters, for the effective number of independent errors."""
         return np.sqrt(np.diag(self.covariance))
 
     @property

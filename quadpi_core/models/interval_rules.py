@@ -195,7 +195,7 @@ class LevelSupport:
 
     @classmethod
     def from_flights(cls, confidence: float, flights: int) -> LevelSupport:
-        """What flights left out support."""
+        """The support that a number of flights left out gives."""
         return cls(confidence, flights, flights / (flights + 1), conformal_rank(flights) / (flights + 1))
 
     @property
@@ -265,13 +265,11 @@ class FlightErrors:
 
     def factors(self) -> Array:
         """Factors (len(LEVELS),) that would have covered the errors inside the envelope, by confidence."""
-        factors: Array = np.quantile(self.scores()[self.inside], LEVELS, method="higher")
-        return factors
+        return np.quantile(self.scores()[self.inside], LEVELS, method="higher")
 
     def scores(self) -> Array:
         """Smallest factor (N,) that covers each error: |error| / spread."""
-        scores: Array = np.abs(self.error) / self.spread
-        return scores
+        return np.abs(self.error) / self.spread
 
 
 def calibrate(held_out: Sequence[FlightErrors], trained: Sequence[FlightErrors]) -> HeldOutRule:
@@ -295,8 +293,7 @@ def inside_interval(values: Any, lower: Any, upper: Any) -> Any:
 
 def inside_range(inputs: Array, of: Array) -> npt.NDArray[np.bool_]:
     """Which samples (N,) of inputs (N, D) lie in the range of others (M, D) in every input."""
-    inside: npt.NDArray[np.bool_] = np.all(inside_interval(inputs, of.min(axis=0), of.max(axis=0)), axis=1)
-    return inside
+    return np.all(inside_interval(inputs, of.min(axis=0), of.max(axis=0)), axis=1)
 
 
 def flights_peak(values: Iterable[Array]) -> float:
@@ -398,8 +395,7 @@ def shares(rate_hz: float) -> Array:
 
 def usable(rate_hz: float) -> npt.NDArray[np.bool_]:
     """Which running means (8,) errors at a rate can teach."""
-    found: npt.NDArray[np.bool_] = np.array(MEMORIES_S) * rate_hz >= _SHORTEST
-    return found
+    return np.array(MEMORIES_S) * rate_hz >= _SHORTEST
 
 
 def delay(rate_hz: float) -> int:
@@ -460,8 +456,7 @@ def _solved(square: Array, product: Array) -> Array:
     # Of errors that are all zero.
     scale[scale == 0.0] = 1.0
     penalised = square / np.outer(scale, scale) + _RIDGE * np.eye(len(scale))
-    found: Array = np.linalg.solve(penalised, product / scale) / scale
-    return found
+    return np.linalg.solve(penalised, product / scale) / scale
 
 
 # A model's intervals hold what both did to them.

@@ -346,8 +346,7 @@ class _OrthogonalBasis:
         """Partial F value of each active regressor."""
         coefficients, whitening = fit_coefficients(self.gram, self.active)
         variance = self.sse / max(self.gram.count - len(self.active), 1)
-        partial_f: Array = coefficients**2 / ((whitening**2).sum(axis=0) * variance)
-        return partial_f
+        return coefficients**2 / ((whitening**2).sum(axis=0) * variance)
 
 
 def _enter(basis: _OrthogonalBasis, f_enter: float) -> int | None:

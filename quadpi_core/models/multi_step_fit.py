@@ -155,15 +155,13 @@ def all_rolled(windows: Sequence[Windows], values: Array, *, derivatives: bool) 
 
 def median_norms(rolled: Rolled) -> Array:
     """Median norm (H, 4) of the errors of each horizon and quantity."""
-    result: Array = np.maximum(np.median(error_norms(rolled.errors), axis=0), _LEAST)
-    return result
+    return np.maximum(np.median(error_norms(rolled.errors), axis=0), _LEAST)
 
 
 def mean_norms(windows: Sequence[Windows], values: Sequence[Array]) -> Array:
     """Mean norm (F, H, 4) of the errors of flights by parameters of each."""
     rolled = [own.rolled(there, derivatives=False) for own, there in zip(windows, values, strict=True)]
-    result: Array = np.maximum(np.stack([error_norms(one.errors).mean(axis=0) for one in rolled]), _LEAST)
-    return result
+    return np.maximum(np.stack([error_norms(one.errors).mean(axis=0) for one in rolled]), _LEAST)
 
 
 def log_ratio(norms: Array, others: Array) -> float:
@@ -321,8 +319,7 @@ class _Objective(NamedTuple):
 
     def place(self, values: Array) -> Array:
         """Coordinates of parameters (P,)."""
-        result: Array = (values - self.origin)[self.free] / self.unit
-        return result
+        return (values - self.origin)[self.free] / self.unit
 
     def cost(self, values: Array, parts: Sequence[Part]) -> float:
         away = self.place(values) - self.centre
@@ -330,8 +327,7 @@ class _Objective(NamedTuple):
         return float(0.5 * away @ self.information @ away) + self.weight * of_roll_outs
 
     def matrix(self, parts: Sequence[Part]) -> Array:
-        result: Array = self.information + self.weight * sum(part.matrix for part in parts)
-        return result
+        return self.information + self.weight * sum(part.matrix for part in parts)
 
     def moved(self, values: Array, parts: Sequence[Part], share: float = 1.0) -> Array:
         """Parameters (P,) after a share of the Gauss-Newton step from those at which the parts were found."""
@@ -348,8 +344,7 @@ class _Objective(NamedTuple):
         inverse = np.linalg.inv(self.matrix(parts))
         blocks = self.weight * np.concatenate([part.blocks for part in parts])
         spread = inverse @ (blocks.T @ blocks + self.information) @ inverse
-        result: Array = spread * np.outer(self.unit, self.unit)
-        return result
+        return spread * np.outer(self.unit, self.unit)
 
 
 def _minimised(

@@ -189,7 +189,7 @@ class PhysicalFlight:
 
 
 def thinned_rows(samples: TrainingSamples, flight: int) -> npt.NDArray[np.int64]:
-    """Samples of a flight that leave about 100 Hz.
+    """Indices that thin a flight to about 100 Hz.
 
     Raises:
         ModelError: naming the flight, for one that is too short.
@@ -232,7 +232,7 @@ def reference_thrust(flights: Sequence[PhysicalFlight]) -> float:
     return coefficient
 
 
-# Time [s] over which errors may hang together.
+# Longest time [s] over which errors may be correlated.
 _LONGEST_LAG_S = 5.0
 # Lower bound on the effective sample rate [1/s], so that a biased axis keeps weight in the fit; standard
 # errors use the true value.
@@ -292,8 +292,7 @@ class Information:
         """Root-mean-square error (6,) with parameters (P,)."""
         explained = np.einsum("p,apq,q->a", values, self.matrix, values)
         squares = self.square - 2.0 * self.moment @ values + explained
-        result: Array = np.sqrt(np.maximum(squares, 0.0) / self.count)
-        return result
+        return np.sqrt(np.maximum(squares, 0.0) / self.count)
 
 
 @dataclass(frozen=True)
@@ -313,7 +312,7 @@ class FitStep:
 
 @dataclass(frozen=True)
 class Weights:
-    """What an error counts for.
+    """Weights of squared errors by axis.
 
     Attributes:
         deviation: (6,) of the errors.
@@ -345,7 +344,7 @@ class Weights:
 
     @property
     def share(self) -> Array:
-        """Share (6,) of the samples that each axis weighs by."""
+        """Share (6,) of the samples that count as independent, by axis."""
         return np.maximum(self.independent, self.fewest)
 
     @property
@@ -385,7 +384,7 @@ class Problem:
     def covariance(
         self, information: Sequence[Information], weighing: Weights, kept: npt.NDArray[np.bool_]
     ) -> Array:
-        """Covariance (P, P) of what :meth:`solve` gives, with as many errors as are independent.
+        """Covariance (P, P) of the parameters of :meth:`solve`, for the effective number of errors.
 
         H⁻¹ (J + 1) H⁻¹ in units of the prior, H the normal matrix and J the covariance of its right side.
         """
@@ -419,8 +418,7 @@ def bounded_solution(matrix: Array, right: Array, lower: Array) -> Array:
     if not np.any(free < lower):
         return free
     factor = np.linalg.cholesky(matrix)
-    bounded: Array = optimize.lsq_linear(factor.T, np.linalg.solve(factor, right), bounds=(lower, np.inf)).x
-    return bounded
+    return optimize.lsq_linear(factor.T, np.linalg.solve(factor, right), bounds=(lower, np.inf)).x
 
 
 def total(information: Iterable[Information]) -> Information:

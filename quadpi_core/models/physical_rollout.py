@@ -31,7 +31,7 @@ STATES = 12
 
 
 class Moving:
-    """Where a body is on its way.
+    """State of a body during a roll-out.
 
     Attributes:
         displacement: m in the world, since the start.
@@ -202,21 +202,20 @@ class Disturbance:
 
     @property
     def drive(self) -> Array:
-        """Variance (6,) of what is new after a step."""
+        """Process noise (6,) per step: a variance."""
         variance = np.square([axis.deviation for axis in self.axes])
         return variance * (1.0 - np.square(self.decay))
 
     @property
     def gain(self) -> Array:
-        """Share (6,) of a sample's surprise that the filter takes for disturbance."""
+        """Kalman gain (6,): share of a sample's innovation that the filter takes for disturbance."""
         return np.array([axis.gain for axis in self.axes])
 
     @property
     def filtered_variance(self) -> Array:
         """Variance (6,) of the disturbance given the samples up to now, for the filter at its best gain."""
         memory = 1.0 - self.gain
-        result: Array = memory * self.drive / (1.0 - memory * np.square(self.decay))
-        return result
+        return memory * self.drive / (1.0 - memory * np.square(self.decay))
 
     def filtered(self, residuals: Array, before: Array | None = None) -> Array:
         """Disturbance (N, 6, ...) at each sample from the residuals (N, 6, ...) up to it.

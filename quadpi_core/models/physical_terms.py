@@ -227,7 +227,7 @@ _LEAST_VARIANCE = 1e-12
 
 
 def unidentified(covariance: Array, spreads: Array) -> dict[str, str]:
-    """By parameter about which flights say no more than the prior: a note with the manoeuvre that would tell.
+    """Notes on parameters that flights did not identify beyond their prior: which manoeuvre would.
 
     Args:
         covariance: (P, P) of the posterior; zero where a term was left out.
@@ -272,13 +272,13 @@ def missing_flying(names: Iterable[str], count: int) -> str:
 
 
 def delay_untold(range_s: tuple[float, float]) -> bool:
-    """Whether flights that leave a range of delays of the rotor speeds [s] do not tell the delay."""
+    """Whether the range of delays [s] that flights do not rule out is too wide to state one."""
     low, high = range_s
     return low <= UNTOLD_DELAY_S and high - low >= _UNTOLD_RANGE_S
 
 
 def delay_words(delay_s: float, range_s: tuple[float, float] | None, longest_s: float) -> str:
-    """What flights tell of the delay of the rotor speeds.
+    """Sentence on the identified delay of the rotor speeds, and the range that flights do not rule out.
 
     Args:
         delay_s: that is used.
@@ -400,8 +400,7 @@ def acting_terms() -> npt.NDArray[np.bool_]:
     vehicle["mass"], vehicle["reference_thrust"], vehicle["disc"] = 1.0, 1e-6, 0.1
     vehicle["positions"] = [[-0.1, 0.11, 0.0], [0.12, 0.13, 0.0], [-0.14, -0.15, 0.0], [0.16, -0.17, 0.0]]
     vehicle["spins"], vehicle["rotors"] = [1.0, -1.0, -1.0, 1.0], 4
-    acts: npt.NDArray[np.bool_] = np.any(regressors(motion, vehicle) != 0.0, axis=0)
-    return acts
+    return np.any(regressors(motion, vehicle) != 0.0, axis=0)
 
 
 def regressors(motion: Records, vehicle: Records) -> Array:

@@ -46,7 +46,7 @@ from quadpi_core.vehicle import Vehicle
 
 
 class StoredBody(NamedTuple):
-    """What moves a body.
+    """Everything that the equations of motion of a vehicle need, as a model folder stores it.
 
     Attributes:
         values: (P,) parameters in the order of TERMS; zero where the folder has none.
@@ -219,8 +219,7 @@ class RolloutFlight:
         speeds = self.motion["rotor_speeds"]
         missing = np.any(speeds < _MISSING_SHARE * np.median(speeds, axis=0), axis=1)
         count = np.concatenate(([0], np.cumsum(missing)))
-        kept: npt.NDArray[np.int64] = starts[whole & (count[starts + last + 1] == count[starts])]
-        return kept
+        return starts[whole & (count[starts + last + 1] == count[starts])]
 
 
 def horizon_steps(horizons_s: Sequence[float], step_s: float) -> npt.NDArray[np.int64]:
@@ -313,8 +312,7 @@ class RolloutModel:
     def residuals(self, flight: RolloutFlight) -> Array:
         """Measured less predicted wrench (N, 6)."""
         motion = flight.delayed(self.rotor_delay_s).motion
-        residuals: Array = flight.wrench - wrenches(motion, self.vehicle, self.parameters)
-        return residuals
+        return flight.wrench - wrenches(motion, self.vehicle, self.parameters)
 
     def predicted(
         self, flight: RolloutFlight, starts: npt.NDArray[np.int64], horizons: npt.NDArray[np.int64]
@@ -395,7 +393,7 @@ class RolloutModel:
 
 
 def disturbance_left(models: Sequence[RolloutModel], flights: Sequence[RolloutFlight]) -> Disturbance:
-    """The process that models leave on flights, best on ones that they did not see."""
+    """Disturbance process of the residuals of flights, each better under a model that did not see it."""
     residuals, step = [m.residuals(f) for m, f in zip(models, flights, strict=True)], flights[0].step
     return Disturbance.of_residuals(residuals, step, models[0].lead(step))
 

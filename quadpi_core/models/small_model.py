@@ -35,7 +35,7 @@ INERTIAS = {axis: f"inertia {axis}, by arms and thrust" for axis in "xy"}
 _SPEED_M_S, _CHANGE = 1.0, 0.1
 # Standard errors to the ends of an interval of 95 %.
 _ERRORS = 1.96
-# Flights of which a jackknife tells what they differ by.
+# Fewest flights for a jackknife.
 _FEWEST_FLIGHTS = 3
 # Drag of PX4: momentum drag, and the inverses of both ballistic coefficients.
 _DRAGS = ("momentum drag", "bluff-body drag along x", "bluff-body drag along y")
@@ -77,10 +77,10 @@ def interval(value: float, error: float, by_air: tuple[float, float]) -> tuple[f
 
 
 def errors_by_flight(model: AerodynamicModel, vehicle: Vehicle) -> dict[str, float]:
-    """Standard errors of the numbers of a small model by leaving out each flight in turn, by what they are.
+    """Jackknife standard errors of the numbers of a small model, by the name of the number.
 
-    They are of Student's t on as many flights, as the number of standard errors to the ends of an interval is
-    that of a normal. Empty where the model does not hold what is left without each flight.
+    Widened by Student's t for the number of flights, as intervals take 1.96 of them. Empty for a model that
+    does not hold the fits without each flight.
     """
     each = [_numbers(replace(model, fitted=own, by_flight={}), vehicle) for own in model.left_out]
     if len(each) < _FEWEST_FLIGHTS:
@@ -94,7 +94,7 @@ def errors_by_flight(model: AerodynamicModel, vehicle: Vehicle) -> dict[str, flo
 
 
 def _numbers(model: AerodynamicModel, vehicle: Vehicle) -> dict[str, float]:
-    """Values by what they are, the drag of PX4 as parameters linear in it."""
+    """Values by name, PX4's drag in the parameters that it is linear in."""
     found = {line.quantity: line.value for line in headlines(model, vehicle) if line.error is not None}
     flown, _ = _drag_flown(model, vehicle)
     if flown:
@@ -310,7 +310,7 @@ def _drag(model: AerodynamicModel, vehicle: Vehicle) -> tuple[Estimate, tuple[Es
 
 
 def _drag_flown(model: AerodynamicModel, vehicle: Vehicle) -> tuple[list[_ToAndFro], str]:
-    """Predictions along x and y with the condition of what they tell; or none, and why."""
+    """Predictions along x and y with the condition under which they hold; or none, and why."""
     lower, upper = model.envelope.lower, model.envelope.upper
     most = [float(min(-lower[INPUT_INDEX[name]], upper[INPUT_INDEX[name]])) for name in "uv"]
     why = (

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""What sound flights of a vehicle leave of a model that was identified without them."""
+"""Residuals of sound flights of a vehicle, each under a model identified without it."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class SoundFlights:
         return np.column_stack((root, np.diag(self.of_flight)))
 
     def _scaled(self) -> tuple[Array, Array]:
-        """Covariance of the mean in units of its deviations, as units differ by much; these deviations."""
+        """Correlation matrix and standard deviations of the mean: units differ by orders of magnitude."""
         unit = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
         unit = np.where(unit > 0.0, unit, 1.0)
         return self.covariance / np.outer(unit, unit), unit

@@ -62,13 +62,13 @@ _LEAST = np.finfo(float).tiny
 
 
 class Uncertainty(NamedTuple):
-    """What is not known when a roll-out starts; every number a variance but for the decay.
+    """Uncertainty at the start of a roll-out and per step: variances, and the decay of the disturbance.
 
     Attributes:
         state: (12,) of position, velocity, attitude and rates of a state, at the start and at the horizon.
         wrench: (6,) of the disturbance at the start.
-        drive: (6,) of what is new in the disturbance after a step.
-        decay: (6,) share of the disturbance that is left after a step.
+        drive: (6,) process noise of the disturbance per step.
+        decay: (6,) factor of the disturbance per step.
         parameters: (P, P) covariance of the parameters.
     """
 
@@ -154,7 +154,7 @@ def tube_radii(covariance: Array) -> Array:
 
 
 class Following(NamedTuple):
-    """How tubes follow a flight.
+    """How the size of tubes adapts to the errors of a flight, after Gibbs and Candès.
 
     Attributes:
         delays: (H,) starts after which the error of a horizon is known.
@@ -297,5 +297,4 @@ def _at(quantiles: Array, horizons_s: Sequence[float], confidence: float) -> Arr
     mean = np.mean(np.log(quantiles), axis=0)
     at_level = np.array([[np.interp(confidence, LEVELS, row) for row in by_horizon] for by_horizon in mean])
     logs = [np.interp(np.log(horizons_s), np.log(HORIZONS_S), at) for at in at_level.T]
-    result: Array = np.exp(np.stack(logs, axis=1))
-    return result
+    return np.exp(np.stack(logs, axis=1))

@@ -210,7 +210,7 @@ def three(
 
 
 def modulators(state: State, vehicle: VehicleNumbers) -> tuple[Array, ...]:
-    """What a shaped law may depend on beyond its formula, each (N,), as in `SHAPE` after the axes.
+    """Quantities (N,) that a shaped law may depend on beyond its formula, as in `SHAPE` after the axes.
 
     Airspeed and its components over the induced velocity of hover, mean square of the rotor speeds over that
     of hover, speed of a rotor's radius at the body rates over the induced velocity, radius over height, and
@@ -252,16 +252,14 @@ def at_hubs(vehicle: VehicleNumbers, fx: Component, fy: Component, fz: Component
 def in_plane_speeds(state: State) -> Array:
     """Airspeeds (N, rotors) m/s of the hubs within the plane of their discs."""
     u, v = state.hub_velocity[:, :, 0], state.hub_velocity[:, :, 1]
-    speeds: Array = np.sqrt(u * u + v * v)
-    return speeds
+    return np.sqrt(u * u + v * v)
 
 
 def hub_heights(state: State, vehicle: VehicleNumbers) -> Array:
     """Heights (N, rotors) m of the hubs above the ground, negative below it."""
     down = np.stack(world_to_body(state.attitude, 0.0, 0.0, 1.0), axis=1)
     below_centre = np.sum(down[:, None] * vehicle.rotor_positions, axis=2)
-    heights: Array = -(state.position[:, 2, None] + below_centre)
-    return heights
+    return -(state.position[:, 2, None] + below_centre)
 
 
 def world_to_body(attitude: Array, x: Component, y: Component, z: Component) -> tuple[Array, Array, Array]:

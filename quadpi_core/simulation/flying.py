@@ -40,11 +40,11 @@ _NO_EFFECTS: Effects = {}
 LAWS: tuple[type[SimulatedAerodynamics], ...] = (RotorLocalModel, PhysicalAerodynamics)
 
 _NEWTON_STEPS_MAX = 30
-# Of force over weight, and of moment over weight and arm.
+# Largest residual of force over weight, and of moment over weight and arm, that counts as trim.
 _CONVERGED = 1e-10
 # The wind is raised in steps [m/s]; Newton's method starts from the trim of the step before.
 _WIND_STEP = 0.5
-# Of the unknowns, for central differences.
+# Step of the unknowns for central differences.
 _DIFFERENCE = 1e-6
 
 
@@ -306,8 +306,7 @@ def _mixed(mixing: Array, unknowns: Array) -> Array:
     """Speeds (..., rotors) of unknowns (..., 4), in the same bits on every machine."""
     if len(mixing) == 4:
         return unknowns
-    mixed: Array = sum((unknowns[..., k, None] * mixing[:, k] for k in range(1, 4)), unknowns[..., :1])
-    return mixed
+    return sum((unknowns[..., k, None] * mixing[:, k] for k in range(1, 4)), unknowns[..., :1])
 
 
 def _solve(model: SimulatedAerodynamics, wind: Array, heading: Array, start: Array) -> Array | None:

@@ -107,7 +107,7 @@ def _read_aerodynamics(data: Any) -> RotorLocalCoefficients | ScaledAerodynamics
 
 @dataclass(frozen=True, kw_only=True)
 class _Section(Section):
-    """What of the mapping `simulation` concerns this law."""
+    """The keys of `simulation` in a vehicle file that belong to this law."""
 
     rotor_local: Annotated[RotorLocalCoefficients | ScaledAerodynamics | None, ReadBy(_read_aerodynamics)] = (
         None

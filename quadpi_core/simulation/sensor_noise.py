@@ -203,7 +203,7 @@ class SensorSuite:
     def from_vehicle(cls, name: str, noise: SensorNoise) -> SensorSuite:
         """The noise that a vehicle file states; rates, drifts and all else are those of the usual suite."""
         usual = cls.load(_USUAL)
-        # Walks of a vehicle file are room for the estimator's corrections rather than measured drifts.
+        # Bias walks of a vehicle file tune the estimator; they are not measured drifts.
         gyro = replace(usual.imu.gyro, noise=noise.gyro_noise_rad_s, noise_density=0.0)
         accelerometer = replace(
             usual.imu.accelerometer, noise=noise.accelerometer_noise_m_s2, noise_density=0.0

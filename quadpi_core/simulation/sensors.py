@@ -372,8 +372,7 @@ def ideal_recording(truth: Truth, vehicle: Vehicle, suite: SensorSuite, seed: in
         pose=_seen_poses(truth, suite.mocap, seed),
         wind=wind,
     )
-    turned_imu: Recording = imu_misalignment.function(recording, vehicle, np.array(suite.imu.misalignment))
-    return turned_imu
+    return imu_misalignment.function(recording, vehicle, np.array(suite.imu.misalignment))
 
 
 def _every(truth: Truth, rate_hz: float, sensor: str, suite: SensorSuite) -> slice:
@@ -416,8 +415,7 @@ def _tilted(attitude: Array, angle: float) -> Mask:
     roll_x, roll_y = 1.0 - 2.0 * (x * x + y * y), 2.0 * (y * z + w * x)
     rolled = roll_x < cosine(angle) * np.sqrt(roll_x * roll_x + roll_y * roll_y)
     pitched = np.abs(sine_of_pitch) > sine(min(angle, 0.5 * math.pi))
-    tilted: Mask = rolled | pitched
-    return tilted
+    return rolled | pitched
 
 
 def _hidden(tilted: Mask, draws: Array, share: float, ending: float) -> Mask:
@@ -476,5 +474,4 @@ def _arrival(stream: Stream, mocap: MotionCapture, seed: int) -> Stamps:
     late = mocap.latency + mocap.arrival_jitter * generator(seed, "mocap arrival").exponential(
         size=len(stream)
     )
-    arrival: Stamps = np.maximum.accumulate(stream.time_ns + np.rint(1e9 * late).astype(np.int64))
-    return arrival
+    return np.maximum.accumulate(stream.time_ns + np.rint(1e9 * late).astype(np.int64))

@@ -179,7 +179,7 @@ class SimulatedAerodynamics(ABC):
         return states
 
 
-# Of the squared rotor speed, for central differences.
+# Relative step of the squared rotor speed for central differences.
 _DIFFERENCE = 1e-3
 
 
@@ -413,8 +413,7 @@ class PhysicalAerodynamics(SimulatedAerodynamics):
         for name in ("rates", "rotor_speeds", "rotor_accelerations"):
             motion[name] = states[name]
         terms = regressors(motion, numbers_of(self.vehicle, self.coefficients.reference_thrust_n_s2))
-        added: Array = np.tensordot(self._steps, terms, axes=(1, 1))
-        return added
+        return np.tensordot(self._steps, terms, axes=(1, 1))
 
     def carrying(self, vehicle: Vehicle) -> PhysicalAerodynamics:
         """See :class:`.SimulatedAerodynamics`."""

@@ -347,5 +347,4 @@ def require_reachable(plan: FlightPlan, vehicle: SimulatedVehicle, reference: Re
 
 
 def _size(vectors: Array) -> Array:
-    size: Array = np.sqrt((vectors * vectors).sum(axis=1))
-    return size
+    return np.sqrt((vectors * vectors).sum(axis=1))

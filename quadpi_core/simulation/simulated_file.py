@@ -119,7 +119,7 @@ def read_simulation(name_or_path: str | Path) -> SimulatedFile:
 
 
 def model_folder(name_or_path: str | Path) -> Path | None:
-    """The folder that a name or path of a vehicle says, if it is the folder of a model."""
+    """The folder of a model, where a name or path of a vehicle is one; else None."""
     path = Path(name_or_path)
     return path if (path / MODEL_FILE).is_file() else None
 
@@ -223,7 +223,7 @@ def exported_text(form: str, exported: Exported) -> str:
 
 
 def estimates_of(exported: Exported) -> dict[str, Estimate]:
-    """What the files hold, by name."""
+    """Estimates that the files hold, by name."""
     small = exported.small
     return {
         "thrust_n_s2": small.thrust,
@@ -386,8 +386,7 @@ def _sdf(exported: Exported) -> str:
 
 def _of_point(place: Array) -> Array:
     """Inertia (3, 3) over mass of a point, about the origin (Steiner)."""
-    inertia: Array = float(place @ place) * np.eye(3) - np.outer(place, place)
-    return inertia
+    return float(place @ place) * np.eye(3) - np.outer(place, place)
 
 
 def _inertial(mass: float, moments: dict[str, float], centre: Array | None = None) -> Iterator[str]:

@@ -173,8 +173,7 @@ class Truth:
     @property
     def time(self) -> Array:
         """Seconds (N,) since the first instant."""
-        seconds: Array = 1e-9 * (self.time_ns - self.time_ns[0])
-        return seconds
+        return 1e-9 * (self.time_ns - self.time_ns[0])
 
     @property
     def specific_force(self) -> Array:
@@ -184,15 +183,13 @@ class Truth:
     @property
     def position_error(self) -> Array:
         """Distance (N,) m from the reference."""
-        distance: Array = np.linalg.norm(self.position - self.reference.position, axis=1)
-        return distance
+        return np.linalg.norm(self.position - self.reference.position, axis=1)
 
     @property
     def speed(self) -> Array:
         """Airspeed (N,) m/s."""
         over_ground = rotate_body_to_world(self.attitude, self.velocity)
-        airspeed: Array = np.linalg.norm(over_ground - self.wind, axis=1)
-        return airspeed
+        return np.linalg.norm(over_ground - self.wind, axis=1)
 
     def flight(self) -> Flight:
         """The truth as a flight, as if the estimator were perfect."""
@@ -223,7 +220,7 @@ _ROUNDING_S = 1e-9
 AXES = {"x": "m", "y": "m", "height": "m", "yaw": "deg", "roll": "deg", "pitch": "deg", "thrust": "share"}
 
 Amplitude: TypeAlias = Annotated[Real, Key("amplitude_m", "amplitude_deg", "amplitude_share")]
-# Of edges and fades [s]: anything shorter than the simulation's step is a jump.
+# Duration [s] of edges and fades: one shorter than a step of the simulation would be a jump.
 Transition: TypeAlias = Annotated[float, Within(1e-3)]
 
 
@@ -415,8 +412,7 @@ class _Entry:
                 problem = f"unknown key `{wrong[0]}`; the amplitude is" if wrong else "missing key"
                 raise RefusedError(f"{kind}: {problem} `{key}`")
         by_kind: Any = dict[str, _KINDS[kind]]  # type: ignore[valid-type]
-        signal: Signal = check_config(by_kind, listed)[kind]
-        return signal
+        return check_config(by_kind, listed)[kind]
 
 
 def read_motion(data: Any) -> Motion:

@@ -328,8 +328,7 @@ class Training:
         with torch.inference_mode(), _limited_threads():
             hidden, output, biases = self.weights
             some = Parts(hidden[:, :, networks], output[:, networks], biases[:, networks])
-            predictions: Floats = evaluate(some, self.batches.inputs()).cpu().numpy()
-            return predictions
+            return evaluate(some, self.batches.inputs()).cpu().numpy()
 
     def judge(self) -> tuple[Tensor, Tensor, float | None]:
         """Losses (A, M) where trained; scores (A, M), NaN for none, and mean coverage where judged."""

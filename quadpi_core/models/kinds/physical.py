@@ -171,7 +171,7 @@ def _summed(flight: PhysicalFlight, record: Records, sensing: Sensing) -> Inform
 def _rotor_delay(
     flights: Sequence[PhysicalFlight], record: Records, problem: Problem, log: list[FitStep]
 ) -> tuple[float, tuple[float, float]]:
-    """The delay by the errors of the moments, and the range that these do not rule out.
+    """The delay with the least errors of the moments, and the range whose likelihood is not ruled out.
 
     The range is that of the likelihood ratio (Jategaonkar, Flight Vehicle System Identification, 2015, 11.2),
     for normal errors of which as many are independent as their autocorrelation tells.
@@ -401,7 +401,7 @@ def _fitted(
 def _placed(
     fitted: FittedPhysical, samples: TrainingSamples, flight: int, fitted_to: Sequence[int] = ()
 ) -> dict[str, PlacedErrors]:
-    """Errors by axis on a flight, and where they were made.
+    """Errors by axis on a flight, with the leverage and airspeed of each.
 
     Args:
         fitted: to some of the flights.

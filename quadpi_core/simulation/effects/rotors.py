@@ -26,8 +26,7 @@ from quadpi_core.simulation.state_records import State, VehicleNumbers
 
 
 def _shares(state: State, vehicle: VehicleNumbers) -> Array:
-    shares: Array = state.rotor_speeds / (vehicle.rotors * vehicle.hover_rotor_speed)
-    return shares
+    return state.rotor_speeds / (vehicle.rotors * vehicle.hover_rotor_speed)
 
 
 @effect(
