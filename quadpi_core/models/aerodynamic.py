@@ -55,8 +55,8 @@ from quadpi_core.vehicle import LOAD_VEHICLE, Vehicle
 from quadpi_core.version import __version__
 
 # What to call for a model, in refusals of anything else.
-LOAD_MODEL = "AerodynamicModel.load(folder) reads one"
-# Keys in model.json of what predicts the state ahead and of what sound flights leave: their arrays begin so.
+LOAD_MODEL = "AerodynamicModel.load(folder) reads one, and `model_` of a WrenchModel is one"
+# Keys in model.json of roll-outs and of the residuals of sound flights; the names of their arrays begin so.
 _ROLLOUTS, _SOUND = "rollouts", "sound_flights"
 _Part = TypeVar("_Part")
 
