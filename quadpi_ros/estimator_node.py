@@ -26,7 +26,6 @@ from quadpi_core.flight import (
     ImuStream,
     OdometryStream,
     PoseStream,
-    Stamps,
     TwistStream,
 )
 from quadpi_core.frames import Array
@@ -143,9 +142,9 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         return noted
 
     @property
-    def mocap_ns(self) -> Stamps:
-        """The newest stamps of the motion capture."""
-        return np.array(self._mocap_health.recent, dtype=np.int64)
+    def mocap_ns(self) -> int | None:
+        """Newest stamp of the motion capture; None before the first."""
+        return self._mocap_health.newest_ns
 
     @property
     def slow_since_ns(self) -> int | None:

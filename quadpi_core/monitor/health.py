@@ -6,23 +6,20 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
-from quadpi_core.flight import Recording, Stamps
+from quadpi_core.flight import MAX_JUMP_BACK_NS, NO_STAMP, Recording, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.vehicle import HALF_READING, SILENT_SHARE
 
 # Samples whose latency is kept between two reports.
 _LATENCIES_MAX = 4096
-# Stamps of a topic that are kept: samples are judged a tenth of a second after they came at most.
-_STAMPS_KEPT = 512
-# Streams of the last blocks whose stamps are kept: samples are judged a block after they came at most, and
-# motion capture has two.
-_STREAMS_KEPT = 4
+# IMU samples of which is kept what had come before: more than of a tenth of a second.
+IMU_SAMPLES_KEPT = 4096
 # Different reasons for a refusal that are counted; further ones count as "other".
 _REASONS_MAX = 16
 # A step between stamps longer than this multiple of the nominal or the usual step is a gap.
@@ -77,13 +74,11 @@ class TopicHealth:
         rate_hz: nominal rate; None takes the rate of the previous period.
         refused: number of refused samples by reason.
         latest: the last of the reasons; empty before the first.
-        recent: the newest stamps.
     """
 
     rate_hz: float | None = None
     latest: str = ""
     refused: Counter[str] = field(default_factory=Counter)
-    recent: deque[int] = field(default_factory=lambda: deque(maxlen=_STAMPS_KEPT))
     _refused_before: int = 0
     _total: int = 0
     _newest_ns: int | None = None
@@ -102,7 +97,6 @@ class TopicHealth:
     def take(self, time_ns: int) -> None:
         """Count one sample by its stamp; one that does not advance counts as arrived only."""
         self._samples += 1
-        self.recent.append(time_ns)
         if self._newest_ns is not None:
             step_ns = time_ns - self._newest_ns
             if step_ns > self._gap_ns:
@@ -256,26 +250,56 @@ def lack(sensor: str, newest_ns: int | None, now_ns: int) -> list[str]:
     return [f"no {sensor} for {differs if behind_s > _LONG_S else f'{behind_s:.1f} s'}"]
 
 
-def lacks(stamps: Mapping[str, Sequence[Stamps]], time_ns: int) -> list[str]:
-    """Sensors whose last stamp up to an instant is far behind it, live as in a replay; see :func:`lack`."""
+class Heard:
+    """Newest stamps of the sensors as each IMU sample of a recording came, to say which of them lacks."""
+
+    def __init__(self) -> None:
+        self._imu_ns: Stamps = np.empty(0, np.int64)
+        self._newest_ns: dict[str, Stamps] = {}
+        # Row of the first sample since the clock was last set back.
+        self._begin = 0
+
+    def take(self, block: Recording, *, has_mocap: bool) -> None:
+        """Note what came in a block."""
+        of_state = [block.pose, block.twist] if has_mocap else [block.odometry]
+        sensors = {
+            "motion capture" if has_mocap else "odometry": of_state,
+            "rotor speeds": [block.rotor_speeds],
+        }
+        # Samples are judged a tenth of a second after they came at most.
+        dropped = max(0, len(self._imu_ns) - IMU_SAMPLES_KEPT)
+        self._begin = max(0, self._begin - dropped)
+        self._imu_ns = np.append(self._imu_ns[dropped:], block.imu.time_ns)
+        for sensor, streams in sensors.items():
+            came = [stream for stream in streams if stream is not None]
+            arrived = np.concatenate([[0], *(block.arrivals_of(stream) for stream in came)])
+            order = np.argsort(arrived, kind="stable")
+            before = self._newest_ns.get(sensor, np.array([NO_STAMP]))
+            stamps = np.concatenate([before[-1:], *(stream.time_ns for stream in came)])[order]
+            rows = np.searchsorted(arrived[order], np.arange(len(block.imu)), side="right") - 1
+            kept = before[dropped:] if sensor in self._newest_ns else before[:0]
+            self._newest_ns[sensor] = np.append(kept, stamps[rows])
+
+    def set_back(self) -> None:
+        """Go on with the samples after the next ones by which the clock was set back."""
+        back = np.flatnonzero(np.diff(self._imu_ns[self._begin :]) < -MAX_JUMP_BACK_NS)
+        self._begin += int(back[0]) + 1 if len(back) else 0
+
+    def lacks(self, time_ns: int) -> list[str]:
+        """Sensors whose stamps were far behind as the sample of a stamp came, see :func:`lack`."""
+        rows = np.flatnonzero(self._imu_ns[self._begin :] == time_ns)
+        if not len(rows):
+            return []
+        at = self._begin + int(rows[0])
+        return lacking({sensor: int(newest[at]) for sensor, newest in self._newest_ns.items()}, time_ns)
+
+
+def lacking(newest_ns: Mapping[str, int], time_ns: int) -> list[str]:
+    """:func:`lack` of each sensor, NO_STAMP of one that has not come."""
     found = []
-    for sensor, parts in stamps.items():
-        before = [int(part[part <= time_ns].max()) for part in parts if (part <= time_ns).any()]
-        found += lack(sensor, max(before, default=None), time_ns)
+    for sensor, stamp in newest_ns.items():
+        found += lack(sensor, None if stamp == NO_STAMP else stamp, time_ns)
     return found
-
-
-def note_sensors(stamps: dict[str, list[Stamps]], block: Recording, *, has_mocap: bool) -> None:
-    """Note stamps of the sensors of a block, the first and the last, for :func:`lacks`."""
-    of_state = [block.pose, block.twist] if has_mocap else [block.odometry]
-    sensors = {
-        "motion capture" if has_mocap else "odometry": of_state,
-        "rotor speeds": [block.rotor_speeds],
-    }
-    for sensor, streams in sensors.items():
-        old = stamps.get(sensor, [])
-        new = [stream.time_ns for stream in streams if stream is not None and len(stream)]
-        stamps[sensor] = [*old[:1], *old[1:][-_STREAMS_KEPT:], *new]
 
 
 class Silence:

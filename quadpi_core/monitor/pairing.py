@@ -280,12 +280,6 @@ class Pairing:
         counts = self.counts
         return Arrived(imu_ns, state_ns, rotors_ns, 0 if self.rate.begins else counts.paired + counts.dropped)
 
-    def recent(self, topic: int) -> Stamps:
-        """The newest stamps of a topic, in no order; those that are used up as well."""
-        stamps = self._rings["time_ns"][topic]
-        recent: Stamps = stamps[stamps != 0]
-        return recent
-
     @property
     def settled_ns(self) -> int:
         """No sample will be taken at or before this stamp, unless the IMU's clock is set back."""

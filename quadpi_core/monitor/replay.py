@@ -38,7 +38,7 @@ from quadpi_core.models.aerodynamic import LOAD_MODEL, AerodynamicModel
 from quadpi_core.monitor import pairing
 from quadpi_core.monitor.alarm import MonitorSettings, NotJudgedReason, alarm_time, not_judged
 from quadpi_core.monitor.alarm_log import Explained, naming_sensors
-from quadpi_core.monitor.health import lacks, note_sensors
+from quadpi_core.monitor.health import Heard
 from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.pairing import PairedSamples, Pairing
 from quadpi_core.monitor.unsure_states import StateDeviations
@@ -165,7 +165,7 @@ def _write(flight: RecordedFlight, monitor: Monitor, vehicle: Vehicle, output: P
 
 def explained(flight: RecordedFlight) -> Explained:
     """Reasons as live nodes give them, by the stamps of the flight's sensors up to what is followed."""
-    return Explained(lambda reasons, time_ns: naming_sensors(reasons, lacks(flight.sensors, time_ns)))
+    return Explained(lambda reasons, time_ns: naming_sensors(reasons, flight.heard.lacks(time_ns)))
 
 
 def _messages(
@@ -204,7 +204,7 @@ class RecordedFlight:
             too slow to be interpolated; otherwise from the flight's odometry.
         blocks: parts of the flight in order of arrival, see :func:`quadpi_core.reading_options.by_arrival`.
         wind_since_ns: since when velocities are known to come as seldom as by GPS: then drag tells the wind.
-        sensors: stamps of what was followed, see :func:`.health.note_sensors`.
+        heard: what came of the sensors in what was followed.
     """
 
     name: str
@@ -212,7 +212,7 @@ class RecordedFlight:
     has_mocap: bool
     blocks: Iterator[Recording]
     wind_since_ns: int | None
-    sensors: dict[str, list[Stamps]] = field(default_factory=dict)
+    heard: Heard = field(default_factory=Heard)
 
 
 @contextmanager
@@ -311,7 +311,7 @@ def follow(flight: RecordedFlight, vehicle: Vehicle, ekf: Ekf | None = None) -> 
     for block, density in _in_its_air(flight.blocks):
         block.require_rotors(vehicle.name, vehicle.rotor_count)
         rates.add(block)
-        note_sensors(flight.sensors, block, has_mocap=flight.has_mocap)
+        flight.heard.take(block, has_mocap=flight.has_mocap)
         odometry, state_of, states = block.odometry, None, None
         imu = _Imu(block.imu.time_ns, with_gyro_faults(block.imu).specific_force, np.arange(len(block.imu)))
         if ekf is not None:
@@ -334,6 +334,8 @@ def follow(flight: RecordedFlight, vehicle: Vehicle, ekf: Ekf | None = None) -> 
             if stretch.rate.begins:
                 samples = PairedSamples(samples.time_ns[:0], samples.values[:0])
             measured = measured or not stretch.rate.begins
+            if stretch.begin == pairing.SET_BACK:
+                flight.heard.set_back()
             yield Followed(stretch.begin, stretch.rate, samples, own, deviations, new, settled_ns, density)
             new = new[:0]
     if (ekf is not None and not started) or meeting.counts.paired == 0:
