@@ -15,7 +15,7 @@ import numpy as np
 
 from quadpi_core.errors import LogError
 from quadpi_core.field import stacks
-from quadpi_core.field.field_log import FieldLog, Series, Stack
+from quadpi_core.field.field_log import FieldLog, Series, Setting, Stack
 from quadpi_core.field.other_logs import read_other
 from quadpi_core.flight_files import flight_in
 from quadpi_core.logs import identify_format, reading
@@ -147,8 +147,6 @@ def _without_pulses(log: FieldLog) -> FieldLog:
     low, high = PULSE_RPM.value
     if rpm.min() < low or rpm.max() > high:
         return log
-    said = (
-        f"rotor speeds are left out: {rpm.min():.0f} to {rpm.max():.0f} rpm and never 0 are pulse widths of "
-        "commands in µs; log the telemetry of the speed controllers"
-    )
-    return replace(log, rotor_speeds=None, notes=(*log.notes, said))
+    pulses = f"{rpm.min():.0f} to {rpm.max():.0f} rpm, never 0: pulse widths of commands in µs, left out"
+    setting = Setting("rotor speeds", pulses, "the speed controllers' telemetry", "measured rotor speeds")
+    return replace(log, rotor_speeds=None, settings=(*log.settings, setting))

@@ -366,7 +366,6 @@ def _vehicles(
             for flight, length in zip(longest, lengths, strict=True)
         }
         samples = {key: one for key, one in found.items() if not isinstance(one, str)}
-        names = tuple(flight.name for flight in own)
         drag = identify_drag(list(samples.values())) if samples else str(next(iter(found.values())))
         # Tachometers that count otherwise would spoil the model of all.
         sound = [
@@ -384,6 +383,7 @@ def _vehicles(
                 for one in longest
             ]
             body = identify_body([(one.log, one.flown) for one in longest], vehicle, winds)
+        names = tuple(flight.name for flight in own)
         yield VehicleReport(name, names, said, drag, tuple(samples), motors, own[0].log.drag_prefix, body)
 
 

@@ -246,12 +246,11 @@ def _bias_of(time: Array, force: Array, attitude: Array, down: Array) -> tuple[f
     known = np.flatnonzero(np.isfinite(vertical + down))
     if len(known) < 2:
         return 0.0, alone
-    first, last = known[[0, -1]]
-    gained = (down[last] - down[first]) / (time[last] - time[first])
+    gained = np.diff(down[known[[0, -1]]])[0] / np.diff(time[known[[0, -1]]])[0]
     axes = rotation_matrix(attitude[known])[:, 2].mean(axis=0)
     share = alone**2 * axes[2] / (alone**2 * axes @ axes + told**2)
-    bias = share * (vertical[known].mean() + STANDARD_GRAVITY - gained)
-    return float(bias), float(alone * np.sqrt(1.0 - share * axes[2]))
+    lacking = vertical[known].mean() + STANDARD_GRAVITY - gained
+    return float(share * lacking), float(alone * np.sqrt(1.0 - share * axes[2]))
 
 
 def _places(log: FieldLog, vehicle: Vehicle) -> Array:

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from quadpi_core.errors import LogError
 from quadpi_core.field.field_log import FieldLog, Stack
 from quadpi_core.field.other_logs import read_other
 from quadpi_core.logs.formats.mavlink_tlog import FORMAT, read_records
-from quadpi_core.logs.mavlink_samples import is_autopilot
+from quadpi_core.logs.mavlink_samples import SOURCES, is_autopilot
 from quadpi_core.logs.reader_steps import Airframe
 from quadpi_core.reading_options import ReadingOptions
 
@@ -22,13 +23,15 @@ def read_telemetry_field(path: Path, _number: int | None = None, _poles: int | N
     Raises:
         LogError: if it holds no IMU samples, or is of no multirotor.
     """
-    heartbeats = (
-        record.message
-        for record in read_records(path)
-        if record.message.get_type() == "HEARTBEAT" and is_autopilot(record.message)
-    )
-    first = next(heartbeats, None)
-    mav_type = 0 if first is None else int(first.type)
+    types: dict[int, int] = {}
+    imus: Counter[int] = Counter()
+    for _, message in read_records(path):
+        system, name = message.get_srcSystem(), message.get_type()
+        if name == "HEARTBEAT" and is_autopilot(message):
+            types.setdefault(system, int(message.type))
+        imus[system] += name in SOURCES["imu"]
+    # Of several vehicles the reader reads the one that sends the most samples.
+    mav_type = types.get(max(imus, key=imus.__getitem__, default=0), 0)
     airframe = Airframe.of_mav_type(f"MAV_TYPE {mav_type}", mav_type)
     if airframe is not None and not airframe.is_multicopter:
         raise LogError(f"{path}: {airframe.said} is {airframe.name}; `quadpi report` is for multirotors")

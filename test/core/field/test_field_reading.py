@@ -37,7 +37,7 @@ def test_pulse_widths_are_no_rotor_speeds(tmp_path, rpm, is_kept):
     rows = [(30000.0,) * 4 + (float(value),) * 4 for value in rpm for _ in range(10)]
     log = written(tmp_path / "log00", [*MOTOR, *SPEEDS], rows)
     assert (log.rotor_speeds is not None) == is_kept
-    assert any("pulse widths" in note for note in log.notes) != is_kept
+    assert any("pulse widths" in one.present for one in log.settings) != is_kept
 
 
 def test_an_estimator_that_did_not_run_is_no_state(tmp_path):

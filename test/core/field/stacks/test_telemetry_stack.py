@@ -40,3 +40,18 @@ def test_what_is_no_multirotor_is_refused(tmp_path: Path, mav_type: int, name: s
     path.write_bytes(telemetry(mav_type))
     with pytest.raises(LogError, match=f"flight.tlog: MAV_TYPE {mav_type} is {name}"):
         read_telemetry_field(path)
+
+
+@pytest.mark.parametrize(("first", "second"), [(1, 2), (2, 1)])
+def test_of_two_vehicles_in_a_log_the_one_that_is_read_has_the_type(
+    tmp_path: Path, first: int, second: int, caplog
+):
+    """The second sends twice as many samples, and its heartbeat comes later."""
+    path = tmp_path / "flight.tlog"
+    path.write_bytes(telemetry(first, samples=200) + telemetry(second, system=2, samples=400))
+    if second == 2:
+        read_telemetry_field(path)
+        assert "holds 2 vehicles; read is system 2" in caplog.text
+        return
+    with pytest.raises(LogError, match="MAV_TYPE 1 is a fixed-wing aircraft"):
+        read_telemetry_field(path)
