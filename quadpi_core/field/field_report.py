@@ -202,19 +202,19 @@ class FieldReport:
 
     def verdict(self) -> str:
         """The report in a sentence."""
-        seconds = sum(flight.flown.airborne_s for flight in self.flights)
-        count = len(self.flights)
+        count, seconds = len(self.flights), sum(flight.flown.airborne_s for flight in self.flights)
         parts = [f"{count} flight{'s' * (count > 1)}, {seconds:.0f} s in the air"]
         for vehicle in self.vehicles[:1]:
             if isinstance(vehicle.drag, DragResult) and vehicle.drag.per_mass[0].value is not None:
                 parts.append(f"drag {vehicle.drag.per_mass[0].value:.2f} 1/s along the nose")
         if len(self.vehicles) > 1:
             parts.append(f"{len(self.vehicles)} airframes, each by itself")
-        alarms = [remark for flight in self.flights for remark in flight.remarks if remark.level == ALARM]
-        warnings = sum(len(flight.remarks) for flight in self.flights) - len(alarms)
+        remarks = [(own.name, one) for own in self.flights for one in own.remarks]
+        alarms = [(name, one.sentence) for name, one in remarks if one.level == ALARM]
         is_blind = all(all(flight.looked_at().values()) for flight in self.flights)
-        quiet = "no alarm" if not is_blind else "no alarm, as nothing could be looked at"
-        parts.append(alarms[0].sentence if alarms else f"{warnings} warning{'s' * (warnings != 1)}, {quiet}")
+        quiet = f"{len(remarks)} warning{'s' * (len(remarks) != 1)}, no alarm"
+        quiet += ", as nothing could be looked at" * is_blind
+        parts.append(": ".join(alarms[0][count == 1 :]) if alarms else quiet)
         return "; ".join(parts) + "."
 
     def to_json(self) -> dict[str, Any]:

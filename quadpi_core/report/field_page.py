@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import astuple
 from pathlib import Path
 
@@ -206,7 +206,7 @@ def settings_table(report: FieldReport) -> Table:
     """What to set, each once, with its present value."""
     found = dict.fromkeys(one for flight in report.flights for one in flight.log.settings)
     rows: list[Row] = [list(astuple(one)) for one in found]
-    columns = [Column(name, is_text=True, wraps=True) for name in ("set", "is", "to", "for")]
+    columns = [Column(name, is_text=True, wraps=True) for name in ("setting", "is", "do", "for")]
     nothing: Row = [Cell("nothing: the logs hold all", Mark.GOOD), "", "", ""]
     return Table(columns, rows or [nothing], title="to log more")
 
@@ -295,12 +295,6 @@ def _facts(report: FieldReport) -> Iterator[tuple[str, str]]:
     yield "mass", f"{report.mass:g} kg" if report.mass else "not given (--mass): forces are per mass"
 
 
-def _remarks(report: FieldReport) -> Sequence[tuple[str, str]]:
-    found = [(flight.name, remark.sentence) for flight in report.flights for remark in flight.remarks]
-    notes = [(flight.name, note) for flight in report.flights for note in flight.log.notes]
-    return [*flight_remarks({}, report.left_out), *found, *notes]
-
-
 def write_field_page(path: Path, report: FieldReport) -> None:
     """Write the page; it appears whole or not at all.
 
@@ -308,6 +302,7 @@ def write_field_page(path: Path, report: FieldReport) -> None:
         OutputError: if `path` cannot be written.
     """
     flights = {flight.name: flight for flight in report.flights}
+    found = [(flight.name, remark.sentence) for flight in report.flights for remark in flight.remarks]
     Page(
         title="quadpi: report",
         about="what do these logs tell of the vehicle?",
@@ -326,7 +321,7 @@ def write_field_page(path: Path, report: FieldReport) -> None:
         },
         figures={},
         flight_figures={name: {"time": time_figure(flight)} for name, flight in flights.items()},
-        remarks=_remarks(report),
+        remarks=[*flight_remarks({}, report.left_out), *found],
     ).write(
         path,
         "field.html",
@@ -334,6 +329,7 @@ def write_field_page(path: Path, report: FieldReport) -> None:
         shares={name: share_table(flight) for name, flight in flights.items()},
         topics={name: topic_table(flight) for name, flight in flights.items()},
         settings=settings_table(report),
+        notes={name: flight.log.notes for name, flight in flights.items() if flight.log.notes},
         drags={vehicle.name: drag_table(vehicle, report.mass) for vehicle in report.vehicles},
         sentences={vehicle.name: motor_sentence(vehicle) for vehicle in report.vehicles},
         motors={name: motor_table(flight) for name, flight in flights.items()},

@@ -58,6 +58,8 @@ def test_the_page_is_whole_and_self_contained(report_of, tmp_path):
         "looked at: motor commands",
     ):
         assert part in page
+    # How a log was read is no finding.
+    assert "Findings in the data" not in page
 
 
 def test_a_page_of_a_log_that_holds_hardly_anything(report_of, tmp_path):
