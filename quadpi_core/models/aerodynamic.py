@@ -432,7 +432,7 @@ class AerodynamicModel:
         """
         folder = array_checks.path("folder", folder)
         content, identity = read_folder(folder)
-        with damage_named(folder):
+        with damage_named(folder, content.description["format"]):
             entries = content.description.get("axes", {})
             described = parse_config(
                 _Description, content.description, f"{MODEL_FILE}: not a quadpi model", ModelError

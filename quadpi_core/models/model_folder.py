@@ -139,12 +139,16 @@ _DTYPES = {
 
 
 @contextmanager
-def damage_named(folder: Path) -> Iterator[None]:
-    """Name the folder in refusals of its content, and make one of any error that damaged content raises."""
+def damage_named(folder: Path, written: int = FORMAT) -> Iterator[None]:
+    """Name the folder in refusals of its content, and make one of any error that damaged content raises.
+
+    What a folder of an earlier format lacks is no damage: its refusal says what helps.
+    """
     try:
         yield
     except ModelError as error:
-        raise ModelError(f"{folder}: {error}") from error
+        helps = "" if written == FORMAT else " in a folder of an earlier version: identify the model again"
+        raise ModelError(f"{folder}: {error}{helps}") from error
     except Exception as error:  # parts of a model raise many kinds of errors on damaged input
         raise ModelError(
             f"{folder / MODEL_FILE}: not a quadpi model: {type(error).__name__} {error}"

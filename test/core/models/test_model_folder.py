@@ -60,7 +60,11 @@ def test_the_format_of_version_0_1_is_read(folder: Path, model: AerodynamicModel
     described = folder / MODEL_FILE
     described.write_text(described.read_text().replace('"format": 6', '"format": 5'))
     assert AerodynamicModel.load(folder).fitted.axes.keys() == model.fitted.axes.keys()
-    described.write_text(described.read_text().replace('"format": 5', '"format": 4'))
+    text = described.read_text()
+    described.write_text(text.replace('"envelope"', '"ranges"'))
+    with pytest.raises(ModelError, match=r"in a folder of an earlier version: identify the model again$"):
+        AerodynamicModel.load(folder)
+    described.write_text(text.replace('"format": 5', '"format": 4'))
     with pytest.raises(ModelError, match=r"format 4 is not known to this version \(6\)"):
         AerodynamicModel.load(folder)
 
