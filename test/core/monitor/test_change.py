@@ -245,6 +245,12 @@ def test_after_a_manoeuvre_beyond_training_no_share_is_stated(vehicle: Vehicle) 
     seconds = 1e-9 * rows.time_ns - 1.0
     assert unlike[(seconds > 2.01) & (seconds < 4.05)].all()
     assert not unlike[(seconds < 1.99) | (seconds > 4.15)].any()
+    # Far beyond, nothing counts against the vehicle for a second more, and it is uncalibrated for as long.
+    samples.inputs[samples.between(2.0, 2.3), INPUT_NAMES.index("q")] = 20.0
+    far = samples.run(alarm_of(vehicle))
+    after = 1e-9 * far.time_ns - 1.0 > 4.5
+    assert (far.cause_health[after, COLUMN] == UNCALIBRATED)[:5].all()
+    assert (far.cause_health[1e-9 * far.time_ns - 1.0 > 5.4, COLUMN] == ACTIVE).all()
     said = [UNCALIBRATED_WORDS in words for words in Explained().rows(rows)]
     np.testing.assert_array_equal(said, unlike)
     # Those of the other causes are not its own.

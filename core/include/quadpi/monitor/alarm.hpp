@@ -27,6 +27,9 @@ constexpr double STATED_EVIDENCE = 20.0;
 
 // For this long after a sample beyond a warning of EXTRAPOLATION [s] a manoeuvre is unlike those of training.
 constexpr double UNLIKE_S = 2.0;
+// For so long after an alarm of EXTRAPOLATION [s] nothing counts against the vehicle: what is left of errors
+// there lasts, and of ten faster flights four raised CHANGE on it.
+constexpr double BEYOND_S = 1.0;
 
 // Python's floor division, by a positive number.
 inline std::int64_t floor_divided(std::int64_t value, std::int64_t by) {
@@ -107,6 +110,8 @@ inline void judge_miscoverage(
 ) {
     AlarmRow& row = state.row;
     double worst = 0.0;
+    // Where the model is known not to hold, misses tell nothing of the vehicle.
+    const bool beyond = state.extrapolates && row.cause_level[EXTRAPOLATION] == LEVEL_ALARM;
     const double keep = SHARE_S / (SHARE_S + step_s);
     for (int axis = 0; axis < AXES; ++axis) {
         const double limit = limits.miscoverage_s[axis];
@@ -114,7 +119,7 @@ inline void judge_miscoverage(
             continue;
         }
         const bool blown = state.wind_unknown && (axis == FX || axis == FY);
-        if ((state.settled && !blown) || axis == FZ) {
+        if (!beyond && ((state.settled && !blown) || axis == FZ)) {
             const double half = 0.5 * (upper[axis] - lower[axis]) * limits.interval_ratio[axis];
             const double miss =
                 std::abs(measured[axis] - 0.5 * (upper[axis] + lower[axis])) > half ? 1.0 : 0.0;
@@ -149,8 +154,11 @@ inline void judge_change(
         return;
     }
     end_block(limits.change, limits.rotors, change, floor_divided(sample.time_ns, BLOCK_NS));
-    change.unlike_s = state.extrapolates ? UNLIKE_S : std::max(0.0, change.unlike_s - step_s);
-    if (state.settled && !state.wind_unknown && !state.extrapolates) {
+    change.unlike_s = std::max(state.extrapolates ? UNLIKE_S : 0.0, change.unlike_s - step_s);
+    if (state.extrapolates && state.row.cause_level[EXTRAPOLATION] == LEVEL_ALARM) {
+        change.unlike_s = UNLIKE_S + BEYOND_S;
+    }
+    if (state.settled && !state.wind_unknown && !state.extrapolates && change.unlike_s <= UNLIKE_S) {
         Wrench error;
         for (int axis = 0; axis < AXES; ++axis) {
             error[axis] = measured[axis] - 0.5 * (lower[axis] + upper[axis]);
