@@ -460,8 +460,7 @@ def play(
     with Child("quadpi_ros.player", arguments, folder) as player:
         collector.spin_until(lambda: nodes.finished() or player.finished())
     _require_running(nodes)
-    sent: Stamps = np.load(sent_file)
-    return sent
+    return np.load(sent_file)
 
 
 def await_rest(nodes: Child, collector: Collector, last_ns: int) -> None:

@@ -241,8 +241,7 @@ class SensorNode(ManagedNode[Parameters]):
         )
         publisher = self.create_publisher(message_type, topic, qos, event_callbacks=events)
         self._outputs[topic] = _Output(publisher)
-        publish: Callable[[Any], None] = publisher.publish
-        return publish
+        return publisher.publish
 
     def deactivate(self) -> None:
         """Destroy the subscriptions."""

@@ -395,11 +395,10 @@ def judged_cells(found: Found, flights: Sequence[Residual], seed: int) -> Cells:
 
     def energy(series: Iterable[Array]) -> Array:
         """Sums of squares (C, …) of series (B, …) of each flight."""
-        total: Array = sum(
+        return sum(
             (own @ np.square(values).reshape(len(values), -1)).reshape(-1, *values.shape[1:])
             for own, values in zip(members, series, strict=True)
         )
-        return total
 
     beyond, drawn = energy(flight.beyond for flight in flights), energy(_drawn(found, seed))
     mean, variance = drawn.mean(axis=2), drawn.var(axis=2)

@@ -170,8 +170,7 @@ class Closing:
         lost = [np.square(regression.deviation(index, fit)) - known for fit in without]
         expected = np.maximum(np.square(deviation), share * np.sum(np.maximum(lost, 0.0), axis=0))
         estimated = deviation > 0.0
-        ratio: Array = np.sqrt(np.divide(spread, expected, out=np.zeros(len(deviation)), where=estimated))
-        return ratio
+        return np.sqrt(np.divide(spread, expected, out=np.zeros(len(deviation)), where=estimated))
 
     def shape(self, index: int, law: Fit, found: Fit) -> dict[str, float]:
         """Parameters of `effect_definition.SHAPE` by which the flights shape the law of a candidate.
@@ -259,8 +258,7 @@ class Found:
     def _stated(self) -> Array:
         """Mean squares (6,) of intervals, which are no gap; 0 where enough sound flights tell more."""
         sound = self.regression.sound
-        stated: Array = self.regression.stated_squares * (sound is None or sound.flights < FEW_FLIGHTS.value)
-        return stated
+        return self.regression.stated_squares * (sound is None or sound.flights < FEW_FLIGHTS.value)
 
     def deviation(self, index: int) -> Array:
         """Standard deviation (k,) of the parameters of a chosen candidate, in their units; 0 at a bound.

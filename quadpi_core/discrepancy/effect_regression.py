@@ -77,8 +77,7 @@ class Reduction(NamedTuple):
     @property
     def credited(self) -> Array:
         """Squares (6,) that speak for the effects: where coefficients undo what they add, not the whole."""
-        smaller: Array = np.minimum(self.fitted, self.stated)
-        return smaller
+        return np.minimum(self.fitted, self.stated)
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,8 +157,7 @@ class Regression(Kept):
         within is nothing that it lacks, and what an effect would add beyond speaks against that.
         """
         rows = self.residual.counts
-        least: Array = self.stated_squares[:, np.newaxis] * rows.sum() / np.maximum(rows, 1)
-        return least
+        return self.stated_squares[:, np.newaxis] * rows.sum() / np.maximum(rows, 1)
 
     def _beside_known_errors(self, sound: SoundFlights) -> Regression:
         """The regression of the residual less what sound flights leave, with their noise."""
@@ -506,8 +504,7 @@ def noise_of_flight(left: Array, band: Indices, of_all: Array) -> Array:
     """Variance (6, C) of a flight's noise by what is left of it (6, B), and that of all flights (6, C)."""
     counts = np.bincount(band, minlength=of_all.shape[1])
     squares = np.stack([np.bincount(band, own, len(counts)) for own in np.square(left)])
-    variance: Array = (squares + ALIKE_ROWS.value * of_all) / (counts + ALIKE_ROWS.value)
-    return variance
+    return (squares + ALIKE_ROWS.value * of_all) / (counts + ALIKE_ROWS.value)
 
 
 def law_fit(regression: Regression, chosen: Sequence[int], without: int | None = None) -> Fit:

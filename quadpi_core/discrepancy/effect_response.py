@@ -254,8 +254,7 @@ def _without_noise(values: Array, rate_hz: float) -> Array:
     gain = 1.0 - noise / np.maximum(power, np.maximum(noise, np.finfo(float).tiny))
     gain[frequency >= NOISE_HZ.value[1]] = 0.0
     gain[0] = 1.0
-    without: Array = np.fft.irfft(gain * transformed, len(whole), axis=0)[: len(values)]
-    return without
+    return np.fft.irfft(gain * transformed, len(whole), axis=0)[: len(values)]
 
 
 def body_tolerances(simulation: Simulation) -> tuple[tuple[Effect, float], ...]:

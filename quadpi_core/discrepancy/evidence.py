@@ -112,8 +112,7 @@ class Fit:
         if columns not in self.parts:
             return np.zeros(columns.width)
         first = sum(part.width for part in self.parts[: self.parts.index(columns)])
-        found: Array = (self.fitted == first + np.arange(columns.width)[:, None]) @ values
-        return found
+        return (self.fitted == first + np.arange(columns.width)[:, None]) @ values
 
 
 @dataclass(frozen=True, eq=False)
@@ -302,8 +301,7 @@ class Equations:
     @staticmethod
     def _possible(found: Fit, block: Block) -> npt.NDArray[np.bool_]:
         values = found.of(block.columns)[: len(block.at)]
-        within: npt.NDArray[np.bool_] = (values >= block.lowest) & (values <= block.highest)
-        return within
+        return (values >= block.lowest) & (values <= block.highest)
 
 
 @dataclass(frozen=True, eq=False)
@@ -360,5 +358,4 @@ def own_sizes(per_flight: Array, residual: Array, shared: Indices, own: Indices)
 
 def student_weights(squares: Array) -> Array:
     """Weights of deviations with these squares, in typical ones, by the tails of Student's t."""
-    weights: Array = (TAILS.value + 1.0) / (TAILS.value + squares)
-    return weights
+    return (TAILS.value + 1.0) / (TAILS.value + squares)

@@ -398,8 +398,7 @@ class RecordedSimulation(Simulation):
 
     def explained(self, flight: Flight) -> Array:
         """See :class:`Simulation`."""
-        wrench: Array = np.sum([part.wrench for part in self._parts(flight)], axis=0)
-        return wrench
+        return np.sum([part.wrench for part in self._parts(flight)], axis=0)
 
     def uncertain(self, flight: Flight) -> list[Column]:
         """See :class:`Simulation`; by :func:`part_columns`."""

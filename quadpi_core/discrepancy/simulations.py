@@ -202,8 +202,7 @@ class Simulation(ABC):
 
 def airspeed(flight: Flight) -> Array:
     """Velocity (N, 3) m/s relative to the air, body axes."""
-    velocity: Array = relative_to_air(flight.velocity, flight.attitude, flight.wind)
-    return velocity
+    return relative_to_air(flight.velocity, flight.attitude, flight.wind)
 
 
 def attribute_of(path: str) -> Any:

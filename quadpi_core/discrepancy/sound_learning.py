@@ -226,8 +226,7 @@ class _Posterior:
     @cached_property
     def mean(self) -> Array:
         """Of the shared coefficients (n,)."""
-        mean: Array = self.covariance @ self.projection
-        return mean
+        return self.covariance @ self.projection
 
     def of_flight(self, flight: _OfFlight) -> tuple[Array, Array]:
         """Mean (m,) and covariance (m, m) of the coefficients that a flight has of its own."""
@@ -245,8 +244,7 @@ class _Posterior:
             ]
         )
         away = without - without.mean(axis=0)
-        covariance: Array = (flights - 1) / flights * away.T @ away
-        return covariance
+        return (flights - 1) / flights * away.T @ away
 
 
 def _variances(products: Array, rows: Array, sought: int) -> tuple[_Variances, _Posterior]:
@@ -321,8 +319,7 @@ def _squares_left(product: Array, used: Indices, mean: Array, covariance: Array)
     # shared and each flight's own as well is used twice.
     whole = np.zeros(product.shape[2:])
     np.add.at(whole, (used[:, np.newaxis], used), moment)
-    squares: Array = product.reshape(*product.shape[:2], -1) @ whole.ravel()
-    return squares
+    return product.reshape(*product.shape[:2], -1) @ whole.ravel()
 
 
 def predicts(gained: Array) -> bool:
@@ -437,5 +434,4 @@ def _gained(square: Array, product: Array, variance: Array) -> Array:
 
 def _symmetric(matrix: npt.NDArray[np.floating]) -> Array:
     """A matrix without what rounding makes of its symmetry."""
-    even: Array = 0.5 * (matrix + matrix.T)
-    return even
+    return 0.5 * (matrix + matrix.T)

@@ -104,8 +104,7 @@ def slow_state_noise(flights: Sequence[Compared], bands: int) -> Array:
     slowest = np.square(WANDER_M_S.value * slopes) * flights[0].thinned.rate_hz / (2.0 * WANDER_HZ.value)
     # The lower edge of a band is where most of its noise is.
     share = 1.0 / (1.0 + np.square(np.array(EDGES_HZ.value[:bands]) / WANDER_HZ.value))
-    variance: Array = slowest[:, None] * share
-    return variance
+    return slowest[:, None] * share
 
 
 class Inside(NamedTuple):
@@ -155,16 +154,14 @@ def stated_squares(flights: Sequence[Compared]) -> Array:
     sigmas = 2.0 * float(ndtri(0.5 + 0.5 * margins[0].confidence))
     values = np.concatenate([np.square((own.upper - own.lower) / sigmas) for own in margins])
     known = np.isfinite(values)
-    stated: Array = np.sum(values, axis=0, where=known) / np.maximum(known.sum(axis=0), 1)
-    return stated
+    return np.sum(values, axis=0, where=known) / np.maximum(known.sum(axis=0), 1)
 
 
 def as_many_as_stated(shares: Array, confidence: float) -> npt.NDArray[np.bool_]:
     """Columns (C,) of shares (F, C) of samples inside, of F flights, that agree with a confidence."""
     error = np.std(shares, axis=0, ddof=1) / np.sqrt(len(shares))
     enough = np.mean(shares, axis=0) + SHORT_OF.value * error >= confidence
-    held: npt.NDArray[np.bool_] = enough & (1.0 - np.min(shares, axis=0) <= MISSED.value * (1.0 - confidence))
-    return held
+    return enough & (1.0 - np.min(shares, axis=0) <= MISSED.value * (1.0 - confidence))
 
 
 class Left(NamedTuple):
@@ -280,8 +277,7 @@ def functions_of_course(flight: Compared) -> tuple[list[str], Array]:
 
 def _hats(away: Array) -> Array:
     """Weights (…,) of distances (…, 2) in spacings: 1 at a point, falling linearly to 0 at one spacing."""
-    hats: Array = np.prod(np.maximum(1.0 - np.abs(away), 0.0), axis=-1)
-    return hats
+    return np.prod(np.maximum(1.0 - np.abs(away), 0.0), axis=-1)
 
 
 def generic_spectra(flights: Sequence[Compared]) -> tuple[list[str], list[Spectrum]]:
@@ -352,5 +348,4 @@ def left_out_gain(grams: Array, projections: Array) -> tuple[float, Array]:
 def _penalty(total: Array, ridge: float = RIDGES.value[0]) -> Array:
     # A function that stays zero, such as a force that a simulation lacks, must leave the matrix regular.
     scale = np.sqrt(np.diag(total))
-    penalty: Array = np.diag(ridge * np.maximum(scale, 1e-6 * scale.max()) ** 2)
-    return penalty
+    return np.diag(ridge * np.maximum(scale, 1e-6 * scale.max()) ** 2)

@@ -188,8 +188,7 @@ class BiasResponse:
     def _means(self, values: Array) -> Array:
         """Of values (N, 3) over each step (K, 3)."""
         used = values[: self._steps * self._samples]
-        means: Array = used.reshape(self._steps, -1, 3).mean(axis=1)
-        return means
+        return used.reshape(self._steps, -1, 3).mean(axis=1)
 
 
 def _transition(rotation: Array, rates: Array, force: Array, dt: float) -> Array:
@@ -222,14 +221,12 @@ def _pose_information(velocity: Array, rates: Array, pushed: Array, noises: Reco
 
 def _turned(rotation: Array, values: Array) -> Array:
     """Vectors (K, 3), each by its rotation (K, 3, 3)."""
-    turned: Array = np.einsum("nij,nj->ni", rotation, values)
-    return turned
+    return np.einsum("nij,nj->ni", rotation, values)
 
 
 def _cross(vectors: Array) -> Array:
     """Matrices (K, 3, 3) that multiply as the cross products with vectors (K, 3) from the left."""
-    crossed: Array = np.tensordot(vectors, _CROSSED, axes=1)
-    return crossed
+    return np.tensordot(vectors, _CROSSED, axes=1)
 
 
 class OwnStates(NamedTuple):
@@ -386,5 +383,4 @@ class _Stretch:
 def _varying_forces(wrenches: Array) -> Array:
     """Forces (·, K) of wrenches (N, 6, K) without their means."""
     forces = wrenches[:, :3]
-    varying: Array = (forces - forces.sum(axis=0) / len(forces)).reshape(3 * len(forces), -1)
-    return varying
+    return (forces - forces.sum(axis=0) / len(forces)).reshape(3 * len(forces), -1)

@@ -65,8 +65,7 @@ class Kept:
         """What is made of the value, by a key that tells it apart; the same for all who ask again."""
         if key not in self._known:
             self._known[key] = make()
-        found: _Made = self._known[key]
-        return found
+        return self._known[key]
 
 
 class Spectrum(NamedTuple):
@@ -114,8 +113,7 @@ def band_means(values: Sequence[Array], bands: Sequence[Indices]) -> Array:
     """Mean (A, C) within each band of values (A, B) of each flight; 0 where no flight has rows."""
     together, band = np.concatenate(values, axis=1), np.concatenate(bands)
     sums = np.stack([np.bincount(band, own) for own in together])
-    mean: Array = sums / np.maximum(np.bincount(band), 1)
-    return mean
+    return sums / np.maximum(np.bincount(band), 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,8 +223,7 @@ class Noise:
     @cached_property
     def precision(self) -> Array:
         """Squared weights (F, 6, C)."""
-        squared: Array = 1.0 / self.variance
-        return squared
+        return 1.0 / self.variance
 
     def beside(self, *own: OfEachFlight) -> Noise:
         """The noise with further deviations of each flight."""
@@ -252,14 +249,12 @@ class Noise:
         if not self.own:
             return white
         # The inverse of 1 + Q Qᵀ, by Woodbury.
-        deflated: Array = white - np.swapaxes(self._seen(first), 1, 2) @ self.covariance @ self._seen(second)
-        return deflated
+        return white - np.swapaxes(self._seen(first), 1, 2) @ self.covariance @ self._seen(second)
 
     @cached_property
     def _white(self) -> PairsOfColumns:
         def weighed(first: Columns, second: Columns) -> Array:
-            gram: Array = np.einsum("fac,facij->fij", self.precision, self.products(first, second))
-            return gram
+            return np.einsum("fac,facij->fij", self.precision, self.products(first, second))
 
         return PairsOfColumns(weighed)
 
@@ -283,8 +278,7 @@ class Noise:
     def deviations(self, parts: Sum, place: int) -> Array:
         """Mean (E,) of the deviations of a flight, as its residual, a sum of columns, tells them."""
         seen = sum(self._seen(part.columns)[place] @ part.weights for part in parts)
-        mean: Array = self.covariance[place] @ seen
-        return mean
+        return self.covariance[place] @ seen
 
     def own_rows(self, parts: Sum, place: int) -> Array:
         """Rows (6, B) of what a flight has of its own, as its residual, a sum of columns, tells it."""

@@ -104,8 +104,7 @@ class Ekf:
     @property
     def status(self) -> EstimatorStatus:
         """How far the estimate can be used; one that is LOST must not be published as odometry."""
-        status: EstimatorStatus = _STATUSES[self._memory.filter["status"][0]]
-        return status
+        return _STATUSES[self._memory.filter["status"][0]]
 
     @property
     def state(self) -> State:

@@ -272,8 +272,7 @@ class State(NamedTuple):
         return self._field("covariance")
 
     def _field(self, name: str) -> Array:
-        field: Array = self.estimate[name][0]
-        return field
+        return self.estimate[name][0]
 
 
 class Memory(NamedTuple):

@@ -343,8 +343,7 @@ def initial_from_velocities(
 
 def _over_ground(rotation: Array, specific_force: Array, gravity: float) -> Array:
     """Acceleration (3,) m/s² in the world of a body that feels a specific force (3,) m/s²."""
-    acceleration: Array = matrix_times(rotation, specific_force) + np.array([0.0, 0.0, gravity])
-    return acceleration
+    return matrix_times(rotation, specific_force) + np.array([0.0, 0.0, gravity])
 
 
 def _covariance(position: float, velocity: float, attitude: float, gyro_bias: float) -> Array:
@@ -401,8 +400,7 @@ def _slope(time_ns: Stamps, values: Array) -> Array:
     """Slope (3,) per second of the least-squares line through values (N, 3) at stamps (N,)."""
     time = 1e-9 * (time_ns - time_ns[0]).astype(np.float64)
     centred = time - time.mean()
-    slope: Array = np.sum(centred[:, None] * values, axis=0) / np.sum(centred * centred)
-    return slope
+    return np.sum(centred[:, None] * values, axis=0) / np.sum(centred * centred)
 
 
 def _relative_attitudes(imu: Records, last_ns: int) -> Array:
@@ -417,8 +415,7 @@ def _integrals(imu: Records, values: Array, edges: Stamps) -> Array:
     time_ns = imu["time_ns"]
     steps = 0.5e-9 * np.diff(time_ns)[:, None] * (values[1:] + values[:-1])
     total = np.concatenate((np.zeros((1, 3)), np.cumsum(steps, axis=0)))
-    integrals: Array = np.diff(interpolate_columns(time_ns, total, edges), axis=0)
-    return integrals
+    return np.diff(interpolate_columns(time_ns, total, edges), axis=0)
 
 
 def _level(down: Array) -> Array:

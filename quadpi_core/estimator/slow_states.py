@@ -57,8 +57,7 @@ def _corrects(odometry: OdometryStream) -> bool:
 
 def _lacking(odometry: OdometryStream) -> _Parts:
     """Which parts (3,) most of the states do not have."""
-    lacking: _Parts = 2 * np.count_nonzero(odometry.deviation < 0.0, axis=0) > len(odometry)
-    return lacking
+    return 2 * np.count_nonzero(odometry.deviation < 0.0, axis=0) > len(odometry)
 
 
 class VelocityRate:

@@ -264,8 +264,7 @@ class Assessed:
         np.cumsum(self.missed, axis=0, out=counts[1:])
         shares = (counts[stops] - counts[starts]) / np.maximum(stops - starts, 1)[:, None]
         whole = self.time + _OFF_S <= self.time[-1]
-        above: npt.NDArray[np.bool_] = (shares > _OFF_SHARE).any(axis=1) & whole
-        return above
+        return (shares > _OFF_SHARE).any(axis=1) & whole
 
     def delay_s(self) -> float | None:
         """Seconds from where the model is off to the alarm; infinite without one, None if it is never off."""

@@ -262,8 +262,7 @@ class FlightResult:
 
     def column(self, quantity: str, axis: str) -> Array:
         """One axis (N,) of `measured`, `predicted`, `lower` or `upper`."""
-        values: Array = getattr(self, quantity)[:, AXES.index(axis)]
-        return values
+        return getattr(self, quantity)[:, AXES.index(axis)]
 
     def check(self) -> None:
         """Refuse samples for which metrics are undefined.

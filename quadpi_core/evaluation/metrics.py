@@ -85,8 +85,7 @@ def cwc(
 
 def implied_std(lower: Array, upper: Array, confidence: float) -> Array:
     """Standard deviation (N,) of the normal distribution that has [L, U] as its central interval."""
-    std: Array = 0.5 * (upper - lower) / ndtri(0.5 + 0.5 * confidence)
-    return std
+    return 0.5 * (upper - lower) / ndtri(0.5 + 0.5 * confidence)
 
 
 def crps_normal(measured: Array, mean: Array, std: Array) -> float:
@@ -132,8 +131,7 @@ def round_edges(values: Array, most: int = MOST_BINS) -> Array:
             break
     # 0.3, not 0.30000000000000004.
     digits = max(0, 1 - int(np.floor(np.log10(step))))
-    edges: Array = np.round(np.arange(first, last + 1.0) * step, digits)
-    return edges
+    return np.round(np.arange(first, last + 1.0) * step, digits)
 
 
 def by_bin(values: Array, inside: npt.NDArray[np.bool_], width: Array, edges: Array) -> RegimeBins:

@@ -126,8 +126,7 @@ def velocity_of(log: FieldLog) -> Series | None:
 
     def sums(of: Array) -> Array:
         total = np.vstack([np.zeros(of.shape[1]), np.cumsum(of, axis=0)])
-        part: Array = total[high] - total[low]
-        return part
+        return total[high] - total[low]
 
     # Centred on the middle of the log, so that sums of squares lose no digits.
     clock = (time - time.mean())[:, np.newaxis]
@@ -244,8 +243,7 @@ def _runs(series: Series) -> list[Stretch]:
 def runs_of(mask: npt.NDArray[np.bool_]) -> list[list[int]]:
     """First sample of each run that a mask (N,) has, and the one after its last."""
     ends = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
-    runs: list[list[int]] = ends.reshape(-1, 2).tolist()
-    return runs
+    return ends.reshape(-1, 2).tolist()
 
 
 def _moved(log: FieldLog, stretch: Stretch, *, is_sure: bool) -> bool:

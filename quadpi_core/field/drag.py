@@ -73,8 +73,7 @@ class DragSamples:
     @property
     def body_velocity(self) -> Array:
         """Velocity over ground (N, 3) in body axes."""
-        body: Array = np.einsum("nji,nj->ni", self.turn, self.velocity)
-        return body
+        return np.einsum("nji,nj->ni", self.turn, self.velocity)
 
 
 def piece_lengths_s(airborne_s: Sequence[float]) -> list[float]:
@@ -247,8 +246,7 @@ class DragFit:
         """Wind (N, 2) of a flight to north and east, m/s, at times (N,) s."""
         place, knots = self.layout[flight]
         winds = self.theta[place + 4 : place + 4 + 2 * len(knots)].reshape(2, -1).T
-        found: Array = self._weights(flight, time) @ winds
-        return found
+        return self._weights(flight, time) @ winds
 
     def residuals(self, flight: int) -> tuple[Array, Array, Array]:
         """Residuals (N, 2) in m/s², slopes (N, 2, C) by its columns, airspeed (N, 3) in body axes."""
@@ -357,8 +355,7 @@ class DragFit:
         for one in group:
             less[np.ix_(one.columns, one.columns)] -= one.information
             rest[one.columns] -= one.gradient
-        without: Array = self.theta - np.linalg.solve(less, rest)
-        return without
+        return self.theta - np.linalg.solve(less, rest)
 
     def _wind_half(self, whole: Array, pull: Array, group: Sequence[_Information], wanted: Array) -> Array:
         """Half the interval (2,) of the wind of a flight from its own pieces; not finite for too few."""
@@ -372,8 +369,7 @@ class DragFit:
         ]
         value = part @ self.theta[own]
         without = value - np.array(steps) @ part.T
-        half: Array = jackknife(value, without, np.ones((len(group), 2)))[1] - value
-        return half
+        return jackknife(value, without, np.ones((len(group), 2)))[1] - value
 
 
 USABLE_SPEED = Threshold(

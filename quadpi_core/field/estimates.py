@@ -100,8 +100,7 @@ def jackknife(whole: Array, without: Array, information: Array) -> tuple[Array, 
 def effective_pieces(information: Array) -> Array:
     """As many pieces (P,) as would share the information (B, P) evenly."""
     share = information / np.maximum(information.sum(axis=0), 1e-300)
-    count: Array = 1.0 / np.sum(share**2, axis=0)
-    return count
+    return 1.0 / np.sum(share**2, axis=0)
 
 
 def slope_of_pieces(

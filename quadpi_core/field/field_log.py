@@ -70,8 +70,7 @@ class Series:
 
     def held(self, time: Array) -> Array:
         """Values (M, C) of the last sample before each time; of the first one before that."""
-        last: Array = self.values[np.maximum(np.searchsorted(self.time, time, side="right") - 1, 0)]
-        return last
+        return self.values[np.maximum(np.searchsorted(self.time, time, side="right") - 1, 0)]
 
     def means(self, edges: Array) -> Array:
         """Mean values (M, C) between edges (M + 1,); NaN where no sample is."""
@@ -85,8 +84,7 @@ class Series:
     def filled_means(self, edges: Array) -> Array:
         """As :meth:`means`, on the line between samples where none is."""
         means = self.means(edges)
-        filled: Array = np.where(np.isfinite(means), means, self.at(0.5 * (edges[1:] + edges[:-1])))
-        return filled
+        return np.where(np.isfinite(means), means, self.at(0.5 * (edges[1:] + edges[:-1])))
 
     def during(self, begin: float, end: float) -> Series:
         """The samples of a part."""

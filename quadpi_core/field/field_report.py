@@ -224,8 +224,7 @@ class FieldReport:
         record = ReportRecord(
             self.verdict(), self.alarmed, self.mass, vehicles, flights, left_out=self.left_out
         )
-        content: dict[str, Any] = finite_json(asdict(record))
-        return content
+        return finite_json(asdict(record))
 
 
 def report_on(

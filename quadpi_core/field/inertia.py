@@ -301,5 +301,4 @@ def _least_squares(gram: Array, pull: Array) -> Array:
     """Coefficients; NaN where columns other than 0 say the same, of which the smallest would be as good."""
     scale = np.maximum(np.sqrt(np.diag(gram)), 1e-12)
     solved, _, rank, _ = np.linalg.lstsq(gram / np.outer(scale, scale), pull / scale, rcond=1e-10)
-    told: Array = solved / scale if rank == np.count_nonzero(scale > 1e-12) else np.full(len(pull), np.nan)
-    return told
+    return solved / scale if rank == np.count_nonzero(scale > 1e-12) else np.full(len(pull), np.nan)

@@ -324,8 +324,7 @@ def command_columns(u: Array, volts: Array, lag_s: float) -> Array:
     columns = np.stack(terms, axis=1)
     (keep,), (now,), (before,) = lag_weights(np.array([1.0 / GRID_HZ]), lag_s)
     begin = columns[:1] * (1.0 - now)
-    lagged: Array = lfilter([now, before], [1.0, -keep], columns, axis=0, zi=begin)[0]
-    return lagged
+    return lfilter([now, before], [1.0, -keep], columns, axis=0, zi=begin)[0]
 
 
 @dataclass(frozen=True)
@@ -366,8 +365,7 @@ def _ridged(gram: Array, pull: Array, weight: float, towards: Array | float) -> 
     """Least squares, drawn to coefficients: a battery that holds its voltage is no reason to fail."""
     scale = np.maximum(np.sqrt(np.diag(gram)), 1e-9)
     ridged = gram / np.outer(scale, scale) + weight * np.eye(len(gram))
-    solved: Array = np.linalg.solve(ridged, pull / scale + weight * scale * towards) / scale
-    return solved
+    return np.linalg.solve(ridged, pull / scale + weight * scale * towards) / scale
 
 
 def _errors(

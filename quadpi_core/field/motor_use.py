@@ -249,8 +249,7 @@ def _thrust(
 
 def _curve(columns: Array, target: Array) -> Array:
     """Coefficients (P,) by least squares."""
-    fitted: Array = np.linalg.lstsq(columns.T @ columns, columns.T @ target, rcond=None)[0].astype(np.float64)
-    return fitted
+    return np.linalg.lstsq(columns.T @ columns, columns.T @ target, rcond=None)[0].astype(np.float64)
 
 
 def _thrust_samples(log: FieldLog, cut: list[Stretch]) -> Array | None:

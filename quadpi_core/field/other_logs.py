@@ -307,6 +307,5 @@ def _scaled(values: Array, names: Sequence[str], notes: list[str]) -> Array | No
         if least <= usual[0] and usual[1] <= most:
             notes.append(f"commands are {names[0]} to {names[-1]}, taken as {low:g} to {high:g}")
             kept = np.where(values <= most, values, np.nan)
-            scaled: Array = np.clip((kept - low) / (high - low), 0.0, 1.0)
-            return scaled
+            return np.clip((kept - low) / (high - low), 0.0, 1.0)
     return None

@@ -91,8 +91,7 @@ def chances_to_exceed(
     mean, spread, freedom, n = _spread_between(largest, usual_spread, floor)
     spreads = spread * np.sqrt(freedom / random.chisquare(freedom, DRAWS))
     means = mean + spreads / np.sqrt(n) * random.standard_normal(DRAWS)
-    chances: Array = ndtr((means - np.log(max(limit, _LEAST))) / spreads)
-    return chances
+    return ndtr((means - np.log(max(limit, _LEAST))) / spreads)
 
 
 def _spread_between(largest: Array, usual_spread: float, floor: float) -> tuple[float, float, int, int]:
@@ -191,8 +190,7 @@ class Walk:
         """Rates per hour (:data:`DRAWS`,) at which a level is exceeded, as far as the blocks tell."""
         means = self.mean * self.flights / random.gamma(self.flights, size=DRAWS)
         beyond = self.per_hour * random.gamma(self.count, size=DRAWS) / self.count
-        rates: Array = beyond * np.exp(-max(limit - self.start, 0.0) / means)
-        return rates
+        return beyond * np.exp(-max(limit - self.start, 0.0) / means)
 
 
 def sums_of_misses(time: Array, miss: Array, allowed: float) -> Array:
@@ -516,8 +514,7 @@ def _share_inside(flight: LeftOut, others: tuple[Array, Array]) -> float:
 
 def _worst_distance(inputs: Array, others: tuple[Array, Array]) -> Array:
     """Distance (N,) of the worst input from the middle of its range over half of it."""
-    distance: Array = 1.0 + 2.0 * Envelope.outside(inputs, *others).max(axis=1)
-    return distance
+    return 1.0 + 2.0 * Envelope.outside(inputs, *others).max(axis=1)
 
 
 def hover_rotor_speed(inputs: Array, wrench: Array, weight: float) -> float:

@@ -61,8 +61,7 @@ def learn_repeating(flights: Sequence[Records], axes: Sequence[str]) -> Learned:
     def slopes(of: npt.NDArray[np.bool_], ridge: float) -> Array:
         """Those (INPUT_CHANGES · 19, axes) of some of the flights."""
         more = ridge * counts[of].sum() * np.eye(grams.shape[1])
-        found: Array = np.linalg.solve(grams[of].sum(axis=0) + more, sides[of].sum(axis=0))
-        return found
+        return np.linalg.solve(grams[of].sum(axis=0) + more, sides[of].sum(axis=0))
 
     # What the others say of each flight (N, ridges, axes), 0 first.
     said = [np.zeros((count, 1 + len(_RIDGES), len(axes))) for count in counts]
@@ -115,5 +114,4 @@ def _flat(changes: Array) -> Array:
 
 def _centred(of_flight: Array) -> Array:
     """Less the mean of the flight: its constant does not repeat."""
-    centred: Array = of_flight - of_flight.mean(axis=0)
-    return centred
+    return of_flight - of_flight.mean(axis=0)

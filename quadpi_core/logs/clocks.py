@@ -151,10 +151,9 @@ class Line(NamedTuple):
 
     def to_local(self, remote_ns: Stamps) -> Stamps:
         """Convert stamps (N,) of the other clock to this one."""
-        local: Stamps = remote_ns + np.rint(
-            self.offset_ns + self.slope * (remote_ns - self.origin_ns)
-        ).astype(np.int64)
-        return local
+        return remote_ns + np.rint(self.offset_ns + self.slope * (remote_ns - self.origin_ns)).astype(
+            np.int64
+        )
 
 
 def line_below(remote_ns: Stamps, arrival_ns: Stamps) -> Line:

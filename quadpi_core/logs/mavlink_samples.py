@@ -307,8 +307,7 @@ class MavlinkSamples:
         if not abs(norm - 1.0) <= NORM_TOLERANCE:
             self._refuse(name, "the attitude is no unit quaternion")
             return None
-        unit: Array = attitude / norm
-        return unit
+        return attitude / norm
 
     def _esc_info(self, m: Any, _: float) -> None:
         """Store which of the first four controllers are online; for later ones senders differ in the bits."""

@@ -261,8 +261,7 @@ def normalised_attitude(attitude: Array) -> Array:
     :mod:`quadpi_core.screening.sample_order` judges those with the rest of their sample.
     """
     norm = np.linalg.norm(attitude, axis=1)
-    unit: Array = attitude / np.where(np.abs(norm - 1.0) <= NORM_TOLERANCE, norm, 1.0)[:, np.newaxis]
-    return unit
+    return attitude / np.where(np.abs(norm - 1.0) <= NORM_TOLERANCE, norm, 1.0)[:, np.newaxis]
 
 
 # Of a vehicle that is no multicopter, such as a VTOL, the sensors are read and the rotors left out.

@@ -470,8 +470,7 @@ def header_stamps(columns: Columns, prefix: str = "header.stamp.") -> Stamps:
     """
     nanoseconds = columns[f"{prefix}nanosec"]
     _check_stamps(nanoseconds < NANOSECONDS, nanoseconds, "ns beyond its second")
-    stamps: Stamps = columns[f"{prefix}sec"].astype(np.int64) * NANOSECONDS + nanoseconds
-    return stamps
+    return columns[f"{prefix}sec"].astype(np.int64) * NANOSECONDS + nanoseconds
 
 
 def microsecond_stamps(microseconds: npt.NDArray[np.uint64]) -> Stamps:

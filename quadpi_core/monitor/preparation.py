@@ -343,14 +343,12 @@ class Prepared(NamedTuple):
     @property
     def usable(self) -> npt.NDArray[np.bool_]:
         """(K,) which samples are usable."""
-        usable: npt.NDArray[np.bool_] = self.verdicts["usable"]
-        return usable
+        return self.verdicts["usable"]
 
     @property
     def settled(self) -> npt.NDArray[np.bool_]:
         """(U,) which usable samples have settled."""
-        settled: npt.NDArray[np.bool_] = self.verdicts["settled"][self.usable]
-        return settled
+        return self.verdicts["settled"][self.usable]
 
 
 class Preparation:

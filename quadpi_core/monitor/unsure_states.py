@@ -65,8 +65,7 @@ def _rms(covariance: Array, first: int) -> Array:
     total = covariance[:, first, first].copy()
     for axis in (first + 1, first + 2):
         total = total + covariance[:, axis, axis]
-    deviation: Array = np.sqrt(np.maximum(total / 3.0, 0.0))
-    return deviation
+    return np.sqrt(np.maximum(total / 3.0, 0.0))
 
 
 def deviation_of_one(fused: FusedSamples) -> tuple[float, float]:

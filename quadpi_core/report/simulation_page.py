@@ -142,8 +142,7 @@ def _along(path: Array, longest: float) -> npt.NDArray[np.intp]:
     """Indices of samples at equal distances along the path (N, 3), at least three arms of a vehicle apart."""
     travelled = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))))
     count = int(min(_VEHICLES, travelled[-1] // (3.0 * _ARM * longest) + 1))
-    chosen: npt.NDArray[np.intp] = np.searchsorted(travelled, np.linspace(0.0, travelled[-1], count))
-    return chosen
+    return np.searchsorted(travelled, np.linspace(0.0, travelled[-1], count))
 
 
 def _vehicles(truth: Truth, samples: npt.NDArray[np.intp], arm: float) -> list[SpaceLine]:

@@ -116,10 +116,7 @@ def implausibilities(
 
 def finite_rows(*signals: Array) -> npt.NDArray[np.bool_]:
     """Rows (N,) in which every signal is finite."""
-    finite: npt.NDArray[np.bool_] = np.all(
-        [np.isfinite(values).all(axis=tuple(range(1, values.ndim))) for values in signals], axis=0
-    )
-    return finite
+    return np.all([np.isfinite(values).all(axis=tuple(range(1, values.ndim))) for values in signals], axis=0)
 
 
 def thrust_coefficient(recording: Recording, vehicle: Vehicle, *, in_hover: bool = False) -> float | None:

@@ -107,8 +107,7 @@ class Inertial(NamedTuple):
     def lift_at(self, time_ns: Stamps) -> Array:
         """Specific force upward at stamps (N,)."""
         start = self.time_ns[0]
-        lift: Array = np.interp((time_ns - start) * 1e-9, (self.time_ns - start) * 1e-9, self.lift)
-        return lift
+        return np.interp((time_ns - start) * 1e-9, (self.time_ns - start) * 1e-9, self.lift)
 
     def stands(self, from_ns: int, to_ns: int) -> bool:
         """Whether the vehicle does not turn between two stamps: then the ground carries it, as on a bench."""

@@ -215,8 +215,7 @@ def rotor_offset(imu: ImuStream, rotors: RotorSpeedStream, vehicle: Vehicle, wha
 def _quick_part(values: Array, there: Array, above_hz: float, rate_hz: float) -> Array:
     """What a high-pass leaves of columns (N, C), each of one size."""
     quick = (values - zero_phase(values, above_hz, rate_hz).value) * there[:, np.newaxis]
-    scaled: Array = quick / np.maximum(np.sqrt(np.mean(quick**2, axis=0)), np.finfo(float).tiny)
-    return scaled
+    return quick / np.maximum(np.sqrt(np.mean(quick**2, axis=0)), np.finfo(float).tiny)
 
 
 def _on_grid(
@@ -246,15 +245,13 @@ def _normalised(x: Array, x_there: Array, y: Array, y_there: Array) -> Array:
     product = sum(_correlate(x[:, channel], y[:, channel]) for channel in range(x.shape[1]))
     x_power = _correlate(np.sum(x * x, axis=1), y_there)
     y_power = _correlate(x_there, np.sum(y * y, axis=1))
-    normalised: Array = product / (_root(x_power) * _root(y_power))
-    return normalised
+    return product / (_root(x_power) * _root(y_power))
 
 
 def _root(power: Array) -> Array:
     """Square root with a floor: the transform leaves rounding errors of either sign near zero."""
     floor = max(1e-12 * float(power.max()), np.finfo(float).tiny)
-    root: Array = np.sqrt(np.maximum(power, floor))
-    return root
+    return np.sqrt(np.maximum(power, floor))
 
 
 def _peak_shift(values: Array, peak: int) -> float:

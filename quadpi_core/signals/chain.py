@@ -250,8 +250,7 @@ def interpolate_columns(time: Array | Stamps, values: Array, at: Array | Stamps)
     after = np.minimum(before + 1, len(time) - 1)
     since, span = at - time[before], time[after] - time[before]
     share = np.divide(since, span, out=np.zeros_like(since), where=span > 0.0)[:, None]
-    interpolated: Array = (1.0 - share) * values[before] + share * values[after]
-    return interpolated
+    return (1.0 - share) * values[before] + share * values[after]
 
 
 def interpolate_attitude(time_ns: Stamps, attitude: Array, at_ns: Stamps, max_gap_ns: int) -> Resampled:
@@ -277,10 +276,7 @@ def uniform_stamps(time_ns: Stamps) -> Stamps:
     """The grid of stamps at the nominal rate that lies between the first sample and the last."""
     step_ns = 1e9 / nominal_rate(time_ns)
     count = int((time_ns[-1] - time_ns[0]) / step_ns + _ROUNDING) + 1
-    stamps: Stamps = np.minimum(
-        time_ns[0] + np.rint(step_ns * np.arange(count)).astype(np.int64), time_ns[-1]
-    )
-    return stamps
+    return np.minimum(time_ns[0] + np.rint(step_ns * np.arange(count)).astype(np.int64), time_ns[-1])
 
 
 def first_gap(time_ns: Stamps, max_gap_ns: int) -> int | None:

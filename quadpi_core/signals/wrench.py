@@ -73,8 +73,7 @@ def band_limited(time: Array, rates: Array, forces: Array, bandwidth_hz: float |
     rotation = rotation_matrix(attitude)
     still = (rotation @ forces).reshape(len(forces), -1)
     smooth = sosfiltfilt(butter(_ORDER, bandwidth_hz, fs=rate_hz, output="sos"), still, axis=0)
-    body: Array = rotation.transpose(0, 2, 1) @ smooth.reshape(forces.shape)
-    return body
+    return rotation.transpose(0, 2, 1) @ smooth.reshape(forces.shape)
 
 
 def as_recorded(time: Array, inputs: Array, wrench: Array, bandwidth_hz: float | None) -> Array:

@@ -203,5 +203,4 @@ def _flights(
 
 def _spans(extremes: Array) -> Array:
     """Range (R, 6) in each realisation, over all flights, of extremes (R, F, 6, 2)."""
-    spans: Array = extremes[..., HIGHEST].max(axis=1) - extremes[..., LOWEST].min(axis=1)
-    return spans
+    return extremes[..., HIGHEST].max(axis=1) - extremes[..., LOWEST].min(axis=1)

@@ -159,8 +159,7 @@ class BlockStore:
         place, width = self.columns[name]
         if not self.oldest <= number <= self.newest:
             return np.full(width, np.nan, dtype=np.float32)
-        row: Rows = self._rows[number % self.capacity, place : place + width]
-        return row
+        return self._rows[number % self.capacity, place : place + width]
 
     def inside(self, last: int, model: int, seconds: float, least_s: float) -> Array:
         """Share (6,) of a model's samples inside their intervals, over the seconds up to a block.
@@ -175,8 +174,7 @@ class BlockStore:
         if len(rows) * self.block_ns < 1e9 * least_s:
             return np.full(_AXES, np.nan)
         count, *misses = rows.sum(axis=0, dtype=float)
-        shares: Array = 1.0 - np.array(misses) / count
-        return shares
+        return 1.0 - np.array(misses) / count
 
     def take_changed(self) -> int | None:
         """Number of the first block that has changed since the last call; None if none has."""

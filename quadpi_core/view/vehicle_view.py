@@ -376,8 +376,7 @@ class VehicleView:
 
 
 def _seconds(time_ns: Stamps) -> Array:
-    seconds: Array = _NANOSECONDS * time_ns.astype(np.float64)
-    return seconds
+    return _NANOSECONDS * time_ns.astype(np.float64)
 
 
 def _rows_of(predictions: Predictions, chosen: Any) -> Predictions:

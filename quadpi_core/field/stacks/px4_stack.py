@@ -145,8 +145,7 @@ def _corners(parameters: Mapping[str, float], rotors: int | None) -> Array | Non
     if not rotors or "CA_ROTOR0_PX" not in parameters:
         return None
     places = [[parameters.get(f"CA_ROTOR{motor}_P{axis}", 0.0) for axis in "XY"] for motor in range(rotors)]
-    signs: Array = np.sign(np.array(places))
-    return signs
+    return np.sign(np.array(places))
 
 
 def _commands(topics: Topics, start_ns: int, rotors: int | None) -> tuple[Series | None, tuple[str, ...]]:

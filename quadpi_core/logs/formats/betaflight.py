@@ -170,8 +170,7 @@ def _lost(iterations: Array) -> int:
 
 def stamps_in(columns: Mapping[str, Array]) -> Stamps:
     """Stamps (N,) of the frames."""
-    stamps: Stamps = np.round(columns["time"] * 1e3).astype(np.int64)
-    return stamps
+    return np.round(columns["time"] * 1e3).astype(np.int64)
 
 
 def _stacked(columns: Mapping[str, Array], names: Sequence[str]) -> Array:

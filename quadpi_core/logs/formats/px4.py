@@ -244,8 +244,7 @@ def _end_of_messages(path: Path) -> int | None:
 
 def _stamps(columns: Columns, name: str = "timestamp") -> Stamps:
     ticks = np.minimum(columns[name], np.uint64(2**62 // _US)).astype(np.int64)
-    stamps: Stamps = ticks * _US
-    return stamps
+    return ticks * _US
 
 
 def _stack(columns: Columns, *names: str) -> Array:

@@ -197,8 +197,7 @@ def shares_of_outputs(outputs: Array) -> Array:
     """
     first = outputs[:, :1]
     disarmed = (outputs == first).all(axis=1, keepdims=True) & (first >= _PULSE_MIN) & (first <= _PULSE_REST)
-    shares: Array = np.where(disarmed, 0.0, outputs / _OUTPUT_FULL)
-    return shares
+    return np.where(disarmed, 0.0, outputs / _OUTPUT_FULL)
 
 
 def start_of_battery(

@@ -33,8 +33,7 @@ def _start(settings: CommandSettings, vehicle: Vehicle | None) -> Reading:
 
 
 def _shares(values: Array) -> Array:
-    shares: Array = np.clip(np.nan_to_num(values, nan=0.0), 0.0, 1.0)
-    return shares
+    return np.clip(np.nan_to_num(values, nan=0.0), 0.0, 1.0)
 
 
 COMMANDS = Adapter(

@@ -39,10 +39,9 @@ def local_position(latitude: Array, longitude: Array, height: Array, origin: Arr
     across = (_AXIS_M / np.sqrt(flatness) + origin[2]) * cosine(turned)
     # The shorter way round, where a flight crosses 180°.
     east = (longitude - origin[1] + 180.0) % 360.0 - 180.0
-    metres: Array = np.column_stack(
+    return np.column_stack(
         (along * np.deg2rad(latitude - origin[0]), across * np.deg2rad(east), origin[2] - height)
     )
-    return metres
 
 
 def _start(_settings: object, _vehicle: Vehicle | None) -> Reading:
