@@ -25,7 +25,7 @@ from quadpi_core.messages import sensor_messages
 from quadpi_core.results import BAD_DATA
 from quadpi_core.vehicle import Vehicle
 
-pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
+pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("error::RuntimeWarning")]
 
 SAMPLE = 123
 

@@ -17,6 +17,8 @@ from quadpi_core.messages.payloads import Payloads
 from ..core.messages.adapters.vendor_messages import DEFINITIONS, EXAMPLES, PX4_1_18, SETTINGS, Messages
 from .damage import bounded, damaged, refusing
 
+pytestmark = pytest.mark.slow
+
 CASES = 60
 # Events come as records instead of arrays.
 READERS = UNPACKERS | {

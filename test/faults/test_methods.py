@@ -25,6 +25,8 @@ from quadpi_core.plugins import names_in
 from quadpi_core.vehicle import Vehicle
 from test.conftest import run_without_torch
 
+pytestmark = pytest.mark.slow
+
 METHODS = names_in(kinds)
 ENSEMBLES = [method for method in METHODS if isinstance(kind_named(method), Ensemble)]
 # With the settings that each method has.
