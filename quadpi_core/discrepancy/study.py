@@ -313,7 +313,7 @@ def _doubtful(discovery: Discovery) -> dict[str, str]:
 
 
 def _spoiling(discovery: Discovery) -> dict[str, str]:
-    """Which of several effects intervals hold as much without, unless all fail otherwise; or empty."""
+    """The effect of several that intervals hold as much without; empty where a test but theirs fails."""
     compared, flown = discovery.found.regression.flights, discovery.flown
     against = any(not check.passed and check.test != "coverage" for check in discovery.checks)
     if flown is None or not flown.coverage or len(discovery.effects) < 2 or against:

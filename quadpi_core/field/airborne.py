@@ -12,12 +12,12 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
 from quadpi_core.errors import LogError
 from quadpi_core.field.field_log import FieldLog, Series
 from quadpi_core.frames import Array
 from quadpi_core.records import STANDARD_GRAVITY, Threshold
+from quadpi_core.screening.rotors_in_flight import runs_of
 
 _GRID_HZ = 10.0
 _LOADED_SHARE = Threshold(
@@ -238,12 +238,6 @@ def _runs(series: Series) -> list[Stretch]:
         else:
             joined.append((begin, end))
     return [Stretch(float(begin), float(end)) for begin, end in joined if end - begin >= _SHORTEST_S]
-
-
-def runs_of(mask: npt.NDArray[np.bool_]) -> list[list[int]]:
-    """First sample of each run that a mask (N,) has, and the one after its last."""
-    ends = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
-    return ends.reshape(-1, 2).tolist()
 
 
 def _moved(log: FieldLog, stretch: Stretch, *, is_sure: bool) -> bool:

@@ -14,12 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from quadpi_core.field.airborne import Flown, runs_of
+from quadpi_core.field.airborne import Flown
 from quadpi_core.field.estimates import CONFIDENCE, Estimate, not_identified, within
 from quadpi_core.field.field_log import FieldLog
 from quadpi_core.field.motor_use import FULL_COMMAND, MotorUse
 from quadpi_core.frames import Array
 from quadpi_core.records import CONVENTION, Threshold
+from quadpi_core.screening.rotors_in_flight import runs_of
 
 SCATTER = Threshold(
     "standard deviation of a motor's command over that of the others, between good flights of a vehicle",
