@@ -142,9 +142,10 @@ class EstimatorNode(SensorNode[EstimatorParameters]):
         return noted
 
     @property
-    def mocap_ns(self) -> int | None:
-        """Newest stamp of the motion capture; None before the first."""
-        return self._mocap_health.newest_ns
+    def mocap_ns(self) -> int:
+        """Newest stamp of the motion capture; NO_STAMP before the first."""
+        newest_ns = self._mocap_health.newest_ns
+        return NO_STAMP if newest_ns is None else newest_ns
 
     @property
     def slow_since_ns(self) -> int | None:

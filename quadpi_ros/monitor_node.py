@@ -7,7 +7,6 @@ from __future__ import annotations
 import math
 import time
 import traceback
-from collections import deque
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
@@ -38,7 +37,7 @@ from quadpi_core.messages.one_by_one import IncomingMessage
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.monitor import Monitor, MonitorSettings
 from quadpi_core.monitor.alarm_log import naming_sensors
-from quadpi_core.monitor.health import IMU_SAMPLES_KEPT, SILENT_S, WATCH_S, Latency, Silence, lacking
+from quadpi_core.monitor.health import MOTION_CAPTURE, SILENT_S, WATCH_S, Heard, Latency, Silence
 from quadpi_core.monitor.monitor import Judged
 from quadpi_core.monitor.pairing import CAPACITY, NOTHING, Completed, Judging, Pairing
 from quadpi_core.monitor.unsure_states import deviation_of_one
@@ -72,9 +71,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
         self._commanded: CommandedRotors | None = None
         self._measuring: Monitor | None = None
         self._dropped = self._judged = 0
-        self._newest_ns = self._state_ns = self._rotors_ns = NO_STAMP
-        # Of the last IMU samples, and of what the newest stamps of state and rotor speeds were as each came.
-        self._heard: deque[tuple[int, int, int]] = deque(maxlen=IMU_SAMPLES_KEPT)
+        self._newest_ns = NO_STAMP
         self._silence_watch: Watch | None = None
         self._silence = Silence()
         self._silence_published_s = -math.inf
@@ -233,8 +230,10 @@ class MonitorNode(SensorNode[MonitorParameters]):
             self._reset_monitors()
             self._latency.reset()
         self._newest_ns = time_ns
-        state_ns = self._state_ns if self._estimator is None else self._estimator.mocap_ns
-        self._heard.append((time_ns, NO_STAMP if state_ns is None else state_ns, self._rotors_ns))
+        _, state_ns, rotors_ns, _ = self._pairing.newest_ns.tolist()
+        if self._estimator is not None:
+            state_ns = self._estimator.mocap_ns
+        self._heard.take_one(time_ns, state_ns, rotors_ns)
         self._latency.arrived(time_ns, time.monotonic_ns())
 
     def _take_raw_imu(self, imu: ImuStream) -> None:
@@ -244,7 +243,6 @@ class MonitorNode(SensorNode[MonitorParameters]):
         """Take one state."""
         time_ns, (_, attitude, velocity) = int(odometry.time_ns[0]), odometry.stated[0].tolist()
         self._results.monitors.sample_context.unsure.take_one(time_ns, max(velocity, 0.0), max(attitude, 0.0))
-        self._state_ns = time_ns
         state = odometry.velocity[0], odometry.attitude[0], odometry.rates[0]
         self._publish(self._pairing.add_state(time_ns, *state, self._judging()))
 
@@ -302,7 +300,6 @@ class MonitorNode(SensorNode[MonitorParameters]):
 
     def _add_rotor_speeds(self, rotor_speeds: RotorSpeedStream) -> None:
         time_ns, speeds = int(rotor_speeds.time_ns[0]), rotor_speeds.speeds[0]
-        self._rotors_ns = time_ns
         self._publish(self._pairing.add_rotor_speeds(time_ns, speeds, self._judging()))
 
     def _judging(self) -> Judging:
@@ -359,12 +356,8 @@ class MonitorNode(SensorNode[MonitorParameters]):
 
     def _explained(self, reasons: tuple[str, ...], time_ns: int) -> tuple[str, ...]:
         """Reasons with the sensors that lack at a stamp, and what of a sensor is refused."""
-        newest = next((newest for stamp, *newest in reversed(self._heard) if stamp == time_ns), None)
-        of_state = "odometry" if self._estimator is None else "motion capture"
-        sensors = (of_state, "rotor speeds")
-        found = [] if newest is None else lacking(dict(zip(sensors, newest, strict=True)), time_ns)
         refused = self.refusals() + (self._estimator.refusals() if self._estimator else ())
-        return tuple(dict.fromkeys(naming_sensors((*reasons, *refused), found)))
+        return tuple(dict.fromkeys(naming_sensors((*reasons, *refused), self._heard.lacks(time_ns))))
 
     def _follow_rate(self) -> None:
         """Design the filters for the rate of the IMU; nothing is predicted without one."""
@@ -395,8 +388,8 @@ class MonitorNode(SensorNode[MonitorParameters]):
         self._dropped = self._judged = 0
         self._silence = Silence()
         self._silence_published_s = -math.inf
-        self._newest_ns = self._state_ns = self._rotors_ns = NO_STAMP
-        self._heard.clear()
+        self._newest_ns = NO_STAMP
+        self._heard = Heard("odometry" if self._estimator is None else MOTION_CAPTURE)
         self._latency = Latency()
         if self._commanded is not None:
             self._commanded.restart()

@@ -100,7 +100,7 @@ class Results:
         node: SensorNode[Any],
         monitors: dict[str, Monitor],
         frame_id: str,
-        explained: Explain = lambda reasons, _: reasons,
+        explained: Explain,
         wrenches: bool = False,
     ) -> None:
         self.monitors = Monitors(monitors)

@@ -6,20 +6,19 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
-from quadpi_core.flight import MAX_JUMP_BACK_NS, NO_STAMP, Recording, Stamps
+from quadpi_core.flight import NO_STAMP, Recording, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.vehicle import HALF_READING, SILENT_SHARE
 
 # Samples whose latency is kept between two reports.
 _LATENCIES_MAX = 4096
-# IMU samples of which is kept what had come before: more than of a tenth of a second.
-IMU_SAMPLES_KEPT = 4096
+# IMU samples that lacked a sensor of which that is kept: more than a block, and a tenth of a second.
+_IMU_SAMPLES_KEPT = 8192
 # Different reasons for a refusal that are counted; further ones count as "other".
 _REASONS_MAX = 16
 # A step between stamps longer than this multiple of the nominal or the usual step is a gap.
@@ -239,9 +238,13 @@ class Arrived(NamedTuple):
     judged: int
 
 
-def lack(sensor: str, newest_ns: int | None, now_ns: int) -> list[str]:
+# What the state comes from, but for odometry.
+MOTION_CAPTURE = "motion capture"
+
+
+def lack(sensor: str, newest_ns: int, now_ns: int) -> list[str]:
     """Such as "no motion capture for 2.1 s" of a sensor whose newest stamp is that far behind; or none."""
-    if newest_ns is None:
+    if newest_ns == NO_STAMP:
         return [f"no {sensor} yet"]
     behind_s = 1e-9 * (now_ns - newest_ns)
     if behind_s < SILENT_S:
@@ -251,55 +254,46 @@ def lack(sensor: str, newest_ns: int | None, now_ns: int) -> list[str]:
 
 
 class Heard:
-    """Newest stamps of the sensors as each IMU sample of a recording came, to say which of them lacks."""
+    """Newest stamps of the sensors as each of the last IMU samples came, to say which of them lacks.
 
-    def __init__(self) -> None:
-        self._imu_ns: Stamps = np.empty(0, np.int64)
-        self._newest_ns: dict[str, Stamps] = {}
-        # Row of the first sample since the clock was last set back.
-        self._begin = 0
+    Args:
+        of_state: what the state comes from, odometry or motion capture.
+    """
 
-    def take(self, block: Recording, *, has_mocap: bool) -> None:
-        """Note what came in a block."""
-        of_state = [block.pose, block.twist] if has_mocap else [block.odometry]
-        sensors = {
-            "motion capture" if has_mocap else "odometry": of_state,
-            "rotor speeds": [block.rotor_speeds],
-        }
-        # Samples are judged a tenth of a second after they came at most.
-        dropped = max(0, len(self._imu_ns) - IMU_SAMPLES_KEPT)
-        self._begin = max(0, self._begin - dropped)
-        self._imu_ns = np.append(self._imu_ns[dropped:], block.imu.time_ns)
-        for sensor, streams in sensors.items():
+    def __init__(self, of_state: str) -> None:
+        self._sensors = (of_state, "rotor speeds")
+        # Of samples that lacked one.
+        self._newest_ns: dict[int, tuple[int, ...]] = {}
+        # Of a recording, after the last block.
+        self._last = [NO_STAMP, NO_STAMP]
+
+    def take_one(self, time_ns: int, *newest_ns: int) -> None:
+        """Note that an IMU sample came, and the newest stamps before it, NO_STAMP for none."""
+        # A stamp may come again where the clock was set back.
+        self._newest_ns.pop(time_ns, None)
+        if time_ns - min(newest_ns) >= 1e9 * SILENT_S:
+            if len(self._newest_ns) >= 2 * _IMU_SAMPLES_KEPT:
+                self._newest_ns = dict(list(self._newest_ns.items())[_IMU_SAMPLES_KEPT:])
+            self._newest_ns[time_ns] = newest_ns
+
+    def samples(self, block: Recording) -> list[tuple[int, ...]]:
+        """What :meth:`take_one` takes of each IMU sample of the next block of a recording."""
+        of_state = [block.pose, block.twist] if self._sensors[0] == MOTION_CAPTURE else [block.odometry]
+        columns = [[*block.imu.time_ns.tolist(), 0]]
+        for before, streams in zip(self._last, (of_state, [block.rotor_speeds]), strict=True):
             came = [stream for stream in streams if stream is not None]
             arrived = np.concatenate([[0], *(block.arrivals_of(stream) for stream in came)])
             order = np.argsort(arrived, kind="stable")
-            before = self._newest_ns.get(sensor, np.array([NO_STAMP]))
-            stamps = np.concatenate([before[-1:], *(stream.time_ns for stream in came)])[order]
-            rows = np.searchsorted(arrived[order], np.arange(len(block.imu)), side="right") - 1
-            kept = before[dropped:] if sensor in self._newest_ns else before[:0]
-            self._newest_ns[sensor] = np.append(kept, stamps[rows])
-
-    def set_back(self) -> None:
-        """Go on with the samples after the next ones by which the clock was set back."""
-        back = np.flatnonzero(np.diff(self._imu_ns[self._begin :]) < -MAX_JUMP_BACK_NS)
-        self._begin += int(back[0]) + 1 if len(back) else 0
+            stamps = np.concatenate([[before], *(stream.time_ns for stream in came)])[order]
+            rows = np.searchsorted(arrived[order], np.arange(len(block.imu) + 1), side="right") - 1
+            columns.append(stamps[rows].tolist())
+        *samples, (_, *self._last) = zip(*columns, strict=True)
+        return samples
 
     def lacks(self, time_ns: int) -> list[str]:
         """Sensors whose stamps were far behind as the sample of a stamp came, see :func:`lack`."""
-        rows = np.flatnonzero(self._imu_ns[self._begin :] == time_ns)
-        if not len(rows):
-            return []
-        at = self._begin + int(rows[0])
-        return lacking({sensor: int(newest[at]) for sensor, newest in self._newest_ns.items()}, time_ns)
-
-
-def lacking(newest_ns: Mapping[str, int], time_ns: int) -> list[str]:
-    """:func:`lack` of each sensor, NO_STAMP of one that has not come."""
-    found = []
-    for sensor, stamp in newest_ns.items():
-        found += lack(sensor, None if stamp == NO_STAMP else stamp, time_ns)
-    return found
+        newest = zip(self._sensors, self._newest_ns.get(time_ns, ()), strict=False)
+        return [words for sensor, stamp in newest for words in lack(sensor, stamp, time_ns)]
 
 
 class Silence:

@@ -212,13 +212,14 @@ class Stretch(NamedTuple):
         begin: how it begins, one of `CONTINUES`, `STEPS_BACK` and `SET_BACK`.
         rate: of the IMU.
         samples: that were completed or given up.
-        states: rows of the states that came.
+        imu, states: rows of those that came.
         settled_ns: :attr:`Pairing.settled_ns` at its end.
     """
 
     begin: int
     rate: ImuRate
     samples: PairedSamples
+    imu: slice
     states: slice
     settled_ns: int
 
@@ -242,6 +243,7 @@ class Pairing:
     Attributes:
         rate: of the IMU, by its stamps up to the last :meth:`take`; the samples taken have it.
         completed: what the last sample has completed, which adding it gave.
+        newest_ns: (TOPICS,) the newest stamp of each topic, NO_STAMP before the first.
         capacity: as given.
         compiled: what compiled code knows it by.
     """
@@ -257,7 +259,8 @@ class Pairing:
         self._state = np.zeros(1, PAIRING_STATE)
         self._state["rotors"] = rotors
         self._state["timeout_ns"] = round(timeout_s * 1e9)
-        for stamps in (self._state["tracks"]["newest_ns"], self._state["newest_ns"], self._state["last_ns"]):
+        self.newest_ns: Stamps = self._state["tracks"]["newest_ns"][0]
+        for stamps in (self.newest_ns, self._state["newest_ns"], self._state["last_ns"]):
             stamps[:] = NO_STAMP
         self.capacity = capacity
         self._rings = np.zeros((TOPICS, capacity), ENTRY)
@@ -275,7 +278,7 @@ class Pairing:
     @property
     def arrived(self) -> Arrived:
         """The newest stamp of each input, and how many samples have been judged."""
-        newest = self._state["tracks"]["newest_ns"][0].tolist()
+        newest = self.newest_ns.tolist()
         imu_ns, state_ns, rotors_ns, _ = (None if time_ns == NO_STAMP else time_ns for time_ns in newest)
         counts = self.counts
         return Arrived(imu_ns, state_ns, rotors_ns, 0 if self.rate.begins else counts.paired + counts.dropped)
@@ -337,18 +340,19 @@ class Pairing:
         arriving = Arriving._make(map(np.ascontiguousarray, arriving))
         room = np.count_nonzero(arriving.kind == IMU) + int(self._state["tracks"][0, IMU]["count"])
         taken_ns, taken = np.empty(room, dtype=np.int64), np.empty((room, self._channels))
-        state_count = np.cumsum(arriving.kind == STATE)
+        came = np.cumsum(np.stack([arriving.kind == IMU, arriving.kind == STATE]), axis=1).T.tolist()
         stretches: list[Stretch] = []
-        start, begin, filled, states = 0, CONTINUES, 0, 0
+        start, begin, filled, after = 0, CONTINUES, 0, [0, 0]
         while start < arriving.kind.size or not stretches:
             stop, next_begin, count = compiled.take_stretch(
                 self.compiled, arriving, start, taken_ns[filled:], taken[filled:]
             )
             if stop > start or stop == arriving.kind.size:
                 rows = slice(filled, filled + count)
-                before, states = states, int(state_count[stop - 1]) if stop else 0
+                before, after = after, came[stop - 1] if stop else [0, 0]
                 samples = PairedSamples(taken_ns[rows], taken[rows])
-                stretches.append(Stretch(begin, self.rate, samples, slice(before, states), self.settled_ns))
+                imu, states = map(slice, before, after)
+                stretches.append(Stretch(begin, self.rate, samples, imu, states, self.settled_ns))
                 filled = rows.stop
             start, begin = stop, next_begin
             self.rate = ImuRate.from_meters(self._state["meter"], self._given_hz)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -38,7 +38,7 @@ from quadpi_core.models.aerodynamic import LOAD_MODEL, AerodynamicModel
 from quadpi_core.monitor import pairing
 from quadpi_core.monitor.alarm import MonitorSettings, NotJudgedReason, alarm_time, not_judged
 from quadpi_core.monitor.alarm_log import Explained, naming_sensors
-from quadpi_core.monitor.health import Heard
+from quadpi_core.monitor.health import MOTION_CAPTURE, Heard
 from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.pairing import PairedSamples, Pairing
 from quadpi_core.monitor.unsure_states import StateDeviations
@@ -212,7 +212,7 @@ class RecordedFlight:
     has_mocap: bool
     blocks: Iterator[Recording]
     wind_since_ns: int | None
-    heard: Heard = field(default_factory=Heard)
+    heard: Heard
 
 
 @contextmanager
@@ -264,7 +264,8 @@ def _flight(
         blocks, wind_since_ns = with_velocity_rate(blocks)
     else:
         blocks, has_mocap, wind_since_ns = with_slow_states(blocks, vehicle)
-    return RecordedFlight(name, source, has_mocap, blocks, wind_since_ns)
+    heard = Heard(MOTION_CAPTURE if has_mocap else "odometry")
+    return RecordedFlight(name, source, has_mocap, blocks, wind_since_ns, heard)
 
 
 class Followed(NamedTuple):
@@ -311,7 +312,7 @@ def follow(flight: RecordedFlight, vehicle: Vehicle, ekf: Ekf | None = None) -> 
     for block, density in _in_its_air(flight.blocks):
         block.require_rotors(vehicle.name, vehicle.rotor_count)
         rates.add(block)
-        flight.heard.take(block, has_mocap=flight.has_mocap)
+        samples_heard = flight.heard.samples(block)
         odometry, state_of, states = block.odometry, None, None
         imu = _Imu(block.imu.time_ns, with_gyro_faults(block.imu).specific_force, np.arange(len(block.imu)))
         if ekf is not None:
@@ -330,12 +331,12 @@ def follow(flight: RecordedFlight, vehicle: Vehicle, ekf: Ekf | None = None) -> 
                 deviations = StateDeviations.of_fused(own)
             else:
                 deviations = StateDeviations.of_odometry(odometry.take(stretch.states))
+            for row in imu.used[stretch.imu].tolist():
+                flight.heard.take_one(*samples_heard[row])
             samples = stretch.samples
             if stretch.rate.begins:
                 samples = PairedSamples(samples.time_ns[:0], samples.values[:0])
             measured = measured or not stretch.rate.begins
-            if stretch.begin == pairing.SET_BACK:
-                flight.heard.set_back()
             yield Followed(stretch.begin, stretch.rate, samples, own, deviations, new, settled_ns, density)
             new = new[:0]
     if (ekf is not None and not started) or meeting.counts.paired == 0:

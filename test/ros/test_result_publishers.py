@@ -79,6 +79,10 @@ def hover(count: int) -> PairedSamples:
     )
 
 
+def as_they_are(reasons: tuple[str, ...], _: int) -> tuple[str, ...]:
+    return reasons
+
+
 def monitor_of(model: AerodynamicModel) -> Monitor:
     return Monitor(model, VEHICLE, RATE_HZ)
 
@@ -98,7 +102,7 @@ def test_two_models_of_one_topic_are_refused(models):
 
 def test_every_model_predicts_and_the_first_one_raises_the_alarm(models):
     outputs, samples = Outputs(), hover(300)
-    results = Results(outputs, named(monitor_of(model) for model in models.values()), "body")
+    results = Results(outputs, named(monitor_of(model) for model in models.values()), "body", as_they_are)
     for k in range(300):
         one = PairedSamples(samples.time_ns[k : k + 1], samples.values[k : k + 1])
         judged = results.monitors.judge(one)
@@ -121,7 +125,7 @@ def test_every_model_predicts_and_the_first_one_raises_the_alarm(models):
 
 def test_the_models_that_fly_are_described_with_their_training_ranges_and_topics(models):
     outputs = Outputs()
-    results = Results(outputs, named(monitor_of(model) for model in models.values()), "body")
+    results = Results(outputs, named(monitor_of(model) for model in models.values()), "body", as_they_are)
 
     def described() -> MonitorDescription:
         return unpack_description(deserialize_message(outputs.sent["~/description"][-1], String).data)
@@ -172,7 +176,7 @@ def test_silence_and_alarms_are_published_and_logged(models):
 
 def test_a_model_that_is_replaced_publishes_as_the_one_before(models):
     outputs, samples = Outputs(), hover(20)
-    results = Results(outputs, named([monitor_of(models["model"])]), "body")
+    results = Results(outputs, named([monitor_of(models["model"])]), "body", as_they_are)
     response = LoadModel.Response()
     results.swap("model", monitor_of(models["other"]), None, response)
     assert (response.success, response.model) == (True, models["other"].identity)
@@ -239,7 +243,9 @@ def test_predictions_of_all_models_go_by_the_other_name(
 def test_wrenches_are_those_of_the_predictions(models) -> None:
     """Of the first model by their names, of another one below these; read as any tool reads them."""
     outputs = Outputs()
-    results = Results(outputs, named(map(monitor_of, models.values())), "uav/base_link", wrenches=True)
+    results = Results(
+        outputs, named(map(monitor_of, models.values())), "uav/base_link", as_they_are, wrenches=True
+    )
     results.publish(results.monitors.judge(hover(50)))
     for prediction, below in (("prediction", ""), ("/uav/prediction/other", "other")):
         predictions = [deserialize_message(one, WrenchPrediction) for one in outputs.sent[prediction]]

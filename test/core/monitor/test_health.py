@@ -7,6 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from quadpi_core.flight import NO_STAMP
 from quadpi_core.messages.result_messages import pack_alarms, unpack_alarms
 from quadpi_core.monitor import Monitor
 from quadpi_core.monitor.alarm_log import Explained
@@ -186,7 +187,7 @@ def test_what_is_missing_while_the_imu_goes_on_is_said_by_the_samples() -> None:
 
 
 def test_a_sensor_that_lacks_is_said_by_its_stamps() -> None:
-    assert lack("motion capture", None, 10**9) == ["no motion capture yet"]
+    assert lack("motion capture", NO_STAMP, 10**9) == ["no motion capture yet"]
     assert lack("motion capture", 10**9, 31 * 10**8) == ["no motion capture for 2.1 s"]
     assert lack("motion capture", 10**9, 10**9 + 10**8) == lack("motion capture", 10**18, 10**9) == []
     assert lack("odometry", 0, 7_200 * 10**9) == ["no odometry for 7200 s, or its clock differs"]
