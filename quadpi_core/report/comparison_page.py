@@ -54,6 +54,7 @@ from quadpi_core.report.table import (
     percent,
     percent_range,
     terminal_table,
+    text_columns,
     unit,
 )
 
@@ -98,7 +99,7 @@ def comparison_table(comparison: Comparison, by: Literal["metric", "group"] = "m
     """
     groups, confidence = list(comparison.groups), comparison.confidence
     metrics = {"PICP %": hundredths, "MPIW": number}
-    columns = [Column("axis", is_text=True, is_section=True), Column("model", is_text=True)]
+    columns = [*text_columns("axis", is_section=True), *text_columns("model")]
     if by == "metric":
         pairs = [(metric, group) for metric in metrics for group in groups]
         columns += [Column(group, metrics[metric], group=metric) for metric, group in pairs]
@@ -107,14 +108,10 @@ def comparison_table(comparison: Comparison, by: Literal["metric", "group"] = "m
         columns += [Column(metric, metrics[metric], group=group) for metric, group in pairs]
     rows: list[Row] = []
     for row in comparison_rows(comparison):
-        cells = [_metric_cell(row, metric, group, confidence) for metric, group in pairs]
-        rows.append([axis_cell(row.axis), row.model, *cells])
+        cells = {group: (coverage_cell(own, confidence), Cell(own.mpiw)) for group, own in row.groups.items()}
+        shown = (cells[group][metric != "PICP %"] for metric, group in pairs)
+        rows.append([axis_cell(row.axis), row.model, *shown])
     return Table(columns, rows)
-
-
-def _metric_cell(row: ComparisonRow, metric: str, group: str, confidence: float) -> Cell:
-    metrics = row.groups[group]
-    return coverage_cell(metrics, confidence) if metric == "PICP %" else Cell(metrics.mpiw)
 
 
 def comparison_summary(comparison: Comparison) -> Group:
@@ -128,29 +125,19 @@ def comparison_summary(comparison: Comparison) -> Group:
     )
     notes = [
         *([short_coverage_note(confidence)] if marked else []),
-        *_support_notes(comparison),
-        *_alarm_notes(comparison),
+        *(f"{name}: {own.support.sentence()}" for name, own in comparison.models.items() if own.support),
+        *(
+            f"alarm of {name} on {group}: {alarm_sentence(part.alarm)}"
+            for name, model in comparison.models.items()
+            for group, part in model.groups.items()
+            if part.alarm is not None
+        ),
     ]
     return Group(
         Text(f"{comparison.vehicle}: {percent(confidence)} {kind}", style="bold"),
         terminal_table(comparison_table(comparison, by="group")),
         *(Text(note, style="dim") for note in notes),
     )
-
-
-def _support_notes(comparison: Comparison) -> Iterator[str]:
-    """Which level the flights of each model support."""
-    for name, model in comparison.models.items():
-        if model.support is not None:
-            yield f"{name}: {model.support.sentence()}"
-
-
-def _alarm_notes(comparison: Comparison) -> Iterator[str]:
-    """A sentence on the alarm of each model on each group."""
-    for name, model in comparison.models.items():
-        for group, part in model.groups.items():
-            if part.alarm is not None:
-                yield f"alarm of {name} on {group}: {alarm_sentence(part.alarm)}"
 
 
 def comparison_verdict(comparison: Comparison) -> str:
@@ -322,7 +309,8 @@ def _interval_figure(comparison: Comparison, results: Mapping[str, FlightResult]
                 if axis in results[name].axes
                 for bound in ("lower", "upper")
             ]
-            title = _column_title(comparison, cutoff) if len(panels) < len(cutoffs) else ""
+            settings = " and ".join(dict.fromkeys(models[name].settings for name in names))
+            title = f"{settings} settings, low-pass {cutoff:g} Hz" if len(panels) < len(cutoffs) else ""
             panels.append(Panel(layers, Scale("time [s]"), Scale(f"{axis} [{unit(axis)}]"), 170.0, title))
     return Figure("Bounds of each model over time", panels, len(cutoffs), over_time=True, shared=True)
 
@@ -335,10 +323,3 @@ def _colours(comparison: Comparison) -> dict[str, str]:
         return method_colours(methods)
     of_method = method_colours(methods.values())
     return {name: of_method[method] for name, method in methods.items()}
-
-
-def _column_title(comparison: Comparison, cutoff: float) -> str:
-    settings = dict.fromkeys(
-        model.settings for model in comparison.models.values() if model.cutoff_hz == cutoff
-    )
-    return f"{' and '.join(settings)} settings, low-pass {cutoff:g} Hz"

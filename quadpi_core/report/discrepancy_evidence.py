@@ -23,7 +23,7 @@ from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.report.evaluation_figures import listing
 from quadpi_core.report.page import Boxes, Cells, Figure, Layer, Line, Panel, Points, Scale
-from quadpi_core.report.table import GROUPS, INK, MEASURED, Cell, Column, Mark, Row, Table, unit
+from quadpi_core.report.table import GROUPS, INK, MEASURED, Cell, Mark, Row, Table, text_columns, unit
 from quadpi_core.simulation.applied_effects import EFFECTS
 from quadpi_core.simulation.effect_definition import SHAPE, shaped
 
@@ -104,13 +104,7 @@ def words(name: str) -> str:
 def evidence_table(candidates: Sequence[RankedCandidate], verdict: str) -> Table:
     """Candidates with what speaks for and against them, in plain words; `verdict` is that of the search."""
     best = Cell("named", Mark.GOOD) if verdict == "effects" else Cell("comes closest", Mark.WARNING)
-    columns = [
-        Column("effect", is_text=True, wraps=True),
-        Column("", is_text=True, wraps=True),
-        Column("evidence", is_text=True, wraps=True),
-        Column("of the gap it closes", is_text=True, wraps=True),
-        Column("could as well be", is_text=True, wraps=True),
-    ]
+    headings = ("effect", "", "evidence", "of the gap it closes", "could as well be")
     rows: list[Row] = [
         [
             Cell(
@@ -124,16 +118,13 @@ def evidence_table(candidates: Sequence[RankedCandidate], verdict: str) -> Table
         ]
         for own in candidates
     ]
-    return Table(columns, rows)
+    return Table(text_columns(*headings, wraps=True), rows)
 
 
 def refusal(candidate: RankedCandidate) -> str:
     """Why a candidate is not named."""
-    if (
-        candidate.test == "evidence"
-        and candidate.gain is not None
-        and candidate.gain >= (candidate.needed or 0)
-    ):
+    gain = candidate.gain
+    if candidate.test == "evidence" and gain is not None and gain >= (candidate.needed or 0):
         return "replaced by a better one"
     kind = _REFUSED.get(candidate.test, "")
     if candidate.test in ("bounds", "bounds, refined", "bounds, reweighted", "evidence"):
@@ -175,19 +166,19 @@ def _odds(odds: float) -> str:
 
 def changes_table(changes: Sequence[Change]) -> Table:
     """What would change the verdict."""
-    columns = [
-        Column("now", is_text=True, wraps=True),
-        Column("what would change it", is_text=True, wraps=True),
-    ]
-    return Table(columns, [list(change) for change in changes])
+    return Table(
+        text_columns("now", "what would change it", wraps=True), [list(change) for change in changes]
+    )
 
 
 def verdict_changes(study: Study) -> list[Change]:
     """What would change the verdict: doubts, rivals, refused effects, and what was not flown."""
     discovery = study.discovery
     failed = [check for check in discovery.checks if not check.passed]
+    usual = "Fly more flights: what is there shows in all of them."
     changes = [
-        Change(f"{check.sentence[:1].upper()}{check.sentence[1:]}.", _remedy(check.test)) for check in failed
+        Change(f"{check.sentence[:1].upper()}{check.sentence[1:]}.", _REMEDIES.get(check.test, usual))
+        for check in failed
     ]
     changes += [_between_rivals(effect) for effect in discovery.effects if effect.rivals]
     changes += _refused(discovery)
@@ -228,10 +219,6 @@ def passed_checks(discovery: Discovery) -> str:
     """How far the result is from the limits of the tests that it passes; empty where nothing was named."""
     passed = [check.sentence for check in discovery.checks if check.passed]
     return f"Tests of the whole result that hold: {words('; '.join(passed))}." if passed else ""
-
-
-def _remedy(test: str) -> str:
-    return _REMEDIES.get(test, "Fly more flights: what is there shows in all of them.")
 
 
 def _between_rivals(effect: FoundEffect) -> Change:
@@ -393,22 +380,7 @@ $1 + s_a + s_V V/v_h + s_u u/v_h + s_v v/v_h + s_w w/v_h + s_{ww} w^2/v_h^2
 from 0 to 3, of the height $h$ of the vehicle and
 """
 # Of `SHAPE`, in its order.
-_SHAPE_SYMBOLS = [
-    r"{Fx}",
-    r"{Fy}",
-    r"{Fz}",
-    r"{Mx}",
-    r"{My}",
-    r"{Mz}",
-    r"V",
-    r"u",
-    r"v",
-    r"w",
-    r"l",
-    r"\Omega",
-    r"g",
-    r"{ww}",
-]
+_SHAPE_SYMBOLS = [*(f"{{{axis}}}" for axis in AXES), "V", "u", "v", "w", "l", r"\Omega", "g", "{ww}"]
 _HEAD = '''"""Effects that quadpi found in flights, as functions of numpy alone.
 
 {names}

@@ -43,7 +43,16 @@ from quadpi_core.report.discrepancy_evidence import (
 from quadpi_core.report.evaluation_figures import listing
 from quadpi_core.report.evaluation_page import axis_cell
 from quadpi_core.report.page import Figure, FlightFiles, Page, flight_remarks
-from quadpi_core.report.table import Column, Row, Table, number, percent, terminal_table
+from quadpi_core.report.table import (
+    Column,
+    Row,
+    Table,
+    number,
+    number_columns,
+    percent,
+    terminal_table,
+    text_columns,
+)
 from quadpi_core.simulation.applied_effects import EFFECTS
 
 # Rows at most: of the conditions on the page and on the terminal, and of the times of the largest residuals.
@@ -105,10 +114,10 @@ def write_discrepancy_page(
     }
     if loud:
         figures["maps"] = map_figure(where.residuals, loud)
-    of_flight = {
-        flight.flight: {"residual": residual_figure(flight, discovery.gap.floor)}
-        for flight in where.residuals
-    }
+    floor = discovery.gap.floor
+    of_flight = {own.flight: {"residual": residual_figure(own, floor)} for own in where.residuals}
+    # The menu has those first whose residuals are largest over the noise.
+    above = {own.flight: float(np.square(own.before / floor).mean()) for own in where.residuals}
     Page(
         title=f"quadpi: {study.simulation.name} against flights",
         about="simulation against flights",
@@ -137,7 +146,7 @@ def write_discrepancy_page(
         flown_note=_flown_again_note(study),
         unexplained=_unexplained_sentence(discovery),
         conditions=_conditions(discovery),
-        flights=_loudest_first(study),
+        flights=sorted(above, key=lambda name: -above[name]),
         segments=_segment_table(study) if where.segments else None,
     )
 
@@ -150,13 +159,6 @@ _DEFINITIONS = {
     "Closed": "Share of the mean square above the floor that is gone.",
     "Probability": "Of the effect against each other effect of the library in its place, with equal priors.",
 }
-
-
-def _loudest_first(study: Study) -> list[str]:
-    """Names of the flights for the menu, in the order of their residuals over the noise."""
-    floor = study.discovery.gap.floor
-    above = {own.flight: float(np.square(own.before / floor).mean()) for own in study.where.residuals}
-    return sorted(above, key=lambda name: -above[name])
 
 
 def _facts(study: Study) -> dict[str, str]:
@@ -172,10 +174,8 @@ def _facts(study: Study) -> dict[str, str]:
 def _range_table(study: Study, most: int) -> Table:
     """Conditions that hold most of the residual energy."""
     columns = [
-        Column("axis", is_text=True),
-        Column("at", is_text=True, wraps=True),
-        Column("residual energy", percent),
-        Column("time", percent),
+        *(*text_columns("axis"), *text_columns("at", wraps=True)),
+        *number_columns("residual energy", "time", shown=percent),
     ]
     ranges = study.where.telling[:most]
     rows: list[Row] = [[part.axis, part.conditions, part.share, part.time_share] for part in ranges]
@@ -185,10 +185,8 @@ def _range_table(study: Study, most: int) -> Table:
 def _effect_table(study: Study) -> Table:
     """The effects of the result, with their parameters."""
     columns = [
-        Column("effect", is_text=True),
-        Column("prob.", percent),
-        Column("axes", is_text=True, wraps=True),
-        Column("parameters, 95 % interval", is_text=True, wraps=True),
+        *(*text_columns("effect"), Column("prob.", percent)),
+        *text_columns("axes", "parameters, 95 % interval", wraps=True),
     ]
     rows: list[Row] = []
     for effect in study.discovery.effects:
@@ -221,12 +219,8 @@ class EffectSection:
         """The section of an effect."""
         effect = EFFECTS[found.name]
         summary, _, rest = inspect.cleandoc(effect.function.__doc__ or "").partition("\n\n")
-        columns = [
-            Column("parameter", is_text=True),
-            Column("value", number),
-            Column("95 % interval"),
-            Column("unit"),
-        ]
+        columns = [*text_columns("parameter"), *number_columns("value")]
+        columns += [Column("95 % interval"), Column("unit")]
         rows: list[Row] = [
             [p.name, *((f"{p.value:.0f}", "") if known.whole else (p.value, _interval(p))), p.unit]
             for p, known in zip(found.parameters, effect.parameters, strict=True)
@@ -260,17 +254,11 @@ def _decisive_judgements(discovery: Discovery) -> list[Judgement]:
 
 def _judgement_table(judgements: Sequence[Judgement]) -> Table:
     """Why candidates were accepted or rejected, in the order of the search."""
-    columns = [
-        Column("beside", is_text=True, wraps=True, once=True),
-        Column("candidate", is_text=True),
-        Column("verdict", is_text=True, wraps=True),
-    ]
+    columns = [*text_columns("beside", wraps=True, once=True), *text_columns("candidate")]
+    columns += text_columns("verdict", wraps=True)
+    said = ("rejected", "accepted")
     rows: list[Row] = [
-        [
-            ", ".join(own.beside) or "nothing",
-            own.label,
-            f"{'accepted' if own.accepted else 'rejected'}: {own.reason.sentence}",
-        ]
+        [", ".join(own.beside) or "nothing", own.label, f"{said[own.accepted]}: {own.reason.sentence}"]
         for own in judgements
     ]
     return Table(columns, rows, title="Candidates, best first")
@@ -279,11 +267,8 @@ def _judgement_table(judgements: Sequence[Judgement]) -> Table:
 def _gap_table(discovery: Discovery) -> Table:
     """Root mean square error of each axis before and after, and the share that is closed."""
     gap = discovery.gap
-    columns = [
-        Column("axis", is_text=True),
-        *(Column(heading, number) for heading in ("RMSE before", "after", "floor")),
-        Column("closed", percent),
-    ]
+    columns = [*text_columns("axis"), *number_columns("RMSE before", "after", "floor")]
+    columns.append(Column("closed", percent))
     inside = discovery.found.inside
     if inside is not None:
         columns.append(Column(f"inside its intervals of {percent(inside.confidence)}", percent))
@@ -304,11 +289,8 @@ def _flown_again_table(study: Study) -> Table | None:
         return None
     rollout, loop = study.discovery.flown.rollout, study.discovery.flown.closed_loop
     tests = {f"roll-out, {rollout.horizon_s:g} s": rollout.errors, "closed loop": loop.errors}
-    columns = [
-        Column("test", is_text=True, once=True),
-        Column("error, RMS", is_text=True),
-        *(Column(when, number) for when in ("before", "after", "floor")),
-    ]
+    columns = [*text_columns("test", once=True), *text_columns("error, RMS")]
+    columns += number_columns("before", "after", "floor")
     rows: list[Row] = [
         [test, name, errors[key].before, errors[key].after, errors[key].floor]
         for test, errors in tests.items()
@@ -320,12 +302,8 @@ def _flown_again_table(study: Study) -> Table | None:
 
 def _segment_table(study: Study) -> Table:
     """Times that hold most of the residual energy."""
-    columns = [
-        Column("flight", is_text=True, chooses_flight=True),
-        Column("axis", is_text=True),
-        *(Column(heading, "{:.0f}".format) for heading in ("from [s]", "to [s]")),
-        Column("energy", percent),
-    ]
+    columns = [*text_columns("flight", chooses_flight=True), *text_columns("axis")]
+    columns += [*number_columns("from [s]", "to [s]", shown="{:.0f}".format), Column("energy", percent)]
     segments = study.where.segments[:_MOST_SEGMENTS]
     rows: list[Row] = [[part.flight, part.axis, part.start_s, part.end_s, part.share] for part in segments]
     return Table(columns, rows)
@@ -375,7 +353,6 @@ def _name_with_rivals(effect: FoundEffect) -> str:
 
 
 def _interval(parameter: FoundParameter) -> str:
-    """The 95 % interval of a parameter."""
     return f"{number(parameter.lower)} … {number(parameter.upper)}"
 
 

@@ -110,7 +110,10 @@ def envelope_figure(groups: Groups, envelope: Envelope) -> Figure:
     panels = []
     for name in ENVELOPE_INPUTS:
         values = {
-            group: np.concatenate([_input(f, name) for f in flights]) for group, flights in groups.items()
+            group: np.concatenate(
+                [f.speed if name == "speed" else f.inputs[:, INPUT_INDEX[name]] for f in flights]
+            )
+            for group, flights in groups.items()
         }
         layers, notes = _histograms(values), []
         limits = _training_limits(name, envelope, training)
@@ -180,10 +183,6 @@ def _residual_bands(flights: Sequence[FlightResult], axis: str, edges: Array, ta
     return np.array(columns).reshape(-1, 5).T
 
 
-def _input(result: FlightResult, name: str) -> Array:
-    return result.speed if name == "speed" else result.inputs[:, INPUT_INDEX[name]]
-
-
 def _training_limits(
     name: str, envelope: Envelope, training: Sequence[FlightResult]
 ) -> tuple[float, float] | None:
@@ -239,7 +238,6 @@ class LiveReplay:
     @property
     def tiles(self) -> dict[str, str]:
         """The statistics as text, by name."""
-        statistics = self.statistics
         formats: dict[str, tuple[str, Callable[[float], str]]] = {
             "first warning": ("warning_first_s", "{:.2f} s".format),
             "first alarm": ("alarm_first_s", "{:.2f} s".format),
@@ -247,19 +245,14 @@ class LiveReplay:
             "samples in": ("samples_in", count),
             "predictions out": ("predictions_out", count),
             "dropped": ("dropped", count),
-            "latency, median": ("latency_ms_p50", _milliseconds),
-            "latency, 99 %": ("latency_ms_p99", _milliseconds),
+            "latency, median": ("latency_ms_p50", lambda value: f"{number(value)} ms"),
+            "latency, 99 %": ("latency_ms_p99", lambda value: f"{number(value)} ms"),
         }
-        tiles = {}
-        for name, (key, text) in formats.items():
-            value = statistics[key]
-            undefined = "none" if name.startswith("first") else "–"
-            tiles[name] = undefined if value is None else text(value)
-        return tiles
-
-
-def _milliseconds(value: float) -> str:
-    return f"{number(value)} ms"
+        undefined = {name: "none" if name.startswith("first") else "–" for name in formats}
+        return {
+            name: undefined[name] if (value := self.statistics[key]) is None else text(value)
+            for name, (key, text) in formats.items()
+        }
 
 
 def alarm_figure(live: LiveReplay, result: FlightResult | None) -> Figure:
@@ -278,13 +271,9 @@ def alarm_figure(live: LiveReplay, result: FlightResult | None) -> Figure:
     panels.append(Panel(_evidence(live), time, _EVIDENCE_SCALE, 120.0))
     outside = Counter(name for inputs in live.inputs_outside for name in inputs)
     if outside:
+        holds = {name: np.array([name in own for own in live.inputs_outside]) for name in outside}
         inputs = [
-            (
-                name,
-                INPUT_LABELS[name].split(" [")[0],
-                np.array([name in own for own in live.inputs_outside]),
-                LEVELS["alarm"],
-            )
+            (name, INPUT_LABELS[name].split(" [")[0], holds[name], LEVELS["alarm"])
             for name, _ in outside.most_common()
         ]
         panels.append(Panel(*_bars(live.time, inputs), 22.0 * len(inputs) + 8.0))

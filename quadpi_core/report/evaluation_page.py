@@ -49,6 +49,7 @@ from quadpi_core.report.table import (
     percent,
     percent_range,
     terminal_table,
+    text_columns,
     unit,
 )
 
@@ -68,16 +69,10 @@ def metrics_table(
         kind: heading of the column of names, such as "flight".
     """
     columns = [
-        Column(kind, is_text=True, once=True),
-        Column("axis", is_text=True),
-        Column("PICP", percent),
-        Column("95 % CI", is_soft=True),
-        Column("MPIW", number),
-        Column("NMPIW", percent),
-        Column("RMSE", number),
-        Column("R²", "{:.3f}".format),
-        Column("Winkler", number),
-        Column("n", count),
+        *(*text_columns(kind, once=True), *text_columns("axis")),
+        *(Column("PICP", percent), Column("95 % CI", is_soft=True)),
+        *(Column("MPIW", number), Column("NMPIW", percent), Column("RMSE", number)),
+        *(Column("R²", "{:.3f}".format), Column("Winkler", number), Column("n", count)),
         Column("n_eff", number),
     ]
     rows = [
@@ -279,11 +274,7 @@ def write_evaluation_page(
         "evaluation.html",
         nominal=nominal(confidence),
         coverage=_coverage_table(evaluation) if evaluation.groups else None,
-        alarms={
-            name: alarm_sentence(part.alarm)
-            for name, part in evaluation.groups.items()
-            if part.alarm is not None
-        },
+        alarms={name: alarm_sentence(own.alarm) for name, own in evaluation.groups.items() if own.alarm},
         by_group=metrics_table(evaluation.groups, confidence, "group"),
         by_flight=metrics_table(evaluation.flights, confidence, "flight"),
         live=live,
@@ -324,11 +315,8 @@ def _coverage_table(evaluation: Evaluation) -> Table:
             if metrics is None:
                 row += [None, "", ""]
             else:
-                row += [
-                    coverage_cell(metrics, evaluation.confidence),
-                    percent_range(metrics.picp_ci),
-                    metrics.mpiw,
-                ]
+                row += [coverage_cell(metrics, evaluation.confidence), percent_range(metrics.picp_ci)]
+                row.append(metrics.mpiw)
         rows.append(row)
     return Table(columns, rows)
 

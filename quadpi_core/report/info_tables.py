@@ -29,12 +29,23 @@ from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.alarm_limits import change_sentence
 from quadpi_core.models.model_folder import MODEL_FILE
 from quadpi_core.reading_options import MappingOrOptions, ReadingOptions, reading_options
-from quadpi_core.report.table import Cell, Column, Mark, Row, Table, number, percent, soft, terminal_table
+from quadpi_core.report.table import (
+    Cell,
+    Column,
+    Mark,
+    Row,
+    Table,
+    number,
+    number_columns,
+    percent,
+    soft,
+    terminal_table,
+    text_columns,
+)
 from quadpi_core.screening.flight_runs import in_range, in_range_of_blocks
 from quadpi_core.vehicle import Vehicle
 
 if TYPE_CHECKING:
-    from quadpi_core.models.aerodynamic import AerodynamicModel
     from quadpi_core.models.small_model import Headline
 
 # Columns of what a kind says of its parameters, as far as they are shown in short.
@@ -47,28 +58,15 @@ SelectionLog = Sequence[Mapping[str, Any]]
 
 def selection_table(log: SelectionLog, title: str = "") -> Table:
     """Steps of the stepwise selection; a term that is not in the final model has no coefficient."""
-    columns = [
-        Column("term", is_text=True, wraps=True),
-        Column("coefficient", "{:.4e}".format),
-        Column("R² reached", "{:.4f}".format),
-        Column("criterion", number),
-    ]
+    columns = [*text_columns("term", wraps=True), Column("coefficient", "{:.4e}".format)]
+    columns += [Column("R² reached", "{:.4f}".format), Column("criterion", number)]
     rows = []
     for step in log:
         removed = f" (removed {', '.join(step['removed'])})" if step.get("removed") else ""
-        criterion = step.get("criterion")
-        row = [
-            f"{step['term']}{removed}",
-            step["coefficient"],
-            "" if step["r2"] is None else step["r2"],
-            "" if criterion is None else criterion,
-        ]
+        known = ("" if value is None else value for value in (step["r2"], step.get("criterion")))
+        row = [f"{step['term']}{removed}", step["coefficient"], *known]
         rows.append(soft(*row) if step["fixed"] else row)
     return Table(columns, rows, title=title)
-
-
-# Not left empty, which would mean that there is no term: fixed terms are fitted together.
-_NO_R2 = "–"
 
 
 def structure_table(selection: Mapping[str, SelectionLog], axes: Sequence[str]) -> Table:
@@ -77,8 +75,7 @@ def structure_table(selection: Mapping[str, SelectionLog], axes: Sequence[str]) 
         column
         for axis in axes
         for column in (
-            Column(axis, is_text=True, is_code=True),
-            Column("coefficient", "{:.3e}".format),
+            *(*text_columns(axis, is_code=True), Column("coefficient", "{:.3e}".format)),
             Column("R²", "{:.4f}".format),
         )
     ]
@@ -94,7 +91,8 @@ def _final_terms(log: SelectionLog) -> list[list[Cell | str | float | None]]:
         [
             Cell(row["term"], Mark.SOFT) if row["fixed"] else row["term"],
             row["coefficient"],
-            _NO_R2 if row["r2"] is None else row["r2"],
+            # Not left empty, which would mean that there is no term: fixed terms are fitted together.
+            "–" if row["r2"] is None else row["r2"],
         ]
         for place, row in enumerate(log)
         if row["coefficient"] is not None and place == last[row["term"]]
@@ -109,13 +107,8 @@ def headline_table(model: AerodynamicModel) -> Table | None:
         [one.quantity, one.value, _error(one), "" if one.known is None else one.known, one.unit]
         for one in headlines(model, model.load_vehicle())
     ]
-    columns = [
-        Column("", is_text=True),
-        Column("found", number),
-        Column("±", is_text=True),
-        Column("vehicle file", number),
-        Column("unit", is_text=True),
-    ]
+    columns = [*text_columns(""), *number_columns("found"), *text_columns("±")]
+    columns += [*number_columns("vehicle file"), *text_columns("unit")]
     note = "±: standard error"
     if any(_BY_AIR in str(row[2]) for row in rows):
         note += (
@@ -146,10 +139,7 @@ def best_known_table(model: AerodynamicModel, most: int) -> Table | None:
         rows = [[row[place] for place in places] for row in facts.rows]
         known = [row for row in rows if float(row[2]) > 0.0]
         known.sort(key=lambda row: abs(float(row[1])) / float(row[2]), reverse=True)
-        columns = [
-            Column(heading, number) if heading in _NUMBERS else Column(heading, is_text=True)
-            for heading in _PARAMETER
-        ]
+        columns = [*text_columns("parameter"), *number_columns(*_NUMBERS), *text_columns("unit")]
         title = f"{min(most, len(known))} of {len(known)} parameters, those known best"
         return Table(columns, [list(row) for row in known[:most]], title=title)
     return None
@@ -171,7 +161,7 @@ def fact_tables(model: AerodynamicModel) -> list[Table]:
 def term_tables(model: AerodynamicModel) -> list[Table]:
     """Terms of each axis of a polynomial; of other kinds, one table with the inputs of all axes."""
     if not all(model.selection[axis] for axis in model.axes):
-        columns = [Column("axis", is_text=True), Column("inputs", is_text=True, wraps=True)]
+        columns = [*text_columns("axis"), *text_columns("inputs", wraps=True)]
         return [Table(columns, [[axis, ", ".join(model.fitted.axes[axis].terms)] for axis in model.axes])]
     return [structure_table(model.selection, [axis]) for axis in model.axes]
 
@@ -201,7 +191,7 @@ def held_out_table(model: AerodynamicModel) -> Table | None:
         [flight.name, *(model.held_out_coverage[axis][k] for axis in model.axes)]
         for k, flight in enumerate(model.flights)
     ]
-    columns = [Column("flight", is_text=True, wraps=True), *(Column(axis, percent) for axis in model.axes)]
+    columns = [*text_columns("flight", wraps=True), *number_columns(*model.axes, shown=percent)]
     return Table(columns, rows, title="Coverage of each flight by a model of the others")
 
 
@@ -264,13 +254,8 @@ def inspection_tables(inspection: Inspection) -> list[Table]:
 def _topic_table(inspection: Inspection) -> Table:
     vehicle = inspection.vehicle or "not given"
     columns = [
-        Column("topic", is_text=True, wraps=True),
-        Column("samples"),
-        *(Column(heading, number) for heading in ("s", "Hz", "±ms")),
-        Column("gaps"),
-        Column("max ms", number),
-        Column("unsorted"),
-        Column("NaN"),
+        *(*text_columns("topic", wraps=True), Column("samples"), *number_columns("s", "Hz", "±ms")),
+        *(Column("gaps"), *number_columns("max ms"), Column("unsorted"), Column("NaN")),
     ]
     rows: list[Row] = [
         [
@@ -291,11 +276,7 @@ def _fault_count(value: int) -> Cell:
 
 
 def _envelope_table(inspection: Inspection) -> Table:
-    columns = [
-        Column("quantity", is_text=True),
-        Column("unit", is_text=True),
-        *(Column(heading, number) for heading in ("lowest", "median", "highest")),
-    ]
+    columns = [*text_columns("quantity", "unit"), *number_columns("lowest", "median", "highest")]
     rows: list[Row] = [
         [row.quantity, row.unit, row.lowest, row.median, row.highest] for row in inspection.envelope
     ]
@@ -305,7 +286,7 @@ def _envelope_table(inspection: Inspection) -> Table:
 def _finding_table(inspection: Inspection) -> Table:
     rows = [[Cell(finding, Mark.WARNING)] for finding in inspection.findings]
     rows = rows or [[Cell("nothing suspicious", Mark.GOOD)]]
-    return Table([Column("", is_text=True, wraps=True)], rows, title="findings")
+    return Table(text_columns("", wraps=True), rows, title="findings")
 
 
 def model_summary(model: AerodynamicModel) -> list[RenderableType]:
@@ -318,16 +299,12 @@ def model_summary(model: AerodynamicModel) -> list[RenderableType]:
     sentences = (model.calibration(), model.alarm_limits.sentence(), change_sentence(model.change_limits))
     calibration = Text("; ".join(sentences), style="dim")
     flights = Table(
-        [Column("flight", is_text=True), Column("samples"), Column("sha256", is_text=True)],
+        [*text_columns("flight"), Column("samples"), *text_columns("sha256")],
         [[flight.name, flight.samples, flight.sha256[:12]] for flight in model.flights],
         title="identified on",
     )
-    bounds = zip(INPUT_NAMES, model.envelope.lower, model.envelope.upper, strict=True)
-    envelope = Table(
-        [Column("input", is_text=True), Column("lowest", number), Column("highest", number)],
-        [[name, float(lower), float(upper)] for name, lower, upper in bounds],
-        title="training envelope",
-    )
+    columns = [*text_columns("input"), *number_columns("lowest", "highest")]
+    envelope = Table(columns, _bounds(model), title="training envelope")
     terms = Columns(map(terminal_table, term_tables(model)), padding=(0, 3))
     facts = map(terminal_table, fact_tables(model))
     return [heading, calibration, terms, *facts, terminal_table(flights), terminal_table(envelope)]
@@ -356,10 +333,11 @@ def _model_json(model: AerodynamicModel) -> dict[str, Any]:
             for facts in model.fitted.facts(model.rollouts)
         },
         "flights": [flight.to_json() for flight in model.flights],
-        "envelope": {
-            name: [float(lower), float(upper)]
-            for name, lower, upper in zip(
-                INPUT_NAMES, model.envelope.lower, model.envelope.upper, strict=True
-            )
-        },
+        "envelope": {name: [lower, upper] for name, lower, upper in _bounds(model)},
     }
+
+
+def _bounds(model: AerodynamicModel) -> list[tuple[str, float, float]]:
+    """Each input with its range in training."""
+    bounds = model.envelope.lower.tolist(), model.envelope.upper.tolist()
+    return list(zip(INPUT_NAMES, *bounds, strict=True))

@@ -26,7 +26,9 @@ from quadpi_core.report.table import (
     Row,
     Table,
     number,
+    number_columns,
     percent,
+    text_columns,
 )
 from quadpi_core.simulation.applied_effects import EFFECTS
 from quadpi_core.simulation.scenario import load_scenario
@@ -252,10 +254,8 @@ def faults_text(faults: Sequence[Mapping[str, Any]]) -> str:
 def flight_table(summaries: Sequence[FlightSummary], bags: Sequence[Path]) -> Table:
     """A row for each flight with the size of its bag, within 80 characters."""
     sizes = [1e-6 * bag.stat().st_size for bag in bags]
-    columns = [
-        Column("bag", is_text=True, wraps=True),
-        *(Column(heading, number) for heading in ("s", "airspeed m/s", "error rms m", "max m", "MB")),
-    ]
+    headings = ("s", "airspeed m/s", "error rms m", "max m", "MB")
+    columns = [*text_columns("bag", wraps=True), *number_columns(*headings)]
     rows: list[Row] = [
         [
             *(bag.name, summary.duration_s, summary.airspeed_max_m_s),
@@ -279,23 +279,13 @@ def catalogue_tables() -> list[Table]:
     """The scenarios in config/scenarios, and the effects that can be switched on with their parameters."""
     paths = sorted((config_directory() / "scenarios").glob("*.yaml"))
     scenarios = [load_scenario(path.stem) for path in paths]
-    columns = [
-        Column("name", is_text=True),
-        Column("flights"),
-        Column("s", number),
-        Column("", is_text=True, wraps=True),
-    ]
+    columns = [*text_columns("name"), Column("flights"), *number_columns("s"), *text_columns("", wraps=True)]
     rows: list[Row] = [
-        [
-            *(scenario.name, len(scenario.flights)),
-            *(sum(plan.duration_s for plan in scenario.flights), scenario.description),
-        ]
-        for scenario in scenarios
+        [own.name, len(own.flights), sum(plan.duration_s for plan in own.flights), own.description]
+        for own in scenarios
     ]
-    effect_columns = [
-        Column("name", is_text=True),
-        Column("axes, what it does, and its parameters with their defaults", is_text=True, wraps=True),
-    ]
+    about = "axes, what it does, and its parameters with their defaults"
+    effect_columns = [*text_columns("name"), *text_columns(about, wraps=True)]
     effect_rows: list[Row] = []
     for name, effect in EFFECTS.items():
         axes = f"{' '.join(effect.axes)}: " if effect.axes else ""
@@ -321,7 +311,7 @@ def write_simulation_page(path: Path, flights: Sequence[tuple[FlightPlan, Truth]
         "vehicle": _distinct(summary.vehicle for summary in summaries),
         "noise": _distinct(summary.noise for summary in summaries),
     }
-    common = {name: column[0] for name, column in _alterations(summaries).items() if _is_common(column)}
+    common = {name: own[0] for name, own in _alterations(summaries).items() if len(set(own)) == 1}
     Page(
         title=f"quadpi: simulation of {scenarios}",
         about="simulated flights",
@@ -370,10 +360,6 @@ def _alterations(summaries: Sequence[FlightSummary]) -> dict[str, list[str]]:
     return {name: column for name, column in texts.items() if any(column)}
 
 
-def _is_common(column: Sequence[str]) -> bool:
-    return len(set(column)) == 1
-
-
 def _distinct(names: Iterable[str]) -> str:
     return ", ".join(dict.fromkeys(names))
 
@@ -396,6 +382,6 @@ def _page_table(summaries: Sequence[FlightSummary]) -> Table:
     if any(s.head_wind_m_s for s in summaries):
         columns[Column("wind [m/s]", number)] = [s.head_wind_m_s for s in summaries]
     for name, texts in _alterations(summaries).items():
-        if not _is_common(texts):
+        if len(set(texts)) > 1:
             columns[Column(name, is_text=True, wraps=True)] = [text or None for text in texts]
     return Table(list(columns), list(zip(*columns.values(), strict=True)))

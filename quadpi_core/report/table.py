@@ -113,6 +113,16 @@ class Column:
         return symbol + (cell.value if isinstance(cell.value, str) else self.format(cell.value))
 
 
+def text_columns(*headings: str, **options: Any) -> list[Column]:
+    """A column of text for each heading."""
+    return [Column(heading, is_text=True, **options) for heading in headings]
+
+
+def number_columns(*headings: str, shown: Callable[[Any], str] | None = None, **options: Any) -> list[Column]:
+    """A column of numbers for each heading; `shown` is their format, unless given :func:`number`."""
+    return [Column(heading, shown or number, **options) for heading in headings]
+
+
 @dataclass(frozen=True)
 class Table:
     """Rows of cells below headings.

@@ -36,8 +36,10 @@ from quadpi_core.report.table import (
     method_colours,
     nominal,
     number,
+    number_columns,
     percent,
     terminal_table,
+    text_columns,
     unit,
 )
 from quadpi_core.validation.validation_case import HIGHEST, LOWEST, Spread, ValidationCase
@@ -66,10 +68,9 @@ SHOWN = 20
 def validation_table(result: Validation, axes: Sequence[str], *, title: str = "") -> Table:
     """Coverage and width under noise of each model, axis by axis."""
     columns = [
-        Column("axis", is_text=True, once=True),
-        Column("method", is_text=True),
-        *(Column(heading, hundredths, group="PICP %") for heading in _COVERAGE),
-        *(Column(heading, hundredths, group="NMPIW %") for heading in _WIDTH),
+        *(*text_columns("axis", once=True), *text_columns("method")),
+        *number_columns(*_COVERAGE, shown=hundredths, group="PICP %"),
+        *number_columns(*_WIDTH, shown=hundredths, group="NMPIW %"),
     ]
     rows = [
         [axis, name, *_cells(model.axes[axis], result.confidence)]
@@ -180,11 +181,8 @@ def write_validation_page(
 def _flight_table(result: Validation) -> Table:
     """Coverage of the measurements of each flight: flights differ by more than realisations of noise do."""
     axes = [axis for axis in AXES if any(axis in model.axes for model in result.models.values())]
-    columns = [
-        Column("flight", is_text=True, once=True),
-        Column("method", is_text=True),
-        *(Column(axis, hundredths) for axis in axes),
-    ]
+    columns = [*text_columns("flight", once=True), *text_columns("method")]
+    columns += number_columns(*axes, shown=hundredths)
     rows = []
     for flight in result.flights:
         for name, model in result.models.items():
@@ -270,10 +268,8 @@ def rollout_summary(evaluation: RolloutEvaluation) -> Table:
     """Errors and tubes by flight, horizon and quantity."""
     level = nominal(evaluation.confidence)
     columns = [
-        Column("flight", is_text=True, is_section=True, chooses_flight=True),
-        Column("horizon", is_text=True, once=True),
-        Column("", is_text=True),
-        Column("RMS error", number),
+        *text_columns("flight", is_section=True, chooses_flight=True),
+        *(*text_columns("horizon", once=True), *text_columns(""), *number_columns("RMS error")),
         Column("coverage", percent, group=f"{level} tube"),
         Column("width", number, group=f"{level} tube"),
         Column("coverage", percent, group="split conformal", is_soft=True),
@@ -281,14 +277,8 @@ def rollout_summary(evaluation: RolloutEvaluation) -> Table:
     ]
     rows: list[Row] = [
         [
-            flight,
-            f"{horizon} s",
-            _QUANTITIES[quantity][0],
-            own.rms,
-            own.coverage,
-            own.width,
-            own.conformal_tracked_coverage,
-            own.conformal_tracked_width,
+            *(flight, f"{horizon} s", _QUANTITIES[quantity][0], own.rms, own.coverage, own.width),
+            *(own.conformal_tracked_coverage, own.conformal_tracked_width),
         ]
         for flight, judged in evaluation.flights.items()
         for horizon, quantities in judged.horizons.items()
