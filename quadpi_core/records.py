@@ -125,6 +125,17 @@ class Threshold(Generic[Number]):
     data: str
 
 
+@dataclass(frozen=True)
+class Column:
+    """An attribute of a class with records `rows` (N,): a view of one of their fields, an array."""
+
+    name: str
+
+    def __get__(self, instance: Any, owner: type | None = None) -> Array:
+        view: Array = instance.rows[self.name]
+        return view
+
+
 RATE_MAX_RAD_S = compiled.RATE_MAX_RAD_S
 STANDARD_GRAVITY = compiled.STANDARD_GRAVITY
 SPECIFIC_FORCE_MAX_M_S2 = compiled.SPECIFIC_FORCE_MAX_M_S2

@@ -118,7 +118,7 @@ class Ekf:
                 "the estimator is not initialised: it needs a second of IMU samples and motion capture"
             )
         newest = int(self._memory.filter["newest"][0])
-        return State(self._memory.ring[newest : newest + 1])
+        return State(self._memory.ring[newest])
 
     @property
     def settled_ns(self) -> int | None:

@@ -32,6 +32,7 @@ from quadpi_core.frames import Array, rotate_world_to_body
 from quadpi_core.records import (
     RATE_MAX_RAD_S,
     SPECIFIC_FORCE_MAX_M_S2,
+    Column,
     Quaternion4,
     Records,
     Vector3,
@@ -72,7 +73,10 @@ class Estimates:
 
     Attributes:
         time_ns: (M,) stamps.
-        rows: (M,) each :class:`EstimatedSample`; the properties are views.
+        rows: (M,) each :class:`EstimatedSample`, whose fields these are: position (M, 3) m and velocity m/s
+            over ground, world, attitude (M, 4) body to world, the biases of gyro rad/s and accelerometer
+            m/s², the delay (M,) s of motion capture, and the diagonal (M, 16) of the covariance of the error
+            state, see :mod:`.filter_state`.
     """
 
     time_ns: Stamps
@@ -81,40 +85,9 @@ class Estimates:
     def __len__(self) -> int:
         return len(self.time_ns)
 
-    @property
-    def position(self) -> Array:
-        """(M, 3) m, world."""
-        return self.rows["position"]
-
-    @property
-    def velocity(self) -> Array:
-        """(M, 3) m/s over ground, world."""
-        return self.rows["velocity"]
-
-    @property
-    def attitude(self) -> Array:
-        """(M, 4) body to world."""
-        return self.rows["attitude"]
-
-    @property
-    def gyro_bias(self) -> Array:
-        """(M, 3) rad/s."""
-        return self.rows["gyro_bias"]
-
-    @property
-    def accelerometer_bias(self) -> Array:
-        """(M, 3) m/s²."""
-        return self.rows["accelerometer_bias"]
-
-    @property
-    def delay_s(self) -> Array:
-        """(M,) of motion capture."""
-        return self.rows["delay"]
-
-    @property
-    def variance(self) -> Array:
-        """(M, 16) diagonal of the covariance of the error state, see :mod:`.filter_state`."""
-        return self.rows["variance"]
+    position, velocity, attitude = Column("position"), Column("velocity"), Column("attitude")
+    gyro_bias, accelerometer_bias = Column("gyro_bias"), Column("accelerometer_bias")
+    delay_s, variance = Column("delay"), Column("variance")
 
     @property
     def velocity_body(self) -> Array:

@@ -11,6 +11,7 @@ stamps s was true at s less the delay.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import Annotated, NamedTuple
 
@@ -20,7 +21,7 @@ import numpy.typing as npt
 from quadpi_core.core import compiled
 from quadpi_core.flight import NO_STAMP
 from quadpi_core.frames import Array
-from quadpi_core.records import Quaternion4, Records, Vector3, columns_of, record_dtype
+from quadpi_core.records import Column, Quaternion4, Records, Vector3, columns_of, record_dtype
 from quadpi_core.signals.chain import RATE_SPAN
 from quadpi_core.vehicle import Vehicle
 
@@ -212,67 +213,30 @@ NOISE, TRANSITION, SCALAR = (record_dtype(kind) for kind in (Noise, Transition, 
 CORRECTION, FILTER = record_dtype(Correction), record_dtype(Filter)
 
 
-class State(NamedTuple):
+@dataclass(frozen=True)
+class State:
     """The estimate at the stamp of the newest IMU sample; views that the next samples overwrite.
 
     Attributes:
-        estimate: (1,) an :class:`Estimate`.
+        rows: () an :class:`Estimate`, whose fields these are: position (3,) m and velocity m/s over ground,
+            world, attitude (4,) body to world, the biases of gyro rad/s and accelerometer m/s², rates rad/s
+            and specific_force m/s² of the IMU as they came, and the covariance (16, 16) of the error state.
     """
 
-    estimate: Records
+    rows: Records
+    position, velocity, attitude = Column("position"), Column("velocity"), Column("attitude")
+    gyro_bias, accelerometer_bias = Column("gyro_bias"), Column("accelerometer_bias")
+    rates, specific_force, covariance = Column("rates"), Column("specific_force"), Column("covariance")
 
     @property
     def time_ns(self) -> int:
         """Stamp."""
-        return int(self.estimate["time_ns"][0])
-
-    @property
-    def position(self) -> Array:
-        """(3,) m, world."""
-        return self._field("position")
-
-    @property
-    def velocity(self) -> Array:
-        """(3,) m/s over ground, world."""
-        return self._field("velocity")
-
-    @property
-    def attitude(self) -> Array:
-        """(4,) body to world."""
-        return self._field("attitude")
-
-    @property
-    def gyro_bias(self) -> Array:
-        """(3,) rad/s."""
-        return self._field("gyro_bias")
-
-    @property
-    def accelerometer_bias(self) -> Array:
-        """(3,) m/s²."""
-        return self._field("accelerometer_bias")
+        return int(self.rows["time_ns"])
 
     @property
     def delay_s(self) -> float:
         """By how much the stamps of motion capture are late."""
-        return float(self.estimate["delay"][0])
-
-    @property
-    def rates(self) -> Array:
-        """(3,) rad/s, the IMU sample as it came."""
-        return self._field("rates")
-
-    @property
-    def specific_force(self) -> Array:
-        """(3,) m/s², the IMU sample as it came."""
-        return self._field("specific_force")
-
-    @property
-    def covariance(self) -> Array:
-        """(16, 16) of the error state, see the module."""
-        return self._field("covariance")
-
-    def _field(self, name: str) -> Array:
-        return self.estimate[name][0]
+        return float(self.rows["delay"])
 
 
 class Memory(NamedTuple):

@@ -91,9 +91,6 @@ class _State(NamedTuple):
 class CollectedSamples:
     """Samples from which the filter starts, once they suffice.
 
-    Args:
-        vehicle: for its sensor noise and gravity.
-
     Attributes:
         imu: IMU samples, each (1,), oldest first.
         measurements: poses and velocities, each (1,), in the order of their arrival.
@@ -163,12 +160,6 @@ def initial_from_few(
 
     Position and attitude are as measured, the velocity the last one, else the slope of a line through the
     positions; the gyro bias is zero. Without any attitude velocities give it, as of a source that is fast.
-
-    Args:
-        imu: see :func:`initial_from_poses`.
-        measurements: (M,) of the last seconds, poses and velocities.
-        noise: see there.
-        gravity: see there.
 
     Returns:
         The estimate, or None if the measurements are too few or too old.
@@ -282,13 +273,6 @@ def initial_from_velocities(
     body axes; less the change of velocity it is gravity, which levels the attitude. The heading follows from
     velocities in the world where the vehicle accelerates sideways; else it is free, with a large variance.
     The position counts from here.
-
-    Args:
-        imu: see :func:`initial_from_poses`.
-        velocities: (M,) each :class:`quadpi_core.estimator.filter_state.Measurement`, oldest first.
-        noise: see there.
-        gravity: see there.
-        fewest: velocities in the second.
 
     Returns:
         The estimate, or None if the velocities are too few or too old.

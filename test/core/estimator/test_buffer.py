@@ -94,7 +94,7 @@ def test_the_order_of_arrival_of_poses_and_velocities_changes_nothing(hover: Hov
         for update in give if velocity_first else reversed(give):
             assert update() is Outcome.COLLECTED
         one.imu(20)
-    np.testing.assert_array_equal(hover.ekf.state.estimate, other.ekf.state.estimate)
+    np.testing.assert_array_equal(hover.ekf.state.rows, other.ekf.state.rows)
 
 
 @pytest.mark.parametrize(("late_ms", "outcome"), [(480, Outcome.USED), (530, Outcome.TOO_LATE)])

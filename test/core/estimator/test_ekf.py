@@ -87,11 +87,11 @@ def running(noisy_vehicle, simulate_flight):
 
 
 def snapshot(ekf):
-    return ekf.state.estimate.copy()
+    return ekf.state.rows.copy()
 
 
 def assert_same(before, ekf):
-    assert np.array_equal(before, ekf.state.estimate)
+    assert np.array_equal(before, ekf.state.rows)
 
 
 def test_bad_samples_are_refused_counted_and_leave_no_trace(running):

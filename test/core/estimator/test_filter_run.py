@@ -191,13 +191,13 @@ def make_state(rng: np.random.Generator) -> State:
     estimate["velocity"] *= 10.0
     estimate["attitude"] /= np.linalg.norm(estimate["attitude"])
     estimate["covariance"] = root @ root.T
-    return State(estimate)
+    return State(estimate[0])
 
 
 def fused(state: State) -> FusedSamples:
     sample, memory = np.empty(1, FUSED), np.zeros(1, FILTER)
     memory["noise"]["rates"] = GYRO_NOISE**2
-    compiled.fill_newest(memory, state.estimate, sample)
+    compiled.fill_newest(memory, np.array([state.rows]), sample)
     return FusedSamples.from_rows(sample)
 
 

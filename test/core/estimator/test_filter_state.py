@@ -110,7 +110,7 @@ def test_a_sample_between_two_is_on_the_line_between_them():
 
 
 def test_views_of_the_newest_estimate(estimate):
-    state = filter_state.State(estimate)
+    state = filter_state.State(estimate[0])
     assert state.time_ns == estimate["time_ns"][0]
     for name in ("position", "velocity", "attitude", "gyro_bias", "accelerometer_bias", "covariance"):
         np.testing.assert_array_equal(getattr(state, name), estimate[name][0])
