@@ -39,7 +39,7 @@ from quadpi_core.discrepancy.loading import load_simulation
 from quadpi_core.flight import ImuStream, OdometryStream, PoseStream, Recording, RotorSpeedStream, WindStream
 from quadpi_core.inputs import INPUT_NAMES
 from quadpi_core.logs import read_recording
-from quadpi_core.logs.bag_topics import bag_topics
+from quadpi_core.logs.bag_topics import topic_stamps
 from quadpi_core.logs.bags import read_outputs, write_bag
 from quadpi_core.logs.mapping import Mapping
 from quadpi_core.logs.mavlink_session import MavlinkSession, SessionSettings
@@ -135,7 +135,7 @@ def _read_log(path: Path, number: int, mapping: str | None = None) -> None:
 
 
 def _read_bag(path: Path, number: int) -> None:
-    readers = (_read_log, lambda path, _: bag_topics(path), lambda path, _: read_outputs(path), _read_log)
+    readers = (_read_log, lambda path, _: topic_stamps(path), lambda path, _: read_outputs(path), _read_log)
     readers[number % 4](path, number)
 
 

@@ -115,12 +115,7 @@ class Bag:
         return self._notes
 
     def read(self, names: Collection[str], head: int | None = None) -> dict[str, Topic]:
-        """Read whole topics by their full names.
-
-        Args:
-            names: topics of the bag.
-            head: read only the first bytes of each message, this many.
-        """
+        """Read whole topics by their full names; with `head` only so many first bytes of each message."""
         blocks = list(self.blocks(names, head=head))
         types = {connection.topic: connection.msgtype for connection in self.connections}
         return {
@@ -294,15 +289,11 @@ def _in_log_order(parts: Iterable[_Part], block_messages: int) -> Iterator[dict[
         # Sorting for every small part would take a time that grows with the square of what waits.
         if count >= max(block_messages, 2 * kept):
             limit_ns = next_limit_ns
-            due, waiting = _split_all(waiting, limit_ns)
+            split = [topic.split(limit_ns) for topic in waiting]
+            due, waiting = ([one for one in side if len(one.payloads)] for side in zip(*split, strict=True))
             count = kept = sum(len(topic.payloads) for topic in waiting)
             yield from _in_blocks(due, block_messages)
     yield from _in_blocks(waiting, block_messages)
-
-
-def _split_all(topics: Iterable[Topic], limit_ns: int) -> tuple[list[Topic], list[Topic]]:
-    parts = [topic.split(limit_ns) for topic in topics]
-    return [one for one, _ in parts if len(one.payloads)], [one for _, one in parts if len(one.payloads)]
 
 
 def _in_blocks(parts: Iterable[Topic], block_messages: int) -> Iterator[dict[str, Topic]]:

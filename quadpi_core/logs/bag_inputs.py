@@ -16,11 +16,12 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from quadpi_core.errors import LogError
+from quadpi_core.flight import Stamps
 from quadpi_core.logs.bag_files import Bag
 from quadpi_core.logs.bag_topics import (
     BESIDE_INPUTS,
@@ -32,6 +33,7 @@ from quadpi_core.logs.bag_topics import (
     is_named,
     is_truth,
     require_type,
+    topic_stamps,
     unnamed,
     unread,
 )
@@ -95,12 +97,7 @@ class BagInputs(NamedTuple):
 
 
 def find_inputs(bag: Bag, settings: AdapterSettings, vehicle: Vehicle | None = None) -> BagInputs:
-    """Find the sensor topics of a bag.
-
-    Args:
-        bag: open.
-        settings: the topics that are named, the namespace, and how messages of other packages are read.
-        vehicle: whose motors messages that are not named must be able to tell.
+    """Find the sensor topics of a bag; commands that are not named must be of the motors of the vehicle.
 
     Raises:
         LogError: naming bag and topic, for a name that is not in the bag, has a type that is not understood
@@ -135,19 +132,18 @@ def holds_imu(path: Path) -> bool:
         )
 
 
+def stamps_without_imu(path: Path) -> dict[str, Stamps] | None:
+    """:func:`topic_stamps` of a bag such as one of results; None for one with messages of an IMU."""
+    return None if holds_imu(path) else topic_stamps(path)
+
+
 def topics_of(bag: Bag) -> str:
     """Names of all topics, for messages."""
     return ", ".join(sorted({connection.topic for connection in bag.connections})) or "none"
 
 
-@dataclass(frozen=True)
-class _Several:
-    """Topics of which any could be meant.
-
-    Attributes:
-        word: standard name.
-        topics: of the bag.
-    """
+class _Several(NamedTuple):
+    """A standard name, and topics of the bag of which any could be meant by it."""
 
     word: str
     topics: Sequence[str]
@@ -209,7 +205,7 @@ class _Search:
             if other := next((w for w in named if SENSOR_KINDS[w] == kind), None):
                 raise self._unused(other, named[other], f"the mapping's {kind} of topic {one.topic}")
             named[word] = one.topic
-            self._settings = replace(self._settings, **_one(kind, None))
+            self._settings = self._with(kind, None)
         by_kind: dict[str, str] = {}
         for word, text in named.items():
             first = by_kind.setdefault(SENSOR_KINDS[word], word)
@@ -253,7 +249,12 @@ class _Search:
             own = StateSettings()
         elif own is not None and own.topic not in {None, connection.topic}:
             raise self._unused(f"the mapping's {kind}", own.topic, f"{word}={text}")
-        self._settings = replace(self._settings, **_one(kind, own))
+        self._settings = self._with(kind, own)
+
+    def _with(self, kind: str, own: object) -> AdapterSettings:
+        """The settings with others of one kind."""
+        changes: dict[str, Any] = {kind: own}
+        return replace(self._settings, **changes)
 
     def _unused(self, word: str, topic: str, first: str) -> LogError:
         return LogError(f"{self._bag.path}: {word}={topic}: is given but not used: {first} is")
@@ -274,17 +275,13 @@ class _Search:
                 topics = sorted(topic for topic in self._within if is_named(topic, word))
                 for topic in topics:
                     require_type(self._bag, topic, word)
+                if len(topics) == 1:
+                    self.names[word] = topics[0]
+                    self._compare_with_types(kind, word, topics[0])
+                elif topics:
+                    self._several.append(_Several(word, topics))
                 if topics:
-                    self._take_one_of(word, topics)
-                    if len(topics) == 1:
-                        self._compare_with_types(kind, word, topics[0])
                     break
-
-    def _take_one_of(self, word: str, topics: Sequence[str]) -> None:
-        if len(topics) == 1:
-            self.names[word] = topics[0]
-        else:
-            self._several.append(_Several(word, topics))
 
     def _compare_with_types(self, kind: str, word: str, topic: str) -> None:
         """Say what a standard name is read before; refuse to choose between it and a topic in another place.
@@ -331,7 +328,9 @@ class _Search:
     def _take_first(self, word_of: dict[str, str]) -> None:
         most = max(self._counts[topic] for topic in word_of)
         fast = [topic for topic in word_of if self._counts[topic] >= AS_FAST.value * most]
-        chosen = min(fast, key=_preference)
+        last_of = {topic: _levels(topic)[-1] for topic in fast}
+        ranks = {topic: (*_PREFERRED, last_of[topic]).index(last_of[topic]) for topic in fast}
+        chosen = min(fast, key=lambda topic: (ranks[topic], topic))
         self.names[word_of[chosen]] = chosen
         others = ", ".join(sorted(set(word_of) - {chosen}))
         said = f", before {others}: the fastest, of equally fast ones `data`" if others else ""
@@ -376,7 +375,7 @@ class _Search:
             topics = [] if kind in known else unnamed(self._bag, kind, self._within, source)
             settings = CommandSettings() if kind == "motor_commands" else StateSettings()
             quiet = kind in MOTOR_INPUTS and "rotor_speeds" in self._found
-            chosen = replace(self._settings, **_one(kind, settings))
+            chosen = self._with(kind, settings)
             if len(topics) == 1:
                 try:
                     AdaptedReading(self._bag.path, topics[0], chosen, self._vehicle)
@@ -414,11 +413,7 @@ class _Search:
         )
 
     def finish(self) -> BagInputs:
-        """What was found.
-
-        Raises:
-            LogError: with the options to give, for topics of which several could be meant.
-        """
+        """What was found; see :func:`find_inputs`."""
         if self._several:
             said = "; ".join(
                 f"topic {one.word}: ambiguous between {', '.join(one.topics)}" for one in self._several
@@ -479,10 +474,6 @@ class _Search:
         return None if search._several else search._found
 
 
-def _one(key: str, value: object) -> dict[str, Any]:
-    return {key: value}
-
-
 def _words(kind: str) -> list[str]:
     """Standard names of a kind, the first of them that is there counts."""
     return [word for word, own in SENSOR_KINDS.items() if own == kind]
@@ -495,8 +486,3 @@ def _levels(topic: str) -> tuple[str, ...]:
 def _holds(levels: Sequence[str], part: Sequence[str]) -> bool:
     """Whether levels of a name include others, one behind the other."""
     return any(tuple(levels[at : at + len(part)]) == tuple(part) for at in range(len(levels) - len(part) + 1))
-
-
-def _preference(topic: str) -> tuple[int, str]:
-    last = _levels(topic)[-1]
-    return (_PREFERRED.index(last) if last in _PREFERRED else len(_PREFERRED), topic)

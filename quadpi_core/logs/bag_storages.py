@@ -8,10 +8,9 @@ import sqlite3
 from collections import defaultdict
 from collections.abc import Collection, Iterator
 from contextlib import suppress
-from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path, PurePath
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import quote
 
 import yaml
@@ -41,17 +40,11 @@ _ZSTD_MAGICS = (ZSTD_MAGIC, *(bytes((0x50 + kind, 0x2A, 0x4D, 0x18)) for kind in
 _READ_AT_ONCE = 2**20
 
 
-@dataclass(frozen=True)
-class BagPlaces:
-    """The files of a bag.
-
-    Attributes:
-        files: with messages, possibly compressed.
-        custom: what the writer of a folder noted in its metadata.yaml; None where it does not say.
-    """
+class BagPlaces(NamedTuple):
+    """Files of messages, possibly compressed, and what the writer noted in metadata.yaml; None if nothing."""
 
     files: list[Path]
-    custom: dict[str, Any] | None = field(default=None)
+    custom: dict[str, Any] | None = None
 
 
 def bag_places(path: Path) -> BagPlaces:
@@ -85,11 +78,7 @@ def _files_of_messages(folder: Path) -> list[Path]:
 
 
 def _single_file(folder: Path, why: str) -> Path:
-    """The file of messages in a folder whose metadata tell nothing.
-
-    Raises:
-        LogError: saying why, if there is not exactly one.
-    """
+    """The file of messages in a folder whose metadata tell nothing; refused if there is not exactly one."""
     files = _files_of_messages(folder)
     if len(files) != 1:
         raise LogError(
@@ -155,15 +144,11 @@ class DatabaseFile:
     def __init__(self, path: Path) -> None:
         self._database = sqlite3.connect(f"file:{quote(str(path.absolute()))}?mode=ro&immutable=1", uri=True)
         made = dict(self._rows("SELECT lower(name), type FROM sqlite_master"))
-        for name, kind in made.items():
-            if kind == "view":
-                raise LogError(f"damaged: its table `{name}` computes what it holds")
-        definitions: dict[str, str] = {}
-        if "message_definitions" in made:
-            columns = "topic_type, encoded_message_definition"
-            definitions = dict(
-                self._rows(f"SELECT {columns} FROM message_definitions WHERE encoding = 'ros2msg'")
-            )
+        if computed := [name for name, kind in made.items() if kind == "view"]:
+            raise LogError(f"damaged: its table `{computed[0]}` computes what it holds")
+        query = "SELECT topic_type, encoded_message_definition FROM message_definitions"
+        query += " WHERE encoding = 'ros2msg'"
+        definitions = dict(self._rows(query) if "message_definitions" in made else ())
         counts = dict(self._rows("SELECT topic_id, COUNT(*) FROM messages GROUP BY topic_id"))
         self.connections: dict[int, Connection] = {}
         for number, topic, type_name in self._rows("SELECT id, name, type FROM topics"):
@@ -236,13 +221,10 @@ class Ros1File:
         return Connection(one.topic, one.msgtype, text, one.msgcount)
 
     def batches(self, wanted: Collection[int], head: int | None) -> Iterator[Batch]:
-        """The messages of some topics, chunk by chunk in the order of their first log times.
+        """The messages of some topics, or their first bytes, of which the stamp of a header alone is right.
 
-        rosbags unpacks a chunk again for each message where those of two alternate in time.
-
-        Args:
-            wanted: numbers of the connections.
-            head: bytes wanted of each message; only stamps of headers are right then. None for all.
+        Chunk by chunk in the order of their first log times: rosbags unpacks a chunk again for each message
+        where those of two alternate in time.
 
         Raises:
             LogError: naming topic and sample, for bytes that are no message of the type.

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
@@ -33,20 +33,6 @@ _STARTS_WITH_HEADER = re.compile(
 _Content = TypeVar("_Content")
 
 
-class TopicSummary(NamedTuple):
-    """What a bag holds on one topic.
-
-    Attributes:
-        stamps_ns: (N,) header stamps, or log times for messages without a header.
-        has_header: whether they are header stamps.
-    """
-
-    name: str
-    type_name: str
-    stamps_ns: Stamps
-    has_header: bool
-
-
 def has_topic(path: Path | str, topic: str) -> bool:
     """Whether a bag holds messages on a standard topic, in any namespace.
 
@@ -67,35 +53,24 @@ def bag_vehicle(path: Path | str) -> str:
         return bag.metadata.get("vehicle", "")
 
 
-def bag_topics(path: Path | str) -> list[TopicSummary]:
-    """Summarise every topic of a bag, of any type, ordered by name.
+def topic_stamps(path: Path | str) -> dict[str, Stamps]:
+    """Stamps (N,) of every topic of a bag, ordered by name: of headers, else times of logging.
 
     Raises:
         LogError: for a bag that cannot be read.
     """
     with Bag(Path(path)) as bag:
         by_name = {connection.topic: connection for connection in bag.connections}
-        stamps = _stamps(bag, sorted(by_name))
-    return [
-        TopicSummary(name, by_name[name].msgtype, stamps_ns, _has_header(by_name[name]))
-        for name, stamps_ns in stamps.items()
-    ]
-
-
-def _stamps(bag: Bag, names: Sequence[str]) -> dict[str, Stamps]:
-    """By topic (N,): header stamps, or log times where messages have no header."""
-    with_header = {connection.topic for connection in bag.connections if _has_header(connection)}
-    found: dict[str, list[Stamps]] = {name: [np.empty(0, dtype=np.int64)] for name in names}
-    counts = dict.fromkeys(names, 0)
-    for block in bag.blocks(names, head=sensor_messages.STAMP_END):
-        for name, topic in block.items():
-            stamps_ns = topic.log_time_ns
-            if name in with_header:
-                stamps_ns = unpacked_topic(
-                    bag.path, topic, sensor_messages.unpack_stamps, before=counts[name]
-                )
-            found[name].append(stamps_ns)
-            counts[name] += len(stamps_ns)
+        found = {name: [np.empty(0, dtype=np.int64)] for name in sorted(by_name)}
+        counts = dict.fromkeys(found, 0)
+        for block in bag.blocks(found, head=sensor_messages.STAMP_END):
+            for name, topic in block.items():
+                unpack = sensor_messages.unpack_stamps
+                stamps_ns = topic.log_time_ns
+                if _has_header(by_name[name]):
+                    stamps_ns = unpacked_topic(bag.path, topic, unpack, before=counts[name])
+                found[name].append(stamps_ns)
+                counts[name] += len(stamps_ns)
     return {name: np.concatenate(parts) for name, parts in found.items()}
 
 
@@ -149,37 +124,26 @@ def is_truth(name: str) -> bool:
 def unpacked_topic(
     path: Path, topic: Topic, unpack: Callable[[Payloads], _Content], *, before: int = 0
 ) -> _Content:
-    """What `unpack` makes of the messages of a topic.
-
-    Args:
-        path: of the bag.
-        topic: its messages, or some of them.
-        unpack: see :mod:`quadpi_core.messages.sensor_messages`.
-        before: how many messages of the topic came before these.
+    """What `unpack` (see `sensor_messages`) makes of messages of a topic; so many came `before` them.
 
     Raises:
         LogError: as `unpack` does, naming bag and topic.
     """
     try:
         return unpack(topic.payloads)
-    except SampleError as error:
-        raise LogError(f"{path}: topic {topic.name}: {error.after(before)}") from error
     except (LogError, VehicleError) as error:
-        raise LogError(f"{path}: topic {topic.name}: {error}") from error
+        said = error.after(before) if isinstance(error, SampleError) else error
+        raise LogError(f"{path}: topic {topic.name}: {said}") from error
 
 
 _log = logging.getLogger(__name__)
-
-# Kinds of streams that messages of other packages give.
-ADAPTED_KINDS = (
-    *("imu", "rotor_speeds", "mocap", "odometry", "motor_commands", "battery", "pressure", "temperature"),
-)
-
 
 # Those that are used without being named, and refuse no bag.
 MOTOR_INPUTS = ("motor_commands", "battery")
 AIR_INPUTS = ("pressure", "temperature")
 BESIDE_INPUTS = (*MOTOR_INPUTS, *AIR_INPUTS)
+# Kinds of streams that messages of other packages give.
+ADAPTED_KINDS = ("imu", "rotor_speeds", "mocap", "odometry", *BESIDE_INPUTS)
 # In names of another pressure, or of a part that warms itself.
 _NO_AIR = re.compile(r"diff|imu|motor|esc|batt|cpu|mag")
 
@@ -197,12 +161,7 @@ class AdaptedTopic(NamedTuple):
 
 
 def find_adapted(bag: Bag, settings: AdapterSettings, within: Collection[str]) -> dict[str, AdaptedTopic]:
-    """Topics that the settings configure, by kind of stream; a topic is recognised by its type.
-
-    Args:
-        bag: open.
-        settings: of the kinds.
-        within: topics that may be taken without being named.
+    """Topics that the settings configure, by kind of stream, by their types; those not `within` by name.
 
     Raises:
         LogError: naming bag and topic, for a kind that no topic or several topics give.
@@ -222,12 +181,7 @@ def find_adapted(bag: Bag, settings: AdapterSettings, within: Collection[str]) -
 
 
 def unread(bag: Bag, present: Collection[str]) -> Iterator[str]:
-    """A note for each topic that could be read if it were configured.
-
-    Args:
-        bag: open.
-        present: kinds of streams that are read already.
-    """
+    """A note for each topic that could be read if it were configured, of kinds that are not read already."""
     for kind in ADAPTED_KINDS:
         for topic in _candidates(bag, kind) if kind not in present else ():
             if not topic.adapter.common:
@@ -298,7 +252,7 @@ class AdaptedReading:
     def __init__(
         self, bag: Path, topic: AdaptedTopic, settings: AdapterSettings, vehicle: Vehicle | None
     ) -> None:
-        self.name, self._kind = topic.name, topic.adapter.kind
+        self.name, self._kind, self._bag = topic.name, topic.adapter.kind, bag
         self._where = f"{bag}: topic {topic.name}"
         self._samples = 0
         text, type_name = topic.connection.definition, topic.adapter.type_name
@@ -316,32 +270,19 @@ class AdaptedReading:
             raise LogError(f"{self._where}: {error}") from error
 
     def unpack(self, topic: Topic, before: int) -> Stream | None:
-        """The samples in messages; None without messages.
-
-        Args:
-            topic: its next messages.
-            before: number of messages before them.
+        """The samples in the next messages, after so many `before` them; None without messages.
 
         Raises:
             LogError: naming bag, topic and sample, for messages that cannot be read.
         """
         if len(topic.payloads) == 0:
             return None
-        try:
-            stream = self._unpacker.unpack(topic.payloads)
-        except SampleError as error:
-            raise LogError(f"{self._where}: {error.after(before)}") from error
-        except (LogError, VehicleError) as error:
-            raise LogError(f"{self._where}: {error}") from error
+        stream = unpacked_topic(self._bag, topic, self._unpacker.unpack, before=before)
         self._samples += len(stream)
         return stream
 
     def finish(self, count: int, start_ns: int) -> Iterator[LeftOut]:
-        """How many of all `count` messages were dropped; a warning where not each needs to hold a sample.
-
-        Args:
-            count: number of messages.
-            start_ns: stamp that times count from.
+        """How many of all `count` messages were dropped, times from `start_ns` on; some only warn.
 
         Raises:
             LogError: if all were dropped.

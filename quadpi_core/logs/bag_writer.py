@@ -224,10 +224,6 @@ class BagWriter:
 
     Messages wait until :meth:`flush` says that none will come that belongs before them. Those with equal log
     times are written in the order in which their topics were announced.
-
-    Args:
-        path: for errors.
-        out: open writer of rosbags.
     """
 
     def __init__(self, path: Path, out: _ChecksummedWriter) -> None:

@@ -8,36 +8,27 @@ import hashlib
 import logging
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from quadpi_core import flight
 from quadpi_core.errors import LogError
 from quadpi_core.findings import DataQuality, LeftOut
-from quadpi_core.flight import (
-    NOT_MEASURED,
-    AirStream,
-    BatteryStream,
-    ImuStream,
-    MotorCommandStream,
-    OdometryStream,
-    PoseStream,
-    Recording,
-    RotorSpeedStream,
-    Stamps,
-    Stream,
-    TemperatureStream,
-    TwistStream,
-    WindStream,
-    WrenchStream,
-)
 from quadpi_core.flight_files import flight_in
 from quadpi_core.frames import Array
 from quadpi_core.logs.bag_files import Bag
 from quadpi_core.logs.bag_inputs import find_inputs, topics_of
-from quadpi_core.logs.bag_topics import AdaptedReading, AdaptedTopic, find_topic, unpacked_topic
+from quadpi_core.logs.bag_topics import (
+    ADAPTED_KINDS,
+    AdaptedReading,
+    AdaptedTopic,
+    find_topic,
+    unpacked_topic,
+)
 from quadpi_core.logs.bag_writer import BagWriter, mcap_writer
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.adapters.adapter_settings import AdapterSettings
@@ -54,35 +45,23 @@ from quadpi_core.version import __version__
 _log = logging.getLogger(__name__)
 
 # What the messages of each topic become: fields of a recording.
-_FIELDS = {
-    "imu": ("imu",),
-    "erpm": ("rotor_speeds",),
-    "rotor_speeds": ("rotor_speeds",),
-    "mocap/pose": ("pose",),
-    "mocap/transform": ("pose",),
-    "mocap/odometry": ("pose", "twist"),
-    "mocap/twist": ("twist",),
-    "odometry": ("odometry",),
-    "wind": ("wind",),
-    "simulation/wrench": ("simulated",),
+_FIELDS: dict[str, tuple[str, ...]] = {
+    **{kind.topic: (field,) for field, kind in flight.STREAM_KINDS.items()},
+    **{"erpm": ("rotor_speeds",), "mocap/transform": ("pose",), "mocap/odometry": ("pose", "twist")},
 }
-_FIELDS_OF_KINDS = {
-    **{"imu": "imu", "rotor_speeds": "rotor_speeds", "mocap": "pose", "odometry": "odometry"},
-    **{"motor_commands": "commands", "battery": "battery"},
-    **{"pressure": "pressure", "temperature": "temperature"},
-}
-_PACKERS: dict[type[Stream], Callable[[Any], Payloads]] = {
-    ImuStream: sensor_messages.pack_imu,
-    RotorSpeedStream: sensor_messages.pack_rotor_speeds,
-    PoseStream: sensor_messages.pack_pose,
-    TwistStream: sensor_messages.pack_twist,
-    OdometryStream: sensor_messages.pack_odometry,
-    WindStream: sensor_messages.pack_wind,
-    MotorCommandStream: sensor_messages.pack_motor_commands,
-    BatteryStream: sensor_messages.pack_battery,
-    AirStream: sensor_messages.pack_pressure,
-    TemperatureStream: sensor_messages.pack_temperature,
-    WrenchStream: lambda stream: sensor_messages.pack_body_vectors(
+_FIELDS_OF_KINDS = {kind: kind for kind in ADAPTED_KINDS} | {"mocap": "pose", "motor_commands": "commands"}
+_PACKERS: dict[type[flight.Stream], Callable[[Any], Payloads]] = {
+    flight.ImuStream: sensor_messages.pack_imu,
+    flight.RotorSpeedStream: sensor_messages.pack_rotor_speeds,
+    flight.PoseStream: sensor_messages.pack_pose,
+    flight.TwistStream: sensor_messages.pack_twist,
+    flight.OdometryStream: sensor_messages.pack_odometry,
+    flight.WindStream: sensor_messages.pack_wind,
+    flight.MotorCommandStream: sensor_messages.pack_motor_commands,
+    flight.BatteryStream: sensor_messages.pack_battery,
+    flight.AirStream: sensor_messages.pack_pressure,
+    flight.TemperatureStream: sensor_messages.pack_temperature,
+    flight.WrenchStream: lambda stream: sensor_messages.pack_body_vectors(
         stream.time_ns, stream.wrench, sensor_messages.WRENCH
     ),
 }
@@ -91,12 +70,12 @@ _READ_AT_ONCE = 1 << 20
 _ATTITUDE_NS = 50_000_000
 # Custom data of a bag: whose scale its commands have, and that a barometer's board was as warm as it says.
 _COMMANDS_OF, _BOARD_AIR = "motor_commands", "board_air"
-_NO_IMU = ImuStream(np.empty(0, dtype=np.int64), np.empty((0, 3)), np.empty((0, 3)))
+_NO_IMU = flight.ImuStream(np.empty(0, dtype=np.int64), np.empty((0, 3)), np.empty((0, 3)))
 
 
 def read_bag(
     path: Path | str, vehicle: Vehicle | None = None, adapters: AdapterSettings | None = None
-) -> Recording:
+) -> flight.Recording:
     """Read the standard topics of a bag; topics may stand in a namespace, but for `truth`: that is no sensor.
 
     The streams are as recorded: :meth:`Recording.check` judges them.
@@ -119,12 +98,7 @@ def read_bag(
 def open_recording(
     path: Path | str, vehicle: Vehicle | None = None, adapters: AdapterSettings | None = None
 ) -> Iterator[BagRecording]:
-    """Open a bag to read what :func:`read_bag` does in blocks.
-
-    Args:
-        path: see :func:`read_bag`.
-        vehicle: see there.
-        adapters: see there.
+    """Open a bag to read what :func:`read_bag` does, with the same arguments, in blocks.
 
     Raises:
         LogError: see there; what is wrong with a message, when its block is read.
@@ -237,7 +211,7 @@ class BagRecording:
             fields["rotor_speeds"] = fields["commands"]
         return fields
 
-    def blocks(self) -> Iterator[Recording]:
+    def blocks(self) -> Iterator[flight.Recording]:
         """The recording in blocks; see :mod:`quadpi_core.reading_options`.
 
         They follow each other in log time. What messages of other packages give is absent from a block that
@@ -247,30 +221,20 @@ class BagRecording:
             self._bag.path, self._names, self._adapted, self._adapters, self._known_vehicle, self._frames
         )
         unpacking.orientation = _Orientation() if self._turning else None
+        empty = flight.Recording(
+            self.name,
+            self.vehicle,
+            self.source,
+            _NO_IMU,
+            board_air=self._board_air,
+            command_source=self._command_source,
+            commanded=self._is_commanded,
+        )
         for topics in self._bag.blocks(unpacking.topics):
             streams, arrivals = unpacking.unpack(topics)
-            yield Recording(
-                name=self.name,
-                vehicle=self.vehicle,
-                source=self.source,
-                **{"imu": _NO_IMU, **streams},
-                arrivals=arrivals,
-                board_air=self._board_air,
-                command_source=self._command_source,
-                commanded=self._is_commanded,
-            )
+            yield replace(empty, **streams, arrivals=arrivals)
         if left_out := unpacking.finish():
-            quality = DataQuality(left_out=left_out)
-            yield Recording(
-                self.name,
-                self.vehicle,
-                self.source,
-                _NO_IMU,
-                quality=quality,
-                board_air=self._board_air,
-                command_source=self._command_source,
-                commanded=self._is_commanded,
-            )
+            yield replace(empty, quality=DataQuality(left_out=left_out))
 
 
 class _Unpacking:
@@ -302,7 +266,9 @@ class _Unpacking:
             "mocap/odometry": Framed(mocap_odometry, frames.world, texts=2),
             "odometry": Framed(sensor_messages.ODOMETRY_SAMPLES.unpack_logged, frames.world, texts=2),
             "wind": Framed(sensor_messages.unpack_wind, frames.world),
-            "simulation/wrench": sensor_messages.unpack_simulated,
+            "simulation/wrench": lambda payloads: flight.WrenchStream(
+                *sensor_messages.unpack_body_vectors(payloads, sensor_messages.WRENCH)
+            ),
         }
         self._adapted = {
             kind: AdaptedReading(path, topic, adapters, vehicle) for kind, topic in adapted.items()
@@ -315,10 +281,10 @@ class _Unpacking:
         self._read = dict.fromkeys(self.topics, 0)
         self._start_ns = 0
 
-    def unpack(self, topics: Mapping[str, Topic]) -> tuple[dict[str, Any], dict[str, Stamps]]:
+    def unpack(self, topics: Mapping[str, Topic]) -> tuple[dict[str, Any], dict[str, flight.Stamps]]:
         """The streams in the messages that come next, by the names of their fields, and their arrivals."""
         streams: dict[str, Any] = {}
-        arrivals: dict[str, Stamps] = {}
+        arrivals: dict[str, flight.Stamps] = {}
         for topic, name in self._names.items():
             content = unpacked_topic(
                 self._path, topics[name], self._unpackers[topic], before=self._read[name]
@@ -344,7 +310,7 @@ class _Unpacking:
         if self._commanded is not None:
             # Those that are measured stand in nowhere, not even where no command came.
             streams.pop("rotor_speeds", None)
-            arrivals.pop(RotorSpeedStream.topic, None)
+            arrivals.pop(flight.RotorSpeedStream.topic, None)
             self._make_speeds(self._commanded, streams, topics)
         if not self._start_ns and len(streams.get("imu", ())):
             self._start_ns = int(streams["imu"].time_ns[0])
@@ -380,7 +346,7 @@ class _Orientation:
     """Attitudes of a state that has none, or alone, by the orientation of the IMU's messages."""
 
     def __init__(self) -> None:
-        self._time_ns: Stamps = np.empty(0, np.int64)
+        self._time_ns: flight.Stamps = np.empty(0, np.int64)
         self._attitude: Array = np.empty((0, 4))
         self._deviation: Array = np.empty(0)
 
@@ -392,8 +358,8 @@ class _Orientation:
         self._deviation = np.concatenate((self._deviation[-1:], deviation))
 
     def of_states(
-        self, states: OdometryStream | None, imu: ImuStream, positions: bool
-    ) -> OdometryStream | None:
+        self, states: flight.OdometryStream | None, imu: flight.ImuStream, positions: bool
+    ) -> flight.OdometryStream | None:
         """The states with the attitude that was last told; of attitudes alone one in each period."""
         if positions:
             if states is None:
@@ -404,11 +370,11 @@ class _Orientation:
             at = np.flatnonzero(np.diff(self._time_ns // _ATTITUDE_NS))
             at = at[np.isin(self._time_ns[at], imu.time_ns)]
             nothing = np.zeros((len(at), 3))
-            states = OdometryStream(
+            states = flight.OdometryStream(
                 self._time_ns[at], nothing, self._attitude[at], nothing.copy(), nothing.copy()
             )
             states.rates[:] = imu.angular_velocity[np.searchsorted(imu.time_ns, states.time_ns)]
-            states.deviation[:] = NOT_MEASURED
+            states.deviation[:] = flight.NOT_MEASURED
         states.attitude[:], states.deviation[:, 1] = self._attitude[at], self._deviation[at]
         return states
 
@@ -430,7 +396,7 @@ def _frames_of(bag: Bag) -> BodyFrames:
     return frames
 
 
-def _unpack_erpm(payloads: Payloads, vehicle: Vehicle | None) -> RotorSpeedStream:
+def _unpack_erpm(payloads: Payloads, vehicle: Vehicle | None) -> flight.RotorSpeedStream:
     if vehicle is None:
         raise LogError("electrical speeds need the vehicle, whose file gives the pole pairs")
     return sensor_messages.unpack_erpm(payloads, vehicle)
@@ -455,7 +421,7 @@ def read_outputs(path: Path | str) -> tuple[Predictions | None, ReportedAlarms |
 
 def write_bag(
     path: Path | str,
-    recording: Recording,
+    recording: flight.Recording,
     extra: Sequence[Topic] = (),
     metadata: Mapping[str, str] | None = None,
 ) -> None:
@@ -498,44 +464,33 @@ def recording_writer(
     topics: Collection[str],
     metadata: Mapping[str, str] | None = None,
 ) -> Iterator[BagWriter]:
-    """A bag like that of :func:`write_bag`, to write while its messages come.
-
-    Args:
-        path: see there.
-        vehicle: its name.
-        source: path of the file that the recording is of.
-        topics: standard topics that it has.
-        metadata: see there.
-
-    Raises:
-        LogError: see there.
-    """
+    """A bag like that of :func:`write_bag`, with these standard topics, to write as its messages come."""
     entries = {"vehicle": vehicle, "version": __version__, **_provenance(Path(source))}
     with mcap_writer(Path(path), {**entries, **(metadata or {})}) as writer:
         writer.announce({f"/{name}": TOPIC_TYPES[name] for name in topics})
         yield writer
 
 
-def written_streams(recording: Recording) -> list[Stream]:
+def written_streams(recording: flight.Recording) -> list[flight.Stream]:
     """The streams that a bag of a recording has; rotor speeds by commands are made anew by who reads it."""
     air = recording.pressure
-    beside: list[Stream | None] = [recording.commands, recording.battery, air, recording.temperature]
+    beside: list[flight.Stream | None] = [recording.commands, recording.battery, air, recording.temperature]
     if air is not None and recording.temperature is None and np.isfinite(air.celsius).any():
-        beside[-1] = TemperatureStream(air.time_ns, air.pressure, air.celsius)
+        beside[-1] = flight.TemperatureStream(air.time_ns, air.pressure, air.celsius)
     return [
         *(one for one in recording.streams() if one is not recording.rotor_speeds or not recording.commanded),
         *(one for one in beside if one is not None),
     ]
 
 
-def recording_topics(recording: Recording) -> Iterator[Topic]:
+def recording_topics(recording: flight.Recording) -> Iterator[Topic]:
     """The standard topics that hold a recording, or a part of one; none for a stream without samples."""
     for stream in written_streams(recording):
         if len(stream):
             yield output_topic(stream.topic, stream.time_ns, _PACKERS[type(stream)](stream))
 
 
-def output_topic(name: str, time_ns: Stamps, payloads: Payloads) -> Topic:
+def output_topic(name: str, time_ns: flight.Stamps, payloads: Payloads) -> Topic:
     """A standard topic to write, logged at its stamps."""
     return Topic(f"/{name}", TOPIC_TYPES[name], time_ns, payloads)
 

@@ -194,12 +194,6 @@ def read_columns(
     Rows of another length (comments, a last row that is cut off) are left out, and what is no number, such
     as names that stand there again, is no value.
 
-    Args:
-        content: see :func:`read_content`.
-        dialect: of the whole file.
-        wanted: places of the columns.
-        stamps: the place of one that may hold date and time.
-
     Raises:
         LogError: naming the column, where most values are no numbers, or most rows are of another length.
     """

@@ -48,11 +48,6 @@ def require_table(path: Path) -> None:
 def write_flight_table(path: Path, flight: Flight, wrench: Array) -> None:
     """Write a flight and its wrench, one row per sample; the file appears whole or not at all.
 
-    Args:
-        path: ends in .csv or .parquet.
-        flight: as fused and filtered.
-        wrench: (N, 6) measured wrench, N and Nm.
-
     Raises:
         LogError: for another ending.
         OutputError: if `path` cannot be written.

@@ -12,19 +12,8 @@ from typing import cast
 import numpy as np
 import numpy.typing as npt
 
+from quadpi_core import flight
 from quadpi_core.errors import LogError
-from quadpi_core.flight import (
-    BatteryStream,
-    ImuStream,
-    OdometryStream,
-    PoseStream,
-    Recording,
-    RotorSpeedStream,
-    Stamps,
-    Stream,
-    ValueCheck,
-    check_stamps,
-)
 from quadpi_core.frames import Array, rotation_matrix
 from quadpi_core.reading_options import StreamParts, streams_by_field
 from quadpi_core.records import STANDARD_GRAVITY
@@ -162,12 +151,14 @@ class Inspection:
     findings: tuple[str, ...]
 
 
-def inspect_recording(recording: Recording, vehicle: Vehicle | None = None) -> Inspection:
+def inspect_recording(recording: flight.Recording, vehicle: Vehicle | None = None) -> Inspection:
     """Describe a recording; without a vehicle, what depends on its limits is not judged."""
     return inspect_blocks(lambda: iter((recording,)), vehicle)
 
 
-def inspect_blocks(blocks: Callable[[], Iterator[Recording]], vehicle: Vehicle | None = None) -> Inspection:
+def inspect_blocks(
+    blocks: Callable[[], Iterator[flight.Recording]], vehicle: Vehicle | None = None
+) -> Inspection:
     """Describe a recording that comes in at least one block.
 
     Args:
@@ -179,17 +170,17 @@ def inspect_blocks(blocks: Callable[[], Iterator[Recording]], vehicle: Vehicle |
         return _inspect(blocks, vehicle)
 
 
-def _inspect(blocks: Callable[[], Iterator[Recording]], vehicle: Vehicle | None) -> Inspection:
+def _inspect(blocks: Callable[[], Iterator[flight.Recording]], vehicle: Vehicle | None) -> Inspection:
     streams = survey(blocks, vehicle)
     timings = {name: _timing(stream.topic, stream.stored_ns) for name, stream in streams.items()}
     excerpting = Excerpting({name: stream.time_ns for name, stream in streams.items()})
     summaries = {name: _Summary() for name in streams}
     usable = Selection({name: stream.usable for name, stream in streams.items()})
-    values = {name: ValueCheck(stream.topic) for name, stream in streams.items()}
+    values = {name: flight.ValueCheck(stream.topic) for name, stream in streams.items()}
 
-    battery = StreamParts(BatteryStream)
+    battery = StreamParts(flight.BatteryStream)
 
-    def summarised() -> Iterator[Recording]:
+    def summarised() -> Iterator[flight.Recording]:
         for block in blocks():
             if block.battery is not None:
                 battery.extend(block.battery)
@@ -203,7 +194,7 @@ def _inspect(blocks: Callable[[], Iterator[Recording]], vehicle: Vehicle | None)
             values[name].add(stream)
     recording = excerpting.finish()
     if recording.battery is not None:
-        recording = replace(recording, battery=cast("BatteryStream", battery.whole()))
+        recording = replace(recording, battery=cast("flight.BatteryStream", battery.whole()))
     topics = tuple(replace(timings[name], not_finite=summaries[name].not_finite) for name in streams)
     start_ns = int(streams["imu"].stored_ns[0]) if len(streams["imu"].stored_ns) else 0
     findings = (
@@ -256,28 +247,23 @@ def with_names_of_bag(inspection: Inspection, names: Mapping[str, str]) -> Inspe
 
 
 def _inconsistencies(
-    excerpt: Recording,
+    excerpt: flight.Recording,
     vehicle: Vehicle | None,
     streams: Mapping[str, StreamSurvey],
-    values: Mapping[str, ValueCheck],
+    values: Mapping[str, flight.ValueCheck],
 ) -> Iterator[str]:
     """Findings of the consistency check, on the recording as `import` would convert it."""
     try:
         for name, stream in streams.items():
-            check_stamps(stream.topic, stream.usable_ns)
+            flight.check_stamps(stream.topic, stream.usable_ns)
             values[name].finish()
     except LogError:
         return
     yield from map(str, contradictions(excerpt, vehicle))
 
 
-def inspect_topics(path: Path, stamps: Mapping[str, Stamps]) -> Inspection:
-    """Describe the timing of the topics of a log without `imu`, such as a bag that `quadpi replay` wrote.
-
-    Args:
-        path: of the log.
-        stamps: (N,) by topic.
-    """
+def inspect_topics(path: Path, stamps: Mapping[str, flight.Stamps]) -> Inspection:
+    """Describe the timing of the topics of a log without `imu`, such as a bag that `quadpi replay` wrote."""
     return Inspection(
         name=path.stem,
         vehicle="",
@@ -288,7 +274,7 @@ def inspect_topics(path: Path, stamps: Mapping[str, Stamps]) -> Inspection:
     )
 
 
-def _timing(topic: str, time_ns: Stamps) -> TopicReport:
+def _timing(topic: str, time_ns: flight.Stamps) -> TopicReport:
     """Of values that are not finite nothing is known here."""
     steps = np.diff(time_ns) * 1e-9
     forward = steps[steps > 0.0]
@@ -325,13 +311,13 @@ class _Summary:
         self.runs: dict[str, LongestRun] = {}
         self.ranges: dict[str, RunningRange] = {}
 
-    def add(self, stream: Stream) -> None:
+    def add(self, stream: flight.Stream) -> None:
         """Add the next samples."""
         columns = _columns(stream)
         self.count += len(stream)
         if len(stream):
             self.not_finite += int(np.sum(~finite_rows(*columns.values())))
-        if isinstance(stream, RotorSpeedStream):
+        if isinstance(stream, flight.RotorSpeedStream):
             columns = {}  # rotors may stand; those that read the same in flight are judged with the IMU
         lacking = _not_measured(stream)
         for name, values in columns.items():
@@ -341,16 +327,16 @@ class _Summary:
             self.ranges.setdefault(quantity, RunningRange(quantity, unit)).add(values)
 
 
-def _columns(stream: Stream) -> dict[str, Array]:
+def _columns(stream: flight.Stream) -> dict[str, Array]:
     """Measured columns (N, C) by field name, without stamps, masks of axes and stated noise."""
     names = [column.name for column in fields(stream) if column.name != "deviation"]
     columns = {name: getattr(stream, name) for name in names}
     return {name: values for name, values in columns.items() if values.dtype.kind == "f"}
 
 
-def _not_measured(stream: Stream) -> set[str]:
+def _not_measured(stream: flight.Stream) -> set[str]:
     """Parts of a state that have no values in any sample."""
-    if not isinstance(stream, OdometryStream | PoseStream):
+    if not isinstance(stream, flight.OdometryStream | flight.PoseStream):
         return set()
     parts = ("position", "attitude", "velocity")[: stream.deviation.shape[1]]
     lacking = np.all(stream.deviation < 0.0, axis=0) & (len(stream) > 0)
@@ -389,7 +375,7 @@ def _frozen_findings(stream: StreamSurvey, summary: _Summary, start_ns: int) -> 
             )
 
 
-def _rotor_findings(recording: Recording, vehicle: Vehicle | None) -> Iterator[str]:
+def _rotor_findings(recording: flight.Recording, vehicle: Vehicle | None) -> Iterator[str]:
     if recording.rotor_speeds is None:
         return
     yield from _half_reading_findings(recording.rotor_speeds, recording)
@@ -402,7 +388,7 @@ def _rotor_findings(recording: Recording, vehicle: Vehicle | None) -> Iterator[s
         )
 
 
-def _half_reading_findings(rotors: RotorSpeedStream, recording: Recording) -> Iterator[str]:
+def _half_reading_findings(rotors: flight.RotorSpeedStream, recording: flight.Recording) -> Iterator[str]:
     """A rotor that reads half of the others, or whose reading halves and doubles between samples, in flight.
 
     A rotor cannot change its speed by a factor of two within one short interval; a sensor that misses every
@@ -436,14 +422,14 @@ def _factor_of_two(ratio: npt.ArrayLike) -> npt.NDArray[np.bool_]:
     return np.abs(np.abs(np.log2(ratio)) - 1.0) < _FACTOR_OF_TWO_OCTAVES
 
 
-def _battery_findings(recording: Recording) -> Iterator[str]:
+def _battery_findings(recording: flight.Recording) -> Iterator[str]:
     if recording.battery is not None and len(recording.battery) > 1:
         volts = recording.battery.voltage
         if np.all(volts == volts[0]):
             yield f"battery: the voltage is constant at {volts[0]:.3g} V: not measured?"
 
 
-def _envelope(summaries: Mapping[str, _Summary], recording: Recording) -> Iterator[Range]:
+def _envelope(summaries: Mapping[str, _Summary], recording: flight.Recording) -> Iterator[Range]:
     shown: dict[str, RunningRange] = {}
     for name in ("odometry", "pose", "imu", "rotor_speeds"):
         for quantity, running in summaries[name].ranges.items() if name in summaries else ():
@@ -458,21 +444,21 @@ def _envelope(summaries: Mapping[str, _Summary], recording: Recording) -> Iterat
         yield from battery.ranges()
 
 
-def _quantities(stream: Stream) -> Iterator[tuple[str, str, Array]]:
+def _quantities(stream: flight.Stream) -> Iterator[tuple[str, str, Array]]:
     """Name, unit and values (N,) of the quantities that describe the flown envelope."""
     lacking = _not_measured(stream)
-    if isinstance(stream, OdometryStream) and "velocity" not in lacking:
+    if isinstance(stream, flight.OdometryStream) and "velocity" not in lacking:
         yield "speed", "m/s", np.linalg.norm(stream.velocity, axis=1)
-    if isinstance(stream, OdometryStream | PoseStream):
+    if isinstance(stream, flight.OdometryStream | flight.PoseStream):
         if "position" not in lacking:
             yield "altitude", "m", -stream.position[:, 2]
         if "attitude" not in lacking:
             tilt = np.degrees(np.arccos(np.clip(rotation_matrix(stream.attitude)[:, 2, 2], -1.0, 1.0)))
             yield "tilt", "deg", tilt
-    elif isinstance(stream, ImuStream):
+    elif isinstance(stream, flight.ImuStream):
         for axis, name in enumerate("pqr"):
             yield f"rate {name}", "rad/s", stream.angular_velocity[:, axis]
         yield "specific force", "m/s²", np.linalg.norm(stream.specific_force, axis=1)
-    elif isinstance(stream, RotorSpeedStream):
+    elif isinstance(stream, flight.RotorSpeedStream):
         for index, column in enumerate(stream.speeds.T):
             yield f"rotor {index + 1}", "rad/s", column

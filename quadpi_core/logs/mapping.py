@@ -132,11 +132,7 @@ class Signal(Section):
             raise ValueError(f"{name}: `columns` must list {count} different column{'s'[: count - 1]}")
 
     def of_rotors(self, names: Iterable[str]) -> Signal:
-        """The signal with a column of each rotor, where one name, with `*` or of a matrix, stands for all.
-
-        Args:
-            names: of the columns of the table.
-        """
+        """The signal with a column of each rotor, where one name, with `*` or of a matrix, stands for all."""
         name = self.columns[0]
         pattern = re.escape(name).replace(r"\*", r"(\d+)") if "*" in name else re.escape(name) + r"\.(\d+)"
         matches = [match for one in names if (match := re.fullmatch(pattern, one))]

@@ -15,29 +15,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from quadpi_core import flight, frames
 from quadpi_core.findings import REASONS, UnusableReports, Verdict
-from quadpi_core.flight import (
-    AirStream,
-    BatteryStream,
-    ImuStream,
-    MotorCommandStream,
-    OdometryStream,
-    PoseStream,
-    RotorSpeedStream,
-    Stamps,
-    Stream,
-)
-from quadpi_core.frames import (
-    Array,
-    body_flu_to_frd,
-    from_rotation_vector,
-    product,
-    quaternion_body_flu_to_frd,
-    quaternion_from_roll_pitch_yaw,
-    quaternion_world_enu_to_ned,
-    rotate_world_to_body,
-    world_enu_to_ned,
-)
 from quadpi_core.messages.adapters.rotor_messages import shares_of_outputs
 from quadpi_core.records import NORM_TOLERANCE, STANDARD_GRAVITY
 from quadpi_core.rotor_order import RotorOrder
@@ -61,10 +40,22 @@ BESIDE = {
     "battery": ("BATTERY_STATUS", "SYS_STATUS"),
     "pressure": ("SCALED_PRESSURE",),
 }
+# Streams of numbers by topic, and of vectors, with the columns of a row at which one follows another.
+_SCALARS: dict[str, Callable[..., flight.Stream]] = {
+    "battery": flight.BatteryStream,
+    "pressure": flight.AirStream,
+}
+_VECTORS: dict[str, tuple[Callable[..., flight.Stream], list[int]]] = {
+    **{
+        "imu": (flight.ImuStream, [3]),
+        "mocap/pose": (flight.PoseStream, [3]),
+        "odometry": (flight.OdometryStream, [3, 7, 10]),
+    },
+    **{"rotor_speeds": (flight.RotorSpeedStream, []), "motor_commands": (flight.MotorCommandStream, [])},
+}
 _EPOCH_US = 10**15
 # Later stamps, after the year 2090, are invalid.
 LATEST_US = 4 * 10**15
-_NOT_FINITE = "values that are not finite"
 _MILLI_G = STANDARD_GRAVITY * 1e-3
 _ACCELEROMETER_AND_GYRO = 0x3F
 _ESCS_PER_MESSAGE = 4
@@ -91,24 +82,19 @@ class Sample(NamedTuple):
     topic: str
     source: str
     clock_us: int | None
-    values: Array
+    values: frames.Array
 
 
-def stream_of(topic: str, time_ns: Stamps, rows: Array) -> Stream:
+def stream_of(topic: str, time_ns: flight.Stamps, rows: frames.Array) -> flight.Stream:
     """Stream of one topic from the rows (N, width) of its samples."""
-    if topic == "imu":
-        return ImuStream(time_ns, rows[:, :3], rows[:, 3:])
-    if topic == "rotor_speeds":
-        return RotorSpeedStream(time_ns, rows)
-    if topic == "mocap/pose":
-        return PoseStream(time_ns, rows[:, :3], rows[:, 3:])
-    if topic == "motor_commands":
-        return MotorCommandStream(time_ns, rows)
-    if topic == "battery":
-        return BatteryStream(time_ns, rows[:, 0])
-    if topic == "pressure":
-        return AirStream(time_ns, rows[:, 0], rows[:, 1])
-    return OdometryStream(time_ns, rows[:, :3], rows[:, 3:7], rows[:, 7:10], rows[:, 10:])
+    if topic in _SCALARS:
+        return _SCALARS[topic](time_ns, *rows.T)
+    kind, ends = _VECTORS[topic]
+    return kind(time_ns, *np.hsplit(rows, ends))
+
+
+class _RefusedError(Exception):
+    """Why a message gives no sample."""
 
 
 def is_epoch(clock_us: int) -> bool:
@@ -148,7 +134,7 @@ class MavlinkSamples:
         self._speed_time = [-math.inf] * len(self._speeds)
         self._speed_count: dict[int, int] = {}
         self._online = -1
-        self._attitude: tuple[float, Array, Array] | None = None
+        self._attitude: tuple[float, frames.Array, frames.Array] | None = None
         self._decoders: dict[str, Callable[[Any, float], Sample | None]] = {
             "HEARTBEAT": self._heartbeat,
             "HIGHRES_IMU": self._highres_imu,
@@ -192,17 +178,16 @@ class MavlinkSamples:
         if decoder is None:
             return None
         # Checked before decoding: decoders keep stamps for later samples.
-        if getattr(message, "time_usec", 0) > LATEST_US or getattr(message, "usec", 0) > LATEST_US:
-            return self._refuse(name, "an impossible stamp")
-        sample = decoder(message, arrival_s)
-        if sample is not None and not np.isfinite(sample.values).all():
-            return self._refuse(name, _NOT_FINITE)
+        try:
+            if getattr(message, "time_usec", 0) > LATEST_US or getattr(message, "usec", 0) > LATEST_US:
+                raise _RefusedError("an impossible stamp")
+            sample = decoder(message, arrival_s)
+            if sample is not None:
+                _finite(sample.values)
+        except _RefusedError as refusal:
+            self.refused[f"{name}: {refusal}"] += 1
+            return None
         return sample
-
-    def _refuse(self, name: str, reason: str) -> Sample | None:
-        """Count a refused message; returns the sample that it does not give."""
-        self.refused[f"{name}: {reason}"] += 1
-        return None
 
     def _heartbeat(self, message: Any, _: float) -> None:
         if is_autopilot(message):
@@ -212,7 +197,7 @@ class MavlinkSamples:
         if m.id != 0:
             return None
         if m.fields_updated & _ACCELEROMETER_AND_GYRO != _ACCELEROMETER_AND_GYRO:
-            return self._refuse("HIGHRES_IMU", "no new accelerometer and gyro values in it")
+            raise _RefusedError("no new accelerometer and gyro values in it")
         row = np.array((m.xgyro, m.ygyro, m.zgyro, m.xacc, m.yacc, m.zacc))
         return Sample("imu", "HIGHRES_IMU", m.time_usec, row)
 
@@ -220,60 +205,57 @@ class MavlinkSamples:
         if m.id != 0:
             return None
         if self.autopilot != ARDUPILOT:
-            return self._refuse("RAW_IMU", "in a unit that only ArduPilot keeps to (mg, mrad/s)")
+            raise _RefusedError("in a unit that only ArduPilot keeps to (mg, mrad/s)")
         return Sample("imu", "RAW_IMU", m.time_usec, _milli_units(m))
 
     def _scaled_imu(self, m: Any, _: float) -> Sample | None:
         return Sample("imu", m.get_type(), m.time_boot_ms * 1000, _milli_units(m))
 
     def _take_quaternion(self, m: Any, _: float) -> None:
-        attitude = self._unit("ATTITUDE_QUATERNION", (m.q1, m.q2, m.q3, m.q4))
-        rates = self._finite("ATTITUDE_QUATERNION", (m.rollspeed, m.pitchspeed, m.yawspeed))
-        if attitude is not None and rates is not None:
-            self._attitude = (m.time_boot_ms * 1e-3, attitude, rates)
+        attitude = _unit((m.q1, m.q2, m.q3, m.q4))
+        rates = _finite((m.rollspeed, m.pitchspeed, m.yawspeed))
+        self._attitude = (m.time_boot_ms * 1e-3, attitude, rates)
 
     def _take_angles(self, m: Any, _: float) -> None:
-        angles = self._finite("ATTITUDE", (m.roll, m.pitch, m.yaw))
-        rates = self._finite("ATTITUDE", (m.rollspeed, m.pitchspeed, m.yawspeed))
-        if angles is not None and rates is not None:
-            self._attitude = (m.time_boot_ms * 1e-3, quaternion_from_roll_pitch_yaw(angles), rates)
+        angles = _finite((m.roll, m.pitch, m.yaw))
+        rates = _finite((m.rollspeed, m.pitchspeed, m.yawspeed))
+        self._attitude = (m.time_boot_ms * 1e-3, frames.quaternion_from_roll_pitch_yaw(angles), rates)
 
     def _local_position(self, m: Any, _: float) -> Sample | None:
         if self._attitude is None:
-            return self._refuse("LOCAL_POSITION_NED", "no attitude yet")
+            raise _RefusedError("no attitude yet")
         time_s, attitude, rates = self._attitude
         ahead_s = m.time_boot_ms * 1e-3 - time_s
         if abs(ahead_s) > _ATTITUDE_AGE_S:
-            return self._refuse("LOCAL_POSITION_NED", f"no attitude within {_ATTITUDE_AGE_S} s")
-        velocity = self._finite("LOCAL_POSITION_NED", (m.vx, m.vy, m.vz))
-        if velocity is None:
-            return None
-        attitude = np.array(product(attitude, from_rotation_vector(ahead_s * rates)))
-        velocity = rotate_world_to_body(attitude, velocity)
+            raise _RefusedError(f"no attitude within {_ATTITUDE_AGE_S} s")
+        velocity = _finite((m.vx, m.vy, m.vz))
+        attitude = np.array(frames.product(attitude, frames.from_rotation_vector(ahead_s * rates)))
+        velocity = frames.rotate_world_to_body(attitude, velocity)
         row = np.concatenate(((m.x, m.y, m.z), attitude, velocity, rates))
         return Sample("odometry", "LOCAL_POSITION_NED", m.time_boot_ms * 1000, row)
 
     def _odometry(self, m: Any, _: float) -> Sample | None:
         """Velocity and rates are in the child frame (mavlink.io, ODOMETRY)."""
-        attitude = self._unit("ODOMETRY", m.q)
-        if attitude is None:
-            return None
+        attitude = _unit(m.q)
         position = np.array((m.x, m.y, m.z))
         velocity = np.array((m.vx, m.vy, m.vz))
         rates = np.array((m.rollspeed, m.pitchspeed, m.yawspeed))
         if m.child_frame_id == _BODY_FLU:
-            attitude = quaternion_body_flu_to_frd(attitude)
-            velocity, rates = body_flu_to_frd(velocity), body_flu_to_frd(rates)
+            attitude = frames.quaternion_body_flu_to_frd(attitude)
+            velocity, rates = frames.body_flu_to_frd(velocity), frames.body_flu_to_frd(rates)
         elif m.child_frame_id not in {_BODY_FRD, _BODY_NED}:
-            return self._refuse("ODOMETRY", f"child_frame_id {m.child_frame_id} is not known")
+            raise _RefusedError(f"child_frame_id {m.child_frame_id} is not known")
         if m.frame_id == _LOCAL_ENU:
-            position, attitude = world_enu_to_ned(position), quaternion_world_enu_to_ned(attitude)
+            position, attitude = (
+                frames.world_enu_to_ned(position),
+                frames.quaternion_world_enu_to_ned(attitude),
+            )
         elif m.frame_id == _LOCAL_FLU:
             # By half a turn about x: (0, 1, 0, 0) * q.
             w, x, y, z = attitude
-            position, attitude = body_flu_to_frd(position), np.array((-x, w, -z, y))
+            position, attitude = frames.body_flu_to_frd(position), np.array((-x, w, -z, y))
         elif m.frame_id not in {_LOCAL_NED, _LOCAL_FRD}:
-            return self._refuse("ODOMETRY", f"frame_id {m.frame_id} is not known")
+            raise _RefusedError(f"frame_id {m.frame_id} is not known")
         if np.isnan(np.concatenate((velocity, rates))).any():
             # ODOMETRY from motion capture has no velocity.
             return Sample("mocap/pose", "ODOMETRY pose", m.time_usec, np.concatenate((position, attitude)))
@@ -281,33 +263,13 @@ class MavlinkSamples:
         return Sample("odometry", "ODOMETRY", m.time_usec, row)
 
     def _mocap(self, m: Any, _: float) -> Sample | None:
-        attitude = self._unit("ATT_POS_MOCAP", m.q)
-        if attitude is None:
-            return None
-        return Sample("mocap/pose", "ATT_POS_MOCAP", m.time_usec, np.concatenate(((m.x, m.y, m.z), attitude)))
+        row = np.concatenate(((m.x, m.y, m.z), _unit(m.q)))
+        return Sample("mocap/pose", "ATT_POS_MOCAP", m.time_usec, row)
 
     def _vision(self, m: Any, _: float) -> Sample | None:
-        angles = self._finite("VISION_POSITION_ESTIMATE", (m.roll, m.pitch, m.yaw))
-        if angles is None:
-            return None
-        row = np.concatenate(((m.x, m.y, m.z), quaternion_from_roll_pitch_yaw(angles)))
+        angles = _finite((m.roll, m.pitch, m.yaw))
+        row = np.concatenate(((m.x, m.y, m.z), frames.quaternion_from_roll_pitch_yaw(angles)))
         return Sample("mocap/pose", "VISION_POSITION_ESTIMATE", m.usec, row)
-
-    def _finite(self, name: str, values: Sequence[float]) -> Array | None:
-        """The values as an array; None, and the message is refused, if one is not finite."""
-        finite = np.array(values, dtype=np.float64)
-        if np.isfinite(finite).all():
-            return finite
-        self._refuse(name, _NOT_FINITE)
-        return None
-
-    def _unit(self, name: str, quaternion: Sequence[float]) -> Array | None:
-        attitude = np.array(quaternion, dtype=np.float64)
-        norm = float(np.sqrt(np.sum(attitude * attitude)))
-        if not abs(norm - 1.0) <= NORM_TOLERANCE:
-            self._refuse(name, "the attitude is no unit quaternion")
-            return None
-        return attitude / norm
 
     def _esc_info(self, m: Any, _: float) -> None:
         """Store which of the first four controllers are online; for later ones senders differ in the bits."""
@@ -393,9 +355,27 @@ class MavlinkSamples:
     def _report(self, source: str, verdict: Verdict, arrival_s: float, more: str = "") -> Sample | None:
         """Count a message with the speed of a rotor; returns the sample that a refused one does not give."""
         self.unusable.add(np.array([round(1e9 * arrival_s)]), np.array([verdict], np.uint8))
-        return None if verdict == Verdict.SAMPLE else self._refuse(source, f"{REASONS[verdict]}{more}")
+        if verdict != Verdict.SAMPLE:
+            self.refused[f"{source}: {REASONS[verdict]}{more}"] += 1
+        return None
 
 
-def _milli_units(m: Any) -> Array:
+def _finite(values: Sequence[float] | frames.Array) -> frames.Array:
+    """The values as an array; the message is refused if one is not finite."""
+    finite = np.array(values, dtype=np.float64)
+    if not np.isfinite(finite).all():
+        raise _RefusedError("values that are not finite")
+    return finite
+
+
+def _unit(quaternion: Sequence[float]) -> frames.Array:
+    attitude = np.array(quaternion, dtype=np.float64)
+    norm = float(np.sqrt(np.sum(attitude * attitude)))
+    if not abs(norm - 1.0) <= NORM_TOLERANCE:
+        raise _RefusedError("the attitude is no unit quaternion")
+    return attitude / norm
+
+
+def _milli_units(m: Any) -> frames.Array:
     rates = np.array((m.xgyro, m.ygyro, m.zgyro)) * 1e-3
     return np.concatenate((rates, np.array((m.xacc, m.yacc, m.zacc)) * _MILLI_G))

@@ -128,11 +128,6 @@ class MavlinkSession:
 
     Only packets of this system from the same address are used, both for samples and for the clock offset.
 
-    Args:
-        vehicle: see :class:`MavlinkSamples`.
-        order: see there.
-        settings: see :class:`SessionSettings`.
-
     Raises:
         LogError: if pymavlink is not installed.
     """
@@ -278,13 +273,7 @@ class MavlinkSession:
         return self._peer is not None
 
     def tell(self, name: str, values: Sequence[Any], now_ns: int) -> None:
-        """Send a message with the next packets, once there is an autopilot.
-
-        Args:
-            name: of the message.
-            values: of its fields; of NAMED_VALUE_FLOAT without the time.
-            now_ns: the time.
-        """
+        """Send a message of these values, the time of NAMED_VALUE_FLOAT aside, once there is an autopilot."""
         if not self.is_met:
             return
         if name == "NAMED_VALUE_FLOAT":

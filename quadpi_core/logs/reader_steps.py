@@ -47,13 +47,6 @@ def by_frame(
 ) -> RotorOrder:
     """The order of the motors of a standard frame, of the usual one unless given.
 
-    Args:
-        source: of the log.
-        vehicle: without one, the log may say the number of rotors.
-        layout: of `rotor_order.LAYOUTS`.
-        unit: of their speeds.
-        rotors: that the log says.
-
     Raises:
         LogError: naming the log, if the vehicle's rotors do not sit as the frame's do.
     """
@@ -331,11 +324,6 @@ class Airframe(NamedTuple):
 
 def has_rotors(source: str, airframe: Airframe | None, vehicle: Vehicle | None) -> bool:
     """Whether rotor speeds of a log can be those of a vehicle; a note says it where they cannot.
-
-    Args:
-        source: of the log.
-        airframe: that the log is of, where it says so.
-        vehicle: that it is read for.
 
     Raises:
         LogError: naming both, for a multicopter of another number of rotors.

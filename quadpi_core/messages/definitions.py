@@ -294,13 +294,7 @@ class Items:
 
 
 class ForeignCodec:
-    """Decodes messages of one type, at most one array of messages deep.
-
-    Args:
-        type_name: of the message.
-        types: definitions of the type and all that it contains.
-        wanted: see :func:`foreign_codec`.
-    """
+    """Decodes messages of one type, at most one array of messages deep."""
 
     def __init__(self, type_name: str, types: Types, wanted: Mapping[str, int]) -> None:
         self._type_name = type_name

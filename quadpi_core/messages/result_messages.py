@@ -86,15 +86,7 @@ def pack_predictions(
     axes: Sequence[str],
     frame_id: str = BODY_FRAME,
 ) -> Payloads:
-    """Encode as quadpi/WrenchPrediction.
-
-    Args:
-        predictions: N rows.
-        model: identity of the model.
-        confidence: nominal coverage of the interval.
-        axes: names of the axes that the model holds.
-        frame_id: body frame.
-    """
+    """Encode as quadpi/WrenchPrediction."""
     values = np.empty((len(predictions.time_ns), PREDICTION_VALUES))
     compiled.prediction_values(PredictionRows.from_predictions(predictions).wrenches, 0, values)
     constants = _prediction_constants(model, confidence, axes, frame_id)
@@ -186,13 +178,7 @@ def unpack_alarms(payloads: Payloads | bytes) -> ReportedAlarms:
 
 
 def pack_alarms(alarms: Alarms, reasons: Sequence[tuple[str, ...]], frame_id: str = BODY_FRAME) -> Payloads:
-    """Encode as quadpi/ExtrapolationAlarm; the inputs outside the envelope are named farthest first.
-
-    Args:
-        alarms: of the monitor.
-        reasons: per row, why the causes are not ok, in plain words.
-        frame_id: body frame.
-    """
+    """Encode as quadpi/ExtrapolationAlarm; the inputs outside the envelope are named farthest first."""
     columns = {
         **header_columns(alarms.time_ns, frame_id),
         **{name: getattr(alarms, name) for name in _ALARM_NUMBERS},

@@ -12,26 +12,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from operator import attrgetter
+from types import MappingProxyType
 from typing import Any, Generic, TypeVar
 
 import numpy as np
 
+from quadpi_core import flight
 from quadpi_core.core import compiled
 from quadpi_core.errors import SampleError
-from quadpi_core.flight import (
-    AirStream,
-    BatteryStream,
-    ImuStream,
-    MotorCommandStream,
-    OdometryStream,
-    PoseStream,
-    RotorSpeedStream,
-    Stamps,
-    Stream,
-    TwistStream,
-    WindStream,
-    WrenchStream,
-)
 from quadpi_core.frames import (
     Array,
     body_flu_to_frd,
@@ -79,10 +68,10 @@ _ABSENT = -1.0
 FLU_SIGNS: Array = np.tile(body_frd_to_flu(np.ones(3)), 2)
 _XYZW = [1, 2, 3, 0]
 
-SomeStream = TypeVar("SomeStream", bound=Stream)
+SomeStream = TypeVar("SomeStream", bound=flight.Stream)
 
 
-def unpack_stamps(payloads: Payloads) -> Stamps:
+def unpack_stamps(payloads: Payloads) -> flight.Stamps:
     """Header stamps of messages of any type that begins with a std_msgs/Header.
 
     Only the first :data:`STAMP_END` bytes of each message are looked at.
@@ -104,7 +93,7 @@ class SampleKind(Generic[SomeStream]):
     """
 
     type_name: str
-    room: Callable[[Stamps, tuple[str, ...]], SomeStream]
+    room: Callable[[flight.Stamps, tuple[str, ...]], SomeStream]
     fill: Callable[[Array, SomeStream], int | None]
     texts: int = 1
     counts: Mapping[str, int] = field(default_factory=dict)
@@ -131,7 +120,7 @@ class SampleKind(Generic[SomeStream]):
         return self.unpack(payloads, strict=False)
 
 
-def unpack_orientation(payloads: Payloads | bytes) -> tuple[Stamps, Array, Array]:
+def unpack_orientation(payloads: Payloads | bytes) -> tuple[flight.Stamps, Array, Array]:
     """Stamps, attitudes (M, 4) and their deviations (M,) rad of IMU messages that have an orientation.
 
     A deviation is 0 where the message does not say it, or is filled in. The axes are those of the IMU.
@@ -157,33 +146,35 @@ def require_rotations(wrong: int | None, values: Array) -> None:
         raise SampleError(wrong, f"the orientation is no unit quaternion (norm {norm:.3g})")
 
 
-def _room(stream: Callable[..., SomeStream], *widths: int) -> Callable[[Stamps, tuple[str, ...]], SomeStream]:
+def _room(
+    stream: Callable[..., SomeStream], *widths: int
+) -> Callable[[flight.Stamps, tuple[str, ...]], SomeStream]:
     """`SampleKind.room` of a stream whose fields have these numbers per sample."""
     return lambda time_ns, _: stream(time_ns, *(np.empty((len(time_ns), width)) for width in widths))
 
 
 IMU_SAMPLES = SampleKind(
     IMU,
-    _room(ImuStream, 3, 3),
+    _room(flight.ImuStream, 3, 3),
     lambda values, imu: compiled.imu_values(values, imu.angular_velocity, imu.specific_force),
 )
 POSE_SAMPLES = SampleKind(
     POSE,
-    _room(PoseStream, 3, 4),
+    _room(flight.PoseStream, 3, 4),
     lambda values, pose: compiled.pose_values(values, pose.position, pose.attitude),
 )
 # The same numbers, of a transform from the world, its frame, to the body, its child frame.
 TRANSFORM_SAMPLES = replace(POSE_SAMPLES, type_name=TRANSFORM, texts=2)
 ODOMETRY_SAMPLES = SampleKind(
     ODOMETRY,
-    _room(OdometryStream, 3, 4, 3, 3),
+    _room(flight.OdometryStream, 3, 4, 3, 3),
     lambda values, state: compiled.state_values(
         values, state.position, state.attitude, state.velocity, state.rates, state.deviation
     ),
     texts=2,
 )
 WIND_SAMPLES = SampleKind(
-    WIND, _room(WindStream, 3), lambda values, wind: compiled.wind_values(values, wind.velocity)
+    WIND, _room(flight.WindStream, 3), lambda values, wind: compiled.wind_values(values, wind.velocity)
 )
 # Samples of N messages, or one: see SampleKind.unpack. The orientation of an IMU is not used; the twist of an
 # odometry is in its child (body) frame.
@@ -193,74 +184,94 @@ unpack_odometry = ODOMETRY_SAMPLES.unpack
 unpack_wind = WIND_SAMPLES.unpack
 
 
-def rotor_speed_samples(rotors: int) -> SampleKind[RotorSpeedStream]:
+def rotor_speed_samples(rotors: int) -> SampleKind[flight.RotorSpeedStream]:
     """Messages of quadpi/RotorSpeeds of a vehicle with this number of rotors."""
     return SampleKind(
         ROTOR_SPEEDS,
-        _room(RotorSpeedStream, rotors),
+        _room(flight.RotorSpeedStream, rotors),
         lambda values, sample: np.copyto(sample.speeds, values),
         counts={"rotor_speeds": rotors},
     )
 
 
-def erpm_samples(vehicle: Vehicle) -> SampleKind[RotorSpeedStream]:
+def erpm_samples(vehicle: Vehicle) -> SampleKind[flight.RotorSpeedStream]:
     """Messages of quadpi/Erpm; the vehicle's pole pairs turn electrical into mechanical speed.
 
     Raises:
         VehicleError: if the vehicle file does not give the pole pairs.
     """
 
-    def fill(erpm: Array, rotors: RotorSpeedStream) -> None:
+    def fill(erpm: Array, rotors: flight.RotorSpeedStream) -> None:
         rotors.speeds[:] = vehicle.rotor_speeds_from_erpm(erpm)
 
     rotors = vehicle.rotor_count
     vehicle.rotor_speeds_from_erpm(np.zeros(rotors))
-    return SampleKind(ERPM, _room(RotorSpeedStream, rotors), fill, counts={"erpm": rotors})
+    return SampleKind(ERPM, _room(flight.RotorSpeedStream, rotors), fill, counts={"erpm": rotors})
 
 
-def twist_samples(body_frame: str) -> SampleKind[TwistStream]:
+def twist_samples(body_frame: str) -> SampleKind[flight.TwistStream]:
     """Messages of geometry_msgs/TwistStamped that have one frame; see :func:`unpack_twist`."""
 
-    def room(time_ns: Stamps, frames: tuple[str, ...]) -> TwistStream:
+    def room(time_ns: flight.Stamps, frames: tuple[str, ...]) -> flight.TwistStream:
         in_body = without_namespace(frames[0]) == without_namespace(body_frame)
-        return TwistStream(time_ns, np.empty((len(time_ns), 3)), np.full(len(time_ns), in_body))
+        return flight.TwistStream(time_ns, np.empty((len(time_ns), 3)), np.full(len(time_ns), in_body))
 
-    def fill(values: Array, twist: TwistStream) -> None:
+    def fill(values: Array, twist: flight.TwistStream) -> None:
         compiled.twist_values(values, bool(twist.in_body.all()), twist.velocity)
 
     return SampleKind(TWIST, room, fill)
 
 
-def pack_imu(stream: ImuStream, frame_id: str = BODY_FRAME) -> Payloads:
-    """Encode as sensor_msgs/Imu with orientation marked absent and unknown (zero) covariances."""
-    orientation_covariance = np.zeros(9)
-    orientation_covariance[0] = _ABSENT
-    return codec(IMU).encode(
-        len(stream),
-        {
-            **header_columns(stream.time_ns, frame_id),
-            "orientation": np.array([0.0, 0.0, 0.0, 1.0]),
-            "orientation_covariance": orientation_covariance,
-            "angular_velocity": body_frd_to_flu(stream.angular_velocity),
-            "linear_acceleration": body_frd_to_flu(stream.specific_force),
-        },
-    )
+def _packer(
+    type_name: str,
+    columns: Mapping[str, Callable[[Any], Any]],
+    constants: Mapping[str, Any] = MappingProxyType({}),
+    frame: str = BODY_FRAME,
+) -> Callable[..., Payloads]:
+    """A function that encodes a stream, by default of a frame, as messages of these columns and constants."""
+
+    def pack(stream: flight.Stream, frame_id: str = frame) -> Payloads:
+        values = {name: column(stream) for name, column in columns.items()}
+        header = header_columns(stream.time_ns, frame_id)
+        return codec(type_name).encode(len(stream), {**header, **constants, **values})
+
+    return pack
 
 
-def pack_pose(stream: PoseStream, frame_id: str = WORLD_FRAME) -> Payloads:
-    """Encode as geometry_msgs/PoseStamped."""
-    return codec(POSE).encode(
-        len(stream),
-        {
-            **header_columns(stream.time_ns, frame_id),
-            "pose.position": world_ned_to_enu(stream.position),
-            "pose.orientation": quaternion_frd_ned_to_flu_enu(stream.attitude)[:, _XYZW],
-        },
-    )
+# The orientation of an IMU is marked absent, and its covariances are unknown: zero.
+pack_imu = _packer(
+    IMU,
+    {
+        "angular_velocity": lambda imu: body_frd_to_flu(imu.angular_velocity),
+        "linear_acceleration": lambda imu: body_frd_to_flu(imu.specific_force),
+    },
+    {
+        "orientation": np.array([0.0, 0.0, 0.0, 1.0]),
+        "orientation_covariance": np.array([_ABSENT, *[0.0] * 8]),
+    },
+)
+pack_pose = _packer(
+    POSE,
+    {
+        "pose.position": lambda pose: world_ned_to_enu(pose.position),
+        "pose.orientation": lambda pose: quaternion_frd_ned_to_flu_enu(pose.attitude)[:, _XYZW],
+    },
+    frame=WORLD_FRAME,
+)
+pack_wind = _packer(WIND, {"vector": lambda wind: world_ned_to_enu(wind.velocity)}, frame=WORLD_FRAME)
+pack_rotor_speeds = _packer(ROTOR_SPEEDS, {"rotor_speeds": attrgetter("speeds")})
+pack_motor_commands = _packer(MOTOR_COMMANDS, {"commands": attrgetter("commands")})
+pack_pressure = _packer(PRESSURE, {"fluid_pressure": attrgetter("pressure")})
+pack_temperature = _packer(TEMPERATURE, {"temperature": attrgetter("celsius")})
+# The voltage alone.
+_UNKNOWN = ("temperature", "current", "charge", "capacity", "design_capacity", "percentage")
+pack_battery = _packer(
+    BATTERY, {"voltage": attrgetter("voltage")}, {**dict.fromkeys(_UNKNOWN, np.nan), "present": True}
+)
 
 
 def pack_odometry(
-    stream: OdometryStream,
+    stream: flight.OdometryStream,
     pose_covariance: Array | None = None,
     twist_covariance: Array | None = None,
     frame_id: str = WORLD_FRAME,
@@ -297,7 +308,7 @@ def pack_odometry(
 
 
 def pack_fused(
-    time_ns: Stamps,
+    time_ns: flight.Stamps,
     samples: Records,
     frame_id: str = WORLD_FRAME,
     child_frame_id: str = BODY_FRAME,
@@ -313,7 +324,7 @@ def odometry_constants(frame_id: str, child_frame_id: str) -> tuple[tuple[str, s
     return ("header.frame_id", frame_id), ("child_frame_id", child_frame_id)
 
 
-def unpack_twist(payloads: Payloads | bytes, body_frame: str = BODY_FRAME) -> TwistStream:
+def unpack_twist(payloads: Payloads | bytes, body_frame: str = BODY_FRAME) -> flight.TwistStream:
     """Decode geometry_msgs/TwistStamped: in body axes where its frame is `body_frame`, else in the world.
 
     A namespace in front of a frame does not count: a bag may come from a vehicle in another one.
@@ -326,7 +337,7 @@ def unpack_twist(payloads: Payloads | bytes, body_frame: str = BODY_FRAME) -> Tw
         [without_namespace(frame.decode(errors="replace")) == body for frame in frames], dtype=bool
     )
     velocity = np.where(in_body[:, np.newaxis], body_flu_to_frd(linear), world_enu_to_ned(linear))
-    return TwistStream(header_stamps(columns), velocity, in_body)
+    return flight.TwistStream(header_stamps(columns), velocity, in_body)
 
 
 def without_namespace(frame: str) -> str:
@@ -334,7 +345,9 @@ def without_namespace(frame: str) -> str:
     return frame.rpartition("/")[2]
 
 
-def pack_twist(stream: TwistStream, body_frame: str = BODY_FRAME, world_frame: str = WORLD_FRAME) -> Payloads:
+def pack_twist(
+    stream: flight.TwistStream, body_frame: str = BODY_FRAME, world_frame: str = WORLD_FRAME
+) -> Payloads:
     """Encode as geometry_msgs/TwistStamped without rotation; the frame_id names the axes."""
     parts = []
     for in_body, frame in ((True, body_frame), (False, world_frame)):
@@ -349,7 +362,7 @@ def pack_twist(stream: TwistStream, body_frame: str = BODY_FRAME, world_frame: s
 
 def unpack_logged_mocap_odometry(
     payloads: Payloads | bytes, noise: SensorNoise | None = None
-) -> tuple[PoseStream, TwistStream]:
+) -> tuple[flight.PoseStream, flight.TwistStream]:
     """Decode nav_msgs/Odometry of motion capture as the pose and the velocity that it holds.
 
     With the noise of a vehicle file deviations are those that `SensorNoise.of_odometry` gives.
@@ -362,18 +375,12 @@ def unpack_logged_mocap_odometry(
     deviation = odometry.deviation if noise is None else noise.of_odometry(odometry.deviation)
     in_body = np.ones(len(odometry), dtype=bool)
     return (
-        PoseStream(odometry.time_ns, odometry.position, odometry.attitude, deviation[:, :2]),
-        TwistStream(odometry.time_ns, odometry.velocity, in_body, deviation[:, 2]),
+        flight.PoseStream(odometry.time_ns, odometry.position, odometry.attitude, deviation[:, :2]),
+        flight.TwistStream(odometry.time_ns, odometry.velocity, in_body, deviation[:, 2]),
     )
 
 
-def pack_wind(stream: WindStream, frame_id: str = WORLD_FRAME) -> Payloads:
-    """Encode as geometry_msgs/Vector3Stamped."""
-    columns = {**header_columns(stream.time_ns, frame_id), "vector": world_ned_to_enu(stream.velocity)}
-    return codec(WIND).encode(len(stream), columns)
-
-
-def unpack_rotor_speeds(payloads: Payloads | bytes, rotors: int | None = None) -> RotorSpeedStream:
+def unpack_rotor_speeds(payloads: Payloads | bytes, rotors: int | None = None) -> flight.RotorSpeedStream:
     """Decode quadpi/RotorSpeeds of so many rotors; None for any number, the same in all messages.
 
     Raises:
@@ -382,43 +389,10 @@ def unpack_rotor_speeds(payloads: Payloads | bytes, rotors: int | None = None) -
     if rotors is not None:
         return rotor_speed_samples(rotors).unpack(payloads)
     columns = codec(ROTOR_SPEEDS).decode(payloads)
-    return RotorSpeedStream(header_stamps(columns), columns["rotor_speeds"])
+    return flight.RotorSpeedStream(header_stamps(columns), columns["rotor_speeds"])
 
 
-def pack_rotor_speeds(stream: RotorSpeedStream, frame_id: str = BODY_FRAME) -> Payloads:
-    """Encode as quadpi/RotorSpeeds."""
-    columns = {**header_columns(stream.time_ns, frame_id), "rotor_speeds": stream.speeds}
-    return codec(ROTOR_SPEEDS).encode(len(stream), columns)
-
-
-def pack_motor_commands(stream: MotorCommandStream, frame_id: str = BODY_FRAME) -> Payloads:
-    """Encode as quadpi/MotorCommands."""
-    columns = {**header_columns(stream.time_ns, frame_id), "commands": stream.commands}
-    return codec(MOTOR_COMMANDS).encode(len(stream), columns)
-
-
-def pack_battery(stream: BatteryStream, frame_id: str = BODY_FRAME) -> Payloads:
-    """Encode as sensor_msgs/BatteryState, which holds the voltage alone."""
-    unknown = dict.fromkeys(
-        ("temperature", "current", "charge", "capacity", "design_capacity", "percentage"), np.nan
-    )
-    columns = {**header_columns(stream.time_ns, frame_id), **unknown, "voltage": stream.voltage}
-    return codec(BATTERY).encode(len(stream), {**columns, "present": True})
-
-
-def pack_pressure(stream: AirStream, frame_id: str = BODY_FRAME) -> Payloads:
-    """Encode as sensor_msgs/FluidPressure."""
-    columns = {**header_columns(stream.time_ns, frame_id), "fluid_pressure": stream.pressure}
-    return codec(PRESSURE).encode(len(stream), columns)
-
-
-def pack_temperature(stream: AirStream, frame_id: str = BODY_FRAME) -> Payloads:
-    """Encode as sensor_msgs/Temperature."""
-    columns = {**header_columns(stream.time_ns, frame_id), "temperature": stream.celsius}
-    return codec(TEMPERATURE).encode(len(stream), columns)
-
-
-def unpack_erpm(payloads: Payloads | bytes, vehicle: Vehicle) -> RotorSpeedStream:
+def unpack_erpm(payloads: Payloads | bytes, vehicle: Vehicle) -> flight.RotorSpeedStream:
     """Decode quadpi/Erpm; the vehicle's pole pairs turn electrical into mechanical speed.
 
     Raises:
@@ -428,25 +402,20 @@ def unpack_erpm(payloads: Payloads | bytes, vehicle: Vehicle) -> RotorSpeedStrea
     return erpm_samples(vehicle).unpack(payloads)
 
 
-def pack_erpm(time_ns: Stamps, erpm: Array, frame_id: str = BODY_FRAME) -> Payloads:
+def pack_erpm(time_ns: flight.Stamps, erpm: Array, frame_id: str = BODY_FRAME) -> Payloads:
     """Encode electrical speeds (N, rotors) in rev/min as quadpi/Erpm."""
     return codec(ERPM).encode(len(time_ns), {**header_columns(time_ns, frame_id), "erpm": erpm})
 
 
-def unpack_body_vectors(payloads: Payloads | bytes, type_name: str) -> tuple[Stamps, Array]:
+def unpack_body_vectors(payloads: Payloads | bytes, type_name: str) -> tuple[flight.Stamps, Array]:
     """Decode :data:`WRENCH` or :data:`ACCELERATION` in body axes: stamps and (N, 6), linear then angular."""
     columns = codec(type_name).decode(payloads)
     linear, angular = (columns[field] for field in _BODY_VECTORS[type_name])
     return header_stamps(columns), mirrored(np.concatenate((linear, angular), axis=1))
 
 
-def unpack_simulated(payloads: Payloads | bytes) -> WrenchStream:
-    """Decode the wrench of a simulation, :data:`WRENCH`."""
-    return WrenchStream(*unpack_body_vectors(payloads, WRENCH))
-
-
 def pack_body_vectors(
-    time_ns: Stamps, vectors: Array, type_name: str, frame_id: str = BODY_FRAME
+    time_ns: flight.Stamps, vectors: Array, type_name: str, frame_id: str = BODY_FRAME
 ) -> Payloads:
     """Encode vectors (N, 6) of body axes, linear then angular, as :data:`WRENCH` or :data:`ACCELERATION`."""
     linear, angular = _BODY_VECTORS[type_name]
@@ -455,12 +424,12 @@ def pack_body_vectors(
     return codec(type_name).encode(len(time_ns), columns)
 
 
-def header_columns(time_ns: Stamps, frame_id: str) -> dict[str, Any]:
+def header_columns(time_ns: flight.Stamps, frame_id: str) -> dict[str, Any]:
     """Columns of a std_msgs/Header, for :meth:`quadpi_core.messages.cdr.Codec.encode`."""
     return {**stamp_columns(time_ns), "header.frame_id": frame_id}
 
 
-def stamp_columns(time_ns: Stamps, name: str = "header.stamp") -> dict[str, Any]:
+def stamp_columns(time_ns: flight.Stamps, name: str = "header.stamp") -> dict[str, Any]:
     """Columns of a builtin_interfaces/Time."""
     seconds, nanoseconds = np.divmod(time_ns, NANOSECONDS)
     return {f"{name}.sec": seconds, f"{name}.nanosec": nanoseconds}

@@ -14,18 +14,9 @@ from types import MappingProxyType
 
 import numpy as np
 
+from quadpi_core import flight
 from quadpi_core.errors import LogError
 from quadpi_core.findings import NOTHING_TO_SAY, DataQuality
-from quadpi_core.flight import (
-    AirStream,
-    BatteryStream,
-    ImuStream,
-    MotorCommandStream,
-    OdometryStream,
-    Recording,
-    RotorSpeedStream,
-    Stamps,
-)
 from quadpi_core.frames import Array, quaternion_from_roll_pitch_yaw
 from quadpi_core.logs.dataflash import HEAD, Messages, decode_dataflash
 from quadpi_core.logs.log_format import LogFormat
@@ -94,7 +85,7 @@ LAYOUT_OF_FRAME = MappingProxyType(
 )
 
 
-def read_ardupilot(path: Path, vehicle: Vehicle | None, order: RotorOrder | None = None) -> Recording:
+def read_ardupilot(path: Path, vehicle: Vehicle | None, order: RotorOrder | None = None) -> flight.Recording:
     """Read one log, stamped since the boot of the autopilot.
 
     Args:
@@ -116,7 +107,7 @@ def read_ardupilot(path: Path, vehicle: Vehicle | None, order: RotorOrder | None
     imu = require_imu(source, _imu(messages), "IMU")
     battery = messages.get("BAT") or messages.get("CURR")
     commands = _commands(messages, vehicle, order) if its_rotors else None
-    return Recording(
+    return flight.Recording(
         name=path.stem,
         vehicle=vehicle.name if vehicle else "",
         source=source,
@@ -176,39 +167,41 @@ def longest_boot(messages: dict[str, Messages]) -> tuple[dict[str, Messages], Da
     return {name: logged for name, logged in kept.items() if len(logged)}, quality
 
 
-def _imu(messages: dict[str, Messages]) -> ImuStream | None:
+def _imu(messages: dict[str, Messages]) -> flight.ImuStream | None:
     logged = messages.get("IMU")
     if logged is None or not logged.holds(*_GYRO, *_ACCELERATION):
         return None
     first = logged.where("I", 0)
-    return ImuStream(first.time_ns(), first.stack(*_GYRO), first.stack(*_ACCELERATION))
+    return flight.ImuStream(first.time_ns(), first.stack(*_GYRO), first.stack(*_ACCELERATION))
 
 
-def _battery(logged: Messages) -> BatteryStream | None:
+def _battery(logged: Messages) -> flight.BatteryStream | None:
     if not logged.holds("Volt"):
         return None
     first = logged.where("Instance", 0).where("Inst", 0)
     time_ns, (volts,) = rising(first.time_ns(), first.column("Volt"))
-    return BatteryStream(time_ns, volts) if len(time_ns) else None
+    return flight.BatteryStream(time_ns, volts) if len(time_ns) else None
 
 
-def _air(logged: Messages | None) -> AirStream | None:
+def _air(logged: Messages | None) -> flight.AirStream | None:
     """Of the first barometer: pressure, and the temperature of its board."""
     if logged is None or not logged.holds("Press", "Temp"):
         return None
     first = logged.where("I", 0)
     time_ns, (pascal, celsius) = rising(first.time_ns(), first.column("Press"), first.column("Temp"))
-    return AirStream(time_ns, pascal, celsius) if len(time_ns) else None
+    return flight.AirStream(time_ns, pascal, celsius) if len(time_ns) else None
 
 
-def _odometry(source: str, messages: dict[str, Messages], imu: ImuStream) -> OdometryStream | None:
+def _odometry(
+    source: str, messages: dict[str, Messages], imu: flight.ImuStream
+) -> flight.OdometryStream | None:
     moved, attitude = motion_of(messages), attitude_of(source, messages)
     if moved is None or attitude is None:
         return attitude_alone(attitude, imu)
     return odometry_of(*moved, attitude, imu)
 
 
-def motion_of(messages: dict[str, Messages]) -> tuple[Stamps, Array, Array] | None:
+def motion_of(messages: dict[str, Messages]) -> tuple[flight.Stamps, Array, Array] | None:
     """Stamps (N,), positions and velocities (N, 3) of the first core of the EKF; None without one."""
     wanted = (*_POSITION, *_VELOCITY)
     name = next((name for name in _STATES if name in messages and messages[name].holds(*wanted)), None)
@@ -223,7 +216,7 @@ def motion_of(messages: dict[str, Messages]) -> tuple[Stamps, Array, Array] | No
     return time_ns, position, velocity
 
 
-def attitude_of(source: str, messages: dict[str, Messages]) -> tuple[Stamps, Array] | None:
+def attitude_of(source: str, messages: dict[str, Messages]) -> tuple[flight.Stamps, Array] | None:
     """Stamps and quaternions (K, 4) of the best kind of message that is there in number."""
     known = {}
     for name in _ATTITUDES:
@@ -238,12 +231,12 @@ def attitude_of(source: str, messages: dict[str, Messages]) -> tuple[Stamps, Arr
         quaternion = quaternion_from_roll_pitch_yaw(np.radians(logged.stack(*_ANGLES)))
     else:
         quaternion = logged.stack(*_QUATERNION)
-    return unit_attitudes(source, OdometryStream.topic, logged.time_ns(), quaternion)
+    return unit_attitudes(source, flight.OdometryStream.topic, logged.time_ns(), quaternion)
 
 
 def _rotor_speeds(
     source: str, messages: dict[str, Messages], vehicle: Vehicle | None, order: RotorOrder | None
-) -> RotorSpeedStream | None:
+) -> flight.RotorSpeedStream | None:
     controllers = controllers_of(messages)
     if not controllers:
         return None
@@ -265,7 +258,7 @@ def _rotor_speeds(
 
 def _commands(
     messages: dict[str, Messages], vehicle: Vehicle | None, order: RotorOrder | None
-) -> MotorCommandStream | None:
+) -> flight.MotorCommandStream | None:
     """Pulses of the outputs of the motors, 1000 µs as 0 and 2000 µs as 1."""
     logged = messages.get("RCOU")
     if logged is None or not logged.holds():
@@ -279,10 +272,10 @@ def _commands(
     if not logged.holds(*names):
         return None
     time_ns, (pulses,) = rising(logged.time_ns(), logged.stack(*names))
-    return MotorCommandStream(time_ns, 1e-3 * (pulses - 1000.0))
+    return flight.MotorCommandStream(time_ns, 1e-3 * (pulses - 1000.0))
 
 
-def _speeds(logged: Messages) -> tuple[Stamps, Array]:
+def _speeds(logged: Messages) -> tuple[flight.Stamps, Array]:
     """Stamps (K,) and mechanical rpm (K, 1) of one speed controller."""
     time_ns, (rpm,) = rising(logged.time_ns(), logged.stack("RPM"))
     return time_ns, rpm

@@ -22,25 +22,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from quadpi_core import flight, frames
 from quadpi_core.errors import LogError
-from quadpi_core.flight import (
-    AirStream,
-    BatteryStream,
-    ImuStream,
-    MotorCommandStream,
-    OdometryStream,
-    PoseStream,
-    Recording,
-    RotorSpeedStream,
-    Stamps,
-)
-from quadpi_core.frames import (
-    Array,
-    body_flu_to_frd,
-    quaternion_flu_enu_to_frd_ned,
-    rotate_world_to_body,
-    world_enu_to_ned,
-)
 from quadpi_core.logs.log_format import LogFormat
 from quadpi_core.logs.reader_steps import normalised_attitude, note
 from quadpi_core.records import STANDARD_GRAVITY
@@ -77,18 +60,18 @@ COMMAND_FULL = 65535.0
 class Event:
     """The records of one event type: stamps (N,) and one array (N,) per variable, as logged."""
 
-    time_ns: Stamps
-    variables: dict[str, Array]
+    time_ns: flight.Stamps
+    variables: dict[str, frames.Array]
 
     def __contains__(self, names: tuple[str, ...]) -> bool:
         return all(name in self.variables for name in names)
 
-    def stack(self, names: tuple[str, ...]) -> Array:
+    def stack(self, names: tuple[str, ...]) -> frames.Array:
         """Variables side by side (N, len(names))."""
         return np.stack([self.variables[name] for name in names], axis=1)
 
 
-def read_cfusdlog(path: Path, vehicle: Vehicle | None, _mapping: None = None) -> Recording:
+def read_cfusdlog(path: Path, vehicle: Vehicle | None, _mapping: None = None) -> flight.Recording:
     """Read one uSD log; the rotor order m1 to m4 is that of config/vehicles/crazyflie_rpm.yaml.
 
     The log needs `gyro` (deg/s) and `acc` (g); it may have `rpm`, `stateEstimate` (with its gyro in the same
@@ -109,24 +92,24 @@ def read_cfusdlog(path: Path, vehicle: Vehicle | None, _mapping: None = None) ->
     estimate = _find(events, _ESTIMATE + _GYRO)
     battery, air = _find(events, (_BATTERY_MV,)), _find(events, _BARO)
     commands = next(((names, own) for names in COMMANDS if (own := _find(events, names))), None)
-    return Recording(
+    return flight.Recording(
         name=path.name,
         vehicle=vehicle.name if vehicle else "",
         source=source,
         imu=_imu(inertial),
         rotor_speeds=None if rotors is None else _rotor_speeds(rotors),
-        pose=None if mocap is None else PoseStream(mocap.time_ns, *_pose(mocap, "locSrv")),
+        pose=None if mocap is None else flight.PoseStream(mocap.time_ns, *_pose(mocap, "locSrv")),
         odometry=None if estimate is None else _odometry(estimate),
         commands=None
         if commands is None
-        else MotorCommandStream(commands[1].time_ns, commands[1].stack(commands[0]) / COMMAND_FULL),
+        else flight.MotorCommandStream(commands[1].time_ns, commands[1].stack(commands[0]) / COMMAND_FULL),
         command_source="" if commands is None else f"crazyflie {commands[0][0].partition('.')[0]}",
         battery=None
         if battery is None
-        else BatteryStream(battery.time_ns, battery.variables[_BATTERY_MV] * 1e-3),
+        else flight.BatteryStream(battery.time_ns, battery.variables[_BATTERY_MV] * 1e-3),
         pressure=None
         if air is None
-        else AirStream(air.time_ns, *(air.stack(_BARO).astype(np.float64) * (100.0, 1.0)).T),
+        else flight.AirStream(air.time_ns, *(air.stack(_BARO).astype(np.float64) * (100.0, 1.0)).T),
         board_air=True,
     )
 
@@ -136,30 +119,32 @@ def _find(events: dict[str, Event], names: tuple[str, ...]) -> Event | None:
     return next((event for event in events.values() if names in event and len(event.time_ns)), None)
 
 
-def _imu(event: Event) -> ImuStream:
-    specific_force = body_flu_to_frd(event.stack(_ACCELERATION)) * STANDARD_GRAVITY
-    return ImuStream(event.time_ns, _rates(event), specific_force)
+def _imu(event: Event) -> flight.ImuStream:
+    specific_force = frames.body_flu_to_frd(event.stack(_ACCELERATION)) * STANDARD_GRAVITY
+    return flight.ImuStream(event.time_ns, _rates(event), specific_force)
 
 
-def _rates(event: Event) -> Array:
-    return body_flu_to_frd(np.radians(event.stack(_GYRO)))
+def _rates(event: Event) -> frames.Array:
+    return frames.body_flu_to_frd(np.radians(event.stack(_GYRO)))
 
 
-def _rotor_speeds(event: Event) -> RotorSpeedStream:
-    return RotorSpeedStream(event.time_ns, event.stack(_ROTORS) * (2.0 * np.pi / 60.0))
+def _rotor_speeds(event: Event) -> flight.RotorSpeedStream:
+    return flight.RotorSpeedStream(event.time_ns, event.stack(_ROTORS) * (2.0 * np.pi / 60.0))
 
 
-def _odometry(event: Event) -> OdometryStream:
+def _odometry(event: Event) -> flight.OdometryStream:
     position, attitude = _pose(event, "stateEstimate")
-    velocity_world = world_enu_to_ned(event.stack(tuple(f"stateEstimate.{name}" for name in _VELOCITY)))
-    velocity = rotate_world_to_body(attitude, velocity_world)
-    return OdometryStream(event.time_ns, position, attitude, velocity, _rates(event))
+    velocity_world = frames.world_enu_to_ned(
+        event.stack(tuple(f"stateEstimate.{name}" for name in _VELOCITY))
+    )
+    velocity = frames.rotate_world_to_body(attitude, velocity_world)
+    return flight.OdometryStream(event.time_ns, position, attitude, velocity, _rates(event))
 
 
-def _pose(event: Event, group: str) -> tuple[Array, Array]:
+def _pose(event: Event, group: str) -> tuple[frames.Array, frames.Array]:
     position = event.stack(tuple(f"{group}.{name}" for name in _POSITION))
     attitude = normalised_attitude(event.stack(tuple(f"{group}.{name}" for name in _ATTITUDE)))
-    return world_enu_to_ned(position), quaternion_flu_enu_to_frd_ned(attitude)
+    return frames.world_enu_to_ned(position), frames.quaternion_flu_enu_to_frd_ned(attitude)
 
 
 def decode_events(source: str, data: bytes) -> dict[str, Event]:

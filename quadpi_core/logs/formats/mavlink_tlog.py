@@ -11,20 +11,9 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
+from quadpi_core import flight
 from quadpi_core.errors import LogError
 from quadpi_core.findings import CLOCK_FALLS, NOTHING_TO_SAY, Break, DataQuality, UsedPart
-from quadpi_core.flight import (
-    AirStream,
-    BatteryStream,
-    ImuStream,
-    MotorCommandStream,
-    OdometryStream,
-    PoseStream,
-    Recording,
-    RotorSpeedStream,
-    Stamps,
-    Stream,
-)
 from quadpi_core.logs.clocks import line_below
 from quadpi_core.logs.formats import ardupilot, px4
 from quadpi_core.logs.log_format import LogFormat
@@ -103,7 +92,7 @@ def _is_record(data: bytes, position: int) -> bool:
     return _YEAR_2000_US < stamp_us < _YEAR_2100_US and PACKET_BEGIN.match(data, start) is not None
 
 
-def read_tlog(path: Path, vehicle: Vehicle | None, order: RotorOrder | None = None) -> Recording:
+def read_tlog(path: Path, vehicle: Vehicle | None, order: RotorOrder | None = None) -> flight.Recording:
     """Read a telemetry log by the clock of the computer that wrote it.
 
     Stamps of the autopilot are moved to that clock by the line that no message arrives before; messages
@@ -132,31 +121,33 @@ def read_tlog(path: Path, vehicle: Vehicle | None, order: RotorOrder | None = No
     its_rotors = has_rotors(source, Airframe.of_mav_type(f"MAV_TYPE {mav_type}", mav_type), vehicle)
     imu, rotors, pose, odometry = (_stream(topic, arrived, time_ns) for topic in SOURCES)
     commands, battery, pressure = (_stream(topic, arrived, time_ns) for topic in BESIDE)
-    imu = require_imu(source, cast("ImuStream | None", imu), "HIGHRES_IMU, RAW_IMU or SCALED_IMU")
+    imu = require_imu(source, cast("flight.ImuStream | None", imu), "HIGHRES_IMU, RAW_IMU or SCALED_IMU")
     left_out = tuple(unusable.left_out("rotor_speeds", int(imu.time_ns[0]))) if its_rotors else ()
     # The adapter whose commands have the same scale.
     scale = ardupilot.RC_OUT if samples.autopilot == ARDUPILOT else "px4_outputs"
-    return Recording(
+    return flight.Recording(
         name=path.stem,
         vehicle=vehicle.name if vehicle else "",
         source=source,
         imu=imu,
         rotor_speeds=_telling(source, rotors, samples) if its_rotors else None,
-        pose=cast("PoseStream | None", pose),
-        odometry=cast("OdometryStream | None", odometry),
-        commands=cast("MotorCommandStream | None", commands) if its_rotors else None,
+        pose=cast("flight.PoseStream | None", pose),
+        odometry=cast("flight.OdometryStream | None", odometry),
+        commands=cast("flight.MotorCommandStream | None", commands) if its_rotors else None,
         command_source=scale if commands is not None and its_rotors else "",
-        battery=cast("BatteryStream | None", battery),
-        pressure=cast("AirStream | None", pressure),
+        battery=cast("flight.BatteryStream | None", battery),
+        pressure=cast("flight.AirStream | None", pressure),
         board_air=True,
         quality=quality.joined(DataQuality(left_out=left_out)),
     )
 
 
-def _telling(source: str, rotors: Stream | None, samples: MavlinkSamples) -> RotorSpeedStream | None:
+def _telling(
+    source: str, rotors: flight.Stream | None, samples: MavlinkSamples
+) -> flight.RotorSpeedStream | None:
     """The rotor speeds, unless all of them are 0."""
-    if not isinstance(rotors, RotorSpeedStream) or np.any(rotors.speeds):
-        return cast("RotorSpeedStream | None", rotors)
+    if not isinstance(rotors, flight.RotorSpeedStream) or np.any(rotors.speeds):
+        return cast("flight.RotorSpeedStream | None", rotors)
     remedy = _NO_TELEMETRY.get(samples.autopilot or 0, "no telemetry")
     note(source, f"topic rotor_speeds: left out, every rpm is zero: {remedy}")
     return None
@@ -221,7 +212,7 @@ def _longest_run(arrived: list[_Arrived]) -> tuple[list[_Arrived], DataQuality]:
     return longest, DataQuality(breaks=(Break("imu", CLOCK_FALLS, len(falls), *falls[0]),), used=(used,))
 
 
-def _stamps(arrived: list[_Arrived]) -> Stamps:
+def _stamps(arrived: list[_Arrived]) -> flight.Stamps:
     """The stamp (N,) of each sample, by the clock of the computer that wrote the log."""
     time_ns = np.array([one.arrival_ns for one in arrived], dtype=np.int64)
     for clock in {one.clock for one in arrived} - {None}:
@@ -232,7 +223,7 @@ def _stamps(arrived: list[_Arrived]) -> Stamps:
     return time_ns
 
 
-def _stream(topic: str, arrived: list[_Arrived], time_ns: Stamps) -> Stream | None:
+def _stream(topic: str, arrived: list[_Arrived], time_ns: flight.Stamps) -> flight.Stream | None:
     """The stream of a topic from the best kind of message that is there in number."""
     counted = Counter(one.sample.source for one in arrived if one.sample.topic == topic)
     if not counted:

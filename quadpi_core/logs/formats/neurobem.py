@@ -13,15 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
+from quadpi_core import flight
 from quadpi_core.errors import LogError
-from quadpi_core.flight import (
-    BatteryStream,
-    ImuStream,
-    OdometryStream,
-    PoseStream,
-    Recording,
-    RotorSpeedStream,
-)
 from quadpi_core.frames import Array, body_flu_to_frd, quaternion_flu_enu_to_frd_ned, world_enu_to_ned
 from quadpi_core.logs.column_files import read_matlab
 from quadpi_core.logs.formats.table_files import read_table
@@ -42,7 +35,7 @@ _ROTOR_SPEEDS = slice(20, 24)
 _BATTERY_DECIVOLT = 28
 
 
-def read_matlab_file(path: Path, vehicle: Vehicle | None, mapping: Mapping | None = None) -> Recording:
+def read_matlab_file(path: Path, vehicle: Vehicle | None, mapping: Mapping | None = None) -> flight.Recording:
     """Read a .mat file: variables as a mapping says, without one a flight of NeuroBEM.
 
     Raises:
@@ -51,7 +44,7 @@ def read_matlab_file(path: Path, vehicle: Vehicle | None, mapping: Mapping | Non
     return read_neurobem(path, vehicle) if mapping is None else read_table(path, vehicle, mapping)
 
 
-def read_neurobem(path: Path, vehicle: Vehicle | None) -> Recording:
+def read_neurobem(path: Path, vehicle: Vehicle | None) -> flight.Recording:
     """Read one NeuroBEM flight; every stream lies on the file's one clock.
 
     The rotor order of the file is rear right, front right, rear left, front left: that of
@@ -68,15 +61,15 @@ def read_neurobem(path: Path, vehicle: Vehicle | None) -> Recording:
     attitude = quaternion_flu_enu_to_frd_ned(normalised_attitude(matrix[:, _ATTITUDE]))
     velocity = body_flu_to_frd(matrix[:, _VELOCITY_BODY])
     specific_force = body_flu_to_frd(matrix[:, _SPECIFIC_FORCE])
-    return Recording(
+    return flight.Recording(
         name=path.stem,
         vehicle=vehicle.name if vehicle else "",
         source=source,
-        imu=ImuStream(time_ns, rates, specific_force),
-        rotor_speeds=RotorSpeedStream(time_ns, np.ascontiguousarray(matrix[:, _ROTOR_SPEEDS])),
-        pose=PoseStream(time_ns, position, attitude),
-        odometry=OdometryStream(time_ns, position, attitude, velocity, rates),
-        battery=BatteryStream(time_ns, matrix[:, _BATTERY_DECIVOLT] / 10.0),
+        imu=flight.ImuStream(time_ns, rates, specific_force),
+        rotor_speeds=flight.RotorSpeedStream(time_ns, np.ascontiguousarray(matrix[:, _ROTOR_SPEEDS])),
+        pose=flight.PoseStream(time_ns, position, attitude),
+        odometry=flight.OdometryStream(time_ns, position, attitude, velocity, rates),
+        battery=flight.BatteryStream(time_ns, matrix[:, _BATTERY_DECIVOLT] / 10.0),
     )
 
 

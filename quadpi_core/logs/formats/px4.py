@@ -19,19 +19,9 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from quadpi_core import flight
 from quadpi_core.errors import LogError, require_library
 from quadpi_core.findings import DataQuality, Verdict
-from quadpi_core.flight import (
-    AirStream,
-    BatteryStream,
-    ImuStream,
-    MotorCommandStream,
-    OdometryStream,
-    PoseStream,
-    Recording,
-    RotorSpeedStream,
-    Stamps,
-)
 from quadpi_core.frames import Array
 from quadpi_core.logs.log_format import LogFormat
 from quadpi_core.logs.reader_steps import (
@@ -104,7 +94,7 @@ _US = 1_000
 _HPA_MAX = 2000.0
 
 
-def read_px4(path: Path, vehicle: Vehicle | None, order: RotorOrder | None = None) -> Recording:
+def read_px4(path: Path, vehicle: Vehicle | None, order: RotorOrder | None = None) -> flight.Recording:
     """Read one log, stamped since the boot of the autopilot.
 
     Args:
@@ -129,7 +119,7 @@ def read_px4(path: Path, vehicle: Vehicle | None, order: RotorOrder | None = Non
     commands = _commands(
         source, topics.get("actuator_motors") if its_rotors else None, parameters, vehicle, order
     )
-    return Recording(
+    return flight.Recording(
         name=path.stem,
         vehicle=vehicle.name if vehicle else "",
         source=source,
@@ -242,7 +232,7 @@ def _end_of_messages(path: Path) -> int | None:
     return None if position == len(data) else begin
 
 
-def _stamps(columns: Columns, name: str = "timestamp") -> Stamps:
+def _stamps(columns: Columns, name: str = "timestamp") -> flight.Stamps:
     ticks = np.minimum(columns[name], np.uint64(2**62 // _US)).astype(np.int64)
     return ticks * _US
 
@@ -256,20 +246,20 @@ def _holds(columns: Columns | None, *names: str) -> bool:
     return columns is not None and all(name in columns for name in ("timestamp", *names))
 
 
-def _imu(columns: Columns | None) -> ImuStream | None:
+def _imu(columns: Columns | None) -> flight.ImuStream | None:
     if columns is None or not _holds(columns, *_GYRO, *_ACCELERATION):
         return None
-    return ImuStream(_stamps(columns), _stack(columns, *_GYRO), _stack(columns, *_ACCELERATION))
+    return flight.ImuStream(_stamps(columns), _stack(columns, *_GYRO), _stack(columns, *_ACCELERATION))
 
 
-def _battery(columns: Columns | None) -> BatteryStream | None:
+def _battery(columns: Columns | None) -> flight.BatteryStream | None:
     if columns is None or not _holds(columns, "voltage_v"):
         return None
     time_ns, (volts,) = rising(_stamps(columns), columns["voltage_v"].astype(np.float64))
-    return BatteryStream(time_ns, volts) if len(time_ns) else None
+    return flight.BatteryStream(time_ns, volts) if len(time_ns) else None
 
 
-def _air(topics: Mapping[str, Columns]) -> tuple[AirStream | None, bool]:
+def _air(topics: Mapping[str, Columns]) -> tuple[flight.AirStream | None, bool]:
     """Pressure and temperature of the air, and whether the latter is that of the barometer's board.
 
     Since 1.16 `ambient_temperature` is that of an outer sensor, or 15 °C where there is none.
@@ -291,7 +281,7 @@ def _air(topics: Mapping[str, Columns]) -> tuple[AirStream | None, bool]:
         if len(time_ns):
             # The messages of a barometer were in hPa up to 1.13.
             pascal = pascal * (100.0 if np.nanmedian(pascal) < _HPA_MAX else 1.0)
-            return AirStream(time_ns, pascal, degrees), is_board
+            return flight.AirStream(time_ns, pascal, degrees), is_board
     return None, False
 
 
@@ -301,7 +291,7 @@ def _commands(
     parameters: dict[str, float],
     vehicle: Vehicle | None,
     order: RotorOrder | None,
-) -> MotorCommandStream | None:
+) -> flight.MotorCommandStream | None:
     """Commands from 0 to 1 by motor, since 1.13; one that is not a number is of a motor that stands."""
     if columns is None:
         return None
@@ -311,14 +301,16 @@ def _commands(
     if not names or not _holds(columns, *names):
         return None
     values = np.nan_to_num(_stack(columns, *names), nan=0.0)
-    return MotorCommandStream(_sampled(columns), np.clip(values, 0.0, 1.0))
+    return flight.MotorCommandStream(_sampled(columns), np.clip(values, 0.0, 1.0))
 
 
-def _odometry(source: str, topics: dict[str, Columns], imu: ImuStream) -> OdometryStream | None:
+def _odometry(source: str, topics: dict[str, Columns], imu: flight.ImuStream) -> flight.OdometryStream | None:
     local, turned = topics.get("vehicle_local_position"), topics.get("vehicle_attitude")
     if turned is None or not _holds(turned, *_QUATERNION):
         return None
-    attitude = unit_attitudes(source, OdometryStream.topic, _sampled(turned), _stack(turned, *_QUATERNION))
+    attitude = unit_attitudes(
+        source, flight.OdometryStream.topic, _sampled(turned), _stack(turned, *_QUATERNION)
+    )
     if local is None or not _holds(local, *_LOCAL_POSITION, *_LOCAL_VELOCITY, *_VALID):
         return attitude_alone(attitude, imu)
     valid = np.all([local[name].astype(bool) for name in _VALID], axis=0)
@@ -332,13 +324,13 @@ def _odometry(source: str, topics: dict[str, Columns], imu: ImuStream) -> Odomet
     return odometry_of(time_ns, position, velocity, attitude, imu)
 
 
-def _sampled(columns: Columns) -> Stamps:
+def _sampled(columns: Columns) -> flight.Stamps:
     """When a topic was measured; older releases say only when it was published."""
     name = "timestamp_sample"
     return _stamps(columns, name if name in columns and np.all(columns[name] > 0) else "timestamp")
 
 
-def _pose(source: str, topics: dict[str, Columns]) -> PoseStream | None:
+def _pose(source: str, topics: dict[str, Columns]) -> flight.PoseStream | None:
     """Motion capture, under either of its names."""
     for name in ("vehicle_mocap_odometry", "vehicle_visual_odometry"):
         columns = topics.get(name)
@@ -356,9 +348,9 @@ def _pose(source: str, topics: dict[str, Columns]) -> PoseStream | None:
                 note(source, f"topic mocap/pose: {said}")
             columns = {key: values[known] for key, values in columns.items()}
         quaternion = _stack(columns, *_QUATERNION)
-        is_unit = has_attitude(source, PoseStream.topic, quaternion)
+        is_unit = has_attitude(source, flight.PoseStream.topic, quaternion)
         position, attitude = _stack(columns, *names)[is_unit], normalised_attitude(quaternion[is_unit])
-        stream = PoseStream(_sampled(columns)[is_unit], position, attitude)
+        stream = flight.PoseStream(_sampled(columns)[is_unit], position, attitude)
         if len(stream):
             return stream
     return None
@@ -370,7 +362,7 @@ def _rotor_speeds(
     parameters: dict[str, float],
     vehicle: Vehicle | None,
     order: RotorOrder | None,
-) -> tuple[RotorSpeedStream, npt.NDArray[np.uint8]] | None:
+) -> tuple[flight.RotorSpeedStream, npt.NDArray[np.uint8]] | None:
     """Speeds of all messages, and which form a sample, as those of px4_msgs/EscStatus do.
 
     `esc_status` holds 8 reports, 12 since 1.17; which motor each is says actuator_function, since 1.12.

@@ -17,33 +17,8 @@ from typing import Any
 
 import numpy as np
 
+from quadpi_core import flight, frames
 from quadpi_core.errors import LogError
-from quadpi_core.flight import (
-    FLIGHT_MAX_NS,
-    NO_STAMP,
-    AirStream,
-    BatteryStream,
-    ImuStream,
-    MotorCommandStream,
-    OdometryStream,
-    PoseStream,
-    Recording,
-    RotorSpeedStream,
-    Stamps,
-    TemperatureStream,
-    WindStream,
-    WrenchStream,
-)
-from quadpi_core.frames import (
-    Array,
-    body_flu_to_frd,
-    quaternion_body_flu_to_frd,
-    quaternion_from_roll_pitch_yaw,
-    quaternion_world_enu_to_ned,
-    rotate_body_to_world,
-    rotate_world_to_body,
-    world_enu_to_ned,
-)
 from quadpi_core.inputs import ZERO_CELSIUS
 from quadpi_core.logs.log_format import LogFormat
 from quadpi_core.logs.mapping import ERPM, QUATERNION_ORDERS, TIME, UNITS, Mapping, Signal
@@ -73,7 +48,7 @@ _GRAVITY_NED = np.array([0.0, 0.0, STANDARD_GRAVITY])
 _log = logging.getLogger(__name__)
 
 
-def read_table(path: Path, vehicle: Vehicle | None, mapping: Mapping | None) -> Recording:
+def read_table(path: Path, vehicle: Vehicle | None, mapping: Mapping | None) -> flight.Recording:
     """Read a table; topics whose signals the mapping does not have are None.
 
     imu needs `angular_velocity` and `acceleration`; rotor_speeds `rotor_speeds`; odometry `attitude` and
@@ -131,20 +106,22 @@ class _TableReader:
             time = other.time if other else mapping.signals[TIME]
             # Wind or a battery may come once a second, the IMU does not.
             self.tables[table] = _Table(file, time, names, may_be_slow=table is not None)
-        stamps = [one.time_ns[one.time_ns != NO_STAMP] for one in self.tables.values()]
+        stamps = [one.time_ns[one.time_ns != flight.NO_STAMP] for one in self.tables.values()]
         earliest_ns = min((int(known[0]) for known in stamps if len(known)), default=0)
-        if -FLIGHT_MAX_NS < earliest_ns < 0:
+        if -flight.FLIGHT_MAX_NS < earliest_ns < 0:
             # Seconds since a take-off, or a trigger.
             moved = -(earliest_ns // _SECOND_NS)
             note(str(path), f"the stamps begin at {1e-9 * earliest_ns:.3f} s: {moved} s are added to all")
             for one in self.tables.values():
-                one.time_ns = np.where(one.time_ns == NO_STAMP, NO_STAMP, one.time_ns + moved * _SECOND_NS)
+                one.time_ns = np.where(
+                    one.time_ns == flight.NO_STAMP, flight.NO_STAMP, one.time_ns + moved * _SECOND_NS
+                )
 
     def _file(self, mapping: Mapping, table: str | None) -> Path:
         other = mapping.tables.get(table or "")
         return self.path.parent / other.file if other and other.file else self.path
 
-    def recording(self) -> Recording:
+    def recording(self) -> flight.Recording:
         together: dict[str, tuple[str, ...]] = dict(_TOGETHER)
         if not self._has("attitude"):
             together["odometry"] = ("attitude", "position", "velocity")
@@ -154,7 +131,7 @@ class _TableReader:
             if present and missing:
                 text = f"{_listed(missing)} missing, so {_listed(present)} not used"
                 note(str(self.path), f"topic {topic}: {text}")
-        return Recording(
+        return flight.Recording(
             name=self.path.stem,
             vehicle=self.vehicle.name if self.vehicle else "",
             source=str(self.path),
@@ -164,33 +141,35 @@ class _TableReader:
             odometry=self._odometry() if self._has("attitude") else None,
             wind=self._wind() if self._has("wind") else None,
             simulated=self._simulated() if self._has(*_TOGETHER["simulation/wrench"]) else None,
-            battery=BatteryStream(*self._known("battery")) if self._has("battery") else None,
+            battery=flight.BatteryStream(*self._known("battery")) if self._has("battery") else None,
             commands=self._commands() if self._has("motor_commands") else None,
             command_source=f"table {self.mapping.path.stem}" if self._has("motor_commands") else "",
             pressure=self._air("pressure") if self._has("pressure") else None,
             temperature=self._air("temperature") if self._has("temperature") else None,
         )
 
-    def _imu(self) -> ImuStream:
+    def _imu(self) -> flight.ImuStream:
         of = ("angular_velocity", "acceleration")
-        time_ns, rates, force = self._complete(ImuStream.topic, of, self._rates(), self._specific_force())
-        return ImuStream(time_ns, rates, force)
+        time_ns, rates, force = self._complete(
+            flight.ImuStream.topic, of, self._rates(), self._specific_force()
+        )
+        return flight.ImuStream(time_ns, rates, force)
 
-    def _rotor_speeds(self) -> RotorSpeedStream:
+    def _rotor_speeds(self) -> flight.RotorSpeedStream:
         speeds = self._scaled("rotor_speeds")
         if self.mapping.signals["rotor_speeds"].unit == ERPM:
             if self.vehicle is None:
                 raise LogError(f"{self.path}: electrical rotor speeds need the vehicle (--vehicle)")
             speeds = self.vehicle.rotor_speeds_from_erpm(speeds)
-        time_ns, speeds = self._complete(RotorSpeedStream.topic, ("rotor_speeds",), speeds)
-        return RotorSpeedStream(time_ns, unsigned_speeds(str(self.path), speeds))
+        time_ns, speeds = self._complete(flight.RotorSpeedStream.topic, ("rotor_speeds",), speeds)
+        return flight.RotorSpeedStream(time_ns, unsigned_speeds(str(self.path), speeds))
 
-    def _pose(self) -> PoseStream:
+    def _pose(self) -> flight.PoseStream:
         of = _TOGETHER["mocap/pose"]
         signals = self._position("mocap_position"), self._attitude("mocap_attitude")
-        return PoseStream(*self._complete(PoseStream.topic, of, *signals))
+        return flight.PoseStream(*self._complete(flight.PoseStream.topic, of, *signals))
 
-    def _odometry(self) -> OdometryStream | None:
+    def _odometry(self) -> flight.OdometryStream | None:
         of = [name for name in ("position", "attitude", "velocity") if self._has(name)]
         attitude = self._attitude("attitude")
         nothing = np.zeros((len(attitude), 3))
@@ -202,70 +181,72 @@ class _TableReader:
         )
         if self._is_in_one_table((*of, "angular_velocity")):
             signals = (*state, self._rates())
-            states = OdometryStream(
-                *self._complete(OdometryStream.topic, (*of, "angular_velocity"), *signals)
+            states = flight.OdometryStream(
+                *self._complete(flight.OdometryStream.topic, (*of, "angular_velocity"), *signals)
             )
             return without_parts(states, **lacking)
-        time_ns, (position, attitude, velocity) = rising(*self._complete(OdometryStream.topic, of, *state))
-        in_world = rotate_body_to_world(attitude, velocity)
+        time_ns, (position, attitude, velocity) = rising(
+            *self._complete(flight.OdometryStream.topic, of, *state)
+        )
+        in_world = frames.rotate_body_to_world(attitude, velocity)
         found = odometry_of(time_ns, position, in_world, (time_ns, attitude), self._imu())
         return without_parts(found, **lacking)
 
-    def _wind(self) -> WindStream:
-        return WindStream(*self._complete(WindStream.topic, ("wind",), self._position("wind")))
+    def _wind(self) -> flight.WindStream:
+        return flight.WindStream(*self._complete(flight.WindStream.topic, ("wind",), self._position("wind")))
 
-    def _simulated(self) -> WrenchStream:
+    def _simulated(self) -> flight.WrenchStream:
         of = _TOGETHER["simulation/wrench"]
         wrench = np.hstack([self._to_frd(self._scaled(name)) for name in of])
-        return WrenchStream(*self._complete(WrenchStream.topic, of, wrench))
+        return flight.WrenchStream(*self._complete(flight.WrenchStream.topic, of, wrench))
 
-    def _known(self, name: str) -> tuple[Stamps, Array]:
+    def _known(self, name: str) -> tuple[flight.Stamps, frames.Array]:
         """Stamps and values of the rows that have one."""
         values = self._scaled(name)[:, 0]
         known = np.isfinite(values)
         return self._table(name).time_ns[known], values[known]
 
-    def _air(self, name: str) -> AirStream:
+    def _air(self, name: str) -> flight.AirStream:
         time_ns, values = self._known(name)
         nothing = np.full(len(values), np.nan)
         if name == "pressure":
-            return AirStream(time_ns, values, nothing)
+            return flight.AirStream(time_ns, values, nothing)
         kelvin = self.mapping.signals[name].unit == "K"
-        return TemperatureStream(time_ns, nothing, values - (ZERO_CELSIUS if kelvin else 0.0))
+        return flight.TemperatureStream(time_ns, nothing, values - (ZERO_CELSIUS if kelvin else 0.0))
 
-    def _commands(self) -> MotorCommandStream:
+    def _commands(self) -> flight.MotorCommandStream:
         signal = self.mapping.signals["motor_commands"]
         idle = 1.0 if signal.unit == "us" else 0.0
         time_ns, shares = self._complete(
-            MotorCommandStream.topic, ("motor_commands",), self._scaled("motor_commands") - idle
+            flight.MotorCommandStream.topic, ("motor_commands",), self._scaled("motor_commands") - idle
         )
-        return MotorCommandStream(time_ns, np.clip(shares, 0.0, 1.0))
+        return flight.MotorCommandStream(time_ns, np.clip(shares, 0.0, 1.0))
 
-    def _rates(self) -> Array:
+    def _rates(self) -> frames.Array:
         return self._to_frd(self._scaled("angular_velocity"))
 
-    def _specific_force(self) -> Array:
+    def _specific_force(self) -> frames.Array:
         values = self._scaled("acceleration")
         signal = self.mapping.signals["acceleration"]
         gravity = signal.gravity == "included"
         if signal.axes == "world":
             in_world = self._to_ned(values) - (0.0 if gravity else _GRAVITY_NED)
-            return rotate_world_to_body(self._attitude_beside("acceleration"), in_world)
+            return frames.rotate_world_to_body(self._attitude_beside("acceleration"), in_world)
         in_body = self._to_frd(values)
         if gravity:
             return in_body
-        return in_body - rotate_world_to_body(self._attitude_beside("acceleration"), _GRAVITY_NED)
+        return in_body - frames.rotate_world_to_body(self._attitude_beside("acceleration"), _GRAVITY_NED)
 
-    def _velocity(self) -> Array:
+    def _velocity(self) -> frames.Array:
         values = self._scaled("velocity")
         if self.mapping.signals["velocity"].axes == "body":
             return self._to_frd(values)
-        return rotate_world_to_body(self._attitude_beside("velocity"), self._to_ned(values))
+        return frames.rotate_world_to_body(self._attitude_beside("velocity"), self._to_ned(values))
 
-    def _position(self, name: str) -> Array:
+    def _position(self, name: str) -> frames.Array:
         return self._to_ned(self._scaled(name))
 
-    def _attitude_beside(self, name: str) -> Array:
+    def _attitude_beside(self, name: str) -> frames.Array:
         """The attitude in the rows of another signal."""
         if not self._has("attitude"):
             raise LogError(f"{self.mapping.path}: world axes or gravity removed need `attitude`")
@@ -273,30 +254,30 @@ class _TableReader:
             raise LogError(f"{self.mapping.path}: {name} needs an `attitude` in the same table")
         return self._attitude("attitude")
 
-    def _attitude(self, name: str) -> Array:
+    def _attitude(self, name: str) -> frames.Array:
         signal = self.mapping.signals[name]
         if signal.unit is None:
             order = QUATERNION_ORDERS[str(signal.form)]
             quaternion = normalised_attitude(self._raw(name)[:, order])
         else:
-            quaternion = quaternion_from_roll_pitch_yaw(self._scaled(name))
+            quaternion = frames.quaternion_from_roll_pitch_yaw(self._scaled(name))
         if self.mapping.body == "flu":
-            quaternion = quaternion_body_flu_to_frd(quaternion)
-        return quaternion_world_enu_to_ned(quaternion) if self.mapping.world == "enu" else quaternion
+            quaternion = frames.quaternion_body_flu_to_frd(quaternion)
+        return frames.quaternion_world_enu_to_ned(quaternion) if self.mapping.world == "enu" else quaternion
 
-    def _to_frd(self, vector: Array) -> Array:
-        return body_flu_to_frd(vector) if self.mapping.body == "flu" else vector
+    def _to_frd(self, vector: frames.Array) -> frames.Array:
+        return frames.body_flu_to_frd(vector) if self.mapping.body == "flu" else vector
 
-    def _to_ned(self, vector: Array) -> Array:
-        return world_enu_to_ned(vector) if self.mapping.world == "enu" else vector
+    def _to_ned(self, vector: frames.Array) -> frames.Array:
+        return frames.world_enu_to_ned(vector) if self.mapping.world == "enu" else vector
 
     def _has(self, *names: str) -> bool:
         return all(name in self.mapping.signals for name in names)
 
-    def _scaled(self, name: str) -> Array:
+    def _scaled(self, name: str) -> frames.Array:
         return self._raw(name) * UNITS[name][str(self.mapping.signals[name].unit)]
 
-    def _raw(self, name: str) -> Array:
+    def _raw(self, name: str) -> frames.Array:
         """Columns of a signal (N, C) as the table holds them; NaN where there is no value."""
         columns = self._table(name).columns
         return np.stack([columns[column] for column in self.mapping.signals[name].columns], axis=1)
@@ -307,7 +288,7 @@ class _TableReader:
     def _is_in_one_table(self, names: Collection[str]) -> bool:
         return len({self.mapping.signals[name].table for name in names}) == 1
 
-    def _complete(self, topic: str, of: Sequence[str], *signals: Array) -> list[Any]:
+    def _complete(self, topic: str, of: Sequence[str], *signals: frames.Array) -> list[Any]:
         """Stamps and signals of the rows in which every signal has a value."""
         where = f"{self.path}: topic {topic}"
         if not self._is_in_one_table(of):

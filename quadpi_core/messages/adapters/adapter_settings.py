@@ -199,8 +199,12 @@ class AdapterSettings(Section):
         """
         return load_config("adapter", name_or_path, cls, LogError)[1]
 
-    def with_topics(self, topics: Mapping[str, str], namespace: str) -> AdapterSettings:
-        """The settings with topics in place of those of the same kind, and another namespace if given."""
-        kinds = {SENSOR_KINDS[name] for name in topics}
-        named = {name: topic for name, topic in self.topics.items() if SENSOR_KINDS[name] not in kinds}
-        return replace(self, topics={**named, **topics}, namespace=namespace or self.namespace)
+
+def with_topics(
+    settings: AdapterSettings | None, topics: Mapping[str, str], namespace: str
+) -> AdapterSettings:
+    """The settings with topics in place of those of the same kind, and another namespace if given."""
+    settings = settings or AdapterSettings()
+    kinds = {SENSOR_KINDS[name] for name in topics}
+    named = {name: topic for name, topic in settings.topics.items() if SENSOR_KINDS[name] not in kinds}
+    return replace(settings, topics={**named, **topics}, namespace=namespace or settings.namespace)

@@ -72,14 +72,7 @@ _MEMORY = record_dtype(_EscMemory)
 
 
 def reports_in_esc_order(columns: Columns, array: Items, marks: Indices, order: Indices) -> EscReports:
-    """Reports of messages with a header and an array in which the place is the number of the ESC.
-
-    Args:
-        columns: of the messages.
-        array: of reports, with their `rpm`.
-        marks: (M,) of all reports.
-        order: (rotors,) numbers of the vehicle's ESCs, from 0.
-    """
+    """Reports of messages with a header and an array in which the place is the number of the ESC."""
     reports = EscReports.none(header_stamps(columns), len(order))
     rpm = array.columns["rpm"].astype(np.float64)
     compiled.take_numbered_escs(array.counts, rpm, marks, order, reports)

@@ -23,7 +23,7 @@ from quadpi_core.logs.bag_topics import unnamed
 from quadpi_core.logs.bag_writer import write_mcap
 from quadpi_core.logs.bags import read_bag
 from quadpi_core.messages import sensor_messages
-from quadpi_core.messages.adapters.adapter_settings import AdapterSettings
+from quadpi_core.messages.adapters.adapter_settings import with_topics
 from quadpi_core.messages.payloads import Topic
 from quadpi_core.paths import config_directory
 from quadpi_core.reading_options import ReadingOptions
@@ -380,7 +380,7 @@ def test_satellites_beside_motion_capture_get_no_attitude_that_nobody_measured(t
         "/mocap/pose": (sensor_messages.POSE, pose.time_ns, list(sensor_messages.pack_pose(pose))),
         "/fix": ("sensor_msgs/msg/NavSatFix", pose.time_ns[::20], fixes),
     }
-    named = AdapterSettings().with_topics({"odometry": "/fix"}, "")
+    named = with_topics(None, {"odometry": "/fix"}, "")
     recording = read_bag(write(tmp_path / "both", store, topics), adapters=named)
     assert recording.odometry is None
     assert len(recording.pose) == len(pose)

@@ -10,12 +10,13 @@ since the autopilot started.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 
 import numpy as np
 
 from quadpi_core.core import compiled
 from quadpi_core.errors import SampleError
-from quadpi_core.flight import NOT_MEASURED, AirStream, ImuStream, OdometryStream, Stamps
+from quadpi_core.flight import NOT_MEASURED, AirStream, ImuStream, OdometryStream, Stamps, Stream
 from quadpi_core.frames import Array, rotate_world_to_body
 from quadpi_core.inputs import celsius_of
 from quadpi_core.messages.adapters.adapter_definition import Adapter, Reading, of_items
@@ -40,10 +41,6 @@ _VARIANCES = ("position_variance", "orientation_variance", "velocity_variance")
 
 def _read_odometry(columns: Columns, dropped: Counter[str]) -> OdometryStream:
     """The states that N px4_msgs/VehicleOdometry hold, 1.14 and later; NaN says that something is not known.
-
-    Args:
-        columns: of the messages.
-        dropped: counts those that give no sample, by their first reason.
 
     Raises:
         SampleError: naming the sample whose frames are not known, or whose velocity is in another world
@@ -100,11 +97,8 @@ def _deviation(variances: Array) -> Array:
 
 def _read_imu(columns: Columns) -> ImuStream:
     """px4_msgs/SensorCombined; its stamps are those of the gyro."""
-    return ImuStream(
-        time_ns=microsecond_stamps(columns["timestamp"]),
-        angular_velocity=columns["gyro_rad"].astype(np.float64),
-        specific_force=columns["accelerometer_m_s2"].astype(np.float64),
-    )
+    gyro, force = (columns[name].astype(np.float64) for name in ("gyro_rad", "accelerometer_m_s2"))
+    return ImuStream(_stamps(columns), gyro, force)
 
 
 def _status(columns: Columns, items: dict[str, Items], order: Indices) -> EscReports:
@@ -116,7 +110,7 @@ def _status(columns: Columns, items: dict[str, Items], order: Indices) -> EscRep
         array.columns["timestamp"].astype(np.int64),
         columns["esc_online_flags"].astype(np.int64),
         order + MOTORS[0],
-        microsecond_stamps(columns["timestamp"]),
+        _stamps(columns),
     )
 
 
@@ -125,20 +119,17 @@ def _odometry(_settings: object, _vehicle: Vehicle | None) -> Reading:
     return Reading(lambda columns, _: _read_odometry(columns, dropped), lambda: dropped)
 
 
-def _imu(_settings: object, _vehicle: Vehicle | None) -> Reading:
-    return Reading(lambda columns, _: _read_imu(columns), Counter)
+def _each(read: Callable[[Columns], Stream]) -> Callable[[object, Vehicle | None], Reading]:
+    """`Adapter.start` of messages that each hold a sample."""
+    return lambda _settings, _vehicle: Reading(lambda columns, _items: read(columns), Counter)
 
 
-def _read_air(columns: Columns, _items: object) -> AirStream:
+def _read_air(columns: Columns) -> AirStream:
     """px4_msgs/VehicleAirData, with the temperature by which PX4 made its density."""
     pascal, density = columns["baro_pressure_pa"].astype(np.float64), columns["rho"].astype(np.float64)
     known = (pascal > 0.0) & (density > 0.0)
     celsius = celsius_of(np.where(known, pascal, np.nan), np.where(known, density, 1.0))
     return AirStream(_stamps(columns), np.where(known, pascal, np.nan), celsius)
-
-
-def _air(_settings: object, _vehicle: Vehicle | None) -> Reading:
-    return Reading(_read_air, Counter)
 
 
 def _stamps(columns: Columns) -> Stamps:
@@ -178,7 +169,7 @@ AIR = Adapter(
     kind="pressure",
     # The temperature has another name since 1.16.
     columns={"timestamp": 1, "baro_pressure_pa": 1, "rho": 1},
-    start=_air,
+    start=_each(_read_air),
 )
 STATUS = Adapter(
     name="px4_status",
@@ -207,5 +198,5 @@ IMU = Adapter(
     topic="fmu/out/sensor_combined",
     kind="imu",
     columns={"timestamp": 1, "gyro_rad": 3, "accelerometer_m_s2": 3},
-    start=_imu,
+    start=_each(_read_imu),
 )

@@ -65,11 +65,6 @@ class BodyReader:
     def read(self, time_ns: Stamps, bodies: Items, members: Members) -> PoseStream:
         """The poses among the M bodies that N messages hold.
 
-        Args:
-            time_ns: (M,) stamps of the bodies.
-            bodies: with the columns of the members.
-            members: of a body.
-
         Raises:
             SampleError: if two bodies of a message have the name.
         """
