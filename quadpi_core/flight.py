@@ -84,14 +84,13 @@ class Stream:
         """
         for column, shape in zip(fields(self), ((), *self.shapes), strict=True):
             values = getattr(self, column.name)
-            kinds = {"time_ns": "i", "in_body": "b"}.get(column.name, "fiu")
+            kinds, words = {"time_ns": ("i", "int64 nanoseconds"), "in_body": ("b", "true and false")}.get(
+                column.name, ("fiu", "numbers")
+            )
             if not isinstance(values, np.ndarray) or values.dtype.kind not in kinds:
-                words = {"i": "an array of int64 nanoseconds", "b": "an array of true and false"}.get(
-                    kinds, "an array of numbers"
-                )
-                found = array_checks.description(values)
                 raise LogError(
-                    f"{source}: topic {self.topic}: {column.name}: expected {words}, found {found}"
+                    f"{source}: topic {self.topic}: {column.name}: expected an array of {words}, found "
+                    f"{array_checks.description(values)}"
                 )
             fitting = tuple(values.shape[-1] if width == -1 else width for width in shape)
             if values.shape != (len(self), *fitting):
@@ -144,11 +143,7 @@ def check_stamps(where: str, time_ns: Stamps) -> None:
 
 
 class ValueCheck:
-    """Check of the values of a topic whose samples are added in parts; see :meth:`Stream.check`.
-
-    Args:
-        where: source and topic, for messages.
-    """
+    """Check of the values of a topic whose samples are added in parts; see :meth:`Stream.check`."""
 
     def __init__(self, where: str) -> None:
         self._where = where
@@ -398,11 +393,7 @@ class Recording:
 
     def streams(self) -> list[Stream]:
         """The streams that are present, which later steps use: rotor speeds, not what they may be made of."""
-        candidates = (
-            *(self.imu, self.rotor_speeds, self.pose, self.twist, self.odometry, self.wind),
-            self.simulated,
-        )
-        return [stream for stream in candidates if stream is not None]
+        return [stream for name in STREAM_KINDS if (stream := getattr(self, name)) is not None]
 
     def check(self) -> None:
         """Check every stream (see :meth:`Stream.check`)."""
@@ -536,15 +527,8 @@ class Flight:
 
     def slice(self, keep: slice | npt.NDArray[np.bool_]) -> Flight:
         """The samples of a range or mask (N,); `time` and `start_ns` still count from the original start."""
-        arrays = {
-            column.name: getattr(self, column.name)[keep]
-            for column in fields(self)
-            if isinstance(getattr(self, column.name), np.ndarray)
-        }
-        scalars = {
-            column.name: getattr(self, column.name) for column in fields(self) if column.name not in arrays
-        }
-        return Flight(**scalars, **arrays)
+        kept: dict[str, Any] = {name: getattr(self, name)[keep] for name in ("time", *_FLIGHT_COLUMNS)}
+        return replace(self, **kept)
 
     def longest_stretch(self) -> Flight:
         """The longest part without a hole, as spectra and roll-outs need; `quality` says so."""

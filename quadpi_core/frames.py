@@ -137,14 +137,7 @@ def inverse(quaternion: Any) -> tuple[Any, Any, Any, Any]:
 
 def matrix(quaternion: Array | Quaternion) -> Array:
     """Rotation matrix (3, 3), body to world, of a unit quaternion."""
-    w, x, y, z = map(float, quaternion)
-    return np.array(
-        (
-            (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
-            (2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)),
-            (2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)),
-        )
-    )
+    return np.array(_rows(*map(float, quaternion)))
 
 
 def from_rotation_vector(vector: ArrayLike) -> Array:
@@ -171,13 +164,16 @@ def body_rates(time_ns: npt.NDArray[np.int64], attitude: Array) -> Array:
 
 def rotation_matrix(quaternion: Array) -> Array:
     """Rotation matrices (..., 3, 3), body to world, of unit quaternions (..., 4), w first."""
-    w, x, y, z = np.moveaxis(quaternion, -1, 0)
-    rows = (
+    rows = _rows(*np.moveaxis(quaternion, -1, 0))
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def _rows(w: Any, x: Any, y: Any, z: Any) -> tuple[tuple[Any, Any, Any], ...]:
+    return (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
         (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
         (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
     )
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def rotate_body_to_world(quaternion: Array, vector: Array) -> Array:
@@ -192,17 +188,7 @@ def rotate_world_to_body(quaternion: Array, vector: Array) -> Array:
 
 def products(left: Array, right: Array) -> Array:
     """Quaternion products (..., 4): the rotations `right` followed by `left`."""
-    w, x, y, z = np.moveaxis(left, -1, 0)
-    a, b, c, d = np.moveaxis(right, -1, 0)
-    return np.stack(
-        (
-            w * a - x * b - y * c - z * d,
-            w * b + x * a + y * d - z * c,
-            w * c - x * d + y * a + z * b,
-            w * d + x * c - y * b + z * a,
-        ),
-        axis=-1,
-    )
+    return np.stack(product(np.moveaxis(left, -1, 0), np.moveaxis(right, -1, 0)), axis=-1)
 
 
 def inverses(quaternions: Array) -> Array:

@@ -137,11 +137,7 @@ def join_blocks(blocks: Iterable[Recording]) -> Recording:
 
 
 class StreamParts:
-    """A stream that is joined of parts in place.
-
-    Args:
-        kind: of the stream.
-    """
+    """A stream that is joined of parts in place."""
 
     def __init__(self, kind: type[Stream]) -> None:
         self._kind = kind

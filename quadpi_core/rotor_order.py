@@ -166,11 +166,6 @@ class RotorOrder:
 
         Of four, corners count: autopilots know signs of their places, and no lengths. Of others, bearings do,
         and spins where rotors sit on one another.
-
-        Args:
-            vehicle: without one, the motors keep their order.
-            motors: 1, 2, … of the autopilot.
-            unit: see the attribute.
         """
         count = len(motors)
         if any(not motor.x and not motor.y for motor in motors):
@@ -307,11 +302,7 @@ _PAUSE_NS = 1_000_000_000
 
 
 class CommandedSpeeds:
-    """Takes the commands and the battery voltages of one flight as they come, and gives rotor speeds.
-
-    Args:
-        motors: of the vehicle.
-    """
+    """Takes the commands and the battery voltages of one flight as they come, and gives rotor speeds."""
 
     def __init__(self, motors: Motors) -> None:
         self._motors = motors

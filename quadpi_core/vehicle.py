@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
@@ -212,19 +212,13 @@ class Vehicle:
                 array_checks.number(name, getattr(self, name), above=0.0)
             inertia = array_checks.floats("inertia", self.inertia, 3, rows=3)
             positions = array_checks.floats("rotor_positions", self.rotor_positions, 3)
-            if not 1 <= len(positions) <= ROTORS_MAX:
-                raise VehicleError(
-                    f"rotor_positions: expected 1 to {ROTORS_MAX} rotors, found {len(positions)}"
-                )
-            spins = array_checks.floats(
-                "rotor_spins", self.rotor_spins, rows=len(positions), of="rotor_positions"
-            )
-            for name, checked in (
-                ("inertia", inertia),
-                ("rotor_positions", positions),
-                ("rotor_spins", spins),
-            ):
-                object.__setattr__(self, name, checked)
+            count = len(positions)
+            if not 1 <= count <= ROTORS_MAX:
+                raise VehicleError(f"rotor_positions: expected 1 to {ROTORS_MAX} rotors, found {count}")
+            spins = array_checks.floats("rotor_spins", self.rotor_spins, rows=count, of="rotor_positions")
+            checked = {"inertia": inertia, "rotor_positions": positions, "rotor_spins": spins}
+            for name, array in checked.items():
+                object.__setattr__(self, name, array)
             if not np.all(np.abs(self.rotor_spins) == 1.0):
                 raise VehicleError(f"rotor_spins: expected 1 or -1 each, found {self.rotor_spins.tolist()}")
             array_checks.instance("noise", self.noise, SensorNoise)
@@ -251,15 +245,9 @@ class Vehicle:
     def to_file(self) -> dict[str, Any]:
         """Content of a vehicle file that :meth:`load` reads as this vehicle, without a simulation."""
         spins = {sign: word for word, sign in SPIN_SIGN.items()}
-        numbers = {
-            name: getattr(self, name)
-            for name in (
-                *("mass_kg", "rotor_radius_m", *_CONSTANTS),
-                *("pole_pairs", "thrust_coefficient"),
-            )
-        }
+        numbers = ("mass_kg", "rotor_radius_m", *_CONSTANTS, "pole_pairs", "thrust_coefficient")
         return {
-            **numbers,
+            **{name: getattr(self, name) for name in numbers},
             "inertia_kg_m2": self.inertia.tolist(),
             "rotors": [
                 {"position_m": position.tolist(), "spin": spins[float(spin)]}
@@ -417,21 +405,10 @@ class _VehicleFile(Section):
 
     def vehicle(self, name: str) -> Vehicle:
         """The vehicle of the file."""
-        return Vehicle(
-            name=name,
-            mass_kg=self.mass_kg,
-            inertia=self._inertia,
-            rotor_radius_m=self.rotor_radius_m,
-            rotor_positions=self._positions,
-            rotor_spins=self._spins,
-            pole_pairs=self.pole_pairs,
-            rotor_speed_max_rad_s=self.rotor_speed_max_rad_s,
-            air_density_kg_m3=self.air_density_kg_m3,
-            gravity_m_s2=self.gravity_m_s2,
-            noise=self.noise,
-            thrust_coefficient=self.thrust_coefficient,
-            motors=self.motors,
-        )
+        same = {one.name: getattr(self, one.name) for one in fields(Vehicle) if hasattr(self, one.name)}
+        arrays = {"inertia": self._inertia, "rotor_positions": self._positions, "rotor_spins": self._spins}
+        numbers: dict[str, Any] = {**same, **arrays}
+        return Vehicle(name=name, **numbers)
 
 
 def is_rigid_body(inertia: Array) -> bool:

@@ -86,11 +86,6 @@ def checked(
 ) -> Recording:
     """The recording with the findings of the check in its `quality`.
 
-    Args:
-        recording: without outliers.
-        vehicle: that flew.
-        beyond: see :func:`quadpi_core.screening.plausibility.implausibilities`.
-
     Raises:
         LogError: naming file and topic, for units and axes that cannot be right, and certain mistakes.
     """

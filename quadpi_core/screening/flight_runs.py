@@ -52,15 +52,7 @@ _USES = "identification, prediction and replay"
 
 
 def seldom(topic: str, rate_hz: float, needed_hz: float, reason: str, remedies: Mapping[str, str]) -> str:
-    """The sentence on a topic that comes too seldom.
-
-    Args:
-        topic: its name.
-        rate_hz: at which it comes.
-        needed_hz: at which it must.
-        reason: for that, in words.
-        remedies: what to set, by topic.
-    """
+    """The sentence on a topic that comes too seldom."""
     remedy = f"; {remedies[topic]}" if remedies.get(topic) else ""
     needed = f"which need {needed_hz:g} Hz or more ({reason}){remedy}"
     return f"{topic} at {rate_hz:.3g} Hz: rules out {_USES}, {needed}"
@@ -361,12 +353,7 @@ class _Stored:
 
 
 def survey_quality(surveys: Mapping[str, StreamSurvey], part: TimeRange = WHOLE) -> DataQuality:
-    """What is left out, sorted and cut off.
-
-    Args:
-        surveys: see :func:`survey`.
-        part: see there.
-    """
+    """What is left out, sorted and cut off."""
     imu = surveys["imu"]
     beyond = tuple(
         one

@@ -160,11 +160,7 @@ def in_flight(
 
 
 def resolution(speeds: Array) -> Array:
-    """Smallest step (R,) between distinct readings of each rotor [rad/s]; infinite where there is one only.
-
-    Args:
-        speeds: (N, R) rad/s.
-    """
+    """Smallest step (R,) between readings (N, R) of each rotor [rad/s]; infinite where there is one only."""
     # Readings that differ by the last digits of a conversion are the same.
     steps = (np.diff(np.unique(column)) for column in speeds.T)
     return np.array([np.min(one[one > STUCK_RAD_S.value], initial=np.inf) for one in steps])
@@ -355,13 +351,7 @@ class RotorScreening:
 
 
 def dropped_out(time_ns: Stamps, speeds: Array, inertial: Inertial) -> Mask:
-    """Samples (N,) around readings of 0 in flight, for less than STUCK_S, of a rotor that has not stopped.
-
-    Args:
-        time_ns: (N,) stamps.
-        speeds: (N, rotors) rad/s, finite.
-        inertial: of the flight, finite.
-    """
+    """Samples (N,) around readings of 0 in flight, for less than STUCK_S, of a rotor that has not stopped."""
     dropped = np.zeros(len(speeds), dtype=np.bool_)
     standing = speeds < ZERO_RAD_S.value
     if not np.any(standing) or np.any(np.diff(time_ns) <= 0):
@@ -401,11 +391,7 @@ def _whole_around(whole: Mask) -> tuple[Rows, Rows]:
 
 
 def repeated_speeds(speeds: Array) -> Mask:
-    """Samples (N,) that repeat the one before, where a slow source is held in a fast table; else none.
-
-    Args:
-        speeds: (N, rotors) rad/s.
-    """
+    """Samples (N,) that repeat the one before, where a slow source is held in a fast table; else none."""
     turning = np.any(speeds > ZERO_RAD_S.value, axis=1)
     same = np.zeros(len(speeds), dtype=np.bool_)
     same[1:] = np.all(speeds[1:] == speeds[:-1], axis=1) & turning[1:]

@@ -16,18 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from quadpi_core import flight
 from quadpi_core.findings import DataQuality, LeftOut
-from quadpi_core.flight import (
-    ImuStream,
-    OdometryStream,
-    PoseStream,
-    Recording,
-    RotorSpeedStream,
-    Stamps,
-    Stream,
-    TwistStream,
-    WindStream,
-)
 from quadpi_core.frames import Array
 from quadpi_core.reading_options import streams_by_field
 from quadpi_core.records import (
@@ -136,7 +126,7 @@ class Screening:
         self._columns: dict[str, list[_ColumnScreening]] = {}
         self._rotors = RotorScreening() if readings else None
 
-    def add(self, block: Recording) -> None:
+    def add(self, block: flight.Recording) -> None:
         """Examine the next block."""
         if self._rotors is not None:
             self._rotors.add(block)
@@ -146,7 +136,7 @@ class Screening:
             for column in self._columns[name]:
                 column.add(stream)
 
-    def finish(self, stamps: Mapping[str, Stamps]) -> dict[str, list[Beyond]]:
+    def finish(self, stamps: Mapping[str, flight.Stamps]) -> dict[str, list[Beyond]]:
         """The samples beyond each limit, by field; no more can be added after this.
 
         Each sample of the rotor speeds is left out for one reason, readings of 0 before spikes.
@@ -169,7 +159,7 @@ class Screening:
         return outliers
 
 
-def screened(recording: Recording, vehicle: Vehicle | None) -> Recording:
+def screened(recording: flight.Recording, vehicle: Vehicle | None) -> flight.Recording:
     """The recording without outliers; its `quality` says how many were left out, and where.
 
     Values that are not finite are none. Topics with too many samples beyond a limit are kept whole: their
@@ -194,7 +184,7 @@ def screened(recording: Recording, vehicle: Vehicle | None) -> Recording:
     return replace(with_rows(recording, rows), quality=quality)
 
 
-def beyond_limits(stream: Stream, vehicle: Vehicle | None) -> Iterator[Beyond]:
+def beyond_limits(stream: flight.Stream, vehicle: Vehicle | None) -> Iterator[Beyond]:
     """The samples of a topic beyond each of its limits; without a vehicle rotor speeds have none."""
     for column in map(_ColumnScreening, _limits(type(stream), vehicle)):
         column.add(stream)
@@ -212,15 +202,10 @@ def usable_samples(found: Iterable[Beyond]) -> Mask | None:
     return usable
 
 
-def left_out(topic: str, found: Iterable[Beyond], time_ns: Stamps, imu_ns: Stamps) -> Iterator[LeftOut]:
-    """A note for each kind of outlier that is left out of a topic.
-
-    Args:
-        topic: its name.
-        found: its outliers.
-        time_ns: (N,) its stamps.
-        imu_ns: (M,) stamps of the IMU; times count from the first.
-    """
+def left_out(
+    topic: str, found: Iterable[Beyond], time_ns: flight.Stamps, imu_ns: flight.Stamps
+) -> Iterator[LeftOut]:
+    """A note for each kind of outlier that is left out of a topic."""
     start_ns = int(imu_ns[0]) if len(imu_ns) else 0
     for beyond in found:
         if beyond.is_left_out:
@@ -260,17 +245,17 @@ _AIRSPEED, _MEASURED_SPEED = (
     _limit("velocity", "velocity", largest, _SPIKE_VELOCITY_M_S, "m/s", "a wrong unit of velocity")
     for largest in (AIRSPEED_MAX_M_S, MEASURED_SPEED_MAX_M_S)
 )
-_LIMITS: dict[type[Stream], tuple[_Limit, ...]] = {
-    ImuStream: (_RATE("angular_velocity"), _FORCE),
-    PoseStream: (_POSITION,),
-    TwistStream: (_MEASURED_SPEED,),
-    OdometryStream: (_POSITION, _AIRSPEED, _RATE("rates")),
-    WindStream: (_AIRSPEED,),
+_LIMITS: dict[type[flight.Stream], tuple[_Limit, ...]] = {
+    flight.ImuStream: (_RATE("angular_velocity"), _FORCE),
+    flight.PoseStream: (_POSITION,),
+    flight.TwistStream: (_MEASURED_SPEED,),
+    flight.OdometryStream: (_POSITION, _AIRSPEED, _RATE("rates")),
+    flight.WindStream: (_AIRSPEED,),
 }
 
 
-def _limits(kind: type[Stream], vehicle: Vehicle | None) -> tuple[_Limit, ...]:
-    if kind is not RotorSpeedStream or vehicle is None:
+def _limits(kind: type[flight.Stream], vehicle: Vehicle | None) -> tuple[_Limit, ...]:
+    if kind is not flight.RotorSpeedStream or vehicle is None:
         return _LIMITS.get(kind, ())
     highest = vehicle.rotor_speed_max_rad_s
     words, unit = f"above the vehicle's {highest:.0f} rad/s", "rpm, erpm or squared speeds"
@@ -298,7 +283,7 @@ class _ColumnScreening:
         self._last: tuple[Rows, Array] | None = None
         self._begun = False
 
-    def add(self, stream: Stream) -> None:
+    def add(self, stream: flight.Stream) -> None:
         values = getattr(stream, self._limit.column)
         largest = np.abs(values).max(axis=1)
         # The maximum of numbers and NaN is NaN, for which both comparisons are false.
