@@ -5,9 +5,22 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose
 
-from quadpi_core.view.blocks import BlockStore, quantities
+from quadpi_core.view.blocks import (
+    BINS,
+    FIRST_BIN_S,
+    LONGEST_GAP_NS,
+    PAUSE_NS,
+    POINTS,
+    BlockStore,
+    FlightClock,
+    Timeline,
+    Track,
+    quantities,
+)
+from quadpi_core.view.trust import State
 
 BLOCK_NS = 50_000_000
 
@@ -113,3 +126,96 @@ def test_a_model_that_comes_later_has_columns_of_its_own():
     assert store.value(3, "1.count")[0] == 1
     assert store.value(3, "0.count")[0] == 25
     np.testing.assert_array_equal(store.value(3, "measured"), before)
+
+
+# A session of any length at a glance.
+
+
+def test_the_worst_state_of_a_bin_is_shown():
+    line = Timeline()
+    states = [State.TRUSTED, State.ALARM, State.WARNING, State.NOT_JUDGED, State.NO_DATA, State.TRUSTED]
+    line.add(FIRST_BIN_S * np.array([0.1, 0.2, 0.3, 2.1, 2.2, 2.3]), np.array(states, dtype=np.uint8))
+    assert line.codes == f"{State.ALARM}-{State.NO_DATA}"
+
+
+@pytest.mark.parametrize("hours", [0.05, 1.0, 24.0])
+def test_an_alarm_of_a_moment_is_seen_after_any_time_in_bounded_room(hours):
+    line = Timeline()
+    time_s = np.arange(0.0, 3600.0 * hours, 1.0)
+    states = np.full(len(time_s), int(State.TRUSTED), dtype=np.uint8)
+    states[len(states) // 3] = State.ALARM
+    line.add(time_s, states)
+    assert len(line.codes) <= BINS
+    assert line.codes.count(str(int(State.ALARM))) == 1
+    place = line.codes.index(str(int(State.ALARM)))
+    assert place * line.bin_s <= time_s[len(states) // 3] < (place + 1) * line.bin_s
+
+
+def test_the_track_spans_the_session_with_bounded_points():
+    track = Track()
+    for start in range(0, 7200, 10):
+        time_s = start + np.arange(0.0, 10.0, 0.002)
+        track.add(time_s, np.stack((time_s, 0 * time_s, -time_s), axis=1))
+    points = np.array(track.points)
+    assert POINTS / 3 < len(points) < POINTS
+    assert points[0, 0] == 0.0
+    assert points[-1, 0] > 7180.0
+    np.testing.assert_allclose(points[:, 1], points[:, 0], atol=0.02)
+    assert np.diff(points[:, 0]).min() > 1.0
+
+
+# Time of the page runs on where stamps jump.
+
+
+START, S = 1_700_000_000_000_000_000, 1_000_000_000
+
+
+def clock() -> tuple[FlightClock, list[tuple[int, int]]]:
+    jumps: list[tuple[int, int]] = []
+    return FlightClock(lambda time_ns, step_ns: jumps.append((time_ns, step_ns))), jumps
+
+
+def test_time_begins_with_the_first_stamp():
+    one, jumps = clock()
+    assert not one.started
+    assert one.advance(START + np.array([0, S, 3 * S])).tolist() == [0, S, 3 * S]
+    assert one.started
+    assert jumps == []
+
+
+def test_a_step_back_or_a_long_pause_becomes_a_short_one():
+    one, jumps = clock()
+    one.advance(np.array([START, START + 10 * S]))
+    back = one.advance(np.array([START + 2 * S, START + 3 * S]))
+    assert back.tolist() == [10 * S + PAUSE_NS, 11 * S + PAUSE_NS]
+    later = one.advance(np.array([START + 3 * S + 2 * LONGEST_GAP_NS]))
+    assert later.tolist() == [11 * S + 2 * PAUSE_NS]
+    assert [step for _, step in jumps] == [-8 * S, 2 * LONGEST_GAP_NS]
+
+
+def test_a_jump_within_a_batch_is_found():
+    one, jumps = clock()
+    assert one.advance(START + np.array([0, S, -90 * S, -89 * S])).tolist() == [
+        0,
+        S,
+        S + PAUSE_NS,
+        2 * S + PAUSE_NS,
+    ]
+    assert jumps == [(S + PAUSE_NS, -91 * S)]
+
+
+def test_jitter_and_gaps_are_no_jumps():
+    one, jumps = clock()
+    stamps = START + np.array([0, S, S - 900_000_000, 40 * S])
+    assert one.advance(stamps).tolist() == (stamps - START).tolist()
+    assert jumps == []
+
+
+def test_other_stamps_follow_the_leading_ones_and_far_ones_are_left_out():
+    one, _ = clock()
+    assert not one.place(np.array([START]))[1].any()
+    one.advance(np.array([START, START + 10 * S]))
+    one.advance(np.array([START]))
+    times, near = one.place(START + np.array([0, 2 * S, 100 * S]))
+    assert times[near].tolist() == [10 * S + PAUSE_NS, 12 * S + PAUSE_NS]
+    assert near.tolist() == [True, True, False]
