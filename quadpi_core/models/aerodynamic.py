@@ -58,6 +58,11 @@ from quadpi_core.version import __version__
 LOAD_MODEL = "AerodynamicModel.load(folder) reads one, and `model_` of a WrenchModel is one"
 # Keys in model.json of roll-outs and of the residuals of sound flights; the names of their arrays begin so.
 _ROLLOUTS, _SOUND = "rollouts", "sound_flights"
+# Fields that model.json keeps by their names.
+_AS_DESCRIBED = (
+    *("vehicle", "vehicle_fingerprint", "settings", "cutoff_hz", "confidence", "envelope", "flights"),
+    *("moving_centre", "state", "wind"),
+)
 _Part = TypeVar("_Part")
 
 
@@ -383,38 +388,32 @@ class AerodynamicModel:
         """
         folder = array_checks.path("folder", folder)
         stored = self.fitted.store()
+        each = ("training_range", "selection", "held_out_coverage")
         axes = {
-            axis: {
-                **entry,
-                "training_range": self.training_range[axis],
-                "selection": self.selection[axis],
-                "held_out_coverage": self.held_out_coverage[axis],
-            }
+            axis: {**entry, **{name: getattr(self, name)[axis] for name in each}}
             for axis, entry in stored.entries.items()
         }
-        description = {
+        versions = {"quadpi": __version__, "numpy": np.__version__, "python": platform.python_version()}
+        described = {
             "method": self.method,
             "settings": self.settings,
             "vehicle": self.vehicle,
             "vehicle_fingerprint": self.vehicle_fingerprint,
-            **({} if self.flown is None else {"vehicle_file": self.flown.to_file()}),
+            "vehicle_file": self.flown and self.flown.to_file(),
             "cutoff_hz": self.cutoff_hz,
             "confidence": self.confidence,
             "axes": axes,
             "envelope": self.envelope.to_json(),
             "alarm": self.alarm_limits.to_json(),
-            **({} if self.change_limits is None else {"change": self.change_limits.to_json()}),
-            **({} if self.moving_centre is None else {"moving_centre": self.moving_centre.to_json()}),
-            **({} if self.state == SETTLED else {"state": asdict(self.state)}),
-            **({} if self.wind is None else {"wind": asdict(self.wind)}),
-            **({"errors_by_flight": dict(self.by_flight)} if self.by_flight else {}),
+            "change": self.change_limits and self.change_limits.to_json(),
+            "moving_centre": self.moving_centre and self.moving_centre.to_json(),
+            "state": None if self.state == SETTLED else asdict(self.state),
+            "wind": self.wind and asdict(self.wind),
+            "errors_by_flight": dict(self.by_flight) or None,
             "flights": [flight.to_json() for flight in self.flights],
-            "versions": {
-                "quadpi": __version__,
-                "numpy": np.__version__,
-                "python": platform.python_version(),
-            },
+            "versions": versions,
         }
+        description = {key: value for key, value in described.items() if value is not None}
         arrays = dict(stored.arrays)
         for name, part in ((_ROLLOUTS, self.rollouts), (_SOUND, self.sound)):
             if part is not None:
@@ -439,27 +438,18 @@ class AerodynamicModel:
             )
             with named_in(MODEL_FILE):
                 kind = kind_named(described.method)
-            axes = described.axes
+            axes, held = described.axes, vars(described)
             model = cls(
                 name=folder.name,
-                vehicle=described.vehicle,
-                vehicle_fingerprint=described.vehicle_fingerprint,
-                settings=described.settings,
-                cutoff_hz=described.cutoff_hz,
-                confidence=described.confidence,
+                **{key: held[key] for key in _AS_DESCRIBED},
                 fitted=kind.fitted_type.read(StoredAxes(entries, content.arrays, content.files)),
-                envelope=described.envelope,
                 training_range={axis: entry.training_range for axis, entry in axes.items()},
-                flights=described.flights,
                 selection={axis: entries[axis]["selection"] for axis in axes},
                 held_out_coverage={axis: entry.held_out_coverage for axis, entry in axes.items()},
                 identity=identity,
                 rollouts=_stored_part(content, _ROLLOUTS, RolloutModel.stored),
                 alarm_limits=described.alarm,
                 change_limits=described.change,
-                moving_centre=described.moving_centre,
-                state=described.state,
-                wind=described.wind,
                 by_flight=described.errors_by_flight,
                 sound=_stored_part(content, _SOUND, SoundFlights.stored),
                 flown=described.flown(),

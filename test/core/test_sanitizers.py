@@ -32,7 +32,7 @@ TESTS = (
     "messages/test_sensor_messages.py",
     "messages/adapters/test_rotor_messages.py",
     "models/test_envelope.py",
-    "models/test_evaluated_ensembles.py",
+    "models/test_fitted_ensemble.py",
     "models/test_least_squares.py",
     "models/test_physical_kernel.py",
     "models/test_physical_regressors.py",

@@ -189,7 +189,7 @@ def test_altered_description_shows_in_the_identity(folder: Path) -> None:
         (["axes", "Fx", "inflation"], -1.0),
         (["axes", "Fx", "inflation"], float("nan")),
         (["axes", "Fx", "rule", "flight_factors"], [[1.0, 2.0]]),
-        (["axes", "Fx", "rms_spread"], 0.0),
+        (["axes", "Fx", "rms_spread"], 0.5),
         (["axes", "Fx", "training_range"], "wide"),
         (["confidence"], "high"),
         (["envelope"], {}),

@@ -131,12 +131,12 @@ def test_no_network_of_a_turn_sees_a_flight_left_out_in_it(split: Any) -> None:
             assert all(len(values) == 1 for values in whole)
 
 
-def small_table(flights: Any, *, samples: int = 60, most: int | None = None, constant: bool = False) -> Table:
+def small_table(flights: Any, *, samples: int = 60, most: int | None = None) -> Table:
     """A table of two axes: one takes two regressors, the other three."""
     rng = np.random.default_rng(1)
     X = rng.normal(3.0, 2.0, size=(samples, len(INPUT_NAMES)))
     held = samples_of(X, 10.0 + 5.0 * rng.normal(size=samples), flights)
-    held.wrench[:, 0] = 4.0 if constant else rng.normal(size=samples)
+    held.wrench[:, 0] = rng.normal(size=samples)
     pools = {
         AXIS: CandidatePool((), (), tuple(map(Regressor.parse, ("u", "|v|*w")))),
         "Fx": CandidatePool((), (), tuple(map(Regressor.parse, "uvw"))),
@@ -170,11 +170,6 @@ def test_every_kth_sample_of_a_flight_is_kept_where_there_are_too_many(most: int
     whole = small_table(flights)
     for rows, all_rows in zip(table.rows, whole.rows, strict=True):
         np.testing.assert_array_equal(table.X[rows], whole.X[all_rows[::step]])
-
-
-def test_an_axis_whose_target_is_constant_is_named() -> None:
-    with pytest.raises(ModelError, match=r"Fx: .*constant"):
-        small_table(np.repeat([0, 1], 30), constant=True)
 
 
 def test_a_flight_counts_where_half_of_it_is_inside_the_others() -> None:

@@ -7,26 +7,33 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from quadpi_core.frames import Array
+from quadpi_core.frames import Array, inverses, products, to_rotation_vector
+from quadpi_core.inputs import aerodynamic_inputs
 from quadpi_core.models import multi_step_fit
+from quadpi_core.models.fitted_physical import PhysicalFit
+from quadpi_core.models.kinds.physical import PhysicalStudy
+from quadpi_core.models.model_kind import TrainingSamples
 from quadpi_core.models.multi_step_fit import (
     EVERY_S,
     FITTED_HORIZONS_S,
     WEIGHTS_TRIED,
     MultiStepFit,
     Windows,
+    calibrated_rollouts,
     fit_multi_step,
     log_ratio,
     mean_norms,
     median_norms,
     part_of,
+    rollout_flights,
 )
-from quadpi_core.models.physical_fit import Problem
+from quadpi_core.models.physical_fit import PhysicalFlight, Problem, Sensing
 from quadpi_core.models.physical_rollout import ATTITUDE, AxisDisturbance, Disturbance
 from quadpi_core.models.physical_terms import TERM_INDEX, TERMS
-from quadpi_core.models.rollout_model import MOVES, RolloutFlight, RolloutModel
+from quadpi_core.models.rollout_model import MOVES, RolloutFlight, RolloutModel, horizon_steps
+from quadpi_core.models.tubes import HORIZONS_S, error_norms, tube_scores
 from test.core.models.flights_ahead import ahead, true_model, with_attitude
-from test.core.models.physical_flights import REFERENCE, STEP_S, VEHICLE, flown, known_parameters
+from test.core.models.physical_flights import REFERENCE, STEP_S, VEHICLE, flown, known_parameters, samples_of
 
 PROCESS = Disturbance(STEP_S, (AxisDisturbance(0.01, 0.3, 0.1),) * 6)
 MODEL = true_model(PROCESS)
@@ -237,3 +244,85 @@ def test_one_flight_cannot_tell(flights: list[RolloutFlight]) -> None:
     kept = fitted(flights[:1], wrong_model())
     assert "one flight cannot tell" in kept.model.remark
     np.testing.assert_array_equal(kept.model.parameters, wrong_model().parameters)
+
+
+@pytest.fixture(scope="module")
+def short_flights() -> list[PhysicalFlight]:
+    return [flown(15.0, seed) for seed in (1, 2, 3)]
+
+
+@pytest.fixture(scope="module")
+def fits(short_flights: list[PhysicalFlight]) -> list[PhysicalFit]:
+    """Of all short_flights, then without each of them."""
+    study = PhysicalStudy.from_flights(short_flights, VEHICLE, sensing=Sensing())
+    return [study.fit(choose=False, left_out=k) for k in (None, 0, 1, 2)]
+
+
+@pytest.fixture(scope="module")
+def model(short_flights: list[PhysicalFlight], fits: list[PhysicalFit]) -> RolloutModel:
+    ahead = [with_attitude(flight) for flight in short_flights]
+    made, log = calibrated_rollouts(ahead, VEHICLE, fits[0], fits[1:], multi_step=False)
+    assert made is not None
+    assert log == ()
+    np.testing.assert_array_equal(made.parameters, fits[0].values)
+    return made
+
+
+def samples(flight: PhysicalFlight, own: RolloutFlight) -> TrainingSamples:
+    columns = [np.ascontiguousarray(flight.motion[name]) for name in ("velocity", "rates", "rotor_speeds")]
+    inputs = aerodynamic_inputs(columns[0], own.attitude, columns[1], columns[2], VEHICLE)
+    return replace(samples_of([flight]), inputs=inputs)
+
+
+def test_attitude_and_heading_come_back_from_the_input_vector(short_flights: list[PhysicalFlight]) -> None:
+    truth = with_attitude(short_flights[0])
+    (found,) = rollout_flights(samples(short_flights[0], truth))
+    # Both from the same start: what is left is the drift of integrated rates.
+    turned = products(products(truth.attitude[0:1], inverses(found.attitude[0:1])), found.attitude)
+    error = to_rotation_vector(products(inverses(truth.attitude), turned))
+    assert np.abs(error).max() < 0.02
+    np.testing.assert_array_equal(found.motion["rates"], truth.motion["rates"])
+
+
+def test_tubes_hold_a_flight_that_was_not_seen(model: RolloutModel) -> None:
+    flight = with_attitude(flown(20.0, 9))
+    horizons = horizon_steps(HORIZONS_S, flight.step)
+    rolled = model.roll(flight, flight.starts(int(horizons[-1]), 10), horizons)
+    assert model.calibration is not None
+    shaped = model.calibration.shape.shaped(rolled.covariance)
+    inside = tube_scores(rolled.errors, shaped) <= model.calibration.factors(HORIZONS_S, 0.95)
+    assert 0.8 < np.mean(inside) <= 1.0
+    assert np.median(error_norms(rolled.errors)[:, -2, 2]) < 0.1
+
+
+def test_the_second_step_is_fitted_and_calibrated(
+    short_flights: list[PhysicalFlight], fits: list[PhysicalFit]
+) -> None:
+    ahead = [with_attitude(flight) for flight in short_flights]
+    # A moment of the hub that single samples did not tell, known as badly as the prior.
+    hub = TERM_INDEX["hub_height"]
+    spread = Problem.from_vehicle(VEHICLE, float(fits[0].vehicle["reference_thrust"][0])).spread[hub]
+    for_hub = np.diag(np.where(np.arange(len(TERMS)) == hub, spread**2, 0.0))
+    wrong = [
+        replace(
+            fit,
+            values=fit.values + spread * (np.arange(len(TERMS)) == hub),
+            covariance=fit.covariance + for_hub,
+        )
+        for fit in fits
+    ]
+    first, _ = calibrated_rollouts(ahead, VEHICLE, wrong[0], wrong[1:], multi_step=False)
+    second, log = calibrated_rollouts(ahead, VEHICLE, wrong[0], wrong[1:], multi_step=True)
+    assert first is not None
+    assert second is not None
+    assert log
+    assert abs(second.parameters[hub] - known_parameters()[hub]) < 0.3 * spread
+    assert second.calibration is not None
+    assert first.calibration is not None
+    radii = [own.radii([0.5], 0.95)[0, 2] for own in (second.calibration, first.calibration)]
+    assert radii[0] < 0.6 * radii[1]
+
+
+def test_flights_shorter_than_the_longest_horizon_calibrate_nothing(fits: list[PhysicalFit]) -> None:
+    short = with_attitude(flown(1.05, 4))
+    assert calibrated_rollouts([short], VEHICLE, fits[0], fits[:1], multi_step=True) == (None, ())

@@ -10,11 +10,12 @@ import pytest
 from quadpi_core.errors import ModelError
 from quadpi_core.frames import rotate_body_to_world
 from quadpi_core.models.physical_rollout import RATES, STATES, AxisDisturbance, Disturbance
-from quadpi_core.models.rollout_model import RolloutFlight, RolloutModel, horizon_steps
+from quadpi_core.models.physical_terms import TERM_NAMES, TERMS, physical_vehicle
+from quadpi_core.models.rollout_model import RolloutFlight, RolloutModel, StoredBody, horizon_steps
 from quadpi_core.models.tubes import HORIZONS_S, QUANTITIES, TubeCalibration
 from quadpi_core.vehicle import Vehicle
 from test.core.models.flights_ahead import ahead, true_model
-from test.core.models.physical_flights import STEP_S
+from test.core.models.physical_flights import REFERENCE, STEP_S, VEHICLE, known_parameters
 
 HORIZONS = np.array([10, 50])
 SLOW = Disturbance(STEP_S, (AxisDisturbance(1e-3, 3.2, 0.1),) * 6)
@@ -154,3 +155,27 @@ def test_starts_leave_out_windows_without_a_rotor_and_across_gaps() -> None:
 
 def test_horizons_in_samples() -> None:
     np.testing.assert_array_equal(horizon_steps([0.001, 0.01, 0.5], 0.00986), [1, 1, 51])
+
+
+BODY = StoredBody(
+    known_parameters(), np.eye(len(TERMS)), physical_vehicle(VEHICLE, REFERENCE), VEHICLE.inertia
+)
+
+
+def test_what_was_stored_is_read_whatever_the_order_of_its_terms() -> None:
+    arrays, order = BODY.arrays("values"), np.arange(len(TERMS))[::-1]
+    turned = {
+        **arrays,
+        "values": arrays["values"][order],
+        "covariance": arrays["covariance"][order][:, order],
+    }
+    for names, own in ((TERM_NAMES, arrays), (TERM_NAMES[::-1], turned)):
+        for before, after in zip(BODY, StoredBody.read(names, own, "values"), strict=True):
+            np.testing.assert_array_equal(after, before)
+
+
+def test_parameters_of_another_version_are_refused() -> None:
+    with pytest.raises(ModelError, match="parameter 'warp' is not known to this version"):
+        StoredBody.read(["warp", *TERM_NAMES[1:]], BODY.arrays("values"), "values")
+    with pytest.raises(ModelError, match="inertia is missing"):
+        StoredBody.read(TERM_NAMES, {"values": BODY.values, "covariance": BODY.covariance}, "values")
