@@ -231,14 +231,9 @@ def least_evidence(candidates: int) -> float:
 def evidence_needed(
     candidate: Candidate, beside: Sequence[Candidate], energy: float, first: float, *, known: bool
 ) -> float:
-    """Evidence that a candidate has to gain.
+    """Evidence that a candidate has to gain beside others, whose contribution has that energy [nat].
 
-    Args:
-        candidate: candidate to accept.
-        beside: those accepted before.
-        energy: evidence of the contribution of these.
-        first: evidence that a first effect has to gain.
-        known: whether sound flights tell the noise.
+    A first effect needs so much; of others less where sound flights tell the noise.
     """
     if not beside:
         return first
@@ -308,9 +303,9 @@ class Accepted:
         others = tuple(other for other in self.chosen if other != index)
         return Accepted(self.regression, others, self.regression.fit(others) or self.regression.fit_none())
 
-    def fit_with(self, index: int) -> Fit | None:
-        """Fit of all effects and one more; None where bounds exclude one of them."""
-        return self.regression.fit(tuple(sorted((*self.chosen, index))))
+    def fit_with(self, *more: int) -> Fit | None:
+        """Fit of all effects and more; None where bounds exclude one of them."""
+        return self.regression.fit(tuple(sorted((*self.chosen, *more))))
 
     @property
     def sizeable(self) -> bool:

@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import combinations
 from types import MappingProxyType
 from typing import TypeAlias
 
@@ -109,19 +110,14 @@ class Prepared:
 
 
 def search(prepared: Prepared, barred: Mapping[str, str] = MappingProxyType({})) -> Found:
-    """Search flights for the effects that their simulation lacks.
-
-    Args:
-        prepared: flights beside their simulation.
-        barred: why effects, by their names, may not be named.
-    """
+    """Search flights for the effects that their simulation lacks, but those barred by name for a reason."""
     regression, inside, own = prepared.regression, prepared.inside, _Search(barred, prepared.inside)
     accepted = Accepted(regression, (), regression.fit_none())
     disputed, gain = tuple[str, ...](), 0.0
     for _ in range(MOST_EFFECTS.value):
         accepted, more = own.grown(accepted)
         exchanged, disputed = own.exchanged(accepted)
-        gain += more
+        exchanged, gain = own.parted(exchanged), gain + more
         if exchanged.chosen == accepted.chosen:
             break
         accepted = exchanged
@@ -258,6 +254,33 @@ class _Search:
             accepted = better
         return accepted, ()
 
+    def parted(self, accepted: Accepted) -> Accepted:
+        """The set with those two in the place of one effect that gain the most, where both pass all tests.
+
+        What acts as two do together, as a constant force for wind and a mass, gains more than either alone.
+        In its place they need as much more as one of them would need beside it.
+        """
+        known, most, best = accepted.regression.candidates, accepted.fit.log_evidence, None
+        for index in accepted.chosen if len(accepted.chosen) < MOST_EFFECTS.value else ():
+            others = accepted.without(index)
+            joining = [k for k, _ in _fits_with_one_more(others) if known[k].name not in self._barred]
+            new = [k for k in joining if k not in accepted.chosen]
+            for pair in combinations(new, 2):
+                fit = None if known[pair[0]].excludes(known[pair[1]]) else others.fit_with(*pair)
+                gained = fit.log_evidence - min(map(accepted.needed, pair)) if fit else -np.inf
+                if gained > most:
+                    most, best = gained, (others, pair)
+        if best is None:
+            return accepted
+        before, pair = best
+        for _ in pair:
+            fits = [own for own in _fits_with_one_more(before) if own[0] in pair]
+            larger, _ = self._one_more(before, fits)
+            if larger is None:
+                return accepted
+            before = larger
+        return before
+
     def _in_place_of(self, accepted: Accepted, index: int, rival: int) -> Trial:
         """The trial of a rival in the place of one effect."""
         regression, others = accepted.regression, accepted.without(index)
@@ -284,12 +307,8 @@ class _Search:
     def rivals(self, accepted: Accepted, *, of_its_name: bool = False, margins: float = 1.0) -> Rivals:
         """For each chosen candidate others that do about as well in its place, with their odds.
 
-        What no search may name is told among them, unless it closes no gap or intervals hold it.
-
-        Args:
-            accepted: effects that were accepted.
-            of_its_name: whether those of the same effect count too, such as the same of another rotor.
-            margins: how many margins of a law they may be behind.
+        What no search may name is told among them, unless it closes no gap or intervals hold it. Others
+        `of_its_name`, as of another rotor, count where asked for; they may be behind by margins of a law.
         """
         regression, found = accepted.regression, accepted.fit
         rivals: Rivals = {}

@@ -54,7 +54,6 @@ from quadpi_core.discrepancy.result_verdicts import (
 )
 from quadpi_core.discrepancy.search import MOST_EFFECTS, Prepared, search
 from quadpi_core.discrepancy.simulations import Simulation
-from quadpi_core.discrepancy.whitening import BAND_HZ
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import AXES, Flight
 from quadpi_core.flight_files import FlightFile, LeftOutFlights, for_each_flight, once_each
@@ -230,7 +229,7 @@ def found_and_flown(
     """
     # Products are so small that two threads take twice the time of one.
     with one_blas_thread():
-        discovery = _flown(_searched_again(prepared(simulation, flights, names), {}))
+        discovery = flown_again(_searched_again(prepared(simulation, flights, names), {}))
         return replace(discovery, candidates=ranked_candidates(discovery.found))
 
 
@@ -250,7 +249,7 @@ def _searched_again(ready: Prepared, barred: Mapping[str, str]) -> Discovery:
         if again.verdict != "unknown":
             return again
     if not hopeless or len(discovery.effects) == 1:
-        discovery = _flown(discovery)
+        discovery = flown_again(discovery)
     doubtful = {} if more or len(barred) >= MOST_EFFECTS.value else _doubtful(discovery)
     if doubtful:
         without = _searched_again(ready, {**barred, **doubtful})
@@ -329,12 +328,8 @@ def _spoiling(discovery: Discovery) -> dict[str, str]:
     return {name: "intervals hold as much without it"} if lost[name] <= UNSEEN.value else {}
 
 
-def _flown(discovery: Discovery) -> Discovery:
-    return discovery if discovery.flown else flown_again(discovery)
-
-
 def flown_again(discovery: Discovery) -> Discovery:
-    """The discovery judged by roll-outs of flights left out; as it is where nothing was named.
+    """The discovery judged by roll-outs of flights left out; as it is where it was, or nothing is named.
 
     Coefficients stay as stated, if roll-outs do better so: small errors of moments accumulate over 0.5 s.
 
@@ -343,7 +338,7 @@ def flown_again(discovery: Discovery) -> Discovery:
             the simulation already has.
         LogError: for a bag whose plan cannot be read.
     """
-    if not discovery.effects:
+    if discovery.flown or not discovery.effects:
         return discovery
     judged = judged_by_rollouts(discovery, reflights(discovery))
     if not is_rejected(judged) or not discovery.found.closing.adjusted:
@@ -358,53 +353,40 @@ def discover(
     flights: Sequence[Flight],
     *,
     names: Sequence[str] | None = None,
-    highest_hz: float = BAND_HZ.value,
     barred: Mapping[str, str] = MappingProxyType({}),
 ) -> Discovery:
-    """Find the effects that explain where a simulation and flights disagree.
+    """Find the effects that explain where a simulation and flights disagree, see :func:`prepared`."""
+    with one_blas_thread():
+        discovery = discovered(prepared(simulation, flights, names), barred)
+        return replace(discovery, candidates=ranked_candidates(discovery.found))
+
+
+def prepared(
+    simulation: Simulation, flights: Sequence[Flight], names: Sequence[str] | None = None
+) -> Prepared:
+    """Flights ready to be searched.
 
     Args:
         simulation: simulation to compare with.
         flights: at least two flights of the simulation's vehicle, fused and in the air.
         names: names of effects to look for; unless given, all.
-        highest_hz: highest frequency at which simulation and flights are compared.
-        barred: why effects, by their names, may not be named.
 
     Raises:
         DiscrepancyError: for fewer flights, flights of another vehicle, a simulation that gives no wrench.
     """
-    with one_blas_thread():
-        discovery = discovered(prepared(simulation, flights, names, highest_hz), barred)
-        return replace(discovery, candidates=ranked_candidates(discovery.found))
-
-
-def prepared(
-    simulation: Simulation,
-    flights: Sequence[Flight],
-    names: Sequence[str] | None = None,
-    highest_hz: float = BAND_HZ.value,
-) -> Prepared:
-    """Flights ready to be searched; arguments and errors are those of :func:`discover`."""
     require_flights(len(flights))
-    if not 0.0 < highest_hz <= BAND_HZ.value:
-        raise DiscrepancyError(f"highest_hz: above 0 and up to {BAND_HZ.value:g} Hz, found {highest_hz:g}")
     for flight in flights:
         if flight.vehicle and flight.vehicle != simulation.vehicle.name:
             raise DiscrepancyError(
                 f"{flight.source}: flown by vehicle {flight.vehicle}, "
                 f"but the simulation {simulation.name} is of {simulation.vehicle.name}"
             )
-    compared = Compared.together(at_scale_of(simulation, flights), simulation, highest_hz)
+    compared = Compared.together(at_scale_of(simulation, flights), simulation)
     return Prepared.of(compared, candidates(simulation.vehicle, names))
 
 
 def discovered(ready: Prepared, barred: Mapping[str, str]) -> Discovery:
-    """What a search names, judged as a whole; candidates are not ranked.
-
-    Args:
-        ready: flights to search.
-        barred: why effects, by their names, may not be named.
-    """
+    """What a search of flights names, judged as a whole; candidates are not ranked."""
     found = search(ready, barred)
     law, whole = found.closing.fits()
     effects = [_effect(found, index, law, whole) for index in found.chosen]

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from quadpi_core.discrepancy.acceptance import Accepted
+from quadpi_core.discrepancy.acceptance import Accepted, Trial
 from quadpi_core.discrepancy.candidates import candidates
 from quadpi_core.discrepancy.closure import Found, Gap
 from quadpi_core.discrepancy.effect_response import Compared
@@ -111,6 +111,30 @@ def test_beside_a_law_a_rival_of_what_scales_forces_scales_them_too(scales_thrus
     rival.effect = SimpleNamespace(scales_existing=False, scales_thrust=scales_thrust)
     law.form = 0.3
     assert bool(rivals_of_the_first(regression)) == scales_thrust
+
+
+@pytest.mark.parametrize(
+    ("together", "passes", "named"), [(1060.0, 2, (1, 2)), (1040.0, 2, (0,)), (1060.0, 1, (0,))]
+)
+def test_two_effects_stand_in_the_place_of_one_that_acts_as_both(monkeypatch, together, passes, named):
+    """Where they gain a twentieth more, as a further effect has to beside it, and each passes all tests."""
+    sets = {(): 0.0, (0,): 1000.0, (1,): 600.0, (2,): 500.0, (1, 2): together, (0, 1): 1010.0, (0, 2): 1010.0}
+    regression, tried = ListedEvidence(sets), []
+    for candidate in regression.candidates:
+        candidate.within, candidate.excludes = False, lambda other, own=candidate: other is own
+
+    class Passing(Trial):
+        def outcome(self):
+            tried.append(self.added)
+            larger = Accepted(regression, self.larger, regression.fit(self.larger))
+            judgement = SimpleNamespace(ends_round=True, reason=SimpleNamespace(test="evidence"))
+            return judgement, larger if len(tried) <= passes else None
+
+    monkeypatch.setattr("quadpi_core.discrepancy.search.Trial", Passing)
+    one = Accepted(regression, (0,), regression.fit((0,)))
+    assert _Search({}, None).parted(one).chosen == named
+    assert tried == [1, 2] * (together > 1050.0)
+    assert _Search({"effect 1": "so"}, None).parted(one).chosen == (0,)
 
 
 @pytest.mark.parametrize(
