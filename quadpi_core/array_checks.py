@@ -4,7 +4,8 @@
 
 Each public call takes its arguments through these. An array comes back as compiled code takes it: of one
 kind of number, contiguous, aligned, in this machine's byte order and writable; it is copied only if it is not
-so already. What cannot be used is refused by the argument's name, with what was expected and what was found.
+so already. For what cannot be used each raises an ArgumentError with the argument's name, what was expected
+and what was found.
 """
 
 from __future__ import annotations
@@ -43,9 +44,6 @@ def floats(
         rows: N, where another argument decides it.
         of: name of that argument.
         finite: whether to refuse what is not finite.
-
-    Raises:
-        ArgumentError: for anything else.
     """
     array = _as(_FLOAT, "iuf", "numbers", name, values)
     _require_shape(name, array, columns, rows, of)
@@ -71,11 +69,7 @@ def are_samples(time_ns: Any, values: Any, columns: int) -> bool:
 
 
 def by_rotor(name: str, values: Any, rotors: int) -> Array:
-    """Numbers (..., rotors) as float64, finite or not.
-
-    Raises:
-        ArgumentError: for anything else.
-    """
+    """Numbers (..., rotors) as float64, finite or not."""
     array = _as(_FLOAT, "iuf", "numbers", name, values)
     if array.shape[-1:] != (rotors,):
         raise ArgumentError(f"{name}: expected shape (..., {rotors}), found {array.shape}")
@@ -83,22 +77,14 @@ def by_rotor(name: str, values: Any, rotors: int) -> Array:
 
 
 def stamps(name: str, values: Any, *, rows: int | None = None, of: str = "") -> npt.NDArray[np.int64]:
-    """Stamps (N,) as int64 nanoseconds; the other arguments as of :func:`floats`.
-
-    Raises:
-        ArgumentError: for anything else. Floats are refused: they cannot hold today's stamps to a nanosecond.
-    """
+    """Stamps (N,) as int64 nanoseconds, as of :func:`floats`; no floats, which cannot hold those of today."""
     array = _as(_INT, "iu", "whole nanoseconds, int64", name, values)
     _require_shape(name, array, (), rows, of)
     return array
 
 
 def flags(name: str, values: Any, *, rows: int | None = None, of: str = "") -> npt.NDArray[np.bool_]:
-    """True or false (N,); the arguments as of :func:`floats`.
-
-    Raises:
-        ArgumentError: for anything else.
-    """
+    """True or false (N,); the arguments as of :func:`floats`."""
     array = _as(_BOOL, "b", "true or false", name, values)
     _require_shape(name, array, (), rows, of)
     return array
@@ -113,11 +99,7 @@ def records(
     of: str = "",
     finite: bool = True,
 ) -> Records:
-    """Records (N,) of a dtype; the arguments as of :func:`floats`, `finite` for fields of float64 alone.
-
-    Raises:
-        ArgumentError: for anything else.
-    """
+    """Records (N,) of a dtype; the arguments as of :func:`floats`, `finite` for fields of float64 alone."""
     if not (type(values) is np.ndarray and values.dtype is dtype and values.flags.carray):
         if not isinstance(values, np.ndarray) or _layout(values.dtype) != _layout(dtype):
             fields = ", ".join(dtype.names or ())
@@ -132,11 +114,7 @@ def records(
 
 
 def number(name: str, value: Any, *, above: float = -math.inf) -> float:
-    """A finite number above a bound.
-
-    Raises:
-        ArgumentError: for anything else; true and false are no numbers.
-    """
+    """A finite number above a bound; true and false are none."""
     if isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool):
         checked = float(value)
         if math.isfinite(checked) and checked > above:
@@ -146,11 +124,7 @@ def number(name: str, value: Any, *, above: float = -math.inf) -> float:
 
 
 def whole(name: str, value: Any, lowest: int, highest: int) -> int:
-    """A whole number in a range, bounds included.
-
-    Raises:
-        ArgumentError: for anything else; true and false are no numbers.
-    """
+    """A whole number in a range, bounds included; true and false are none."""
     if isinstance(value, (int, np.integer)) and not isinstance(value, bool) and lowest <= value <= highest:
         return int(value)
     raise ArgumentError(
@@ -159,22 +133,14 @@ def whole(name: str, value: Any, lowest: int, highest: int) -> int:
 
 
 def instance(name: str, value: Any, kind: type[Any], hint: str = "") -> Any:
-    """A value of a class; the hint says how to get one.
-
-    Raises:
-        ArgumentError: for anything else.
-    """
+    """A value of a class; the hint says how to get one."""
     if not isinstance(value, kind):
         raise _another(name, kind.__name__, value, hint)
     return value
 
 
 def several(name: str, values: Any, kind: type[_Kind], hint: str = "") -> list[_Kind]:
-    """Values of a class from any iterable; one alone counts as a list of it.
-
-    Raises:
-        ArgumentError: for anything else, naming the entry.
-    """
+    """Values of a class from any iterable; one alone counts as a list of it."""
     if isinstance(values, kind):
         return [values]
     if isinstance(values, (str, np.ndarray)):
@@ -184,22 +150,14 @@ def several(name: str, values: Any, kind: type[_Kind], hint: str = "") -> list[_
 
 
 def path(name: str, value: Any) -> Path:
-    """The path of a file or folder, from text or a Path.
-
-    Raises:
-        ArgumentError: for anything else.
-    """
+    """The path of a file or folder, from text or a Path."""
     if not isinstance(value, (str, Path)) or str(value) == "" or "\0" in str(value):
         raise _another(name, "a path", value)
     return Path(value)
 
 
 def paths(name: str, values: Any) -> list[Path]:
-    """Paths from any iterable; one alone counts as a list of it.
-
-    Raises:
-        ArgumentError: for anything else, naming the entry.
-    """
+    """Paths from any iterable; one alone counts as a list of it."""
     if isinstance(values, (str, Path)):
         return [path(name, values)]
     entries = _entries(name, "paths", values)

@@ -68,20 +68,12 @@ class Stream:
         )
 
     def require_samples(self, source: str) -> None:
-        """Refuse an empty stream.
-
-        Raises:
-            LogError: naming source and topic.
-        """
+        """Refuse an empty stream with a LogError that names source and topic."""
         if len(self) == 0:
             raise LogError(f"{source}: topic {self.topic}: holds no samples")
 
     def require_shapes(self, source: str) -> None:
-        """Refuse arrays that do not belong together.
-
-        Raises:
-            LogError: naming source and topic.
-        """
+        """Refuse arrays that do not belong together with a LogError that names source and topic."""
         for column, shape in zip(fields(self), ((), *self.shapes), strict=True):
             values = getattr(self, column.name)
             kinds, words = {"time_ns": ("i", "int64 nanoseconds"), "in_body": ("b", "true and false")}.get(
@@ -366,11 +358,7 @@ class Recording:
     remedies: Mapping[str, str] = field(default_factory=dict)
 
     def require_rotors(self, vehicle: str, rotors: int) -> None:
-        """Refuse speeds or commands of another number of rotors than a vehicle has.
-
-        Raises:
-            LogError: naming source and topic.
-        """
+        """Refuse speeds or commands of another number of rotors, naming source and topic in a LogError."""
         speeds, commands = self.rotor_speeds, self.commands
         for topic, values in (
             (RotorSpeedStream.topic, None if speeds is None else speeds.speeds),
@@ -505,11 +493,7 @@ class Flight:
         return len(self.time)
 
     def require_finite(self) -> None:
-        """Refuse numbers that are not finite.
-
-        Raises:
-            LogError: naming flight, quantity and sample.
-        """
+        """Refuse numbers that are not finite with a LogError that names flight, quantity and sample."""
         for name in ("time", *_FLIGHT_COLUMNS):
             finite = np.isfinite(getattr(self, name)).reshape(len(self), -1).all(axis=1)
             if not finite.all():

@@ -230,11 +230,7 @@ class NoFlightLeftError(LogError):
 
 
 def require_flights_left(count: int, left_out: LeftOutFlights) -> None:
-    """Refuse a batch of which nothing is left.
-
-    Raises:
-        NoFlightLeftError: with the reasons, each once.
-    """
+    """Refuse a batch of which nothing is left with a NoFlightLeftError of the reasons, each once."""
     if count == 0 and left_out:
         reasons = "; ".join(dict.fromkeys(flight.reason for flight in left_out))
         raise NoFlightLeftError(

@@ -175,11 +175,7 @@ def _map_in_processes(
 
 
 def _pickled(task: Any) -> bytes:
-    """A task for another process; by value what has no name by which to import it, such as a function in one.
-
-    Raises:
-        LogError: if that needs the extra `cluster`.
-    """
+    """A task for another process; what has no name to import it by, such as a function in one, by value."""
     with suppress(pickle.PicklingError, AttributeError, TypeError):
         by_name = pickle.dumps(task)
         # Other processes import the main module too, if it has a file.

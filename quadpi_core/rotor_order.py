@@ -406,11 +406,7 @@ def with_commanded_speeds(recording: Recording, motors: Motors | None) -> Record
 
 
 def require_source(where: str, source: str, motors: Motors) -> None:
-    """Refuse commands of another source than the motors were identified with.
-
-    Raises:
-        LogError: naming both.
-    """
+    """Refuse commands of another source than the motors were identified with: a LogError that names both."""
     if source != motors.source:
         raise LogError(
             f"{where}: topic motor_commands: are of {source}, and the vehicle's motors are known by commands "

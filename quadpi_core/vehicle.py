@@ -81,11 +81,7 @@ class Motors(Section):
     gain: Annotated[float, Within(0.0, 1.0)] = USUAL_GAIN.value
 
     def __post_init__(self) -> None:
-        """Refuse another number of coefficients.
-
-        Raises:
-            ValueError: naming the key.
-        """
+        """Refuse another number of coefficients."""
         if not self.coefficients or any(len(own) != TERMS for own in self.coefficients):
             raise ValueError(f"`coefficients` must list {TERMS} numbers for each rotor")
 
@@ -263,11 +259,7 @@ class Vehicle:
         return len(self.rotor_spins)
 
     def require_four(self, what: str) -> None:
-        """Refuse another number of rotors for what knows four.
-
-        Raises:
-            VehicleError: that says what does.
-        """
+        """Refuse another number of rotors for what knows four, with a VehicleError that says what does."""
         if self.rotor_count != ROTORS:
             raise VehicleError(f"vehicle {self.name} has {self.rotor_count} rotors: {what} with four alone")
 
@@ -312,11 +304,7 @@ class Vehicle:
 
 
 def simulation_section(name_or_path: str | Path) -> tuple[Path, dict[str, Any]]:
-    """Path and key `simulation` of a vehicle file; the rooms that simulate read what it holds.
-
-    Raises:
-        VehicleError: see :meth:`Vehicle.load`.
-    """
+    """Path and key `simulation` of a vehicle file; the rooms that simulate read what it holds."""
     path, content = load_config("vehicle", name_or_path, _VehicleFile, VehicleError)
     return path, content.simulation
 

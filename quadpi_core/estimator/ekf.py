@@ -232,11 +232,7 @@ class Ekf:
         return EkfTrace(rows["time_ns"].copy(), rows, FusedSamples.from_rows(fused), trace.outcomes)
 
     def segments(self, recording: Recording) -> list[Segment]:
-        """What the filter does over a whole recording, for the smoother.
-
-        Raises:
-            SignalError: as :meth:`run`.
-        """
+        """What the filter does over a whole recording, for the smoother."""
         self.log_segments(recording)
         arrivals = in_order_of_arrival(recording)
         self._run(arrivals, Trace.empty(arrivals, self._journal, fused=False))

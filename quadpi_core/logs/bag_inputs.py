@@ -109,22 +109,14 @@ def find_inputs(bag: Bag, settings: AdapterSettings, vehicle: Vehicle | None = N
 
 
 def named_inputs(bag: Bag, topics: Mapping[str, str]) -> dict[str, str]:
-    """Topics of a bag that are named, by the standard names of what they hold.
-
-    Raises:
-        LogError: see :func:`find_inputs`.
-    """
+    """Topics of a bag that are named, by the standard names of what they hold; see :func:`find_inputs`."""
     search = _Search(bag, AdapterSettings(topics=topics))
     search.take_named()
     return search.names
 
 
 def holds_imu(path: Path) -> bool:
-    """Whether a bag holds messages of an IMU, under whatever name.
-
-    Raises:
-        LogError: for a bag that cannot be read.
-    """
+    """Whether a bag holds messages of an IMU, under whatever name."""
     types = {TOPIC_TYPES["imu"], *(one.type_name for one in known_adapters().values() if one.kind == "imu")}
     with Bag(path) as bag:
         return any(

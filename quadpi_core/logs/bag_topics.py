@@ -34,31 +34,19 @@ _Content = TypeVar("_Content")
 
 
 def has_topic(path: Path | str, topic: str) -> bool:
-    """Whether a bag holds messages on a standard topic, in any namespace.
-
-    Raises:
-        LogError: as :func:`read_bag`.
-    """
+    """Whether a bag holds messages on a standard topic, in any namespace."""
     with Bag(Path(path)) as bag:
         return find_topic(bag, topic) is not None
 
 
 def bag_vehicle(path: Path | str) -> str:
-    """Name of the vehicle that a bag says it is of; empty where it does not say.
-
-    Raises:
-        LogError: for a bag that cannot be read.
-    """
+    """Name of the vehicle that a bag says it is of; empty where it does not say."""
     with Bag(Path(path)) as bag:
         return bag.metadata.get("vehicle", "")
 
 
 def topic_stamps(path: Path | str) -> dict[str, Stamps]:
-    """Stamps (N,) of every topic of a bag, ordered by name: of headers, else times of logging.
-
-    Raises:
-        LogError: for a bag that cannot be read.
-    """
+    """Stamps (N,) of every topic of a bag, ordered by name: of headers, else times of logging."""
     with Bag(Path(path)) as bag:
         by_name = {connection.topic: connection for connection in bag.connections}
         found = {name: [np.empty(0, dtype=np.int64)] for name in sorted(by_name)}
@@ -124,11 +112,7 @@ def is_truth(name: str) -> bool:
 def unpacked_topic(
     path: Path, topic: Topic, unpack: Callable[[Payloads], _Content], *, before: int = 0
 ) -> _Content:
-    """What `unpack` (see `sensor_messages`) makes of messages of a topic; so many came `before` them.
-
-    Raises:
-        LogError: as `unpack` does, naming bag and topic.
-    """
+    """What `unpack` (see `sensor_messages`) makes of messages of a topic; so many came `before` them."""
     try:
         return unpack(topic.payloads)
     except (LogError, VehicleError) as error:

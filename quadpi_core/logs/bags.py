@@ -98,11 +98,7 @@ def read_bag(
 def open_recording(
     path: Path | str, vehicle: Vehicle | None = None, adapters: AdapterSettings | None = None
 ) -> Iterator[BagRecording]:
-    """Open a bag to read what :func:`read_bag` does, with the same arguments, in blocks.
-
-    Raises:
-        LogError: see there; what is wrong with a message, when its block is read.
-    """
+    """Open a bag to read what :func:`read_bag` does, with the same arguments, in blocks."""
     with Bag(Path(path)) as bag:
         yield BagRecording(bag, vehicle, adapters)
 
@@ -113,9 +109,6 @@ class BagRecording:
     Attributes:
         name, source, vehicle: see :class:`quadpi_core.flight.Recording`.
         streams: names of its fields that the bag has messages for.
-
-    Raises:
-        LogError: see :func:`read_bag`.
     """
 
     def __init__(self, bag: Bag, vehicle: Vehicle | None, adapters: AdapterSettings | None) -> None:
@@ -403,11 +396,7 @@ def _unpack_erpm(payloads: Payloads, vehicle: Vehicle | None) -> flight.RotorSpe
 
 
 def read_outputs(path: Path | str) -> tuple[Predictions | None, ReportedAlarms | None]:
-    """Read what the monitor published of samples; None where the bag lacks the topic.
-
-    Raises:
-        LogError: as :func:`read_bag`.
-    """
+    """Read what the monitor published of samples; None where the bag lacks the topic."""
     path = Path(path)
     with Bag(path) as bag:
         prediction, alarm = find_topic(bag, "prediction"), find_topic(bag, "extrapolation_alarm")

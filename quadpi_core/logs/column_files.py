@@ -268,9 +268,6 @@ def _numbers_of(
     """A column of text as numbers, null where it holds none, and what is to be said of it.
 
     Numbers may have the other decimal point between thousands. What may be text stays so where few are.
-
-    Raises:
-        LogError: naming the column, where most values are no numbers.
     """
     import pyarrow as pa
     from pyarrow import compute

@@ -104,11 +104,7 @@ class Signal(Section):
     form: Annotated[str, OneOf(*QUATERNION_ORDERS, ROLL_PITCH_YAW)] | None = None
 
     def require_keys_of(self, name: str) -> None:
-        """Refuse keys that a signal of this name lacks, or should not have.
-
-        Raises:
-            ValueError: naming signal and key.
-        """
+        """Refuse keys that a signal of this name lacks, or should not have: a ValueError names them."""
         choices = _CHOICES.get(name, ())
         units = () if self.form in QUATERNION_ORDERS else ("unit",)
         known = ("columns", *units, *choices, *(() if name == TIME else ("missing", "table")))

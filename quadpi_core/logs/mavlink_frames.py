@@ -84,9 +84,6 @@ class Framer:
         counts: what was seen, of all senders.
         lost: packets missing of each sender, by system and component.
         mav: pymavlink's protocol, also to pack what is sent.
-
-    Raises:
-        LogError: if pymavlink is not installed.
     """
 
     def __init__(self, key: bytes | None = None, now: float | None = None) -> None:

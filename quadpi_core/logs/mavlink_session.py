@@ -127,9 +127,6 @@ class MavlinkSession:
     """One vehicle over one link: the first system that sends a heartbeat of an autopilot.
 
     Only packets of this system from the same address are used, both for samples and for the clock offset.
-
-    Raises:
-        LogError: if pymavlink is not installed.
     """
 
     def __init__(self, vehicle: Vehicle | None, order: RotorOrder, settings: SessionSettings) -> None:

@@ -54,11 +54,7 @@ def unpacked_limit(packed_bytes: int) -> int:
 
 
 def require_unpackable(packed_bytes: int, unpacked_bytes: int) -> None:
-    """Refuse a file of `packed_bytes` that unpacks to more than :func:`unpacked_limit`.
-
-    Raises:
-        LogError: saying how much, and what raises the limit.
-    """
+    """Refuse a file of `packed_bytes` that unpacks to more than :func:`unpacked_limit`, saying how much."""
     if unpacked_bytes > unpacked_limit(packed_bytes):
         raise _too_much(packed_bytes)
 

@@ -223,11 +223,7 @@ def _numbers(table: pa.Table, name: str, called: str) -> npt.NDArray[Any]:
 
 
 def _dates(column: pa.ChunkedArray, called: str) -> pa.ChunkedArray:
-    """Date and time (N,) of text by ISO 8601, or the time of a day alone; null where it is neither.
-
-    Raises:
-        LogError: where most are neither.
-    """
+    """Date and time (N,) of ISO 8601, or of a day alone; null where it is neither, refused if most are so."""
     import pyarrow as pa
     from pyarrow import compute
 

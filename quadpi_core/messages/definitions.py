@@ -501,11 +501,7 @@ def foreign_codec(type_name: str, definition: str, wanted: tuple[tuple[str, int]
 
 
 def _count(types: Types, type_name: str, known: dict[str, int]) -> int:
-    """Fields of a type, those of all that it contains included.
-
-    Raises:
-        ValueError: for an array of a fixed count of messages or texts that no sender fills.
-    """
+    """Fields of a type and of all that it contains; refused are arrays that no sender fills."""
     if type_name not in known:
         total = 0
         for member in types[type_name]:

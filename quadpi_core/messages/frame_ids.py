@@ -175,11 +175,7 @@ class BodyFrames:
         self._since_s: float | None = None
 
     def imu(self, frames: tuple[str, ...]) -> Mounting | None:
-        """Mounting of an IMU with these frames; None where they are the body's.
-
-        Raises:
-            FrameRefusedError: see the module.
-        """
+        """Mounting of an IMU with these frames; None where they are the body's."""
         frame = plain_name(frames[0])
         if not frame or without_namespace(frame) == without_namespace(self._body):
             return None
@@ -206,11 +202,7 @@ class BodyFrames:
 
     @staticmethod
     def world(frames: tuple[str, ...]) -> None:
-        """Check the frame of a pose, a velocity or the wind, and the child frame where there is one.
-
-        Raises:
-            FrameRefusedError: see the module.
-        """
+        """Check the frame of a pose, a velocity or the wind, and the child frame where there is one."""
         if _DOWN.search(frames[0]):
             raise FrameRefusedError(
                 f"the frame `{frames[0]}` says north-east-down: east-north-up is expected"

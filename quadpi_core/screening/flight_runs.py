@@ -154,11 +154,7 @@ def _without_empty(recording: Recording) -> Recording:
 
 
 def require_imu_in(source: str, part: TimeRange, samples: int, length_s: float) -> None:
-    """Refuse a part without a sample of the IMU.
-
-    Raises:
-        LogError: saying how long the recording is.
-    """
+    """Refuse a part without a sample of the IMU with a LogError that says how long the recording is."""
     if samples == 0:
         raise LogError(f"{source}: topic imu: has no sample {part}: it ends at {length_s:.3f} s")
 
@@ -171,11 +167,7 @@ def used_part(whole_ns: Stamps, part_ns: Stamps, reason: str) -> UsedPart:
 
 
 def in_range_of_blocks(blocks: Iterable[Recording], source: str, part: TimeRange) -> Iterator[Recording]:
-    """:func:`in_range` of a recording in blocks, by arrival; times count from the first IMU sample that came.
-
-    Raises:
-        LogError: see there, after the last block.
-    """
+    """:func:`in_range` of blocks by arrival; times count from the first IMU sample that came."""
     if part.is_whole:
         yield from blocks
         return

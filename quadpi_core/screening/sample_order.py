@@ -278,11 +278,7 @@ class Judged:
 
 
 def require_usable(source: str, judged: Mapping[str, Judged]) -> None:
-    """Refuse a source of which too much is unusable.
-
-    Raises:
-        LogError: naming source, topic and sample.
-    """
+    """Refuse a source of which too much is unusable with a LogError: source, topic and sample."""
     for one in judged.values():
         if problem := one.order.problem():
             raise LogError(f"{source}: topic {one.topic}: {problem}")

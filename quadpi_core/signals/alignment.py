@@ -165,11 +165,7 @@ def _rival(evidence: Array, low: int, high: int, best: int) -> int | None:
 
 
 def turn_offset(imu: ImuStream, state: PoseStream | OdometryStream, what: str) -> Alignment:
-    """The offset at which a state turns as the gyro says.
-
-    Raises:
-        SignalError: see :func:`time_offset`; for fewer than two samples.
-    """
+    """The offset at which a state turns as the gyro says; see :func:`time_offset`."""
     rows = np.searchsorted(state.time_ns, np.arange(state.time_ns[0], state.time_ns[-1] + 1, _DIFFERENCE_NS))
     rows = np.unique(rows)
     if len(rows) < 3 or len(imu) < 2:

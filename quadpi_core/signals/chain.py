@@ -171,11 +171,7 @@ def filter_zero_phase(
     rate_hz: float,
     cutoff_hz: float,
 ) -> FilteredSignals:
-    """Filter a whole flight without delay (see :func:`quadpi_core.signals.chain.zero_phase`).
-
-    Raises:
-        SignalError: as :func:`quadpi_core.signals.chain.zero_phase` does.
-    """
+    """Filter a whole flight without delay (see :func:`quadpi_core.signals.chain.zero_phase`)."""
     samples = _pack(velocity_body, attitude, rates, specific_force, rotor_speeds, wind)
     samples[:, ATTITUDE] = make_continuous(attitude)
     filtered = zero_phase(samples, cutoff_hz, rate_hz, derivative_of=RATES)

@@ -79,11 +79,7 @@ def read_betaflight(path: Path, vehicle: Vehicle | None, order: RotorOrder | Non
 
 
 def read_flight(path: Path, number: int, vehicle: Vehicle | None, order: RotorOrder | None) -> Recording:
-    """Read one flight of a file by its number; see :func:`read_betaflight`.
-
-    Raises:
-        LogError: as there, and if no flight of that number can be read.
-    """
+    """Read one flight of a file by its number; see :func:`read_betaflight`."""
     flights = decoded_flights(path, number)
     return _recording(f"{path}#{number}", f"{path.stem}_{number}", number, flights[number], vehicle, order)
 

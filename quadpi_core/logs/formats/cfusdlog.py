@@ -176,11 +176,7 @@ def decode_events(source: str, data: bytes) -> dict[str, Event]:
 
 
 def _check_end(source: str, data: bytes, stop: int, layouts: Collection[int]) -> None:
-    """Note what follows the last whole record, which ends at byte `stop`, in the place of a checksum.
-
-    Raises:
-        LogError: for a checksum that does not match.
-    """
+    """Note what follows the last whole record, up to byte `stop`; refuse a checksum that does not match."""
     rest = data[stop:]
     undefined = len(rest) >= 2 and int.from_bytes(rest[:2], "little") not in layouts
     if len(rest) == _CRC_BYTES and int.from_bytes(rest, "little") == zlib.crc32(data[:stop]):

@@ -36,11 +36,7 @@ _BATTERY_DECIVOLT = 28
 
 
 def read_matlab_file(path: Path, vehicle: Vehicle | None, mapping: Mapping | None = None) -> flight.Recording:
-    """Read a .mat file: variables as a mapping says, without one a flight of NeuroBEM.
-
-    Raises:
-        LogError: see :func:`read_table` and :func:`read_neurobem`.
-    """
+    """Read a .mat file: variables as a mapping says, without one a flight of NeuroBEM."""
     return read_neurobem(path, vehicle) if mapping is None else read_table(path, vehicle, mapping)
 
 

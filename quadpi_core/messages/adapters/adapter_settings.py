@@ -48,11 +48,7 @@ class _StreamSettings(Section):
             self.require()
 
     def require(self) -> None:
-        """Refuse settings that are not enough for messages of another package.
-
-        Raises:
-            ValueError: naming the missing key.
-        """
+        """Refuse settings that are not enough for messages of another package, naming the missing key."""
         for key in self.needed:
             if getattr(self, key) is None:
                 raise ValueError(f"missing key `{key}`")

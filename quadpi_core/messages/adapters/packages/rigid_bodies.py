@@ -151,11 +151,7 @@ def _start(settings: BodySettings, _vehicle: Vehicle | None) -> Reading:
 
 
 def _check_frames(transforms: Items, rows: np.typing.NDArray[np.int64], body: str) -> None:
-    """Refuse a world or a body that says z down.
-
-    Raises:
-        SampleError: naming the message.
-    """
+    """Refuse a world or a body that says z down, naming the message."""
     parents = transforms.columns[_PARENT][rows]
     for parent in np.unique(parents):
         try:
