@@ -8,6 +8,7 @@ also have moved. Where the stack has a land detector, that counts.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -98,7 +99,7 @@ def flown(log: FieldLog) -> Flown:
         tilt = np.degrees(np.arccos(np.clip(1.0 - 2.0 * (x * x + y * y), -1.0, 1.0)))
     rate = None if imu is None else np.degrees(np.linalg.norm(imu[:, :2], axis=1))
     yaw = None if imu is None else np.degrees(np.abs(imu[:, 2]))
-    height = None if position is None else -position[:, 2] + _first(position[:, 2])
+    height = None if position is None else position[np.isfinite(position[:, 2])][0, 2] - position[:, 2]
     return Flown(
         duration_s=log.duration_s,
         airborne_s=sum(one.duration_s for one in stretches),
@@ -140,10 +141,6 @@ def velocity_of(log: FieldLog) -> Series | None:
 def _at(series: Series | None, time: Array) -> Array | None:
     values = None if series is None else series.at(time)
     return None if values is None or not np.isfinite(values).any() else values
-
-
-def _first(values: Array) -> float:
-    return float(values[np.isfinite(values)][0])
 
 
 def _ends(values: Array | None, lower: object) -> tuple[float, float] | None:
@@ -261,15 +258,31 @@ def _moved(log: FieldLog, stretch: Stretch, *, is_sure: bool) -> bool:
     return float(np.std(imu.values[:, :3], axis=0).max()) > rate or level > 0.5 * STANDARD_GRAVITY
 
 
+def averages(stretches: Sequence[Stretch], step_s: float, *series: Series) -> Array:
+    """Rows (N, C + 2) of means over steps of which all is known, their time [s] and number of the stretch."""
+    rows = []
+    for number, one in enumerate(stretches):
+        edges = np.linspace(one.begin, one.end, 1 + max(1, round(one.duration_s / step_s)))
+        means = [own.filled_means(edges) for own in series]
+        rows.append(np.column_stack([*means, 0.5 * (edges[1:] + edges[:-1]), np.full(len(means[0]), number)]))
+    table = np.vstack(rows)
+    return table[np.isfinite(table).all(axis=1)]
+
+
 def pieces(stretches: tuple[Stretch, ...], longest_s: float) -> list[Stretch]:
     """Stretches cut into equal pieces, as clusters of samples that go together.
 
     A tenth of the time in the air each, within limits: that of any gust or manoeuvre, and `longest_s`.
     """
+    together = sum(one.duration_s for one in stretches)
+    return cut(stretches, float(np.clip(0.1 * together, _PIECE_SHORTEST_S, longest_s)))
+
+
+def cut(stretches: Sequence[Stretch], length_s: float) -> list[Stretch]:
+    """Stretches in equal pieces of about a length."""
     found = []
-    length_s = float(np.clip(0.1 * sum(one.duration_s for one in stretches), _PIECE_SHORTEST_S, longest_s))
     for one in stretches:
         count = max(1, round(one.duration_s / length_s))
-        cuts = np.linspace(one.begin, one.end, count + 1)
-        found += [Stretch(float(begin), float(end)) for begin, end in pairwise(cuts)]
+        ends = np.linspace(one.begin, one.end, count + 1)
+        found += [Stretch(float(begin), float(end)) for begin, end in pairwise(ends)]
     return found

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadpi_core.field.airborne import Flown, velocity_of
+from quadpi_core.field.airborne import Flown, averages, cut, velocity_of
 from quadpi_core.field.estimates import (
     PIECES_FEWEST,
     Estimate,
@@ -19,7 +19,7 @@ from quadpi_core.field.estimates import (
     jackknife,
     not_identified,
 )
-from quadpi_core.field.field_log import FieldLog
+from quadpi_core.field.field_log import FieldLog, Series
 from quadpi_core.frames import Array, rotation_matrix
 from quadpi_core.inputs import STANDARD_DENSITY, UNKNOWN_AIR
 from quadpi_core.messages.payloads import Indices
@@ -61,9 +61,8 @@ class DragSamples:
 
     def every(self, stride: int) -> DragSamples:
         """One sample of so many."""
-        own = (self.time, self.piece, self.force, self.velocity, self.turn)
-        time, piece, force, velocity, turn = (values[::stride] for values in own)
-        return DragSamples(time, piece, force, velocity, turn, self.density)
+        names = ("time", "piece", "force", "velocity", "turn")
+        return replace(self, **{name: getattr(self, name)[::stride] for name in names})
 
     @property
     def air_ratio(self) -> float:
@@ -103,36 +102,16 @@ def drag_samples(log: FieldLog, flight: Flown, piece_s: float) -> DragSamples | 
         needed = {"specific force": log.imu, "attitude": log.attitude, "velocity": velocity}
         lacking = [name for name, series in needed.items() if series is None]
         return f"the log has no {' and no '.join(lacking)}"
-    times, pieces, forces = [], [], []
-    count = 0
-    for one in flight.stretches:
-        edges = np.arange(one.begin, one.end, STEP_S)
-        if len(edges) < 2:
-            continue
-        middle = 0.5 * (edges[1:] + edges[:-1])
-        forces.append(log.imu.filled_means(edges)[:, 3:])
-        times.append(middle)
-        parts = max(1, round(one.duration_s / piece_s))
-        place = np.minimum((parts * np.arange(len(middle))) // len(middle), parts - 1)
-        pieces.append(count + place)
-        count += parts
-    if not times:
-        return "the flight is too short"
-    time = np.concatenate(times)
-    moving, attitude, force = velocity.at(time), log.attitude.at(time), np.concatenate(forces)
+    table = averages(cut(flight.stretches, piece_s), STEP_S, Series(log.imu.time, log.imu.values[:, 3:]))
+    force, time, piece = table[:, :3], table[:, 3], table[:, 4].astype(np.int64)
+    moving, attitude = velocity.at(time), log.attitude.at(time)
     length = np.linalg.norm(attitude, axis=1, keepdims=True)
-    good = np.isfinite(np.hstack([moving, attitude, force])).all(axis=1) & (length[:, 0] > 0.5)
+    good = np.isfinite(np.hstack([moving, attitude])).all(axis=1) & (length[:, 0] > 0.5)
     if not good.any():
         return "specific force, attitude and velocity do not overlap"
     air = None if log.density is None else float(np.median(log.density.values))
-    return DragSamples(
-        time[good],
-        np.concatenate(pieces)[good].astype(np.int64),
-        force[good],
-        moving[good],
-        rotation_matrix(attitude[good] / length[good]),
-        air,
-    )
+    turn = rotation_matrix(attitude[good] / length[good])
+    return DragSamples(time[good], piece[good], force[good], moving[good], turn, air)
 
 
 # An accelerometer senses no gravity, and the thrust of a multirotor has no part along body x and y: what it

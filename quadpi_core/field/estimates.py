@@ -89,10 +89,8 @@ def jackknife(whole: Array, without: Array, information: Array) -> tuple[Array, 
     """
     count = len(without)
     error = np.sqrt((count - 1) / count * np.sum((without - whole) ** 2, axis=0))
-    share = information / np.maximum(information.sum(axis=0), 1e-300)
-    # As many pieces as would share the information evenly: one long fast pass among many hovers counts once.
-    effective = 1.0 / np.sum(share**2, axis=0)
-    freedom = np.maximum(effective - 1.0, 1.0)
+    # One long fast pass among many hovers counts once.
+    freedom = np.maximum(effective_pieces(information) - 1.0, 1.0)
     half = stats.t.ppf(0.5 + 0.5 * CONFIDENCE.value, freedom) * error
     return whole - half, whole + half
 
@@ -100,7 +98,7 @@ def jackknife(whole: Array, without: Array, information: Array) -> tuple[Array, 
 def effective_pieces(information: Array) -> Array:
     """As many pieces (P,) as would share the information (B, P) evenly."""
     share = information / np.maximum(information.sum(axis=0), 1e-300)
-    return 1.0 / np.sum(share**2, axis=0)
+    return 1.0 / np.maximum(np.sum(share**2, axis=0), 1e-300)
 
 
 def slope_of_pieces(

@@ -5,9 +5,11 @@
 from __future__ import annotations
 
 import logging
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from logging.handlers import BufferingHandler
 from pathlib import Path
 from typing import Any
 
@@ -69,8 +71,8 @@ def read_field_log(path: Path, options: ReadingOptions, known: Vehicle | int | N
             log = read_other(path, options, known)
         else:
             log = stack.read(file, number, known.pole_pairs if isinstance(known, Vehicle) else known)
-    told = [note.removeprefix(f"{log.source}: ") for note in dict.fromkeys(notes)]
-    log = replace(log, notes=(*told, *log.notes))
+    told = [" ".join(note.getMessage().split()).removeprefix(f"{log.source}: ") for note in notes]
+    log = replace(log, notes=(*dict.fromkeys(told), *log.notes))
     if log.no_multirotor:
         raise LogError(f"{path}: {log.no_multirotor}; `quadpi report` is for multirotors")
     if not log.series():
@@ -78,27 +80,16 @@ def read_field_log(path: Path, options: ReadingOptions, known: Vehicle | int | N
     return _without_still_state(_without_pulses(_within_limits(log)))
 
 
-class _Taking(logging.Handler):
-    """Keeps what the readers say of a log, for the page."""
-
-    def __init__(self) -> None:
-        super().__init__(logging.WARNING)
-        self.notes: list[str] = []
-
-    def emit(self, record: logging.LogRecord) -> None:
-        """Keep a message."""
-        self.notes.append(" ".join(record.getMessage().split()))
-
-
 @contextmanager
-def _notes_taken() -> Iterator[list[str]]:
+def _notes_taken() -> Iterator[list[logging.LogRecord]]:
     """What the readers say of a log within the block, instead of on the terminal."""
-    logger, taking = logging.getLogger("quadpi_core.logs"), _Taking()
+    logger, taking = logging.getLogger("quadpi_core.logs"), BufferingHandler(sys.maxsize)
+    taking.setLevel(logging.WARNING)
     propagate = logger.propagate
     logger.addHandler(taking)
     logger.propagate = False
     try:
-        yield taking.notes
+        yield taking.buffer
     finally:
         logger.removeHandler(taking)
         logger.propagate = propagate

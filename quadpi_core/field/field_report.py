@@ -9,20 +9,20 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, astuple, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from quadpi_core.errors import LogError, QuadpiError
 from quadpi_core.field.airborne import Flown, flown
-from quadpi_core.field.damage import RotorLoss, frozen_motors, losses
+from quadpi_core.field.damage import RotorLoss, frozen_motors, losses, sharing
 from quadpi_core.field.drag import DragResult, drag_samples, identify_drag, piece_lengths_s
 from quadpi_core.field.estimates import Estimate
 from quadpi_core.field.field_log import FieldLog
 from quadpi_core.field.field_reading import read_field_log
-from quadpi_core.field.inertia import BodyResult, identify_body
+from quadpi_core.field.inertia import identify_body
 from quadpi_core.field.mass_change import BY_SPEED, MOVED, MassChange, efforts, mass_change
-from quadpi_core.field.motor_model import MotorModel, Tachometers, motor_model, tachometers
+from quadpi_core.field.motor_model import Tachometers, motor_model, tachometers
 from quadpi_core.field.motor_use import (
     BATTERY_DRIFT,
     IMBALANCE,
@@ -107,62 +107,40 @@ class FlightReport:
         use, read = self.use, self.tachometers
         told = use.drift or use.thrust_gain
         thrust = "the log has not both IMU and commands" if told is None else told.reason
+        compared = {}
+        if self.losses is not None:
+            compared["motors against earlier flights"] = self.losses if isinstance(self.losses, str) else ""
         return {
             "motor commands": "" if use.motors else "not in the log",
             "thrust over command along the flight": thrust,
             "tachometers": read if isinstance(read, str) else "",
             "vibration": "only ArduPilot's VIBE can be judged" if self.log.vibe is None else "",
+            **compared,
         }
+
+    def hidden_loss(self) -> float | None:
+        """Share of thrust that a rotor may lack against earlier flights and not be named; None: not told."""
+        told = [] if self.losses is None or isinstance(self.losses, str) else self.losses
+        ends = [(one.thrust.value, one.thrust.low) for one in told]
+        widths = [value - low for value, low in ends if value is not None and low is not None]
+        return max(widths, default=None)
 
     def record(self) -> FlightRecord:
         """Its entry in `report.json`."""
-        log, vibration, read = self.log, self.vibration, self.tachometers
+        log = self.log
         return FlightRecord(
             self.name,
             *(log.source, log.stack, log.firmware, log.frame, log.rotors),
             dict(log.facts),
             {name: TopicRecord(len(own), own.rate_hz) for name, own in log.series().items()},
             *(self.flown, self.use),
-            Untold(vibration) if isinstance(vibration, str) else vibration,
-            Untold(read) if isinstance(read, str) else read,
-            Untold(self.losses) if isinstance(self.losses, str) else self.losses,
-            Untold(self.mass_change) if isinstance(self.mass_change, str) else self.mass_change,
+            *(_or_untold(self.vibration), _or_untold(self.tachometers)),
+            *(_or_untold(self.losses), _or_untold(self.mass_change)),
             looked_at=self.looked_at(),
             remarks=self.remarks,
             settings=tuple(log.settings),
             notes=tuple(log.notes),
         )
-
-
-@dataclass(frozen=True)
-class VehicleReport:
-    """What all flights of one airframe tell together.
-
-    Attributes:
-        name: stack and frame, and a flight where others have the same.
-        flights: by name.
-        doubt: what is not sure of their being of one vehicle; empty for nothing.
-        drag: per mass, with the wind of each of `windy`; or why there is none.
-        windy: flights that it was identified on.
-        motors: rotor speed from command and battery.
-        drag_prefix: of the names of its parameters of drag.
-        body: thrust and inertia, where a vehicle file says mass and places of the rotors; else None.
-    """
-
-    name: str
-    flights: tuple[str, ...]
-    doubt: str
-    drag: DragResult | str
-    windy: tuple[str, ...]
-    motors: MotorModel | str
-    drag_prefix: str
-    body: BodyResult | None = None
-
-    def record(self) -> VehicleRecord:
-        """Its entry in `report.json`."""
-        drag = Untold(self.drag) if isinstance(self.drag, str) else self.drag
-        motors = Untold(self.motors) if isinstance(self.motors, str) else self.motors
-        return VehicleRecord(self.name, self.flights, self.doubt, drag, self.windy, motors, self.body)
 
 
 @dataclass(frozen=True)
@@ -177,7 +155,7 @@ class FieldReport:
     """
 
     flights: tuple[FlightReport, ...]
-    vehicles: tuple[VehicleReport, ...]
+    vehicles: tuple[VehicleRecord, ...]
     mass: float | None
     left_out: tuple[FlightLeftOut, ...]
 
@@ -197,6 +175,9 @@ class FieldReport:
                 done.append(f"{name}{share}")
             if reasons:
                 lacking.append(f"{name} ({reasons[0]})")
+        if hidden := [100.0 * own for own in (one.hidden_loss() for one in self.flights) if own is not None]:
+            ends = dict.fromkeys(f"{end:.0f}" for end in (min(hidden), max(hidden)))
+            done[-1] += f", where a rotor may lack {' to '.join(ends)} % of thrust unseen"
         parts = (("looked at: ", done), ("not looked at: ", lacking))
         return "; ".join(word + ", ".join(names) for word, names in parts if names)
 
@@ -219,12 +200,18 @@ class FieldReport:
 
     def to_json(self) -> dict[str, Any]:
         """The content of `report.json`, see :class:`.ReportRecord`."""
-        vehicles = tuple(vehicle.record() for vehicle in self.vehicles)
         flights = tuple(flight.record() for flight in self.flights)
         record = ReportRecord(
-            self.verdict(), self.alarmed, self.mass, vehicles, flights, left_out=self.left_out
+            self.verdict(), self.alarmed, self.mass, self.vehicles, flights, left_out=self.left_out
         )
         return finite_json(asdict(record))
+
+
+_Told = TypeVar("_Told")
+
+
+def _or_untold(told: _Told | str) -> _Told | Untold:
+    return Untold(told) if isinstance(told, str) else told
 
 
 def report_on(
@@ -291,10 +278,12 @@ def _flight_report(log: FieldLog, before: Sequence[FlightReport] | None = None) 
     lost: tuple[RotorLoss, ...] | str | None = None
     heavier: MassChange | str | None = None
     if before is not None:
-        alike = [one.use for one in before if (one.log.stack, one.log.rotors) == (log.stack, log.rotors)]
+        alike = [one for one in before if (one.log.stack, one.log.rotors) == (log.stack, log.rotors)]
         lost = heavier = "the flights before are none, or of another vehicle"
         if alike:
-            lost, heavier = losses(use, alike), mass_change(use, alike, log.corners)
+            told = sharing([(log, flight), *((one.log, one.flown) for one in alike)])
+            lost = told if isinstance(told, str) else losses(told)
+            heavier = mass_change(use, [one.use for one in alike], told, log.corners)
     remarks = [*_motor_remarks(log, flight, lost, heavier)]
     if isinstance(heavier, MassChange):
         remarks += _mass_remarks(heavier)
@@ -306,7 +295,7 @@ def _identity(log: FieldLog) -> tuple[object, ...]:
     """What flights of one vehicle have in common; that of another may be the same."""
     outputs = tuple(sorted(own for own in log.parameters.items() if _OUTPUTS.match(own[0])))
     return (
-        *(log.stack, log.firmware, log.frame, log.rotors, outputs),
+        *(log.stack, log.frame, log.rotors, outputs),
         *(log.facts.get(name) for name in ("board", "airframe", "craft", "vehicle", "poles", "commands")),
     )
 
@@ -353,7 +342,7 @@ def _airframes(flights: Sequence[FlightReport]) -> Iterator[tuple[list[FlightRep
 
 def _vehicles(
     flights: Sequence[FlightReport], vehicle: Vehicle | int | None = None
-) -> Iterator[VehicleReport]:
+) -> Iterator[VehicleRecord]:
     airframes = sorted(_airframes(flights), key=lambda pair: flights.index(pair[0][0]))
     names_of = [" ".join(filter(None, (own[0].log.stack, own[0].log.frame))) for own, _ in airframes]
     for (own, said), kind in zip(airframes, names_of, strict=True):
@@ -383,7 +372,10 @@ def _vehicles(
             ]
             body = identify_body([(one.log, one.flown) for one in longest], vehicle, winds)
         names = tuple(flight.name for flight in own)
-        yield VehicleReport(name, names, said, drag, tuple(samples), motors, own[0].log.drag_prefix, body)
+        yield VehicleRecord(
+            *(name, names, said, _or_untold(drag), tuple(samples)),
+            *(_or_untold(motors), own[0].log.drag_prefix, body),
+        )
 
 
 def _level(estimate: Estimate, limits: tuple[float, ...]) -> str:

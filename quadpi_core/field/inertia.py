@@ -27,7 +27,7 @@ from scipy.signal import butter, lfilter, sosfiltfilt
 from quadpi_core.field.airborne import Flown, velocity_of
 from quadpi_core.field.estimates import PIECES_FEWEST, Estimate, jackknife, not_identified, within
 from quadpi_core.field.field_log import FieldLog
-from quadpi_core.field.motor_model import GRID_HZ, SLOWEST_HZ
+from quadpi_core.field.motor_model import GRID_HZ, lacking_for_motors
 from quadpi_core.frames import Array, rotate_body_to_world, rotate_world_to_body, rotation_matrix
 from quadpi_core.records import CONVENTION, STANDARD_GRAVITY, Threshold
 from quadpi_core.rotor_order import lag_weights
@@ -158,14 +158,8 @@ def _estimate(value: float, half: float, unit: str, advice: str) -> Estimate:
 
 
 def _pieces(log: FieldLog, flight: Flown, vehicle: Vehicle, wind: Array) -> list[_Piece] | str:
-    if log.commands is None or log.imu is None:
-        return "the log has not both commands and IMU"
-    if log.commands.values.shape[1] != vehicle.rotor_count:
-        found = log.commands.values.shape[1]
-        return f"the log has commands of {found} motors, the vehicle file {vehicle.rotor_count} rotors"
-    slow = min(log.commands.rate_hz, log.imu.rate_hz)
-    if slow < SLOWEST_HZ:
-        return f"commands and IMU are logged at {slow:.0f} Hz, slower than motors are"
+    if why := lacking_for_motors(log, vehicle):
+        return why
     pieces: list[_Piece] = []
     for one in flight.stretches:
         found = _of_stretch(log, one.begin, one.end, vehicle, wind)

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from quadpi_core.field.airborne import Flown
-from quadpi_core.field.damage import SCATTER, THRUST_EXPONENT, against
+from quadpi_core.field.airborne import Flown, averages
+from quadpi_core.field.damage import SCATTER, THRUST_EXPONENT, Sharing, against
 from quadpi_core.field.estimates import CONFIDENCE, Estimate, not_identified, within
 from quadpi_core.field.field_log import FieldLog, Series
 from quadpi_core.field.motor_use import MotorUse
@@ -107,26 +107,22 @@ def efforts(log: FieldLog, flight: Flown, *, tachometers_read: bool) -> dict[str
 
 
 def _over_force(log: FieldLog, flight: Flown, load: Series) -> float:
-    rows = [np.empty((0, 2))]
-    for one in flight.stretches:
-        edges = np.arange(one.begin, one.end, _STEP_S)
-        if len(edges) > 1:
-            force = np.full((len(edges) - 1, 1), STANDARD_GRAVITY)
-            if log.imu is not None:
-                force = -log.imu.filled_means(edges)[:, 5:]
-            rows.append(np.hstack([load.filled_means(edges), force]))
-    table = np.vstack(rows)
-    table = table[np.isfinite(table).all(axis=1)]
-    loads, forces = table.sum(axis=0)
+    force = Series(load.time, np.full((len(load), 1), STANDARD_GRAVITY))
+    if log.imu is not None:
+        force = Series(log.imu.time, -log.imu.values[:, 5:])
+    loads, forces, *_ = averages(flight.stretches, _STEP_S, load, force).sum(axis=0)
     return float(loads / forces) if forces > 0.0 else np.nan
 
 
-def mass_change(use: MotorUse, references: Sequence[MotorUse], corners: Array | None) -> MassChange | str:
+def mass_change(
+    use: MotorUse, references: Sequence[MotorUse], told: Sharing | str, corners: Array | None
+) -> MassChange | str:
     """What has changed since earlier flights, or why it cannot be told.
 
     Args:
         use: of the flight.
         references: of good flights of the same vehicle.
+        told: how the motors share the work in all of them, or why that is not known.
         corners: (R, 2) signs of the motors' places, forward and right; None where not known.
     """
     by = next((by for by in EFFORT_SCATTER if by in use.efforts and _known(by, references)), None)
@@ -143,7 +139,7 @@ def mass_change(use: MotorUse, references: Sequence[MotorUse], corners: Array | 
     share = within((float(np.expm1(ratio)), min(ends), max(ends)), "", said)
     if min(ends) <= -1.0:
         share = not_identified("", "thrust is a fraction of what it was")
-    pattern = _pattern(use, references, corners)
+    pattern = _pattern(told, corners)
     if pattern is None:
         return MassChange(share, by, ())
     return _explained(share, by, pattern, (ratio, deviation), freedom)
@@ -153,19 +149,16 @@ def _known(by: str, references: Sequence[MotorUse]) -> list[float]:
     return [one.efforts[by] for one in references if by in one.efforts]
 
 
-def _pattern(
-    use: MotorUse, references: Sequence[MotorUse], corners: Array | None
-) -> tuple[Array, Array, Array] | None:
+def _pattern(told: Sharing | str, corners: Array | None) -> tuple[Array, Array, Array] | None:
     """Thrust (4,) that each rotor gives more than all on average, deviation of a rotor, corners (4, 2)."""
-    shares = [np.array([own.value for own in one.motors], dtype=float) for one in (use, *references)]
-    known = [own for own in shares[1:] if len(own) == len(shares[0])]
-    if corners is None or corners.shape != (4, 2) or not np.all(corners) or not known:
+    if isinstance(told, str) or corners is None or corners.shape != (4, 2) or not np.all(corners):
         return None
-    if len(shares[0]) != len(corners) or not np.isfinite([shares[0], *known]).all():
+    rotors = len(corners)
+    if told.shares.shape[1] != rotors or not np.isfinite(told.error).all():
         return None
     # Over the mean of all four a rotor deviates by three quarters of what it does over the others.
-    value, deviation, _ = against(shares[0], np.array(known), 0.75 * SCATTER.value)
-    usual, rotors = THRUST_EXPONENT.value[1], len(corners)
+    value, deviation, _ = against(told.shares[0], told.shares[1:], 0.75 * SCATTER.value, told.error)
+    usual = THRUST_EXPONENT.value[1]
     # The mean takes one of four numbers from the deviations: a rotor by itself deviates by more.
     return usual * value, usual * np.sqrt(rotors / (rotors - 1)) * deviation, corners
 

@@ -327,12 +327,7 @@ def command_columns(u: Array, volts: Array, lag_s: float) -> Array:
     return lfilter([now, before], [1.0, -keep], columns, axis=0, zi=begin)[0]
 
 
-@dataclass(frozen=True)
-class _Sums:
-    """Normal equations of a flight, by rotor: gram (R, P, P) and pull (R, P)."""
-
-    gram: Array
-    pull: Array
+_Sums = tuple[Array, Array]  # normal equations of a flight, by rotor: gram (R, P, P) and pull (R, P)
 
 
 def _sums(parts: Sequence[_Part], lag_s: float) -> _Sums:
@@ -342,12 +337,12 @@ def _sums(parts: Sequence[_Part], lag_s: float) -> _Sums:
         speeds = np.concatenate([part[2][:, rotor] for part in parts])
         grams.append(columns.T @ columns)
         pulls.append(columns.T @ speeds)
-    return _Sums(np.array(grams), np.array(pulls))
+    return np.array(grams), np.array(pulls)
 
 
 def _solved(sums: Sequence[_Sums]) -> list[Array]:
     """Coefficients of each rotor, drawn to what all motors have in common but for a gain."""
-    grams, pulls = (np.sum([getattr(one, name) for one in sums], axis=0) for name in ("gram", "pull"))
+    grams, pulls = (np.sum(own, axis=0) for own in zip(*sums, strict=True))
     gains = np.ones(len(grams))
     for _ in range(_GAIN_STEPS):
         common = _ridged(np.einsum("r,rpq->pq", gains**2, grams), gains @ pulls, 1e-6, 0.0)
@@ -414,6 +409,17 @@ _RIDGE = 1e-3
 _Lift = tuple[Array, Array, Array, Array]
 
 
+def lacking_for_motors(log: FieldLog, vehicle: Vehicle) -> str:
+    """Why commands and IMU of a log do not tell of the motors of a vehicle; empty where they do."""
+    if log.commands is None or log.imu is None:
+        return "the log has not both commands and IMU"
+    if (found := log.commands.values.shape[1]) != vehicle.rotor_count:
+        return f"the log has commands of {found} motors, the vehicle file {vehicle.rotor_count} rotors"
+    rates = {"commands": log.commands.rate_hz, "IMU": log.imu.rate_hz}
+    slow = [f"{name} are logged at {rate:.0f} Hz" for name, rate in rates.items() if rate < SLOWEST_HZ]
+    return f"{', '.join(slow)}, slower than motors are: {SLOWEST_HZ:g} Hz are needed" if slow else ""
+
+
 def motors_by_thrust(
     flights: Sequence[tuple[FieldLog, Flown]], source: str, vehicle: Vehicle
 ) -> tuple[Motors, dict[str, Motors]] | str:
@@ -452,13 +458,10 @@ def motors_by_thrust(
 
 
 def _lifts(log: FieldLog, flight: Flown, vehicle: Vehicle) -> list[_Lift] | str:
-    if log.commands is None or log.imu is None:
-        return "the log has not both commands and accelerometer"
-    if log.commands.values.shape[1] != vehicle.rotor_count:
-        return f"the log has {log.commands.values.shape[1]} commands for {vehicle.rotor_count} rotors"
-    if min(log.commands.rate_hz, log.imu.rate_hz) < SLOWEST_HZ:
-        slow = "commands" if log.commands.rate_hz < SLOWEST_HZ else "IMU"
-        return f"{slow} at {getattr(log, slow.lower()).rate_hz:.0f} Hz, {SLOWEST_HZ:g} Hz are needed"
+    if why := lacking_for_motors(log, vehicle):
+        return why
+    assert log.commands is not None
+    assert log.imu is not None
     parts, velocity = [], velocity_of(log)
     for one in flight.stretches:
         edges = np.arange(one.begin, one.end, 1.0 / GRID_HZ)

@@ -8,12 +8,12 @@ Thrust over mass is the specific force along body z, so that no mass is needed.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from quadpi_core.field.airborne import HOVER_SPEED, Flown, Stretch, pieces, velocity_of
+from quadpi_core.field.airborne import HOVER_SPEED, Flown, Stretch, averages, pieces, velocity_of
 from quadpi_core.field.estimates import (
     Estimate,
     beyond_zero,
@@ -258,16 +258,7 @@ def _thrust_samples(log: FieldLog, cut: list[Stretch]) -> Array | None:
         return None
     values = log.commands.values
     loads = Series(log.commands.time, np.stack([values.mean(axis=1), np.mean(values**2, axis=1)], axis=1))
-    rows = [np.empty((0, 5))]
-    for number, one in enumerate(cut):
-        edges = np.arange(one.begin, one.end, _STEP_S)
-        if len(edges) > 1:
-            middle = 0.5 * (edges[1:] + edges[:-1])
-            force = -log.imu.means(edges)[:, 5:] / STANDARD_GRAVITY
-            own = [loads.filled_means(edges), force, middle[:, np.newaxis], np.full((len(middle), 1), number)]
-            rows.append(np.hstack(own))
-    table = np.vstack(rows)
-    table = table[np.isfinite(table).all(axis=1)]
+    table = averages(cut, _STEP_S, loads, Series(log.imu.time, -log.imu.values[:, 5:] / STANDARD_GRAVITY))
     return table if len(table) > _FEWEST_SAMPLES else None
 
 
@@ -330,7 +321,8 @@ def _of_flight(log: FieldLog, use: MotorUse) -> ThrustCurve:
         said = (
             f"commands in the log are before the present THR_MDL_FAC, {present:g}: set it to 0 and fly again"
         )
-        return ThrustCurve(not_identified("", said), _kept(hover, f"with THR_MDL_FAC {present:g} as it is"))
+        kept = replace(hover, unit=_UNIT, reason=f"with THR_MDL_FAC {present:g} as it is")
+        return ThrustCurve(not_identified("", said), kept)
     low = log.parameters.get("MOT_SPIN_MIN", 0.0)
     span = log.parameters.get("MOT_SPIN_MAX", 1.0) - low
     # The ends of hover with the slopes that go with them: both intervals are worst together.
@@ -344,11 +336,8 @@ def _of_flight(log: FieldLog, use: MotorUse) -> ThrustCurve:
         e = log.parameters["MOT_THST_EXPO"]
         thrust = [e * u * u + (1.0 - e) * u for u in commands]
         return ThrustCurve(exponent, within(thrust, _UNIT, f"with MOT_THST_EXPO {e:g} as it is"))
-    return ThrustCurve(exponent, _kept(hover, "with thrust taken as linear in command"))
-
-
-def _kept(hover: Estimate, condition: str) -> Estimate:
-    return Estimate(hover.value, hover.low, hover.high, _UNIT, condition)
+    linear = "with thrust taken as linear in command"
+    return ThrustCurve(exponent, replace(hover, unit=_UNIT, reason=linear))
 
 
 def _exponent(gain: Estimate | None, span: float, commands: Sequence[float]) -> Estimate:

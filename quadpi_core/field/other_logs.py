@@ -258,14 +258,7 @@ def _of_columns(
             found.setdefault(stem, {})[int(match[4])] = place
         elif _BATTERY.search(name) and battery is None:
             battery = place
-    motors = next(
-        (
-            own
-            for own in found.values()
-            if sorted(own) == list(range(1, len(own) + 1)) and len(own) >= _ROTORS_FEWEST
-        ),
-        {},
-    )
+    motors = next((own for own in found.values() if _ROTORS_FEWEST <= len(own) == max(own)), {})
     clock = _clock(columns, numeric)
     if clock is None or not (motors or battery is not None):
         return None, None
@@ -287,14 +280,8 @@ def _of_columns(
 
 def _clock(columns: Columns, numeric: Any) -> int | None:
     wanted = re.compile(r"^(t|time(stamp)?|stamp|time_?(s|ms|us|ns|boot_ms|usec))$", re.I)
-    return next(
-        (
-            place
-            for place, name in enumerate(columns.names)
-            if place in numeric and wanted.match(name.strip("#% \t"))
-        ),
-        None,
-    )
+    names = enumerate(name.strip("#% \t") for name in columns.names)
+    return next((place for place, name in names if place in numeric and wanted.match(name)), None)
 
 
 def _scaled(values: Array, names: Sequence[str], notes: list[str]) -> Array | None:

@@ -72,14 +72,26 @@ class FlightRecord:
 
 @dataclass(frozen=True)
 class VehicleRecord:
-    """An entry of `vehicles`."""
+    """An entry of `vehicles`: what all flights of one airframe tell together.
+
+    Attributes:
+        name: stack and frame, and a flight where others have the same.
+        flights: by name.
+        doubt: what is not sure of their being of one vehicle; empty for nothing.
+        drag: per mass, with the wind of each of `wind_of`.
+        wind_of: flights that it was identified on.
+        motor_model: rotor speed from command and battery.
+        drag_prefix: of the names of its parameters of drag.
+        body: thrust and inertia, where a vehicle file says mass and places of the rotors; else None.
+    """
 
     name: str
-    flights: Sequence[str]
+    flights: tuple[str, ...]
     doubt: str
     drag: DragResult | Untold
-    wind_of: Sequence[str]
+    wind_of: tuple[str, ...]
     motor_model: MotorModel | Untold
+    drag_prefix: str
     body: BodyResult | None = None
 
 

@@ -31,6 +31,7 @@ from quadpi_core.report.table import (
     percent_range,
     unit,
 )
+from quadpi_core.screening.rotors_in_flight import runs_of
 
 ENVELOPE_INPUTS = ("speed", "omega_avg", "mu_x", "mu_y", "mu_z", "p", "q", "r")
 _HISTOGRAM_BINS = 60
@@ -303,8 +304,7 @@ def _bars(
     """
     layers: list[Layer] = []
     for place, (name, _, on, colour) in enumerate(rows):
-        edges = np.flatnonzero(np.diff(np.concatenate(([False], on, [False])).astype(np.int8)))
-        starts, stops = edges.reshape(-1, 2).T
+        starts, stops = np.array([*runs_of(on)], dtype=np.int64).reshape(-1, 2).T
         level = np.full(len(starts), -float(place))
         spans = time[starts], time[np.minimum(stops, len(time) - 1)]
         layers.append(Boxes(name, colour, *spans, level - _HALF_BAR, level + _HALF_BAR))

@@ -12,10 +12,11 @@ import numpy as np
 
 from quadpi_core.field.airborne import velocity_of
 from quadpi_core.field.estimates import Estimate
-from quadpi_core.field.field_report import ALARM, FieldReport, FlightReport, VehicleReport
+from quadpi_core.field.field_report import ALARM, FieldReport, FlightReport
 from quadpi_core.field.inertia import BodyResult
 from quadpi_core.field.mass_change import MassChange
 from quadpi_core.field.motor_model import Tachometers
+from quadpi_core.field.report_record import Untold, VehicleRecord
 from quadpi_core.frames import Array
 from quadpi_core.report.page import DASHES, Boxes, Figure, Layer, Line, Page, Panel, Scale, flight_remarks
 from quadpi_core.report.table import GROUPS, INK, TRAINING, Cell, Column, Mark, Row, Table, number, percent
@@ -82,26 +83,21 @@ def _row(name: str, one: Estimate, factor: float = 1.0, unit: str = "") -> Row:
     return [name, value, interval, unit or one.unit, Cell(one.reason, Mark.SOFT) if one.reason else ""]
 
 
-def drag_table(vehicle: VehicleReport, mass: float | None) -> Table:
+def drag_table(vehicle: VehicleRecord, mass: float | None) -> Table:
     """Drag and wind of a vehicle, with intervals; in newtons too where the mass is known."""
     title, drag = f"drag · {vehicle.name}", vehicle.drag
     body = _body_rows(vehicle.body)
-    if isinstance(drag, str) or not drag.wind:
-        said = f"not identified: {drag}" if isinstance(drag, str) else drag.per_mass[0].reason
+    if isinstance(drag, Untold) or not drag.wind:
+        said = f"not identified: {drag.reason}" if isinstance(drag, Untold) else drag.per_mass[0].reason
         row = ["drag over mass, wind", None, "", "1/s", Cell(said, Mark.SOFT)]
-        advice = "" if isinstance(drag, str) else f"Next: {drag.advice}."
+        advice = "" if isinstance(drag, Untold) else f"Next: {drag.advice}."
         return Table(
             _ESTIMATES, [row, *body], title=title, note=f"{_sentence(vehicle.doubt)} {advice}".strip()
         )
-    rows = [
-        _row(f"drag over mass, {way}", own)
-        for way, own in zip(("along the nose", "sideways"), drag.per_mass, strict=True)
-    ]
+    ways = dict(zip(("along the nose", "sideways"), drag.per_mass, strict=True))
+    rows = [_row(f"drag over mass, {way}", own) for way, own in ways.items()]
     if mass is not None:
-        rows += [
-            _row(f"drag, {way}", own, mass, "N/(m/s)")
-            for way, own in zip(("along the nose", "sideways"), drag.per_mass, strict=True)
-        ]
+        rows += [_row(f"drag, {way}", own, mass, "N/(m/s)") for way, own in ways.items()]
     prefix = vehicle.drag_prefix
     rows.append(_row(f"{prefix}MCOEF" if prefix else "momentum drag", drag.momentum))
     rows += [
@@ -110,7 +106,7 @@ def drag_table(vehicle: VehicleReport, mass: float | None) -> Table:
     ]
     winds = [
         _row(f"wind to the {way}, {flight}", own)
-        for flight, pair in zip(vehicle.windy, drag.wind, strict=False)
+        for flight, pair in zip(vehicle.wind_of, drag.wind, strict=False)
         for way, own in zip(("north", "east"), pair, strict=True)
         if own.value is not None
     ]
@@ -176,11 +172,11 @@ def motor_table(flight: FlightReport) -> Table:
     return Table(_ESTIMATES, rows)
 
 
-def motor_sentence(vehicle: VehicleReport) -> str:
+def motor_sentence(vehicle: VehicleRecord) -> str:
     """How well commands tell the rotor speeds."""
-    motors = vehicle.motors
-    if isinstance(motors, str):
-        return f"Rotor speed from command: not told, {motors}."
+    motors = vehicle.motor_model
+    if isinstance(motors, Untold):
+        return f"Rotor speed from command: not told, {motors.reason}."
     known = "command and battery" if motors.with_battery else "command alone"
     halves = "flights" if motors.flights > 1 else "halves of the flight"
     return (

@@ -164,7 +164,7 @@ def test_of_many_flights_the_longest_are_identified_together(report_of, monkeypa
     monkeypatch.setattr(field_report, "DRAG_FLIGHTS_MOST", 2)
     short = {name: own.during(0.0, 40.0) for name, own in example().series().items()}
     report = report_of(example(), replace(example(), **short), example(seed=2))
-    assert report.vehicles[0].windy == ("flight0", "flight2")
+    assert report.vehicles[0].wind_of == ("flight0", "flight2")
     assert len(report.vehicles[0].flights) == 3
 
 
@@ -179,7 +179,7 @@ def test_airframes_are_reported_apart(report_of):
     "other",
     [
         {"facts": {"craft": "other"}},
-        {"firmware": "another"},
+        {"facts": {"board": "another"}},
         {"facts": {"commands": "motor"}},
         {"parameters": {"MOT_PWM_MIN": 900.0}},
     ],

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from quadpi_core.field.airborne import flown
-from quadpi_core.field.damage import THRUST_EXPONENT
-from quadpi_core.field.estimates import Estimate
+from quadpi_core.field.damage import THRUST_EXPONENT, Sharing
 from quadpi_core.field.field_log import Series
 from quadpi_core.field.field_report import report_on
 from quadpi_core.field.mass_change import BY_COMMAND, BY_SPEED, BY_VOLTAGE, MassChange, efforts, mass_change
@@ -26,15 +25,19 @@ CORNERS = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
 POWER = THRUST_EXPONENT.value[1]
 
 
-def use(thrusts: list[float], by: str = BY_SPEED) -> MotorUse:
+def shares(thrusts: list[float]) -> np.ndarray:
     """Of motors that give these thrusts, 1 each before."""
     commands = np.array(thrusts) ** (1.0 / POWER)
-    shares = commands / commands.mean() - 1.0
-    return MotorUse(motors=tuple(map(Estimate, shares)), efforts={by: float(np.mean(thrusts))})
+    return commands / commands.mean() - 1.0
+
+
+def use(thrusts: list[float], by: str = BY_SPEED) -> MotorUse:
+    return MotorUse(efforts={by: float(np.mean(thrusts))})
 
 
 def changed(thrusts: list[float], by: str = BY_SPEED) -> MassChange:
-    found = mass_change(use(thrusts, by), [use([1.0] * 4, by)] * 6, CORNERS)
+    told = Sharing(np.array([shares(thrusts), *[shares([1.0] * 4)] * 6]), np.zeros(4))
+    found = mass_change(use(thrusts, by), [use([1.0] * 4, by)] * 6, told, CORNERS)
     assert isinstance(found, MassChange)
     return found
 
@@ -81,23 +84,20 @@ def test_of_good_flights_one_in_twenty_is_more_than_nothing() -> None:
     """Against many earlier flights, which tell the scatter."""
     rng, changed_ones, count = np.random.default_rng(0), 0, 400
     for _ in range(count):
-        scattered = rng.normal(1.0, 0.015, (31, 4)).tolist()
-        own, *before = (
-            MotorUse(
-                motors=tuple(map(Estimate, np.array(one) / np.mean(one) - 1.0)),
-                efforts={BY_SPEED: float(rng.normal(1.0, 0.01))},
-            )
-            for one in scattered
-        )
-        found = mass_change(own, before, CORNERS)
+        scattered = rng.normal(1.0, 0.015, (31, 4))
+        told = Sharing(scattered / scattered.mean(axis=1, keepdims=True) - 1.0, np.zeros(4))
+        own, *before = (MotorUse(efforts={BY_SPEED: float(one)}) for one in rng.normal(1.0, 0.01, 31))
+        found = mass_change(own, before, told, CORNERS)
         assert isinstance(found, MassChange)
         changed_ones += found.fits != ("nothing",)
     assert changed_ones / count < 0.07
 
 
 def test_flights_without_commands_tell_nothing() -> None:
-    assert isinstance(mass_change(MotorUse(), [use([1.0] * 4)], CORNERS), str)
-    assert mass_change(use([1.2] * 4), [use([1.0] * 4)], None).fits == ()
+    assert isinstance(mass_change(MotorUse(), [use([1.0] * 4)], "no commands", CORNERS), str)
+    told = Sharing(np.zeros((2, 4)), np.zeros(4))
+    for given, corners in ((told, None), ("no commands", CORNERS)):
+        assert mass_change(use([1.2] * 4), [use([1.0] * 4)], given, corners).fits == ()
 
 
 def test_efforts_are_over_the_specific_force_and_a_battery_that_never_changes_is_none() -> None:

@@ -55,9 +55,12 @@ def test_the_fastest_rotor_stays_below_the_vehicles_largest_speed():
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"imu": None}, "has not both commands and accelerometer"),
-        ({"commands": Series(np.arange(0.0, 60.0, 0.1), np.full((600, 4), 0.4))}, "commands at 10 Hz, 20 Hz"),
-        ({"commands": Series(np.arange(0.0, 60.0, 0.01), np.full((6000, 6), 0.4))}, "6 commands for 4"),
+        ({"imu": None}, "has not both commands and IMU"),
+        (
+            {"commands": Series(np.arange(0.0, 60.0, 0.1), np.full((600, 4), 0.4))},
+            "logged at 10 Hz",
+        ),
+        ({"commands": Series(np.arange(0.0, 60.0, 0.01), np.full((6000, 6), 0.4))}, "commands of 6 motors"),
         ({"commands": Series(np.arange(0.0, 6.0, 0.01), np.full((600, 4), 0.4))}, "flight is too short"),
         ({"battery": Series(np.arange(59.0, 60.0, 0.01), np.full((100, 1), 15.5))}, "flight is too short"),
     ],
