@@ -295,15 +295,3 @@ class TestOutputs:
         locked = tmp_path / "locked"
         locked.mkdir(mode=0o500)
         refused("cannot be written: Permission denied", "replay", model, bags[0], "-o", locked / "out.mcap")
-
-    def test_nothing_of_an_import_is_written_if_every_log_is_bad(self, refused, bad, tmp_path):
-        bad.write_bytes(b"")
-        other = shutil.copy(bad, tmp_path / "other.mcap")
-        options = ("--vehicle", "neurobem", "-o", tmp_path / "bags")
-        refused(
-            "none of the flights can be used: .*bad.mcap: the file is empty; .*",
-            "import",
-            bad,
-            other,
-            *options,
-        )

@@ -1,22 +1,34 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bags of every container, whole and in blocks: folders, databases, split and compressed files."""
+"""Bags of every container, whole, in blocks or damaged, whatever names and metadata.yaml say."""
 
 import os
 import shutil
+import sqlite3
+import struct
+from contextlib import closing
 
 import numpy as np
 import pytest
+from backports import zstd
+from rosbags import rosbag1
+from rosbags.rosbag1 import reader
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from ruamel.yaml import YAML
 
+from quadpi_core.errors import LogError
+from quadpi_core.logs import decode_recording, identify_format, is_log_folder, read_recording
 from quadpi_core.logs.bag_files import Bag
+from quadpi_core.logs.bag_storages import Ros1File
 from quadpi_core.logs.bag_writer import write_mcap
+from quadpi_core.logs.bags import open_recording, read_bag
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.definitions import typestore
 from quadpi_core.messages.payloads import Payloads, Topic
+from quadpi_core.paths import LIMIT_VARIABLE
+from quadpi_core.vehicle import Vehicle
 
-from .bag_examples import assert_blocks_are_the_whole, assert_holds, topic_rows, write_folder
+from .bag_examples import assert_blocks_are_the_whole, assert_holds, topic_rows, write_folder, write_ros1
 
 
 def test_round_trip(tmp_path, topics):
@@ -144,3 +156,215 @@ def test_a_folder_of_files_that_were_split(tmp_path, sensor_topics, same_flight,
     with (folder / "metadata.yaml").open("w") as stream:
         yaml.dump(whole, stream)
     same_flight(folder)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ("UPDATE topics SET type = x'00' WHERE id = 1", "damaged: topic /[a-z/]+ is of type b"),
+        ("UPDATE messages SET data = 7 WHERE id = 5", "damaged: a message of topic /[a-z/]+ is none"),
+        ("UPDATE messages SET timestamp = 'x' WHERE id = 5", "damaged: a message of topic /[a-z/]+ is none"),
+        ("DROP TABLE messages", "cannot be read: no such table: messages"),
+        (
+            "ALTER TABLE topics RENAME TO t; CREATE VIEW topics AS SELECT * FROM t",
+            ".* computes what it holds",
+        ),
+    ],
+)
+def test_values_that_are_none(tmp_path, sensor_topics, change, message):
+    write_folder(tmp_path / "flight", sensor_topics, StoragePlugin.SQLITE3, CompressionMode.NONE)
+    path = tmp_path / "flight" / "flight.db3"
+    with closing(sqlite3.connect(path)) as database:
+        database.executescript(change)
+        database.commit()
+    with pytest.raises(LogError, match=rf"flight.db3: {message}"), Bag(path) as bag:
+        bag.read([topic.name for topic in sensor_topics])
+
+
+def test_what_the_writer_noted_of_a_database_by_itself(tmp_path, sensor_topics):
+    write_folder(tmp_path / "flight", sensor_topics, StoragePlugin.SQLITE3, CompressionMode.NONE)
+    path = tmp_path / "flight" / "flight.db3"
+    note = "version: 9\ncustom_data:\n  vehicle: bebop2\n"
+    with closing(sqlite3.connect(path)) as database:
+        database.execute("UPDATE metadata SET metadata = ?", [note])
+        database.commit()
+    with Bag(path) as bag:
+        assert bag.metadata == {"vehicle": "bebop2"}
+
+
+PLUGINS = [StoragePlugin.MCAP, StoragePlugin.SQLITE3]
+
+
+@pytest.fixture(params=PLUGINS)
+def bag(tmp_path, sensor_topics, request):
+    """The folder of a bag, and its file."""
+    folder = tmp_path / "recorded"
+    write_folder(folder, sensor_topics, request.param, CompressionMode.NONE)
+    (file,) = (file for file in folder.iterdir() if file.suffix != ".yaml")
+    return folder, file
+
+
+def pack(file):
+    packed = file.with_name(f"{file.name}.zstd")
+    packed.write_bytes(zstd.compress(file.read_bytes()))
+    file.unlink()
+    return packed
+
+
+def with_metadata(folder, **changes):
+    path, yaml = folder / "metadata.yaml", YAML(typ="safe")
+    metadata = yaml.load(path.read_text())
+    metadata["rosbag2_bagfile_information"] |= changes
+    with path.open("w") as stream:
+        yaml.dump(metadata, stream)
+
+
+@pytest.mark.parametrize("identifier", ["", None, "mcap", "sqlite3", "of another program"])
+def test_the_storage_is_told_by_the_file(bag, same_flight, identifier):
+    with_metadata(bag[0], storage_identifier=identifier)
+    same_flight(bag[0])
+
+
+@pytest.mark.parametrize("content", ["", "rosbag2_bagfile_information: [", "\0" * 100])
+def test_metadata_that_were_lost_when_the_power_went(bag, same_flight, content):
+    folder, file = bag
+    (folder / "metadata.yaml").write_text(content)
+    same_flight(folder)
+    shutil.copy(file, folder / f"second{file.suffix}")
+    with pytest.raises(LogError, match=r"metadata.yaml cannot be read, and 2 files of messages: `ros2 bag"):
+        Bag(folder)
+
+
+@pytest.mark.parametrize("name", ["of_monday", "of_monday.zstd", "recorded.zstd"])
+def test_a_file_that_was_renamed_or_compressed_by_hand(bag, same_flight, name):
+    folder, file = bag
+    renamed = file.rename(folder / f"{name.removesuffix('.zstd')}{file.suffix}")
+    if name.endswith(".zstd"):
+        pack(renamed)
+    same_flight(folder)
+
+
+def test_a_compressed_file_that_was_unpacked_by_hand(bag, same_flight):
+    folder, file = bag
+    names = [f"{file.name}.zstd"]
+    with_metadata(folder, compression_mode="FILE", compression_format="zstd", relative_file_paths=names)
+    same_flight(folder)
+
+
+def test_a_compressed_file_by_itself_and_in_a_folder_without_metadata(bag, same_flight):
+    folder, file = bag
+    (folder / "metadata.yaml").unlink()
+    packed = pack(file)
+    assert is_log_folder(folder)
+    same_flight(packed)
+    same_flight(folder)
+    assert decode_recording(packed, Vehicle.load("bebop2")).name == file.stem
+
+
+def test_a_file_whose_name_says_another_container_or_none(bag, same_flight):
+    folder, file = bag
+    for name in (f"{file.name}.active", "flight", f"flight{'.db3' if file.suffix == '.mcap' else '.mcap'}"):
+        shutil.copy(file, folder.parent / name)
+        same_flight(folder.parent / name)
+
+
+def test_files_that_are_not_there_are_named(bag):
+    folder, file = bag
+    with_metadata(folder, relative_file_paths=[file.name, "second", "third"])
+    expected = "recorded: metadata.yaml names second, third, .* there are no other .* `ros2 bag reindex`"
+    with pytest.raises(LogError, match=expected):
+        Bag(folder)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (zstd.compress(b"\x89MCAP0\r\n" + bytes(10**7), 1), "unpacks to more than the limit"),
+        (zstd.compress(b"time,ax,ay\n" * 20), "what it holds compressed is no bag; `zstd -d`"),
+        (zstd.compress(b"\x89MCAP0\r\n" + bytes(500)), "flight.mcap.zstd: .*cut off"),
+        (zstd.compress(b"\x89MCAP0\r\n" + bytes(500))[:20], "flight.mcap.zstd"),
+        (b"time,ax,ay\n" * 20, "flight.mcap.zstd"),
+    ],
+    ids=["bomb", "table", "short", "cut", "text"],
+)
+def test_what_is_compressed_and_no_bag_is_refused(tmp_path, content, message, monkeypatch):
+    monkeypatch.setenv(LIMIT_VARIABLE, "8")
+    path = tmp_path / "flight.mcap.zstd"
+    path.write_bytes(content)
+    with pytest.raises(LogError, match=message) as refused:
+        read_recording(path, None)
+    assert "\n" not in str(refused.value)
+    assert ".quadpi." not in str(refused.value)
+
+
+@pytest.mark.parametrize("compression", [None, *rosbag1.Writer.CompressionFormat])
+def test_a_ros1_bag(tmp_path, sensor_topics, same_flight, compression):
+    path = tmp_path / "flight.bag"
+    write_ros1(path, sensor_topics, compression)
+    assert identify_format(path).description.startswith("bag")
+    same_flight(path)
+    with open_recording(path, Vehicle.load("bebop2")) as recording:
+        assert recording.sources["imu"] == "/imu"
+
+
+def test_a_ros1_bag_whose_topics_were_written_one_after_the_other(tmp_path, sensor_topics, same_flight):
+    """Messages in log-time order alternate between its chunks."""
+    path = tmp_path / "flight.bag"
+    write_ros1(path, sensor_topics, rosbag1.Writer.CompressionFormat.LZ4, one_after_the_other=True)
+    same_flight(path)
+    assert_blocks_are_the_whole(path, sensor_topics, 300)
+
+
+def test_a_chunk_is_unpacked_once(tmp_path, sensor_topics, monkeypatch):
+    path = tmp_path / "flight.bag"
+    write_ros1(path, sensor_topics, rosbag1.Writer.CompressionFormat.LZ4, one_after_the_other=True)
+    unpacked = []
+    unpacker = reader.decompressors["lz4"]
+    monkeypatch.setitem(reader.decompressors, "lz4", lambda data: unpacked.append(1) or unpacker(data))
+    for _ in (bag := Ros1File(path)).batches(list(bag.connections), None):
+        pass
+    assert len(unpacked) == path.read_bytes().count(b"compression=lz4") > 1
+
+
+def test_a_ros1_message_of_another_type_names_the_sample(tmp_path, sensor_topics):
+    path = tmp_path / "flight.bag"
+    imu = sensor_topics[0]
+    message = bytes(typestore().cdr_to_ros1(imu.payloads[0], imu.type_name))
+    with rosbag1.Writer(path) as writer:
+        connection = writer.add_connection("/imu", imu.type_name, typestore=typestore())
+        writer.write(connection, 1, message)
+        writer.write(connection, 2, message[:-9])
+    with pytest.raises(LogError, match=r"flight.bag: topic /imu: sample 1: its \d+ bytes are no sensor_msgs"):
+        read_bag(path)
+
+
+@pytest.mark.parametrize("fraction", [0.001, 0.3, 0.9])
+@pytest.mark.parametrize("kind", ["flight.bag", "flight.db3"])
+def test_cut_off_anywhere(tmp_path, sensor_topics, kind, fraction):
+    if kind.endswith(".bag"):
+        write_ros1(tmp_path / kind, sensor_topics)
+        path = tmp_path / kind
+    else:
+        write_folder(tmp_path / "flight", sensor_topics, StoragePlugin.SQLITE3, CompressionMode.NONE)
+        path = tmp_path / "flight" / kind
+    whole = path.read_bytes()
+    path.write_bytes(whole[: int(fraction * len(whole))])
+    with pytest.raises(LogError, match=rf"{kind}: ") as caught:
+        read_bag(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_chunk_that_an_index_names_twice(tmp_path, sensor_topics):
+    """Its messages would be read once for every time that it is named."""
+    path = tmp_path / "flight.bag"
+    write_ros1(path, [topic_rows(sensor_topics[0], slice(20))])
+    data = path.read_bytes()
+    # The entry of the only chunk is the last record; the count of chunks stands in the header.
+    (index_start,) = struct.unpack_from("<Q", data, data.index(b"index_pos=") + 10)
+    place = index_start
+    for _ in range(2):  # header and data of the connection
+        place += 4 + struct.unpack_from("<I", data, place)[0]
+    count = data.index(b"chunk_count=") + 12
+    path.write_bytes(data[:count] + struct.pack("<I", 2) + data[count + 4 :] + data[place:])
+    with pytest.raises(LogError, match="damaged: its index names a chunk twice"):
+        read_bag(path)

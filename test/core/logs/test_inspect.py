@@ -1,9 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""What inspection finds in recordings that were spoilt on purpose, and that it leaves good ones alone."""
+"""What inspection finds in spoilt recordings, and not in good ones, and that copies of a flight are known."""
 
 from __future__ import annotations
 
+import hashlib
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
@@ -11,6 +12,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from quadpi_core.errors import LogError
 from quadpi_core.flight import (
@@ -21,10 +24,10 @@ from quadpi_core.flight import (
     Recording,
     RotorSpeedStream,
 )
-from quadpi_core.frames import body_frd_to_flu
+from quadpi_core.frames import body_flu_to_frd, body_frd_to_flu
 from quadpi_core.logs import decode_recording, read_recording
-from quadpi_core.logs.inspect import inspect_recording
-from quadpi_core.logs.readers import recording_hash
+from quadpi_core.logs.inspect import LongestRun, RunningRange, inspect_recording
+from quadpi_core.logs.readers import RunningHash, recording_hash
 from quadpi_core.screening.plausibility import check_plausible, thrust_coefficient
 from quadpi_core.vehicle import Vehicle
 
@@ -301,3 +304,89 @@ def test_numbers_without_bound_are_shown_without_a_warning(hover: Recording, veh
         warnings.simplefilter("error")
         inspection = inspect_recording(wild, vehicle)
     assert any("beyond" in finding for finding in inspection.findings)
+
+
+def test_copies_are_recognised_across_conversions(hover: Recording):
+    there_and_back = body_flu_to_frd(body_frd_to_flu(hover.imu.specific_force)) * (1.0 + 1e-13)
+    copy = replace(
+        hover,
+        source="copy.mcap",
+        name="copy",
+        imu=replace(hover.imu, time_ns=hover.imu.time_ns + 5_000_000_000, specific_force=there_and_back),
+        rotor_speeds=replace(hover.rotor_speeds, time_ns=hover.rotor_speeds.time_ns + 5_000_000_000),
+    )
+    assert recording_hash(copy) == recording_hash(hover)
+
+
+def test_different_flights_are_not_duplicates(hover: Recording):
+    other = with_imu(hover, specific_force=1.0 + 1e-5)
+    faster = with_speeds(hover, lambda speeds: np.add(speeds, 1.0, out=speeds))
+    assert len(set(map(recording_hash, (hover, other, faster)))) == 3
+
+
+def test_the_hash_is_that_of_the_documented_bytes(hover: Recording):
+    """Model folders hold it: stamps in µs since the first sample, then values in single precision."""
+    imu, rotors = hover.imu, hover.rotor_speeds
+    late = replace(hover, rotor_speeds=replace(rotors, time_ns=rotors.time_ns + 1_999))
+    stamps = (imu.time_ns - imu.time_ns[0]) // 1000
+    content = (stamps.astype("<i8"), imu.angular_velocity.astype("<f4"), imu.specific_force.astype("<f4"))
+    speeds = ((stamps + 1).astype("<i8"), rotors.speeds.astype("<f4"))
+    expected = hashlib.sha256(b"".join(part.tobytes() for part in (*content, *speeds))).hexdigest()
+    assert recording_hash(late) == expected
+    alone = hashlib.sha256(b"".join(part.tobytes() for part in content)).hexdigest()
+    assert recording_hash(replace(hover, rotor_speeds=None)) == alone
+
+
+def test_a_recording_in_parts_has_the_hash_of_the_whole(hover: Recording):
+    """More of a column waits for its turn than is held in memory."""
+    parts = 60
+    whole = replace(
+        hover,
+        imu=ImuStream.join([hover.imu] * parts),
+        rotor_speeds=RotorSpeedStream.join([hover.rotor_speeds] * parts),
+    )
+    with RunningHash(whole.imu.time_ns, whole.rotor_speeds.time_ns) as running:
+        for _ in range(parts):
+            running.add(hover)
+        assert running.hexdigest() == recording_hash(whole)
+
+
+@settings(deadline=None)
+@given(st.lists(st.tuples(st.integers(0, 1), st.integers(0, 1)), min_size=1, max_size=14), st.data())
+def test_the_longest_run_of_equal_rows_is_found_across_parts(rows, data):
+    """By trying every run; of equally long ones the first."""
+    values = np.array(rows, dtype=float)
+    expected = max(
+        (
+            (first, last)
+            for first in range(len(rows))
+            for last in range(first, len(rows))
+            if len(set(rows[first : last + 1])) == 1
+        ),
+        key=lambda run: (run[1] - run[0], -run[0]),
+    )
+    cuts = sorted(data.draw(st.lists(st.integers(0, len(rows)), max_size=4)))
+    running = LongestRun()
+    for part in np.split(values, cuts):
+        running.add(part)
+    assert running.longest() == expected
+
+
+def test_a_range_passes_over_what_is_not_finite():
+    running = RunningRange("speed", "m/s")
+    running.add(np.array([np.nan, np.nan]))
+    assert list(running.ranges()) == []
+    for part in ([np.nan, 3.0], [], [-1.0, np.inf, 4.0], [2.0, 8.0]):
+        running.add(np.array(part))
+    (found,) = running.ranges()
+    assert (found.quantity, found.unit) == ("speed", "m/s")
+    assert (found.lowest, found.median, found.highest) == (-1.0, 3.0, 8.0)
+
+
+def test_the_median_of_many_values_is_that_of_some_of_them():
+    running, values = RunningRange("speed", "m/s"), np.random.default_rng(0).normal(size=100_000)
+    for part in np.split(values, 100):
+        running.add(part)
+    (found,) = running.ranges()
+    assert found.median == pytest.approx(0.0, abs=0.05)
+    assert (found.lowest, found.highest) == (values.min(), values.max())

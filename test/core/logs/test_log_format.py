@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""docs/add-a-log-format.md: its example works as it stands, in the folder and in another package."""
+"""Which format a path is; docs/add-a-log-format.md: its example works, also in another package."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from quadpi_core.errors import LogError
 from quadpi_core.flight import Recording
 from quadpi_core.logs import formats, identify_format, read_recording
 from quadpi_core.logs.readers import log_formats
@@ -156,3 +157,39 @@ def test_a_package_that_cannot_be_loaded_is_one_line(tmp_path, monkeypatch, quad
     assert outcome.errors.count("\n") == 1
     assert "log format `text_log` of my_package 1.0 (my_package.absent_log:FORMAT):" in outcome.errors
     assert "cannot be imported: ModuleNotFoundError: No module named 'my_package" in outcome.errors
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("absent.mat", None, "no such file or folder"),
+        ("empty.mat", b"", "the file is empty"),
+        ("flight.ulg.gz", b"\x1f\x8b\x08\x00", "is compressed; `gunzip flight.ulg.gz` unpacks it"),
+        ("flight.mcap.zst", b"\x28\xb5\x2f\xfd", "is compressed; `unzstd flight.mcap.zst` unpacks it"),
+        ("LOG.lz4", b"\x04\x22\x4d\x18", "is compressed; `unlz4 LOG.lz4` unpacks it"),
+        ("LOG.zip", b"PK\x03\x04\x00", "is compressed; `unzip LOG.zip` unpacks it"),
+        (
+            "flight.xyz",
+            b"some bytes",
+            "not a known log format; known: ArduPilot .*, Crazyflie .*, bag ",
+        ),
+    ],
+)
+def test_unusable_paths_are_named(tmp_path: Path, name: str, content: bytes | None, message: str):
+    path = tmp_path / name
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(LogError, match=f"{name}: {message}"):
+        read_recording(path, None)
+
+
+def test_formats_are_told_apart(tmp_path: Path):
+    for name, content, description in (
+        ("a.mcap", b"\x89MCAP", "bag"),
+        ("b.mat", b"MATLAB", "NeuroBEM"),
+        ("c.CSV", b"t,x", "table"),
+        ("log17", b"\xbc\x02\x00", "Crazyflie"),
+    ):
+        (tmp_path / name).write_bytes(content)
+        assert identify_format(tmp_path / name).description.startswith(description)
+    assert identify_format(tmp_path).description.startswith("bag")

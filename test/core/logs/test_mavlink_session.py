@@ -59,9 +59,15 @@ class Autopilot:
         return heard
 
 
-def test_stamps_are_those_of_this_computer(mavlink_sender: Any) -> None:
-    autopilot = Autopilot(mavlink_sender())
-    autopilot.heartbeat(START)
+@pytest.fixture
+def autopilot(mavlink_sender: Any) -> Autopilot:
+    """One that was heard."""
+    heard = Autopilot(mavlink_sender())
+    heard.heartbeat(START)
+    return heard
+
+
+def test_stamps_are_those_of_this_computer(autopilot: Autopilot) -> None:
     for step in range(1000):
         autopilot.listen(START + step * 10 * MS)
         (sample,) = autopilot.imu(START + step * 10 * MS)
@@ -94,9 +100,7 @@ def test_rotor_speeds_of_what_is_no_quadrotor_are_refused_by_its_name(
     assert report.refused == ({f"ESC_STATUS: {said}": 1} if said else {})
 
 
-def test_without_answers_stamps_are_late_by_the_delay_and_the_report_says_so(mavlink_sender: Any) -> None:
-    autopilot = Autopilot(mavlink_sender())
-    autopilot.heartbeat(START)
+def test_without_answers_stamps_are_late_by_the_delay_and_the_report_says_so(autopilot: Autopilot) -> None:
     for step in range(300):
         autopilot.listen(START + step * 10 * MS, answers=False)
         (sample,) = autopilot.imu(START + step * 10 * MS)
@@ -157,17 +161,13 @@ def test_a_passive_session_sends_nothing(mavlink_sender: Any) -> None:
     assert autopilot.listen(START + S) == []
 
 
-def test_the_autopilot_s_own_timesync_is_answered(mavlink_sender: Any) -> None:
-    autopilot = Autopilot(mavlink_sender())
-    autopilot.heartbeat(START)
+def test_the_autopilot_s_own_timesync_is_answered(autopilot: Autopilot) -> None:
     autopilot.deliver(autopilot.sender.packet("TIMESYNC", 0, 987_654), START)
     answers = [m for m in autopilot.listen(START + S) if m.get_type() == "TIMESYNC" and m.tc1]
     assert [(m.tc1, m.ts1) for m in answers] == [(START + 4 * MS, 987_654)]
 
 
-def test_the_best_imu_message_is_used_while_it_comes(mavlink_sender: Any) -> None:
-    autopilot = Autopilot(mavlink_sender())
-    autopilot.heartbeat(START)
+def test_the_best_imu_message_is_used_while_it_comes(autopilot: Autopilot) -> None:
     assert autopilot.imu(START, "SCALED_IMU2")
     assert autopilot.imu(START + 10 * MS)
     assert not autopilot.imu(START + 20 * MS, "SCALED_IMU2")
@@ -213,9 +213,7 @@ def test_the_peer_is_the_first_that_sends_a_heartbeat(mavlink_sender: Any) -> No
     assert report.rivals == {"system 2": 1}
 
 
-def test_lost_counts_the_packets_of_the_autopilot_alone(mavlink_sender: Any) -> None:
-    autopilot = Autopilot(mavlink_sender())
-    autopilot.heartbeat(START)
+def test_lost_counts_the_packets_of_the_autopilot_alone(autopilot: Autopilot, mavlink_sender: Any) -> None:
     ground = mavlink_sender(system=255)
     for gap in (0, 7):
         ground.mav.seq = (ground.mav.seq + gap) % 256
@@ -226,10 +224,8 @@ def test_lost_counts_the_packets_of_the_autopilot_alone(mavlink_sender: Any) -> 
     assert autopilot.session.report(START).frames.lost == 3
 
 
-def test_motion_capture_of_the_vehicle_s_own_system_is_used(mavlink_sender: Any) -> None:
+def test_motion_capture_of_the_vehicle_s_own_system_is_used(autopilot: Autopilot) -> None:
     """From whatever component: a companion computer on board sends it through the autopilot."""
-    autopilot = Autopilot(mavlink_sender())
-    autopilot.heartbeat(START)
     autopilot.sender.mav.srcComponent = 197
     mocap = autopilot.sender.packet("ATT_POS_MOCAP", 5_000, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0)
     assert [one.topic for one in autopilot.deliver(mocap, START)] == ["mocap/pose"]
@@ -300,10 +296,8 @@ def test_the_system_that_is_asked_for_is_the_peer(mavlink_sender: Any) -> None:
 
 
 @pytest.mark.parametrize("remote_ns", [-1, -(2**63), 1, 2**63 - 1, 4 * 10**18 + 10**9, 3 * 10**18])
-def test_a_clock_exchange_may_claim_anything(remote_ns: int, mavlink_sender: Any) -> None:
+def test_a_clock_exchange_may_claim_anything(remote_ns: int, autopilot: Autopilot) -> None:
     """No stamp is far from its arrival, and the first true answer puts the clock right."""
-    autopilot = Autopilot(mavlink_sender())
-    autopilot.heartbeat(START)
     for step in range(3000):
         now_ns = START + step * 10 * MS
         for packet in autopilot.session.due(now_ns):
@@ -316,9 +310,7 @@ def test_a_clock_exchange_may_claim_anything(remote_ns: int, mavlink_sender: Any
     assert autopilot.imu(START + 30 * S)[0].time_ns == pytest.approx(START + 30 * S, abs=4 * MS)
 
 
-def test_an_answer_counts_once(mavlink_sender: Any) -> None:
-    autopilot = Autopilot(mavlink_sender())
-    autopilot.heartbeat(START)
+def test_an_answer_counts_once(autopilot: Autopilot) -> None:
     (asked,) = [m for m in autopilot.listen(START, answers=False) if m.get_type() == "TIMESYNC"]
     for claimed in (1 * S, 5 * S):
         autopilot.deliver(autopilot.sender.packet("TIMESYNC", claimed, asked.ts1), START)
@@ -327,17 +319,13 @@ def test_an_answer_counts_once(mavlink_sender: Any) -> None:
     assert abs(clock.offset_ns - (START - S)) < 5 * MS
 
 
-def test_a_repeated_stamp_is_refused(mavlink_sender: Any) -> None:
-    autopilot = Autopilot(mavlink_sender())
-    autopilot.heartbeat(START)
+def test_a_repeated_stamp_is_refused(autopilot: Autopilot) -> None:
     assert autopilot.imu(START + S)
     assert not autopilot.imu(START + S)
     assert autopilot.session.report(START).refused == {"HIGHRES_IMU: the stamp does not rise": 1}
 
 
-def test_a_restart_of_the_autopilot_is_followed(mavlink_sender: Any) -> None:
-    autopilot = Autopilot(mavlink_sender())
-    autopilot.heartbeat(START)
+def test_a_restart_of_the_autopilot_is_followed(autopilot: Autopilot) -> None:
     for step in range(500):
         autopilot.imu(START + step * 10 * MS)
     later = START + 60 * S
@@ -347,9 +335,7 @@ def test_a_restart_of_the_autopilot_is_followed(mavlink_sender: Any) -> None:
     assert autopilot.session.report(later).clock_restarts == 1
 
 
-def test_the_clock_of_this_computer_may_be_set_back(mavlink_sender: Any) -> None:
-    autopilot = Autopilot(mavlink_sender())
-    autopilot.heartbeat(START)
+def test_the_clock_of_this_computer_may_be_set_back(autopilot: Autopilot) -> None:
     for step in range(300):
         autopilot.listen(START + step * 10 * MS)
         autopilot.imu(START + step * 10 * MS)
@@ -365,9 +351,7 @@ def test_the_clock_of_this_computer_may_be_set_back(mavlink_sender: Any) -> None
     assert sent.count("TIMESYNC") >= 5
 
 
-def test_a_worse_message_takes_over_though_the_clock_was_set_back(mavlink_sender: Any) -> None:
-    autopilot = Autopilot(mavlink_sender())
-    autopilot.heartbeat(START)
+def test_a_worse_message_takes_over_though_the_clock_was_set_back(autopilot: Autopilot) -> None:
     assert autopilot.imu(START)
     autopilot.boot_ns -= 3600 * S
     assert autopilot.imu(START - 3600 * S + 2 * S, "SCALED_IMU")

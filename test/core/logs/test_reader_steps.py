@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Steps that readers share: which samples are dropped, and states put together of separate messages."""
+"""Steps that readers share: dropped samples, states of separate messages, vehicles of another kind."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from scipy.spatial.transform import Rotation, Slerp
 from quadpi_core.errors import LogError
 from quadpi_core.flight import NO_STAMP, ImuStream
 from quadpi_core.logs.reader_steps import (
+    Airframe,
+    has_rotors,
     normalised_attitude,
     odometry_of,
     require_imu,
@@ -18,6 +20,7 @@ from quadpi_core.logs.reader_steps import (
     stamps_ns,
 )
 from quadpi_core.rotor_order import RPM, RotorOrder
+from quadpi_core.vehicle import Vehicle
 
 SECOND = 10**9
 
@@ -115,3 +118,19 @@ def test_between_a_speed_and_none_a_controller_that_is_logged_apart_reads_none()
     slow[1][10] = 0.0
     speeds = rotors_together([fast, slow, fast, fast], RotorOrder((0, 1, 2, 3), RPM), None).speeds
     assert np.flatnonzero(speeds[:, 1] == 0.0).tolist() == list(range(91, 110))
+
+
+@pytest.mark.parametrize(
+    ("rotors", "name"), [(3, "a tricopter"), (5, "a vehicle of 5 rotors"), (8, "an octocopter")]
+)
+def test_other_multicopters_are_refused_by_name(rotors: int, name: str) -> None:
+    airframe = Airframe.of_rotors(f"N {rotors}", rotors)
+    with pytest.raises(LogError, match=rf"^a\.log: N {rotors} is {name}; vehicle bebop2 has 4 rotors$"):
+        has_rotors("a.log", airframe, Vehicle.load("bebop2"))
+    assert has_rotors("a.log", airframe, None)
+
+
+@pytest.mark.parametrize(("mav_type", "its_rotors"), [(0, True), (2, True), (1, False), (21, False)])
+def test_what_is_no_multicopter_is_noted(mav_type: int, its_rotors: bool, caplog) -> None:
+    assert has_rotors("a.log", Airframe.of_mav_type("MAV_TYPE", mav_type), None) is its_rotors
+    assert ("rules out identification, prediction and replay" in caplog.text) is not its_rotors
