@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core.errors import QuadpiError
-from quadpi_core.flight import STREAM_KINDS, Recording, Stream
+from quadpi_core.flight import STREAM_KINDS, Recording, Stamps, Stream
 
 _LONGEST_NS = 2**62
 
@@ -183,20 +183,30 @@ class Column:
 
 def split_recording(recording: Recording) -> Iterator[Recording]:
     """Blocks of :data:`BLOCK_SAMPLES` IMU samples, as :func:`by_arrival` gives them."""
-    others = {name: stream for name, stream in all_by_field(recording).items() if name != "imu"}
-    counts, orders = {}, {}
-    for name, stream in others.items():
-        arrived = recording.arrivals_of(stream)
-        orders[name] = np.argsort(arrived, kind="stable")
-        counts[name] = arrived[orders[name]]
+    arrived = _arrived(recording)
+    orders = {name: np.argsort(own, kind="stable") for name, own in arrived.items()}
+    in_order = {name: own[orders[name]] for name, own in arrived.items()}
     count = len(recording.imu)
     for start in [*range(0, count, BLOCK_SAMPLES), count]:
         # The last block holds the samples after the last IMU sample.
         stop = min(start + BLOCK_SAMPLES, count) if start < count else count + 1
-        rows = {name: slice(*np.searchsorted(counts[name], (start, stop)).tolist()) for name in others}
-        streams: dict[str, Any] = {name: others[name].take(orders[name][rows[name]]) for name in others}
-        arrivals = {others[name].topic: counts[name][rows[name]] - start for name in others}
-        yield replace(recording, imu=recording.imu.take(slice(start, stop)), **streams, arrivals=arrivals)
+        ends = {name: np.searchsorted(own, (start, stop)).tolist() for name, own in in_order.items()}
+        rows = {name: orders[name][slice(*own)] for name, own in ends.items()}
+        yield _part(recording, slice(start, stop), arrived, rows)
+
+
+def _arrived(block: Recording) -> dict[str, Stamps]:
+    """Number of IMU samples that arrived before each sample (N,) of the others, by their fields."""
+    return {name: block.arrivals_of(one) for name, one in all_by_field(block).items() if name != "imu"}
+
+
+def _part(
+    block: Recording, imu: slice, arrived: Mapping[str, Stamps], rows: Mapping[str, slice | Stamps]
+) -> Recording:
+    """Samples of the IMU, and rows of the others."""
+    streams: dict[str, Any] = {name: getattr(block, name).take(own) for name, own in rows.items()}
+    arrivals = {streams[name].topic: arrived[name][own] - imu.start for name, own in rows.items()}
+    return replace(block, imu=block.imu.take(imu), **streams, arrivals=arrivals)
 
 
 def split_by_stamp(recording: Recording) -> Iterator[tuple[Recording, int]]:
@@ -241,24 +251,13 @@ def by_arrival(blocks: Iterable[Recording]) -> Iterator[Recording]:
 
 def cut_block(block: Recording, count: int) -> tuple[Recording, Recording]:
     """Split a block into its first IMU samples with what arrived up to the last of them, and the rest."""
-    others = {name: stream for name, stream in all_by_field(block).items() if name != "imu"}
-    counts = {name: block.arrivals_of(stream) for name, stream in others.items()}
-    places = {name: int(np.searchsorted(counts[name], count)) for name in others}
-    due: dict[str, Any] = {name: others[name].take(slice(0, places[name])) for name in others}
-    rest: dict[str, Any] = {name: others[name].take(slice(places[name], None)) for name in others}
+    arrived = _arrived(block)
+    places = {name: int(np.searchsorted(own, count)) for name, own in arrived.items()}
+    due = {name: slice(0, place) for name, place in places.items()}
+    rest = {name: slice(place, None) for name, place in places.items()}
     return (
-        replace(
-            block,
-            imu=block.imu.take(slice(0, count)),
-            **due,
-            arrivals={others[name].topic: counts[name][: places[name]] for name in others},
-        ),
-        replace(
-            block,
-            imu=block.imu.take(slice(count, None)),
-            **rest,
-            arrivals={others[name].topic: counts[name][places[name] :] - count for name in others},
-        ),
+        _part(block, slice(0, count), arrived, due),
+        _part(block, slice(count, None), arrived, rest),
     )
 
 
