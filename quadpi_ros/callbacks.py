@@ -73,14 +73,10 @@ def _profile(offered: qos.Qos) -> QoSProfile:
 
 SENSOR_QOS, OUTPUT_QOS, LOG_QOS = (_profile(offered) for offered in (qos.SENSOR, qos.OUTPUT, qos.LOG))
 
-# Whoever subscribes late gets the present one.
-DESCRIPTION_QOS = QoSProfile(
-    depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
-)
-
-# Quality of service of static transforms in tf2.
-TRANSFORMS_QOS = QoSProfile(
-    depth=100, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
+# Whoever subscribes late gets the present one; static transforms as tf2 has them.
+DESCRIPTION_QOS, TRANSFORMS_QOS = (
+    QoSProfile(depth=depth, reliability=LOG_QOS.reliability, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    for depth in (1, 100)
 )
 
 
@@ -198,12 +194,8 @@ def await_subscribers(node: Node, publishers: Sequence[Publisher], wait_s: float
         time.sleep(_POLL_S)
 
 
-OK, WARN, ERROR, STALE = (
-    DiagnosticStatus.OK,
-    DiagnosticStatus.WARN,
-    DiagnosticStatus.ERROR,
-    DiagnosticStatus.STALE,
-)
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+STALE = DiagnosticStatus.STALE
 
 # A relative error of the rate moves the cut-off of a low-pass by as much.
 _RATE_TOLERANCE = 0.1
@@ -241,12 +233,12 @@ def type_name(message_type: Any) -> str:
 
 def status(name: str, level: bytes, message: str, values: Mapping[str, Any]) -> DiagnosticStatus:
     """A status; floats are rounded to four digits."""
-    return DiagnosticStatus(
-        name=name,
-        level=level,
-        message=message,
-        values=[KeyValue(key=key, value=_text(value)) for key, value in values.items()],
-    )
+    texts = {
+        key: f"{value:.4g}" if isinstance(value, float) else "unknown" if value is None else str(value)
+        for key, value in values.items()
+    }
+    told = [KeyValue(key=key, value=text) for key, text in texts.items()]
+    return DiagnosticStatus(name=name, level=level, message=message, values=told)
 
 
 def topic_status(
@@ -280,14 +272,9 @@ def topic_status(
         level, message = WARN, f"{report.refused_now} samples refused in the last second"
     elif report.gaps:
         level, message = WARN, f"{report.gaps} gaps, the longest {report.longest_gap_s:.3f} s"
-    topic: dict[str, Any] = {
-        "samples": report.total,
-        "rate_hz": report.rate_hz,
-        "stamp_rate_hz": report.stamp_rate_hz,
-        "gaps": report.gaps,
-        "longest_gap_s": report.longest_gap_s,
-        "refused": sum(report.refused.values()),
-    }
+    told = ("rate_hz", "stamp_rate_hz", "gaps", "longest_gap_s")
+    topic = {"samples": report.total, **{key: getattr(report, key) for key in told}}
+    topic |= {"refused": sum(report.refused.values())}
     topic |= {f"refused: {reason}": count for reason, count in report.refused.items()}
     return status(name, level, message, topic | dict(values))
 
@@ -296,12 +283,6 @@ def _other_rate(report: TopicReport, rate_hz: float | None) -> bool:
     if rate_hz is None or report.stamp_rate_hz is None or report.samples < _RATE_SAMPLES_MIN:
         return False
     return abs(report.stamp_rate_hz / rate_hz - 1.0) > _RATE_TOLERANCE
-
-
-def _text(value: Any) -> str:
-    if value is None:
-        return "unknown"
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 # A callback that fails at every sample is logged at this period.

@@ -149,7 +149,12 @@ def _run(flights: DemoFlights, output: Path, rate: float, console: Console, view
     console.print(evaluation_summary(evaluation))
 
     console.rule(f"4  Live: {flights.replayed.name} through the ROS 2 nodes at {rate:g} x real time")
-    page = _page(vehicle, output / "model", console) if view else None
+    page = None
+    if view and (problem := port_problem()):
+        console.print(f"No page: {problem.partition(';')[0]}")
+    elif view:
+        console.print(f"Page at http://{ADDRESS}:{PORT}/ while the flight lasts")
+        page = ["--vehicle", vehicle.name, "--model", str(output / "model")]
     console.print(
         "Alarm and inputs outside their training range, the farthest first, by a share of that range:"
     )
@@ -162,9 +167,11 @@ def _run(flights: DemoFlights, output: Path, rate: float, console: Console, view
         page=page,
     )
     live = session.summary()
+    times = {level: live[f"{level}_first_s"] for level in ("warning", "alarm")}
+    first = "".join(f"first {level} at {time:.1f} s; " for level, time in times.items() if time is not None)
     console.print(
         f"{live['samples_in']} IMU samples in, {live['predictions_out']} predictions out, "
-        f"{live['dropped']} dropped; {_first_times(live)}alarm for {live['alarm_fraction']:.0%} of the time; "
+        f"{live['dropped']} dropped; {first}alarm for {live['alarm_fraction']:.0%} of the time; "
         f"latency {live['latency_ms_p50']:.1f} ms median, {live['latency_ms_p99']:.1f} ms p99"
     )
 
@@ -209,21 +216,6 @@ def called_as() -> str:
         return "quadpi"
     inside = program.is_relative_to(Path.cwd())
     return shlex.quote(str(program.relative_to(Path.cwd()) if inside else program))
-
-
-def _page(vehicle: Vehicle, model: Path, console: Console) -> list[str] | None:
-    """Arguments of the page of the live part; None where its port is taken."""
-    if problem := port_problem():
-        console.print(f"No page: {problem.partition(';')[0]}")
-        return None
-    console.print(f"Page at http://{ADDRESS}:{PORT}/ while the flight lasts")
-    return ["--vehicle", vehicle.name, "--model", str(model)]
-
-
-def _first_times(live: dict[str, float | int | None]) -> str:
-    """Times of the first warning and the first alarm, if any."""
-    times = {level: live[f"{level}_first_s"] for level in ("warning", "alarm")}
-    return "".join(f"first {level} at {time:.1f} s; " for level, time in times.items() if time is not None)
 
 
 def _replay(flight: str, session: SessionResult, statistics: dict[str, float | int | None]) -> LiveReplay:

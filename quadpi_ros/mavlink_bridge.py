@@ -55,7 +55,6 @@ _OTHERS_NAMED = 8
 # What keeps the sensors from coming is logged when this many diagnostics in a row say so.
 _LOGGED_AT = 2
 _SECONDS = re.compile(r" for \d+ s$")
-_LEVEL = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 
 
 class _Reported(NamedTuple):

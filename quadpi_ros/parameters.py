@@ -247,13 +247,8 @@ ALL_NAMES = {
 
 # Declared by rclpy.
 _RCLPY_PARAMETERS = {"use_sim_time", "start_type_description_service"}
-_ROS_NAMES = {
-    str: "string",
-    float: "double",
-    int: "integer",
-    bool: "bool",
-    tuple: "string or an array of strings",
-}
+_ROS_NAMES = {str: "string", float: "double", int: "integer", bool: "bool"}
+_ROS_NAMES[tuple] = "string or an array of strings"
 Parameters = TypeVar("Parameters")
 
 
@@ -382,10 +377,10 @@ def _descriptor(declaration: Declaration, kind: type) -> ParameterDescriptor:
     descriptor = ParameterDescriptor(description=declaration.description, read_only=not declaration.in_flight)
     if allowed := declaration.allowed():
         descriptor.additional_constraints = f"one of {', '.join(allowed)}"
-    if declaration.limits is not None and kind is int:
+    if declaration.limits is not None:
         low, high = declaration.limits
-        descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=1)]
-    elif declaration.limits is not None:
-        low, high = declaration.limits
-        descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
+        if kind is int:
+            descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=1)]
+        else:
+            descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
     return descriptor

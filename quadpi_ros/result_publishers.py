@@ -23,7 +23,6 @@ from quadpi_core.monitor import Monitor
 from quadpi_core.monitor.alarm_log import Explain, Explained
 from quadpi_core.monitor.monitor import Judged, Monitors
 from quadpi_core.results import CAUSE_NAMES, LEVEL_OK, Predictions
-from quadpi_core.results import AlarmEvent as Event
 from quadpi_ros import callbacks
 from quadpi_ros.callbacks import DESCRIPTION_QOS, LOG_QOS
 from quadpi_ros.sensor_node import SensorNode
@@ -135,7 +134,12 @@ class Results:
         if events:
             told = self._words.events(events)
             for event in told:
-                self._tell(event)
+                said = f"{CAUSE_NAMES[event.cause]}: {'; '.join(event.reasons)}"
+                if event.end_ns:
+                    lasted_s = 1e-9 * (event.end_ns - event.start_ns)
+                    self._log.info(f"alarm over after {lasted_s:.1f} s, {said}")
+                else:
+                    self._log.warning(f"alarm, {said}")
             for payload in result_messages.pack_events(told, self._frame_id):
                 self._publish_log(payload)
         for (name, publish), other in zip(self._publish_others, others, strict=True):
@@ -144,14 +148,6 @@ class Results:
         if self._wrenches:
             for publisher, rows in zip(self._wrenches, judged.predictions, strict=True):
                 publisher.publish(rows.predictions)
-
-    def _tell(self, event: Event) -> None:
-        """Log an event."""
-        said = f"{CAUSE_NAMES[event.cause]}: {'; '.join(event.reasons)}"
-        if not event.end_ns:
-            self._log.warning(f"alarm, {said}")
-            return
-        self._log.info(f"alarm over after {1e-9 * (event.end_ns - event.start_ns):.1f} s, {said}")
 
     def publish_silence(self, time_ns: int, reasons: tuple[str, ...]) -> None:
         """Publish an alarm at an instant without a sample."""

@@ -15,6 +15,7 @@ import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -178,15 +179,12 @@ class LiveVehicle:
         """Take what has come; a message that cannot be read is counted and shown."""
         self._take_reports()
         for take in (self._take_descriptions, self._take_predictions, self._take_motion, self._take_alarms):
-            self._guarded(take)
+            try:
+                take()
+            except LogError as error:
+                self._refused += 1
+                self._refusal = str(error)
         self._watch()
-
-    def _guarded(self, take: Callable[[], None]) -> None:
-        try:
-            take()
-        except LogError as error:
-            self._refused += 1
-            self._refusal = str(error)
 
     def take_status(self, status: DiagnosticStatus) -> None:
         """Take a status of one of its nodes."""
@@ -509,13 +507,9 @@ def _serve(arguments: Sequence[str]) -> None:
     models = [AerodynamicModel.load(Path(folder)) for folder in options.model]
 
     def say(url: str) -> None:
-        announce(_say, url, options.open)
+        announce(partial(print, flush=True), url, options.open)
 
     view_live(models, options.vehicle, options.port, options.bind, say, rclpy.get_default_context())
-
-
-def _say(line: str) -> None:
-    print(line, flush=True)
 
 
 if __name__ == "__main__":

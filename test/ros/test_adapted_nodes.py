@@ -11,6 +11,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
@@ -240,8 +241,30 @@ def bag(vendor: Messages, hover: Recording, tmp_path_factory: pytest.TempPathFac
     return write_vendor_bag(vendor, folder / "adapted", ("mavros_status", "named_poses"), hover)
 
 
-def assert_replayed(live: Predictions, expected: Predictions) -> None:
+@contextmanager
+def flown(
+    bag: Path, given: dict[str, Any], scratch: Path, start_ns: int
+) -> Iterator[tuple[Collector, Child]]:
+    """The live nodes that parameters ask for, after a bag was played through them."""
+    nodes, managed = ("monitor_node", ("monitor",))
+    if "mocap_topic" in given:
+        nodes, managed = "live_process", ("estimator", "monitor")
+    arguments = [part for name, value in given.items() for part in ("-p", f"{name}:={value}")]
+    with (
+        Collector(start_ns) as collector,
+        Child(f"quadpi_ros.{nodes}", ("--ros-args", *arguments), scratch) as live,
+    ):
+        collector.spin_until(lambda: live.finished() or collector.hears("prediction"), 300.0)
+        play(bag, tuple(Playlist.read(bag).topics), PLAYBACK_RATE, scratch, live, collector, managed)
+        yield collector, live
+
+
+def assert_replayed(bag: Path, given: dict[str, Any], expected: Predictions) -> None:
     """Live predictions are those of the replay of the same bag."""
+    with isolated_domain() as scratch, flown(bag, given, scratch, int(expected.time_ns[0])) as (collector, _):
+        # A busy machine may hold the nodes up for longer than a flight falls silent.
+        collector.spin_until(lambda: len(collector.arrived_ns) >= len(expected.time_ns), 20.0)
+        live = collector.predictions()
     assert len(live.time_ns) > 450
     np.testing.assert_array_equal(live.time_ns, expected.time_ns)
     for name in ("predicted", "lower", "upper", "measured"):
@@ -276,19 +299,10 @@ def test_live_equals_the_replay_of_the_flight_that_the_adapters_read(
     by_kind = {known_adapters()[name].kind: name for name in names}
     given = {"vehicle": VEHICLE, "model": model, "adapters": settings, "rotor_topic": by_kind["rotor_speeds"]}
     given["pairing_timeout_s"] = 1.0
-    nodes, managed = "monitor_node", ("monitor",)
     if "mocap" in by_kind:
         given["mocap_topic"] = by_kind["mocap"]
-        nodes, managed = "live_process", ("estimator", "monitor")
-    arguments = [part for name, value in given.items() for part in ("-p", f"{name}:={value}")]
     assert set(Playlist.read(bag).topics) == set(names) | ({"imu"} - kinds)
-    with isolated_domain() as scratch, Collector(int(recording.imu.time_ns[0])) as collector:
-        with Child(f"quadpi_ros.{nodes}", ("--ros-args", *arguments), scratch) as live:
-            collector.spin_until(lambda: live.finished() or collector.hears("prediction"), 300.0)
-            play(bag, tuple(Playlist.read(bag).topics), PLAYBACK_RATE, scratch, live, collector, managed)
-            # A busy machine may hold the nodes up for longer than a flight falls silent.
-            collector.spin_until(lambda: len(collector.arrived_ns) >= len(expected.time_ns), 20.0)
-        assert_replayed(collector.predictions(), expected)
+    assert_replayed(bag, given, expected)
 
 
 @pytest.mark.usefixtures("packages")
@@ -302,19 +316,8 @@ def test_live_by_motor_commands_equals_the_replay(
     expected, _ = read_outputs(tmp_path / "replayed.mcap")
     settings = tmp_path / "field.yaml"
     settings.write_text("imu: {}\nodometry: {}\n")
-    given = {
-        "vehicle": VEHICLE,
-        "model": tmp_path / "commanded",
-        "adapters": settings,
-        "pairing_timeout_s": 1.0,
-    }
-    arguments = [part for name, value in given.items() for part in ("-p", f"{name}:={value}")]
-    with isolated_domain() as scratch, Collector(int(hover.imu.time_ns[0])) as collector:
-        with Child("quadpi_ros.monitor_node", ("--ros-args", *arguments), scratch) as live:
-            collector.spin_until(lambda: live.finished() or collector.hears("prediction"), 300.0)
-            play(bag, tuple(Playlist.read(bag).topics), PLAYBACK_RATE, scratch, live, collector, ("monitor",))
-            collector.spin_until(lambda: len(collector.arrived_ns) >= len(expected.time_ns), 20.0)
-        assert_replayed(collector.predictions(), expected)
+    given = {"vehicle": VEHICLE, "model": tmp_path / "commanded", "adapters": settings}
+    assert_replayed(bag, given | {"pairing_timeout_s": 1.0}, expected)
 
 
 @pytest.mark.usefixtures("packages")
@@ -333,19 +336,16 @@ def test_commands_stand_in_while_rotor_speeds_are_silent(
     )
     given = {"vehicle": VEHICLE, "model": folder / "model", "fallback_model": tmp_path / "commanded"}
     given |= {"adapters": settings, "rotor_topic": "px4_status", "pairing_timeout_s": 1.0}
-    arguments = [part for name, value in given.items() for part in ("-p", f"{name}:={value}")]
-    with isolated_domain() as scratch, Collector(int(hover.imu.time_ns[0])) as collector:
-        with Child("quadpi_ros.monitor_node", ("--ros-args", *arguments), scratch) as live:
-            collector.spin_until(lambda: live.finished() or collector.hears("prediction"), 300.0)
-            play(bag, tuple(Playlist.read(bag).topics), PLAYBACK_RATE, scratch, live, collector, ("monitor",))
-            collector.spin_until(lambda: "made of motor commands" in live.errors.read_text(), 20.0)
-            assert "made of motor commands from now on, judged by commanded" in live.errors.read_text()
-            # A model by measured speeds waits for them.
-            until = partial(collector.spin_until, timeout_s=20.0)
-            client = known_client(collector._node, LoadModel, "monitor/load_model", until)
-            answer = client.call_async(LoadModel.Request(path=str(folder / "model")))
-            until(answer.done)
-            assert answer.result().message.endswith(" flies once rotor speeds come again")
+    start_ns = int(hover.imu.time_ns[0])
+    with isolated_domain() as scratch, flown(bag, given, scratch, start_ns) as (collector, live):
+        collector.spin_until(lambda: "made of motor commands" in live.errors.read_text(), 20.0)
+        assert "made of motor commands from now on, judged by commanded" in live.errors.read_text()
+        # A model by measured speeds waits for them.
+        until = partial(collector.spin_until, timeout_s=20.0)
+        client = known_client(collector._node, LoadModel, "monitor/load_model", until)
+        answer = client.call_async(LoadModel.Request(path=str(folder / "model")))
+        until(answer.done)
+        assert answer.result().message.endswith(" flies once rotor speeds come again")
         predictions = collector.predictions()
     last_s = 1e-9 * float(predictions.time_ns[-1] - hover.imu.time_ns[0])
     assert last_s > FLIGHT_S - 0.1

@@ -17,10 +17,19 @@ from rclpy.parameter import Parameter
 from rclpy.qos import HistoryPolicy, ReliabilityPolicy
 from sensor_msgs.msg import Imu
 
+from quadpi_core.logs.mavlink_samples import SOURCES
+from quadpi_core.monitor import MonitorSettings
 from quadpi_ros.callbacks import SENSOR_QOS, GuardedNode, QosOverrideError
 from quadpi_ros.estimator_node import EstimatorNode
 from quadpi_ros.monitor_node import MonitorNode
-from quadpi_ros.parameters import BridgeParameters, MonitorParameters, ParameterError, read_parameters
+from quadpi_ros.parameters import (
+    MAVLINK_IMU_MESSAGES,
+    BridgeParameters,
+    EstimatorParameters,
+    MonitorParameters,
+    ParameterError,
+    read_parameters,
+)
 
 from .rig import started
 
@@ -214,3 +223,35 @@ def test_an_integer_is_taken_for_a_double_and_all_is_described() -> None:
     (limits,) = node.describe_parameter("imu_rate_hz").floating_point_range
     assert (limits.from_value, limits.to_value) == (0.0, 5000.0)
     node.destroy_node()
+
+
+# The parameters of all nodes agree with the files, the core and the readers that they describe.
+
+
+ROOT = Path(__file__).parents[2]
+
+
+NODES = {"estimator": EstimatorParameters, "monitor": MonitorParameters}
+
+
+# Set by the launch file from its arguments.
+FROM_LAUNCH = {"vehicle", "model"}
+
+
+def test_parameter_file_and_nodes_agree() -> None:
+    file = yaml.safe_load((ROOT / "config" / "nodes" / "monitor.yaml").read_text())
+    assert file.keys() == {f"/**/{name}" for name in NODES}
+    for name, parameters in NODES.items():
+        defaults = {item.name: item.default for item in fields(parameters) if item.name not in FROM_LAUNCH}
+        assert file[f"/**/{name}"]["ros__parameters"] == defaults
+
+
+def test_alarm_defaults_are_those_of_the_core() -> None:
+    settings = MonitorSettings()
+    defaults = {item.name: item.default for item in fields(MonitorParameters)}
+    for item in fields(MonitorSettings):
+        assert defaults[item.name] == getattr(settings, item.name)
+
+
+def test_the_bridge_takes_every_imu_message_that_it_can_read() -> None:
+    assert SOURCES["imu"] == MAVLINK_IMU_MESSAGES

@@ -19,7 +19,7 @@ from quadpi_core.vehicle import Vehicle
 from quadpi_ros.live_session import Child, Collector
 from quadpi_ros.parameters import START_TIMEOUT_S
 from quadpi_ros.player import parse_arguments, start_of
-from quadpi_ros.playlist import PlayerError, Playlist
+from quadpi_ros.playlist import PlayerError, Playlist, live_inputs
 
 from .rig import assert_alive
 
@@ -117,3 +117,39 @@ def test_every_further_loop_gives_the_same(folder: Path, tmp_path: Path) -> None
     for part in levels[1:3]:
         assert (part.min(), part.max()) == (LEVEL_OK, LEVEL_ALARM)
     assert again[0] < expected_alarms.time_ns[0] + 100_000_000
+
+
+# What of a bag is played, and what the live nodes are to listen to.
+
+
+BAG = bags_directory() / "extrapolation.mcap"
+
+
+def test_the_live_nodes_hear_what_the_bag_holds() -> None:
+    inputs = live_inputs(BAG)
+    assert (inputs.rotor_topic, inputs.mocap_topic) == ("erpm", "mocap/pose")
+    assert inputs.topics[:3] == ("imu", "erpm", "mocap/pose")
+
+
+@pytest.mark.parametrize(
+    ("named", "message"),
+    [
+        (("imu", "rotor_speeds", "mocap/pose"), "topic rotor_speeds: the bag does not hold it"),
+        (("imu", "erpm", "mocap/pose", "mavros_status"), "topic mavros_status: the bag does not hold it"),
+        (("imu", "rpm", "mocap/pose"), "topic rpm: not known; known: imu, "),
+        (("imu", "erpm"), "topic mocap/pose: the live nodes need it"),
+    ],
+)
+def test_topics_that_are_asked_for_must_be_there(named: tuple[str, ...], message: str) -> None:
+    with pytest.raises(PlayerError, match=message):
+        live_inputs(BAG, named)
+
+
+def test_messages_are_in_the_order_of_their_log_times() -> None:
+    playlist = Playlist.read(BAG, ("erpm", "imu=/imu"))
+    assert list(playlist.topics) == ["erpm", "imu"]
+    assert (np.diff(playlist.due_ns) >= 0).all()
+    for index, topic in enumerate(playlist.topics.values()):
+        mine = playlist.topic == index
+        np.testing.assert_array_equal(playlist.start_ns + playlist.due_ns[mine], topic.log_time_ns)
+        np.testing.assert_array_equal(playlist.message[mine], np.arange(len(topic.log_time_ns)))

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import os
+import random
 import signal
 import subprocess
 import sys
@@ -22,6 +24,7 @@ from std_msgs.msg import String
 from quadpi_core.errors import ModelError
 from quadpi_ros import runtime
 from quadpi_ros.callbacks import GuardedNode
+from quadpi_ros.live_session import ChildError, isolated_domain
 from quadpi_ros.parameters import parameter
 from quadpi_ros.sensor_node import SensorNode
 
@@ -224,3 +227,17 @@ def test_a_signal_in_the_middle_of_a_callback_ends_without_a_word() -> None:
         process.send_signal(signal.SIGINT)
         _, errors = process.communicate(timeout=60)
     assert (process.returncode, errors) == (0, "")
+
+
+# A ROS domain for child processes, which no other session on this machine has at the same time.
+
+
+def test_a_domain_is_of_one_session_alone(ros_domain: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    every = range(1, 101)
+    monkeypatch.setattr(random, "sample", lambda *_: [ros_domain, *every])
+    with isolated_domain():
+        assert int(os.environ["ROS_DOMAIN_ID"]) in {*every} - {ros_domain}
+    assert os.environ["ROS_DOMAIN_ID"] == str(ros_domain)
+    monkeypatch.setattr(random, "sample", lambda *_: [ros_domain])
+    with pytest.raises(ChildError, match="every ROS domain"), isolated_domain():
+        pass
