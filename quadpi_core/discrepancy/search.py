@@ -193,16 +193,17 @@ class _Search:
 
     def _one_more(self, before: Accepted, fits: _Fits) -> tuple[Accepted | None, float]:
         """One round: the set with the best candidate that passes all tests, its gain; None if none does."""
-        behind: Candidate | None = None
+        behind, least = None, np.inf
         for index, fit in fits:
             own = before.regression.candidates[index]
+            worse = fit is None or fit.log_evidence < least
             trial = Trial(
                 before=before,
                 added=index,
                 fit=fit,
                 dropped=index in self._idle,
                 barred=self._barred.get(own.name, ""),
-                behind=behind.label if behind and stands_behind(own, behind) else "",
+                behind=behind.label if behind and worse and stands_behind(own, behind) else "",
                 instead=self._about_as_well(before, index, fit, fits),
                 broken=self._broken,
             )
@@ -210,8 +211,11 @@ class _Search:
             self.judgements.append(judgement)
             if larger is not None:
                 return larger, trial.gain
-            if judgement.ends_round:
-                behind = behind or own
+            if judgement.ends_round and behind is None:
+                behind = own
+                # Another kind may need less evidence than one that does about as well.
+                if fit is not None and judgement.reason.test == "evidence":
+                    least = fit.log_evidence - rival_margin(trial.gain)
         return None, 0.0
 
     def _about_as_well(self, before: Accepted, index: int, fit: Fit | None, fits: _Fits) -> str:
@@ -255,31 +259,27 @@ class _Search:
         return accepted, ()
 
     def parted(self, accepted: Accepted) -> Accepted:
-        """The set with those two in the place of one effect that gain the most, where both pass all tests.
+        """The set with those two in the place of one effect that gain the most, of whom both pass all tests.
 
         What acts as two do together, as a constant force for wind and a mass, gains more than either alone.
         In its place they need as much more as one of them would need beside it.
         """
-        known, most, best = accepted.regression.candidates, accepted.fit.log_evidence, None
+        known, found = accepted.regression.candidates, list[tuple[float, Accepted, tuple[int, int]]]()
         for index in accepted.chosen if len(accepted.chosen) < MOST_EFFECTS.value else ():
             others = accepted.without(index)
             joining = [k for k, _ in _fits_with_one_more(others) if known[k].name not in self._barred]
-            new = [k for k in joining if k not in accepted.chosen]
-            for pair in combinations(new, 2):
+            for pair in combinations([k for k in joining if k not in accepted.chosen], 2):
                 fit = None if known[pair[0]].excludes(known[pair[1]]) else others.fit_with(*pair)
-                gained = fit.log_evidence - min(map(accepted.needed, pair)) if fit else -np.inf
-                if gained > most:
-                    most, best = gained, (others, pair)
-        if best is None:
-            return accepted
-        before, pair = best
-        for _ in pair:
-            fits = [own for own in _fits_with_one_more(before) if own[0] in pair]
-            larger, _ = self._one_more(before, fits)
-            if larger is None:
-                return accepted
-            before = larger
-        return before
+                if fit and fit.log_evidence >= accepted.fit.log_evidence + min(map(accepted.needed, pair)):
+                    found.append((fit.log_evidence, others, pair))
+        for _, others, pair in sorted(found, key=lambda own: -own[0]):
+            larger: Accepted | None = others
+            for _ in pair:
+                fits = [own for own in _fits_with_one_more(larger) if own[0] in pair] if larger else []
+                larger = self._one_more(larger, fits)[0] if larger else None
+            if larger is not None:
+                return larger
+        return accepted
 
     def _in_place_of(self, accepted: Accepted, index: int, rival: int) -> Trial:
         """The trial of a rival in the place of one effect."""

@@ -138,6 +138,26 @@ def test_two_effects_stand_in_the_place_of_one_that_acts_as_both(monkeypatch, to
 
 
 @pytest.mark.parametrize(
+    ("second", "test", "behind"),
+    [(905.0, "evidence", ""), (895.0, "evidence", "effect 0"), (905.0, "loudness", "effect 0")],
+)
+def test_what_does_about_as_well_as_one_refused_may_need_less_evidence(monkeypatch, second, test, behind):
+    """As a hook does beside a load, where a weak rotor gains a little more and needs five times as much."""
+    regression, told = ListedEvidence({(): 0.0, (0,): 1000.0, (1,): second, (2,): 0.0}), {}
+    for candidate in regression.candidates:
+        candidate.within, candidate.excludes = False, lambda other, own=candidate: other is own
+
+    def outcome(trial):
+        told[trial.added] = trial.behind
+        return SimpleNamespace(ends_round=True, reason=SimpleNamespace(test=test)), None
+
+    monkeypatch.setattr(Trial, "outcome", outcome)
+    fits = [(index, regression.fit((index,))) for index in range(3)]
+    _Search({}, None)._one_more(Accepted(regression, (), regression.fit(())), fits)
+    assert told == {0: "", 1: behind, 2: "effect 0"}
+
+
+@pytest.mark.parametrize(
     ("alone", "gained", "left", "found"),
     [
         (150.0, 250.0, 165.0, 2),
