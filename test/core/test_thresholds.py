@@ -637,6 +637,10 @@ EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
         lambda x: result_verdicts.judge_coefficients(1.0, x, "far").passed,
     ),
     "COLOURED": (12.0, lambda x: result_verdicts.judge_colour(np.full(6, x), np.ones(6)).passed),
+    "LEAST_COVERAGE": (
+        0.5,
+        lambda x: result_verdicts.judge_coverage({"Fx": Coverage(0.1, x)}, 0.95).passed,
+    ),
     "WORSE_COVERAGE": (
         3.0,
         lambda x: result_verdicts.judge_coverage({"Fx": Coverage(0.9, 0.9 - 0.05 * x)}, 0.95).passed,

@@ -241,14 +241,23 @@ def test_an_effect_that_improves_roll_outs_is_added(found, tmp_path):
     assert write_addition(kept, tmp_path)
 
 
-@pytest.mark.parametrize(("after", "kept"), [(0.45, True), (0.35, False)])
-def test_an_effect_with_which_intervals_hold_much_less_of_an_axis_is_not_added(found, after, kept):
+@pytest.mark.parametrize(
+    ("before", "after", "reason"),
+    [
+        (0.72, 0.6, ""),
+        (0.72, 0.5, "intervals hold 50 % of Fz with it, 72 % before"),
+        (0.05, 0.45, "intervals hold 45 % of Fz with it, 5 % before, 50 % needed"),
+    ],
+)
+def test_an_effect_with_which_intervals_miss_most_of_an_axis_or_much_more_is_not_added(
+    found, before, after, reason
+):
     inside = Inside(np.full((8, 6), 0.5), 0.95)
     discovery = replace(found.discovery, found=replace(found.discovery.found, inside=inside))
-    coverage = {"Fz": Coverage(0.57, after), "Mx": Coverage(0.5, 0.95)}
+    coverage = {"Fz": Coverage(before, after), "Mx": Coverage(0.5, 0.95)}
     judged = judged_by_rollouts(discovery, rolled_out(after=9.0)._replace(coverage=coverage))
-    assert (judged.verdict == found.discovery.verdict) is kept
-    assert kept or judged.doubts == ("intervals hold 35 % of Fz with it, 57 % before",)
+    assert (judged.verdict == found.discovery.verdict) is not bool(reason)
+    assert judged.doubts == (reason,) * bool(reason)
 
 
 @pytest.mark.parametrize(
