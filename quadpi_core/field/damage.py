@@ -132,10 +132,8 @@ def losses(told: Sharing) -> tuple[RotorLoss, ...] | str:
     values, deviation, freedom = against(
         over[0], over[1:], SCATTER.value, rotors / (rotors - 1.0) * told.error
     )
-    alone, together = (
-        stats.t.ppf(1.0 - 0.5 * (1.0 - CONFIDENCE.value) / count, freedom) * deviation
-        for count in (1, rotors)
-    )
+    tail = 0.5 * (1.0 - CONFIDENCE.value)
+    alone, together = (stats.t.ppf(1.0 - tail / count, freedom) * deviation for count in (1, rotors))
     before = len(over) - 1
     said = f"against {before} flight{'s' * (before > 1)}"
     found = []

@@ -80,13 +80,9 @@ def piece_lengths_s(airborne_s: Sequence[float]) -> list[float]:
 
     Of many flights drag leaves out whole ones, and the pieces tell of the wind of theirs alone.
     """
-    together = sum(airborne_s)
-    return [_length_s(own if len(airborne_s) >= PIECES_FEWEST.value else together) for own in airborne_s]
-
-
-def _length_s(airborne_s: float) -> float:
-    usual = float(np.clip(0.1 * airborne_s, PIECE_S.value[0], PIECE_S.value[1]))
-    return max(usual, airborne_s / _PIECES_MOST)
+    are_many, together = len(airborne_s) >= PIECES_FEWEST.value, sum(airborne_s)
+    told = [own if are_many else together for own in airborne_s]
+    return [max(min(max(0.1 * own, PIECE_S.value[0]), PIECE_S.value[1]), own / _PIECES_MOST) for own in told]
 
 
 def drag_samples(log: FieldLog, flight: Flown, piece_s: float) -> DragSamples | str:

@@ -18,11 +18,11 @@ from quadpi_core.field.airborne import Flown, flown
 from quadpi_core.field.damage import RotorLoss, frozen_motors, losses, sharing
 from quadpi_core.field.drag import DragResult, drag_samples, identify_drag, piece_lengths_s
 from quadpi_core.field.estimates import Estimate
-from quadpi_core.field.field_log import FieldLog
+from quadpi_core.field.field_log import FieldLog, Setting
 from quadpi_core.field.field_reading import read_field_log
 from quadpi_core.field.inertia import identify_body
 from quadpi_core.field.mass_change import BY_SPEED, MOVED, MassChange, efforts, mass_change
-from quadpi_core.field.motor_model import Tachometers, motor_model, tachometers
+from quadpi_core.field.motor_model import USUAL_THRUST, Tachometers, motor_model, tachometers
 from quadpi_core.field.motor_use import (
     BATTERY_DRIFT,
     IMBALANCE,
@@ -46,6 +46,7 @@ from quadpi_core.reading_options import ReadingOptions
 from quadpi_core.records import Threshold
 from quadpi_core.vehicle import SILENT_SHARE, Vehicle
 
+_Lost = tuple[RotorLoss, ...] | str | None
 WARNING, ALARM = "warning", "alarm"
 # Flights of an airframe, the longest, whose drag is identified together: more take minutes and tell no more.
 DRAG_FLIGHTS_MOST = 60
@@ -76,6 +77,14 @@ _OUTPUTS = re.compile(
 )
 
 
+_COEFFICIENT = Setting(
+    "thrust_coefficient",
+    "not in the vehicle file",
+    "set it there, of a bench or a model",
+    "whether the mass is right",
+)
+
+
 @dataclass(frozen=True)
 class FlightReport:
     """What one log tells; in place of what it does not tell stands why.
@@ -98,7 +107,7 @@ class FlightReport:
     use: MotorUse
     vibration: Vibration | str
     tachometers: Tachometers | str
-    losses: tuple[RotorLoss, ...] | str | None
+    losses: _Lost
     mass_change: MassChange | str | None
     remarks: tuple[Remark, ...]
 
@@ -107,9 +116,8 @@ class FlightReport:
         use, read = self.use, self.tachometers
         told = use.drift or use.thrust_gain
         thrust = "the log has not both IMU and commands" if told is None else told.reason
-        compared = {}
-        if self.losses is not None:
-            compared["motors against earlier flights"] = self.losses if isinstance(self.losses, str) else ""
+        name, lost = "motors against earlier flights", self.losses
+        compared = {} if lost is None else {name: lost if isinstance(lost, str) else ""}
         return {
             "motor commands": "" if use.motors else "not in the log",
             "thrust over command along the flight": thrust,
@@ -232,8 +240,10 @@ def report_on(
 
     Raises:
         NoFlightLeftError: if none is left, naming each.
-        LogError: for a log to hold flights against that holds none.
+        LogError: for a log to hold flights against that holds none; for a mass of several airframes.
     """
+    if isinstance(vehicle, Vehicle) and mass is not None:
+        vehicle = replace(vehicle, mass_kg=mass)
     before = []
     for file in named_files(against):
         log = replace(read_field_log(file.path, options, vehicle), name=file.name)
@@ -244,6 +254,8 @@ def report_on(
     for file in named_files(paths):
         try:
             log = replace(read_field_log(file.path, options, vehicle), name=file.name)
+            if isinstance(vehicle, Vehicle) and not vehicle.thrust_coefficient:
+                log = replace(log, settings=(*log.settings, _COEFFICIENT))
             digest = _digest(log)
             first = known.setdefault(digest, file.name)
             if first != file.name:
@@ -251,13 +263,19 @@ def report_on(
                 raise LogError(f"{file.path}: holds the samples of {first}, which is in the report")
             others = [flight for own, flight in before if own != digest]
             flight = _flight_report(log, others if before else None)
-            said = _mass_doubts(flight.use, vehicle, mass)
+            said = _mass_doubts(flight.use, vehicle)
             flights.append(replace(flight, remarks=(*flight.remarks, *said)))
         except QuadpiError as error:
             left_out.append(FlightLeftOut(file.name, str(file.path), str(error)))
     if not flights:
         raise NoFlightLeftError("; ".join(one.reason for one in left_out))
-    return FieldReport(tuple(flights), tuple(_vehicles(flights, vehicle)), mass, tuple(left_out))
+    vehicles = tuple(_vehicles(flights, vehicle))
+    if len(vehicles) > 1 and (mass is not None or isinstance(vehicle, Vehicle)):
+        names = ", ".join(f"{one.name} ({one.flights[0]} …)" for one in vehicles)
+        raise LogError(
+            f"mass and vehicle file are of one airframe, the logs of {names}: report on each by itself"
+        )
+    return FieldReport(tuple(flights), vehicles, mass, tuple(left_out))
 
 
 def _digest(log: FieldLog) -> str:
@@ -275,7 +293,7 @@ def _flight_report(log: FieldLog, before: Sequence[FlightReport] | None = None) 
     use, vibration, read = motor_use(log, flight), vibration_of(log, flight), tachometers(log, flight)
     all_read = isinstance(read, Tachometers) and not read.odd
     use = replace(use, efforts=efforts(log, flight, tachometers_read=all_read))
-    lost: tuple[RotorLoss, ...] | str | None = None
+    lost: _Lost = None
     heavier: MassChange | str | None = None
     if before is not None:
         alike = [one for one in before if (one.log.stack, one.log.rotors) == (log.stack, log.rotors)]
@@ -340,9 +358,7 @@ def _airframes(flights: Sequence[FlightReport]) -> Iterator[tuple[list[FlightRep
             yield group, "; ".join(said)
 
 
-def _vehicles(
-    flights: Sequence[FlightReport], vehicle: Vehicle | int | None = None
-) -> Iterator[VehicleRecord]:
+def _vehicles(flights: Sequence[FlightReport], vehicle: Vehicle | int | None) -> Iterator[VehicleRecord]:
     airframes = sorted(_airframes(flights), key=lambda pair: flights.index(pair[0][0]))
     names_of = [" ".join(filter(None, (own[0].log.stack, own[0].log.frame))) for own, _ in airframes]
     for (own, said), kind in zip(airframes, names_of, strict=True):
@@ -364,12 +380,10 @@ def _vehicles(
         motors = motor_model(sound) if sound else "the tachometers of no flight read what the commands give"
         body = None
         if isinstance(vehicle, Vehicle):
-            winds = [
-                drag.likely_wind(list(samples).index(one.name))
-                if isinstance(drag, DragResult) and one.name in samples
-                else np.zeros(2)
-                for one in longest
-            ]
+            told = (
+                {} if isinstance(drag, str) else {key: drag.likely_wind(n) for n, key in enumerate(samples)}
+            )
+            winds = [told.get(one.name, np.zeros(2)) for one in longest]
             body = identify_body([(one.log, one.flown) for one in longest], vehicle, winds)
         names = tuple(flight.name for flight in own)
         yield VehicleRecord(
@@ -392,10 +406,7 @@ def _shortness(estimate: Estimate) -> str:
 
 
 def _motor_remarks(
-    log: FieldLog,
-    flight: Flown,
-    lost: tuple[RotorLoss, ...] | str | None,
-    heavier: MassChange | str | None,
+    log: FieldLog, flight: Flown, lost: _Lost, heavier: MassChange | str | None
 ) -> Iterator[Remark]:
     for motor, since in frozen_motors(log, flight):
         said = f"{log.motor(motor)} follows no more from {since:.1f} s on: its command stays as it is"
@@ -436,16 +447,19 @@ def _mass_remarks(change: MassChange) -> Iterator[Remark]:
         yield Remark(WARNING, said)
 
 
-def _mass_doubts(use: MotorUse, vehicle: Vehicle | int | None, mass: float | None) -> Iterator[Remark]:
-    """A mass that the rotor speeds contradict, by the thrust that the vehicle file gives for them."""
-    if not isinstance(vehicle, Vehicle) or not vehicle.thrust_coefficient or BY_SPEED not in use.efforts:
+def _mass_doubts(use: MotorUse, vehicle: Vehicle | int | None) -> Iterator[Remark]:
+    """A mass that rotor speeds contradict, by the thrust coefficient of the vehicle file or a usual one."""
+    if not isinstance(vehicle, Vehicle) or BY_SPEED not in use.efforts:
         return
     disc = vehicle.air_density_kg_m3 * np.pi * vehicle.rotor_radius_m**4
-    carried = vehicle.thrust_coefficient * disc * vehicle.rotor_count * use.efforts[BY_SPEED]
+    own, by = USUAL_THRUST.value[::2], "any usual propeller of their radius"
+    if known := vehicle.thrust_coefficient:
+        own, by = (known, known), "the vehicle file's thrust_coefficient"
+    carried = [one * disc * vehicle.rotor_count * use.efforts[BY_SPEED] for one in own]
     low, high = WRONG_MASS.value
-    if not low < carried / (given := mass or vehicle.mass_kg) < high:
-        by_file = "by the vehicle file's thrust_coefficient"
-        yield Remark(WARNING, f"rotor speeds carry {carried:.2g} kg {by_file}, not {given:g} kg")
+    if carried[1] < low * vehicle.mass_kg or carried[0] > high * vehicle.mass_kg:
+        ends = " to ".join(dict.fromkeys(f"{one:.2g}" for one in carried))
+        yield Remark(WARNING, f"rotor speeds carry {ends} kg by {by}, not {vehicle.mass_kg:g} kg")
 
 
 def _change_cause(change: HoverChange, volts: tuple[float, float, float] | None) -> str:

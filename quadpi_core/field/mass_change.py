@@ -125,10 +125,11 @@ def mass_change(
         told: how the motors share the work in all of them, or why that is not known.
         corners: (R, 2) signs of the motors' places, forward and right; None where not known.
     """
-    by = next((by for by in EFFORT_SCATTER if by in use.efforts and _known(by, references)), None)
+    known = {by: [one.efforts[by] for one in references if by in one.efforts] for by in EFFORT_SCATTER}
+    by = next((by for by, own in known.items() if own and by in use.efforts), None)
     if by is None:
         return "no rotor speeds, and no commands, are both in the flight and in one before"
-    before = np.log(_known(by, references))
+    before = np.log(known[by])
     ratio, deviation, freedom = against(np.log(use.efforts[by]), before, EFFORT_SCATTER[by].value)
     half = float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE.value, freedom)) * deviation
     usual = (SPEED_EXPONENT if by == BY_SPEED else THRUST_EXPONENT).value
@@ -143,10 +144,6 @@ def mass_change(
     if pattern is None:
         return MassChange(share, by, ())
     return _explained(share, by, pattern, (ratio, deviation), freedom)
-
-
-def _known(by: str, references: Sequence[MotorUse]) -> list[float]:
-    return [one.efforts[by] for one in references if by in one.efforts]
 
 
 def _pattern(told: Sharing | str, corners: Array | None) -> tuple[Array, Array, Array] | None:
@@ -211,10 +208,5 @@ def _explained(
 def _side(position: Array, deviation: Array, corners: Array) -> str:
     """Where the load is, by thrust (2,) that rotors in front and on the right give more."""
     least = 2.0 * float(np.mean(deviation)) / np.sqrt(len(corners))
-    ahead, right = (0.0 if abs(one) < least else float(one) for one in position)
-    names = [
-        word
-        for value, words in ((ahead, ("front", "rear")), (right, ("right", "left")))
-        for word in ([] if value == 0.0 else [words[0] if value > 0.0 else words[1]])
-    ]
-    return " ".join(names)
+    told = zip(position, (("front", "rear"), ("right", "left")), strict=True)
+    return " ".join(words[int(one < 0.0)] for one, words in told if abs(one) >= least)

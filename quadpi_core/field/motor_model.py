@@ -208,7 +208,7 @@ class _Fit:
     def errors(self) -> tuple[Array, float]:
         """RMS of what is left out over the mean speed: by rotor (R,), and after a gain of each flight."""
         if len(self.known) == 1:
-            folds = [[[_half(part, which) for part in self.known[0]]] for which in (0, 1)]
+            folds = [[[_parted(part, 2)[which] for part in self.known[0]]] for which in (0, 1)]
         else:
             folds = [self.known[first::_FOLDS_MOST] for first in range(min(len(self.known), _FOLDS_MOST))]
         sums = [[_sums(parts, self.lag_s) for parts in fold] for fold in folds]
@@ -234,7 +234,11 @@ def _lag_and_dead_time(
     curves = {}
     for dead in _DEAD_S:
         parts = [part for own in flights for part in _known(*own, dead, with_battery=with_battery)]
-        pieces = [piece for part in parts for piece in _pieces(part)]
+        pieces = [
+            piece
+            for part in parts
+            for piece in _parted(part, max(1, round(len(part[0]) / (_PIECE_S * GRID_HZ))))
+        ]
         curves[dead] = np.array([_curve(pieces, lag) for lag in LAGS_S])  # (L, pieces)
     dead_s = min(_DEAD_S, key=lambda dead: float(curves[dead].sum(axis=1).min()))
     # At each lag the dead time that fits it best: the two stand in for each other.
@@ -260,9 +264,8 @@ def _lowest(errors: Array) -> float:
     return float(np.clip(-0.5 * slope / curve, lags[0], lags[-1])) if curve > 0.0 else float(lags[1])
 
 
-def _pieces(part: _Part) -> list[_Part]:
-    """A stretch in pieces of about :data:`_PIECE_S`."""
-    count = max(1, round(len(part[0]) / (_PIECE_S * GRID_HZ)))
+def _parted(part: _Part, count: int) -> list[_Part]:
+    """A stretch in so many pieces."""
     return list(zip(*(np.array_split(own, count) for own in part), strict=True))
 
 
@@ -303,11 +306,6 @@ def _gridded(log: FieldLog, begin: float, end: float, dead_s: float) -> _Part:
     volts = np.empty((len(time), 0)) if log.battery is None else log.battery.at(time)
     good = np.isfinite(np.hstack([latest, commands, speeds, volts])).all(axis=1)
     return commands[good], volts[good], speeds[good]
-
-
-def _half(part: _Part, which: int) -> _Part:
-    cut = len(part[0]) // 2
-    return tuple(own[:cut] if which == 0 else own[cut:] for own in part)  # type: ignore[return-value]
 
 
 def command_columns(u: Array, volts: Array, lag_s: float) -> Array:
@@ -397,8 +395,13 @@ def _told(fits: Sequence[Array], parts: Sequence[_Part], lag_s: float) -> tuple[
 # climbing takes from thrust and speed adds. Speeds are known up to a scale, which the thrust coefficient of
 # the vehicle file gives, or a usual one: a model that is identified on them has it in its own.
 
-# Of C_T = T / (ρ π R⁴ ω²); propellers from 23 to 130 mm radius have 0.01 to 0.035.
-_USUAL_THRUST_COEFFICIENT = 0.02
+USUAL_THRUST = Threshold(
+    "C_T = T / (ρ π R⁴ ω²) of propellers: the least, a usual one and the greatest",
+    (0.01, 0.02, 0.035),
+    "",
+    "those from 23 to 130 mm radius have 0.012 to 0.034",
+    "vehicle files, and flights of ../shared/data",
+)
 # Share of the vehicle's largest rotor speed that the fastest commanded one has at most.
 _FASTEST = 0.9
 _STEPS, _SHORTEST_S = 8, 5.0
@@ -520,7 +523,7 @@ def _gain_of_thrust(parts: Sequence[_Lift], coefficients: Array, lag_s: float) -
 
 def _scale_of_thrust(parts: Sequence[_Lift], coefficients: Array, vehicle: Vehicle) -> float:
     """Rotor speed [rad/s] for a square root of thrust [√N]."""
-    known = vehicle.thrust_coefficient or _USUAL_THRUST_COEFFICIENT
+    known = vehicle.thrust_coefficient or USUAL_THRUST.value[1]
     k = known * vehicle.air_density_kg_m3 * np.pi * vehicle.rotor_radius_m**4
     fastest = max(
         float(np.max(command_columns(part[0][:, rotor], part[1], 0.0) @ coefficients))

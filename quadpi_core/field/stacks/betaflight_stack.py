@@ -36,6 +36,7 @@ _FIELDS = (
 )
 _FRAMES = {3: "tricopter", 4: "quadcopter", 6: "hexacopter", 8: "octocopter"}
 _ERPM_PER_COUNT = 100.0
+_FACTS = {"craft": "Craft name", "poles": "motor_poles", "idle": "dshot_idle_value"}
 
 
 def read_betaflight_field(path: Path, number: int | None = None, poles: int | None = None) -> FieldLog:
@@ -85,7 +86,7 @@ def read_betaflight_field(path: Path, number: int | None = None, poles: int | No
         rotor_speeds=None if speeds is None else series_of(time_ns, speeds, start_ns),
         battery=battery,
         corners=np.sign(np.array([motor[:2] for motor in LAYOUTS["betaflight"]])) if motors == 4 else None,
-        facts=_facts(texts),
+        facts={key: f"{texts[name]} ({name})" for key, name in _FACTS.items() if texts.get(name)},
         parameters={name: float(value) for name, value in log.headers.items()},
         settings=tuple(_settings(log, speeds is not None, motors, battery is not None)),
         notes=tuple(notes),
@@ -124,11 +125,6 @@ def _speeds(columns: Mapping[str, Array], motors: int, pole_pairs: int | None) -
         return None
     erpm = np.stack([columns[name] for name in _ERPM[:motors]], axis=1) * _ERPM_PER_COUNT
     return np.abs(erpm) * (2.0 * np.pi / 60.0 / pole_pairs) if np.any(erpm) else None
-
-
-def _facts(texts: Mapping[str, str]) -> dict[str, str]:
-    names = {"craft": "Craft name", "poles": "motor_poles", "idle": "dshot_idle_value"}
-    return {key: f"{texts[name]} ({name})" for key, name in names.items() if texts.get(name)}
 
 
 def _settings(log: BlackboxLog, has_speeds: bool, motors: int, has_battery: bool) -> Iterator[Setting]:

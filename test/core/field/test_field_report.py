@@ -308,3 +308,20 @@ def test_a_mass_that_rotor_speeds_do_not_carry_is_said(shared_data: Path, mass: 
         one.sentence for one in report.flights[0].remarks if "rotor speeds carry 0.037 kg" in one.sentence
     ]
     assert bool(said) == wrong
+
+
+@pytest.mark.parametrize(("mass", "wrong"), [(None, False), (0.08, True), (0.01, False), (0.005, True)])
+def test_without_a_thrust_coefficient_a_mass_that_no_propeller_carries_is_said(
+    shared_data: Path, mass: float | None, wrong: bool
+):
+    vehicle = Vehicle.load("crazyflie_rpm")
+    (flight,) = report_on([shared_data / "imrc_brushless" / "eckart12"], OPTIONS, vehicle, mass).flights
+    assert any("by any usual propeller" in one.sentence for one in flight.remarks) == wrong
+    assert "thrust_coefficient" in {one.parameter for one in flight.log.settings}
+
+
+def test_one_mass_is_not_given_to_two_airframes(shared_data: Path):
+    logs = [shared_data / "imrc_brushless" / "eckart12", shared_data / "rrc_propeller" / "line_good_1.BIN"]
+    for given in ({"mass": 0.037}, {"vehicle": Vehicle.load("crazyflie_rpm")}):
+        with pytest.raises(LogError, match=r"one airframe, the logs of Crazyflie .*, ArduPilot"):
+            report_on(logs, OPTIONS, **given)
