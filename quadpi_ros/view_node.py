@@ -326,12 +326,12 @@ class LiveVehicle:
     def _missing(self) -> list[tuple[str, str, str]]:
         """Rows of the table of health for what is not shown, as nothing says it."""
         rows = []
+        reason = "of other messages, which the monitor alone reads" if self._predictions else "nothing comes"
         inbox = self._single(_ODOMETRY)
         if inbox is None or not inbox.count:
-            rows.append(("odometry", "warn", "nothing comes: flight, speed and height are not shown"))
+            rows.append(("odometry", "warn", f"{reason}: flight, speed and height are not shown"))
         inboxes = [one for one in (self._single(_ROTORS), self._single(_ERPM)) if one is not None]
         if not any(one.count for one in inboxes):
-            reason = "nothing comes"
             if self._single(_ERPM) is not None and self._vehicle() is None:
                 reason = "erpm needs the pole pairs of the vehicle: quadpi view --model MODEL"
             rows.append(("rotor speeds", "warn", f"{reason}: they are not shown"))

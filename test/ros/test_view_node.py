@@ -420,7 +420,9 @@ def test_what_does_not_come_is_named(node, source):
         return {about: text for view in source.vehicles.values() for about, _, text in view.health}
 
     wait_until(lambda: "rotor speeds" in rows(), flying(source, vehicle), rows)
-    assert rows()["odometry"] == "nothing comes: flight, speed and height are not shown"
+    assert rows()["odometry"] == (
+        "of other messages, which the monitor alone reads: flight, speed and height are not shown"
+    )
     assert rows()["rotor speeds"].startswith("erpm needs the pole pairs of the vehicle")
 
 
