@@ -6,7 +6,6 @@ import shutil
 
 import pytest
 
-from quadpi_core.errors import LogError
 from quadpi_core.paths import bags_directory
 
 NAMES = ("[red]x", "[bold", ":smile:", "a b\tc", "ünï", "$(x)", "%s{}")
@@ -45,11 +44,3 @@ def test_a_name_longer_than_a_file_system_takes(quadpi, tmp_path, command):
     assert refused.status == 2
     assert refused.errors.count("\n") == 1
     assert "File name too long" in refused.errors
-
-
-def test_a_message_is_one_line_that_a_terminal_shows():
-    text = str(LogError("topic /\x1b[31mimu\x07: \n" + "x" * 10_000 + "; end"))
-    assert "\x1b" not in text
-    assert r"topic /\x1b[31mimu\x07: " in text
-    assert text.endswith("; end")
-    assert len(text) < 2000
