@@ -134,7 +134,7 @@ class RerunRecording:
         states = states.take(np.flatnonzero(np.isfinite(pose).all(axis=1)))
         if not len(states):
             return
-        chosen = states.take(_last_of_stretches(states.time_ns, self._stretch_ns // 2))
+        chosen = states.take(_stretches(states.time_ns, self._stretch_ns // 2)[1])
         time_ns, position = chosen.time_ns, world_ned_to_enu(chosen.position)
         attitude = quaternion_frd_ned_to_flu_enu(chosen.attitude)
         self._columns(
@@ -234,8 +234,7 @@ def extremes(time_ns: Stamps, values: Array, stretch_ns: int) -> tuple[Stamps, A
     They are at the first and the last stamp of the stretch, in the order in which they were. Stretches of one
     or two rows stay as they are.
     """
-    first = _firsts(time_ns, stretch_ns)
-    last = np.append(first[1:], len(time_ns)) - 1
+    first, last = _stretches(time_ns, stretch_ns)
     if np.all(last - first < 2):
         return time_ns, values
     low, high = np.fmin.reduceat(values, first), np.fmax.reduceat(values, first)
@@ -255,13 +254,10 @@ def extremes(time_ns: Stamps, values: Array, stretch_ns: int) -> tuple[Stamps, A
     return time_ns[rows[rising]], pairs.reshape(-1, values.shape[1])[rising]
 
 
-def _firsts(time_ns: Stamps, stretch_ns: int) -> npt.NDArray[np.int64]:
-    """Where stretches of time begin."""
-    return np.flatnonzero(np.diff(time_ns // stretch_ns, prepend=-1))
-
-
-def _last_of_stretches(time_ns: Stamps, stretch_ns: int) -> npt.NDArray[np.int64]:
-    return np.append(_firsts(time_ns, stretch_ns)[1:], len(time_ns)) - 1
+def _stretches(time_ns: Stamps, stretch_ns: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """First and last row of each stretch of time."""
+    first = np.flatnonzero(np.diff(time_ns // stretch_ns, prepend=-1))
+    return first, np.append(first[1:], len(time_ns)) - 1
 
 
 def write_rerun_file(
