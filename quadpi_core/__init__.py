@@ -84,7 +84,7 @@ __all__ = sorted(_ROOMS.keys() - _REPLACED)  # noqa: PLE0605 - imported when use
 def __getattr__(name: str) -> Any:
     """Import a public name from its room."""
     if name not in _ROOMS:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        raise import_module(f"{__name__}.library").named_absence(__name__, import_module(__name__), name)
     if name in _REPLACED:
         warnings.warn(f"{__name__}.{name}: use {_REPLACED[name]}", DeprecationWarning, stacklevel=2)
     return getattr(import_module(f"{__name__}.{_ROOMS[name]}"), name)

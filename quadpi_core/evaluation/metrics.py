@@ -256,6 +256,27 @@ def coverage_interval(
     return clopper_pearson(coverage, trials, confidence)
 
 
+def coverage_interval_by_flight(
+    inside: npt.NDArray[np.bool_], errors: Array, of: npt.NDArray[np.int64]
+) -> tuple[float, float]:
+    """95 % confidence interval of a coverage; arrays (N,), `of` the flight of each sample.
+
+    Of several flights each is one cluster: the variance of the ratio of inside to all samples between them
+    (Cochran 1977, ch. 9A), Student's t with one degree of freedom less than
+    flights. It is never narrower than that of these flights alone, as flights may agree by chance.
+    """
+    low, high = coverage_interval(inside, errors, of)
+    _, flight, sizes = np.unique(of, return_inverse=True, return_counts=True)
+    flights = len(sizes)
+    if flights > 1:
+        apart = np.bincount(flight, inside) - np.mean(inside) * sizes
+        deviation = np.sqrt(flights / (flights - 1) * np.sum(np.square(apart / len(of))))
+        half = float(stdtrit(flights - 1, 0.975) * deviation)
+        centre = float(np.mean(inside))
+        low, high = max(min(low, centre - half), 0.0), min(max(high, centre + half), 1.0)
+    return low, high
+
+
 def clopper_pearson(proportion: float, trials: float, confidence: float) -> tuple[float, float]:
     """Exact binomial interval of a proportion seen in `trials`, which need not be whole."""
     successes = proportion * trials

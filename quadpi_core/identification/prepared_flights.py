@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core import array_checks
-from quadpi_core.errors import LogError, ModelError, QuadpiError, named_in
+from quadpi_core.errors import ArgumentError, LogError, ModelError, QuadpiError, named_in
 from quadpi_core.estimator.ekf import Ekf
 from quadpi_core.estimator.filter_run import Segment
 from quadpi_core.estimator.fusion import fuse_airborne, require_streams
@@ -138,6 +138,22 @@ class PreparedFlight:
                 f"the first is sample {np.argmin(finite)}"
             )
 
+    def unfit(self, shortest_s: float, *, keep_flawed: bool) -> str | None:
+        """Why no model should learn from it, as one that lasts less than `shortest_s`; None if one may."""
+        aloft_s = float(self.time[-1] - self.time[0])
+        if self.quality.flaw is not None and not keep_flawed:
+            return str(self.quality.flaw)
+        if aloft_s < shortest_s:
+            return f"{aloft_s:.2g} s in the air, of {shortest_s:g} s that this kind of model needs"
+        return None
+
+    @property
+    def states(self) -> Flight:
+        """The states; ArgumentError for a flight that was made of input vectors."""
+        if self.flight is None:
+            raise ArgumentError(f"flight {self.name}: was made of input vectors and has no states")
+        return self.flight
+
     @classmethod
     def from_flight(
         cls, flight: Flight, vehicle: Vehicle, sha256: str, live: LiveSamples | None = None
@@ -248,14 +264,10 @@ def prepare_flights(
             else:
                 each.append((part, flight))
     for file, flight in once_each(each, attrgetter("sha256"), left_out):
-        flaw, aloft_s = flight.quality.flaw, float(flight.time[-1] - flight.time[0])
-        if flaw is not None and not keep_flawed:
-            leave_out(file, LogError(f"{file.path}: {flaw}"), left_out)
-        elif aloft_s < shortest_s:
-            why = f"{aloft_s:.2g} s in the air, of {shortest_s:g} s that this kind of model needs"
-            leave_out(file, LogError(f"{file.path}: {why}"), left_out)
-        else:
+        if (why := flight.unfit(shortest_s, keep_flawed=keep_flawed)) is None:
             flights.append(flight)
+        else:
+            leave_out(file, LogError(f"{file.path}: {why}"), left_out)
     require_flights_left(len(flights), left_out)
     return flights
 

@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import stdtrit
 
 from quadpi_core import array_checks
-from quadpi_core.errors import ArgumentError
-from quadpi_core.evaluation.metrics import coverage_interval, mpiw, picp
+from quadpi_core.errors import ArgumentError, require_library
+from quadpi_core.evaluation.metrics import coverage_interval_by_flight, mpiw, picp
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.identification.prepared_flights import PreparedFlight
 from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES, VELOCITY_INPUTS
-from quadpi_core.library.flight_arrays import counted, html_table, new_axes, pandas
+from quadpi_core.library import Guessable
+from quadpi_core.library.flight_arrays import counted, html_table, new_axes
 from quadpi_core.library.flights import Flights, flights_in
 from quadpi_core.library.wrench_model import WrenchModel
 from quadpi_core.models.interval_rules import inside_interval
@@ -63,7 +63,7 @@ class CoverageRow(NamedTuple):
 
 
 @dataclass(frozen=True, repr=False)
-class CoverageTable:
+class CoverageTable(Guessable):
     """How intervals hold on flights; LogError without pandas or matplotlib, where they are needed.
 
     Attributes:
@@ -89,10 +89,10 @@ class CoverageTable:
         Args:
             pooled: over the samples of all flights instead of each, with "all" as the flight.
         """
-        rows = self.pooled if pooled else self.rows
-        frame: pd.DataFrame = pandas().DataFrame(rows, columns=CoverageRow._fields)
+        rows, pandas = self.pooled if pooled else self.rows, require_library("pandas", "notebook")
+        frame: pd.DataFrame = pandas.DataFrame(rows, columns=CoverageRow._fields)
         if self.by is not None:
-            frame["bin"] = pandas().arrays.IntervalArray.from_tuples([row.bin for row in rows], closed="left")
+            frame["bin"] = pandas.arrays.IntervalArray.from_tuples([row.bin for row in rows], closed="left")
         return frame
 
     def __len__(self) -> int:
@@ -197,7 +197,9 @@ def evaluate(
                 cell, column = at == place, AXES.index(axis)
                 if cell.any():
                     y, low, high = (array[cell, column] for array in (measured, lower, upper))
-                    interval = _bounds(inside_interval(y, low, high), y - predicted[cell, column], of[cell])
+                    interval = coverage_interval_by_flight(
+                        inside_interval(y, low, high), y - predicted[cell, column], of[cell]
+                    )
                     bounds = None if by is None else ends
                     width = mpiw(low, high)
                     rows.append(
@@ -214,25 +216,6 @@ def evaluate(
         confidence=confidence,
         in_sample=tuple(flight.name for flight in given.prepared if flight.sha256 in learned),
     )
-
-
-def _bounds(inside: npt.NDArray[np.bool_], errors: Array, of: npt.NDArray[np.int64]) -> tuple[float, float]:
-    """95 % confidence interval of a coverage; arrays (N,), `of` the flight of each sample.
-
-    Of several flights each is one cluster: the variance of the ratio of inside to all samples between them
-    (Cochran 1977, ch. 9A), Student's t with one degree of freedom less than
-    flights. It is never narrower than that of these flights alone, as flights may agree by chance.
-    """
-    low, high = coverage_interval(inside, errors, of)
-    _, flight, sizes = np.unique(of, return_inverse=True, return_counts=True)
-    flights = len(sizes)
-    if flights > 1:
-        apart = np.bincount(flight, inside) - np.mean(inside) * sizes
-        deviation = np.sqrt(flights / (flights - 1) * np.sum(np.square(apart / len(of))))
-        half = float(stdtrit(flights - 1, 0.975) * deviation)
-        centre = float(np.mean(inside))
-        low, high = max(min(low, centre - half), 0.0), min(max(high, centre + half), 1.0)
-    return low, high
 
 
 def _quantity(by: str | None) -> tuple[str, Callable[[PreparedFlight], Array]]:

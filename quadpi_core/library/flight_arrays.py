@@ -34,7 +34,7 @@ from quadpi_core.logs.readers import recording_hash
 from quadpi_core.models.model_kind import CUTOFF_HZ
 from quadpi_core.monitor.preparation import conditions
 from quadpi_core.records import QUATERNION_NORM_TOLERANCE
-from quadpi_core.screening.plausibility import check_plausible
+from quadpi_core.screening.consistency import checked
 from quadpi_core.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -46,17 +46,14 @@ _ROWS_SHOWN = 12
 def html_table(sentence: str, headings: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
     """A sentence above a table of HTML, of the first rows only where there are many."""
     more = f"<p>… {len(rows) - _ROWS_SHOWN} more</p>" if len(rows) > _ROWS_SHOWN else ""
-    body = "".join(_row("td", row) for row in rows[:_ROWS_SHOWN])
-    return f"<p>{escape(sentence)}</p><table>{_row('th', headings)}{body}</table>{more}"
+    cells = [("th", headings), *(("td", row) for row in rows[:_ROWS_SHOWN])]
+    lines = ("".join(f"<{cell}>{escape(str(one))}</{cell}>" for one in row) for cell, row in cells)
+    return f"<p>{escape(sentence)}</p><table>{''.join(f'<tr>{line}</tr>' for line in lines)}</table>{more}"
 
 
 def counted(flights: int) -> str:
     """Their number in words."""
     return "1 flight" if flights == 1 else f"{flights} flights"
-
-
-def _row(cell: str, values: Iterable[Any]) -> str:
-    return f"<tr>{''.join(f'<{cell}>{escape(str(value))}</{cell}>' for value in values)}</tr>"
 
 
 def new_axes(axes: Any, count: int = 1) -> Any:
@@ -75,15 +72,6 @@ def new_axes(axes: Any, count: int = 1) -> Any:
     height_in = max(3.0, 1.8 * count)
     figure = {"figsize": (8.0, height_in), "layout": "constrained"}
     return np.ravel(pyplot.subplots(count, 1, sharex=True, **figure)[1])
-
-
-def pandas() -> Any:
-    """The module pandas.
-
-    Raises:
-        LogError: without it.
-    """
-    return require_library("pandas", "notebook")
 
 
 # Quantities that a table may lack; the second is taken only from signals that have been filtered.
@@ -129,12 +117,9 @@ def prepared_from_arrays(
         for name, values in arrays.items()
         if values is not None
     }
-    air = None
-    if air_density is not None:
-        if np.ndim(air_density) == 0:
-            air_density = np.full(len(stamps), air_density)
-        known = conditions(len(stamps), air_density)
-        air = None if known is None else known["air_density"]
+    if air_density is not None and np.ndim(air_density) == 0:
+        air_density = np.full(len(stamps), air_density)
+    known = None if air_density is None else conditions(len(stamps), air_density)
     prepared = []
     for label, rows in _by_label(flight, len(stamps)):
         flight_values = {name: values[rows] for name, values in checked.items()}
@@ -156,8 +141,8 @@ def prepared_from_arrays(
             prepared.append(_taken(recording, flight_values[_DERIVED], vehicle, is_whole=is_whole))
         else:
             prepared.append(prepare_recording(recording, vehicle, cutoff_hz))
-        if air is not None:
-            prepared[-1] = prepared[-1].in_air(float(np.median(air[rows])), vehicle)
+        if known is not None:
+            prepared[-1] = prepared[-1].in_air(float(np.median(known["air_density"][rows])), vehicle)
     return tuple(prepared)
 
 
@@ -203,8 +188,8 @@ def _taken(
     """A flight whose signals have been filtered, as they are.
 
     Raises:
-        LogError: naming the flight, for rows that were left out, attitudes that are no rotations, and units
-            or axes that cannot be right.
+        LogError: naming the flight, for rows that were left out, attitudes that are no rotations, units
+            or axes that cannot be right, and certain mistakes.
     """
     state, rotors, wind = recording.odometry, recording.rotor_speeds, recording.wind
     assert state is not None
@@ -221,7 +206,7 @@ def _taken(
     if off.any():
         first = int(np.argmax(off))
         raise LogError(f"{source}: attitude: sample {first}: norm of {norms[first]:.3g}, expected 1")
-    check_plausible(recording, vehicle)
+    recording = checked(recording, vehicle, filtered=True)
     flight = Flight(
         name=recording.name,
         vehicle=vehicle.name,
@@ -239,7 +224,9 @@ def _taken(
         biases_estimated=False,
     )
     prepared = PreparedFlight.from_flight(flight, vehicle, recording_hash(recording))
-    return replace(prepared, file=recording.name, recorded_s=float(flight.time[-1]))
+    return replace(
+        prepared, file=recording.name, recorded_s=float(flight.time[-1]), quality=recording.quality
+    )
 
 
 def from_frame(
@@ -253,7 +240,7 @@ def from_frame(
     filtered: bool,
 ) -> tuple[tuple[PreparedFlight, ...], float]:
     """Flights of a table, and their low-pass; see `Flights.from_pandas`."""
-    array_checks.instance("frame", frame, pandas().DataFrame)
+    array_checks.instance("frame", frame, require_library("pandas", "notebook").DataFrame)
     array_checks.instance("filtered", filtered, bool)
     array_checks.instance("columns", {} if names is None else names, Mapping)
     if cutoff_hz is None:
@@ -316,16 +303,14 @@ def _listed(names: Iterable[Any]) -> str:
 
 def to_frame(flights: Sequence[PreparedFlight], cutoff_hz: float) -> pd.DataFrame:
     """The table of flights; see `Flights.to_pandas`."""
-    parts = []
+    parts, pandas = [], require_library("pandas", "notebook")
     for prepared in flights:
-        flight = prepared.flight
-        if flight is None:
-            raise ArgumentError(f"flight {prepared.name}: was made of input vectors and has no states")
+        flight = prepared.states
         table: dict[str, Any] = {_FLIGHT: prepared.name, _TIME: flight.stamps_ns}
         for quantity, columns in columns_of(flight.rotor_speeds.shape[1]).items():
             table |= dict(zip(columns, getattr(flight, quantity).T, strict=True))
         table |= dict(zip(WRENCH, prepared.wrench.T, strict=True))
-        parts.append(pandas().DataFrame(table))
-    frame: pd.DataFrame = pandas().concat(parts, ignore_index=True)
+        parts.append(pandas.DataFrame(table))
+    frame: pd.DataFrame = pandas.concat(parts, ignore_index=True)
     frame.attrs = {_CUTOFF: cutoff_hz, _ROWS: {flight.name: len(flight.time) for flight in flights}}
     return frame

@@ -24,6 +24,7 @@ from quadpi_core.frames import Array
 from quadpi_core.identification.commanded_flights import prepare_with_motors
 from quadpi_core.identification.prepared_flights import PreparedFlight
 from quadpi_core.inputs import VELOCITY_INPUTS
+from quadpi_core.library import Guessable
 from quadpi_core.library.flight_arrays import counted, from_frame, html_table, prepared_from_arrays, to_frame
 from quadpi_core.models.model_kind import CUTOFF_HZ
 from quadpi_core.parallel import Workers
@@ -41,7 +42,7 @@ _WORKERS_MAX = 4096
 
 # Compared and hashed by identity: arrays have no truth value.
 @dataclass(frozen=True, eq=False, repr=False)
-class Flights:
+class Flights(Guessable):
     """Flights of one vehicle after one low-pass; each counts as one sample in cross-validation.
 
     `flights[0]`, `flights[1:]` and `flights["train_1"]` are `Flights` too. SI units, body axes
@@ -200,7 +201,8 @@ class Flights:
         """Refuse to be one array, as a scaler before the model would make of them."""
         raise ArgumentError(
             "flights: no array, so steps before WrenchModel cannot change them: inputs (N, 19) and wrench "
-            "(N, 6) are arrays; WrenchModel(estimator=make_pipeline(…)) scales the inputs of a regressor"
+            "(N, 6) are arrays, to_pandas() is a table; WrenchModel(estimator=make_pipeline(…)) scales the "
+            "inputs of a regressor"
         )
 
     @property

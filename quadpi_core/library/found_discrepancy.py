@@ -18,10 +18,10 @@ from quadpi_core.discrepancy.loading import load_simulation
 from quadpi_core.discrepancy.other_simulations import CallableSimulation
 from quadpi_core.discrepancy.simulations import Simulation, VehicleSimulation
 from quadpi_core.discrepancy.study import study, study_flight
-from quadpi_core.errors import ArgumentError, DiscrepancyError
+from quadpi_core.errors import ArgumentError, DiscrepancyError, require_library
 from quadpi_core.flight import AXES, Flight
 from quadpi_core.frames import Array
-from quadpi_core.library.flight_arrays import counted, html_table, new_axes, pandas
+from quadpi_core.library.flight_arrays import counted, html_table, new_axes
 from quadpi_core.library.flights import Flights, flights_in
 from quadpi_core.library.wrench_model import WrenchModel
 from quadpi_core.models.model_kind import CUTOFF_HZ
@@ -135,11 +135,15 @@ class Discrepancy:
         Columns: effect, parameter, value, lower, upper, unit, probability, axes, rivals.
         """
         rows = [
-            (effect.name, size.name, size.value, size.lower, size.upper, size.unit, *_evidence(effect))
-            for effect in self.effects
-            for size in effect.parameters
+            (
+                *(one.name, size.name, size.value, size.lower, size.upper, size.unit),
+                *(one.probability, " ".join(one.axes), ", ".join(one.rivals)),
+            )
+            for one in self.effects
+            for size in one.parameters
         ]
-        return pandas().DataFrame(rows, columns=_COLUMNS)
+        frame: pd.DataFrame = require_library("pandas", "notebook").DataFrame(rows, columns=_COLUMNS)
+        return frame
 
     def __repr__(self) -> str:
         study, gap = self.study, self.study.discovery.gap
@@ -172,10 +176,6 @@ class Discrepancy:
         axes.set_ylabel("difference / floor")
         axes.legend()
         return axes
-
-
-def _evidence(effect: FoundEffect) -> tuple[float, str, str]:
-    return effect.probability, " ".join(effect.axes), ", ".join(effect.rivals)
 
 
 def find_discrepancy(
@@ -226,10 +226,5 @@ def find_discrepancy(
 
 def _states(flights: Flights) -> list[Flight]:
     """The states of flights, as a search compares them."""
-    states = []
-    for prepared in flights_in("flights", flights).prepared:
-        if prepared.flight is None:
-            raise ArgumentError(f"flight {prepared.name}: was made of input vectors and has no states")
-        known = replace(prepared.flight, name=prepared.name, sha256=prepared.sha256)
-        states.append(study_flight(known))
-    return states
+    given = flights_in("flights", flights).prepared
+    return [study_flight(replace(one.states, name=one.name, sha256=one.sha256)) for one in given]

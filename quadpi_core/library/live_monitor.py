@@ -7,7 +7,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple, overload
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +18,7 @@ from quadpi_core.errors import ArgumentError
 from quadpi_core.estimator.filter_state import METER, ImuRate
 from quadpi_core.flight import AXES, STAMP_MAX_NS
 from quadpi_core.frames import Array
+from quadpi_core.library import Guessable
 from quadpi_core.library.wrench_model import WrenchModel, only_axes
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.interval_rules import inside_interval
@@ -28,18 +29,12 @@ from quadpi_core.monitor.pairing import PairedSamples
 from quadpi_core.monitor.preparation import conditions
 from quadpi_core.monitor.wind_state import SampleContext
 from quadpi_core.records import Records
-from quadpi_core.results import Alarms, Events, Predictions
+from quadpi_core.results import Alarms, Events
 from quadpi_core.vehicle import Vehicle
 
 LEVELS = ("ok", "warning", "alarm")
 # Numbers per sample of each quantity.
-_WIDTHS = {
-    "velocity": 3,
-    "attitude": 4,
-    "rates": 3,
-    "specific_force": 3,
-    "wind": 3,
-}
+_WIDTHS = {"velocity": 3, "attitude": 4, "rates": 3, "specific_force": 3, "wind": 3}
 
 
 class MonitorRow(NamedTuple):
@@ -68,7 +63,7 @@ class MonitorRow(NamedTuple):
         return f"<MonitorRow {self.time_ns} ns: outside {outside}, {self.alarm}{why}>"
 
 
-class Monitor:
+class Monitor(Guessable):
     """Watches one vehicle with one model, sample by sample or in blocks of any length, with the same results.
 
     The live nodes run the same code and give the same bits.
@@ -94,14 +89,14 @@ class Monitor:
         confidence: float | None = None,
         settings: MonitorSettings | None = None,
     ) -> None:
-        fitted: Any = model.fitted if isinstance(model, WrenchModel) else model
+        fitted: Any = model
+        hint = "load_model(folder) reads one"
+        if isinstance(model, WrenchModel):
+            fitted = model.fitted
+            hint = "a regressor of your own judges flights offline; docs/add-a-kind-of-model.md goes on"
         if not isinstance(fitted, AerodynamicModel):
-            hint = "load_model(folder) reads one"
-            if isinstance(model, WrenchModel):
-                hint = "a regressor of your own judges flights offline; docs/add-a-kind-of-model.md goes on"
-            raise ArgumentError(
-                f"model: expected a kind of model, found {array_checks.description(fitted)}; {hint}"
-            )
+            found = array_checks.description(fitted)
+            raise ArgumentError(f"model: expected a kind of model, found {found}; {hint}")
         flown = vehicle if isinstance(vehicle, Vehicle) else fitted.load_vehicle(vehicle)
         self._monitor = BlockMonitor(fitted, flown, rate_hz, confidence, settings)
         self._wind = SampleContext(fitted, flown).wind
@@ -109,25 +104,6 @@ class Monitor:
         self._rate = ImuRate() if rate_hz is None else None
         self._meter = np.zeros(1, METER)
         self._level, self._cause = 0, ""
-
-    @overload
-    def step(
-        self,
-        time_ns: npt.ArrayLike,
-        values: None = None,
-        *,
-        velocity: npt.ArrayLike,
-        attitude: npt.ArrayLike,
-        rates: npt.ArrayLike,
-        specific_force: npt.ArrayLike,
-        rotor_speeds: npt.ArrayLike,
-        wind: npt.ArrayLike | None = None,
-        air_density: npt.ArrayLike | None = None,
-        state_covariance: npt.ArrayLike | None = None,
-    ) -> list[MonitorRow]: ...
-
-    @overload
-    def step(self, time_ns: npt.ArrayLike, values: Array) -> tuple[Predictions, Alarms, Events]: ...
 
     def step(
         self,
@@ -142,7 +118,7 @@ class Monitor:
         wind: npt.ArrayLike | None = None,
         air_density: npt.ArrayLike | None = None,
         state_covariance: npt.ArrayLike | None = None,
-    ) -> list[MonitorRow] | tuple[Predictions, Alarms, Events]:
+    ) -> list[MonitorRow]:
         """Take one sample or K of them; returns a list with a :class:`MonitorRow` for each that can be used.
 
         Samples are raw, as sensors and estimator give them: the monitor low-passes them, which those of
@@ -176,7 +152,7 @@ class Monitor:
                 DeprecationWarning,
                 stacklevel=2,
             )
-            return self._monitor.step(np.asarray(time_ns), values)
+            return self._monitor.step(np.asarray(time_ns), values)  # type: ignore[return-value]
         stamps = array_checks.stamps("time_ns", np.atleast_1d(_array("time_ns", time_ns)))
         given = {
             "velocity": velocity,

@@ -13,7 +13,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import deepcopy
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Protocol
 
@@ -58,11 +58,7 @@ class StoredRegressor(ABC):
         """Predictions (N,) for inputs (N, 19)."""
 
     def fit(self, X: Array, y: Array) -> Any:  # noqa: ARG002 - the signature of all regressors
-        """Refused: only the result of a fit is stored.
-
-        Raises:
-            ModelError: always.
-        """
+        """Refused by a ModelError: only the result of a fit is stored."""
         raise ModelError("a regressor read from a folder cannot be fitted again: make the model anew")
 
     def arrays(self) -> dict[str, Array]:
@@ -137,8 +133,8 @@ class Trees(StoredRegressor):
             and self.constant.shape == (1,)
             and self.roots.ndim == 1
             and all(
-                np.all(np.isfinite(places) & (places == np.rint(places)))
-                for places in (self.feature, self.left, self.right, self.roots)
+                np.all(np.isfinite(at) & (at == np.rint(at)))
+                for at in (self.feature, self.left, self.right, self.roots)
             )
             and np.all(self.feature < _INPUTS)
             and np.all((self.roots >= 0) & (self.roots < nodes))
@@ -214,13 +210,9 @@ def _forms(regressor: Any, X: Array, expected: Array) -> Iterator[StoredRegresso
     )
     # A mean of trees, a sum that learns slowly, with a constant or without: told by what is predicted.
     total = summed.predict(X)
-    spread = float(np.square(total - total.mean()).sum())
-    scale = float((total - total.mean()) @ (expected - expected.mean())) / spread if spread else 1.0
-    for share in (1.0 / len(trees), scale):
-        values = {**vars(summed), "value": share * summed.value}
-        constant = np.mean(expected - share * total)
-        yield Trees(**values | {"constant": np.zeros(1)})
-        yield Trees(**values | {"constant": np.array([constant])})
+    columns = np.stack((total, np.ones_like(total)), axis=1)
+    scale, constant = np.linalg.lstsq(columns, expected, rcond=None)[0]
+    yield replace(summed, value=scale * summed.value, constant=np.array([constant]))
 
 
 class Regressor(Protocol):
@@ -236,6 +228,10 @@ class Regressor(Protocol):
 def is_regressor(given: object) -> bool:
     """Whether it is an object that can be fitted and predicts."""
     return not isinstance(given, type) and all(callable(getattr(given, n, None)) for n in ("fit", "predict"))
+
+
+# What model.json says as it is.
+_SAID = ("regressor", "vehicle", "vehicle_fingerprint", "cutoff_hz", "confidence")
 
 
 @dataclass(frozen=True)
@@ -344,8 +340,7 @@ class RegressorModel:
                 "held_out_coverage": self.held_out_coverage[axis],
             }
             arrays |= {f"{axis}.{name}": values for name, values in form.arrays().items()}
-        names = ("regressor", "vehicle", "vehicle_fingerprint", "cutoff_hz", "confidence")
-        description = {name: getattr(self, name) for name in names}
+        description = {name: getattr(self, name) for name in _SAID}
         flights = [flight.to_json() for flight in self.flights]
         write_folder(FolderContent({**description, "axes": axes, "flights": flights}, arrays), Path(folder))
 
@@ -357,20 +352,16 @@ class RegressorModel:
             ModelError: for what no fit gives.
         """
         described = parse_config(_Description, content.description, "model.json", ModelError)
-        rules = {axis: own.rule for axis, own in described.axes.items()}
-        if not all(isinstance(rule, HeldOutRule) for rule in rules.values()):
+        rules = {axis: own.rule for axis, own in described.axes.items() if isinstance(own.rule, HeldOutRule)}
+        if len(rules) < len(described.axes):
             raise ModelError("model.json: a regressor has intervals of held-out flights alone")
         return cls(
-            regressor=described.regressor,
-            vehicle=described.vehicle,
-            vehicle_fingerprint=described.vehicle_fingerprint,
-            cutoff_hz=described.cutoff_hz,
-            confidence=described.confidence,
+            **{name: getattr(described, name) for name in _SAID},
             fitted={
                 axis: StoredRegressor.stored(own.form, named_arrays(content.arrays, axis))
                 for axis, own in described.axes.items()
             },
-            rules={axis: rule for axis, rule in rules.items() if isinstance(rule, HeldOutRule)},
+            rules=rules,
             training_range={axis: own.training_range for axis, own in described.axes.items()},
             held_out_coverage={axis: list(own.held_out_coverage) for axis, own in described.axes.items()},
             flights=described.flights,
@@ -385,7 +376,7 @@ def predictions(regressor: Regressor, X: Array) -> Array:
         ModelError: for predictions of another shape or not finite, and for any error of the regressor.
     """
     name = type(regressor).__name__
-    with _named(regressor):
+    with _named(name):
         values = np.asarray(regressor.predict(X))
     if values.size != len(X) or values.dtype.kind not in "iuf":
         raise ModelError(f"{name}: predicts {array_checks.description(values)} for {len(X)} samples")
@@ -395,15 +386,14 @@ def predictions(regressor: Regressor, X: Array) -> Array:
 
 
 @contextmanager
-def _named(regressor: Regressor) -> Iterator[None]:
+def _named(regressor: str) -> Iterator[None]:
     """Name the regressor in what it raises, which remains the cause."""
     try:
         yield
     except QuadpiError:
         raise
     except Exception as error:
-        name, kind = type(regressor).__name__, type(error).__name__
-        raise ModelError(f"estimator {name}: {kind}: {one_line(error)}") from error
+        raise ModelError(f"estimator {regressor}: {type(error).__name__}: {one_line(error)}") from error
 
 
 def fitted_regressor(
@@ -437,11 +427,7 @@ def fitted_regressor(
                 for out in places
             ]
             fitted[axis] = _fit(regressor, X, y)
-            everywhere = [np.ones(int(place.sum()), dtype=np.bool_) for place in places]
-            trained = [
-                _errors(fitted[axis], X[own], y[own], inside)
-                for own, inside in zip(places, everywhere, strict=True)
-            ]
+            trained = [_errors(fitted[axis], X[own], y[own], np.ones(own.sum(), np.bool_)) for own in places]
             rules[axis] = calibrate(held_out, trained)
             coverage[axis] = rules[axis].held_out_coverage(held_out, confidence).tolist()
     return RegressorModel(
@@ -461,7 +447,7 @@ def fitted_regressor(
 
 def _fit(regressor: Regressor, X: Array, y: Array) -> Regressor:
     copy = deepcopy(regressor)
-    with _named(copy):
+    with _named(type(copy).__name__):
         copy.fit(X, y)
     return copy
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 import inspect
 import warnings
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -19,6 +19,7 @@ from quadpi_core.evaluation.metrics import r_squared
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.identification.identify import identify
+from quadpi_core.library import Guessable
 from quadpi_core.library.flight_arrays import counted, html_table, new_axes
 from quadpi_core.library.flights import Flights, flights_in
 from quadpi_core.library.user_regressor import Regressor, RegressorModel, fitted_regressor, is_regressor
@@ -61,7 +62,7 @@ def only_axes(values: Array, axes: Sequence[str]) -> Array:
     return np.where(np.isin(AXES, axes), values, np.nan)
 
 
-class WrenchModel:
+class WrenchModel(Guessable):
     """Aerodynamic forces and moments of a quadrotor, with prediction intervals calibrated by flight.
 
     By the protocol of scikit-learn, where X are :class:`Flights` and each flight is one sample: `clone`,
@@ -159,15 +160,11 @@ class WrenchModel:
         """The flights without those that no model should learn from, each of which is a warning."""
         usable = []
         for place, flight in enumerate(flights.prepared):
-            aloft_s, flaw = float(flight.time[-1] - flight.time[0]), flight.quality.flaw
-            if flaw is not None and not self.keep_flawed:
-                why = f"{flaw}; keep_flawed=True learns from it"
-            elif aloft_s < shortest_s:
-                why = f"{aloft_s:.2g} s in the air, of {shortest_s:g} s that this kind of model needs"
-            else:
+            if (why := flight.unfit(shortest_s, keep_flawed=self.keep_flawed)) is None:
                 usable.append(place)
                 continue
-            warnings.warn(f"flight {flight.name} left out: {why}", stacklevel=3)
+            hint = "; keep_flawed=True learns from it" if why == str(flight.quality.flaw) else ""
+            warnings.warn(f"flight {flight.name} left out: {why}{hint}", stacklevel=3)
         if len(usable) < _FEWEST_FLIGHTS:
             others = "; the warnings say why others are left out" if len(usable) < len(flights) else ""
             raise ModelError(
@@ -273,11 +270,12 @@ class WrenchModel:
     def get_params(self, deep: bool = True) -> dict[str, Any]:
         """Constructor arguments by name; with `deep`, options of the estimator too, as `estimator__NAME`."""
         settings = {name: getattr(self, name) for name in inspect.signature(type(self)).parameters}
-        nested: dict[str, Any] = {}
-        if deep and hasattr(self.estimator, "get_params"):
+        if not deep:
+            return settings
+        if hasattr(self.estimator, "get_params"):
             nested = self.estimator.get_params(deep=True)
-        elif deep and (kind := self._kind()) is not None:
-            nested = {option.name: getattr(kind, option.name) for option in fields(kind)}
+        else:
+            nested = {} if (kind := self._kind()) is None else vars(kind)
         return settings | {f"estimator__{name}": value for name, value in nested.items()}
 
     def _kind(self) -> Kind | None:

@@ -82,15 +82,21 @@ _YAW_INERTIA, _MOMENTS_SMALL = 0.2, 0.8
 
 
 def checked(
-    recording: Recording, vehicle: Vehicle, beyond: Mapping[str, Sequence[Beyond]] | None = None
+    recording: Recording,
+    vehicle: Vehicle,
+    beyond: Mapping[str, Sequence[Beyond]] | None = None,
+    *,
+    filtered: bool = False,
 ) -> Recording:
     """The recording with the findings of the check in its `quality`.
+
+    Of `filtered` signals only the motion is checked, as little is left of what rotors add.
 
     Raises:
         LogError: naming file and topic, for units and axes that cannot be right, and certain mistakes.
     """
     check_plausible(recording, vehicle, beyond)
-    mistakes = tuple(contradictions(recording, vehicle))
+    mistakes = tuple(findings(recording, None) if filtered else contradictions(recording, vehicle))
     for finding in mistakes:
         if finding.certain:
             raise LogError(f"{recording.source}: {finding}")

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import TypeAlias, TypeGuard
 
 import numpy as np
 import numpy.typing as npt
@@ -36,6 +36,8 @@ _POSE_GAP_NS = 300_000_000
 _ROTOR_STEP_NS = 45_000_000
 # Some logs begin with a sample of another time, which would leave a flight of 4 s without a window.
 _STRAY_NS = 100_000_000
+# Steps of positions that were measured differ from the velocity's by a hundredth of the largest and more.
+_INTEGRAL_SHARE = 1e-6
 # Largest delay of rotor speeds that is examined; a window includes their samples this far around it.
 _MARGIN_S = 0.4
 
@@ -53,6 +55,8 @@ class Excerpt:
         position: (W, K + 1, 3) m, world.
         rates: (W, K, 3) rad/s, means over the cells.
         force: (W, K, 3) specific force m/s², means over the cells.
+        velocity: (W, K + 1, 3) m/s, body axes, where the position is its integral by this attitude, so that
+            another attitude makes another position; else None.
     """
 
     topic: str
@@ -61,6 +65,7 @@ class Excerpt:
     position: Array
     rates: Array
     force: Array
+    velocity: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -85,17 +90,32 @@ class RotorExcerpt:
 def excerpt(recording: Recording, state: Pose) -> Excerpt | None:
     """Windows in which the IMU and a state have samples without a pause; None if there are none."""
     parts = []
+    places = [state.position, *([state.velocity] if _is_integral(state) else [])]
     for grid, *inertial in _windows(recording, state.time_ns):
         if _pauses(state.time_ns, grid, _POSE_GAP_NS):
             continue
         near = _near(state.time_ns, grid)
         time_s, at_s = ((time_ns - grid[0]) * 1e-9 for time_ns in (state.time_ns[near], grid))
-        attitude = interpolate_columns(time_s, continuous(state.attitude[near]), at_s)
+        attitude, position, *velocity = (
+            interpolate_columns(time_s, values, at_s)
+            for values in (continuous(state.attitude[near]), *(place[near] for place in places))
+        )
         attitude /= np.linalg.norm(attitude, axis=1, keepdims=True)
-        parts.append((attitude, interpolate_columns(time_s, state.position[near], at_s), *inertial))
+        parts.append((attitude, position, *inertial, *velocity))
     if not parts:
         return None
     return Excerpt(state.topic, STEP_S, *map(np.stack, zip(*parts, strict=True)))
+
+
+def _is_integral(state: Pose) -> TypeGuard[OdometryStream]:
+    """Whether nobody measured the position: it is the integral of the velocity, by the attitude."""
+    if isinstance(state, PoseStream) or len(state) < 2:
+        return False
+    velocity = rotate_body_to_world(state.attitude, state.velocity)
+    step_s = np.diff(state.time_ns)[:, np.newaxis] * 1e-9
+    moved = 0.5 * (velocity[1:] + velocity[:-1]) * step_s
+    off = np.abs(np.diff(state.position, axis=0) - moved).max()
+    return bool(off <= _INTEGRAL_SHARE * np.abs(moved).max())
 
 
 def rotor_excerpt(recording: Recording) -> RotorExcerpt | None:
@@ -277,7 +297,7 @@ def innovation(sample: Excerpt) -> Innovation:
     # The second difference of a position weights accelerations by a triangle.
     weights = (1.0 - np.abs(np.arange(-half, half) + 0.5) / half) / half
     windows = np.lib.stride_tricks.sliding_window_view(in_world, 2 * half, axis=1)[:, at - half]
-    needed = second_difference(sample, sample.position) - STANDARD_GRAVITY * _UP
+    needed = second_difference(sample, _path(sample)) - STANDARD_GRAVITY * _UP
     return Innovation(
         turned.reshape(-1, 3),
         turned_attitude.reshape(-1, 3),
@@ -285,6 +305,15 @@ def innovation(sample: Excerpt) -> Innovation:
         needed.reshape(-1, 3),
         sample.attitude[:, at].reshape(-1, 4),
     )
+
+
+def _path(sample: Excerpt) -> Array:
+    """Position (W, K + 1, 3) m, up to where each window begins."""
+    if sample.velocity is None:
+        return sample.position
+    flat = rotate_body_to_world(sample.attitude.reshape(-1, 4), sample.velocity.reshape(-1, 3))
+    velocity = flat.reshape(sample.velocity.shape)
+    return np.asarray(sample.step_s * (np.cumsum(velocity, axis=1) - 0.5 * velocity))
 
 
 def second_difference(sample: Excerpt, values: Array) -> Array:

@@ -226,7 +226,7 @@ def _fitted(sample: Excerpt, found: Innovation) -> Iterator[Hypothesis]:
     larger = 1.0 / _best_scale(found, lambda s: (1.0, s))
     yield Hypothesis(
         "position scale",
-        lambda e: replace(e, position=e.position / larger),
+        lambda e: replace(_of_velocity(e, _EYE / larger), position=e.position / larger),
         f"the position of {topic} looks {larger:.3g} times too large: another unit?",
         f"dividing it by {larger:.3g}",
         scale=larger,
@@ -286,7 +286,11 @@ def _reordered(sample: Excerpt, shift: int) -> Excerpt:
 
 
 def _of_body(sample: Excerpt, turn: Array) -> Excerpt:
-    return replace(sample, attitude=products(sample.attitude, quaternion_of(turn)))
+    return replace(_of_velocity(sample, turn), attitude=products(sample.attitude, quaternion_of(turn)))
+
+
+def _of_velocity(sample: Excerpt, turn: Array) -> Excerpt:
+    return sample if sample.velocity is None else replace(sample, velocity=sample.velocity @ turn)
 
 
 def _of_world(sample: Excerpt, attitude: Array, position: Array) -> Excerpt:

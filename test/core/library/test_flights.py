@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import quadpi_core as qp
-from quadpi_core import frames
 from quadpi_core.identification.prepared_flights import PreparedFlight, prepare_flights
 from quadpi_core.paths import bags_directory
 
@@ -110,11 +109,11 @@ def test_flights_by_their_names(training):
 def test_a_likely_mistake_in_the_data_is_a_warning(training):
     flight = training.prepared[0].flight
     wrong = {name: getattr(flight, name) for name in NAMES[:5]} | {
-        "attitude": frames.inverses(flight.attitude)
+        "specific_force": 1.1 * flight.specific_force
     }
-    with pytest.warns(UserWarning, match="flight flight: topic odometry: .* looks conjugated"):
+    with pytest.warns(UserWarning, match=r"flight flight: topic odometry: the accelerometer reads 1\.1"):
         flights = qp.Flights.from_arrays(flight.stamps_ns, vehicle="bebop2", **wrong)
-    assert "looks conjugated" in flights._repr_html_()
+    assert "the accelerometer reads 1.1" in flights._repr_html_()
 
 
 def test_they_show_themselves(training):
@@ -326,6 +325,21 @@ def test_filtered_tables_are_checked_as_raw_ones_are(training, change, message):
     with pytest.raises(qp.QuadpiError, match=message) as caught:
         qp.Flights.from_pandas(table, vehicle="bebop2", filtered=True)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("filtered", [True, False])
+@pytest.mark.parametrize("measured", [True, False], ids=["position", "no position"])
+def test_quaternions_in_the_other_order_are_refused(training, filtered, measured):
+    """Without a position that of the flight is the integral of its velocity, by the wrong attitude."""
+    order, derived = ["qw", "qx", "qy", "qz"], ["p_rad_s2", "q_rad_s2", "r_rad_s2"]
+    absent = [*([] if filtered else derived), *([] if measured else ["north_m", "east_m", "down_m"])]
+    for flight in training:
+        table = flight.to_pandas().drop(columns=absent)
+        told = qp.Flights.from_pandas(table, vehicle="bebop2", filtered=filtered).prepared[0].quality
+        assert [finding for finding in told.findings if finding.topic == "odometry"] == []
+        table[order] = table[[*order[1:], "qw"]].to_numpy()
+        with pytest.raises(qp.QuadpiError, match="attitude of odometry look ordered xyzw where the other"):
+            qp.Flights.from_pandas(table, vehicle="bebop2", filtered=filtered)
 
 
 @pytest.mark.parametrize(

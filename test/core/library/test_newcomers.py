@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from sklearn.base import clone
@@ -89,3 +91,25 @@ def test_rows_of_a_monitor(flights):
         )
     assert rows
     assert all(row.lower[2] < row.upper[2] for row in rows)
+
+
+@pytest.mark.parametrize(
+    ("guess", "instead"),
+    [
+        (lambda qp, flights: qp.fit(flights), r"WrenchModel\(estimator\)\.fit\(flights\)"),
+        (lambda qp, _: qp.read_bag("a.mcap"), r"load_flights\(logs, vehicle\)"),
+        (lambda qp, flights: qp.evaluation_of(flights), None),
+        (lambda qp, _: qp.WrenchModel.load("model"), r"load_model\(folder\)"),
+        (lambda qp, _: qp.WrenchModel().coef_, "model_, the fitted model"),
+        (lambda qp, _: qp.WrenchModel().__array_interface__, None),
+        (lambda qp, _: qp.Flights.from_csv("a.csv"), r"load_flights\(logs, vehicle\)"),
+        (lambda _, flights: flights.plot(), r"model\.plot\(flight\)"),
+        (lambda _, flights: flights.velocity, r"to_pandas\(\), a table"),
+        (lambda qp, _: qp.Monitor.update, r"step\(time_ns, velocity"),
+    ],
+)
+def test_a_guessed_name_names_the_right_one(training, guess, instead):
+    with pytest.raises(AttributeError, match="has no attribute") as caught:
+        guess(qp, training)
+    assert ": use " in str(caught.value) if instead else ": use " not in str(caught.value)
+    assert re.search(instead or "", str(caught.value))
