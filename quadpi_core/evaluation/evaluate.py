@@ -268,16 +268,11 @@ def given_comparison(
     name_of = {file.path: file.name for file in named_files(files)}
     parts = next(iter(flights.values()))
     named = {
-        group: [one.name for path in members for one in parts if one.file == name_of[path]]
+        group: names
         for group, members in groups.items()
+        if (names := [one.name for path in members for one in parts if one.file == name_of[path]])
     }
-    return ComparisonCase(
-        models,
-        flights,
-        {group: names for group, names in named.items() if names},
-        level,
-        left_out=list(left_out or ()),
-    )
+    return ComparisonCase(models, flights, named, level, left_out=list(left_out or ()))
 
 
 def compare(
@@ -463,16 +458,15 @@ def evaluate_rollouts(
     workers = Workers(1, progress=progress)
     task = "Predicting flights ahead"
     done = for_each_flight(ahead, paths, shared=None, task=task, workers=workers, left_out=left_out)
-    judged_flights = [(rolled, judged) for _, (_, rolled, judged) in once_each(done, itemgetter(0), left_out)]
-    metrics = {rolled.name: judged for rolled, judged in judged_flights}
-    return [rolled for rolled, _ in judged_flights], RolloutEvaluation(
+    flights = [(rolled, judged) for _, (_, rolled, judged) in once_each(done, itemgetter(0), left_out)]
+    return [rolled for rolled, _ in flights], RolloutEvaluation(
         __version__,
         model.identity,
         model.vehicle,
         level,
         horizon_s,
-        metrics,
-        {rolled.name: rolled.quality for rolled, _ in judged_flights},
+        {rolled.name: judged for rolled, judged in flights},
+        {rolled.name: rolled.quality for rolled, _ in flights},
         tuple(left_out or ()),
     )
 

@@ -339,7 +339,7 @@ def evaluate_flights(
     }
     curve = [_covered(at_confidence, level) for level in LEVELS]
 
-    def judge(flights: Sequence[FlightResult]) -> dict[str, AxisMetrics]:
+    def metrics_of(flights: Sequence[FlightResult]) -> dict[str, AxisMetrics]:
         axes = [axis for axis in AXES if all(axis in flight.axes for flight in flights)]
         normal = kind_named(method).normal_errors
         return {
@@ -359,13 +359,13 @@ def evaluate_flights(
         calibration_levels=list(LEVELS),
         regime_edges={quantity: values.tolist() for quantity, values in edges.items()},
         groups={
-            name: GroupEvaluation([flight.name for flight in flights], judge(flights), _assess(flights))
+            name: GroupEvaluation([flight.name for flight in flights], metrics_of(flights), _assess(flights))
             for name, flights in members.items()
         },
         flights={
             name: FlightEvaluation(
                 float(flight.time[-1] - flight.time[0]),
-                judge([flight]),
+                metrics_of([flight]),
                 _assess([flight]),
                 flight.sha256,
                 flight.in_sample,

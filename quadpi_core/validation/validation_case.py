@@ -22,7 +22,6 @@ from quadpi_core.evaluation.evaluate import common_confidence, load_models
 from quadpi_core.flight import AXES, Flight
 from quadpi_core.frames import Array
 from quadpi_core.inputs import flight_derivatives, flight_inputs
-from quadpi_core.logs.bag_topics import bag_vehicle
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.interval_rules import inside_interval
 from quadpi_core.models.model_kind import Evaluation
@@ -201,38 +200,11 @@ def _hash(values: Sequence[Any]) -> str:
     return digest.hexdigest()
 
 
-def recorded_flight(path: Path, vehicle: Vehicle) -> Flight:
-    """The truth of a simulated flight in the place of an estimated one.
-
-    Args:
-        path: bag that `quadpi simulate` wrote.
-        vehicle: that flew.
-
-    Raises:
-        LogError: naming the bag, for one without the truth, or of another vehicle.
-    """
-    truth = read_truth(path)
-    if (flown := bag_vehicle(path)) != vehicle.name:
-        raise LogError(f"{path}: is a flight of vehicle {flown}, not of {vehicle.name}")
-    state = truth.odometry
-    return Flight(
-        name=path.stem,
-        vehicle=vehicle.name,
-        source=str(path),
-        start_ns=int(truth.time_ns[0]),
-        time=1e-9 * (truth.time_ns - truth.time_ns[0]),
-        position=state.position,
-        attitude=state.attitude,
-        velocity=state.velocity,
-        rates=state.rates,
-        angular_acceleration=truth.angular_acceleration,
-        specific_force=truth.wrench[:, :3] / truth.mass,
-        rotor_speeds=truth.rotor_speeds,
-        wind=truth.wind,
-    )
-
-
-def _part_of(flight: Flight, part: TimeRange) -> Flight:
+def _flown(path: Path, vehicle: Vehicle, part: TimeRange) -> Flight:
+    """A part of the truth of a simulated flight, in the place of an estimated one."""
+    flight = read_truth(path).flight
+    if flight.vehicle != vehicle.name:
+        raise LogError(f"{path}: is a flight of vehicle {flight.vehicle}, not of {vehicle.name}")
     inside = np.flatnonzero((flight.time >= part.from_s) & (flight.time <= part.to_s))
     if len(inside) == 0:
         raise LogError(f"{flight.source}: has no sample {part}: it ends at {flight.time[-1]:.3f} s")
@@ -275,7 +247,7 @@ def given_case(
     return ValidationCase(
         vehicle=the_vehicle,
         models=models,
-        flights=tuple(_part_of(recorded_flight(bag, the_vehicle), part) for bag in bags),
+        flights=tuple(_flown(bag, the_vehicle, part) for bag in bags),
         noise=SensorSuite.load(noise).states,
         confidence=level,
         seed=seed,
