@@ -17,18 +17,13 @@ using Ring = Records<Estimate>;
 // The arrays of a filter that takes sample by sample.
 class LiveFilter {
 public:
-    explicit LiveFilter(nb::object its_arrays)
-        : arrays(its_arrays),
-          filter(arrays, "filter"),
-          ring(arrays, "ring"),
-          sample(arrays, "sample"),
-          fused(arrays, "fused") {}
+    explicit LiveFilter(nb::object its_arrays) : arrays(its_arrays) {}
 
     nb::object arrays;
-    Field<Filter> filter;
-    Field<Estimate> ring;
-    Field<ImuSample> sample;
-    Field<FusedSample> fused;
+    const Field<Filter> filter{arrays, "filter"};
+    const Field<Estimate> ring{arrays, "ring"};
+    const Field<ImuSample> sample{arrays, "sample"};
+    const Field<FusedSample> fused{arrays, "fused"};
 };
 
 nb::tuple step_live(
@@ -72,28 +67,18 @@ using TraceFields = std::tuple<
     Records<FusedSample>,
     Records<Correction>>;
 
-Trace trace_of(const TraceFields& fields) {
-    const auto& [progress, outcomes, rows, fused, journal] = fields;
-    return {only(progress), outcomes, rows, fused, journal};
-}
-
 void run_all(Filters filter, Ring ring, const ArrivalFields& arrivals, const TraceFields& fields) {
-    Trace trace = trace_of(fields);
+    auto trace = made_of<Trace>(fields);
     run(only(filter), ring, made_of<Arrivals>(arrivals), trace);
 }
 
 void record_newest(Filters filter, Ring ring, const TraceFields& fields, std::int64_t sample) {
-    Trace trace = trace_of(fields);
+    auto trace = made_of<Trace>(fields);
     record(Buffer(only(filter), ring), only(filter), trace, sample);
 }
 
 using TapeFields = std::
     tuple<Records<Length>, Records<std::int64_t>, Records<Transition>, Records<Scalar>, Records<Estimate>>;
-
-Tape tape_of(const TapeFields& fields) {
-    const auto& [length, events, steps, scalars, estimates] = fields;
-    return {only(length), events, steps, scalars, estimates};
-}
 
 std::int64_t forward_pass(
     const std::tuple<Records<ImuSample>, Records<Correction>, Records<Noise>>& inputs,
@@ -103,9 +88,8 @@ std::int64_t forward_pass(
     std::int64_t applied,
     const TapeFields& fields
 ) {
-    const auto& [imu, journal, noise] = inputs;
-    Tape tape = tape_of(fields);
-    return forward({imu, journal, only(noise)}, only(estimate), first, last, applied, tape);
+    auto tape = made_of<Tape>(fields);
+    return forward(made_of<SmootherInputs>(inputs), only(estimate), first, last, applied, tape);
 }
 
 void backward_pass(
@@ -114,7 +98,7 @@ void backward_pass(
     Records<ErrorMatrix> information,
     Records<EstimatedSample> smoothed
 ) {
-    Tape tape = tape_of(fields);
+    auto tape = made_of<Tape>(fields);
     backward(tape, only(adjoint), only(information), smoothed);
 }
 

@@ -21,8 +21,7 @@ Records<T> all(std::vector<T>& of) {
 // The arrays of a pairing.
 class HeldPairing {
 public:
-    explicit HeldPairing(nanobind::object its_arrays)
-        : arrays(its_arrays), state(arrays, "state"), rings(arrays, "rings") {
+    explicit HeldPairing(nanobind::object its_arrays) : arrays(its_arrays) {
         checked_rotors(state.only().rotors);
     }
     virtual ~HeldPairing() = default;
@@ -36,20 +35,14 @@ public:
     std::int64_t due() const { return pairing().take_is_due() ? state.only().tracks[IMU].count : -1; }
 
     nanobind::object arrays;
-    Field<PairingState> state;
-    Field<Entry> rings;
+    const Field<PairingState> state{arrays, "state"};
+    const Field<Entry> rings{arrays, "rings"};
 };
 
 // The arrays of a monitor, and room for a block of samples.
 class HeldMonitor {
 public:
-    explicit HeldMonitor(nanobind::object its_arrays)
-        : arrays(its_arrays),
-          limits(arrays, "limits"),
-          alarm(arrays, "alarm"),
-          adaptive(arrays, "adaptive"),
-          factors(arrays, "factors"),
-          block(new MonitorBlock) {
+    explicit HeldMonitor(nanobind::object its_arrays) : arrays(its_arrays) {
         checked_rotors(limits.only().rotors.rotors);
         const nanobind::object its_model = arrays.attr("model");
         if (!its_model.is_none()) {
@@ -60,12 +53,12 @@ public:
     MonitorMemory memory() const { return {limits.only(), alarm.only(), adaptive.all(), factors.only()}; }
 
     nanobind::object arrays;
-    Field<const AlarmLimits> limits;
-    Field<AlarmState> alarm;
-    Field<AdaptiveMemory> adaptive;
-    Field<const Wrench> factors;
+    const Field<const AlarmLimits> limits{arrays, "limits"};
+    const Field<AlarmState> alarm{arrays, "alarm"};
+    const Field<AdaptiveMemory> adaptive{arrays, "adaptive"};
+    const Field<const Wrench> factors{arrays, "factors"};
     Evaluator* model = nullptr;  // None for one that Python evaluates
-    std::unique_ptr<MonitorBlock> block;
+    const std::unique_ptr<MonitorBlock> block{new MonitorBlock};
 };
 
 // A pairing, and a monitor that judges what each sample completes.
@@ -74,10 +67,6 @@ public:
     explicit PairedMonitor(nanobind::object its_arrays)
         : HeldPairing(its_arrays.attr("pairing").attr("arrays")),
           held(its_arrays),
-          monitor(nanobind::cast<HeldMonitor*>(held.attr("monitor"))),
-          preparation(held, "preparation"),
-          wrenches(held, "wrenches"),
-          alarms(held, "alarms"),
           taken_ns(alarms.all().size),
           predicted_ns(alarms.all().size),
           taken(taken_ns.size() * channels_of(state.only().rotors)) {
@@ -111,11 +100,11 @@ public:
         return nanobind::make_tuple(count, stamps, rows.raised);
     }
 
-    nanobind::object held;
-    HeldMonitor* monitor;
-    Field<PreparationMemory> preparation;
-    Field<Wrench> wrenches;
-    Field<AlarmRow> alarms;
+    const nanobind::object held;
+    HeldMonitor* const monitor = nanobind::cast<HeldMonitor*>(held.attr("monitor"));
+    const Field<PreparationMemory> preparation{held, "preparation"};
+    const Field<Wrench> wrenches{held, "wrenches"};
+    const Field<AlarmRow> alarms{held, "alarms"};
     std::vector<std::int64_t> taken_ns, predicted_ns;
     std::vector<double> taken;  // rows of samples
 };

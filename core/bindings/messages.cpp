@@ -50,63 +50,33 @@ void move_mounted(Records<MountedImu> imu, Stamps time_ns, Records<Vector3> rate
     }
 }
 
-// The first of N rows that is no rotation, else -1.
-template <class Read>
-std::int64_t first_wrong(std::size_t rows, Read read) {
-    std::int64_t first = -1;
-    for (std::size_t row = 0; row < rows; ++row) {
-        if (!read(row) && first < 0) {
-            first = static_cast<std::int64_t>(row);
-        }
-    }
-    return first;
-}
-
-void imu_values(Records<const ImuNumbers> values, Records<Vector3> rates, Records<Vector3> force) {
-    require(rates.size == values.size && force.size == values.size, DIFFERENT);
-    for (std::size_t row = 0; row < values.size; ++row) {
-        read_imu(values[row], rates[row], force[row]);
-    }
-}
-
-std::int64_t pose_values(
-    Records<const PoseNumbers> values, Records<Vector3> position, Records<Quaternion> attitude
-) {
-    require(position.size == values.size && attitude.size == values.size, DIFFERENT);
-    return first_wrong(values.size, [&](std::size_t row) {
-        return read_pose(values[row].data(), position[row], attitude[row]);
-    });
-}
-
-std::int64_t state_values(
-    Records<const OdometryNumbers> values,
-    Records<Vector3> position,
-    Records<Quaternion> attitude,
-    Records<Vector3> velocity,
-    Records<Vector3> rates,
-    Records<Vector3> deviation
-) {
-    require_each(values.size, position, attitude, velocity, rates, deviation);
-    return first_wrong(values.size, [&](std::size_t row) {
-        return read_odometry(
-            values[row], position[row], attitude[row], velocity[row], rates[row], deviation[row]
+// A function that reads a message as one of arrays: gives the first row that is no rotation, else -1.
+template <class... T>
+auto first_wrong(bool (*read)(T&...)) {
+    return [read](Records<T>... arrays) {
+        std::int64_t first = -1, row = 0;
+        for_rows(
+            [&](T&... records) {
+                if (!read(records...) && first < 0) {
+                    first = row;
+                }
+                ++row;
+            },
+            arrays...
         );
-    });
+        return first;
+    };
 }
 
-void wind_values(Records<const Vector3> values, Records<Vector3> velocity) {
-    require(velocity.size == values.size, DIFFERENT);
-    for (std::size_t row = 0; row < values.size; ++row) {
-        velocity[row] = world_of(values[row].data());
-    }
+bool read_pose_values(const PoseNumbers& values, Vector3& position, Quaternion& attitude) {
+    return read_pose(values.data(), position, attitude);
 }
+
+Vector3 wind_of(const Vector3& values) { return world_of(values.data()); }
 
 void twist_values(Records<const TwistNumbers> values, bool in_body, Records<Vector3> velocity) {
-    require(velocity.size == values.size, DIFFERENT);
-    for (std::size_t row = 0; row < values.size; ++row) {
-        const double* linear = values[row].data();
-        velocity[row] = in_body ? body_of(linear) : world_of(linear);
-    }
+    const auto axes_of = in_body ? &body_of : &world_of;
+    for_rows([&](auto& twist, Vector3& own) { own = axes_of(twist.data()); }, values, velocity);
 }
 
 void odometry_values(
@@ -122,13 +92,6 @@ void odometry_values(
     for (std::size_t row = 0; row < values.size; ++row) {
         const Motion motion{attitude[row], velocity[row], rates[row], {}};
         write_odometry({0, position[row], motion, pose_covariance[row], twist_covariance[row]}, values[row]);
-    }
-}
-
-void fill_odometry(Records<const FusedSample> samples, Records<OdometryNumbers> values) {
-    require(values.size == samples.size, DIFFERENT);
-    for (std::size_t row = 0; row < samples.size; ++row) {
-        write_odometry(samples[row], values[row]);
     }
 }
 
@@ -210,13 +173,13 @@ void bind_messages(nb::module_& module) {
     module.def("take_numbered_escs", &take_numbered_escs);
     module.def("take_escs_of_motors", &take_escs_of_motors);
     module.def("judge_esc_news", &judge_esc_news);
-    module.def("imu_values", &imu_values);
-    module.def("pose_values", &pose_values);
-    module.def("state_values", &state_values);
-    module.def("wind_values", &wind_values);
+    module.def("imu_values", over_rows(&read_imu));
+    module.def("pose_values", first_wrong(&read_pose_values));
+    module.def("state_values", first_wrong(&read_odometry));
+    module.def("wind_values", over_rows(&wind_of));
     module.def("twist_values", &twist_values);
     module.def("odometry_values", &odometry_values);
-    module.def("fill_odometry", &fill_odometry);
+    module.def("fill_odometry", over_rows(&write_odometry));
     module.def("prediction_values", &prediction_values);
 }
 

@@ -48,17 +48,7 @@ void evaluate_regressors(
 // The arrays of `FittedPolynomials`.
 class HeldPolynomials final : public HeldModel {
 public:
-    explicit HeldPolynomials(nb::object arrays)
-        : HeldModel(arrays),
-          operations(arrays, "operations"),
-          axes(arrays, "axes"),
-          terms(arrays, "terms"),
-          whitening(arrays, "whitening"),
-          memory(arrays, "rows"),
-          model(
-              {operations.all(), axes.all(), terms.all(), whitening.all().data},
-              rows_in(memory.all(), BASE_ROWS + operations.all().size, 1)
-          ) {
+    explicit HeldPolynomials(nb::object its_arrays) : HeldModel(its_arrays) {
         const std::size_t longest = model.model.longest();
         require(
             axes.all().size == AXES && whitening.all().size == AXES * longest * longest &&
@@ -70,35 +60,21 @@ public:
     Evaluator& evaluator() override { return model; }
 
 private:
-    Field<const Operation> operations;
-    Field<const FittedAxis> axes;
-    Field<const PolynomialTerm> terms;
-    Field<const double> whitening;
-    Field<double> memory;
-    PolynomialEvaluator model;
+    const Field<const Operation> operations{arrays, "operations"};
+    const Field<const FittedAxis> axes{arrays, "axes"};
+    const Field<const PolynomialTerm> terms{arrays, "terms"};
+    const Field<const double> whitening{arrays, "whitening"};
+    const Field<double> memory{arrays, "rows"};
+    PolynomialEvaluator model{
+        {operations.all(), axes.all(), terms.all(), whitening.all().data},
+        rows_in(memory.all(), BASE_ROWS + operations.all().size, 1)
+    };
 };
 
 // The arrays of `FittedEnsembles`.
 class HeldEnsembles final : public HeldModel {
 public:
-    explicit HeldEnsembles(nb::object arrays)
-        : HeldModel(arrays),
-          operations(arrays, "operations"),
-          axes(arrays, "axes"),
-          source(arrays, "source"),
-          weights(arrays, "weights"),
-          rows(arrays, "rows"),
-          activations(arrays, "activations"),
-          outputs(arrays, "outputs"),
-          model(
-              {operations.all(), axes.all(), source.all(), weights.all().data},
-              {
-                  rows_in(rows.all(), BASE_ROWS + operations.all().size, ENSEMBLE_BLOCK)[0],
-                  activations.all().data,
-                  outputs.all().data,
-                  outputs.all().size / (BANKS * MOST_OUTPUTS * ENSEMBLE_BLOCK),
-              }
-          ) {
+    explicit HeldEnsembles(nb::object its_arrays) : HeldModel(its_arrays) {
         require(axes.all().size == AXES, "tables of different sizes");
         for (const EnsembleAxis& axis : axes.all()) {
             for (const Bank& bank : axis.banks) {
@@ -117,12 +93,20 @@ public:
     Evaluator& evaluator() override { return model; }
 
 private:
-    Field<const Operation> operations;
-    Field<const EnsembleAxis> axes;
-    Field<const std::int64_t> source;
-    Field<const double> weights;
-    Field<double> rows, activations, outputs;
-    EnsembleEvaluator model;
+    const Field<const Operation> operations{arrays, "operations"};
+    const Field<const EnsembleAxis> axes{arrays, "axes"};
+    const Field<const std::int64_t> source{arrays, "source"};
+    const Field<const double> weights{arrays, "weights"};
+    const Field<double> rows{arrays, "rows"}, activations{arrays, "activations"}, outputs{arrays, "outputs"};
+    EnsembleEvaluator model{
+        {operations.all(), axes.all(), source.all(), weights.all().data},
+        {
+            rows_in(rows.all(), BASE_ROWS + operations.all().size, ENSEMBLE_BLOCK)[0],
+            activations.all().data,
+            outputs.all().data,
+            outputs.all().size / (BANKS * MOST_OUTPUTS * ENSEMBLE_BLOCK),
+        }
+    };
 };
 
 // Fill predicted, lower, upper, leverage and relative width of `out` (5, N, 6) for the axes held.

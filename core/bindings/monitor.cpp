@@ -124,11 +124,8 @@ void adapt_all(
     Records<Wrench> lower,
     Records<Wrench> upper
 ) {
-    const std::size_t count = measured.size;
-    require_each(count, own_lower, own_upper, lower, upper);
-    for (std::size_t row = 0; row < count; ++row) {
-        adapt(only(memory), measured[row], own_lower[row], own_upper[row], lower[row], upper[row]);
-    }
+    const auto adapt_row = [&](auto&... wrenches) { adapt(only(memory), wrenches...); };
+    for_rows(adapt_row, measured, own_lower, own_upper, lower, upper);
 }
 
 std::size_t advance_alarm(

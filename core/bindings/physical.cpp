@@ -18,11 +18,8 @@ using Motions = Records<const MotionSample>;
 using Vehicles = Records<const PhysicalVehicle>;
 
 void find_regressors(Motions motion, Vehicles vehicle, Records<Regressors> rows) {
-    require(rows.size == motion.size, DIFFERENT);
     checked_rotors(only(vehicle).rotors);
-    for (std::size_t i = 0; i < rows.size; ++i) {
-        fill_regressors(motion[i], only(vehicle), rows[i]);
-    }
+    for_rows([&](auto& own, Regressors& row) { fill_regressors(own, only(vehicle), row); }, motion, rows);
 }
 
 void find_physical_wrenches(
@@ -54,13 +51,7 @@ void read_motions(
 // The arrays of `FittedPhysical`.
 class HeldPhysical final : public HeldModel {
 public:
-    explicit HeldPhysical(nb::object arrays)
-        : HeldModel(arrays),
-          common(arrays, "common"),
-          kept(arrays, "kept"),
-          acting(arrays, "acting"),
-          whitening(arrays, "whitening"),
-          model({common.only(), kept.all(), acting.all(), whitening.all()}) {
+    explicit HeldPhysical(nb::object its_arrays) : HeldModel(its_arrays) {
         checked_rotors(common.only().vehicle.rotors);
         const std::size_t longest = model.model.longest();
         require(
@@ -71,11 +62,11 @@ public:
     Evaluator& evaluator() override { return model; }
 
 private:
-    Field<const PhysicalCommon> common;
-    Field<const KeptTerm> kept;
-    Field<const std::int64_t> acting;
-    Field<const double> whitening;
-    PhysicalEvaluator model;
+    const Field<const PhysicalCommon> common{arrays, "common"};
+    const Field<const KeptTerm> kept{arrays, "kept"};
+    const Field<const std::int64_t> acting{arrays, "acting"};
+    const Field<const double> whitening{arrays, "whitening"};
+    PhysicalEvaluator model{{common.only(), kept.all(), acting.all(), whitening.all()}};
 };
 
 using TrackFields = std::tuple<
@@ -87,11 +78,6 @@ using TrackFields = std::tuple<
     double,
     Records<const Matrix3>,
     Records<const Matrix3>>;
-
-RolloutTrack track_of(const TrackFields& fields) {
-    const auto& [step, motion, attitude, vehicle, mass, gravity, inertia, inverse_inertia] = fields;
-    return {step, motion, attitude, only(vehicle), mass, gravity, only(inertia), only(inverse_inertia)};
-}
 
 // Refuse roll-outs that do not lie within a flight.
 void require_within(const RolloutTrack& track, const RollOuts& wanted) {
@@ -117,10 +103,9 @@ void roll_out_all(
         disturbances,
     const std::tuple<Records<StateError>, Records<Sensitivity>, Records<Moving>>& rolled
 ) {
-    const auto& [wrench, slopes, decay] = disturbances;
     const RollOuts wanted{starts, horizons};
-    const RolloutTrack flight = track_of(track);
-    const Disturbances known{wrench, slopes, only(decay)};
+    const auto flight = made_of<RolloutTrack>(track);
+    const auto known = made_of<Disturbances>(disturbances);
     const auto filled = made_of<RolledOut>(rolled);
     require_within(flight, wanted);
     const std::size_t count = starts.size, all = count * horizons.size;
@@ -150,10 +135,9 @@ void spread_errors(
     const UncertaintyFields& uncertainty,
     Records<RolloutCovariance> covariance
 ) {
-    const auto& [state, wrench, drive, decay, of_parameters] = uncertainty;
     const RollOuts wanted{starts, horizons};
-    const RolloutTrack flight = track_of(track);
-    const Uncertainty begin{only(state), only(wrench), only(drive), only(decay), only(of_parameters)};
+    const auto flight = made_of<RolloutTrack>(track);
+    const auto begin = made_of<Uncertainty>(uncertainty);
     require_within(flight, wanted);
     require(path.size == starts.size * (wanted.last() + 1), DIFFERENT);
     require(covariance.size == starts.size * horizons.size, DIFFERENT);

@@ -114,15 +114,27 @@ void require_each(std::size_t count, const Records<T>&... arrays) {
     require(((arrays.size == count) && ...), DIFFERENT);
 }
 
+// Call a function with each row of arrays of as many records.
+template <class Function, class First, class... T>
+void for_rows(const Function& function, Records<First> first, Records<T>... others) {
+    require_each(first.size, others...);
+    for (std::size_t row = 0; row < first.size; ++row) {
+        function(first[row], others[row]...);
+    }
+}
+
 // A function of single records as one of arrays of them, of which the last takes what it returns.
 template <class Out, class... In>
 auto over_rows(Out (*function)(In...)) {
     return [function](Records<const std::decay_t<In>>... in, Records<Out> out) {
-        require_each(out.size, in...);
-        for (std::size_t row = 0; row < out.size; ++row) {
-            out[row] = function(in[row]...);
-        }
+        for_rows([function](auto& to, const auto&... of) { to = function(of...); }, out, in...);
     };
+}
+
+// The same of a function that changes records, and returns nothing.
+template <class... T>
+auto over_rows(void (*function)(T&...)) {
+    return [function](Records<T>... arrays) { for_rows(function, arrays...); };
 }
 
 // The only one of an array that stands for a record.
@@ -132,10 +144,26 @@ T& only(Records<T> records) {
     return records[0];
 }
 
+// A field of a structure: an array of records, or the only one of it.
+template <class T>
+struct Part {
+    Records<T> records;
+
+    operator Records<T>() const { return records; }
+    operator T&() const { return only(records); }
+};
+
+template <class T>
+Part<T> part(Records<T> records) {
+    return {records};
+}
+
+inline double part(double number) { return number; }
+
 // A structure of records from those of a named tuple with the same fields.
 template <class Structure, class... T>
 Structure made_of(const std::tuple<T...>& fields) {
-    return std::apply([](const T&... field) { return Structure{field...}; }, fields);
+    return std::apply([](const T&... field) { return Structure{part(field)...}; }, fields);
 }
 
 // Records in an attribute of a Python object, held as long as this lives.

@@ -45,12 +45,10 @@ void find_wrenches(
     Records<const Matrix3> inertia,
     Records<Wrench> wrench
 ) {
-    const std::size_t count = wrench.size;
-    require_each(count, specific_force, rates, acceleration);
-    for (std::size_t row = 0; row < count; ++row) {
-        wrench[row] =
-            newton_euler(specific_force[row], rates[row], acceleration[row], mass_kg, only(inertia));
-    }
+    const auto fill = [&](Wrench& own, auto&... measured) {
+        own = newton_euler(measured..., mass_kg, only(inertia));
+    };
+    for_rows(fill, wrench, specific_force, rates, acceleration);
 }
 
 void find_inputs(
