@@ -252,7 +252,7 @@ def augmented(discovery: Discovery, without: int | None = None) -> AugmentedSimu
         own = _named(candidate.name, candidate.values(regression.parameters(index, law)))
         effects = {**effects, candidate.name: own | found.closing.shape(index, law, fitted)}
     if without is not None:
-        effects = merged(effects, _of_flight(regression, without, law))
+        effects = _with_own(effects, regression, without, law)
     adjusted: dict[str, float] = {}
     if discovery.adjusted:
         adjusted = dict(zip(regression.tolerances.names, regression.moved_by(fitted).tolist(), strict=True))
@@ -268,18 +268,21 @@ def as_it_was(discovery: Discovery, place: int) -> Simulation:
     """The simulation as it is, with what one flight has of its own."""
     regression = discovery.found.regression
     simulation = regression.flights[0].simulation
-    own = _of_flight(regression, place, discovery.found.closing.fits(place)[0])
+    own = _with_own({}, regression, place, discovery.found.closing.fits(place)[0])
     return _added(simulation, own, {}) if own else simulation
 
 
-def _of_flight(regression: Regression, place: int, law: Fit) -> Effects:
-    """What a flight has of its own, by itself, given a fit to the others."""
+def _with_own(shared: Effects, regression: Regression, place: int, law: Fit) -> Effects:
+    """Effects that all flights share with what one has of its own, given a fit to the others."""
     effects: Effects = {}
     for condition in regression.conditions:
         candidate = regression.candidates[condition.index]
-        own, _ = regression.of_condition(condition, place, law)
-        effects = {**effects, candidate.name: _named(candidate.name, candidate.values(own))}
-    return effects
+        own = candidate.values(regression.of_condition(condition, place, law)[0])
+        # Less than the others have is possible, less than nothing is not.
+        pairs = zip(candidate.effect.parameters, own.tolist(), strict=True)
+        raw = {p.name: value for p, value in pairs if candidate.name in shared}
+        effects = {**effects, candidate.name: raw or _named(candidate.name, own)}
+    return merged(shared, effects)
 
 
 def _named(name: str, values: Iterable[float]) -> dict[str, float]:

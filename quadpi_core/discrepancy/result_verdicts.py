@@ -413,11 +413,10 @@ def judge_coverage(coverage: Mapping[str, Coverage], confidence: float) -> Verdi
     least, worst = min((own.after, axis) for axis, own in coverage.items())
     share, mostly = lost / (1.0 - confidence), least >= LEAST_COVERAGE.value
     axis = axis if mostly else worst
-    before, after = map(_percent, coverage[axis])
+    before, after, half = map(_percent, (*coverage[axis], LEAST_COVERAGE.value))
     sentence = f"intervals hold {after} of {axis} with it, {before} before"
     if not mostly:
-        sentence += f", {_percent(LEAST_COVERAGE.value)} needed"
-        return Verdict.of(LEAST_COVERAGE, "coverage", least, mostly, sentence)
+        return Verdict.of(LEAST_COVERAGE, "coverage", least, mostly, f"{sentence}, {half} needed")
     return Verdict.of(WORSE_COVERAGE, "coverage", share, share <= WORSE_COVERAGE.value, sentence)
 
 

@@ -87,14 +87,10 @@ class Prepared:
 
     @classmethod
     def of(cls, flights: Sequence[Compared], candidates: Sequence[Candidate]) -> Prepared:
-        """Prepare searches.
+        """Prepare searches of flights, at least two, beside their simulation.
 
         What acts only where the simulation's own intervals hold is nothing that it lacks. Where sound flights
         tell the noise of every axis, flights may show it all the same, and no other effect is named for it.
-
-        Args:
-            flights: at least two, beside their simulation.
-            candidates: effects to look for.
         """
         inside = inside_intervals(flights)
         held = held_axes(inside)

@@ -6,16 +6,19 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from quadpi_core.discrepancy.augmented_simulation import (
     AugmentedSimulation,
+    _with_own,
     augmented,
     merged,
     write_addition,
 )
+from quadpi_core.discrepancy.candidates import candidates
 from quadpi_core.discrepancy.discrepancy_result import discovery_json
 from quadpi_core.discrepancy.loading import load_simulation
 from quadpi_core.discrepancy.other_simulations import CallableSimulation
@@ -210,6 +213,19 @@ def test_effects_add_up(one, other, both):
     found = merged(read_effects(one, "test"), read_effects(other, "test"))
     assert list(found) == list(both)
     assert all(found[name] == pytest.approx(values) for name, values in both.items())
+
+
+@pytest.mark.parametrize(("shared", "flown"), [(0.034, 0.025), (0.005, 0.0), (None, 0.0)])
+def test_a_flight_may_have_less_than_what_all_share_but_not_less_than_nothing(shared, flown):
+    """A delay of 9 ms less than that of the others."""
+    (delay,) = candidates(load_simulation("bebop2").vehicle, ["sensor_delay"])
+    own = np.array([-0.009, 0.0])
+    regression = SimpleNamespace(
+        conditions=[SimpleNamespace(index=0)], candidates=[delay], of_condition=lambda *_: (own, own)
+    )
+    effects = {"sensor_delay": {"rotor_speeds_s": shared, "mocap_s": 0.0}} if shared else {}
+    found = _with_own(effects, regression, 0, None)
+    assert found["sensor_delay"] == {"rotor_speeds_s": pytest.approx(flown), "mocap_s": 0.0}
 
 
 def test_an_effect_on_another_rotor_does_not_add_up():
