@@ -297,8 +297,11 @@ def _flight_report(log: FieldLog, before: Sequence[FlightReport] | None = None) 
     heavier: MassChange | str | None = None
     if before is not None:
         alike = [one for one in before if (one.log.stack, one.log.rotors) == (log.stack, log.rotors)]
-        lost = heavier = "the flights before are none, or of another vehicle"
-        if alike:
+        alike = [one for one in alike if not _is_saturated(one.use)]
+        lost = heavier = "the flights before are none, or of another vehicle, or at full command"
+        if _is_saturated(use):
+            lost = heavier = "a motor is at full command too long: its share tells nothing"
+        elif alike:
             told = sharing([(log, flight), *((one.log, one.flown) for one in alike)])
             lost = told if isinstance(told, str) else losses(told)
             heavier = mass_change(use, [one.use for one in alike], told, log.corners)
@@ -307,6 +310,10 @@ def _flight_report(log: FieldLog, before: Sequence[FlightReport] | None = None) 
         remarks += _mass_remarks(heavier)
     remarks += _remarks(log, use, vibration, read)
     return FlightReport(log.name, log, flight, use, vibration, read, lost, heavier, tuple(remarks))
+
+
+def _is_saturated(use: MotorUse) -> bool:
+    return use.saturated is not None and (use.saturated.value or 0.0) > SATURATED.value[1]
 
 
 def _identity(log: FieldLog) -> tuple[object, ...]:

@@ -57,8 +57,9 @@ def read_crazyflie_field(path: Path, _number: int | None = None, _poles: int | N
         unit = normalised_attitude(attitude.values)
         attitude = Series(attitude.time, quaternion_flu_enu_to_frd_ned(unit))
     state = {
-        name: read(*(f"stateEstimate.{prefix}{axis}" for axis in "xyz"))
+        name: own and Series(own.time, world_enu_to_ned(own.values))
         for name, prefix in (("position", ""), ("velocity", "v"))
+        for own in [read(*(f"stateEstimate.{prefix}{axis}" for axis in "xyz"))]
     }
     commands = next(filter(None, (read(*names) for names in _COMMANDS)), None)
     named = next((names for names in _COMMANDS if read(*names) is not None), ("", ""))
@@ -74,11 +75,13 @@ def read_crazyflie_field(path: Path, _number: int | None = None, _poles: int | N
         rotors=4,
         imu=imu,
         attitude=attitude,
-        velocity=_turned(state["velocity"]),
-        position=_turned(state["position"]),
+        velocity=state["velocity"],
+        position=state["position"],
         commands=commands and Series(commands.time, np.clip(commands.values / _FULL, 0.0, 1.0)),
         rotor_speeds=speeds and Series(speeds.time, np.abs(speeds.values) * (2.0 * np.pi / 60.0)),
-        battery=battery and _volts(battery),
+        # In V or mV.
+        battery=battery
+        and Series(battery.time, battery.values / (1e3 if np.median(battery.values) > 100.0 else 1.0)),
         # In hPa and °C.
         density=air and Series(air.time, density_of(100.0 * air.values[:, :1], air.values[:, 1:])),
         corners=np.array(_CORNERS),
@@ -88,15 +91,6 @@ def read_crazyflie_field(path: Path, _number: int | None = None, _poles: int | N
         if imu is None and gyro and force
         else (),
     )
-
-
-def _turned(series: Series | None) -> Series | None:
-    return None if series is None else Series(series.time, world_enu_to_ned(series.values))
-
-
-def _volts(series: Series) -> Series:
-    """Battery in V, of a variable in V or mV."""
-    return Series(series.time, series.values * (1e-3 if np.median(series.values) > 100.0 else 1.0))
 
 
 def _settings(events: Mapping[str, Event], has: Mapping[str, bool]) -> Iterator[Setting]:
