@@ -53,6 +53,7 @@ def test_it_runs(notebook, tmp_path, monkeypatch):
     mpl.use("agg")
     monkeypatch.chdir(tmp_path)
     kinds, figures = SHOWS[notebook.stem]
+    pyplot.close("all")  # of other tests
     try:
         results = shown(notebook)
         assert len(pyplot.get_fignums()) == figures
