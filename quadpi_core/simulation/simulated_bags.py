@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -25,7 +25,7 @@ from quadpi_core.frames import Array, from_rotation_vector, rotate_world_to_body
 from quadpi_core.logs.bag_files import Bag
 from quadpi_core.logs.bag_topics import find_topic, unpacked_topic
 from quadpi_core.logs.bag_writer import write_mcap
-from quadpi_core.logs.bags import output_topic
+from quadpi_core.logs.bags import output_topic, recording_topics
 from quadpi_core.messages import sensor_messages
 from quadpi_core.messages.payloads import Payloads, Topic
 from quadpi_core.messages.topics import TOPIC_TYPES
@@ -73,20 +73,15 @@ def write_simulated_bag(path: Path | str, plan: FlightPlan, truth: Truth, sensed
     write_mcap(Path(path), [*_sensor_topics(sensed), *_truth_topics(truth, step)], metadata)
 
 
-def _sensor_topics(sensed: Sensed) -> list[Topic]:
-    recording, erpm = sensed.recording, sensed.erpm
-    packed = {"imu": sensor_messages.pack_imu(recording.imu)}
-    rotors = recording.rotor_speeds
-    if rotors is not None and erpm is not None:
-        packed["erpm"] = sensor_messages.pack_erpm(rotors.time_ns, erpm)
-    elif rotors is not None:
-        packed["rotor_speeds"] = sensor_messages.pack_rotor_speeds(rotors)
-    if recording.pose is not None:
-        packed["mocap/pose"] = sensor_messages.pack_pose(recording.pose)
-    if recording.wind is not None:
-        packed["wind"] = sensor_messages.pack_wind(recording.wind)
-    arrival_ns = sensed.arrival_ns | {"erpm": sensed.arrival_ns["rotor_speeds"]}
-    return [output_topic(name, arrival_ns[name], payloads) for name, payloads in packed.items()]
+def _sensor_topics(sensed: Sensed) -> Iterator[Topic]:
+    """The sensors, logged at their arrival; rotor speeds as the controllers of a vehicle send them."""
+    rotors = sensed.recording.rotor_speeds
+    for topic in recording_topics(sensed.recording):
+        name, payloads = topic.name.removeprefix("/"), topic.payloads
+        arrival_ns = sensed.arrival_ns[name]
+        if name == RotorSpeedStream.topic and rotors is not None and sensed.erpm is not None:
+            name, payloads = "erpm", sensor_messages.pack_erpm(rotors.time_ns, sensed.erpm)
+        yield output_topic(name, arrival_ns, payloads)
 
 
 def _truth_topics(truth: Truth, step: int) -> list[Topic]:
