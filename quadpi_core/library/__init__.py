@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 _GUESSES: dict[str, dict[str, str]] = {
     "quadpi_core": {
         "load_flights(logs, vehicle)": "(read|load|from)(_(bag|csv|u?log|flight|data)s?)?|Flight|Data.*",
-        "WrenchModel(estimator).fit(flights)": "fit|train|calibrate|.*(Model|Regressor|Predictor|Estimator)",
+        "WrenchModel(estimator).fit(flights)": "fit|train|(?!Load).*(Model|Regressor|Predictor|Estimator)",
         "model.predict(flights), of a WrenchModel": "predict(_.*)?|[wW]rench|forces?|moments?",
         "model.save(folder)": "save.*|dump|export",
         "evaluate(model, flights)": "score|coverage|compare|cross_val.*|metrics|validate|test",
@@ -25,7 +25,7 @@ _GUESSES: dict[str, dict[str, str]] = {
         "Vehicle.load(name_or_path)": ".*vehicles?|from_file",
     },
     "Flights": {
-        "load_flights(logs, vehicle)": "load|read|open|from_(bag|log|csv|ulog|file|path|folder)s?",
+        "load_flights(logs, vehicle)": "load|read|open|from_((ros)?bag|log|csv|ulog|file|path|folder)s?",
         "Flights.from_pandas(frame, vehicle)": "from_(data_?frame|df|frame|dict)",
         "Flights.from_arrays(time_ns, vehicle=…)": "from_(numpy|array)",
         "model.plot(flight), or to_pandas() and its plots": "plot|hist|show",
@@ -34,15 +34,15 @@ _GUESSES: dict[str, dict[str, str]] = {
         "flights + others": "concat|append|extend|join|merge|add",
         "flights[:3], or LeaveOneOut() of scikit-learn": "(.*_)?split|filter|select|sample|query|groupby",
         "len(flights), len(flights.time)": "n_.*|size|count",
-        "to_pandas(), a table, which has it by flight": ".*",
+        "to_pandas(), a table of all signals": ".*",
     },
     "WrenchModel": {
-        "load_model(folder)": "load|from_.*|read|open",
+        "load_model(folder)": "load|from_(?!flights).*|read|open",
         "save(folder)": "dump|to_.*|export|write",
         "evaluate(model, flights)": "evaluate|coverage|valid.*|test|residuals?|errors?|judge|cross_.*",
         "predict_interval(flights, confidence)": ".*interval.*|predict_(quantiles?|std|proba)|conform.*",
         "predict(flights)": "transform|forecast|simulate|wrench|decision_function|apply",
-        "fit(flights), which calibrates too": "train|calibrate|partial_fit|fit_.*|identify",
+        "fit(flights), which calibrates too": "train|calibrate|partial_fit|fit_.*|from_flights|identify",
         "Monitor(model)": "monitor|step|update",
         "model_, the fitted model": ".*",
     },

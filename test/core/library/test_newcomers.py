@@ -104,7 +104,7 @@ def test_rows_of_a_monitor(flights):
         (lambda qp, _: qp.WrenchModel().__array_interface__, None),
         (lambda qp, _: qp.Flights.from_csv("a.csv"), r"load_flights\(logs, vehicle\)"),
         (lambda _, flights: flights.plot(), r"model\.plot\(flight\)"),
-        (lambda _, flights: flights.velocity, r"to_pandas\(\), a table"),
+        (lambda _, flights: flights.velocity, r"to_pandas\(\), a table of all signals"),
         (lambda qp, _: qp.Monitor.update, r"step\(time_ns, velocity"),
     ],
 )
