@@ -96,7 +96,7 @@ def _live_in_wind(
             rates=rates,
             specific_force=live.wrench[known, :3] / vehicle.mass_kg,
             rotor_speeds=speeds,
-            wind=np.full_like(velocity, np.nan),
+            wind=np.zeros_like(velocity),
         )
     )
     air = velocity - rotate_world_to_body(attitude, samples.wind)

@@ -160,7 +160,7 @@ class Monitor(Guessable):
             "rates": rates,
             "specific_force": specific_force,
             "rotor_speeds": rotor_speeds,
-            "wind": np.full((len(stamps), 3), np.nan) if wind is None else wind,
+            "wind": np.zeros((len(stamps), 3)) if wind is None else wind,
         }
         widths = {**_WIDTHS, "rotor_speeds": self._monitor.vehicle.rotor_count}
         block = np.hstack([_columns(name, values, stamps, widths[name]) for name, values in given.items()])
@@ -169,6 +169,8 @@ class Monitor(Guessable):
             None if air_density is None else _array("air_density", air_density),
             None if state_covariance is None else _array("state_covariance", state_covariance),
         )
+        if self._wind is not None and wind is not None:
+            self._wind.is_measured = True
         rows: list[MonitorRow] = []
         begin = 0
         for place in self._new_rates(stamps):

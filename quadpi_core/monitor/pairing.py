@@ -118,6 +118,8 @@ class Arrays(NamedTuple):
 TIMEOUT_S = 0.1
 # Samples kept per topic.
 CAPACITY = 256
+# In place of a wind of 0, which stands for no reading; it changes no digit of a speed.
+HEARD_M_S = 1e-150
 
 
 class PairedSamples(NamedTuple):
@@ -127,7 +129,7 @@ class PairedSamples(NamedTuple):
         time_ns: (K,) stamps.
         values: (K, 16 + rotors) channels of :mod:`quadpi_core.signals.chain`: velocity over ground m/s, body
             axes; attitude body to world; rates rad/s; specific force m/s², body axes; rotor speeds rad/s;
-            wind m/s, world, NaN where none is heard.
+            wind m/s, world.
     """
 
     time_ns: Stamps
@@ -311,7 +313,7 @@ class Pairing:
 
     def add_wind(self, time_ns: int, velocity: Array) -> None:
         """Take one sample of the wind (3,) m/s in the world."""
-        self.completed = compiled.add_sample(self.compiled, WIND_TOPIC, time_ns, velocity)
+        self.completed = compiled.add_sample(self.compiled, WIND_TOPIC, time_ns, velocity + HEARD_M_S)
 
     def take(self) -> PairedSamples | None:
         """The IMU samples completed or given up since the last call, in order; None if there are none."""

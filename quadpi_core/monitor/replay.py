@@ -471,7 +471,7 @@ def _arriving(
         rotor_ns=rotor_speeds.time_ns,
         rotor_speeds=rotor_speeds.speeds,
         wind_ns=wind.time_ns,
-        wind=wind.velocity,
+        wind=wind.velocity + pairing.HEARD_M_S,
     )
 
 

@@ -100,7 +100,7 @@ class WindState:
         Blocks of any length have the same effect.
         """
         deviation = np.zeros(len(samples.time_ns))
-        measured = np.flatnonzero(~np.isnan(samples.wind).all(axis=1))
+        measured = np.flatnonzero(np.any(samples.wind != 0.0, axis=1))
         # A topic counts from its first sample on, wherever in a block that is.
         before = 0 if self.is_measured else int(measured[0]) if len(measured) else len(deviation)
         self.is_measured = self.is_measured or len(measured) > 0
@@ -113,7 +113,7 @@ class WindState:
         begins = np.flatnonzero(np.diff(steps, prepend=steps[0] - 1))
         for begin, end in zip(begins, [*begins[1:], before], strict=True):
             counts = self._go_to(int(steps[begin]))
-            wind[begin:end] = [*self._state[:2], 0.0]
+            wind[begin:end, :2] = self._state[:2]
             deviation[begin:end] = self.deviation
             if counts:
                 # Sample by sample, so that no length of blocks shows in the digits.

@@ -58,7 +58,7 @@ def test_a_wind_that_is_not_given_is_told_by_the_drag_of_the_model(quick, unseen
     windless = np.zeros((SAMPLES, 3))
     given = PairedSamples.join(stamps, **arrays | {"wind": windless})
     state = WindState(DRAG, model.alarm_limits.hover_rotor_speed)
-    blown, deviation = state.take(PairedSamples.join(stamps, **arrays | {"wind": windless + np.nan}))
+    blown, deviation = state.take(given)
     conditions = state.conditions(blown.attitude, deviation, None)
     del arrays["wind"]
     monitor = qp.Monitor(model, rate_hz=500.0)

@@ -135,8 +135,8 @@ inline void judge_miscoverage(
     state.charge[MISCOVERAGE] = worst;
 }
 
-// Gather evidence of a change where the model knows inputs and wind, the state has settled and no sensor
-// fails; beyond its inputs of mass alone, while the interval of Fz is no alarm.
+// Gather evidence that the vehicle has changed, where the model knows the inputs and the wind, the state has
+// settled and no sensor fails. Beyond the inputs it knows, Fz tells of mass, while its interval is no alarm.
 inline void judge_change(
     const AlarmLimits& limits,
     AlarmState& state,

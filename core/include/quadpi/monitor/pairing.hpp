@@ -272,7 +272,7 @@ private:
         scale_to_unit(row.attitude);
         const auto rotors = static_cast<std::size_t>(state.rotors);
         known &= interpolate(ROTOR_SPEEDS, time_ns, row.rotor_speeds.data(), rotors);
-        row.wind.fill(std::numeric_limits<double>::quiet_NaN());
+        row.wind = {};
         const std::int64_t held = hold(WIND, time_ns);
         if (held >= 0) {
             std::copy_n(entry(WIND, held).values.begin(), 3, row.wind.begin());

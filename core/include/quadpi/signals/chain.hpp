@@ -40,14 +40,12 @@ constexpr std::size_t channels_of(std::int64_t rotors) {
     return ROTOR_CHANNEL + static_cast<std::size_t>(rotors);
 }
 
-// A row outside the core: velocity, attitude, rates, specific force, n rotor speeds, wind (all NaN: unheard).
+// A sample outside the core is a row of velocity, attitude, rates, specific force, n rotor speeds and wind.
 inline Signals signals_in(const double* row, std::int64_t rotors) {
     Signals signals{};
     std::copy_n(row, WIND_CHANNEL, numbers_of(signals));
     std::copy_n(row + WIND_CHANNEL, rotors, signals.rotor_speeds.begin());
-    const double* const wind = row + WIND_CHANNEL + rotors;
-    const bool heard = !(std::isnan(wind[0]) && std::isnan(wind[1]) && std::isnan(wind[2]));
-    std::copy_n(wind, heard ? 3 : 0, signals.wind.begin());
+    std::copy_n(row + WIND_CHANNEL + rotors, 3, signals.wind.begin());
     return signals;
 }
 
