@@ -18,7 +18,7 @@ from blind.searching import gap_left, rollout_changes
 from independent.airframes import HERE
 from independent.cases import IndependentCase, NotFlownError
 from quadpi_core.discrepancy.augmented_simulation import augmented
-from quadpi_core.discrepancy.closure import Found
+from quadpi_core.discrepancy.closure import SearchResult
 from quadpi_core.discrepancy.discrepancy_result import Discovery, discovery_json
 from quadpi_core.discrepancy.loading import load_simulation
 from quadpi_core.discrepancy.other_simulations import RecordedSimulation
@@ -126,7 +126,7 @@ def _imported(task: Task, logs: list[Path], folder: Path) -> list[Path]:
     return [flight.bag for flight in import_logs(logs, vehicle, folder, mapping, workers=Workers(1))]
 
 
-def _detail(found: Found) -> dict[str, Any]:
+def _detail(found: SearchResult) -> dict[str, Any]:
     """What the search went by, to look at where it is wrong."""
     moved = zip(found.regression.tolerances.names, found.regression.moved_by(found.fit), strict=True)
     return {

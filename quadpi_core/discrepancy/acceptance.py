@@ -169,9 +169,11 @@ class Verdict:
     sentence: str
 
     @classmethod
-    def of(cls, threshold: Threshold[float], test: str, value: float, passed: bool, sentence: str) -> Verdict:
+    def by_limit(
+        cls, limit: Threshold[float], test: str, value: float, passed: bool, sentence: str
+    ) -> Verdict:
         """The verdict of a test that compares a value with a threshold."""
-        return cls(test, passed, value, threshold.value, threshold.unit, sentence)
+        return cls(test, passed, value, limit.value, limit.unit, sentence)
 
     @classmethod
     def fact(cls, test: str, passed: bool, if_so: str, if_not: str) -> Verdict:
@@ -196,7 +198,7 @@ class Judgement:
     verdicts: tuple[Verdict, ...]
 
     @classmethod
-    def of(cls, before: Accepted, index: int, verdicts: tuple[Verdict, ...]) -> Judgement:
+    def from_verdicts(cls, before: Accepted, index: int, verdicts: tuple[Verdict, ...]) -> Judgement:
         """The judgement of a candidate, by its index, beside the effects accepted before it."""
         own, beside = before.regression.candidates[index], (other.name for other in before.candidates)
         return cls(own.name, own.label, tuple(beside), verdicts)
@@ -295,7 +297,7 @@ class Accepted:
         return self.regression.energy(self.chosen, self.fit)
 
     def once(self, key: Hashable, make: Callable[[], _Made]) -> _Made:
-        """See :meth:`Kept.once`, of these effects."""
+        """See :meth:`Memoised.once`, of these effects."""
         return self.regression.once((key, self.chosen, self.fit), make)
 
     def without(self, index: int) -> Accepted:
@@ -435,7 +437,7 @@ class Trial:
             verdicts.append(verdict)
             if not verdict.passed:
                 break
-        return Judgement.of(self.before, self.added, tuple(verdicts))
+        return Judgement.from_verdicts(self.before, self.added, tuple(verdicts))
 
     def _tests(self) -> Iterator[Verdict]:
         """Every test in its order; each relies on those before it."""
@@ -450,7 +452,7 @@ class Trial:
         if not passed:
             sentence = f"at most {LARGEST.value:g} where {self.instead} does about as well"
         sentence = f"size of {own.label} {size:.1f}{'; ' if passed else ', '}{sentence}"
-        yield Verdict.of(LARGEST, ORDINARY, size, passed, sentence)
+        yield Verdict.by_limit(LARGEST, ORDINARY, size, passed, sentence)
         # Two effects could replace each other forever.
         dropped = "became idle beside a better one"
         yield Verdict.fact("not dropped", not self.dropped, "was not dropped before", dropped)
@@ -461,7 +463,7 @@ class Trial:
         yield Verdict.fact("precedence", first, "no better candidate was rejected for good", behind)
         loudness = regression.loudness(added, self.fit)
         sentence = f"adds {loudness:.2f} of the noise in its loudest axis, {LOUDNESS.value:g} needed"
-        yield Verdict.of(LOUDNESS, "loudness", loudness, loudness >= LOUDNESS.value, sentence)
+        yield Verdict.by_limit(LOUDNESS, "loudness", loudness, loudness >= LOUDNESS.value, sentence)
         # From here on with all linearised where they fit together.
         yield _possible("bounds, refined", self.refined)
         assert self.refined is not None
@@ -509,7 +511,7 @@ def judge_size(sizes: Mapping[str, float], test: str = "size") -> Verdict:
     """Whether every effect of a set, by its name, is large enough, in prior standard deviations."""
     name, smallest = min(sizes.items(), key=lambda item: item[1])
     sentence = f"size of {name} {smallest:.2f}, more than {SMALLEST.value:g} needed"
-    return Verdict.of(SMALLEST, test, smallest, smallest > SMALLEST.value, sentence)
+    return Verdict.by_limit(SMALLEST, test, smallest, smallest > SMALLEST.value, sentence)
 
 
 def judge_of_itself(fitted: float, stated: float) -> Verdict:
@@ -518,7 +520,7 @@ def judge_of_itself(fitted: float, stated: float) -> Verdict:
     share = 1.0 if fitted <= 0.0 else stated / fitted
     sentence = f"closes {100.0 * share:.0f} % of what it does without coefficients that move beside it"
     sentence += f", {100.0 * OF_ITSELF.value:.0f} % needed"
-    return Verdict.of(OF_ITSELF, "of itself", share, share >= OF_ITSELF.value, sentence)
+    return Verdict.by_limit(OF_ITSELF, "of itself", share, share >= OF_ITSELF.value, sentence)
 
 
 def judge_left_out(before: Array, after: Array, flights: int) -> Verdict:
@@ -534,4 +536,4 @@ def judge_left_out(before: Array, after: Array, flights: int) -> Verdict:
     if few:
         sentence = f"not judged on flights left out, of {flights} flights"
     passed = few or bool(np.all(grown <= GROWTH.value * room))
-    return Verdict.of(GROWTH, "flights left out", worst, passed, sentence)
+    return Verdict.by_limit(GROWTH, "flights left out", worst, passed, sentence)

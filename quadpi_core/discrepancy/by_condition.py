@@ -27,7 +27,7 @@ from scipy.sparse import csc_array
 from scipy.special import rel_entr
 from scipy.stats import gamma, norm
 
-from quadpi_core.discrepancy.closure import Found
+from quadpi_core.discrepancy.closure import SearchResult
 from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.whitening import Indices, Part, rows_of
 from quadpi_core.evaluation.metrics import round_edges
@@ -220,7 +220,7 @@ class Where(NamedTuple):
         return tuple(own for own in self.ranges if first.setdefault(own.axis, own.variable) == own.variable)
 
 
-def locate(found: Found, seed: int = 0) -> Where:
+def locate(found: SearchResult, seed: int = 0) -> Where:
     """Find where the flights of a search disagree with its simulation."""
     flights = residuals(found)
     cells = judged_cells(found, flights, seed)
@@ -298,7 +298,7 @@ def standing_out(energy: Array, mean: Array, p_value: Array, samples: Array) -> 
     return kept
 
 
-def residuals(found: Found) -> list[Residual]:
+def residuals(found: SearchResult) -> list[Residual]:
     """Residuals of the flights of a search, in their order."""
     regression = found.regression
     tolerances, before = regression.base[1:], [Part(regression.residual, np.ones(1))]
@@ -374,7 +374,7 @@ class Cells(NamedTuple):
     p_value: Array
 
 
-def judged_cells(found: Found, flights: Sequence[Residual], seed: int) -> Cells:
+def judged_cells(found: SearchResult, flights: Sequence[Residual], seed: int) -> Cells:
     """The cells of flights, with the energy beyond tolerances tested against draws without any effect."""
     values = {name: np.concatenate([flight.variables[name] for flight in flights]) for name in VARIABLES}
     edges = {name: bin_edges(name, own) for name, own in values.items()}
@@ -448,7 +448,7 @@ def bin_edges(name: str, values: Array) -> Array:
     return edges
 
 
-def _drawn(found: Found, seed: int) -> Iterator[Array]:
+def _drawn(found: SearchResult, seed: int) -> Iterator[Array]:
     """Of each flight D residuals (B, 6, D) without any effect, after the same fit of coefficients."""
     regression, draws = found.regression, _DRAWS
     # Without what flights have of their own, as draws are.

@@ -234,7 +234,7 @@ class Modulators:
     values: tuple[Array, ...]
 
     @classmethod
-    def of(cls, flights: Sequence[Compared]) -> Modulators:
+    def from_flights(cls, flights: Sequence[Compared]) -> Modulators:
         """Modulators of the states of the flights."""
         raw = [state_modulators(flight.states, flight.record) for flight in flights]
         everything = np.concatenate(raw)
@@ -276,7 +276,7 @@ class Tolerances(NamedTuple):
     shares: Array
 
     @classmethod
-    def of(cls, flights: Sequence[Compared]) -> Tolerances:
+    def from_flights(cls, flights: Sequence[Compared]) -> Tolerances:
         """Those of a simulation, without coefficients that no flight feels."""
         simulation = flights[0].simulation
         each = [flight.uncertain() for flight in flights]

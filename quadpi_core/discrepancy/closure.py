@@ -21,7 +21,7 @@ from quadpi_core.discrepancy.acceptance import FEW_FLIGHTS, Judgement, least_evi
 from quadpi_core.discrepancy.candidates import AXES_OVER_FORM
 from quadpi_core.discrepancy.effect_regression import Regression, law_fit
 from quadpi_core.discrepancy.evidence import Equations, Fit
-from quadpi_core.discrepancy.unexplained import Inside, Left, held_axes, slow_state_noise
+from quadpi_core.discrepancy.unexplained import Inside, Unpredicted, held_axes, slow_state_noise
 from quadpi_core.discrepancy.whitening import Noise, rows_of
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
@@ -76,7 +76,7 @@ class Closing:
     adjusted: bool
 
     @classmethod
-    def of(cls, regression: Regression, chosen: Sequence[int]) -> Closing:
+    def from_regression(cls, regression: Regression, chosen: Sequence[int]) -> Closing:
         """Fits with laws shaped, and coefficients adjusted, where that helps on flights left out."""
         best = cls(regression, tuple(chosen), (), regression.noise, adjusted=True)
         laws = [(index, regression.candidates[index]) for index in chosen]
@@ -101,7 +101,7 @@ class Closing:
     @cached_property
     def _equations(self) -> Equations:
         chosen, shaped = ([self.regression.blocks[k] for k in some] for some in (self.chosen, self.shaped))
-        return Equations.of(self.regression.base, chosen, self.noise, shaped)
+        return Equations.from_columns(self.regression.base, chosen, self.noise, shaped)
 
     @cached_property
     def left_out(self) -> list[Fit]:
@@ -198,7 +198,7 @@ class Closing:
 
 
 @dataclass(frozen=True)
-class Found:
+class SearchResult:
     """Result of a search.
 
     Attributes:
@@ -224,7 +224,7 @@ class Found:
     closing: Closing
     gain: float
     rivals: Rivals
-    left: Left
+    left: Unpredicted
     judgements: tuple[Judgement, ...]
     disputed: tuple[str, ...] = ()
     inside: Inside | None = None

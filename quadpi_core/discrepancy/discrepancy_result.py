@@ -14,7 +14,7 @@ import numpy as np
 
 from quadpi_core.discrepancy.acceptance import Verdict
 from quadpi_core.discrepancy.by_condition import Where
-from quadpi_core.discrepancy.closure import Found, Gap
+from quadpi_core.discrepancy.closure import Gap, SearchResult
 from quadpi_core.discrepancy.effect_regression import Regression
 from quadpi_core.discrepancy.effect_response import (
     GAIN_LEAST,
@@ -116,7 +116,7 @@ def resembles_gains(share: float) -> bool:
     return share >= GAIN_ALIKE.value
 
 
-def commanded_speeds(found: Found) -> CommandedSpeeds | None:
+def commanded_speeds(found: SearchResult) -> CommandedSpeeds | None:
     """What is to be said of rotor speeds from commands after a search; None where all are measured."""
     regression = found.regression
     by_commands = {own.flight.name: own.flight.motors for own in regression.flights if own.flight.motors}
@@ -170,7 +170,7 @@ STANDS_OUT = Threshold(
 
 @dataclass(frozen=True)
 class FoundParameter:
-    """A parameter of an effect, with its interval of 95 %, see :meth:`.search.Found.deviation`."""
+    """A parameter of an effect, with its interval of 95 %, see :meth:`.search.SearchResult.deviation`."""
 
     name: str
     unit: str
@@ -306,7 +306,7 @@ class Discovery:
     unexplained: float
     unexplained_by: Mapping[str, list[str]]
     gap: Gap
-    found: Found
+    found: SearchResult
     without_trace: tuple[str, ...] = ()
     within_intervals: tuple[str, ...] = ()
     checks: tuple[Verdict, ...] = ()

@@ -26,7 +26,7 @@ from quadpi_core.discrepancy.unexplained import stated_squares
 from quadpi_core.discrepancy.whitening import (
     Columns,
     Indices,
-    Kept,
+    Memoised,
     Noise,
     OfEachFlight,
     Part,
@@ -81,7 +81,7 @@ class Reduction(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Regression(Kept):
+class Regression(Memoised):
     """Residual, tolerances and candidates of all flights, and their noise; changes give new values.
 
     Attributes:
@@ -110,7 +110,7 @@ class Regression(Kept):
     conditions: tuple[Condition, ...] = ()
 
     @classmethod
-    def of(cls, flights: Sequence[Compared], candidates: Sequence[Candidate]) -> Regression:
+    def from_flights(cls, flights: Sequence[Compared], candidates: Sequence[Candidate]) -> Regression:
         """Regression with every candidate linearised at no effect, and the noise that all of them leave.
 
         Args:
@@ -125,8 +125,8 @@ class Regression(Kept):
             points=points,
             blocks=tuple(block_of(*own, flights) for own in zip(candidates, points, strict=True)),
             residual=residual,
-            tolerances=Tolerances.of(flights),
-            modulators=Modulators.of(flights),
+            tolerances=Tolerances.from_flights(flights),
+            modulators=Modulators.from_flights(flights),
             noise=Noise(np.ones((len(flights), len(AXES), residual.bands)), errors_of_speeds(flights)),
             explained=tuple(_rows(flight, flight.expected_measured) for flight in flights),
         )
@@ -334,7 +334,7 @@ class Regression(Kept):
 
     def _equations(self, chosen: Sequence[int], formed: Sequence[int]) -> Equations:
         blocks, of_form = ([self.blocks[index] for index in some] for some in (chosen, formed))
-        return Equations.of(self.base, blocks, self.noise, of_form)
+        return Equations.from_columns(self.base, blocks, self.noise, of_form)
 
     def fit(self, chosen: Sequence[int], *, form: bool = True) -> Fit | None:
         """Fit a set of candidates, by their indices, see :meth:`Equations.fit`."""
@@ -559,5 +559,4 @@ def settled(regression: Regression) -> Regression:
 
 
 def _rows(flight: Compared, wrench: Array) -> Array:
-    """Rows (6, B) of a wrench (M, 6)."""
     return flight.spectrum(wrench[:, :, None]).rows[:, :, 0]

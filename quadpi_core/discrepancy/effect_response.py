@@ -23,7 +23,7 @@ from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 
 from quadpi_core.discrepancy.simulations import Column, Margins, Simulation, Tolerances
 from quadpi_core.discrepancy.unmeasured_states import BiasResponse, Started, started
-from quadpi_core.discrepancy.whitening import BAND_HZ, Columns, Kept, OfEachFlight, Spectrum, spectrum
+from quadpi_core.discrepancy.whitening import BAND_HZ, Columns, Memoised, OfEachFlight, Spectrum, spectrum
 from quadpi_core.flight import Flight, ImuStream, PoseStream, Recording, RotorSpeedStream
 from quadpi_core.frames import Array, rotate_body_to_world, rotate_world_to_body
 from quadpi_core.records import CONVENTION, Threshold
@@ -77,7 +77,7 @@ _OF_THE_FLIGHT = (
 )
 
 
-class Compared(Kept):
+class Compared(Memoised):
     """A flight beside the simulation that it is compared with.
 
     Columns and residuals are thinned to about `RATE_HZ`: a flight has been low-passed far below that. What

@@ -134,7 +134,7 @@ class Equations:
     per_flight: Array
 
     @classmethod
-    def of(
+    def from_columns(
         cls,
         base: Sequence[Columns],
         blocks: Sequence[Block],
@@ -244,7 +244,6 @@ class Equations:
 
     @property
     def _forms(self) -> int:
-        """First column of the forms."""
         return 1 + self.tolerances + sum(block.columns.width for block in self.blocks)
 
     @property

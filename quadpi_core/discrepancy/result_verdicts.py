@@ -18,7 +18,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from quadpi_core.discrepancy.acceptance import FEW_FLIGHTS, Verdict
-from quadpi_core.discrepancy.closure import Found, Gap
+from quadpi_core.discrepancy.closure import Gap, SearchResult
 from quadpi_core.discrepancy.discrepancy_result import (
     ERROR_NAMES,
     Coverage,
@@ -138,7 +138,9 @@ LEAST_ABOVE_FLOOR = 0.05
 OF_GAP = ("closed", "agreement")
 
 
-def checks(found: Found, effects: Sequence[FoundEffect], left: Unexplained, gap: Gap) -> tuple[Verdict, ...]:
+def checks(
+    found: SearchResult, effects: Sequence[FoundEffect], left: Unexplained, gap: Gap
+) -> tuple[Verdict, ...]:
     """Tests of what a search named, of what that leaves, and of its gap on flights left out, passed or not.
 
     No coefficient and no noise is doubted in axes of which the simulation's own intervals hold what they say.
@@ -215,7 +217,7 @@ class Unexplained(NamedTuple):
     axis: str
 
     @classmethod
-    def of(cls, found: Found) -> Unexplained:
+    def from_search(cls, found: SearchResult) -> Unexplained:
         """Of the result of a search."""
         rows = int(found.regression.residual.counts.sum())
         left = predictable(np.minimum(found.left.gain, found.beyond_sound), rows)
@@ -243,10 +245,10 @@ def judge_unexplained(share: float, axis: str = "") -> Verdict:
     """Whether the unexplained share, of an axis or of all, is small enough to call them explained."""
     sentence = f"{_percent(share)} of what can be predicted{' of ' * bool(axis)}{axis} has no name"
     sentence += f", {_percent(UNEXPLAINED.value)} allowed"
-    return Verdict.of(UNEXPLAINED, "unexplained", share, share <= UNEXPLAINED.value, sentence)
+    return Verdict.by_limit(UNEXPLAINED, "unexplained", share, share <= UNEXPLAINED.value, sentence)
 
 
-def _coefficients(found: Found, sensors: Array, named: float) -> Iterator[Verdict]:
+def _coefficients(found: SearchResult, sensors: Array, named: float) -> Iterator[Verdict]:
     """Whether coefficients, each and together, explain little beyond what they may beside the effects."""
     regression, names = found.regression, found.regression.tolerances.names
     tolerances = {f"{own.name}.{p.name}": own.tolerance for own in EFFECTS.values() for p in own.parameters}
@@ -287,7 +289,7 @@ def judge_coefficients(share: float, off: float, name: str) -> Verdict:
     if far:
         sentence = f"{name} would be wrong by {off:.1f} of its tolerances, {most} allowed"
         sentence += f", but explains no more than {_percent(share)} by that" if passed else ""
-    return Verdict.of(FAR_COEFFICIENT, "coefficients", off, passed, sentence)
+    return Verdict.by_limit(FAR_COEFFICIENT, "coefficients", off, passed, sentence)
 
 
 def allowed_squares(count: int) -> float:
@@ -312,7 +314,7 @@ def judge_coefficients_together(share: float, squares: float, count: int) -> Ver
     return Verdict("coefficients together", passed, off, most, "tolerances", sentence)
 
 
-def _noise(found: Found, sensors: Array, named: float) -> Verdict:
+def _noise(found: SearchResult, sensors: Array, named: float) -> Verdict:
     """Whether the noise of each axis can be that of sensors, or is little beside the named effects.
 
     The noise (6, C) of sensors is infinite in an axis that is not judged.
@@ -332,7 +334,7 @@ def judge_colour(colour: Array, shares: Array) -> Verdict:
     sentence += f"states, {COLOURED.value:g} allowed"
     if not most:
         sentence = "no axis has more slow noise than sensors and states explain"
-    return Verdict.of(COLOURED, "colour", most, most <= COLOURED.value, sentence)
+    return Verdict.by_limit(COLOURED, "colour", most, most <= COLOURED.value, sentence)
 
 
 def judge_not_zero(effect: FoundEffect) -> Verdict:
@@ -343,7 +345,7 @@ def judge_not_zero(effect: FoundEffect) -> Verdict:
     return Verdict.fact("not zero", not zero, f"not {sentence}", sentence)
 
 
-def _of_gap(found: Found, gap: Gap) -> Iterator[Verdict]:
+def _of_gap(found: SearchResult, gap: Gap) -> Iterator[Verdict]:
     """Whether the named effects close the gap, and flights agree on them or close it all the same.
 
     Flights so few that they do not predict each other do not disagree either.
@@ -372,7 +374,7 @@ def judge_closed(reduction: float, before: float = np.inf, after: float = np.inf
             f"{_percent(reduction)} of the gap is closed, and no axis is left {_percent(NEAR_FLOOR.value)}"
         )
         sentence += " above its floor"
-    return Verdict.of(CLOSED, "closed", reduction, near or reduction >= CLOSED.value, sentence)
+    return Verdict.by_limit(CLOSED, "closed", reduction, near or reduction >= CLOSED.value, sentence)
 
 
 def judge_agreement(name: str, most: float, closed: float) -> Verdict:
@@ -383,7 +385,7 @@ def judge_agreement(name: str, most: float, closed: float) -> Verdict:
     sentence += f"{DISAGREEMENT.value:g} allowed"
     if far:
         sentence += f", {'but no more than' if passed else 'and'} {_percent(left)} of the gap stays"
-    return Verdict.of(DISAGREEMENT, "agreement", most, passed, sentence)
+    return Verdict.by_limit(DISAGREEMENT, "agreement", most, passed, sentence)
 
 
 def judge_rollouts(
@@ -416,11 +418,11 @@ def judge_coverage(coverage: Mapping[str, Coverage], confidence: float) -> Verdi
     before, after, half = map(_percent, (*coverage[axis], LEAST_COVERAGE.value))
     sentence = f"intervals hold {after} of {axis} with it, {before} before"
     if not mostly:
-        return Verdict.of(LEAST_COVERAGE, "coverage", least, mostly, f"{sentence}, {half} needed")
-    return Verdict.of(WORSE_COVERAGE, "coverage", share, share <= WORSE_COVERAGE.value, sentence)
+        return Verdict.by_limit(LEAST_COVERAGE, "coverage", least, mostly, f"{sentence}, {half} needed")
+    return Verdict.by_limit(WORSE_COVERAGE, "coverage", share, share <= WORSE_COVERAGE.value, sentence)
 
 
-def ranked_candidates(found: Found) -> tuple[RankedCandidate, ...]:
+def ranked_candidates(found: SearchResult) -> tuple[RankedCandidate, ...]:
     """The candidates of a search, each by its last judgement: named first, then by evidence over need."""
     regression, gap = found.regression, found.gap()
     places = {candidate.label: index for index, candidate in enumerate(regression.candidates)}
@@ -457,7 +459,7 @@ def ranked_candidates(found: Found) -> tuple[RankedCandidate, ...]:
     return tuple(sorted(ranked, key=lambda own: (not own.named, -own.over_need)))
 
 
-def _closed(found: Found, index: int, removable: Array) -> tuple[dict[str, float], tuple[str, ...]]:
+def _closed(found: SearchResult, index: int, removable: Array) -> tuple[dict[str, float], tuple[str, ...]]:
     """Share of the gap of each axis that a candidate closes, and axes that it cancels coefficients in."""
     chosen, regression = found.chosen, found.regression
     fit = found.fit if index in chosen else regression.fit(tuple(sorted((*chosen, index))))

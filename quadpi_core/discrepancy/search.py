@@ -32,7 +32,7 @@ from quadpi_core.discrepancy.acceptance import (
     stands_behind,
 )
 from quadpi_core.discrepancy.candidates import Candidate
-from quadpi_core.discrepancy.closure import Closing, Found, Rivals
+from quadpi_core.discrepancy.closure import Closing, Rivals, SearchResult
 from quadpi_core.discrepancy.effect_regression import Regression, settled
 from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.evidence import Condition, Fit
@@ -86,7 +86,7 @@ class Prepared:
     within: frozenset[str]
 
     @classmethod
-    def of(cls, flights: Sequence[Compared], candidates: Sequence[Candidate]) -> Prepared:
+    def from_flights(cls, flights: Sequence[Compared], candidates: Sequence[Candidate]) -> Prepared:
         """Prepare searches of flights, at least two, beside their simulation.
 
         What acts only where the simulation's own intervals hold is nothing that it lacks. Where sound flights
@@ -97,7 +97,7 @@ class Prepared:
         within = {c.name for c in candidates if all(held[AXES.index(axis)] for axis in c.effect.axes)}
         told = flights[0].simulation.sound is not None and not held.all()
         sought = [replace(c, within=c.name in within) for c in candidates if told or c.name not in within]
-        return cls(settled(Regression.of(flights, sought)), inside, frozenset(within))
+        return cls(settled(Regression.from_flights(flights, sought)), inside, frozenset(within))
 
     @cached_property
     def generic(self) -> tuple[list[str], list[Spectrum]]:
@@ -105,7 +105,7 @@ class Prepared:
         return generic_spectra(self.regression.flights)
 
 
-def search(prepared: Prepared, barred: Mapping[str, str] = MappingProxyType({})) -> Found:
+def search(prepared: Prepared, barred: Mapping[str, str] = MappingProxyType({})) -> SearchResult:
     """Search flights for the effects that their simulation lacks, but those barred by name for a reason."""
     regression, inside, own = prepared.regression, prepared.inside, _Search(barred, prepared.inside)
     accepted = Accepted(regression, (), regression.fit_none())
@@ -124,11 +124,11 @@ def search(prepared: Prepared, barred: Mapping[str, str] = MappingProxyType({}))
         lenient = _lenient(accepted, inside)
         rivals, allowed = _told_among(rivals, own.rivals(lenient)), _allowed(lenient)
     names, spectra = prepared.generic
-    return Found(
+    return SearchResult(
         regression=accepted.regression,
         chosen=accepted.chosen,
         fit=accepted.fit,
-        closing=Closing.of(accepted.regression, accepted.chosen),
+        closing=Closing.from_regression(accepted.regression, accepted.chosen),
         gain=gain,
         rivals=rivals,
         left=predicted(accepted.regression.left(accepted.fit), spectra, names),
@@ -396,7 +396,7 @@ def without_idle(accepted: Accepted) -> tuple[Accepted, list[Judgement]]:
         better = None if still_needed.passed else rest.refined()
         smaller = better and Accepted.fitted(better.with_left_as_noise(), fewer)
         if smaller is not None:
-            return smaller, [Judgement.of(smaller, index, (still_needed,))]
+            return smaller, [Judgement.from_verdicts(smaller, index, (still_needed,))]
     return accepted, []
 
 

@@ -433,5 +433,4 @@ def _gained(square: Array, product: Array, variance: Array) -> Array:
 
 
 def _symmetric(matrix: npt.NDArray[np.floating]) -> Array:
-    """A matrix without what rounding makes of its symmetry."""
     return 0.5 * (matrix + matrix.T)

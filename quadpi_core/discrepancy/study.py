@@ -26,7 +26,7 @@ from quadpi_core.discrepancy.acceptance import (
 from quadpi_core.discrepancy.augmented_simulation import augmented
 from quadpi_core.discrepancy.by_condition import locate
 from quadpi_core.discrepancy.candidates import candidates
-from quadpi_core.discrepancy.closure import Closing, Found, Gap
+from quadpi_core.discrepancy.closure import Closing, Gap, SearchResult
 from quadpi_core.discrepancy.discrepancy_result import (
     Discovery,
     FlightCondition,
@@ -258,7 +258,7 @@ def _searched_again(ready: Prepared, barred: Mapping[str, str]) -> Discovery:
     for name, reason in more.items():
         if reason in NO_EXPLANATION and discovery.verdict == "effects":
             sentence = f"{name} {reason}, and no other search explains the flights"
-            check = Verdict.of(NEAR_FLOOR, "closes", 0.0, False, sentence)
+            check = Verdict.by_limit(NEAR_FLOOR, "closes", 0.0, False, sentence)
             discovery = replace(discovery, checks=(*discovery.checks, check))
     return discovery
 
@@ -274,7 +274,7 @@ def _explaining_nothing(discovery: Discovery) -> dict[str, str]:
     found = discovery.found
 
     def stated(chosen: tuple[int, ...]) -> Gap:
-        return replace(found, closing=Closing.of(found.regression, chosen)).gap(adjusted=False)
+        return replace(found, closing=Closing.from_regression(found.regression, chosen)).gap(adjusted=False)
 
     whole = stated(found.chosen)
     without = {own: stated(tuple(k for k in found.chosen if k != own)) for own in found.chosen}
@@ -382,7 +382,7 @@ def prepared(
                 f"but the simulation {simulation.name} is of {simulation.vehicle.name}"
             )
     compared = Compared.together(at_scale_of(simulation, flights), simulation)
-    return Prepared.of(compared, candidates(simulation.vehicle, names))
+    return Prepared.from_flights(compared, candidates(simulation.vehicle, names))
 
 
 def discovered(ready: Prepared, barred: Mapping[str, str]) -> Discovery:
@@ -390,7 +390,7 @@ def discovered(ready: Prepared, barred: Mapping[str, str]) -> Discovery:
     found = search(ready, barred)
     law, whole = found.closing.fits()
     effects = [_effect(found, index, law, whole) for index in found.chosen]
-    left, gap = Unexplained.of(found), found.gap()
+    left, gap = Unexplained.from_search(found), found.gap()
     judged = checks(found, effects, left, gap)
     against = not all(check.passed for check in judged)
     return Discovery(
@@ -412,7 +412,7 @@ def discovered(ready: Prepared, barred: Mapping[str, str]) -> Discovery:
     )
 
 
-def _conditions(found: Found) -> Iterator[FlightCondition]:
+def _conditions(found: SearchResult) -> Iterator[FlightCondition]:
     """What single flights have of their own, of parameters in which any stands out."""
     regression = found.regression
     vehicle = regression.flights[0].simulation.vehicle
@@ -439,7 +439,7 @@ def likely_cause(cause: str, parameter: str, share: float) -> str:
     return f"{cause}, or markers turned by {np.degrees(np.arctan(share)):.1f}°"
 
 
-def _without_trace(found: Found) -> tuple[str, ...]:
+def _without_trace(found: SearchResult) -> tuple[str, ...]:
     """Effects that could not gain the least evidence here, even as large as the prior expects.
 
     So it is with wind beside a simulation of thrust alone, which is the same in any wind, and with the ground
@@ -458,7 +458,7 @@ def require_flights(count: int) -> None:
         )
 
 
-def _effect(found: Found, index: int, law: Fit, whole: Fit) -> FoundEffect:
+def _effect(found: SearchResult, index: int, law: Fit, whole: Fit) -> FoundEffect:
     regression, candidate = found.regression, found.regression.candidates[index]
     values = candidate.values(regression.parameters(index, law))
     half = np.zeros(len(values))

@@ -164,7 +164,7 @@ def as_many_as_stated(shares: Array, confidence: float) -> npt.NDArray[np.bool_]
     return enough & (1.0 - np.min(shares, axis=0) <= MISSED.value * (1.0 - confidence))
 
 
-class Left(NamedTuple):
+class Unpredicted(NamedTuple):
     """How well generic functions predict flights that they were not fitted on.
 
     Attributes:
@@ -295,7 +295,7 @@ def generic_spectra(flights: Sequence[Compared]) -> tuple[list[str], list[Spectr
     return [*names, *course_names, *place_names], spectra
 
 
-def predicted(left: Sequence[Array], spectra: Sequence[Spectrum], names: list[str]) -> Left:
+def predicted(left: Sequence[Array], spectra: Sequence[Spectrum], names: list[str]) -> Unpredicted:
     """Prediction of each flight by generic functions fitted on the others.
 
     The noise is that of the residual after the functions.
@@ -322,7 +322,7 @@ def predicted(left: Sequence[Array], spectra: Sequence[Spectrum], names: list[st
         gain[axis], coefficients = left_out_gain(grams[:, 1:, 1:], grams[:, 1:, 0])
         size = np.abs(coefficients) * np.sqrt(np.einsum("fjj->j", grams[:, 1:, 1:]))
         best.append([names[index] for index in np.argsort(-size)[:3]])
-    return Left(gain, best, noise)
+    return Unpredicted(gain, best, noise)
 
 
 def left_out_gain(grams: Array, projections: Array) -> tuple[float, Array]:

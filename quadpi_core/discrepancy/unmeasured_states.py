@@ -220,7 +220,6 @@ def _pose_information(velocity: Array, rates: Array, pushed: Array, noises: Reco
 
 
 def _turned(rotation: Array, values: Array) -> Array:
-    """Vectors (K, 3), each by its rotation (K, 3, 3)."""
     return np.einsum("nij,nj->ni", rotation, values)
 
 

@@ -51,7 +51,7 @@ Indices: TypeAlias = npt.NDArray[np.intp]
 _Made = TypeVar("_Made")
 
 
-class Kept:
+class Memoised:
     """A value that does not change, with what is made of it.
 
     So searches of the same flights that differ in what they may name share all up to where they part.

@@ -129,7 +129,7 @@ def _order(commands: Array, speeds: Array) -> tuple[int, ...]:
 
 def motor_model(flights: Sequence[tuple[FieldLog, Flown]]) -> MotorModel | str:
     """The motors of one vehicle, or why they cannot be told."""
-    fit = _Fit.of(flights)
+    fit = _Fit.from_flights(flights)
     if isinstance(fit, str):
         return fit
     by_rotor, scaled = fit.errors()
@@ -155,7 +155,7 @@ def identified_motors(
         flights: at least one.
         source: of the commands.
     """
-    fit = _Fit.of(flights)
+    fit = _Fit.from_flights(flights)
     if isinstance(fit, str):
         return fit
     errors = tuple(map(float, fit.errors()[0]))
@@ -193,7 +193,7 @@ class _Fit:
     volts: bool
 
     @classmethod
-    def of(cls, flights: Sequence[tuple[FieldLog, Flown]]) -> _Fit | str:
+    def from_flights(cls, flights: Sequence[tuple[FieldLog, Flown]]) -> _Fit | str:
         """Of the flights that tell."""
         usable = [(log, flight) for log, flight in flights if not isinstance(_parts(log, flight), str)]
         if not usable:

@@ -223,7 +223,7 @@ class Mapping:
         Raises:
             LogError: naming the file and the key that is missing, unknown or has a value that is not known.
         """
-        return cls._of(*load_config("mapping", name_or_path, _MappingFile, LogError))
+        return cls._from_content(*load_config("mapping", name_or_path, _MappingFile, LogError))
 
     @classmethod
     def draft(cls, text: str, source: Path) -> Mapping:
@@ -233,8 +233,8 @@ class Mapping:
             LogError: naming the table.
         """
         content = parse_config(_MappingFile, yaml.safe_load(text), f"{source}: a guessed mapping", LogError)
-        return cls._of(source, content)
+        return cls._from_content(source, content)
 
     @classmethod
-    def _of(cls, path: Path, content: _MappingFile) -> Mapping:
+    def _from_content(cls, path: Path, content: _MappingFile) -> Mapping:
         return cls(path, content.body, content.world, content.signals, content.tables)

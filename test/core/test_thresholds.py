@@ -44,7 +44,7 @@ from quadpi_core.discrepancy.by_condition import (
     standing_out,
 )
 from quadpi_core.discrepancy.candidates import candidates, typical_sizes
-from quadpi_core.discrepancy.closure import Found
+from quadpi_core.discrepancy.closure import SearchResult
 from quadpi_core.discrepancy.discrepancy_result import Coverage, OfFlight
 from quadpi_core.discrepancy.effect_regression import Reduction, noise_of_flight, settled
 from quadpi_core.discrepancy.effect_response import Compared, deviations, predicted_flight, quiet
@@ -465,7 +465,7 @@ def beyond_sound(deviations):
         sound=sound, residual=residual, flights=left, stated_squares=np.zeros(6), left=lambda _: left
     )
     none = SimpleNamespace(left=None)
-    return Found(regression, (), none, None, 0.0, {}, None, ()).beyond_sound.max() > 0.0
+    return SearchResult(regression, (), none, None, 0.0, {}, None, ()).beyond_sound.max() > 0.0
 
 
 def explained_better(probability):

@@ -81,7 +81,7 @@ def moved_tolerances():
 
     def moved(flights, simulation):
         compared = Compared.together(flights, simulation)
-        regression = Regression.of(compared, candidates(simulation.vehicle, ["payload"]))
+        regression = Regression.from_flights(compared, candidates(simulation.vehicle, ["payload"]))
         found = regression.fit(())
         assert found is not None
         names, laws = regression.tolerances.names, regression.tolerances.laws

@@ -33,7 +33,7 @@ def regression_of(simulation, flights, names, **options):
     """Of flights cut to 8 s, on candidates in the order of their names."""
     compared = [Compared(flight.slice(slice(0, 1000)), simulation, **options) for flight in flights]
     chosen = {own.name: own for own in candidates(simulation.vehicle, names)}
-    return Regression.of(compared, [chosen[name] for name in names])
+    return Regression.from_flights(compared, [chosen[name] for name in names])
 
 
 def rows_in(regression, place, wrench):

@@ -30,7 +30,9 @@ NOISE = np.array([0.03, 0.03, 0.03, 3e-3, 3e-3, 3e-3])
 
 def searched(simulation, flights):
     compared = [Compared(flight, simulation) for flight in flights]
-    return search(Prepared.of(compared, candidates(simulation.vehicle, ("body_drag", "rate_damping"))))
+    return search(
+        Prepared.from_flights(compared, candidates(simulation.vehicle, ("body_drag", "rate_damping")))
+    )
 
 
 @pytest.mark.slow

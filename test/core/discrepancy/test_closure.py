@@ -106,7 +106,7 @@ def test_axes_that_intervals_hold_are_no_gap(closing):
 
 
 def test_without_effects_the_gap_stays(closing):
-    gap = gap_of(Closing.of(closing.regression, ()))
+    gap = gap_of(Closing.from_regression(closing.regression, ()))
     np.testing.assert_array_equal(gap.after, gap.before)
     assert gap.reduction == 0.0
 
@@ -120,7 +120,7 @@ def test_what_a_flight_has_of_its_own_is_no_gap(closing):
     residual = regression.residual.plus(lambda place: columns.spectra[place].rows @ odd[place][:, None])
     changed = replace(regression, residual=residual)
     known = changed.with_condition(Condition(index, np.maximum(odd, 1e-4)))
-    gaps = [gap_of(Closing.of(own, closing.chosen)) for own in (regression, known, changed)]
+    gaps = [gap_of(Closing.from_regression(own, closing.chosen)) for own in (regression, known, changed)]
     for without, told, all_of_it in zip(*([gap.before[3], gap.after[3]] for gap in gaps), strict=True):
         assert told == pytest.approx(without, rel=0.05)
         assert all_of_it > 2.0 * without
@@ -136,7 +136,7 @@ def test_coefficients_are_adjusted_where_flights_left_out_gain(closing, odd, adj
         return (odd if place % 2 else 1.0) * rows_of(regression.of_tolerances(three), place)[:, :, None]
 
     off = replace(regression, residual=regression.residual.plus(more))
-    found = Closing.of(off, closing.chosen)
+    found = Closing.from_regression(off, closing.chosen)
     assert found.adjusted is adjusted
     moved = [np.any(off.moved_by(fit)) for fit in (*found.left_out, found.fits()[1])]
     assert moved == [adjusted] * 5
@@ -154,8 +154,8 @@ def test_flights_shape_a_law_that_is_off(simulation, flights, pushed):
         return np.sqrt(np.square(error[:, :3]).mean())
 
     made = [Compared(pushed(own, simulation.vehicle, drag(own, true)), simulation) for own in flights]
-    regression = settled(Regression.of(made, candidates(simulation.vehicle, ["body_drag"])))
-    closing = Closing.of(regression, (0,))
+    regression = settled(Regression.from_flights(made, candidates(simulation.vehicle, ["body_drag"])))
+    closing = Closing.from_regression(regression, (0,))
     law, whole = closing.fits()
     parameters = dict(zip(DRAG, regression.parameters(0, law), strict=True))
     shape = closing.shape(0, law, whole)
@@ -166,7 +166,7 @@ def test_flights_shape_a_law_that_is_off(simulation, flights, pushed):
     unshaped = replace(closing, shaped=(), noise=regression.noise)
     assert gap_of(closing).reduction > gap_of(unshaped).reduction
     # The shape is that of the law, whatever size of it the columns were made for.
-    halved = Closing.of(regression.moved({0: 0.5 * regression.points[0]}), (0,))
+    halved = Closing.from_regression(regression.moved({0: 0.5 * regression.points[0]}), (0,))
     again = halved.shape(0, *halved.fits())
     assert again["shape_speed"] == pytest.approx(shape["shape_speed"], rel=0.2)
 

@@ -66,7 +66,7 @@ def test_the_chosen_are_made_of_the_simulation_with_its_coefficients_as_fitted(s
 
     def moved(own):
         compared = [Compared(flight.slice(slice(0, 1000)), own) for flight in flights[:2]]
-        return Regression.of(compared, order).moved(points)
+        return Regression.from_flights(compared, order).moved(points)
 
     off = {"thrust": 5.0, "rotor_force_along": -3.0}
     before, expected = moved(simulation), moved(simulation.with_coefficients(off))
@@ -181,7 +181,7 @@ def test_what_a_model_states_may_be_in_any_band(regression, drag):
 
     simulation = Stating(**vars(regression.flights[0].simulation))
     flights = [own.compared_with(simulation) for own in regression.flights]
-    model = Regression.of(flights, regression.candidates)
+    model = Regression.from_flights(flights, regression.candidates)
     rows_of_bands = sum(np.bincount(own.band) for own in model.residual.spectra)
     expected = np.square(stated)[:, None] * rows_of_bands.sum() / rows_of_bands
     fit = model.fit((drag,))

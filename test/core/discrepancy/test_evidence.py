@@ -37,7 +37,7 @@ class Flights:
             self.residual = self.residual.plus(rows.__getitem__)
 
     def equations(self, *blocks, formed=()):
-        return Equations.of((self.residual, *self.tolerances), blocks, self.noise, formed)
+        return Equations.from_columns((self.residual, *self.tolerances), blocks, self.noise, formed)
 
     def normal(self, *columns, less=(), places=(0, 1), prior=1.0):
         """Of these columns, and a residual less those that are held at some weights."""

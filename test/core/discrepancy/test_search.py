@@ -12,7 +12,7 @@ import pytest
 
 from quadpi_core.discrepancy.acceptance import Accepted, Trial
 from quadpi_core.discrepancy.candidates import candidates
-from quadpi_core.discrepancy.closure import Found, Gap
+from quadpi_core.discrepancy.closure import Gap, SearchResult
 from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.evidence import Fit
 from quadpi_core.discrepancy.search import (
@@ -24,12 +24,12 @@ from quadpi_core.discrepancy.search import (
     without_idle,
 )
 from quadpi_core.discrepancy.unexplained import Inside
-from quadpi_core.discrepancy.whitening import Kept, Spectrum
+from quadpi_core.discrepancy.whitening import Memoised, Spectrum
 
 from .regressions import regression_of
 
 
-class ListedEvidence(Kept):
+class ListedEvidence(Memoised):
     """A regression in which the evidence of each set is listed, and every effect is linear and exact."""
 
     def __init__(self, evidence, reweighted=(), conditions=()):
@@ -198,7 +198,7 @@ def test_a_gap_is_beyond_the_mean_of_sound_flights_where_only_intervals_are_brok
     regression = SimpleNamespace(sound=sound, flights=[None] * 8, stated_squares=np.full(6, 1.2))
     inside, closing = Inside(np.full((8, 6), share_inside), 0.95), SimpleNamespace(gap=gap)
     left = SimpleNamespace(noise=None)
-    found = Found(regression, (), None, closing, 0.0, {}, left, (), inside=inside)
+    found = SearchResult(regression, (), None, closing, 0.0, {}, left, (), inside=inside)
     assert found.gap().floor == pytest.approx(np.full(6, max(1.0 if of_mean else 1.5, least)))
     # The tests of the result as a whole go by the same.
     assert found.sensors[:, 0] == pytest.approx(np.full(6, max(1.0, least)))
@@ -215,7 +215,7 @@ def test_without_sound_flights_as_much_may_be_left_as_intervals_state(stated, be
         residual=SimpleNamespace(spectra=spectra, bands=1),
         left=lambda _: left,
     )
-    found = Found(regression, (), SimpleNamespace(left=None), None, 0.0, {}, None, ())
+    found = SearchResult(regression, (), SimpleNamespace(left=None), None, 0.0, {}, None, ())
     assert found.beyond_sound == pytest.approx(np.full(6, beyond))
 
 
@@ -242,7 +242,9 @@ def test_what_fitted_coefficients_clearly_prefer_is_named(simulation, dragged, m
 
     monkeypatch.setattr("quadpi_core.discrepancy.search._Search.with_fitted_coefficients", fitted)
     compared = Compared.together(dragged, simulation)
-    found = search(Prepared.of(compared, candidates(simulation.vehicle, ("body_drag", "force_bias"))))
+    found = search(
+        Prepared.from_flights(compared, candidates(simulation.vehicle, ("body_drag", "force_bias")))
+    )
     assert named == ["body_drag"]
     assert [found.regression.candidates[index].label for index in found.chosen] == ["body_drag"]
 
@@ -252,7 +254,7 @@ def test_another_search_of_the_same_flights_begins_where_it_parts_from_the_first
 ):
     """What is barred is not named, and what was judged is judged no more."""
     compared = Compared.together(dragged, simulation)
-    prepared = Prepared.of(compared, candidates(simulation.vehicle, ("body_drag", "rate_damping")))
+    prepared = Prepared.from_flights(compared, candidates(simulation.vehicle, ("body_drag", "rate_damping")))
     fresh = [search(prepared), search(prepared, {"body_drag": "so"})]
 
     def reweighted(*_):

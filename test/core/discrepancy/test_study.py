@@ -370,7 +370,7 @@ def test_what_closes_nothing_beside_another_effect_is_barred_from_another_search
     chosen = tuple(
         i for i, own in enumerate(regression.candidates) if own.name in ("body_drag", "rate_damping")
     )
-    closing = Closing.of(regression, chosen)
+    closing = Closing.from_regression(regression, chosen)
     whole = replace(sought.found, chosen=chosen, closing=closing)
     two = replace(sought, effects=(sought.effects[0],) * 2, found=whole)
 
