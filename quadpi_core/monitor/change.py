@@ -95,7 +95,6 @@ class ChangeBlock:
     lift: float  # N, predicted
     squares: PerRotor  # (rad/s)² of the rotors
     inputs: Annotated[Array, len(INPUT_NAMES)]
-    unlike: int  # whether inputs lay beyond their ranges: it tells of mass alone
 
 
 class BlockInputs:

@@ -262,8 +262,10 @@ class Heard:
 
     def __init__(self, of_state: str) -> None:
         self._sensors = (of_state, "rotor speeds")
+        # Of samples that lacked one.
         self._newest_ns: dict[int, tuple[int, ...]] = {}
-        self._after_block = [NO_STAMP, NO_STAMP]
+        # Of a recording, after the last block.
+        self._last = [NO_STAMP, NO_STAMP]
 
     def take_one(self, time_ns: int, *newest_ns: int) -> None:
         """Note that an IMU sample came, and the newest stamps before it, NO_STAMP for none."""
@@ -278,14 +280,14 @@ class Heard:
         """What :meth:`take_one` takes of each IMU sample of the next block of a recording."""
         of_state = [block.pose, block.twist] if self._sensors[0] == MOTION_CAPTURE else [block.odometry]
         columns = [[*block.imu.time_ns.tolist(), 0]]
-        for before, streams in zip(self._after_block, (of_state, [block.rotor_speeds]), strict=True):
+        for before, streams in zip(self._last, (of_state, [block.rotor_speeds]), strict=True):
             came = [stream for stream in streams if stream is not None]
             arrived = np.concatenate([[0], *(block.arrivals_of(stream) for stream in came)])
             order = np.argsort(arrived, kind="stable")
             stamps = np.concatenate([[before], *(stream.time_ns for stream in came)])[order]
             rows = np.searchsorted(arrived[order], np.arange(len(block.imu) + 1), side="right") - 1
             columns.append(stamps[rows].tolist())
-        *samples, (_, *self._after_block) = zip(*columns, strict=True)
+        *samples, (_, *self._last) = zip(*columns, strict=True)
         return samples
 
     def lacks(self, time_ns: int) -> list[str]:

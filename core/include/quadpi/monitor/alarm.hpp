@@ -27,8 +27,8 @@ constexpr double STATED_EVIDENCE = 20.0;
 
 // For this long after a sample beyond a warning of EXTRAPOLATION [s] a manoeuvre is unlike those of training.
 constexpr double UNLIKE_S = 2.0;
-// For so long after an alarm of EXTRAPOLATION [s] only much mass counts against the vehicle: what is left of
-// errors there lasts, and of ten faster flights four raised CHANGE on it.
+// For so long after an alarm of EXTRAPOLATION [s] nothing counts against the vehicle: what is left of errors
+// there lasts, and of ten faster flights four raised CHANGE on it.
 constexpr double BEYOND_S = 1.0;
 
 // Python's floor division, by a positive number.
@@ -135,8 +135,8 @@ inline void judge_miscoverage(
     state.charge[MISCOVERAGE] = worst;
 }
 
-// Gather evidence that the vehicle has changed, where the model knows the inputs and the wind, the state has
-// settled and no sensor fails. Beyond the inputs it knows, Fz tells of mass, while its interval is no alarm.
+// Gather evidence that the vehicle has changed, where the model knows the inputs and the wind, and the
+// state has settled.
 inline void judge_change(
     const AlarmLimits& limits,
     AlarmState& state,
@@ -158,10 +158,7 @@ inline void judge_change(
     if (state.extrapolates && state.row.cause_level[EXTRAPOLATION] == LEVEL_ALARM) {
         change.unlike_s = UNLIKE_S + BEYOND_S;
     }
-    const bool unlike = state.extrapolates || change.unlike_s > UNLIKE_S;
-    const bool sound = state.settled && !state.wind_unknown && !sample.faults.any();
-    if (sound && (!unlike || state.thrust_known)) {
-        change.sum.unlike |= unlike;
+    if (state.settled && !state.wind_unknown && !state.extrapolates && change.unlike_s <= UNLIKE_S) {
         Wrench error;
         for (int axis = 0; axis < AXES; ++axis) {
             error[axis] = measured[axis] - 0.5 * (lower[axis] + upper[axis]);
@@ -310,19 +307,34 @@ inline std::size_t advance(
             state.silent_s = 0.0;
             state.settled = sample.settled;
             state.wind_unknown = sample.wind_unknown;
-            const Wrench& wrench = measured[used];
-            faults = follow_vehicle(limits, state, sample, wrench, step_s);
+            faults = follow_vehicle(limits, state, sample, measured[used], step_s);
             if (state.ground.flying) {
                 if (state.ground.why == JUDGED) {
-                    const Wrench &lower = said.lower[used], &upper = said.upper[used];
-                    const InputVector& own = inputs[used];
-                    const InputVector by_load = inputs_by_load(own, wrench[FZ], lower[FZ], upper[FZ]);
-                    // Until the wind is told, intervals are as wide as it is unsure.
-                    const Wrench widths = sample.wind_unknown ? Wrench{} : said.relative_width[used];
-                    beyond =
-                        judge_extrapolation(limits, state, own, by_load, said.leverage[used], widths, step_s);
-                    judge_miscoverage(limits, state, wrench, lower, upper, step_s);
-                    judge_change(limits, state, sample, own, wrench, lower, upper, step_s);
+                    beyond = judge_extrapolation(
+                        limits,
+                        state,
+                        inputs[used],
+                        inputs_by_load(
+                            inputs[used], measured[used][FZ], said.lower[used][FZ], said.upper[used][FZ]
+                        ),
+                        said.leverage[used],
+                        // Until the wind is told, intervals are as wide as it is unsure.
+                        sample.wind_unknown ? Wrench{} : said.relative_width[used],
+                        step_s
+                    );
+                    judge_miscoverage(
+                        limits, state, measured[used], said.lower[used], said.upper[used], step_s
+                    );
+                    judge_change(
+                        limits,
+                        state,
+                        sample,
+                        inputs[used],
+                        measured[used],
+                        said.lower[used],
+                        said.upper[used],
+                        step_s
+                    );
                 }
                 judge_rotors(state);
             }

@@ -32,9 +32,6 @@ constexpr double RARER = 0.6;
 constexpr double OF_MASS = 0.25, OF_PUSH = 0.04, OF_BALANCE = 0.06, OF_LESS = 0.3, OF_MORE = 0.25;
 // Number of the block by which half of the rest of the prior is spent.
 constexpr double HALF_SPENT = 100.0;
-// First of the sizes that are bet on beyond the ranges of the inputs, 6 %: by how much less a model may be
-// off there. Of 40 replays of faster flights none then gathers evidence (experiments/results/alarm.md).
-constexpr int FIRST_BEYOND = 4;
 // Share of the prior below which a size is no longer followed.
 constexpr double RUIN = 1e-12;
 // Longer pauses [blocks] count as this long.
@@ -49,16 +46,9 @@ constexpr std::array<double, SIZES> sizes() {
     return all;
 }
 
-template <std::size_t N>
-constexpr void scale(std::array<double, N>& values, double share) {
-    for (double& value : values) {
-        value *= share;
-    }
-}
-
 // What a block says of one direction from an onset on.
 struct Response {
-    int axes, first;                           // the first of the sizes that are bet on
+    int axes;
     double sound;                              // product over the axes of 1 + surprise² / tail
     std::array<double, 3> error, moved, tail;  // surprise, its change by the direction, and the tail
 };
@@ -70,7 +60,7 @@ inline Response answer(
     const Template& direction,
     std::array<Parts, 3>& moved
 ) {
-    Response response{direction.axes, 0, 1.0, {}, {}, {}};
+    Response response{direction.axes, 1.0, {}, {}, {}};
     for (int i = 0; i < direction.axes; ++i) {
         const AxisFilter& filter = filters[direction.axis[i]];
         const AxisNoise& noise = limits.noise[direction.axis[i]];
@@ -104,9 +94,11 @@ inline double bet(
     }
     double total = 0.0;
     for (int index = 0; index < SIZES; ++index) {
-        const double ratio = index < response.first ? 1.0 : response.sound / changed[index];
+        const double ratio = response.sound / changed[index];
         gain[index] *= ratio * ratio;
         changed[index] = wealth[index] * std::min(gain[index], CAP);
+    }
+    for (int index = 0; index < SIZES; ++index) {
         total += changed[index];
     }
     if (settle) {
@@ -128,7 +120,9 @@ constexpr std::array<double, SIZES> prior_of_sizes(int direction) {
         all[2 * k + 1] = (1.0 - loss) * own;
         total += own;
     }
-    scale(all, 1.0 / total);
+    for (double& share : all) {
+        share /= total;
+    }
     return all;
 }
 
@@ -151,7 +145,9 @@ inline std::array<double, DIRECTIONS> prior_of_directions(const Templates& templ
                                                        : OF_MORE / rotors;
         total += all[direction];
     }
-    scale(all, total > 0.0 ? 1.0 / total : 0.0);
+    for (double& share : all) {
+        share = total > 0.0 ? share / total : 0.0;
+    }
     return all;
 }
 
@@ -169,7 +165,9 @@ inline void begin_onset(const Templates& templates, Change& change) {
     const std::array<double, DIRECTIONS> of_direction = prior_of_directions(templates);
     for (int direction = 0; direction < DIRECTIONS; ++direction) {
         onset.wealth[direction] = prior_of_sizes(direction);
-        scale(onset.wealth[direction], of_direction[direction]);
+        for (double& share : onset.wealth[direction]) {
+            share *= of_direction[direction];
+        }
         onset.gain[direction].fill(1.0);
     }
 }
@@ -204,9 +202,6 @@ inline void find_change(Change& change, const std::array<double, ONSETS>& eviden
     }
 }
 
-// Whether a block tells of an axis.
-inline bool tells(const ChangeBlock& block, int axis) { return block.unlike == 0 || axis == FZ; }
-
 // Move the filters on to a block; returns the blocks that have passed since the one before.
 inline std::int64_t take_residuals(const ChangeLimits& limits, Change& change) {
     const ChangeBlock& block = change.sum;
@@ -226,9 +221,7 @@ inline std::int64_t take_residuals(const ChangeLimits& limits, Change& change) {
             for (std::int64_t k = 0; k < passed; ++k) {
                 pass_block(noise, filter);
             }
-            if (tells(block, axis)) {
-                take_residual(noise, filter, block.residual[axis]);
-            }
+            take_residual(noise, filter, block.residual[axis]);
             change.loud = change.loud || filter.loudness > noise.loudest;
         }
     }
@@ -266,12 +259,8 @@ inline double follow_onset(
                 moved[i].process *= limits.noise[own.axis[i]].keep;
             }
         }
-        Response response{0, 0, 1.0, {}, {}, {}};
-        if (change.sum.unlike == 0 || direction == LIFT) {
-            response = answer(limits, change.filters, own, moved);
-            response.first = change.sum.unlike == 0 ? 0 : FIRST_BEYOND;
-        }
-        for (int i = 0; i < response.axes; ++i) {
+        const Response response = answer(limits, change.filters, own, moved);
+        for (int i = 0; i < own.axes; ++i) {
             onset.squares[direction] += response.moved[i] * response.moved[i];
             onset.products[direction] += response.moved[i] * response.error[i];
         }
@@ -295,10 +284,8 @@ inline void take_block(const ChangeLimits& limits, const RotorGeometry& rotors, 
         evidence[place] = follow_onset(limits, templates, passed, change, change.onsets[place]);
         total += evidence[place];
     }
-    for (int axis = 0; axis < AXES; ++axis) {
-        if (tells(change.sum, axis)) {
-            remember_loudness(change.filters[axis]);
-        }
+    for (AxisFilter& filter : change.filters) {
+        remember_loudness(filter);
     }
     change.evidence = total;
     change.score = std::max(0.0, logarithm(total) / logarithm(limits.evidence));
@@ -328,9 +315,15 @@ inline void end_block(
     }
     if (change.filled_s >= BLOCK_FILLED_S && block.lift > 0.0) {
         const double share = 1.0 / change.samples;
-        scale(block.residual, share);
-        scale(block.squares, share);
-        scale(block.inputs, share);
+        for (double& of_axis : block.residual) {
+            of_axis *= share;
+        }
+        for (double& square : block.squares) {
+            square *= share;
+        }
+        for (double& input : block.inputs) {
+            input *= share;
+        }
         block.lift *= share;
         take_block(limits, rotors, change);
     }

@@ -7,8 +7,6 @@
 
 namespace quadpi {
 
-constexpr int FX = 0, FY = 1, FZ = 2;
-
 // Time [ns] over which residuals are averaged to one observation.
 constexpr std::int64_t BLOCK_NS = 100'000'000;
 // Time [s] of a block that samples must fill.
@@ -67,7 +65,6 @@ struct ChangeBlock {
     double lift;          // N, predicted
     PerRotor squares;     // (rad/s)² of the rotors
     InputVector inputs;
-    std::int64_t unlike;  // whether inputs lay beyond their ranges: it tells of mass alone
 };
 
 // Inputs of a block that has passed.
