@@ -132,6 +132,8 @@ class Column:
     name: str
 
     def __get__(self, instance: Any, owner: type | None = None) -> Array:
+        if instance is None:
+            raise AttributeError(f"{self.name}: a column of the records of an instance")
         view: Array = instance.rows[self.name]
         return view
 

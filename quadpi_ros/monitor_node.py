@@ -72,6 +72,8 @@ class MonitorNode(SensorNode[MonitorParameters]):
         self._measuring: Monitor | None = None
         self._dropped = self._judged = 0
         self._newest_ns = NO_STAMP
+        # Stamps of the state and the rotor speeds that came last, late ones too, as in a replay.
+        self._came_ns = [NO_STAMP, NO_STAMP]
         self._silence_watch: Watch | None = None
         self._silence = Silence()
         self._silence_published_s = -math.inf
@@ -230,7 +232,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
             self._reset_monitors()
             self._latency.reset()
         self._newest_ns = time_ns
-        _, state_ns, rotors_ns, _ = self._pairing.newest_ns.tolist()
+        state_ns, rotors_ns = self._came_ns
         if self._estimator is not None:
             state_ns = self._estimator.mocap_ns
         self._heard.take_one(time_ns, state_ns, rotors_ns)
@@ -243,6 +245,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
         """Take one state."""
         time_ns, (_, attitude, velocity) = int(odometry.time_ns[0]), odometry.stated[0].tolist()
         self._results.monitors.sample_context.unsure.take_one(time_ns, max(velocity, 0.0), max(attitude, 0.0))
+        self._came_ns[0] = time_ns
         state = odometry.velocity[0], odometry.attitude[0], odometry.rates[0]
         self._publish(self._pairing.add_state(time_ns, *state, self._judging()))
 
@@ -300,6 +303,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
 
     def _add_rotor_speeds(self, rotor_speeds: RotorSpeedStream) -> None:
         time_ns, speeds = int(rotor_speeds.time_ns[0]), rotor_speeds.speeds[0]
+        self._came_ns[1] = time_ns
         self._publish(self._pairing.add_rotor_speeds(time_ns, speeds, self._judging()))
 
     def _judging(self) -> Judging:
@@ -388,7 +392,7 @@ class MonitorNode(SensorNode[MonitorParameters]):
         self._dropped = self._judged = 0
         self._silence = Silence()
         self._silence_published_s = -math.inf
-        self._newest_ns = NO_STAMP
+        self._newest_ns, self._came_ns = NO_STAMP, [NO_STAMP, NO_STAMP]
         self._heard = Heard("odometry" if self._estimator is None else MOTION_CAPTURE)
         self._latency = Latency()
         if self._commanded is not None:

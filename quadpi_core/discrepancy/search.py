@@ -270,11 +270,14 @@ class _Search:
                     found.append((fit.log_evidence, others, pair))
         for _, others, pair in sorted(found, key=lambda own: -own[0]):
             larger: Accepted | None = others
+            before = len(self.judgements)
             for _ in pair:
                 fits = [own for own in _fits_with_one_more(larger) if own[0] in pair] if larger else []
                 larger = self._one_more(larger, fits)[0] if larger else None
             if larger is not None:
                 return larger
+            # What was said of half a pair is not said of the set.
+            del self.judgements[before:]
         return accepted
 
     def _in_place_of(self, accepted: Accepted, index: int, rival: int) -> Trial:

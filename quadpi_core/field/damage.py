@@ -88,7 +88,7 @@ def sharing(flights: Sequence[tuple[FieldLog, Flown]]) -> Sharing | str:
 
     Shares grow with the specific force across the body, along straight lines that all flights have in common.
     """
-    blind = any(log.imu is None for log, _ in flights)
+    blind = any(log.imu is None for log, _ in flights if log.commands is not None)
     own, *before = (_shares(*one, blind=blind) for one in flights)
     known = [own, *(one for one in before if len(one) and one.shape[1] == own.shape[1])]
     if not len(own) or len(known) < 2:

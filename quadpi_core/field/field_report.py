@@ -270,7 +270,8 @@ def report_on(
     if not flights:
         raise NoFlightLeftError("; ".join(one.reason for one in left_out))
     vehicles = tuple(_vehicles(flights, vehicle))
-    if len(vehicles) > 1 and (mass is not None or isinstance(vehicle, Vehicle)):
+    differ = len({_identity(one.log) for one in flights}) > 1
+    if differ and (mass is not None or isinstance(vehicle, Vehicle)):
         names = ", ".join(f"{one.name} ({one.flights[0]} …)" for one in vehicles)
         raise LogError(
             f"mass and vehicle file are of one airframe, the logs of {names}: report on each by itself"

@@ -259,6 +259,9 @@ def _thrust_samples(log: FieldLog, cut: list[Stretch]) -> Array | None:
     values = log.commands.values
     loads = Series(log.commands.time, np.stack([values.mean(axis=1), np.mean(values**2, axis=1)], axis=1))
     table = averages(cut, _STEP_S, loads, Series(log.imu.time, -log.imu.values[:, 5:] / STANDARD_GRAVITY))
+    # Thrust is not known in a step without a sample of the IMU.
+    ends = table[:, 3:4] + 0.5 * _STEP_S * np.array([-1.0, 1.0])
+    table = table[np.diff(np.searchsorted(log.imu.time, ends))[:, 0] > 0]
     return table if len(table) > _FEWEST_SAMPLES else None
 
 

@@ -8,6 +8,7 @@ Where somebody guesses a name that is not there, the AttributeError names the on
 from __future__ import annotations
 
 import re
+from inspect import getattr_static
 from typing import TYPE_CHECKING, Any
 
 # By owner, what to write, and the names of other libraries and of habit that it stands for.
@@ -34,11 +35,13 @@ _GUESSES: dict[str, dict[str, str]] = {
         "flights + others": "concat|append|extend|join|merge|add",
         "flights[:3], or LeaveOneOut() of scikit-learn": "(.*_)?split|filter|select|sample|query|groupby",
         "len(flights), len(flights.time)": "n_.*|size|count",
-        "to_pandas(), a table of all signals": ".*",
+        "names": "name|flights?|labels?",
+        "to_pandas(), a table of all signals": "(?!quality).*",
     },
     "WrenchModel": {
-        "load_model(folder)": "load|from_(?!flights).*|read|open",
-        "save(folder)": "dump|to_.*|export|write",
+        "fit(flights) first": "model_|left_out_",
+        "load_model(folder)": "load(_.*)?|from_(?!flights).*|read|open",
+        "save(folder)": "save_.*|dump|to_.*|export|write",
         "evaluate(model, flights)": "evaluate|coverage|valid.*|test|residuals?|errors?|judge|cross_.*",
         "predict_interval(flights, confidence)": ".*interval.*|predict_(quantiles?|std|proba)|conform.*",
         "predict(flights)": "transform|forecast|simulate|wrench|decision_function|apply",
@@ -75,4 +78,7 @@ class Guessable(metaclass=_NamesOfOthers):
     if not TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> Any:
+            if isinstance(getattr_static(type(self), name, None), property):
+                # What the property lacks, not the property.
+                return object.__getattribute__(self, name)
             raise named_absence(type(self).__name__, self, name)

@@ -222,11 +222,10 @@ def _taken(
         rotor_speeds=rotors.speeds,
         wind=np.zeros((len(recording.imu), 3)) if wind is None else wind.velocity,
         biases_estimated=False,
+        quality=recording.quality,
     )
     prepared = PreparedFlight.from_flight(flight, vehicle, recording_hash(recording))
-    return replace(
-        prepared, file=recording.name, recorded_s=float(flight.time[-1]), quality=recording.quality
-    )
+    return replace(prepared, file=recording.name, recorded_s=float(flight.time[-1]))
 
 
 def from_frame(

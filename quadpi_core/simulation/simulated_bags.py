@@ -143,9 +143,11 @@ def read_truth(path: Path | str) -> RecordedTruth:
                     raise LogError(f"{path}: topic {topic}: missing: no flight of quadpi's simulation")
                 names[topic] = connection.topic
         topics, metadata = bag.read(names.values()), bag.metadata
+    if "truth" not in metadata:
+        raise LogError(f"{path}: no `truth` in its metadata: no flight of quadpi's simulation")
     where = f"{path}: `truth` in its metadata"
     try:
-        mass_kg = parse_config(_FlownBody, parse_json(metadata.get("truth", "")), where, LogError).mass_kg
+        mass_kg = parse_config(_FlownBody, parse_json(metadata["truth"]), where, LogError).mass_kg
     except ValueError as error:
         raise LogError(f"{where}: {one_line(error)}") from error
 
@@ -156,6 +158,14 @@ def read_truth(path: Path | str) -> RecordedTruth:
     vectors = sensor_messages.unpack_body_vectors
     _, wrench = unpacked("wrench", partial(vectors, type_name=sensor_messages.WRENCH))
     _, accelerations = unpacked("acceleration", partial(vectors, type_name=sensor_messages.ACCELERATION))
+    rotor_speeds = unpacked("rotor_speeds", sensor_messages.unpack_rotor_speeds).speeds
+    wind = unpacked("wind", sensor_messages.unpack_wind).velocity
+    columns = {"wrench": wrench, "acceleration": accelerations, "rotor_speeds": rotor_speeds, "wind": wind}
+    for name, values in columns.items():
+        if len(values) != len(state):
+            raise LogError(
+                f"{path}: topic truth/{name}: {len(values)} samples, of truth/odometry {len(state)}"
+            )
     flight = Flight(
         name=path.stem,
         vehicle=metadata.get("vehicle", ""),
@@ -168,8 +178,8 @@ def read_truth(path: Path | str) -> RecordedTruth:
         rates=state.rates,
         angular_acceleration=accelerations[:, 3:],
         specific_force=wrench[:, :3] / mass_kg,
-        rotor_speeds=unpacked("rotor_speeds", sensor_messages.unpack_rotor_speeds).speeds,
-        wind=unpacked("wind", sensor_messages.unpack_wind).velocity,
+        rotor_speeds=rotor_speeds,
+        wind=wind,
     )
     return RecordedTruth(state, flight, wrench)
 

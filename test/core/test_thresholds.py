@@ -639,7 +639,7 @@ EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
     "COLOURED": (12.0, lambda x: result_verdicts.judge_colour(np.full(6, x), np.ones(6)).passed),
     "LEAST_COVERAGE": (
         0.5,
-        lambda x: result_verdicts.judge_coverage({"Fx": Coverage(0.1, x)}, 0.95).passed,
+        lambda x: result_verdicts.judge_coverage({"Fx": Coverage(0.1, 0.95 * x)}, 0.95).passed,
     ),
     "WORSE_COVERAGE": (
         3.0,

@@ -246,7 +246,7 @@ def test_an_effect_that_improves_roll_outs_is_added(found, tmp_path):
     [
         (0.72, 0.6, ""),
         (0.72, 0.5, "intervals hold 50 % of Fz with it, 72 % before"),
-        (0.05, 0.45, "intervals hold 45 % of Fz with it, 5 % before, 50 % needed"),
+        (0.05, 0.45, "intervals hold 45 % of Fz with it, 5 % before, 48 % needed"),
     ],
 )
 def test_an_effect_with_which_intervals_miss_most_of_an_axis_or_much_more_is_not_added(

@@ -117,6 +117,11 @@ def test_standardised_samples_have_mean_zero_and_unit_scale() -> None:
     assert scaling.input_scale[2] == 1.0
 
 
+def test_constant_target_is_refused() -> None:
+    with pytest.raises(ModelError, match="constant"):
+        Scaling.from_samples(np.zeros((10, 2)), np.full(10, 3.0))
+
+
 @pytest.mark.parametrize(
     "changes",
     [
