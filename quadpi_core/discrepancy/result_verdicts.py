@@ -413,13 +413,13 @@ def judge_coverage(coverage: Mapping[str, Coverage], confidence: float) -> Verdi
     """Whether the intervals, which state a confidence, hold most of each axis, and of none much less."""
     lost, axis = max((own.before - own.after, axis) for axis, own in coverage.items())
     least, worst = min((own.after, axis) for axis, own in coverage.items())
-    share, told = lost / (1.0 - confidence), least / confidence
-    mostly = told >= LEAST_COVERAGE.value
+    share, of_stated = lost / (1.0 - confidence), least / confidence
+    mostly = of_stated >= LEAST_COVERAGE.value
     axis = axis if mostly else worst
     before, after, half = map(_percent, (*coverage[axis], LEAST_COVERAGE.value * confidence))
     sentence = f"intervals hold {after} of {axis} with it, {before} before"
     if not mostly:
-        return Verdict.by_limit(LEAST_COVERAGE, "coverage", told, mostly, f"{sentence}, {half} needed")
+        return Verdict.by_limit(LEAST_COVERAGE, "coverage", of_stated, mostly, f"{sentence}, {half} needed")
     return Verdict.by_limit(WORSE_COVERAGE, "coverage", share, share <= WORSE_COVERAGE.value, sentence)
 
 

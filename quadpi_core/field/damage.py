@@ -94,12 +94,12 @@ def sharing(flights: Sequence[tuple[FieldLog, Flown]]) -> Sharing | str:
     if not len(own) or len(known) < 2:
         return "the flight, or those before, have no commands"
     count, table, flight = len(known), np.vstack(known), np.repeat(range(len(known)), [*map(len, known)])
-    shares, across, piece = table[:, :-4], table[:, -4:-2], table[:, -1]
+    shares, across, piece = table[:, :-4], table[:, -4:-2], flight + count * table[:, -1]
     columns = np.hstack([np.eye(count)[flight], across])
     # The scatter between flights holds all else that they err by.
     means = np.linalg.lstsq(columns[:, :count], across, rcond=None)[0]
     wanted = np.concatenate([np.zeros(count), means[0] - means[1:].mean(axis=0)])
-    told = [slope_of_pieces(columns, one, piece + 1e4 * flight, wanted, "") for one in shares.T]
+    told = [slope_of_pieces(columns, one, piece, wanted, "") for one in shares.T]
     halves = [np.inf if one.half_width is None else one.half_width for one, _ in told]
     usual = stats.norm.ppf(0.5 + 0.5 * CONFIDENCE.value)
     return Sharing(np.stack([fitted[:count] for _, fitted in told], axis=1), np.array(halves) / usual)
