@@ -111,10 +111,8 @@ def bags_in(folder: Path, paths: Sequence[Path | str]) -> list[Path]:
     places = {file.path.resolve(): file.path for file in files}
     bags = [folder / f"{file.name}.mcap" for file in files]
     for file, bag in zip(files, bags, strict=True):
-        if bag.resolve() in places:
-            raise LogError(
-                f"{file.path}: its bag would replace {places[bag.resolve()]}; choose another folder"
-            )
+        if (old := places.get(bag.resolve())) is not None:
+            raise LogError(f"{file.path}: its bag would replace {old}; choose another folder")
     return bags
 
 

@@ -146,15 +146,16 @@ def _map_in_processes(
 ) -> None:
     """In processes of our own, which are reached by pipes: nothing listens on the network."""
     before = set(multiprocessing.active_children())
+    task = _pickled((function, shared))
     pool = ProcessPoolExecutor(
         workers,
         # A forked process inherits locks held by threads that it does not have.
         mp_context=multiprocessing.get_context("spawn"),
         initializer=_set_up,
-        initargs=(_pickled((function, shared)),),
+        initargs=(task,),
     )
     try:
-        with _signals_deferred(), _environment(_ONE_THREAD):
+        with _signals_deferred(), _started_with(b"__main__" in task):
             index = {pool.submit(_work, item): k for k, item in enumerate(items)}
         futures = list(index)
         for future in as_completed(futures):
@@ -217,18 +218,21 @@ def one_blas_thread() -> Iterator[None]:
 
 
 @contextmanager
-def _environment(variables: dict[str, str]) -> Iterator[None]:
-    """Environment variables for processes started in the block."""
-    before = {name: os.environ.get(name) for name in variables}
-    os.environ.update(variables)
+def _started_with(main_module: bool) -> Iterator[None]:
+    """Processes started in the block have one thread, and import the main module only where they need it."""
+    # A user's script without `if __name__ == "__main__"` would otherwise run again in each, and end it.
+    main = {} if main_module else dict.fromkeys(("__spec__", "__file__"))
+    there: Any = ((os.environ, _ONE_THREAD), (vars(sys.modules["__main__"]), main))
+    before = [{name: names[name] for name in given if name in names} for names, given in there]
+    for names, given in there:
+        names.update(given)
     try:
         yield
     finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
+        for (names, given), kept in zip(there, before, strict=True):
+            for name in given:
+                del names[name]
+            names.update(kept)
 
 
 def _map_on_cluster(
@@ -267,7 +271,16 @@ def _client(distributed: ModuleType, scheduler: str, answer_s: float) -> Iterato
     except (OSError, ValueError) as error:
         raise ParallelError(f"--scheduler {scheduler}: no scheduler answers: {one_line(error)}") from error
     with client:
-        _require_workers(client, scheduler, answer_s)
+        try:
+            client.wait_for_workers(1, timeout=answer_s)
+        except TimeoutError as error:
+            raise ParallelError(f"--scheduler {scheduler}: has no workers") from error
+        for worker, version in client.run(_version, on_error="return").items():
+            if version != __version__:
+                found = (
+                    f"cannot run quadpi: {one_line(version)}" if isinstance(version, Exception) else version
+                )
+                raise ParallelError(f"--scheduler {scheduler}: worker {worker}: {found}, not {__version__}")
         yield client
 
 
@@ -292,17 +305,6 @@ def _signals_deferred() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         for number in waiting:
             signal.raise_signal(number)
-
-
-def _require_workers(client: Any, scheduler: str, answer_s: float) -> None:
-    try:
-        client.wait_for_workers(1, timeout=answer_s)
-    except TimeoutError as error:
-        raise ParallelError(f"--scheduler {scheduler}: has no workers") from error
-    for worker, version in client.run(_version, on_error="return").items():
-        if version != __version__:
-            found = f"cannot run quadpi: {one_line(version)}" if isinstance(version, Exception) else version
-            raise ParallelError(f"--scheduler {scheduler}: worker {worker}: {found}, not {__version__}")
 
 
 def _version() -> str:

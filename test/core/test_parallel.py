@@ -238,3 +238,14 @@ def alive(process):
         return "\nState:\tZ" not in Path(f"/proc/{process}/status").read_text()
     except FileNotFoundError:
         return False
+
+
+def test_a_script_without_a_guard_is_not_run_again_by_its_workers(tmp_path):
+    script = tmp_path / "mine.py"
+    bags = str(bags_directory() / "*polation.mcap")
+    script.write_text(
+        "import quadpi_core as qp\n"
+        f"print(len(qp.load_flights({bags!r}, vehicle='bebop2', workers=2)), __file__)\n"
+    )
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False)
+    assert (done.stdout, done.returncode) == (f"2 {script}\n", 0), done.stderr
