@@ -132,7 +132,6 @@ def _detail(found: SearchResult) -> dict[str, Any]:
     return {
         "coefficients": {name: float(value) for name, value in moved if abs(value) > 1.0},
         "noise": found.left.noise.tolist(),
-        "gain": found.gain,
         "threshold": found.threshold,
         "unexplained": [float(value) for value in found.left.gain],
         "judgements": [

@@ -206,7 +206,6 @@ class SearchResult:
         chosen: indices of the candidates that were named.
         fit: their fit.
         closing: fits by which they close the gap.
-        gain: evidence of the set over no effect [nat].
         rivals: for each chosen candidate others that do about as well in its place, best first, with their
             odds against it.
         left: prediction of the residual after the set by generic functions.
@@ -222,7 +221,6 @@ class SearchResult:
     chosen: tuple[int, ...]
     fit: Fit
     closing: Closing
-    gain: float
     rivals: Rivals
     left: Unpredicted
     judgements: tuple[Judgement, ...]

@@ -23,7 +23,7 @@ from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 
 from quadpi_core.discrepancy.simulations import Column, Margins, Simulation, Tolerances
 from quadpi_core.discrepancy.unmeasured_states import BiasResponse, Started, started
-from quadpi_core.discrepancy.whitening import BAND_HZ, Columns, Memoised, OfEachFlight, Spectrum, spectrum
+from quadpi_core.discrepancy.whitening import Columns, Memoised, OfEachFlight, Spectrum, spectrum
 from quadpi_core.flight import Flight, ImuStream, PoseStream, Recording, RotorSpeedStream
 from quadpi_core.frames import Array, rotate_body_to_world, rotate_world_to_body
 from quadpi_core.records import CONVENTION, Threshold
@@ -70,7 +70,6 @@ _OF_THE_FLIGHT = (
     "flight",
     "thinned",
     "step",
-    "highest_hz",
     "quiet",
     "measured",
     "bias_response",
@@ -87,11 +86,10 @@ class Compared(Memoised):
         flight: input of the simulation, thinned as far as derivatives allow where it takes any.
         thinned: the flight at about `RATE_HZ`.
         step: thins `flight` to it.
-        highest_hz: highest frequency at which the two are compared.
     """
 
-    def __init__(self, flight: Flight, simulation: Simulation, highest_hz: float = BAND_HZ.value) -> None:
-        self.simulation, self.highest_hz, self._recorded = simulation, highest_hz, flight
+    def __init__(self, flight: Flight, simulation: Simulation) -> None:
+        self.simulation, self._recorded = simulation, flight
         self._started: dict[str, dict[tuple[float, ...], Started]] = {}
         step = max(1, int(flight.rate_hz / RATE_HZ.value + 0.5))
         self.thinned = _every(flight, step)
@@ -100,11 +98,9 @@ class Compared(Memoised):
         self.flight = _every(flight, step // self.step)
 
     @classmethod
-    def together(
-        cls, flights: Sequence[Flight], simulation: Simulation, highest_hz: float = BAND_HZ.value
-    ) -> list[Compared]:
+    def together(cls, flights: Sequence[Flight], simulation: Simulation) -> list[Compared]:
         """Flights that are searched together; for own inputs see :mod:`.other_simulations`."""
-        compared = [cls(flight, simulation, highest_hz) for flight in flights]
+        compared = [cls(flight, simulation) for flight in flights]
         if not simulation.own_inputs:
             return compared
         learned = simulation.learned([(own.flight, own.quiet) for own in compared])
@@ -200,7 +196,7 @@ class Compared(Memoised):
 
     def spectrum(self, columns: Array) -> Spectrum:
         """Spectrum of columns (M, ·, K) of this flight, as far as it is compared."""
-        return spectrum(columns, self.thinned.rate_hz, self.highest_hz)
+        return spectrum(columns, self.thinned.rate_hz)
 
     def uncertain(self) -> list[Column]:
         """Columns (M, 6) of the tolerances, one each."""

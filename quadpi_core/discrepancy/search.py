@@ -109,11 +109,11 @@ def search(prepared: Prepared, barred: Mapping[str, str] = MappingProxyType({}))
     """Search flights for the effects that their simulation lacks, but those barred by name for a reason."""
     regression, inside, own = prepared.regression, prepared.inside, _Search(barred, prepared.inside)
     accepted = Accepted(regression, (), regression.fit_none())
-    disputed, gain = tuple[str, ...](), 0.0
+    disputed = tuple[str, ...]()
     for _ in range(MOST_EFFECTS.value):
-        accepted, more = own.grown(accepted)
+        accepted = own.grown(accepted)
         exchanged, disputed = own.exchanged(accepted)
-        exchanged, gain = own.parted(exchanged), gain + more
+        exchanged = own.parted(exchanged)
         if exchanged.chosen == accepted.chosen:
             break
         accepted = exchanged
@@ -129,7 +129,6 @@ def search(prepared: Prepared, barred: Mapping[str, str] = MappingProxyType({}))
         chosen=accepted.chosen,
         fit=accepted.fit,
         closing=Closing.from_regression(accepted.regression, accepted.chosen),
-        gain=gain,
         rivals=rivals,
         left=predicted(accepted.regression.left(accepted.fit), spectra, names),
         judgements=tuple(own.judgements),
@@ -161,34 +160,28 @@ class _Search:
         # Effects that became idle, which are not tried again.
         self._idle = set[int]()
 
-    def grown(self, accepted: Accepted) -> tuple[Accepted, float]:
-        """The set with all effects and conditions that one after the other gain the most and pass all tests.
-
-        Returns:
-            The set, and the evidence that was gained [nat].
-        """
-        gain = 0.0
+    def grown(self, accepted: Accepted) -> Accepted:
+        """The set with effects and conditions that one after the other gain the most and pass all tests."""
         while True:
             beside = best_condition(accepted)
             gained = beside.fit.log_evidence - accepted.fit.log_evidence if beside else -np.inf
             fits = _fits_with_one_more(accepted) if len(accepted.chosen) < MOST_EFFECTS.value else []
             gains = {k: fit.log_evidence - accepted.fit.log_evidence for k, fit in fits if fit is not None}
             as_shared = gains.get(beside.regression.conditions[-1].index, -np.inf) if beside else -np.inf
-            larger, more = None, 0.0
+            larger = None
             if fits and (keeps(as_shared, gained) or max(gains.values(), default=-np.inf) >= gained):
-                larger, more = self._one_more(accepted, fits)
+                larger = self._one_more(accepted, fits)
             # A condition gains more than any effect, or those that gain more were refused.
             larger = larger or beside
             if larger is None:
-                return accepted, gain
-            gain += more
+                return accepted
             accepted, dropped = without_idle(larger)
             self.judgements += dropped
             # A dropped effect is not tried again: two effects could replace each other forever.
             self._idle |= set(larger.chosen) - set(accepted.chosen)
 
-    def _one_more(self, before: Accepted, fits: _Fits) -> tuple[Accepted | None, float]:
-        """One round: the set with the best candidate that passes all tests, its gain; None if none does."""
+    def _one_more(self, before: Accepted, fits: _Fits) -> Accepted | None:
+        """One round: the set with the best candidate that passes all tests; None if none does."""
         behind, least = None, np.inf
         for index, fit in fits:
             own = before.regression.candidates[index]
@@ -206,13 +199,13 @@ class _Search:
             judgement, larger = trial.outcome()
             self.judgements.append(judgement)
             if larger is not None:
-                return larger, trial.gain
+                return larger
             if judgement.ends_round and behind is None:
                 behind = own
                 # Another kind may need less evidence than one that does about as well.
                 if fit is not None and judgement.reason.test == "evidence":
                     least = fit.log_evidence - rival_margin(trial.gain)
-        return None, 0.0
+        return None
 
     def _about_as_well(self, before: Accepted, index: int, fit: Fit | None, fits: _Fits) -> str:
         """Name of the best candidate of ordinary size that does about as well as one; empty without one."""
@@ -273,7 +266,7 @@ class _Search:
             before = len(self.judgements)
             for _ in pair:
                 fits = [own for own in _fits_with_one_more(larger) if own[0] in pair] if larger else []
-                larger = self._one_more(larger, fits)[0] if larger else None
+                larger = self._one_more(larger, fits) if larger else None
             if larger is not None:
                 return larger
             # What was said of half a pair is not said of the set.

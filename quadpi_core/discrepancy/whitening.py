@@ -81,14 +81,11 @@ class Spectrum(NamedTuple):
     band: Indices
 
 
-def spectrum(columns: Array, rate_hz: float, highest_hz: float = BAND_HZ.value) -> Spectrum:
-    """Spectrum of columns (M, 6, K) of a flight, up to a highest frequency.
-
-    The bands are those between the edges of `EDGES_HZ` below it, and the rest up to it.
-    """
+def spectrum(columns: Array, rate_hz: float) -> Spectrum:
+    """Spectrum of columns (M, 6, K) of a flight, up to `BAND_HZ`."""
     samples = len(columns)
     frequency = np.fft.rfftfreq(samples, 1.0 / rate_hz)
-    frequency = frequency[frequency <= highest_hz]
+    frequency = frequency[frequency <= BAND_HZ.value]
     faded = taper(samples, rate_hz)
     transformed = np.fft.rfft(columns * (faded / np.linalg.norm(faded))[:, None, None], axis=0)
     transformed = np.moveaxis(transformed[: len(frequency)], 1, 0)
@@ -96,8 +93,7 @@ def spectrum(columns: Array, rate_hz: float, highest_hz: float = BAND_HZ.value) 
     rows[:, 0] = transformed[:, 0].real
     rows[:, 1::2], rows[:, 2::2] = transformed[:, 1:].real, transformed[:, 1:].imag
     rows[:, 1:] *= np.sqrt(2.0)
-    edges = [edge for edge in EDGES_HZ.value[1:] if edge < highest_hz]
-    return Spectrum(rows, np.searchsorted(edges, np.repeat(frequency, 2)[1:], side="right"))
+    return Spectrum(rows, np.searchsorted(EDGES_HZ.value[1:], np.repeat(frequency, 2)[1:], side="right"))
 
 
 def taper(samples: int, rate_hz: float) -> Array:

@@ -465,7 +465,7 @@ def beyond_sound(deviations):
         sound=sound, residual=residual, flights=left, stated_squares=np.zeros(6), left=lambda _: left
     )
     none = SimpleNamespace(left=None)
-    return SearchResult(regression, (), none, None, 0.0, {}, None, ()).beyond_sound.max() > 0.0
+    return SearchResult(regression, (), none, None, {}, None, ()).beyond_sound.max() > 0.0
 
 
 def explained_better(probability):

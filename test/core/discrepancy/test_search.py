@@ -198,7 +198,7 @@ def test_a_gap_is_beyond_the_mean_of_sound_flights_where_only_intervals_are_brok
     regression = SimpleNamespace(sound=sound, flights=[None] * 8, stated_squares=np.full(6, 1.2))
     inside, closing = Inside(np.full((8, 6), share_inside), 0.95), SimpleNamespace(gap=gap)
     left = SimpleNamespace(noise=None)
-    found = SearchResult(regression, (), None, closing, 0.0, {}, left, (), inside=inside)
+    found = SearchResult(regression, (), None, closing, {}, left, (), inside=inside)
     assert found.gap().floor == pytest.approx(np.full(6, max(1.0 if of_mean else 1.5, least)))
     # The tests of the result as a whole go by the same.
     assert found.sensors[:, 0] == pytest.approx(np.full(6, max(1.0, least)))
@@ -215,7 +215,7 @@ def test_without_sound_flights_as_much_may_be_left_as_intervals_state(stated, be
         residual=SimpleNamespace(spectra=spectra, bands=1),
         left=lambda _: left,
     )
-    found = SearchResult(regression, (), SimpleNamespace(left=None), None, 0.0, {}, None, ())
+    found = SearchResult(regression, (), SimpleNamespace(left=None), None, {}, None, ())
     assert found.beyond_sound == pytest.approx(np.full(6, beyond))
 
 
