@@ -93,7 +93,7 @@ def spectrum(columns: Array, rate_hz: float) -> Spectrum:
     rows[:, 0] = transformed[:, 0].real
     rows[:, 1::2], rows[:, 2::2] = transformed[:, 1:].real, transformed[:, 1:].imag
     rows[:, 1:] *= np.sqrt(2.0)
-    return Spectrum(rows, np.searchsorted(EDGES_HZ.value[1:], np.repeat(frequency, 2)[1:], side="right"))
+    return Spectrum(rows, np.searchsorted(EDGES_HZ.value[1:-1], np.repeat(frequency, 2)[1:], side="right"))
 
 
 def taper(samples: int, rate_hz: float) -> Array:

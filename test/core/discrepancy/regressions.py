@@ -29,9 +29,9 @@ def of_sound_flights(simulation, *names):
     return replace(simulation, sound=sound)
 
 
-def regression_of(simulation, flights, names, **options):
-    """Of flights cut to 8 s, on candidates in the order of their names."""
-    compared = [Compared(flight.slice(slice(0, 1000)), simulation, **options) for flight in flights]
+def regression_of(simulation, flights, names, *, samples=1000):
+    """Of flights cut to 8 s or some samples, on candidates in the order of their names."""
+    compared = [Compared(flight.slice(slice(0, samples)), simulation) for flight in flights]
     chosen = {own.name: own for own in candidates(simulation.vehicle, names)}
     return Regression.from_flights(compared, [chosen[name] for name in names])
 

@@ -163,8 +163,8 @@ BIAS = 1
 
 @pytest.fixture(scope="module")
 def pulled(simulation, flights):
-    """Of four flights up to 5 Hz, on drag and a constant force, beside a simulation whose noise is known."""
-    return regression_of(of_sound_flights(simulation), flights, ["body_drag", "force_bias"], highest_hz=5.0)
+    """Of 2 s of four flights, on drag and a constant force, beside a simulation whose noise is known."""
+    return regression_of(of_sound_flights(simulation), flights, ["body_drag", "force_bias"], samples=250)
 
 
 def with_forces(pulled, values):
