@@ -509,7 +509,7 @@ def noise_of_flight(left: Array, band: Indices, of_all: Array) -> Array:
 
 def law_fit(regression: Regression, chosen: Sequence[int], without: int | None = None) -> Fit:
     """Fit of some candidates by their laws alone, and of all coefficients; without one of the flights."""
-    return regression.equations(chosen).fit(without) or regression.equations(()).fit_none(without)
+    return regression.equations(chosen).fit(without) or regression.equations(()).fit_none()
 
 
 def left_out_squares(regression: Regression, chosen: Sequence[int]) -> Array:

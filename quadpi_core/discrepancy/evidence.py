@@ -158,7 +158,7 @@ class Equations:
         """Fit tolerances and effects; None where bounds exclude every parameter of an effect.
 
         A parameter whose posterior mean violates its bound is set to zero, its nearest bound, and the rest
-        are fitted again.
+        are fitted again; all of an effect are where a flight is left out, whose others stay.
 
         Args:
             without: index of a flight to leave out.
@@ -166,7 +166,7 @@ class Equations:
         gram = self._gram(without)
         inside = [np.ones(len(block.at), dtype=np.bool_) for block in self.blocks]
         exact: Fit | None = None
-        while all(own.any() for own in inside):
+        while without is not None or all(own.any() for own in inside):
             found = self._solved(gram, inside, exact)
             kept = [
                 own & self._possible(found, block) for own, block in zip(inside, self.blocks, strict=True)
@@ -184,9 +184,9 @@ class Equations:
         # If the form columns would flip the sign of the effect, fall back to the fit without them.
         return exact
 
-    def fit_none(self, without: int | None = None) -> Fit:
+    def fit_none(self) -> Fit:
         """The fit of equations without effects, which there always is."""
-        return self._solved(self._gram(without), (), None)
+        return self._solved(self._gram(None), (), None)
 
     def at_points(self) -> float:
         """Log evidence [nat] of the set with curved effects at their points, where it is exact.

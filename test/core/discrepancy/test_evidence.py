@@ -129,15 +129,18 @@ def test_a_parameter_beyond_its_bound_is_nothing_and_the_rest_is_fitted_again():
 
 
 def test_a_flight_is_left_out_as_if_it_had_never_been_there():
-    """Of the columns of another fit too, whatever bounds say."""
-    flights = Flights([5.0, -5.0])
-    (effect,) = flights.columns
+    """Of the columns of another fit too, whatever bounds say; one that these exclude there hides no other."""
+    flights = Flights([5.0, -5.0], [30.0])
+    effect, other = flights.columns
     expected = flights.normal(*flights.tolerances, effect, places=(1,)).mean
     equations = flights.equations(block_of(effect))
     np.testing.assert_allclose(equations.fit(without=0).coefficients, expected)
     mean = equations.fit().of(effect)
     narrow = flights.equations(block_of(effect, lowest=mean - 1e-9, highest=mean + 1e-9))
-    assert narrow.fit(without=0) is None
+    both = flights.equations(narrow.blocks[0], block_of(other)).fit(without=0)
+    alone = flights.equations(block_of(other)).fit(without=0)
+    np.testing.assert_array_equal(both.of(effect), [0.0, 0.0])
+    np.testing.assert_allclose(both.of(other), alone.of(other))
     np.testing.assert_allclose(narrow.refit(narrow.fit(), 0).coefficients, expected)
 
 
