@@ -237,7 +237,8 @@ class _Search:
                 if better is not None:
                     break
                 # One whose size is out of the ordinary is told among the rivals.
-                if odds > np.exp(NAMED_ALONE.value) and judgement.reason.test != ORDINARY:
+                before = odds_before(accepted.regression.candidates[rival], accepted.without(index))
+                if odds > np.exp(NAMED_ALONE.value) * before and judgement.reason.test != ORDINARY:
                     own, reason = accepted.regression.candidates[index].label, judgement.reason.sentence
                     disputed.append(
                         f"{judgement.label} has more evidence than {own} in its place, but {reason}"
@@ -326,9 +327,20 @@ class _Search:
                     behind -= _gained_together(Accepted(regression, chosen, swapped))
                 if behind < margins * margin:
                     odds = np.exp(min(-behind * NAMED_ALONE.value / margin, _MOST_LOG_ODDS))
+                    odds *= odds_before(candidate, others) / odds_before(own, others)
                     close.append((rival, float(odds)))
             rivals[index] = sorted(close, key=lambda item: -item[1])
         return rivals
+
+
+def odds_before(candidate: Candidate, beside: Accepted) -> float:
+    """Odds of an effect beside others before any flight, to one that comes with none of them.
+
+    What others bring is named wherever it does about as well: a load hangs from a hook, and that thrust
+    changed by chance meanwhile is less likely by the odds for which an effect is named alone.
+    """
+    brought = any(candidate.name in own.effect.brings for own in beside.candidates)
+    return float(np.exp(NAMED_ALONE.value)) if brought else 1.0
 
 
 @once_of_effects

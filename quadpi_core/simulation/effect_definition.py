@@ -128,6 +128,7 @@ class Effect:
         start_spread: (6,) standard deviation of that state at the start of a recorded flight.
         moments_alone: names of parameters that neither that state nor the force depends on.
         of_a_flight: what makes it differ from one flight to the next, in words; empty where nothing does.
+        brings: names of effects that come with it by the same act, as the hook of a load does.
     """
 
     name: str
@@ -153,6 +154,7 @@ class Effect:
     start_spread: tuple[float, ...] = ()
     moments_alone: tuple[str, ...] = ()
     of_a_flight: str = ""
+    brings: tuple[str, ...] = ()
 
     @property
     def shape(self) -> tuple[Parameter, ...]:

@@ -8,13 +8,7 @@ import numpy as np
 
 from quadpi_core.core import compiled
 from quadpi_core.frames import Array
-from quadpi_core.simulation.effect_definition import (
-    Parameter,
-    Wrench,
-    body_to_world,
-    effect,
-    world_to_body,
-)
+from quadpi_core.simulation.effect_definition import Parameter, Wrench, body_to_world, effect, world_to_body
 from quadpi_core.simulation.state_records import State, VehicleNumbers
 
 # Shortest cable [m]: on a shorter one the load swings faster than flights are integrated.
@@ -34,6 +28,7 @@ SHORTEST_CABLE_M = compiled.SHORTEST_CABLE_M
     # Half a radian, and the rate of that swing on half a metre.
     start_spread=(0.5, 0.5, 0.5, 2.0, 2.0, 2.0),
     moments_alone=("hook_m",),
+    brings=("payload",),
     formula=(
         r"F = T\,R_{BE}\,n,\quad T = m_L\,\max(l\,|\dot n|^2 - n \cdot f,\ 0),\quad "
         r"\ddot n = -\frac{f - (n \cdot f)\,n}{l} - |\dot n|^2\,n - c\,\dot n,\quad M = (0, 0, h) \times F"

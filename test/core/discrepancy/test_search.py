@@ -34,7 +34,7 @@ class ListedEvidence(Memoised):
 
     def __init__(self, evidence, reweighted=(), conditions=()):
         self.evidence = {tuple(sorted(chosen)): value for chosen, value in evidence.items()}
-        effect = SimpleNamespace(scales_existing=False)
+        effect = SimpleNamespace(scales_existing=False, brings=())
         names = [f"effect {k}" for k in range(3)]
         self.candidates = [
             SimpleNamespace(name=name, label=name, form=0.0, linear=True, effect=effect) for name in names
@@ -102,13 +102,21 @@ def test_sets_with_curved_effects_are_compared_where_these_fit_together(curved, 
     assert rivals_of_the_first(regression) == [(1, pytest.approx(np.exp(0.46 * odds)))]
 
 
+@pytest.mark.parametrize(("brought", "odds"), [("effect 1", 100.0), ("effect 0", 0.01), ("other", 1.0)])
+def test_what_another_effect_brings_is_likelier_before_any_flight(brought, odds):
+    """A load hangs from a hook: where weight and thrust do alike beside it, it is the weight."""
+    regression = ListedEvidence(LISTED)
+    regression.candidates[2].effect = SimpleNamespace(scales_existing=False, brings=(brought,))
+    assert rivals_of_the_first(regression) == [(1, pytest.approx(odds * np.exp(-0.46 * 5.0), rel=0.01))]
+
+
 @pytest.mark.parametrize("scales_thrust", [True, False])
 def test_beside_a_law_a_rival_of_what_scales_forces_scales_them_too(scales_thrust):
     """As speeds that read fast do; other effects explain the error of the law."""
     regression = ListedEvidence(LISTED)
     first, rival, law = regression.candidates
-    first.effect = SimpleNamespace(scales_existing=True, scales_thrust=True)
-    rival.effect = SimpleNamespace(scales_existing=False, scales_thrust=scales_thrust)
+    first.effect = SimpleNamespace(scales_existing=True, scales_thrust=True, brings=())
+    rival.effect = SimpleNamespace(scales_existing=False, scales_thrust=scales_thrust, brings=())
     law.form = 0.3
     assert bool(rivals_of_the_first(regression)) == scales_thrust
 
