@@ -15,13 +15,12 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtr, stdtrit
-from scipy.stats import norm
 
 from quadpi_core.core import compiled
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.identification.prepared_flights import LiveSamples
-from quadpi_core.inputs import INPUT_INDEX, INPUT_NAMES
+from quadpi_core.inputs import INPUT_INDEX
 from quadpi_core.models.aerodynamic import Motion
 from quadpi_core.models.alarm_limits import (
     BOUND_CONFIDENCE,
@@ -37,30 +36,26 @@ from quadpi_core.monitor.alarm import MonitorSettings
 from quadpi_core.monitor.alarm_kernel import STEP_MAX_S
 from quadpi_core.records import Records
 
-# Two distributions are used. How far a flight leaves the envelope varies between flights: each contributes
-# its largest sustained value, and a one-sided prediction bound for the next flight follows from their scatter
-# (:func:`next_flight`). How far the sequential test wanders while nothing is wrong varies within flights; in
-# theory its tail is exponential (:class:`Walk`).
+# Flights are the units, as they differ more than their blocks. How far leverage and width rise: each flight
+# contributes its largest sustained value, and a one-sided prediction bound for the next flight follows from
+# their scatter (:func:`next_flight`). How far inputs go beyond those of others, and how far the sequential
+# test wanders while nothing is wrong, have exponential tails (:class:`Tail`).
 
-# Much longer than the correlation time of the samples, much shorter than a flight.
-BLOCK_S = 5.0
 # Weight of the prior spread between flights, in degrees of freedom.
 USUAL_FLIGHTS = 6
-# Share of the blocks that the tail is fitted to, and their least number, at most half of all.
-_TAIL_SHARE, _TAIL_BLOCKS = 0.1, 10
 # Least value, and least mean excess in seconds: a signal that never moved does not justify a tight limit.
 _LEAST = 0.02
 # Numbers drawn for what is not known of a tail.
 DRAWS = 4000
-# Steps of the fit to flights some of which stay below a floor: to 1 % of the spread.
-_EM_ROUNDS = 50
-# Distance up to which a flight counts as within the ranges of the others: a cosine always reaches its end.
-_WITHIN = 1.02
+# Share of the flights that a tail is fitted to, and their least number, at most half of all.
+_TAIL_SHARE, _TAIL_FLIGHTS = 0.25, 5
+# Least spread between flights of the end of an input's range, in its width: a cosine always reaches its end.
+_ALIKE = 0.01
 # Bisections in the search for a largest sustained value: to 1e-9 of its range.
 _HALVINGS = 30
 
 
-def next_flight(largest: Array, chance: float, usual_spread: float, floor: float = 0.0) -> float:
+def next_flight(largest: Array, chance: float, usual_spread: float) -> float:
     """Prediction bound: the value that one more flight exceeds with probability `chance`.
 
     The logarithms of the flights' largest values are taken to be normal. One more of them then lies about
@@ -74,49 +69,32 @@ def next_flight(largest: Array, chance: float, usual_spread: float, floor: float
         largest: (n,) not negative, of at least two flights.
         chance: between 0 and 1.
         usual_spread: prior standard deviation of the logarithms.
-        floor: values up to this are known to be no larger than it, and no more of them.
     """
-    mean, spread, freedom, n = _spread_between(largest, usual_spread, floor)
+    mean, spread, freedom, n = _spread_between(largest, usual_spread)
     return float(np.exp(mean - stdtrit(freedom, chance) * spread * np.sqrt(1.0 + 1.0 / n)))
 
 
 def chances_to_exceed(
-    limit: float, largest: Array, usual_spread: float, random: np.random.Generator, floor: float = 0.0
+    limit: float, largest: Array, usual_spread: float, random: np.random.Generator
 ) -> Array:
     """Chances (:data:`DRAWS`,) that one more flight exceeds a limit, as far as the flights tell.
 
     Mean and spread are drawn as :func:`next_flight`, whose arguments these are, has them; with its own limit
     the mean of the chances is its chance.
     """
-    mean, spread, freedom, n = _spread_between(largest, usual_spread, floor)
+    mean, spread, freedom, n = _spread_between(largest, usual_spread)
     spreads = spread * np.sqrt(freedom / random.chisquare(freedom, DRAWS))
     means = mean + spreads / np.sqrt(n) * random.standard_normal(DRAWS)
     return ndtr((means - np.log(max(limit, _LEAST))) / spreads)
 
 
-def _spread_between(largest: Array, usual_spread: float, floor: float) -> tuple[float, float, int, int]:
-    """Mean and spread of the logarithms, the spread's degrees of freedom, and the number of flights.
-
-    In the place of those at the floor stand their mean and variance below it (Tobin 1958, by the EM steps of
-    Dempster, Laird and Rubin 1977): taken as they are, flights of which half never leave the ranges of the
-    others seem half as different as they are. At most five in six are taken to stay below it.
-    """
-    logarithms = np.log(np.maximum(largest, max(floor, _LEAST)))
-    n, least = len(logarithms), float(np.log(max(floor, _LEAST)))
-    below = logarithms <= least if floor else np.zeros(n, dtype=bool)
-    freedom, hidden = USUAL_FLIGHTS + n - 1, 0.0
-    for _ in range(_EM_ROUNDS):
-        mean = float(logarithms.mean())
-        squares = float(np.square(logarithms - mean).sum()) + hidden
-        spread = float(np.sqrt((USUAL_FLIGHTS * usual_spread**2 + squares) / freedom))
-        if not below.any():
-            break
-        mean = max(mean, least - spread)
-        beyond = (least - mean) / spread
-        ratio = float(norm.pdf(beyond) / ndtr(beyond))
-        logarithms[below] = mean - spread * ratio
-        hidden = np.count_nonzero(below) * spread**2 * (1.0 - beyond * ratio - ratio**2)
-    return mean, spread, freedom, n
+def _spread_between(largest: Array, usual_spread: float) -> tuple[float, float, int, int]:
+    """Mean and spread of the logarithms, the spread's degrees of freedom, and the number of flights."""
+    logarithms = np.log(np.maximum(largest, _LEAST))
+    mean, n = float(logarithms.mean()), len(logarithms)
+    freedom = USUAL_FLIGHTS + n - 1
+    squares = USUAL_FLIGHTS * usual_spread**2 + float(np.square(logarithms - mean).sum())
+    return mean, float(np.sqrt(squares / freedom)), freedom, n
 
 
 def lasting_maximum(values: Array, time: Array, persistence_s: float, release_s: float) -> float:
@@ -140,57 +118,71 @@ def lasting_maximum(values: Array, time: Array, persistence_s: float, release_s:
 
 
 @dataclass(frozen=True)
-class Walk:
-    """Tail of the largest values of the sequential test in blocks of :data:`BLOCK_S`.
-
-    The excess beyond the highest tenth is exponential: of a walk that drifts downward theory says so, with
-    dependent steps too (Cramér and Lundberg; Glynn and Whitt 1994).
+class Tail:
+    """Exponential tail of the largest values of flights: of a value beyond `start`, the excess.
 
     Attributes:
-        start: s.
-        mean: of the excess, s.
-        per_hour: blocks beyond `start`.
-        count: number of these blocks.
-        flights: whose excesses are one draw each of what `mean` is estimated from, as blocks of a flight
-            depend on each other.
+        start: where it begins.
+        mean: of the excess.
+        share: of the flights that go beyond `start`.
+        count: number of these flights.
+        draws: of the excess that `mean` is as good as: flights, and what is known beforehand.
     """
 
     start: float
     mean: float
-    per_hour: float
+    share: float
     count: int
-    flights: int
+    draws: int
 
     @classmethod
-    def from_sums(cls, sums: Sequence[Array], times: Sequence[Array]) -> Walk:
-        """From sums (N,) of an axis and stamps (N,) in seconds, of each flight."""
-        maxima = [
-            np.maximum.reduceat(of_flight, _block_starts(time))
-            for of_flight, time in zip(sums, times, strict=True)
-        ]
-        ordered = np.sort(np.concatenate(maxima))[::-1]
-        count = min(max(int(_TAIL_SHARE * len(ordered)), _TAIL_BLOCKS), len(ordered) // 2)
+    def from_flights(cls, largest: Array) -> Tail:
+        """Of values (n,), at least two."""
+        ordered = np.sort(largest)[::-1]
+        count = min(max(int(_TAIL_SHARE * len(ordered)), _TAIL_FLIGHTS), len(ordered) // 2)
         start = float(ordered[count])
-        hours = sum(float(time[-1] - time[0]) for time in times) / 3600.0
-        excess = float(np.maximum(ordered - start, 0.0).sum()) / count
-        return cls(start, max(excess, _LEAST), count / hours, count, len(sums))
+        excess = max(float(ordered[:count].mean()) - start, _LEAST)
+        return cls(start, excess, count / len(ordered), count, count)
 
-    def limit(self, rate_per_hour: float) -> float:
-        """Level that is exceeded at this rate, what is not known of `mean` included.
+    def with_usual(self, excess: float) -> Tail:
+        """With a usual mean excess as a prior worth :data:`USUAL_FLIGHTS`."""
+        draws = self.count + USUAL_FLIGHTS
+        return replace(self, mean=(self.count * self.mean + USUAL_FLIGHTS * excess) / draws, draws=draws)
+
+    def limit(self, chance: float) -> float:
+        """Level that one more flight exceeds with this chance, what is not known of `mean` included.
 
         Of n draws, the next one exceeds x with probability (1 + x / (n mean))⁻ⁿ, the average of
         exp(-x / mean) over what the draws say of the mean (Gelman et al., Bayesian Data Analysis: the
         exponential model without prior knowledge).
         """
-        rarer = max(self.per_hour / rate_per_hour, 1.0)
-        folds = self.flights * (float(rarer ** (1.0 / self.flights)) - 1.0)
+        rarer = max(self.share / chance, 1.0)
+        folds = self.draws * (float(rarer ** (1.0 / self.draws)) - 1.0)
         return self.start + self.mean * folds
 
-    def rates(self, limit: float, random: np.random.Generator) -> Array:
-        """Rates per hour (:data:`DRAWS`,) at which a level is exceeded, as far as the blocks tell."""
-        means = self.mean * self.flights / random.gamma(self.flights, size=DRAWS)
-        beyond = self.per_hour * random.gamma(self.count, size=DRAWS) / self.count
+    def chances(self, limit: float, random: np.random.Generator) -> Array:
+        """Chances (:data:`DRAWS`,) that one more flight exceeds a limit, as far as the flights tell."""
+        means = self.mean * self.draws / random.gamma(self.draws, size=DRAWS)
+        beyond = self.share * random.gamma(self.count, size=DRAWS) / self.count
         return beyond * np.exp(-max(limit - self.start, 0.0) / means)
+
+
+def tails_of_misses(largest: Array) -> list[Tail]:
+    """Tails of the sequential test of each axis, from the largest sums (n, K) of flights, in seconds.
+
+    There are too few flights to tell the tail of each axis alone: its mean excess is at least the part of its
+    start that it is on average of all, which counts as much as a prior.
+    """
+    tails = [Tail.from_flights(of_axis) for of_axis in largest.T]
+    part = float(np.mean([tail.mean / max(tail.start, _LEAST) for tail in tails]))
+    return [
+        replace(
+            tail,
+            mean=max(tail.mean, part * max(tail.start, _LEAST)),
+            draws=tail.count + USUAL_FLIGHTS,
+        )
+        for tail in tails
+    ]
 
 
 def sums_of_misses(time: Array, miss: Array, allowed: float) -> Array:
@@ -206,30 +198,26 @@ def sums_of_misses(time: Array, miss: Array, allowed: float) -> Array:
     return sums
 
 
-def _block_starts(time: Array) -> Any:
-    """First samples of blocks of about :data:`BLOCK_S`."""
-    count = max(round(float(time[-1] - time[0]) / BLOCK_S), 1)
-    return np.linspace(0, len(time), count, endpoint=False).astype(np.int64)
-
-
 def _steps(time: Array) -> Array:
     """Seconds (N,) since the previous sample; a gap counts as one step, as in the alarm."""
     steps = np.diff(time, prepend=time[0])
     return np.minimum(steps, max(float(np.median(steps)), STEP_MAX_S))
 
 
-class _Spread(NamedTuple):
-    """Standard deviations between flights of the logarithms of their largest values."""
+class _Usual(NamedTuple):
+    """Priors: how far flights go beyond the farthest quarter, in spreads between their ends, on average.
 
-    distance: float
+    And standard deviations between flights of the logarithms of their largest leverage and width.
+    """
+
+    excess: float
     leverage: float
     width: float
 
 
-# Prior of the spreads: root mean squares over 24 models of 8 and of 12 simulated flights
-# (experiments/results/alarm.md).
-# For the width it concerns its square minus the squared median.
-_USUAL_SPREAD = _Spread(0.15, 0.8, 1.4)
+# Excess: of 488 simulated flights, in sets of 8 to 75; spreads: root mean squares over 24 models of 8 and of 12 simulated flights
+# (experiments/results/alarm.md). For the width it concerns its square minus the squared median.
+_USUAL = _Usual(0.5, 0.8, 1.4)
 # Of the interval of an estimated rate, as a person reads it: 95 %.
 _ENDS = (0.5 - 0.5 * BOUND_CONFIDENCE.value, 0.5 + 0.5 * BOUND_CONFIDENCE.value)
 
@@ -291,36 +279,34 @@ def calibrate_alarm(
     if len(flights) < FEWEST_FLIGHTS:
         return envelope, limits
     usual = [
-        (flight, others)
+        flight
         for flight, others in zip(flights, ranges_of_others(flights), strict=True)
         if _share_inside(flight, others) >= FEWEST_INSIDE
     ]
     if len(usual) < FEWEST_FLIGHTS:
         return envelope, limits
-    times = [flight.time for flight, _ in usual]
+    times = [flight.time for flight in usual]
     hours = sum(float(time[-1] - time[0]) for time in times) / 3600.0
     rate_per_hour = max(rate_per_hour, least_carried(hours))
     # Fixed, so that the same flights give the same model.
     random = np.random.default_rng(0)
     per_flight = 0.5 * rate_per_hour * hours / len(usual)
-    ratio, leverage, width, chances = _limits_of_extrapolation(usual, per_flight, random)
-    rates = chances * len(usual) / hours
+    margin, leverage, width, chances = _limits_of_extrapolation(envelope, usual, per_flight, random)
     calibrated = replace(
         envelope,
-        margin=np.full(len(INPUT_NAMES), 0.5 * (ratio - 1.0)),
+        margin=margin,
         leverage_limit=envelope.of_peak(envelope.leverage_peak, leverage),
         width_limit=envelope.of_peak(envelope.width_peak, width),
     )
-    sums = [sums_of_misses(flight.time, flight.miss, limits.allowance) for flight, _ in usual]
+    largest = np.array(
+        [sums_of_misses(flight.time, flight.miss, limits.allowance).max(axis=0) for flight in usual]
+    )
     misses = limits.miscoverage_s.copy()
-    usual_axes = ~np.isnan(usual[0][0].miss[0])
-    walks = {k: Walk.from_sums([s[:, k] for s in sums], times) for k in np.flatnonzero(usual_axes)}
-    pooled = float(np.mean([walk.mean for walk in walks.values()]))
-    for axis, walk in walks.items():
-        # There are too few flights to estimate the tail of each axis alone.
-        walk = replace(walk, mean=max(walk.mean, pooled))  # noqa: PLW2901 - the same, less unsure
-        misses[axis] = walk.limit(0.5 * rate_per_hour / len(walks))
-        rates = rates + walk.rates(misses[axis], random)
+    axes = np.flatnonzero(~np.isnan(usual[0].miss[0]))
+    for axis, tail in zip(axes, tails_of_misses(largest[:, axes]), strict=True):
+        misses[axis] = tail.limit(per_flight / len(axes))
+        chances += tail.chances(misses[axis], random)
+    rates = chances * len(usual) / hours
     low, high = np.quantile(rates, _ENDS)
     estimate = (float(np.mean(rates)), float(low), float(high))
     return calibrated, replace(
@@ -334,14 +320,13 @@ def calibrate_alarm(
 
 
 def _limits_of_extrapolation(
-    usual: Sequence[tuple[LeftOut, tuple[Array, Array]]],
-    alarms_per_flight: float,
-    random: np.random.Generator,
-) -> tuple[float, float, float, Array]:
-    """Limits of distance, leverage and width over their peaks in training; fixed ones without the signal.
+    envelope: Envelope, usual: Sequence[LeftOut], alarms_per_flight: float, random: np.random.Generator
+) -> tuple[Array, float, float, Array]:
+    """Margins (19,) of the inputs, limits of leverage and width over their peaks in training.
 
     Args:
-        usual: flights, each with the ranges of the others.
+        envelope: of all flights.
+        usual: flights within the ranges of the others.
         alarms_per_flight: expected number of false alarms, of all signals together.
         random: for what is not known of the tails.
 
@@ -354,30 +339,72 @@ def _limits_of_extrapolation(
         return np.array(
             [
                 lasting_maximum(values, flight.time, settings.persistence_s, settings.release_s)
-                for values, (flight, _) in zip(series, usual, strict=True)
+                for values, flight in zip(series, usual, strict=True)
             ]
         )
 
-    distances = largest([_worst_distance(flight.inputs, others) for flight, others in usual])
-    leverages = largest([flight.leverage.max(axis=1) for flight, _ in usual])
-    of_width = [flight.width.max(axis=1) for flight, _ in usual]
+    ends = [_Ends.between([*usual[:k], *usual[k + 1 :]]) for k in range(len(usual))]
+    goes = largest([others.passed_by(flight.inputs) for flight, others in zip(usual, ends, strict=True)])
+    leverages = largest([flight.leverage.max(axis=1) for flight in usual])
+    of_width = [flight.width.max(axis=1) for flight in usual]
     widths, typical = largest(of_width), float(np.median(np.concatenate(of_width)))
-    signals = 1 + bool(np.any(leverages)) + bool(np.any(widths))
-    chance = -float(np.expm1(-alarms_per_flight / signals))
+    # Half of the alarms are left to the inputs, which tell most of a new flight; without the others, all.
+    others = bool(np.any(leverages)) + bool(np.any(widths))
+    chance = -float(np.expm1(-alarms_per_flight * (0.5 if others else 1.0)))
+    of_other = -float(np.expm1(-0.5 * alarms_per_flight / max(others, 1)))
     leverage, width, alarms = LEVERAGE_HEADROOM, WIDTH_HEADROOM, np.zeros(DRAWS)
     # The limits never lie below what the training flights reached.
     if np.any(leverages):
-        leverage = max(next_flight(leverages, chance, _USUAL_SPREAD.leverage), 1.0)
-        alarms += chances_to_exceed(leverage, leverages, _USUAL_SPREAD.leverage, random)
+        leverage = max(next_flight(leverages, of_other, _USUAL.leverage), 1.0)
+        alarms += chances_to_exceed(leverage, leverages, _USUAL.leverage, random)
     if np.any(widths):
         # Variances add: only the part of the width beyond the median varies between flights.
         beyond = widths**2 - typical**2
-        width = max(float(np.sqrt(typical**2 + next_flight(beyond, chance, _USUAL_SPREAD.width))), 1.0)
-        alarms += chances_to_exceed(width**2 - typical**2, beyond, _USUAL_SPREAD.width, random)
-    usual_spread = _USUAL_SPREAD.distance
-    distance = max(next_flight(distances, chance, usual_spread, _WITHIN), 1.0)
-    alarms += chances_to_exceed(distance, distances, usual_spread, random, _WITHIN)
-    return distance, leverage, width, alarms
+        width = max(float(np.sqrt(typical**2 + next_flight(beyond, of_other, _USUAL.width))), 1.0)
+        alarms += chances_to_exceed(width**2 - typical**2, beyond, _USUAL.width, random)
+    tail = Tail.from_flights(goes).with_usual(_USUAL.excess)
+    far = tail.limit(chance)
+    alarms += tail.chances(far, random)
+    return _Ends.between(usual).margin(far, envelope), leverage, width, alarms
+
+
+class _Ends(NamedTuple):
+    """Ends of the ranges of flights: their medians (19,) and spreads (19,) between flights."""
+
+    lower: Array
+    lower_spread: Array
+    upper: Array
+    upper_spread: Array
+
+    @classmethod
+    def between(cls, flights: Sequence[LeftOut]) -> _Ends:
+        """Of at least two flights.
+
+        Few flights tell each spread poorly: that which the ends have in common, in widths of their ranges,
+        counts as :data:`USUAL_FLIGHTS`.
+        """
+        ends = np.array([(flight.lower, flight.upper) for flight in flights])
+        width, freedom = Envelope.extent(ends[:, 0].min(axis=0), ends[:, 1].max(axis=0)), len(flights) - 1
+        own = (ends.std(axis=0, ddof=1) / width) ** 2
+        differ = own > _ALIKE**2
+        common = float(own[differ].mean()) if differ.any() else 0.0
+        square = np.where(
+            differ, (USUAL_FLIGHTS * common + freedom * own) / (USUAL_FLIGHTS + freedom), _ALIKE**2
+        )
+        (lower, upper), (below, above) = np.median(ends, axis=0), width * np.sqrt(square)
+        return cls(lower, below, upper, above)
+
+    def passed_by(self, inputs: Array) -> Array:
+        """How far (N,) the worst of inputs (N, 19) lies beyond the median of its ends, in their spread."""
+        passed = np.maximum(
+            (self.lower - inputs) / self.lower_spread, (inputs - self.upper) / self.upper_spread
+        )
+        return passed.max(axis=1)
+
+    def margin(self, far: float, envelope: Envelope) -> Array:
+        """Margins (19,) of the envelope that reach as many spreads beyond the medians; none is negative."""
+        reach = np.array([self.lower - far * self.lower_spread, self.upper + far * self.upper_spread])
+        return envelope.input_excess(reach).max(axis=0)
 
 
 class LiveErrors(NamedTuple):
@@ -510,11 +537,6 @@ def _share_inside(flight: LeftOut, others: tuple[Array, Array]) -> float:
         return 0.0
     lower, upper = others
     return float(np.mean(np.all(inside_interval(flight.inputs, lower, upper), axis=1)))
-
-
-def _worst_distance(inputs: Array, others: tuple[Array, Array]) -> Array:
-    """Distance (N,) of the worst input from the middle of its range over half of it."""
-    return 1.0 + 2.0 * Envelope.outside(inputs, *others).max(axis=1)
 
 
 def hover_rotor_speed(inputs: Array, wrench: Array, weight: float) -> float:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.signal import lfilter
-from scipy.stats import norm, t
+from scipy.stats import t
 
 from quadpi_core.identification.alarm_calibration import LeftOut, calibrate_alarm, hover_rotor_speed
 from quadpi_core.inputs import DERIVATIVES, INPUT_INDEX, INPUT_NAMES
@@ -201,14 +201,17 @@ def test_flights_that_are_all_alike_may_still_differ_by_the_usual_spread():
         for rate in rates
     )
     found = (
-        np.log((1.0 + 2.0 * rare.margin[0]) / (1.0 + 2.0 * often.margin[0])),
+        rare.margin[0] - often.margin[0],
         np.log(rare.leverage_limit[FX] / often.leverage_limit[FX]),
         np.log((rare.width_limit[FX] ** 2 - 1.0) / (often.width_limit[FX] ** 2 - 1.0)),
     )
     hours = time[-1] / 3600.0
-    fewer, more = (t.isf(-np.expm1(-0.5 * rate * hours / 3), 13) for rate in rates)
+    # Of the alarms of EXTRAPOLATION the inputs have half, leverage and width a quarter each.
+    chances, others = (-np.expm1(-0.5 * np.array(rates) * hours * part) for part in (0.5, 0.25))
+    fewer, more = t.isf(others, 13)
     apart = np.sqrt(6.0 / 13.0 * (1.0 + 1.0 / 8.0)) * (fewer - more)
-    # None leaves the range: of a normal variable below its mean plus its deviation, the variance stands in.
-    ratio = norm.pdf(1.0) / norm.cdf(1.0)
-    hidden = np.sqrt(13.0 / (13.0 - 8.0 * (1.0 - ratio - ratio**2)))
-    np.testing.assert_allclose(found, apart * np.array([0.15 * hidden, 0.8, 1.4]), rtol=1e-6)
+    # Half of eight alike and the usual 0.5 six times; ends count as different by a hundredth of their range.
+    mean = (4 * 0.02 + 6 * 0.5) / 10
+    rarer, rather = ((0.5 / chance) ** 0.1 for chance in chances)
+    expected = [0.01 * mean * 10 * (rarer - rather), 0.8 * apart, 1.4 * apart]
+    np.testing.assert_allclose(found, expected, rtol=1e-6)

@@ -7,11 +7,12 @@ import pytest
 from scipy.stats import binomtest, norm, t
 
 from quadpi_core.identification.alarm_calibration import (
-    Walk,
+    Tail,
     chances_to_exceed,
     lasting_maximum,
     next_flight,
     sums_of_misses,
+    tails_of_misses,
 )
 
 PERSISTENCE_S, RELEASE_S = 0.1, 0.5
@@ -45,28 +46,14 @@ def test_the_chances_at_a_limit_are_those_it_was_set_for_on_average_and_hold_the
     assert binomtest(held, 300, 0.95).pvalue > 0.01
 
 
-def test_flights_that_stay_within_a_floor_do_not_seem_alike():
-    """Of half of them nothing is known but that; taken as they are, twice as many pass their limit."""
-    rng, usual, passed, naive = np.random.default_rng(8), 0.67 * USUAL, 0, 0
-    drawn = np.maximum(np.exp(USUAL * rng.standard_normal((2000, 13))), 1.0)
-    for *flights, next_one in drawn:
-        passed += next_one > next_flight(np.array(flights), 0.005, usual, floor=1.0)
-        naive += next_one > next_flight(np.array(flights), 0.005, usual)
-    assert passed <= 0.01 * len(drawn)
-    assert naive >= 1.5 * passed
-
-
-def test_the_rates_of_a_walk_hold_the_truth():
-    rng, held = np.random.default_rng(6), 0
+@pytest.mark.parametrize("flights", [12, 40])
+def test_the_chances_of_a_tail_hold_the_truth(flights):
+    random, held = np.random.default_rng(6), 0
     for _ in range(300):
-        # Of each block of 5 s one largest value, exponential about 1.
-        flights = [rng.exponential(size=60) for _ in range(12)]
-        time = 5.0 * np.arange(60.0) + 2.5
-        walk = Walk.from_sums(flights, [time] * 12)
-        low, high = np.quantile(walk.rates(6.0, rng), (0.025, 0.975))
-        held += low <= 720.0 * np.exp(-6.0) <= high
-    # With twice as many degrees of freedom as flights, fewer than of independent blocks: it holds more often.
-    assert held >= 285
+        tail = Tail.from_flights(random.exponential(size=flights))
+        low, high = np.quantile(tail.chances(6.0, random), (0.025, 0.975))
+        held += low <= np.exp(-6.0) <= high
+    assert held >= 275
 
 
 def test_flights_that_differ_more_or_are_fewer_widen_the_limit():
@@ -123,22 +110,39 @@ def test_a_signal_that_never_moved_counts_as_a_fiftieth():
     assert next_flight(np.zeros(8), 0.01, USUAL) == pytest.approx(0.02 * next_flight(np.ones(8), 0.01, USUAL))
 
 
-@pytest.mark.parametrize(("seconds", "blocks"), [(1001, 20), (251, 10)])
-def test_the_tail_of_the_sequential_test_is_a_tenth_of_blocks_of_five_seconds(seconds, blocks):
-    """Ten blocks at least."""
-    time = np.arange(float(seconds))
-    sums = np.zeros(seconds)
-    sums[2 : 5 * blocks : 5] = 1.0
-    walk = Walk.from_sums([sums], [time])
-    assert walk.start == 0.0
-    assert walk.per_hour == pytest.approx(blocks / (time[-1] / 3600.0))
-    assert (walk.mean, walk.flights) == (1.0, 1)
-
-
 @pytest.mark.parametrize("flights", [8, 12, 40])
 def test_a_limit_is_passed_as_often_as_stated_by_what_flights_say_of_the_tail(flights):
     """Of means that flights may have drawn, each followed to the limit."""
     random = np.random.default_rng(2)
     drawn = random.exponential(0.4, (20_000, flights)).mean(axis=1)
-    limits = [Walk(0.3, float(mean), 72.0, 1000, flights).limit(0.5) for mean in drawn]
-    assert np.mean(72.0 * np.exp(-(np.array(limits) - 0.3) / 0.4)) == pytest.approx(0.5, rel=0.15)
+    limits = [Tail(0.3, float(mean), 0.25, 1000, flights).limit(0.002) for mean in drawn]
+    assert np.mean(0.25 * np.exp(-(np.array(limits) - 0.3) / 0.4)) == pytest.approx(0.002, rel=0.15)
+
+
+@pytest.mark.parametrize("flights", [8, 12, 40])
+def test_one_more_flight_goes_beyond_the_limit_as_often_as_stated(flights):
+    """Of flights whose farthest go exponentially far, by mean excesses about the usual one."""
+    random, usual = np.random.default_rng(3), 0.75
+    means = usual * 6 / random.gamma(6, size=(4000, 1))
+    drawn = 2.0 + means * random.exponential(size=(4000, flights + 1))
+    passed = sum(one[-1] > Tail.from_flights(one[:-1]).with_usual(usual).limit(0.01) for one in drawn)
+    assert 0.004 < passed / len(drawn) < 0.015
+
+
+def test_the_usual_excess_counts_as_six_flights():
+    tail = Tail.from_flights(np.full(40, 2.0)).with_usual(0.75)
+    assert (tail.start, tail.count, tail.draws, tail.share) == (2.0, 10, 16, 0.25)
+    assert tail.mean == pytest.approx((10 * 0.02 + 6 * 0.75) / 16)
+
+
+def test_the_farthest_five_of_few_flights_are_its_tail():
+    assert [Tail.from_flights(np.arange(float(n))).count for n in (8, 12, 24)] == [4, 5, 6]
+
+
+def test_axes_share_the_shape_of_their_tails():
+    one, other = np.linspace(1.0, 2.0, 12), np.full(12, 3.0)
+    alone = Tail.from_flights(one)
+    tails = tails_of_misses(np.stack([one, other], axis=1))
+    part = 0.5 * (alone.mean / alone.start + 0.02 / 3.0)
+    assert [tail.mean for tail in tails] == pytest.approx([alone.mean, 3.0 * part])
+    assert {tail.draws for tail in tails} == {5 + 6}
