@@ -22,6 +22,7 @@ from quadpi_core.results import (
     CHANGED_MASS,
     CHANGED_ROTOR,
     LEVEL_ALARM,
+    UNCALIBRATED_WORDS,
     ReportedAlarms,
 )
 
@@ -269,11 +270,8 @@ class AlarmTold:
     def take(self, alarms: ReportedAlarms, now_ns: int) -> Iterator[Text | Number]:
         """What is to be sent because of alarm messages."""
         for row in range(len(alarms)):
-            raised: set[object] = {
-                cause
-                for cause, level in zip(CAUSES, alarms.cause_level[row], strict=True)
-                if level == LEVEL_ALARM
-            }
+            levels, reasons = zip(CAUSES, alarms.cause_level[row], strict=True), alarms.reasons[row]
+            raised: set[object] = {cause for cause, level in levels if level == LEVEL_ALARM}
             kind, rotor = int(alarms.changed[row]), int(alarms.changed_rotor[row])
             if kind in _NUMBERS:
                 # What has changed may be named anew while the alarm stands.
@@ -285,7 +283,9 @@ class AlarmTold:
             ):
                 self._standing = raised
                 self._told_ns |= dict.fromkeys(raised, now_ns)
-                yield from self._text(_CRITICAL, "ALARM: " + "; ".join(alarms.reasons[row][:_REASONS]))
+                told = [text for text in reasons if text != UNCALIBRATED_WORDS][:_REASONS]
+                told += ["uncalibrated"] if UNCALIBRATED_WORDS in reasons else []
+                yield from self._text(_CRITICAL, "ALARM: " + "; ".join(told))
             elif self._standing and not raised:
                 yield from self._text(_NOTICE, "quadpi: the alarm is over")
             self._standing = self._standing & raised

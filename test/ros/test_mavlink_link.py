@@ -15,7 +15,7 @@ from typing import Any
 
 from quadpi_core.logs.mavlink_frames import Framer, load_dialect
 from quadpi_core.logs.mavlink_session import MavlinkSession, SessionSettings
-from quadpi_core.results import CHANGED_MASS, CHANGED_ROTOR, UNCHANGED
+from quadpi_core.results import CHANGED_MASS, CHANGED_ROTOR, UNCALIBRATED_WORDS, UNCHANGED
 from quadpi_core.rotor_order import RotorOrder
 from quadpi_ros import mavlink_link
 from quadpi_ros.mavlink_link import AlarmTold, LinkError, Text, check_connection, open_link
@@ -113,6 +113,13 @@ def test_a_change_is_told_once_as_text_and_once_a_second_as_a_number() -> None:
     said = [list(told.take(alarm, k * S // 10)) for k, alarm in enumerate([SOUND] + 25 * [WEAK], 100)]
     assert [texts(one) for one in said] == [[], [f"ALARM: {LOST}".replace("±", "+-")]] + 24 * [[]]
     assert [one for part in said for one in numbers(part)] == 3 * [(b"rotor3_pc", 3.1)]
+
+
+@pytest.mark.parametrize("reasons", [(LOST,), (LOST, OUTSIDE), (LOST, OUTSIDE, "not judged")])
+def test_behind_the_reasons_that_fit_it_is_told_that_no_rate_holds(reasons: tuple[str, ...]) -> None:
+    alarm = Alarm((0, 2, 0, 2), CHANGED_ROTOR, 3, 0.031, *reasons, UNCALIBRATED_WORDS)
+    (said,) = texts(list(AlarmTold().take(alarm, 10 * S)))
+    assert said == "ALARM: " + "; ".join((*reasons[:2], "uncalibrated")).replace("±", "+-")
 
 
 def test_what_is_new_is_told_and_that_it_is_over() -> None:
