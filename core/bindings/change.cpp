@@ -40,7 +40,7 @@ void gather_evidence(
     require(evidence.size == blocks.size, DIFFERENT);
     checked_rotors(only(rotors).rotors);
     for (std::size_t row = 0; row < blocks.size; ++row) {
-        only(memory).sum = blocks[row];
+        only(memory).gathered.sum = blocks[row];
         take_block(only(limits), only(rotors), only(memory));
         evidence[row] = only(memory).evidence;
     }
@@ -50,14 +50,8 @@ void gather_evidence(
 
 void bind_change(nb::module_& module) {
     module.attr("BLOCK_S") = 1e-9 * static_cast<double>(BLOCK_NS);
-    module.attr("BLOCK_FILLED_S") = BLOCK_FILLED_S;
-    module.attr("ONSETS") = ONSETS;
-    module.attr("DIRECTIONS") = DIRECTIONS;
-    module.attr("SIZES") = SIZES;
-    module.attr("NOTHING") = NOTHING;
-    module.attr("LOUDNESS_LEAST") = LOUDNESS_LEAST;
-    module.attr("OF_THRUST") = OF_THRUST;
-    module.attr("LESS_1") = static_cast<int>(LESS_1);
+    NAME_CONSTANTS(module, BLOCK_FILLED_S, ONSETS, DIRECTIONS, SIZES, NOTHING, LOUDNESS_LEAST, OF_THRUST);
+    NAME_CONSTANTS(module, LESS_1);
     module.def("whiten_blocks", &whiten_blocks);
     module.def("gather_evidence", &gather_evidence);
 }

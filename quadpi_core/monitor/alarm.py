@@ -141,9 +141,7 @@ class Alarm:
             "near_leverage": near.leverage_limit,
             "width": envelope.width_limit,
             "near_width": near.width_limit,
-            "miscoverage_s": limits.miscoverage_s
-            if held is None
-            else np.where(held, limits.miscoverage_s, np.inf),
+            "miscoverage_s": np.where(True if held is None else held, limits.miscoverage_s, np.inf),
             "interval_ratio": 1.0 if interval_ratio is None else interval_ratio,
             "allowance": limits.allowance,
             "hover_square": limits.hover_rotor_speed * limits.hover_rotor_speed,

@@ -281,6 +281,7 @@ class State:
     reported_faults: int  # the same for faults
     reported_more_faults: MoreFaults
     extrapolates: bool  # whether the last usable sample lies beyond a limit of a warning
+    thrust_known: bool  # whether the interval of Fz is within its limit all the same
     change: Change
 
 

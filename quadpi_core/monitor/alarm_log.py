@@ -53,16 +53,8 @@ from quadpi_core.results import (
 )
 
 # Of the wrench; body axes forward-right-down.
-AXIS_WORDS = dict(
-    zip(
-        AXES,
-        (
-            *("forward force", "force to the right", "downward force"),
-            *("roll moment", "pitch moment", "yaw moment"),
-        ),
-        strict=True,
-    )
-)
+_OF_AXES = "forward force, force to the right, downward force, roll moment, pitch moment, yaw moment"
+AXIS_WORDS = dict(zip(AXES, _OF_AXES.split(", "), strict=True))
 
 # How the monitor ends what it says of an input: it knows how far that is out, not on which side.
 OF_RANGE = "x the training range"
@@ -161,11 +153,9 @@ def change_words(alarms: AlarmRows, row: int) -> list[str]:
     size = words.factor * float(alarms.change_size[row])
     half = 0.5 * words.factor * float(alarms.change_upper[row] - alarms.change_lower[row])
     said = words.positive if size >= 0.0 else words.negative
-    since = _time(int(alarms.change_since_ns[row]))
-    if alarms.change_from_start[row]:
-        since = "this flight is judged"
+    start, since = alarms.change_from_start[row], _time(int(alarms.change_since_ns[row]))
     named = said.format(_size(abs(size), half, words.unit), rotor=alarms.changed_rotor[row])
-    return [f"{named} since {since}"]
+    return [f"{named} since {'this flight is judged' if start else since}"]
 
 
 def _size(size: float, half: float, unit: str) -> str:
@@ -246,8 +236,7 @@ def reasons(alarms: Alarms, row: int, causes: int | None = None) -> tuple[str, .
     """
     raised = int(alarms.causes[row])
     wanted = raised if causes is None else causes
-    words: list[str] = []
-    over: list[str] = []
+    words, over = list[str](), list[str]()
     for cause, (said, ends) in WORDS.items():
         found = said(alarms, row) if wanted & cause else []
         words += found
@@ -302,10 +291,8 @@ def _miscoverage(alarms: Alarms, row: int) -> list[str]:
 
 
 def _bad_data(alarms: Alarms, row: int) -> list[str]:
-    words = list(fault_words(int(alarms.faults[row]), alarms.more_faults[row].tolist()))
-    if alarms.why_not_judged[row] == CARRIED:
-        words.append(WHY_NOT_JUDGED[CARRIED])
-    return words
+    carried = [WHY_NOT_JUDGED[CARRIED]] if alarms.why_not_judged[row] == CARRIED else []
+    return [*fault_words(int(alarms.faults[row]), alarms.more_faults[row].tolist()), *carried]
 
 
 # Of each cause, in the order in which they are said: what it says of a row, the strongest first, and what

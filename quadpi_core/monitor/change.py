@@ -13,6 +13,9 @@ probability of α at most (Ville 1939; Ramdas et al. 2023, Game-theoretic statis
 however long. A moment is followed for 3 s, as later the walk has taken the change for its own; what its bets
 won by then is kept. Within each half second a bet counts for e⁸ at most, which bursts are no match for.
 
+Beyond the inputs of the training flights mass alone is weighed, by Fz and in bets of their own, against the
+likeliest offset of the model up to 6 % of the lift. A block that moments explain by a rotor wins nothing.
+
 A rotor that gives less thrust changes the wrench by its own arm; one whose speed reads more than it is
 changes the prediction by the arm that the model has for it. Both are said to give less than their speed says.
 """
@@ -97,6 +100,14 @@ class ChangeBlock:
     inputs: Annotated[Array, len(INPUT_NAMES)]
 
 
+class Gathered:
+    """A block and how far samples fill it."""
+
+    sum: ChangeBlock
+    filled_s: float
+    samples: float
+
+
 class BlockInputs:
     """Inputs of a block that has passed."""
 
@@ -148,12 +159,24 @@ class ChangeFound:
     explained: float  # squared surprises that it explains
 
 
+class Beyond:
+    """What Fz says of mass where inputs lie beyond those of the training flights."""
+
+    gathered: Gathered
+    blocks: int
+    wealth: Annotated[Array, _SIZES]
+    won: float  # less what was put on the bets
+    since: int  # number of the block since which the bets have not been lost
+    from_start: int
+    squares: float
+    products: float
+
+
 class Change:
     """All that is remembered of a flight."""
 
-    sum: ChangeBlock
-    filled_s: float
-    samples: float
+    gathered: Gathered
+    beyond: Beyond
     blocks: int
     last: int
     before: Annotated[Records, BlockInputs, INPUT_CHANGES]  # the latest first
@@ -161,6 +184,7 @@ class Change:
     onsets: Annotated[Records, Onset, _ONSETS]
     settled: float  # evidence of moments that are no longer followed
     spent: float
+    won: float  # evidence within the training flights, less 1
     evidence: float
     score: float
     raised_number: int  # of the block after which the alarm was raised
@@ -240,17 +264,12 @@ def _in_units(kind: Array, size: Array, vehicle: Vehicle | None) -> Array:
     if vehicle is None:
         return size
     lost = np.minimum(size, 0.99)
-    return np.select(
-        [
-            kind == CHANGED_MASS,
-            (kind == CHANGED_FORCE_FORWARD) | (kind == CHANGED_FORCE_RIGHT),
-            (kind == CHANGED_CENTRE_FORWARD) | (kind == CHANGED_CENTRE_RIGHT),
-        ],
-        [
-            # Force is measured as mass times specific force: with the mass m + d it is F m / (m + d).
-            vehicle.mass_kg * lost / (1.0 - lost),
-            size * vehicle.mass_kg * vehicle.gravity_m_s2,
-            size * mean_arm(vehicle) / vehicle.rotor_count,
-        ],
-        size,
-    )
+    force = size * vehicle.mass_kg * vehicle.gravity_m_s2
+    distance = size * mean_arm(vehicle) / vehicle.rotor_count
+    units = {
+        # Force is measured as mass times specific force: with the mass m + d it is F m / (m + d).
+        CHANGED_MASS: vehicle.mass_kg * lost / (1.0 - lost),
+        **dict.fromkeys((CHANGED_FORCE_FORWARD, CHANGED_FORCE_RIGHT), force),
+        **dict.fromkeys((CHANGED_CENTRE_FORWARD, CHANGED_CENTRE_RIGHT), distance),
+    }
+    return np.select([kind == one for one in units], list(units.values()), size)

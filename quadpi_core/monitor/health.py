@@ -73,6 +73,7 @@ class TopicHealth:
         rate_hz: nominal rate; None takes the rate of the previous period.
         refused: number of refused samples by reason.
         latest: the last of the reasons; empty before the first.
+        newest_ns: stamp of the newest sample; None before the first.
     """
 
     rate_hz: float | None = None
@@ -80,7 +81,7 @@ class TopicHealth:
     refused: Counter[str] = field(default_factory=Counter)
     _refused_before: int = 0
     _total: int = 0
-    _newest_ns: int | None = None
+    newest_ns: int | None = None
     _samples: int = 0
     _steps: int = 0
     _span_ns: int = 0
@@ -96,8 +97,8 @@ class TopicHealth:
     def take(self, time_ns: int) -> None:
         """Count one sample by its stamp; one that does not advance counts as arrived only."""
         self._samples += 1
-        if self._newest_ns is not None:
-            step_ns = time_ns - self._newest_ns
+        if self.newest_ns is not None:
+            step_ns = time_ns - self.newest_ns
             if step_ns > self._gap_ns:
                 self._gaps += 1
                 self._gap_span_ns += step_ns
@@ -105,18 +106,13 @@ class TopicHealth:
             elif step_ns > 0:
                 self._steps += 1
                 self._span_ns += step_ns
-        self._newest_ns = time_ns
+        self.newest_ns = time_ns
 
     def refuse(self, reason: str, count: int = 1) -> None:
         """Count samples that cannot be used."""
         self.latest = reason
         known = reason in self.refused or len(self.refused) < _REASONS_MAX
         self.refused[reason if known else "other"] += count
-
-    @property
-    def newest_ns(self) -> int | None:
-        """Stamp of the newest sample; None before the first."""
-        return self._newest_ns
 
     @property
     def silent(self) -> bool:
@@ -142,7 +138,7 @@ class TopicHealth:
             stamp_rate_hz=stamp_rate_hz,
             gaps=self._gaps,
             longest_gap_s=1e-9 * self._longest_ns,
-            newest_ns=self._newest_ns,
+            newest_ns=self.newest_ns,
             refused_now=refused - self._refused_before,
             refused=dict(self.refused),
         )
@@ -219,8 +215,7 @@ class Latency:
 
 
 def _percentiles(durations_ns: Stamps) -> Percentiles:
-    median, p99 = np.percentile(1e-9 * durations_ns, (50, 99))
-    return Percentiles(float(median), float(p99))
+    return Percentiles(*np.percentile(1e-9 * durations_ns, (50, 99)).tolist())
 
 
 class Arrived(NamedTuple):

@@ -24,6 +24,7 @@ from quadpi_core.monitor.change import (
     nothing_found,
     sound_noise,
 )
+from quadpi_core.monitor.preparation import ROTOR_HALF
 from quadpi_core.records import Records
 from quadpi_core.results import (
     ACTIVE,
@@ -39,7 +40,6 @@ from quadpi_core.results import (
     UNCALIBRATED_WORDS,
     UNCHANGED,
     WAITING,
-    Alarms,
 )
 from quadpi_core.results import (
     CHANGE as CHANGE_CAUSE,
@@ -276,12 +276,69 @@ def test_a_change_is_judged_only_where_it_is_wanted(vehicle: Vehicle) -> None:
     assert (rows.changed == UNCHANGED).all()
 
 
-def test_samples_outside_the_training_range_are_no_evidence_but_thrust_is(vehicle: Vehicle) -> None:
-    for name, counts in (("u", False), ("p", False), ("omega_avg", True), ("mu_v_in", True)):
-        samples = samples_of(vehicle, 5.0, 0.05, 2.0)
-        samples.inputs[:, INPUT_NAMES.index(name)] = 2.0
-        rows: Alarms = samples.run(alarm_of(vehicle))
-        assert bool(rows.causes[-1] & CHANGE_CAUSE) == counts
+def beyond_training(vehicle: Vehicle, share: float, axis: int = 2) -> Samples:
+    """Samples of which those from 2 to 5 s are too fast, and off by a share of the weight."""
+    samples = samples_of(vehicle, 7.0, 0.0, 0.0)
+    fast = samples.between(2.0, 5.0)
+    samples.inputs[fast, INPUT_NAMES.index("u")] = 2.0
+    samples.measured[fast, axis] += share * weight(vehicle)
+    return samples
+
+
+def named_as(alarm: Alarm, samples: Samples) -> int:
+    rows = samples.run(alarm)
+    return int(rows.changed[-1]) if rows.causes[-1] & CHANGE_CAUSE else UNCHANGED
+
+
+@pytest.mark.parametrize("name", ["u", "p", "omega_avg", "mu_v_in"])
+def test_outside_the_training_range_a_force_is_no_evidence_but_where_inputs_of_thrust_alone_are(
+    vehicle: Vehicle, name: str
+) -> None:
+    samples = samples_of(vehicle, 5.0, 0.0, 0.0)
+    samples.measured[samples.between(2.0, 5.0), 0] += 0.2 * weight(vehicle)
+    samples.inputs[:, INPUT_NAMES.index(name)] = 2.0
+    of_thrust = name in {"omega_avg", "mu_v_in"}
+    assert named_as(alarm_of(vehicle), samples) == (CHANGED_FORCE_FORWARD if of_thrust else UNCHANGED)
+
+
+def test_a_model_that_is_off_beyond_its_flights_is_no_change_there_nor_as_it_returns(
+    vehicle: Vehicle,
+) -> None:
+    for share in (0.03, 0.05, -0.05, 0.08, -0.08):
+        assert named_as(alarm_of(vehicle), beyond_training(vehicle, share)) == UNCHANGED
+
+
+def test_a_mass_beyond_the_training_flights_is_found_at_once_with_its_size(vehicle: Vehicle) -> None:
+    load = 0.12
+    samples = beyond_training(vehicle, load / (1.0 + load))
+    rows = samples.run(alarm_of(vehicle))
+    raised = rows.cause_level[:, COLUMN] == 2
+    assert 3.3 < 1e-9 * rows.time_ns[raised][0] < 3.7
+    assert rows.changed[-1] == CHANGED_MASS
+    assert rows.change_lower[-1] < load * vehicle.mass_kg < rows.change_upper[-1]
+    # What the model may be off by there is part of the interval.
+    assert rows.change_upper[-1] - rows.change_lower[-1] > 2 * 0.05 * vehicle.mass_kg
+    assert 1e-9 * rows.change_since_ns[-1] == pytest.approx(3.0)
+    assert set(rows.cause_health[raised & (rows.time_ns < 6e9), COLUMN]) == {UNCALIBRATED}
+    for block in (1, 7, 1000):
+        parts = samples.run(alarm_of(vehicle), block)
+        np.testing.assert_array_equal(parts.cause_evidence, rows.cause_evidence)
+
+
+def test_beyond_the_training_flights_neither_a_rotor_nor_a_short_burst_nor_a_bad_sensor_is_a_mass(
+    vehicle: Vehicle,
+) -> None:
+    alarm, fast = alarm_of(vehicle), slice(1000, 2500)
+    rotor, arm = beyond_training(vehicle, 0.12), vehicle.rotor_positions[1, :2]
+    rotor.measured[fast, 3:5] += 0.12 * weight(vehicle) * np.array([arm[1], -arm[0]])
+    burst = beyond_training(vehicle, 0.0)
+    burst.measured[burst.between(2.0, 2.3), 2] += 0.12 * weight(vehicle)
+    broken, wide = beyond_training(vehicle, 0.12), beyond_training(vehicle, 0.12)
+    broken.faults[fast] = ROTOR_HALF
+    wide.width[fast, 2] = 1e3
+    for samples in (rotor, burst, broken, wide):
+        alarm.reset()
+        assert named_as(alarm, samples) == UNCHANGED
 
 
 def test_on_the_ground_a_change_is_forgotten(vehicle: Vehicle) -> None:

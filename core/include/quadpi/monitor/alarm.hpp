@@ -135,8 +135,8 @@ inline void judge_miscoverage(
     state.charge[MISCOVERAGE] = worst;
 }
 
-// Gather evidence that the vehicle has changed, where the model knows the inputs and the wind, and the
-// state has settled.
+// Gather evidence that the vehicle has changed, where the wind is known and the state has settled; where the
+// model does not know the inputs, of mass alone, as long as the interval of Fz is within its limit.
 inline void judge_change(
     const AlarmLimits& limits,
     AlarmState& state,
@@ -153,17 +153,21 @@ inline void judge_change(
         state.charge[CHANGE] = 0.0;
         return;
     }
-    end_block(limits.change, limits.rotors, change, floor_divided(sample.time_ns, BLOCK_NS));
+    const std::int64_t number = floor_divided(sample.time_ns, BLOCK_NS);
+    end_block(change.gathered, number, [&] { take_block(limits.change, limits.rotors, change); });
+    end_block(change.beyond.gathered, number, [&] { take_beyond(limits.change, change); });
     change.unlike_s = std::max(state.extrapolates ? UNLIKE_S : 0.0, change.unlike_s - step_s);
     if (state.extrapolates && state.row.cause_level[EXTRAPOLATION] == LEVEL_ALARM) {
         change.unlike_s = UNLIKE_S + BEYOND_S;
     }
-    if (state.settled && !state.wind_unknown && !state.extrapolates && change.unlike_s <= UNLIKE_S) {
+    const bool within = !state.extrapolates && change.unlike_s <= UNLIKE_S;
+    if (state.settled && !state.wind_unknown && (within || (state.thrust_known && !sample.faults.any()))) {
         Wrench error;
         for (int axis = 0; axis < AXES; ++axis) {
             error[axis] = measured[axis] - 0.5 * (lower[axis] + upper[axis]);
         }
-        add_to_block(change, error, error[FZ] - measured[FZ], sample.rotor_speeds, inputs, step_s);
+        Gathered& gathered = within ? change.gathered : change.beyond.gathered;
+        add_to_block(gathered, error, error[FZ] - measured[FZ], sample.rotor_speeds, inputs, step_s);
     }
     state.charge[CHANGE] = change.raised ? 1.0 : 0.0;
     raise_to(state.row.cause_evidence[CHANGE], change.score);
@@ -307,34 +311,19 @@ inline std::size_t advance(
             state.silent_s = 0.0;
             state.settled = sample.settled;
             state.wind_unknown = sample.wind_unknown;
-            faults = follow_vehicle(limits, state, sample, measured[used], step_s);
+            const Wrench& wrench = measured[used];
+            faults = follow_vehicle(limits, state, sample, wrench, step_s);
             if (state.ground.flying) {
                 if (state.ground.why == JUDGED) {
-                    beyond = judge_extrapolation(
-                        limits,
-                        state,
-                        inputs[used],
-                        inputs_by_load(
-                            inputs[used], measured[used][FZ], said.lower[used][FZ], said.upper[used][FZ]
-                        ),
-                        said.leverage[used],
-                        // Until the wind is told, intervals are as wide as it is unsure.
-                        sample.wind_unknown ? Wrench{} : said.relative_width[used],
-                        step_s
-                    );
-                    judge_miscoverage(
-                        limits, state, measured[used], said.lower[used], said.upper[used], step_s
-                    );
-                    judge_change(
-                        limits,
-                        state,
-                        sample,
-                        inputs[used],
-                        measured[used],
-                        said.lower[used],
-                        said.upper[used],
-                        step_s
-                    );
+                    const Wrench &lower = said.lower[used], &upper = said.upper[used];
+                    const InputVector& own = inputs[used];
+                    const InputVector by_load = inputs_by_load(own, wrench[FZ], lower[FZ], upper[FZ]);
+                    // Until the wind is told, intervals are as wide as it is unsure.
+                    const Wrench widths = sample.wind_unknown ? Wrench{} : said.relative_width[used];
+                    beyond =
+                        judge_extrapolation(limits, state, own, by_load, said.leverage[used], widths, step_s);
+                    judge_miscoverage(limits, state, wrench, lower, upper, step_s);
+                    judge_change(limits, state, sample, own, wrench, lower, upper, step_s);
                 }
                 judge_rotors(state);
             }

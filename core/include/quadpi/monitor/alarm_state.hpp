@@ -14,7 +14,6 @@ enum Level : std::int64_t { LEVEL_OK, LEVEL_WARNING, LEVEL_ALARM };
 enum Health : std::int64_t { ACTIVE, WAITING, UNAVAILABLE, UNCALIBRATED };
 // Columns of the causes; the bit of each in a row is 1 << column.
 enum Cause : int { EXTRAPOLATION, MISCOVERAGE, BAD_DATA, CHANGE, CAUSES };
-constexpr int FX = 0, FY = 1, FZ = 2;
 
 using PerCause = std::array<double, CAUSES>;
 using WholePerCause = std::array<std::int64_t, CAUSES>;
@@ -88,6 +87,7 @@ struct AlarmState {
         reported_inputs;     // bits of the inputs outside that rows have reported since the level was last ok
     Faults reported_faults;  // the same for faults
     bool extrapolates;       // whether the last usable sample lies beyond a limit of a warning
+    bool thrust_known;       // whether the interval of Fz is within its limit all the same
     Change change;
 };
 

@@ -7,6 +7,8 @@
 
 namespace quadpi {
 
+constexpr int FX = 0, FY = 1, FZ = 2;
+
 // Time [ns] over which residuals are averaged to one observation.
 constexpr std::int64_t BLOCK_NS = 100'000'000;
 // Time [s] of a block that samples must fill.
@@ -67,6 +69,12 @@ struct ChangeBlock {
     InputVector inputs;
 };
 
+// A block and how far samples fill it: their sums until it ends, then their means.
+struct Gathered {
+    ChangeBlock sum;
+    double filled_s, samples;
+};
+
 // Inputs of a block that has passed.
 struct BlockInputs {
     std::int64_t number;
@@ -112,10 +120,21 @@ struct ChangeFound {
 
 constexpr ChangeFound NOTHING_FOUND = {NOTHING, 0, 0, 0.0, 0.0, 0.0};
 
+// What Fz says of mass where inputs lie beyond those of the training flights.
+struct Beyond {
+    Gathered gathered;
+    std::int64_t blocks;
+    std::array<double, SIZES> wealth;
+    double won;  // what all bets have won, less what was put on them
+    // Since the bets were last lost, and sums for the least squares of the size since then.
+    std::int64_t since, from_start;
+    double squares, products;
+};
+
 // All that is remembered of a flight.
 struct Change {
-    ChangeBlock sum;  // of the samples of the block so far
-    double filled_s, samples;
+    Gathered gathered;
+    Beyond beyond;
     std::int64_t blocks;                            // taken since take-off
     std::int64_t last;                              // number of the last block
     std::array<BlockInputs, INPUT_CHANGES> before;  // the last blocks, the latest first
@@ -123,6 +142,7 @@ struct Change {
     std::array<Onset, ONSETS> onsets;
     double settled;  // evidence of moments that are no longer followed
     double spent;    // of the prior
+    double won;      // evidence within the training flights, less 1
     double evidence;
     double score;                // logarithm of the evidence over that of its limit, at least 0
     std::int64_t raised_number;  // of the block after which the alarm was raised

@@ -81,6 +81,7 @@ inline std::int64_t judge_extrapolation(
     raise_to(row.cause_evidence[EXTRAPOLATION], worst);
     state.charge[EXTRAPOLATION] = charged(state.charge[EXTRAPOLATION], worst > 1.0, step_s, limits);
     state.extrapolates = (beyond & ~OF_THRUST) != 0;
+    state.thrust_known = widths[FZ] <= limits.width[FZ];
     state.near_charge = charged(state.near_charge, near || beyond != 0, step_s, limits);
     return beyond;
 }
