@@ -134,9 +134,7 @@ void relative_attitudes(Records<ImuSample> imu, std::int64_t last_ns, Records<Qu
 }  // namespace
 
 void bind_estimator(nb::module_& module) {
-    module.attr("ANGULAR_ACCELERATION") = ANGULAR_ACCELERATION;
-    module.attr("BUFFER_NS") = BUFFER_NS;
-    module.attr("HELD") = HELD;
+    NAME_CONSTANTS(module, ANGULAR_ACCELERATION, BUFFER_NS, HELD);
     module.def("pose_information", &find_pose_information);
     bind_held<LiveFilter>(module, "LiveFilter").def(nb::init<nb::object>());
     module.def("step", &step_live);

@@ -162,10 +162,7 @@ void judge_esc_news(const ReportFields& reports, Records<EscMemory> memory) {
 }  // namespace
 
 void bind_messages(nb::module_& module) {
-    module.attr("FIRST_MOTOR") = FIRST_MOTOR;
-    module.attr("LAST_MOTOR") = LAST_MOTOR;
-    module.attr("MOUNTING_LAG_S") = MOUNTING_LAG_S;
-    module.attr("NORM_TOLERANCE") = NORM_TOLERANCE;
+    NAME_CONSTANTS(module, FIRST_MOTOR, LAST_MOTOR, MOUNTING_LAG_S, NORM_TOLERANCE);
     module.attr("ODOMETRY_VALUES") = OdometryNumbers{}.size();
     module.attr("PREDICTION_VALUES") = PredictionNumbers{}.size();
     module.def("copy_spans", &copy_spans);

@@ -158,11 +158,7 @@ void find_distances_outside(
 }  // namespace
 
 void bind_models(nb::module_& module) {
-    module.attr("BASE_ROWS") = BASE_ROWS;
-    module.attr("ENSEMBLE_BLOCK") = ENSEMBLE_BLOCK;
-    module.attr("GRAM_BLOCK") = GRAM_BLOCK;
-    module.attr("MOST_OUTPUTS") = MOST_OUTPUTS;
-    module.attr("TILE_ROWS") = TILE_ROWS;
+    NAME_CONSTANTS(module, BASE_ROWS, ENSEMBLE_BLOCK, GRAM_BLOCK, MOST_OUTPUTS, TILE_ROWS);
     module.def("evaluate_regressors", &evaluate_regressors);
     bind_held<HeldModel>(module, "Model");
     module.attr("TERMS_TOGETHER") = TERMS_TOGETHER;

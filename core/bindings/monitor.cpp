@@ -236,70 +236,16 @@ void sum_misses(
     }
 }
 
-void bind_faults(nb::module_& module) {
-    const std::pair<const char*, std::int64_t> faults[] = {
-        {"NOT_FINITE", NOT_FINITE},
-        {"NOT_PLAUSIBLE", NOT_PLAUSIBLE},
-        {"STAMP_REPEATED", STAMP_REPEATED},
-        {"STAMP_BACKWARD", STAMP_BACKWARD},
-        {"GAP", GAP},
-        {"STATE_MISSING", STATE_MISSING},
-        {"ROTORS_MISSING", ROTORS_MISSING},
-        {"GYRO_FROZEN", GYRO_FROZEN},
-        {"ACCELEROMETER_FROZEN", ACCELEROMETER_FROZEN},
-        {"ROTOR_FROZEN", ROTOR_FROZEN},
-        {"ROTOR_HALF", ROTOR_HALF},
-        {"ROTOR_JUMPS", ROTOR_JUMPS},
-        {"ROTOR_DIFFERS", ROTOR_DIFFERS},
-        {"RATE_DIFFERS", RATE_DIFFERS},
-        {"RATE_UNKNOWN", RATE_UNKNOWN},
-        {"RATE_LOW", RATE_LOW},
-        {"ROTOR_ZERO", ROTOR_ZERO},
-        {"SETTLE_NS", SETTLE_NS},
-        {"ERRORS_KEPT", ERRORS_KEPT},
-    };
-    for (const auto& [name, value] : faults) {
-        module.attr(name) = value;
-    }
-}
-
-void bind_thresholds(nb::module_& module) {
-    const std::pair<const char*, double> thresholds[] = {
-        {"FINE_STEP", FINE_STEP},
-        {"GONE_M", GONE_M},
-        {"LARGEST_CHANGE", LARGEST_CHANGE},
-        {"LIFTED", LIFTED},
-        {"LOST_MOST", LOST_MOST},
-        {"LOST_S", LOST_S},
-        {"LOST_SHARE", LOST_SHARE},
-        {"MOVES_G", MOVES_G},
-        {"MOVES_M_S", MOVES_M_S},
-        {"MOVES_RAD_S", MOVES_RAD_S},
-        {"OTHERS_STEPS", OTHERS_STEPS},
-        {"RESTING", RESTING},
-        {"ROUNDING", ROUNDING},
-        {"SILENT_LOST_S", SILENT_LOST_S},
-        {"STEADY_SHARE", STEADY_SHARE},
-        {"STEP_MAX_S", STEP_MAX_S},
-        {"STUCK_RAD_S", STUCK_RAD_S},
-        {"STUCK_S", STUCK_S},
-        {"SUPPORTED_G", SUPPORTED_G},
-        {"SUPPORTED_S", SUPPORTED_S},
-        {"TOGETHER_SHARE", TOGETHER_SHARE},
-        {"TURNING", TURNING},
-        {"UNDECIDED_S", UNDECIDED_S},
-        {"WARNING_CHARGE", WARNING_CHARGE},
-    };
-    for (const auto& [name, value] : thresholds) {
-        module.attr(name) = value;
-    }
-}
-
 }  // namespace
 
 void bind_monitor(nb::module_& module) {
-    bind_faults(module);
-    bind_thresholds(module);
+    NAME_CONSTANTS(module, NOT_FINITE, NOT_PLAUSIBLE, STAMP_REPEATED, STAMP_BACKWARD, GAP, STATE_MISSING);
+    NAME_CONSTANTS(module, ROTORS_MISSING, GYRO_FROZEN, ACCELEROMETER_FROZEN, ROTOR_FROZEN, ROTOR_HALF);
+    NAME_CONSTANTS(module, ROTOR_JUMPS, ROTOR_DIFFERS, RATE_DIFFERS, RATE_UNKNOWN, RATE_LOW, ROTOR_ZERO);
+    NAME_CONSTANTS(module, SETTLE_NS, ERRORS_KEPT, FINE_STEP, GONE_M, LARGEST_CHANGE, LIFTED, LOST_MOST);
+    NAME_CONSTANTS(module, LOST_S, LOST_SHARE, MOVES_G, MOVES_M_S, MOVES_RAD_S, OTHERS_STEPS, RESTING);
+    NAME_CONSTANTS(module, ROUNDING, SILENT_LOST_S, STEADY_SHARE, STEP_MAX_S, STUCK_RAD_S, STUCK_S);
+    NAME_CONSTANTS(module, SUPPORTED_G, SUPPORTED_S, TOGETHER_SHARE, TURNING, UNDECIDED_S, WARNING_CHARGE);
     bind_held<HeldPairing>(module, "Pairing").def(nb::init<nb::object>());
     module.def("add_imu", &add_imu);
     module.def("add_state", &add_state);

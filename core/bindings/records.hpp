@@ -7,6 +7,7 @@
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/tuple.h>
 
+#include <algorithm>
 #include <cstdint>
 #include <cstring>
 #include <memory>
@@ -198,6 +199,23 @@ nanobind::class_<Held> bind_held(nanobind::module_& module, const char* name) {
     bound.def_ro("arrays", &Held::arrays).def("__reduce__", &made_again);
     return bound;
 }
+
+// Give Python numbers of the core under the names, set apart by ", ", that they have here.
+template <class... T>
+void name_constants(nanobind::module_& module, std::string_view names, T... values) {
+    const auto name = [&](auto value) {
+        const std::size_t end = std::min(names.find(','), names.size());
+        const std::string own(names.substr(0, end));
+        if constexpr (std::is_enum_v<decltype(value)>) {
+            module.attr(own.c_str()) = static_cast<std::int64_t>(value);
+        } else {
+            module.attr(own.c_str()) = value;
+        }
+        names.remove_prefix(std::min(end + 2, names.size()));
+    };
+    (name(values), ...);
+}
+#define NAME_CONSTANTS(module, ...) name_constants(module, #__VA_ARGS__, __VA_ARGS__)
 
 }  // namespace quadpi
 

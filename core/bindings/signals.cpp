@@ -73,9 +73,7 @@ void find_inputs(
 }  // namespace
 
 void bind_signals(nb::module_& module) {
-    module.attr("METER_ROOM") = METER_ROOM;
-    module.attr("ROTORS_MAX") = ROTORS_MAX;
-    module.attr("RATE_SPAN") = RATE_SPAN;
+    NAME_CONSTANTS(module, METER_ROOM, ROTORS_MAX, RATE_SPAN);
     module.def("settle", &settle_at);
     module.def("low_pass", &filter_rows);
     module.def("make_continuous", [](Records<Quaternion> attitudes, Records<const Quaternion> last) {

@@ -277,18 +277,11 @@ void fill_orbit(
 }
 
 void bind_constants(nb::module_& module) {
-    module.attr("ADVANCE_RATIO_MAX") = ADVANCE_RATIO_MAX;
-    module.attr("FLOWN_RATE_MAX_RAD_S") = FLOWN_RATE_MAX_RAD_S;
-    module.attr("OWN_STATE_CHANGE_MAX") = OWN_STATE_CHANGE_MAX;
-    module.attr("NOT_SIX") = NOT_SIX;
+    NAME_CONSTANTS(module, ADVANCE_RATIO_MAX, FLOWN_RATE_MAX_RAD_S, OWN_STATE_CHANGE_MAX, NOT_SIX);
     module.attr("NEAREST_SURFACE") = effects::NEAREST_SURFACE;
-    module.attr("POSITION_ERROR_MAX_M") = POSITION_ERROR_MAX_M;
-    module.attr("SHAPE_MAX") = SHAPE_MAX;
+    NAME_CONSTANTS(module, POSITION_ERROR_MAX_M, SHAPE_MAX);
     module.attr("SHORTEST_CABLE_M") = effects::SHORTEST_CABLE_M;
-    module.attr("SPECIFIC_FORCE_MIN") = SPECIFIC_FORCE_MIN;
-    module.attr("STEP_HZ") = STEP_HZ;
-    module.attr("TILT_COSINE_MIN") = TILT_COSINE_MIN;
-    module.attr("TILT_MAX_DEG") = TILT_MAX_DEG;
+    NAME_CONSTANTS(module, SPECIFIC_FORCE_MIN, STEP_HZ, TILT_COSINE_MIN, TILT_MAX_DEG);
     nb::list names;
     for (const WrenchEffect& effect : WRENCH_EFFECTS) {
         names.append(nb::str(effect.name.data(), effect.name.size()));
