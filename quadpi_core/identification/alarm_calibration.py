@@ -138,7 +138,7 @@ class Tail:
     @classmethod
     def from_flights(cls, largest: Array) -> Tail:
         """Of values (n,), at least two."""
-        ordered = np.sort(largest)[::-1]
+        ordered = np.sort(np.maximum(largest, _LEAST))[::-1]
         count = min(max(int(_TAIL_SHARE * len(ordered)), _TAIL_FLIGHTS), len(ordered) // 2)
         start = float(ordered[count])
         excess = max(float(ordered[:count].mean()) - start, _LEAST)
@@ -174,15 +174,9 @@ def tails_of_misses(largest: Array) -> list[Tail]:
     start that it is on average of all, which counts as much as a prior.
     """
     tails = [Tail.from_flights(of_axis) for of_axis in largest.T]
-    part = float(np.mean([tail.mean / max(tail.start, _LEAST) for tail in tails]))
-    return [
-        replace(
-            tail,
-            mean=max(tail.mean, part * max(tail.start, _LEAST)),
-            draws=tail.count + USUAL_FLIGHTS,
-        )
-        for tail in tails
-    ]
+    part = float(np.mean([tail.mean / tail.start for tail in tails]))
+    usual = [max(tail.mean, part * tail.start) for tail in tails]
+    return [replace(tail, mean=mean).with_usual(mean) for tail, mean in zip(tails, usual, strict=True)]
 
 
 def sums_of_misses(time: Array, miss: Array, allowed: float) -> Array:
@@ -204,20 +198,11 @@ def _steps(time: Array) -> Array:
     return np.minimum(steps, max(float(np.median(steps)), STEP_MAX_S))
 
 
-class _Usual(NamedTuple):
-    """Priors: how far flights go beyond the farthest quarter, in spreads between their ends, on average.
-
-    And standard deviations between flights of the logarithms of their largest leverage and width.
-    """
-
-    excess: float
-    leverage: float
-    width: float
-
-
-# Excess: of 488 simulated flights, in sets of 8 to 75; spreads: root mean squares over 24 models of 8 and of 12 simulated flights
-# (experiments/results/alarm.md). For the width it concerns its square minus the squared median.
-_USUAL = _Usual(0.5, 0.8, 1.4)
+# Usual mean excess beyond the farthest quarter of flights, in spreads between ends: of 488 simulated ones.
+_USUAL_EXCESS = 0.5
+# Usual spreads between flights of the logarithms of the largest leverage, and squared width less the median:
+# root mean squares of 24 models of 8 and of 12 flights (experiments/results/alarm.md).
+_USUAL_LEVERAGE, _USUAL_WIDTH = 0.8, 1.4
 # Of the interval of an estimated rate, as a person reads it: 95 %.
 _ENDS = (0.5 - 0.5 * BOUND_CONFIDENCE.value, 0.5 + 0.5 * BOUND_CONFIDENCE.value)
 
@@ -355,14 +340,14 @@ def _limits_of_extrapolation(
     leverage, width, alarms = LEVERAGE_HEADROOM, WIDTH_HEADROOM, np.zeros(DRAWS)
     # The limits never lie below what the training flights reached.
     if np.any(leverages):
-        leverage = max(next_flight(leverages, of_other, _USUAL.leverage), 1.0)
-        alarms += chances_to_exceed(leverage, leverages, _USUAL.leverage, random)
+        leverage = max(next_flight(leverages, of_other, _USUAL_LEVERAGE), 1.0)
+        alarms += chances_to_exceed(leverage, leverages, _USUAL_LEVERAGE, random)
     if np.any(widths):
         # Variances add: only the part of the width beyond the median varies between flights.
         beyond = widths**2 - typical**2
-        width = max(float(np.sqrt(typical**2 + next_flight(beyond, of_other, _USUAL.width))), 1.0)
-        alarms += chances_to_exceed(width**2 - typical**2, beyond, _USUAL.width, random)
-    tail = Tail.from_flights(goes).with_usual(_USUAL.excess)
+        width = max(float(np.sqrt(typical**2 + next_flight(beyond, of_other, _USUAL_WIDTH))), 1.0)
+        alarms += chances_to_exceed(width**2 - typical**2, beyond, _USUAL_WIDTH, random)
+    tail = Tail.from_flights(goes).with_usual(_USUAL_EXCESS)
     far = tail.limit(chance)
     alarms += tail.chances(far, random)
     return _Ends.between(usual).margin(far, envelope), leverage, width, alarms
@@ -378,11 +363,8 @@ class _Ends(NamedTuple):
 
     @classmethod
     def between(cls, flights: Sequence[LeftOut]) -> _Ends:
-        """Of at least two flights.
-
-        Few flights tell each spread poorly: that which the ends have in common, in widths of their ranges,
-        counts as :data:`USUAL_FLIGHTS`.
-        """
+        """Of at least two flights."""
+        # Few flights tell each spread poorly: what ends have in common, in widths, counts as some flights.
         ends = np.array([(flight.lower, flight.upper) for flight in flights])
         width, freedom = Envelope.extent(ends[:, 0].min(axis=0), ends[:, 1].max(axis=0)), len(flights) - 1
         own = (ends.std(axis=0, ddof=1) / width) ** 2
@@ -525,18 +507,13 @@ def _ratio(now: Array, was: Array) -> Array:
 def ranges_of_others(flights: Sequence[LeftOut]) -> list[tuple[Array, Array]]:
     """Range of the inputs (19,), (19,) over all flights but one, for each."""
     lower, upper = np.array([(flight.lower, flight.upper) for flight in flights]).swapaxes(0, 1)
-    ranges = []
-    for k in range(len(flights)):
-        others = np.arange(len(flights)) != k
-        ranges.append((lower[others].min(axis=0), upper[others].max(axis=0)))
-    return ranges
+    every = range(len(flights))
+    return [(np.delete(lower, k, 0).min(axis=0), np.delete(upper, k, 0).max(axis=0)) for k in every]
 
 
 def _share_inside(flight: LeftOut, others: tuple[Array, Array]) -> float:
-    if len(flight.inputs) == 0:
-        return 0.0
-    lower, upper = others
-    return float(np.mean(np.all(inside_interval(flight.inputs, lower, upper), axis=1)))
+    inside = np.all(inside_interval(flight.inputs, *others), axis=1)
+    return float(inside.sum() / max(len(inside), 1))
 
 
 def hover_rotor_speed(inputs: Array, wrench: Array, weight: float) -> float:
