@@ -30,7 +30,6 @@ from quadpi_core.vehicle import LOAD_VEHICLE, Vehicle
 
 FORMATS = Plugins("log format", formats, "quadpi.log_formats", LogFormat, LogError)
 
-
 # What unpacks a file that a log was compressed to, by its first bytes. Compressed bags are read as they are.
 _PACKERS = {
     b"\x1f\x8b": "gunzip",
@@ -73,7 +72,8 @@ def identify_format(path: Path) -> LogFormat[Any]:
                 raise LogError(f"{path}: is compressed; `{command} {path.name}` unpacks it")
     if found is None:
         known = ", ".join(log_format.description for log_format in log_formats())
-        raise LogError(f"{path}: not a known log format; known: {known}")
+        why = f"not a known log format; known: {known}"
+        raise LogError(f"{path}: {f'a folder that is no bag; give {path}/*' if path.is_dir() else why}")
     if number is not None and found.flights is None:
         raise LogError(f"{path}: a {found.description} holds one flight, and none of a number")
     return found

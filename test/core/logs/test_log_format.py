@@ -193,3 +193,9 @@ def test_formats_are_told_apart(tmp_path: Path):
         (tmp_path / name).write_bytes(content)
         assert identify_format(tmp_path / name).description.startswith(description)
     assert identify_format(tmp_path).description.startswith("bag")
+
+
+def test_a_folder_of_logs_is_told_from_a_bag(tmp_path: Path):
+    (tmp_path / "one.ulg").write_bytes(b"ULog")
+    with pytest.raises(LogError, match=r"a folder that is no bag; give .*/\*"):
+        read_recording(tmp_path, None)
