@@ -291,6 +291,8 @@ def started(
     at = max((stretches[0].fitted(first) for first in firsts), key=lambda one: one.explained)
     for stretch in stretches[1:]:
         at = stretch.fitted(at.memory)
+    # What is explained is no noise: beside it, the prior would hold a wide swing near rest.
+    at = last.fitted(at.memory, 1.0 - at.explained)
     resting = last.judged(rest, last.forces(rest[np.newaxis]))
     return at if last.gain(at, resting) > at.cost else resting
 
@@ -319,9 +321,9 @@ class _Stretch:
         self._squares = max(float(self._target @ self._target), _TINY)
         self._independent = INDEPENDENT_HZ.value * step_s * len(self._target)
 
-    def fitted(self, memory: Array) -> Started:
-        """The most probable state near a first one (6,)."""
-        target, weight = self._target, self._independent / self._squares
+    def fitted(self, memory: Array, left: float = 1.0) -> Started:
+        """The most probable state near a first one (6,), beside noise of a share of the squares."""
+        target, weight = self._target, self._independent / (self._squares * max(left, _TINY))
 
         def cost(strength: float, memory: Array, shape: Array) -> float:
             left, moved = target - strength * shape, (memory - self._rest) / self._spread
