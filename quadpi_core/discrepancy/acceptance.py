@@ -143,6 +143,8 @@ DIFFERENT = Threshold(
 CLOSES_NOTHING = "closes nothing of the gap: flights left out are as close without it"
 ALLOWED = "explains no more than what the intervals of the simulation allow for"
 NO_EXPLANATION = (CLOSES_NOTHING, ALLOWED)
+# Why what flights have of their own is barred, which explains one axis and worsens another.
+HOLDS_MORE = "intervals hold more without what each flight has of it"
 # Name of the test of `LARGEST`, and tests whose failure ends a round of the search: the residual is then
 # noise, or the error of a law, and an effect that fits less well would be named for the same.
 ORDINARY = "ordinary size"
@@ -448,10 +450,9 @@ class Trial:
         yield judge_size(self._sizes(regression, self.fit))
         size = regression.size(added, self.fit)
         passed = not self.instead or size <= LARGEST.value
-        sentence = f"{LARGEST.value:g} is ordinary, and more where no other does"
-        if not passed:
-            sentence = f"at most {LARGEST.value:g} where {self.instead} does about as well"
-        sentence = f"size of {own.label} {size:.1f}{'; ' if passed else ', '}{sentence}"
+        so = f"; {LARGEST.value:g} is ordinary, and more where no other does"
+        not_so = f", at most {LARGEST.value:g} where {self.instead} does about as well"
+        sentence = f"size of {own.label} {size:.1f}{so if passed else not_so}"
         yield Verdict.by_limit(LARGEST, ORDINARY, size, passed, sentence)
         # Two effects could replace each other forever.
         dropped = "became idle beside a better one"
@@ -531,9 +532,8 @@ def judge_left_out(before: Array, after: Array, flights: int) -> Verdict:
     room = before + max(0.0, float(before.sum() - after.sum()))
     grown = after - before
     worst = float(np.max(grown / np.where(room > 0.0, room, 1.0)))
-    few = flights < FEW_FLIGHTS.value
-    sentence = f"worst axis of flights left out grows by {worst:.2f}, {GROWTH.value:g} allowed"
-    if few:
-        sentence = f"not judged on flights left out, of {flights} flights"
+    few, sentence = flights < FEW_FLIGHTS.value, f"not judged on flights left out, of {flights} flights"
+    if not few:
+        sentence = f"worst axis of flights left out grows by {worst:.2f}, {GROWTH.value:g} allowed"
     passed = few or bool(np.all(grown <= GROWTH.value * room))
     return Verdict.by_limit(GROWTH, "flights left out", worst, passed, sentence)

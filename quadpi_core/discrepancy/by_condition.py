@@ -2,9 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Conditions and times in which simulation and flights disagree beyond noise and tolerances.
 
-The regression works in frequency; bins need time. A flight has as many samples here as it has rows there, and
-mean squares are the same in both.
-
 Coefficients are first fitted within their tolerances, together with the effects that were found, so that a
 residual that a coefficient explains is not located anywhere. The remaining energy in a cell, a bin of a
 variable or a second of a flight, is compared with that of draws without any effect, treated in the same way.

@@ -2,10 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is made of a search: tests of its result as a whole, each with its threshold, and ranked candidates.
 
-A search can only choose among the effects of its library. What is missing may be something else, which then
-shows in one of four ways: a residual that other flights predict; noise that no sensor has; coefficients that
-move, alone or together, far beyond their tolerances; or effects that do not close the gap, on whose
-parameters flights disagree, or whose parameters may be zero.
+A search can only choose among the effects of its library; where something else is missing, these say so.
 """
 
 from __future__ import annotations

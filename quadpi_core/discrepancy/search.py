@@ -16,6 +16,7 @@ import numpy as np
 from quadpi_core.discrepancy.acceptance import (
     FURTHER_LEAST,
     FURTHER_NUMBER,
+    HOLDS_MORE,
     LARGEST,
     NAMED_ALONE,
     NO_EXPLANATION,
@@ -163,7 +164,8 @@ class _Search:
     def grown(self, accepted: Accepted) -> Accepted:
         """The set with effects and conditions that one after the other gain the most and pass all tests."""
         while True:
-            beside = best_condition(accepted)
+            own, known = conditions_gaining(accepted), accepted.regression.candidates
+            beside = next((one for k, one in own if self._barred.get(known[k].name) != HOLDS_MORE), None)
             gained = beside.fit.log_evidence - accepted.fit.log_evidence if beside else -np.inf
             fits = _fits_with_one_more(accepted) if len(accepted.chosen) < MOST_EFFECTS.value else []
             gains = {k: fit.log_evidence - accepted.fit.log_evidence for k, fit in fits if fit is not None}
@@ -254,21 +256,24 @@ class _Search:
         What acts as two do together, as a constant force for wind and a mass, gains more than either alone.
         In its place they need as much more as one of them would need beside it.
         """
-        known, found = accepted.regression.candidates, list[tuple[float, Accepted, tuple[int, int]]]()
+        known, found = accepted.regression.candidates, list[tuple[float, float, Accepted, tuple[int, int]]]()
         for index in accepted.chosen if len(accepted.chosen) < MOST_EFFECTS.value else ():
             others = accepted.without(index)
             joining = [k for k, _ in _fits_with_one_more(others) if known[k].name not in self._barred]
             for pair in combinations([k for k in joining if k not in accepted.chosen], 2):
                 fit = None if known[pair[0]].excludes(known[pair[1]]) else others.fit_with(*pair)
-                if fit and fit.log_evidence >= accepted.fit.log_evidence + min(map(accepted.needed, pair)):
-                    found.append((fit.log_evidence, others, pair))
-        for _, others, pair in sorted(found, key=lambda own: -own[0]):
+                least = min(map(accepted.needed, pair))
+                if fit and fit.log_evidence >= accepted.fit.log_evidence + least:
+                    found.append((fit.log_evidence, least, others, pair))
+        for _, least, others, pair in sorted(found, key=lambda own: -own[0]):
             larger: Accepted | None = others
             before = len(self.judgements)
             for _ in pair:
                 fits = [own for own in _fits_with_one_more(larger) if own[0] in pair] if larger else []
                 larger = self._one_more(larger, fits) if larger else None
-            if larger is not None:
+            # Once more, as both are refined and beside the noise that they leave.
+            one = larger.regression.fit(accepted.chosen) if larger else None
+            if larger and (one is None or larger.fit.log_evidence >= one.log_evidence + least):
                 return larger
             # What was said of half a pair is not said of the set.
             del self.judgements[before:]
@@ -354,15 +359,15 @@ def _gained_together(accepted: Accepted) -> float:
 
 
 @once_of_effects
-def best_condition(accepted: Accepted) -> Accepted | None:
-    """The set beside what each flight may have of its own, its last condition, that gains the most evidence.
+def conditions_gaining(accepted: Accepted) -> list[tuple[int, Accepted]]:
+    """The set beside what each flight may have of a candidate of its own, by index; the most evidence first.
 
-    None where nothing gains as much as a first effect has to and leaves every effect most of its evidence or
-    more than enough, as of a load, whose swing is no constant of each flight; and without sound flights.
+    Those that gain as much as a first effect has to and leave every effect most of its evidence or more than
+    enough, as of a load, whose swing is no constant of each flight; none without sound flights.
     """
     regression, chosen = accepted.regression, accepted.chosen
-    best, before = None, accepted.gains()
-    most = least_evidence(len(regression.candidates))
+    found, before = list[tuple[int, Accepted]](), accepted.gains()
+    least = least_evidence(len(regression.candidates))
     for index in regression.conditions_to_come:
         condition = Condition(index, regression.sizes_of_condition(index, chosen))
         beside = Accepted.fitted(regression.with_condition(condition), chosen)
@@ -370,9 +375,9 @@ def best_condition(accepted: Accepted) -> Accepted | None:
             continue
         gain = beside.fit.log_evidence - accepted.fit.log_evidence
         kept = beside.gains().items()
-        if gain >= most and all(own >= FURTHER_NUMBER.value or keeps(own, before[k]) for k, own in kept):
-            best, most = beside, gain
-    return best
+        if gain >= least and all(own >= FURTHER_NUMBER.value or keeps(own, before[k]) for k, own in kept):
+            found.append((index, beside))
+    return sorted(found, key=lambda one: -one[1].fit.log_evidence)
 
 
 def keeps(evidence: float, of: float) -> bool:

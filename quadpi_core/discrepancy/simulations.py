@@ -3,8 +3,7 @@
 """Simulations that give the wrench of a flight: the interface of any simulation, and quadpi's own.
 
 The search for discrepancies needs of a simulation what :class:`Simulation` declares. The known uncertainty of
-its coefficients is stated as tolerances: each is a column of wrench, the change by one standard deviation of
-a coefficient. A discrepancy is a difference that no coefficient within its tolerance explains.
+its coefficients is stated as tolerances: each is a column of wrench, by one standard deviation of one.
 """
 
 from __future__ import annotations

@@ -8,8 +8,7 @@ that is zero for most. Columns T are one standard deviation of what the other fl
 so t is standard normal: a model of two flights errs more on the next than one of ten. The rest, e, is noise
 with a variance for each axis and band of frequency. The variances are those of the largest evidence:
 parameters enter one at a time (Tipping, Faul, Fast marginal likelihood maximisation for sparse Bayesian
-models, 2003), and all are estimated again by fixed-point iteration (MacKay, Bayesian interpolation, 1992). A
-search that weighs by them finds an effect where flights show more of it than these.
+models, 2003), and all are estimated again by fixed-point iteration (MacKay, Bayesian interpolation, 1992).
 """
 
 from __future__ import annotations

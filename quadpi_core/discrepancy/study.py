@@ -19,6 +19,7 @@ from quadpi_core.discrepancy.acceptance import (
     ALLOWED,
     CLOSES_NOTHING,
     FEW_FLIGHTS,
+    HOLDS_MORE,
     NO_EXPLANATION,
     Accepted,
     Verdict,
@@ -79,7 +80,6 @@ UNSEEN = Threshold(
 # Vehicle, motors of single flights by path, cut-off, how to read.
 _Task = tuple[Vehicle, Mapping[str, Motors], float, MappingOrOptions]
 _log = logging.getLogger(__name__)
-# What to call for a simulation, in refusals of anything else.
 _LOAD_SIMULATION = "load_simulation(text) reads one"
 # Steady forces that thrust has in a frame that is turned about x or y.
 _LATERAL = ("x_n", "y_n")
@@ -312,20 +312,29 @@ def _doubtful(discovery: Discovery) -> dict[str, str]:
 
 
 def _spoiling(discovery: Discovery) -> dict[str, str]:
-    """The effect of several that intervals hold as much without; empty where a test but theirs fails."""
-    compared, flown = discovery.found.regression.flights, discovery.flown
+    """What flights have of their own without which intervals hold more, else an effect of several, as much.
+
+    Empty where there is none, or a test but theirs fails.
+    """
+    regression, flown = discovery.found.regression, discovery.flown
     against = any(not check.passed and check.test != "coverage" for check in discovery.checks)
-    if flown is None or not flown.coverage or len(discovery.effects) < 2 or against:
+    named = [effect.name for effect in discovery.effects]
+    own = sorted({regression.candidates[one.index].name for one in regression.conditions} - {*named})
+    tried = own + named * (len(named) > 1)
+    if flown is None or not flown.coverage or against or not tried:
         return {}
-    after = [augmented(discovery, without=place) for place in range(len(compared))]
+    after = [augmented(discovery, without=place) for place in range(len(regression.flights))]
     lost = {}
-    for name in (effect.name for effect in discovery.effects):
+    for name in tried:
         others = [{own: values for own, values in one.effects.items() if own != name} for one in after]
         fewer = [replace(one, effects=effects) for one, effects in zip(after, others, strict=True)]
-        held = coverages(compared, fewer)
-        lost[name] = max(own.after - held[axis].after for axis, own in flown.coverage.items())
-    name = min(lost, key=lost.__getitem__)
-    return {name: "intervals hold as much without it"} if lost[name] <= UNSEEN.value else {}
+        held = coverages(regression.flights, fewer)
+        lost[name] = [own.after - held[axis].after for axis, own in flown.coverage.items()]
+    idle = sorted((max(lost[name]), name) for name in tried if max(lost[name]) <= UNSEEN.value)
+    more = min(((min(lost[name]), name) for _, name in idle if name in own), default=(0.0, ""))
+    if more[0] < -UNSEEN.value:
+        return {more[1]: HOLDS_MORE}
+    return next(({name: "intervals hold as much without it"} for _, name in idle if name in named), {})
 
 
 def flown_again(discovery: Discovery) -> Discovery:

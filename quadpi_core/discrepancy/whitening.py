@@ -52,10 +52,7 @@ _Made = TypeVar("_Made")
 
 
 class Memoised:
-    """A value that does not change, with what is made of it.
-
-    So searches of the same flights that differ in what they may name share all up to where they part.
-    """
+    """A value that does not change, with what is made of it, which searches share up to where they part."""
 
     @cached_property
     def _known(self) -> dict[Hashable, Any]:

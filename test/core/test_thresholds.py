@@ -122,7 +122,7 @@ def needs(lost):
         patch.object(study, "augmented", lambda *_, **__: AugmentedSimulation(None, two)),
         patch.object(study, "coverages", lambda _, a: held(0.9 - lost if "first" in a[0].effects else 0.1)),
     ):
-        found = SimpleNamespace(regression=SimpleNamespace(flights=[None]))
+        found = SimpleNamespace(regression=SimpleNamespace(flights=[None], conditions=()))
         named = [SimpleNamespace(name=name) for name in two]
         flown = SimpleNamespace(coverage=held(0.9))
         return not study._spoiling(SimpleNamespace(found=found, flown=flown, effects=named, checks=()))

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from quadpi_core.discrepancy.acceptance import Accepted, Trial
+from quadpi_core.discrepancy.acceptance import CLOSES_NOTHING, HOLDS_MORE, Accepted, Trial
 from quadpi_core.discrepancy.candidates import candidates
 from quadpi_core.discrepancy.closure import Gap, SearchResult
 from quadpi_core.discrepancy.effect_response import Compared
@@ -19,7 +19,7 @@ from quadpi_core.discrepancy.search import (
     Prepared,
     _beyond_bounds,
     _Search,
-    best_condition,
+    conditions_gaining,
     search,
     without_idle,
 )
@@ -183,9 +183,29 @@ def test_what_flights_have_of_their_own_leaves_an_effect_enough_of_its_evidence(
     regression.with_condition = lambda condition: ListedEvidence(
         {(): left, (0,): gained}, conditions=(condition,)
     )
-    best = best_condition(Accepted(regression, (0,), regression.fit((0,))))
-    assert (best and best.regression.conditions[-1].index) == found
-    assert best is None or best.fit.log_evidence == gained
+    own = conditions_gaining(Accepted(regression, (0,), regression.fit((0,))))
+    assert [(index, one.fit.log_evidence) for index, one in own] == [(found, gained)] * (found is not None)
+    assert all(one.regression.conditions[-1].index == index for index, one in own)
+
+
+@pytest.mark.parametrize(
+    ("barred", "kept"), [({}, True), ({"effect 2": CLOSES_NOTHING}, True), ({"effect 2": HOLDS_MORE}, False)]
+)
+def test_what_intervals_hold_more_without_is_nothing_that_flights_have_of_their_own(
+    monkeypatch, barred, kept
+):
+    """An effect that explains nothing of all flights may be so of one."""
+    regression, conditions = ListedEvidence({(): 0.0}), (SimpleNamespace(index=2),)
+    accepted = Accepted(regression, (), regression.fit(()))
+    beside = replace(accepted, regression=ListedEvidence({(): 50.0}, conditions=conditions))
+    # Of another rotor, with less evidence.
+    fewer = replace(accepted, regression=ListedEvidence({(): 40.0}, conditions=()))
+    for name, made in (
+        ("conditions_gaining", lambda own: [(2, beside), (2, fewer)] * (not own.regression.conditions)),
+        ("_fits_with_one_more", lambda _: []),
+    ):
+        monkeypatch.setattr(f"quadpi_core.discrepancy.search.{name}", made)
+    assert _Search(barred, None).grown(accepted).regression.conditions == conditions * kept
 
 
 @pytest.mark.parametrize(("sound_flights", "least"), [(8, 0.0), (3, 1.2)])

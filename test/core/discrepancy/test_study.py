@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from quadpi_core.discrepancy.acceptance import ALLOWED, CLOSES_NOTHING, Verdict
+from quadpi_core.discrepancy.acceptance import ALLOWED, CLOSES_NOTHING, HOLDS_MORE, Verdict
 from quadpi_core.discrepancy.augmented_simulation import AugmentedSimulation, augmented
 from quadpi_core.discrepancy.closure import Closing
 from quadpi_core.discrepancy.discrepancy_result import (
@@ -24,7 +24,7 @@ from quadpi_core.discrepancy.discrepancy_result import (
 from quadpi_core.discrepancy.loading import load_simulation
 from quadpi_core.discrepancy.result_verdicts import judge_closed
 from quadpi_core.discrepancy.simulations import Margins
-from quadpi_core.discrepancy.study import discover, found_and_flown, likely_cause, study
+from quadpi_core.discrepancy.study import _spoiling, discover, found_and_flown, likely_cause, study
 from quadpi_core.discrepancy.unexplained import Inside
 from quadpi_core.errors import DiscrepancyError
 from quadpi_core.flight import AXES
@@ -359,6 +359,33 @@ def test_what_intervals_hold_as_much_without_is_barred_from_another_search(
     result = found_and_flown(simulation, dragged, names=SOUGHT)
     assert searches == ([{}, {"wind": "intervals hold as much without it"}] if barred else [{}])
     assert result.verdict == ("unknown" if len(failed) > 1 else "effects")
+
+
+@pytest.mark.parametrize(
+    ("held", "barred"),
+    [
+        ({"Fx": 0.91, "Fy": 0.9}, False),
+        ({"Fx": 0.93, "Fy": 0.89}, True),
+        ({"Fx": 0.99, "Fy": 0.87}, False),
+    ],
+)
+def test_what_flights_have_of_their_own_is_barred_where_intervals_hold_more_without(
+    monkeypatch, held, barred
+):
+    """As a turned IMU that explains moments and worsens a force: a fiftieth of the samples counts."""
+    both = AugmentedSimulation(None, {"payload": {}, "imu_misalignment": {}})
+    monkeypatch.setattr("quadpi_core.discrepancy.study.augmented", lambda *_, **__: both)
+    coverage = {axis: Coverage(0.1, share) for axis, share in held.items()}
+    monkeypatch.setattr("quadpi_core.discrepancy.study.coverages", lambda *_: coverage)
+    known = [SimpleNamespace(name=name) for name in both.effects]
+    regression = SimpleNamespace(flights=[None], candidates=known, conditions=[SimpleNamespace(index=1)])
+    found = SimpleNamespace(
+        found=SimpleNamespace(regression=regression),
+        flown=SimpleNamespace(coverage={axis: Coverage(0.1, 0.9) for axis in held}),
+        effects=known[:1],
+        checks=(),
+    )
+    assert _spoiling(found) == ({"imu_misalignment": HOLDS_MORE} if barred else {})
 
 
 @pytest.mark.parametrize("again", ["effects", "unknown"])
