@@ -156,7 +156,7 @@ def _is_fast(measurements: Records) -> bool:
 def initial_from_few(
     imu: Records, measurements: Records, noise: SensorNoise, gravity: float
 ) -> Initial | None:
-    """Estimate at the last attitude that was measured, from a source that is slow or states its noise.
+    """Estimate at the last attitude, from a source that is slow or states its noise; gravity in m/s².
 
     Position and attitude are as measured, the velocity the last one, else the slope of a line through the
     positions; the gyro bias is zero. Without any attitude velocities give it, as of a source that is fast.
@@ -267,7 +267,7 @@ def initial_from_poses(imu: Records, poses: Records, noise: SensorNoise, gravity
 def initial_from_velocities(
     imu: Records, velocities: Records, noise: SensorNoise, gravity: float, fewest: int = _MIN_SAMPLES
 ) -> Initial | None:
-    """Estimate at the last velocity that is not later than the last IMU sample.
+    """Estimate at the last velocity not later than the last IMU sample, of M `velocities`; gravity in m/s².
 
     The gyro gives how the vehicle turned, so the integral of the specific force can be expressed in the last
     body axes; less the change of velocity it is gravity, which levels the attitude. The heading follows from

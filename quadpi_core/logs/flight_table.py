@@ -46,7 +46,7 @@ def require_table(path: Path) -> None:
 
 
 def write_flight_table(path: Path, flight: Flight, wrench: Array) -> None:
-    """Write a flight and its wrench, one row per sample; the file appears whole or not at all.
+    """Write a flight and its wrench (N, 6) in N and Nm, body, a row per sample, whole or not at all.
 
     Raises:
         LogError: for another ending.

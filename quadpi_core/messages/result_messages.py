@@ -86,7 +86,7 @@ def pack_predictions(
     axes: Sequence[str],
     frame_id: str = BODY_FRAME,
 ) -> Payloads:
-    """Encode as quadpi/WrenchPrediction."""
+    """Encode N predictions, N and Nm in body axes, as quadpi/WrenchPrediction."""
     values = np.empty((len(predictions.time_ns), PREDICTION_VALUES))
     compiled.prediction_values(PredictionRows.from_predictions(predictions).wrenches, 0, values)
     constants = _prediction_constants(model, confidence, axes, frame_id)

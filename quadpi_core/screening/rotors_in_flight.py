@@ -351,7 +351,7 @@ class RotorScreening:
 
 
 def dropped_out(time_ns: Stamps, speeds: Array, inertial: Inertial) -> Mask:
-    """Samples (N,) around readings of 0 in flight, for less than STUCK_S, of a rotor that has not stopped."""
+    """Samples (N,) of speeds (N, R), rad/s, by 0 in flight below STUCK_S, of rotors that have not stopped."""
     dropped = np.zeros(len(speeds), dtype=np.bool_)
     standing = speeds < ZERO_RAD_S.value
     if not np.any(standing) or np.any(np.diff(time_ns) <= 0):
@@ -391,7 +391,7 @@ def _whole_around(whole: Mask) -> tuple[Rows, Rows]:
 
 
 def repeated_speeds(speeds: Array) -> Mask:
-    """Samples (N,) that repeat the one before, where a slow source is held in a fast table; else none."""
+    """Samples (N,) of speeds (N, R), rad/s, that repeat the one before, of a slow source; or none."""
     turning = np.any(speeds > ZERO_RAD_S.value, axis=1)
     same = np.zeros(len(speeds), dtype=np.bool_)
     same[1:] = np.all(speeds[1:] == speeds[:-1], axis=1) & turning[1:]

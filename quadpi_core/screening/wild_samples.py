@@ -205,7 +205,7 @@ def usable_samples(found: Iterable[Beyond]) -> Mask | None:
 def left_out(
     topic: str, found: Iterable[Beyond], time_ns: flight.Stamps, imu_ns: flight.Stamps
 ) -> Iterator[LeftOut]:
-    """A note for each kind of outlier that is left out of a topic."""
+    """A note for each kind of outlier left out of a topic with stamps (N,) ns, in s after the IMU's first."""
     start_ns = int(imu_ns[0]) if len(imu_ns) else 0
     for beyond in found:
         if beyond.is_left_out:

@@ -77,6 +77,6 @@ def band_limited(time: Array, rates: Array, forces: Array, bandwidth_hz: float |
 
 
 def as_recorded(time: Array, inputs: Array, wrench: Array, bandwidth_hz: float | None) -> Array:
-    """A predicted wrench (N, 6) with forces as a measurement of this bandwidth has them."""
+    """Wrench (N, 6) in N and Nm, body, at time (N,) s, forces as a measurement of a bandwidth has them."""
     forces = band_limited(time, inputs[:, _RATES], wrench[:, :3, np.newaxis], bandwidth_hz)
     return np.concatenate((forces[:, :, 0], wrench[:, 3:]), axis=1)

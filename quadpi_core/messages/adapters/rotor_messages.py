@@ -72,7 +72,7 @@ _MEMORY = record_dtype(_EscMemory)
 
 
 def reports_in_esc_order(columns: Columns, array: Items, marks: Indices, order: Indices) -> EscReports:
-    """Reports of messages with a header and an array in which the place is the number of the ESC."""
+    """Reports of messages with a header and an array by number of the ESC; `order` (R,) of each rotor's."""
     reports = EscReports.none(header_stamps(columns), len(order))
     rpm = array.columns["rpm"].astype(np.float64)
     compiled.take_numbered_escs(array.counts, rpm, marks, order, reports)
