@@ -14,7 +14,6 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import ndtr, stdtrit
 
 from quadpi_core.core import compiled
 from quadpi_core.flight import AXES
@@ -36,12 +35,10 @@ from quadpi_core.monitor.alarm import MonitorSettings
 from quadpi_core.monitor.alarm_kernel import STEP_MAX_S
 from quadpi_core.records import Records
 
-# Flights are the units, as they differ more than their blocks. How far leverage and width rise: each flight
-# contributes its largest sustained value, and a one-sided prediction bound for the next flight follows from
-# their scatter (:func:`next_flight`). How far inputs go beyond those of others, and how far the sequential
-# test wanders while nothing is wrong, have exponential tails (:class:`Tail`).
+# Flights are the units, as they differ more than their blocks: each contributes its largest sustained value.
+# The tail of these is exponential (:class:`Tail`); a dozen flights tell it poorly, so what is usual enters.
 
-# Weight of the prior spread between flights, in degrees of freedom.
+# Weight of what is usual, in flights.
 USUAL_FLIGHTS = 6
 # Least value, and least mean excess in seconds: a signal that never moved does not justify a tight limit.
 _LEAST = 0.02
@@ -53,48 +50,6 @@ _TAIL_SHARE, _TAIL_FLIGHTS = 0.25, 5
 _ALIKE = 0.01
 # Bisections in the search for a largest sustained value: to 1e-9 of its range.
 _HALVINGS = 30
-
-
-def next_flight(largest: Array, chance: float, usual_spread: float) -> float:
-    """Prediction bound: the value that one more flight exceeds with probability `chance`.
-
-    The logarithms of the flights' largest values are taken to be normal. One more of them then lies about
-    the mean of n as Student's t with ν degrees of freedom, times s √(1 + 1/n) (Hahn and Meeker 1991,
-    prediction intervals). A dozen flights estimate their own spread poorly, it may come out half as large by
-    chance: the usual spread enters as a prior worth :data:`USUAL_FLIGHTS` flights. So s² is the mean of both,
-    weighted, and ν the sum of their degrees of freedom (Gelman et al., Bayesian Data Analysis, the scaled
-    inverse χ²).
-
-    Args:
-        largest: (n,) not negative, of at least two flights.
-        chance: between 0 and 1.
-        usual_spread: prior standard deviation of the logarithms.
-    """
-    mean, spread, freedom, n = _spread_between(largest, usual_spread)
-    return float(np.exp(mean - stdtrit(freedom, chance) * spread * np.sqrt(1.0 + 1.0 / n)))
-
-
-def chances_to_exceed(
-    limit: float, largest: Array, usual_spread: float, random: np.random.Generator
-) -> Array:
-    """Chances (:data:`DRAWS`,) that one more flight exceeds a limit, as far as the flights tell.
-
-    Mean and spread are drawn as :func:`next_flight`, whose arguments these are, has them; with its own limit
-    the mean of the chances is its chance.
-    """
-    mean, spread, freedom, n = _spread_between(largest, usual_spread)
-    spreads = spread * np.sqrt(freedom / random.chisquare(freedom, DRAWS))
-    means = mean + spreads / np.sqrt(n) * random.standard_normal(DRAWS)
-    return ndtr((means - np.log(max(limit, _LEAST))) / spreads)
-
-
-def _spread_between(largest: Array, usual_spread: float) -> tuple[float, float, int, int]:
-    """Mean and spread of the logarithms, the spread's degrees of freedom, and the number of flights."""
-    logarithms = np.log(np.maximum(largest, _LEAST))
-    mean, n = float(logarithms.mean()), len(logarithms)
-    freedom = USUAL_FLIGHTS + n - 1
-    squares = USUAL_FLIGHTS * usual_spread**2 + float(np.square(logarithms - mean).sum())
-    return mean, float(np.sqrt(squares / freedom)), freedom, n
 
 
 def lasting_maximum(values: Array, time: Array, persistence_s: float, release_s: float) -> float:
@@ -138,7 +93,7 @@ class Tail:
     @classmethod
     def from_flights(cls, largest: Array) -> Tail:
         """Of values (n,), at least two."""
-        ordered = np.sort(np.maximum(largest, _LEAST))[::-1]
+        ordered = np.sort(largest)[::-1]
         count = min(max(int(_TAIL_SHARE * len(ordered)), _TAIL_FLIGHTS), len(ordered) // 2)
         start = float(ordered[count])
         excess = max(float(ordered[:count].mean()) - start, _LEAST)
@@ -173,7 +128,7 @@ def tails_of_misses(largest: Array) -> list[Tail]:
     There are too few flights to tell the tail of each axis alone: its mean excess is at least the part of its
     start that it is on average of all, which counts as much as a prior.
     """
-    tails = [Tail.from_flights(of_axis) for of_axis in largest.T]
+    tails = [Tail.from_flights(of_axis) for of_axis in np.maximum(largest, _LEAST).T]
     part = float(np.mean([tail.mean / tail.start for tail in tails]))
     usual = [max(tail.mean, part * tail.start) for tail in tails]
     return [replace(tail, mean=mean).with_usual(mean) for tail, mean in zip(tails, usual, strict=True)]
@@ -198,11 +153,16 @@ def _steps(time: Array) -> Array:
     return np.minimum(steps, max(float(np.median(steps)), STEP_MAX_S))
 
 
-# Usual mean excess beyond the farthest quarter of flights, in spreads between ends: of 488 simulated ones.
-_USUAL_EXCESS = 0.5
-# Usual spreads between flights of the logarithms of the largest leverage, and squared width less the median:
-# root mean squares of 24 models of 8 and of 12 flights (experiments/results/alarm.md).
-_USUAL_LEVERAGE, _USUAL_WIDTH = 0.8, 1.4
+class _Excess(NamedTuple):
+    """Mean excess beyond the farthest quarter of flights: in spreads between ends, or in logarithms."""
+
+    ends: float
+    leverage: float
+    width: float
+
+
+# Of 488 and of 600 simulated flights, in sets of 8 to 75 (experiments/results/alarm.md).
+_USUAL_EXCESS = _Excess(0.5, 0.4, 0.1)
 # Of the interval of an estimated rate, as a person reads it: 95 %.
 _ENDS = (0.5 - 0.5 * BOUND_CONFIDENCE.value, 0.5 + 0.5 * BOUND_CONFIDENCE.value)
 
@@ -330,27 +290,24 @@ def _limits_of_extrapolation(
 
     ends = [_Ends.between([*usual[:k], *usual[k + 1 :]]) for k in range(len(usual))]
     goes = largest([others.passed_by(flight.inputs) for flight, others in zip(usual, ends, strict=True)])
-    leverages = largest([flight.leverage.max(axis=1) for flight in usual])
-    of_width = [flight.width.max(axis=1) for flight in usual]
-    widths, typical = largest(of_width), float(np.median(np.concatenate(of_width)))
+    over_peak = (
+        (largest([flight.leverage.max(axis=1) for flight in usual]), _USUAL_EXCESS.leverage),
+        (largest([flight.width.max(axis=1) for flight in usual]), _USUAL_EXCESS.width),
+    )
+    known = sum(bool(np.any(values)) for values, _ in over_peak)
     # Half of the alarms are left to the inputs, which tell most of a new flight; without the others, all.
-    others = bool(np.any(leverages)) + bool(np.any(widths))
-    chance = -float(np.expm1(-alarms_per_flight * (0.5 if others else 1.0)))
-    of_other = -float(np.expm1(-0.5 * alarms_per_flight / max(others, 1)))
-    leverage, width, alarms = LEVERAGE_HEADROOM, WIDTH_HEADROOM, np.zeros(DRAWS)
-    # The limits never lie below what the training flights reached.
-    if np.any(leverages):
-        leverage = max(next_flight(leverages, of_other, _USUAL_LEVERAGE), 1.0)
-        alarms += chances_to_exceed(leverage, leverages, _USUAL_LEVERAGE, random)
-    if np.any(widths):
-        # Variances add: only the part of the width beyond the median varies between flights.
-        beyond = widths**2 - typical**2
-        width = max(float(np.sqrt(typical**2 + next_flight(beyond, of_other, _USUAL_WIDTH))), 1.0)
-        alarms += chances_to_exceed(width**2 - typical**2, beyond, _USUAL_WIDTH, random)
-    tail = Tail.from_flights(goes).with_usual(_USUAL_EXCESS)
-    far = tail.limit(chance)
-    alarms += tail.chances(far, random)
-    return _Ends.between(usual).margin(far, envelope), leverage, width, alarms
+    tail = Tail.from_flights(goes).with_usual(_USUAL_EXCESS.ends)
+    far = tail.limit(-float(np.expm1(-alarms_per_flight * (0.5 if known else 1.0))))
+    alarms = tail.chances(far, random)
+    limits = [LEVERAGE_HEADROOM, WIDTH_HEADROOM]
+    for k, (values, excess) in enumerate(over_peak):
+        if np.any(values):
+            tail = Tail.from_flights(np.log(np.maximum(values, _LEAST))).with_usual(excess)
+            # Never below what the training flights reached.
+            limit = max(tail.limit(-float(np.expm1(-0.5 * alarms_per_flight / known))), 0.0)
+            limits[k] = float(np.exp(limit))
+            alarms = alarms + tail.chances(limit, random)
+    return _Ends.between(usual).margin(far, envelope), limits[0], limits[1], alarms
 
 
 class _Ends(NamedTuple):

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.signal import lfilter
-from scipy.stats import t
 
 from quadpi_core.identification.alarm_calibration import LeftOut, calibrate_alarm, hover_rotor_speed
 from quadpi_core.inputs import DERIVATIVES, INPUT_INDEX, INPUT_NAMES
@@ -203,15 +202,13 @@ def test_flights_that_are_all_alike_may_still_differ_by_the_usual_spread():
     found = (
         rare.margin[0] - often.margin[0],
         np.log(rare.leverage_limit[FX] / often.leverage_limit[FX]),
-        np.log((rare.width_limit[FX] ** 2 - 1.0) / (often.width_limit[FX] ** 2 - 1.0)),
+        np.log(rare.width_limit[FX] / often.width_limit[FX]),
     )
-    hours = time[-1] / 3600.0
+    expected = []
+    # Half of eight alike and what is usual six times; ends count as different by a hundredth of their range.
     # Of the alarms of EXTRAPOLATION the inputs have half, leverage and width a quarter each.
-    chances, others = (-np.expm1(-0.5 * np.array(rates) * hours * part) for part in (0.5, 0.25))
-    fewer, more = t.isf(others, 13)
-    apart = np.sqrt(6.0 / 13.0 * (1.0 + 1.0 / 8.0)) * (fewer - more)
-    # Half of eight alike and the usual 0.5 six times; ends count as different by a hundredth of their range.
-    mean = (4 * 0.02 + 6 * 0.5) / 10
-    rarer, rather = ((0.5 / chance) ** 0.1 for chance in chances)
-    expected = [0.01 * mean * 10 * (rarer - rather), 0.8 * apart, 1.4 * apart]
+    for part, usual, unit in ((0.5, 0.5, 0.01), (0.25, 0.4, 1.0), (0.25, 0.1, 1.0)):
+        chances = -np.expm1(-0.5 * np.array(rates) * time[-1] / 3600.0 * part)
+        folds = (0.5 / chances) ** 0.1
+        expected.append(unit * (4 * 0.02 + 6 * usual) * (folds[0] - folds[1]))
     np.testing.assert_allclose(found, expected, rtol=1e-6)
