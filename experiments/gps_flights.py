@@ -331,7 +331,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--flights", type=int, default=100)
     parser.add_argument("--seconds", type=int, nargs="+", default=[60, 150], help="length of the flights")
-    parser.add_argument("--first", type=int, default=2000, help="seed; those below were looked at")
+    parser.add_argument("--first", type=int, default=3000, help="seed; those below were looked at")
     parser.add_argument("--store", type=Path, default=Path("out") / "gps-flights")
     parser.add_argument("--page", type=Path, default=PAGE)
     given = parser.parse_args()

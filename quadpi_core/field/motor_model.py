@@ -245,21 +245,21 @@ def _lag_and_dead_time(
     best = np.min([own.sum(axis=1) for own in curves.values()], axis=0)
     of_lag = np.argmin([own.sum(axis=1) for own in curves.values()], axis=0)
     profile = np.stack([curves[_DEAD_S[dead]][lag] for lag, dead in enumerate(of_lag)])
-    lag_s = _lowest(curves[dead_s].sum(axis=1))
+    lag_s = lowest(LAGS_S, curves[dead_s].sum(axis=1))
     if not 0 < int(np.argmin(best)) < len(LAGS_S) - 1:
         return beyond_zero(Estimate(lag_s, unit="s", reason="at the end of what is searched")), lag_s, dead_s
-    whole, count = _lowest(best), profile.shape[1]
-    without = np.array([[_lowest(best - profile[:, piece])] for piece in range(count)])
+    whole, count = lowest(LAGS_S, best), profile.shape[1]
+    without = np.array([[lowest(LAGS_S, best - profile[:, piece])] for piece in range(count)])
     even = np.ones((count, 1))
     low, high = (float(end[0]) for end in jackknife(np.array([whole]), without, even))
     return beyond_zero(Estimate(whole, low, high, "s")), lag_s, dead_s
 
 
-def _lowest(errors: Array) -> float:
+def lowest(grid: Sequence[float], errors: Array) -> float:
     """The lag of the smallest error: the bottom of a parabola through it and its neighbours."""
     place = int(np.clip(np.argmin(errors), 1, len(errors) - 2))
     around = slice(place - 1, place + 2)
-    lags = np.array(LAGS_S[around])
+    lags = np.array(grid[around])
     curve, slope, _ = np.polyfit(lags, errors[around], 2)
     return float(np.clip(-0.5 * slope / curve, lags[0], lags[-1])) if curve > 0.0 else float(lags[1])
 
@@ -319,10 +319,14 @@ def command_columns(u: Array, volts: Array, lag_s: float) -> Array:
     terms = [np.ones_like(u), u, u * u]
     if volts.shape[1]:
         terms += [volts[:, 0], u * volts[:, 0]]
-    columns = np.stack(terms, axis=1)
+    return lagged(np.stack(terms, axis=1), lag_s)
+
+
+def lagged(columns: Array, lag_s: float) -> Array:
+    """Columns (N, C) on the grid behind a lag of the first order, begun at rest."""
     (keep,), (now,), (before,) = lag_weights(np.array([1.0 / GRID_HZ]), lag_s)
-    begin = columns[:1] * (1.0 - now)
-    return lfilter([now, before], [1.0, -keep], columns, axis=0, zi=begin)[0]
+    found: Array = lfilter([now, before], [1.0, -keep], columns, axis=0, zi=columns[:1] * (1.0 - now))[0]
+    return found
 
 
 _Sums = tuple[Array, Array]  # normal equations of a flight, by rotor: gram (R, P, P) and pull (R, P)
