@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -258,15 +259,29 @@ def _moved(log: FieldLog, stretch: Stretch, *, is_sure: bool) -> bool:
     return float(np.std(imu.values[:, :3], axis=0).max()) > rate or level > 0.5 * STANDARD_GRAVITY
 
 
-def averages(stretches: Sequence[Stretch], step_s: float, *series: Series) -> Array:
-    """Rows (N, C + 2) of means over steps of which all is known, their time [s] and number of the stretch."""
-    rows = []
-    for number, one in enumerate(stretches):
-        edges = np.linspace(one.begin, one.end, 1 + max(1, round(one.duration_s / step_s)))
-        means = [own.filled_means(edges) for own in series]
-        rows.append(np.column_stack([*means, 0.5 * (edges[1:] + edges[:-1]), np.full(len(means[0]), number)]))
-    table = np.vstack(rows)
-    return table[np.isfinite(table).all(axis=1)]
+class Averages(NamedTuple):
+    """Means of series over steps of which all is known.
+
+    Attributes:
+        means: (N, C) of each series.
+        time: (N,) s, of the middle of a step.
+        stretch: (N,) its number.
+    """
+
+    means: tuple[Array, ...]
+    time: Array
+    stretch: Array
+
+
+def averages(stretches: Sequence[Stretch], step_s: float, *series: Series) -> Averages:
+    """Means of series over equal steps of about a length, s, of each stretch."""
+    counts = [1 + max(1, round(one.duration_s / step_s)) for one in stretches]
+    edges = [np.linspace(one.begin, one.end, count) for one, count in zip(stretches, counts, strict=True)]
+    means = [np.vstack([own.filled_means(part) for part in edges]) for own in series]
+    time = np.concatenate([0.5 * (part[1:] + part[:-1]) for part in edges])
+    known = np.isfinite(np.hstack(means)).all(axis=1)
+    stretch = np.repeat(np.arange(float(len(edges))), [len(part) - 1 for part in edges])
+    return Averages(tuple(own[known] for own in means), time[known], stretch[known])
 
 
 def pieces(stretches: tuple[Stretch, ...], longest_s: float) -> list[Stretch]:

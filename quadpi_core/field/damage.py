@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from quadpi_core.field.airborne import Flown, averages, pieces
+from quadpi_core.field.airborne import Averages, Flown, averages, pieces
 from quadpi_core.field.estimates import CONFIDENCE, Estimate, not_identified, slope_of_pieces, within
 from quadpi_core.field.field_log import FieldLog, Series
 from quadpi_core.field.motor_use import FULL_COMMAND, PIECE_S
@@ -90,11 +90,13 @@ def sharing(flights: Sequence[tuple[FieldLog, Flown]]) -> Sharing | str:
     """
     blind = any(log.imu is None for log, _ in flights if log.commands is not None)
     own, *before = (_shares(*one, blind=blind) for one in flights)
-    known = [own, *(one for one in before if len(one) and one.shape[1] == own.shape[1])]
-    if not len(own) or len(known) < 2:
+    known = [one for one in before if one is not None and own is not None and _rotors(one) == _rotors(own)]
+    if own is None or not known:
         return "the flight, or those before, have no commands"
-    count, table, flight = len(known), np.vstack(known), np.repeat(range(len(known)), [*map(len, known)])
-    shares, across, piece = table[:, :-4], table[:, -4:-2], flight + count * table[:, -1]
+    known = [own, *known]
+    count, flight = len(known), np.repeat(range(len(known)), [len(one.time) for one in known])
+    shares, across = (np.vstack([one.means[place] for one in known]) for place in range(2))
+    piece = flight + count * np.concatenate([one.stretch for one in known])
     columns = np.hstack([np.eye(count)[flight], across])
     # The scatter between flights holds all else that they err by.
     means = np.linalg.lstsq(columns[:, :count], across, rcond=None)[0]
@@ -105,19 +107,22 @@ def sharing(flights: Sequence[tuple[FieldLog, Flown]]) -> Sharing | str:
     return Sharing(np.stack([fitted[:count] for _, fitted in told], axis=1), np.array(halves) / usual)
 
 
-def _shares(log: FieldLog, flight: Flown, *, blind: bool) -> Array:
-    """Rows (N, R + 4): commands over the mean of all, less 1, force across (0 if `blind`), time, piece."""
+def _rotors(one: Averages) -> int:
+    return one.means[0].shape[1]
+
+
+def _shares(log: FieldLog, flight: Flown, *, blind: bool) -> Averages | None:
+    """Commands over the mean of all, less 1 (N, R), force across (N, 2), 0 if `blind`; None without any."""
     if log.commands is None or log.commands.values.shape[1] < 2:
-        return np.empty((0, 4))
+        return None
     across = Series(log.commands.time, np.zeros((len(log.commands), 2)))
     if log.imu is not None and not blind:
         across = Series(log.imu.time, log.imu.values[:, 3:5])
-    table = averages(pieces(flight.stretches, PIECE_S), _STEP_S, log.commands, across)
-    commands = table[:, :-4]
+    told = averages(pieces(flight.stretches, PIECE_S), _STEP_S, log.commands, across)
+    commands, forces = told.means
     if not commands.any():
-        return table[:0]
-    table[:, :-4] = (commands - commands.mean(axis=1, keepdims=True)) / commands.mean()
-    return table
+        return None
+    return told._replace(means=((commands - commands.mean(axis=1, keepdims=True)) / commands.mean(), forces))
 
 
 def losses(told: Sharing) -> tuple[RotorLoss, ...] | str:

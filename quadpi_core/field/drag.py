@@ -98,8 +98,8 @@ def drag_samples(log: FieldLog, flight: Flown, piece_s: float) -> DragSamples | 
         needed = {"specific force": log.imu, "attitude": log.attitude, "velocity": velocity}
         lacking = [name for name, series in needed.items() if series is None]
         return f"the log has no {' and no '.join(lacking)}"
-    table = averages(cut(flight.stretches, piece_s), STEP_S, Series(log.imu.time, log.imu.values[:, 3:]))
-    force, time, piece = table[:, :3], table[:, 3], table[:, 4].astype(np.int64)
+    forces = Series(log.imu.time, log.imu.values[:, 3:])
+    (force,), time, piece = averages(cut(flight.stretches, piece_s), STEP_S, forces)
     moving, attitude = velocity.at(time), log.attitude.at(time)
     length = np.linalg.norm(attitude, axis=1, keepdims=True)
     good = np.isfinite(np.hstack([moving, attitude])).all(axis=1) & (length[:, 0] > 0.5)
@@ -198,24 +198,14 @@ class DragFit:
             for axis in range(2):
                 own = place + 4 + axis * len(knots) + np.arange(len(knots))
                 prior[own, own] += wind**-2 / len(knots)
-                step = 1.0 / (WALK**2 * np.diff(knots))
-                np.add.at(prior, (own[1:], own[1:]), step)
-                np.add.at(prior, (own[:-1], own[:-1]), step)
-                np.add.at(prior, (own[1:], own[:-1]), -step)
-                np.add.at(prior, (own[:-1], own[1:]), -step)
+                steps = np.diff(np.eye(len(knots)), axis=0) / (WALK * np.sqrt(np.diff(knots)))[:, np.newaxis]
+                prior[np.ix_(own, own)] += steps.T @ steps
         return prior
 
     def _weights(self, flight: int, time: Array) -> Array:
         """Shares (N, K) of the knots of the wind at times (N,) s."""
         _, knots = self.layout[flight]
-        after = np.clip(np.searchsorted(knots, time), 1, len(knots) - 1)
-        share = np.clip(
-            (time - knots[after - 1]) / np.maximum(knots[after] - knots[after - 1], 1e-9), 0.0, 1.0
-        )
-        weights = np.zeros((len(time), len(knots)))
-        rows = np.arange(len(time))
-        weights[rows, after - 1], weights[rows, after] = 1.0 - share, share
-        return weights
+        return np.stack([np.interp(time, knots, own) for own in np.eye(len(knots))], axis=1)
 
     def wind_at(self, flight: int, time: Array) -> Array:
         """Wind (N, 2) of a flight to north and east, m/s, at times (N,) s."""

@@ -30,6 +30,7 @@ from quadpi_core.field.motor_use import (
     HoverChange,
     MotorUse,
     motor_use,
+    order_of,
 )
 from quadpi_core.field.report_record import (
     FlightRecord,
@@ -96,6 +97,7 @@ class FlightReport:
         use: of the motors and the battery.
         vibration: of the body.
         tachometers: rotor speeds against commands.
+        order: motors as which the commands turn the vehicle; empty for their own.
         losses: each rotor against earlier flights; None where none was given.
         mass_change: mass and its place against those.
         remarks: what looks wrong.
@@ -107,6 +109,7 @@ class FlightReport:
     use: MotorUse
     vibration: Vibration | str
     tachometers: Tachometers | str
+    order: tuple[int, ...] | str
     losses: _Lost
     mass_change: MassChange | str | None
     remarks: tuple[Remark, ...]
@@ -122,6 +125,7 @@ class FlightReport:
             "motor commands": "" if use.motors else "not in the log",
             "thrust over command along the flight": thrust,
             "tachometers": read if isinstance(read, str) else "",
+            "order of the motors": self.order if isinstance(self.order, str) else "",
             "vibration": "only ArduPilot's VIBE can be judged" if self.log.vibe is None else "",
             **compared,
         }
@@ -262,7 +266,7 @@ def report_on(
                 # Counted twice it would tell nothing more, and narrow every interval of several flights.
                 raise LogError(f"{file.path}: holds the samples of {first}, which is in the report")
             others = [flight for own, flight in before if own != digest]
-            flight = _flight_report(log, others if before else None)
+            flight = _flight_report(log, others if before else None, vehicle)
             said = _mass_doubts(flight.use, vehicle)
             flights.append(replace(flight, remarks=(*flight.remarks, *said)))
         except QuadpiError as error:
@@ -289,8 +293,14 @@ def _digest(log: FieldLog) -> str:
     return digest.hexdigest()
 
 
-def _flight_report(log: FieldLog, before: Sequence[FlightReport] | None = None) -> FlightReport:
+def _flight_report(
+    log: FieldLog, before: Sequence[FlightReport] | None = None, vehicle: Vehicle | int | None = None
+) -> FlightReport:
     flight = flown(log)
+    places = log.corners
+    if places is None and isinstance(vehicle, Vehicle):
+        places = vehicle.rotor_positions
+    order = order_of(log, flight, places)
     use, vibration, read = motor_use(log, flight), vibration_of(log, flight), tachometers(log, flight)
     all_read = isinstance(read, Tachometers) and not read.odd
     use = replace(use, efforts=efforts(log, flight, tachometers_read=all_read))
@@ -310,7 +320,10 @@ def _flight_report(log: FieldLog, before: Sequence[FlightReport] | None = None) 
     if isinstance(heavier, MassChange):
         remarks += _mass_remarks(heavier)
     remarks += _remarks(log, use, vibration, read)
-    return FlightReport(log.name, log, flight, use, vibration, read, lost, heavier, tuple(remarks))
+    if order and not isinstance(order, str):
+        said = f"commands 1 to {len(order)} turn the vehicle as motors {', '.join(map(str, order))} would"
+        remarks.append(Remark(WARNING, f"{said}: an order is wrong"))
+    return FlightReport(log.name, log, flight, use, vibration, read, order, lost, heavier, tuple(remarks))
 
 
 def _is_saturated(use: MotorUse) -> bool:
@@ -388,11 +401,17 @@ def _vehicles(flights: Sequence[FlightReport], vehicle: Vehicle | int | None) ->
         motors = motor_model(sound) if sound else "the tachometers of no flight read what the commands give"
         body = None
         if isinstance(vehicle, Vehicle):
+            right = {id(log) for log, _ in sound}
+            spun = [
+                one.log if id(one.log) in right else replace(one.log, rotor_speeds=None) for one in longest
+            ]
             told = (
                 {} if isinstance(drag, str) else {key: drag.likely_wind(n) for n, key in enumerate(samples)}
             )
             winds = [told.get(one.name, np.zeros(2)) for one in longest]
-            body = identify_body([(one.log, one.flown) for one in longest], vehicle, winds)
+            body = identify_body(
+                [(log, one.flown) for log, one in zip(spun, longest, strict=True)], vehicle, winds
+            )
         names = tuple(flight.name for flight in own)
         yield VehicleRecord(
             *(name, names, said, _or_untold(drag), tuple(samples)),

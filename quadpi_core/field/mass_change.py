@@ -110,7 +110,7 @@ def _over_force(log: FieldLog, flight: Flown, load: Series) -> float:
     force = Series(load.time, np.full((len(load), 1), STANDARD_GRAVITY))
     if log.imu is not None:
         force = Series(log.imu.time, -log.imu.values[:, 5:])
-    loads, forces, *_ = averages(flight.stretches, _STEP_S, load, force).sum(axis=0)
+    loads, forces = (own.sum() for own in averages(flight.stretches, _STEP_S, load, force).means)
     return float(loads / forces) if forces > 0.0 else np.nan
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Hover throttle, thrust over command, saturation, imbalance and battery by the commands.
+"""Hover throttle, thrust over command, saturation, imbalance, order and battery by the commands.
 
 Thrust over mass is the specific force along body z, so that no mass is needed.
 """
@@ -12,8 +12,9 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.signal import butter, sosfiltfilt
 
-from quadpi_core.field.airborne import HOVER_SPEED, Flown, Stretch, averages, pieces, velocity_of
+from quadpi_core.field.airborne import HOVER_SPEED, Averages, Flown, Stretch, averages, pieces, velocity_of
 from quadpi_core.field.estimates import (
     Estimate,
     beyond_zero,
@@ -24,8 +25,10 @@ from quadpi_core.field.estimates import (
     within,
 )
 from quadpi_core.field.field_log import FieldLog, Series
+from quadpi_core.field.motor_model import GRID_HZ, lagged
 from quadpi_core.frames import Array
 from quadpi_core.records import CONVENTION, STANDARD_GRAVITY, Threshold
+from quadpi_core.screening.clock_consistency import best_order, correlation_of
 
 PIECE_S = 5.0
 _STEP_S = 0.2
@@ -85,6 +88,16 @@ LEAST_SPREAD = Threshold(
     "hovers and lines have 1.0 to 1.7 %, which thrust follows with a correlation of 0 to 0.2",
     "hover_good_1, hover_25mm_1 and line_good_1 of rrc_propeller in ../shared/data",
 )
+ORDER = Threshold(
+    "score of an order of the motors, Σ r |r| of roll and pitch, from which on it is told, and its lead on "
+    "that of the log",
+    (0.8, 0.2),
+    "",
+    "the order of a sound log scores 1.2 to 1.8 and leads any other by 0.3 and more",
+    "indiflight and imrc_brushless of ../shared/data",
+)
+# Of roll and pitch: slower the air turns a vehicle, faster noise; at once, s; a usual lag of motors, s.
+_TURNS_HZ, _TURNS_S, _USUAL_LAG_S = (1.5, 6.0), 3.0, 0.03
 # Pieces on each side of a change; a shorter hover is a turn of the path, s.
 _SIDE, HOVER_FEWEST_S, _FEWEST_SAMPLES = 3, 3.0, 20
 
@@ -152,6 +165,47 @@ def motor_use(log: FieldLog, flight: Flown) -> MotorUse:
     )
 
 
+def order_of(log: FieldLog, flight: Flown, places: Array | None) -> tuple[int, ...] | str:
+    """Of each command the motor, from 1, as which it turns the vehicle, or why that is not told.
+
+    Args:
+        log: with gyro.
+        flight: what was flown.
+        places: (R, 2) of the motors, forward and right, in any unit; None where not known.
+    """
+    if (
+        log.commands is None
+        or log.imu is None
+        or places is None
+        or len(places) != log.commands.values.shape[1]
+    ):
+        return "takes commands, gyro and the places of the motors"
+    if (rate := min(log.commands.rate_hz, log.imu.rate_hz)) < 2.0 * _TURNS_HZ[1]:
+        return f"commands and gyro are logged at {rate:.0f} Hz"
+    moving, squares = [np.empty((0, 3))], [np.empty((0, len(places)))]
+    band = butter(2, _TURNS_HZ, "bandpass", fs=GRID_HZ, output="sos")
+    for one in flight.stretches:
+        edges = np.arange(one.begin, one.end, 1.0 / GRID_HZ)
+        commands, imu = log.commands.filled_means(edges), log.imu.filled_means(edges)
+        known = np.flatnonzero(np.isfinite(np.hstack([commands, imu])).all(axis=1))
+        if len(known) > GRID_HZ * _TURNS_S:
+            rows = slice(int(known[0]), int(known[-1]) + 1)
+            late = lagged(np.nan_to_num(commands[rows]), _USUAL_LAG_S)
+            squares.append(sosfiltfilt(band, late**2, axis=0))
+            turning = np.gradient(np.nan_to_num(imu[rows, :3]), 1.0 / GRID_HZ, axis=0)
+            moving.append(sosfiltfilt(band, turning, axis=0))
+    rates, driven = np.vstack(moving), np.vstack(squares)
+    levers = np.stack([-places[:, 1], places[:, 0], np.zeros(len(places))])
+    order, _, found = best_order(rates, driven, levers)
+    own, _ = correlation_of(rates, driven @ levers.T)
+    score, log_score = (float(np.sum(one * np.abs(one))) for one in (found, own))
+    if max(score, log_score) < ORDER.value[0]:
+        return "commands hardly explain how the vehicle turns"
+    if score < log_score + ORDER.value[1]:
+        return ()
+    return tuple((np.argsort(order) + 1).tolist())
+
+
 def _hover_change(log: FieldLog, mean: Array, time: Array, piece: Array) -> HoverChange | None:
     """A step, or else a trend, of the mean command of pieces of slow flight near the weight."""
     velocity = velocity_of(log)
@@ -210,10 +264,11 @@ def _thrust(
     log: FieldLog, cut: list[Stretch], hover: Estimate | None
 ) -> tuple[Estimate | None, Estimate | None, Estimate | None]:
     """Gain of thrust at the usual command, the command at which it is the weight, and its drift."""
-    table = _thrust_samples(log, cut)
-    if table is None:
+    samples = _thrust_samples(log, cut)
+    if samples is None:
         return None, hover, None
-    mean, square, thrust, time, piece = table.T
+    (loads, (thrust,)), time, piece = [own.T for own in samples.means], samples.time, samples.stretch
+    mean, square = loads
     usual, unit = float(np.median(mean)), "per unit of command"
     if np.std(mean) < LEAST_SPREAD.value * usual:
         return not_identified(unit, "the mean command hardly changed: climb and descend"), hover, None
@@ -252,17 +307,20 @@ def _curve(columns: Array, target: Array) -> Array:
     return np.linalg.lstsq(columns.T @ columns, columns.T @ target, rcond=None)[0].astype(np.float64)
 
 
-def _thrust_samples(log: FieldLog, cut: list[Stretch]) -> Array | None:
-    """Rows (N, 5): mean command and mean square, thrust over weight, time [s], piece of flight."""
+def _thrust_samples(log: FieldLog, cut: list[Stretch]) -> Averages | None:
+    """Mean command and mean square (N, 2), thrust over weight (N, 1)."""
     if log.imu is None or log.commands is None:
         return None
     values = log.commands.values
     loads = Series(log.commands.time, np.stack([values.mean(axis=1), np.mean(values**2, axis=1)], axis=1))
-    table = averages(cut, _STEP_S, loads, Series(log.imu.time, -log.imu.values[:, 5:] / STANDARD_GRAVITY))
+    thrust = Series(log.imu.time, -log.imu.values[:, 5:] / STANDARD_GRAVITY)
+    (load, force), time, piece = averages(cut, _STEP_S, loads, thrust)
     # Thrust is not known in a step without a sample of the IMU.
-    ends = table[:, 3:4] + 0.5 * _STEP_S * np.array([-1.0, 1.0])
-    table = table[np.diff(np.searchsorted(log.imu.time, ends))[:, 0] > 0]
-    return table if len(table) > _FEWEST_SAMPLES else None
+    ends = time[:, np.newaxis] + 0.5 * _STEP_S * np.array([-1.0, 1.0])
+    kept = np.diff(np.searchsorted(log.imu.time, ends))[:, 0] > 0
+    return (
+        Averages((load[kept], force[kept]), time[kept], piece[kept]) if kept.sum() > _FEWEST_SAMPLES else None
+    )
 
 
 #     T / T_max = e u² + (1 − e) u,      e = THR_MDL_FAC = MOT_THST_EXPO,

@@ -103,12 +103,12 @@ class RotorEvidence:
         shown = undamped(_shifted(sample.squares, self._first, cells, step))
         places = vehicle.rotor_positions
         levers = np.stack((-places[:, 1], places[:, 0], -vehicle.rotor_spins))
-        self.correlation, gain = _correlation(moving, shown @ levers.T)
+        self.correlation, gain = correlation_of(moving, shown @ levers.T)
         self._now = sample.squares[:, margin : margin + cells]
         totals = self._now.sum(axis=2)
         thrust = float(vehicle.mass_kg * np.sum(-sample.force[..., 2] * totals) / np.sum(totals**2))
         self.ratio = gain[:2] * np.diag(vehicle.inertia)[:2] / thrust
-        self.order, self.spins_inverted, self.order_correlation = _best_order(moving, shown, levers)
+        self.order, self.spins_inverted, self.order_correlation = best_order(moving, shown, levers)
         self.mean_squares = self._now.reshape(-1, self._now.shape[2]).mean(axis=0)
         self.windows = len(self._now)
 
@@ -206,8 +206,8 @@ def rotor_evidence(sample: RotorExcerpt, vehicle: Vehicle) -> RotorEvidence | No
     return RotorEvidence(replace(sample, rates=rates, force=force, squares=squares), vehicle)
 
 
-def _best_order(moving: Array, squares: Array, levers: Array) -> tuple[tuple[int, ...], bool, Array]:
-    """Order of columns and sense of the spins whose moments follow the accelerations best."""
+def best_order(moving: Array, squares: Array, levers: Array) -> tuple[tuple[int, ...], bool, Array]:
+    """Order of squares (N, R) and spins whose moments, by levers (3, R), follow accelerations (N, 3) best."""
     count = len(levers.T)
     # Sums of products are taken once: (3, rotors) with the motion, and of squares.
     told, gram, power = moving.T @ squares, squares.T @ squares, np.sum(moving**2, axis=0)
@@ -243,7 +243,7 @@ def _best_order(moving: Array, squares: Array, levers: Array) -> tuple[tuple[int
         # Commands of many rotors move four ways alone: of orders that do alike the simplest counts.
         simple = best_of([range(count), *_swapped(range(count))])
         _, order, inverted = simple if simple[0] > best[0] - _ALIKE else best
-    correlation, _ = _correlation(moving, squares[:, order] @ levers.T)
+    correlation, _ = correlation_of(moving, squares[:, order] @ levers.T)
     return order, inverted, correlation * (1.0, 1.0, -1.0 if inverted else 1.0)
 
 
@@ -254,7 +254,7 @@ def _swapped(order: Sequence[int]) -> Iterator[list[int]]:
         yield swapped
 
 
-def _correlation(of: Array, over: Array) -> tuple[Array, Array]:
+def correlation_of(of: Array, over: Array) -> tuple[Array, Array]:
     """Correlation and slope (C,) of columns (N, C) over others."""
     product, power = np.sum(of * over, axis=0), np.sum(over**2, axis=0)
     return (
