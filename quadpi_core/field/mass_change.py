@@ -195,7 +195,9 @@ def _explained(
             name == "payload" and found[2] <= 0.0
         )
         if is_possible and chi < stats.f.ppf(CONFIDENCE.value, open_to, freedom):
-            fits.append((float(left @ left), name))
+            # Of weak motors the likelier is the one that leaves less for yaw, which mountings scatter.
+            turned = 2.0 * float(found[1] / np.mean(deviation)) if name.startswith(WEAK) else 0.0
+            fits.append((float(left @ left) + turned**2, name))
             if name in (MOVED, "payload"):
                 position = np.asarray(found[:2], dtype=np.float64)
     if any(name == "nothing" for _, name in fits):
