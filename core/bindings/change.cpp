@@ -40,7 +40,7 @@ void gather_evidence(
     require(evidence.size == blocks.size, DIFFERENT);
     checked_rotors(only(rotors).rotors);
     for (std::size_t row = 0; row < blocks.size; ++row) {
-        only(memory).gathered.sum = blocks[row];
+        only(memory).within.sum = blocks[row];
         take_block(only(limits), only(rotors), only(memory));
         evidence[row] = only(memory).evidence;
     }

@@ -13,7 +13,7 @@ probability of α at most (Ville 1939; Ramdas et al. 2023, Game-theoretic statis
 however long. A moment is followed for 3 s, as later the walk has taken the change for its own; what its bets
 won by then is kept. Within each half second a bet counts for e⁸ at most, which bursts are no match for.
 
-Beyond the inputs of the training flights mass alone is weighed, by Fz and in bets of their own, against the
+A load is weighed beyond the inputs of the training flights too, by Fz and in bets of their own, against the
 likeliest offset of the model up to 6 % of the lift. A block that moments explain by a rotor wins nothing.
 
 A rotor that gives less thrust changes the wrench by its own arm; one whose speed reads more than it is
@@ -159,10 +159,9 @@ class ChangeFound:
     explained: float  # squared surprises that it explains
 
 
-class Beyond:
-    """What Fz says of mass where inputs lie beyond those of the training flights."""
+class Load:
+    """What Fz says of a load, against a model that may be off."""
 
-    gathered: Gathered
     blocks: int
     wealth: Annotated[Array, _SIZES]
     won: float  # less what was put on the bets
@@ -175,8 +174,9 @@ class Beyond:
 class Change:
     """All that is remembered of a flight."""
 
-    gathered: Gathered
-    beyond: Beyond
+    within: Gathered  # the inputs of the training flights
+    beyond: Gathered
+    load: Load
     blocks: int
     last: int
     before: Annotated[Records, BlockInputs, INPUT_CHANGES]  # the latest first
@@ -184,7 +184,6 @@ class Change:
     onsets: Annotated[Records, Onset, _ONSETS]
     settled: float  # evidence of moments that are no longer followed
     spent: float
-    won: float  # evidence within the training flights, less 1
     evidence: float
     score: float
     raised_number: int  # of the block after which the alarm was raised

@@ -136,7 +136,7 @@ inline void judge_miscoverage(
 }
 
 // Gather evidence that the vehicle has changed, where the wind is known and the state has settled; where the
-// model does not know the inputs, of mass alone, as long as the interval of Fz is within its limit.
+// model does not know the inputs, of a load alone, as long as the interval of Fz is within its limit.
 inline void judge_change(
     const AlarmLimits& limits,
     AlarmState& state,
@@ -154,8 +154,11 @@ inline void judge_change(
         return;
     }
     const std::int64_t number = floor_divided(sample.time_ns, BLOCK_NS);
-    end_block(change.gathered, number, [&] { take_block(limits.change, limits.rotors, change); });
-    end_block(change.beyond.gathered, number, [&] { take_beyond(limits.change, change); });
+    end_block(change.within, number, [&] {
+        take_block(limits.change, limits.rotors, change);
+        take_load(limits.change, change.within.sum, change);
+    });
+    end_block(change.beyond, number, [&] { take_load(limits.change, change.beyond.sum, change); });
     change.unlike_s = std::max(state.extrapolates ? UNLIKE_S : 0.0, change.unlike_s - step_s);
     if (state.extrapolates && state.row.cause_level[EXTRAPOLATION] == LEVEL_ALARM) {
         change.unlike_s = UNLIKE_S + BEYOND_S;
@@ -166,7 +169,7 @@ inline void judge_change(
         for (int axis = 0; axis < AXES; ++axis) {
             error[axis] = measured[axis] - 0.5 * (lower[axis] + upper[axis]);
         }
-        Gathered& gathered = within ? change.gathered : change.beyond.gathered;
+        Gathered& gathered = within ? change.within : change.beyond;
         add_to_block(gathered, error, error[FZ] - measured[FZ], sample.rotor_speeds, inputs, step_s);
     }
     state.charge[CHANGE] = change.raised ? 1.0 : 0.0;

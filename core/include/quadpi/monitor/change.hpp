@@ -22,17 +22,19 @@ constexpr double CHOSEN = 2.0;
 // Blocks of half a second, in which the evidence grows by CAP at most: e to the 8.
 constexpr std::int64_t CAP_BLOCKS = 5;
 constexpr double CAP = 2980.9579870417283;
-// Share of the lift by which a model may be off beyond its training flights: of 24 flights there of four
-// vehicles none is by more than 0.021 throughout, nor by more than 0.042 for half a second without a load
-// that swings (experiments/results/alarm.md). From halfway to the first size on, 9 %, a mass is told.
-constexpr double OFF_BEYOND = 0.06;
-constexpr int FIRST_BEYOND = 6;
+// Share of the lift by which a model may be off where a load is weighed: of 24 flights beyond those of their
+// models, of four vehicles, none is by more than 0.021 throughout, nor by more than 0.042 for half a second
+// without a load that swings (experiments/results/alarm.md). From halfway to the first size on, 9 %, one is
+// told.
+constexpr double OFF_MOST = 0.06;
+constexpr int FIRST_LOAD = 6;
 // Standard deviation of blocks there, as a share of the lift: theirs is 0.008, of NeuroBEM 0.02.
-constexpr double SCATTER_BEYOND = 0.02;
-// What a block there counts for at most: three in a row, as bursts last, raise no alarm: e to the 2.5.
-constexpr double CAP_BEYOND = 12.182493960703473;
-// Prior of these bets over that of all, and of all sizes of mass over that of those that are large enough.
-constexpr double OF_BEYOND = 0.05, OF_LARGE = 2.0;
+constexpr double SCATTER = 0.02;
+// What a block counts for at most, e to the 2.5, and the evidence of the alarm: three blocks in a row, as
+// bursts last, raise none. The share of sound flights that do is a twentieth of that of all other changes.
+constexpr double BLOCK_CAP = 12.182493960703473, LOAD_EVIDENCE = 400.0;
+// Prior of all sizes of mass over that of those that are large enough.
+constexpr double OF_LARGE = 2.0;
 // Degrees of freedom of Student's distribution.
 constexpr double FREEDOM = 3.0;
 // Share of the prior below which a size is no longer followed.
@@ -106,7 +108,7 @@ inline double bet(
 inline void begin_onset(const Templates& templates, Change& change) {
     Onset& onset = change.onsets[change.blocks % ONSETS];
     onset = {};
-    onset.number = change.gathered.sum.number;
+    onset.number = change.within.sum.number;
     onset.prior = prior_of_onset(change.blocks);
     change.spent += onset.prior;
     const std::array<double, DIRECTIONS> of_direction = prior_of_directions(templates);
@@ -157,7 +159,7 @@ inline void find_change(Change& change, const std::array<double, ONSETS>& eviden
 
 // Move the filters on to a block; returns the blocks that have passed since the one before.
 inline std::int64_t take_residuals(const ChangeLimits& limits, Change& change) {
-    const ChangeBlock& block = change.gathered.sum;
+    const ChangeBlock& block = change.within.sum;
     if (change.blocks == 0) {
         change.last = block.number;
         for (int axis = 0; axis < AXES; ++axis) {
@@ -222,11 +224,12 @@ inline double follow_onset(
     return onset.prior * total;
 }
 
-// Weigh what was won within and beyond the training flights; whether the alarm is raised by now.
+// Whether the alarm is raised by now, by the evidence of all changes or that of a load.
 inline bool raises(const ChangeLimits& limits, Change& change, std::int64_t number) {
-    change.evidence = 1.0 + (1.0 - OF_BEYOND) * change.won + OF_BEYOND * change.beyond.won;
-    change.score = std::max(0.0, logarithm(change.evidence) / logarithm(limits.evidence));
-    if (!change.raised && change.evidence > limits.evidence) {
+    const double by_all = logarithm(std::max(1.0, change.evidence)) / logarithm(limits.evidence);
+    const double by_load = logarithm(std::max(1.0, 1.0 + change.load.won)) / logarithm(LOAD_EVIDENCE);
+    change.score = std::max(by_all, by_load);
+    if (!change.raised && change.score > 1.0) {
         change.raised = true;
         change.raised_number = number;
     }
@@ -236,7 +239,7 @@ inline bool raises(const ChangeLimits& limits, Change& change, std::int64_t numb
 // Take the mean of a block of samples.
 inline void take_block(const ChangeLimits& limits, const RotorGeometry& rotors, Change& change) {
     take_repeating(limits.repeating, change);
-    const Templates templates = templates_of(limits, rotors, change.gathered.sum);
+    const Templates templates = templates_of(limits, rotors, change.within.sum);
     const std::int64_t passed = take_residuals(limits, change);
     settle_oldest(change);
     begin_onset(templates, change);
@@ -251,55 +254,51 @@ inline void take_block(const ChangeLimits& limits, const RotorGeometry& rotors, 
     for (AxisFilter& filter : change.filters) {
         remember_loudness(filter);
     }
-    change.won = total - 1.0;
+    change.evidence = total;
     if (raises(limits, change, change.last)) {
         find_change(change, evidence);
     }
 }
 
-// Weigh mass by a block beyond the inputs of the training flights.
+// Weigh a load by a block, within or beyond the inputs of the training flights.
 //
-// The null is a model that is off there by any share of the lift up to OFF_BEYOND: its likeliest is the end
-// that is next to the mass.
-inline void take_beyond(const ChangeLimits& limits, Change& change) {
+// The null is a model that is off by any share of the lift up to OFF_MOST: its likeliest is the end that is
+// next to the load.
+inline void take_load(const ChangeLimits& limits, const ChangeBlock& block, Change& change) {
     constexpr std::array<double, SIZES> size = sizes(), of_size = prior_of_sizes(LIFT);
-    Beyond& beyond = change.beyond;
-    const ChangeBlock& block = beyond.gathered.sum;
+    Load& load = change.load;
     const AxisNoise& noise = limits.noise[FZ];
-    if (noise.loudest == 0.0) {
-        return;
+    const double prior = prior_of_onset(load.blocks);
+    if (std::accumulate(load.wealth.begin(), load.wealth.end(), 0.0) < prior) {
+        load.since = block.number;
+        load.from_start = load.blocks == 0 ? 1 : 0;
+        load.squares = load.products = 0.0;
     }
-    const double prior = prior_of_onset(beyond.blocks);
-    if (std::accumulate(beyond.wealth.begin(), beyond.wealth.end(), 0.0) < prior) {
-        beyond.since = block.number;
-        beyond.from_start = change.blocks + beyond.blocks == 0 ? 1 : 0;
-        beyond.squares = beyond.products = 0.0;
-    }
-    ++beyond.blocks;
-    const double force = block.residual[FZ], scatter = SCATTER_BEYOND * block.lift;
+    ++load.blocks;
+    const double force = block.residual[FZ], scatter = SCATTER * block.lift;
     const double variance = noise.process + noise.white + scatter * scatter;
-    beyond.squares += block.lift * block.lift / variance;
-    beyond.products += block.lift * force / variance;
+    load.squares += block.lift * block.lift / variance;
+    load.products += block.lift * force / variance;
     // A rotor turns the vehicle by its arm, which a mass does not.
     const double roll = block.residual[3], pitch = block.residual[4], half = 0.5 * limits.arm * force;
     const bool turns = roll * roll + pitch * pitch > half * half;
-    for (int index = FIRST_BEYOND; index < SIZES; ++index) {
-        const double off = force - std::copysign(OFF_BEYOND, size[index]) * block.lift;
+    for (int index = FIRST_LOAD; index < SIZES; ++index) {
+        const double off = force - std::copysign(OFF_MOST, size[index]) * block.lift;
         const double rest = force - size[index] * block.lift;
         const double ratio = (FREEDOM * variance + off * off) / (FREEDOM * variance + rest * rest);
-        const double before = beyond.wealth[index] + prior * of_size[index] * OF_LARGE;
-        beyond.wealth[index] = before * std::min(ratio * ratio, turns ? 1.0 : CAP_BEYOND);
-        beyond.won += beyond.wealth[index] - before;
+        const double before = load.wealth[index] + prior * of_size[index] * OF_LARGE;
+        load.wealth[index] = before * std::min(ratio * ratio, turns ? 1.0 : BLOCK_CAP);
+        load.won += load.wealth[index] - before;
     }
-    if (raises(limits, change, block.number) && OF_BEYOND * beyond.won > LIKELY * change.evidence) {
-        const double found = beyond.products / beyond.squares;
+    if (raises(limits, change, block.number) && load.won > LOAD_EVIDENCE) {
+        const double found = load.products / load.squares;
         name_if_likelier(
             {LIFT,
-             beyond.since * BLOCK_NS,
-             beyond.from_start,
+             load.since * BLOCK_NS,
+             load.from_start,
              found,
-             CHOSEN / std::sqrt(beyond.squares) + 0.5 * OFF_BEYOND,
-             found * found * beyond.squares},
+             CHOSEN / std::sqrt(load.squares) + 0.5 * OFF_MOST,
+             found * found * load.squares},
             change.found
         );
     }
@@ -354,10 +353,10 @@ inline void add_to_block(
 
 // Forget what was gathered, as on the ground.
 inline void forget_change(Change& change) {
-    change.gathered = {};
-    change.beyond = {};
+    change.within = change.beyond = {};
+    change.load = {};
     change.blocks = 0;
-    change.won = change.spent = change.evidence = change.score = 0.0;
+    change.spent = change.evidence = change.score = 0.0;
     change.settled = 0.0;
     change.raised = change.loud = false;
     change.unlike_s = 0.0;

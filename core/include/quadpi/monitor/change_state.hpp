@@ -120,9 +120,8 @@ struct ChangeFound {
 
 constexpr ChangeFound NOTHING_FOUND = {NOTHING, 0, 0, 0.0, 0.0, 0.0};
 
-// What Fz says of mass where inputs lie beyond those of the training flights.
-struct Beyond {
-    Gathered gathered;
+// What Fz says of a load, against a model that may be off.
+struct Load {
     std::int64_t blocks;
     std::array<double, SIZES> wealth;
     double won;  // what all bets have won, less what was put on them
@@ -133,8 +132,8 @@ struct Beyond {
 
 // All that is remembered of a flight.
 struct Change {
-    Gathered gathered;
-    Beyond beyond;
+    Gathered within, beyond;  // the inputs of the training flights
+    Load load;
     std::int64_t blocks;                            // taken since take-off
     std::int64_t last;                              // number of the last block
     std::array<BlockInputs, INPUT_CHANGES> before;  // the last blocks, the latest first
@@ -142,7 +141,6 @@ struct Change {
     std::array<Onset, ONSETS> onsets;
     double settled;  // evidence of moments that are no longer followed
     double spent;    // of the prior
-    double won;      // evidence within the training flights, less 1
     double evidence;
     double score;                // logarithm of the evidence over that of its limit, at least 0
     std::int64_t raised_number;  // of the block after which the alarm was raised

@@ -13,7 +13,7 @@ namespace quadpi {
 //
 // To a block that is missing nothing has changed, and all of it from there.
 inline void take_repeating(const Repeating& known, Change& change) {
-    ChangeBlock& block = change.gathered.sum;
+    ChangeBlock& block = change.within.sum;
     InputVector later = block.inputs;
     for (int back = 0; back < INPUT_CHANGES; ++back) {
         for (int place = 0; place <= back && place < change.blocks; ++place) {
