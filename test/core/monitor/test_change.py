@@ -299,6 +299,9 @@ def test_outside_the_training_range_a_force_is_no_evidence_but_where_inputs_of_t
     samples.inputs[:, INPUT_NAMES.index(name)] = 2.0
     of_thrust = name in {"omega_avg", "mu_v_in"}
     assert named_as(alarm_of(vehicle), samples) == (CHANGED_FORCE_FORWARD if of_thrust else UNCHANGED)
+    # A sensor that fails is not the vehicle.
+    samples.faults[:] = ROTOR_HALF
+    assert named_as(alarm_of(vehicle), samples) == UNCHANGED
 
 
 def test_a_model_that_is_off_beyond_its_flights_is_no_change_there_nor_as_it_returns(

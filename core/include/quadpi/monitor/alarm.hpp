@@ -135,8 +135,8 @@ inline void judge_miscoverage(
     state.charge[MISCOVERAGE] = worst;
 }
 
-// Gather evidence that the vehicle has changed, where the wind is known and the state has settled; where the
-// model does not know the inputs, of a load alone, as long as the interval of Fz is within its limit.
+// Gather evidence that the vehicle has changed, where wind and sensors are known and the state has settled;
+// with inputs that the model does not know, of a load alone, while the interval of Fz is within its limit.
 inline void judge_change(
     const AlarmLimits& limits,
     AlarmState& state,
@@ -164,7 +164,7 @@ inline void judge_change(
         change.unlike_s = UNLIKE_S + BEYOND_S;
     }
     const bool within = !state.extrapolates && change.unlike_s <= UNLIKE_S;
-    if (state.settled && !state.wind_unknown && (within || (state.thrust_known && !sample.faults.any()))) {
+    if (state.settled && !state.wind_unknown && !sample.faults.any() && (within || state.thrust_known)) {
         Wrench error;
         for (int axis = 0; axis < AXES; ++axis) {
             error[axis] = measured[axis] - 0.5 * (lower[axis] + upper[axis]);
