@@ -155,7 +155,7 @@ def _map_in_processes(
         initargs=(task,),
     )
     try:
-        with _signals_deferred(), _started_with(b"__main__" in task):
+        with _signals_deferred(), _started_with(b"__main__" in task or b"__main__" in _pickled(items)):
             index = {pool.submit(_work, item): k for k, item in enumerate(items)}
         futures = list(index)
         for future in as_completed(futures):

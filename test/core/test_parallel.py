@@ -249,3 +249,14 @@ def test_a_script_without_a_guard_is_not_run_again_by_its_workers(tmp_path):
     )
     done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False)
     assert (done.stdout, done.returncode) == (f"2 {script}\n", 0), done.stderr
+
+
+def test_items_of_a_class_of_the_script_reach_its_workers(tmp_path):
+    script = tmp_path / "mine.py"
+    script.write_text(
+        "import operator\nfrom quadpi_core.parallel import Workers\nclass Mine: pass\n"
+        "if __name__ == '__main__':\n"
+        "    print(Workers(2).map(operator.is_, [Mine(), Mine()], shared=None))\n"
+    )
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False)
+    assert (done.stdout, done.returncode) == ("[False, False]\n", 0), done.stderr
