@@ -8,6 +8,7 @@ import hashlib
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, astuple, dataclass, replace
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -41,7 +42,15 @@ from quadpi_core.field.report_record import (
     VehicleRecord,
 )
 from quadpi_core.field.vibration import VIBE, Vibration, vibration_of
-from quadpi_core.flight_files import FlightLeftOut, NoFlightLeftError, named_files
+from quadpi_core.flight_files import (
+    FlightFile,
+    FlightLeftOut,
+    LeftOutFlights,
+    leave_out,
+    named_files,
+    once_each,
+    require_flights_left,
+)
 from quadpi_core.paths import finite_json
 from quadpi_core.reading_options import ReadingOptions
 from quadpi_core.records import Threshold
@@ -244,35 +253,24 @@ def report_on(
 
     Raises:
         NoFlightLeftError: if none is left, naming each.
-        LogError: for a log to hold flights against that holds none; for a mass of several airframes.
+        LogError: for a log to hold flights against that holds none, or is given twice; for a mass of several
+            airframes.
     """
     if isinstance(vehicle, Vehicle) and mass is not None:
         vehicle = replace(vehicle, mass_kg=mass)
-    before = []
-    for file in named_files(against):
-        log = replace(read_field_log(file.path, options, vehicle), name=file.name)
-        before.append((_digest(log), _flight_report(log)))
+    before = [(digest, _flight_report(log)) for _, (digest, log) in _read(against, options, vehicle, None)]
     flights: list[FlightReport] = []
     left_out: list[FlightLeftOut] = []
-    known: dict[str, str] = {}
-    for file in named_files(paths):
+    for file, (digest, log) in _read(paths, options, vehicle, left_out):
+        others = [flight for own, flight in before if own != digest]
         try:
-            log = replace(read_field_log(file.path, options, vehicle), name=file.name)
-            if isinstance(vehicle, Vehicle) and not vehicle.thrust_coefficient:
-                log = replace(log, settings=(*log.settings, _COEFFICIENT))
-            digest = _digest(log)
-            first = known.setdefault(digest, file.name)
-            if first != file.name:
-                # Counted twice it would tell nothing more, and narrow every interval of several flights.
-                raise LogError(f"{file.path}: holds the samples of {first}, which is in the report")
-            others = [flight for own, flight in before if own != digest]
             flight = _flight_report(log, others if before else None, vehicle)
-            said = _mass_doubts(flight.use, vehicle)
-            flights.append(replace(flight, remarks=(*flight.remarks, *said)))
         except QuadpiError as error:
-            left_out.append(FlightLeftOut(file.name, str(file.path), str(error)))
-    if not flights:
-        raise NoFlightLeftError("; ".join(one.reason for one in left_out))
+            leave_out(file, error, left_out)
+            continue
+        said = _mass_doubts(flight.use, vehicle)
+        flights.append(replace(flight, remarks=(*flight.remarks, *said)))
+    require_flights_left(len(flights), left_out)
     vehicles = tuple(_vehicles(flights, vehicle))
     differ = len({_identity(one.log) for one in flights}) > 1
     if differ and (mass is not None or isinstance(vehicle, Vehicle)):
@@ -281,6 +279,22 @@ def report_on(
             f"mass and vehicle file are of one airframe, the logs of {names}: report on each by itself"
         )
     return FieldReport(tuple(flights), vehicles, mass, tuple(left_out))
+
+
+def _read(
+    paths: Sequence[Path], options: ReadingOptions, vehicle: Vehicle | int | None, left_out: LeftOutFlights
+) -> list[tuple[FlightFile, tuple[str, FieldLog]]]:
+    """Logs with their digests, each once: a copy tells nothing more, and would narrow every interval."""
+    found = []
+    wanted = (_COEFFICIENT,) if isinstance(vehicle, Vehicle) and not vehicle.thrust_coefficient else ()
+    for file in named_files(paths):
+        try:
+            log = read_field_log(file.path, options, vehicle)
+            log = replace(log, name=file.name, settings=(*log.settings, *wanted))
+            found.append((file, (_digest(log), log)))
+        except QuadpiError as error:
+            leave_out(file, error, left_out)
+    return once_each(found, itemgetter(0), left_out)
 
 
 def _digest(log: FieldLog) -> str:
@@ -393,18 +407,12 @@ def _vehicles(flights: Sequence[FlightReport], vehicle: Vehicle | int | None) ->
         samples = {key: one for key, one in found.items() if not isinstance(one, str)}
         drag = identify_drag(list(samples.values())) if samples else str(next(iter(found.values())))
         # Tachometers that count otherwise would spoil the model of all.
-        sound = [
-            (flight.log, flight.flown)
-            for flight in own
-            if isinstance(flight.tachometers, str) or not flight.tachometers.odd
-        ]
+        odd = {one.name for one in own if isinstance(one.tachometers, Tachometers) and one.tachometers.odd}
+        sound = [(one.log, one.flown) for one in own if one.name not in odd]
         motors = motor_model(sound) if sound else "the tachometers of no flight read what the commands give"
         body = None
         if isinstance(vehicle, Vehicle):
-            right = {id(log) for log, _ in sound}
-            spun = [
-                one.log if id(one.log) in right else replace(one.log, rotor_speeds=None) for one in longest
-            ]
+            spun = [replace(one.log, rotor_speeds=None) if one.name in odd else one.log for one in longest]
             told = (
                 {} if isinstance(drag, str) else {key: drag.likely_wind(n) for n, key in enumerate(samples)}
             )

@@ -54,6 +54,20 @@ def test_an_alarm_ends_with_1_where_it_is_asked_for(quadpi, tmp_path):
     assert quadpi("report", log, "-o", tmp_path / "out", "--fail-on", "alarm").status == 1
 
 
+def test_a_log_given_twice_or_copied_counts_once(quadpi, read_json, tmp_path):
+    log, copy = raw(tmp_path / "log00"), tmp_path / "log01"
+    copy.write_bytes(log.read_bytes())
+    said = f"the same flight as {log}; give each flight once"
+    for again in (log, copy):
+        done = quadpi("report", log, again, "-o", tmp_path / "out")
+        assert (done.status, f"{again}: {said}" in done.errors) == (3, True)
+        report = read_json(tmp_path / "out" / "report.json")
+        assert [flight["name"] for flight in report["flights"]] == ["log00"]
+        # Good flights before, of which one more narrows what flights scatter by.
+        done = quadpi("report", log, "-o", tmp_path / "out", "--against", log, "--against", again)
+        assert (done.status, done.errors.strip().endswith(f"{again}: {said}")) == (2, True)
+
+
 def test_logs_that_are_left_out_end_with_3(quadpi, tmp_path):
     other = tmp_path / "log01"
     other.write_bytes(usd(NAMES[:6], [(0.0,) * 6] * 100))
