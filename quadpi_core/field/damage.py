@@ -90,7 +90,8 @@ def sharing(flights: Sequence[tuple[FieldLog, Flown]]) -> Sharing | str:
     """
     blind = any(log.imu is None for log, _ in flights if log.commands is not None)
     own, *before = (_shares(*one, blind=blind) for one in flights)
-    known = [one for one in before if one is not None and own is not None and _rotors(one) == _rotors(own)]
+    rotors = None if own is None else own.means[0].shape[1]
+    known = [one for one in before if one is not None and one.means[0].shape[1] == rotors]
     if own is None or not known:
         return "the flight, or those before, have no commands"
     known = [own, *known]
@@ -105,10 +106,6 @@ def sharing(flights: Sequence[tuple[FieldLog, Flown]]) -> Sharing | str:
     halves = [np.inf if one.half_width is None else one.half_width for one, _ in told]
     usual = stats.norm.ppf(0.5 + 0.5 * CONFIDENCE.value)
     return Sharing(np.stack([fitted[:count] for _, fitted in told], axis=1), np.array(halves) / usual)
-
-
-def _rotors(one: Averages) -> int:
-    return one.means[0].shape[1]
 
 
 def _shares(log: FieldLog, flight: Flown, *, blind: bool) -> Averages | None:

@@ -336,7 +336,7 @@ def _flight_report(
     remarks += _remarks(log, use, vibration, read)
     if order and not isinstance(order, str):
         said = f"commands 1 to {len(order)} turn the vehicle as motors {', '.join(map(str, order))} would"
-        remarks.append(Remark(WARNING, f"{said}: an order is wrong"))
+        remarks.append(Remark(WARNING, f"{said}: an order, or the IMU's orientation, is wrong"))
     return FlightReport(log.name, log, flight, use, vibration, read, order, lost, heavier, tuple(remarks))
 
 
@@ -412,14 +412,13 @@ def _vehicles(flights: Sequence[FlightReport], vehicle: Vehicle | int | None) ->
         motors = motor_model(sound) if sound else "the tachometers of no flight read what the commands give"
         body = None
         if isinstance(vehicle, Vehicle):
-            spun = [replace(one.log, rotor_speeds=None) if one.name in odd else one.log for one in longest]
+            blind = [replace(one.log, rotor_speeds=None) if one.name in odd else one.log for one in longest]
+            spun = [(log, one.flown) for log, one in zip(blind, longest, strict=True)]
             told = (
                 {} if isinstance(drag, str) else {key: drag.likely_wind(n) for n, key in enumerate(samples)}
             )
             winds = [told.get(one.name, np.zeros(2)) for one in longest]
-            body = identify_body(
-                [(log, one.flown) for log, one in zip(spun, longest, strict=True)], vehicle, winds
-            )
+            body = identify_body(spun, vehicle, winds)
         names = tuple(flight.name for flight in own)
         yield VehicleRecord(
             *(name, names, said, _or_untold(drag), tuple(samples)),

@@ -340,9 +340,8 @@ class _Solved(NamedTuple):
 def _solved(told: _Piece, heard: npt.NDArray[np.bool_], *, by_speed: bool) -> _Solved | str:
     """What pieces tell by the octaves heard (2, O), or why they do not."""
     total, count, _ = told.hover
-    octaves = (
-        told.moments / np.maximum(told.moments[..., -1:, -1:], 1e-300) * heard[..., np.newaxis, np.newaxis]
-    )
+    power = np.maximum(told.moments[..., -1:, -1:], 1e-300)
+    octaves = told.moments / power * heard[..., np.newaxis, np.newaxis]
     found = _fitted(octaves.sum(axis=2))
     errors = np.sum((1.0 - _explained(octaves, found[:, :, np.newaxis])) * heard, axis=(1, 2))
     best, is_heard = int(np.argmin(errors)), heard.any(axis=1)

@@ -174,10 +174,7 @@ def _explained(
     weights = 1.0 / np.append(deviation, max(float(thrust[1]), 1e-9))
     seen = np.append(work, float(thrust[0])) * weights
     moved = np.vstack([sides, np.zeros(2)])
-    tried: list[tuple[str, Array]] = [
-        ("nothing", np.zeros((rotors + 1, 0))),
-        (MOVED, moved),
-    ]
+    tried: list[tuple[str, Array]] = [("nothing", np.zeros((rotors + 1, 0))), (MOVED, moved)]
     for rotor in range(rotors):
         # It is commanded more to give what it gave; its torque may differ, which yaw answers.
         lost = np.append(np.eye(rotors)[rotor] - 1.0 / rotors, 1.0 / rotors)
@@ -196,7 +193,7 @@ def _explained(
         )
         if is_possible and chi < stats.f.ppf(CONFIDENCE.value, open_to, freedom):
             # Of weak motors the likelier is the one that leaves less for yaw, which mountings scatter.
-            turned = 2.0 * float(found[1] / np.mean(deviation)) if name.startswith(WEAK) else 0.0
+            turned = float(np.sqrt(rotors) * found[1] / np.mean(deviation)) if name.startswith(WEAK) else 0.0
             fits.append((float(left @ left) + turned**2, name))
             if name in (MOVED, "payload"):
                 position = np.asarray(found[:2], dtype=np.float64)

@@ -173,26 +173,22 @@ def order_of(log: FieldLog, flight: Flown, places: Array | None) -> tuple[int, .
         flight: what was flown.
         places: (R, 2) of the motors, forward and right, in any unit; None where not known.
     """
-    if (
-        log.commands is None
-        or log.imu is None
-        or places is None
-        or len(places) != log.commands.values.shape[1]
-    ):
+    commands, imu = log.commands, log.imu
+    if commands is None or imu is None or places is None or len(places) != commands.values.shape[1]:
         return "takes commands, gyro and the places of the motors"
-    if (rate := min(log.commands.rate_hz, log.imu.rate_hz)) < 2.0 * _TURNS_HZ[1]:
-        return f"commands and gyro are logged at {rate:.0f} Hz"
+    if (rate := min(commands.rate_hz, imu.rate_hz)) < 2.0 * _TURNS_HZ[1]:
+        return f"commands or gyro are logged at {rate:.0f} Hz: {2.0 * _TURNS_HZ[1]:g} Hz are needed"
     moving, squares = [np.empty((0, 3))], [np.empty((0, len(places)))]
     band = butter(2, _TURNS_HZ, "bandpass", fs=GRID_HZ, output="sos")
     for one in flight.stretches:
         edges = np.arange(one.begin, one.end, 1.0 / GRID_HZ)
-        commands, imu = log.commands.filled_means(edges), log.imu.filled_means(edges)
-        known = np.flatnonzero(np.isfinite(np.hstack([commands, imu])).all(axis=1))
+        given, moved = commands.filled_means(edges), imu.filled_means(edges)
+        known = np.flatnonzero(np.isfinite(np.hstack([given, moved])).all(axis=1))
         if len(known) > GRID_HZ * _TURNS_S:
             rows = slice(int(known[0]), int(known[-1]) + 1)
-            late = lagged(np.nan_to_num(commands[rows]), _USUAL_LAG_S)
+            late = lagged(np.nan_to_num(given[rows]), _USUAL_LAG_S)
             squares.append(sosfiltfilt(band, late**2, axis=0))
-            turning = np.gradient(np.nan_to_num(imu[rows, :3]), 1.0 / GRID_HZ, axis=0)
+            turning = np.gradient(np.nan_to_num(moved[rows, :3]), 1.0 / GRID_HZ, axis=0)
             moving.append(sosfiltfilt(band, turning, axis=0))
     rates, driven = np.vstack(moving), np.vstack(squares)
     levers = np.stack([-places[:, 1], places[:, 0], np.zeros(len(places))])
@@ -318,9 +314,8 @@ def _thrust_samples(log: FieldLog, cut: list[Stretch]) -> Averages | None:
     # Thrust is not known in a step without a sample of the IMU.
     ends = time[:, np.newaxis] + 0.5 * _STEP_S * np.array([-1.0, 1.0])
     kept = np.diff(np.searchsorted(log.imu.time, ends))[:, 0] > 0
-    return (
-        Averages((load[kept], force[kept]), time[kept], piece[kept]) if kept.sum() > _FEWEST_SAMPLES else None
-    )
+    told = Averages((load[kept], force[kept]), time[kept], piece[kept])
+    return told if kept.sum() > _FEWEST_SAMPLES else None
 
 
 #     T / T_max = e u² + (1 − e) u,      e = THR_MDL_FAC = MOT_THST_EXPO,

@@ -89,9 +89,7 @@ def read_ardupilot_field(path: Path, _number: int | None = None, _poles: int | N
         firmware=next((text for text in _texts(messages) if text.startswith(("Ardu", "Blimp"))), ""),
         frame=" ".join(filter(None, (frame, _TYPES.get(frame_type, "")))),
         rotors=rotors,
-        no_multirotor=f"{airframe.said} is {airframe.name}"
-        if airframe and not airframe.is_multicopter
-        else "",
+        no_multirotor=str(airframe) if airframe and not airframe.is_multicopter else "",
         imu=read("IMU", "GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ"),
         attitude=None if attitude is None else series_of(*attitude, start_ns),
         velocity=None if moved is None else series_of(moved[0], moved[2], start_ns),
@@ -100,9 +98,7 @@ def read_ardupilot_field(path: Path, _number: int | None = None, _poles: int | N
         rotor_speeds=speeds,
         battery=read("BAT CURR", "Volt"),
         landed=_landed(messages, start_ns),
-        density=None
-        if baro is None
-        else Series(baro.time, density_of(baro.values[:, :1], baro.values[:, 1:])),
+        density=baro and Series(baro.time, density_of(baro.values[:, :1], baro.values[:, 1:])),
         vibe=read("VIBE", "VibeX", "VibeY", "VibeZ"),
         corners=np.sign(np.round(np.array([motor[:2] for motor in LAYOUTS[layout]]), 6)) if layout else None,
         drag_prefix="EK3_DRAG_",
@@ -131,9 +127,7 @@ def _commands(
     }
     # The use of motors from 9 on has numbers of its own: 82 to 85.
     function |= {number - 41: output for number, output in list(function.items()) if 49 <= number <= 52}
-    outputs = []
-    for motor in range(rotors or 4):
-        outputs.append(function.get(motor, motor + 1))
+    outputs = [function.get(motor, motor + 1) for motor in range(rotors or 4)]
     names = [f"{prefix}{output}" for output in outputs]
     if not logged.holds(*names):
         return None, []

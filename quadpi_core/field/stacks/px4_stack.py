@@ -75,13 +75,9 @@ def read_px4_field(path: Path, _number: int | None = None, _poles: int | None = 
         firmware=_firmware(log.information),
         frame=_FRAMES.get(rotors or 0, f"{rotors} rotors" if rotors else ""),
         rotors=rotors,
-        no_multirotor=f"{airframe.said} is {airframe.name}"
-        if airframe and not airframe.is_multicopter
-        else "",
+        no_multirotor=str(airframe) if airframe and not airframe.is_multicopter else "",
         imu=read("sensor_combined", *_indexed("gyro_rad", 3), *_indexed("accelerometer_m_s2", 3)),
-        attitude=None
-        if quaternion is None
-        else Series(quaternion.time, normalised_attitude(quaternion.values)),
+        attitude=quaternion and Series(quaternion.time, normalised_attitude(quaternion.values)),
         velocity=_local(topics, start_ns, ("vx", "vy", "vz"), _VALID[2:]),
         position=_local(topics, start_ns, ("x", "y", "z"), _VALID[:2]),
         commands=commands,
@@ -209,13 +205,12 @@ def _firmware(information: Mapping[str, Any]) -> str:
 
 def _facts(parameters: Mapping[str, float], information: Mapping[str, Any]) -> dict[str, str]:
     facts = {"board": str(information["ver_hw"])} if "ver_hw" in information else {}
-    for key, name in (
-        ("hover thrust", "MPC_THR_HOVER"),
-        ("thrust model factor", "THR_MDL_FAC"),
-        ("airframe", "SYS_AUTOSTART"),
-    ):
-        if name in parameters:
-            facts[key] = f"{parameters[name]:.4g} ({name})"
+    names = {
+        "hover thrust": "MPC_THR_HOVER",
+        "thrust model factor": "THR_MDL_FAC",
+        "airframe": "SYS_AUTOSTART",
+    }
+    facts |= {key: f"{parameters[name]:.4g} ({name})" for key, name in names.items() if name in parameters}
     named = [name for name in parameters if name.startswith(("DSHOT_MOT_POL", "MOT_POLE_COUNT"))]
     if named:
         facts["poles"] = f"{max(parameters[name] for name in named):g} (MOT_POLE_COUNT)"

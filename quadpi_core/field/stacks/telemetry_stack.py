@@ -34,7 +34,7 @@ def read_telemetry_field(path: Path, _number: int | None = None, _poles: int | N
     mav_type = types.get(max(imus, key=imus.__getitem__, default=0), 0)
     airframe = Airframe.of_mav_type(f"MAV_TYPE {mav_type}", mav_type)
     if airframe is not None and not airframe.is_multicopter:
-        raise LogError(f"{path}: {airframe.said} is {airframe.name}; `quadpi report` is for multirotors")
+        raise LogError(f"{path}: {airframe}; `quadpi report` is for multirotors")
     return replace(read_other(path, ReadingOptions(), None), stack="MAVLink telemetry")
 
 

@@ -218,6 +218,24 @@ def test_commands_in_another_order_are_told(order: tuple[int, ...]):
     assert order_of(in_order(log, order), aloft, np.sign(BEBOP.rotor_positions)) == order
 
 
+def test_an_imu_turned_by_a_quarter_is_as_commands_in_another_order():
+    """So the report names both."""
+    log, aloft = flight()
+    turned = log.imu.values[:, [1, 0, 2, 4, 3, 5]] * [1.0, -1.0, 1.0, 1.0, -1.0, 1.0]
+    told = order_of(replace(log, imu=Series(log.imu.time, turned)), aloft, np.sign(BEBOP.rotor_positions))
+    assert sorted(told) == [1, 2, 3, 4]
+    assert all(motor != place for place, motor in enumerate(told, start=1))
+
+
+def test_constant_commands_and_a_still_gyro_tell_no_order():
+    log, aloft = flight()
+    still = Series(log.imu.time, np.tile(log.imu.values[:1], (len(log.imu), 1)))
+    held = Series(log.commands.time, np.full_like(log.commands.values, 0.5))
+    for odd in (replace(log, imu=still), replace(log, commands=held), replace(log, imu=still, commands=held)):
+        told = order_of(odd, aloft, BEBOP.rotor_positions)
+        assert told == "commands hardly explain how the vehicle turns"
+
+
 @pytest.mark.parametrize(("noise", "is_told"), [(1.0, True), (2.0, False)])
 def test_an_order_is_told_where_commands_explain_how_a_vehicle_turns(noise: float, is_told: bool):
     """Its score, of 2 without noise, is 1.25 and 0.64."""
@@ -242,7 +260,8 @@ def test_why_an_order_is_not_told():
     places = BEBOP.rotor_positions
     slow = Series(log.commands.time[::50], log.commands.values[::50])
     assert order_of(log, aloft, None) == "takes commands, gyro and the places of the motors"
-    assert order_of(replace(log, commands=slow), aloft, places) == "commands and gyro are logged at 10 Hz"
+    told = order_of(replace(log, commands=slow), aloft, places)
+    assert told == "commands or gyro are logged at 10 Hz: 12 Hz are needed"
 
 
 @pytest.mark.parametrize(
