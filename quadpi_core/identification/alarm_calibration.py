@@ -40,7 +40,7 @@ from quadpi_core.records import Records
 
 # Weight of what is usual, in flights.
 USUAL_FLIGHTS = 6
-# Least value, and least mean excess in seconds: a signal that never moved does not justify a tight limit.
+# Least value and mean excess, in the unit of the signal: one that never moved justifies no tight limit.
 _LEAST = 0.02
 # Numbers drawn for what is not known of a tail.
 DRAWS = 4000

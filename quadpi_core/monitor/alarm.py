@@ -21,7 +21,7 @@ over its limit, takes the place of the charge: full at 1, half full at ½, empty
 
 CHANGE is evidence by the sizes of the residuals that the vehicle is not that of the flights
 (`monitor.change`). It has no warning, and an alarm stands until the vehicle lands. Samples beyond a near
-limit are no evidence.
+limit are evidence of a load alone.
 
 On the ground neither EXTRAPOLATION nor MISCOVERAGE is judged, for there the wrench is not aerodynamic; what
 `monitor.alarm_kernel` takes for flying is. A vehicle that moves with all rotors at 0 is half of the charge of

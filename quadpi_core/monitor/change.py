@@ -13,8 +13,9 @@ probability of α at most (Ville 1939; Ramdas et al. 2023, Game-theoretic statis
 however long. A moment is followed for 3 s, as later the walk has taken the change for its own; what its bets
 won by then is kept. Within each half second a bet counts for e⁸ at most, which bursts are no match for.
 
-A load is weighed beyond the inputs of the training flights too, by Fz and in bets of their own, against the
-likeliest offset of the model up to 6 % of the lift. A block that moments explain by a rotor wins nothing.
+A load is weighed by Fz in bets of its own as well, within the inputs of the training flights and beyond,
+against the likeliest offset of the model up to 6 % of the lift: each block by itself, so errors that last
+must lie within it. A block whose moments are those of a rotor wins nothing. It raises the alarm at 400 to 1.
 
 A rotor that gives less thrust changes the wrench by its own arm; one whose speed reads more than it is
 changes the prediction by the arm that the model has for it. Both are said to give less than their speed says.

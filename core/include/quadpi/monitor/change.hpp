@@ -27,11 +27,11 @@ constexpr double CAP = 2980.9579870417283;
 // second without a load that swings (experiments/results/alarm.md). From halfway to the first size on, 9 %,
 // one is told.
 constexpr double OFF_MOST = 0.06;
-constexpr int FIRST_LOAD = 6;
+constexpr int FIRST_LOAD = 6;  // of the sizes: 12 %
 // Standard deviation of blocks there, as a share of the lift: theirs is 0.008, of NeuroBEM 0.02.
 constexpr double SCATTER = 0.02;
-// What a block counts for at most, e to the 2.5, and the evidence of the alarm: three blocks in a row, as
-// bursts last, raise none. The share of sound flights that do is a twentieth of that of all other changes.
+// What a block counts for at most, e to the 2.5, and the evidence of the alarm: three blocks in a row raise
+// none, but the first of a flight. Of sound flights one in 400 does, if blocks err independently.
 constexpr double BLOCK_CAP = 12.182493960703473, LOAD_EVIDENCE = 400.0;
 // Prior of all sizes of mass over that of those that are large enough.
 constexpr double OF_LARGE = 2.0;
