@@ -192,9 +192,7 @@ def _explained(
             name == "payload" and found[2] <= 0.0
         )
         if is_possible and chi < stats.f.ppf(CONFIDENCE.value, open_to, freedom):
-            # Of weak motors the likelier is the one that leaves less for yaw, which mountings scatter.
-            turned = float(np.sqrt(rotors) * found[1] / np.mean(deviation)) if name.startswith(WEAK) else 0.0
-            fits.append((float(left @ left) + turned**2, name))
+            fits.append((float(left @ left), name))
             if name in (MOVED, "payload"):
                 position = np.asarray(found[:2], dtype=np.float64)
     if any(name == "nothing" for _, name in fits):
