@@ -327,9 +327,7 @@ class _Ends(NamedTuple):
         own = (ends.std(axis=0, ddof=1) / width) ** 2
         differ = own > _ALIKE**2
         common = float(own[differ].mean()) if differ.any() else 0.0
-        square = np.where(
-            differ, (USUAL_FLIGHTS * common + freedom * own) / (USUAL_FLIGHTS + freedom), _ALIKE**2
-        )
+        square = np.maximum((USUAL_FLIGHTS * common + freedom * own) / (USUAL_FLIGHTS + freedom), _ALIKE**2)
         (lower, upper), (below, above) = np.median(ends, axis=0), width * np.sqrt(square)
         return cls(lower, below, upper, above)
 

@@ -180,11 +180,32 @@ def test_hover_speed_is_where_the_thrust_carries_the_weight():
     assert hover_rotor_speed(inputs, -wrench, 4.9) == 0.0
 
 
-def test_flights_that_are_all_alike_may_still_differ_by_the_usual_spread():
-    """By 15 % in distance, 80 % in leverage and 140 % in the width beyond the median, as logarithms.
+def test_one_flight_beyond_an_end_that_all_others_share_does_not_loosen_all_inputs():
+    rng, time, zero = np.random.default_rng(11), np.arange(600) / RATE_HZ, np.zeros((600, 6))
+    reach = rng.uniform(0.9, 1.1, (12, len(INPUT_NAMES)))
+    reach[:, 0] = rng.uniform(0.999, 1.001, 12)
 
-    The limits of two rates are apart by the prior spread times the difference of Student's quantiles.
-    """
+    def margins(reach):
+        flights = []
+        for ends in reach:
+            inputs = ends * np.sin(2.0 * np.pi * time / time[-1])[:, None]
+            flights.append(LeftOut(time, inputs, *Envelope.flight_range(inputs), zero, zero, zero))
+        stacked = np.concatenate([flight.inputs for flight in flights])
+        envelope = Envelope.fit(
+            stacked, np.repeat(np.arange(12), 600), np.tile(zero, (12, 1)), np.tile(zero, (12, 1))
+        )
+        return calibrate_alarm(envelope, flights, confidence=0.95, rate_per_hour=1.0, hover_rotor_speed=0.0)[
+            0
+        ].margin
+
+    farther = reach.copy()
+    farther[3, 0] = 1.2
+    before, after = margins(reach), margins(farther)
+    assert np.median(after[1:] / before[1:]) < 2.1
+
+
+def test_flights_that_are_all_alike_may_still_differ_by_the_usual_spread():
+    """By mean excesses of 0.5 spreads between ends, 0.4 and 0.1 in the logarithms of leverage and width."""
     time = np.arange(6000) / RATE_HZ
     inputs = np.sin(0.7 * time[:, None] + np.arange(len(INPUT_NAMES)))
     one = np.zeros((len(time), 6))
