@@ -182,14 +182,14 @@ class Compared(Memoised):
     def started(self, effect: Effect, values: Array) -> Started:
         """State at the start of the flight of an effect that has one of its own."""
         # The strength has no part in it, and a search asks again for what surrounds a point.
-        known = self._started.setdefault(effect.name, {})
+        near, known = None, self._started.setdefault(effect.name, {})
         part = [i for i, own in enumerate(effect.parameters) if i and own.name not in effect.moments_alone]
         key = tuple(values[part].tolist())
         if key not in known:
             typical = [abs(effect.parameters[i].default) or 1.0 for i in part]
-            away = {other: np.max(np.abs(np.subtract(other, key)) / typical) for other in known}
-            nearest = min(away, key=away.__getitem__, default=None)
-            near = known[nearest].memory if nearest and away[nearest] < _NEAR else None
+            if others := [*known]:
+                away = np.max(np.abs(np.subtract(others, key)) / typical, axis=1)
+                near = known[others[int(away.argmin())]].memory if away.min() < _NEAR else None
             step_s = 1.0 / self.thinned.rate_hz
             known[key] = started(effect, values, self.states, self.record, self.residual, step_s, near)
         return known[key]
