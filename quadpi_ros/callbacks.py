@@ -161,14 +161,17 @@ def await_listeners(
 
 
 def _await_active(node: Node, executor: EventsExecutor, client: Client, name: str, deadline: float) -> None:
+    found = "does not run"
     while node.context.ok():
         if time.monotonic() > deadline:
-            raise DiscoveryError(f"node {name} does not run, or is not active")
+            raise DiscoveryError(f"node {name} {found}")
         if client.service_is_ready():
             answer = client.call_async(GetState.Request())
             executor.spin_until_future_complete(answer, timeout_sec=_ANSWER_S)
-            if answer.done() and answer.result().current_state.id == State.PRIMARY_STATE_ACTIVE:
+            state = answer.result().current_state if answer.done() else None
+            if state is not None and state.id == State.PRIMARY_STATE_ACTIVE:
                 return
+            found = f"is {state.label}, not active" if state is not None else "runs, but does not answer"
             client.remove_pending_request(answer)
         time.sleep(_POLL_S)
 
@@ -320,12 +323,9 @@ class CaughtExceptions:
         if due_s is not None and now_s < due_s:
             return
         self._next_log_s[where, type(error).__name__] = now_s + _LOG_PERIOD_S
-        text = f"exception in {self._latest}"
-        if due_s is None:
-            text += "\n" + "".join(traceback.format_exception(error))
-        else:
-            text += f" ({self.counts[where]} so far)"
-        self._node.get_logger().error(text)
+        more = "\n" + "".join(traceback.format_exception(error))
+        more = more if due_s is None else f" ({self.counts[where]} so far)"
+        self._node.get_logger().error(f"exception in {self._latest}{more}")
 
     def statuses(self) -> list[DiagnosticStatus]:
         """Status for `/diagnostics`: none before the first exception, ERROR for new ones, else WARN."""

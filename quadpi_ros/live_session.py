@@ -454,9 +454,8 @@ def play(
         ChildError: if nodes or player fail.
     """
     sent_file = folder / "sent.npy"
-    arguments = (str(bag), "--rate", str(rate), "--sent", str(sent_file), "--topics", *topics)
-    arguments += ("--wait", str(START_TIMEOUT_S))
-    arguments += ("--nodes", *managed) if managed else ()
+    arguments = [str(bag), "--rate", str(rate), "--sent", str(sent_file), "--wait", str(START_TIMEOUT_S)]
+    arguments += ["--topics", *topics, *(["--nodes", *managed] if managed else [])]
     with Child("quadpi_ros.player", arguments, folder) as player:
         collector.spin_until(lambda: nodes.finished() or player.finished())
     _require_running(nodes)

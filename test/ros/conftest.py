@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import gc
 import importlib
 import sys
 from collections.abc import Callable, Iterator
@@ -36,15 +37,22 @@ OUTSIDE_FROM_S = 2.3
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def ros_domain() -> Iterator[int]:
-    """Reserve a ROS domain for the whole run; nodes in other processes inherit it."""
+    """Reserve a ROS domain for a module; nodes in other processes inherit it.
+
+    On one computer, the participants of a domain beyond the first 32 are not discovered, and a context that
+    is shut down stays one until its nodes are collected: so no module sees those of another.
+    """
     import domain_coordinator
 
     with pytest.MonkeyPatch.context() as patch, domain_coordinator.domain_id() as domain:
         patch.setenv("ROS_DOMAIN_ID", str(domain))
         patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         yield domain
+    # A process of nodes freezes what exists when it begins to spin; here it was a test.
+    gc.unfreeze()
+    gc.collect()
 
 
 @pytest.fixture

@@ -52,7 +52,7 @@ START_S = 300.0
 # A test that fails may take this long; one that passes does not wait.
 PATIENCE_S = 180.0
 # Whether the nodes have died is seen this often while they are awaited.
-GLANCE_S = 5.0
+GLANCE_S = 20.0
 # A flight that is late by up to this much catches up.
 LATE_S = 0.02
 Change = Callable[[int, dict[str, Any]], dict[str, Any]]
@@ -148,22 +148,31 @@ class Rig:
 
     def _start_sensors(self) -> None:
         """In a participant of their own, as a driver or a player has it; wait until the nodes hear them."""
-        self._sensors = Context()
-        self._sensors.init()
-        node = Node("sensors", context=self._sensors)
-        self._publishers = {topic: node.create_publisher(kind, topic, SENSOR_QOS) for topic, kind in SENSORS}
         deadline = time.monotonic() + START_S
         while True:
-            assert_alive(self.nodes)
+            context = Context()
+            context.init()
+            self._sensors = Node("sensors", context=context)
+            self._publishers = {
+                topic: self._sensors.create_publisher(kind, topic, SENSOR_QOS) for topic, kind in SENSORS
+            }
             try:
-                await_listeners(node, [*self._publishers.values()], ("estimator", "monitor"), GLANCE_S)
-                break
+                await_listeners(
+                    self._sensors, [*self._publishers.values()], ("estimator", "monitor"), GLANCE_S
+                )
+                return
             except DiscoveryError:
+                assert_alive(self.nodes)
                 if time.monotonic() > deadline:
                     raise
+                self._stop_sensors()
+
+    def _stop_sensors(self) -> None:
+        self._sensors.destroy_node()
+        self._sensors.context.try_shutdown()
 
     def restart_sensors(self) -> None:
-        self._sensors.try_shutdown()
+        self._stop_sensors()
         self._start_sensors()
 
     def __enter__(self) -> Rig:
@@ -183,7 +192,7 @@ class Rig:
         self.node.destroy_node()
         self._executor.shutdown()
         self._context.try_shutdown()
-        self._sensors.try_shutdown()
+        self._stop_sensors()
 
     def fly(
         self, seconds: float, change: Change = lambda _, sample: sample, imu_hz: float = IMU_HZ

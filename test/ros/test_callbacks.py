@@ -254,8 +254,16 @@ def test_topics_without_a_subscriber_are_named(node):
 
 
 def test_a_node_that_does_not_run_is_named(node):
-    with pytest.raises(DiscoveryError, match=r"^node estimator does not run, or is not active$"):
+    with pytest.raises(DiscoveryError, match=r"^node estimator does not run$"):
         await_listeners(node, [], ["estimator"], SHORT_S)
+
+
+def test_a_node_that_hangs_is_named(node):
+    unspun = Node("managed")
+    unspun.create_service(GetState, "estimator/get_state", lambda _, response: response)
+    with pytest.raises(DiscoveryError, match=r"^node estimator runs, but does not answer$"):
+        await_listeners(node, [], ["estimator"], 3.0 * SHORT_S)
+    unspun.destroy_node()
 
 
 @pytest.mark.parametrize("state", [State.PRIMARY_STATE_INACTIVE, State.PRIMARY_STATE_ACTIVE])
@@ -265,6 +273,7 @@ def test_a_node_that_runs_must_be_active(node, state):
 
     def answer(_, response):
         response.current_state.id = state
+        response.current_state.label = "inactive"
         return response
 
     managed.create_service(GetState, "estimator/get_state", answer)
@@ -275,7 +284,7 @@ def test_a_node_that_runs_must_be_active(node, state):
             await_listeners(node, [publisher], ["estimator"], LONG_S)
             assert publisher.get_subscription_count() == 1
         else:
-            with pytest.raises(DiscoveryError, match="node estimator does not run, or is not active"):
+            with pytest.raises(DiscoveryError, match=r"^node estimator is inactive, not active$"):
                 await_listeners(node, [publisher], ["estimator"], 3.0 * SHORT_S)
 
 
