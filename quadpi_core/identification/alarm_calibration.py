@@ -104,14 +104,14 @@ class Tail:
         draws = self.count + USUAL_FLIGHTS
         return replace(self, mean=(self.count * self.mean + USUAL_FLIGHTS * excess) / draws, draws=draws)
 
-    def limit(self, chance: float) -> float:
-        """Level that one more flight exceeds with this chance, what is not known of `mean` included.
+    def limit(self, alarms: float) -> float:
+        """Level that one more flight exceeds so often on average, what is not known of `mean` included.
 
         Of n draws, the next one exceeds x with probability (1 + x / (n mean))⁻ⁿ, the average of
         exp(-x / mean) over what the draws say of the mean (Gelman et al., Bayesian Data Analysis: the
         exponential model without prior knowledge).
         """
-        rarer = max(self.share / chance, 1.0)
+        rarer = max(self.share / -float(np.expm1(-alarms)), 1.0)
         folds = self.draws * (float(rarer ** (1.0 / self.draws)) - 1.0)
         return self.start + self.mean * folds
 
@@ -126,10 +126,10 @@ def tails_of_misses(largest: Array) -> list[Tail]:
     """Tails of the sequential test of each axis, from the largest sums (n, K) of flights, in seconds.
 
     There are too few flights to tell the tail of each axis alone: its mean excess is at least the part of its
-    start that it is on average of all, which counts as much as a prior.
+    start that all are of all starts, which counts as much as a prior. One that never missed tells little.
     """
     tails = [Tail.from_flights(of_axis) for of_axis in np.maximum(largest, _LEAST).T]
-    part = float(np.mean([tail.mean / tail.start for tail in tails]))
+    part = sum(tail.mean for tail in tails) / sum(tail.start for tail in tails)
     usual = [max(tail.mean, part * tail.start) for tail in tails]
     return [replace(tail, mean=mean).with_usual(mean) for tail, mean in zip(tails, usual, strict=True)]
 
@@ -297,14 +297,14 @@ def _limits_of_extrapolation(
     known = sum(bool(np.any(values)) for values, _ in over_peak)
     # Half of the alarms are left to the inputs, which tell most of a new flight; without the others, all.
     tail = Tail.from_flights(goes).with_usual(_USUAL_EXCESS.ends)
-    far = tail.limit(-float(np.expm1(-alarms_per_flight * (0.5 if known else 1.0))))
+    far = tail.limit(alarms_per_flight * (0.5 if known else 1.0))
     alarms = tail.chances(far, random)
     limits = [LEVERAGE_HEADROOM, WIDTH_HEADROOM]
     for k, (values, excess) in enumerate(over_peak):
         if np.any(values):
             tail = Tail.from_flights(np.log(np.maximum(values, _LEAST))).with_usual(excess)
             # Never below what the training flights reached.
-            limit = max(tail.limit(-float(np.expm1(-0.5 * alarms_per_flight / known))), 0.0)
+            limit = max(tail.limit(0.5 * alarms_per_flight / known), 0.0)
             limits[k] = float(np.exp(limit))
             alarms = alarms + tail.chances(limit, random)
     return _Ends.between(usual).margin(far, envelope), limits[0], limits[1], alarms
