@@ -137,6 +137,10 @@ class Workers:
 DEFAULT_WORKERS = Workers()
 
 
+# Environment and main module belong to all threads, and which processes are whose shows as they start.
+_STARTS = threading.Lock()
+
+
 def _map_in_processes(
     workers: int,
     function: Callable[[Shared, Item], Result],
@@ -145,8 +149,8 @@ def _map_in_processes(
     finished: Callable[[int, Result], None],
 ) -> None:
     """In processes of our own, which are reached by pipes: nothing listens on the network."""
-    before = set(multiprocessing.active_children())
     task = _pickled((function, shared))
+    of_main = b"__main__" in task or b"__main__" in _pickled(items)
     pool = ProcessPoolExecutor(
         workers,
         # A forked process inherits locks held by threads that it does not have.
@@ -154,9 +158,12 @@ def _map_in_processes(
         initializer=_set_up,
         initargs=(task,),
     )
+    own: set[Any] = set()
     try:
-        with _signals_deferred(), _started_with(b"__main__" in task or b"__main__" in _pickled(items)):
+        with _STARTS, _signals_deferred(), _started_with(of_main):
+            before = set(multiprocessing.active_children())
             index = {pool.submit(_work, item): k for k, item in enumerate(items)}
+            own = set(multiprocessing.active_children()) - before
         futures = list(index)
         for future in as_completed(futures):
             if future.exception() is not None:
@@ -170,7 +177,7 @@ def _map_in_processes(
     finally:
         # After an error or Ctrl-C nobody waits for what the others are about to do.
         pool.shutdown(wait=False, cancel_futures=True)
-        for process in set(multiprocessing.active_children()) - before:
+        for process in own:
             process.kill()
             process.join()
 

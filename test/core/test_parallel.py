@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -63,6 +64,10 @@ def tasks():
             raise LogError("the file is empty")
         return os.getpid()
 
+    def wait(seconds, item):
+        time.sleep(seconds)
+        return item
+
     def variable(_, name):
         return os.environ.get(name)
 
@@ -106,6 +111,17 @@ def test_processes_are_others_and_cluster_workers_are_used(tasks, cluster, tmp_p
         (tmp_path / name).mkdir()
         used = set(workers.map(tasks.process, range(8), shared=tmp_path / name))
         assert len(used - {os.getpid()}) == 2
+
+
+def test_threads_that_start_workers_at_once_do_not_end_those_of_each_other(tasks):
+    before, main = dict(os.environ), vars(sys.modules["__main__"]).get("__file__")
+
+    def done(seconds):
+        return Workers(2).map(tasks.wait, [1, 2, 3], shared=seconds)
+
+    with ThreadPoolExecutor(3) as threads:
+        assert list(threads.map(done, [0.0, 1.0, 2.0])) == 3 * [[1, 2, 3]]
+    assert (dict(os.environ), vars(sys.modules["__main__"]).get("__file__")) == (before, main)
 
 
 def test_a_worker_has_one_thread(tasks):
