@@ -21,6 +21,7 @@ from quadpi_core.config_schema import (
     Within,
     parse_config,
 )
+from quadpi_core.core import compiled
 from quadpi_core.errors import ModelError
 from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
@@ -267,7 +268,8 @@ class ChangeLimits:
         to_come = math.ceil(math.log(1.0 - sure) / math.log(1.0 - FALSE_FLIGHTS.value))
         more = max(to_come - count, 0)
         share = f"{100.0 * FALSE_FLIGHTS.value:g} %"
-        estimated = f"estimated {share} of sound flights raise it at most"
+        load = f"{100.0 / compiled.LOAD_EVIDENCE:g} %"
+        estimated = f"estimated {share} of sound flights raise it at most, {load} more as a load"
         if self.largest > 1.0 / FALSE_FLIGHTS.value:
             estimated = (
                 "no share is estimated, as a sound flight left out gathered evidence of "
@@ -275,8 +277,8 @@ class ChangeLimits:
             )
         asks = f"; {more} sound flights more could bound it at {share}" if more else ""
         return (
-            f"change of the vehicle: {estimated}; {count} flights, none of which does, bound it at 1 flight "
-            f"in {count + 1} on average, or {100.0 * bound:.2g} % ({100.0 * sure:g} %){asks}"
+            f"change of the vehicle: {estimated}; loads apart, {count} flights, none of which does, bound it "
+            f"at 1 flight in {count + 1} on average, or {100.0 * bound:.2g} % ({100.0 * sure:g} %){asks}"
         )
 
     def to_json(self) -> dict[str, Any]:

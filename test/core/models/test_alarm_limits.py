@@ -123,9 +123,9 @@ def test_no_sound_flight_has_raised_the_alarm() -> None:
 
 def test_the_sentence_tells_a_bound_from_an_estimate() -> None:
     assert LIMITS.sentence() == (
-        "change of the vehicle: estimated 5 % of sound flights raise it at most; 12 flights, none of which "
-        "does, bound it at 1 flight in 13 on average, or 22 % (95 %); 47 sound flights more could bound it "
-        "at 5 %"
+        "change of the vehicle: estimated 5 % of sound flights raise it at most, 0.25 % more as a load; "
+        "loads apart, 12 flights, none of which does, bound it at 1 flight in 13 on average, or 22 % (95 %); "
+        "47 sound flights more could bound it at 5 %"
     )
     assert replace(LIMITS, flights=59).sentence().endswith("or 5 % (95 %)")
     beyond = replace(LIMITS, largest=47.0).sentence()
