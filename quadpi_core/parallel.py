@@ -2,9 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Independent tasks: in this process, in other processes, or on a Dask cluster; and their progress.
 
-Not by joblib, which would save 20 lines of 288: its workers outlive a parent that is killed, it stops at the
-first error in time rather than of the items, begins 0.8 s later (1.8 for 1.0 s of two workers), and its Dask
-backend waits for ever for a worker that is lost (joblib 1.6).
+Not by joblib (1.6): its workers outlive a parent that is killed, it stops at the first error in time rather
+than of the items, begins 0.8 s later, and its Dask backend waits for ever for a worker that is lost.
 """
 
 from __future__ import annotations
@@ -36,6 +35,8 @@ Result = TypeVar("Result")
 
 # One task per core: threads within a task would only take cores from other tasks.
 _ONE_THREAD = {f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "MKL")}
+# Environment and main module belong to all threads, and which processes are whose shows as they start.
+_STARTS = threading.Lock()
 
 
 class ParallelError(QuadpiError):
@@ -108,8 +109,7 @@ class Workers:
             function: of a module, by whose name a worker finds it.
             items: one per task.
             shared: what all tasks need; each worker gets it once.
-            done: called in this process with the index of each task that has finished and its result, as
-                they finish.
+            done: called in this process with the index and the result of each task, as they finish.
 
         Raises:
             ParallelError: for a scheduler that does not answer, has no workers, or has workers with no or
@@ -137,10 +137,6 @@ class Workers:
 DEFAULT_WORKERS = Workers()
 
 
-# Environment and main module belong to all threads, and which processes are whose shows as they start.
-_STARTS = threading.Lock()
-
-
 def _map_in_processes(
     workers: int,
     function: Callable[[Shared, Item], Result],
@@ -164,11 +160,10 @@ def _map_in_processes(
             before = set(multiprocessing.active_children())
             index = {pool.submit(_work, item): k for k, item in enumerate(items)}
             own = set(multiprocessing.active_children()) - before
-        futures = list(index)
-        for future in as_completed(futures):
+        for future in as_completed(index):
             if future.exception() is not None:
                 # Of several that fail, the first of the items is reported, not the first in time.
-                for earlier in futures[: index[future] + 1]:
+                for earlier in list(index)[: index[future] + 1]:
                     earlier.result()
             finished(index[future], future.result())
         pool.shutdown()
@@ -260,7 +255,6 @@ def _map_on_cluster(
             if future.cancelled():
                 raise ParallelError("all workers were lost, with what they had been sent")
             if future.status == "error":
-                # Of several that fail, the first of the items is reported, not the first in time.
                 for earlier in futures[: index[future.key] + 1]:
                     earlier.result()
             finished(index[future.key], result)
@@ -282,11 +276,9 @@ def _client(distributed: ModuleType, scheduler: str, answer_s: float) -> Iterato
             client.wait_for_workers(1, timeout=answer_s)
         except TimeoutError as error:
             raise ParallelError(f"--scheduler {scheduler}: has no workers") from error
-        for worker, version in client.run(_version, on_error="return").items():
-            if version != __version__:
-                found = (
-                    f"cannot run quadpi: {one_line(version)}" if isinstance(version, Exception) else version
-                )
+        for worker, said in client.run(_version, on_error="return").items():
+            if said != __version__:
+                found = f"cannot run quadpi: {one_line(said)}" if isinstance(said, Exception) else said
                 raise ParallelError(f"--scheduler {scheduler}: worker {worker}: {found}, not {__version__}")
         yield client
 

@@ -51,8 +51,7 @@ void gather_evidence(
 void bind_change(nb::module_& module) {
     module.attr("BLOCK_S") = 1e-9 * static_cast<double>(BLOCK_NS);
     NAME_CONSTANTS(module, BLOCK_FILLED_S, ONSETS, DIRECTIONS, SIZES, NOTHING, LOUDNESS_LEAST, OF_THRUST);
-    NAME_CONSTANTS(module, LOAD_EVIDENCE);
-    NAME_CONSTANTS(module, LESS_1);
+    NAME_CONSTANTS(module, LESS_1, LOAD_EVIDENCE);
     module.def("whiten_blocks", &whiten_blocks);
     module.def("gather_evidence", &gather_evidence);
 }

@@ -265,17 +265,15 @@ class ChangeLimits:
         """A sentence that tells what is proven from what is estimated."""
         count, sure = self.flights, BOUND_CONFIDENCE.value
         bound = 1.0 - (1.0 - sure) ** (1.0 / count)
-        to_come = math.ceil(math.log(1.0 - sure) / math.log(1.0 - FALSE_FLIGHTS.value))
-        more = max(to_come - count, 0)
-        share = f"{100.0 * FALSE_FLIGHTS.value:g} %"
-        load = f"{100.0 / compiled.LOAD_EVIDENCE:g} %"
+        more = math.ceil(math.log(1.0 - sure) / math.log(1.0 - FALSE_FLIGHTS.value)) - count
+        share, load = (f"{100.0 * of:g} %" for of in (FALSE_FLIGHTS.value, 1.0 / compiled.LOAD_EVIDENCE))
         estimated = f"estimated {share} of sound flights raise it at most, {load} more as a load"
         if self.largest > 1.0 / FALSE_FLIGHTS.value:
             estimated = (
                 "no share is estimated, as a sound flight left out gathered evidence of "
                 f"{self.largest:.2g} to 1, which is the limit"
             )
-        asks = f"; {more} sound flights more could bound it at {share}" if more else ""
+        asks = f"; {more} sound flights more could bound it at {share}" if more > 0 else ""
         return (
             f"change of the vehicle: {estimated}; loads apart, {count} flights, none of which does, bound it "
             f"at 1 flight in {count + 1} on average, or {100.0 * bound:.2g} % ({100.0 * sure:g} %){asks}"
