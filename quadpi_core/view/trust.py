@@ -160,10 +160,11 @@ def outside_words(name: str, values: tuple[float, float], training: tuple[float,
     if value < 0.0:
         called, other, value, limit, above = other, called, -value, -limit, not above
     of_number, of_limit = ("°", "°") if words.unit == "°" else (f" {words.unit}".rstrip(), "")
-    trained = f"{'up' if above else 'down'} to {_number(limit)}{of_limit}"
+    more = next((k for k in range(3) if float(_number(value, k)) != float(_number(limit, k))), 0)
+    trained = f"{'up' if above else 'down'} to {_number(limit, more)}{of_limit}"
     if limit < 0.0:
-        trained = f"only {other} {_number(-limit)}{of_limit} and more"
-    return f"{called} {_number(value)}{of_number}{TRAINED}{trained}"
+        trained = f"only {other} {_number(-limit, more)}{of_limit} and more"
+    return f"{called} {_number(value, more)}{of_number}{TRAINED}{trained}"
 
 
 def _angle(value: float, kind: str) -> float:
@@ -171,13 +172,12 @@ def _angle(value: float, kind: str) -> float:
     return float(np.degrees(np.arccos(clipped) if kind == "cos" else np.arcsin(clipped)))
 
 
-def _number(value: float) -> str:
-    """Two significant digits or one decimal, whichever says more."""
-    return f"{value:.0f}" if abs(value) >= 100.0 else f"{value:.1f}" if abs(value) >= 1.0 else f"{value:.2g}"
+def _number(value: float, more: int) -> str:
+    """Two significant digits or one decimal, whichever says more, and some more of them."""
+    return f"{value:.{more + (abs(value) < 100.0)}f}" if abs(value) >= 1.0 else f"{value:.{2 + more}g}"
 
 
 # The monitor low-passes its inputs; the page draws the mean of 50 ms, which is as smooth.
-
 STRETCH_NS = 50_000_000
 
 

@@ -100,6 +100,7 @@ def test_state(alarm, state):
         ),
         ("u", (-1.0, -0.5), (2.0, 8.0), "backward speed 1.0 m/s, trained only forward speed 2.0 and more"),
         ("mu_x", (0.1, 0.25), (-0.1, 0.15), "forward speed over tip speed 0.25, trained up to 0.15"),
+        ("v_in", (4.46, 5.0), (4.52, 5.2), "induced velocity 4.46 m/s, trained down to 4.52"),
         ("r", (0.0, 0.5), (0.0, 0.0), "yaw rate to the right 0.5 rad/s, trained up to 0"),
     ],
 )
