@@ -1,18 +1,19 @@
 # SPDX-FileCopyrightText: 2026 The quadpi authors
 # SPDX-License-Identifier: Apache-2.0
-"""Regions that hold all six axes of what a model errs at once: boxes of our intervals, ellipsoids of others.
+"""Regions that hold all axes of what a model errs at once: boxes of our intervals, ellipsoids of others.
 
 What a rule learns before the flight is of flights of other turns, as in `interval_rivals`. A region is all
-errors whose size, by the rule, is at most a radius; its volume goes with the radius to the power of six.
+errors whose size, by the rule, is at most a radius; its volume goes with the radius to the power of the axes.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
-from interval_rivals import ALPHA, AXES, RULES, Race, Said, quantile_regression, quantiles, still
+from interval_rivals import ALPHA, RULES, Race, Said, quantile_regression, quantiles, still
 from numpy.typing import NDArray
 
 from quadpi_core.frames import Array
@@ -21,19 +22,20 @@ from quadpi_core.monitor.adaptive import GAIN_PER_S, MOST_STEP
 
 # Samples that the radius of MultiDimSPCI is regressed on, and ranges of speed of a local ellipsoid.
 _ROWS, _SPEEDS = 8000, 5
-# Volume of the unit ball in six dimensions.
-_BALL = np.pi**3 / 6.0
 
 
 class Sized(NamedTuple):
-    """Sizes (T, F) of the errors, and logarithms (T, F) of the volumes of radius 1."""
+    """Sizes (T, F) of the errors, and logarithms (T, F) of the widths of radius 1.
+
+    A width is the side of a cube of that volume.
+    """
 
     size: Array
     unit: Array
 
 
 class Regions(NamedTuple):
-    """Sizes, radii and logarithms of the volumes of radius 1, (T, F) each."""
+    """Sizes, radii and logarithms of the widths of radius 1, (T, F) each."""
 
     size: Array
     radius: Array
@@ -66,10 +68,12 @@ def split(race: Race, shape: Shape) -> Regions:
     return Regions(size, radius, unit)
 
 
-def following(race: Race, regions: Regions) -> Regions:
+def following(
+    race: Race, regions: Regions, gain_per_s: float = GAIN_PER_S, most: float = MOST_STEP
+) -> Regions:
     """Radii whose logarithms follow the misses, as our intervals' widths do: see `monitor.adaptive`."""
     radius, more = regions.radius.copy(), np.zeros(regions.size.shape[1])
-    step = min(GAIN_PER_S / race.rate_hz, MOST_STEP)
+    step = min(gain_per_s / race.rate_hz, most)
     for t in range(len(radius)):
         if t >= race.delay:
             missed = regions.size[t - race.delay] > radius[t - race.delay]
@@ -84,16 +88,22 @@ def box(said: Callable[[Race], Said]) -> Shape:
     def sized(race: Race) -> Sized:
         centre, half = said(race)
         size = np.max(np.abs(race.error - centre) / half, axis=-1)
-        return Sized(size, np.log(2.0 * half).sum(axis=-1))
+        return Sized(size, np.log(2.0 * half).mean(axis=-1))
 
     return sized
+
+
+def ball_width(axes: int) -> float:
+    """Logarithm of the width of the unit ball of so many dimensions."""
+    return 0.5 * math.log(math.pi) - math.lgamma(0.5 * axes + 1.0) / axes
 
 
 def ellipsoid(speeds: int = 1) -> Shape:
     """Ellipsoids by the covariance of errors, in each of some ranges of speed."""
 
     def sized(race: Race) -> Sized:
-        size, unit = np.full(race.speed.shape, np.nan), np.full(race.speed.shape, np.log(_BALL))
+        axes = race.error.shape[-1]
+        size, unit = np.full(race.speed.shape, np.nan), np.full(race.speed.shape, ball_width(axes))
         for own in race.calibrating():
             edges = np.nanquantile(race.speed[:, own], np.linspace(0.0, 1.0, speeds + 1)[1:-1])
             bins = np.digitize(race.speed, edges)
@@ -103,7 +113,7 @@ def ellipsoid(speeds: int = 1) -> Shape:
                 covariance = learned.T @ learned / len(learned)
                 solved = np.linalg.solve(covariance, race.error[rows].T)
                 size[rows] = np.sqrt(np.einsum("nk,kn->n", race.error[rows], solved))
-                unit[rows] += 0.5 * np.linalg.slogdet(covariance)[1]
+                unit[rows] += 0.5 * np.linalg.slogdet(covariance)[1] / axes
         return Sized(size, unit)
 
     return sized
@@ -150,10 +160,7 @@ REGIONS: Mapping[str, Rule] = {
 
 
 class RegionResult(NamedTuple):
-    """Of a rule: mean width (F,) by flight, coverage (F,), and least coverage (F,) over a window.
-
-    A width is the sixth root of a volume, as that of a cube.
-    """
+    """Of a rule: mean width (F,) by flight, coverage (F,), and least coverage (F,) over a window."""
 
     width: Array
     coverage: Array
@@ -167,6 +174,6 @@ def region_result(regions: Regions, window: int) -> RegionResult:
         rows = np.isfinite(size)
         held = np.concatenate(([0.0], np.cumsum(size[rows] <= radius[rows])))
         length = min(window, len(held) - 1)
-        width = float(np.mean(np.exp(unit[rows] / AXES) * radius[rows]))
+        width = float(np.mean(np.exp(unit[rows]) * radius[rows]))
         found.append((width, held[-1] / (len(held) - 1), np.min(held[length:] - held[:-length]) / length))
     return RegionResult(*np.array(found).T)

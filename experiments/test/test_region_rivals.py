@@ -53,5 +53,5 @@ def test_an_ellipsoid_is_narrower_where_axes_go_together(race: Race) -> None:
 
 def test_a_width_is_the_side_of_a_cube_and_a_window_its_least_coverage() -> None:
     size = np.array([[0.5, 1.5, 0.5, 0.5]]).T
-    found = region_result(Regions(size, np.ones_like(size), np.full_like(size, 6.0 * np.log(2.0))), 2)
+    found = region_result(Regions(size, np.ones_like(size), np.full_like(size, np.log(2.0))), 2)
     assert (found.width[0], found.coverage[0], found.worst[0]) == pytest.approx((2.0, 0.75, 0.5))
