@@ -86,7 +86,7 @@ LAYOUTS: MappingProxyType[str, tuple[Motor, ...]] = MappingProxyType(
             *(one._replace(below=True) for one in _ring((-45, _CCW), (45, _CW), (135, _CCW), (-135, _CW))),
         ),
         # m1 to m4.
-        "crazyflie": _ring((45, 0), (135, 0), (-135, 0), (-45, 0)),
+        "crazyflie": _ring((45, _CCW), (135, _CW), (-135, _CCW), (-45, _CW)),
     }
 )
 

@@ -20,6 +20,7 @@ from quadpi_core.flight import Stamps
 from quadpi_core.frames import Array
 from quadpi_core.logs.log_format import LogFormat
 from quadpi_core.records import Threshold
+from quadpi_core.rotor_order import Motor
 
 STALE_GAP_S = Threshold(
     "pause behind the first records of a topic that makes them stale",
@@ -29,6 +30,8 @@ STALE_GAP_S = Threshold(
     "that is read, comes once a second",
     "PX4 logs of ../shared/data, whose topics pause for less",
 )
+# Multirotors by their number of motors.
+FRAMES = {3: "tricopter", 4: "quadcopter", 6: "hexacopter", 8: "octocopter"}
 # A topic begins with so many stale records at most: one of each instance that is written.
 _STALE_MOST = 3
 
@@ -121,6 +124,11 @@ def held_series(time_ns: Stamps, values: Array, start_ns: int) -> Series | None:
     return Series(time[last], values[last, np.newaxis].astype(np.float64)) if len(time) else None
 
 
+def places_of(motors: Sequence[Motor]) -> Array:
+    """Places and spins (R, 3) of motors, as :attr:`FieldLog.places` has them."""
+    return np.round(np.array([motor[:3] for motor in motors]), 6)
+
+
 @dataclass(frozen=True)
 class Setting:
     """What the user can set so that the next log tells more.
@@ -164,7 +172,8 @@ class FieldLog:
         landed: (N, 1) 1 where the stack held the vehicle to be on the ground, from each sample to the next.
         density: (N, 1) kg/m³.
         vibe: (N, 3) m/s², vibration along the body axes as the stack itself measures it at full rate.
-        corners: (R, 2) signs of the motors' places, forward and right; None where not known.
+        places: (R, 3) of the motors, forward and right, in any unit, and their spins as in a vehicle, 0
+            where those are not told; None where not known.
         drag_prefix: of the stack's parameters of drag, MCOEF, BCOEF_X and BCOEF_Y; empty where it has none.
         facts: further things that the log says of the vehicle, by name.
         parameters: of the stack, by name.
@@ -189,7 +198,7 @@ class FieldLog:
     landed: Series | None = None
     density: Series | None = None
     vibe: Series | None = None
-    corners: npt.NDArray[np.float64] | None = None
+    places: npt.NDArray[np.float64] | None = None
     drag_prefix: str = ""
     facts: Mapping[str, str] = field(default_factory=dict)
     parameters: Mapping[str, float] = field(default_factory=dict)
@@ -202,9 +211,9 @@ class FieldLog:
 
     def motor(self, number: int) -> str:
         """Motor of a number from 1, with its corner where it is known."""
-        if self.corners is None or not self.corners[number - 1].all():
+        forward, right, _ = (0.0, 0.0, 0.0) if self.places is None else self.places[number - 1]
+        if not forward or not right:
             return f"motor {number}"
-        forward, right = self.corners[number - 1]
         return f"motor {number} ({'front' if forward > 0 else 'rear'} {'right' if right > 0 else 'left'})"
 
     @property

@@ -21,7 +21,7 @@ from quadpi_core.field.drag import DragResult, drag_samples, identify_drag, piec
 from quadpi_core.field.estimates import Estimate
 from quadpi_core.field.field_log import FieldLog, Setting
 from quadpi_core.field.field_reading import read_field_log
-from quadpi_core.field.inertia import identify_body
+from quadpi_core.field.inertia import identify_body, rotors_of
 from quadpi_core.field.mass_change import BY_SPEED, MOVED, MassChange, efforts, mass_change
 from quadpi_core.field.motor_model import USUAL_THRUST, Tachometers, motor_model, tachometers
 from quadpi_core.field.motor_use import (
@@ -30,8 +30,9 @@ from quadpi_core.field.motor_use import (
     SATURATED,
     HoverChange,
     MotorUse,
+    Turning,
     motor_use,
-    order_of,
+    turning_of,
 )
 from quadpi_core.field.report_record import (
     FlightRecord,
@@ -87,14 +88,6 @@ _OUTPUTS = re.compile(
 )
 
 
-_COEFFICIENT = Setting(
-    "thrust_coefficient",
-    "not in the vehicle file",
-    "set it there, of a bench or a model",
-    "whether the mass is right",
-)
-
-
 @dataclass(frozen=True)
 class FlightReport:
     """What one log tells; in place of what it does not tell stands why.
@@ -106,7 +99,7 @@ class FlightReport:
         use: of the motors and the battery.
         vibration: of the body.
         tachometers: rotor speeds against commands.
-        order: motors as which the commands turn the vehicle; empty for their own.
+        turning: as which motors the commands turn the vehicle.
         losses: each rotor against earlier flights; None where none was given.
         mass_change: mass and its place against those.
         remarks: what looks wrong.
@@ -118,14 +111,14 @@ class FlightReport:
     use: MotorUse
     vibration: Vibration | str
     tachometers: Tachometers | str
-    order: tuple[int, ...] | str
+    turning: Turning | str
     losses: _Lost
     mass_change: MassChange | str | None
     remarks: tuple[Remark, ...]
 
     def looked_at(self) -> dict[str, str]:
         """What can look wrong; empty where it was looked at, else why not."""
-        use, read = self.use, self.tachometers
+        use, read, turned = self.use, self.tachometers, self.turning
         told = use.drift or use.thrust_gain
         thrust = "the log has not both IMU and commands" if told is None else told.reason
         name, lost = "motors against earlier flights", self.losses
@@ -134,7 +127,8 @@ class FlightReport:
             "motor commands": "" if use.motors else "not in the log",
             "thrust over command along the flight": thrust,
             "tachometers": read if isinstance(read, str) else "",
-            "order of the motors": self.order if isinstance(self.order, str) else "",
+            "order of the motors": turned if isinstance(turned, str) else "",
+            "spins of the motors": turned if isinstance(turned, str) else turned.no_spins,
             "vibration": "only ArduPilot's VIBE can be judged" if self.log.vibe is None else "",
             **compared,
         }
@@ -198,7 +192,8 @@ class FieldReport:
                 lacking.append(f"{name} ({reasons[0]})")
         if hidden := [100.0 * own for own in (one.hidden_loss() for one in self.flights) if own is not None]:
             ends = dict.fromkeys(f"{end:.0f}" for end in (min(hidden), max(hidden)))
-            done[-1] += f", where a rotor may lack {' to '.join(ends)} % of thrust unseen"
+            unseen = f"{' to '.join(ends)} % of thrust, or weight have moved by as much of the arm"
+            done[-1] += f", where a rotor may lack {unseen}, unseen"
         parts = (("looked at: ", done), ("not looked at: ", lacking))
         return "; ".join(word + ", ".join(names) for word, names in parts if names)
 
@@ -286,7 +281,9 @@ def _read(
 ) -> list[tuple[FlightFile, tuple[str, FieldLog]]]:
     """Logs with their digests, each once: a copy tells nothing more, and would narrow every interval."""
     found = []
-    wanted = (_COEFFICIENT,) if isinstance(vehicle, Vehicle) and not vehicle.thrust_coefficient else ()
+    said = ("not in the vehicle file", "set it there, of a bench or a model", "whether the mass is right")
+    is_lacking = isinstance(vehicle, Vehicle) and not vehicle.thrust_coefficient
+    wanted = (Setting("thrust_coefficient", *said),) if is_lacking else ()
     for file in named_files(paths):
         try:
             log = read_field_log(file.path, options, vehicle)
@@ -311,10 +308,8 @@ def _flight_report(
     log: FieldLog, before: Sequence[FlightReport] | None = None, vehicle: Vehicle | int | None = None
 ) -> FlightReport:
     flight = flown(log)
-    places = log.corners
-    if places is None and isinstance(vehicle, Vehicle):
-        places = vehicle.rotor_positions
-    order = order_of(log, flight, places)
+    places = rotors_of(log, vehicle) if isinstance(vehicle, Vehicle) else log.places
+    turning = turning_of(log, flight, places)
     use, vibration, read = motor_use(log, flight), vibration_of(log, flight), tachometers(log, flight)
     all_read = isinstance(read, Tachometers) and not read.odd
     use = replace(use, efforts=efforts(log, flight, tachometers_read=all_read))
@@ -329,15 +324,19 @@ def _flight_report(
         elif alike:
             told = sharing([(log, flight), *((one.log, one.flown) for one in alike)])
             lost = told if isinstance(told, str) else losses(told)
-            heavier = mass_change(use, [one.use for one in alike], told, log.corners)
+            heavier = mass_change(use, [one.use for one in alike], told, log.places)
     remarks = [*_motor_remarks(log, flight, lost, heavier)]
     if isinstance(heavier, MassChange):
         remarks += _mass_remarks(heavier)
     remarks += _remarks(log, use, vibration, read)
-    if order and not isinstance(order, str):
+    if isinstance(turning, Turning) and (order := turning.order):
         said = f"commands 1 to {len(order)} turn the vehicle as motors {', '.join(map(str, order))} would"
-        remarks.append(Remark(WARNING, f"{said}: an order, or the IMU's orientation, is wrong"))
-    return FlightReport(log.name, log, flight, use, vibration, read, order, lost, heavier, tuple(remarks))
+        also = f", or with {' and '.join(map(str, turning.alike))} exchanged" if turning.alike else ""
+        remarks.append(Remark(WARNING, f"{said}{also}: an order, or the IMU's orientation, is wrong"))
+    if isinstance(turning, Turning) and turning.is_reversed:
+        said = "commands yaw the vehicle as if each rotor turned the other way: their spins"
+        remarks.append(Remark(WARNING, f"{said}, in the vehicle file or the autopilot, are wrong"))
+    return FlightReport(log.name, log, flight, use, vibration, read, turning, lost, heavier, tuple(remarks))
 
 
 def _is_saturated(use: MotorUse) -> bool:

@@ -160,36 +160,38 @@ def _identified(
         cuts = np.linspace(0, len(pieces), _PIECES_MOST + 1).astype(int).tolist()
         pieces = [_joined(pieces[begin:end]) for begin, end in pairwise(cuts)]
     told = _joined(pieces)
-    heard, shares = _coherent(told.moments)
-    whole = _solved(told, heard, by_speed=by_speed)
-    if isinstance(whole, str):
-        return _untold(whole)
+    shares = _explained(told.moments, _fitted(told.moments)).max(axis=0)
+    heard = shares >= COHERENT.value
+    solved = _solved(told, heard, by_speed=by_speed)
+    if isinstance(solved, str):
+        return _untold(solved)
+    whole, spread = solved
     without = []
     for place in range(len(pieces)):
         own = _solved(_joined(pieces[:place] + pieces[place + 1 :]), heard, by_speed=by_speed)
         if isinstance(own, str):
             return _untold("one piece of the flight tells it alone")
-        without.append(own.values)
+        without.append(own[0])
     levers = np.array([one.moments[0, :, :, 0, 0] for one in pieces])
     share = np.sum(levers / np.maximum(levers.sum(axis=0), 1e-300) * heard, axis=2)
     hovers = np.array([one.hover[1] for one in pieces])
-    low, high = jackknife(whole.values, np.array(without), np.column_stack([hovers, share, hovers]))
+    low, high = jackknife(whole, np.array(without), np.column_stack([hovers, share, hovers]))
     half = 0.5 * (high - low)
     _, count, deviations = told.hover
-    thrust, *_, lag = whole.values
+    thrust, *_, lag = whole
     error = np.hypot(half[0], 2.0 * deviations / count * vehicle.mass_kg / vehicle.rotor_count)
     thrust = _estimate(thrust, error, "N", _SPEEDS)
     inertia = []
     power, unsure = POWER.value[2:] if by_speed else POWER.value[:2]
     grows = f"thrust taken to grow with the power {power - unsure:.1f} to {power + unsure:.1f} of"
     condition = f"{grows} {'rotor speed' if by_speed else 'command'}"
-    for axis, value in enumerate(0.5 * power * whole.values[1:3]):
+    for axis, value in enumerate(0.5 * power * whole[1:3]):
         if not heard[axis].any():
             said = f"motors explain {100.0 * shares[axis].max():.0f} % of how it turns"
             needed = f"{said}, of {100.0 * COHERENT.value:.0f} needed: {_QUICKLY}"
             inertia.append(not_identified("kg m²", needed))
             continue
-        errors = [0.5 * power * half[1 + axis], unsure / power * value, whole.spread[axis] * value]
+        errors = [0.5 * power * half[1 + axis], unsure / power * value, spread[axis] * value]
         flown_so = _QUICKLY if thrust.value else "thrust is not told"
         inertia.append(_estimate(value, float(np.linalg.norm(errors)), "kg m²", flown_so, condition))
     if by_speed or not heard.any():
@@ -251,7 +253,7 @@ def _of_stretch(log: FieldLog, begin: float, end: float, vehicle: Vehicle, wind:
     heard = [sosfiltfilt(own, others[:, :-1], axis=0) for own in octaves]
     ones = np.full((len(rates), 1), 1.0)
     per_sample = np.column_stack([commands.mean(axis=1), ones, deviation * ones])
-    arms = _places(log, vehicle)[:, [1, 0]].T * [[-1.0], [1.0]]
+    arms = rotors_of(log, vehicle)[:, [1, 0]].T * [[-1.0], [1.0]]
     count = max(int(len(rates) / (_PIECE_S * GRID_HZ)), 1)
     cuts = np.linspace(0, len(rates), count + 1).astype(int)
     parts = [slice(*ends) for ends in pairwise(cuts.tolist())]
@@ -292,25 +294,19 @@ def _bias_of(time: Array, force: Array, attitude: Array, down: Array) -> tuple[f
     return float(share * lacking), float(alone * np.sqrt(1.0 - share * axes[2]))
 
 
-def _places(log: FieldLog, vehicle: Vehicle) -> Array:
-    """Places (R, 3) of the rotors in the order of the log's motors, by their corners where it knows them."""
-    places = vehicle.rotor_positions
-    if log.corners is None or log.corners.shape != (len(places), 2):
-        return places
-    alike = (np.sign(places[:, :2]) == log.corners[:, np.newaxis]).all(axis=2)
+def rotors_of(log: FieldLog, vehicle: Vehicle) -> Array:
+    """Places and spins (R, 3) of a vehicle's rotors, as the log orders its motors where corners tell that."""
+    rotors = np.column_stack([vehicle.rotor_positions[:, :2], vehicle.rotor_spins])
+    if log.places is None or len(log.places) != len(rotors):
+        return rotors
+    alike = (np.sign(rotors[:, :2]) == np.sign(log.places[:, np.newaxis, :2])).all(axis=2)
     is_sure = (alike.sum(axis=0) == 1).all() and (alike.sum(axis=1) == 1).all()
-    return places[np.argmax(alike, axis=1)] if is_sure else places
+    return rotors[np.argmax(alike, axis=1)] if is_sure else rotors
 
 
 def _joined(pieces: Sequence[_Piece]) -> _Piece:
     """What several pieces tell together."""
     return _Piece(*(np.sum(own, axis=0) for own in zip(*pieces, strict=True)))
-
-
-def _coherent(moments: Array) -> tuple[npt.NDArray[np.bool_], Array]:
-    """Which octaves tell inertia by axis (2, O), and what motors explain of each by the best lag."""
-    best = _explained(moments, _fitted(moments)).max(axis=0)
-    return best >= COHERENT.value, best
 
 
 def _fitted(squares: Array) -> Array:
@@ -330,15 +326,8 @@ def _explained(squares: Array, coefficients: Array) -> Array:
     return 1.0 - left / np.maximum(squares[..., -1, -1], 1e-300)
 
 
-class _Solved(NamedTuple):
-    """By squares of commands or speeds: thrust at hover, both inertias, lag (4,); unequal octaves (2,)."""
-
-    values: Array
-    spread: Array
-
-
-def _solved(told: _Piece, heard: npt.NDArray[np.bool_], *, by_speed: bool) -> _Solved | str:
-    """What pieces tell by the octaves heard (2, O), or why they do not."""
+def _solved(told: _Piece, heard: npt.NDArray[np.bool_], *, by_speed: bool) -> tuple[Array, Array] | str:
+    """Thrust at hover, both inertias, lag (4,), and how octaves heard (2, O) differ (2,); or why not."""
     total, count, _ = told.hover
     power = np.maximum(told.moments[..., -1:, -1:], 1e-300)
     octaves = told.moments / power * heard[..., np.newaxis, np.newaxis]
@@ -364,4 +353,4 @@ def _solved(told: _Piece, heard: npt.NDArray[np.bool_], *, by_speed: bool) -> _S
         return f"the lag of the motors is beyond {_LAGS_S[1]:.3f} to {_LAGS_S[-2]:.2f} s"
     lag = lowest(_LAGS_S, errors) if is_heard.any() and best > 0 else _LAGS_S[best]
     at_lag = [np.interp(lag, _LAGS_S, column) for column in inertia.T]
-    return _Solved(np.array([gain * (total / count) ** 2, *at_lag, lag]), spread[best])
+    return np.array([gain * (total / count) ** 2, *at_lag, lag]), spread[best]

@@ -115,7 +115,7 @@ def _over_force(log: FieldLog, flight: Flown, load: Series) -> float:
 
 
 def mass_change(
-    use: MotorUse, references: Sequence[MotorUse], told: Sharing | str, corners: Array | None
+    use: MotorUse, references: Sequence[MotorUse], told: Sharing | str, places: Array | None
 ) -> MassChange | str:
     """What has changed since earlier flights, or why it cannot be told.
 
@@ -123,7 +123,7 @@ def mass_change(
         use: of the flight.
         references: of good flights of the same vehicle.
         told: how the motors share the work in all of them, or why that is not known.
-        corners: (R, 2) signs of the motors' places, forward and right; None where not known.
+        places: of the motors as `FieldLog.places` has them; None where not known.
     """
     known = {by: [one.efforts[by] for one in references if by in one.efforts] for by in EFFORT_SCATTER}
     by = next((by for by, own in known.items() if own and by in use.efforts), None)
@@ -140,24 +140,24 @@ def mass_change(
     share = within((float(np.expm1(ratio)), min(ends), max(ends)), "", said)
     if min(ends) <= -1.0:
         share = not_identified("", "thrust is a fraction of what it was")
-    pattern = _pattern(told, corners)
+    pattern = _pattern(told, places)
     if pattern is None:
         return MassChange(share, by, ())
     return _explained(share, by, pattern, (ratio, deviation), freedom)
 
 
-def _pattern(told: Sharing | str, corners: Array | None) -> tuple[Array, Array, Array] | None:
+def _pattern(told: Sharing | str, places: Array | None) -> tuple[Array, Array, Array] | None:
     """Thrust (4,) that each rotor gives more than all on average, deviation of a rotor, corners (4, 2)."""
-    if isinstance(told, str) or corners is None or corners.shape != (4, 2) or not np.all(corners):
+    if isinstance(told, str) or places is None or len(places) != 4 or not np.all(places[:, :2]):
         return None
-    rotors = len(corners)
+    rotors = len(places)
     if told.shares.shape[1] != rotors or not np.isfinite(told.error).all():
         return None
     # Over the mean of all four a rotor deviates by three quarters of what it does over the others.
     value, deviation, _ = against(told.shares[0], told.shares[1:], 0.75 * SCATTER.value, told.error)
     usual = THRUST_EXPONENT.value[1]
     # The mean takes one of four numbers from the deviations: a rotor by itself deviates by more.
-    return usual * value, usual * np.sqrt(rotors / (rotors - 1)) * deviation, corners
+    return usual * value, usual * np.sqrt(rotors / (rotors - 1)) * deviation, np.sign(places[:, :2])
 
 
 def _explained(
@@ -169,20 +169,19 @@ def _explained(
 ) -> MassChange:
     """Which changes fit, of those with the fewest parameters that explain the sharing and the sum."""
     work, deviation, corners = pattern
-    rotors, sides = len(work), np.sign(corners)
+    rotors, sides = len(work), corners
     yaw = sides[:, 0] * sides[:, 1]
     weights = 1.0 / np.append(deviation, max(float(thrust[1]), 1e-9))
     seen = np.append(work, float(thrust[0])) * weights
-    moved = np.vstack([sides, np.zeros(2)])
-    tried: list[tuple[str, Array]] = [("nothing", np.zeros((rotors + 1, 0))), (MOVED, moved)]
-    for rotor in range(rotors):
-        # It is commanded more to give what it gave; its torque may differ, which yaw answers.
-        lost = np.append(np.eye(rotors)[rotor] - 1.0 / rotors, 1.0 / rotors)
-        tried.append((f"{WEAK} {rotor + 1}", np.column_stack([lost, np.append(yaw, 0.0)])))
-    tried.append(("payload", np.column_stack([moved, np.append(np.zeros(rotors), 1.0)])))
+    moved, mean = np.vstack([sides, np.zeros(2)]), 1.0 / rotors
+    # It is commanded more to give what it gave; its torque may differ, which yaw answers.
+    lost = [np.column_stack([np.append(own - mean, mean), np.append(yaw, 0.0)]) for own in np.eye(rotors)]
+    tried = {"nothing": np.zeros((rotors + 1, 0)), MOVED: moved}
+    tried |= {f"{WEAK} {rotor + 1}": columns for rotor, columns in enumerate(lost)}
+    tried["payload"] = np.column_stack([moved, np.append(np.zeros(rotors), 1.0)])
     fits: list[tuple[float, str]] = []
     position: Array = np.zeros(2)
-    for name, columns in tried:
+    for name, columns in tried.items():
         found = np.linalg.lstsq(weights[:, np.newaxis] * columns, seen, rcond=None)[0]
         left = seen - weights[:, np.newaxis] * columns @ found
         # The sum of what rotors give beyond their mean is 0 by definition: one number less is seen.
@@ -199,11 +198,6 @@ def _explained(
         return MassChange(share, by, ("nothing",))
     best = min((squares for squares, name in fits if name.startswith(WEAK)), default=0.0)
     names = [name for squares, name in fits if not name.startswith(WEAK) or squares < best + ANOTHER.value]
-    return MassChange(share, by, tuple(names), _side(position, deviation, corners))
-
-
-def _side(position: Array, deviation: Array, corners: Array) -> str:
-    """Where the load is, by thrust (2,) that rotors in front and on the right give more."""
-    least = 2.0 * float(np.mean(deviation)) / np.sqrt(len(corners))
-    told = zip(position, (("front", "rear"), ("right", "left")), strict=True)
-    return " ".join(words[int(one < 0.0)] for one, words in told if abs(one) >= least)
+    least, words = float(np.mean(deviation)), (("front", "rear"), ("right", "left"))
+    side = (pair[int(one < 0.0)] for one, pair in zip(position, words, strict=True) if abs(one) >= least)
+    return MassChange(share, by, tuple(names), " ".join(side))

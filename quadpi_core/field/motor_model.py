@@ -40,8 +40,6 @@ LAGS_S = (0.0, 0.01, 0.02, 0.025, 0.03, 0.035, 0.04, 0.05, 0.06, 0.07, 0.08, 0.1
 _DEAD_S = (0.0, 0.004, 0.008, 0.012, 0.016, 0.02, 0.03)
 # Flights on which lag and dead time are chosen.
 _CHOSEN_ON = 3
-
-
 # As many fits, each without its share of the flights.
 _FOLDS_MOST = 5
 # Weight of the curve that the motors have in common: few flights at few voltages do not tell those of each.
@@ -176,7 +174,8 @@ def identified_motors(
 
     places = range(len(sums)) if len(sums) > 1 else ()
     without = [_solved([*sums[:place], *sums[place + 1 :]]) for place in places]
-    gains = [_gain(fits, fit.known[place], fit.lag_s) for place, fits in enumerate(without)]
+    judged = [_told(fits, fit.known[place], fit.lag_s) for place, fits in enumerate(without)]
+    gains = [float(np.sum(told * speeds) / np.sum(told * told)) for told, speeds in judged]
     gain = float(np.sqrt(np.mean(np.square(np.array(gains) - 1.0)))) if gains else USUAL_GAIN.value
     return motors(_solved(sums)), {fit.names[place]: motors(fits) for place, fits in enumerate(without)}
 
@@ -334,9 +333,8 @@ _Sums = tuple[Array, Array]  # normal equations of a flight, by rotor: gram (R, 
 
 def _sums(parts: Sequence[_Part], lag_s: float) -> _Sums:
     grams, pulls = [], []
-    for rotor in range(parts[0][2].shape[1]):
+    for rotor, speeds in enumerate(np.vstack([part[2] for part in parts]).T):
         columns = np.vstack([command_columns(part[0][:, rotor], part[1], lag_s) for part in parts])
-        speeds = np.concatenate([part[2][:, rotor] for part in parts])
         grams.append(columns.T @ columns)
         pulls.append(columns.T @ speeds)
     return np.array(grams), np.array(pulls)
@@ -376,12 +374,6 @@ def _errors(
         squares += np.sum((speeds - gain * told) ** 2, axis=0)
         count += len(speeds)
     return squares, count
-
-
-def _gain(fits: Sequence[Array], parts: Sequence[_Part], lag_s: float) -> float:
-    """By which one factor the rotors of a flight turn faster than they are told."""
-    told, speeds = _told(fits, parts, lag_s)
-    return float(np.sum(told * speeds) / np.sum(told * told))
 
 
 def _told(fits: Sequence[Array], parts: Sequence[_Part], lag_s: float) -> tuple[Array, Array]:
@@ -488,12 +480,8 @@ def _lifts(log: FieldLog, flight: Flown, vehicle: Vehicle) -> list[_Lift] | str:
 def _fitted_thrust(parts: Sequence[_Lift], lag_s: float, vehicle: Vehicle) -> tuple[Array, float]:
     """Coefficients with k = 1, in √N, and the sum of squared errors of thrust, N²."""
     rotors = vehicle.rotor_count
-    columns = np.concatenate(
-        [
-            np.stack([command_columns(part[0][:, rotor], part[1], lag_s) for rotor in range(rotors)], axis=1)
-            for part in parts
-        ]
-    )  # (N, R, P)
+    told = [np.stack([command_columns(u, part[1], lag_s) for u in part[0].T], axis=1) for part in parts]
+    columns = np.concatenate(told)  # (N, R, P)
     thrust = np.concatenate([part[2] for part in parts])
     hover = np.sqrt(max(float(np.mean(thrust)), 1e-6) / rotors)
     moved = np.concatenate([part[3] for part in parts]) * np.mean(thrust)
@@ -518,9 +506,8 @@ def _gain_of_thrust(parts: Sequence[_Lift], coefficients: Array, lag_s: float) -
     """By which one factor the rotors of a flight turn faster than coefficients tell, by its thrust."""
     told = thrust = 0.0
     for commands, volts, own, _ in parts:
-        for rotor in range(commands.shape[1]):
-            speeds = command_columns(commands[:, rotor], volts, lag_s) @ coefficients
-            told += float(np.sum(speeds**2))
+        speeds = [command_columns(one, volts, lag_s) @ coefficients for one in commands.T]
+        told += float(np.sum(np.square(speeds)))
         thrust += float(np.sum(own))
     return float(np.sqrt(max(thrust, 0.0) / max(told, 1e-9)))
 
@@ -529,9 +516,6 @@ def _scale_of_thrust(parts: Sequence[_Lift], coefficients: Array, vehicle: Vehic
     """Rotor speed [rad/s] for a square root of thrust [√N]."""
     known = vehicle.thrust_coefficient or USUAL_THRUST.value[1]
     k = known * vehicle.air_density_kg_m3 * np.pi * vehicle.rotor_radius_m**4
-    fastest = max(
-        float(np.max(command_columns(part[0][:, rotor], part[1], 0.0) @ coefficients))
-        for part in parts
-        for rotor in range(vehicle.rotor_count)
-    )
+    columns = [command_columns(own, part[1], 0.0) for part in parts for own in part[0].T]
+    fastest = max(float(np.max(own @ coefficients)) for own in columns)
     return float(min(1.0 / np.sqrt(k), _FASTEST * vehicle.rotor_speed_max_rad_s / max(fastest, 1e-9)))

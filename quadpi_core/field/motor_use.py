@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 from scipy.signal import butter, sosfiltfilt
 
 from quadpi_core.field.airborne import HOVER_SPEED, Averages, Flown, Stretch, averages, pieces, velocity_of
@@ -28,7 +29,7 @@ from quadpi_core.field.field_log import FieldLog, Series
 from quadpi_core.field.motor_model import GRID_HZ, lagged
 from quadpi_core.frames import Array
 from quadpi_core.records import CONVENTION, STANDARD_GRAVITY, Threshold
-from quadpi_core.screening.clock_consistency import best_order, correlation_of
+from quadpi_core.screening.rotors_in_flight import runs_of
 
 PIECE_S = 5.0
 _STEP_S = 0.2
@@ -89,15 +90,15 @@ LEAST_SPREAD = Threshold(
     "hover_good_1, hover_25mm_1 and line_good_1 of rrc_propeller in ../shared/data",
 )
 ORDER = Threshold(
-    "score of an order of the motors, Σ r |r| of roll and pitch, from which on it is told, and its lead on "
-    "that of the log",
+    "score of an order and sense of the motors from which on it is told, and its lead on that of the log: "
+    "of roll, pitch and yaw the share that commands explain, by the cosine of their levers and the motors'",
     (0.8, 0.2),
     "",
-    "the order of a sound log scores 1.2 to 1.8 and leads any other by 0.3 and more",
+    "of sound logs it is 1.1 to 2.3 and leads any other by 0.37 and more; of yaw alone 0.05 to 0.6",
     "indiflight and imrc_brushless of ../shared/data",
 )
-# Of roll and pitch: slower the air turns a vehicle, faster noise; at once, s; a usual lag of motors, s.
-_TURNS_HZ, _TURNS_S, _USUAL_LAG_S = (1.5, 6.0), 3.0, 0.03
+# Turns slower than that are the air's, faster ones noise; at once, s; a usual lag of motors, s; mixers' ways.
+_TURNS_HZ, _TURNS_S, _USUAL_LAG_S, _WAYS = (1.5, 6.0), 3.0, 0.03, 4
 # Pieces on each side of a change; a shorter hover is a turn of the path, s.
 _SIDE, HOVER_FEWEST_S, _FEWEST_SAMPLES = 3, 3.0, 20
 
@@ -165,13 +166,29 @@ def motor_use(log: FieldLog, flight: Flown) -> MotorUse:
     )
 
 
-def order_of(log: FieldLog, flight: Flown, places: Array | None) -> tuple[int, ...] | str:
-    """Of each command the motor, from 1, as which it turns the vehicle, or why that is not told.
+class Turning(NamedTuple):
+    """As what the commands turn the vehicle.
+
+    Attributes:
+        order: of each command the motor, from 1, that it drives; empty for their own.
+        is_reversed: whether all rotors turn it the other way about yaw.
+        alike: two commands of another order that may as well be exchanged; empty for none.
+        no_spins: why it is not told whether they turn the other way; empty where it is.
+    """
+
+    order: tuple[int, ...] = ()
+    is_reversed: bool = False
+    alike: tuple[int, ...] = ()
+    no_spins: str = ""
+
+
+def turning_of(log: FieldLog, flight: Flown, places: Array | None) -> Turning | str:
+    """As which motors the commands turn the vehicle, or why that is not told.
 
     Args:
         log: with gyro.
         flight: what was flown.
-        places: (R, 2) of the motors, forward and right, in any unit; None where not known.
+        places: (R, 3) of the motors as `FieldLog.places` has them; None where not known.
     """
     commands, imu = log.commands, log.imu
     if commands is None or imu is None or places is None or len(places) != commands.values.shape[1]:
@@ -182,24 +199,42 @@ def order_of(log: FieldLog, flight: Flown, places: Array | None) -> tuple[int, .
     band = butter(2, _TURNS_HZ, "bandpass", fs=GRID_HZ, output="sos")
     for one in flight.stretches:
         edges = np.arange(one.begin, one.end, 1.0 / GRID_HZ)
-        given, moved = commands.filled_means(edges), imu.filled_means(edges)
-        known = np.flatnonzero(np.isfinite(np.hstack([given, moved])).all(axis=1))
-        if len(known) > GRID_HZ * _TURNS_S:
-            rows = slice(int(known[0]), int(known[-1]) + 1)
-            late = lagged(np.nan_to_num(given[rows]), _USUAL_LAG_S)
-            squares.append(sosfiltfilt(band, late**2, axis=0))
-            turning = np.gradient(np.nan_to_num(moved[rows, :3]), 1.0 / GRID_HZ, axis=0)
-            moving.append(sosfiltfilt(band, turning, axis=0))
+        known: Array = np.hstack([commands.filled_means(edges), imu.filled_means(edges)[:, :3]])
+        # A filter would hear the edges of a pause as motion.
+        for begin, end in runs_of(~np.isnan(known.sum(axis=1))):
+            if end - begin > GRID_HZ * _TURNS_S:
+                given, moved = known[begin:end, :-3], known[begin:end, -3:]
+                squares.append(sosfiltfilt(band, lagged(given, _USUAL_LAG_S) ** 2, axis=0))
+                moving.append(sosfiltfilt(band, np.gradient(moved, 1.0 / GRID_HZ, axis=0), axis=0))
     rates, driven = np.vstack(moving), np.vstack(squares)
-    levers = np.stack([-places[:, 1], places[:, 0], np.zeros(len(places))])
-    order, _, found = best_order(rates, driven, levers)
-    own, _ = correlation_of(rates, driven @ levers.T)
-    score, log_score = (float(np.sum(one * np.abs(one))) for one in (found, own))
-    if max(score, log_score) < ORDER.value[0]:
+    # Commands move four ways alone, however many there are: within these the lever of each is told.
+    power, ways = (own[..., -_WAYS:] for own in np.linalg.eigh(driven.T @ driven))
+    together = driven.T @ rates
+    told = ways / np.maximum(power, 1e-9 * power[-1] + 1e-30) @ (ways.T @ together)
+    share = np.sum(together * told, axis=0) / np.maximum(np.sum(rates**2, axis=0), 1e-30)
+    levers = np.stack([-places[:, 1], places[:, 0], -places[:, 2]], axis=1)
+    told, levers = (own / np.maximum(np.linalg.norm(own, axis=0), 1e-30) for own in (told, levers))
+    rows, scored = np.arange(len(places)), []
+    for sense in (1.0, -1.0):
+        # Of each command as each motor.
+        fit = (told * share * (1.0, 1.0, sense)) @ levers.T
+        best = linear_sum_assignment(fit, maximize=True)[1]
+        scored += [(float(fit[rows, order].sum()), sense < 0.0, order, fit) for order in (rows, best)]
+    least, lead = ORDER.value
+    if (most := max(score for score, *_ in scored)) < least:
         return "commands hardly explain how the vehicle turns"
-    if score < log_score + ORDER.value[1]:
-        return ()
-    return tuple((np.argsort(order) + 1).tolist())
+    # Of what does alike the simplest counts: their own order, then other senses, then other orders.
+    likely = [scored[place] for place in (0, 2, 1, 3)]
+    _, is_reversed, order, fit = next(one for one in likely if one[0] > most - lead)
+    as_told = fit[:, order]
+    exchanged = np.add.outer(np.diag(as_told), np.diag(as_told)) - as_told - as_told.T
+    pair = divmod(int(np.argmin(exchanged + 9.0 * np.eye(len(rows)))), len(rows))
+    alike = (pair[0] + 1, pair[1] + 1) if exchanged[pair] < lead else ()
+    if order is rows and alike and not is_reversed:
+        return "commands {} and {} turn the vehicle alike".format(*alike)
+    yawed = 2.0 * abs(share[2] * (told[:, 2] @ levers[order, 2]))
+    said = "" if yawed >= lead else "not known, or commands hardly explain how the vehicle yaws"
+    return Turning(() if order is rows else tuple((order + 1).tolist()), is_reversed, alike, said)
 
 
 def _hover_change(log: FieldLog, mean: Array, time: Array, piece: Array) -> HoverChange | None:

@@ -36,10 +36,10 @@ class Vibration:
         vibe: ArduPilot's measure of raw samples, m/s², exceeded in a twentieth of the flight.
     """
 
-    force: tuple[float, float, float] | None = None
-    rates: tuple[float, float, float] | None = None
+    force: tuple[float, ...] | None = None
+    rates: tuple[float, ...] | None = None
     rate_hz: float = 0.0
-    vibe: tuple[float, float, float] | None = None
+    vibe: tuple[float, ...] | None = None
 
     @property
     def worst(self) -> tuple[str, float] | None:
@@ -52,7 +52,7 @@ def vibration_of(log: FieldLog, flight: Flown) -> Vibration | str:
     vibe = None
     if log.vibe is not None:
         own = np.vstack([log.vibe.during(one.begin, one.end).values for one in flight.stretches])
-        vibe = _three(np.quantile(own, 0.95, axis=0)) if len(own) else None
+        vibe = tuple(np.quantile(own, 0.95, axis=0).tolist()) if len(own) else None
     spread, why = None, ""
     rate = 0.0 if log.imu is None else log.imu.rate_hz
     if log.imu is None:
@@ -69,10 +69,5 @@ def vibration_of(log: FieldLog, flight: Flown) -> Vibration | str:
         ]
         spread, why = np.std(np.vstack(parts), axis=0) if parts else None, "the flight is too short"
     if spread is not None:
-        return Vibration(_three(spread[3:]), _three(spread[:3]), rate, vibe)
+        return Vibration(tuple(spread[3:].tolist()), tuple(spread[:3].tolist()), rate, vibe)
     return why if vibe is None else Vibration(vibe=vibe)
-
-
-def _three(values: object) -> tuple[float, float, float]:
-    x, y, z = np.asarray(values).tolist()
-    return x, y, z

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from quadpi_core.field.field_log import FieldLog, Series, Setting, Stack, held_series, series_of
+from quadpi_core.field.field_log import FieldLog, Series, Setting, Stack, held_series, places_of, series_of
 from quadpi_core.inputs import density_of
 from quadpi_core.logs.dataflash import Messages, decode_dataflash
 from quadpi_core.logs.formats.ardupilot import (
@@ -100,7 +100,7 @@ def read_ardupilot_field(path: Path, _number: int | None = None, _poles: int | N
         landed=_landed(messages, start_ns),
         density=baro and Series(baro.time, density_of(baro.values[:, :1], baro.values[:, 1:])),
         vibe=read("VIBE", "VibeX", "VibeY", "VibeZ"),
-        corners=np.sign(np.round(np.array([motor[:2] for motor in LAYOUTS[layout]]), 6)) if layout else None,
+        places=places_of(LAYOUTS[layout]) if layout else None,
         drag_prefix="EK3_DRAG_",
         facts=_facts(parameters),
         parameters=parameters,

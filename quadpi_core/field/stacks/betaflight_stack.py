@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from quadpi_core.field.field_log import FieldLog, Setting, Stack, series_of
+from quadpi_core.field.field_log import FRAMES, FieldLog, Setting, Stack, places_of, series_of
 from quadpi_core.frames import Array
 from quadpi_core.logs.formats.betaflight import (
     FORMAT,
@@ -34,7 +34,6 @@ _FIELDS = (
     *("loopIteration", "time", "vbatLatest", *_MOTORS, *_ERPM, *_OMEGA[0], *_OMEGA[1]),
     *(f"{name}[{axis}]" for name in ("gyroADC", "accSmooth", "extPos", "extAtt") for axis in range(3)),
 )
-_FRAMES = {3: "tricopter", 4: "quadcopter", 6: "hexacopter", 8: "octocopter"}
 _ERPM_PER_COUNT = 100.0
 _FACTS = {"craft": "Craft name", "poles": "motor_poles", "idle": "dshot_idle_value"}
 
@@ -74,7 +73,7 @@ def read_betaflight_field(path: Path, number: int | None = None, poles: int | No
         source=source,
         stack="INDIflight" if "ndiflight" in texts.get("Firmware revision", "") else "Betaflight",
         firmware=" ".join(filter(None, map(texts.get, ("Firmware revision", "Board information")))),
-        frame=_FRAMES.get(motors, ""),
+        frame=FRAMES.get(motors, ""),
         rotors=motors or None,
         no_multirotor=f"a log of {motors} motors is of no multicopter" if motors in {1, 2} else "",
         imu=None
@@ -85,7 +84,7 @@ def read_betaflight_field(path: Path, number: int | None = None, poles: int | No
         commands=commands,
         rotor_speeds=None if speeds is None else series_of(time_ns, speeds, start_ns),
         battery=battery,
-        corners=np.sign(np.array([motor[:2] for motor in LAYOUTS["betaflight"]])) if motors == 4 else None,
+        places=places_of(LAYOUTS["betaflight"]) if motors == 4 else None,
         facts={key: f"{texts[name]} ({name})" for key, name in _FACTS.items() if texts.get(name)},
         parameters={name: float(value) for name, value in log.headers.items()},
         settings=tuple(_settings(log, speeds is not None, motors, battery is not None)),

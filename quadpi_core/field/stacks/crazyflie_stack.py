@@ -13,12 +13,13 @@ from pathlib import Path
 
 import numpy as np
 
-from quadpi_core.field.field_log import FieldLog, Series, Setting, Stack, series_of
+from quadpi_core.field.field_log import FieldLog, Series, Setting, Stack, places_of, series_of
 from quadpi_core.frames import body_flu_to_frd, quaternion_flu_enu_to_frd_ned, world_enu_to_ned
 from quadpi_core.inputs import density_of
 from quadpi_core.logs.formats.cfusdlog import FORMAT, Event, decode_events
 from quadpi_core.logs.reader_steps import normalised_attitude
 from quadpi_core.records import STANDARD_GRAVITY
+from quadpi_core.rotor_order import LAYOUTS
 
 _FULL = 65535.0
 _COMMANDS = tuple(
@@ -27,8 +28,6 @@ _COMMANDS = tuple(
 )
 _SPEEDS = tuple(f"rpm.m{motor}" for motor in range(1, 5))
 _ATTITUDE = tuple(f"stateEstimate.q{axis}" for axis in "wxyz")
-# Motors 1 to 4: front right, rear right, rear left, front left.
-_CORNERS = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
 
 
 def read_crazyflie_field(path: Path, _number: int | None = None, _poles: int | None = None) -> FieldLog:
@@ -61,8 +60,7 @@ def read_crazyflie_field(path: Path, _number: int | None = None, _poles: int | N
         for name, prefix in (("position", ""), ("velocity", "v"))
         for own in [read(*(f"stateEstimate.{prefix}{axis}" for axis in "xyz"))]
     }
-    commands = next(filter(None, (read(*names) for names in _COMMANDS)), None)
-    named = next((names for names in _COMMANDS if read(*names) is not None), ("", ""))
+    named, commands = next(((names, own) for names in _COMMANDS if (own := read(*names))), (("",), None))
     speeds, battery = read(*_SPEEDS), read("pm.vbatMV") or read("pm.vbat")
     if speeds is not None and not np.any(speeds.values):
         speeds = None
@@ -84,7 +82,7 @@ def read_crazyflie_field(path: Path, _number: int | None = None, _poles: int | N
         and Series(battery.time, battery.values / (1e3 if np.median(battery.values) > 100.0 else 1.0)),
         # In hPa and °C.
         density=air and Series(air.time, density_of(100.0 * air.values[:, :1], air.values[:, 1:])),
-        corners=np.array(_CORNERS),
+        places=places_of(LAYOUTS["crazyflie"]),
         facts={"commands": f"{named[0].partition('.')[0]}, of {_FULL:g}"} if commands else {},
         settings=tuple(_settings(events, {"pwm": named[0].startswith("pwm"), "rpm": speeds is not None})),
         notes=("gyro and acc are in different events; log them in one",)

@@ -13,10 +13,19 @@ from typing import Any
 
 import numpy as np
 
-from quadpi_core.field.field_log import FieldLog, Series, Setting, Stack, held_series, series_of
+from quadpi_core.field.field_log import (
+    FRAMES,
+    FieldLog,
+    Series,
+    Setting,
+    Stack,
+    held_series,
+    places_of,
+    series_of,
+)
 from quadpi_core.frames import Array
 from quadpi_core.inputs import density_of
-from quadpi_core.logs.formats.px4 import FORMAT, airframe_of, live_topics, load_ulog
+from quadpi_core.logs.formats.px4 import FORMAT, airframe_of, live_topics, load_ulog, motors_of
 from quadpi_core.logs.reader_steps import finite_parameters, normalised_attitude
 
 Topics = Mapping[str, Mapping[str, Any]]
@@ -27,7 +36,6 @@ _TOPICS = (
     *("vehicle_land_detected", "vehicle_air_data"),
 )
 _ROTORS_MOST = 12
-_FRAMES = {3: "tricopter", 4: "quadcopter", 6: "hexacopter", 8: "octocopter"}
 _MAV_TYPE_ROTORS = {2: 4, 13: 6, 14: 8, 15: 3, 29: 12, 35: 10}
 _PWM_US = (1000.0, 2000.0)
 # PX4 drives DShot by the same numbers as its mixers: 0 to 1999 steps.
@@ -73,7 +81,7 @@ def read_px4_field(path: Path, _number: int | None = None, _poles: int | None = 
         source=source,
         stack="PX4",
         firmware=_firmware(log.information),
-        frame=_FRAMES.get(rotors or 0, f"{rotors} rotors" if rotors else ""),
+        frame=FRAMES.get(rotors or 0, f"{rotors} rotors" if rotors else ""),
         rotors=rotors,
         no_multirotor=str(airframe) if airframe and not airframe.is_multicopter else "",
         imu=read("sensor_combined", *_indexed("gyro_rad", 3), *_indexed("accelerometer_m_s2", 3)),
@@ -85,7 +93,7 @@ def read_px4_field(path: Path, _number: int | None = None, _poles: int | None = 
         battery=read("battery_status", "voltage_v"),
         landed=_landed(topics, start_ns),
         density=air,
-        corners=_corners(parameters, rotors),
+        places=places_of(motors_of(parameters, rotors)) if rotors and "CA_ROTOR0_PX" in parameters else None,
         drag_prefix="EKF2_",
         facts=_facts(parameters, log.information) | poles,
         parameters=parameters,
@@ -130,18 +138,8 @@ def _landed(topics: Topics, start_ns: int) -> Series | None:
 
 
 def _rotor_count(parameters: Mapping[str, float]) -> int | None:
-    count = int(parameters.get("CA_ROTOR_COUNT", 0)) or _MAV_TYPE_ROTORS.get(
-        int(parameters.get("MAV_TYPE", 0))
-    )
-    return count or None
-
-
-def _corners(parameters: Mapping[str, float], rotors: int | None) -> Array | None:
-    """Signs of the rotors' places; their sizes in the parameters are only those of the frame's template."""
-    if not rotors or "CA_ROTOR0_PX" not in parameters:
-        return None
-    places = [[parameters.get(f"CA_ROTOR{motor}_P{axis}", 0.0) for axis in "XY"] for motor in range(rotors)]
-    return np.sign(np.array(places))
+    said = int(parameters.get("CA_ROTOR_COUNT", 0))
+    return said or _MAV_TYPE_ROTORS.get(int(parameters.get("MAV_TYPE", 0)))
 
 
 def _commands(topics: Topics, start_ns: int, rotors: int | None) -> tuple[Series | None, tuple[str, ...]]:

@@ -86,7 +86,7 @@ _MOCAP_POSITION = ("position[0]", "position[1]", "position[2]")
 _VALID = ("xy_valid", "z_valid", "v_xy_valid", "v_z_valid")
 # Local NED and local forward-right-down; the names of the field and its numbers changed in 1.14.
 _POSE_FRAMES = MappingProxyType({"local_frame": {0, 1}, "pose_frame": {1, 2}})
-_FIRST_MOTOR = 101
+_FIRST_MOTOR, _MOTOR = 101, ("PX", "PY", "KM")
 # The adapter of px4_msgs/ActuatorMotors, of the same scale.
 PX4_MOTORS = "px4_motors"
 _US = 1_000
@@ -418,18 +418,16 @@ def _order(
     return RotorOrder(tuple(reports[motor] for motor in motors.controllers), RPM)
 
 
+def motors_of(parameters: Mapping[str, float], rotors: int) -> list[Motor]:
+    """The motors where the parameters have them; at the centre where they do not."""
+    numbers = [[parameters.get(f"CA_ROTOR{motor}_{key}", 0.0) for key in _MOTOR] for motor in range(rotors)]
+    # A positive moment coefficient is that of a rotor that turns counterclockwise.
+    return [Motor(x, y, -moment) for x, y, moment in numbers]
+
+
 def _motors_of(parameters: dict[str, float], vehicle: Vehicle | None) -> RotorOrder | None:
     """Motor of each rotor by its position; None where the log does not say it."""
-    places = [
-        # A positive moment coefficient is that of a rotor that turns counterclockwise.
-        Motor(
-            parameters.get(f"CA_ROTOR{motor}_PX", 0.0),
-            parameters.get(f"CA_ROTOR{motor}_PY", 0.0),
-            -parameters.get(f"CA_ROTOR{motor}_KM", 0.0),
-        )
-        for motor in range(_rotors_of(parameters, vehicle))
-    ]
-    return RotorOrder.by_place(vehicle, places, RPM)
+    return RotorOrder.by_place(vehicle, motors_of(parameters, _rotors_of(parameters, vehicle)), RPM)
 
 
 def _rotors_of(parameters: dict[str, float], vehicle: Vehicle | None) -> int:

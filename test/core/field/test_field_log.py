@@ -49,7 +49,9 @@ def test_means_between_edges_and_lines_where_no_sample_is():
 
 
 def test_motors_are_named_by_their_corners_where_these_are_known():
-    log = FieldLog("a", "a.log", "PX4", corners=np.array([[1.0, 1.0], [-1.0, -1.0], [0.0, 1.0]]))
+    log = FieldLog(
+        "a", "a.log", "PX4", places=np.array([[1.0, 1.0, 0.0], [-1.0, -1.0, 0.0], [0.0, 1.0, 0.0]])
+    )
     names = [log.motor(number) for number in (1, 2, 3)]
     assert names == ["motor 1 (front right)", "motor 2 (rear left)", "motor 3"]
     assert FieldLog("a", "a.log", "PX4").motor(2) == "motor 2"

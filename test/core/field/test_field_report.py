@@ -112,6 +112,7 @@ def test_what_was_not_looked_at_is_said(report_of):
     assert report_of(example()).looked_at() == (
         "looked at: motor commands, thrust over command along the flight, tachometers; not looked at: "
         "order of the motors (takes commands, gyro and the places of the motors), "
+        "spins of the motors (takes commands, gyro and the places of the motors), "
         "vibration (only ArduPilot's VIBE can be judged)"
     )
     slow = Series(np.arange(0.0, 60.0, 0.25), np.full((240, 4), 800.0))
@@ -121,6 +122,7 @@ def test_what_was_not_looked_at_is_said(report_of):
         "of 2 flights; not looked at: thrust over command along the flight (the log has not both IMU and "
         "commands), tachometers (commands and rotor speeds are logged at 4 Hz, slower than motors are), "
         "order of the motors (takes commands, gyro and the places of the motors), "
+        "spins of the motors (takes commands, gyro and the places of the motors), "
         "vibration (only ArduPilot's VIBE can be judged)"
     )
     blind = report_of(example(commands=None, rotor_speeds=None))
@@ -333,10 +335,22 @@ def test_one_mass_is_not_given_to_two_airframes(shared_data: Path):
 def test_permuted_motors_without_tachometers_are_said(shared_data: Path):
     """A log without its rotor speeds, as the report has it, and with two of its commands exchanged."""
     (found,) = report_on([shared_data / "indiflight" / "LOG00340.BFL"], OPTIONS).flights
-    assert (found.order, found.looked_at()["order of the motors"]) == ((), "")
+    looked_at = found.looked_at()
+    assert (found.turning.order, looked_at["order of the motors"]) == ((), "")
+    # Betaflight's log does not say which way its propellers turn.
+    assert looked_at["spins of the motors"].startswith("not known")
     permuted = Series(found.log.commands.time, found.log.commands.values[:, [0, 2, 1, 3]])
     said = field_report._flight_report(replace(found.log, commands=permuted, rotor_speeds=None)).remarks
     assert any("commands 1 to 4 turn the vehicle as motors 1, 3, 2, 4 would" in one.sentence for one in said)
+
+
+@pytest.mark.parametrize("is_reversed", [False, True])
+def test_spins_of_a_vehicle_file_that_turn_the_other_way_are_said(shared_data: Path, is_reversed: bool):
+    vehicle = Vehicle.load("indiflight")
+    given = replace(vehicle, rotor_spins=vehicle.rotor_spins * (-1.0 if is_reversed else 1.0))
+    (found,) = report_on([shared_data / "indiflight" / "LOG00340.BFL"], OPTIONS, given).flights
+    said = [one.sentence for one in found.remarks if "each rotor turned the other way" in one.sentence]
+    assert (bool(said), found.turning.order) == (is_reversed, ())
 
 
 @pytest.mark.parametrize("by_speed", [True, False])

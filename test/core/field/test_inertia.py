@@ -108,9 +108,9 @@ def test_what_is_lacking_is_said():
 
 def test_motors_are_told_by_their_corners_where_the_log_knows_them():
     log, aloft = flight()
-    order, corners = [3, 1, 0, 2], np.sign(BEBOP.rotor_positions[:, :2])
+    order, corners = [3, 1, 0, 2], np.sign(BEBOP.rotor_positions)
     other = replace(
-        log, commands=Series(log.commands.time, log.commands.values[:, order]), corners=corners[order]
+        log, commands=Series(log.commands.time, log.commands.values[:, order]), places=corners[order]
     )
     found, told = (identify_body([(one, aloft)], BEBOP, STILL) for one in (other, log))
     assert [one.value for one in found.inertia] == pytest.approx([one.value for one in told.inertia])

@@ -21,7 +21,7 @@ from quadpi_core.reading_options import ReadingOptions
 from .field_examples import example
 
 # Front right, rear right, rear left, front left.
-CORNERS = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
+PLACES = np.array([[1.0, 1.0, 0.0], [-1.0, 1.0, 0.0], [-1.0, -1.0, 0.0], [1.0, -1.0, 0.0]])
 POWER = THRUST_EXPONENT.value[1]
 
 
@@ -37,7 +37,7 @@ def use(thrusts: list[float], by: str = BY_SPEED) -> MotorUse:
 
 def changed(thrusts: list[float], by: str = BY_SPEED) -> MassChange:
     told = Sharing(np.array([shares(thrusts), *[shares([1.0] * 4)] * 6]), np.zeros(4))
-    found = mass_change(use(thrusts, by), [use([1.0] * 4, by)] * 6, told, CORNERS)
+    found = mass_change(use(thrusts, by), [use([1.0] * 4, by)] * 6, told, PLACES)
     assert isinstance(found, MassChange)
     return found
 
@@ -87,17 +87,17 @@ def test_of_good_flights_one_in_twenty_is_more_than_nothing() -> None:
         scattered = rng.normal(1.0, 0.015, (31, 4))
         told = Sharing(scattered / scattered.mean(axis=1, keepdims=True) - 1.0, np.zeros(4))
         own, *before = (MotorUse(efforts={BY_SPEED: float(one)}) for one in rng.normal(1.0, 0.01, 31))
-        found = mass_change(own, before, told, CORNERS)
+        found = mass_change(own, before, told, PLACES)
         assert isinstance(found, MassChange)
         changed_ones += found.fits != ("nothing",)
     assert changed_ones / count < 0.07
 
 
 def test_flights_without_commands_tell_nothing() -> None:
-    assert isinstance(mass_change(MotorUse(), [use([1.0] * 4)], "no commands", CORNERS), str)
+    assert isinstance(mass_change(MotorUse(), [use([1.0] * 4)], "no commands", PLACES), str)
     told = Sharing(np.zeros((2, 4)), np.zeros(4))
-    for given, corners in ((told, None), ("no commands", CORNERS)):
-        assert mass_change(use([1.2] * 4), [use([1.0] * 4)], given, corners).fits == ()
+    for given, places in ((told, None), ("no commands", PLACES)):
+        assert mass_change(use([1.2] * 4), [use([1.0] * 4)], given, places).fits == ()
 
 
 def test_efforts_are_over_the_specific_force_and_a_battery_that_never_changes_is_none() -> None:

@@ -71,7 +71,7 @@ def test_outputs_are_ordered_by_their_functions(read):
     functions = {"SERVO1_FUNCTION": 36, "SERVO2_FUNCTION": 35, "SERVO3_FUNCTION": 34, "SERVO4_FUNCTION": 33}
     log = read(FRAME_CLASS=1, FRAME_TYPE=1, MOT_PWM_MIN=1000, MOT_PWM_MAX=2000, **functions)
     assert log.commands.values[0] == pytest.approx([0.4, 0.3, 0.2, 0.1])
-    assert np.array_equal(log.corners, [[1, 1], [-1, -1], [1, -1], [-1, 1]])
+    assert np.array_equal(np.sign(log.places), [[1, 1, -1], [-1, -1, -1], [1, -1, 1], [-1, 1, 1]])
 
 
 def test_the_land_detector_holds_until_it_says_otherwise(read):

@@ -81,4 +81,4 @@ def test_motors_are_counted(tmp_path):
     content = flight(*frames(400, (*VALUES, *(200,) * 6)), names=[*SENSORS, *names], **HEADERS)
     path.write_bytes(content)
     log = read_betaflight_field(path)
-    assert (log.frame, log.rotors, log.corners) == ("hexacopter", 6, None)
+    assert (log.frame, log.rotors, log.places) == ("hexacopter", 6, None)

@@ -101,7 +101,7 @@ def test_a_vtol_is_named(read):
     assert read(topics(), MAV_TYPE=22).no_multirotor == "MAV_TYPE 22 is a VTOL aircraft"
 
 
-def test_places_of_rotors_are_signs(read):
+def test_places_and_spins_of_rotors_are_those_of_the_parameters(read):
     places = {f"CA_ROTOR{k}_P{axis}": 0.11 * (1 if k < 2 else -1) for k in range(4) for axis in "XY"}
-    log = read(topics(4), CA_ROTOR_COUNT=4, **places)
-    assert np.array_equal(log.corners, [[1, 1], [1, 1], [-1, -1], [-1, -1]])
+    log = read(topics(4), CA_ROTOR_COUNT=4, CA_ROTOR0_KM=0.05, CA_ROTOR3_KM=-0.05, **places)
+    assert np.array_equal(np.sign(log.places), [[1, 1, -1], [1, 1, 0], [-1, -1, 0], [-1, -1, 1]])
