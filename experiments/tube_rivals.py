@@ -137,7 +137,7 @@ def rows(found: Mapping[str, Sequence[Ahead]]) -> list[Row]:
     for name, by_set in widths.items():
         each = [geometric(np.array(by_set[title])) for title in found]
         coverage, worst = (np.concatenate(of) for of in zip(*covers[name], strict=True))
-        held = [100.0 * np.mean(coverage >= COVERED), 100.0 * np.mean(worst >= WORST_COVERED)]
+        held = [100.0 * float(np.mean(of >= at)) for of, at in ((coverage, COVERED), (worst, WORST_COVERED))]
         table.append([name, *each, geometric(np.array(each)), 100.0 * float(coverage.mean()), *held])
     return table
 
