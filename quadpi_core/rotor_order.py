@@ -72,6 +72,7 @@ LAYOUTS: MappingProxyType[str, tuple[Motor, ...]] = MappingProxyType(
         # Betaflight "Quad X", ArduPilot FRAME_TYPE 12; its propellers turn in or out.
         "betaflight": _ring((135, 0), (45, 0), (-135, 0), (-45, 0)),
         "hexa-x": _ring((90, _CW), (-90, _CCW), (-30, _CW), (150, _CCW), (30, _CCW), (-150, _CW)),
+        "hexa-cw-x": _ring((30, _CCW), (90, _CW), (150, _CCW), (-150, _CW), (-90, _CCW), (-30, _CW)),
         "hexa-plus": _ring((0, _CW), (180, _CCW), (-120, _CW), (60, _CCW), (-60, _CCW), (120, _CW)),
         "octo-x": _ring(
             *((22.5, _CW), (-157.5, _CW), (67.5, _CCW), (157.5, _CCW)),
@@ -85,7 +86,6 @@ LAYOUTS: MappingProxyType[str, tuple[Motor, ...]] = MappingProxyType(
             *(one._replace(below=False) for one in _ring((45, _CCW), (-45, _CW), (-135, _CCW), (135, _CW))),
             *(one._replace(below=True) for one in _ring((-45, _CCW), (45, _CW), (135, _CCW), (-135, _CW))),
         ),
-        # m1 to m4.
         "crazyflie": _ring((45, _CCW), (135, _CW), (-135, _CCW), (-45, _CW)),
     }
 )

@@ -126,6 +126,7 @@ class FlightReport:
         return {
             "motor commands": "" if use.motors else "not in the log",
             "thrust over command along the flight": thrust,
+            "command at hover along the flight": use.no_change,
             "tachometers": read if isinstance(read, str) else "",
             "order of the motors": turned if isinstance(turned, str) else "",
             "spins of the motors": turned if isinstance(turned, str) else turned.no_spins,
@@ -263,8 +264,11 @@ def report_on(
         except QuadpiError as error:
             leave_out(file, error, left_out)
             continue
+        is_judged = mass is None or (isinstance(vehicle, Vehicle) and BY_SPEED in flight.use.efforts)
+        notes = () if is_judged else ("mass: as given; rotor speeds and a vehicle file would judge it",)
         said = _mass_doubts(flight.use, vehicle)
-        flights.append(replace(flight, remarks=(*flight.remarks, *said)))
+        own = replace(log, notes=(*log.notes, *notes))
+        flights.append(replace(flight, log=own, remarks=(*flight.remarks, *said)))
     require_flights_left(len(flights), left_out)
     vehicles = tuple(_vehicles(flights, vehicle))
     differ = len({_identity(one.log) for one in flights}) > 1

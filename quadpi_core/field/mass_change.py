@@ -48,6 +48,7 @@ ANOTHER = Threshold(
     CONVENTION,
 )
 _STEP_S = 0.1
+_Arrays = tuple[Array, ...]
 
 
 @dataclass(frozen=True)
@@ -146,31 +147,23 @@ def mass_change(
     return _explained(share, by, pattern, (ratio, deviation), freedom)
 
 
-def _pattern(told: Sharing | str, places: Array | None) -> tuple[Array, Array, Array] | None:
+def _pattern(told: Sharing | str, places: Array | None) -> _Arrays | None:
     """Thrust (4,) that each rotor gives more than all on average, deviation of a rotor, corners (4, 2)."""
     if isinstance(told, str) or places is None or len(places) != 4 or not np.all(places[:, :2]):
         return None
-    rotors = len(places)
-    if told.shares.shape[1] != rotors or not np.isfinite(told.error).all():
+    if told.shares.shape[1] != len(places) or not np.isfinite(told.error).all():
         return None
     # Over the mean of all four a rotor deviates by three quarters of what it does over the others.
     value, deviation, _ = against(told.shares[0], told.shares[1:], 0.75 * SCATTER.value, told.error)
     usual = THRUST_EXPONENT.value[1]
     # The mean takes one of four numbers from the deviations: a rotor by itself deviates by more.
-    return usual * value, usual * np.sqrt(rotors / (rotors - 1)) * deviation, np.sign(places[:, :2])
+    return usual * value, usual * np.sqrt(4.0 / 3.0) * deviation, np.sign(places[:, :2])
 
 
-def _explained(
-    share: Estimate,
-    by: str,
-    pattern: tuple[Array, Array, Array],
-    thrust: tuple[Array, Array],
-    freedom: int,
-) -> MassChange:
+def _explained(share: Estimate, by: str, pattern: _Arrays, thrust: _Arrays, freedom: int) -> MassChange:
     """Which changes fit, of those with the fewest parameters that explain the sharing and the sum."""
-    work, deviation, corners = pattern
-    rotors, sides = len(work), corners
-    yaw = sides[:, 0] * sides[:, 1]
+    work, deviation, sides = pattern
+    rotors, yaw = len(work), sides[:, 0] * sides[:, 1]
     weights = 1.0 / np.append(deviation, max(float(thrust[1]), 1e-9))
     seen = np.append(work, float(thrust[0])) * weights
     moved, mean = np.vstack([sides, np.zeros(2)]), 1.0 / rotors

@@ -127,7 +127,8 @@ class MotorUse:
         motors: (R) command of each motor over the mean of all, less 1.
         volts: battery at the beginning and the end of the flight, and the lowest.
         drift: change of thrust over command from begin to end of the flight.
-        change: of the command at hover; None where it stays, or little of the flight was hover.
+        change: of the command at hover; None where it stays, or is not told.
+        no_change: why it is not told; empty where it is.
         efforts: what thrust goes with over the specific force it gave, by what tells it.
     """
 
@@ -138,6 +139,7 @@ class MotorUse:
     volts: tuple[float, float, float] | None = None
     drift: Estimate | None = None
     change: HoverChange | None = None
+    no_change: str = "not in the log"
     efforts: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -155,6 +157,7 @@ def motor_use(log: FieldLog, flight: Flown) -> MotorUse:
     if not mean.any():
         return MotorUse(volts=volts)
     gain, hover, drift = _thrust(log, cut, _hover(log, mean, time, piece))
+    change = _hover_change(log, mean, time, piece)
     return MotorUse(
         hover=hover,
         thrust_gain=gain,
@@ -162,7 +165,8 @@ def motor_use(log: FieldLog, flight: Flown) -> MotorUse:
         motors=tuple(mean_of_pieces(own / mean.mean() - mean / mean.mean(), piece, "") for own in commands.T),
         volts=volts,
         drift=drift,
-        change=_hover_change(log, mean, time, piece),
+        change=change if isinstance(change, HoverChange) else None,
+        no_change=change if isinstance(change, str) else "",
     )
 
 
@@ -237,11 +241,11 @@ def turning_of(log: FieldLog, flight: Flown, places: Array | None) -> Turning | 
     return Turning(() if order is rows else tuple((order + 1).tolist()), is_reversed, alike, said)
 
 
-def _hover_change(log: FieldLog, mean: Array, time: Array, piece: Array) -> HoverChange | None:
-    """A step, or else a trend, of the mean command of pieces of slow flight near the weight."""
+def _hover_change(log: FieldLog, mean: Array, time: Array, piece: Array) -> HoverChange | str | None:
+    """A step, or else a trend, of the mean command of pieces of slow flight near the weight; or why not."""
     velocity = velocity_of(log)
     if velocity is None or log.imu is None:
-        return None
+        return "takes velocity and IMU"
     thrust = -log.imu.at(time)[:, 5] / STANDARD_GRAVITY
     slow = (np.linalg.norm(velocity.at(time), axis=1) < SLOW.value[0]) & (
         np.abs(thrust - 1.0) < SLOW.value[1]
@@ -250,7 +254,7 @@ def _hover_change(log: FieldLog, mean: Array, time: Array, piece: Array) -> Hove
     # At begin and end the vehicle climbs and lands.
     held = held[1:-1]
     if len(held) < 2 * _SIDE:
-        return None
+        return f"takes {2 * _SIDE} pieces of slow flight between climb and landing, {len(held)} are there"
     level, when = (np.array([np.mean(own[one & slow]) for one in held]) for own in (mean, time))
     if level.min() <= 0.0:
         return None

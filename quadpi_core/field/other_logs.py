@@ -63,7 +63,8 @@ def read_other(path: Path, options: ReadingOptions, known: Vehicle | int | None)
     columns, speeds_of = None, frozenset[str]()
     if log_format is table_files.FORMAT:
         columns = open_columns(path)
-        recording, said, speeds_of = _of_table(path, columns, options, vehicle, poles)
+        recording, said, mapping = _of_table(path, columns, options, vehicle, poles)
+        speeds_of = frozenset(own.columns if (own := mapping.signals.get("rotor_speeds")) else ())
         notes += [said] if said else []
     else:
         if vehicle is None and log_format.container is not None:
@@ -155,13 +156,18 @@ def field_log_of(
         else series_of(rotors.time_ns, rotors.speeds, start_ns)
     )
     count = next((own.values.shape[1] for own in (commands, speeds) if own is not None), None)
+    inertial = series_of(imu.time_ns, np.hstack([imu.angular_velocity, imu.specific_force]), start_ns)
+    lost = 0 if inertial is None else len(imu) - len(inertial)
+    said = (
+        f"imu: {lost} of {len(imu)} samples are left out: stale, not finite, or stamped before the last one"
+    )
     return FieldLog(
         name=recording.name,
         source=recording.source,
         stack="",
         frame="quadcopter" if count == 4 else "",
         rotors=count,
-        imu=series_of(imu.time_ns, np.hstack([imu.angular_velocity, imu.specific_force]), start_ns),
+        imu=inertial,
         attitude=attitude,
         velocity=velocity,
         position=position,
@@ -169,7 +175,7 @@ def field_log_of(
         rotor_speeds=speeds,
         battery=battery,
         facts={"vehicle": recording.vehicle} if recording.vehicle else {},
-        notes=tuple(recording.quality.sentences()),
+        notes=(*recording.quality.sentences(), *([said] if lost else [])),
     )
 
 
@@ -191,13 +197,13 @@ def _settings(
 
 def _of_table(
     path: Path, columns: Columns, options: ReadingOptions, vehicle: Vehicle | None, poles: int | None
-) -> tuple[Recording, str, frozenset[str]]:
-    """A table by the user's mapping, a bundled or a guessed one; which it was, and the columns of speeds."""
+) -> tuple[Recording, str, Mapping]:
+    """A table by the user's mapping, a bundled or a guessed one; which it was, and the mapping."""
     if options.mapping is not None:
         mapping = Mapping.load(options.mapping)
         if poles is not None:
-            return *_by(path, mapping, None, poles), _speeds_of(mapping)
-        return decode_recording(path, vehicle, options), "", _speeds_of(mapping)
+            return *_by(path, mapping, None, poles), mapping
+        return decode_recording(path, vehicle, options), "", mapping
     names = set(columns.names)
     for file in sorted((config_directory() / "mappings").glob("*.yaml")):
         try:
@@ -206,7 +212,7 @@ def _of_table(
             continue  # the rotor order of an autopilot
         if {column for signal in mapping.signals.values() for column in signal.columns} <= names:
             read, said = _by(path, mapping, vehicle, poles)
-            return read, f"its columns are those of {file.name}{said}", _speeds_of(mapping)
+            return read, f"its columns are those of {file.name}{said}", mapping
     draft = mapping_draft(columns)
     if "?" in draft.partition("\n")[2]:  # what could not be guessed
         raise LogError(
@@ -216,16 +222,7 @@ def _of_table(
     mapping = Mapping.draft(draft, path)
     recording, electrical = _by(path, mapping, vehicle, poles)
     said = "; ".join(line for line in draft.splitlines()[1:])
-    return (
-        recording,
-        f"its columns are guessed from names and numbers: {said}{electrical}",
-        _speeds_of(mapping),
-    )
-
-
-def _speeds_of(mapping: Mapping) -> frozenset[str]:
-    rotors = mapping.signals.get("rotor_speeds")
-    return frozenset(rotors.columns if rotors else ())
+    return recording, f"its columns are guessed from names and numbers: {said}{electrical}", mapping
 
 
 def _by(path: Path, mapping: Mapping, vehicle: Vehicle | None, poles: int | None) -> tuple[Recording, str]:
@@ -295,4 +292,5 @@ def _scaled(values: Array, names: Sequence[str], notes: list[str]) -> Array | No
             notes.append(f"commands are {names[0]} to {names[-1]}, taken as {low:g} to {high:g}")
             kept = np.where(values <= most, values, np.nan)
             return np.clip((kept - low) / (high - low), 0.0, 1.0)
+    notes.append(f"{names[0]} to {names[-1]} reach {usual[1]:g}: no scale of commands, which are left out")
     return None

@@ -33,7 +33,7 @@ _CLASSES = {
     3: ("octocopter", 8),
     4: ("coaxial octocopter", 8),
 } | {5: ("Y6", 6), 7: ("tricopter", 3), 12: ("dodecahexacopter", 12), 14: ("decacopter", 10)}
-_TYPES = {0: "plus", 1: "X", 2: "V", 3: "H", 12: "X of Betaflight", 13: "X, DJI order"}
+_TYPES = {0: "plus", 1: "X", 2: "V", 3: "H", 12: "X of Betaflight", 13: "X, DJI order", 14: "X, clockwise"}
 _FIRST_MOTOR_FUNCTION = 33
 _OUTPUTS = 14
 _PWM_US = (1000.0, 2000.0)

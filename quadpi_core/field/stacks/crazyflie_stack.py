@@ -62,8 +62,7 @@ def read_crazyflie_field(path: Path, _number: int | None = None, _poles: int | N
     }
     named, commands = next(((names, own) for names in _COMMANDS if (own := read(*names))), (("",), None))
     speeds, battery = read(*_SPEEDS), read("pm.vbatMV") or read("pm.vbat")
-    if speeds is not None and not np.any(speeds.values):
-        speeds = None
+    speeds = speeds if speeds and np.any(speeds.values) else None
     air = read("baro.pressure", "baro.temp")
     return FieldLog(
         name=path.name,

@@ -74,13 +74,9 @@ RC_OUT = "mavros_rc_out"
 LAYOUT_OF_FRAME = MappingProxyType(
     {
         **{(1, 0): "quad-plus", (1, 1): "quad-x", (1, 3): "quad-x", (1, 12): "betaflight"},
-        **{
-            (2, 0): "hexa-plus",
-            (2, 1): "hexa-x",
-            (3, 0): "octo-plus",
-            (3, 1): "octo-x",
-            (4, 1): "octo-coaxial-x",
-        },
+        # Numbered clockwise from the front right.
+        **{(1, 14): "crazyflie", (2, 0): "hexa-plus", (2, 1): "hexa-x", (2, 14): "hexa-cw-x"},
+        **{(3, 0): "octo-plus", (3, 1): "octo-x", (4, 1): "octo-coaxial-x"},
     }
 )
 

@@ -30,7 +30,7 @@ OPTIONS = ReadingOptions()
 def report_of(monkeypatch: pytest.MonkeyPatch) -> Callable[..., FieldReport]:
     """report_of(log, …) → the report of field logs, without files."""
 
-    def report(*logs: FieldLog | LogError) -> FieldReport:
+    def report(*logs: FieldLog | LogError, mass: float | None = None) -> FieldReport:
         found = {Path(f"flight{number}.log"): log for number, log in enumerate(logs)}
 
         def read(path: Path, *_: object) -> FieldLog:
@@ -40,7 +40,7 @@ def report_of(monkeypatch: pytest.MonkeyPatch) -> Callable[..., FieldReport]:
             return log
 
         monkeypatch.setattr(field_report, "read_field_log", read)
-        return report_on(list(found), OPTIONS)
+        return report_on(list(found), OPTIONS, mass=mass)
 
     return report
 
@@ -111,7 +111,8 @@ def test_of_motors_that_answer_each_other_one_is_named(report_of):
 def test_what_was_not_looked_at_is_said(report_of):
     assert report_of(example()).looked_at() == (
         "looked at: motor commands, thrust over command along the flight, tachometers; not looked at: "
-        "order of the motors (takes commands, gyro and the places of the motors), "
+        "command at hover along the flight (takes 6 pieces of slow flight between climb and landing, 0 are "
+        "there), order of the motors (takes commands, gyro and the places of the motors), "
         "spins of the motors (takes commands, gyro and the places of the motors), "
         "vibration (only ArduPilot's VIBE can be judged)"
     )
@@ -120,8 +121,9 @@ def test_what_was_not_looked_at_is_said(report_of):
     assert report.looked_at() == (
         "looked at: motor commands, thrust over command along the flight of 1 of 2 flights, tachometers of 1 "
         "of 2 flights; not looked at: thrust over command along the flight (the log has not both IMU and "
-        "commands), tachometers (commands and rotor speeds are logged at 4 Hz, slower than motors are), "
-        "order of the motors (takes commands, gyro and the places of the motors), "
+        "commands), command at hover along the flight (takes 6 pieces of slow flight between climb and "
+        "landing, 0 are there), tachometers (commands and rotor speeds are logged at 4 Hz, slower than "
+        "motors are), order of the motors (takes commands, gyro and the places of the motors), "
         "spins of the motors (takes commands, gyro and the places of the motors), "
         "vibration (only ArduPilot's VIBE can be judged)"
     )
@@ -313,6 +315,12 @@ def test_a_mass_that_rotor_speeds_do_not_carry_is_said(shared_data: Path, mass: 
         one.sentence for one in report.flights[0].remarks if "rotor speeds carry 0.037 kg" in one.sentence
     ]
     assert bool(said) == wrong
+
+
+def test_a_mass_that_nothing_judges_is_said(report_of):
+    for mass, is_said in ((None, False), (1.2, True)):
+        notes = report_of(example(), mass=mass).flights[0].log.notes
+        assert any(note.startswith("mass: as given") for note in notes) == is_said
 
 
 @pytest.mark.parametrize(("mass", "wrong"), [(None, False), (0.08, True), (0.01, False), (0.005, True)])

@@ -160,7 +160,7 @@ def test_commands_of_outputs_that_are_off_tell_nothing() -> None:
     landed = Series(log.commands.time, (log.commands.values[:, :1] < 0.1) * 1.0)
     off = replace(log, commands=Series(log.commands.time, 0.0 * log.commands.values), landed=landed)
     use = use_of(off)
-    assert (use.motors, use.change, use.hover) == ((), None, None)
+    assert (use.motors, use.change, use.no_change, use.hover) == ((), None, "not in the log", None)
     assert use.volts is not None
 
 
@@ -197,6 +197,12 @@ def changed(share: float, **changes: float) -> MotorUse:
 )
 def test_a_change_shows_in_slow_flight_near_the_weight_beyond_its_noise(changes, is_told) -> None:
     assert (changed(0.12, **changes).change is not None) == is_told
+
+
+def test_why_a_change_at_hover_is_not_told() -> None:
+    assert changed(0.0).no_change == ""
+    assert changed(0.12, speed=3.2).no_change.startswith("takes 6 pieces of slow flight")
+    assert use_of(example(imu=None)).no_change == "takes velocity and IMU"
 
 
 @pytest.mark.parametrize(("share", "is_told"), [(0.2, False), (0.4, True)])

@@ -64,6 +64,29 @@ def test_the_range_of_commands_is_told_by_their_size(tmp_path, value, share):
     assert log.rotors == 6
 
 
+def test_commands_of_no_known_scale_are_said_and_left_out(tmp_path):
+    log = read(table(tmp_path / "flight.csv", [f"motor_{k}" for k in range(1, 5)], [74000.0] * 4))
+    assert log.commands is None
+    assert "motor_1 to motor_4 reach 74000: no scale of commands, which are left out" in log.notes
+
+
+@pytest.mark.parametrize("shift_s", [0.0, -1.0])
+def test_samples_before_the_last_one_are_said(tmp_path, shift_s):
+    """Two logs in one file begin anew in its middle."""
+    path = table(tmp_path / "flight.csv", [], [])
+    head, *rows = path.read_text().splitlines()
+    rows = [row.split(",", 1) for row in rows]
+    later = [
+        f"{float(time) + (shift_s if row >= 100 else 0.0):.6g},{rest}"
+        for row, (time, rest) in enumerate(rows)
+    ]
+    path.write_text("\n".join([head, *later]) + "\n")
+    said = [note for note in read(path).notes if "stamped before the last one" in note]
+    assert said == [
+        "imu: 100 of 200 samples are left out: stale, not finite, or stamped before the last one"
+    ] * bool(shift_s)
+
+
 def test_rotor_speeds_are_no_commands(tmp_path):
     log = read(table(tmp_path / "flight.csv", [f"rpm_{k}" for k in range(1, 5)], [12000.0] * 4))
     assert log.commands is None

@@ -106,3 +106,13 @@ def test_telemetry_by_the_outputs_of_the_motors(read):
 )
 def test_no_multirotor_is_named(read, parameters, said):
     assert said in read(**parameters).no_multirotor
+
+
+def test_hexacopters_numbered_clockwise_are_placed(shared_data):
+    """Of motor 1, front right and counterclockwise, the loss rolls right, pitches down and yaws left."""
+    log = read_ardupilot_field(shared_data / "rrc_sitl" / "hexa-x_m1.bin")
+    assert log.motor(1) == "motor 1 (front right)"
+    after = log.imu.during(17.05, 17.25).values[:, :3].mean(axis=0)
+    assert np.array_equal(
+        np.sign(after), [np.sign(log.places[0, 1]), -np.sign(log.places[0, 0]), log.places[0, 2]]
+    )
