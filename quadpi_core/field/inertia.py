@@ -69,8 +69,9 @@ POWER = Threshold(
     "indiflight, imrc_payload, imrc_brushless and arpl of ../shared/data",
 )
 COHERENT = Threshold(
-    "share of an octave of the angular acceleration that motors explain, from which on it tells inertia",
-    0.85,
+    "share of an octave of the angular acceleration that motors explain, from which on it tells inertia; "
+    "deviation of the inertia by one that is alone",
+    (0.85, 0.14),
     "",
     "measured rotor speeds tell the inertia of three vehicles within 14 % by such octaves; by lower ones 1.3 "
     "to 30 times as much",
@@ -161,7 +162,7 @@ def _identified(
         pieces = [_joined(pieces[begin:end]) for begin, end in pairwise(cuts)]
     told = _joined(pieces)
     shares = _explained(told.moments, _fitted(told.moments)).max(axis=0)
-    heard = shares >= COHERENT.value
+    heard = shares >= COHERENT.value[0]
     solved = _solved(told, heard, by_speed=by_speed)
     if isinstance(solved, str):
         return _untold(solved)
@@ -188,7 +189,7 @@ def _identified(
     for axis, value in enumerate(0.5 * power * whole[1:3]):
         if not heard[axis].any():
             said = f"motors explain {100.0 * shares[axis].max():.0f} % of how it turns"
-            needed = f"{said}, of {100.0 * COHERENT.value:.0f} needed: {_QUICKLY}"
+            needed = f"{said}, of {100.0 * COHERENT.value[0]:.0f} needed: {_QUICKLY}"
             inertia.append(not_identified("kg m²", needed))
             continue
         errors = [0.5 * power * half[1 + axis], unsure / power * value, spread[axis] * value]
@@ -348,7 +349,8 @@ def _solved(told: _Piece, heard: npt.NDArray[np.bool_], *, by_speed: bool) -> tu
     with np.errstate(divide="ignore", invalid="ignore"):
         inertia = np.where(is_heard, gain / found[..., 0], 0.0)
         unequal = np.abs(found[..., :1] * octaves[..., 0, 0] / (octaves[..., 0, -1] - rest) - 1.0)
-    spread = np.max(np.where(heard, unequal, 0.0), axis=2)
+    most = np.max(np.where(heard, unequal, 0.0), axis=2)
+    spread = np.where(heard.sum(axis=1) > 1, most, COHERENT.value[1])
     if is_heard.any() and not 0 < best < len(_LAGS_S) - 1 and not (by_speed and best == 0):
         return f"the lag of the motors is beyond {_LAGS_S[1]:.3f} to {_LAGS_S[-2]:.2f} s"
     lag = lowest(_LAGS_S, errors) if is_heard.any() and best > 0 else _LAGS_S[best]

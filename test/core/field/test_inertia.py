@@ -106,6 +106,20 @@ def test_what_is_lacking_is_said():
         assert all(one.value is None and words in one.reason for one in found.inertia)
 
 
+def test_one_octave_alone_has_the_spread_of_others_in_its_interval():
+    """With so noisy a gyro one octave tells inertia about x, and two about y."""
+    alone, both = identify_body([flight(noise=0.5)], BEBOP, STILL).inertia
+    assert alone.half_width / alone.value == pytest.approx(np.hypot(0.294, 0.14), abs=0.01)
+    assert both.half_width / both.value < 0.305
+
+
+@pytest.mark.parametrize(("lag_s", "is_told"), [(0.13, True), (0.2, False)])
+def test_a_lag_that_no_motor_has_tells_no_inertia(lag_s: float, is_told: bool):
+    found = identify_body([flight(lag_s)], BEBOP, STILL)
+    assert (found.lag.value is not None) == is_told
+    assert is_told or "beyond 0.005 to 0.14 s" in found.inertia[0].reason
+
+
 def test_motors_are_told_by_their_corners_where_the_log_knows_them():
     log, aloft = flight()
     order, corners = [3, 1, 0, 2], np.sign(BEBOP.rotor_positions)

@@ -80,6 +80,19 @@ def test_what_tells_less_has_a_wider_interval() -> None:
     assert widths == sorted(widths)
 
 
+@pytest.mark.parametrize(("by", "half"), [(BY_SPEED, 0.018), (BY_VOLTAGE, 0.076), (BY_COMMAND, 0.109)])
+def test_the_interval_of_mass_is_the_scatter_of_good_flights(by: str, half: float) -> None:
+    assert changed([1.0] * 4, by).share.half_width == pytest.approx(half, rel=0.05)
+
+
+@pytest.mark.parametrize(("first", "count"), [(1.04, 3), (1.03, 1)])
+def test_another_motor_that_fits_a_little_worse_is_named_beside_the_first(first: float, count: int) -> None:
+    """Its squares are less than 3.84 more than those of motor 3, or up to twice as many."""
+    fits = changed([first, 1.0, 1.06, 1.0]).fits
+    assert "weak motor 3" in fits
+    assert len(fits) == count
+
+
 def test_of_good_flights_one_in_twenty_is_more_than_nothing() -> None:
     """Against many earlier flights, which tell the scatter."""
     rng, changed_ones, count = np.random.default_rng(0), 0, 400
