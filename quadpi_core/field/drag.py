@@ -69,11 +69,6 @@ class DragSamples:
         """Density of the air over that of standard air; 1 where it is not known."""
         return 1.0 if self.density is None else self.density / STANDARD_DENSITY
 
-    @property
-    def body_velocity(self) -> Array:
-        """Velocity over ground (N, 3) in body axes."""
-        return np.einsum("nji,nj->ni", self.turn, self.velocity)
-
 
 def piece_lengths_s(airborne_s: Sequence[float]) -> list[float]:
     """Length of the pieces of each flight that intervals leave out.
@@ -399,7 +394,7 @@ def identify_drag(flights: Sequence[DragSamples]) -> DragResult:
     With enough flights, intervals leave out flights rather than pieces of them, and hold for flights to come.
     """
     by_flight = len(flights) >= PIECES_FEWEST.value
-    body = np.vstack([one.body_velocity[:, :2] for one in flights])
+    body = np.vstack([np.einsum("nji,nj->ni", one.turn, one.velocity)[:, :2] for one in flights])
     usable = int(np.sum(np.hypot(*body.T) >= USABLE_SPEED.value))
     pieces = sum(len(np.unique(one.piece)) for one in flights)
     if usable < USABLE_FEWEST.value or pieces < PIECES_FEWEST.value:

@@ -18,7 +18,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.signal import lfilter
 
 from quadpi_core.field.airborne import Flown, velocity_of
-from quadpi_core.field.estimates import Estimate, beyond_zero, jackknife
+from quadpi_core.field.estimates import CONFIDENCE, Estimate, beyond_zero, jackknife
 from quadpi_core.field.field_log import FieldLog
 from quadpi_core.frames import Array, rotate_world_to_body
 from quadpi_core.records import Threshold
@@ -58,6 +58,8 @@ class MotorModel:
         error: root mean square on what was left out, over the mean speed, all rotors together.
         error_scaled: the same after one gain for each flight, as a battery that is not logged asks for.
         by_rotor: `error` of each rotor.
+        width: half of an interval of 95 %, by what others left out err, over the mean speed.
+        coverage: share of what was left out inside; uncalibrated where `flights` is 1.
         lag: of the first order, s, with its interval; not identified at the ends of the grid.
         dead_s: before it, transport and the filter of the tachometer together; None at the end of its grid.
         with_battery: whether voltage is in it.
@@ -67,6 +69,8 @@ class MotorModel:
     error: float
     error_scaled: float
     by_rotor: tuple[float, ...]
+    width: float
+    coverage: float
     lag: Estimate
     dead_s: float | None
     with_battery: bool
@@ -130,11 +134,13 @@ def motor_model(flights: Sequence[tuple[FieldLog, Flown]]) -> MotorModel | str:
     fit = _Fit.from_flights(flights)
     if isinstance(fit, str):
         return fit
-    by_rotor, scaled = fit.errors()
+    by_rotor, scaled, width, coverage = fit.errors()
     return MotorModel(
         error=float(np.sqrt(np.mean(by_rotor**2))),
         error_scaled=scaled,
         by_rotor=tuple(map(float, by_rotor)),
+        width=width,
+        coverage=coverage,
         lag=fit.lag,
         dead_s=fit.dead_s if fit.dead_s < _DEAD_S[-1] else None,
         with_battery=fit.volts,
@@ -174,8 +180,7 @@ def identified_motors(
 
     places = range(len(sums)) if len(sums) > 1 else ()
     without = [_solved([*sums[:place], *sums[place + 1 :]]) for place in places]
-    judged = [_told(fits, fit.known[place], fit.lag_s) for place, fits in enumerate(without)]
-    gains = [float(np.sum(told * speeds) / np.sum(told * told)) for told, speeds in judged]
+    gains = [_gain(*_told(fits, fit.known[place], fit.lag_s)) for place, fits in enumerate(without)]
     gain = float(np.sqrt(np.mean(np.square(np.array(gains) - 1.0)))) if gains else USUAL_GAIN.value
     return motors(_solved(sums)), {fit.names[place]: motors(fits) for place, fits in enumerate(without)}
 
@@ -204,26 +209,31 @@ class _Fit:
         known = [_known(log, flight, dead_s, with_battery=volts) for log, flight in usable]
         return cls([log.source for log, _ in usable], known, lag, lag_s, dead_s, volts)
 
-    def errors(self) -> tuple[Array, float]:
-        """RMS of what is left out over the mean speed: by rotor (R,), and after a gain of each flight."""
+    def errors(self) -> tuple[Array, float, float, float]:
+        """RMS of what is left out over the mean speed: by rotor (R,), and after a gain of each flight.
+
+        Also the half width of an interval by what the other folds err, and the share inside.
+        """
         if len(self.known) == 1:
             folds = [[[_parted(part, 2)[which] for part in self.known[0]]] for which in (0, 1)]
         else:
             folds = [self.known[first::_FOLDS_MOST] for first in range(min(len(self.known), _FOLDS_MOST))]
         sums = [[_sums(parts, self.lag_s) for parts in fold] for fold in folds]
-        fits = [
-            _solved([own for other, fold in enumerate(sums) if other != one for own in fold])
-            for one in range(len(folds))
+        told = []
+        for one, fold in enumerate(folds):
+            fit = _solved([own for other in (*sums[:one], *sums[one + 1 :]) for own in other])
+            told.append([_told(fit, parts, self.lag_s) for parts in fold])
+        mean = float(np.mean(np.concatenate([speeds for own in told for _, speeds in own])))
+        left = [np.concatenate([speeds - own for own, speeds in fold]) / mean for fold in told]
+        scaled = [speeds - _gain(own, speeds) * own for fold in told for own, speeds in fold]
+        widths = [
+            float(np.quantile(abs(np.concatenate([*left[:one], *left[one + 1 :]])), CONFIDENCE.value))
+            for one in range(len(left))
         ]
-        judged = [
-            [_errors(fit, fold, self.lag_s, scaled=scaled) for fit, fold in zip(fits, folds, strict=True)]
-            for scaled in (False, True)
-        ]
-        mean = float(np.mean(np.concatenate([part[2].ravel() for own in self.known for part in own])))
-        squares = [
-            np.sum([square for square, _ in own], axis=0) / sum(count for _, count in own) for own in judged
-        ]
-        return np.sqrt(squares[0]) / mean, float(np.sqrt(np.mean(squares[1])) / mean)
+        inside = np.concatenate([abs(own) <= width for own, width in zip(left, widths, strict=True)])
+        by_rotor = np.sqrt(np.mean(np.concatenate(left) ** 2, axis=0))
+        after = float(np.sqrt(np.mean(np.concatenate(scaled) ** 2)) / mean)
+        return by_rotor, after, max(widths), float(inside.mean())
 
 
 def _lag_and_dead_time(
@@ -271,7 +281,8 @@ def _parted(part: _Part, count: int) -> list[_Part]:
 def _curve(pieces: Sequence[_Part], lag_s: float) -> Array:
     """Sum of squared errors of each piece at a lag, by coefficients of all."""
     fits = _solved([_sums(pieces, lag_s)])
-    return np.array([float(np.sum(_errors(fits, [[piece]], lag_s, scaled=False)[0])) for piece in pieces])
+    told = [_told(fits, [piece], lag_s) for piece in pieces]
+    return np.array([float(np.sum((speeds - own) ** 2)) for own, speeds in told])
 
 
 def _known(log: FieldLog, flight: Flown, dead_s: float, *, with_battery: bool) -> list[_Part]:
@@ -363,17 +374,9 @@ def _ridged(gram: Array, pull: Array, weight: float, towards: Array | float) -> 
     return np.linalg.solve(ridged, pull / scale + weight * scale * towards) / scale
 
 
-def _errors(
-    fits: Sequence[Array], flights: Sequence[Sequence[_Part]], lag_s: float, *, scaled: bool
-) -> tuple[Array, int]:
-    """Sums of squared errors (R,), after a gain for each flight if `scaled`, and the number of samples."""
-    squares, count = np.zeros(len(fits)), 0
-    for parts in flights:
-        told, speeds = _told(fits, parts, lag_s)
-        gain = np.sum(told * speeds) / np.sum(told * told) if scaled else 1.0
-        squares += np.sum((speeds - gain * told) ** 2, axis=0)
-        count += len(speeds)
-    return squares, count
+def _gain(told: Array, speeds: Array) -> float:
+    """By which one factor the rotors of a flight turn faster than they are told."""
+    return float(np.sum(told * speeds) / np.sum(told * told))
 
 
 def _told(fits: Sequence[Array], parts: Sequence[_Part], lag_s: float) -> tuple[Array, Array]:

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import astuple
+from dataclasses import astuple, replace
 from pathlib import Path
 
 import numpy as np
@@ -160,12 +160,10 @@ def motor_table(flight: FlightReport) -> Table:
         rows.append(["vibration", None, "", "m/s²", f"not told: {vibration}"])
     else:
         band = f"5 to {vibration.rate_hz / 2.0:.0f} Hz; not judged"
-        for name, told, said in (
-            ("vibration", vibration.force, band),
-            ("VIBE", vibration.vibe, "95 % are below"),
-        ):
-            for axis, spread in zip("xyz", told or (), strict=bool(told)):
-                rows.append([f"{name} along {axis}", spread, "", "m/s²", Cell(said, Mark.SOFT)])
+        for axis, own in zip("xyz", vibration.force, strict=False):
+            rows.append(_row(f"vibration along {axis}", replace(own, reason=own.reason or band)))
+        for axis, most in zip("xyz", vibration.vibe or (), strict=False):
+            rows.append([f"VIBE along {axis}", most, "", "m/s²", Cell("95 % are below", Mark.SOFT)])
     if isinstance(read, Tachometers):
         for place, ratio in enumerate(read.ratio, start=1):
             rows.append([f"rotor {place}, over the others at the same command", ratio, "", "", ""])
@@ -182,7 +180,9 @@ def motor_sentence(vehicle: VehicleRecord) -> str:
     return (
         f"Rotor speed from {known}, late by {_about(motors.dead_s)} and with a lag of "
         f"{_between(motors.lag)}, errs by {100.0 * motors.error:.2g} % (RMS, {halves} left out), "
-        f"by {100.0 * motors.error_scaled:.2g} % after one gain for each."
+        f"by {100.0 * motors.error_scaled:.2g} % after one gain for each; "
+        f"an interval of ±{100.0 * motors.width:.2g} % by what the others err holds "
+        f"{100.0 * motors.coverage:.0f} %{', uncalibrated' * (motors.flights == 1)}."
     )
 
 
@@ -312,7 +312,7 @@ def write_field_page(path: Path, report: FieldReport) -> None:
             "MCOEF, BCOEF": "Momentum drag and ballistic coefficients, as PX4 and ArduPilot have them: "
             "−(MCOEF + ½ ρ |v| / BCOEF) v, at standard density. "
             "They hold for the speeds flown.",
-            "Vibration": "Standard deviation of what was logged, above 5 Hz. Not judged: ArduPilot's limits, "
+            "Vibration": "Root mean square of what was logged, above 5 Hz. Not judged: ArduPilot's limits, "
             "30 and 60 m/s², are of VIBE, from raw samples of 1 kHz and more.",
         },
         figures={},

@@ -34,6 +34,7 @@ _CLASSES = {
     4: ("coaxial octocopter", 8),
 } | {5: ("Y6", 6), 7: ("tricopter", 3), 12: ("dodecahexacopter", 12), 14: ("decacopter", 10)}
 _TYPES = {0: "plus", 1: "X", 2: "V", 3: "H", 12: "X of Betaflight", 13: "X, DJI order", 14: "X, clockwise"}
+_FACTS = {"hover thrust": "MOT_THST_HOVER", "thrust exponent": "MOT_THST_EXPO", "poles": "SERVO_BLH_POLES"}
 _FIRST_MOTOR_FUNCTION = 33
 _OUTPUTS = 14
 _PWM_US = (1000.0, 2000.0)
@@ -102,7 +103,7 @@ def read_ardupilot_field(path: Path, _number: int | None = None, _poles: int | N
         vibe=read("VIBE", "VibeX", "VibeY", "VibeZ"),
         places=places_of(LAYOUTS[layout]) if layout else None,
         drag_prefix="EK3_DRAG_",
-        facts=_facts(parameters),
+        facts={key: f"{parameters[name]:.4g} ({name})" for key, name in _FACTS.items() if name in parameters},
         parameters=parameters,
         settings=tuple(_settings(parameters, speeds, messages)),
         notes=(*assumed, *quality.sentences()),
@@ -178,15 +179,6 @@ def _landed(messages: Mapping[str, Messages], start_ns: int) -> Series | None:
     values = np.array([said[number] for number in numbers[words]])
     time_ns = np.concatenate([imu.time_ns()[:1], logged.time_ns()[words]])
     return held_series(time_ns, np.concatenate([1.0 - values[:1], values]), start_ns)
-
-
-def _facts(parameters: Mapping[str, float]) -> dict[str, str]:
-    names = {
-        "hover thrust": "MOT_THST_HOVER",
-        "thrust exponent": "MOT_THST_EXPO",
-        "poles": "SERVO_BLH_POLES",
-    }
-    return {key: f"{parameters[name]:.4g} ({name})" for key, name in names.items() if name in parameters}
 
 
 def _settings(

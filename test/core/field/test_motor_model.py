@@ -50,6 +50,29 @@ def test_a_battery_that_is_not_logged_is_a_gain_of_each_flight():
     assert model.error_scaled < 0.5 * model.error
 
 
+def test_an_interval_by_other_flights_holds_what_is_left_out_of_all():
+    """Flights that differ by a gain, beside one that differs by more, which the others do not cover."""
+    rng = np.random.default_rng(3)
+    logs = [example(seed) for seed in range(5)]
+    noisy = [
+        replace(
+            log,
+            rotor_speeds=Series(
+                log.rotor_speeds.time,
+                log.rotor_speeds.values + rng.normal(0.0, 20.0, log.rotor_speeds.values.shape),
+            ),
+        )
+        for log in logs
+    ]
+    model = model_of(*noisy)
+    assert model.width == pytest.approx(1.96 * model.error, rel=0.1)
+    assert model.coverage == pytest.approx(0.95, abs=0.01)
+    odd = replace(
+        noisy[0], rotor_speeds=Series(logs[0].rotor_speeds.time, 1.1 * noisy[0].rotor_speeds.values)
+    )
+    assert model_of(odd, *noisy[1:]).coverage < 0.9
+
+
 def test_a_half_reading_tachometer_is_named():
     log = read(1.0, 1.0, 0.5, 1.0)
     found = tachometers(log, flown(log))

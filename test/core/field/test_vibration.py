@@ -25,8 +25,21 @@ def test_vibration_is_what_is_faster_than_manoeuvres():
     shaken[:, 5] += 3.0 * np.sin(2.0 * np.pi * 60.0 * log.imu.time)
     found = vibration_of(replace(log, imu=replace(log.imu, values=shaken)), flown(log))
     assert isinstance(found, Vibration)
-    assert found.force[2] == pytest.approx(3.0 / 2.0**0.5, rel=0.02)
-    assert max(found.force[:2]) < 0.2
+    assert found.force[2].value == pytest.approx(3.0 / 2.0**0.5, rel=0.02)
+    assert max(one.value for one in found.force[:2]) < 0.2
+
+
+def test_vibration_that_comes_and_goes_has_a_wide_interval():
+    """For the half of the flight, or all along: the root of the mean square, and what pieces tell of it."""
+    log, widths = example(), []
+    for until in (30.0, 60.0):
+        shaken = log.imu.values.copy()
+        shaken[:, 5] += np.where(log.imu.time < until, 3.0, 0.0) * np.sin(2.0 * np.pi * 60.0 * log.imu.time)
+        found = vibration_of(replace(log, imu=replace(log.imu, values=shaken)), flown(log))
+        widths.append(found.force[2].half_width / found.force[2].value)
+        assert found.force[2].low <= 3.0 / 2.0**0.5 * (until / 60.0) ** 0.5 <= found.force[2].high
+    assert widths[0] > 0.3
+    assert widths[1] < 0.02
 
 
 def test_vibration_needs_a_fast_imu():
