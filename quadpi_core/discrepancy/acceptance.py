@@ -326,27 +326,34 @@ class Accepted:
 
         A step that lowers the evidence, as long ones of a tether do, is halved.
         """
-        best, chosen = self, self.chosen
+        best, to = self, self._parameters
         curved = any(not candidate.linear for candidate in self.candidates)
-        value, at = self.regression.at_points(chosen), [self.regression.points[k] for k in chosen]
-        to = self._parameters()
+        value, at = self.regression.at_points(self.chosen), {k: self.regression.points[k] for k in to}
         for _ in range(ROUNDS):
-            moved = best.regression.moved(dict(zip(chosen, to, strict=True)))
-            improved, there = Accepted.fitted(moved, chosen), moved.at_points(chosen)
+            steps = {k: own for k, own in to.items() if best.regression.moves(k, best.fit, own)}
+            if not steps:
+                break
+            moved = best.regression.moved(steps)
+            improved, there = Accepted.fitted(moved, self.chosen), moved.at_points(self.chosen)
             if improved is not None and (not curved or there >= value):
-                best, value, at, to = improved, there, to, improved._parameters()
+                best, value, at, to = improved, there, to, improved._parameters
             elif not curved:
                 return None
             else:
-                to = [0.5 * (old + new) for old, new in zip(at, to, strict=True)]
+                to = {k: 0.5 * (old + to[k]) for k, old in at.items()}
         return best
 
-    def _parameters(self) -> list[Array]:
-        return [self.regression.parameters(index, self.fit) for index in self.chosen]
+    def within(self, regression: Regression) -> Accepted:
+        """The effects refined in another regression; as they are where bounds exclude one of them there.
 
-    def with_left_as_noise(self) -> Regression:
-        """See :meth:`Regression.beside`."""
-        return self.regression.beside(self.chosen, self.fit)
+        Others in their place then find their columns about where these fit.
+        """
+        fitted = Accepted.fitted(regression, self.chosen)
+        return (fitted and fitted.refined()) or self
+
+    @property
+    def _parameters(self) -> dict[int, Array]:
+        return {index: self.regression.parameters(index, self.fit) for index in self.chosen}
 
     def needed(self, index: int) -> float:
         """Evidence [nat] that one more effect has to gain."""
@@ -415,7 +422,7 @@ class Trial:
     def reweighted(self) -> Regression:
         """The refined regression with at least the residual after all effects as noise."""
         assert self.refined is not None
-        return self.refined.with_left_as_noise()
+        return self.refined.regression.beside(self.refined.chosen, self.refined.fit)
 
     @cached_property
     def together(self) -> Accepted | None:

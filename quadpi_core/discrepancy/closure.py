@@ -113,12 +113,7 @@ class Closing:
         return sum(noise.squares(fit.residual(), place) for place, fit in enumerate(self.left_out))
 
     def gap(
-        self,
-        noise: Array,
-        stated: Array,
-        *,
-        adjusted: bool = True,
-        held: npt.NDArray[np.bool_] = _NONE_HELD,
+        self, noise: Array, stated: Array, *, adjusted: bool = True, held: npt.NDArray[np.bool_] = _NONE_HELD
     ) -> Gap:
         """The gap of each flight after the fit of all others; unchanged where no effect was chosen.
 

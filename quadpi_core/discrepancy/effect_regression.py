@@ -62,6 +62,13 @@ SMALL_STEP = Threshold(
     "a third of the smallest size that is named: columns hardly change over less",
     CONVENTION,
 )
+SURE_STEP = Threshold(
+    "step to another point of linearisation beside other effects",
+    2.0,
+    "standard deviations of the fit",
+    "the level of the intervals that are stated: a shorter one changed evidence by at most one nat",
+    "sets of eight flights of a Crazyflie with a load",
+)
 
 
 class Reduction(NamedTuple):
@@ -96,6 +103,7 @@ class Regression(Memoised):
         explained: per flight, rows (6, B) of the wrench of the accelerations that the columns of mass and
             inertia are made of.
         conditions: what each flight has of its own, in the order of the last of `noise.own`.
+        beside_fitted: the flights beside the simulation that columns are made of, where it is not the stated.
     """
 
     flights: tuple[Compared, ...]
@@ -108,6 +116,7 @@ class Regression(Memoised):
     noise: Noise
     explained: tuple[Array, ...]
     conditions: tuple[Condition, ...] = ()
+    beside_fitted: tuple[Compared, ...] = ()
 
     @classmethod
     def from_flights(cls, flights: Sequence[Compared], candidates: Sequence[Candidate]) -> Regression:
@@ -238,9 +247,24 @@ class Regression(Memoised):
         """Columns of every fit: the residual, and the tolerances."""
         return self.residual, self.tolerances.coefficients, self.tolerances.body
 
-    def moved(self, points: Mapping[int, Array]) -> Regression:
-        """The regression with candidates, by index, linearised about other points, with forms."""
-        return self._with_blocks(points, self.flights)
+    def moved(self, points: Mapping[int, Array], *, anew: bool = False) -> Regression:
+        """The regression with candidates, by index, linearised about other points, with forms.
+
+        Columns of linear ones stay, unless all are made `anew`.
+        """
+        at, blocks, flights = list(self.points), list(self.blocks), self.beside_fitted or self.flights
+        for index, point in points.items():
+            candidate = self.candidates[index]
+            at[index] = point
+            if anew or not candidate.linear:
+                blocks[index] = block_of(candidate, point, flights)
+            size = float(np.linalg.norm(point / candidate.scale))
+            form = None
+            if size > 0.0 and candidate.form > 0.0:
+                form = self.modulators.form(candidate, flights, point)
+            own_point = (point - candidate.centre) / candidate.scale
+            blocks[index] = replace(blocks[index], at=own_point, form=form, formed_at=size or 1.0)
+        return replace(self, points=tuple(at), blocks=tuple(blocks))
 
     def with_fitted_coefficients(self, chosen: Sequence[int], found: Fit) -> Regression:
         """The regression with the chosen made of the simulation with its coefficients as a fit has them.
@@ -257,29 +281,11 @@ class Regression(Memoised):
             return self
 
         def made() -> Regression:
-            flights = [flight.compared_with(simulation) for flight in self.flights]
-            moving = [index for index in chosen if self.candidates[index].effect.kind != "vehicle"]
-            return self._with_blocks({index: self.points[index] for index in moving}, flights, anew=True)
+            flights = tuple(flight.compared_with(simulation) for flight in self.flights)
+            points = {k: self.points[k] for k in chosen if self.candidates[k].effect.kind != "vehicle"}
+            return replace(self, beside_fitted=flights).moved(points, anew=True)
 
         return self.once(("fitted", tuple(chosen), found), made)
-
-    def _with_blocks(
-        self, points: Mapping[int, Array], flights: Sequence[Compared], *, anew: bool = False
-    ) -> Regression:
-        """The regression with blocks of candidates about points, made of flights beside a simulation."""
-        at, blocks = list(self.points), list(self.blocks)
-        for index, point in points.items():
-            candidate = self.candidates[index]
-            at[index] = point
-            if anew or not candidate.linear:
-                blocks[index] = block_of(candidate, point, flights)
-            size = float(np.linalg.norm(point / candidate.scale))
-            form = None
-            if size > 0.0 and candidate.form > 0.0:
-                form = self.modulators.form(candidate, flights, point)
-            own_point = (point - candidate.centre) / candidate.scale
-            blocks[index] = replace(blocks[index], at=own_point, form=form, formed_at=size or 1.0)
-        return replace(self, points=tuple(at), blocks=tuple(blocks))
 
     def weighted(self, variance: Array) -> Regression:
         """The regression with noise of another variance, (6, C) or (F, 6, C)."""
@@ -381,6 +387,12 @@ class Regression(Memoised):
         """What coefficients (T,), in their tolerances, add to the simulated wrench, as a sum of columns."""
         count = self.tolerances.coefficients.width
         return [Part(self.base[1], values[:count]), Part(self.base[2], values[count:])]
+
+    def moves(self, index: int, found: Fit, to: Array) -> bool:
+        """Whether a candidate is linearised anew at parameters (k,): further away than a fit is unsure."""
+        at, deviation = self.points[index], self.deviation(index, found) * self.candidates[index].scale
+        # However small the first step: what else a law depends on acts only where it is there.
+        return not at.any() or bool(np.any(np.abs(to - at) > SURE_STEP.value * deviation))
 
     def size(self, index: int, found: Fit) -> float:
         """Largest parameter of a candidate in a fit, in prior standard deviations."""

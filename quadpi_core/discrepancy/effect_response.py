@@ -29,7 +29,7 @@ from quadpi_core.frames import Array, rotate_body_to_world, rotate_world_to_body
 from quadpi_core.records import CONVENTION, Threshold
 from quadpi_core.signals.chain import interpolate_columns
 from quadpi_core.signals.wrench import measured_wrench
-from quadpi_core.simulation.applied_effects import EFFECTS, effect_wrench, with_memory
+from quadpi_core.simulation.applied_effects import EFFECTS, effect_wrench, remembered_wrenches
 from quadpi_core.simulation.effect_definition import Effect
 from quadpi_core.vehicle import Motors, Vehicle
 
@@ -65,15 +65,7 @@ AVERAGE_HZ = Threshold(
 _NEAR = 0.02
 _NO_NUMBERS = np.random.default_rng(0)
 # What a flight beside one simulation shares with the same flight beside another.
-_OF_THE_FLIGHT = (
-    "_recorded",
-    "flight",
-    "thinned",
-    "step",
-    "quiet",
-    "measured",
-    "bias_response",
-)
+_OF_THE_FLIGHT = ("_recorded", "flight", "thinned", "step", "quiet", "measured", "bias_response")
 
 
 class Compared(Memoised):
@@ -189,7 +181,7 @@ class Compared(Memoised):
             typical = [abs(effect.parameters[i].default) or 1.0 for i in part]
             if others := [*known]:
                 away = np.max(np.abs(np.subtract(others, key)) / typical, axis=1)
-                near = known[others[int(away.argmin())]].memory if away.min() < _NEAR else None
+                near = known[others[int(away.argmin())]] if away.min() < _NEAR else None
             step_s = 1.0 / self.thinned.rate_hz
             known[key] = started(effect, values, self.states, self.record, self.residual, step_s, near)
         return known[key]
@@ -312,10 +304,12 @@ def _every(flight: Flight, step: int) -> Flight:
 def _wrench(compared: Compared, effect: Effect, values: Array) -> Array:
     parameters = {p.name: v for p, v in zip(effect.parameters, values, strict=True)}
     name, states, record = effect.name, compared.states, compared.record
-    if effect.at_rest:
-        start, step_s = compared.started(effect, values).memory, 1.0 / compared.thinned.rate_hz
-        states = with_memory(name, parameters, states, record, start, step_s)
-    return compared.simulation.recorded(compared.thinned, effect_wrench(name, parameters, states, record))
+    if not effect.at_rest:
+        added = effect_wrench(name, parameters, states, record)
+    else:
+        start, step_s = compared.started(effect, values).memory[np.newaxis], 1.0 / compared.thinned.rate_hz
+        added = remembered_wrenches(name, parameters, states, record, start, step_s)[:, :, 0]
+    return compared.simulation.recorded(compared.thinned, added)
 
 
 def _vehicle(compared: Compared, effect: Effect, values: Array) -> Array:

@@ -135,20 +135,9 @@ class Equations:
 
     @classmethod
     def from_columns(
-        cls,
-        base: Sequence[Columns],
-        blocks: Sequence[Block],
-        noise: Noise,
-        formed: Sequence[Block],
+        cls, base: Sequence[Columns], blocks: Sequence[Block], noise: Noise, formed: Sequence[Block]
     ) -> Equations:
-        """Equations of some blocks.
-
-        Args:
-            base: columns of the residual and of tolerances.
-            blocks: of the effects.
-            noise: of the flights.
-            formed: those whose forms are fitted too, as far as they have any.
-        """
+        """Equations of blocks beside columns of the residual and tolerances, with the forms of some."""
         formed = tuple(block for block in formed if block.form is not None)
         parts = (*base, *(block.columns for block in blocks), *(own.form for own in formed if own.form))
         tolerances = sum(part.width for part in base) - 1

@@ -64,7 +64,7 @@ KEPT = Threshold(
     CONVENTION,
 )
 
-# Margins of a law within which coefficients as fitted may bring a rival close.
+# Margins of a law within which coefficients as fitted, or columns about other points, may bring rivals close.
 _NEAR = 3.0
 # Beyond it odds are no number.
 _MOST_LOG_ODDS = 700.0
@@ -297,16 +297,16 @@ class _Search:
 
         Rivals that do nearly as well get such columns too, so that they are compared alike.
         """
-        near = {rival for close in self.rivals(accepted, margins=_NEAR).values() for rival, _ in close}
+        near = {rival for close in self.rivals(accepted, near=True).values() for rival, _ in close}
         made = sorted({*accepted.chosen, *near})
         regression = accepted.regression.with_fitted_coefficients(made, accepted.fit)
-        return Accepted.fitted(regression, accepted.chosen) or accepted
+        return accepted.within(regression)
 
-    def rivals(self, accepted: Accepted, *, of_its_name: bool = False, margins: float = 1.0) -> Rivals:
+    def rivals(self, accepted: Accepted, *, of_its_name: bool = False, near: bool = False) -> Rivals:
         """For each chosen candidate others that do about as well in its place, with their odds.
 
         What no search may name is told among them, unless it closes no gap or intervals hold it. Others
-        `of_its_name`, as of another rotor, count where asked for; they may be behind by margins of a law.
+        `of_its_name`, as of another rotor, count where asked for, and those that are only `near`.
         """
         regression, found = accepted.regression, accepted.fit
         rivals: Rivals = {}
@@ -327,10 +327,10 @@ class _Search:
                 if swapped is None or not Accepted(regression, (rival,), swapped).sizeable:
                     continue
                 behind = found.log_evidence - swapped.log_evidence
-                if 0.0 < behind < _NEAR * margins * margin:
+                if not near and 0.0 < behind < _NEAR * margin:
                     chosen = tuple(sorted((*others.chosen, rival)))
                     behind -= _gained_together(Accepted(regression, chosen, swapped))
-                if behind < margins * margin:
+                if behind < (_NEAR if near else 1.0) * margin:
                     odds = np.exp(min(-behind * NAMED_ALONE.value / margin, _MOST_LOG_ODDS))
                     odds *= odds_before(candidate, others) / odds_before(own, others)
                     close.append((rival, float(odds)))
@@ -407,7 +407,7 @@ def without_idle(accepted: Accepted) -> tuple[Accepted, list[Judgement]]:
         gain = accepted.fit.log_evidence - rest.fit.log_evidence
         still_needed = judge_evidence(gain, rest.needed(index))
         better = None if still_needed.passed else rest.refined()
-        smaller = better and Accepted.fitted(better.with_left_as_noise(), fewer)
+        smaller = better and Accepted.fitted(better.regression.beside(fewer, better.fit), fewer)
         if smaller is not None:
             return smaller, [Judgement.from_verdicts(smaller, index, (still_needed,))]
     return accepted, []
@@ -422,7 +422,7 @@ def _lenient(accepted: Accepted, inside: Inside) -> Accepted:
     noise = regression.noise.variance
     held = inside.held[:, np.newaxis] & (noise < regression.stated)
     lenient = regression.weighted(np.where(held, regression.stated, noise))
-    return Accepted.fitted(lenient, accepted.chosen) or accepted
+    return accepted.within(lenient)
 
 
 def _allowed(lenient: Accepted) -> dict[int, float]:

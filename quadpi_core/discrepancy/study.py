@@ -171,11 +171,7 @@ def study_flight(flight: Flight, source: Path | str = "") -> Flight:
 
 
 def study(
-    simulation: Simulation,
-    flights: Sequence[Flight],
-    *,
-    names: Sequence[str] | None = None,
-    seed: int = 0,
+    simulation: Simulation, flights: Sequence[Flight], *, names: Sequence[str] | None = None, seed: int = 0
 ) -> Study:
     """Find the effects that a simulation lacks, and where they show.
 
@@ -217,12 +213,8 @@ def found_and_flown(
 
     An effect that closes nothing of the gap, or explains what the simulation's own intervals allow for, is no
     explanation, and is barred from another search. So is one of several without which these hold as much, of
-    what is faster than a search compares, too. At last one is barred without which the result holds.
-
-    Args:
-        simulation: simulation to compare with.
-        flights: see :func:`discover`.
-        names: names of effects to look for; unless given, all.
+    what is faster than a search compares, too. At last one is barred without which the result holds. It takes
+    what :func:`prepared` does.
 
     Raises:
         DiscrepancyError, LogError: see :func:`discover` and :func:`flown_again`.

@@ -80,6 +80,9 @@ _TINY = 1e-30
 _SMALL = 1e-5
 # Of the state, in prior deviations: a step for derivatives, and the longest of an iteration.
 _STEP, _LONGEST = 1e-4, 1.0
+# Derivatives are kept while each step is shorter than this share of the one before, and hold this far from
+# where they were made.
+_SHRINKING, _THERE = 0.1, 0.01
 # Least and first size of the contribution while the state is sought, in sizes of the residual: without a
 # contribution nothing tells of the state.
 _WEAKEST, _FIRST = 0.05, 0.5
@@ -243,12 +246,14 @@ class Started(NamedTuple):
         strength: value of the effect's first parameter that fits this flight, not negative.
         explained: share of the squares of the residual, mean removed, that the effect explains.
         cost: evidence [nat] that the freedom of the start takes from the effect.
+        slopes: derivatives of its forces of unit strength; None at rest.
     """
 
     memory: Array
     strength: float
     explained: float
     cost: float
+    slopes: Array | None = None
 
 
 def started(
@@ -258,7 +263,7 @@ def started(
     vehicle: npt.NDArray[np.void],
     residual: Array,
     step_s: float,
-    near: Array | None = None,
+    near: Started | None = None,
 ) -> Started:
     """Estimate the state of an effect at the start of a flight, such as the swing of a slung load.
 
@@ -277,7 +282,7 @@ def started(
         vehicle: (1,) of `state_records.VEHICLE`.
         residual: (N, 6) measured less simulated wrench, without the effect.
         step_s: seconds between the states.
-        near: (6,) the state for all but the same parameters, from which it is found at once.
+        near: what was found for all but the same parameters, from which it is found at once.
     """
     stride = max(1, round(1.0 / (_RATE_HZ * step_s)))
     shown = [max(round(seconds / step_s), 2 * stride) for seconds in STRETCHES_S.value]
@@ -287,13 +292,16 @@ def started(
         for samples in (shown[:needed] if near is None else shown[-1:])
     ]
     rest, last = np.asarray(effect.at_rest, dtype=float), stretches[-1]
-    firsts = rest + _FIRST_STATES * effect.start_spread if near is None else near[np.newaxis]
-    at = max((stretches[0].fitted(first) for first in firsts), key=lambda one: one.explained)
-    for stretch in stretches[1:]:
-        at = stretch.fitted(at.memory)
+    if near is not None:
+        at = last.judged(near.memory, last.forces(near.memory[np.newaxis])[:, 0])
+    else:
+        firsts = rest + _FIRST_STATES * effect.start_spread
+        at = max((stretches[0].fitted(first) for first in firsts), key=lambda one: one.explained)
+        for stretch in stretches[1:]:
+            at = stretch.fitted(at.memory)
     # What is explained is no noise: beside it, the prior would hold a wide swing near rest.
-    at = last.fitted(at.memory, 1.0 - at.explained)
-    resting = last.judged(rest, last.forces(rest[np.newaxis]))
+    at = last.fitted(at.memory, 1.0 - at.explained, near and near.slopes)
+    resting = last.judged(rest, last.forces(rest[np.newaxis])[:, 0])
     return at if last.gain(at, resting) > at.cost else resting
 
 
@@ -321,47 +329,61 @@ class _Stretch:
         self._squares = max(float(self._target @ self._target), _TINY)
         self._independent = INDEPENDENT_HZ.value * step_s * len(self._target)
 
-    def fitted(self, memory: Array, left: float = 1.0) -> Started:
-        """The most probable state near a first one (6,), beside noise of a share of the squares."""
+    def fitted(self, memory: Array, left: float = 1.0, slopes: Array | None = None) -> Started:
+        """The most probable state near a first one (6,), beside noise of a share of the squares.
+
+        Slopes (·, 6) that are known nearly serve as long as steps shrink fast, but not to the end.
+        """
+        anew, away = slopes is None, np.inf
         target, weight = self._target, self._independent / (self._squares * max(left, _TINY))
 
         def cost(strength: float, memory: Array, shape: Array) -> float:
             left, moved = target - strength * shape, (memory - self._rest) / self._spread
             return weight * float(left @ left) + float(moved @ moved)
 
-        columns = self._columns(memory, self.forces(memory[np.newaxis])[:, 0])
-        strength = _FIRST * self._ratio(columns[:, 0])
-        least = cost(strength, memory, columns[:, 0])
+        shape, size = self.forces(memory[np.newaxis])[:, 0], np.inf
+        strength = _FIRST * self._ratio(shape)
+        least = cost(strength, memory, shape)
         for _ in range(_ITERATIONS):
+            if fresh := slopes is None:
+                slopes, away = self._slopes(memory, shape), 0.0
+            columns = np.column_stack((shape, slopes))
             # Strength and moved state are linear together: a c + J (a δ).
             precision = np.array([0.0] + MEMORY * [max(strength, _TINY) ** -2])
             prior = strength * precision[1:] * (self._rest - memory) / self._spread
             normal = weight * (columns.T @ columns) + np.diag(precision)
             solved = np.linalg.solve(normal, weight * (columns.T @ target) + np.array([0.0, *prior]))
-            strength = max(float(solved[0]), _WEAKEST * self._ratio(columns[:, 0]))
+            strength = max(float(solved[0]), _WEAKEST * self._ratio(shape))
             step = np.clip(solved[1:] / max(strength, _TINY), -_LONGEST, _LONGEST)
             for _ in range(_HALVINGS):
                 moved = memory + step * self._spread
-                shape = self.forces(moved[np.newaxis])[:, 0]
-                value = cost(strength, moved, shape)
+                there = self.forces(moved[np.newaxis])[:, 0]
+                value = cost(strength, moved, there)
                 if value <= least:
                     break
                 step = 0.5 * step
             else:
+                if fresh:
+                    break
+                slopes = None
+                continue
+            before, size = size, float(np.abs(step).max())
+            memory, shape, least, away = moved, there, value, away + size
+            if size < _SMALL and away < _THERE:
                 break
-            memory, columns, least = moved, self._columns(moved, shape), value
-            if np.abs(step).max() < _SMALL:
-                break
-        return self.judged(memory, columns)
+            if anew or size < _SMALL or size > _SHRINKING * before:
+                slopes, size = None, np.inf
+        return self.judged(memory, shape, self._slopes(memory, shape) if slopes is None else slopes)
 
-    def judged(self, memory: Array, columns: Array) -> Started:
+    def judged(self, memory: Array, shape: Array, slopes: Array | None = None) -> Started:
         """A state at the start (6,) by its forces of unit strength, and their derivatives if it was free."""
-        shape, slopes = columns[:, 0], columns[:, 1:]
         strength = max(float(shape @ self._target) / max(float(shape @ shape), _TINY), 0.0)
         left = max(float(np.sum(np.square(self._target - strength * shape))), len(shape) * _TINY)
-        information = self._independent * strength**2 / left * (slopes.T @ slopes)
-        cost = 0.5 * float(np.linalg.slogdet(np.eye(len(information)) + information)[1])
-        return Started(memory, strength, 1.0 - left / self._squares, cost)
+        cost = 0.0
+        if slopes is not None:
+            information = self._independent * strength**2 / left * (slopes.T @ slopes)
+            cost = 0.5 * float(np.linalg.slogdet(np.eye(len(information)) + information)[1])
+        return Started(memory, strength, 1.0 - left / self._squares, cost, slopes)
 
     def gain(self, one: Started, other: Started) -> float:
         """Evidence [nat] that one state gains over another, whose freedom is not counted."""
@@ -372,10 +394,10 @@ class _Stretch:
         """Forces (·, K) of unit strength from states (K, 6) on."""
         return _varying_forces(self._wrenches(starts))
 
-    def _columns(self, memory: Array, shape: Array) -> Array:
-        """Forces (·, 7): those of a state, and their derivatives per prior deviation of it."""
+    def _slopes(self, memory: Array, shape: Array) -> Array:
+        """Derivatives (·, 6) of the forces (·,) of a state, per prior deviation of it."""
         moved = self.forces(memory + np.diag(_STEP * self._spread))
-        return np.column_stack((shape, (moved - shape[:, np.newaxis]) / _STEP))
+        return (moved - shape[:, np.newaxis]) / _STEP
 
     def _ratio(self, shape: Array) -> float:
         return float(np.sqrt(self._squares)) / max(float(np.linalg.norm(shape)), _TINY)

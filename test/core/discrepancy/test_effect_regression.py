@@ -81,6 +81,11 @@ def test_the_chosen_are_made_of_the_simulation_with_its_coefficients_as_fitted(s
         (wind.form, theirs[1].form),
     ):
         np.testing.assert_allclose(rows(mine, 1), rows(same, 1), atol=1e-12)
+    # Moved again, they are still made of it.
+    there = {1: points[1] + 0.5}
+    again = rows(remade.moved(there).blocks[1].columns, 1)
+    np.testing.assert_allclose(again, rows(expected.moved(there).blocks[1].columns, 1), atol=1e-12)
+    assert not np.allclose(again, rows(before.moved(there).blocks[1].columns, 1), rtol=1e-3, atol=0.0)
     # Five tolerances of thrust.
     stated = np.linalg.norm(rows(before.blocks[0].columns, 0))
     assert np.linalg.norm(rows(tilt.columns, 0)) == pytest.approx(1.05 * stated, rel=0.01)
@@ -202,13 +207,23 @@ def test_a_curved_effect_is_linearised_where_it_fits_best(simulation, flights):
     better, fit = refined.regression, refined.fit
     values = better.parameters(0, fit)
     np.testing.assert_allclose(values, BLOWN, atol=0.1)
-    np.testing.assert_allclose(better.points[0], values, atol=0.02)
+    assert not better.moves(0, fit, values)
     assert better.at_points((0,)) >= regression.at_points((0,))
     # About another point than zero, what it adds is its columns less what the linearisation adds.
     for place, flight in enumerate(better.flights):
         exact = rows_in(better, place, flight.added(wind.effect, wind.values(values)))
         off = rows_of(better.added((0,), fit), place) - exact
         assert np.linalg.norm(off) < 0.02 * np.linalg.norm(exact)
+
+
+def test_an_effect_is_linearised_anew_where_it_is_moved_by_more_than_is_unsure(simulation, flights):
+    """By two standard deviations of its fit; the first time however little, as its form needs a size."""
+    regression = regression_of(simulation, flights[:2], ["wind"])
+    wind, fit = regression.moved({0: np.array([0.5, -0.2, 0.1])}), regression.fit((0,))
+    unsure = wind.deviation(0, wind.fit((0,))) * wind.candidates[0].scale
+    for deviations, moves in ((1.9, False), (2.1, True)):
+        assert wind.moves(0, wind.fit((0,)), wind.points[0] + [0.0, deviations * unsure[1], 0.0]) == moves
+    assert regression.moves(0, fit, np.full(3, 1e-9))
 
 
 class Overshooting:
@@ -218,6 +233,9 @@ class Overshooting:
 
     def __init__(self, at=0.0):
         self.points = (np.array([at]),)
+
+    def moves(self, *_):
+        return True
 
     def moved(self, points):
         return Overshooting(*points.get(0, self.points[0]))

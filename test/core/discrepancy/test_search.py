@@ -57,6 +57,9 @@ class ListedEvidence(Memoised):
     def size(self, *_):
         return 1.0
 
+    def moves(self, *_):
+        return True
+
     def moved(self, _):
         return self
 

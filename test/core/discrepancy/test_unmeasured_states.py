@@ -165,6 +165,28 @@ def test_nothing_to_explain_gives_no_strength(swung, record):
     assert np.all(np.isfinite(start.memory))
 
 
+def test_a_start_that_is_known_nearly_is_found_in_fewer_steps(swung, record, monkeypatch):
+    """A centimetre of cable on, by the derivatives that are known, as from the beginning."""
+    states, followed = swung.states(measured=True), []
+    given = states, record, swung.pull_in_body(), STEP_S
+    near = started(LOAD, np.array([1.0, 0.5, 0.0, 0.0]), *given)
+    forces = unmeasured_states.remembered_wrenches
+
+    def counted(*args, **kwargs):
+        found = forces(*args, **kwargs)
+        followed.append(found.shape[2])
+        return found
+
+    monkeypatch.setattr(unmeasured_states, "remembered_wrenches", counted)
+    anew = started(LOAD, np.array([1.0, 0.51, 0.0, 0.0]), *given)
+    whole, followed[:] = sum(followed), []
+    on = started(LOAD, np.array([1.0, 0.51, 0.0, 0.0]), *given, near)
+    hanging, also = (own.memory[:3] / np.linalg.norm(own.memory[:3]) for own in (on, anew))
+    np.testing.assert_allclose(hanging, also, atol=1e-3)
+    assert on.explained == pytest.approx(anew.explained, abs=1e-3)
+    assert sum(followed) < 0.2 * whole
+
+
 @pytest.mark.parametrize("length", [0.05, 0.15])
 def test_a_swing_faster_than_the_samples_stays_finite(swung, record, length):
     states = swung.states(measured=True)
