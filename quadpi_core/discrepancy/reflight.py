@@ -191,7 +191,7 @@ def reflights(discovery: Discovery) -> Reflights:
     was = [_as_it_was(discovery, place) for place in range(len(flights))]
     floor = [_floor(one, added.vehicle) for one, added in zip(compared, after, strict=True)]
     return Reflights(
-        rollout=_of_squares(was, [rollout(*own) for own in zip(flights, after, strict=True)], floor),
+        rollout=rollouts(was, [rollout(*own) for own in zip(flights, after, strict=True)], floor),
         closed_loop=closed_loops(flights, before, after),
         coverage=coverages(compared, after),
     )
@@ -211,20 +211,8 @@ def _floor(one: Compared, vehicle: Vehicle) -> Array:
     return one.once(("floor", vehicle.fingerprint), lambda: rollout_floor(one.flight, vehicle))
 
 
-def rollouts(
-    flights: Sequence[Flight], before: Sequence[Simulation], after: Sequence[Simulation]
-) -> Rollouts:
-    """Errors of roll-outs before, after, and with the measured wrench, over all flights.
-
-    There are none where every roll-out of one of the three is lost.
-    """
-    vehicles = [simulation.vehicle for simulation in after]
-    each = map(rollout, flights, before), map(rollout, flights, after), map(rollout_floor, flights, vehicles)
-    return _of_squares(*map(list, each))
-
-
-def _of_squares(*of_flights: Sequence[Array]) -> Rollouts:
-    """From squares (S, 4) of each flight: before, after and at the floor."""
+def rollouts(*of_flights: Sequence[Array]) -> Rollouts:
+    """From squares (S, 4) of each flight before, after and at the floor; none where all of one are lost."""
     squares = [np.concatenate(own) for own in of_flights]
     lost = [int(np.isnan(own[:, 0]).sum()) for own in squares]
     starts = len(squares[0])

@@ -177,7 +177,9 @@ def test_roll_outs_that_diverge_are_left_out_and_counted(truth):
     median = float(np.median(np.linalg.norm(truth.velocity, axis=1)))
     for limit, least, most in ((100.0, 0.0, 0.0), (median, 0.3, 0.9), (-1.0, 1.0, 1.0)):
         object.__setattr__(simulation, "limit", limit)
-        found = rollouts([truth], [simulation], [load_simulation("bebop2")])
+        nominal = load_simulation("bebop2")
+        floor = rollout_floor(truth, nominal.vehicle)
+        found = rollouts([rollout(truth, simulation)], [rollout(truth, nominal)], [floor])
         assert least <= found.lost["before"] / (found.starts + found.lost["before"]) <= most
         assert found.lost["after"] == 0
         assert np.all(np.isfinite(list(found.errors.values())))
