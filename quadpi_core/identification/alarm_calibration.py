@@ -126,10 +126,10 @@ def tails_of_misses(largest: Array) -> list[Tail]:
     """Tails of the sequential test of each axis, from the largest sums (n, K) of flights, in seconds.
 
     There are too few flights to tell the tail of each axis alone: its mean excess is at least the part of its
-    start that all are of all starts, which counts as much as a prior. One that never missed tells little.
+    start that it is on average of all, which counts as much as a prior.
     """
     tails = [Tail.from_flights(of_axis) for of_axis in np.maximum(largest, _LEAST).T]
-    part = sum(tail.mean for tail in tails) / sum(tail.start for tail in tails)
+    part = float(np.mean([tail.mean / tail.start for tail in tails]))
     usual = [max(tail.mean, part * tail.start) for tail in tails]
     return [replace(tail, mean=mean).with_usual(mean) for tail, mean in zip(tails, usual, strict=True)]
 

@@ -10,13 +10,13 @@ known amounts: the product of the ratios of the densities is what a bet on it ha
 sizes and moments, weighted by a prior, are an e-process: under the null its supremum exceeds 1 / α with a
 probability of α at most (Ville 1939; Ramdas et al. 2023, Game-theoretic statistics). Half of the prior is on
 "since take-off", the rest on any later moment, with a sum that is finite, so that the rate is one of a flight
-however long. A moment is followed for 3 s, as later the walk has taken the change for its own; what its bets
-won by then is kept. Within each half second a bet counts for e⁸ at most, which bursts are no match for.
+however long; none on take-off after an alarm of EXTRAPOLATION, or where it begins beyond its warning, as it
+differs by itself. A moment is followed for 3 s, as later the walk has taken the change; what is won stays.
+Within each half second a bet counts for e⁸ at most, which bursts are no match for.
 
 A load is weighed by Fz in bets of its own as well, within the inputs of the training flights and beyond,
 against the likeliest offset of the model up to 6 % of the lift: each block by itself, so errors that last
 must lie within it. A block whose moments are those of a rotor wins nothing. It raises the alarm at 400 to 1.
-
 A rotor that gives less thrust changes the wrench by its own arm; one whose speed reads more than it is
 changes the prediction by the arm that the model has for it. Both are said to give less than their speed says.
 """

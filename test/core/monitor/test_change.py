@@ -304,6 +304,23 @@ def test_outside_the_training_range_a_force_is_no_evidence_but_where_inputs_of_t
     assert named_as(alarm_of(vehicle), samples) == UNCHANGED
 
 
+@pytest.mark.parametrize("start_s", [0.0, 0.5])
+def test_after_an_alarm_of_extrapolation_a_small_change_since_take_off_is_no_evidence(
+    vehicle: Vehicle, start_s: float
+) -> None:
+    forward = CHANGED_FORCE_FORWARD
+    for share, far, named in (
+        (0.0092, False, forward),
+        (0.0092, True, UNCHANGED),
+        (0.0184, True, forward),
+    ):
+        samples = samples_of(vehicle, 7.0, 0.0, 0.0)
+        samples.measured[:, 0] += share * weight(vehicle)
+        if far:
+            samples.inputs[samples.between(start_s, start_s + 0.3), INPUT_NAMES.index("u")] = 20.0
+        assert named_as(alarm_of(vehicle), samples) == named
+
+
 def test_a_model_that_is_off_beyond_its_flights_is_no_change_there_nor_as_it_returns(
     vehicle: Vehicle,
 ) -> None:

@@ -162,6 +162,8 @@ inline void judge_change(
     change.unlike_s = std::max(state.extrapolates ? UNLIKE_S : 0.0, change.unlike_s - step_s);
     if (state.extrapolates && state.row.cause_level[EXTRAPOLATION] == LEVEL_ALARM) {
         change.unlike_s = UNLIKE_S + BEYOND_S;
+        Onset& first = change.onsets[0];  // such a flight may differ from its start on
+        first.prior = first.prior == FROM_START ? 0.0 : first.prior;
     }
     const bool within = !state.extrapolates && change.unlike_s <= UNLIKE_S;
     if (state.settled && !state.wind_unknown && !sample.faults.any() && (within || state.thrust_known)) {

@@ -109,7 +109,7 @@ inline void begin_onset(const Templates& templates, Change& change) {
     Onset& onset = change.onsets[change.blocks % ONSETS];
     onset = {};
     onset.number = change.within.sum.number;
-    onset.prior = prior_of_onset(change.blocks);
+    onset.prior = change.blocks == 0 && change.unlike_s > 0.0 ? 0.0 : prior_of_onset(change.blocks);
     change.spent += onset.prior;
     const std::array<double, DIRECTIONS> of_direction = prior_of_directions(templates);
     for (int direction = 0; direction < DIRECTIONS; ++direction) {
@@ -356,10 +356,8 @@ inline void forget_change(Change& change) {
     change.within = change.beyond = {};
     change.load = {};
     change.blocks = 0;
-    change.spent = change.evidence = change.score = 0.0;
-    change.settled = 0.0;
+    change.spent = change.evidence = change.score = change.settled = change.unlike_s = 0.0;
     change.raised = change.loud = false;
-    change.unlike_s = 0.0;
     change.found = NOTHING_FOUND;
 }
 
