@@ -46,7 +46,7 @@ from quadpi_core.discrepancy.by_condition import (
 from quadpi_core.discrepancy.candidates import candidates, typical_sizes
 from quadpi_core.discrepancy.closure import SearchResult
 from quadpi_core.discrepancy.discrepancy_result import Coverage, OfFlight
-from quadpi_core.discrepancy.effect_regression import Reduction, noise_of_flight, settled
+from quadpi_core.discrepancy.effect_regression import Reduction, Regression, noise_of_flight, settled
 from quadpi_core.discrepancy.effect_response import Compared, deviations, predicted_flight, quiet
 from quadpi_core.discrepancy.evidence import Fit, own_sizes, student_weights
 from quadpi_core.discrepancy.loading import load_simulation
@@ -455,6 +455,12 @@ class OneStep:
         return np.array([self.away])
 
 
+# What `Regression.moves` asks of a regression whose fit knows one effect, at 1, to within 1.
+SURE_OF_ONE = SimpleNamespace(
+    points=[np.ones(1)], candidates=[SimpleNamespace(scale=np.ones(1))], deviation=lambda *_: np.ones(1)
+)
+
+
 def beyond_sound(deviations):
     """Whether four flights that leave more by some deviations of their mean are beyond sound ones."""
     sound = SimpleNamespace(left=np.ones((6, 1)), differ=np.full(6, 0.2), flights=12)
@@ -672,6 +678,7 @@ EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
         lambda x: x * typical_sizes(EFFECTS["payload"], BEBOP) < candidates(BEBOP, ["payload"])[0].scale,
     ),
     "SMALL_STEP": (0.05, lambda x: settled(OneStep(x)).moves > 1),
+    "SURE_STEP": (2.0, lambda x: Regression.moves(SURE_OF_ONE, 0, None, np.array([1.0 + x]))),
     "MORE_THAN_SOUND": (2.0, beyond_sound),
     # A deviation of three typical ones counts half.
     "ALIKE_ROWS": (20.0, lambda x: 20.0 / (20.0 + x) > 1.0 - alike_share()),
