@@ -266,8 +266,7 @@ def report_on(
             continue
         is_judged = mass is None or (isinstance(vehicle, Vehicle) and BY_SPEED in flight.use.efforts)
         notes = () if is_judged else ("mass: as given; rotor speeds and a vehicle file would judge it",)
-        said = _mass_doubts(flight.use, vehicle)
-        own = replace(log, notes=(*log.notes, *notes))
+        own, said = replace(log, notes=(*log.notes, *notes)), _mass_doubts(flight.use, vehicle)
         flights.append(replace(flight, log=own, remarks=(*flight.remarks, *said)))
     require_flights_left(len(flights), left_out)
     vehicles = tuple(_vehicles(flights, vehicle))
@@ -333,12 +332,13 @@ def _flight_report(
     if isinstance(heavier, MassChange):
         remarks += _mass_remarks(heavier)
     remarks += _remarks(log, use, vibration, read)
+    word = "commands" if log.commands else "rotor speeds"
     if isinstance(turning, Turning) and (order := turning.order):
-        said = f"commands 1 to {len(order)} turn the vehicle as motors {', '.join(map(str, order))} would"
+        said = f"{word} 1 to {len(order)} turn the vehicle as motors {', '.join(map(str, order))} would"
         also = f", or with {' and '.join(map(str, turning.alike))} exchanged" if turning.alike else ""
         remarks.append(Remark(WARNING, f"{said}{also}: an order, or the IMU's orientation, is wrong"))
     if isinstance(turning, Turning) and turning.is_reversed:
-        said = "commands yaw the vehicle as if each rotor turned the other way: their spins"
+        said = f"{word} yaw the vehicle as if each rotor turned the other way: their spins"
         remarks.append(Remark(WARNING, f"{said}, in the vehicle file or the autopilot, are wrong"))
     return FlightReport(log.name, log, flight, use, vibration, read, turning, lost, heavier, tuple(remarks))
 

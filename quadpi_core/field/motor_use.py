@@ -171,7 +171,7 @@ def motor_use(log: FieldLog, flight: Flown) -> MotorUse:
 
 
 class Turning(NamedTuple):
-    """As what the commands turn the vehicle.
+    """As what the commands turn the vehicle, or rotor speeds where the log has none.
 
     Attributes:
         order: of each command the motor, from 1, that it drives; empty for their own.
@@ -194,11 +194,11 @@ def turning_of(log: FieldLog, flight: Flown, places: Array | None) -> Turning | 
         flight: what was flown.
         places: (R, 3) of the motors as `FieldLog.places` has them; None where not known.
     """
-    commands, imu = log.commands, log.imu
+    commands, imu = log.commands or log.rotor_speeds, log.imu
     if commands is None or imu is None or places is None or len(places) != commands.values.shape[1]:
-        return "takes commands, gyro and the places of the motors"
+        return "takes commands or rotor speeds, gyro and the places of the motors"
     if (rate := min(commands.rate_hz, imu.rate_hz)) < 2.0 * _TURNS_HZ[1]:
-        return f"commands or gyro are logged at {rate:.0f} Hz: {2.0 * _TURNS_HZ[1]:g} Hz are needed"
+        return f"motors or gyro are logged at {rate:.0f} Hz: {2.0 * _TURNS_HZ[1]:g} Hz are needed"
     moving, squares = [np.empty((0, 3))], [np.empty((0, len(places)))]
     band = butter(2, _TURNS_HZ, "bandpass", fs=GRID_HZ, output="sos")
     for one in flight.stretches:
@@ -208,7 +208,8 @@ def turning_of(log: FieldLog, flight: Flown, places: Array | None) -> Turning | 
         for begin, end in runs_of(~np.isnan(known.sum(axis=1))):
             if end - begin > GRID_HZ * _TURNS_S:
                 given, moved = known[begin:end, :-3], known[begin:end, -3:]
-                squares.append(sosfiltfilt(band, lagged(given, _USUAL_LAG_S) ** 2, axis=0))
+                late = lagged(given, _USUAL_LAG_S if log.commands else 0.0)
+                squares.append(sosfiltfilt(band, late**2, axis=0))
                 moving.append(sosfiltfilt(band, np.gradient(moved, 1.0 / GRID_HZ, axis=0), axis=0))
     rates, driven = np.vstack(moving), np.vstack(squares)
     # Commands move four ways alone, however many there are: within these the lever of each is told.
@@ -226,7 +227,7 @@ def turning_of(log: FieldLog, flight: Flown, places: Array | None) -> Turning | 
         scored += [(float(fit[rows, order].sum()), sense < 0.0, order, fit) for order in (rows, best)]
     least, lead = ORDER.value
     if (most := max(score for score, *_ in scored)) < least:
-        return "commands hardly explain how the vehicle turns"
+        return "motors hardly explain how the vehicle turns"
     # Of what does alike the simplest counts: their own order, then other senses, then other orders.
     likely = [scored[place] for place in (0, 2, 1, 3)]
     _, is_reversed, order, fit = next(one for one in likely if one[0] > most - lead)
@@ -235,9 +236,9 @@ def turning_of(log: FieldLog, flight: Flown, places: Array | None) -> Turning | 
     pair = divmod(int(np.argmin(exchanged + 9.0 * np.eye(len(rows)))), len(rows))
     alike = (pair[0] + 1, pair[1] + 1) if exchanged[pair] < lead else ()
     if order is rows and alike and not is_reversed:
-        return "commands {} and {} turn the vehicle alike".format(*alike)
+        return "motors {} and {} turn the vehicle alike".format(*alike)
     yawed = 2.0 * abs(share[2] * (told[:, 2] @ levers[order, 2]))
-    said = "" if yawed >= lead else "not known, or commands hardly explain how the vehicle yaws"
+    said = "" if yawed >= lead else "not known, or motors hardly explain how the vehicle yaws"
     return Turning(() if order is rows else tuple((order + 1).tolist()), is_reversed, alike, said)
 
 

@@ -80,15 +80,15 @@ def read_other(path: Path, options: ReadingOptions, known: Vehicle | int | None)
         (None, None) if columns is None else _of_columns(path, columns, start_ns, notes, speeds_of)
     )
     if recording.commands is not None:
-        notes.append(
-            f"commands are of {recording.command_source}, motors in the order of the vehicle or quad X"
-        )
+        notes.append(f"commands are of {recording.command_source}, in the order of the vehicle or quad X")
     log = field_log_of(recording, commands, battery)
     stack = re.split(r" \(| with |,", log_format.description)[0]
     settings = tuple(_settings(recording, log.commands, log_format.description, notes))
-    return replace(
-        log, name=path.stem, source=str(path), stack=stack, settings=settings, notes=(*notes, *log.notes)
-    )
+    # Commands and rotor speeds are in the order of a vehicle that is known.
+    known = vehicle if vehicle is not None and vehicle.rotor_count == log.rotors else None
+    places = None if known is None else np.column_stack([known.rotor_positions[:, :2], known.rotor_spins])
+    log = replace(log, name=path.stem, source=str(path), stack=stack, places=places)
+    return replace(log, settings=settings, notes=(*notes, *log.notes))
 
 
 def _decoded(

@@ -67,8 +67,7 @@ def vibration_of(log: FieldLog, flight: Flown) -> Vibration | str:
         return why if vibe is None else Vibration(vibe=vibe)
     squares = np.vstack(parts) ** 2
     piece = np.arange(len(squares)) // (rate * np.clip(0.1 * len(squares) / rate, *_PIECES_S))
-    units = ["rad/s"] * 3 + ["m/s²"] * 3
-    told = [_root(mean_of_pieces(own, piece, unit)) for own, unit in zip(squares.T, units, strict=True)]
+    told = [_root(mean_of_pieces(own, piece, ("rad/s", "m/s²")[n // 3])) for n, own in enumerate(squares.T)]
     return Vibration(tuple(told[3:]), tuple(told[:3]), rate, vibe)
 
 

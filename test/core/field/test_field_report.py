@@ -18,6 +18,7 @@ from quadpi_core.field.drag import DragResult
 from quadpi_core.field.field_log import FieldLog, Series
 from quadpi_core.field.field_report import FieldReport, report_on
 from quadpi_core.flight_files import NoFlightLeftError
+from quadpi_core.paths import bags_directory
 from quadpi_core.reading_options import ReadingOptions
 from quadpi_core.vehicle import Vehicle
 
@@ -112,8 +113,8 @@ def test_what_was_not_looked_at_is_said(report_of):
     assert report_of(example()).looked_at() == (
         "looked at: motor commands, thrust over command along the flight, tachometers; not looked at: "
         "command at hover along the flight (takes 6 pieces of slow flight between climb and landing, 0 are "
-        "there), order of the motors (takes commands, gyro and the places of the motors), "
-        "spins of the motors (takes commands, gyro and the places of the motors), "
+        "there), order of the motors (takes commands or rotor speeds, gyro and the places of the motors), "
+        "spins of the motors (takes commands or rotor speeds, gyro and the places of the motors), "
         "vibration (only ArduPilot's VIBE can be judged)"
     )
     slow = Series(np.arange(0.0, 60.0, 0.25), np.full((240, 4), 800.0))
@@ -123,8 +124,9 @@ def test_what_was_not_looked_at_is_said(report_of):
         "of 2 flights; not looked at: thrust over command along the flight (the log has not both IMU and "
         "commands), command at hover along the flight (takes 6 pieces of slow flight between climb and "
         "landing, 0 are there), tachometers (commands and rotor speeds are logged at 4 Hz, slower than "
-        "motors are), order of the motors (takes commands, gyro and the places of the motors), "
-        "spins of the motors (takes commands, gyro and the places of the motors), "
+        "motors are), order of the motors (takes commands or rotor speeds, gyro and the places of the "
+        "motors), "
+        "spins of the motors (takes commands or rotor speeds, gyro and the places of the motors), "
         "vibration (only ArduPilot's VIBE can be judged)"
     )
     blind = report_of(example(commands=None, rotor_speeds=None))
@@ -359,6 +361,22 @@ def test_spins_of_a_vehicle_file_that_turn_the_other_way_are_said(shared_data: P
     (found,) = report_on([shared_data / "indiflight" / "LOG00340.BFL"], OPTIONS, given).flights
     said = [one.sentence for one in found.remarks if "each rotor turned the other way" in one.sentence]
     assert (bool(said), found.turning.order) == (is_reversed, ())
+
+
+def test_rotor_speeds_of_a_bag_that_names_its_vehicle_are_held_against_its_rotors():
+    bag = bags_directory() / "train_1.mcap"
+    vehicle = Vehicle.load("bebop2")
+    for given, words in (
+        (None, ""),
+        (replace(vehicle, rotor_positions=vehicle.rotor_positions * [1.0, -1.0, 1.0]), "speeds 1 to 4 turn"),
+        (replace(vehicle, rotor_spins=-vehicle.rotor_spins), "rotor speeds yaw the vehicle as if"),
+    ):
+        (found,) = report_on([bag], OPTIONS, given).flights
+        said = [one.sentence for one in found.remarks]
+        assert bool(said) == bool(words)
+        assert words in " ".join(said)
+        assert found.looked_at()["order of the motors"] == ""
+    assert found.log.motor(1) == "motor 1 (front left)"
 
 
 @pytest.mark.parametrize("by_speed", [True, False])

@@ -266,7 +266,7 @@ def test_without_spins_two_on_one_arm_are_alike(layout: str, is_alike: bool):
     if is_alike:
         assert told.endswith("turn the vehicle alike")
     else:
-        assert told == Turning(no_spins="not known, or commands hardly explain how the vehicle yaws")
+        assert told == Turning(no_spins="not known, or motors hardly explain how the vehicle yaws")
 
 
 @pytest.mark.parametrize(("yawed", "is_told"), [(0.7, True), (0.4, False)])
@@ -277,6 +277,15 @@ def test_spins_the_other_way_are_told_where_the_vehicle_yaws(yawed: float, is_to
     told = turning_of(log, aloft, places * [1.0, 1.0, -1.0])
     assert (told.is_reversed, bool(told.no_spins)) == (is_told, not is_told)
     assert not turning_of(log, aloft, places).is_reversed
+
+
+def test_rotor_speeds_tell_it_where_there_are_no_commands():
+    log, places = turned("quad-x")
+    speeds = replace(log, commands=None, rotor_speeds=Series(log.commands.time, 900.0 * log.commands.values))
+    aloft = flown(speeds)
+    assert turning_of(speeds, aloft, places) == Turning()
+    assert turning_of(speeds, aloft, places[[1, 0, 2, 3]]).order == (2, 1, 3, 4)
+    assert turning_of(speeds, aloft, places * [1.0, 1.0, -1.0]).is_reversed
 
 
 def test_a_pause_in_a_log_is_no_motion():
@@ -304,7 +313,7 @@ def test_constant_commands_and_a_still_gyro_tell_no_order():
     held = Series(log.commands.time, np.full_like(log.commands.values, 0.5))
     for odd in (replace(log, imu=still), replace(log, commands=held), replace(log, imu=still, commands=held)):
         told = turning_of(odd, aloft, FOUR)
-        assert told == "commands hardly explain how the vehicle turns"
+        assert told == "motors hardly explain how the vehicle turns"
 
 
 @pytest.mark.parametrize(("noise", "is_told"), [(1.0, True), (2.0, False)])
@@ -315,7 +324,7 @@ def test_an_order_is_told_where_commands_explain_how_a_vehicle_turns(noise: floa
     if is_told:
         assert told.order == (2, 1, 3, 4)
     else:
-        assert told == "commands hardly explain how the vehicle turns"
+        assert told == "motors hardly explain how the vehicle turns"
 
 
 @pytest.mark.parametrize(("part", "is_told"), [(0.65, True), (0.6, False)])
@@ -330,15 +339,15 @@ def test_an_order_that_hardly_leads_is_not_told(part: float, is_told: bool):
     if is_told:
         assert found.order == (2, 1, 3, 4)
     else:
-        assert found == "commands 1 and 2 turn the vehicle alike"
+        assert found == "motors 1 and 2 turn the vehicle alike"
 
 
 def test_why_an_order_is_not_told():
     log, aloft = flight()
     slow = Series(log.commands.time[::50], log.commands.values[::50])
-    assert turning_of(log, aloft, None) == "takes commands, gyro and the places of the motors"
+    assert turning_of(log, aloft, None) == "takes commands or rotor speeds, gyro and the places of the motors"
     told = turning_of(replace(log, commands=slow), aloft, FOUR)
-    assert told == "commands or gyro are logged at 10 Hz: 12 Hz are needed"
+    assert told == "motors or gyro are logged at 10 Hz: 12 Hz are needed"
 
 
 @pytest.mark.parametrize(
