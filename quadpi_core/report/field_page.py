@@ -192,7 +192,7 @@ def _about(seconds: float | None) -> str:
 
 def _between(lag: Estimate) -> str:
     if lag.value is None:
-        return f"a time that is {lag.reason}"
+        return f"a time that is not told ({lag.reason})"
     if lag.low is None or lag.high is None:
         return f"{_about(lag.value)} ({lag.reason})"
     return f"{1000.0 * lag.value:.0f} ms ({1000.0 * lag.low:.0f} to {1000.0 * lag.high:.0f})"

@@ -93,7 +93,7 @@ def test_a_lag_that_is_not_told_has_no_number(report_of):
     vehicle = report_of(example()).vehicles[0]
     assert "late by about 12 ms and with a lag of 47 ms (42 to 52)" in motor_sentence(vehicle)
     untold = replace(vehicle, motor_model=replace(vehicle.motor_model, lag=not_identified("s", "flat")))
-    assert "with a lag of a time that is not identified: flat" in motor_sentence(untold)
+    assert "with a lag of a time that is not told (not identified: flat" in motor_sentence(untold)
 
 
 def test_drag_parameters_have_the_names_of_the_stack(report_of):
