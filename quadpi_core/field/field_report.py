@@ -457,8 +457,9 @@ def _motor_remarks(
     # The scatter of all motors together may hide one that is beyond chance by itself.
     if isinstance(heavier, MassChange) and not (heavier.fits == ("nothing",) and lost[worst].beyond_chance):
         weak = heavier.weak_motors(worst + 1)
-        if MOVED in heavier.fits and heavier.side:
-            cause = f"the centre of gravity has moved to the {heavier.side}, or {cause}"
+        if side := heavier.side:
+            moved = f"the centre of gravity has moved to the {side}, or {cause}"
+            cause = moved if MOVED in heavier.fits else f"{cause}, by a load on the {side}"
     names = ", or ".join(log.motor(motor) for motor in weak)
     if low > 0.0 and weak:
         yield Remark(

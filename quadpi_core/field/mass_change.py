@@ -60,13 +60,15 @@ class MassChange:
         by: what told it, see :data:`EFFORT_SCATTER`.
         fits: what explains how the rotors share the work: "nothing", "moved centre of gravity", "payload",
             "weak motor 1" …; empty where nothing known does, or the places of the motors are not known.
-        side: of a payload or the centre of gravity, in words; empty at the middle.
+        side: of a payload or the centre of gravity, in words, if it is one; empty at the middle.
+        moved: centre of gravity, forward and right, if all that has changed is it; empty where not told.
     """
 
     share: Estimate
     by: str
     fits: tuple[str, ...]
     side: str = ""
+    moved: tuple[Estimate, ...] = ()
 
     def weak_motors(self, worst: int) -> tuple[int, ...]:
         """Motors, from 1, that may be weak: the hardest working and others that fit; none if none does."""
@@ -141,29 +143,26 @@ def mass_change(
     share = within((float(np.expm1(ratio)), min(ends), max(ends)), "", said)
     if min(ends) <= -1.0:
         share = not_identified("", "thrust is a fraction of what it was")
-    pattern = _pattern(told, places)
-    if pattern is None:
+    if isinstance(told, str) or places is None or not np.isfinite(told.error).all():
         return MassChange(share, by, ())
-    return _explained(share, by, pattern, (ratio, deviation), freedom)
-
-
-def _pattern(told: Sharing | str, places: Array | None) -> _Arrays | None:
-    """Thrust (4,) that each rotor gives more than all on average, deviation of a rotor, corners (4, 2)."""
-    if isinstance(told, str) or places is None or len(places) != 4 or not np.all(places[:, :2]):
-        return None
-    if told.shares.shape[1] != len(places) or not np.isfinite(told.error).all():
-        return None
+    if not told.shares.shape[1] == len(places) == 4 or not np.all(places[:, :2]):
+        return MassChange(share, by, ())
     # Over the mean of all four a rotor deviates by three quarters of what it does over the others.
-    value, deviation, _ = against(told.shares[0], told.shares[1:], 0.75 * SCATTER.value, told.error)
-    usual = THRUST_EXPONENT.value[1]
+    value, scatter, _ = against(told.shares[0], told.shares[1:], 0.75 * SCATTER.value, told.error)
     # The mean takes one of four numbers from the deviations: a rotor by itself deviates by more.
-    return usual * value, usual * np.sqrt(4.0 / 3.0) * deviation, np.sign(places[:, :2])
+    power, wider = THRUST_EXPONENT.value[1], np.sqrt(4.0 / 3.0)
+    pattern = power * value, power * wider * scatter, np.sign(places[:, :2])
+    return _explained(share, by, pattern, (ratio, deviation), freedom)
 
 
 def _explained(share: Estimate, by: str, pattern: _Arrays, thrust: _Arrays, freedom: int) -> MassChange:
     """Which changes fit, of those with the fewest parameters that explain the sharing and the sum."""
     work, deviation, sides = pattern
     rotors, yaw = len(work), sides[:, 0] * sides[:, 1]
+    # Of the mean of four, with signs.
+    half = 0.5 * float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE.value, freedom) * np.mean(deviation))
+    shifts: Array = work @ sides / rotors
+    ways = [within((own, own - half, own + half), "of the arm") for own in shifts.tolist()]
     weights = 1.0 / np.append(deviation, max(float(thrust[1]), 1e-9))
     seen = np.append(work, float(thrust[0])) * weights
     moved, mean = np.vstack([sides, np.zeros(2)]), 1.0 / rotors
@@ -173,7 +172,7 @@ def _explained(share: Estimate, by: str, pattern: _Arrays, thrust: _Arrays, free
     tried |= {f"{WEAK} {rotor + 1}": columns for rotor, columns in enumerate(lost)}
     tried["payload"] = np.column_stack([moved, np.append(np.zeros(rotors), 1.0)])
     fits: list[tuple[float, str]] = []
-    position: Array = np.zeros(2)
+    position: Array = np.where(np.abs(shifts) > half, shifts, 0.0)
     for name, columns in tried.items():
         found = np.linalg.lstsq(weights[:, np.newaxis] * columns, seen, rcond=None)[0]
         left = seen - weights[:, np.newaxis] * columns @ found
@@ -188,9 +187,9 @@ def _explained(share: Estimate, by: str, pattern: _Arrays, thrust: _Arrays, free
             if name in (MOVED, "payload"):
                 position = np.asarray(found[:2], dtype=np.float64)
     if any(name == "nothing" for _, name in fits):
-        return MassChange(share, by, ("nothing",))
+        return MassChange(share, by, ("nothing",), "", tuple(ways))
     best = min((squares for squares, name in fits if name.startswith(WEAK)), default=0.0)
     names = [name for squares, name in fits if not name.startswith(WEAK) or squares < best + ANOTHER.value]
     least, words = float(np.mean(deviation)), (("front", "rear"), ("right", "left"))
     side = (pair[int(one < 0.0)] for one, pair in zip(position, words, strict=True) if abs(one) >= least)
-    return MassChange(share, by, tuple(names), " ".join(side))
+    return MassChange(share, by, tuple(names), " ".join(side), tuple(ways))

@@ -139,10 +139,8 @@ def _sentence(said: str) -> str:
 def motor_table(flight: FlightReport) -> Table:
     """Motors and vibration of a flight."""
     use, vibration, read = flight.use, flight.vibration, flight.tachometers
-    rows: list[Row] = []
-    for name, one in (("hover throttle", use.hover), ("thrust over weight, per command", use.thrust_gain)):
-        if one is not None:
-            rows.append(_row(name, one))
+    told = (("hover throttle", use.hover), ("thrust over weight, per command", use.thrust_gain))
+    rows = [_row(name, one) for name, one in told if one is not None]
     for place, own in enumerate(use.motors, start=1):
         rows.append(_row(f"{flight.log.motor(place)} over the mean command", own, 100.0, "%"))
     if isinstance(flight.losses, str):
@@ -152,6 +150,8 @@ def motor_table(flight: FlightReport) -> Table:
             rows.append(_row(f"{flight.log.motor(place)}, thrust that it lacks", lost.thrust, 100.0, "%"))
     if isinstance(flight.mass_change, MassChange):
         rows.append(_row("mass, more than in earlier flights", flight.mass_change.share, 100.0, "%"))
+        for way, moved in zip(("forward", "to the right"), flight.mass_change.moved, strict=False):
+            rows.append(_row(f"centre of gravity, moved {way}", moved, 100.0, "% of the arm"))
         if fits := ", or ".join(flight.mass_change.fits):
             rows.append(["what the motors' shares fit", None, "", "", fits])
     if use.drift is not None:
