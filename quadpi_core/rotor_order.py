@@ -68,6 +68,7 @@ LAYOUTS: MappingProxyType[str, tuple[Motor, ...]] = MappingProxyType(
     {
         # PX4 "Generic Quadcopter", ArduPilot FRAME_TYPE 1 (X).
         "quad-x": _ring((45, _CCW), (-135, _CCW), (-45, _CW), (135, _CW)),
+        "quad-h": _ring((45, _CW), (-135, _CW), (-45, _CCW), (135, _CCW)),
         "quad-plus": _ring((90, _CCW), (-90, _CCW), (0, _CW), (180, _CW)),
         # Betaflight "Quad X", ArduPilot FRAME_TYPE 12; its propellers turn in or out.
         "betaflight": _ring((135, 0), (45, 0), (-135, 0), (-45, 0)),
@@ -89,7 +90,6 @@ LAYOUTS: MappingProxyType[str, tuple[Motor, ...]] = MappingProxyType(
         "crazyflie": _ring((45, _CCW), (135, _CW), (-135, _CCW), (-45, _CW)),
     }
 )
-
 
 _USUAL = MappingProxyType({4: "quad-x", 6: "hexa-x", 8: "octo-x"})
 

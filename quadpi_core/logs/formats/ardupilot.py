@@ -73,7 +73,7 @@ RC_OUT = "mavros_rc_out"
 # By FRAME_CLASS and FRAME_TYPE.
 LAYOUT_OF_FRAME = MappingProxyType(
     {
-        **{(1, 0): "quad-plus", (1, 1): "quad-x", (1, 3): "quad-x", (1, 12): "betaflight"},
+        **{(1, 0): "quad-plus", (1, 1): "quad-x", (1, 3): "quad-h", (1, 12): "betaflight"},
         # Numbered clockwise from the front right.
         **{(1, 14): "crazyflie", (2, 0): "hexa-plus", (2, 1): "hexa-x", (2, 14): "hexa-cw-x"},
         **{(3, 0): "octo-plus", (3, 1): "octo-x", (4, 1): "octo-coaxial-x"},

@@ -74,6 +74,11 @@ def test_outputs_are_ordered_by_their_functions(read):
     assert np.array_equal(np.sign(log.places), [[1, 1, -1], [-1, -1, -1], [1, -1, 1], [-1, 1, 1]])
 
 
+def test_rotors_of_an_h_frame_turn_the_other_way(read):
+    h, x = (read(FRAME_CLASS=1, FRAME_TYPE=frame_type).places for frame_type in (3, 1))
+    assert np.array_equal(h, x * [1.0, 1.0, -1.0])
+
+
 def test_the_land_detector_holds_until_it_says_otherwise(read):
     log = read([("EV", 5_000_000, 28), ("EV", 15_000_000, 18)], FRAME_CLASS=1)
     assert log.landed.held(np.array([1.0, 10.0, 18.0]))[:, 0].tolist() == [1.0, 0.0, 1.0]
