@@ -38,6 +38,7 @@ from quadpi_core.field.field_log import FieldLog
 from quadpi_core.field.motor_model import GRID_HZ, SLOWEST_HZ, lacking_for_motors, lagged, lowest
 from quadpi_core.frames import Array, rotate_body_to_world, rotate_world_to_body, rotation_matrix
 from quadpi_core.records import CONVENTION, STANDARD_GRAVITY, Threshold
+from quadpi_core.rotor_order import Motor, RotorOrder
 from quadpi_core.vehicle import Vehicle
 
 # Grid of the lag, s: motors of 1 g to 1 kg lag by 10 to 100 ms. Pieces that go together, and their number.
@@ -70,7 +71,7 @@ POWER = Threshold(
 )
 COHERENT = Threshold(
     "share of an octave of the angular acceleration that motors explain, from which on it tells inertia; "
-    "deviation of the inertia by one that is alone",
+    "by how much the inertia by one octave alone may err",
     (0.85, 0.14),
     "",
     "measured rotor speeds tell the inertia of three vehicles within 14 % by such octaves; by lower ones 1.3 "
@@ -296,13 +297,11 @@ def _bias_of(time: Array, force: Array, attitude: Array, down: Array) -> tuple[f
 
 
 def rotors_of(log: FieldLog, vehicle: Vehicle) -> Array:
-    """Places and spins (R, 3) of a vehicle's rotors, as the log orders its motors where corners tell that."""
+    """Places and spins (R, 3) of a vehicle's rotors, as the log orders its motors where places tell that."""
     rotors = np.column_stack([vehicle.rotor_positions[:, :2], vehicle.rotor_spins])
-    if log.places is None or len(log.places) != len(rotors):
-        return rotors
-    alike = (np.sign(rotors[:, :2]) == np.sign(log.places[:, np.newaxis, :2])).all(axis=2)
-    is_sure = (alike.sum(axis=0) == 1).all() and (alike.sum(axis=1) == 1).all()
-    return rotors[np.argmax(alike, axis=1)] if is_sure else rotors
+    motors = [Motor(*own) for own in (() if log.places is None else log.places.tolist())]
+    order = RotorOrder.by_place(vehicle, motors)
+    return rotors if order is None else rotors[np.argsort(order.controllers)]
 
 
 def _joined(pieces: Sequence[_Piece]) -> _Piece:

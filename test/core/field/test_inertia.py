@@ -11,8 +11,9 @@ import pytest
 from scipy.signal import lfilter
 
 from quadpi_core.field.airborne import Flown, Stretch, flown
-from quadpi_core.field.field_log import FieldLog, Series
-from quadpi_core.field.inertia import identify_body
+from quadpi_core.field.field_log import FieldLog, Series, places_of
+from quadpi_core.field.inertia import identify_body, rotors_of
+from quadpi_core.rotor_order import LAYOUTS
 from quadpi_core.vehicle import Vehicle
 
 BEBOP = Vehicle.load("bebop2")
@@ -118,6 +119,17 @@ def test_a_lag_that_no_motor_has_tells_no_inertia(lag_s: float, is_told: bool):
     found = identify_body([flight(lag_s)], BEBOP, STILL)
     assert (found.lag.value is not None) == is_told
     assert is_told or "beyond 0.005 to 0.14 s" in found.inertia[0].reason
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_rotors_of_any_frame_come_in_the_order_of_the_log(layout: str):
+    places = places_of(LAYOUTS[layout])
+    own = places[np.random.default_rng(1).permutation(len(places))]
+    spins = np.where(own[:, 2] == 0.0, 1.0, own[:, 2])
+    vehicle = replace(BEBOP, rotor_positions=own * [0.2, 0.2, 0.0], rotor_spins=spins)
+    found = rotors_of(FieldLog("f", "f", "test", places=places), vehicle)
+    assert found[:, :2] == pytest.approx(0.2 * places[:, :2])
+    assert layout == "betaflight" or np.array_equal(found[:, 2], places[:, 2])
 
 
 def test_motors_are_told_by_their_corners_where_the_log_knows_them():
