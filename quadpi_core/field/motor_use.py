@@ -196,7 +196,7 @@ def turning_of(log: FieldLog, flight: Flown, places: Array | None) -> Turning | 
     """
     commands, imu = log.commands or log.rotor_speeds, log.imu
     if commands is None or imu is None or places is None or len(places) != commands.values.shape[1]:
-        return "takes commands or rotor speeds, gyro and the places of the motors"
+        return "takes commands or rotor speeds, gyro and the places of as many motors"
     if (rate := min(commands.rate_hz, imu.rate_hz)) < 2.0 * _TURNS_HZ[1]:
         return f"motors or gyro are logged at {rate:.0f} Hz: {2.0 * _TURNS_HZ[1]:g} Hz are needed"
     moving, squares = [np.empty((0, 3))], [np.empty((0, len(places)))]
@@ -212,6 +212,8 @@ def turning_of(log: FieldLog, flight: Flown, places: Array | None) -> Turning | 
                 squares.append(sosfiltfilt(band, late**2, axis=0))
                 moving.append(sosfiltfilt(band, np.gradient(moved, 1.0 / GRID_HZ, axis=0), axis=0))
     rates, driven = np.vstack(moving), np.vstack(squares)
+    if not len(rates):
+        return f"motors and gyro are nowhere without a gap for {_TURNS_S:g} s in the air"
     # Commands move four ways alone, however many there are: within these the lever of each is told.
     power, ways = (own[..., -_WAYS:] for own in np.linalg.eigh(driven.T @ driven))
     together = driven.T @ rates

@@ -157,10 +157,8 @@ def field_log_of(
     )
     count = next((own.values.shape[1] for own in (commands, speeds) if own is not None), None)
     inertial = series_of(imu.time_ns, np.hstack([imu.angular_velocity, imu.specific_force]), start_ns)
-    lost = 0 if inertial is None else len(imu) - len(inertial)
-    said = (
-        f"imu: {lost} of {len(imu)} samples are left out: stale, not finite, or stamped before the last one"
-    )
+    lost = len(imu) - len(inertial or ())
+    said = f"imu: {lost} of {len(imu)} samples left out: stale, not finite, or stamped before the last one"
     return FieldLog(
         name=recording.name,
         source=recording.source,

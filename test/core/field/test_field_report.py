@@ -113,8 +113,9 @@ def test_what_was_not_looked_at_is_said(report_of):
     assert report_of(example()).looked_at() == (
         "looked at: motor commands, thrust over command along the flight, tachometers; not looked at: "
         "command at hover along the flight (takes 6 pieces of slow flight between climb and landing, 0 are "
-        "there), order of the motors (takes commands or rotor speeds, gyro and the places of the motors), "
-        "spins of the motors (takes commands or rotor speeds, gyro and the places of the motors), "
+        "there), order of the motors (takes commands or rotor speeds, gyro and the places of as many "
+        "motors), spins of the motors (takes commands or rotor speeds, gyro and the places of as many "
+        "motors), "
         "vibration (only ArduPilot's VIBE can be judged)"
     )
     slow = Series(np.arange(0.0, 60.0, 0.25), np.full((240, 4), 800.0))
@@ -124,9 +125,9 @@ def test_what_was_not_looked_at_is_said(report_of):
         "of 2 flights; not looked at: thrust over command along the flight (the log has not both IMU and "
         "commands), command at hover along the flight (takes 6 pieces of slow flight between climb and "
         "landing, 0 are there), tachometers (commands and rotor speeds are logged at 4 Hz, slower than "
-        "motors are), order of the motors (takes commands or rotor speeds, gyro and the places of the "
+        "motors are), order of the motors (takes commands or rotor speeds, gyro and the places of as "
+        "many motors), spins of the motors (takes commands or rotor speeds, gyro and the places of as many "
         "motors), "
-        "spins of the motors (takes commands or rotor speeds, gyro and the places of the motors), "
         "vibration (only ArduPilot's VIBE can be judged)"
     )
     blind = report_of(example(commands=None, rotor_speeds=None))

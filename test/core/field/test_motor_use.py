@@ -345,7 +345,14 @@ def test_an_order_that_hardly_leads_is_not_told(part: float, is_told: bool):
 def test_why_an_order_is_not_told():
     log, aloft = flight()
     slow = Series(log.commands.time[::50], log.commands.values[::50])
-    assert turning_of(log, aloft, None) == "takes commands or rotor speeds, gyro and the places of the motors"
+    assert (
+        turning_of(log, aloft, None)
+        == "takes commands or rotor speeds, gyro and the places of as many motors"
+    )
+    pauses = log.imu.time % 3.0 < 1.0
+    gaps = replace(log, imu=Series(log.imu.time[~pauses], log.imu.values[~pauses]))
+    said = "motors and gyro are nowhere without a gap for 3 s in the air"
+    assert turning_of(gaps, aloft, FOUR) == said
     told = turning_of(replace(log, commands=slow), aloft, FOUR)
     assert told == "motors or gyro are logged at 10 Hz: 12 Hz are needed"
 

@@ -83,7 +83,7 @@ def test_samples_before_the_last_one_are_said(tmp_path, shift_s):
     path.write_text("\n".join([head, *later]) + "\n")
     said = [note for note in read(path).notes if "stamped before the last one" in note]
     assert said == [
-        "imu: 100 of 200 samples are left out: stale, not finite, or stamped before the last one"
+        "imu: 100 of 200 samples left out: stale, not finite, or stamped before the last one"
     ] * bool(shift_s)
 
 
