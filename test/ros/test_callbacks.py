@@ -237,6 +237,11 @@ def spun(node):
         node.destroy_node()
 
 
+def await_service(node):
+    """Discovery may take longer than the tests below wait for an answer."""
+    assert node.create_client(GetState, "estimator/get_state").wait_for_service(LONG_S)
+
+
 @pytest.fixture
 def node(ros):
     del ros
@@ -261,6 +266,7 @@ def test_a_node_that_does_not_run_is_named(node):
 def test_a_node_that_hangs_is_named(node):
     unspun = Node("managed")
     unspun.create_service(GetState, "estimator/get_state", lambda _, response: response)
+    await_service(node)
     with pytest.raises(DiscoveryError, match=r"^node estimator runs, but does not answer$"):
         await_listeners(node, [], ["estimator"], 3.0 * SHORT_S)
     unspun.destroy_node()
@@ -279,6 +285,7 @@ def test_a_node_that_runs_must_be_active(node, state):
     managed.create_service(GetState, "estimator/get_state", answer)
     managed.create_subscription(Imu, "imu", lambda _: None, SENSOR_QOS)
     with spun(managed):
+        await_service(node)
         publisher = node.create_publisher(Imu, "imu", SENSOR_QOS)
         if state == State.PRIMARY_STATE_ACTIVE:
             await_listeners(node, [publisher], ["estimator"], LONG_S)
