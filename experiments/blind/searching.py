@@ -14,7 +14,7 @@ import numpy as np
 from blind.cases import Case, noise_alone
 from quadpi_core.discrepancy.augmented_simulation import augmented
 from quadpi_core.discrepancy.discrepancy_result import Rollouts, discovery_json
-from quadpi_core.discrepancy.reflight import rollouts
+from quadpi_core.discrepancy.reflight import rollout, rollout_floor, rollouts
 from quadpi_core.discrepancy.simulations import Simulation
 from quadpi_core.discrepancy.study import found_and_flown
 from quadpi_core.errors import one_line
@@ -34,13 +34,19 @@ def searched(shared: None, case: Case) -> dict[str, Any]:  # noqa: ARG001
         if discovery.added and checks:
             added = augmented(discovery)
             left = gap_left(simulation, added, checks, _floor())
-            flown = rollout_changes(rollouts(checks, [simulation] * len(checks), [added] * len(checks)))
+            flown = rollout_changes(rolled_out(checks, simulation, added))
     except Exception as error:
         # Whatever is raised on possible flights is a failure to list, not the end of the run.
         result = {"verdict": f"error: {one_line(error)}", "effects": [], "ambiguous": []}
         left, flown = None, None
     seconds = seconds or time.perf_counter() - began
     return {"seal": case.seal, "seconds": seconds, "left": left, "rollouts": flown, "result": result}
+
+
+def rolled_out(flights: Sequence[Flight], before: Simulation, after: Simulation) -> Rollouts:
+    """Roll-outs of flights by a simulation and by one with what was added."""
+    squares = [[rollout(flight, own) for flight in flights] for own in (before, after)]
+    return rollouts(*squares, [rollout_floor(flight, after.vehicle) for flight in flights])
 
 
 def rollout_changes(flown: Rollouts) -> dict[str, tuple[float, float]]:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from blind.searching import gap_left, rollout_changes
+from blind.searching import gap_left, rolled_out, rollout_changes
 
 from independent.airframes import HERE
 from independent.cases import IndependentCase, NotFlownError
@@ -22,7 +22,6 @@ from quadpi_core.discrepancy.closure import SearchResult
 from quadpi_core.discrepancy.discrepancy_result import Discovery, discovery_json
 from quadpi_core.discrepancy.loading import load_simulation
 from quadpi_core.discrepancy.other_simulations import RecordedSimulation
-from quadpi_core.discrepancy.reflight import rollout, rollout_floor, rollouts
 from quadpi_core.discrepancy.simulations import Simulation
 from quadpi_core.discrepancy.study import found_and_flown, read_flights
 from quadpi_core.errors import one_line
@@ -117,9 +116,7 @@ def _checked(
         added = replace(added, base=replace(added.base, wrenches=recorded))
     flights = read_flights(bags, simulation, workers=Workers(1))
     left = gap_left(simulation, added, flights, np.square(discovery.gap.floor))
-    before, after = ([rollout(flight, own) for flight in flights] for own in (simulation, added))
-    floor = [rollout_floor(flight, added.vehicle) for flight in flights]
-    return left, rollout_changes(rollouts(before, after, floor))
+    return left, rollout_changes(rolled_out(flights, simulation, added))
 
 
 def _imported(task: Task, logs: list[Path], folder: Path) -> list[Path]:
