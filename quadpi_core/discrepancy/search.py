@@ -12,8 +12,10 @@ from types import MappingProxyType
 from typing import TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
 from quadpi_core.discrepancy.acceptance import (
+    FEW_FLIGHTS,
     FURTHER_LEAST,
     FURTHER_NUMBER,
     HOLDS_MORE,
@@ -122,8 +124,12 @@ def search(prepared: Prepared, barred: Mapping[str, str] = MappingProxyType({}))
     accepted, _ = own.exchanged(own.with_fitted_coefficients(accepted), float(np.exp(NAMED_ALONE.value)))
     rivals, allowed = own.rivals(accepted), dict[int, float]()
     if inside is not None:
-        lenient = _lenient(accepted, inside)
-        rivals, allowed = _told_among(rivals, own.rivals(lenient)), _allowed(lenient)
+        lenient = _lenient(accepted, inside.held)
+        sound, allowed = accepted.regression.sound, _allowed(lenient)
+        if sound is not None and sound.flights < FEW_FLIGHTS.value:
+            # So few do not tell by how much a simulation errs in other flights.
+            lenient = _lenient(accepted, np.ones_like(inside.held))
+        rivals = _told_among(rivals, own.rivals(lenient))
     names, spectra = prepared.generic
     return SearchResult(
         regression=accepted.regression,
@@ -413,15 +419,14 @@ def without_idle(accepted: Accepted) -> tuple[Accepted, list[Judgement]]:
     return accepted, []
 
 
-def _lenient(accepted: Accepted, inside: Inside) -> Accepted:
-    """The set with as much noise as intervals state in axes that these hold.
+def _lenient(accepted: Accepted, held: npt.NDArray[np.bool_]) -> Accepted:
+    """The set with as much noise as intervals state in axes (6,) that these hold.
 
     By what they hold a simulation may err: it does not tell which of two effects is missing.
     """
     regression = accepted.regression
     noise = regression.noise.variance
-    held = inside.held[:, np.newaxis] & (noise < regression.stated)
-    lenient = regression.weighted(np.where(held, regression.stated, noise))
+    lenient = regression.weighted(np.where(held[:, np.newaxis], np.maximum(noise, regression.stated), noise))
     return accepted.within(lenient)
 
 

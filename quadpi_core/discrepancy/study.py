@@ -217,7 +217,7 @@ def found_and_flown(
     what :func:`prepared` does.
 
     Raises:
-        DiscrepancyError, LogError: see :func:`discover` and :func:`flown_again`.
+        DiscrepancyError, LogError: see :func:`prepared`; for a bag whose plan cannot be read.
     """
     # Products are so small that two threads take twice the time of one.
     with one_blas_thread():
@@ -333,11 +333,6 @@ def flown_again(discovery: Discovery) -> Discovery:
     """The discovery judged by roll-outs of flights left out; as it is where it was, or nothing is named.
 
     Coefficients stay as stated, if roll-outs do better so: small errors of moments accumulate over 0.5 s.
-
-    Raises:
-        DiscrepancyError: for a flight shorter than a roll-out, and an effect that cannot be added to one that
-            the simulation already has.
-        LogError: for a bag whose plan cannot be read.
     """
     if discovery.flown or not discovery.effects:
         return discovery

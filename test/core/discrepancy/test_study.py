@@ -111,6 +111,29 @@ def test_what_intervals_hold_does_not_tell_effects_apart(simulation, flights, pu
     assert found.effects[0].probability >= 0.5
 
 
+@pytest.mark.parametrize(("sound_flights", "rivals"), [(4, ()), (3, ("thrust_coefficient",))])
+def test_a_model_of_few_flights_tells_effects_apart_by_its_intervals_alone(
+    simulation, flights, pushed, sound_flights, rivals
+):
+    """Here by moments, of which noise leaves these."""
+
+    def margins(flight):
+        bounds = np.tile(np.repeat([1e-3, 0.1], 3), (len(flight), 1))
+        return Margins(-bounds, bounds, 0.95)
+
+    weak = []
+    for flight in flights:
+        lost = -0.1 * simulation.wrench(flight)
+        lost[:, 3:] = 0.3 * np.sin(2.0 * np.pi * 15.0 * flight.time)[:, np.newaxis]
+        weak.append(pushed(flight, simulation.vehicle, lost))
+    known = of_sound_flights(simulation)
+    sound = replace(known.sound, flights=sound_flights)
+    sure = replace(known, sound=sound, intervals_of=sure_within(margins))
+    found = discover(sure, weak, names=["payload", "thrust_coefficient"])
+    assert not found.found.held[3:].any()
+    assert [(effect.name, effect.rivals) for effect in found.effects] == [("payload", rivals)]
+
+
 @pytest.mark.parametrize(("half_width_nm", "allowed"), [(1e-3, []), (10.0, ["rotor_tilt"])])
 def test_what_explains_only_axes_that_intervals_hold_explains_nothing(
     simulation, flights, pushed, half_width_nm, allowed
