@@ -158,8 +158,10 @@ def _map_in_processes(
     try:
         with _STARTS, _signals_deferred(), _started_with(of_main):
             before = set(multiprocessing.active_children())
-            index = {pool.submit(_work, item): k for k, item in enumerate(items)}
-            own = set(multiprocessing.active_children()) - before
+            try:
+                index = {pool.submit(_work, item): k for k, item in enumerate(items)}
+            finally:
+                own = set(multiprocessing.active_children()) - before
         for future in as_completed(index):
             if future.exception() is not None:
                 # Of several that fail, the first of the items is reported, not the first in time.

@@ -178,10 +178,7 @@ class RotorOrder:
         bearing = _corner if count == ROTORS and not _on_axes(rotors) else _bearing
         order = []
         for rotor in rotors:
-            apart = [
-                (abs(_turn(bearing(rotor) - bearing(motor))), motor.turns_otherwise(rotor))
-                for motor in motors
-            ]
+            apart = [(abs(_turn(bearing(rotor) - bearing(m))), m.turns_otherwise(rotor)) for m in motors]
             # Of two on one arm the one that sits, or turns, as the rotor does.
             nearest = min(angle for angle, _ in apart)
             order.append(

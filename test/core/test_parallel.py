@@ -5,12 +5,13 @@
 from __future__ import annotations
 
 import contextlib
+import multiprocessing
 import os
 import signal
 import subprocess
 import sys
 import time
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -122,6 +123,21 @@ def test_threads_that_start_workers_at_once_do_not_end_those_of_each_other(tasks
     with ThreadPoolExecutor(3) as threads:
         assert list(threads.map(done, [0.0, 1.0, 2.0])) == 3 * [[1, 2, 3]]
     assert (dict(os.environ), vars(sys.modules["__main__"]).get("__file__")) == (before, main)
+
+
+def test_of_workers_that_cannot_all_be_started_none_is_left(tasks, monkeypatch):
+    sent, before = [], set(multiprocessing.active_children())
+
+    def submit(pool, *task, submit=ProcessPoolExecutor.submit):
+        sent.append(task)
+        if len(sent) == 3:
+            raise OSError("no more processes")
+        return submit(pool, *task)
+
+    monkeypatch.setattr(ProcessPoolExecutor, "submit", submit)
+    with pytest.raises(OSError, match="no more processes"):
+        Workers(3).map(tasks.wait, [1, 2, 3], shared=60.0)
+    assert set(multiprocessing.active_children()) <= before
 
 
 def test_a_worker_has_one_thread(tasks):
