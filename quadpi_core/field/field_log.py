@@ -124,9 +124,10 @@ def held_series(time_ns: Stamps, values: Array, start_ns: int) -> Series | None:
     return Series(time[last], values[last, np.newaxis].astype(np.float64)) if len(time) else None
 
 
-def places_of(motors: Sequence[Motor]) -> Array:
-    """Places and spins (R, 3) of motors, as :attr:`FieldLog.places` has them."""
-    return np.round(np.array([motor[:3] for motor in motors]), 6)
+def places_of(motors: Sequence[Motor]) -> Array | None:
+    """Places and spins (R, 3) of motors, as `FieldLog.places` has them; None if all are at the centre."""
+    places = np.round(np.array([motor[:3] for motor in motors]).reshape(-1, 3), 6)
+    return places if places[:, :2].any() else None
 
 
 @dataclass(frozen=True)

@@ -93,7 +93,7 @@ def read_px4_field(path: Path, _number: int | None = None, _poles: int | None = 
         battery=read("battery_status", "voltage_v"),
         landed=_landed(topics, start_ns),
         density=air,
-        places=places_of(motors_of(parameters, rotors)) if rotors and "CA_ROTOR0_PX" in parameters else None,
+        places=places_of(motors_of(parameters, rotors or 0)),
         drag_prefix="EKF2_",
         facts=_facts(parameters, log.information) | poles,
         parameters=parameters,

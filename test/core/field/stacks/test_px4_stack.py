@@ -105,3 +105,5 @@ def test_places_and_spins_of_rotors_are_those_of_the_parameters(read):
     places = {f"CA_ROTOR{k}_P{axis}": 0.11 * (1 if k < 2 else -1) for k in range(4) for axis in "XY"}
     log = read(topics(4), CA_ROTOR_COUNT=4, CA_ROTOR0_KM=0.05, CA_ROTOR3_KM=-0.05, **places)
     assert np.array_equal(np.sign(log.places), [[1, 1, -1], [1, 1, 0], [-1, -1, 0], [-1, -1, 1]])
+    unset = read(topics(4), CA_ROTOR_COUNT=4, CA_ROTOR0_KM=0.05, **dict.fromkeys(places, 0.0))
+    assert unset.places is None
