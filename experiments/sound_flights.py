@@ -234,7 +234,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def simulated_table(options: argparse.Namespace) -> None:
     """Renew the table of simulated flights after each model, so that an interruption loses one at most."""
     rows: list[Row] = []
-    named = f"\n\nStated: {RATE_PER_HOUR:g} per hour, {100.0 * SHARE:g} % of flights.\n\n*{stamp()}*"
+    named = f"\n\nAsked for: {RATE_PER_HOUR:g} per hour, {100.0 * SHARE:g} % of flights.\n\n*{stamp()}*"
     _, small = airframes()
 
     def add(row: Row) -> None:
