@@ -308,17 +308,23 @@ def test_outside_the_training_range_a_force_is_no_evidence_but_where_inputs_of_t
 def test_after_an_alarm_of_extrapolation_a_small_change_since_take_off_is_no_evidence(
     vehicle: Vehicle, start_s: float
 ) -> None:
-    forward = CHANGED_FORCE_FORWARD
-    for share, far, named in (
-        (0.0092, False, forward),
-        (0.0092, True, UNCHANGED),
-        (0.0184, True, forward),
+    """Of the same flight: the next one is bet on from its own take-off."""
+    forward, limits = CHANGED_FORCE_FORWARD, replace(LIMITS, hover_rotor_speed=1500.0)
+    for share, far, lands, named in (
+        (0.0092, False, False, forward),
+        (0.0092, True, False, UNCHANGED),
+        (0.0092, True, True, forward),
+        (0.0184, True, False, forward),
     ):
-        samples = samples_of(vehicle, 7.0, 0.0, 0.0)
+        samples = samples_of(vehicle, 7.0 + 1.5 * lands, 0.0, 0.0)
+        samples.velocity[:, 0] = 2.0
         samples.measured[:, 0] += share * weight(vehicle)
         if far:
             samples.inputs[samples.between(start_s, start_s + 0.3), INPUT_NAMES.index("u")] = 20.0
-        assert named_as(alarm_of(vehicle), samples) == named
+        if lands:
+            landed = samples.between(1.0, 1.5)
+            samples.rotor_speeds[landed], samples.velocity[landed] = 0.0, 0.0
+        assert named_as(alarm_of(vehicle, limits), samples) == named
 
 
 def test_a_model_that_is_off_beyond_its_flights_is_no_change_there_nor_as_it_returns(
