@@ -310,6 +310,11 @@ def test_after_an_alarm_of_extrapolation_a_small_change_since_take_off_is_no_evi
 ) -> None:
     """Of the same flight: the next one is bet on from its own take-off."""
     forward, limits = CHANGED_FORCE_FORWARD, replace(LIMITS, hover_rotor_speed=1500.0)
+    late = samples_of(vehicle, 9.0, 0.0, 0.0)
+    late.measured[:, 0] += 0.0092 * weight(vehicle)
+    late.inputs[late.between(0.5, 0.8), INPUT_NAMES.index("u")] = 20.0
+    late.wind_unknown[late.between(0.0, 5.0)] = True
+    assert named_as(alarm_of(vehicle), late) == UNCHANGED
     for share, far, lands, named in (
         (0.0092, False, False, forward),
         (0.0092, True, False, UNCHANGED),

@@ -162,8 +162,9 @@ inline void judge_change(
     change.unlike_s = std::max(state.extrapolates ? UNLIKE_S : 0.0, change.unlike_s - step_s);
     if (state.extrapolates && state.row.cause_level[EXTRAPOLATION] == LEVEL_ALARM) {
         change.unlike_s = UNLIKE_S + BEYOND_S;
-        Onset& first = change.onsets[0];  // such a flight may differ from its start on
-        first.prior = first.prior == FROM_START ? 0.0 : first.prior;
+        double& first = change.onsets[0].prior;  // such a flight may differ from its start on
+        first = first == FROM_START && !change.raised ? 0.0 : first;
+        change.spent = std::max(change.spent, FROM_START);
     }
     const bool within = !state.extrapolates && change.unlike_s <= UNLIKE_S;
     if (state.settled && !state.wind_unknown && !sample.faults.any() && (within || state.thrust_known)) {

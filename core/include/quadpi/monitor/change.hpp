@@ -109,7 +109,8 @@ inline void begin_onset(const Templates& templates, Change& change) {
     Onset& onset = change.onsets[change.blocks % ONSETS];
     onset = {};
     onset.number = change.within.sum.number;
-    onset.prior = change.blocks == 0 && change.unlike_s > 0.0 ? 0.0 : prior_of_onset(change.blocks);
+    const bool is_unlike = change.blocks == 0 && change.unlike_s + change.spent > 0.0;
+    onset.prior = is_unlike ? 0.0 : prior_of_onset(change.blocks);
     change.spent += onset.prior;
     const std::array<double, DIRECTIONS> of_direction = prior_of_directions(templates);
     for (int direction = 0; direction < DIRECTIONS; ++direction) {

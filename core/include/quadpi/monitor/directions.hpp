@@ -10,13 +10,11 @@ namespace quadpi {
 
 // Prior of a change that is there from take-off.
 constexpr double FROM_START = 0.5;
-// Share of the prior for what is heavier, and for rotors that give less than their speed says: the reverse is
-// rare.
+// Share of the prior for what is heavier, and for rotors that give less: the reverse is rare.
 constexpr double LOSSES = 0.8;
 // Prior of each size over that of the one half as large, but of mass: what is large wins any bet soon.
 constexpr double RARER = 0.6;
-// Prior of mass, of each push, of each balance, of all rotors that give less and of all whose speed reads
-// more.
+// Prior of mass, of each push, of each balance, of all rotors that give less and of all that read more.
 constexpr double OF_MASS = 0.25, OF_PUSH = 0.04, OF_BALANCE = 0.06, OF_LESS = 0.3, OF_MORE = 0.25;
 // Number of the block by which half of the rest of the prior is spent.
 constexpr double HALF_SPENT = 100.0;
