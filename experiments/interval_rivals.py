@@ -259,20 +259,38 @@ def enbpi(race: Race, window_s: float = 3.0, batch_s: float = 0.1) -> Said:
     return Said(centre, half)
 
 
-def spci(race: Race, rows: int = 8000) -> Said:
+def spci(race: Race) -> Said:
     """Quantiles of the next error given those before (Xu and Xie 2023), here by linear regression."""
     inputs = np.concatenate((means_of(race.past(), race.rate_hz), race.half[..., np.newaxis]), axis=-1)
-    bounds, random = np.zeros((2, *race.error.shape)), np.random.default_rng(0)
+    lower, upper = (
+        regressed_quantile(race, inputs, race.error, level) for level in (0.5 * ALPHA, 1.0 - 0.5 * ALPHA)
+    )
+    return Said(0.5 * (lower + upper), np.maximum(0.5 * (upper - lower), 0.0))
+
+
+def conditional(race: Race) -> Said:
+    """Covers under every weight linear in speed, its square and the own half width (Gibbs et al. 2023).
+
+    What conditionalconformal solves a linear program for at each sample: the sample itself, among thousands,
+    is left out.
+    """
+    speed = np.broadcast_to(race.speed[..., np.newaxis], race.half.shape)
+    inputs = np.stack((np.ones_like(speed), speed, np.square(speed), race.half), axis=-1)
+    return still(race, np.maximum(regressed_quantile(race, inputs, np.abs(race.error), 1.0 - ALPHA), 0.0))
+
+
+def regressed_quantile(race: Race, inputs: Array, target: Array, level: float, rows: int = 8000) -> Array:
+    """Quantile (T, F, 6) of a target given inputs (T, F, 6, P), as flights of other turns have it."""
+    found, random = np.zeros(race.error.shape), np.random.default_rng(0)
     for own in race.calibrating():
         for axis in range(AXES):
-            target = race.error[:, own, axis].ravel()
-            known = np.flatnonzero(np.isfinite(target))
+            values = target[:, own, axis].ravel()
+            known = np.flatnonzero(np.isfinite(values))
             known = random.choice(known, min(rows, len(known)), replace=False)
-            given = inputs[:, own, axis].reshape(len(target), -1)[known]
-            for side, level in enumerate((0.5 * ALPHA, 1.0 - 0.5 * ALPHA)):
-                slope = quantile_regression(given, target[known], level)
-                bounds[side][:, ~own, axis] = inputs[:, ~own, axis] @ slope
-    return Said(bounds.mean(axis=0), np.maximum(0.5 * (bounds[1] - bounds[0]), 0.0))
+            given = inputs[:, own, axis].reshape(len(values), -1)[known]
+            slope = quantile_regression(given, values[known], level)
+            found[:, ~own, axis] = inputs[:, ~own, axis] @ slope
+    return found
 
 
 def quantile_regression(inputs: Array, target: Array, level: float) -> Array:
@@ -374,6 +392,7 @@ RULES: Mapping[str, Rule] = {
     "bias-corrected ACI": bias_corrected_aci,
     "EnbPI": enbpi,
     "SPCI": spci,
+    "conditional conformal": conditional,
     "state space": state_space,
     "own": lambda race: still(race, race.half),
     "own, width adapts": lambda race: adapted(race, still(race, race.half)),
