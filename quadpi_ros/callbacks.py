@@ -323,8 +323,9 @@ class CaughtExceptions:
         if due_s is not None and now_s < due_s:
             return
         self._next_log_s[where, type(error).__name__] = now_s + _LOG_PERIOD_S
-        more = "\n" + "".join(traceback.format_exception(error))
-        more = more if due_s is None else f" ({self.counts[where]} so far)"
+        more = f" ({self.counts[where]} so far)"
+        if due_s is None:
+            more = "\n" + "".join(traceback.format_exception(error))
         self._node.get_logger().error(f"exception in {self._latest}{more}")
 
     def statuses(self) -> list[DiagnosticStatus]:
