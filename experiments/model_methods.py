@@ -526,15 +526,21 @@ def tables(job: Job) -> dict[str, str]:
     }
 
 
+def parser_of(description: str | None, page: Path, work: str) -> argparse.ArgumentParser:
+    """Command line of a script that goes through :data:`DATA_SETS` and renews a page."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("--data", type=Path, default=data_directory(), help="folder of real flights")
+    parser.add_argument("--work", type=Path, default=ROOT / "out" / work, help="for bags and results")
+    parser.add_argument("--page", type=Path, default=page, help="to renew")
+    parser.add_argument("--only", default="", help="data sets whose title contains this")
+    return parser
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Renew the page."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--data", type=Path, default=data_directory(), help="folder of real flights")
-    parser.add_argument("--work", type=Path, default=ROOT / "out" / "models", help="for results")
-    parser.add_argument("--page", type=Path, default=PAGE, help="to renew")
+    parser = parser_of(__doc__, PAGE, "models")
     parser.add_argument("--methods", default=",".join(KINDS.names()), help="with commas")
     parser.add_argument("--flights", type=int, default=MOST_FLIGHTS, help="of a data set, at most")
-    parser.add_argument("--only", default="", help="data sets whose title contains this")
     parser.add_argument(
         "--keep", default="", help="methods whose results at hand are taken as they are, none computed"
     )

@@ -8,19 +8,17 @@ all but the fastest, which is read again from its log and predicted as `quadpi r
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from model_methods import DATA_SETS, DataSet, flights_by_log, speed, spread_over_speeds
-from page_tables import RESULTS, ROOT, renew, stamp
+from model_methods import DATA_SETS, DataSet, flights_by_log, parser_of, speed, spread_over_speeds
+from page_tables import RESULTS, renew, stamp
 
 from quadpi_core.errors import QuadpiError, one_line
 from quadpi_core.evaluation.evaluate import FlightRolloutMetrics, TubeMetrics, evaluate_rollouts
 from quadpi_core.identification.identify import identify
 from quadpi_core.models.model_kind import IdentifyOptions
 from quadpi_core.models.regressors import load_pools
-from quadpi_core.paths import data_directory
 from quadpi_core.report.table import Column, Row, Table, markdown_table, number
 
 PAGE = RESULTS / "rollouts.md"
@@ -78,12 +76,7 @@ def rows(what: str, judged: FlightRolloutMetrics) -> list[Row]:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Renew the page."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--data", type=Path, default=data_directory(), help="folder of real flights")
-    parser.add_argument("--work", type=Path, default=ROOT / "out" / "rollouts", help="for imported bags")
-    parser.add_argument("--page", type=Path, default=PAGE, help="to renew")
-    parser.add_argument("--only", default="", help="data sets whose title contains this")
-    options = parser.parse_args(arguments)
+    options = parser_of(__doc__, PAGE, "rollouts").parse_args(arguments)
     headings = ("flight", "ahead", "RMS error", "coverage %", "width", "width of balls")
     every, said = list[Row](), list[str]()
     for data_set in DATA_SETS:

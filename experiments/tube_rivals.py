@@ -9,7 +9,6 @@ which is more than a user has.
 
 from __future__ import annotations
 
-import argparse
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -17,8 +16,16 @@ from typing import NamedTuple
 
 import numpy as np
 from interval_rivals import Race
-from model_methods import CONFIDENCE, DATA_SETS, DataSet, flights_by_log, geometric, spread_over_speeds
-from page_tables import ROOT, renew, stamp
+from model_methods import (
+    CONFIDENCE,
+    DATA_SETS,
+    DataSet,
+    flights_by_log,
+    geometric,
+    parser_of,
+    spread_over_speeds,
+)
+from page_tables import renew, stamp
 from region_rivals import (
     Regions,
     Sized,
@@ -37,7 +44,6 @@ from quadpi_core.identification.identify import identify
 from quadpi_core.models.model_kind import IdentifyOptions
 from quadpi_core.models.regressors import load_pools
 from quadpi_core.models.tubes import QUANTITIES, TRACKING_PER_S, tube_radii, tube_scores
-from quadpi_core.paths import data_directory
 from quadpi_core.report.table import Column, Row, Table, markdown_table
 
 # Most flights of a set, fewest that leave rivals three to learn from, and turns of a half.
@@ -144,12 +150,7 @@ def rows(found: Mapping[str, Sequence[Ahead]]) -> list[Row]:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Renew the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--data", type=Path, default=data_directory(), help="folder of real flights")
-    parser.add_argument("--work", type=Path, default=ROOT / "out" / "rollouts", help="for imported bags")
-    parser.add_argument("--page", type=Path, default=PAGE, help="to renew")
-    parser.add_argument("--only", default="", help="data sets whose title contains this")
-    options = parser.parse_args(arguments)
+    options = parser_of(__doc__, PAGE, "rollouts").parse_args(arguments)
     found = {}
     for data_set in DATA_SETS:
         if options.only in data_set.title:
