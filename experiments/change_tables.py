@@ -25,9 +25,8 @@ from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.model_kind import CUTOFF_HZ
 from quadpi_core.monitor.change import OF_THRUST
 from quadpi_core.monitor.monitor import Monitor
-from quadpi_core.monitor.pairing import SET_BACK
 from quadpi_core.monitor.preparation import Prepared
-from quadpi_core.monitor.replay import follow, recorded_flight
+from quadpi_core.monitor.replay import monitored, recorded_flight
 from quadpi_core.paths import data_directory
 from quadpi_core.report.table import Column, Row, Table, markdown_table
 from quadpi_core.results import (
@@ -163,11 +162,8 @@ def told_of(
     monitor, column = Monitor(model, vehicle, None), CAUSES.index(CHANGE)
     judged, raised, last = [], [], None
     masses: list[tuple[int, float]] = [(0, 0.0)]
-    for part in follow(recorded_flight(recording, vehicle), vehicle):
-        if part.begin == SET_BACK:
-            monitor.reset()
-        monitor.retune(part.rate)
-        _, alarms, _ = monitor.judge(alter(monitor.preparation.step(*part.samples)))
+    for part, conditions in monitored(recorded_flight(recording, vehicle), [monitor]):
+        _, alarms, _ = monitor.judge(alter(monitor.preparation.step(*part.samples, conditions)))
         health, level = alarms.cause_health[:, column], alarms.cause_level[:, column]
         judged += alarms.time_ns[(health == 0) | (health == 3)].tolist()
         raised += alarms.time_ns[level == LEVEL_ALARM].tolist()
@@ -206,11 +202,8 @@ class Causes(NamedTuple):
 def causes_of(model: AerodynamicModel, vehicle: Vehicle, recording: Recording) -> Causes:
     """Replay a recording, as `quadpi replay` does."""
     monitor, raised, beyond = Monitor(model, vehicle, None), np.zeros(len(CAUSES), dtype=bool), False
-    for part in follow(recorded_flight(recording, vehicle), vehicle):
-        if part.begin == SET_BACK:
-            monitor.reset()
-        monitor.retune(part.rate)
-        _, alarms, _ = monitor.step(*part.samples)
+    for part, conditions in monitored(recorded_flight(recording, vehicle), [monitor]):
+        _, alarms, _ = monitor.step(*part.samples, conditions)
         if len(alarms):
             raised |= (alarms.cause_level == LEVEL_ALARM).any(axis=0)
             scores = (alarms.input_score[:, ~OF_THRUST], alarms.leverage, alarms.width)

@@ -33,8 +33,7 @@ from quadpi_core.models.alarm_limits import change_sentence
 from quadpi_core.models.model_kind import CUTOFF_HZ, IdentifyOptions
 from quadpi_core.models.regressors import load_pools
 from quadpi_core.monitor.monitor import Monitor
-from quadpi_core.monitor.pairing import SET_BACK
-from quadpi_core.monitor.replay import follow, recorded_flight
+from quadpi_core.monitor.replay import monitored, recorded_flight
 from quadpi_core.parallel import Workers
 from quadpi_core.paths import data_directory
 from quadpi_core.report.table import Column, Row, Table, markdown_table
@@ -115,11 +114,8 @@ def judged(model: AerodynamicModel, vehicle: Vehicle, recordings: Iterable[Recor
     for recording in recordings:
         monitor = Monitor(model, vehicle, None)
         levels, stamps = [np.zeros((1, 3))], []
-        for part in follow(recorded_flight(recording, vehicle), vehicle):
-            if part.begin == SET_BACK:
-                monitor.reset()
-            monitor.retune(part.rate)
-            _, alarms, _ = monitor.step(*part.samples)
+        for part, conditions in monitored(recorded_flight(recording, vehicle), [monitor]):
+            _, alarms, _ = monitor.step(*part.samples, conditions)
             levels.append(alarms.cause_level[:, columns] == LEVEL_ALARM)
             stamps.append(alarms.time_ns)
         change, extrapolation, miscoverage = (np.diff(np.concatenate(levels), axis=0) > 0).sum(axis=0)

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from typing import NamedTuple
 
 import numpy as np
@@ -26,18 +26,32 @@ import numpy.typing as npt
 from scipy.special import betaincinv, gammaincinv
 
 from quadpi_core.core import compiled
-from quadpi_core.flight import AXES
+from quadpi_core.flight import AXES, Stamps
 from quadpi_core.frames import Array
-from quadpi_core.identification.prepared_flights import LiveSamples
-from quadpi_core.models.aerodynamic import AerodynamicModel, recorded_evaluation
+from quadpi_core.identification.prepared_flights import PreparedFlight
+from quadpi_core.inputs import MEASURED, flown_in
+from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.models.alarm_limits import BOUND_CONFIDENCE, ChangeLimits
 from quadpi_core.models.interval_rules import inside_interval
-from quadpi_core.monitor.alarm import Alarm, MonitorSettings, NotJudgedReason, not_judged_reasons
+from quadpi_core.monitor.alarm import MonitorSettings, NotJudgedReason, not_judged_reasons
 from quadpi_core.monitor.alarm_log import reasons
 from quadpi_core.monitor.change import AXIS_NOISE, BLOCK_S, OF_THRUST
-from quadpi_core.monitor.preparation import Prepared, Verdict
-from quadpi_core.records import brief_repr, record_dtype
-from quadpi_core.results import CAUSES, CHANGE, LEVEL_ALARM, Alarms
+from quadpi_core.monitor.monitor import Monitor
+from quadpi_core.monitor.replay import monitored, recorded_flight
+from quadpi_core.records import brief_repr
+from quadpi_core.results import (
+    CAUSES,
+    CHANGE,
+    EXTRAPOLATION,
+    JUDGED,
+    LEVEL_ALARM,
+    MISCOVERAGE,
+    NO_SAMPLES,
+    NOT_BEGUN,
+    SETTLES,
+    WHY_NOT_JUDGED,
+    WIND_UNKNOWN,
+)
 
 # Fewest blocks of a flight, 1 s, and flights, that are compared.
 _FEWEST_BLOCKS, _FEWEST_FLIGHTS = 10, 3
@@ -62,16 +76,16 @@ class Constant(NamedTuple):
     deviation: float
 
 
-def flight_constants(limits: ChangeLimits, time: Array, errors: Array) -> dict[str, Constant]:
+def flight_constants(limits: ChangeLimits, time_ns: Stamps, errors: Array) -> dict[str, Constant]:
     """What a flight leaves of the model all the time, by axis: least squares with the noise of sound flights.
 
     Args:
         limits: of the model.
-        time: (N,) s.
+        time_ns: (N,) stamps.
         errors: (N, 6) measured − predicted.
     """
     numbers, starts, counts = np.unique(
-        np.floor(time / BLOCK_S).astype(np.int64), return_index=True, return_counts=True
+        time_ns // round(1e9 * BLOCK_S), return_index=True, return_counts=True
     )
     if len(numbers) < _FEWEST_BLOCKS:
         return {}
@@ -120,94 +134,9 @@ SIGNALS = ("inputs", "leverage", "width", "miscoverage")
 # Least monitored flight for a rate per hour: of less, a single alarm would make more than 60 per hour.
 SHORTEST_HOURS = 1.0 / 60.0
 _OFF_SHARE, _OFF_S = 0.5, 3.0
+_OF_MODEL = [CAUSES.index(cause) for cause in (EXTRAPOLATION, MISCOVERAGE)]
 # A row of the alarm for every sample.
 _EVERY_SAMPLE_HZ = 1e9
-
-
-@dataclass(frozen=True)
-class FlightAlarm:
-    """The alarm at each sample of one flight.
-
-    Attributes:
-        scores: by name of :data:`SIGNALS` (N,), the worst input's or axis' value over its limit.
-        raised: (N,) whether EXTRAPOLATION or MISCOVERAGE is at alarm level.
-        missed: (N, 6) whether the measured wrench lay outside its interval, order as `AXES`.
-        monitored: (N,) False where the alarm had no sample.
-        outside: (N,) whether an input is outside the envelope: beyond its warning limit.
-        change: what CHANGE says, nothing where it was not raised; None where it is not judged.
-        constants: what the flight leaves of the model all the time, by axis.
-    """
-
-    __repr__ = brief_repr
-
-    scores: Mapping[str, Array]
-    raised: npt.NDArray[np.bool_]
-    missed: npt.NDArray[np.bool_]
-    monitored: npt.NDArray[np.bool_]
-    outside: npt.NDArray[np.bool_]
-    change: tuple[str, ...] | None = None
-    constants: Mapping[str, Constant] = field(default_factory=dict)
-
-
-def alarm_of_flight(
-    model: AerodynamicModel, time: Array, live: LiveSamples, confidence: float
-) -> FlightAlarm:
-    """Run the alarm over a flight in the air.
-
-    Args:
-        model: with the limits of the alarm.
-        time: (N,) s.
-        live: the samples as a monitor would have had them.
-        confidence: of the intervals.
-    """
-    known, wrench = live.known, live.wrench[live.known]
-    inputs, derivatives = live.inputs[known], live.derivatives[known]
-    evaluation = recorded_evaluation(model, time[known], inputs, derivatives, confidence)
-    alarm = Alarm(
-        model.envelope,
-        # The flight was in the air all the time, as the alarm takes it without a rotor speed of hover.
-        replace(model.alarm_limits, hover_rotor_speed=0.0),
-        MonitorSettings(alarm_rate_hz=_EVERY_SAMPLE_HZ),
-        held=np.array([axis in model.axes for axis in AXES]),
-        interval_ratio=model.interval_ratio(confidence),
-        vehicle=model.flown,
-        change=model.change_limits,
-    )
-    samples = len(time)
-    speeds = derivatives["rotor_speeds"]
-    verdicts = np.zeros(samples, record_dtype(Verdict, speeds.shape[1]))
-    verdicts["time_ns"] = np.round(1e9 * time)
-    verdicts["usable"], verdicts["settled"] = known, True
-    verdicts["rotor_speeds"][known] = speeds
-    prepared = Prepared(verdicts, inputs, wrench, verdicts["time_ns"][known], derivatives)
-    rows = alarm.step(prepared, evaluation)
-    missed = np.zeros((samples, len(AXES)), dtype=np.bool_)
-    missed[known] = ~inside_interval(wrench, evaluation.lower, evaluation.upper)
-    outside = np.zeros(samples, dtype=np.bool_)
-    beyond = model.envelope.input_excess(inputs) > model.envelope.near.margin
-    outside[known] = beyond.any(axis=1)
-    inside = ~beyond[:, ~OF_THRUST].any(axis=1)
-    errors = wrench - 0.5 * (evaluation.lower + evaluation.upper)
-    scores = (rows.input_score, rows.leverage, rows.width, rows.miscoverage)
-    return FlightAlarm(
-        {name: score.max(axis=1) for name, score in zip(SIGNALS, scores, strict=True)},
-        (rows.cause_level[:, :2] == LEVEL_ALARM).any(axis=1),
-        missed,
-        known,
-        outside,
-        *_of_change(model, time[known][inside], errors[inside], rows),
-    )
-
-
-def _of_change(
-    model: AerodynamicModel, time: Array, errors: Array, rows: Alarms
-) -> tuple[tuple[str, ...] | None, dict[str, Constant]]:
-    """What CHANGE says of a flight, and its constants."""
-    if model.change_limits is None or model.flown is None:
-        return None, {}
-    raised = np.flatnonzero(rows.cause_level[:, CAUSES.index(CHANGE)] == LEVEL_ALARM)
-    sentences = reasons(rows, int(raised[-1]), CHANGE) if len(raised) else ()
-    return sentences, flight_constants(model.change_limits, time, errors)
 
 
 @dataclass(frozen=True)
@@ -218,7 +147,7 @@ class Counted:
         false_alarms, hours_inside: inside the envelope, while the model is not off.
         alarms_outside, hours_outside: outside the envelope, whether the model is off or not.
         hours_monitored: inside, outside and off.
-        hours_flown: from lift-off to touch-down.
+        hours_flown: in the air, from the first sample that a monitor has.
         hours_recorded: with the time on the ground.
     """
 
@@ -237,22 +166,44 @@ class Counted:
 
 
 @dataclass(frozen=True)
-class Assessed:
-    """One flight with its alarm and the misses that it should have detected.
+class FlightAlarm:
+    """The alarm at each sample that a monitor has of a flight, as in a replay.
 
     Attributes:
-        time: (N,) s.
-        missed: (N, A) whether the measured wrench lies outside the interval, per axis held.
-        alarm: of the flight.
-        recorded_s: that the recording lasts, with the time on the ground.
+        time: (N,) s since the first of them.
+        scores: by name of :data:`SIGNALS` (N,), the worst input's or axis' value over its limit.
+        raised: (N, 4) whether a cause is at alarm level, order as `results.CAUSES`.
+        missed: (N, A) whether the measured wrench lay outside its interval, by axis that the model holds.
+        why_not_judged: (N,) keys of `results.WHY_NOT_JUDGED`, or JUDGED.
+        outside: (N,) whether an input is outside the envelope: beyond its warning limit.
+        change: what CHANGE says, nothing where it was not raised; None where it is not judged.
+        constants: what the flight leaves of the model all the time, by axis.
         name: of the flight.
+        recorded_s: that the recording lasts, with the time on the ground.
     """
 
+    __repr__ = brief_repr
+
     time: Array
+    scores: Mapping[str, Array]
+    raised: npt.NDArray[np.bool_]
     missed: npt.NDArray[np.bool_]
-    alarm: FlightAlarm
-    recorded_s: float = 0.0
+    why_not_judged: npt.NDArray[np.int64]
+    outside: npt.NDArray[np.bool_]
+    change: tuple[str, ...] | None = None
+    constants: Mapping[str, Constant] = field(default_factory=dict)
     name: str = ""
+    recorded_s: float = 0.0
+
+    def hours(self, *why: int) -> Array:
+        """Hours (N,) that each sample stands for, 0 where none of these is why it is not judged."""
+        hours = np.diff(self.time, append=self.time[-1]) / 3600.0
+        return hours * np.isin(self.why_not_judged, why)
+
+    @property
+    def _doubted(self) -> npt.NDArray[np.bool_]:
+        """(N,) whether EXTRAPOLATION or MISCOVERAGE is raised."""
+        return np.asarray(self.raised[:, _OF_MODEL].any(axis=1))
 
     def off(self) -> npt.NDArray[np.bool_]:
         """Instants (N,) at which the model is off."""
@@ -272,7 +223,7 @@ class Assessed:
         if not off.any():
             return None
         start = int(np.argmax(off))
-        raised = np.flatnonzero(self.alarm.raised[start:])
+        raised = np.flatnonzero(self._doubted[start:])
         return float(self.time[start + raised[0]] - self.time[start]) if len(raised) else float("inf")
 
     def counted(self) -> Counted:
@@ -281,20 +232,71 @@ class Assessed:
         bad = np.zeros(len(self.time) + 1)
         np.add.at(bad, off, 1.0)
         np.add.at(bad, np.searchsorted(self.time, self.time[off] + _OFF_S), -1.0)
-        outside = self.alarm.outside
+        outside = self.outside
         inside = (np.cumsum(bad)[:-1] <= 0.0) & ~outside
-        begins = self.alarm.raised & ~np.concatenate(([False], self.alarm.raised[:-1]))
-        hours = np.diff(self.time, append=self.time[-1]) * self.alarm.monitored / 3600.0
-        flown_s = float(self.time[-1] - self.time[0])
+        begins = self._doubted & ~np.concatenate(([False], self._doubted[:-1]))
+        hours = self.hours(JUDGED)
         return Counted(
             false_alarms=int(np.sum(begins & inside)),
             hours_inside=float(hours[inside].sum()),
             alarms_outside=int(np.sum(begins & outside)),
             hours_outside=float(hours[outside].sum()),
             hours_monitored=float(hours.sum()),
-            hours_flown=flown_s / 3600.0,
-            hours_recorded=max(self.recorded_s, flown_s) / 3600.0,
+            hours_flown=float(self.hours(JUDGED, SETTLES, WIND_UNKNOWN, NO_SAMPLES).sum()),
+            hours_recorded=max(self.recorded_s, float(self.time[-1])) / 3600.0,
         )
+
+
+def alarm_of_flight(model: AerodynamicModel, flight: PreparedFlight, confidence: float) -> FlightAlarm | None:
+    """Run the monitor over a flight, as a replay does; None for one of which no recording is left.
+
+    Args:
+        model: with the limits of the alarm.
+        flight: of its vehicle.
+        confidence: of the intervals.
+    """
+    if flight.recording is None:
+        return None
+    vehicle = model.load_vehicle()
+    monitor = Monitor(model, vehicle, None, confidence, MonitorSettings(alarm_rate_hz=_EVERY_SAMPLE_HZ))
+    # The air of arrays is told beside what a recording has.
+    apart = flight.air == MEASURED and flown_in(flight.recording) is None
+    density = vehicle.air_density_kg_m3 * (1.0 + float(flight.derivatives["density_excess"][0]))
+    said, rows = [], []
+    change: tuple[str, ...] = ()
+    for stretch, conditions in monitored(recorded_flight(flight.recording, vehicle), [monitor]):
+        if apart:
+            monitor.fly_in(density)
+        predictions, alarms, _ = monitor.step(*stretch.samples, conditions)
+        said.append((predictions.time_ns, predictions.measured, predictions.lower, predictions.upper))
+        levels, beyond = alarms.cause_level == LEVEL_ALARM, alarms.input_excess > model.envelope.near.margin
+        scores = (alarms.input_score, alarms.leverage, alarms.width, alarms.miscoverage)
+        worst = [score.max(axis=1) for score in scores]
+        rows.append((alarms.time_ns, alarms.why_not_judged, levels, beyond, *worst))
+        changed = np.flatnonzero(levels[:, CAUSES.index(CHANGE)])
+        change = reasons(alarms, int(changed[-1]), CHANGE) if len(changed) else change
+    stamps, wrench, lower, upper = map(np.concatenate, zip(*said, strict=True))
+    time_ns, why, raised, outside, *signals = map(np.concatenate, zip(*rows, strict=True))
+    at = np.searchsorted(time_ns, stamps)
+    missed = np.zeros((len(time_ns), len(AXES)), dtype=np.bool_)
+    known = why[at] == JUDGED
+    missed[at[known]] = ~inside_interval(wrench, lower, upper)[known]
+    limits, constants = model.change_limits, {}
+    if limits is not None:
+        known &= ~outside[at][:, ~OF_THRUST].any(axis=1)
+        constants = flight_constants(limits, stamps[known], (wrench - 0.5 * (lower + upper))[known])
+    return FlightAlarm(
+        1e-9 * (time_ns - time_ns[0]),
+        dict(zip(SIGNALS, signals, strict=True)),
+        raised,
+        missed[:, [AXES.index(axis) for axis in model.axes]],
+        why,
+        np.asarray(outside.any(axis=1)),
+        None if limits is None else change,
+        constants,
+        flight.name,
+        1e-9 * float(np.ptp(flight.recording.imu.time_ns)),
+    )
 
 
 def per_hour(count: float, hours: float) -> float | None:
@@ -357,19 +359,21 @@ class AlarmAssessment(Counted):
     differences: tuple[str, ...] = ()
 
 
-def assess(flights: Sequence[Assessed]) -> AlarmAssessment:
+def assess(flights: Sequence[FlightAlarm]) -> AlarmAssessment:
     """How good the alarm is on flights, all of them together."""
     counted = Counted.total([flight.counted() for flight in flights])
     delays = [delay for flight in flights if (delay := flight.delay_s()) is not None]
     detected = [delay for delay in delays if np.isfinite(delay)]
-    missed = np.concatenate([flight.missed.any(axis=1) for flight in flights])
+    known = np.concatenate([flight.why_not_judged for flight in flights]) == JUDGED
+    missed = np.concatenate([flight.missed.any(axis=1) for flight in flights])[known]
     recorded = max(counted.hours_recorded, 1e-9)
     unjudged = {
-        "on the ground, or without a state": counted.hours_recorded - counted.hours_flown,
-        "the state settles, or no usable samples": counted.hours_flown - counted.hours_monitored,
+        words: float(sum(flight.hours(key).sum() for flight in flights))
+        for key, words in WHY_NOT_JUDGED.items()
     }
+    unjudged[NOT_BEGUN] = counted.hours_recorded - counted.hours_monitored - sum(unjudged.values())
     reasons = not_judged_reasons({words: hours / recorded for words, hours in unjudged.items()})
-    judged = [(flight.name, flight.alarm.change) for flight in flights if flight.alarm.change is not None]
+    judged = [(flight.name, flight.change) for flight in flights if flight.change is not None]
     changed = [f"{name}: {'; '.join(said)}" for name, said in judged if said]
     return AlarmAssessment(
         **vars(counted),
@@ -382,14 +386,14 @@ def assess(flights: Sequence[Assessed]) -> AlarmAssessment:
         flights_undetected=len(delays) - len(detected),
         detection_delay_s=float(np.median(detected)) if detected else None,
         auroc={
-            name: auroc(np.concatenate([flight.alarm.scores[name] for flight in flights]), missed)
+            name: auroc(np.concatenate([flight.scores[name] for flight in flights])[known], missed)
             for name in SIGNALS
         },
         flights_judged=len(judged),
         flights_changed=len(changed),
         flights_changed_bound=share_bound(len(changed), len(judged)),
         changes=tuple(changed),
-        differences=tuple(differences({flight.name: flight.alarm.constants for flight in flights})),
+        differences=tuple(differences({flight.name: flight.constants for flight in flights})),
     )
 
 

@@ -94,7 +94,7 @@ def predict_flight(
         lower, upper = intervals.step(flight.wrench, lower, upper)
     alarm = None
     if with_alarm:
-        alarm = alarm_of_flight(model, flight.time, flight.judged, confidence)
+        alarm = alarm_of_flight(model, flight, confidence)
     return FlightResult(
         name=flight.name,
         axes=model.axes,
@@ -108,7 +108,6 @@ def predict_flight(
         alarm=alarm,
         sha256=flight.sha256,
         in_sample=model.learned_from(flight.sha256),
-        recorded_s=flight.recorded_s,
     )
 
 

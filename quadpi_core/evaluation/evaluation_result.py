@@ -16,7 +16,7 @@ import numpy as np
 
 from quadpi_core.errors import ModelError, QuadpiError
 from quadpi_core.evaluation import metrics
-from quadpi_core.evaluation.alarm_assessment import AlarmAssessment, Assessed, FlightAlarm, assess
+from quadpi_core.evaluation.alarm_assessment import AlarmAssessment, FlightAlarm, assess
 from quadpi_core.evaluation.metrics import (
     RegimeBins,
     by_bin,
@@ -224,10 +224,9 @@ class FlightResult:
         measured, predicted, lower, upper: (N, 6).
         inputs: (N, 19), columns as :data:`quadpi_core.inputs.INPUT_NAMES`.
         height: (N,) m above the origin of the world.
-        alarm: the alarm at each sample; None where it was not run.
+        alarm: the alarm at each sample of a monitor; None where it was not run.
         sha256: hash of the flight; empty where not known.
         in_sample: whether the model was identified on this flight, by its hash.
-        recorded_s: that the recording lasts, with the time on the ground.
     """
 
     __repr__ = brief_repr
@@ -244,7 +243,6 @@ class FlightResult:
     alarm: FlightAlarm | None = None
     sha256: str = ""
     in_sample: bool = False
-    recorded_s: float = 0.0
 
     def __len__(self) -> int:
         return len(self.time)
@@ -377,14 +375,8 @@ def evaluate_flights(
 
 def _assess(flights: Sequence[FlightResult]) -> AlarmAssessment | None:
     """The alarm on the flights; None where it was not run on all of them."""
-    assessed = []
-    for flight in flights:
-        if flight.alarm is None:
-            return None
-        columns = [AXES.index(axis) for axis in flight.axes]
-        missed = flight.alarm.missed[:, columns]
-        assessed.append(Assessed(flight.time, missed, flight.alarm, flight.recorded_s, flight.name))
-    return assess(assessed)
+    alarms = [flight.alarm for flight in flights if flight.alarm is not None]
+    return assess(alarms) if len(alarms) == len(flights) else None
 
 
 def _evaluate_axis(

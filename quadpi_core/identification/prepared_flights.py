@@ -77,13 +77,13 @@ class PreparedFlight:
         derivatives: (N,) what the motion has beside them, see `inputs.Derivatives`.
         wrench: (N, 6) measured wrench.
         height: (N,) m above the origin of the world.
-        live: the samples as a monitor would have had them, on which the alarm is calibrated and assessed;
-            None where the states were given instead of estimated, and a monitor would have had the same.
+        live: the samples as a monitor would have had them, on which the alarm is calibrated; None where the
+            states were given instead of estimated, and a monitor would have had the same.
         quality: remarks on the data.
         file: name that the flight would have whole, where it is one of several parts.
-        recorded_s: that the recording lasts, with the time on the ground.
         air: what tells the density of the air, see :mod:`quadpi_core.inputs`.
         flight: what it was made of, that simulations are compared with; None where it was made of arrays.
+        recording: that a monitor follows in an evaluation as in a replay; None where states were given.
         state: how unsure a monitor's state was, the median of deviations of velocity m/s and attitude rad.
         state_noise: of a slow state that does not say it, position m, attitude rad and velocity m/s.
         wind_unknown: whether the state is that of a vehicle in the open, and nothing measures the wind.
@@ -101,9 +101,9 @@ class PreparedFlight:
     live: LiveSamples | None = None
     quality: DataQuality = NOTHING_TO_SAY
     file: str = ""
-    recorded_s: float = 0.0
     air: str = ASSUMED
     flight: Flight | None = None
+    recording: Recording | None = None
     state: tuple[float, float] = (0.0, 0.0)
     state_noise: tuple[float, float, float] | None = None
     wind_unknown: bool = False
@@ -187,7 +187,7 @@ class PreparedFlight:
 
     @property
     def judged(self) -> LiveSamples:
-        """Samples on which the alarm is calibrated and assessed."""
+        """Samples on which the alarm is calibrated."""
         if self.live is not None:
             return self.live
         known = np.ones(len(self.time), dtype=np.bool_)
@@ -318,11 +318,10 @@ def prepare_recording(recording: Recording, vehicle: Vehicle, cutoff_hz: float) 
     prepared = PreparedFlight.from_flight(flight, vehicle, recording_hash(recording), live)
     if (air := flown_in(recording)) is not None:
         prepared = prepared.in_air(air[0], vehicle, air[1])
-    recorded_ns = recording.imu.time_ns[-1] - recording.imu.time_ns[0]
     return replace(
         prepared,
         file=recording.name,
-        recorded_s=1e-9 * float(recorded_ns),
+        recording=given,
         state=causal.deviation(),
         state_noise=_learned_noise(given, recording),
         wind_unknown=_wind_unknown(given, vehicle),

@@ -225,7 +225,7 @@ def _taken(
         quality=recording.quality,
     )
     prepared = PreparedFlight.from_flight(flight, vehicle, recording_hash(recording))
-    return replace(prepared, file=recording.name, recorded_s=float(flight.time[-1]))
+    return replace(prepared, file=recording.name)
 
 
 def from_frame(

@@ -356,7 +356,7 @@ class AerodynamicModel:
             evaluation = unchecked_evaluation(self, inputs, confidence, derivatives)
         else:
             time = array_checks.floats("time", time, rows=len(inputs), of="inputs")
-            evaluation = recorded_evaluation(self, time, inputs, derivatives, confidence)
+            evaluation = _recorded_evaluation(self, time, inputs, derivatives, confidence)
         finite = np.isfinite(np.concatenate(evaluation, axis=1)).all(axis=1)
         if not finite.all():
             raise ModelError(
@@ -486,7 +486,7 @@ def unchecked_evaluation(
     return Evaluation(*scaled)
 
 
-def recorded_evaluation(
+def _recorded_evaluation(
     model: AerodynamicModel,
     time: Array,
     inputs: Array,

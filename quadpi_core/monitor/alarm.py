@@ -40,16 +40,13 @@ import numpy as np
 import numpy.typing as npt
 
 from quadpi_core import array_checks
-from quadpi_core.core import compiled
 from quadpi_core.flight import MAX_JUMP_BACK_NS, Stamps
 from quadpi_core.frames import Array
 from quadpi_core.models.alarm_limits import AlarmLimits, ChangeLimits
 from quadpi_core.models.envelope import Envelope
-from quadpi_core.models.model_kind import Evaluation
 from quadpi_core.monitor import alarm_kernel as kernel
 from quadpi_core.monitor.alarm_kernel import geometry_record
 from quadpi_core.monitor.change import found_columns, sound_noise
-from quadpi_core.monitor.preparation import Prepared
 from quadpi_core.records import Records
 from quadpi_core.results import (
     ACTIVE,
@@ -108,7 +105,7 @@ class Alarm:
         settings: how quickly it follows.
         held: (6,) axes that the model holds; all unless given.
         interval_ratio: (6,) width of the intervals that the limits were calibrated with over the width of
-            those that :meth:`step` will be given.
+            those that it will be given.
         vehicle: whose rotors may stop, and that may change; without one neither is watched.
         change: what sound flights leave of the model; without it CHANGE is not judged.
 
@@ -175,16 +172,6 @@ class Alarm:
     def reset(self) -> None:
         """Forget all evidence; the next sample gives a row."""
         kernel.forget(self.state)
-
-    def step(self, prepared: Prepared, evaluation: Evaluation) -> Alarms:
-        """Take K samples, and what the model says of the U usable ones with its own intervals."""
-        verdicts, inputs, measured = prepared.verdicts, prepared.inputs, prepared.measured
-        # A model of somebody else may give columns of a larger array.
-        lower, upper, leverage, width = map(np.ascontiguousarray, evaluation[1:])
-        said, rows = (lower, upper, leverage, width), self.room(len(verdicts))
-        return self.taken(
-            compiled.advance_alarm(self.limits, self.state, verdicts, inputs, measured, *said, rows)
-        )
 
     def room(self, samples: int) -> Records:
         """Room for the rows (K,) of as many samples, or more; :meth:`taken` takes those that were filled."""

@@ -53,6 +53,7 @@ from quadpi_core.reading_options import (
     reading_options,
     split_recording,
 )
+from quadpi_core.records import Records
 from quadpi_core.results import LEVEL_ALARM, LEVEL_WARNING, Alarms, Events, Predictions
 from quadpi_core.screening.flight_runs import RunningRates, in_range_of_blocks
 from quadpi_core.screening.sample_order import order_of, usable_recording, without_unusable_attitudes
@@ -138,29 +139,41 @@ def _write(flight: RecordedFlight, monitor: Monitor, vehicle: Vehicle, output: P
     """Judge a flight, write its results and sum them up."""
     metadata = {"vehicle": vehicle.name, "model": monitor.model.identity}
     metadata |= {"source": flight.name, "version": __version__}
-    tally, context = _Tally(), SampleContext(monitor.model, vehicle, flight.wind_since_ns)
-    words = explained(flight)
+    tally, words = _Tally(), explained(flight)
     with mcap_writer(output, metadata, FAST) as writer:
-        names = ["odometry"] if flight.has_mocap else []
-        writer.announce(
-            {f"/{name}": TOPIC_TYPES[name] for name in [*names, "prediction", "extrapolation_alarm"]}
-        )
-        for stretch in follow(flight, vehicle):
+        names = [*(["odometry"] if flight.has_mocap else []), "prediction", "extrapolation_alarm"]
+        writer.announce({f"/{name}": TOPIC_TYPES[name] for name in names})
+        for stretch, conditions in monitored(flight, [monitor]):
             if stretch.begin != pairing.CONTINUES:
                 # Stamps repeat from here on, and must not mix with the earlier ones.
                 writer.flush()
-            if stretch.begin == pairing.SET_BACK:
-                monitor.reset()
-                context.reset()
-            monitor.retune(stretch.rate)
-            monitor.fly_in(stretch.density)
-            context.unsure.take(stretch.deviations)
-            predictions, alarms, events = monitor.step(*context.of(stretch.samples))
+            predictions, alarms, events = monitor.step(*stretch.samples, conditions)
             for topic in _messages(stretch.states, predictions, alarms, events, monitor, words):
                 writer.add(topic)
             writer.flush(stretch.settled_ns)
             tally.add(stretch, predictions, alarms, events)
     return tally.summary()
+
+
+def monitored(
+    flight: RecordedFlight, monitors: Sequence[Monitor]
+) -> Iterator[tuple[Followed, Records | None]]:
+    """Stretches of a flight with the samples that monitors of its vehicle take, and their conditions.
+
+    The monitors are set to each as in flight; the model of the first knows of wind and unsure states.
+    """
+    first = monitors[0]
+    context = SampleContext(first.model, first.vehicle, flight.wind_since_ns)
+    for stretch in follow(flight, first.vehicle):
+        if stretch.begin == pairing.SET_BACK:
+            for forget in (context.reset, *(monitor.reset for monitor in monitors)):
+                forget()
+        for monitor in monitors:
+            monitor.retune(stretch.rate)
+            monitor.fly_in(stretch.density)
+        context.unsure.take(stretch.deviations)
+        time_ns, values, conditions = context.of(stretch.samples)
+        yield stretch._replace(samples=PairedSamples(time_ns, values)), conditions
 
 
 def explained(flight: RecordedFlight) -> Explained:

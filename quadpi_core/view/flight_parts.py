@@ -25,12 +25,10 @@ from quadpi_core.messages.definitions import codec, foreign_codec
 from quadpi_core.messages.payloads import Payloads, Topic
 from quadpi_core.messages.result_messages import DescribedModel, MonitorDescription, unpack_description
 from quadpi_core.models.aerodynamic import AerodynamicModel
-from quadpi_core.monitor import pairing
 from quadpi_core.monitor.alarm_log import Explained
 from quadpi_core.monitor.monitor import Monitor
 from quadpi_core.monitor.pairing import PairedSamples
-from quadpi_core.monitor.replay import RecordedFlight, explained, follow, open_flight
-from quadpi_core.monitor.wind_state import SampleContext
+from quadpi_core.monitor.replay import RecordedFlight, explained, monitored, open_flight
 from quadpi_core.reading_options import MappingOrOptions, reading_options
 from quadpi_core.records import Records
 from quadpi_core.results import AlarmEvent, Predictions, ReportedAlarms
@@ -201,20 +199,11 @@ def judged(
     monitors = [Monitor(model, vehicle, None, confidence) for model in models]
     held: list[OdometryStream] = []
     with open_flight(bag, vehicle, mapping) as flight:
-        context, words = SampleContext(models[0], vehicle, flight.wind_since_ns), explained(flight)
-        for stretch in follow(_noting(flight, held), vehicle):
-            if stretch.begin == pairing.SET_BACK:
-                for monitor in monitors:
-                    monitor.reset()
-                context.reset()
-            for monitor in monitors:
-                monitor.retune(stretch.rate)
-                monitor.fly_in(stretch.density)
+        words = explained(flight)
+        for stretch, conditions in monitored(_noting(flight, held), monitors):
             states = held[:] if stretch.states is None else [stretch.states.odometry]
             held.clear()
-            context.unsure.take(stretch.deviations)
-            time_ns, values, conditions = context.of(stretch.samples)
-            yield _judged_part(monitors, PairedSamples(time_ns, values), conditions, states, words)
+            yield _judged_part(monitors, stretch.samples, conditions, states, words)
 
 
 def _noting(flight: RecordedFlight, held: list[OdometryStream]) -> RecordedFlight:

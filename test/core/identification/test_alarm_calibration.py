@@ -17,6 +17,8 @@ from quadpi_core.monitor.alarm import Alarm, MonitorSettings
 from quadpi_core.monitor.preparation import VERDICT, Prepared
 from quadpi_core.results import EXTRAPOLATION, LEVEL_ALARM, MISCOVERAGE
 
+from ..monitor.alarm_samples import step
+
 RATE_HZ = 100
 FX = 0
 OMEGA = INPUT_INDEX["omega_avg"]
@@ -58,7 +60,7 @@ def raised(envelope: Envelope, limits: AlarmLimits, flight: LeftOut) -> dict[int
     missed, still = np.nan_to_num(2.0 * flight.miss), np.zeros(count, DERIVATIVES)
     prepared = Prepared(verdicts, flight.inputs, missed, verdicts["time_ns"], still)
     bound = np.ones((count, 6))
-    rows = alarm.step(prepared, Evaluation(0.0 * bound, -bound, bound, flight.leverage, flight.width))
+    rows = step(alarm, prepared, Evaluation(0.0 * bound, -bound, bound, flight.leverage, flight.width))
     at_alarm = rows.cause_level == LEVEL_ALARM
     begins = (np.diff(at_alarm.astype(int), axis=0, prepend=0) == 1).sum(axis=0)
     return {EXTRAPOLATION: int(begins[0]), MISCOVERAGE: int(begins[1])}

@@ -46,7 +46,7 @@ from quadpi_core.results import (
 )
 from quadpi_core.vehicle import Vehicle
 
-from .alarm_samples import LIMITS, RATE_HZ, SETTINGS, Samples
+from .alarm_samples import LIMITS, RATE_HZ, SETTINGS, LiftingAlarm, Samples
 from .sound_flights_of_blocks import limits_of, sound_blocks, weaken, weight
 
 COLUMN = 3  # of the cause
@@ -149,19 +149,6 @@ def samples_of(vehicle: Vehicle, seconds: float, newton: float, start_s: float) 
     samples.measured[samples.between(start_s, seconds), 2] += newton
     samples.rotor_speeds[:] = 1500.0
     return samples
-
-
-class LiftingAlarm(Alarm):
-    """An alarm whose model says that the rotors carry the vehicle."""
-
-    def step(self, prepared, evaluation):
-        lifted = evaluation.predicted.copy()
-        lifted[:, 2] = -0.363
-        wide = 0.5 * np.ones_like(lifted)
-        return super().step(
-            prepared._replace(measured=prepared.measured + lifted),
-            evaluation._replace(lower=lifted - wide, upper=lifted + wide),
-        )
 
 
 def alarm_of(
