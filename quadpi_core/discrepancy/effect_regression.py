@@ -55,13 +55,6 @@ ALIKE_ROWS = Threshold(
     "all is likelier",
     CONVENTION,
 )
-SMALL_STEP = Threshold(
-    "step to another point of linearisation",
-    0.05,
-    "prior standard deviations",
-    "a third of the smallest size that is named: columns hardly change over less",
-    CONVENTION,
-)
 SURE_STEP = Threshold(
     "step to another point of linearisation beside other effects",
     2.0,
@@ -347,7 +340,7 @@ class Regression(Memoised):
 
         def made() -> Fit | None:
             # Hundreds of fits are kept, but not the equations of each, which are a thousand times as large.
-            found = self._equations(chosen, chosen if form else ()).fit()
+            found = self._equations(chosen, chosen if form else ()).fit(known=self.sound is not None)
             return found and self._comparable(found)
 
         return self.once(("fit", tuple(chosen), form), made)
@@ -539,35 +532,6 @@ def left_out_squares(regression: Regression, chosen: Sequence[int]) -> Array:
         return squares
 
     return varied.once(("left out", tuple(chosen)), made)
-
-
-def settled(regression: Regression) -> Regression:
-    """The regression with every candidate linearised where it fits best alone."""
-    best: dict[int, tuple[float, Array]] = {}
-    for turn in range(ROUNDS + 1):
-        last = turn == ROUNDS
-        points = {}
-        for index, candidate in enumerate(regression.candidates):
-            here = regression.points[index]
-            if candidate.linear:
-                found = regression.fit((index,), form=False) if turn == 0 else None
-                if found is not None:
-                    points[index] = regression.parameters(index, found)
-                continue
-            value = regression.at_points((index,))
-            if index in best and value < best[index][0]:
-                # The step overshot: take half of it, and none in the last round.
-                points[index] = best[index][1] if last else 0.5 * (best[index][1] + here)
-                continue
-            best[index] = (value, here)
-            found = None if last else regression.fit((index,), form=False)
-            if found is not None:
-                to = regression.parameters(index, found)
-                # However small the first step: what else a law depends on acts only where it is there.
-                if turn == 0 or np.max(np.abs(to - here) / candidate.scale) > SMALL_STEP.value:
-                    points[index] = to
-        regression = regression.moved(points)
-    return regression
 
 
 def _rows(flight: Compared, wrench: Array) -> Array:

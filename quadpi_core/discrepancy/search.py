@@ -36,7 +36,7 @@ from quadpi_core.discrepancy.acceptance import (
 )
 from quadpi_core.discrepancy.candidates import Candidate
 from quadpi_core.discrepancy.closure import Closing, Rivals, SearchResult
-from quadpi_core.discrepancy.effect_regression import Regression, settled
+from quadpi_core.discrepancy.effect_regression import Regression
 from quadpi_core.discrepancy.effect_response import Compared
 from quadpi_core.discrepancy.evidence import Condition, Fit
 from quadpi_core.discrepancy.unexplained import (
@@ -100,7 +100,12 @@ class Prepared:
         within = {c.name for c in candidates if all(held[AXES.index(axis)] for axis in c.effect.axes)}
         told = flights[0].simulation.sound is not None and not held.all()
         sought = [replace(c, within=c.name in within) for c in candidates if told or c.name not in within]
-        return cls(settled(Regression.from_flights(flights, sought)), inside, frozenset(within))
+        regression = Regression.from_flights(flights, sought)
+        for index in range(len(sought)):
+            alone = Accepted.fitted(regression, (index,))
+            better = alone and alone.refined()
+            regression = better.regression if better else regression
+        return cls(regression, inside, frozenset(within))
 
     @cached_property
     def generic(self) -> tuple[list[str], list[Spectrum]]:

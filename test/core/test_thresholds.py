@@ -46,9 +46,9 @@ from quadpi_core.discrepancy.by_condition import (
 from quadpi_core.discrepancy.candidates import candidates, typical_sizes
 from quadpi_core.discrepancy.closure import SearchResult
 from quadpi_core.discrepancy.discrepancy_result import Coverage, OfFlight
-from quadpi_core.discrepancy.effect_regression import Reduction, Regression, noise_of_flight, settled
+from quadpi_core.discrepancy.effect_regression import Reduction, Regression, noise_of_flight
 from quadpi_core.discrepancy.effect_response import Compared, deviations, predicted_flight, quiet
-from quadpi_core.discrepancy.evidence import Fit, own_sizes, student_weights
+from quadpi_core.discrepancy.evidence import Fit, is_error_of_law, own_sizes, student_weights
 from quadpi_core.discrepancy.loading import load_simulation
 from quadpi_core.discrepancy.other_simulations import ModelSimulation, Part, part_columns
 from quadpi_core.discrepancy.reflight import growing_by_chance, rollout_floor
@@ -434,27 +434,6 @@ def wandering():
     return unexplained.slow_state_noise([own], 1)[0, 0] / 2.0**2 / (100.0 / 2.0)
 
 
-class OneStep:
-    """A regression of one curved effect that fits best some prior deviations away."""
-
-    def __init__(self, away, moves=0):
-        self.away, self.moves = away, moves
-        self.candidates = [SimpleNamespace(linear=False, scale=np.ones(1))]
-        self.points = [np.zeros(1)]
-
-    def moved(self, points):
-        return OneStep(self.away, self.moves + len(points))
-
-    def fit(self, chosen, **_):
-        return Fit(0.0, (), np.array(chosen), np.ones(1), np.eye(1), np.zeros(1))
-
-    def at_points(self, _):
-        return 0.0
-
-    def parameters(self, *_):
-        return np.array([self.away])
-
-
 # What `Regression.moves` asks of a regression whose fit knows one effect, at 1, to within 1.
 SURE_OF_ONE = SimpleNamespace(
     points=[np.ones(1)], candidates=[SimpleNamespace(scale=np.ones(1))], deviation=lambda *_: np.ones(1)
@@ -677,7 +656,6 @@ EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
         1.5,
         lambda x: x * typical_sizes(EFFECTS["payload"], BEBOP) < candidates(BEBOP, ["payload"])[0].scale,
     ),
-    "SMALL_STEP": (0.05, lambda x: settled(OneStep(x)).moves > 1),
     "SURE_STEP": (2.0, lambda x: Regression.moves(SURE_OF_ONE, 0, None, np.array([1.0 + x]))),
     "MORE_THAN_SOUND": (2.0, beyond_sound),
     # A deviation of three typical ones counts half.
@@ -688,6 +666,7 @@ EXAMINED: dict[str, tuple[float, Callable[[float], Any]]] = {
         lambda x: result_verdicts.judge_rollouts({"rates": (1.0, 1.0 + x)}, {"rates"}).passed,
     ),
     "LACKED": (0.25, shared_by),
+    "ERROR_OF_LAW": (1.0, lambda x: is_error_of_law(x, 1.0)),
     "TAILS": (1.0, lambda x: student_weights(2.0 + x) < 0.5),
     "SHOWN": (5.0, known_error),
     "BETTER": (0.95, explained_better),
