@@ -22,6 +22,12 @@ PACKAGES = ("quadpi_core", "quadpi_ros")
 SHARED = ("bags", "config", "launch", "msg", "srv")
 PROGRAMS = "programs"
 BUILD_FILES = ("core", "setup.py", "pyproject.toml", "package.xml", "README.md", "LICENSE", "resource")
+# In the place of CMake, whose build by setup.py made the module that these tests import.
+COPIED = """#!/bin/sh
+for given; do
+    case $given in -DQUADPI_MODULE_FOLDER=*) mkdir -p "${given#*=}" && cp "$MODULE" "${given#*=}" ;; esac
+done
+"""
 
 
 def files(folder: Path) -> set[str]:
@@ -42,8 +48,13 @@ def test_wheel_holds_every_module_and_every_shared_file(tmp_path: Path) -> None:
         copy(ROOT / name, source / name)
     pip = (sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet")
     build = ("wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", str(tmp_path), str(source))
-    # Nobody runs this core: it need not be fast.
-    subprocess.run([*pip, *build], check=True, env=os.environ | {"CMAKE_BUILD_TYPE": "None"})
+    cmake = tmp_path / "programs" / "cmake"
+    cmake.parent.mkdir()
+    cmake.write_text(COPIED)
+    cmake.chmod(0o755)
+    (module,) = (ROOT / "quadpi_core").glob("_core.*.so")
+    given = {"PATH": f"{cmake.parent}{os.pathsep}{os.environ['PATH']}", "MODULE": str(module)}
+    subprocess.run([*pip, *build], check=True, env=os.environ | given)
     (wheel,) = tmp_path.glob("*.whl")
     prefix = tmp_path / "prefix"
     install = (
