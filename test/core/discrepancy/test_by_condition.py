@@ -42,7 +42,7 @@ def test_nothing_is_located_in_flights_without_a_discrepancy(simulation, flights
     Flights have the wrench of the simulation, its coefficients within tolerances, and noise that is made in
     time and of another spectrum than the library's bands have: white, with a part that lasts for a second.
     """
-    compared = [Compared(flight, simulation) for flight in flights]
+    compared = [Compared(flight, simulation) for flight in flights[:2]]
     smallest = []
     for seed in range(NULLS):
         rng = np.random.default_rng(seed)

@@ -26,7 +26,6 @@ from test.core.monitor.test_multirotors import first_stopped, swapped_order
 
 PLACES = ((0.1, -0.15), (0.1, 0.15), (-0.2, 0.0))
 SPINS = ("clockwise", "counterclockwise", "clockwise")
-STEPS = 2
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +43,7 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> SimulatedVehicle:
 
 def flown(simulated: SimulatedVehicle, seed: int, seconds: float = 20.0) -> Truth:
     """To and fro on sines with roll, pitch, yaw and thrust excited; the servo gives what yaw moment lacks."""
-    vehicle, rng, step_s = simulated.vehicle, np.random.default_rng(seed), 1.0 / (LOG_HZ * STEPS)
+    vehicle, rng, step_s = simulated.vehicle, np.random.default_rng(seed), 1.0 / LOG_HZ
     gravity, down = np.array([0.0, 0.0, vehicle.gravity_m_s2]), np.array([0.0, 0.0, 1.0])
     x, y, _ = vehicle.rotor_positions.T
     allocation = np.linalg.inv(np.stack((np.ones(3), -y, x)))
@@ -55,7 +54,7 @@ def flown(simulated: SimulatedVehicle, seed: int, seconds: float = 20.0) -> Trut
     speeds = np.full(3, simulated.aerodynamics.hover_rotor_speed)
     columns: dict[str, list[object]] = {}
     count = round(seconds * LOG_HZ)
-    for row in range(count * STEPS):
+    for row in range(count):
         time = row * step_s
         wanted = size * np.sin(rate * time + phase[:3]) * min(time / 3.0, 1.0)
         push = 2.0 * (wanted - velocity) - gravity * (1.0 + 0.1 * np.sin(5.0 * time + phase[3]))
@@ -73,20 +72,19 @@ def flown(simulated: SimulatedVehicle, seed: int, seconds: float = 20.0) -> Trut
         acceleration = turn @ wrench[:3] / vehicle.mass_kg + gravity
         moment = wrench[3:] - np.cross(rates, vehicle.inertia @ rates)
         turning = np.linalg.solve(vehicle.inertia, moment)
-        if row % STEPS == 0:
-            for name, value in {
-                "position": position,
-                "attitude": attitude,
-                "velocity": turn.T @ velocity,
-                "rates": rates,
-                "acceleration": acceleration,
-                "angular_acceleration": turning,
-                "rotor_speeds": speeds,
-                "rotor_accelerations": slopes,
-                "wrench": wrench,
-                "wind": np.zeros(3),
-            }.items():
-                columns.setdefault(name, []).append(value)
+        for name, value in {
+            "position": position,
+            "attitude": attitude,
+            "velocity": turn.T @ velocity,
+            "rates": rates,
+            "acceleration": acceleration,
+            "angular_acceleration": turning,
+            "rotor_speeds": speeds,
+            "rotor_accelerations": slopes,
+            "wrench": wrench,
+            "wind": np.zeros(3),
+        }.items():
+            columns.setdefault(name, []).append(value)
         velocity = velocity + step_s * acceleration
         position = position + step_s * velocity
         rates = rates + step_s * turning
