@@ -65,7 +65,7 @@ def swapped_order(recording: Recording, vehicle: Vehicle, one: int, other: int) 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("layout", ["quad-plus", "hexa-x", "octo-x", "octo-coaxial-x"])
+@pytest.mark.parametrize("layout", ["quad-plus", "hexa-x", "octo-coaxial-x"])
 def test_from_bags_to_the_rotor_that_stops(layout: str, tmp_path: Path) -> None:
     file = framed_file(tmp_path, layout)
     plans = choose_flights(load_scenario("bundled"), (*TRAINED, UNSEEN), vehicle=str(file))
