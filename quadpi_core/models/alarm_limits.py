@@ -138,7 +138,7 @@ class AlarmLimits:
             more = self.hours * (bound / self.rate_per_hour - 1.0)
             rate = f"extrapolated: {shown} only, {more:.2g} h more would bound it at that"
         return (
-            f"alarm calibrated to {self.rate_per_hour:g} false alarms per flight hour on "
+            f"alarm calibrated to {self.rate_per_hour:.3g} false alarms per flight hour on "
             f"{self.flights} flights, each left out in turn ({time}){estimated}; the rate is {rate}"
         )
 
