@@ -19,7 +19,7 @@ from quadpi_core.flight import AXES
 from quadpi_core.models.aerodynamic import AerodynamicModel
 from quadpi_core.report.evaluation_figures import axis_coverages, count_verdicts, listing, time_history_figure
 from quadpi_core.report.evaluation_page import (
-    alarm_sentence,
+    alarm_lines,
     axis_cell,
     coverage_cell,
     metric_definitions,
@@ -127,7 +127,7 @@ def comparison_summary(comparison: Comparison) -> Group:
         *([short_coverage_note(confidence)] if marked else []),
         *(f"{name}: {own.support.sentence()}" for name, own in comparison.models.items() if own.support),
         *(
-            f"alarm of {name} on {group}: {alarm_sentence(part.alarm)}"
+            f"alarm of {name} on {group}: {'; '.join(alarm_lines(part.alarm))}"
             for name, model in comparison.models.items()
             for group, part in model.groups.items()
             if part.alarm is not None

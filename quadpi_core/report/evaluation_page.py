@@ -52,6 +52,7 @@ from quadpi_core.report.table import (
     text_columns,
     unit,
 )
+from quadpi_core.results import UNCALIBRATED_WORDS
 
 _UNGROUPED = "flights in no group"
 # Metrics that a terminal of 80 characters has no room for.
@@ -118,7 +119,7 @@ def evaluation_summary(evaluation: Evaluation) -> Group:
         table = metrics_table({name: part}, confidence, "group")
         shown.append(terminal_table(table.without("group", *_NOT_ON_TERMINAL, title=name)))
         if part.alarm is not None:
-            shown.append(Text(f"alarm: {alarm_sentence(part.alarm)}", style="dim"))
+            shown += [Text(line, style="dim") for line in (f"alarm of {name}:", *alarm_lines(part.alarm))]
     parts = evaluation.groups.values()
     if any(metrics.covers_too_little(confidence) for part in parts for metrics in part.axes.values()):
         shown.append(Text(short_coverage_note(confidence), style="dim"))
@@ -143,8 +144,8 @@ def short_coverage_note(confidence: float) -> str:
     return f"▼ the confidence interval of the coverage lies below {percent(confidence)}"
 
 
-def alarm_sentence(alarm: AlarmAssessment) -> str:
-    """False alarms, detection, and how well each signal separates misses, in one sentence."""
+def alarm_lines(alarm: AlarmAssessment) -> list[str]:
+    """False alarms, detection, how well signals separate misses; how flights differ; what CHANGE says."""
     parts = []
     if alarm.hours_inside > 0.0:
         rate, ends = alarm.false_alarms_per_hour, alarm.false_alarms_per_hour_interval
@@ -167,16 +168,15 @@ def alarm_sentence(alarm: AlarmAssessment) -> str:
         judged, most = _count(alarm.flights_judged, "flight"), percent(alarm.flights_changed_bound)
         share = f"at most {most} of such flights, at {nominal(BOUND_CONFIDENCE.value)}"
         parts.append(f"CHANGE on {alarm.flights_changed} of {judged} ({share})")
-        parts += alarm.changes
     known = [f"{name} {area:.2f}" for name, area in alarm.auroc.items() if area is not None]
     if known:
         parts.append(f"area under the ROC curve for misses: {', '.join(known)}")
     if alarm.not_judged_reasons:
         why = ", ".join(f"{percent(part.fraction)} {part.reason}" for part in alarm.not_judged_reasons)
         parts.append(f"not judged for {percent(alarm.not_judged_fraction)} of the time: {why}")
-    if alarm.differences:
-        parts.append(f"flights differ: {'; '.join(alarm.differences)}")
-    return "; ".join(parts)
+    said = [*(f"flights differ: {one}" for one in alarm.differences), *alarm.changes]
+    word = UNCALIBRATED_WORDS.split(":")[0]
+    return ["; ".join(parts), *said, *([UNCALIBRATED_WORDS] if any(word in one for one in said) else [])]
 
 
 def _count(value: int, what: str) -> str:
@@ -274,7 +274,7 @@ def write_evaluation_page(
         "evaluation.html",
         nominal=nominal(confidence),
         coverage=_coverage_table(evaluation) if evaluation.groups else None,
-        alarms={name: alarm_sentence(own.alarm) for name, own in evaluation.groups.items() if own.alarm},
+        alarms={name: alarm_lines(own.alarm) for name, own in evaluation.groups.items() if own.alarm},
         by_group=metrics_table(evaluation.groups, confidence, "group"),
         by_flight=metrics_table(evaluation.flights, confidence, "flight"),
         live=live,

@@ -13,7 +13,7 @@ import pytest
 
 from quadpi_core.evaluation.alarm_assessment import SIGNALS, FlightAlarm, assess
 from quadpi_core.paths import bags_directory
-from quadpi_core.report.evaluation_page import alarm_sentence
+from quadpi_core.report.evaluation_page import alarm_lines
 from quadpi_core.report.table import number
 from quadpi_core.results import JUDGED, NO_SAMPLES
 
@@ -54,7 +54,7 @@ def test_a_rate_takes_a_minute(duration_s, stated):
     found = assess([flight(duration_s, raised=[(5.0, 6.0)])])
     assert found.false_alarms == 1
     assert (found.false_alarms_per_hour is not None) is stated
-    sentence = alarm_sentence(found)
+    (sentence,) = alarm_lines(found)
     assert ("too short for a rate" in sentence) is not stated
     # Exact Poisson bound of one event: 4.74 over the time.
     assert found.false_alarms_per_hour_bound == pytest.approx(4.744 / found.hours_inside, rel=1e-3)
@@ -80,7 +80,7 @@ def test_what_is_not_judged_is_said_for_all_flights_together():
     found = assess([blind, flight(100.0)])
     assert found.not_judged_fraction == pytest.approx(35.0 / 200.0, abs=1e-3)
     begun = "15.0 % state or rotor speeds have not begun, 2.5 % no usable samples"
-    assert f"not judged for 17.5 % of the time: {begun}" in alarm_sentence(found)
+    assert f"not judged for 17.5 % of the time: {begun}" in alarm_lines(found)[0]
 
 
 def test_the_bundled_flight_that_leaves_the_envelope_raises_no_false_alarm(quadpi, tmp_path):

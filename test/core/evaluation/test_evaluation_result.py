@@ -117,6 +117,20 @@ def test_sizes_are_told_to_the_first_digit_that_is_not_sure(push: float, deviati
     assert told == f"c: {said} more force to the right than the others"
 
 
+def test_a_group_that_swings_is_told_by_its_mean_and_flights_that_scatter_are_not() -> None:
+    """As of a slung load: forces of flights whose constants are known to 3 mN, four of them apart."""
+    rng = np.random.default_rng(7)
+
+    def told(values: Array) -> list[str]:
+        return list(differences({f"f{k:02}": {"Fy": Constant(one, 0.003)} for k, one in enumerate(values)}))
+
+    alike = 0.0045 * rng.standard_normal((200, 19))
+    assert np.mean([bool(told(values)) for values in alike]) <= 0.05
+    apart = np.concatenate((np.linspace(-0.009, 0.004, 15), [0.0168, 0.0173, 0.0178, 0.0181]))
+    assert told(apart) == ["f15, f16, f17, f18: 20 ± 2 mN more force to the right than the others"]
+    assert not told(np.linspace(-0.009, 0.018, 19))
+
+
 def test_flights_alike_and_short_ones_tell_nothing() -> None:
     assert not list(differences({f"flight{seed}": constants_of(seed, 0.0) for seed in range(7)}))
     assert flight_constants(LIMITS, 10_000_000 * np.arange(5), np.zeros((5, 6))) == {}

@@ -6,7 +6,7 @@ import pytest
 
 from quadpi_core.evaluation.alarm_assessment import AlarmAssessment
 from quadpi_core.report.evaluation_page import (
-    alarm_sentence,
+    alarm_lines,
     evaluation_summary,
     evaluation_verdict,
     write_evaluation_page,
@@ -142,11 +142,11 @@ def test_alarms_are_counted_in_words():
         detection_delay_s=None,
         auroc={"inputs": None, "width": 0.75},
     )
-    assert alarm_sentence(quiet) == (
+    assert alarm_lines(quiet) == [
         "0 false alarms in 18.0 s inside the envelope "
         "(too short for a rate; at most 599 per hour, at 95\u00a0%); "
         "area under the ROC curve for misses: width 0.75"
-    )
+    ]
     loud = replace(
         quiet,
         false_alarms=1,
@@ -160,9 +160,9 @@ def test_alarms_are_counted_in_words():
         detection_delay_s=0.474,
         auroc={},
     )
-    assert alarm_sentence(loud) == (
+    assert alarm_lines(loud) == [
         "1 false alarm in 30.0 min inside the envelope "
         "(estimated: 2.00 per hour, 0.0506 to 11.1, at 95\u00a0%); "
         "3 alarms in 15.0 min outside the envelope; "
         "alarm on 1 of 1 flight in which the model is off, 0.47 s late"
-    )
+    ]
