@@ -22,14 +22,9 @@ from hypothesis import settings
 from scipy.spatial.transform import Rotation
 
 from quadpi_core.cli import main
-from quadpi_core.discrepancy.sound_learning import learned_from
 from quadpi_core.flight import ImuStream, PoseStream, Recording, RotorSpeedStream
 from quadpi_core.frames import Array, rotate_world_to_body
-from quadpi_core.identification.identify import identify
-from quadpi_core.identification.prepared_flights import prepare_flights
 from quadpi_core.logs.bags import write_bag
-from quadpi_core.models.model_kind import IdentifyOptions
-from quadpi_core.models.regressors import load_pools
 from quadpi_core.paths import bags_directory, data_directory
 from quadpi_core.vehicle import Vehicle
 
@@ -241,9 +236,12 @@ def pool(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def cluster() -> Iterator[str]:
-    """Address of a Dask scheduler with two workers, processes of their own, that import what tests import."""
+    """Address of a Dask scheduler with two workers, processes of their own, that import what tests import.
+
+    Of a module: idle, the three take a tenth of a core, as much in a minute as their start.
+    """
     distributed = pytest.importorskip("distributed", reason="Dask is not installed: extra `cluster`")
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0"
@@ -272,13 +270,13 @@ def made_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callab
 
 @pytest.fixture(scope="session")
 def physical_folder(made_once) -> Path:
-    """Folder of a physical model of the Bebop 2, identified on four bundled bags: half a minute."""
+    """Folder of the model of the Bebop 2 that documents identify on four bundled bags: half a minute."""
 
     def identified(folder: Path) -> None:
-        vehicle = Vehicle.load("bebop2")
         bags = [bags_directory() / f"train_{k}.mcap" for k in (1, 2, 3, 4)]
-        flights = prepare_flights(bags, vehicle)
-        model = identify(flights, vehicle, load_pools("quadrotor"), IdentifyOptions(method="physical"))
-        learned_from(model, flights).save(folder / "flown")
+        arguments = "identify", *bags, "--vehicle", "bebop2", "-o", folder / "flown"
+        environment = os.environ | {"PYTHONPATH": str(ROOT)}
+        command = sys.executable, "-m", "quadpi_core.cli", *arguments
+        subprocess.run(command, env=environment, check=True, capture_output=True)
 
     return made_once("physical", identified) / "flown"
