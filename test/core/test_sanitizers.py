@@ -107,7 +107,7 @@ def test_nothing_is_read_or_written_beside_an_array_and_nothing_is_undefined(
         "ASAN_OPTIONS": "detect_leaks=0",
     }
     tests = [str(ROOT / "test" / "core" / test) for test in TESTS]
-    options = ("-q", "-x", "-n", "2", "-p", "sanitized_core", "-p", "no:cacheprovider", "-m", "not slow")
+    options = ("-q", "-x", "-p", "sanitized_core", "-p", "no:cacheprovider", "-m", "not slow")
     command = (sys.executable, "-m", "pytest", *options, *tests)
     ran = subprocess.run(command, check=False, capture_output=True, text=True, cwd=ROOT, env=environment)
     assert ran.returncode == 0, ran.stdout[-5000:] + ran.stderr[-5000:]
