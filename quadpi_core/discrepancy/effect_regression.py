@@ -113,12 +113,7 @@ class Regression(Memoised):
 
     @classmethod
     def from_flights(cls, flights: Sequence[Compared], candidates: Sequence[Candidate]) -> Regression:
-        """Regression with every candidate linearised at no effect, and the noise that all of them leave.
-
-        Args:
-            flights: beside their simulation.
-            candidates: effects to look for.
-        """
+        """Regression with every candidate linearised at no effect, and the noise that all of them leave."""
         points = tuple(first_point(candidate, flights) for candidate in candidates)
         residual = in_frequency(flights, [flight.residual[:, :, np.newaxis] for flight in flights])
         regression = cls(
@@ -155,8 +150,7 @@ class Regression(Memoised):
         """Variance (6, C) that the simulation's own intervals state.
 
         A model states by its intervals how well it knows a wrench, but not how fast its errors change: in any
-        band there may be as much of them as there would be in all together, were they white. What stays
-        within is nothing that it lacks, and what an effect would add beyond speaks against that.
+        band there may be as much of them as there would be in all together, were they white.
         """
         rows = self.residual.counts
         return self.stated_squares[:, np.newaxis] * rows.sum() / np.maximum(rows, 1)
@@ -297,8 +291,7 @@ class Regression(Memoised):
             variance = np.maximum(variance, accelerated._estimated_noise(chosen))
             variance = np.minimum(variance, self._residual_squares)
         else:
-            spectra = self.residual.spectra
-            pairs = zip(left, spectra, strict=True)
+            pairs = zip(left, self.residual.spectra, strict=True)
             variance = np.array([noise_of_flight(rows, own.band, variance) for rows, own in pairs])
         return accelerated.weighted(np.maximum(variance, self.least))
 

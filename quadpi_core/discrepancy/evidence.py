@@ -32,8 +32,7 @@ ERROR_OF_LAW = Threshold(
     "evidence that errors of laws may add where sound flights tell the noise",
     1.0,
     "of the evidence of the laws without",
-    "most of what a law explains is by its formula: columns that bend it by eight states explain of what no "
-    "law does four to ten times as much, of longer arms by a vortex ring; of a wind 0.3 times at most",
+    "most is by the formula: a vortex ring bent by eight states gains 4 to 10 of longer arms, wind 0.3",
     "models of NeuroBEM and of a Crazyflie (experiments/results/discovery-hidden.md)",
 )
 LACKED = Threshold(
@@ -152,7 +151,7 @@ class Equations:
         return cls(parts, tolerances, tuple(blocks), formed, noise.grams(parts, parts))
 
     def fit(self, without: int | None = None, *, known: bool = False) -> Fit | None:
-        """Fit tolerances and effects; None where bounds exclude every parameter of an effect.
+        """Fit tolerances and effects; None where bounds exclude all of an effect, or errors refute laws.
 
         A parameter whose posterior mean violates its bound is set to zero, its nearest bound, and the rest
         are fitted again; all of an effect are where a flight is left out, whose others stay.
@@ -176,9 +175,10 @@ class Equations:
                 return found
             if exact is not None:
                 # A law may be exact: form columns that are not needed must not cost it evidence.
-                added = found.log_evidence - exact.log_evidence
+                if (added := found.log_evidence - exact.log_evidence) <= 0.0:
+                    return exact
                 is_error = not known or is_error_of_law(added, self._of_laws(gram, inside, exact))
-                return found if added > 0.0 and is_error else exact
+                return found if is_error else None
             # The sizes of the effects, now known, scale by how much their forms may differ.
             exact = found
         # If the form columns would flip the sign of the effect, fall back to the fit without them.

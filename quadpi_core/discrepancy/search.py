@@ -102,9 +102,8 @@ class Prepared:
         sought = [replace(c, within=c.name in within) for c in candidates if told or c.name not in within]
         regression = Regression.from_flights(flights, sought)
         for index in range(len(sought)):
-            alone = Accepted.fitted(regression, (index,))
-            better = alone and alone.refined()
-            regression = better.regression if better else regression
+            if (alone := Accepted.fitted(regression, (index,))) and (better := alone.refined()):
+                regression = better.regression
         return cls(regression, inside, frozenset(within))
 
     @cached_property

@@ -110,7 +110,7 @@ def test_the_error_of_a_form_has_a_prior_in_proportion_to_the_size_of_the_effect
 
 
 @pytest.mark.parametrize(("law", "kept"), [(3.0, True), (1.0, False)])
-def test_what_explains_more_than_a_law_is_no_error_of_it_where_the_noise_is_known(law, kept):
+def test_a_law_that_its_errors_outdo_is_refuted_where_the_noise_is_known(law, kept):
     """A curved law brings its column of the residual."""
     flights = Flights([law, 0.0], [2.0, -1.0])
     columns, form = flights.columns
@@ -121,8 +121,8 @@ def test_what_explains_more_than_a_law_is_no_error_of_it_where_the_noise_is_know
     added, of_law = bent.log_evidence - exact.log_evidence, exact.log_evidence - none.log_evidence
     assert (0.0 < added <= of_law) == kept
     known = equations.fit(known=True)
-    assert known.log_evidence == (bent if kept else exact).log_evidence
-    assert len(known.fitted) == len((bent if kept else exact).fitted)
+    assert (known is not None) == kept
+    assert not kept or known.log_evidence == bent.log_evidence
 
 
 def test_a_parameter_beyond_its_bound_is_nothing_and_the_rest_is_fitted_again():
