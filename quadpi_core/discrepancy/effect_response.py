@@ -27,7 +27,6 @@ from quadpi_core.discrepancy.whitening import Columns, Memoised, OfEachFlight, S
 from quadpi_core.flight import Flight, ImuStream, PoseStream, Recording, RotorSpeedStream
 from quadpi_core.frames import Array, rotate_body_to_world, rotate_world_to_body
 from quadpi_core.records import CONVENTION, Threshold
-from quadpi_core.signals.chain import interpolate_columns
 from quadpi_core.signals.wrench import measured_wrench
 from quadpi_core.simulation.applied_effects import EFFECTS, effect_wrench, remembered_wrenches
 from quadpi_core.simulation.effect_definition import Effect
@@ -145,10 +144,13 @@ class Compared(Memoised):
         """Measured wrench (M, 6) of the flight :attr:`expected`."""
         return measured_wrench(self.expected, self.simulation.vehicle)[:: self.step]
 
-    @cached_property
-    def expected_residual(self) -> Array:
-        """Residual (M, 6) of the flight :attr:`expected`."""
-        return self.expected_measured - explained_wrench(self.expected, self.simulation)[:: self.step]
+    def expected_before(self, *, noisy: bool) -> tuple[Flight, Array]:
+        """The flight :attr:`expected`, or such a one with its noise, and the residual (N, 6) of it."""
+        flight, simulation = self.expected, self.simulation
+        if noisy:
+            wrench = explained_wrench(self.flight, simulation)
+            flight = predicted_flight(self.flight, simulation.vehicle, wrench)
+        return flight, measured_wrench(flight, simulation.vehicle) - explained_wrench(flight, simulation)
 
     @cached_property
     def states(self) -> npt.NDArray[np.void]:
@@ -210,12 +212,10 @@ class Compared(Memoised):
 def quiet(flight: Flight) -> Flight:
     """The flight with the white noise of its velocity, rates and rotor speeds filtered out.
 
-    The residual is the measured wrench less the simulated one, so it holds the noise of the simulation's
-    inputs. A column that is made of the same inputs, such as the tolerance of the thrust, holds the same
-    noise: least squares then shrink the simulation to remove it, by a quarter where the noise of the rotor
-    speeds is most of that of a moment (errors in variables; Fuller, Measurement Error Models, 1987). In a
-    column that the residual does not share, noise shrinks the effect. So columns are made of signals that
-    Wiener's filter has freed of it; the residual is not.
+    The residual holds the noise of the simulation's inputs. Least squares would shrink a column with the same
+    noise to remove it, by a quarter where the noise of rotor speeds is most of that of a moment (errors in
+    variables; Fuller, Measurement Error Models, 1987), and one with other noise, too. So Wiener's filter
+    frees columns of it, but those of what moves signals in time: a delay changes most what the filter takes.
     """
     rate = flight.rate_hz
     if 2.0 * NOISE_HZ.value[1] > rate:
@@ -325,9 +325,11 @@ def _wind(compared: Compared, effect: Effect, values: Array) -> Array:
 
 def _sensor(compared: Compared, effect: Effect, values: Array) -> Array:
     simulation, vehicle = compared.simulation, compared.simulation.vehicle
-    altered = without_sensor_effect(compared.expected, effect, vehicle, values, compared.bias_response)
+    noisy = effect.shifts_noise
+    expected, before = compared.once(("expected", noisy), lambda: compared.expected_before(noisy=noisy))
+    altered = without_sensor_effect(expected, effect, vehicle, values, compared.bias_response)
     left = measured_wrench(altered, vehicle) - explained_wrench(altered, simulation)
-    return compared.expected_residual - left[:: compared.step]
+    return (before - left)[:: compared.step]
 
 
 def without_sensor_effect(
@@ -362,7 +364,13 @@ def without_sensor_effect(
 
     def shifted(values: Array, stamps: npt.NDArray[np.int64]) -> Array:
         delay_s = 1e-9 * float(stamps[0] - time_ns[0])
-        return values if delay_s == 0.0 else interpolate_columns(flight.time, values, flight.time - delay_s)
+        if delay_s == 0.0:
+            return values
+        from scipy.interpolate import CubicSpline
+
+        # Between samples straight lines quieten noise, so that delays of half a sample would be preferred.
+        at = (flight.time - delay_s).clip(flight.time[0], flight.time[-1])
+        return np.asarray(CubicSpline(flight.time, values)(at))
 
     return replace(
         flight,

@@ -129,6 +129,7 @@ class Effect:
         moments_alone: names of parameters that neither that state nor the force depends on.
         of_a_flight: what makes it differ from one flight to the next, in words; empty where nothing does.
         brings: names of effects that come with it by the same act, as the hook of a load does.
+        shifts_noise: whether it moves signals in time, and their noise with them.
     """
 
     name: str
@@ -155,6 +156,7 @@ class Effect:
     moments_alone: tuple[str, ...] = ()
     of_a_flight: str = ""
     brings: tuple[str, ...] = ()
+    shifts_noise: bool = False
 
     @property
     def shape(self) -> tuple[Parameter, ...]:

@@ -62,12 +62,8 @@ def imu_misalignment(recording: Recording, vehicle: Vehicle, p: Array) -> Record
     R is the rotation by the vector δ from its axes to the body's. Size: 2° together.
     """
     imu = recording.imu
-    turned = replace(
-        imu,
-        angular_velocity=_in_turned_axes(imu.angular_velocity, p),
-        specific_force=_in_turned_axes(imu.specific_force, p),
-    )
-    return replace(recording, imu=turned)
+    rates, force = (_in_turned_axes(own, p) for own in (imu.angular_velocity, imu.specific_force))
+    return replace(recording, imu=replace(imu, angular_velocity=rates, specific_force=force))
 
 
 @effect(
@@ -152,6 +148,7 @@ def rotor_speed_scale(recording: Recording, vehicle: Vehicle, p: Array) -> Recor
     formula=r"\omega'(t) = \omega(t - \tau_\omega),\quad x'(t) = x(t - \tau_x)",
     symbols=r"\tau_\omega \tau_x",
     of_a_flight="the clocks of a log",
+    shifts_noise=True,
 )
 def sensor_delay(recording: Recording, vehicle: Vehicle, p: Array) -> Recording:  # noqa: ARG001
     """Rotor speeds and motion capture (or a fused state) are stamped late, relative to the IMU.
