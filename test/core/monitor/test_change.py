@@ -121,6 +121,19 @@ def test_a_burst_shorter_than_the_cap_allows_is_no_evidence(vehicle: Vehicle) ->
     assert evidence(limits_of(vehicle), vehicle, blocks).max() < 20.0
 
 
+def test_half_a_second_counts_for_more_after_the_first_second_of_a_flight(vehicle: Vehicle) -> None:
+    def gathered(begun: int) -> float:
+        found = []
+        for seed in range(20):
+            blocks = sound_blocks(vehicle, 8.0, np.random.default_rng(seed))[: begun + 5]
+            weaken(blocks, vehicle, seed % 4, 0.24, begun)
+            found.append(float(evidence(limits_of(vehicle), vehicle, blocks).max()))
+        return float(np.median(found))
+
+    assert 200.0 < gathered(4) < 400.0
+    assert 8000.0 < gathered(15) < 16000.0
+
+
 def test_what_is_larger_than_any_bet_has_no_name(vehicle: Vehicle) -> None:
     blocks = sound_blocks(vehicle, 8.0, np.random.default_rng(7))
     blocks["residual"][40:, 2] += 1.5 * weight(vehicle)

@@ -19,9 +19,10 @@ constexpr double MOST_SIZE = 1.5 * LEAST_SIZE * (1 << (DOUBLINGS - 1));
 // Deviation of a named size over that of least squares, as part and moment are chosen for being large: on
 // altered flights intervals of 95 % hold then (experiments/results/alarm.md).
 constexpr double CHOSEN = 2.0;
-// Blocks of half a second, in which the evidence grows by CAP at most: e to the 8.
-constexpr std::int64_t CAP_BLOCKS = 5;
-constexpr double CAP = 2980.9579870417283;
+// Blocks of half a second, in which the evidence grows by CAP at most, e to the 8, and by LATE_CAP, e to the
+// 10, of moments after the first second, in which sound flights gather most (experiments/results/alarm.md).
+constexpr std::int64_t CAP_BLOCKS = 5, LATE = 10;
+constexpr double CAP = 2980.9579870417283, LATE_CAP = 22026.465794806718;
 // Share of the lift by which a model may be off where a load is weighed: of 14 flights beyond those of their
 // models, ten of them by two models, none is by more than 0.021 throughout, nor by more than 0.042 for half a
 // second without a load that swings (experiments/results/alarm.md). From halfway to the first size on, 9 %,
@@ -35,10 +36,8 @@ constexpr double SCATTER = 0.02;
 constexpr double BLOCK_CAP = 12.182493960703473, LOAD_EVIDENCE = 400.0;
 // Prior of all sizes of mass over that of those that are large enough.
 constexpr double OF_LARGE = 2.0;
-// Degrees of freedom of Student's distribution.
-constexpr double FREEDOM = 3.0;
-// Share of the prior below which a size is no longer followed.
-constexpr double RUIN = 1e-12;
+// Degrees of freedom of Student's distribution; share of the prior below which a size is no longer followed.
+constexpr double FREEDOM = 3.0, RUIN = 1e-12;
 // Longer pauses [blocks] count as this long.
 constexpr std::int64_t PAUSE_MOST = 100;
 
@@ -72,12 +71,13 @@ inline Response answer(
     return response;
 }
 
+inline double cap_of(const Onset& onset) { return onset.prior < prior_of_onset(LATE) ? LATE_CAP : CAP; }
+
 // Take the likelihood ratio of each size; returns the evidence of the direction.
 //
 // With 3 degrees of freedom the density of Student's distribution goes with (1 + z² / tail)⁻².
-inline double bet(
-    const Response& response, std::array<double, SIZES>& wealth, std::array<double, SIZES>& gain, bool settle
-) {
+inline double bet(const Response& response, int direction, Onset& onset, bool settle) {
+    std::array<double, SIZES>&wealth = onset.wealth[direction], &gain = onset.gain[direction];
     constexpr std::array<double, SIZES> size = sizes();
     std::array<double, SIZES> changed;
     changed.fill(1.0);
@@ -92,7 +92,7 @@ inline double bet(
     for (int index = 0; index < SIZES; ++index) {
         const double ratio = response.sound / changed[index];
         gain[index] *= ratio * ratio;
-        changed[index] = wealth[index] * std::min(gain[index], CAP);
+        changed[index] = wealth[index] * std::min(gain[index], cap_of(onset));
         total += changed[index];
     }
     if (settle) {
@@ -106,8 +106,7 @@ inline double bet(
 
 // Begin to follow the moment of a block in the place of the one that has been followed for longest.
 inline void begin_onset(const Templates& templates, Change& change) {
-    Onset& onset = change.onsets[change.blocks % ONSETS];
-    onset = {};
+    Onset& onset = change.onsets[change.blocks % ONSETS] = {};
     onset.number = change.within.sum.number;
     const bool is_unlike = change.blocks == 0 && change.unlike_s + change.spent > 0.0;
     onset.prior = is_unlike ? 0.0 : prior_of_onset(change.blocks);
@@ -190,10 +189,11 @@ inline void settle_oldest(Change& change) {
         return;
     }
     const Onset& oldest = change.onsets[change.blocks % ONSETS];
+    const double cap = cap_of(oldest);
     for (int direction = 0; direction < DIRECTIONS; ++direction) {
         for (int index = 0; index < SIZES; ++index) {
             change.settled +=
-                oldest.prior * oldest.wealth[direction][index] * std::min(oldest.gain[direction][index], CAP);
+                oldest.prior * oldest.wealth[direction][index] * std::min(oldest.gain[direction][index], cap);
         }
     }
 }
@@ -220,7 +220,7 @@ inline double follow_onset(
             onset.squares[direction] += response.moved[i] * response.moved[i];
             onset.products[direction] += response.moved[i] * response.error[i];
         }
-        total += bet(response, onset.wealth[direction], onset.gain[direction], settle);
+        total += bet(response, direction, onset, settle);
     }
     return onset.prior * total;
 }
