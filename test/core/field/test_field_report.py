@@ -177,32 +177,23 @@ def test_of_many_flights_the_longest_are_identified_together(report_of, monkeypa
     assert len(report.vehicles[0].flights) == 3
 
 
-def test_airframes_are_reported_apart(report_of):
-    other = replace(example(seed=3), frame="hexacopter", rotors=6)
-    report = report_of(example(), other, example(seed=2))
-    assert [vehicle.flights for vehicle in report.vehicles] == [("flight0", "flight2"), ("flight1",)]
-    assert "2 airframes" in report.verdict()
-
-
-@pytest.mark.parametrize(
-    "other",
-    [
+def test_what_the_logs_say_tells_vehicles_apart(report_of):
+    others = [
         {"facts": {"craft": "other"}},
         {"facts": {"board": "another"}},
         {"facts": {"commands": "motor"}},
         {"parameters": {"MOT_PWM_MIN": 900.0}},
-    ],
-)
-def test_what_the_logs_say_tells_vehicles_apart(report_of, other):
-    report = report_of(
-        example(), example(seed=2, **other), example(seed=3, parameters={"MOT_THST_HOVER": 0.3})
-    )
-    assert [vehicle.flights for vehicle in report.vehicles] == [("flight0", "flight2"), ("flight1",)]
-    assert [vehicle.name for vehicle in report.vehicles] == [
-        *("PX4 quadcopter of flight0", "PX4 quadcopter of flight1")
+        {"frame": "hexacopter", "rotors": 6},
     ]
-    assert report.vehicles[0].doubt == "taken as one vehicle: nothing in the logs names it"
-    assert report.vehicles[1].doubt == ""
+    altered = [example(seed=seed, **other) for seed, other in enumerate(others, 2)]
+    report = report_of(example(), *altered, example(seed=7, parameters={"MOT_THST_HOVER": 0.3}))
+    assert "6 airframes" in report.verdict()
+    first, *apart = report.vehicles
+    assert first.flights == ("flight0", "flight6")
+    assert first.name == "PX4 quadcopter of flight0"
+    assert first.doubt == "taken as one vehicle: nothing in the logs names it"
+    assert [vehicle.flights for vehicle in apart] == [(f"flight{number}",) for number in range(1, 6)]
+    assert all(vehicle.doubt == "" for vehicle in apart)
 
 
 def test_motors_that_turn_otherwise_are_of_another_vehicle(report_of):
