@@ -113,10 +113,12 @@ def vendor():
 
 
 @pytest.fixture(scope="session")
-def predicting(bags: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+def predicting(bags: list[Path], made_once) -> Path:
     """Folder of a physical model of the first two flights of `bags`, which predicts ahead."""
-    folder, vehicle = tmp_path_factory.mktemp("predicting") / "model", Vehicle.load("neurobem")
-    options = IdentifyOptions(method="physical")
-    flights = prepare_flights(bags[:2], vehicle, options.cutoff_hz)
-    identify(flights, vehicle, load_pools("quadrotor"), options).save(folder)
-    return folder
+
+    def identified(folder: Path) -> None:
+        vehicle, options = Vehicle.load("neurobem"), IdentifyOptions(method="physical")
+        flights = prepare_flights(bags[:2], vehicle, options.cutoff_hz)
+        identify(flights, vehicle, load_pools("quadrotor"), options).save(folder / "model")
+
+    return made_once("predicting", identified) / "model"

@@ -137,7 +137,8 @@ def test_of_workers_that_cannot_all_be_started_none_is_left(tasks, monkeypatch):
     monkeypatch.setattr(ProcessPoolExecutor, "submit", submit)
     with pytest.raises(OSError, match="no more processes"):
         Workers(3).map(tasks.wait, [1, 2, 3], shared=60.0)
-    assert set(multiprocessing.active_children()) <= before
+    # One whose end the pool's thread notes at this moment may be listed still.
+    assert not any(alive(worker.pid) for worker in set(multiprocessing.active_children()) - before)
 
 
 def test_a_worker_has_one_thread(tasks):
