@@ -6,20 +6,13 @@ import shutil
 
 import pytest
 
-from quadpi_core.paths import bags_directory
-
 NAMES = ("[red]x", "[bold", ":smile:", "a b\tc", "ünï", "$(x)", "%s{}")
 
 
-@pytest.fixture(scope="module")
-def bag():
-    return bags_directory() / "interpolation.mcap"
-
-
 @pytest.mark.parametrize("name", NAMES)
-def test_info_prints_a_name_as_it_is(quadpi, bag, tmp_path, name):
+def test_info_prints_a_name_as_it_is(quadpi, bags, tmp_path, name):
     path = tmp_path / f"{name}.mcap"
-    shutil.copy(bag, path)
+    shutil.copy(bags[0], path)
     shown = quadpi("info", path)
     assert shown.status == 0
     assert name.replace("\t", " ").split()[0] in shown.output
@@ -30,10 +23,10 @@ def test_info_prints_a_name_as_it_is(quadpi, bag, tmp_path, name):
     assert name.replace("\t", "\\t") in refused.errors
 
 
-def test_import_prints_a_name_as_it_is(quadpi, bag, tmp_path):
+def test_import_prints_a_name_as_it_is(quadpi, bags, tmp_path):
     path = tmp_path / "[red]x.mcap"
-    shutil.copy(bag, path)
-    done = quadpi("import", path, "--vehicle", "bebop2", "-o", tmp_path / "[blue]bags")
+    shutil.copy(bags[0], path)
+    done = quadpi("import", path, "--vehicle", "neurobem", "-o", tmp_path / "[blue]bags")
     assert done.status == 0, done
     assert "[blue]bags/[red]x.mcap" in done.output.replace("\n", "")
 
