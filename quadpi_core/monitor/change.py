@@ -12,7 +12,7 @@ probability of α at most (Ville 1939; Ramdas et al. 2023, Game-theoretic statis
 "since take-off", the rest on any later moment, with a sum that is finite, so that the rate is one of a flight
 however long; none on take-off after an alarm of EXTRAPOLATION, or where it begins beyond its warning, as it
 differs by itself. A moment is followed for 3 s, as later the walk has taken the change; what is won stays.
-Within each half second a bet counts for e¹⁰ at most, on the first second of a flight for e⁸.
+Within each half second a bet counts for e⁹ at most, on the first second of a flight for e⁸.
 
 A load is weighed by Fz in bets of its own as well, within the inputs of the training flights and beyond,
 against the likeliest offset of the model up to 6 % of the lift: each block by itself, so errors that last
