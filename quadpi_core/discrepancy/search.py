@@ -129,11 +129,11 @@ def search(prepared: Prepared, barred: Mapping[str, str] = MappingProxyType({}))
     rivals, allowed = own.rivals(accepted), dict[int, float]()
     if inside is not None:
         lenient = _lenient(accepted, inside.held)
-        sound, allowed = accepted.regression.sound, _allowed(lenient)
+        rivals, allowed = _told_among(rivals, own.rivals(lenient)), _allowed(lenient)
+        sound = accepted.regression.sound
         if sound is not None and sound.flights < FEW_FLIGHTS.value:
             # So few do not tell by how much a simulation errs in other flights.
-            lenient = _lenient(accepted, np.ones_like(inside.held))
-        rivals = _told_among(rivals, own.rivals(lenient))
+            rivals = _told_among(rivals, own.rivals(_lenient(accepted, np.ones_like(inside.held))))
     names, spectra = prepared.generic
     return SearchResult(
         regression=accepted.regression,
