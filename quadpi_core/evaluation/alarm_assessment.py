@@ -140,8 +140,7 @@ SIGNALS = ("inputs", "leverage", "width", "miscoverage")
 SHORTEST_HOURS = 1.0 / 60.0
 _OFF_SHARE, _OFF_S = 0.5, 3.0
 _OF_MODEL = [CAUSES.index(cause) for cause in (EXTRAPOLATION, MISCOVERAGE)]
-# A row of the alarm for every sample.
-_EVERY_SAMPLE_HZ = 1e9
+_EVERY_SAMPLE_HZ = 1e9  # of rows of the alarm
 
 
 @dataclass(frozen=True)

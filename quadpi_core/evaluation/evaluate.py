@@ -251,8 +251,9 @@ def given_comparison(
     """
     models = load_models(folders)
     the_vehicle = next(iter(models.values())).load_vehicle(vehicle)
-    for model in models.values():
+    for name, model in models.items():
         model.require(the_vehicle)
+        models[name] = replace(model, flown=model.flown or the_vehicle)
     level = common_confidence(models, confidence)
     files = list(dict.fromkeys(path for members in groups.values() for path in members))
     flights = {
