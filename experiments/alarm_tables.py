@@ -19,11 +19,9 @@ import numpy.typing as npt
 from page_tables import RESULTS, ROOT, renew, stamp
 from paper_tables import FLIGHTS
 from scipy.stats import chi2
-from sklearn.covariance import LedoitWolf
 
 from quadpi_core.evaluation.alarm_assessment import auroc, per_hour
 from quadpi_core.evaluation.evaluate import predict_flight
-from quadpi_core.flight import AXES
 from quadpi_core.frames import Array
 from quadpi_core.identification.identify import identify
 from quadpi_core.identification.prepared_flights import PreparedFlight, prepare_flights
@@ -38,7 +36,7 @@ from quadpi_core.monitor.replay import replay_all
 from quadpi_core.parallel import Workers
 from quadpi_core.paths import data_directory
 from quadpi_core.report.table import Column, Row, Table, markdown_table, percent
-from quadpi_core.results import CAUSES, EXTRAPOLATION, LEVEL_ALARM, LEVEL_WARNING, MISCOVERAGE
+from quadpi_core.results import CAUSES, EXTRAPOLATION, JUDGED, LEVEL_ALARM, LEVEL_WARNING, MISCOVERAGE
 from quadpi_core.simulation.scenario import FlightPlan, load_scenario
 from quadpi_core.simulation.simulated_bags import simulate
 from quadpi_core.vehicle import Vehicle
@@ -194,17 +192,14 @@ def real_cases(job: Job) -> list[Case]:
 
 def signal_areas(case: Case, model: AerodynamicModel) -> tuple[float, dict[str, float | None]]:
     """Share of the samples missed, and the area under the ROC curve of each signal for them."""
-    columns = [AXES.index(axis) for axis in model.axes]
-    missed, scores = [], {name: list[Array]() for name in ("inputs", "leverage", "mahalanobis", "width")}
-    covariance = LedoitWolf().fit(np.concatenate([flight.inputs for flight in case.identified]))
+    missed, scores = [], {name: list[Array]() for name in ("inputs", "leverage", "width")}
     for flight in case.judged:
         result = predict_flight(model, flight, CONFIDENCE, with_alarm=True)
         assert result.alarm is not None
-        outside = (result.measured < result.lower) | (result.measured > result.upper)
-        missed.append(outside[:, columns].any(axis=1))
-        for name in ("inputs", "leverage", "width"):
-            scores[name].append(result.alarm.scores[name])
-        scores["mahalanobis"].append(covariance.mahalanobis(flight.inputs))
+        judged = result.alarm.why_not_judged == JUDGED
+        missed.append(result.alarm.missed[judged].any(axis=1))
+        for name, own in scores.items():
+            own.append(result.alarm.scores[name][judged])
     positive = np.concatenate(missed)
     areas = {name: auroc(np.concatenate(values), positive) for name, values in scores.items()}
     return float(np.mean(positive)), areas
@@ -212,7 +207,7 @@ def signal_areas(case: Case, model: AerodynamicModel) -> tuple[float, dict[str, 
 
 # Signals of each method, with their headings; an ensemble has no leverage.
 _SIGNALS: dict[str, dict[str, str]] = {
-    "polynomial": {"inputs": "range", "leverage": "leverage", "mahalanobis": "Mahalanobis", "width": "width"},
+    "polynomial": {"inputs": "range", "leverage": "leverage", "width": "width"},
     "bootstrap": {"inputs": "range", "width": "width"},
     "quality-driven": {"inputs": "range", "width": "width"},
 }

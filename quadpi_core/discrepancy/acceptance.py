@@ -303,9 +303,9 @@ class Accepted:
         return self.regression.once((key, self.chosen, self.fit), make)
 
     def without(self, index: int) -> Accepted:
-        """The other effects; with a fit of none where bounds exclude one of them."""
-        others = tuple(other for other in self.chosen if other != index)
-        return Accepted(self.regression, others, self.regression.fit(others) or self.regression.fit_none())
+        """The other effects; by their laws alone where errors outdo these, none where bounds exclude one."""
+        own, others = self.regression, tuple(other for other in self.chosen if other != index)
+        return Accepted(own, others, own.fit(others) or own.fit(others, form=False) or own.fit_none())
 
     def fit_with(self, *more: int) -> Fit | None:
         """Fit of all effects and more; None where bounds exclude one of them."""
@@ -505,8 +505,8 @@ class Trial:
 
 
 def _possible(test: str, fit: object) -> Verdict:
-    fits, does_not = (f"{what} with possible parameters" for what in ("fits", "does not fit"))
-    return Verdict.fact(test, bool(fit), fits, does_not)
+    likeness = "with possible parameters and the form of its law"
+    return Verdict.fact(test, bool(fit), f"fits {likeness}", f"does not fit {likeness}")
 
 
 def judge_evidence(gain: float, needed: float) -> Verdict:

@@ -32,7 +32,7 @@ ERROR_OF_LAW = Threshold(
     "evidence that errors of laws may add where sound flights tell the noise",
     1.0,
     "of the evidence of the laws without",
-    "most is by the formula: a vortex ring bent by eight states gains 4 to 10 of longer arms, wind 0.3",
+    "most is by the formula: a vortex ring bent by eight states gains 4 to 6 of longer arms, wind 0.3",
     "models of NeuroBEM and of a Crazyflie (experiments/results/discovery-hidden.md)",
 )
 LACKED = Threshold(

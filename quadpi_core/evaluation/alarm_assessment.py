@@ -56,10 +56,9 @@ from quadpi_core.results import (
 
 # Fewest blocks of a flight, 1 s, and flights, that are compared.
 _FEWEST_BLOCKS, _FEWEST_FLIGHTS = 10, 3
-# Deviations of a difference that is told, the largest of those between all flights. A group is told by its
-# mean, too, where the gap to it, in deviations within groups, is one that 5 % of n alike flights have:
-# 1.2 (1 + 15 / (n - 2)), for 8 to 30 normal ones.
-_TOLD, _GAP, _GAP_OF_FEW = 4.0, 1.2, 15.0
+# Deviations of a difference that is told. A group is told by its mean, too, if the gap to it, in deviations
+# within groups, is one that 3 to 5 % of n alike flights have in an axis, 1.2 (1 + 15 / (n - 2)), n 5 to 60.
+_TOLD, _GAP, _GAP_OF_FEW, _FEWEST_OF_GROUPS = 4.0, 1.2, 15.0, 5
 # Least deviation that is told, N and Nm.
 _FINEST = 1e-6
 # What a residual to the positive and to the negative side says, and the unit.
@@ -124,7 +123,8 @@ def differences(flights: Mapping[str, Mapping[str, Constant]]) -> Iterator[str]:
         unsure = np.sqrt(sum(float(squares[part].sum()) / len(names[part]) ** 2 for part in parts))
         gap, unsure = float(values[split] - values[split - 1]), max(float(unsure), _FINEST)
         within = sum(float(values[part].var()) * len(names[part]) for part in parts) / (len(names) - 2)
-        apart = gap > _GAP * (1.0 + _GAP_OF_FEW / (len(names) - 2)) * np.sqrt(within)
+        wide = _GAP * (1.0 + _GAP_OF_FEW / (len(names) - 2)) * np.sqrt(within)
+        apart = gap > wide and len(names) >= _FEWEST_OF_GROUPS
         by_noise = gap > _TOLD * np.sqrt(squares[split] + squares[split - 1])
         if not by_noise and not (apart and abs(difference) > _TOLD * unsure):
             continue
@@ -220,8 +220,7 @@ class FlightAlarm:
 
     def delay_s(self) -> float | None:
         """Seconds from where the model is off to the alarm; infinite without one, None if it is never off."""
-        off = self.off()
-        if not off.any():
+        if not (off := self.off()).any():
             return None
         start = int(np.argmax(off))
         raised = np.flatnonzero(self._doubted[start:])
@@ -267,12 +266,12 @@ def alarm_of_flight(model: AerodynamicModel, flight: PreparedFlight, confidence:
     for stretch, conditions in monitored(recorded_flight(flight.recording, vehicle), [monitor]):
         if apart:
             monitor.fly_in(density)
-        predictions, alarms, _ = monitor.step(*stretch.samples, conditions)
-        said.append((predictions.time_ns, predictions.measured, predictions.lower, predictions.upper))
+        own, alarms, _ = monitor.step(*stretch.samples, conditions)
+        said.append((own.time_ns.copy(), *np.stack((own.measured, own.lower, own.upper))))
         levels, beyond = alarms.cause_level == LEVEL_ALARM, alarms.input_excess > model.envelope.near.margin
         scores = (alarms.input_score, alarms.leverage, alarms.width, alarms.miscoverage)
         worst = [score.max(axis=1) for score in scores]
-        rows.append((alarms.time_ns, alarms.why_not_judged, levels, beyond, *worst))
+        rows.append((alarms.time_ns.copy(), alarms.why_not_judged.copy(), levels, beyond, *worst))
         changed = np.flatnonzero(levels[:, CAUSES.index(CHANGE)])
         change = reasons(alarms, int(changed[-1]), CHANGE) if len(changed) else change
     stamps, wrench, lower, upper = map(np.concatenate, zip(*said, strict=True))

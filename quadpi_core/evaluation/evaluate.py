@@ -253,7 +253,7 @@ def given_comparison(
     the_vehicle = next(iter(models.values())).load_vehicle(vehicle)
     for name, model in models.items():
         model.require(the_vehicle)
-        models[name] = replace(model, flown=model.flown or the_vehicle)
+        models[name] = replace(model, flown=the_vehicle)
     level = common_confidence(models, confidence)
     files = list(dict.fromkeys(path for members in groups.values() for path in members))
     flights = {

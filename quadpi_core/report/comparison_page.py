@@ -130,7 +130,6 @@ def comparison_summary(comparison: Comparison) -> Group:
             f"alarm of {name} on {group}: {'; '.join(alarm_lines(part.alarm))}"
             for name, model in comparison.models.items()
             for group, part in model.groups.items()
-            if part.alarm is not None
         ),
     ]
     return Group(

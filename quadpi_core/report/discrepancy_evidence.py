@@ -36,9 +36,9 @@ _LEAST_SHARE = 0.01
 
 # Why a candidate was refused, before the sentence of the test that it failed.
 _REFUSED = {
-    "bounds": "impossible",
-    "bounds, refined": "impossible",
-    "bounds, reweighted": "impossible",
+    "bounds": "does not act like this",
+    "bounds, refined": "does not act like this",
+    "bounds, reweighted": "does not act like this",
     "size": "too small to matter",
     "size, refined": "too small to matter",
     "size by its law": "too small to matter",

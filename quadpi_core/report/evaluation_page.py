@@ -118,8 +118,7 @@ def evaluation_summary(evaluation: Evaluation) -> Group:
     for name, part in evaluation.groups.items():
         table = metrics_table({name: part}, confidence, "group")
         shown.append(terminal_table(table.without("group", *_NOT_ON_TERMINAL, title=name)))
-        if part.alarm is not None:
-            shown += [Text(line, style="dim") for line in (f"alarm of {name}:", *alarm_lines(part.alarm))]
+        shown += [Text(line, style="dim") for line in (f"alarm of {name}:", *alarm_lines(part.alarm))]
     parts = evaluation.groups.values()
     if any(metrics.covers_too_little(confidence) for part in parts for metrics in part.axes.values()):
         shown.append(Text(short_coverage_note(confidence), style="dim"))
@@ -144,8 +143,10 @@ def short_coverage_note(confidence: float) -> str:
     return f"▼ the confidence interval of the coverage lies below {percent(confidence)}"
 
 
-def alarm_lines(alarm: AlarmAssessment) -> list[str]:
+def alarm_lines(alarm: AlarmAssessment | None) -> list[str]:
     """False alarms, detection, how well signals separate misses; how flights differ; what CHANGE says."""
+    if alarm is None:
+        return ["not assessed, as flights of filtered signals are among them, which no monitor has"]
     parts = []
     if alarm.hours_inside > 0.0:
         rate, ends = alarm.false_alarms_per_hour, alarm.false_alarms_per_hour_interval
@@ -274,7 +275,7 @@ def write_evaluation_page(
         "evaluation.html",
         nominal=nominal(confidence),
         coverage=_coverage_table(evaluation) if evaluation.groups else None,
-        alarms={name: alarm_lines(own.alarm) for name, own in evaluation.groups.items() if own.alarm},
+        alarms={name: alarm_lines(own.alarm) for name, own in evaluation.groups.items()},
         by_group=metrics_table(evaluation.groups, confidence, "group"),
         by_flight=metrics_table(evaluation.flights, confidence, "flight"),
         live=live,

@@ -131,6 +131,19 @@ def test_a_group_that_swings_is_told_by_its_mean_and_flights_that_scatter_are_no
     assert not told(np.linspace(-0.009, 0.018, 19))
 
 
+@pytest.mark.parametrize(
+    ("gap", "deviation", "flights", "is_told"),
+    [(4.2, 1.0, 8, True), (2.6, 1.0, 8, False), (4.2, 2.0, 8, False), (20.0, 4.0, 4, False)],
+)
+def test_two_flights_apart_are_told_by_a_wide_gap_and_a_sure_mean(
+    gap: float, deviation: float, flights: int, is_told: bool
+) -> None:
+    others = np.linspace(-1.0, 1.0, flights - 2)
+    values = np.concatenate((others, [1.0 + gap, 2.0 + gap]))
+    constants = {f"f{k}": {"Fy": Constant(float(one), deviation)} for k, one in enumerate(values)}
+    assert bool(list(differences(constants))) == is_told
+
+
 def test_flights_alike_and_short_ones_tell_nothing() -> None:
     assert not list(differences({f"flight{seed}": constants_of(seed, 0.0) for seed in range(7)}))
     assert flight_constants(LIMITS, 10_000_000 * np.arange(5), np.zeros((5, 6))) == {}

@@ -105,7 +105,8 @@ def test_verdict_tells_the_least_coverage_that_is_still_called_holding(case, wit
 
 
 def test_summary_marks_short_coverage(case, rendered):
-    known, fast = rendered(evaluation_summary(case.evaluation)).split("new & fast")
+    known, fast, alarm = rendered(evaluation_summary(case.evaluation)).split("new & fast")
+    assert "flights of filtered signals" in alarm
     axes = [line for line in fast.splitlines() if line.strip().startswith(("F", "M"))]
     assert "▼" not in known
     assert len(axes) == 6

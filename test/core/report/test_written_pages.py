@@ -105,7 +105,7 @@ def test_it_draws_every_figure_without_an_error(opened):
         ".flatMap(({min, max}) => [min, max])"
     )
     assert opened.value(f"{limits}.every(Number.isFinite)")
-    assert opened.value("document.querySelectorAll('main b:not([class])').length") == 8
+    assert opened.value("document.querySelectorAll('main b:not([class])').length") == 10
     assert opened.problems == []
 
 
