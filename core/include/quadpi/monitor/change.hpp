@@ -21,7 +21,7 @@ constexpr double MOST_SIZE = 1.5 * LEAST_SIZE * (1 << (DOUBLINGS - 1));
 constexpr double CHOSEN = 2.0;
 // Blocks of half a second, in which the evidence grows by CAP at most, e to the 8, and by LATE_CAP, e to the
 // 9, of moments after the first second, in which sound flights gather most (experiments/results/alarm.md).
-constexpr std::int64_t CAP_BLOCKS = 5, LATE = 10;
+constexpr std::int64_t CAP_BLOCKS = 5, LATER = 10;
 constexpr double CAP = 2980.9579870417283, LATE_CAP = 8103.083927575384;
 // Share of the lift by which a model may be off where a load is weighed: of 14 flights beyond those of their
 // models, ten of them by two models, none is by more than 0.021 throughout, nor by more than 0.042 for half a
@@ -71,7 +71,7 @@ inline Response answer(
     return response;
 }
 
-inline double cap_of(const Onset& onset) { return onset.prior < prior_of_onset(LATE) ? LATE_CAP : CAP; }
+inline double cap_of(const Onset& onset) { return onset.prior < prior_of_onset(LATER) ? LATE_CAP : CAP; }
 
 // Take the likelihood ratio of each size; returns the evidence of the direction.
 //
