@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import yaml
 
-from quadpi_core import frames
 from quadpi_core.identification.identify import identify
 from quadpi_core.identification.prepared_flights import prepare_recording
 from quadpi_core.models.kinds.physical import Physical
@@ -22,6 +21,7 @@ from quadpi_core.simulation.flying import SimulatedVehicle
 from quadpi_core.simulation.sensor_noise import SensorSuite
 from quadpi_core.simulation.sensors import sense
 from quadpi_core.simulation.truth import LOG_HZ, Reference, Truth
+from test.core.monitor.motor_cuts import FlownBody
 from test.core.monitor.test_multirotors import first_stopped, swapped_order
 
 PLACES = ((0.1, -0.15), (0.1, 0.15), (-0.2, 0.0))
@@ -49,47 +49,28 @@ def flown(simulated: SimulatedVehicle, seed: int, seconds: float = 20.0) -> Trut
     allocation = np.linalg.inv(np.stack((np.ones(3), -y, x)))
     per_square = vehicle.mass_kg * gravity[2] / (3.0 * simulated.aerodynamics.hover_rotor_speed**2)
     rate, phase, size = rng.uniform(0.5, 1.0, 3), rng.uniform(0.0, 6.0, 6), np.array([2.5, 2.5, 0.8])
-    position, velocity, rates = np.array([0.0, 0.0, -3.0]), np.zeros(3), np.zeros(3)
-    attitude = np.array([1.0, 0.0, 0.0, 0.0])
     speeds = np.full(3, simulated.aerodynamics.hover_rotor_speed)
+    start, level = np.array([0.0, 0.0, -3.0]), np.array([1.0, 0.0, 0.0, 0.0])
+    body = FlownBody(vehicle, start, level, np.zeros(3), np.zeros(3), speeds)
     columns: dict[str, list[object]] = {}
     count = round(seconds * LOG_HZ)
     for row in range(count):
         time = row * step_s
         wanted = size * np.sin(rate * time + phase[:3]) * min(time / 3.0, 1.0)
-        push = 2.0 * (wanted - velocity) - gravity * (1.0 + 0.1 * np.sin(5.0 * time + phase[3]))
-        turn = np.array(frames.matrix(attitude))
+        push = 2.0 * (wanted - body.velocity) - gravity * (1.0 + 0.1 * np.sin(5.0 * time + phase[3]))
+        turn = body.turn
         axis = -push / np.linalg.norm(push)
         axis = axis + 0.08 * turn @ [np.sin(9.0 * time + phase[4]), np.sin(7.0 * time + phase[5]), 0.0]
         lean = turn.T @ np.cross(turn @ down, axis)
-        asked = vehicle.inertia[[0, 1], [0, 1]] * (60.0 * lean[:2] - 14.0 * rates[:2])
+        asked = vehicle.inertia[[0, 1], [0, 1]] * (60.0 * lean[:2] - 14.0 * body.rates[:2])
         thrusts = allocation @ [vehicle.mass_kg * np.linalg.norm(push), *asked]
         command = np.sqrt(np.clip(thrusts / per_square, 100.0**2, vehicle.rotor_speed_max_rad_s**2))
-        slopes = (command - speeds) / simulated.motor_time_constant
-        wrench = simulated.aerodynamics.wrench((turn.T @ velocity)[None], rates[None], speeds[None])[0]
+        wrench = body.aerodynamic_wrench(simulated)
         yaw = np.arctan2(turn[1, 0], turn[0, 0]) - 0.5 * np.sin(0.7 * time)
-        wrench[5] = vehicle.inertia[2, 2] * (-8.0 * np.sin(yaw) - 4.0 * rates[2])
-        acceleration = turn @ wrench[:3] / vehicle.mass_kg + gravity
-        moment = wrench[3:] - np.cross(rates, vehicle.inertia @ rates)
-        turning = np.linalg.solve(vehicle.inertia, moment)
-        for name, value in {
-            "position": position,
-            "attitude": attitude,
-            "velocity": turn.T @ velocity,
-            "rates": rates,
-            "acceleration": acceleration,
-            "angular_acceleration": turning,
-            "rotor_speeds": speeds,
-            "rotor_accelerations": slopes,
-            "wrench": wrench,
-            "wind": np.zeros(3),
-        }.items():
+        wrench[5] = vehicle.inertia[2, 2] * (-8.0 * np.sin(yaw) - 4.0 * body.rates[2])
+        slopes = (command - body.speeds) / simulated.motor_time_constant
+        for name, value in (body.step(wrench, slopes, step_s) | {"wind": np.zeros(3)}).items():
             columns.setdefault(name, []).append(value)
-        velocity = velocity + step_s * acceleration
-        position = position + step_s * velocity
-        rates = rates + step_s * turning
-        attitude = np.array(frames.product(attitude, np.array(frames.from_rotation_vector(step_s * rates))))
-        speeds = speeds + step_s * slopes
     return Truth(
         name=f"tricopter{seed}",
         vehicle=vehicle,
