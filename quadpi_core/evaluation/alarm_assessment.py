@@ -56,8 +56,8 @@ from quadpi_core.results import (
 
 # Fewest blocks of a flight, 1 s, and flights, that are compared.
 _FEWEST_BLOCKS, _FEWEST_FLIGHTS = 10, 3
-# Deviations of a difference that is told. A group is told by its mean, too, if the gap to it, in deviations
-# within groups, is one that 3 to 5 % of n alike flights have in an axis, 1.2 (1 + 15 / (n - 2)), n 5 to 60.
+# Standard deviations by which flights have to differ; a group by its mean, if the gap to the others, over the
+# spread within groups, is one that 3 to 5 % of n alike flights show, 1.2 (1 + 15 / (n - 2)), n from 5 to 60.
 _TOLD, _GAP, _GAP_OF_FEW, _FEWEST_OF_GROUPS = 4.0, 1.2, 15.0, 5
 # Least deviation that is told, N and Nm.
 _FINEST = 1e-6
@@ -200,7 +200,7 @@ class FlightAlarm:
     recorded_s: float = 0.0
 
     def hours(self, *why: int) -> Array:
-        """Hours (N,) that each sample stands for, 0 where none of these is why it is not judged."""
+        """Hours (N,) until the next sample, 0 unless `why_not_judged` has one of these keys."""
         hours = np.diff(self.time, append=self.time[-1]) / 3600.0
         return hours * np.isin(self.why_not_judged, why)
 
@@ -258,7 +258,7 @@ def alarm_of_flight(model: AerodynamicModel, flight: PreparedFlight, confidence:
         return None
     vehicle = model.load_vehicle()
     monitor = Monitor(model, vehicle, None, confidence, MonitorSettings(alarm_rate_hz=_EVERY_SAMPLE_HZ))
-    # The air of arrays is told beside what a recording has.
+    # Arrays give the density of the air apart from the recording.
     apart = flight.air == MEASURED and flown_in(flight.recording) is None
     density = vehicle.air_density_kg_m3 * (1.0 + float(flight.derivatives["density_excess"][0]))
     said, rows = [], []

@@ -38,8 +38,7 @@ constexpr double BLOCK_CAP = 12.182493960703473, LOAD_EVIDENCE = 400.0;
 constexpr double OF_LARGE = 2.0;
 // Degrees of freedom of Student's distribution; share of the prior below which a size is no longer followed.
 constexpr double FREEDOM = 3.0, RUIN = 1e-12;
-// Longer pauses [blocks] count as this long.
-constexpr std::int64_t PAUSE_MOST = 100;
+constexpr std::int64_t PAUSE_MOST = 100;  // longer pauses [blocks] count as this long
 
 // What a block says of one direction from an onset on.
 struct Response {
@@ -78,6 +77,7 @@ inline double cap_of(const Onset& onset) { return onset.prior < prior_of_onset(L
 // With 3 degrees of freedom the density of Student's distribution goes with (1 + z² / tail)⁻².
 inline double bet(const Response& response, int direction, Onset& onset, bool settle) {
     std::array<double, SIZES>&wealth = onset.wealth[direction], &gain = onset.gain[direction];
+    const double cap = cap_of(onset);
     constexpr std::array<double, SIZES> size = sizes();
     std::array<double, SIZES> changed;
     changed.fill(1.0);
@@ -92,7 +92,7 @@ inline double bet(const Response& response, int direction, Onset& onset, bool se
     for (int index = 0; index < SIZES; ++index) {
         const double ratio = response.sound / changed[index];
         gain[index] *= ratio * ratio;
-        changed[index] = wealth[index] * std::min(gain[index], cap_of(onset));
+        changed[index] = wealth[index] * std::min(gain[index], cap);
         total += changed[index];
     }
     if (settle) {
